@@ -5,20 +5,18 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 use glam::DVec3;
 use meniscus_formats::gltf::{CameraData, read_camera};
-use meniscus_formats::{OutputFormat, read_provenance};
+use meniscus_formats::{OutputFormat, UpAxis, read_provenance};
 
 use crate::pipeline::{CAMERA, CameraChoice, open_regular, read_regular};
-
-use super::args::UpChoice;
 
 /// Reads it. What is y in a scene is the axis that points up.
 ///
 /// # Errors
 /// When there is none.
-pub(super) fn camera_of_file(path: &Path, up: Option<UpChoice>) -> Result<CameraChoice> {
+pub(super) fn camera_of_file(path: &Path, up: Option<UpAxis>) -> Result<CameraChoice> {
     let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     let camera = match &*extension {
-        "glb" | "gltf" => camera_of_scene(path, up.unwrap_or(UpChoice::Y)),
+        "glb" | "gltf" => camera_of_scene(path, up.unwrap_or_default()),
         "exr" => camera_of_picture(path, OutputFormat::Exr),
         "png" => camera_of_picture(path, OutputFormat::Png),
         _ => bail!(
@@ -37,20 +35,22 @@ fn camera_of_picture(path: &Path, format: OutputFormat) -> Result<CameraChoice> 
     text.parse().map_err(anyhow::Error::msg)
 }
 
-fn camera_of_scene(path: &Path, up: UpChoice) -> Result<CameraChoice> {
+fn camera_of_scene(path: &Path, up: UpAxis) -> Result<CameraChoice> {
     let CameraData { eye, forward, up: top, view_radians } = read_camera(&read_regular(path)?)?;
     let turned = |[x, y, z]: [f64; 3]| match up {
-        UpChoice::Y => DVec3::new(x, y, z),
-        UpChoice::Z => DVec3::new(x, -z, y),
+        UpAxis::Y => DVec3::new(x, y, z),
+        UpAxis::Z => DVec3::new(x, -z, y),
     };
     let (eye, forward, top) = (turned(eye), turned(forward).normalize_or_zero(), turned(top));
     let target = eye + forward;
-    let up = match up {
-        UpChoice::Y => "y",
-        UpChoice::Z => "z",
-    };
     let text = |v: DVec3| format!("{}:{}:{}", v.x, v.y, v.z);
     let degrees = view_radians.to_degrees();
-    let spec = format!("eye={},target={},top={},view={degrees},up={up}", text(eye), text(target), text(top));
+    let spec = format!(
+        "eye={},target={},top={},view={degrees},up={}",
+        text(eye),
+        text(target),
+        text(top),
+        up.name()
+    );
     spec.parse().map_err(anyhow::Error::msg)
 }

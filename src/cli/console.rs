@@ -78,9 +78,19 @@ impl Console {
         print_error(self.bar.as_ref(), line);
     }
 
+    /// Prints a warning.
+    pub(super) fn warning(&self, what: impl Display) {
+        self.warn(format_args!("warning: {what}"));
+    }
+
+    /// Prints an error.
+    pub(super) fn error(&self, what: impl Display) {
+        self.warn(format_args!("error: {what}"));
+    }
+
     /// Prints an error that makes the command fail, whatever else succeeds: part of the input is left out.
-    pub(super) fn fail(&mut self, line: impl Display) {
-        self.warn(line);
+    pub(super) fn fail(&mut self, what: impl Display) {
+        self.error(what);
         self.failed_count += 1;
     }
 

@@ -1,36 +1,29 @@
 //! `meniscus convert`: frames of particles into meshes and level sets.
 
-use std::path::{Path, PathBuf, absolute};
+use std::path::{Path, absolute};
 use std::sync::Arc;
-use std::thread::available_parallelism;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use meniscus_formats::listed;
-use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::farm::{Plan, PlannedFrame};
 use crate::pipeline::{
-    Frame, FrameState, Job, ObstacleFiles, OnError, OutputFormat, OutputOptions, Sequence, SequenceRecord,
+    Frame, FrameState, Job, ObstacleFiles, OnError, OutputFormat, OutputOptions, SequenceRecord,
     check_out_folder, check_outputs, file_of, inspect, size_bytes,
 };
-use crate::surface::simd::level_warning;
 
 use super::Verdict;
-use super::args::{ConvertArgs, Format, FormatArgs, MethodArgs, OnErrorChoice, ShardChoice, ShotArgs, typed};
-use super::choices::{obstacle_files, output_options, refuse_idle_quantize, warn_of_ignored};
+use super::args::{ConvertArgs, FormatArgs, OptionSet, ShardChoice};
 use super::console::Console;
+use super::conversion::{Conversion, refuse_beside, warn_before, warn_of_level};
 use super::destination::Destination;
-use super::interrupt::clean_up_when_interrupted;
-use super::out_folder::{self, OutFolder};
-use super::print_settings::print_settings;
-use super::quantities::memory_bytes;
-use super::resolving::Resolved;
-use super::resurfacing::{refuse, refuse_of_particles, resolve_job, surface_job};
+use super::level_sets::surface_job;
+use super::machine::thread_pool;
+use super::out_folder;
+use super::print_settings::{print_settings, print_settings_of_any};
 use super::run::{Batch, RunOptions};
-use super::selecting::{
-    SelectedSequence, Selection, refuse_conflicts, refuse_level_sets, refuse_report_of_plan, select_frames,
-};
+use super::selecting::{SelectedSequence, refuse_level_sets, refuse_report_of_plan, select_frames};
 use super::sequence::Shots;
 use super::standard_input::StandardInput;
 use super::wording::counted;
@@ -38,210 +31,149 @@ use super::wording::counted;
 /// Converts what the arguments ask for.
 ///
 /// # Errors
-/// When nothing can be done at all. A frame that fails is no error here: it is told, and counted.
+/// When nothing can be done at all. A frame that fails is no error here: it is reported, and counted.
 pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdict> {
     let start = Instant::now();
-    clean_up_when_interrupted();
     if let Some(plan) = &args.plan {
         return convert_shard(args, plan, start, console);
     }
-    let (destination, mut args) = Destination::of(args, console)?;
-    let _input = StandardInput::take(&mut args)?;
-    let verdict = convert_to(&args, &destination, start, console)?;
-    destination.send(verdict)
-}
-
-fn convert_to(
-    args: &ConvertArgs,
-    destination: &Destination,
-    start: Instant,
-    console: &mut Console,
-) -> Result<Verdict> {
-    refuse_idle_quantize(args.format.as_deref(), &args.formats)?;
     if args.particles_only {
-        refuse_beside_particles(args)?;
+        refuse_beside(&args.given(), &BESIDE_PARTICLES_ONLY, PARTICLES_ONLY)?;
+    }
+    let (destination, folder, formats) = Destination::of(args, console)?;
+    let outputs = formats.outputs(folder)?;
+    if args.particles_only {
+        refuse_surface_formats(&outputs)?;
     }
     if args.print_settings && args.inputs.is_empty() {
-        return print_settings(&[], args, &thread_pool(args.threads)?, console);
+        print_settings_of_any(&args.method, &outputs, console)?;
+        return Ok(Verdict::Done);
     }
-    let selection = select(args, destination, console)?;
-    let job = job_of(&selection, args)?;
-    let Selection { sequences, found, .. } = selection;
-    if job != Job::Particles {
+    let pipe = StandardInput::take(args)?;
+    let inputs = pipe.as_ref().map_or(&*args.inputs, |pipe| std::slice::from_ref(&pipe.path));
+    let mut selection = select_frames(inputs, args.frames.as_ref(), &args.method, console)?;
+    if console.failed_count() > 0 && args.on_error == Some(OnError::Stop) {
+        bail!("nothing is converted, because of --on-error stop: make the paths above readable");
+    }
+    destination.name_outputs(&mut selection)?;
+    let job = if args.particles_only {
+        refuse_level_sets(&selection, "--particles-only")?;
+        Job::Particles
+    } else {
+        let job = surface_job(&selection, args.band_slack, &args.method)?;
         // A .usda of the whole sequence says what a unit is, too.
-        let meters_per_unit = args.formats.meters_per_unit.filter(|_| args.shot.sequence_usda.is_none());
-        let judged = FormatArgs { meters_per_unit, ..args.formats.clone() };
-        warn_of_ignored(&args.method, args.format.as_deref(), &judged, console);
-        if let Some(warning) = level_warning() {
-            console.warn(format_args!("warning: {warning}"));
-        }
-    }
+        let meters_per_unit = formats.meters_per_unit.filter(|_| args.shot.sequence_usda.is_none());
+        warn_before(&args.method, &FormatArgs { meters_per_unit, ..formats }, console);
+        job
+    };
     if args.print_settings {
-        let sequences: Vec<&Sequence> = sequences.iter().map(|selected| &selected.sequence).collect();
-        return print_settings(&sequences, args, &thread_pool(args.threads)?, console);
+        let pool = thread_pool(args.run.threads)?;
+        print_settings(&selection.sequences, job, (&args.method, &outputs), &pool, console)?;
+        return Ok(Verdict::Done);
     }
-    let obstacles = Arc::new(obstacle_files(&args.method)?);
-    let outputs = Arc::new(outputs_of(args, job)?);
-    let out_folder = OutFolder::make(&outputs.folder)?;
-    let shots = Shots::asked_for(&args.shot, &outputs, sequences.len(), args.frames.is_some())?;
-    let report = args.report.as_deref();
-    refuse_conflicts(&sequences, &found, &obstacles, &outputs, report.map(|path| ("the report", path)))?;
-    refuse_shots(&shots, &sequences, &found, (&obstacles, &outputs), report)?;
-    let pool = thread_pool(args.threads)?;
-    let memory_bytes = memory_bytes(args.memory)?;
-
-    let mut batch = Batch::new(pool.current_num_threads(), on_error(args), args.allow_violations);
-    for sequence in &sequences {
-        let resolved = resolve_job(sequence, job, &args.method, &outputs, &pool, console)?;
-        add(&mut batch, sequence, job, resolved, &obstacles);
-    }
-    out_folder.keep();
-    let options = RunOptions { skip_done: args.skip_done, certificates: false, memory_bytes, pool: &pool };
-    batch.convert(&options, console);
-    let (frames, frame_count) = (batch.shot_frames().to_vec(), batch.frame_count());
-    let verdict = batch.finish(args.report.as_deref(), start.elapsed().as_secs_f64(), console);
-    Ok(pool.install(|| shots.write((&frames, frame_count), verdict, console)))
+    let conversion = Conversion::new(selection, job, &args.method, outputs)?;
+    destination.send(convert_all(args, conversion, start, console)?)
 }
 
-/// What is made of the selected files.
-///
-/// # Errors
-/// When they are of several kinds, or options do not apply to them.
-fn job_of(selection: &Selection, args: &ConvertArgs) -> Result<Job> {
-    if args.particles_only {
-        refuse_level_sets(selection, "--particles-only")?;
-        return Ok(Job::Particles);
-    }
-    let job = surface_job(selection, args.band_slack)?;
-    if let Job::LevelSet { slack_voxels, .. } = job {
-        let given = args.print_settings.then(|| typed("print_settings"));
-        refuse("it is about particles", &Vec::from_iter(given))?;
-        refuse_of_particles(&args.method, slack_voxels)?;
-    }
-    Ok(job)
-}
+/// What may be given with `--particles-only`.
+const BESIDE_PARTICLES_ONLY: [&str; 10] = [
+    "particles_only",
+    "inputs",
+    "input_format",
+    "out",
+    "format",
+    "frames",
+    "skip_done",
+    "threads",
+    "memory",
+    "on_error",
+];
 
-/// What is written: of particles as they are, .ply by default.
-fn outputs_of(args: &ConvertArgs, job: Job) -> Result<OutputOptions> {
-    let folder = args.out.clone().context("--out is missing: the folder for the results")?;
-    let formats = if job == Job::Particles { Some(particle_formats(args)?) } else { args.format.clone() };
-    Ok(output_options(folder, formats.as_deref(), &args.formats))
-}
+const PARTICLES_ONLY: &str = "--particles-only writes particles as they are, and what is about surfaces, their files and \
+     reports makes no sense with it: beside it only INPUT, --out, --format, --frames, --skip-done, --threads, --memory and \
+     --on-error may be given";
 
-/// The formats for particles as they are.
-fn particle_formats(args: &ConvertArgs) -> Result<Vec<Format>> {
-    let formats = args.format.clone().unwrap_or_else(|| vec![Format(OutputFormat::Ply)]);
-    if formats.iter().any(|format| format.0.particles().is_none()) {
+/// Refuses formats that have no place for particles.
+fn refuse_surface_formats(outputs: &OutputOptions) -> Result<()> {
+    if outputs.formats.iter().any(|format| format.particles().is_none()) {
         let all = OutputFormat::ALL.into_iter().filter(|format| format.particles().is_some());
         let all = listed(all.map(|format| format.to_string()).collect(), "and");
         bail!("--particles-only writes {all}: the other formats are of surfaces");
     }
-    Ok(formats)
+    Ok(())
 }
 
-/// Refuses what is about surfaces.
-fn refuse_beside_particles(args: &ConvertArgs) -> Result<()> {
-    let ConvertArgs { report, plan, band_slack, print_settings, method, formats, shot, .. } = args;
-    let is_alone = report.is_none()
-        && band_slack.is_none()
-        && plan.is_none()
-        && !print_settings
-        && *method == MethodArgs::default()
-        && *formats == FormatArgs::default()
-        && *shot == ShotArgs::default();
-    if !is_alone {
-        bail!(
-            "--particles-only writes particles as they are: beside it only INPUT, --out, --format, --frames, --skip-done, \
-             --threads, --memory and --on-error may be given; what is about surfaces, their files and reports makes no sense \
-             with it"
-        );
-    }
-    particle_formats(args).map(|_| ())
-}
-
-/// The frames to convert.
-///
-/// # Errors
-/// When there are none, or several for one file, or when paths could not be read and the first failure is to be the end.
-fn select(args: &ConvertArgs, destination: &Destination, console: &mut Console) -> Result<Selection> {
-    let mut selection = select_frames(&args.inputs, args.frames.as_ref(), &args.method, console)?;
-    if console.failed_count() > 0 && args.on_error == OnErrorChoice::Stop {
-        bail!("nothing is converted, because of --on-error stop: make the paths above readable");
-    }
-    destination.name_outputs(&mut selection)?;
-    Ok(selection)
-}
-
-/// Refuses shots that would replace an input, an obstacle, a result, the report, or each other.
-fn refuse_shots(
-    shots: &Shots,
-    sequences: &[SelectedSequence],
-    found: &[PathBuf],
-    (obstacles, outputs): (&ObstacleFiles, &OutputOptions),
-    report: Option<&Path>,
-) -> Result<()> {
-    shots.refuse_places()?;
+/// Converts the frames, and gathers them into shots.
+fn convert_all(
+    args: &ConvertArgs,
+    conversion: Conversion,
+    start: Instant,
+    console: &mut Console,
+) -> Result<Verdict> {
+    let (sequences, outputs) = (&conversion.sequences, &conversion.outputs);
+    let shots = Shots::asked_for(&args.shot, outputs, sequences.len(), args.frames.is_some())?;
+    let report = args.report.as_deref();
+    conversion.refuse_conflicts(report.map(|path| ("the report", path)))?;
     for path in shots.paths() {
-        refuse_conflicts(sequences, found, obstacles, outputs, Some(("the shot", path)))?;
+        conversion.refuse_conflicts(Some(("the shot", path)))?;
         if report.is_some_and(|report| absolute(report).ok() == absolute(path).ok()) {
             bail!("the report and the shot would both become {}", path.display());
         }
     }
-    Ok(())
-}
-
-fn on_error(args: &ConvertArgs) -> OnError {
-    match args.on_error {
-        OnErrorChoice::Stop => OnError::Stop,
-        OnErrorChoice::Continue => OnError::Continue,
+    let options = RunOptions::new(args, start)?;
+    let mut batch = Batch::new(&options);
+    for sequence in sequences {
+        add(&mut batch, sequence, &conversion, console)?;
     }
+    conversion.folder.keep();
+    batch.convert(console);
+    let (frames, frame_count) = (batch.shot_frames().to_vec(), batch.frame_count());
+    let verdict = batch.finish(console);
+    Ok(options.pool.install(|| shots.write((&frames, frame_count), verdict, console)))
 }
 
 /// Adds the frames of a sequence to a batch.
 fn add(
     batch: &mut Batch,
-    SelectedSequence { sequence, selected }: &SelectedSequence,
-    job: Job,
-    resolved: Result<Resolved, String>,
-    obstacles: &Arc<ObstacleFiles>,
-) {
-    let name = &sequence.name;
+    selected: &SelectedSequence,
+    conversion: &Conversion,
+    console: &mut Console,
+) -> Result<()> {
+    let resolved = conversion.resolve(selected, &batch.options.pool, console)?;
+    let (name, Conversion { job, obstacles, .. }) = (&selected.sequence.name, conversion);
     let record = match &resolved {
-        Ok(Resolved { settings, measured, outputs }) => {
-            SequenceRecord::new(name, &job, settings, measured.as_ref(), (outputs, obstacles))
+        Ok(shared) => {
+            let files = (&*shared.outputs, &**obstacles);
+            SequenceRecord::new(name, job, &shared.settings, shared.measured.as_ref(), files)
         }
         Err(why) => SequenceRecord::without_settings(name, why),
     };
     let sequence_index = batch.add_sequence(name, record);
-    for file in selected {
-        let frame = |Resolved { settings, outputs, .. }: &Resolved| Frame {
-            job,
+    for file in &selected.selected {
+        let frame = resolved.as_ref().map(|shared| Frame {
+            job: *job,
             obstacles: Arc::clone(obstacles),
-            ..Frame::new(file, settings, outputs)
-        };
-        batch.add_frame(&file.path, sequence_index, resolved.as_ref().map(frame).map_err(String::clone));
+            ..Frame::new(file, &shared.settings, &shared.outputs)
+        });
+        batch.add_frame(&file.path, sequence_index, frame.map_err(String::clone));
     }
+    Ok(())
 }
 
-/// The threads that compute: so many, or one for each core.
-pub(super) fn thread_pool(threads: Option<u16>) -> Result<ThreadPool> {
-    let count = match threads {
-        Some(count) => usize::from(count),
-        None => available_parallelism().map_or(1, usize::from),
-    };
-    let pool = ThreadPoolBuilder::new().num_threads(count).thread_name(|index| format!("compute {index}"));
-    pool.build().context("cannot start the threads")
-}
+/// What may be given with `--plan`.
+const BESIDE_PLAN: [&str; 7] =
+    ["plan", "shard", "report", "threads", "memory", "on_error", "allow_violations"];
+
+const PLAN: &str = "the plan says what is made of which frames, and where: beside --plan only --shard, --report, --threads, \
+     --memory, --on-error and --allow-violations may be given; for other frames or options, plan again";
 
 /// Converts the frames of a shard.
 fn convert_shard(args: &ConvertArgs, path: &Path, start: Instant, console: &mut Console) -> Result<Verdict> {
-    refuse_beside_plan(args)?;
+    refuse_beside(&args.given(), &BESIDE_PLAN, PLAN)?;
     let plan = Plan::read(path).with_context(|| path.display().to_string())?;
     let shard = args.shard.context("--shard is missing: which of the plan's shards to convert")?;
     let (shard, frames) = shard_of(&plan, shard)?;
-    if let Some(warning) = level_warning() {
-        console.warn(format_args!("warning: {warning}"));
-    }
+    warn_of_level(console);
     let obstacles = Arc::new(ObstacleFiles::new(plan.obstacles.clone()));
     let out = plan.out().context("the plan has no sequence")?;
     if !out.is_dir() {
@@ -253,19 +185,11 @@ fn convert_shard(args: &ConvertArgs, path: &Path, start: Instant, console: &mut 
     check_out_folder(out)?;
     out_folder::recover(out)?;
     refuse_report_of_plan(args.report.as_deref(), &plan, path)?;
-    let pool = thread_pool(args.threads)?;
-    let memory_bytes = memory_bytes(args.memory)?;
-
-    let mut batch = Batch::new(pool.current_num_threads(), on_error(args), args.allow_violations);
+    let options = RunOptions::new(args, start)?;
+    let mut batch = Batch::new(&options);
     for sequence in &plan.sequences {
-        let files = (&*sequence.outputs, &*obstacles);
-        let record = SequenceRecord::new(
-            &sequence.name,
-            &sequence.job,
-            &sequence.settings,
-            sequence.measured.as_ref(),
-            files,
-        );
+        let (files, measured) = ((&*sequence.outputs, &*obstacles), sequence.measured.as_ref());
+        let record = SequenceRecord::new(&sequence.name, &sequence.job, &sequence.settings, measured, files);
         batch.add_sequence(&sequence.name, record);
     }
     // Whether a result would replace another shard's input the plan was asked already, by name: looking at all
@@ -277,28 +201,30 @@ fn convert_shard(args: &ConvertArgs, path: &Path, start: Instant, console: &mut 
     }
     console.say(format_args!("shard {shard} of {}: {}", plan.shards.len(), counted(frames.len(), "frame")));
     for planned in frames {
-        if let Ok(there) = size_bytes(&planned.input)
-            && there != planned.size_bytes
-        {
-            let (name, was) = (planned.input.display(), planned.size_bytes);
-            console.warn(format_args!(
-                "warning: {name}: it has {there} bytes, and had {was} when the plan was made"
-            ));
-        }
-        let frame = plan.frame(planned, &obstacles);
-        if let Some(fault) = done_without_inputs(&frame) {
+        add_planned(&mut batch, planned, plan.frame(planned, &obstacles), console);
+    }
+    batch.convert(console);
+    Ok(batch.finish(console))
+}
+
+/// Adds a frame of a plan to a batch.
+fn add_planned(batch: &mut Batch, planned: &PlannedFrame, frame: Frame, console: &mut Console) {
+    if let Ok(there) = size_bytes(&planned.input)
+        && there != planned.size_bytes
+    {
+        let (name, was) = (planned.input.display(), planned.size_bytes);
+        console.warning(format_args!("{name}: it has {there} bytes, and had {was} when the plan was made"));
+    }
+    match done_without_inputs(&frame) {
+        Some(fault) => {
             console.say(format_args!(
                 "{}: done already; what it was made from is not there any more",
                 planned.stem
             ));
             batch.add_done(frame, planned.sequence, fault);
-            continue;
         }
-        batch.add_frame(&planned.input, planned.sequence, Ok(frame));
+        None => batch.add_frame(&planned.input, planned.sequence, Ok(frame)),
     }
-    let options = RunOptions { skip_done: true, certificates: true, memory_bytes, pool: &pool };
-    batch.convert(&options, console);
-    Ok(batch.finish(args.report.as_deref(), start.elapsed().as_secs_f64(), console))
 }
 
 /// Of a frame that cannot be made again, its input or an obstacle being gone, and need not be, as `verify` sees it: what its
@@ -311,41 +237,6 @@ fn done_without_inputs(frame: &Frame) -> Option<Option<String>> {
         FrameState::Uncertified(why) => Some(Some(why)),
         FrameState::Missing { .. } | FrameState::Damaged(_) | FrameState::Stale(_) => None,
     }
-}
-
-/// Refuses what the plan says.
-fn refuse_beside_plan(args: &ConvertArgs) -> Result<()> {
-    let ConvertArgs {
-        inputs,
-        input_format,
-        out,
-        format,
-        frames,
-        skip_done,
-        band_slack,
-        print_settings,
-        method,
-        formats,
-        shot,
-        ..
-    } = args;
-    let is_alone = inputs.is_empty()
-        && input_format.is_none()
-        && out.is_none()
-        && format.is_none()
-        && frames.is_none()
-        && !(*skip_done || *print_settings)
-        && band_slack.is_none()
-        && *method == MethodArgs::default()
-        && *formats == FormatArgs::default()
-        && *shot == ShotArgs::default();
-    if !is_alone {
-        bail!(
-            "the plan says what is made of which frames, and where: beside --plan only --shard, --report, --threads, \
-             --memory, --on-error and --allow-violations may be given; for other frames or options, plan again"
-        );
-    }
-    Ok(())
 }
 
 /// The shard that was asked for, and its frames.

@@ -14,15 +14,15 @@ use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use clap::ValueEnum;
 use tempfile::TempDir;
 
 use crate::pipeline::OutputFormat;
 
 use super::Verdict;
-use super::args::{ConvertArgs, Format};
+use super::args::{ConvertArgs, FormatArgs};
 use super::console::Console;
 use super::interrupt::remove_when_interrupted;
+use super::out_folder::folder_of;
 use super::selecting::Selection;
 use super::wording::counted;
 
@@ -33,49 +33,66 @@ pub(super) enum Destination {
     /// One frame, to the file of this name.
     File { out: PathBuf, stem: String },
     /// One frame, to the standard output; until then its file is in this folder.
-    Stdout { folder: TempDir, extension: String },
+    Stdout { folder: TempDir, extension: &'static str },
 }
 
+/// A destination, the folder that is written to, and the only format if there is one.
+type Place = (Destination, PathBuf, Option<OutputFormat>);
+
 impl Destination {
-    /// What `--out` names, and the arguments with a folder in its place.
+    /// What `--out` names, with the folder that is written to, and the formats.
     ///
     /// # Errors
     /// When other options contradict it.
-    pub(super) fn of(args: &ConvertArgs, console: &mut Console) -> Result<(Destination, ConvertArgs)> {
-        let mut args = args.clone();
-        let Some(out) = args.out.clone() else { return Ok((Destination::Folder, args)) };
-        if is_stdout(&out) {
-            let format = only_format(&args)?;
-            if args.print_settings {
+    pub(super) fn of(
+        args: &ConvertArgs,
+        console: &mut Console,
+    ) -> Result<(Destination, PathBuf, FormatArgs)> {
+        let out = args.out.clone().unwrap_or_default();
+        let (destination, folder, format) = if is_stdout(&out) {
+            let format = only_format(args)?;
+            match args.print_settings {
                 // Nothing is written, and the settings go to the standard output themselves.
-                args.format = Some(vec![format]);
-                return Ok((Destination::Folder, args));
+                true => (Destination::Folder, out, Some(format)),
+                false => Destination::stdout(&out, format, console)?,
             }
-            if io::stdout().is_terminal() {
-                bail!(
-                    "--out {}: the standard output is a terminal: redirect it to a file or a program",
-                    out.display()
-                );
-            }
-            console.leave_out_to_a_file();
-            let folder = private_folder()?;
-            args.out = Some(folder.path().to_owned());
-            args.format = Some(vec![format]);
-            let extension = format.0.extension().to_owned();
-            return Ok((Destination::Stdout { folder, extension }, args));
+        } else if let Some(extension) = file_extension(&out) {
+            Destination::file(out, &extension, args.formats.format.as_deref())?
+        } else {
+            (Destination::Folder, out, args.particles_only.then_some(OutputFormat::Ply))
+        };
+        let mut formats = args.formats.clone();
+        // Formats that are given beside a file or the standard output are that of it.
+        formats.format = formats.format.or(format.map(|format| vec![format]));
+        Ok((destination, folder, formats))
+    }
+
+    fn stdout(out: &Path, format: OutputFormat, console: &mut Console) -> Result<Place> {
+        if io::stdout().is_terminal() {
+            bail!(
+                "--out {}: the standard output is a terminal: redirect it to a file or a program",
+                out.display()
+            );
         }
-        let Some(extension) = file_extension(&out) else { return Ok((Destination::Folder, args)) };
+        console.leave_out_to_a_file();
+        let folder = private_folder()?;
+        let path = folder.path().to_owned();
+        Ok((Destination::Stdout { folder, extension: format.extension() }, path, Some(format)))
+    }
+
+    fn file(out: PathBuf, extension: &str, formats: Option<&[OutputFormat]>) -> Result<Place> {
         let name = out.display();
-        let Ok(format) = Format::from_str(&extension, false) else {
+        let format = OutputFormat::from_extension(extension).filter(|format| !format.is_picture());
+        let Some(format) = format else {
             bail!(
                 "{name}: convert writes surfaces and not pictures: use `meniscus render`, or --preview {extension}"
             );
         };
-        if out.extension().is_some_and(|there| *there != *extension) {
-            let lower = out.with_extension(&extension);
+        if out.extension().is_some_and(|there| there != extension) {
+            let lower = out.with_extension(extension);
             bail!("{name}: results have extensions in lower case: name {}", lower.display());
         }
-        if args.format.as_deref().is_some_and(|formats| formats.iter().any(|other| *other != format)) {
+        if formats.is_some_and(|formats| formats.iter().any(|other| *other != format)) {
             bail!(
                 "{name}: --format asks for other files than .{extension}: leave --format out, or name a folder"
             );
@@ -83,10 +100,8 @@ impl Destination {
         let Some(stem) = out.file_stem().and_then(|stem| stem.to_str()).map(str::to_owned) else {
             bail!("{name}: expected a name in UTF-8");
         };
-        let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty());
-        args.out = Some(folder.unwrap_or(Path::new(".")).to_owned());
-        args.format = Some(vec![format]);
-        Ok((Destination::File { out, stem }, args))
+        let folder = folder_of(&out).to_owned();
+        Ok((Destination::File { out, stem }, folder, Some(format)))
     }
 
     /// Names the outputs of the only frame.
@@ -173,7 +188,7 @@ fn file_extension(out: &Path) -> Option<String> {
 }
 
 /// The format for the standard output.
-fn only_format(args: &ConvertArgs) -> Result<Format> {
+fn only_format(args: &ConvertArgs) -> Result<OutputFormat> {
     if args.skip_done {
         bail!("--skip-done compares with files, and the standard output has none: leave one of them out");
     }
@@ -182,9 +197,9 @@ fn only_format(args: &ConvertArgs) -> Result<Format> {
             "--preview writes a file of its own, and the standard output is for one: name a folder with --out"
         );
     }
-    match args.format.as_deref() {
-        None if args.particles_only => Ok(Format(OutputFormat::Ply)),
-        None => Ok(Format(OutputFormat::Glb)),
+    match args.formats.format.as_deref() {
+        None if args.particles_only => Ok(OutputFormat::Ply),
+        None => Ok(OutputFormat::Glb),
         Some([format]) => Ok(*format),
         Some(_) => bail!("the standard output is for one format: give one --format"),
     }

@@ -1,9 +1,11 @@
 //! Which frames of a sequence: `1-240x2`, `1-10,20,30-40x5`.
 
-use crate::pipeline::FrameFile;
 use std::collections::{BTreeSet, HashSet};
 use std::fmt;
 use std::str::FromStr;
+
+use crate::pipeline::FrameFile;
+use crate::surface::options::expected;
 
 /// A set of frame numbers.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -34,20 +36,6 @@ impl fmt::Display for StepRange {
         }
     }
 }
-
-/// Why text is no selection of frames.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct SelectionError {
-    what: String,
-}
-
-impl fmt::Display for SelectionError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.what)
-    }
-}
-
-impl std::error::Error for SelectionError {}
 
 /// The numbers that are missing between the first and the last of these, and how many; `None` where none are, or where the
 /// numbers are not evenly apart for the most part.
@@ -99,26 +87,23 @@ impl FrameSelection {
 }
 
 impl FromStr for FrameSelection {
-    type Err = SelectionError;
+    type Err = String;
 
-    fn from_str(text: &str) -> Result<FrameSelection, SelectionError> {
+    fn from_str(text: &str) -> Result<FrameSelection, String> {
         let ranges = text.split(',').map(|part| parse_range(part.trim())).collect::<Result<_, _>>()?;
         Ok(FrameSelection { ranges })
     }
 }
 
-fn parse_range(text: &str) -> Result<StepRange, SelectionError> {
-    let range = StepRange::parse(text).ok_or_else(|| SelectionError {
-        what: format!(
-            "`{text}` is no selection of frames: give a number such as 12, a range such as 1-240, every \
-             second of a range as 1-240x2, or several of these with commas between"
-        ),
-    })?;
+fn parse_range(text: &str) -> Result<StepRange, String> {
+    let what = "a selection of frames: give a number such as 12, a range such as 1-240, every second of a range as 1-240x2, \
+                or several of these with commas between";
+    let range = expected(text, StepRange::parse(text), what)?;
     if range.last < range.first {
-        return Err(SelectionError { what: format!("`{text}` runs backwards") });
+        return Err(format!("`{text}` runs backwards"));
     }
     if range.step == 0 {
-        return Err(SelectionError { what: format!("`{text}` has a step of 0; at least 1 is needed") });
+        return Err(format!("`{text}` has a step of 0; at least 1 is needed"));
     }
     Ok(range)
 }
@@ -175,8 +160,8 @@ mod tests {
         for (text, item) in
             [("x", "x"), ("1-", "1-"), ("1-2x", "1-2x"), ("5,1-2x,7", "1-2x"), ("a-3x2", "a-3x2")]
         {
-            let error = text.parse::<FrameSelection>().expect_err(text).to_string();
-            assert!(error.starts_with(&format!("`{item}` is no selection")), "{error}");
+            let error = text.parse::<FrameSelection>().expect_err(text);
+            assert!(error.starts_with(&format!("`{item}` is not a selection")), "{error}");
             assert!(error.contains("1-240x2"), "{error}");
         }
     }

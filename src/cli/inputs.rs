@@ -15,7 +15,6 @@
 
 use std::collections::HashSet;
 use std::ffi::OsString;
-use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -25,8 +24,8 @@ use meniscus_formats::compression::read_head;
 use meniscus_formats::{Error, looks_like_particles};
 
 use crate::pipeline::{
-    FrameFile, NumberPattern, files_in, frames_in, is_absent, is_level_set, is_link_loop, is_own_output,
-    may_be_file, open_regular, promises_particles, shown, size_bytes, step_of,
+    FrameFile, NumberPattern, entry, files_in, frames_in, is_absent, is_level_set, is_link_loop,
+    is_own_output, may_be_file, open_regular, promises_particles, shown, size_bytes, step_of,
 };
 
 use super::console::Console;
@@ -52,41 +51,43 @@ const HEAD_BYTES: u64 = 64 << 10;
 /// # Errors
 /// When an input stands for no file at all.
 pub(super) fn find_inputs(inputs: &[PathBuf]) -> Result<Found> {
-    let found = look_for(inputs)?;
+    let found = look_for(inputs, false)?;
     match found.unreadable.first() {
         Some((path, why)) if found.files.is_empty() => bail!("{}: {why}", shown(path)),
         _ => Ok(found),
     }
 }
 
-/// What a folder holds beside other files of use, which may be nothing: with what cannot be read, and why.
+/// Finds what the inputs stand for. Where `others_in` an input are files of other kinds, they are added with `add`, and there need
+/// be no particles.
 ///
 /// # Errors
-/// When the folder itself cannot be read.
-pub(super) fn find_beside_others(folder: &Path) -> Result<Found> {
-    match look_for(&[folder.to_owned()]) {
-        Err(error) if error.is::<NoFrames>() => Ok(Found::default()),
-        found => found,
+/// When an input stands for no file at all, or a folder cannot be read.
+pub(super) fn find_with_others(
+    inputs: &[PathBuf],
+    others_in: impl Fn(&Path) -> Result<Vec<FrameFile>>,
+    add: impl Fn(&mut Found, Vec<FrameFile>, &Path),
+) -> Result<Found> {
+    let mut all = Found::default();
+    for input in inputs {
+        let (others, one) = (others_in(input)?, std::slice::from_ref(input));
+        if others.is_empty() {
+            all.add(find_inputs(one)?);
+            continue;
+        }
+        let mut found = look_for(one, true)?;
+        add(&mut found, others, input);
+        all.add(found);
     }
+    Ok(all)
 }
 
-/// A folder was read, and holds no frames.
-#[derive(Debug)]
-struct NoFrames(String);
-
-impl fmt::Display for NoFrames {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl std::error::Error for NoFrames {}
-
-fn look_for(inputs: &[PathBuf]) -> Result<Found> {
+/// Finds the files; folders without frames are refused unless they may be empty.
+fn look_for(inputs: &[PathBuf], may_be_empty: bool) -> Result<Found> {
     let mut found = Found::default();
     for input in inputs {
         match input.metadata() {
-            Ok(metadata) if metadata.is_dir() => found.add_folder(input)?,
+            Ok(metadata) if metadata.is_dir() => found.add_folder(input, may_be_empty)?,
             Ok(_) => found.files.push(FrameFile::new(input.clone())),
             // Reading it says what is wrong.
             Err(_) if input.symlink_metadata().is_ok() => found.files.push(FrameFile::new(input.clone())),
@@ -142,10 +143,10 @@ impl Found {
     /// Prints the warnings, and an error for each path that could not be examined: the command then fails.
     pub(super) fn report(&self, console: &mut Console) {
         for warning in &self.warnings {
-            console.warn(format_args!("warning: {warning}"));
+            console.warning(warning);
         }
         for (path, why) in &self.unreadable {
-            console.fail(format_args!("error: {}: {why}", shown(path)));
+            console.fail(format_args!("{}: {why}", shown(path)));
         }
     }
 
@@ -160,7 +161,7 @@ impl Found {
         self.passed_over = Some((before.min(first), count_before + count));
     }
 
-    fn add_folder(&mut self, folder: &Path) -> Result<()> {
+    fn add_folder(&mut self, folder: &Path, may_be_empty: bool) -> Result<()> {
         let files = files_in(folder).with_context(|| folder.display().to_string())?;
         let count_before = self.count();
         let file_count = files.len();
@@ -174,12 +175,12 @@ impl Found {
                 Err(error) => self.unreadable.push((path, error.to_string())),
             }
         }
-        if self.count() == count_before {
+        if self.count() == count_before && !may_be_empty {
             let hint = if has_level_set { ": level sets are given by name, or by a pattern" } else { "" };
-            bail!(NoFrames(format!(
+            bail!(
                 "{}: no frames of particles among the {file_count} files of this folder{hint}",
                 folder.display()
-            )));
+            );
         }
         Ok(())
     }
@@ -395,13 +396,6 @@ fn is_frame(path: &Path) -> io::Result<bool> {
 fn head_is_of_particles(path: &Path, name: &str) -> io::Result<bool> {
     let head = read_head(open_regular(path)?, HEAD_BYTES)?;
     Ok(looks_like_particles(&head, name))
-}
-
-/// What two ways of writing the same name have in common.
-fn entry(path: &Path) -> PathBuf {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
-    folder.join(path.file_name().unwrap_or_default())
 }
 
 const GLOB_OPTIONS: MatchOptions =

@@ -13,20 +13,17 @@
 //!
 //! No page says when it was made: the same program writes the same bytes.
 
-use std::io::Write as _;
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use clap::CommandFactory;
 use clap_mangen::Man;
 use clap_mangen::roff::{Roff, roman};
 
-use crate::pipeline::write_whole;
-
 use super::Verdict;
-use super::args::{CompletionsArgs, ManArgs, Typed};
+use super::args::{Cli, CompletionsArgs, ManArgs};
 use super::console::Console;
-use super::out_folder::OutFolder;
+use super::out_folder::{OutFolder, write_file};
 
 /// The name that is completed, and that pages begin with.
 const PROGRAM: &str = "meniscus";
@@ -37,7 +34,7 @@ const PROGRAM: &str = "meniscus";
 /// When they are no text.
 pub(super) fn completions(args: &CompletionsArgs, console: &mut Console) -> Result<Verdict> {
     let mut script = Vec::new();
-    clap_complete::generate(args.shell, &mut Typed::command(), PROGRAM, &mut script);
+    clap_complete::generate(args.shell, &mut Cli::command(), PROGRAM, &mut script);
     console.say_as_is(&String::from_utf8(script)?);
     Ok(Verdict::Done)
 }
@@ -48,7 +45,7 @@ pub(super) fn completions(args: &CompletionsArgs, console: &mut Console) -> Resu
 /// When the folder cannot be made, or a page cannot be written.
 pub(super) fn man(args: &ManArgs) -> Result<Verdict> {
     let folder = OutFolder::make(&args.out)?;
-    let mut program = Typed::command().disable_help_subcommand(true);
+    let mut program = Cli::command().disable_help_subcommand(true);
     program.build();
     write_page(program.clone(), &args.out)?;
     for command in program.get_subcommands() {
@@ -80,8 +77,7 @@ fn write_page(command: clap::Command, folder: &Path) -> Result<()> {
 
     let path = folder.join(man.get_filename());
     let page = without_doubled_breaks(&String::from_utf8(page)?);
-    write_whole(&path, |out| Ok(out.write_all(page.as_bytes())?))
-        .with_context(|| format!("cannot write {}", path.display()))
+    write_file(&path, |out| out.write_all(page.as_bytes()))
 }
 
 /// With an empty date, which the generator would leave out, and the rest would move into its place.

@@ -10,6 +10,7 @@ mod choices;
 mod clock;
 mod config_file;
 mod console;
+mod conversion;
 mod convert;
 mod destination;
 mod flicker;
@@ -17,8 +18,9 @@ mod frame_selection;
 mod info;
 mod inputs;
 mod interrupt;
+mod level_sets;
+mod machine;
 mod manual;
-mod misspelt;
 mod out_folder;
 mod output_records;
 mod plan;
@@ -27,15 +29,16 @@ mod progress;
 mod quantities;
 mod remedies;
 mod render;
+mod render_session;
 mod resolving;
-mod resurfacing;
 mod run;
 mod selecting;
 mod sequence;
 mod sheets;
 mod standard_input;
 mod status;
-mod studio;
+mod suggest;
+mod vary;
 mod verify;
 mod watch;
 mod why;
@@ -49,7 +52,7 @@ use meniscus_formats::escaped;
 
 pub use allocator::give_memory_back;
 
-use args::{Command, Typed};
+use args::{Cli, Command};
 use console::Console;
 
 /// What came of a command.
@@ -75,6 +78,24 @@ impl Verdict {
     }
 }
 
+/// How many frames, cells or files are done, and how many failed.
+#[derive(Clone, Copy, Debug, Default)]
+struct Tally {
+    done_count: usize,
+    failed_count: usize,
+}
+
+impl Tally {
+    /// Counts one.
+    fn add(&mut self, is_done: bool) {
+        *if is_done { &mut self.done_count } else { &mut self.failed_count } += 1;
+    }
+
+    fn verdict(self) -> Verdict {
+        Verdict::of(self.done_count, self.failed_count, false)
+    }
+}
+
 /// Whether a configuration file with this text would be understood; nothing of it is done.
 ///
 /// # Errors
@@ -89,24 +110,27 @@ pub fn check_config(text: &str) -> anyhow::Result<()> {
 fn printable(error: clap::Error, arguments: &[OsString]) -> clap::Error {
     let escaped = arguments.iter().map(|argument| escaped(argument.to_string_lossy()).to_string());
     // No error any more: it was about bytes that are not UTF-8, which its message does not repeat.
-    Typed::try_parse_from(escaped).err().unwrap_or(error)
+    Cli::try_parse_from(escaped).err().unwrap_or(error)
 }
 
 /// Runs the command in `arguments`, the program's name first. The exit status is 0 when all was
 /// done, 1 when some of it failed, 2 when nothing was done or the command makes no sense.
 pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> ExitCode {
     let arguments: Vec<OsString> = arguments.into_iter().map(Into::into).collect();
-    let typed = match Typed::try_parse_from(&arguments) {
+    let typed = match Cli::try_parse_from(&arguments) {
         Ok(typed) => typed,
         Err(help_or_error) => {
-            let help_or_error =
-                misspelt::with_what_was_meant(printable(help_or_error, &arguments), &arguments);
+            let help_or_error = suggest::with_suggestion(printable(help_or_error, &arguments), &arguments);
             // A closed output is no error, and there is nobody to tell of any other.
             let _ = help_or_error.print();
             return ExitCode::from(u8::try_from(help_or_error.exit_code()).unwrap_or(2));
         }
     };
     let mut console = Console::new();
+    // The daemon finishes the frames under way.
+    if !matches!(typed.command, Command::Watch(_)) {
+        interrupt::clean_up_when_interrupted();
+    }
     let verdict = match typed.command {
         Command::Convert(args) => convert::convert(&args, &mut console),
         Command::Plan(args) => plan::plan(&args, &mut console),
@@ -125,11 +149,11 @@ pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> ExitCode
     };
     let mut verdict = verdict.unwrap_or_else(|error| {
         console.hide_bar();
-        console.warn(format_args!("error: {}", wording::with_causes(&error)));
+        console.error(wording::with_causes(&error));
         Verdict::NothingDone
     });
     if verdict == Verdict::Done && console.failed_count() > 0 {
-        console.warn("error: frames are missing from the results, for the reasons above");
+        console.error("frames are missing from the results, for the reasons above");
         verdict = Verdict::SomeFailed;
     }
     if let Err(error) = console.finish() {

@@ -1,11 +1,27 @@
 //! The folder of the results, made where it is missing.
 
 use std::fs;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use crate::pipeline::{OutFolderError, make_out_folder, recover_out_folder};
+use anyhow::{Context, Result};
+
+use crate::pipeline::{OutFolderError, make_out_folder, recover_out_folder, write_whole};
 
 use super::console::print_error;
+
+/// The folder that a file lies in, where it is made or found.
+pub(super) fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// Writes a file that appears under its name when it is whole.
+///
+/// # Errors
+/// When it cannot be written.
+pub(super) fn write_file(path: &Path, content: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<()> {
+    write_whole(path, |out| Ok(content(out)?)).with_context(|| format!("{}: cannot write", path.display()))
+}
 
 /// A folder that exists, and takes files. Whatever had to be made for it is removed again unless it is kept.
 #[derive(Debug)]

@@ -55,8 +55,8 @@ impl OutputRecords {
     pub(super) fn save(&self, console: &Console) {
         for folder in &self.folders {
             if let Err(error) = self.states.save(folder) {
-                console.warn(format_args!(
-                    "warning: {}: cannot record the hashes of the outputs and which of them failed validation, so the \
+                console.warning(format_args!(
+                    "{}: cannot record the hashes of the outputs and which of them failed validation, so the \
                      next --skip-done may skip damaged outputs and outputs that failed validation: {error}",
                     folder.display()
                 ));

@@ -1,26 +1,21 @@
 //! `meniscus plan`: what many machines are to make of a sequence, found out once.
 
 use std::path::{Path, PathBuf, absolute};
-use std::sync::Arc;
 
 use anyhow::{Context, Result, anyhow, bail};
 
 use crate::farm::{Plan, PlannedFrame, PlannedSequence, deal};
-use crate::pipeline::{FrameFile, Job, file_of, size_bytes};
-use crate::surface::simd::level_warning;
+use crate::pipeline::{FrameFile, file_of, size_bytes};
 
 use super::Verdict;
 use super::args::PlanArgs;
-use super::choices::{obstacle_files, output_options, refuse_idle_quantize, warn_of_ignored};
 use super::console::Console;
-use super::convert::thread_pool;
+use super::conversion::{Conversion, Resolved, warn_before};
 use super::destination::refuse_file_name;
 use super::frame_selection::gaps;
-use super::interrupt::clean_up_when_interrupted;
-use super::out_folder::OutFolder;
-use super::resolving::Resolved;
-use super::resurfacing::{refuse_of_particles, resolve_job, surface_job};
-use super::selecting::{Selection, refuse_conflicts, select_frames};
+use super::level_sets::surface_job;
+use super::machine::thread_pool;
+use super::selecting::select_frames;
 use super::wording::{counted, counted_are};
 
 /// Writes the plan that the arguments ask for.
@@ -28,30 +23,18 @@ use super::wording::{counted, counted_are};
 /// # Errors
 /// When there is none: a sequence has no settings, results would replace inputs, the file cannot be written.
 pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<Verdict> {
-    clean_up_when_interrupted();
-    refuse_idle_quantize(args.format.as_deref(), &args.formats)?;
     refuse_file_name(&args.out)?;
+    let outputs = args.formats.outputs(whole(&args.out)?)?;
     let selection = select_frames(&args.inputs, args.frames.as_ref(), &args.method, console)?;
-    let job = surface_job(&selection, args.band_slack)?;
-    if let Job::LevelSet { slack_voxels, .. } = job {
-        refuse_of_particles(&args.method, slack_voxels)?;
-    }
+    let job = surface_job(&selection, args.band_slack, &args.method)?;
     if !selection.is_complete {
         bail!(
             "no plan is written, because it would lack frames: make the paths above readable, then plan again"
         );
     }
-    let Selection { sequences, found, .. } = selection;
-    warn_of_ignored(&args.method, args.format.as_deref(), &args.formats, console);
-    if let Some(warning) = level_warning() {
-        console.warn(format_args!("warning: {warning}"));
-    }
-    let obstacles = obstacle_files(&args.method)?;
-    let folder = absolute(&args.out).with_context(|| format!("`{}` is no path", args.out.display()))?;
-    let outputs = output_options(folder, args.format.as_deref(), &args.formats);
-    // It stays, and shards do not make it: one that finds none knows that something is not mounted.
-    let out_folder = OutFolder::make(&outputs.folder)?;
-    refuse_conflicts(&sequences, &found, &obstacles, &outputs, Some(("the plan", &args.output)))?;
+    warn_before(&args.method, &args.formats, console);
+    let conversion = Conversion::new(selection, job, &args.method, outputs)?;
+    conversion.refuse_conflicts(Some(("the plan", &args.output)))?;
 
     let pool = thread_pool(None)?;
     let mut plan = Plan {
@@ -60,9 +43,9 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<Verdict> {
         shards: Vec::new(),
         obstacles: args.method.obstacle.iter().map(|path| whole(path)).collect::<Result<_>>()?,
     };
-    for selected in &sequences {
+    for selected in &conversion.sequences {
         let name = &selected.sequence.name;
-        let resolved = resolve_job(selected, job, &args.method, &outputs, &pool, console)?;
+        let resolved = conversion.resolve(selected, &pool, console)?;
         let Resolved { settings, measured, outputs } = resolved.map_err(|why| anyhow!("{name}: {why}"))?;
         let measured = measured.map(|mut measured| {
             measured.measured_on = whole(&measured.measured_on)?;
@@ -73,7 +56,7 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<Verdict> {
         if let Some((gaps, count)) = gaps(selected.selected.iter().filter_map(FrameFile::number))
             && args.frames.is_none()
         {
-            console.warn(format_args!("warning: {name}: {gaps}: {} not there", counted_are(count)));
+            console.warning(format_args!("{name}: {gaps}: {} not there", counted_are(count)));
         }
         for file in &selected.selected {
             plan.frames.push(planned(file, sequence)?);
@@ -83,12 +66,13 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<Verdict> {
             job,
             settings,
             measured: measured.transpose()?,
-            outputs: Arc::clone(&outputs),
+            outputs,
         });
     }
     plan.shards = deal(plan.frames.len(), args.shards);
     plan.write(&args.output).with_context(|| args.output.display().to_string())?;
-    out_folder.keep();
+    // It stays, and shards do not make it: one that finds none knows that something is not mounted.
+    conversion.folder.keep();
     say(&plan, args, console);
     Ok(Verdict::Done)
 }
@@ -126,11 +110,7 @@ fn say(plan: &Plan, args: &PlanArgs, console: &mut Console) {
     let empty_count = plan.shards.iter().filter(|shard| shard.is_empty()).count();
     console.say(format_args!("{}: {frames} in {shards}, {most} at most in each", args.output.display()));
     if empty_count > 0 {
-        console
-            .warn(format_args!("warning: {} no frame: there are more shards than frames", have(empty_count)));
+        let empty = counted(empty_count, "shard");
+        console.warning(format_args!("{empty} without frames: there are more shards than frames"));
     }
-}
-
-fn have(count: usize) -> String {
-    if count == 1 { "1 shard has".into() } else { format!("{count} shards have") }
 }

@@ -3,109 +3,123 @@
 //! A `[[watch]]` block with these keys makes the same files. Keys that change nothing are left out: a file with them
 //! would be warned of.
 
-use std::path::{PathBuf, absolute};
+use std::path::absolute;
 
 use anyhow::{Context, Result, bail};
 use meniscus_formats::WriteOption;
 use rayon::ThreadPool;
 use toml::Value;
 
-use crate::pipeline::{OutputFormat, OutputOptions, Sequence};
+use crate::pipeline::{Job, OutputOptions};
 use crate::surface::options::{
     Length, LengthUnit, Measured, MethodOptions, OptionGroup, Settings, ValueKind,
 };
 
-use super::Verdict;
-use super::args::{ConvertArgs, MethodArgs};
-use super::choices::output_options;
+use super::args::MethodArgs;
+use super::choices::formats_changed_by;
 use super::console::Console;
-use super::resolving::measured_spacing;
+use super::resolving::{measured_spacing, settings_of};
+use super::selecting::SelectedSequence;
 
-/// Prints the settings of each sequence; where there is none, those of any, with lengths in units of the particle spacing
-/// unless that, or a voxel size, was given.
+/// Prints the settings without any frames: lengths are in units of the particle spacing unless that, or a voxel size, was
+/// given.
+///
+/// # Errors
+/// When the options make no sense, or lengths cannot be compared with the spacing.
+pub(super) fn print_settings_of_any(
+    method: &MethodArgs,
+    outputs: &OutputOptions,
+    console: &mut Console,
+) -> Result<()> {
+    let options = method.to_options();
+    // With a voxel size the spacing is the one that has it by default.
+    let has_voxel_size = options.voxel_size.and_then(Length::world).is_some();
+    let needs_spacing = options.needs_spacing() && !has_voxel_size;
+    let has_length = options.has_length_in(LengthUnit::World) || options.clip.is_some();
+    if needs_spacing && has_length {
+        bail!(
+            "lengths are given, and no --spacing to compare them with: give one, or an INPUT to measure it on"
+        );
+    }
+    if needs_spacing {
+        console.say("# these follow the particle spacing, here 1:");
+    } else if options.needs_spacing() {
+        console.say("# the particle spacing, which would be measured, is taken from the voxel size:");
+    }
+    let settings = Settings::resolve(&options, needs_spacing.then(|| Measured::from(1.0)))?;
+    console.say_lines(keys(&settings, method, outputs, (Job::Surface, !needs_spacing))?);
+    Ok(())
+}
+
+/// Prints the settings of each sequence.
 ///
 /// # Errors
 /// When the options make no sense, or no voxel size can be found.
 pub(super) fn print_settings(
-    sequences: &[&Sequence],
-    args: &ConvertArgs,
+    sequences: &[SelectedSequence],
+    job: Job,
+    (method, outputs): (&MethodArgs, &OutputOptions),
     pool: &ThreadPool,
     console: &mut Console,
-) -> Result<Verdict> {
-    let choices = args.method.to_options();
-    if sequences.is_empty() {
-        // With a voxel size the spacing is the one that has it by default.
-        let has_voxel_size = choices.voxel_size.and_then(Length::world).is_some();
-        let needs_spacing = choices.needs_spacing() && !has_voxel_size;
-        let has_length = choices.has_length_in(LengthUnit::World) || choices.clip.is_some();
-        if needs_spacing && has_length {
-            bail!(
-                "lengths are given, and no --spacing to compare them with: give one, or an INPUT to measure it on"
-            );
-        }
-        if needs_spacing {
-            console.say(format_args!("# these follow the particle spacing, here 1:"));
-        } else if choices.needs_spacing() {
-            console.say(format_args!(
-                "# the particle spacing, which would be measured, is taken from the voxel size:"
-            ));
-        }
-        let settings = Settings::resolve(&choices, needs_spacing.then(|| Measured::from(1.0)))?;
-        print(&keys(&settings, args, !needs_spacing)?, console);
-    }
-    for sequence in sequences {
-        let measured = pool.install(|| measured_spacing(sequence, &choices, console))?;
-        let measured = measured.as_ref().map(Measured::from);
-        let settings = Settings::resolve(&choices, measured).with_context(|| sequence.name.clone())?;
+) -> Result<()> {
+    let options = method.to_options();
+    for SelectedSequence { sequence, .. } in sequences {
+        let settings = match job {
+            Job::LevelSet { .. } => Settings::of_level_sets(&options)?,
+            Job::Surface | Job::Particles => {
+                let measured = pool.install(|| measured_spacing(sequence, &options, console))?;
+                settings_of(sequence, &options, measured.as_ref())?
+            }
+        };
         console.say(format_args!("# {}", sequence.name));
-        print(&keys(&settings, args, true)?, console);
+        console.say_lines(keys(&settings, method, outputs, (job, true))?);
     }
-    Ok(Verdict::Done)
+    Ok(())
 }
 
-/// A key and its value, as they stand in a file.
-type Key = (String, String);
-
-fn print(keys: &[Key], console: &mut Console) {
-    for (name, value) in keys {
-        console.say(format_args!("{name} = {value}"));
-    }
-}
-
-/// The keys that say what these settings and options are.
-fn keys(settings: &Settings, args: &ConvertArgs, has_spacing: bool) -> Result<Vec<Key>> {
-    let outputs = output_options(PathBuf::new(), args.format.as_deref(), &args.formats);
-    let obstacles = obstacle_paths(&args.method)?;
-    let key = |name: &str, value: String| (name.to_owned(), value);
+/// The keys and values that say what these settings and options are.
+fn keys(
+    settings: &Settings,
+    method: &MethodArgs,
+    outputs: &OutputOptions,
+    (job, has_spacing): (Job, bool),
+) -> Result<Vec<String>> {
+    let options = method.to_options();
+    let obstacles = obstacle_paths(method)?;
     let formats = outputs.formats.iter().filter(|format| !format.is_picture());
     let formats = formats.map(|format| format.extension().to_owned());
-    let mut keys = vec![key("formats", list(formats.collect()))];
+    let mut keys = vec![format!("formats = {}", list(formats.collect()))];
+    if let Job::LevelSet { slack_voxels, .. } = job {
+        keys.push(format!("pattern = {}", quoted("*.vdb")));
+        if slack_voxels > 0.0 {
+            keys.push(format!(
+                "# a file has no key for --band-slack {slack_voxels}: the daemon does not smooth"
+            ));
+        }
+    }
     if !has_spacing {
         // By it lengths follow the spacing that will be measured.
-        let preset = args.method.to_options().preset.unwrap_or_default();
-        keys.push(key("preset", quoted(preset.to_string())));
+        keys.push(format!("preset = {}", quoted(&options.preset.unwrap_or_default().to_string())));
     }
     if !obstacles.is_empty() {
-        keys.push(key("obstacles", list(obstacles.clone())));
+        keys.push(format!("obstacles = {}", list(obstacles.clone())));
     }
-    let given = args.method.to_options().to_pairs();
+    let given = options.to_pairs();
     for (name, value) in settings.to_options().to_pairs() {
-        if !is_of_use(name, &outputs.formats, !obstacles.is_empty()) {
-            continue;
-        }
+        let Some(is_key) = use_of(name, job, outputs, !obstacles.is_empty()) else { continue };
         let kind = MethodOptions::info(name).map(|info| info.kind);
         let is_length = name == "spacing" || kind == Some(ValueKind::Length);
         let given = given.iter().find(|(given, _)| *given == name && is_length && !has_spacing);
-        match given {
+        keys.push(match given {
             // In spacings or voxels, which fit any spacing.
-            Some((_, given)) => keys.push(key(name, quoted(given.clone()))),
+            Some((_, given)) => format!("{name} = {}", quoted(given)),
             // Other lengths without a spacing are there to be seen, not to be used.
-            None if is_length && !has_spacing => keys.push(key(&format!("#{name}"), value)),
-            None if kind == Some(ValueKind::Text) => keys.push(key(name, quoted(value))),
-            None => keys.push(key(name, value)),
-        }
+            None if !is_key || is_length && !has_spacing => format!("#{name} = {value}"),
+            None if kind == Some(ValueKind::Text) => format!("{name} = {}", quoted(&value)),
+            None => format!("{name} = {value}"),
+        });
     }
-    keys.extend(format_keys(&outputs));
+    keys.extend(format_keys(outputs));
     Ok(keys)
 }
 
@@ -120,7 +134,7 @@ fn obstacle_paths(args: &MethodArgs) -> Result<Vec<String>> {
 }
 
 /// How files are written, of those formats that are.
-fn format_keys(outputs: &OutputOptions) -> Vec<Key> {
+fn format_keys(outputs: &OutputOptions) -> Vec<String> {
     let is_printed = |option: &WriteOption| match option {
         WriteOption::Quads => false,
         WriteOption::Quantize => outputs.quantize,
@@ -130,30 +144,33 @@ fn format_keys(outputs: &OutputOptions) -> Vec<Key> {
     for option in WriteOption::ALL.into_iter().filter(is_printed) {
         if option == WriteOption::Size {
             let preview = outputs.formats.iter().find(|format| format.is_picture());
-            keys.extend(preview.map(|format| ("preview".to_owned(), quoted(format.to_string()))));
+            keys.extend(preview.map(|format| format!("preview = {}", quoted(format.extension()))));
         }
         let value = outputs.value(option);
         let is_plain =
             matches!(option, WriteOption::MetersPerUnit | WriteOption::Quantize | WriteOption::Half);
-        keys.push((option.key().to_owned(), if is_plain { value } else { quoted(value) }));
+        keys.push(format!("{} = {}", option.key(), if is_plain { value } else { quoted(&value) }));
     }
     keys
 }
 
-/// Whether an option can change what is written.
-fn is_of_use(name: &str, formats: &[OutputFormat], has_obstacles: bool) -> bool {
-    match MethodOptions::info(name).map(|info| info.group) {
-        Some(OptionGroup::Obstacles) => has_obstacles,
-        Some(OptionGroup::Mesh) if name == "quads" => {
-            formats.iter().any(|format| format.has_option(WriteOption::Quads))
-        }
-        Some(OptionGroup::Mesh) => formats.iter().any(|format| format.is_mesh()),
-        _ => true,
-    }
+/// Whether an option can be a key of a file; `None` where it changes nothing that is written.
+fn use_of(name: &str, job: Job, outputs: &OutputOptions, has_obstacles: bool) -> Option<bool> {
+    let group = MethodOptions::info(name)?.group;
+    let changes_files = formats_changed_by(name)
+        .is_none_or(|changed| outputs.formats.iter().any(|format| changed.contains(format)));
+    let (changes_surface, is_key) = match (job, group) {
+        (Job::LevelSet { slack_voxels, .. }, OptionGroup::Solver) => (slack_voxels > 0.0, false),
+        (Job::LevelSet { .. }, OptionGroup::Mesh) => (true, true),
+        (Job::LevelSet { .. }, _) => (name == "offset", true),
+        (_, OptionGroup::Obstacles) => (has_obstacles, true),
+        _ => (true, true),
+    };
+    (changes_files && changes_surface).then_some(is_key)
 }
 
-fn quoted(text: String) -> String {
-    Value::String(text).to_string()
+fn quoted(text: &str) -> String {
+    Value::String(text.to_owned()).to_string()
 }
 
 fn list(texts: Vec<String>) -> String {

@@ -1,7 +1,6 @@
 //! Progress of a run: the stage and percentage of the frame that is under way for longest, and an estimate for a frame that
 //! will take long or need much memory, before it is computed.
 
-use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -25,11 +24,8 @@ pub(super) struct Progress {
 
 #[derive(Debug, Default)]
 struct State {
-    /// By the order in which they began.
-    under_way: BTreeMap<u64, UnderWay>,
-    /// The key of each input there.
-    keys: HashMap<PathBuf, u64>,
-    next_key: u64,
+    /// In the order in which they began.
+    under_way: Vec<UnderWay>,
     /// Computing seconds for a GiB of a plan, the most of all frames that were finished in this run.
     measured_s_per_gib: Option<f64>,
     /// The last estimate that was announced: a similar one is not announced again.
@@ -82,8 +78,8 @@ impl Progress {
     /// A frame is finished; if it was converted, with this report.
     pub(super) fn finished(&self, frame: &Frame, report: Option<&FrameReport>) {
         let mut state = self.lock();
-        let key = state.keys.remove(&frame.input);
-        let Some(ended) = key.and_then(|key| state.under_way.remove(&key)) else { return };
+        let Some(index) = state.under_way.iter().position(|one| one.input == frame.input) else { return };
+        let ended = state.under_way.remove(index);
         if let Some(report) = report.filter(|_| ended.work_gib > 0.0) {
             let measured = report.skin.seconds.total() / ended.work_gib;
             state.measured_s_per_gib =
@@ -94,7 +90,7 @@ impl Progress {
 
     fn show(&self, state: &State) {
         if let Some(bar) = &self.bar {
-            bar.set_message(state.under_way.values().next().map_or_else(String::new, UnderWay::told));
+            bar.set_message(state.under_way.first().map_or_else(String::new, UnderWay::told));
         }
     }
 
@@ -131,11 +127,8 @@ impl Observer for Progress {
         match state.find(frame) {
             Some(one) => (one.stage, one.fraction) = (stage, 0.0),
             None => {
-                let key = state.next_key;
-                state.next_key += 1;
-                state.keys.insert(frame.input.clone(), key);
                 let input = frame.input.clone();
-                state.under_way.insert(key, UnderWay { input, stage, fraction: 0.0, work_gib: 0.0 });
+                state.under_way.push(UnderWay { input, stage, fraction: 0.0, work_gib: 0.0 });
             }
         }
         self.show(&state);
@@ -152,7 +145,7 @@ impl Observer for Progress {
 
 impl State {
     fn find(&mut self, frame: &Frame) -> Option<&mut UnderWay> {
-        self.under_way.get_mut(self.keys.get(&frame.input)?)
+        self.under_way.iter_mut().find(|one| one.input == frame.input)
     }
 }
 

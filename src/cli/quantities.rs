@@ -1,12 +1,13 @@
-//! Times and sizes as they are typed, on the command line and in a file: `500ms`, `8GiB`.
+//! Values of options as they are typed, on the command line and in a file: `500ms`, `8GiB`, `1280x720`.
 
 use std::net::SocketAddr;
 use std::time::Duration;
 
-use anyhow::bail;
 use bytesize::ByteSize;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use humantime::format_duration;
 
-use crate::pipeline::{METERS_PER_UNIT, default_memory_bytes};
+use crate::surface::options::expected;
 use crate::watch::Poll;
 
 /// Nobody waits longer; and a moment so far away can still be computed.
@@ -15,24 +16,8 @@ const DURATION_MAX: Duration = Duration::from_secs(30 * 24 * 3600);
 /// Looking more often than this is all that a machine would do.
 const POLL_MIN: Duration = Duration::from_millis(50);
 
-/// No frame does with less memory, in bytes: whoever asks for that has left out the unit.
-const MEMORY_MIN_BYTES: u64 = 1 << 20;
-
 /// Width and height of a picture, pixels.
 pub(super) type PictureSize = [u16; 2];
-
-/// Width and height with an x between them.
-pub(super) fn parse_picture_size(text: &str) -> Result<PictureSize, String> {
-    let edge = |text: &str| text.trim().parse().ok().filter(|edge| PICTURE_EDGE.contains(edge));
-    let size = text.split_once('x').and_then(|(width, height)| Some([edge(width)?, edge(height)?]));
-    if size.is_some_and(|[width, height]| u32::from(width) * u32::from(height) > PICTURE_PIXELS_MAX) {
-        return Err(format!("`{text}` is too large: expected no more than 33 million pixels, which is 8K"));
-    }
-    let [least, most] = [PICTURE_EDGE.start(), PICTURE_EDGE.end()];
-    size.ok_or_else(|| {
-        format!("`{text}` is no size: expected width and height in pixels, each {least} to {most}, such as 1280x720")
-    })
-}
 
 /// Pixels along the edge of a picture.
 const PICTURE_EDGE: std::ops::RangeInclusive<u16> = 16..=8192;
@@ -40,80 +25,85 @@ const PICTURE_EDGE: std::ops::RangeInclusive<u16> = 16..=8192;
 /// Pixels of a picture: at 130 bytes for each while an .exr is made, 4 GB.
 const PICTURE_PIXELS_MAX: u32 = 8192 * 4096;
 
-/// A time from nothing to 30 days.
-pub(super) fn parse_duration(text: &str) -> Result<Duration, String> {
-    let duration = humantime::parse_duration(text.trim())
-        .map_err(|_| format!("`{text}` is no time: a number with a unit, such as 500ms, 2s, 1m 30s"))?;
-    if duration > DURATION_MAX {
-        return Err(format!("`{text}` is too long: at most {}", humantime::format_duration(DURATION_MAX)));
-    }
-    Ok(duration)
+/// Parses one of these values by its word, in any case. `--help` lists the words with what they mean.
+pub(super) fn one_of<T: Copy + Send + Sync + 'static>(
+    values: impl IntoIterator<Item = (T, &'static str, &'static str)>,
+) -> impl TypedValueParser<Value = T> {
+    let values: Vec<_> = values.into_iter().collect();
+    let words: Vec<_> = values.iter().map(|(_, word, help)| PossibleValue::new(*word).help(*help)).collect();
+    PossibleValuesParser::new(words).try_map(move |text| {
+        let found = values.iter().find(|(_, word, _)| word.eq_ignore_ascii_case(&text));
+        expected(&text, found.map(|(value, ..)| *value), "known")
+    })
 }
 
-/// A time between two looks at the folders, or `auto`.
-pub(super) fn parse_poll(text: &str) -> Result<Poll, String> {
-    if text == "auto" {
-        return Ok(Poll::Auto);
-    }
-    let duration = parse_duration(text).map_err(|why| format!("{why}; or auto"))?;
-    at_least(text, duration, POLL_MIN).map(Poll::Every)
+/// Width and height with an x between them.
+pub(super) fn parse_picture_size(text: &str) -> Result<PictureSize, String> {
+    let edge = |text: &str| text.trim().parse().ok().filter(|edge| PICTURE_EDGE.contains(edge));
+    let size = text.split_once('x').and_then(|(width, height)| Some([edge(width)?, edge(height)?]));
+    let fits = |[width, height]: &PictureSize| u32::from(*width) * u32::from(*height) <= PICTURE_PIXELS_MAX;
+    let [least, most] = [PICTURE_EDGE.start(), PICTURE_EDGE.end()];
+    let what = format_args!(
+        "width and height in pixels, such as 1280x720: each {least} to {most}, and at most 33 million pixels (8K)"
+    );
+    expected(text, size.filter(fits), what)
+}
+
+/// A time from nothing to 30 days.
+pub(super) fn parse_duration(text: &str) -> Result<Duration, String> {
+    parse_time(text, Duration::ZERO)
 }
 
 /// A time between two looks at everything.
 pub(super) fn parse_rescan(text: &str) -> Result<Duration, String> {
-    at_least(text, parse_duration(text)?, POLL_MIN)
+    parse_time(text, POLL_MIN)
 }
 
-fn at_least(text: &str, duration: Duration, least: Duration) -> Result<Duration, String> {
-    if duration < least {
-        return Err(format!("`{text}` is too short: at least {}", humantime::format_duration(least)));
+/// A time between two looks at the folders, or `auto`.
+pub(super) fn parse_poll(text: &str) -> Result<Poll, String> {
+    match text {
+        "auto" => Ok(Poll::Auto),
+        _ => parse_rescan(text).map(Poll::Every).map_err(|why| format!("{why}; or auto")),
     }
-    Ok(duration)
+}
+
+fn parse_time(text: &str, least: Duration) -> Result<Duration, String> {
+    let time = humantime::parse_duration(text.trim()).ok();
+    let time = time.filter(|time| (least..=DURATION_MAX).contains(time));
+    let [least, most] = [least, DURATION_MAX].map(format_duration);
+    expected(
+        text,
+        time,
+        format_args!("a time with a unit, such as 500ms, 2s or 1m 30s, from {least} to {most}"),
+    )
 }
 
 /// An address to listen at.
 pub(super) fn parse_listen(text: &str) -> Result<SocketAddr, String> {
-    text.parse()
-        .map_err(|_| format!("`{text}` is no address with a port, such as 127.0.0.1:7700 or [::1]:7700"))
-}
-
-/// The length of a world unit in metres.
-pub(super) fn parse_meters_per_unit(text: &str) -> Result<f64, String> {
-    let meters = text.trim().parse().ok().filter(|meters| METERS_PER_UNIT.contains(meters));
-    let [least, most] = [METERS_PER_UNIT.start(), METERS_PER_UNIT.end()];
-    meters.ok_or_else(|| format!("`{text}` is not a number of metres from {least:e} to {most:e}"))
+    expected(text, text.parse().ok(), "an address with a port, such as 127.0.0.1:7700 or [::1]:7700")
 }
 
 /// A number of bytes.
 pub(super) fn parse_bytes(text: &str) -> Result<u64, String> {
-    let size: ByteSize =
-        text.trim().parse().map_err(|_| format!("`{text}` is no size: bytes, or such as 512MiB, 8GiB"))?;
-    Ok(size.as_u64())
+    let size = text.trim().parse().ok().map(|size: ByteSize| size.as_u64());
+    expected(text, size, "a size: a number of bytes, or such as 512MiB, 8GiB")
 }
 
-/// The memory that frames may take, in bytes: what was asked for, or half of what there is.
-///
-/// # Errors
-/// When it is too little for any frame.
-pub(super) fn memory_bytes(given: Option<u64>) -> anyhow::Result<u64> {
-    match given {
-        Some(bytes) if bytes < MEMORY_MIN_BYTES => {
-            bail!("{bytes} bytes of memory are too little for any frame: give 1MiB at least, or such as 8GiB")
-        }
-        Some(bytes) => Ok(bytes),
-        None => Ok(default_memory_bytes()),
-    }
+/// A positive number.
+pub(super) fn parse_positive(text: &str) -> Result<f64, String> {
+    let number = text.trim().parse().ok().filter(|number: &f64| number.is_normal() && *number > 0.0);
+    expected(text, number, "a positive number")
+}
+
+/// A number of frames per second.
+pub(super) fn parse_fps(text: &str) -> Result<f64, String> {
+    let fps = text.parse().ok().filter(|fps| (f64::MIN_POSITIVE..=1000.0).contains(fps));
+    expected(text, fps, "a number of frames per second: more than 0, at most 1000")
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn memory_without_a_unit_is_too_little() {
-        assert!(memory_bytes(Some(5)).is_err_and(|why| why.to_string().contains("5 bytes of memory")));
-        assert_eq!(memory_bytes(Some(1 << 20)).ok(), Some(1 << 20));
-    }
 
     #[test]
     fn times_have_units_and_bounds() {

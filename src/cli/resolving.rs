@@ -2,10 +2,8 @@
 
 use std::fmt;
 use std::path::Path;
-use std::sync::Arc;
 
 use anyhow::{Context, Result};
-use rayon::ThreadPool;
 
 use crate::pipeline::{
     self, FrameError, FrameFile, MeasuredSpacing, NOTHING, NoSpacing, OutputOptions, Sequence, frame_name,
@@ -13,41 +11,27 @@ use crate::pipeline::{
 };
 use crate::surface::options::{Length, Measured, MethodOptions, Settings};
 
-use super::args::MethodArgs;
 use super::console::Console;
-use super::selecting::SelectedSequence;
+use super::out_folder::folder_of;
 use super::wording::{counted, significant};
 
-/// The settings of a sequence, or why it has none. Settings that make no sense end everything.
+/// The settings of a sequence of particles with this spacing.
 ///
 /// # Errors
-/// When they make none.
-pub(super) fn resolve_settings(
-    SelectedSequence { sequence, selected }: &SelectedSequence,
-    method: &MethodArgs,
-    outputs: &OutputOptions,
-    pool: &ThreadPool,
-    console: &mut Console,
-) -> Result<Result<Resolved, String>> {
-    let choices = method.to_options();
-    let measured = match pool.install(|| measured_spacing(sequence, &choices, console)) {
-        Ok(measured) => measured,
-        Err(error) => return Ok(Err(error.to_string())),
-    };
-    let settings = Settings::resolve(&choices, measured.as_ref().map(Measured::from))
-        .with_context(|| sequence.name.clone())?;
-    say_settings(sequence, selected.len(), &settings, measured.as_ref(), console);
-    if measured.is_some() {
-        warn_of_siblings(sequence, console);
-    }
+/// When the options make no sense.
+pub(super) fn settings_of(
+    sequence: &Sequence,
+    options: &MethodOptions,
+    measured: Option<&MeasuredSpacing>,
+) -> Result<Settings> {
+    Settings::resolve(options, measured.map(Measured::from)).with_context(|| sequence.name.clone())
+}
+
+/// Prints what should make a user check the settings.
+pub(super) fn warn_of(sequence: &Sequence, settings: &Settings, console: &Console) {
     for warning in settings.warnings() {
-        console.warn(format_args!("warning: {}: {warning}", sequence.name));
+        console.warning(format_args!("{}: {warning}", sequence.name));
     }
-    let outputs = match pool.install(|| outputs_of(sequence, &settings, outputs)) {
-        Ok(outputs) => Arc::new(outputs),
-        Err(error) => return Ok(Err(error.to_string())),
-    };
-    Ok(Ok(Resolved { settings: Arc::new(settings), measured, outputs }))
 }
 
 /// The particle spacing of a sequence, where the choices need it. Prints what should make a user check it. `None` where it
@@ -63,7 +47,7 @@ pub(super) fn measured_spacing(
     if !choices.needs_spacing() {
         return Ok(None);
     }
-    let warn = |what: &dyn fmt::Display| console.warn(format_args!("warning: {}: {what}", sequence.name));
+    let warn = |what: &dyn fmt::Display| console.warning(format_args!("{}: {what}", sequence.name));
     let paths = sequence.frames.iter().map(|file| &*file.path);
     // A scale that is no number is refused with the settings.
     let own_radii = choices.own_radii().ok().flatten();
@@ -85,15 +69,6 @@ pub(super) fn measured_spacing(
     }
 }
 
-/// What all frames of a sequence are converted with.
-pub(super) struct Resolved {
-    pub(super) settings: Arc<Settings>,
-    /// Where the particle spacing is from, unless it was given or is not needed.
-    pub(super) measured: Option<MeasuredSpacing>,
-    /// The camera of pictures is fixed.
-    pub(super) outputs: Arc<OutputOptions>,
-}
-
 /// What is written of the frames of a sequence: all its pictures have the same camera, whichever are converted.
 ///
 /// # Errors
@@ -113,35 +88,36 @@ pub(super) fn outputs_of(
 
 /// A frame converted without the rest of its sequence is measured by itself: other frames converted
 /// so get other settings, and the sequence flickers.
-fn warn_of_siblings(sequence: &Sequence, console: &Console) {
+pub(super) fn warn_of_siblings(sequence: &Sequence, console: &Console) {
     let [frame] = &sequence.frames[..] else { return };
     if frame.number().is_none() {
         return;
     }
-    if let Some((file, _)) = step_of(&frame.path) {
-        return say_siblings(frame, frames_in(file).map_or(1, |steps| steps.len()), console);
-    }
-    let folder =
-        frame.path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let Ok(entries) = std::fs::read_dir(folder) else { return };
-    let files = entries.flatten().map(|entry| FrameFile::new(folder.join(entry.file_name()))).collect();
-    let is_ours = |s: &Sequence| s.frames.iter().any(|file| file.name() == frame.name());
-    let siblings = pipeline::sequences(files).into_iter().find(is_ours).map_or(Vec::new(), |s| s.frames);
-    let count = siblings.iter().filter(|file| !is_own_output(&file.path)).count();
-    say_siblings(frame, count, console);
-}
-
-fn say_siblings(frame: &FrameFile, count: usize, console: &Console) {
+    let count = match step_of(&frame.path) {
+        Some((file, _)) => frames_in(file).map_or(1, |steps| steps.len()),
+        None => sibling_count(frame),
+    };
     if count > 1 {
-        console.warn(format_args!(
-            "warning: {}: its sequence has {count} frames, and its spacing was measured on this one alone; \
+        console.warning(format_args!(
+            "{}: its sequence has {count} frames, and its spacing was measured on this one alone; \
              name the whole sequence and pick with --frames, or give --spacing",
             frame.name()
         ));
     }
 }
 
-fn say_settings(
+/// How many frames of its sequence are in the folder of a frame.
+fn sibling_count(frame: &FrameFile) -> usize {
+    let folder = folder_of(&frame.path);
+    let Ok(entries) = std::fs::read_dir(folder) else { return 0 };
+    let files = entries.flatten().map(|entry| FrameFile::new(folder.join(entry.file_name()))).collect();
+    let is_ours = |s: &Sequence| s.frames.iter().any(|file| file.name() == frame.name());
+    let siblings = pipeline::sequences(files).into_iter().find(is_ours).map_or(Vec::new(), |s| s.frames);
+    siblings.iter().filter(|file| !is_own_output(&file.path)).count()
+}
+
+/// Prints what a sequence is converted with.
+pub(super) fn say_settings(
     sequence: &Sequence,
     selected_count: usize,
     settings: &Settings,

@@ -2,7 +2,9 @@
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
+use anyhow::Result;
 use rayon::ThreadPool;
 
 use crate::pipeline::{
@@ -11,7 +13,9 @@ use crate::pipeline::{
 };
 
 use super::Verdict;
+use super::args::ConvertArgs;
 use super::console::Console;
+use super::machine::{memory_bytes, thread_pool};
 use super::output_records::OutputRecords;
 use super::progress::Progress;
 use super::remedies::{velocity_hint, with_remedy};
@@ -34,31 +38,60 @@ enum ItemState {
     Impossible(String),
 }
 
-/// How a batch is converted.
-pub(super) struct RunOptions<'a> {
+/// How a batch is converted, and what is written of it.
+pub(super) struct RunOptions {
+    start: Instant,
+    on_error: OnError,
+    /// Whether results that break a guarantee are no failure.
+    allow_violations: bool,
+    report: Option<PathBuf>,
     /// Skip frames that are done.
-    pub(super) skip_done: bool,
+    skip_done: bool,
     /// Write certificates beside the outputs.
-    pub(super) certificates: bool,
+    certificates: bool,
     /// Memory that the frames under way may take together.
-    pub(super) memory_bytes: u64,
+    memory_bytes: u64,
     /// Where all computing happens.
-    pub(super) pool: &'a ThreadPool,
+    pub(super) pool: ThreadPool,
+}
+
+impl RunOptions {
+    /// What the options say, for a command that began at `start`. Frames of a plan are certified, and not made again.
+    ///
+    /// # Errors
+    /// When the memory is too little, or threads cannot be started.
+    pub(super) fn new(args: &ConvertArgs, start: Instant) -> Result<RunOptions> {
+        Ok(RunOptions {
+            start,
+            on_error: args.on_error.unwrap_or(OnError::Continue),
+            allow_violations: args.allow_violations,
+            report: args.report.clone(),
+            skip_done: args.skip_done || args.plan.is_some(),
+            certificates: args.plan.is_some(),
+            memory_bytes: memory_bytes(args.run.memory)?,
+            pool: thread_pool(args.run.threads)?,
+        })
+    }
 }
 
 /// Frames to convert, and their outcomes.
-pub(super) struct Batch {
+pub(super) struct Batch<'a> {
+    pub(super) options: &'a RunOptions,
     /// In the order of the inputs.
     items: Vec<BatchItem>,
-    /// How many of them, from the first, have an outcome.
-    noted_count: usize,
     sequence_names: Vec<String>,
-    on_error: OnError,
     record: RunRecord,
+    outcomes: Outcomes,
+}
+
+/// What came of frames.
+#[derive(Default)]
+struct Outcomes {
+    /// How many frames, from the first, have an outcome.
+    noted_count: usize,
     done_count: usize,
-    /// Frames that are done and break a guarantee, and whether that is a failure.
+    /// Frames that are done and break a guarantee.
     broken_count: usize,
-    allow_violations: bool,
     not_started_count: usize,
     failures: Vec<String>,
     /// How many frames had an outcome before the first failure.
@@ -72,25 +105,15 @@ pub(super) struct Batch {
     shot_frames: Vec<ShotSource>,
 }
 
-impl Batch {
+impl<'a> Batch<'a> {
     /// An empty batch.
-    pub(super) fn new(thread_count: usize, on_error: OnError, allow_violations: bool) -> Batch {
+    pub(super) fn new(options: &'a RunOptions) -> Batch<'a> {
         Batch {
+            options,
             items: Vec::new(),
-            noted_count: 0,
             sequence_names: Vec::new(),
-            on_error,
-            record: RunRecord::new(thread_count),
-            done_count: 0,
-            broken_count: 0,
-            allow_violations,
-            not_started_count: 0,
-            failures: Vec::new(),
-            failed_first: None,
-            printed: HashMap::new(),
-            suppressed_count: 0,
-            is_velocity_hinted: false,
-            shot_frames: Vec::new(),
+            record: RunRecord::new(options.pool.current_num_threads()),
+            outcomes: Outcomes::default(),
         }
     }
 
@@ -113,10 +136,10 @@ impl Batch {
     }
 
     /// Converts all frames that were added.
-    pub(super) fn convert(&mut self, options: &RunOptions<'_>, console: &mut Console) {
-        let &RunOptions { skip_done, certificates, memory_bytes, pool } = options;
+    pub(super) fn convert(&mut self, console: &mut Console) {
+        let &RunOptions { on_error, skip_done, certificates, memory_bytes, ref pool, .. } = self.options;
         let items = std::mem::take(&mut self.items);
-        let begin_count = match self.on_error {
+        let begin_count = match on_error {
             OnError::Continue => items.len(),
             // No frame behind one that is known to fail is begun.
             OnError::Stop => {
@@ -138,7 +161,7 @@ impl Batch {
         let has_bar = console.show_bar(frames.len());
         let progress = Progress::new(frames.len(), pool.current_num_threads(), console.bar());
         let options = PipelineOptions {
-            on_error: self.on_error,
+            on_error,
             skip_done,
             certificates,
             memory_bytes,
@@ -150,7 +173,7 @@ impl Batch {
             // The record and the console have the order of the inputs.
             let report = if let Outcome::Converted(report) = &outcome { Some(&**report) } else { None };
             progress.finished(&frames[index], report);
-            self.note_without_outcome(&items[self.noted_count..places[index]], console);
+            self.note_without_outcome(&items[self.outcomes.noted_count..places[index]], console);
             self.note(&frames[index], items[places[index]].sequence_index, &outcome, has_bar, console);
             if let Some(records) = &records {
                 records.frame_finished();
@@ -160,14 +183,14 @@ impl Batch {
         if let Some(records) = &records {
             records.save(console);
         }
-        self.note_without_outcome(&items[self.noted_count..], console);
+        self.note_without_outcome(&items[self.outcomes.noted_count..], console);
     }
 
     /// Notes frames that never went into the pipeline.
     fn note_without_outcome(&mut self, items: &[BatchItem], console: &Console) {
         let mut printed = None;
         for BatchItem { input, sequence_index, state } in items {
-            let is_stopped = self.on_error == OnError::Stop && !self.failures.is_empty();
+            let is_stopped = self.options.on_error == OnError::Stop && !self.outcomes.failures.is_empty();
             match state {
                 ItemState::Done(frame, fault) => {
                     self.record.add_done(frame, *sequence_index);
@@ -179,18 +202,18 @@ impl Batch {
                         let name = &self.sequence_names[*sequence_index];
                         // What cannot be read is named by its path already.
                         let of = if why.contains(&**name) { String::new() } else { format!("{name}: ") };
-                        console.warn(format_args!("error: {of}{why}"));
+                        console.error(format_args!("{of}{why}"));
                     }
                     self.record.add_failed(input, *sequence_index, why);
                     self.fail(format!("{}: {why}", shown(input)));
                 }
                 ItemState::Convert(_) | ItemState::Impossible(_) => {
                     self.record.add_not_started(input, *sequence_index);
-                    self.not_started_count += 1;
+                    self.outcomes.not_started_count += 1;
                 }
             }
         }
-        self.noted_count += items.len();
+        self.outcomes.noted_count += items.len();
     }
 
     fn note(
@@ -201,14 +224,14 @@ impl Batch {
         has_bar: bool,
         console: &mut Console,
     ) {
-        self.noted_count += 1;
+        self.outcomes.noted_count += 1;
         self.record.add_frame(frame, sequence_index, outcome);
         let name = shown(&frame.input);
         if matches!(outcome, Outcome::Converted(_) | Outcome::AlreadyDone { .. })
             && frame.outputs.formats.contains(&OutputFormat::Glb)
         {
             let path = output_path(&frame.outputs.folder, &frame.stem, OutputFormat::Glb);
-            self.shot_frames.push(ShotSource { path, number: frame.number });
+            self.outcomes.shot_frames.push(ShotSource { path, number: frame.number });
         }
         match outcome {
             Outcome::Converted(report) => {
@@ -225,14 +248,14 @@ impl Batch {
             }
             Outcome::Changed => {
                 let failure = format!("{name}: the file was written while it was read");
-                console.warn(format_args!("error: {failure}"));
+                console.error(&failure);
                 self.fail(failure);
             }
             Outcome::Failed(error) => {
-                console.warn(format_args!("error: {error}"));
+                console.error(error);
                 self.fail(error.to_string());
             }
-            Outcome::NotStarted => self.not_started_count += 1,
+            Outcome::NotStarted => self.outcomes.not_started_count += 1,
         }
         console.advance_bar();
     }
@@ -245,20 +268,20 @@ impl Batch {
         report: &FrameReport,
         console: &mut Console,
     ) {
-        self.done_count += 1;
+        self.outcomes.done_count += 1;
         let has_surface = frame.job != Job::Particles;
-        self.broken_count += usize::from(has_surface && !report.keeps_guarantees());
-        let printed = self.printed.entry(sequence_index).or_default();
+        self.outcomes.broken_count += usize::from(has_surface && !report.keeps_guarantees());
+        let printed = self.outcomes.printed.entry(sequence_index).or_default();
         for warning in report.all_warnings() {
             if warning.scope() == Scope::Frame || printed.is_new(&warning) {
-                console.warn(format_args!("warning: {}: {}", shown(&frame.input), with_remedy(&warning)));
+                console.warning(format_args!("{}: {}", shown(&frame.input), with_remedy(&warning)));
             } else {
-                self.suppressed_count += 1;
+                self.outcomes.suppressed_count += 1;
             }
         }
         // Once is enough.
         if let Some(velocity) = &report.unused_velocity
-            && !std::mem::replace(&mut self.is_velocity_hinted, true)
+            && !std::mem::replace(&mut self.outcomes.is_velocity_hinted, true)
         {
             console.say(format_args!("note: {}", velocity_hint(velocity)));
         }
@@ -266,46 +289,50 @@ impl Batch {
 
     /// Counts a frame that was done before.
     fn note_done(&mut self, input: &Path, fault: Option<&str>, console: &Console) {
-        self.done_count += 1;
+        self.outcomes.done_count += 1;
         if let Some(fault) = fault {
-            self.broken_count += 1;
-            console.warn(format_args!("warning: {}: {fault}", shown(input)));
+            self.outcomes.broken_count += 1;
+            console.warning(format_args!("{}: {fault}", shown(input)));
         }
     }
 
     /// How many frames have an outcome.
     pub(super) fn frame_count(&self) -> usize {
-        self.noted_count
+        self.outcomes.noted_count
     }
 
     /// The .glb of each frame that is done, in the order of the inputs.
     pub(super) fn shot_frames(&self) -> &[ShotSource] {
-        &self.shot_frames
+        &self.outcomes.shot_frames
     }
 
     fn fail(&mut self, failure: String) {
-        self.failed_first.get_or_insert(self.noted_count);
-        self.failures.push(failure);
+        self.outcomes.failed_first.get_or_insert(self.outcomes.noted_count);
+        self.outcomes.failures.push(failure);
     }
 
     /// Prints the summary, writes the report, and returns the verdict.
-    pub(super) fn finish(self, report: Option<&Path>, seconds: f64, console: &mut Console) -> Verdict {
-        let failed_count = self.failures.len();
-        let mut summary = format!("{}: {} done", counted(self.noted_count, "frame"), self.done_count);
-        for (count, what) in [(failed_count, "failed"), (self.not_started_count, "not started")] {
+    pub(super) fn finish(self, console: &mut Console) -> Verdict {
+        let RunOptions { start, allow_violations, report, .. } = self.options;
+        let seconds = start.elapsed().as_secs_f64();
+        let failed_count = self.outcomes.failures.len();
+        let mut summary =
+            format!("{}: {} done", counted(self.outcomes.noted_count, "frame"), self.outcomes.done_count);
+        for (count, what) in [(failed_count, "failed"), (self.outcomes.not_started_count, "not started")] {
             if count > 0 {
                 summary += &format!(", {count} {what}");
             }
         }
         console.say(format_args!("{summary}, in {seconds:.2} s"));
         // An error that was just printed is not repeated; one of long ago has scrolled away.
-        if self.failed_first.is_some_and(|first| self.noted_count - first > FRAMES_IN_VIEW) {
-            for failure in &self.failures {
+        if self.outcomes.failed_first.is_some_and(|first| self.outcomes.noted_count - first > FRAMES_IN_VIEW)
+        {
+            for failure in &self.outcomes.failures {
                 console.warn(format_args!("failed: {failure}"));
             }
         }
-        if self.suppressed_count > 0 {
-            let more = counted(self.suppressed_count, "more warning");
+        if self.outcomes.suppressed_count > 0 {
+            let more = counted(self.outcomes.suppressed_count, "more warning");
             console.warn(format_args!("{more} like those of earlier frames: --report has them all"));
         }
         if let Some(path) = report
@@ -313,18 +340,19 @@ impl Batch {
             && let Err(error) =
                 self.record.write(&path.canonicalize().unwrap_or_else(|_| path.to_owned()), seconds)
         {
-            console.warn(format_args!("error: {}: cannot write the report: {error}", path.display()));
-            return if self.done_count > 0 { Verdict::SomeFailed } else { Verdict::NothingDone };
+            console.error(format_args!("{}: cannot write the report: {error}", path.display()));
+            return if self.outcomes.done_count > 0 { Verdict::SomeFailed } else { Verdict::NothingDone };
         }
-        let has_violations = self.broken_count > 0 && !self.allow_violations;
-        if self.broken_count > 0 {
-            let details = report.map_or(String::new(), |report| format!(" (see {})", report.display()));
-            let what = failed_validation(self.broken_count, self.noted_count, &details);
-            match self.allow_violations {
-                true => console.warn(format_args!("warning: {what}")),
-                false => console.warn(format_args!("error: {what}; --allow-violations accepts them")),
+        let has_violations = self.outcomes.broken_count > 0 && !allow_violations;
+        if self.outcomes.broken_count > 0 {
+            let details =
+                report.as_ref().map_or(String::new(), |report| format!(" (see {})", report.display()));
+            let what = failed_validation(self.outcomes.broken_count, self.outcomes.noted_count, &details);
+            match allow_violations {
+                true => console.warning(what),
+                false => console.error(format_args!("{what}; --allow-violations accepts them")),
             }
         }
-        Verdict::of(self.done_count, failed_count, has_violations)
+        Verdict::of(self.outcomes.done_count, failed_count, has_violations)
     }
 }

@@ -3,12 +3,12 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail};
+use anyhow::{Result, anyhow, bail};
 
 use crate::farm::Plan;
 use crate::pipeline::{
-    self, FrameFile, ObstacleFiles, OutFolderError, OutputOptions, Sequence, are_one_file, check_out_folder,
-    check_outputs, file_of, is_level_set, single_frame_sequences, single_frames_note,
+    self, FrameFile, OutFolderError, Sequence, are_one_file, check_out_folder, file_of, is_level_set,
+    single_frame_sequences, single_frames_note,
 };
 
 use super::args::MethodArgs;
@@ -16,6 +16,7 @@ use super::choices::refuse_stray_rounds;
 use super::console::Console;
 use super::frame_selection::FrameSelection;
 use super::inputs::find_inputs;
+use super::out_folder::folder_of;
 use super::wording::{counted, counted_are};
 
 /// What to convert.
@@ -66,26 +67,59 @@ pub(super) fn select_frames(
     if method.to_options().needs_spacing() {
         warn_of_single_frames(&sequences, console);
     }
-    let sequences: Vec<SelectedSequence> = sequences
-        .into_iter()
-        .map(|sequence| {
-            let is_selected = |file: &&FrameFile| FrameSelection::takes(numbers, file);
-            let selected = sequence.frames.iter().filter(is_selected).cloned().collect();
-            SelectedSequence { sequence, selected }
-        })
-        .filter(|sequence: &SelectedSequence| !sequence.selected.is_empty())
-        .collect();
-    let sequences = without_rivals(sequences, console);
-    if sequences.is_empty() {
-        bail!("--frames selects none of the {} frames", paths.len());
-    }
+    let sequences = without_rivals(selected_of(sequences, numbers)?, console);
     if let Some(selection) = numbers {
-        let there = sequences.iter().flat_map(|s| &s.selected).filter_map(FrameFile::number).collect();
+        let there = selected_files(&sequences).filter_map(FrameFile::number).collect();
         for (range, count) in selection.missing(&there) {
-            console.warn(format_args!("warning: --frames {range}: {} not there", counted_are(count)));
+            console.warning(format_args!("--frames {range}: {} not there", counted_are(count)));
         }
     }
     Ok(Selection { sequences, found: paths, is_complete })
+}
+
+/// The sequences, each with the frames whose numbers are asked for, and without those that have none of these.
+///
+/// # Errors
+/// When none are left.
+pub(super) fn selected_of(
+    sequences: Vec<Sequence>,
+    numbers: Option<&FrameSelection>,
+) -> Result<Vec<SelectedSequence>> {
+    let frame_count: usize = sequences.iter().map(|sequence| sequence.frames.len()).sum();
+    let select = |sequence: Sequence| {
+        let is_selected = |file: &&FrameFile| FrameSelection::takes(numbers, file);
+        let selected: Vec<_> = sequence.frames.iter().filter(is_selected).cloned().collect();
+        (!selected.is_empty()).then_some(SelectedSequence { sequence, selected })
+    };
+    let selected: Vec<_> = sequences.into_iter().filter_map(select).collect();
+    match selected.is_empty() {
+        true => bail!("--frames selects none of the {frame_count} frames"),
+        false => Ok(selected),
+    }
+}
+
+/// The only sequence of these files, of which one sequence is needed, and why.
+///
+/// # Errors
+/// When there are several, or none.
+pub(super) fn only_sequence(files: Vec<FrameFile>, why: &str) -> Result<Sequence> {
+    <[Sequence; 1]>::try_from(pipeline::sequences(files)).map(|[sequence]| sequence).map_err(|sequences| {
+        let named = sequences.iter().take(SEQUENCES_NAMED).map(|sequence| &*sequence.name);
+        let others = (sequences.len() > SEQUENCES_NAMED).then_some("..");
+        anyhow!(
+            "{why}, and there are {} sequences: {}: name one of them, by a pattern such as dam.####.ply",
+            sequences.len(),
+            named.chain(others).collect::<Vec<_>>().join(", ")
+        )
+    })
+}
+
+/// More sequences than that are not named where there should be one.
+const SEQUENCES_NAMED: usize = 5;
+
+/// The selected frames of these sequences.
+pub(super) fn selected_files(sequences: &[SelectedSequence]) -> impl Iterator<Item = &FrameFile> + Clone {
+    sequences.iter().flat_map(|sequence| &sequence.selected)
 }
 
 /// Leaves out frames whose outputs would have the names of those of an earlier frame in the same folder, as `dam.1.ply`
@@ -108,7 +142,7 @@ fn without_rivals(sequences: Vec<SelectedSequence>, console: &mut Console) -> Ve
                 count => format!(" and {} of {}", counted(count, "more frame"), selected.sequence.name),
             };
             console.fail(format_args!(
-                "error: {} and {} would both become {}.*: converting only the first; convert the second{others} into another \
+                "{} and {} would both become {}.*: converting only the first; convert the second{others} into another \
                  folder",
                 owner.display(),
                 rival.display(),
@@ -124,7 +158,7 @@ fn without_rivals(sequences: Vec<SelectedSequence>, console: &mut Console) -> Ve
 fn warn_of_single_frames(sequences: &[Sequence], console: &Console) {
     for (folder, count) in single_frame_sequences(sequences) {
         let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { &folder };
-        console.warn(format_args!("warning: {}: {}", folder.display(), single_frames_note(count)));
+        console.warning(format_args!("{}: {}", folder.display(), single_frames_note(count)));
     }
 }
 
@@ -133,34 +167,13 @@ fn warn_of_single_frames(sequences: &[Sequence], console: &Console) {
 /// # Errors
 /// Which, and what does them.
 pub(super) fn refuse_level_sets(selection: &Selection, command: &str) -> Result<()> {
-    let mut files = selection.sequences.iter().flat_map(|sequence| &sequence.selected);
-    match files.find(|file| is_level_set(&file.path)) {
+    match selected_files(&selection.sequences).find(|file| is_level_set(&file.path)) {
         Some(file) => bail!(
             "{}: a level set, and {command} is for particles: `meniscus convert` does level sets, by themselves",
             file.path.display()
         ),
         None => Ok(()),
     }
-}
-
-/// Makes sure that nothing written to the folder of the outputs, which exists, or to the report is
-/// lost or loses something else: also what was found but not selected must stay.
-///
-/// # Errors
-/// Why it must not begin.
-pub(super) fn refuse_conflicts(
-    sequences: &[SelectedSequence],
-    found: &[PathBuf],
-    obstacles: &ObstacleFiles,
-    outputs: &OutputOptions,
-    written: Option<(&'static str, &Path)>,
-) -> Result<()> {
-    if let Some((what, path)) = written {
-        refuse_odd_place(what, path)?;
-    }
-    let planned: Vec<(PathBuf, String)> =
-        sequences.iter().flat_map(|s| &s.selected).map(|file| (file.path.clone(), file.stem())).collect();
-    Ok(check_outputs(&planned, found, obstacles, outputs, written)?)
 }
 
 /// Refuses a report that could not be written, or would replace the plan or a file that is named in it.
@@ -180,7 +193,10 @@ pub(super) fn refuse_report_of_plan(report: Option<&Path>, plan: &Plan, plan_pat
 }
 
 /// Refuses to write something, such as a report, where it could not be, or would replace what is no file.
-fn refuse_odd_place(what: &str, path: &Path) -> Result<()> {
+///
+/// # Errors
+/// Why not.
+pub(super) fn refuse_odd_place(what: &str, path: &Path) -> Result<()> {
     if let Some(folder) = path.parent()
         && !folder.as_os_str().is_empty()
         && !folder.is_dir()
@@ -200,11 +216,11 @@ fn refuse_odd_place(what: &str, path: &Path) -> Result<()> {
 ///
 /// # Errors
 /// Why not.
-pub(super) fn refuse_shut_folder(what: &str, path: &Path) -> Result<()> {
+fn refuse_shut_folder(what: &str, path: &Path) -> Result<()> {
     if path.is_symlink() {
         return Ok(());
     }
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = folder_of(path);
     match check_out_folder(folder) {
         Err(OutFolderError::Write { folder, source }) => {
             bail!(

@@ -6,49 +6,34 @@ use anyhow::{Context, Result, bail};
 
 use crate::pipeline::{
     FrameFile, OutputFormat, OutputOptions, ShotFormat, ShotOptions, ShotReport, ShotSource, are_one_file,
-    files_in, is_shot, sequences, write_shot,
+    files_in, is_shot, write_shot,
 };
 
 use super::Verdict;
 use super::args::{FPS, SequenceArgs, ShotArgs};
 use super::console::Console;
-use super::convert::thread_pool;
 use super::frame_selection::gaps;
 use super::inputs::find_inputs;
-use super::interrupt::clean_up_when_interrupted;
-use super::selecting::refuse_shut_folder;
+use super::machine::thread_pool;
+use super::selecting::{only_sequence, refuse_odd_place};
 use super::wording::{counted, counted_are};
-
-/// More sequences than that are not named where there should be one.
-const SEQUENCES_NAMED: usize = 3;
 
 /// Gathers the frames that the arguments name.
 ///
 /// # Errors
 /// When there is no shot.
 pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<Verdict> {
-    clean_up_when_interrupted();
     let format = ShotFormat::of(&args.output)
         .with_context(|| format!("{}: a shot is a .glb or a .usda", args.output.display()))?;
-    refuse_folder(&args.output)?;
+    refuse_odd_place("the shot", &args.output)?;
     let found = find_inputs(&frames_of_folders(&args.inputs)?)?;
     found.report(console);
     let frames = without_old_shot(found.files, &args.output)?;
-    let sequences = sequences(frames);
-    let [sequence] = &sequences[..] else {
-        let mut names: Vec<&str> = sequences.iter().map(|sequence| &*sequence.name).collect();
-        names.truncate(SEQUENCES_NAMED);
-        let others = if names.len() < sequences.len() { ", .." } else { "" };
-        bail!(
-            "these are frames of {} sequences, and a shot is of one: {}{others}; give those of one, such as dam.####.glb",
-            sequences.len(),
-            names.join(", ")
-        );
-    };
+    let sequence = only_sequence(frames, "a shot is of one sequence")?;
     let source = |file: &FrameFile| ShotSource { path: file.path.clone(), number: file.number() };
     let sources: Vec<ShotSource> = sequence.frames.iter().map(source).collect();
     if args.meters_per_unit.is_some() && format != ShotFormat::Usda {
-        console.warn("warning: --meters-per-unit has no effect: it is for .usda");
+        console.warning("--meters-per-unit has no effect: it is for .usda");
     }
     let options = ShotOptions { fps: args.fps, meters_per_unit: args.meters_per_unit.unwrap_or(1.0) };
     let shot = thread_pool(None)?.install(|| write_shot(&args.output, format, &sources, options))?;
@@ -100,30 +85,19 @@ fn without_old_shot(files: Vec<FrameFile>, output: &Path) -> Result<Vec<FrameFil
 fn tell_gaps(path: &Path, frames: &[ShotSource], console: &mut Console) {
     if let Some((gaps, count)) = gaps(frames.iter().filter_map(|frame| frame.number)) {
         let are = counted_are(count);
-        console.warn(format_args!("warning: {}: {gaps}: {are} not there", path.display()));
+        console.warning(format_args!("{}: {gaps}: {are} not there", path.display()));
     }
 }
 
 fn told(path: &Path, shot: &ShotReport, console: &mut Console) {
     for (frame, why) in &shot.left_out {
-        console.warn(format_args!("error: {}: left out of the shot: {why}", frame.display()));
+        console.error(format_args!("{}: left out of the shot: {why}", frame.display()));
     }
     for note in &shot.notes {
-        console.warn(format_args!("warning: {}: {note}", path.display()));
+        console.warning(format_args!("{}: {note}", path.display()));
     }
     let frames = counted(shot.frame_count, "frame");
     console.say(format_args!("{}: a shot of {frames}, {} bytes", path.display(), shot.size_bytes));
-}
-
-fn refuse_folder(path: &Path) -> Result<()> {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
-        bail!("{}: there is no such folder for the shot", folder.display());
-    }
-    if path.is_dir() {
-        bail!("{}: the shot would replace a folder", path.display());
-    }
-    refuse_shut_folder("the shot", path)
 }
 
 /// The shots that are asked for beside frames.
@@ -179,14 +153,6 @@ impl Shots {
         self.files.iter().map(|(path, _)| &**path)
     }
 
-    /// Refuses files that have no place. The folder of the frames is there by now.
-    ///
-    /// # Errors
-    /// Why.
-    pub(super) fn refuse_places(&self) -> Result<()> {
-        self.paths().try_for_each(refuse_folder)
-    }
-
     /// Gathers the frames that are done, out of `frame_count`. A shot that an earlier run made is not replaced by one that lacks
     /// frames.
     pub(super) fn write(
@@ -199,8 +165,8 @@ impl Shots {
         for (path, format) in &self.files {
             if frames.len() < frame_count && path.exists() {
                 let (path, done_count) = (path.display(), frames.len());
-                console.warn(format_args!(
-                    "warning: {path}: not replaced, because only {done_count} of {frame_count} frames are done; remove it \
+                console.warning(format_args!(
+                    "{path}: not replaced, because only {done_count} of {frame_count} frames are done; remove it \
                      to get a shot of these"
                 ));
                 continue;
@@ -216,7 +182,7 @@ impl Shots {
                     }
                 }
                 Err(error) => {
-                    console.warn(format_args!("error: {error}"));
+                    console.error(error);
                     if verdict == Verdict::Done {
                         verdict = Verdict::SomeFailed;
                     }

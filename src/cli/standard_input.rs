@@ -4,7 +4,7 @@
 
 use std::fs::File;
 use std::io::{self, IsTerminal, Read};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use tempfile::TempDir;
@@ -13,26 +13,27 @@ use crate::pipeline::{STANDARD_INPUT, has_particle_extension, show_as};
 
 use super::args::ConvertArgs;
 use super::destination::private_folder;
-use super::quantities::memory_bytes;
+use super::machine::memory_bytes;
 
-/// Where the copy is, until this is dropped.
+/// The copy, until this is dropped.
 pub(super) struct StandardInput {
+    pub(super) path: PathBuf,
     _folder: TempDir,
 }
 
 impl StandardInput {
-    /// Copies the pipe among the inputs, if there is one, and puts the copy in its place.
+    /// Copies the pipe among the inputs, if there is one.
     ///
     /// # Errors
     /// When it cannot be read or is larger than the memory limit, or when there are other inputs beside it.
-    pub(super) fn take(args: &mut ConvertArgs) -> Result<Option<StandardInput>> {
-        let Some(pipe) = args.inputs.iter().find(|input| is_pipe(input)).cloned() else {
+    pub(super) fn take(args: &ConvertArgs) -> Result<Option<StandardInput>> {
+        let Some(pipe) = args.inputs.iter().find(|input| is_pipe(input)) else {
             if args.input_format.is_some() {
                 bail!("--input-format is for the standard input, and no INPUT is `-`: leave it out");
             }
             return Ok(None);
         };
-        let name = if is_stdin(&pipe) { STANDARD_INPUT.to_owned() } else { pipe.display().to_string() };
+        let name = if is_stdin(pipe) { STANDARD_INPUT.to_owned() } else { pipe.display().to_string() };
         if args.inputs.len() > 1 {
             bail!("{name} is one frame and has to be the only INPUT");
         }
@@ -42,9 +43,9 @@ impl StandardInput {
         };
         let folder = private_folder()?;
         let path = folder.path().join(file_name);
-        let limit_bytes = memory_bytes(args.memory)?;
+        let limit_bytes = memory_bytes(args.run.memory)?;
         let mut file = File::create_new(&path).with_context(|| path.display().to_string())?;
-        let pipe = open(&pipe).with_context(|| name.clone())?;
+        let pipe = open(pipe).with_context(|| name.clone())?;
         let bytes = io::copy(&mut pipe.take(limit_bytes.saturating_add(1)), &mut file)
             .with_context(|| name.clone())?;
         match bytes {
@@ -55,8 +56,7 @@ impl StandardInput {
             _ => {}
         }
         show_as(&path, &name);
-        args.inputs = vec![path];
-        Ok(Some(StandardInput { _folder: folder }))
+        Ok(Some(StandardInput { path, _folder: folder }))
     }
 }
 

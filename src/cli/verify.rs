@@ -11,7 +11,7 @@ use crate::pipeline::{FrameState, are_one_file};
 use super::Verdict;
 use super::args::VerifyArgs;
 use super::console::Console;
-use super::convert::thread_pool;
+use super::machine::thread_pool;
 use super::selecting::refuse_report_of_plan;
 use super::wording::counted;
 
@@ -43,8 +43,8 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Verdict
     }
     summarize(&verdicts, start.elapsed().as_secs_f64(), console);
     if let Some(planned) = planned.filter(|_| !verdicts.shards_to_run().is_empty()) {
-        console.warn(format_args!(
-            "warning: the plan's results go to {}, and these were looked for in {}: shards that run again write there, \
+        console.warning(format_args!(
+            "the plan's results go to {}, and these were looked for in {}: shards that run again write there, \
              and not here",
             planned.display(),
             args.folder.display()
@@ -56,11 +56,8 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Verdict
         let path = path.canonicalize().unwrap_or_else(|_| path.clone());
         record.write(&path).with_context(|| format!("{}: cannot write the report", path.display()))?;
     }
-    Ok(match verdicts.done_count() {
-        count if count == verdicts.frames.len() => Verdict::Done,
-        0 => Verdict::NothingDone,
-        _ => Verdict::SomeFailed,
-    })
+    let done_count = verdicts.done_count();
+    Ok(Verdict::of(done_count, verdicts.frames.len() - done_count, false))
 }
 
 /// What is wanting of a shard: a line for each frame, or one for all where it has not run.
@@ -93,8 +90,8 @@ fn summarize(verdicts: &Verdicts, seconds: f64, console: &mut Console) {
     {
         if gone > 0 {
             let gone = counted(gone, what);
-            console.warn(format_args!(
-                "warning: {gone} not to be read: whether the results were made from them as they are is not known"
+            console.warning(format_args!(
+                "{gone} not to be read: whether the results were made from them as they are is not known"
             ));
         }
     }

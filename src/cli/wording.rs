@@ -6,6 +6,19 @@ pub(in crate::cli) use crate::surface::words::{counted, rounded_down, significan
 /// What was said before more frames than this has scrolled away.
 pub(super) const FRAMES_IN_VIEW: usize = 20;
 
+/// An option as it is typed.
+pub(super) fn typed(name: &str) -> String {
+    match name {
+        "inputs" => "INPUT".to_owned(),
+        _ => format!("--{}", name.replace('_', "-")),
+    }
+}
+
+/// Options as they are typed, with commas between.
+pub(super) fn all_typed(names: &[&str]) -> String {
+    names.iter().map(|name| typed(name)).collect::<Vec<_>>().join(", ")
+}
+
 /// One line about a frame that was converted.
 pub(super) fn described(job: &Job, report: &FrameReport) -> String {
     let skin = &report.skin;

@@ -564,7 +564,7 @@ fn where_it_cannot_listen_it_says_so() {
     refused(&["--listen", &address], &format!("cannot listen on {address}"));
     refused(&["--listen", "0.0.0.0:0"], "--token");
     refused(&["--listen", "[::]:0"], "--token");
-    refused(&["--listen", "7700"], "no address with a port");
+    refused(&["--listen", "7700"], "not an address with a port");
     refused(&["--listen", "127.0.0.1:0", "--token", "short"], "16 to 256");
     refused(&["--token", "0123456789abcdef"], "--listen");
 }

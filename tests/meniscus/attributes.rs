@@ -373,7 +373,7 @@ fn axis_is_understood_in_capitals_and_units_are_written() {
     assert!(ran.status == 0 && ran.err.contains("--meters-per-unit"), "{}", ran.err);
     for wrong in ["0", "-1", "1e10", "inf", "nan", "m"] {
         let ran = convert(&["--format", "usda", &format!("--meters-per-unit={wrong}")]);
-        assert!(ran.status == 2 && ran.err.contains("number of metres"), "{wrong}: {}", ran.err);
+        assert!(ran.status == 2 && ran.err.contains("not a number from 1e-9"), "{wrong}: {}", ran.err);
     }
 }
 

@@ -47,7 +47,7 @@ fn what_makes_no_sense_is_refused() {
         (&["dam.1.ply", "--step-size", "-1"], &["--step-size", "1e-6 to 10000"]),
         (&["dam.1.ply", "--integrator", "implicit", "--cg-tolerance", "-1"], &["tolerance"]),
         (&["dam.1.ply", "--steps", "-1"], &["invalid value '-1' for '--steps"]),
-        (&["dam.1.ply", "--frames", "1-2x"], &["`1-2x` is no selection of frames"]),
+        (&["dam.1.ply", "--frames", "1-2x"], &["`1-2x` is not a selection of frames"]),
         (&["dam.1.ply", "--voxel-size=-1"], &["voxel size", "positive"]),
         (&["dam.1.ply", "--voxel-size", "nan"], &["voxel size"]),
         (&["dam.1.ply", "--radius-ratio", "0.5"], &["ratio", "at least 1"]),

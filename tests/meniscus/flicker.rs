@@ -308,7 +308,7 @@ fn what_cannot_be_scored_is_refused_with_what_to_do() {
         ("--fps", "0", "frames per second"),
         ("--spacing", "inf", "`inf` is not a positive number"),
         ("--picture", "p.jpg", "ends with .png"),
-        ("--csv", "there/s.csv", "folder there does not exist"),
+        ("--csv", "there/s.csv", "there: there is no such folder for --csv"),
         ("--points", "p.1.csv", "would replace the input p.1.csv"),
         ("--frames", "7", "--frames selects none"),
     ] {
@@ -327,7 +327,7 @@ fn what_cannot_be_scored_is_refused_with_what_to_do() {
     write_obj(&folder.path().join("other.1.obj"), &sphere(1.0, 0.0));
     refused(
         &meniscus(folder.path(), &["flicker", "*.obj", "--particles", "p.#.csv"]),
-        &["the meshes are of 2 sequences"],
+        &["the meshes must be of one sequence, and there are 2 sequences"],
     );
     let names = ["flicker", "dam.1.obj", "--particles", "lone.ply"];
     write_ply(&folder.path().join("lone.ply"), &[[0.0; 3]]);

@@ -115,7 +115,7 @@ fn what_needs_particles_is_refused_by_name() {
         (&["--attributes=all"], "error: --attributes cannot be given"),
         (&["--obstacle=block.ply"], "error: --obstacle cannot be given"),
         (&["--steps=3"], "without --band-slack it is not smoothed"),
-        (&["--band-slack=4"], "0 to 3 voxels"),
+        (&["--band-slack=4"], "`4` is not a number from 0 to 3"),
         (&["block.ply"], "not together"),
         (&["--offset=1h"], "--offset must be in world units"),
         (&["--band-slack=1", "--step-size=1e9"], "--step-size"),
@@ -250,6 +250,36 @@ fn watch_takes_level_sets_of_others_by_a_pattern_that_names_them() {
     assert!(bytes("in/ball.1.obj") == bytes("expected/ball.1.obj"));
     let again = watch(&["--pattern=*.vdb", "--preview=png", "--preview-size=64x64"]);
     assert_eq!(again.status, 0, "{} {}", again.out, again.err);
+}
+
+#[test]
+fn printed_settings_of_a_level_set_make_the_same_files() {
+    let folder = scene();
+    let folder = folder.path();
+    fs::create_dir(folder.join("balls")).expect("made");
+    fs::write(folder.join("balls/ball.vdb"), ball(|distance| (0.1 * distance).clamp(-0.3, 0.3)))
+        .expect("written");
+    let convert = |more: &[&str]| {
+        let options = ["--format=obj", "--offset=0.05", "--smooth-normals=2", "--decimate=0.1"];
+        meniscus(folder, &[&["convert", "balls/ball.vdb", "--out=out"], &options[..], more].concat())
+    };
+    let printed = convert(&["--print-settings"]);
+    succeeded(&printed);
+    for line in ["pattern = \"*.vdb\"", "offset = 0.05", "smooth_normals = 2", "decimate = 0.1"] {
+        assert!(printed.out.lines().any(|printed| printed == line), "{line}: {}", printed.out);
+    }
+    assert!(!printed.out.contains("radius") && !folder.join("out").exists(), "{}", printed.out);
+    let block = format!("[[watch]]\ninput = \"balls\"\noutput = \"watched\"\n{}", printed.out);
+    fs::write(folder.join("meniscus.toml"), block).expect("written");
+    succeeded(&convert(&[]));
+    let watch = ["watch", "--config=meniscus.toml", "--once", "--settle=0ms", "--unproven=0ms"];
+    let ran = meniscus(folder, &watch);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    let bytes = |path: &str| fs::read(folder.join(path)).expect("there");
+    assert!(bytes("out/ball.obj") == bytes("watched/ball.obj"));
+    // A file has no key for the slack, and smooths nothing without one.
+    let smoothed = convert(&["--print-settings", "--band-slack=1", "--steps=3"]);
+    assert!(smoothed.out.contains("\n# ") && smoothed.out.contains("\n#steps = 3\n"), "{}", smoothed.out);
 }
 
 /// A ball of 3 units in the middle of a cube of 12.8, as a file with `value` of each distance in voxels.

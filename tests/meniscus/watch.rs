@@ -33,8 +33,8 @@ fn what_makes_no_sense_is_refused_before_anything_is_made() {
     assert_refused(path, &["in"], &["--out"]);
     for (arguments, words) in [
         (&["--radius-ratio", "0.5"][..], &["in: the radius ratio is 0.5"][..]),
-        (&["--settle", "1"], &["--settle", "no time"]),
-        (&["--memory", "lots"], &["--memory", "no size"]),
+        (&["--settle", "1"], &["--settle", "not a time"]),
+        (&["--memory", "lots"], &["--memory", "not a size"]),
         (&["--order", "random"], &["--order", "natural, latest"]),
         (&["--pattern", "[", "--recursive"], &["no pattern"]),
         (&["--smooth-normals", "5"], &["5: no such", "--smooth-normals=5"]),

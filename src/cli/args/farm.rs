@@ -6,8 +6,9 @@ use clap::Args;
 
 use crate::cli::frame_selection::FrameSelection;
 use crate::farm::SHARDS_MAX;
+use crate::surface::options::{expected, ranged};
 
-use super::{Format, FormatArgs, MethodArgs, parse_slack};
+use super::{FormatArgs, MethodArgs, slack};
 
 #[derive(Debug, Args)]
 pub(in crate::cli) struct PlanArgs {
@@ -20,16 +21,15 @@ pub(in crate::cli) struct PlanArgs {
     pub(in crate::cli) out: PathBuf,
 
     /// Deal the frames into so many chunks, 1 to 100000: neighbours stay together
-    #[arg(long, value_name = "N", value_parser = parse_shard_count)]
+    #[arg(long, value_name = "N", value_parser = ranged::<usize>(1..=SHARDS_MAX))]
     pub(in crate::cli) shards: usize,
 
     /// The plan
     #[arg(short, long, value_name = "FILE")]
     pub(in crate::cli) output: PathBuf,
 
-    /// What to write: a list of glb, gltf, vdb, obj, ply, vtp, stl, usda [default: glb,vdb]
-    #[arg(long, value_name = "LIST", value_delimiter = ',', ignore_case = true)]
-    pub(in crate::cli) format: Option<Vec<Format>>,
+    #[command(flatten)]
+    pub(in crate::cli) formats: FormatArgs,
 
     /// Convert only frames with these numbers, such as 1-240x2 (every second) or 1-10,20,30-40x5
     #[arg(long, value_name = "NUMBERS")]
@@ -39,14 +39,11 @@ pub(in crate::cli) struct PlanArgs {
     ///
     /// A level set that is an input has its voxels already: it is contoured as it is, or, with a slack, becomes the smoothest
     /// surface that is nowhere farther from it. Options of particles are refused.
-    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = parse_slack)]
+    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = slack())]
     pub(in crate::cli) band_slack: Option<f64>,
 
     #[command(flatten)]
     pub(in crate::cli) method: MethodArgs,
-
-    #[command(flatten, next_help_heading = "Formats")]
-    pub(in crate::cli) formats: FormatArgs,
 }
 
 #[derive(Debug, Args)]
@@ -65,7 +62,7 @@ pub(in crate::cli) struct VerifyArgs {
     pub(in crate::cli) report: Option<PathBuf>,
 
     /// Threads to read on, 1 to 1024; all there are by default
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, value_name = "N", value_parser = ranged::<u16>(1..=1024))]
     pub(in crate::cli) threads: Option<u16>,
 }
 
@@ -84,12 +81,7 @@ pub(in crate::cli) fn parse_shard(text: &str) -> Result<ShardChoice, String> {
         return Ok(ShardChoice::Slurm);
     }
     let number = text.parse().ok().filter(|_| text.bytes().all(|byte| byte.is_ascii_digit()));
-    number.map(ShardChoice::Number).ok_or_else(|| format!("`{text}` is no shard: a number from 0, or slurm"))
-}
-
-fn parse_shard_count(text: &str) -> Result<usize, String> {
-    let count = text.parse().ok().filter(|count| (1..=SHARDS_MAX).contains(count));
-    count.ok_or_else(|| format!("`{text}` is no number of shards: 1 to {SHARDS_MAX}"))
+    expected(text, number.map(ShardChoice::Number), "a shard: a number from 0, or slurm")
 }
 
 const VERDICTS: &str = "\

@@ -4,8 +4,9 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::sequence::parse_fps;
 use crate::cli::frame_selection::FrameSelection;
+use crate::cli::quantities::{parse_fps, parse_positive};
+use crate::surface::options::ranged;
 
 #[derive(Debug, Args)]
 #[command(after_long_help = DEFINITION)]
@@ -33,7 +34,7 @@ pub(in crate::cli) struct FlickerArgs {
     pub(in crate::cli) spacing: Option<f64>,
 
     /// Points on the surface of each frame
-    #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = clap::value_parser!(u32).range(100..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = ranged::<u32>(100..=1_000_000))]
     pub(in crate::cli) samples: u32,
 
     /// Score only frames with these numbers, such as 1-240 or 1-10,20; their neighbours are read all the same
@@ -53,13 +54,8 @@ pub(in crate::cli) struct FlickerArgs {
     pub(in crate::cli) picture: Option<PathBuf>,
 
     /// Number of threads, 1 to 1024 [default: all cores]; does not affect results
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, value_name = "N", value_parser = ranged::<u16>(1..=1024))]
     pub(in crate::cli) threads: Option<u16>,
-}
-
-fn parse_positive(text: &str) -> Result<f64, String> {
-    let number = text.trim().parse().ok().filter(|number: &f64| number.is_normal() && *number > 0.0);
-    number.ok_or_else(|| format!("`{text}` is not a positive number"))
 }
 
 const DEFINITION: &str = "\

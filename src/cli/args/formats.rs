@@ -3,100 +3,136 @@
 //! Nothing here has a default of its own, so that it is known what was given: an option overrides
 //! what stands in a file.
 
-use std::sync::LazyLock;
+use std::path::PathBuf;
 
-use clap::builder::PossibleValue;
-use clap::{Args, ValueEnum};
+use anyhow::{Result, bail};
+use clap::Args;
+use clap::builder::TypedValueParser;
+use meniscus_formats::{UpAxis, WriteOption, vdb};
 
 use super::merge::option_set;
-use crate::cli::quantities::{PictureSize, parse_meters_per_unit, parse_picture_size};
-use crate::pipeline::{CameraChoice, OutputFormat};
+use crate::cli::quantities::{PictureSize, one_of, parse_picture_size};
+use crate::pipeline::{CameraChoice, METERS_PER_UNIT, OutputFormat, OutputOptions};
+use crate::surface::options::{OptionGroup, ranged};
 
 option_set! {
     #[derive(Clone, Debug, Default, PartialEq, Args)]
     pub(in crate::cli) struct FormatArgs {
+        /// What to write: a format, or several with commas between [default: glb,vdb]
+        #[arg(
+            long, value_name = "LIST", value_delimiter = ',', ignore_case = true, value_parser = surface_format(),
+            help_heading = OptionGroup::General.heading()
+        )]
+        pub(in crate::cli) format: Option<Vec<OutputFormat>>,
+
         /// Which axis of the particles points up: in glTF it must be y, and z is turned there; USD says it [default: y]
-        #[arg(long, value_name = "AXIS", ignore_case = true)]
-        pub(in crate::cli) up: Option<UpChoice>,
+        #[arg(long, help_heading = FORMATS, value_name = "AXIS", ignore_case = true, value_parser = up_axis())]
+        pub(in crate::cli) up: Option<UpAxis>,
 
         /// Length of a world unit in metres, 1e-9 to 1e9, for USD: 0.01 where particles are in centimetres [default: 1]
-        #[arg(long, value_name = "M", value_parser = parse_meters_per_unit)]
+        #[arg(long, help_heading = FORMATS, value_name = "M", value_parser = ranged::<f64>(METERS_PER_UNIT))]
         pub(in crate::cli) meters_per_unit: Option<f64>,
 
         /// Write .glb in small integers: a quarter to a third smaller, positions to a 65535th of the frame's width
         ///
         /// By the extension KHR_mesh_quantization, which Blender and browsers read. Other formats keep their positions; the attributes of
         /// vertices stay as they are. Triangles that have no area in 16 bits are taken out of the mesh of every format. A frame so wide that a vertex is moved by more than a 50th of a voxel is told of.
-        #[arg(long)]
+        #[arg(long, help_heading = FORMATS)]
         pub(in crate::cli) quantize: bool,
 
         /// Store 16-bit values in .vdb: smaller, with three decimal digits
-        #[arg(long)]
+        #[arg(long, help_heading = FORMATS)]
         pub(in crate::cli) vdb_half: bool,
 
         /// How values are packed in .vdb [default: blosc]
-        #[arg(long, value_name = "HOW", ignore_case = true)]
-        pub(in crate::cli) vdb_compression: Option<CompressionChoice>,
+        #[arg(long, help_heading = FORMATS, value_name = "HOW", ignore_case = true, value_parser = compression())]
+        pub(in crate::cli) vdb_compression: Option<vdb::Compression>,
 
         /// Write a picture of each frame, too: one camera for the whole sequence [default: none]
-        #[arg(long, value_name = "FORMAT", ignore_case = true)]
-        pub(in crate::cli) preview: Option<PreviewChoice>,
+        #[arg(long, help_heading = FORMATS, value_name = "FORMAT", ignore_case = true, value_parser = picture_format())]
+        pub(in crate::cli) preview: Option<OutputFormat>,
 
         /// Width and height of pictures, pixels, each 16 to 8192 [default: 1280x720]
-        #[arg(long, value_name = "SIZE", value_parser = parse_picture_size)]
+        #[arg(long, help_heading = FORMATS, value_name = "SIZE", value_parser = parse_picture_size)]
         pub(in crate::cli) preview_size: Option<PictureSize>,
 
         /// Where pictures are taken from: auto, or a list such as azimuth=32,elevation=22,view=30,zoom=1,up=z
         /// or eye=1:2:3,target=0:0:0,view=40,up=y [default: auto]
-        #[arg(long, value_name = "SPEC")]
+        #[arg(long, help_heading = FORMATS, value_name = "SPEC")]
         pub(in crate::cli) camera: Option<CameraChoice>,
     }
 }
 
-/// Defines the values of an option that takes some of the formats that are written.
-macro_rules! format_choice {
-    ($(#[$doc:meta])* $name:ident, $is_one:expr) => {
-        $(#[$doc])*
-        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-        pub(in crate::cli) struct $name(pub(in crate::cli) OutputFormat);
+/// The heading of its options but for the first.
+const FORMATS: &str = "Formats";
 
-        impl ValueEnum for $name {
-            fn value_variants<'a>() -> &'a [$name] {
-                static VARIANTS: LazyLock<Vec<$name>> =
-                    LazyLock::new(|| OutputFormat::ALL.into_iter().filter($is_one).map($name).collect());
-                &VARIANTS
-            }
+/// A format of surfaces.
+fn surface_format() -> impl TypedValueParser<Value = OutputFormat> {
+    format_if(|format| !format.is_picture())
+}
 
-            fn to_possible_value(&self) -> Option<PossibleValue> {
-                Some(PossibleValue::new(self.0.extension()).help(self.0.help()))
+/// A format of pictures.
+pub(super) fn picture_format() -> impl TypedValueParser<Value = OutputFormat> {
+    format_if(OutputFormat::is_picture)
+}
+
+fn format_if(is_one: fn(OutputFormat) -> bool) -> impl TypedValueParser<Value = OutputFormat> {
+    let formats = OutputFormat::ALL.into_iter().filter(move |format| is_one(*format));
+    one_of(formats.map(|format| (format, format.extension(), format.help())))
+}
+
+/// An axis that points up.
+pub(super) fn up_axis() -> impl TypedValueParser<Value = UpAxis> {
+    let help = |axis| match axis {
+        UpAxis::Y => "As glTF has it",
+        UpAxis::Z => "As Blender and many simulators have it",
+    };
+    one_of(UpAxis::ALL.map(|axis| (axis, axis.name(), help(axis))))
+}
+
+fn compression() -> impl TypedValueParser<Value = vdb::Compression> {
+    let help = |compression| match compression {
+        vdb::Compression::None => "All values as they are",
+        vdb::Compression::ActiveMask => "Active values only",
+        vdb::Compression::Blosc => "Active values only, compressed: OpenVDB's default",
+    };
+    one_of(vdb::Compression::ALL.map(|compression| (compression, compression.name(), help(compression))))
+}
+
+impl FormatArgs {
+    /// The formats to write, each once: .glb and .vdb by default; and a picture if that was asked for.
+    pub(in crate::cli) fn written(&self) -> Vec<OutputFormat> {
+        let formats = self.format.as_deref().unwrap_or(&[OutputFormat::Glb, OutputFormat::Vdb]);
+        let mut written = Vec::new();
+        for format in formats.iter().copied().chain(self.preview) {
+            if !written.contains(&format) {
+                written.push(format);
             }
         }
-    };
-}
+        written
+    }
 
-format_choice! {
-    /// A format of `--format`.
-    Format, |format| !format.is_picture()
-}
-format_choice! {
-    /// A format of `--preview`.
-    PreviewChoice, |format| format.is_picture()
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(in crate::cli) enum UpChoice {
-    /// As glTF has it
-    Y,
-    /// As Blender and many simulators have it
-    Z,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(in crate::cli) enum CompressionChoice {
-    /// All values as they are
-    None,
-    /// Active values only
-    Active,
-    /// Active values only, compressed: OpenVDB's default
-    Blosc,
+    /// What is written, to `folder`.
+    ///
+    /// # Errors
+    /// When .glb is to be quantized and none is written: whoever asks for it counts on small files.
+    pub(in crate::cli) fn outputs(&self, folder: PathBuf) -> Result<OutputOptions> {
+        let default = OutputOptions::new(folder, &self.written());
+        let mut picture = default.picture;
+        picture.size = self.preview_size.map_or(picture.size, |size| size.map(usize::from));
+        picture.camera = self.camera.unwrap_or(picture.camera);
+        let outputs = OutputOptions {
+            up: self.up.unwrap_or(default.up),
+            meters_per_unit: self.meters_per_unit.unwrap_or(default.meters_per_unit),
+            quantize: self.quantize,
+            vdb_half: self.vdb_half,
+            vdb_compression: self.vdb_compression.unwrap_or(default.vdb_compression),
+            picture,
+            ..default
+        };
+        if self.quantize && !outputs.has_option(WriteOption::Quantize) {
+            bail!("--quantize is for .glb only, and none is written: leave it out, or add glb to --format");
+        }
+        Ok(outputs)
+    }
 }

@@ -8,20 +8,15 @@ pub(in crate::cli) trait OptionSet: Sized {
     /// These, and where one is not given, that of `below`.
     fn over(self, below: Self) -> Self;
 
-    /// Adds the options that are given, as they are typed, such as `--up`; `name` is that of the field that holds these.
-    fn add_given(&self, name: &str, given: &mut Vec<String>);
+    /// Adds the names of the options that are given, such as `up`; `name` is that of the field that holds these.
+    fn add_given(&self, name: &'static str, given: &mut Vec<&'static str>);
 
-    /// The options that are given, as they are typed.
-    fn given(&self) -> Vec<String> {
+    /// The names of the options that are given.
+    fn given(&self) -> Vec<&'static str> {
         let mut given = Vec::new();
         self.add_given("", &mut given);
         given
     }
-}
-
-/// An option as it is typed.
-pub(in crate::cli) fn typed(name: &str) -> String {
-    format!("--{}", name.replace('_', "-"))
 }
 
 impl<T> OptionSet for Option<T> {
@@ -29,8 +24,8 @@ impl<T> OptionSet for Option<T> {
         self.or(below)
     }
 
-    fn add_given(&self, name: &str, given: &mut Vec<String>) {
-        given.extend(self.is_some().then(|| typed(name)));
+    fn add_given(&self, name: &'static str, given: &mut Vec<&'static str>) {
+        given.extend(self.is_some().then_some(name));
     }
 }
 
@@ -39,8 +34,8 @@ impl<T> OptionSet for Vec<T> {
         if self.is_empty() { below } else { self }
     }
 
-    fn add_given(&self, name: &str, given: &mut Vec<String>) {
-        given.extend((!self.is_empty()).then(|| typed(name)));
+    fn add_given(&self, name: &'static str, given: &mut Vec<&'static str>) {
+        given.extend((!self.is_empty()).then_some(name));
     }
 }
 
@@ -49,8 +44,8 @@ impl OptionSet for bool {
         self || below
     }
 
-    fn add_given(&self, name: &str, given: &mut Vec<String>) {
-        given.extend(self.then(|| typed(name)));
+    fn add_given(&self, name: &'static str, given: &mut Vec<&'static str>) {
+        given.extend(self.then_some(name));
     }
 }
 
@@ -59,8 +54,8 @@ impl OptionSet for MethodOptions {
         MethodOptions::over(self, below)
     }
 
-    fn add_given(&self, _: &str, given: &mut Vec<String>) {
-        given.extend(self.to_pairs().iter().map(|(name, _)| typed(name)));
+    fn add_given(&self, _: &'static str, given: &mut Vec<&'static str>) {
+        given.extend(self.to_pairs().iter().map(|(name, _)| *name));
     }
 }
 
@@ -82,7 +77,7 @@ macro_rules! option_set {
                 $name { $($field: $crate::cli::args::OptionSet::over(self.$field, below.$field),)+ }
             }
 
-            fn add_given(&self, _: &str, given: &mut Vec<String>) {
+            fn add_given(&self, _: &'static str, given: &mut Vec<&'static str>) {
                 $($crate::cli::args::OptionSet::add_given(&self.$field, stringify!($field), given);)+
             }
         }

@@ -17,23 +17,26 @@ mod watch;
 
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::builder::TypedValueParser;
+use clap::{Args, Parser, Subcommand};
 
+use crate::pipeline::OnError;
+use crate::surface::options::ranged;
 use crate::surface::skin::SLACK_MAX_VOXELS;
 
 use super::frame_selection::FrameSelection;
-use super::quantities::parse_bytes;
+use super::quantities::one_of;
 
 use farm::parse_shard;
 
 pub(super) use ask::{StatusArgs, WhyArgs};
 pub(super) use farm::{PlanArgs, ShardChoice, VerifyArgs};
 pub(super) use flicker::FlickerArgs;
-pub(super) use formats::{CompressionChoice, Format, FormatArgs, UpChoice};
+pub(super) use formats::FormatArgs;
 pub(super) use manual::{CompletionsArgs, ManArgs};
-pub(super) use merge::{OptionSet, option_set, typed};
+pub(super) use merge::{OptionSet, option_set};
 pub(super) use method::MethodArgs;
-pub(super) use render::{RenderArgs, RunArgs, ViewArgs};
+pub(super) use render::{PictureArgs, RenderArgs, RunArgs};
 pub(super) use sequence::{FPS, SequenceArgs, ShotArgs};
 pub(super) use sheets::{ContactSheetArgs, TuneArgs};
 pub(super) use watch::{DaemonArgs, FrameArgs, LogChoice, WatchArgs};
@@ -41,7 +44,7 @@ pub(super) use watch::{DaemonArgs, FrameArgs, LogChoice, WatchArgs};
 /// Particles in, smooth meshes and level sets out.
 #[derive(Debug, Parser)]
 #[command(name = "meniscus", version, max_term_width = 100)]
-pub(super) struct Typed {
+pub(super) struct Cli {
     #[command(subcommand)]
     pub(super) command: Command,
 }
@@ -78,106 +81,95 @@ pub(super) enum Command {
     Man(ManArgs),
 }
 
-#[derive(Clone, Debug, Args)]
-#[command(after_long_help = CHOOSING)]
-pub(super) struct ConvertArgs {
-    /// Files, folders, globs, or numbered patterns such as dam.####.bgeo, dam.%04d.bgeo, dam.{}.bgeo
-    ///
-    /// PLY, BGEO of any version, VTK, NumPy arrays, LAMMPS dumps, atoms in .xyz, raw XYZ and delimited text, packed by gzip or zstd or
-    /// not; the content decides, not the name. Or level sets in .vdb, of which only the surface is made.
-    /// Frames run in natural order; files whose names differ only in the frame number are one
-    /// sequence, and share their settings. `-` reads one file from the standard input.
-    #[arg(required_unless_present_any = ["print_settings", "plan"], value_name = "INPUT")]
-    pub(super) inputs: Vec<PathBuf>,
+option_set! {
+    #[derive(Clone, Debug, PartialEq, Args)]
+    #[command(after_long_help = CHOOSING)]
+    pub(super) struct ConvertArgs {
+        /// Files, folders, globs, or numbered patterns such as dam.####.bgeo, dam.%04d.bgeo, dam.{}.bgeo
+        ///
+        /// PLY, BGEO of any version, VTK, NumPy arrays, LAMMPS dumps, atoms in .xyz, raw XYZ and delimited text, packed by gzip or zstd or
+        /// not; the content decides, not the name. Or level sets in .vdb, of which only the surface is made.
+        /// Frames run in natural order; files whose names differ only in the frame number are one
+        /// sequence, and share their settings. `-` reads one file from the standard input.
+        #[arg(required_unless_present_any = ["print_settings", "plan"], value_name = "INPUT")]
+        pub(super) inputs: Vec<PathBuf>,
 
-    /// Format of the standard input, by its usual extension, such as ply or bgeo.gz [default: found by content]
-    #[arg(long, value_name = "EXTENSION")]
-    pub(super) input_format: Option<String>,
+        /// Format of the standard input, by its usual extension, such as ply or bgeo.gz [default: found by content]
+        #[arg(long, value_name = "EXTENSION")]
+        pub(super) input_format: Option<String>,
 
-    /// Folder for the results; for a single frame also a file such as dam.glb, or - for the standard output
-    ///
-    /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on; a missing folder is made. The extension of a file is its format.
-    /// A file appears under its name only when it is whole. A result that would replace an input is refused.
-    #[arg(short, long, value_name = "PATH", required_unless_present_any = ["print_settings", "plan"])]
-    pub(super) out: Option<PathBuf>,
+        /// Folder for the results; for a single frame also a file such as dam.glb, or - for the standard output
+        ///
+        /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on; a missing folder is made. The extension of a file is its format.
+        /// A file appears under its name only when it is whole. A result that would replace an input is refused.
+        #[arg(short, long, value_name = "PATH", required_unless_present_any = ["print_settings", "plan"])]
+        pub(super) out: Option<PathBuf>,
 
-    /// What to write: a list of glb, gltf, vdb, obj, ply, vtp, stl, usda [default: glb,vdb]
-    #[arg(long, value_name = "LIST", value_delimiter = ',', ignore_case = true)]
-    pub(super) format: Option<Vec<Format>>,
+        #[command(flatten)]
+        pub(super) formats: FormatArgs,
 
-    /// Convert only frames with these numbers, such as 1-240x2 (every second) or 1-10,20,30-40x5
-    #[arg(long, value_name = "NUMBERS")]
-    pub(super) frames: Option<FrameSelection>,
+        /// Convert only frames with these numbers, such as 1-240x2 (every second) or 1-10,20,30-40x5
+        #[arg(long, value_name = "NUMBERS")]
+        pub(super) frames: Option<FrameSelection>,
 
-    /// Write what was measured on each frame to this file, as JSON
-    #[arg(long, value_name = "FILE")]
-    pub(super) report: Option<PathBuf>,
+        /// Write what was measured on each frame to this file, as JSON
+        #[arg(long, value_name = "FILE")]
+        pub(super) report: Option<PathBuf>,
 
-    /// Leave frames alone whose results are there, from the same input, settings and version
-    #[arg(long)]
-    pub(super) skip_done: bool,
+        /// Leave frames alone whose results are there, from the same input, settings and version
+        #[arg(long)]
+        pub(super) skip_done: bool,
 
-    /// By how much the surface of a level set in .vdb may move to become smooth, in voxels, 0 to 3 [default: 0]
-    ///
-    /// A level set that is an input has its voxels already: it is contoured as it is, or, with a slack, becomes the smoothest
-    /// surface that is nowhere farther from it. Options of particles are refused.
-    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = parse_slack)]
-    pub(super) band_slack: Option<f64>,
+        /// By how much the surface of a level set in .vdb may move to become smooth, in voxels, 0 to 3 [default: 0]
+        ///
+        /// A level set that is an input has its voxels already: it is contoured as it is, or, with a slack, becomes the smoothest
+        /// surface that is nowhere farther from it. Options of particles are refused.
+        #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = slack())]
+        pub(super) band_slack: Option<f64>,
 
-    /// Write the particles as they are, as ply or vtp, and no surface
-    ///
-    /// Every attribute keeps its name and its type, and positions their 64 bits. Options about surfaces are refused.
-    #[arg(long)]
-    pub(super) particles_only: bool,
+        /// Write the particles as they are, as ply or vtp, and no surface
+        ///
+        /// Every attribute keeps its name and its type, and positions their 64 bits. Options about surfaces are refused.
+        #[arg(long)]
+        pub(super) particles_only: bool,
 
-    /// Convert a shard of this plan, which `meniscus plan` wrote, and leave alone what is done
-    ///
-    /// The plan says what is made of which frames: beside it only --shard, --report and the options under Run may be
-    /// given.
-    #[arg(long, value_name = "FILE", requires = "shard", help_heading = "Farm")]
-    pub(super) plan: Option<PathBuf>,
+        /// Convert a shard of this plan, which `meniscus plan` wrote, and leave alone what is done
+        ///
+        /// The plan says what is made of which frames: beside it only --shard, --report and the options under Run may be
+        /// given.
+        #[arg(long, value_name = "FILE", requires = "shard", help_heading = "Farm")]
+        pub(super) plan: Option<PathBuf>,
 
-    /// Which shard of the plan, from 0; or slurm: the number of this task of a job array
-    #[arg(long, value_name = "K", requires = "plan", value_parser = parse_shard, help_heading = "Farm")]
-    pub(super) shard: Option<ShardChoice>,
+        /// Which shard of the plan, from 0; or slurm: the number of this task of a job array
+        #[arg(long, value_name = "K", requires = "plan", value_parser = parse_shard, help_heading = "Farm")]
+        pub(super) shard: Option<ShardChoice>,
 
-    /// Threads to compute on, 1 to 1024; all there are by default. The results do not depend on it
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Run")]
-    pub(super) threads: Option<u16>,
+        #[command(flatten)]
+        pub(super) method: MethodArgs,
 
-    /// Memory that the frames under way may take together, such as 8GiB; half of what there is by
-    /// default
-    ///
-    /// A frame that takes more by itself is skinned in tiles, which wait in files beside the results, and comes
-    /// out the same. One that cannot be fails, and says how much it needs.
-    #[arg(long, value_name = "SIZE", value_parser = parse_bytes, help_heading = "Run")]
-    pub(super) memory: Option<u64>,
+        #[command(flatten, next_help_heading = "Run")]
+        pub(super) run: RunArgs,
 
-    /// After a frame that failed, stop or continue with the next
-    #[arg(long, value_name = "WHAT", default_value = "continue", help_heading = "Run")]
-    pub(super) on_error: OnErrorChoice,
+        /// After a frame that failed, stop or continue with the next [default: continue]
+        #[arg(long, value_name = "WHAT", value_parser = on_error(), help_heading = "Run")]
+        pub(super) on_error: Option<OnError>,
 
-    /// Exit with status 0 though some results fail validation
-    ///
-    /// Each result is checked as it was written: every particle inside, the surface between its bounds, the mesh closed. A
-    /// result that fails is kept and named, and without this option the exit status is 1.
-    #[arg(long, help_heading = "Run")]
-    pub(super) allow_violations: bool,
+        /// Exit with status 0 though some results fail validation
+        ///
+        /// Each result is checked as it was written: every particle inside, the surface between its bounds, the mesh closed. A
+        /// result that fails is kept and named, and without this option the exit status is 1.
+        #[arg(long, help_heading = "Run")]
+        pub(super) allow_violations: bool,
 
-    /// Print the settings that these options and a --preset stand for, as keys of a file, and convert nothing
-    ///
-    /// Without INPUT, --spacing and --voxel-size, lengths are in units of the particle spacing.
-    #[arg(long, help_heading = "Run")]
-    pub(super) print_settings: bool,
+        /// Print the settings that these options and a --preset stand for, as keys of a file, and convert nothing
+        ///
+        /// Without INPUT, --spacing and --voxel-size, lengths are in units of the particle spacing.
+        #[arg(long, help_heading = "Run")]
+        pub(super) print_settings: bool,
 
-    #[command(flatten)]
-    pub(super) method: MethodArgs,
-
-    #[command(flatten, next_help_heading = "Formats")]
-    pub(super) formats: FormatArgs,
-
-    #[command(flatten, next_help_heading = "Shot")]
-    pub(super) shot: ShotArgs,
+        #[command(flatten, next_help_heading = "Shot")]
+        pub(super) shot: ShotArgs,
+    }
 }
 
 #[derive(Debug, Args)]
@@ -191,21 +183,16 @@ pub(super) struct InfoArgs {
     pub(super) json: bool,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(super) enum OnErrorChoice {
-    /// Write exactly the frames before the one that failed
-    Stop,
-    /// Go on with the next frame
-    Continue,
+fn on_error() -> impl TypedValueParser<Value = OnError> {
+    one_of([
+        (OnError::Stop, "stop", "Write exactly the frames before the one that failed"),
+        (OnError::Continue, "continue", "Go on with the next frame"),
+    ])
 }
 
 /// A slack in voxels, within what the band around a surface has room for.
-fn parse_slack(text: &str) -> Result<f64, String> {
-    let slack: f64 = text.parse().map_err(|_| "expected a number of voxels".to_owned())?;
-    match (0.0..=f64::from(SLACK_MAX_VOXELS)).contains(&slack) {
-        true => Ok(slack),
-        false => Err(format!("0 to {SLACK_MAX_VOXELS} voxels")),
-    }
+fn slack() -> impl TypedValueParser<Value = f64> {
+    ranged::<f64>(0.0..=SLACK_MAX_VOXELS.into())
 }
 
 const CHOOSING: &str = "\

@@ -4,11 +4,15 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::formats::{PreviewChoice, UpChoice};
+use meniscus_formats::UpAxis;
+
+use super::formats::{picture_format, up_axis};
+use super::merge::option_set;
 use super::method::MethodArgs;
 use crate::cli::frame_selection::FrameSelection;
 use crate::cli::quantities::{PictureSize, parse_bytes, parse_picture_size};
-use crate::pipeline::CameraChoice;
+use crate::pipeline::{CameraChoice, OutputFormat};
+use crate::surface::options::ranged;
 
 #[derive(Debug, Args)]
 #[command(after_long_help = CAMERAS)]
@@ -30,8 +34,8 @@ pub(in crate::cli) struct RenderArgs {
     pub(in crate::cli) out: Option<PathBuf>,
 
     /// The format of the pictures in --out [default: png]
-    #[arg(long, value_name = "FORMAT")]
-    pub(in crate::cli) format: Option<PreviewChoice>,
+    #[arg(long, value_name = "FORMAT", value_parser = picture_format())]
+    pub(in crate::cli) format: Option<OutputFormat>,
 
     /// Only frames with these numbers, such as 1-240x2 (every second) or 1-10,20,30-40x5
     #[arg(long, value_name = "NUMBERS")]
@@ -41,27 +45,21 @@ pub(in crate::cli) struct RenderArgs {
     #[arg(long, value_name = "SIZE", value_parser = parse_picture_size, default_value = "1280x720")]
     pub(in crate::cli) size: PictureSize,
 
-    #[command(flatten)]
-    pub(in crate::cli) view: ViewArgs,
-
     /// As many pictures of each frame, 2 to 1000, once around it: frame.000.png and so on
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(2..=1000))]
+    #[arg(long, value_name = "N", value_parser = ranged::<u16>(2..=1000))]
     pub(in crate::cli) turntable: Option<u16>,
 
     /// The particles to the left, the surface to the right
     #[arg(long)]
     pub(in crate::cli) particles: bool,
 
-    #[command(flatten, next_help_heading = "Run")]
-    pub(in crate::cli) run: RunArgs,
-
     #[command(flatten)]
-    pub(in crate::cli) method: MethodArgs,
+    pub(in crate::cli) pictures: PictureArgs,
 }
 
-/// Where pictures are taken from: the same for every command that takes some.
+/// How pictures are taken, and of what: the same for every command that takes some.
 #[derive(Clone, Debug, Args)]
-pub(in crate::cli) struct ViewArgs {
+pub(in crate::cli) struct PictureArgs {
     /// Where pictures are taken from: auto, or a list of key=value, such as azimuth=32,zoom=2, which
     /// `meniscus render --help` explains [default: auto]
     #[arg(long, value_name = "SPEC", conflicts_with = "camera_from")]
@@ -72,20 +70,32 @@ pub(in crate::cli) struct ViewArgs {
     pub(in crate::cli) camera_from: Option<PathBuf>,
 
     /// Which axis points up, where --camera does not say it; a camera of a .glb or .gltf is turned to it [default: y]
-    #[arg(long, value_name = "AXIS", ignore_case = true)]
-    pub(in crate::cli) up: Option<UpChoice>,
+    #[arg(long, value_name = "AXIS", ignore_case = true, value_parser = up_axis())]
+    pub(in crate::cli) up: Option<UpAxis>,
+
+    #[command(flatten)]
+    pub(in crate::cli) method: MethodArgs,
+
+    #[command(flatten, next_help_heading = "Run")]
+    pub(in crate::cli) run: RunArgs,
 }
 
-/// What commands that skin for pictures may take of the machine.
-#[derive(Clone, Debug, Args)]
-pub(in crate::cli) struct RunArgs {
-    /// Threads to compute on, 1 to 1024; all there are by default. The pictures do not depend on it
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
-    pub(in crate::cli) threads: Option<u16>,
+option_set! {
+    /// What a command may take of the machine.
+    #[derive(Clone, Debug, Default, PartialEq, Args)]
+    pub(in crate::cli) struct RunArgs {
+        /// Threads to compute on, 1 to 1024; all there are by default. The results do not depend on it
+        #[arg(long, value_name = "N", value_parser = ranged::<u16>(1..=1024))]
+        pub(in crate::cli) threads: Option<u16>,
 
-    /// Memory that skinning may take, such as 8GiB; half of what there is by default
-    #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
-    pub(in crate::cli) memory: Option<u64>,
+        /// Memory that the frames under way may take together, such as 8GiB; half of what there is by
+        /// default
+        ///
+        /// A frame that takes more by itself is skinned in tiles, which wait in files beside the results, and comes
+        /// out the same. One that cannot be fails, and says how much it needs.
+        #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
+        pub(in crate::cli) memory: Option<u64>,
+    }
 }
 
 const CAMERAS: &str = "\

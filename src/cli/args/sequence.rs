@@ -5,7 +5,9 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::merge::option_set;
-use crate::cli::quantities::parse_meters_per_unit;
+use crate::cli::quantities::parse_fps;
+use crate::pipeline::METERS_PER_UNIT;
+use crate::surface::options::ranged;
 
 #[derive(Debug, Args)]
 #[command(after_long_help = PLAYING)]
@@ -23,7 +25,7 @@ pub(in crate::cli) struct SequenceArgs {
     pub(in crate::cli) fps: f64,
 
     /// Length of a world unit in metres, 1e-9 to 1e9, for .usda [default: 1]
-    #[arg(long, value_name = "M", value_parser = parse_meters_per_unit)]
+    #[arg(long, value_name = "M", value_parser = ranged::<f64>(METERS_PER_UNIT))]
     pub(in crate::cli) meters_per_unit: Option<f64>,
 }
 
@@ -47,11 +49,6 @@ option_set! {
 
 /// Frames per second, unless others are asked for.
 pub(in crate::cli) const FPS: f64 = 24.0;
-
-pub(super) fn parse_fps(text: &str) -> Result<f64, String> {
-    let fps = text.parse().ok().filter(|fps| (f64::MIN_POSITIVE..=1000.0).contains(fps));
-    fps.ok_or_else(|| format!("`{text}` is no number of frames per second: more than 0, at most 1000"))
-}
 
 const PLAYING: &str = "\
 When a frame is shown is told by its number; a frame that is missing leaves its time to the one before it. In a .usda the numbers are

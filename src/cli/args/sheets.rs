@@ -4,11 +4,11 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::method::MethodArgs;
-use super::render::{RunArgs, ViewArgs};
+use super::render::PictureArgs;
 use crate::cli::frame_selection::FrameSelection;
 use crate::cli::quantities::{PictureSize, parse_picture_size};
-use crate::cli::sheets::Vary;
+use crate::cli::vary::{Vary, tuning_help};
+use crate::surface::options::ranged;
 
 #[derive(Debug, Args)]
 #[command(after_long_help = CONTACT_SHEETS)]
@@ -30,11 +30,11 @@ pub(in crate::cli) struct ContactSheetArgs {
 
     /// Cells for each sequence, at most, 2 to 1000: of more frames so many are shown, evenly spaced, with the first
     /// and the last
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(2..=1000), default_value_t = 60)]
+    #[arg(long, value_name = "N", value_parser = ranged::<u16>(2..=1000), default_value_t = 60)]
     pub(in crate::cli) count: u16,
 
     /// Cells in a row, 1 to 1000; about as many as there are rows by default
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1000))]
+    #[arg(long, value_name = "N", value_parser = ranged::<u16>(1..=1000))]
     pub(in crate::cli) columns: Option<u16>,
 
     /// Width and height of a cell, pixels, each 16 to 8192
@@ -42,17 +42,11 @@ pub(in crate::cli) struct ContactSheetArgs {
     pub(in crate::cli) size: PictureSize,
 
     #[command(flatten)]
-    pub(in crate::cli) view: ViewArgs,
-
-    #[command(flatten, next_help_heading = "Run")]
-    pub(in crate::cli) run: RunArgs,
-
-    #[command(flatten)]
-    pub(in crate::cli) method: MethodArgs,
+    pub(in crate::cli) pictures: PictureArgs,
 }
 
 #[derive(Debug, Args)]
-#[command(after_long_help = TUNING)]
+#[command(after_long_help = tuning_help())]
 pub(in crate::cli) struct TuneArgs {
     /// Particles, as convert takes them: a file, or a folder, glob or numbered pattern with one sequence
     ///
@@ -81,13 +75,7 @@ pub(in crate::cli) struct TuneArgs {
     pub(in crate::cli) out: PathBuf,
 
     #[command(flatten)]
-    pub(in crate::cli) view: ViewArgs,
-
-    #[command(flatten, next_help_heading = "Run")]
-    pub(in crate::cli) run: RunArgs,
-
-    #[command(flatten)]
-    pub(in crate::cli) method: MethodArgs,
+    pub(in crate::cli) pictures: PictureArgs,
 }
 
 const CONTACT_SHEETS: &str = "\
@@ -101,37 +89,3 @@ Exit status:
   0    every frame is on the sheet
   1    some frames failed: their cells say why, and the others are there
   2    the command cannot be carried out, or no frame could be shown: there is no sheet";
-
-const TUNING: &str = "\
-What to vary:
-  ratio       --radius-ratio, r_max / r_min: how much room there is for smoothing
-  time        --steps: how long it is smoothed
-  h           --voxel-size: how fine it is
-  smoothing   --position-smoothing: how calm it is
-  min, init   --radius-min, --radius-init
-  thin, alone --thin-radius, --lone-radius: how thick sheets and drops are
-  stretch     --max-stretch
-  neighbors   --neighbor-radius
-  laplacian   --laplacian-steps
-  step        --step-size
-  redistance  --redistance-every
-  offset      --offset
-  Values follow a = and are separated by commas: numbers as the option takes them, or, with an x
-  behind them, multiples of what it is without: --vary ratio=1.5,2,3,h=0.5x,1x. Without values,
-  ratio is 1.25,2,3,4, time 0x,0.5x,1x,2x, h 1.5x,1x,0.75x,0.5x, and so on; and what it is without is
-  there.
-  The first differs from row to row, the second from column to column, the third from block to block.
-  With --preset paper and an h smaller than without, r_min is held at what it is without, or spheres
-  would come apart.
-
-What is shown:
-  Without --camera or --camera-from the part of the frame that has the most surface, 16 particle
-  spacings wide; with --camera zoom=1 the whole frame.
-
-  All other options hold for every cell. The command of each cell is printed, with how long the cell
-  took, and is on the sheet: it converts INPUT as the cell shows it.
-
-Exit status:
-  0    every cell has its picture
-  1    some settings were refused or failed: their cells say why, and the others are there
-  2    the command cannot be carried out, or no cell has a picture: there is no sheet";

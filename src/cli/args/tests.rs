@@ -12,7 +12,7 @@ use crate::surface::options::{Length, MethodOptions, ValueKind};
 const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/options.md");
 
 fn options_of_convert() -> Vec<Arg> {
-    let mut program = Typed::command();
+    let mut program = Cli::command();
     program.build();
     let convert = program.find_subcommand("convert").expect("a command");
     convert.get_arguments().filter(|option| option.get_id() != "help").cloned().collect()
@@ -121,7 +121,7 @@ fn help_states_the_range_and_lengths_say_their_unit() {
 fn lengths_have_units_on_the_command_line() {
     let parsed = |words: &[&str]| {
         let words = ["meniscus", "convert", "a.ply", "--out", "b"].iter().chain(words);
-        let typed = Typed::try_parse_from(words).map_err(|error| error.to_string())?;
+        let typed = Cli::try_parse_from(words).map_err(|error| error.to_string())?;
         match typed.command {
             Command::Convert(args) => Ok(args.method.to_options()),
             _ => Err("another command".to_owned()),

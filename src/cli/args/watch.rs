@@ -9,9 +9,10 @@ use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 
-use super::formats::{Format, FormatArgs};
+use super::formats::FormatArgs;
 use super::merge::{OptionSet, option_set};
 use super::method::MethodArgs;
+use super::render::RunArgs;
 use crate::cli::quantities::{parse_bytes, parse_duration, parse_listen, parse_poll, parse_rescan};
 use crate::surface::options::ranged;
 use crate::watch::{Order, Poll};
@@ -80,15 +81,11 @@ option_set! {
         #[arg(long, value_name = "NAME")]
         pub(in crate::cli) sentinel: Option<String>,
 
-        /// What to write: a list of glb, gltf, vdb, obj, ply, vtp, stl, usda [default: glb,vdb]
-        #[arg(long, value_name = "LIST", value_delimiter = ',', ignore_case = true)]
-        pub(in crate::cli) format: Option<Vec<Format>>,
+        #[command(flatten)]
+        pub(in crate::cli) formats: FormatArgs,
 
         #[command(flatten)]
         pub(in crate::cli) method: MethodArgs,
-
-        #[command(flatten, next_help_heading = "Formats")]
-        pub(in crate::cli) formats: FormatArgs,
     }
 }
 
@@ -100,21 +97,12 @@ option_set! {
         #[arg(long, value_name = "WHICH", ignore_case = true)]
         pub(in crate::cli) order: Option<Order>,
 
-        /// Threads to compute on, 1 to 1024; all there are by default. The results do not depend on it
-        #[arg(long, value_name = "N", value_parser = ranged::<u16>(1..=1024))]
-        pub(in crate::cli) threads: Option<u16>,
+        #[command(flatten)]
+        pub(in crate::cli) run: RunArgs,
 
         /// Frames under way at once, at most, 1 to 1024; by the number of threads by default
         #[arg(long, value_name = "N", value_parser = ranged::<u16>(1..=1024))]
         pub(in crate::cli) in_flight: Option<u16>,
-
-        /// Memory that the frames under way may take together, such as 8GiB; half of what there is by
-        /// default
-        ///
-        /// A frame that takes more by itself is skinned in tiles, which wait in files beside the results, and comes
-        /// out the same. One that cannot be fails, and says how much it needs.
-        #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
-        pub(in crate::cli) memory: Option<u64>,
 
         /// Begin no frame while the disk of the results has less room than this [default: 1GiB]
         #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]

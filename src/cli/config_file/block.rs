@@ -17,7 +17,8 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::keys_of;
-use crate::cli::args::{OptionSet, typed};
+use crate::cli::args::OptionSet;
+use crate::cli::wording::typed;
 use crate::surface::options::Length;
 use crate::watch::Poll;
 

@@ -1,5 +1,5 @@
 use super::*;
-use crate::cli::args::{Format, FormatArgs, LogChoice, UpChoice};
+use crate::cli::args::{FormatArgs, LogChoice, RunArgs};
 use crate::pipeline::OutputFormat;
 use crate::surface::options::{Contouring, MethodOptions, ValueKind};
 use crate::watch::{Order, Poll};
@@ -29,22 +29,22 @@ fn blocks_become_options() {
          up = \"Z\"\n",
     )
     .expect("a good file");
-    let DaemonArgs { order, memory, disk_floor, poll, log, threads, settle, rescan, .. } = file.daemon;
+    let DaemonArgs { order, run, disk_floor, poll, log, settle, rescan, .. } = file.daemon;
     assert_eq!((order, log), (Some(Order::Latest), Some(LogChoice::Json)));
-    assert_eq!((memory, disk_floor), (Some(8 << 30), Some(1024)));
+    assert_eq!((run, disk_floor), (RunArgs { threads: Some(4), memory: Some(8 << 30) }, Some(1024)));
     assert_eq!((poll, settle), (Some(Poll::Auto), Some(Duration::from_secs(2))));
-    assert_eq!((threads, rescan), (Some(4), None));
+    assert_eq!(rescan, None);
     let [first, second] = &file.watches[..] else { panic!("two blocks") };
     assert_eq!((first.line, second.line), (10, 19));
     assert_eq!((&*first.input, first.output.as_deref()), (Path::new("farm/a"), Some(Path::new("/out"))));
     assert_eq!((&*second.input, second.output.as_deref()), (Path::new("farm/b"), None));
-    assert_eq!(first.frames.format, Some(vec![Format(OutputFormat::Glb), Format(OutputFormat::Ply)]));
+    assert_eq!(first.frames.formats.format, Some(vec![OutputFormat::Glb, OutputFormat::Ply]));
     assert_eq!(first.frames.method.options.contour, Some(Contouring::Tetrahedra));
     assert_eq!(
         (first.frames.method.options.voxel_size, first.frames.method.options.steps),
         (Some(1.0.into()), Some(10))
     );
-    let formats = FormatArgs { up: Some(UpChoice::Z), ..FormatArgs::default() };
+    let formats = FormatArgs { up: Some(meniscus_formats::UpAxis::Z), ..FormatArgs::default() };
     let expected = FrameArgs { recursive: true, formats, ..FrameArgs::default() };
     assert_eq!(second.frames, expected);
 }
@@ -96,11 +96,11 @@ fn wrong_values_are_errors_with_their_line() {
     }
     for (entry, words) in [
         ("settle = 1", &["`settle` is 1", "with a unit"][..]),
-        ("settle = \"soon\"", &["`settle`: `soon` is no time"]),
-        ("poll = \"0s\"", &["too short"]),
-        ("rescan = \"99d\"", &["too long"]),
-        ("memory = \"lots\"", &["`memory`: `lots` is no size"]),
-        ("memory = -1", &["`memory`: `-1` is no size"]),
+        ("settle = \"soon\"", &["`settle`: `soon` is not a time"]),
+        ("poll = \"0s\"", &["from 50ms"]),
+        ("rescan = \"99d\"", &["to 30days"]),
+        ("memory = \"lots\"", &["`memory`: `lots` is not a size"]),
+        ("memory = -1", &["`memory`: `-1` is not a size"]),
         ("threads = 0", &["from 1 to 1024"]),
         ("in_flight = 99999", &["from 1 to 1024"]),
         ("log = \"xml\"", &["\"text\", \"json\""]),

@@ -10,13 +10,14 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 
 use crate::cli::args::FlickerArgs;
 use crate::cli::console::Console;
 use crate::cli::frame_selection::FrameSelection;
 use crate::cli::inputs::find_inputs;
-use crate::pipeline::{FrameFile, Sequence, sequences, shown};
+use crate::cli::selecting::only_sequence;
+use crate::pipeline::{FrameFile, Sequence, shown};
 
 /// The files of a frame.
 #[derive(Clone, Debug)]
@@ -84,7 +85,7 @@ pub(super) fn find(args: &FlickerArgs, console: &mut Console) -> Result<Frames> 
         }
     }
     if !alone.is_empty() {
-        console.warn(format_args!("warning: {name}: no particles for {}: not used", listed(&alone)));
+        console.warning(format_args!("{name}: no particles for {}: not used", listed(&alone)));
     }
     let numbers: Vec<u64> = files.keys().copied().collect();
     if numbers.len() < 3 {
@@ -107,13 +108,13 @@ pub(super) fn find(args: &FlickerArgs, console: &mut Console) -> Result<Frames> 
     if scored.is_empty() {
         bail!(
             "{name}: no three frames follow each other: {} both a mesh and particles",
-            listed_have(&numbers)
+            listed_with(&numbers, ["has", "have"])
         );
     }
     if !skipped.is_empty() {
-        console.warn(format_args!(
-            "warning: {name}: {} not scored: the mesh or the particles of a neighbour are missing",
-            listed_are(&skipped)
+        console.warning(format_args!(
+            "{name}: {} not scored: the mesh or the particles of a neighbour are missing",
+            listed_with(&skipped, ["is", "are"])
         ));
     }
     let is_selected = |number: &u64| {
@@ -129,17 +130,7 @@ pub(super) fn find(args: &FlickerArgs, console: &mut Console) -> Result<Frames> 
 fn one_sequence(inputs: &[PathBuf], what: &str, console: &mut Console) -> Result<Sequence> {
     let found = find_inputs(inputs)?;
     found.report(console);
-    let mut all = sequences(found.files);
-    let names: Vec<&str> = all.iter().map(|sequence| &*sequence.name).collect();
-    match names[..] {
-        [_] => {}
-        [] => bail!("no {what} were found"),
-        [one, other, ..] => bail!(
-            "the {what} are of {} sequences, such as {one} and {other}: name one of them by a pattern such as dam.####.ply",
-            names.len()
-        ),
-    }
-    all.pop().with_context(|| format!("no {what} were found"))
+    only_sequence(found.files, &format!("the {what} must be of one sequence"))
 }
 
 fn by_number(sequence: Sequence) -> Result<BTreeMap<u64, FrameFile>> {
@@ -181,12 +172,9 @@ fn listed(numbers: &[u64]) -> String {
     format!("{} {}", if distinct.len() == 1 { "frame" } else { "frames" }, names.join(", "))
 }
 
-fn listed_have(numbers: &[u64]) -> String {
-    format!("{} {}", listed(numbers), if numbers.len() == 1 { "has" } else { "have" })
-}
-
-fn listed_are(numbers: &[u64]) -> String {
-    format!("{} {}", listed(numbers), if numbers.len() == 1 { "is" } else { "are" })
+/// Frames, and what there is to say of one of them, or of several.
+fn listed_with(numbers: &[u64], [one, several]: [&str; 2]) -> String {
+    format!("{} {}", listed(numbers), if numbers.len() == 1 { one } else { several })
 }
 
 #[cfg(test)]
@@ -210,7 +198,7 @@ mod tests {
     #[test]
     fn long_lists_are_cut() {
         assert_eq!(listed(&[7]), "frame 7");
-        assert_eq!(listed_are(&[7, 9]), "frames 7, 9 are");
+        assert_eq!(listed_with(&[7, 9], ["is", "are"]), "frames 7, 9 are");
         assert_eq!(listed(&(1..=10).collect::<Vec<_>>()), "frames 1, 2, 3, 4, 5, 6, 7, 8, and 2 more");
     }
 }

@@ -13,21 +13,20 @@ mod tables;
 mod tally;
 
 use std::collections::BTreeMap;
-use std::io::Write;
 use std::path::Path;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 
-use crate::pipeline::{are_one_file, shown, write_whole};
+use crate::pipeline::{are_one_file, shown};
 use crate::surface::flicker::{CARRY_REACH, Carrier, FlickerFrame, Summary, flicker};
 
 use super::Verdict;
 use super::args::FlickerArgs;
 use super::console::Console;
-use super::convert::thread_pool;
-use super::interrupt::clean_up_when_interrupted;
-use super::selecting::refuse_shut_folder;
-use super::studio::{caught, named_picture};
+use super::machine::thread_pool;
+use super::out_folder::write_file;
+use super::render_session::{catch_panic, named_picture};
+use super::selecting::refuse_odd_place;
 use super::wording::{counted, significant, with_causes};
 
 use frames::Frames;
@@ -41,7 +40,6 @@ const UNCARRIED_MOST: f64 = 0.5;
 /// # Errors
 /// When no frame can be scored.
 pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Verdict> {
-    clean_up_when_interrupted();
     let frames = frames::find(args, console)?;
     refuse_outputs(args, &frames)?;
     let pool = thread_pool(args.threads)?;
@@ -49,7 +47,7 @@ pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Verdict
         Some(spacing) => spacing,
         None => {
             let (spacing, warnings) = pool.install(|| reading::estimated_spacing(&frames))?;
-            warnings.iter().for_each(|warning| console.warn(format_args!("warning: {warning}")));
+            warnings.iter().for_each(|warning| console.warning(warning));
             spacing
         }
     };
@@ -81,14 +79,14 @@ pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Verdict
     };
     report(&frames, &tally, &summary, (spacing, carrier), console);
     if let Some(path) = &args.csv {
-        write(path, |out| tables::write_frames(&tally.frames, out))?;
+        write_file(path, |out| tables::write_frames(&tally.frames, out))?;
     }
     if let Some(path) = &args.points {
-        write(path, |out| tables::write_points(&tally.worst_points, out))?;
+        write_file(path, |out| tables::write_points(&tally.worst_points, out))?;
     }
     if let Some(path) = &args.picture {
         let bytes = pool.install(|| picture::encoded(&frames, &tally, &summary))?;
-        write(path, |out| out.write_all(&bytes))?;
+        write_file(path, |out| out.write_all(&bytes))?;
     }
     Ok(if failed_count > 0 { Verdict::SomeFailed } else { Verdict::Done })
 }
@@ -127,14 +125,14 @@ impl Scoring<'_> {
         };
         let name = self.frames.name_of(number);
         if middle.surface().bounds().is_none() {
-            console.warn(format_args!("warning: {name}: the mesh is empty, so it has no points to score"));
+            console.warning(format_args!("{name}: the mesh is empty, so it has no points to score"));
             return Ok(None);
         }
         let samples = usize::try_from(self.args.samples).unwrap_or(usize::MAX);
         let found = flicker([before, middle, after], carrier, self.spacing, samples);
         if found.uncarried_count as f64 > UNCARRIED_MOST * samples as f64 {
-            console.warn(format_args!(
-                "warning: {name}: {} of {samples} points on the surface have no particle within {CARRY_REACH} spacings ({}): check \
+            console.warning(format_args!(
+                "{name}: {} of {samples} points on the surface have no particle within {CARRY_REACH} spacings ({}): check \
                  --spacing, --fps or --dt, and that meshes and particles have the same unit and the same axes",
                 found.uncarried_count,
                 significant(CARRY_REACH * self.spacing)
@@ -147,17 +145,17 @@ impl Scoring<'_> {
     fn read(&mut self, number: u64, console: &mut Console) -> Result<Option<FlickerFrame>> {
         let Some(files) = self.frames.files.get(&number) else { return Ok(None) };
         let spacing = self.spacing;
-        let frame = match caught(&files.mesh, || reading::read_frame(files, spacing)) {
+        let frame = match catch_panic(&files.mesh, || reading::read_frame(files, spacing)) {
             Ok(frame) => frame,
             Err(error) => {
                 self.failed_count += 1;
-                console.warn(format_args!("error: {}", with_causes(&error)));
+                console.error(with_causes(&error));
                 return Ok(None);
             }
         };
         if frame.surface().open_edge_count() > 0 && !std::mem::replace(&mut self.is_open_told, true) {
-            console.warn(format_args!(
-                "warning: {}: the mesh is open at {}: a point that moves beyond its rim counts by its distance to the rim",
+            console.warning(format_args!(
+                "{}: the mesh is open at {}: a point that moves beyond its rim counts by its distance to the rim",
                 shown(&files.mesh),
                 counted(frame.surface().open_edge_count(), "edge")
             ));
@@ -179,8 +177,8 @@ impl Scoring<'_> {
             Carrier::Ids => "no ids, or share most of them",
             Carrier::Velocities { .. } => "no velocities",
         };
-        console.warn(format_args!(
-            "error: {}: the particles have {lacking}, unlike those of the first frame",
+        console.error(format_args!(
+            "{}: the particles have {lacking}, unlike those of the first frame",
             shown(&files.particles)
         ));
         Ok(None)
@@ -264,13 +262,7 @@ fn refuse_outputs(args: &FlickerArgs, frames: &Frames) -> Result<()> {
         if option == "--picture" {
             named_picture(path, &["png"])?;
         }
-        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-        if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
-            bail!("{option} {}: the folder {} does not exist", path.display(), folder.display());
-        }
-        if path.is_dir() {
-            bail!("{option} {}: this is a folder", path.display());
-        }
+        refuse_odd_place(option, path)?;
         let inputs = frames.files.values().flat_map(|files| [&files.mesh, &files.particles]);
         if let Some(input) = inputs.into_iter().find(|input| are_one_file(input, path)) {
             bail!("{option} {}: would replace the input {}", path.display(), input.display());
@@ -278,12 +270,7 @@ fn refuse_outputs(args: &FlickerArgs, frames: &Frames) -> Result<()> {
         if paths.iter().any(|other| are_one_file(other, path)) {
             bail!("{option} {}: another option names the same file", path.display());
         }
-        refuse_shut_folder(option, path)?;
         paths.push(path);
     }
     Ok(())
-}
-
-fn write(path: &Path, content: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
-    write_whole(path, |out| Ok(content(out)?)).with_context(|| format!("{}: cannot write", path.display()))
 }

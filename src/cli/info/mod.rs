@@ -26,11 +26,11 @@ use crate::pipeline::{
     FrameError, file_of, frames_in, frames_in_unless, measure_spacing, read_file, read_regular, step_of,
 };
 
-use super::Verdict;
 use super::args::InfoArgs;
 use super::console::{Console, json_text};
 use super::inputs::find_inputs;
 use super::wording::with_causes;
+use super::{Tally, Verdict};
 
 use mesh::MeshInfo;
 use particles::ParticlesInfo;
@@ -80,7 +80,7 @@ struct LayerRecord {
 /// # Errors
 /// When the result cannot be written as JSON.
 pub(super) fn info(args: &InfoArgs, console: &mut Console) -> Result<Verdict> {
-    let (mut count, mut failed_count) = (0, 0);
+    let mut tally = Tally::default();
     // An element of the JSON array waits until it is known whether a comma follows.
     let mut last_element: Option<String> = None;
     for given in &args.files {
@@ -96,23 +96,18 @@ pub(super) fn info(args: &InfoArgs, console: &mut Console) -> Result<Verdict> {
             }
             match &info.error {
                 Some(error) => {
-                    failed_count += 1;
-                    console.warn(format_args!("error: {}: {error}", info.file));
+                    console.error(format_args!("{}: {error}", info.file));
                 }
                 None if !args.json => console.say_lines(info.to_string().lines()),
                 None => {}
             }
-            count += 1;
+            tally.add(info.error.is_none());
         }
     }
     if args.json {
         console.say_as_is(&last_element.map_or("[]".to_owned(), |last| format!("{last}\n]")));
     }
-    Ok(match failed_count {
-        0 => Verdict::Done,
-        failed_count if failed_count < count => Verdict::SomeFailed,
-        _ => Verdict::NothingDone,
-    })
+    Ok(tally.verdict())
 }
 
 /// The files that were meant. Of one with several steps each is told by itself; one that cannot be looked through is told as such.
@@ -127,7 +122,7 @@ fn files_of(path: &Path, console: &Console) -> Box<dyn Iterator<Item = PathBuf>>
     // What matches nothing is told as what is not there.
     let Ok(found) = find_inputs(&[path.to_owned()]) else { return alone };
     for warning in &found.warnings {
-        console.warn(format_args!("warning: {warning}"));
+        console.warning(warning);
     }
     Box::new(found.files.into_iter().map(|file| file.path))
 }

@@ -1,8 +1,12 @@
 //! A command as it is typed: what a cell of `meniscus tune` shows, for all frames of INPUT.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use crate::cli::args::{MethodArgs, UpChoice, typed};
+use meniscus_formats::UpAxis;
+
+use crate::cli::args::TuneArgs;
+use crate::cli::wording::typed;
+use crate::surface::options::MethodOptions;
 
 /// The words of a command, each as a shell takes it.
 pub(super) struct CommandLine {
@@ -12,11 +16,10 @@ pub(super) struct CommandLine {
 }
 
 impl CommandLine {
-    /// The command that converts these inputs into this folder with these options.
+    /// The command that converts the inputs of `tune` with these options, and all else as it is asked for.
     pub(super) fn convert(
-        (inputs, out): (&[PathBuf], &Path),
-        method: &MethodArgs,
-        up: Option<UpChoice>,
+        TuneArgs { inputs, out, pictures, .. }: &TuneArgs,
+        options: &MethodOptions,
     ) -> CommandLine {
         let mut line = CommandLine { words: Vec::new(), short_words: Vec::new() };
         line.add("meniscus");
@@ -24,7 +27,7 @@ impl CommandLine {
         inputs.iter().for_each(|input| line.add_path(input));
         line.add("--out");
         line.add_path(out);
-        for (name, value) in method.to_options().to_pairs() {
+        for (name, value) in options.to_pairs() {
             match name {
                 "quads" if value == "true" => line.add("--quads"),
                 // Their values are optional, and must be behind a =.
@@ -32,11 +35,11 @@ impl CommandLine {
                 _ => line.add_option(name, &value),
             }
         }
-        for obstacle in &method.obstacle {
+        for obstacle in &pictures.method.obstacle {
             line.add("--obstacle");
             line.add_path(obstacle);
         }
-        if up == Some(UpChoice::Z) {
+        if pictures.up == Some(UpAxis::Z) {
             line.add_option("up", "z");
         }
         line
@@ -99,6 +102,8 @@ fn quoted(word: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cli::args::{Cli, Command};
+    use clap::Parser;
 
     #[test]
     fn words_are_those_that_a_shell_takes() {
@@ -117,12 +122,17 @@ mod tests {
     #[test]
     fn long_paths_are_short_on_sheets_and_whole_elsewhere() {
         let long = "a/long/way/to/somewhere/that/nobody/knows/dam.####.bgeo";
-        let mut method = MethodArgs::default();
-        method.options.radius_ratio = Some(1.5);
-        method.options.smooth_normals = Some(3);
-        method.options.clip = "-1,0,0,1,1,1".parse().ok();
-        let inputs = [long.into(), "-x.ply".into()];
-        let line = CommandLine::convert((&inputs, Path::new("my meshes")), &method, Some(UpChoice::Z));
+        let typed = ["meniscus", "tune", long, "./-x.ply", "-o=s.png", "--out=my meshes", "--up=z"];
+        let Command::Tune(args) = Cli::parse_from(typed).command else { panic!("another command") };
+        let line = CommandLine::convert(
+            &TuneArgs { inputs: vec![long.into(), "-x.ply".into()], ..*args },
+            &MethodOptions {
+                radius_ratio: Some(1.5),
+                smooth_normals: Some(3),
+                clip: "-1,0,0,1,1,1".parse().ok(),
+                ..MethodOptions::default()
+            },
+        );
         let options = "--radius-ratio 1.5 --clip=-1,0,0,1,1,1 --smooth-normals=3 --up z";
         assert_eq!(line.text(), format!("meniscus convert '{long}' ./-x.ply --out 'my meshes' {options}"));
         let short = format!("meniscus convert '.../dam.####.bgeo' ./-x.ply --out 'my meshes' {options}");

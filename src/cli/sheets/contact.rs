@@ -4,42 +4,37 @@ use std::time::Instant;
 
 use anyhow::{Result, bail};
 
-use crate::cli::Verdict;
-use crate::cli::args::{ContactSheetArgs, MethodArgs};
+use crate::cli::args::{ContactSheetArgs, MethodArgs, PictureArgs};
 use crate::cli::choices::refuse_stray_rounds;
 use crate::cli::console::Console;
-use crate::cli::convert::thread_pool;
 use crate::cli::frame_selection::FrameSelection;
-use crate::cli::interrupt::clean_up_when_interrupted;
-use crate::cli::studio::{Studio, Subject, caught};
+use crate::cli::machine::thread_pool;
+use crate::cli::render_session::{RenderSession, RenderSource, catch_panic};
 use crate::cli::wording::{counted, significant, with_causes};
-use crate::pipeline::{FrameFile, OutputFormat, PictureOptions, SheetPart, Viewpoint, read_picture};
+use crate::cli::{Tally, Verdict};
+use crate::pipeline::{FrameFile, PictureOptions, SheetPart, Viewpoint, read_picture};
 use crate::render::{Block, Cell, Picture, Sheet, Shown};
 use crate::surface::options::Settings;
 
 use super::sources::{Kind, Sources, Strip, find_sources, without_extension};
-use super::{SheetFile, Tally, even_columns, fixed, reason, refuse_large};
+use super::{SheetFile, even_columns, fixed, reason, refuse_large};
 
 /// Puts the frames that the arguments ask for on a sheet.
 ///
 /// # Errors
 /// When nothing can be done at all. A frame that fails is told, and counted.
 pub(in crate::cli) fn contact_sheet(args: &ContactSheetArgs, console: &mut Console) -> Result<Verdict> {
-    clean_up_when_interrupted();
-    refuse_stray_rounds(&args.method, &args.inputs)?;
-    let Sources { strips, files, found } = find_sources(&args.inputs, kinds(args))?;
+    refuse_stray_rounds(&args.pictures.method, &args.inputs)?;
+    let Sources { strips, files, found } = find_sources(&args.inputs, kinds(&args.pictures))?;
     found.report(console);
     let shown = shown(strips, args)?;
     let cell_count = shown.iter().map(|shown| shown.frames.len()).sum();
     refuse_large(cell_count, args.size)?;
-    let file = SheetFile::new(&args.output)?;
-    let place = (file.folder.clone(), OutputFormat::Png, args.size);
-    let studio = Studio::new(&args.method, (&args.view, &args.run), place)?;
-    studio.warn_of_ignored(&studio.outputs.formats, console);
-    file.prepare(&studio, &files)?;
-    let contact = Contact { args, studio };
+    let (file, session) =
+        SheetFile::prepare(&args.output, &args.pictures, (args.size, &files), None, console)?;
+    let contact = Contact { args, session };
     console.show_bar(cell_count);
-    let pool = thread_pool(args.run.threads)?;
+    let pool = thread_pool(args.pictures.run.threads)?;
     let mut tally = Tally::default();
     let parts: Vec<Part> =
         shown.into_iter().map(|shown| pool.install(|| contact.part(shown, &mut tally, console))).collect();
@@ -56,10 +51,10 @@ pub(in crate::cli) fn contact_sheet(args: &ContactSheetArgs, console: &mut Conso
 
 /// What the sheet may be made from: with options for the surface, only what is yet to be skinned; with a camera, no
 /// pictures that have been taken.
-fn kinds(args: &ContactSheetArgs) -> &'static [Kind] {
-    if args.method != MethodArgs::default() {
+fn kinds(PictureArgs { camera, camera_from, up, method, .. }: &PictureArgs) -> &'static [Kind] {
+    if *method != MethodArgs::default() {
         &[Kind::Particles]
-    } else if args.view.camera.is_some() || args.view.camera_from.is_some() || args.view.up.is_some() {
+    } else if camera.is_some() || camera_from.is_some() || up.is_some() {
         &[Kind::LevelSets, Kind::Particles]
     } else {
         &[Kind::Pictures, Kind::LevelSets, Kind::Particles]
@@ -154,7 +149,7 @@ impl Part {
 /// What sheets are made with.
 struct Contact<'a> {
     args: &'a ContactSheetArgs,
-    studio: Studio<'a>,
+    session: RenderSession<'a>,
 }
 
 impl Contact<'_> {
@@ -163,30 +158,25 @@ impl Contact<'_> {
         let start = Instant::now();
         let prepared = self.prepared(&shown.strip, console);
         if let Err(error) = &prepared {
-            console.warn(format_args!("error: {}", with_causes(error)));
+            console.error(with_causes(error));
         }
         let cells = shown.frames.iter().map(|file| {
             let taken = match &prepared {
                 Ok(prepared) => {
-                    caught(&file.path, || self.picture(file, shown.strip.kind, prepared, console))
+                    catch_panic(&file.path, || self.picture(file, shown.strip.kind, prepared, console))
                 }
                 Err(error) => Err(anyhow::anyhow!(with_causes(error))),
             };
             console.advance_bar();
-            match &taken {
-                Ok(_) => tally.done_count += 1,
-                Err(error) => {
-                    tally.failed_count += 1;
-                    if prepared.is_ok() {
-                        console.warn(format_args!("error: {}", with_causes(error)));
-                    }
-                }
+            tally.add(taken.is_ok());
+            if let (Ok(_), Err(error)) = (&prepared, &taken) {
+                console.error(with_causes(error));
             }
             cell(file, shown.strip.kind, taken)
         });
         let cells = cells.collect();
         let (settings, viewpoint) = prepared.unwrap_or_default();
-        let options = viewpoint.map(|viewpoint| fixed(&self.studio, viewpoint));
+        let options = viewpoint.map(|viewpoint| fixed(&self.session, viewpoint));
         Part { shown, cells, settings, options, seconds: start.elapsed().as_secs_f64() }
     }
 
@@ -195,9 +185,8 @@ impl Contact<'_> {
         if strip.kind == Kind::Pictures {
             return Ok((None, None));
         }
-        let settings = self.studio.settings(&strip.sequence, console)?;
-        let size = self.studio.outputs.picture.size;
-        let viewpoint = self.studio.viewpoint(&strip.sequence, settings.as_ref(), size)?;
+        let size = self.session.outputs.picture.size;
+        let (settings, viewpoint) = self.session.prepare(&strip.sequence, size, console)?;
         Ok((settings, Some(viewpoint)))
     }
 
@@ -209,17 +198,16 @@ impl Contact<'_> {
         (settings, viewpoint): &(Option<Settings>, Option<Viewpoint>),
         console: &Console,
     ) -> Result<(Picture, Option<usize>)> {
-        let size = self.studio.outputs.picture.size;
+        let size = self.session.outputs.picture.size;
         let Some(viewpoint) = viewpoint.as_ref().filter(|_| kind != Kind::Pictures) else {
             return Ok((read_picture(&file.path)?.shrunk(size), None));
         };
-        let subject = self.studio.subject(file, settings.as_ref())?;
-        self.studio.print_warnings(file, &subject, console);
-        let particle_count = match &subject {
-            Subject::LevelSet(..) => None,
-            Subject::Skinned(skinned) => Some(skinned.frame.particles().len()),
+        let source = self.session.source(file, settings.as_ref(), console)?;
+        let particle_count = match &source {
+            RenderSource::LevelSet(..) => None,
+            RenderSource::Skinned(skinned) => Some(skinned.frame.particles().len()),
         };
-        Ok((subject.picture(viewpoint, size, false), particle_count))
+        Ok((source.picture(viewpoint, size, false), particle_count))
     }
 
     /// Sequences one after another, and files that belong to none side by side.

@@ -2,36 +2,33 @@
 //!
 //! ```text
 //!   contact   a sequence at a glance           sources  which file stands for a frame
-//!   tune      a frame under many settings      vary     which settings
-//!                                              command  what to type for each
+//!   tune      a frame under many settings      command  what to type for each
 //! ```
 
 mod command;
 mod contact;
 mod sources;
 mod tune;
-mod vary;
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 
 use crate::pipeline::{
     CameraChoice, OutputFormat, PictureOptions, SheetPart, Viewpoint, check_outputs, encode_picture,
-    output_path, sheet_provenance, write_whole,
+    output_path, sheet_provenance,
 };
 use crate::render::Sheet;
 
-use super::Verdict;
-use super::out_folder::OutFolder;
+use super::args::PictureArgs;
+use super::console::Console;
+use super::out_folder::{OutFolder, write_file};
 use super::quantities::PictureSize;
-use super::studio::{Studio, named_picture};
+use super::render_session::{RenderSession, named_picture};
 use super::wording::with_causes;
 
 pub(super) use contact::contact_sheet;
 pub(super) use tune::tune;
-pub(super) use vary::Vary;
 
 /// Where a sheet goes.
 struct SheetFile {
@@ -40,18 +37,23 @@ struct SheetFile {
 }
 
 impl SheetFile {
-    fn new(output: &Path) -> Result<SheetFile> {
+    /// Makes its folder, and sure that no input is lost; and what takes pictures of this size for it. Warns of options that
+    /// change nothing where these formats are written, by default the sheet.
+    fn prepare<'a>(
+        output: &Path,
+        args: &'a PictureArgs,
+        (size, inputs): (PictureSize, &[PathBuf]),
+        written: Option<&[OutputFormat]>,
+        console: &Console,
+    ) -> Result<(SheetFile, RenderSession<'a>)> {
         let (folder, stem, _) = named_picture(output, &["png"])?;
-        Ok(SheetFile { folder, stem })
-    }
-
-    /// Makes the folder, and sure that nothing is lost which these files are.
-    fn prepare(&self, studio: &Studio, inputs: &[PathBuf]) -> Result<()> {
-        let folder = OutFolder::make(&self.folder)?;
-        let planned = [(inputs.first().cloned().unwrap_or_default(), self.stem.clone())];
-        check_outputs(&planned, inputs, &studio.obstacles, &studio.outputs, None)?;
-        folder.keep();
-        Ok(())
+        let session = RenderSession::new(args, (folder.clone(), OutputFormat::Png, size))?;
+        session.warn_of_ignored(written.unwrap_or(&session.outputs.formats), console);
+        let out_folder = OutFolder::make(&folder)?;
+        let planned = [(inputs.first().cloned().unwrap_or_default(), stem.clone())];
+        check_outputs(&planned, inputs, &session.obstacles, &session.outputs, None)?;
+        out_folder.keep();
+        Ok((SheetFile { folder, stem }, session))
     }
 
     /// Draws a sheet of this kind, and writes it.
@@ -59,28 +61,10 @@ impl SheetFile {
         let picture = sheet.picture();
         let bytes = encode_picture(&picture, None, OutputFormat::Png, &sheet_provenance(kind, parts))?;
         let path = output_path(&self.folder, &self.stem, OutputFormat::Png);
-        write_whole(&path, |out| Ok(out.write_all(&bytes)?))
-            .with_context(|| format!("{}: cannot write", path.display()))?;
+        write_file(&path, |out| out.write_all(&bytes))?;
         let name = path.strip_prefix(".").unwrap_or(&path).display().to_string();
         let [width, height] = picture.size;
         Ok(format!("{name}: {width}x{height} pixels"))
-    }
-}
-
-/// How many cells have a picture, and how many have none.
-#[derive(Clone, Copy, Debug, Default)]
-struct Tally {
-    done_count: usize,
-    failed_count: usize,
-}
-
-impl Tally {
-    fn verdict(self) -> Verdict {
-        match (self.failed_count, self.done_count) {
-            (0, _) => Verdict::Done,
-            (_, 0) => Verdict::NothingDone,
-            _ => Verdict::SomeFailed,
-        }
     }
 }
 
@@ -119,8 +103,8 @@ fn reason(error: &anyhow::Error, path: &Path) -> String {
 }
 
 /// The camera of pictures that were taken from one place.
-fn fixed(studio: &Studio, viewpoint: Viewpoint) -> PictureOptions {
-    PictureOptions { camera: CameraChoice::from(viewpoint), ..studio.outputs.picture }
+fn fixed(session: &RenderSession, viewpoint: Viewpoint) -> PictureOptions {
+    PictureOptions { camera: CameraChoice::from(viewpoint), ..session.outputs.picture }
 }
 
 #[cfg(test)]

@@ -16,8 +16,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 
-use crate::cli::inputs::{Found, find_beside_others, find_inputs};
-use crate::cli::studio::level_sets_in;
+use crate::cli::inputs::{Found, find_with_others};
+use crate::cli::render_session::level_sets_in;
 use crate::cli::wording::counted_are;
 use crate::pipeline::{
     FrameFile, Sequence, camera_of_picture, files_in, is_level_set, natural_order, sequences,
@@ -76,10 +76,8 @@ pub(super) struct Sources {
 /// # Errors
 /// When an input stands for none.
 pub(super) fn find_sources(inputs: &[PathBuf], kinds: &[Kind]) -> Result<Sources> {
-    let mut found = Found::default();
-    for input in inputs {
-        found.add(find(input)?);
-    }
+    let add = |found: &mut Found, files, _: &Path| found.add(Found { files, ..Found::default() });
+    let mut found = find_with_others(inputs, level_sets_and_pictures_in, add)?;
     let files: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
     let all_files = std::mem::take(&mut found.files);
     let mut strips_of: HashMap<(PathBuf, String), Vec<Strip>> = HashMap::new();
@@ -122,20 +120,14 @@ pub(super) fn find_sources(inputs: &[PathBuf], kinds: &[Kind]) -> Result<Sources
     Ok(Sources { strips, files, found })
 }
 
-/// Frames of all kinds in a folder; else what the input stands for.
-fn find(input: &Path) -> Result<Found> {
-    if !input.is_dir() {
-        return find_inputs(&[input.to_owned()]);
+/// The level sets and the pictures of this program in a folder; none in what is no folder.
+fn level_sets_and_pictures_in(folder: &Path) -> Result<Vec<FrameFile>> {
+    let mut others = level_sets_in(folder);
+    if folder.is_dir() {
+        let is_picture = |path: &PathBuf| camera_of_picture(path).is_some();
+        others.extend(files_in(folder)?.into_iter().filter(is_picture).map(FrameFile::new));
     }
-    let mut others = level_sets_in(input);
-    let is_picture = |path: &PathBuf| camera_of_picture(path).is_some();
-    others.extend(files_in(input)?.into_iter().filter(is_picture).map(FrameFile::new));
-    if others.is_empty() {
-        return find_inputs(&[input.to_owned()]);
-    }
-    let mut found = find_beside_others(input)?;
-    found.add(Found { files: others, ..Found::default() });
-    Ok(found)
+    Ok(others)
 }
 
 /// The sequence that has the most frames, and costs least of those that have.

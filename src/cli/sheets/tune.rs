@@ -12,49 +12,50 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 
-use crate::cli::Verdict;
 use crate::cli::args::{MethodArgs, TuneArgs};
 use crate::cli::choices::refuse_stray_rounds;
 use crate::cli::console::Console;
-use crate::cli::convert::thread_pool;
-use crate::cli::frame_selection::FrameSelection;
 use crate::cli::inputs::find_inputs;
-use crate::cli::interrupt::clean_up_when_interrupted;
+use crate::cli::machine::thread_pool;
 use crate::cli::remedies::with_remedy;
-use crate::cli::studio::{Studio, caught, measured, picture_of_reconstruction};
+use crate::cli::render_session::{RenderSession, catch_panic, measured_settings, picture_of_reconstruction};
+use crate::cli::selecting::{SelectedSequence, only_sequence, selected_of};
+use crate::cli::vary::{Parameter, Value};
 use crate::cli::wording::{counted, with_causes};
+use crate::cli::{Tally, Verdict};
 use crate::pipeline::{
-    self, CameraChoice, FrameFile, LoadedFrame, NOTHING, OutputFormat, Reconstruction, ReportedWarnings,
-    Sequence, SheetPart, Viewpoint, Warning, bounds_of_particles, close_up, is_level_set, up_of,
+    CameraChoice, FrameFile, LoadedFrame, NOTHING, OutputFormat, Reconstruction, ReportedWarnings, Sequence,
+    SheetPart, Viewpoint, Warning, bounds_of_particles, close_up, is_level_set, up_of,
 };
 use crate::render::{Block, Cell, Picture, Sheet, Shown};
-use crate::surface::options::{Measured, Settings};
+use crate::surface::options::{Measured, MethodOptions, Settings};
 
 use super::command::CommandLine;
-use super::vary::{Axis, Value};
-use super::{SheetFile, Tally, even_columns, fixed, reason, refuse_large};
+use super::{SheetFile, even_columns, fixed, reason, refuse_large};
 
 /// Shows one frame under the settings that the arguments ask for.
 ///
 /// # Errors
 /// When nothing can be done at all. A cell that fails is told, and counted.
 pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Verdict> {
-    clean_up_when_interrupted();
-    refuse_stray_rounds(&args.method, &args.inputs)?;
+    refuse_stray_rounds(&args.pictures.method, &args.inputs)?;
     let found = find_inputs(&args.inputs)?;
     found.report(console);
     let paths: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
-    let sequence = only_sequence(pipeline::sequences(found.files))?;
-    let frame = chosen(&sequence, args.frames.as_ref())?;
-    let file = SheetFile::new(&args.output)?;
-    let place = (file.folder.clone(), OutputFormat::Png, args.size);
-    let studio = Studio::new(&args.method, (&args.view, &args.run), place)?;
-    studio.warn_of_ignored(&CONVERTED, console);
-    file.prepare(&studio, &paths)?;
-    let pool = thread_pool(args.run.threads)?;
-    let tuning = pool.install(|| Tuning::new(args, studio, &sequence, frame, console))?;
+    let sequence = only_sequence(found.files, "a sheet has one frame")?;
+    if let Some(file) = sequence.frames.iter().find(|file| is_level_set(&file.path)) {
+        bail!("{}: a level set is skinned already: give particles", file.path.display());
+    }
+    let selected = selected_of(vec![sequence], args.frames.as_ref())?;
+    let [SelectedSequence { sequence, selected }] = &selected[..] else { bail!("there is no frame") };
+    // The one in the middle, of those that were asked for.
+    let frame = &selected[selected.len() / 2];
+    let (file, session) =
+        SheetFile::prepare(&args.output, &args.pictures, (args.size, &paths), Some(&CONVERTED), console)?;
+    let pool = thread_pool(args.pictures.run.threads)?;
+    let tuning = pool.install(|| Tuning::new(args, session, sequence, frame, console))?;
     let grid = Grid::new(args, &tuning.without)?;
     if sequence.frames.len() > 1 {
         let frame_count = counted(sequence.frames.len(), "frame");
@@ -73,36 +74,11 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Ver
 /// What the commands write.
 const CONVERTED: [OutputFormat; 2] = [OutputFormat::Glb, OutputFormat::Vdb];
 
-fn only_sequence(sequences: Vec<Sequence>) -> Result<Sequence> {
-    let names: Vec<&str> = sequences.iter().take(NAMED_MAX).map(|sequence| &*sequence.name).collect();
-    let and_more = if sequences.len() > NAMED_MAX { ", ..." } else { "" };
-    let names = format!("{}{and_more}", names.join(", "));
-    match <[Sequence; 1]>::try_from(sequences) {
-        Ok([sequence]) => match sequence.frames.iter().find(|file| is_level_set(&file.path)) {
-            Some(file) => bail!("{}: a level set is skinned already: give particles", file.path.display()),
-            None => Ok(sequence),
-        },
-        Err(sequences) => {
-            bail!("a sheet has one frame, and there are {} sequences: {names}: name one", sequences.len())
-        }
-    }
-}
-
-/// So many sequences are named.
-const NAMED_MAX: usize = 5;
-
-/// The frame in the middle, of those that were asked for.
-fn chosen<'s>(sequence: &'s Sequence, frames: Option<&FrameSelection>) -> Result<&'s FrameFile> {
-    let selected: Vec<&FrameFile> =
-        sequence.frames.iter().filter(|file| FrameSelection::takes(frames, file)).collect();
-    selected.get(selected.len() / 2).copied().context("--frames selects none of the frames")
-}
-
 /// The settings of the cells, row by row and block by block.
 struct Grid {
     /// Of each cell, what it has of each axis.
     settings: Vec<Vec<Value>>,
-    axes: Vec<Axis>,
+    axes: Vec<&'static Parameter>,
     columns: usize,
     /// What blocks have in common, where there are several.
     blocks: Vec<Option<Value>>,
@@ -141,8 +117,8 @@ impl Grid {
     /// What rows, columns and blocks are.
     fn meaning(&self) -> String {
         match &self.axes[..] {
-            [axis] => format!("by {}", axis.meaning()),
-            [rows, columns, ..] => format!("rows: {}, columns: {}", rows.meaning(), columns.meaning()),
+            [axis] => format!("by {}", axis.meaning),
+            [rows, columns, ..] => format!("rows: {}, columns: {}", rows.meaning, columns.meaning),
             [] => String::new(),
         }
     }
@@ -157,7 +133,7 @@ const ROW_MAX: usize = 6;
 /// A frame, and what all cells have in common.
 struct Tuning<'a> {
     args: &'a TuneArgs,
-    studio: Studio<'a>,
+    session: RenderSession<'a>,
     frame: LoadedFrame,
     /// What was measured of its sequence.
     measured: Option<Measured>,
@@ -169,18 +145,19 @@ struct Tuning<'a> {
 impl<'a> Tuning<'a> {
     fn new(
         args: &'a TuneArgs,
-        studio: Studio<'a>,
+        session: RenderSession<'a>,
         sequence: &Sequence,
         file: &FrameFile,
         console: &Console,
     ) -> Result<Tuning<'a>> {
-        let choices = args.method.to_options();
-        let measured = measured(sequence, &choices, console)?;
-        let without = Settings::resolve(&choices, measured).with_context(|| sequence.name.clone())?;
+        let options = args.pictures.method.to_options();
+        let (without, measured) = measured_settings(sequence, &options, console)?;
+        let measured = measured.as_ref().map(Measured::from);
         let frame = LoadedFrame::read((&file.path, file.number()), &without)?;
-        let picture = studio.outputs.picture;
+        let picture = session.outputs.picture;
         let bounds = bounds_of_particles(frame.particles(), without.radius_init).unwrap_or(NOTHING);
-        let viewpoint = |bounds| picture.camera.viewpoint(bounds, picture.aspect(), up_of(studio.outputs.up));
+        let viewpoint =
+            |bounds| picture.camera.viewpoint(bounds, picture.aspect(), up_of(session.outputs.up));
         let whole = viewpoint(bounds);
         let viewpoint = match picture.camera == CameraChoice::default() {
             // Whoever says nothing of the camera wants to see how settings differ.
@@ -188,7 +165,7 @@ impl<'a> Tuning<'a> {
                 .map_or(whole, |part| Viewpoint { ground: whole.ground, ..viewpoint(part) }),
             false => whole,
         };
-        Ok(Tuning { args, studio, frame, measured, without, viewpoint })
+        Ok(Tuning { args, session, frame, measured, without, viewpoint })
     }
 
     /// All cells, and the command of each that has a picture.
@@ -196,23 +173,22 @@ impl<'a> Tuning<'a> {
         let (mut tally, mut reported) = (Tally::default(), ReportedWarnings::default());
         let mut cells = Vec::new();
         for (index, values) in grid.settings.iter().enumerate() {
-            let (number, method) = (index + 1, self.method(values));
+            let (number, options) = (index + 1, self.options(values));
             // Some values follow from others: a label tells those of the cell.
-            let settings = Settings::resolve(&method.to_options(), self.measured);
+            let settings = Settings::resolve(&options, self.measured);
             let label = self.label(number, values, settings.as_ref().unwrap_or(&self.without));
             let mut lines = vec![label.clone()];
-            let (shown, command) = match caught(self.frame.path(), || self.taken(&method)) {
+            let (shown, command) = match catch_panic(self.frame.path(), || self.taken(&options)) {
                 Ok((made, settings, picture)) => {
-                    tally.done_count += 1;
+                    tally.add(true);
                     let of_settings = settings.warnings().into_iter().map(Warning::Sentence);
                     for warning in of_settings.chain(made.warnings.iter().cloned()) {
                         if reported.is_new(&warning) {
-                            console.warn(format_args!("warning: cell {number}: {}", with_remedy(&warning)));
+                            console.warning(format_args!("cell {number}: {}", with_remedy(&warning)));
                         }
                     }
                     let triangles = counted(made.surface.report.mesh.triangle_count, "triangle");
-                    let places = (&*self.args.inputs, &*self.args.out);
-                    let command = CommandLine::convert(places, &method, self.args.view.up);
+                    let command = CommandLine::convert(self.args, &options);
                     // That differs from run to run, and is no part of the picture.
                     let seconds = seconds(&made);
                     console.say(format_args!("{label}: {seconds:.2} s, {triangles}"));
@@ -221,8 +197,8 @@ impl<'a> Tuning<'a> {
                     (Shown::Picture(picture), Some(command))
                 }
                 Err(error) => {
-                    tally.failed_count += 1;
-                    console.warn(format_args!("error: cell {label}: {}", with_causes(&error)));
+                    tally.add(false);
+                    console.error(format_args!("cell {label}: {}", with_causes(&error)));
                     (Shown::Words(reason(&error, self.frame.path())), None)
                 }
             };
@@ -233,16 +209,16 @@ impl<'a> Tuning<'a> {
     }
 
     /// The options of a cell: those that were typed, but for what is varied.
-    fn method(&self, values: &[Value]) -> MethodArgs {
-        let mut method = self.args.method.clone();
-        values.iter().for_each(|value| value.put(&mut method, &self.without));
-        method
+    fn options(&self, values: &[Value]) -> MethodOptions {
+        let mut options = self.args.pictures.method.to_options();
+        values.iter().for_each(|value| value.put(&mut options, &self.without));
+        options
     }
 
-    fn taken(&self, method: &MethodArgs) -> Result<(Reconstruction, Settings, Picture)> {
-        let settings = Settings::resolve(&method.to_options(), self.measured)?;
-        let made = self.studio.skin(&self.frame, &settings)?;
-        let seen = (&self.viewpoint, self.studio.outputs.picture.size);
+    fn taken(&self, options: &MethodOptions) -> Result<(Reconstruction, Settings, Picture)> {
+        let settings = Settings::resolve(options, self.measured)?;
+        let made = self.session.skin(&self.frame, &settings)?;
+        let seen = (&self.viewpoint, self.session.outputs.picture.size);
         let picture = picture_of_reconstruction(&made, &settings, seen, false);
         Ok((made, settings, picture))
     }
@@ -250,7 +226,7 @@ impl<'a> Tuning<'a> {
     fn label(&self, number: usize, values: &[Value], settings: &Settings) -> String {
         let labels: Vec<String> = values.iter().map(|value| value.label(settings)).collect();
         let is_without = values.iter().all(|value| value.is_without(&self.without));
-        let without = match (is_without, self.args.method == MethodArgs::default()) {
+        let without = match (is_without, self.args.pictures.method == MethodArgs::default()) {
             (false, _) => "",
             (true, true) => " (the defaults)",
             (true, false) => " (as typed)",
@@ -276,13 +252,13 @@ impl<'a> Tuning<'a> {
     }
 
     fn made_from(&self, grid: &Grid) -> SheetPart {
-        let axes: Vec<String> = grid.axes.iter().map(Axis::to_string).collect();
+        let axes: Vec<&str> = grid.axes.iter().map(|axis| axis.name).collect();
         SheetPart {
             name: self.name(),
             hash: Some(self.frame.hash()),
             what: format!("{} by {}", counted(grid.settings.len(), "cell"), axes.join(", ")),
             settings: Some(self.without.clone()),
-            options: Some(fixed(&self.studio, self.viewpoint)),
+            options: Some(fixed(&self.session, self.viewpoint)),
         }
     }
 

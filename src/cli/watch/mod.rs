@@ -31,7 +31,7 @@ use crate::watch::{self, Command, Ended, FailedFrame, Notice, Summary, Watch};
 
 use super::Verdict;
 use super::args::{LogChoice, WatchArgs};
-use super::studio::level_sets_in;
+use super::render_session::level_sets_in;
 use super::wording::{FRAMES_IN_VIEW, counted, failed_validation, with_causes};
 
 use plan::Plan;
@@ -60,7 +60,7 @@ pub(super) fn watch(args: &WatchArgs) -> Result<Verdict> {
         for warning in &plan.warnings {
             warn!("{warning}");
         }
-        control.set_stop_deadline(plan.config.stop_deadline);
+        *lock(&control.stop_deadline) = plan.config.stop_deadline;
         let mut notices = |notice: Notice| match notice {
             // It ends to begin again: for the outside it goes on.
             Notice::Stopping | Notice::Overdue if control.is_reloading() => {}
@@ -188,14 +188,6 @@ impl Control {
         }
     }
 
-    fn set_stop_deadline(&self, deadline: Duration) {
-        *self.stop_deadline.lock().unwrap_or_else(PoisonError::into_inner) = deadline;
-    }
-
-    fn stop_deadline(&self) -> Duration {
-        *self.stop_deadline.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Asks the loop to finish. Whether it was asked before. Logs nothing: a standard error that takes no more text would
     /// block the caller.
     fn finish(&self) -> bool {
@@ -209,7 +201,7 @@ impl Control {
 
     /// Makes another plan, and asks the loop to end for it.
     fn reload(&self) {
-        let _alone = self.reloading.lock().unwrap_or_else(PoisonError::into_inner);
+        let _alone = lock(&self.reloading);
         if self.is_finishing() {
             return;
         }
@@ -217,7 +209,7 @@ impl Control {
         match self.plan_again() {
             Ok(plan) => {
                 info!("asked to begin again with what the file says now");
-                let is_first = self.lock_next().replace(plan).is_none();
+                let is_first = lock(&self.next).replace(plan).is_none();
                 if is_first {
                     let _ = self.commands.send(Command::Reload);
                 }
@@ -249,18 +241,18 @@ impl Control {
     }
 
     fn is_reloading(&self) -> bool {
-        !self.is_finishing() && self.lock_next().is_some()
+        !self.is_finishing() && lock(&self.next).is_some()
     }
 
     /// The plan to go on with, unless it is to end.
     fn next_plan(&self) -> Option<Plan> {
-        self.lock_next().take().filter(|_| !self.is_finishing())
+        lock(&self.next).take().filter(|_| !self.is_finishing())
     }
+}
 
-    fn lock_next(&self) -> MutexGuard<'_, Option<Plan>> {
-        // A plan is there or not, whatever panicked beside it.
-        self.next.lock().unwrap_or_else(PoisonError::into_inner)
-    }
+/// What is in there, whatever panicked beside it: each value is set whole.
+fn lock<T>(value: &Mutex<T>) -> MutexGuard<'_, T> {
+    value.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]

@@ -16,6 +16,8 @@ use std::{
 use anyhow::Result;
 
 use super::Control;
+#[cfg(unix)]
+use super::lock;
 
 /// From now on, SIGTERM and SIGINT end the daemon in good order, and at once when one comes again;
 /// SIGHUP makes it read its file again.
@@ -60,7 +62,7 @@ pub(super) fn listen(control: Arc<Control>) -> Result<()> {
 fn end_when_overdue(control: &Arc<Control>) -> io::Result<()> {
     let control = Arc::clone(control);
     let waiting = std::thread::Builder::new().name("deadline".into()).spawn(move || {
-        std::thread::sleep(control.stop_deadline().saturating_add(GRACE));
+        std::thread::sleep(lock(&control.stop_deadline).saturating_add(GRACE));
         end_at_once(i32::from(control.args.once), || {
             tracing::error!("the daemon hangs: what is not whole is left for the next time");
         });

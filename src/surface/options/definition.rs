@@ -94,7 +94,7 @@ method_options! {
 
             /// r_min of a particle in units of its own radius, positive [default: 1]
             #[arg(value_name = "S")]
-            radius_scale: f64,
+            radius_scale: f64 => "--radius-attribute", |options, _| options.radius_attribute.is_some(),
 
             /// What stretches particles, so that sheets and jets are thin and smooth [default: neighbors]
             #[arg(value_name = "BY", ignore_case = true)]
@@ -102,22 +102,24 @@ method_options! {
 
             /// The longest half axis of a particle in units of its shortest, at most, 1 to 8 [default: 4]
             #[arg(value_name = "K")]
-            max_stretch: f64 in 1.0..=MAX_STRETCH_MAX,
+            max_stretch: f64 in 1.0..=MAX_STRETCH_MAX
+                => "--anisotropy", |options, _| options.anisotropy_kind() != AnisotropyKind::None,
 
             /// The least half axis of particles that neighbours flatten, positive, from 0.9h to r_min, for --anisotropy
             /// neighbors: smaller makes thinner sheets; 0.36d by default
             #[arg(value_name = "LENGTH")]
-            thin_radius: Length,
+            thin_radius: Length => "--anisotropy neighbors", stretches_by_neighbors,
 
             /// r_min of a particle without neighbours, positive and at most r_min, for --anisotropy neighbors: the radius of
             /// drops; 0.7d by default
             #[arg(value_name = "LENGTH")]
-            lone_radius: Length,
+            lone_radius: Length => "--anisotropy neighbors", stretches_by_neighbors,
 
             /// How far neighbours count, positive and at most 200h, for --anisotropy neighbors and --position-smoothing; 2.6d
             /// by default
             #[arg(value_name = "LENGTH")]
-            neighbor_radius: Length,
+            neighbor_radius: Length
+                => "--anisotropy neighbors and --position-smoothing", |options, _| options.uses_neighbors(),
 
             /// Move particles near the surface toward the mean of their neighbours by this part of the way, 0 to 1 [default: 0.7]
             #[arg(value_name = "L")]
@@ -125,12 +127,13 @@ method_options! {
 
             /// Seconds of movement by which particles are stretched, positive, for --anisotropy velocity [default: 0.01]
             #[arg(value_name = "SECONDS")]
-            velocity_gain: f64,
+            velocity_gain: f64
+                => "--anisotropy velocity", |options, _| options.anisotropy_kind() == AnisotropyKind::Velocity,
         }
         Obstacles {
             /// Fill gaps between the surface and obstacles that are narrower than this, in units of h, 0 to 4 [default: 1]
             #[arg(value_name = "VOXELS")]
-            void_threshold: f64 in 0.0..=VOID_THRESHOLD_MAX,
+            void_threshold: f64 in 0.0..=VOID_THRESHOLD_MAX => "--obstacle", |_, has_obstacles| has_obstacles,
         }
         Particles {
             /// Attributes that the surface gets: a list of names, such as velocity,Cd,id; or all, by itself
@@ -199,7 +202,8 @@ method_options! {
 
             /// Relative tolerance of the conjugate gradients, 1e-12 to 0.5, for implicit only [default: 0.0001]
             #[arg(value_name = "E")]
-            cg_tolerance: f64 in 1e-12..=0.5,
+            cg_tolerance: f64 in 1e-12..=0.5
+                => "--integrator implicit", |options, _| options.integrator == Some(Integrator::Implicit),
         }
     }
 }
@@ -267,25 +271,16 @@ impl MethodOptions {
 
     /// The options that are given and have no effect, each with what it is for; `has_obstacles` says whether any are given.
     pub fn without_effect(&self, has_obstacles: bool) -> Vec<(&'static str, &'static str)> {
-        let pairs = self.to_pairs().into_iter();
-        pairs.filter_map(|(name, _)| Some((name, self.unmet_need(name, has_obstacles)?))).collect()
-    }
-
-    /// What an option is for, where that is not there.
-    fn unmet_need(&self, name: &str, has_obstacles: bool) -> Option<&'static str> {
-        let kind = self.anisotropy_kind();
-        let (is_met, need) = match name {
-            "cg_tolerance" => (self.integrator == Some(Integrator::Implicit), "--integrator implicit"),
-            "radius_scale" => (self.radius_attribute.is_some(), "--radius-attribute"),
-            "max_stretch" => (kind != AnisotropyKind::None, "--anisotropy"),
-            "thin_radius" | "lone_radius" => (kind == AnisotropyKind::Neighbors, "--anisotropy neighbors"),
-            "neighbor_radius" => (self.uses_neighbors(), "--anisotropy neighbors and --position-smoothing"),
-            "velocity_gain" => (kind == AnisotropyKind::Velocity, "--anisotropy velocity"),
-            "void_threshold" => (has_obstacles, "--obstacle"),
-            _ => return None,
+        let unmet = |name: &'static str| {
+            let need = MethodOptions::info(name)?.need?;
+            (!(need.is_met)(self, has_obstacles)).then_some((name, need.what))
         };
-        (!is_met).then_some(need)
+        self.to_pairs().into_iter().filter_map(|(name, _)| unmet(name)).collect()
     }
+}
+
+fn stretches_by_neighbors(options: &MethodOptions, _: bool) -> bool {
+    options.anisotropy_kind() == AnisotropyKind::Neighbors
 }
 
 fn out_of_range<T: Display + LowerExp>(name: &str, value: T, range: &RangeInclusive<T>) -> SettingsError {

@@ -5,6 +5,7 @@
 //!       /// Fill enclosed cavities …       the help, and the documentation of the field
 //!       #[arg(value_name = "VOXELS")]      what else the command line shows
 //!       fill_cavities: f64 in 0.0..=1e6,   the name, on the command line, in files and here; type and range
+//!       radius_scale: f64 => "--radius-attribute", |options, _| …,   what it needs to have an effect, and whether that is given
 //!   }
 //! ```
 
@@ -44,8 +45,17 @@ pub enum ValueKind {
     Text,
 }
 
+/// What an option needs to have an effect.
+#[derive(Clone, Copy, Debug)]
+pub struct Need {
+    /// What has to be given, as it is typed.
+    pub what: &'static str,
+    /// Whether it is, with these options, and with obstacles or without.
+    pub(super) is_met: fn(&super::MethodOptions, bool) -> bool,
+}
+
 /// What is known of an option beside its value.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 pub struct OptionInfo {
     /// The name of its field, and its key in files. On the command line it has hyphens for underscores.
     pub name: &'static str,
@@ -53,6 +63,8 @@ pub struct OptionInfo {
     pub group: OptionGroup,
     /// How its value is written.
     pub kind: ValueKind,
+    /// What it needs; `None` of one that has an effect by itself.
+    pub need: Option<Need>,
 }
 
 /// The value of an option: its text on the command line, in journals and in plans reads back as the same value.
@@ -92,10 +104,16 @@ impl OptionGroup {
 /// A range in words, without rows of zeros.
 pub(super) fn range_text<T: Display + LowerExp>(range: &RangeInclusive<T>) -> String {
     let bound = |bound: &T| match bound.to_string() {
-        small if small.starts_with("0.000") => format!("{bound:e}"),
+        text if text.starts_with("0.000") || text.ends_with("00000000") => format!("{bound:e}"),
         text => text,
     };
     format!("{} to {}", bound(range.start()), bound(range.end()))
+}
+
+/// A value of an option, or why its text is none: every option says it in this form.
+#[cfg(feature = "cli")]
+pub(crate) fn expected<T>(text: &str, value: Option<T>, what: impl Display) -> Result<T, String> {
+    value.ok_or_else(|| format!("`{text}` is not {what}"))
 }
 
 /// Parses a value within a range, for the command line.
@@ -109,9 +127,20 @@ where
     move |text| {
         let value = text.trim().parse().ok().filter(|value| range.contains(value));
         let noun = if "0.5".parse::<T>().is_ok() { "number" } else { "whole number" };
-        value.ok_or_else(|| format!("`{text}` is not a {noun} from {}", range_text(&range)))
+        expected(text, value, format_args!("a {noun} from {}", range_text(&range)))
     }
 }
+
+/// What an option needs, if anything.
+macro_rules! need {
+    () => {
+        None
+    };
+    ($what:expr, $is_met:expr) => {
+        Some(fields::Need { what: $what, is_met: $is_met })
+    };
+}
+pub(super) use need;
 
 /// Defines [`MethodOptions`](super::MethodOptions), and all that is done with every option alike.
 macro_rules! method_options {
@@ -119,7 +148,7 @@ macro_rules! method_options {
         $(#[$attribute:meta])*
         pub struct $options:ident {
             $($group:ident {
-                $($(#[doc = $help:literal])+ $(#[arg($($arg:tt)*)])? $name:ident: $value:ident $(in $range:expr)?,)+
+                $($(#[doc = $help:literal])+ $(#[arg($($arg:tt)*)])? $name:ident: $value:ident $(in $range:expr)? $(=> $need:expr, $is_met:expr)?,)+
             })+
         }
     ) => {
@@ -149,6 +178,7 @@ macro_rules! method_options {
                 name: stringify!($name),
                 group: OptionGroup::$group,
                 kind: <$value as OptionValue>::KIND,
+                need: fields::need!($($need, $is_met)?),
             },)+)+];
 
             /// These, and where one is not given, that of `below`.

@@ -19,9 +19,9 @@ pub use crate::surface::smooth::Integrator;
 use crate::surface::words::significant;
 pub use definition::MethodOptions;
 use definition::{CAVITY_VOXELS_MAX, STEP_SIZE_MAX, STEP_SIZE_MIN, STEPS_MAX};
-#[cfg(feature = "cli")]
-pub(crate) use fields::ranged;
 pub use fields::{OptionGroup, OptionInfo, OptionValue, ValueKind};
+#[cfg(feature = "cli")]
+pub(crate) use fields::{expected, ranged};
 pub use length::{Length, LengthUnit};
 pub use pairs::Pairs;
 use presets::{InitialRadius, Recipe, Scale, Unit, tidy};

@@ -18,8 +18,6 @@ const FORMATS_VISIBLE_FROM: u32 = 3;
 
 /// Files and folders that still import each other. No line is added and none grows; the line of a cycle that is broken is removed.
 const KNOWN_CYCLES: &[&str] = &[
-    "src/cli: args, camera_file, choices, convert, destination, particles_only, print_settings, \
-     resolving, resurfacing, selecting, sequence, sheets, standard_input, studio",
     "src/surface/anisotropy: half_axes, neighborhoods",
     "src/surface/contour: dual_contouring, quads",
     "src/surface/obstacle: surface, tree, winding",

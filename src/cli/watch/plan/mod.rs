@@ -12,19 +12,16 @@
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
-use std::thread::available_parallelism;
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow, bail};
 
 use crate::cli::args::{DaemonArgs, FrameArgs, LogChoice, OptionSet, WatchArgs};
-use crate::cli::choices::{
-    ignored, output_options, refuse_idle_quantize, refuse_stray_rounds, written_formats,
-};
+use crate::cli::choices::{ignored, refuse_stray_rounds};
 use crate::cli::config_file::{ConfigFile, WatchBlock, read_config_file};
 use crate::cli::destination::refuse_file_name;
-use crate::cli::quantities::memory_bytes;
-use crate::cli::resurfacing::refuse_of_particles;
+use crate::cli::level_sets::{Use, refuse_options};
+use crate::cli::machine::{memory_bytes, thread_count};
 use crate::http::{Listen, Token};
 use crate::pipeline::{default_in_flight, read_regular_text, refuse_file_for_folder};
 use crate::surface::options::Settings;
@@ -130,17 +127,16 @@ fn folders_of_file(args: &WatchArgs, file: &ConfigFile) -> Result<Vec<Folder>> {
 fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<String>) -> Result<Watch> {
     let choices = frames.method.to_options();
     if names_level_sets(frames.pattern.as_deref()) {
-        refuse_of_particles(&frames.method, 0.0)?;
+        refuse_options(&frames.method, Use::AsItIs)?;
         Settings::of_level_sets(&choices)?;
     } else if choices.needs_spacing() {
         Settings::check(&choices)?;
     } else {
         warnings.extend(Settings::resolve(&choices, None)?.warnings());
     }
-    refuse_idle_quantize(frames.format.as_deref(), &frames.formats)?;
     refuse_file_name(output)?;
-    let written = written_formats(frames.format.as_deref(), &frames.formats);
-    warnings.extend(ignored(&frames.method, &written, &frames.formats));
+    let outputs = frames.formats.outputs(absolute(output)?)?;
+    warnings.extend(ignored(&frames.method, &frames.formats, &outputs.formats));
     Selection::new(frames.pattern.as_deref(), frames.recursive, Vec::new())?;
     if let Some(sentinel) = &frames.sentinel {
         check_sentinel(sentinel)?;
@@ -148,14 +144,13 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
     if input.exists() && !input.is_dir() {
         bail!("{}: a folder is watched, and this is a file: `meniscus convert` does files", input.display());
     }
-    let folder = absolute(output)?;
-    refuse_file_for_folder(&folder)?;
+    refuse_file_for_folder(&outputs.folder)?;
     Ok(Watch {
         input: absolute(input)?,
         pattern: frames.pattern.clone(),
         recursive: frames.recursive,
         sentinel: frames.sentinel.clone(),
-        outputs: output_options(folder, frames.format.as_deref(), &frames.formats),
+        outputs,
         choices,
         obstacles: frames.method.obstacle.iter().map(|path| absolute(path)).collect::<Result<_>>()?,
     })
@@ -209,17 +204,14 @@ fn same_folder(a: &Path, b: &Path) -> bool {
 }
 
 fn config(watches: Vec<Watch>, once: bool, daemon: &DaemonArgs) -> Result<Config> {
-    let threads = match daemon.threads {
-        Some(count) => usize::from(count),
-        None => available_parallelism().map_or(1, usize::from),
-    };
+    let threads = thread_count(daemon.run.threads);
     Ok(Config {
         watches,
         once,
         order: daemon.order.unwrap_or(Order::Natural),
         threads,
         in_flight: daemon.in_flight.map_or_else(|| default_in_flight(threads), usize::from),
-        memory_bytes: memory_bytes(daemon.memory)?,
+        memory_bytes: memory_bytes(daemon.run.memory)?,
         disk_floor_bytes: daemon.disk_floor.unwrap_or(DISK_FLOOR_BYTES),
         patience: patience(once, daemon)?,
         poll: daemon.poll.unwrap_or(Poll::Auto),

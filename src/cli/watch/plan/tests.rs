@@ -1,5 +1,5 @@
 use super::*;
-use crate::cli::args::{Command, Typed};
+use crate::cli::args::{Cli, Command};
 use crate::pipeline::OutputFormat;
 use clap::Parser;
 use std::fs;
@@ -33,7 +33,7 @@ impl Bench {
 }
 
 fn plan(options: &[&str]) -> Result<Plan> {
-    let typed = Typed::try_parse_from([&["meniscus", "watch"], options].concat())?;
+    let typed = Cli::try_parse_from([&["meniscus", "watch"], options].concat())?;
     let Command::Watch(args) = typed.command else { panic!("another command") };
     make_plan(&args)
 }
@@ -77,7 +77,7 @@ fn others_than_this_machine_need_a_token() {
     }
     bench.refused(&["--token-file", "none-there"], &["cannot read none-there"]);
     let bench = Bench::new("[daemon]\nlisten = \"7700\"\n");
-    bench.refused(&[], &["meniscus.toml:2", "`listen`", "no address with a port"]);
+    bench.refused(&[], &["meniscus.toml:2", "`listen`", "not an address with a port"]);
 }
 
 #[test]
@@ -178,9 +178,9 @@ fn what_makes_no_sense_is_refused_before_the_first_frame() {
         (&["--sentinel", "{name}"], &["beside the frame"]),
         (&["--settle", "5s", "--unproven", "1s"], &["unproven is 1s, less than settle, 5s"]),
         (&["--stalled", "1ms"], &["stalled is 1ms"]),
-        (&["--settle", "soon"], &["--settle", "no time"]),
-        (&["--poll", "1us"], &["--poll", "too short"]),
-        (&["--memory", "some"], &["--memory", "no size"]),
+        (&["--settle", "soon"], &["--settle", "not a time"]),
+        (&["--poll", "1us"], &["--poll", "from 50ms"]),
+        (&["--memory", "some"], &["--memory", "not a size"]),
         (&["--threads", "0"], &["--threads"]),
         (&["--format", "fbx"], &["fbx"]),
     ] {

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!   sequence ──▶ settings, viewpoint
-//!   frame ─┬─ .vdb: read ──────┬─▶ subject ──▶ pictures
+//!   frame ─┬─ .vdb: read ──────┬─▶ source ──▶ pictures
 //!          └─ particles: skin ─┘
 //! ```
 
@@ -12,26 +12,28 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Error, Result, bail};
 
 use crate::pipeline::{
-    FrameError, FrameFile, LevelSetFile, LoadedFrame, NOTHING, ObstacleFiles, OutputFormat, OutputOptions,
-    PictureOptions, Reconstruction, Scene, Sequence, Stage, Viewpoint, Warning, files_in, is_level_set,
-    picture_provenance, sequence_bounds, up_of, velocities,
+    FrameError, FrameFile, LevelSetFile, LoadedFrame, MeasuredSpacing, NOTHING, ObstacleFiles, OutputFormat,
+    OutputOptions, PictureOptions, Reconstruction, Scene, Sequence, Stage, Viewpoint, Warning, files_in,
+    is_level_set, picture_provenance, sequence_bounds, up_of, velocities,
 };
 use crate::render::{Picture, render_particles, side_by_side};
-use crate::surface::options::{AttributeSelection, Measured, MethodOptions, Settings};
+use crate::surface::options::{AttributeSelection, MethodOptions, Settings};
 use crate::surface::space::Lattice;
 
-use super::args::{FormatArgs, MethodArgs, RunArgs, ViewArgs};
+use super::args::{FormatArgs, MethodArgs, PictureArgs};
 use super::camera_file::camera_of_file;
-use super::choices::{ignored, output_options};
+use super::choices::{ignored, obstacle_files};
 use super::console::Console;
-use super::inputs::{Found, find_beside_others, find_inputs};
-use super::quantities::{PictureSize, memory_bytes};
+use super::inputs::{Found, find_with_others};
+use super::machine::memory_bytes;
+use super::out_folder::folder_of;
+use super::quantities::PictureSize;
 use super::remedies::with_remedy;
-use super::resolving::measured_spacing;
+use super::resolving::{measured_spacing, settings_of, warn_of};
 use super::wording::counted;
 
 /// What is the same for all pictures of a command.
-pub(super) struct Studio<'a> {
+pub(super) struct RenderSession<'a> {
     pub(super) method: &'a MethodArgs,
     /// One format, that of the pictures.
     pub(super) outputs: OutputOptions,
@@ -40,7 +42,7 @@ pub(super) struct Studio<'a> {
 }
 
 /// What there is to take pictures of.
-pub(super) enum Subject {
+pub(super) enum RenderSource {
     /// A level set, and a hash of its file.
     LevelSet(Box<LevelSetFile>),
     /// Particles and their surface.
@@ -54,60 +56,70 @@ pub(super) struct Skinned {
     pub(super) settings: Settings,
 }
 
-/// The particle spacing of a sequence, where these choices need it.
+/// The settings of the particles of a sequence, and the spacing that was measured for them if they need one.
 ///
 /// # Errors
-/// When it cannot be measured.
-pub(super) fn measured(
+/// When options make no sense, or the spacing cannot be measured.
+pub(super) fn measured_settings(
     sequence: &Sequence,
-    choices: &MethodOptions,
+    options: &MethodOptions,
     console: &Console,
-) -> Result<Option<Measured>> {
-    let measured = measured_spacing(sequence, choices, console).map_err(|none| match none.sparse_count {
+) -> Result<(Settings, Option<MeasuredSpacing>)> {
+    let measured = measured_spacing(sequence, options, console).map_err(|none| match none.sparse_count {
         // Why a file cannot be read begins with its name.
         0 => Error::from(none),
         _ => Error::from(none).context(sequence.name.clone()),
     })?;
-    Ok(measured.as_ref().map(Measured::from))
+    Ok((settings_of(sequence, options, measured.as_ref())?, measured))
 }
 
-impl<'a> Studio<'a> {
+impl<'a> RenderSession<'a> {
     /// For pictures of this format and size that go into this folder.
     ///
     /// # Errors
     /// When an option is wrong.
     pub(super) fn new(
-        method: &'a MethodArgs,
-        (view, run): (&ViewArgs, &RunArgs),
+        args: &'a PictureArgs,
         (folder, format, size): (PathBuf, OutputFormat, PictureSize),
-    ) -> Result<Studio<'a>> {
-        let camera = match (&view.camera_from, view.camera) {
-            (Some(file), _) => camera_of_file(file, view.up)?,
-            (None, camera) => camera.unwrap_or_default(),
+    ) -> Result<RenderSession<'a>> {
+        let PictureArgs { camera, camera_from, up, run, method } = args;
+        let camera = match camera_from {
+            Some(file) => camera_of_file(file, *up)?,
+            None => camera.unwrap_or_default(),
         };
-        let typed = FormatArgs { up: view.up, preview_size: Some(size), ..FormatArgs::default() };
-        let mut outputs = output_options(folder, None, &typed);
-        outputs.picture.camera = camera;
-        outputs.formats = vec![format];
-        let obstacles = ObstacleFiles::new(method.obstacle.clone());
-        if let Some(missing) = obstacles.missing() {
-            bail!("{}: there is no such obstacle", missing.display());
-        }
-        Ok(Studio { method, outputs, obstacles, memory_bytes: memory_bytes(run.memory)? })
+        let outputs = OutputOptions {
+            up: up.unwrap_or_default(),
+            picture: PictureOptions { size: size.map(usize::from), camera },
+            ..OutputOptions::new(folder, &[format])
+        };
+        let (obstacles, memory_bytes) = (obstacle_files(method)?, memory_bytes(run.memory)?);
+        Ok(RenderSession { method, outputs, obstacles, memory_bytes })
     }
 
     /// Tells of options that change nothing where these formats are written.
     pub(super) fn warn_of_ignored(&self, written: &[OutputFormat], console: &Console) {
-        for warning in ignored(self.method, written, &FormatArgs::default()) {
-            console.warn(format_args!("warning: {warning}"));
+        for warning in ignored(self.method, &FormatArgs::default(), written) {
+            console.warning(warning);
         }
     }
 
-    /// The settings that the particles of a sequence are skinned with; none for level sets.
+    /// What all pictures of a sequence have in common: the settings that its particles are skinned with, none for level
+    /// sets, and where pictures of this size are taken from.
     ///
     /// # Errors
-    /// When options make no sense, or there is no voxel size.
-    pub(super) fn settings(&self, sequence: &Sequence, console: &Console) -> Result<Option<Settings>> {
+    /// When options make no sense, there is no voxel size, or none of the frames can be read.
+    pub(super) fn prepare(
+        &self,
+        sequence: &Sequence,
+        size: [usize; 2],
+        console: &Console,
+    ) -> Result<(Option<Settings>, Viewpoint)> {
+        let settings = self.settings(sequence, console)?;
+        let viewpoint = self.viewpoint(sequence, settings.as_ref(), size)?;
+        Ok((settings, viewpoint))
+    }
+
+    fn settings(&self, sequence: &Sequence, console: &Console) -> Result<Option<Settings>> {
         if sequence.frames.iter().all(|file| is_level_set(&file.path)) {
             return Ok(None);
         }
@@ -115,19 +127,12 @@ impl<'a> Studio<'a> {
         if self.has_velocities() && choices.attributes.is_none() {
             choices.attributes = Some(AttributeSelection::Named(vec![VELOCITY.to_owned()]));
         }
-        let measured = measured(sequence, &choices, console)?;
-        let settings = Settings::resolve(&choices, measured).with_context(|| sequence.name.clone())?;
-        for warning in settings.warnings() {
-            console.warn(format_args!("warning: {}: {warning}", sequence.name));
-        }
+        let (settings, _) = measured_settings(sequence, &choices, console)?;
+        warn_of(sequence, &settings, console);
         Ok(Some(settings))
     }
 
-    /// Where all pictures of a sequence are taken from.
-    ///
-    /// # Errors
-    /// When none of its frames can be read.
-    pub(super) fn viewpoint(
+    fn viewpoint(
         &self,
         sequence: &Sequence,
         settings: Option<&Settings>,
@@ -145,19 +150,26 @@ impl<'a> Studio<'a> {
         Ok(camera.viewpoint(bounds.unwrap_or(NOTHING), aspect, up_of(self.outputs.up)))
     }
 
-    /// Reads a level set, or skins particles.
+    /// Reads a level set, or skins particles, and prints what a user should know of it.
     ///
     /// # Errors
     /// Those of every stage.
-    pub(super) fn subject(&self, file: &FrameFile, settings: Option<&Settings>) -> Result<Subject> {
-        if is_level_set(&file.path) {
-            let level_set = LevelSetFile::read(&file.path, self.has_velocities())?;
-            return Ok(Subject::LevelSet(Box::new(level_set)));
-        }
-        let settings = settings.context("there are no settings for particles among level sets")?;
-        let frame = LoadedFrame::read((&file.path, file.number()), settings)?;
-        let made = self.skin(&frame, settings)?;
-        Ok(Subject::Skinned(Box::new(Skinned { frame, made, settings: settings.clone() })))
+    pub(super) fn source(
+        &self,
+        file: &FrameFile,
+        settings: Option<&Settings>,
+        console: &Console,
+    ) -> Result<RenderSource> {
+        let source = if is_level_set(&file.path) {
+            RenderSource::LevelSet(Box::new(LevelSetFile::read(&file.path, self.has_velocities())?))
+        } else {
+            let settings = settings.context("there are no settings for particles among level sets")?;
+            let frame = LoadedFrame::read((&file.path, file.number()), settings)?;
+            let made = self.skin(&frame, settings)?;
+            RenderSource::Skinned(Box::new(Skinned { frame, made, settings: settings.clone() }))
+        };
+        self.print_warnings(file, &source, console);
+        Ok(source)
     }
 
     /// Skins particles.
@@ -173,16 +185,16 @@ impl<'a> Studio<'a> {
     }
 
     /// Prints the warnings about a frame. Velocities that are missing are not one where the user did not ask for them.
-    pub(super) fn print_warnings(&self, file: &FrameFile, subject: &Subject, console: &Console) {
-        let warnings = match subject {
-            Subject::LevelSet(level_set) => &level_set.warnings,
-            Subject::Skinned(skinned) => &skinned.made.warnings,
+    fn print_warnings(&self, file: &FrameFile, source: &RenderSource, console: &Console) {
+        let warnings = match source {
+            RenderSource::LevelSet(level_set) => &level_set.warnings,
+            RenderSource::Skinned(skinned) => &skinned.made.warnings,
         };
         let is_asked = self.method.options.attributes.is_some();
         let is_velocity =
             |warning: &Warning| matches!(warning, Warning::MissingAttribute { name, .. } if name == VELOCITY);
         for warning in warnings.iter().filter(|warning| is_asked || !is_velocity(warning)) {
-            console.warn(format_args!("warning: {}: {}", file.path.display(), with_remedy(warning)));
+            console.warning(format_args!("{}: {}", file.path.display(), with_remedy(warning)));
         }
     }
 
@@ -192,12 +204,12 @@ impl<'a> Studio<'a> {
     }
 }
 
-impl Subject {
+impl RenderSource {
     /// A picture of the surface, with what is known of its pixels if that is wanted.
     pub(super) fn picture(&self, viewpoint: &Viewpoint, size: [usize; 2], has_data: bool) -> Picture {
         match self {
-            Subject::LevelSet(level_set) => level_set.scene().picture(viewpoint, size, has_data),
-            Subject::Skinned(skinned) => {
+            RenderSource::LevelSet(level_set) => level_set.scene().picture(viewpoint, size, has_data),
+            RenderSource::Skinned(skinned) => {
                 picture_of_reconstruction(&skinned.made, &skinned.settings, (viewpoint, size), has_data)
             }
         }
@@ -206,7 +218,7 @@ impl Subject {
     /// The particles to the left, the surface to the right. A level set has no particles, and is alone.
     pub(super) fn picture_beside_particles(&self, viewpoint: &Viewpoint, size: [usize; 2]) -> Picture {
         let [width, height] = size;
-        let Subject::Skinned(skinned) = self else { return self.picture(viewpoint, size, false) };
+        let RenderSource::Skinned(skinned) = self else { return self.picture(viewpoint, size, false) };
         let right = self.picture(viewpoint, [width - width / 2, height], false);
         let view = viewpoint.view([width / 2, height]);
         let radius = BALL_RADIUS * skinned.settings.radius_min;
@@ -216,8 +228,8 @@ impl Subject {
     /// What made a picture of it.
     pub(super) fn provenance(&self, input: &Path, options: &PictureOptions) -> Vec<(String, String)> {
         match self {
-            Subject::LevelSet(level_set) => picture_provenance(input, level_set.hash, None, options),
-            Subject::Skinned(skinned) => {
+            RenderSource::LevelSet(level_set) => picture_provenance(input, level_set.hash, None, options),
+            RenderSource::Skinned(skinned) => {
                 let Skinned { frame, made, settings } = &**skinned;
                 picture_provenance(input, frame.hash(), Some((settings, &made.obstacles)), options)
             }
@@ -225,8 +237,8 @@ impl Subject {
     }
 }
 
-/// Does what a picture of a file takes; a panic becomes an error of this one, and the others go on.
-pub(super) fn caught<T>(file: &Path, work: impl FnOnce() -> Result<T>) -> Result<T> {
+/// Does the work on a file; a panic becomes an error of this one, and the others go on.
+pub(super) fn catch_panic<T>(file: &Path, work: impl FnOnce() -> Result<T>) -> Result<T> {
     FrameError::catch(file, Stage::Write, work)?
 }
 
@@ -247,25 +259,17 @@ pub(super) fn picture_of_reconstruction(
 ///
 /// # Errors
 /// When an input stands for no file at all.
-pub(super) fn find_subjects(inputs: &[PathBuf]) -> Result<Found> {
-    let mut all = Found::default();
-    for input in inputs {
-        let level_sets = level_sets_in(input);
-        all.add(match level_sets.is_empty() {
-            true => find_inputs(std::slice::from_ref(input))?,
-            false => with_level_sets(find_beside_others(input)?, level_sets, input),
-        });
-    }
-    Ok(all)
+pub(super) fn find_render_sources(inputs: &[PathBuf]) -> Result<Found> {
+    find_with_others(inputs, |input| Ok(level_sets_in(input)), add_level_sets)
 }
 
-/// Particles, and those level sets of the same folder whose frames are not there as particles.
-fn with_level_sets(mut found: Found, level_sets: Vec<FrameFile>, folder: &Path) -> Found {
+/// Adds those level sets of a folder whose frames are not there as particles.
+fn add_level_sets(found: &mut Found, level_sets: Vec<FrameFile>, folder: &Path) {
     let stems: HashSet<String> = found.files.iter().map(FrameFile::stem).collect();
     let count = level_sets.len();
-    let (known, new): (Vec<_>, Vec<_>) = level_sets
-        .into_iter()
-        .partition(|file| file.path.file_stem().is_some_and(|stem| stems.contains(&*stem.to_string_lossy())));
+    let is_known =
+        |file: &FrameFile| file.path.file_stem().is_some_and(|stem| stems.contains(&*stem.to_string_lossy()));
+    let (known, new): (Vec<_>, Vec<_>) = level_sets.into_iter().partition(is_known);
     if !known.is_empty() {
         found.warnings.push(format!(
             "{}: {} of {} passed over: their frames are there as particles",
@@ -275,7 +279,6 @@ fn with_level_sets(mut found: Found, level_sets: Vec<FrameFile>, folder: &Path) 
         ));
     }
     found.add(Found { files: new, ..Found::default() });
-    found
 }
 
 /// The level sets in a folder; none in what is no folder.
@@ -296,7 +299,7 @@ pub(super) fn named_picture<'e>(file: &Path, extensions: &[&'e str]) -> Result<(
     let Some(stem) = file.file_stem().and_then(|stem| stem.to_str()) else {
         bail!("{}: expected a name in UTF-8", file.display());
     };
-    let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = folder_of(file);
     Ok((folder.to_owned(), stem.to_owned(), extension))
 }
 

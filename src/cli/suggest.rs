@@ -1,4 +1,4 @@
-//! What was meant by an option that there is not.
+//! Suggests the intended option for an unknown one.
 
 use std::ffi::OsString;
 
@@ -7,11 +7,11 @@ use clap::error::{ContextKind, ContextValue};
 use clap::{CommandFactory, Error};
 use strsim::jaro;
 
-use super::args::Typed;
+use super::args::Cli;
 
 /// The same error; but whoever types nearly `--output` where there is only `--out` is told of that. By their letters
 /// alone others are nearer: `--ouput` is more like `--up`.
-pub(super) fn with_what_was_meant(mut error: Error, arguments: &[OsString]) -> Error {
+pub(super) fn with_suggestion(mut error: Error, arguments: &[OsString]) -> Error {
     let Some(ContextValue::String(typed)) = error.get(ContextKind::InvalidArg) else { return error };
     let nearness = |option: &str| jaro(typed, option);
     let found = match error.get(ContextKind::SuggestedArg) {
@@ -29,7 +29,7 @@ pub(super) fn with_what_was_meant(mut error: Error, arguments: &[OsString]) -> E
 
 /// How the command is used, if it has `--out` and no `--output`.
 fn usage_of_out_alone(arguments: &[OsString]) -> Option<StyledStr> {
-    let mut program = Typed::command();
+    let mut program = Cli::command();
     program.build();
     let command = program.find_subcommand_mut(arguments.get(1)?)?;
     let has = |long| command.get_arguments().any(|option| option.get_long() == Some(long));

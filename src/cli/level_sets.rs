@@ -1,0 +1,88 @@
+//! Level sets in .vdb as inputs: contoured as they are, or smoothed within --band-slack.
+
+use anyhow::{Result, bail};
+
+use crate::pipeline::{Job, is_level_set};
+use crate::surface::options::{LengthUnit, MethodOptions, OptionGroup};
+
+use super::args::{MethodArgs, OptionSet};
+use super::selecting::{Selection, selected_files};
+use super::wording::all_typed;
+
+/// How the selected files become surfaces, which are level sets or particles.
+///
+/// # Errors
+/// When they are both, there is a slack for particles, or options do not apply to level sets.
+pub(super) fn surface_job(
+    selection: &Selection,
+    band_slack: Option<f64>,
+    method: &MethodArgs,
+) -> Result<Job> {
+    let mut files = selected_files(&selection.sequences);
+    let is_one = files.clone().any(|file| is_level_set(&file.path));
+    match files.find(|file| is_level_set(&file.path) != is_one) {
+        Some(other) if is_one => {
+            bail!(
+                "{}: level sets and particles are converted one after the other, not together",
+                other.path.display()
+            )
+        }
+        _ if is_one => {
+            let slack_voxels = band_slack.unwrap_or(0.0);
+            refuse_options(method, if slack_voxels == 0.0 { Use::AsItIs } else { Use::Smoothed })?;
+            Ok(Job::level_set(slack_voxels))
+        }
+        _ if band_slack.is_some() => bail!("--band-slack is for level sets in .vdb"),
+        _ => Ok(Job::Surface),
+    }
+}
+
+/// What a level set is read for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Use {
+    /// A surface, contoured as it is.
+    AsItIs,
+    /// A surface, smoothed first.
+    Smoothed,
+    /// A picture.
+    Picture,
+}
+
+/// Refuses options that do not apply to a level set.
+///
+/// # Errors
+/// Which of the options, and why.
+pub(super) fn refuse_options(method: &MethodArgs, reason: Use) -> Result<()> {
+    let solver_has_no_use = match reason {
+        Use::Picture => "a picture is of the file as it is",
+        Use::AsItIs | Use::Smoothed => "without --band-slack it is not smoothed",
+    };
+    // Its voxel size is known when it is read, and its particle spacing never.
+    if method.options.offset.is_some_and(|offset| offset.unit != LengthUnit::World) {
+        bail!("--offset must be in world units for a level set in .vdb, such as --offset 0.01");
+    }
+    for (group, why) in [
+        (OptionGroup::General, "the file has its voxels"),
+        (OptionGroup::Surface, "that is for surfaces of particles, and it has none"),
+        (OptionGroup::Particles, "that is for particles, and it has none"),
+        (OptionGroup::Obstacles, "obstacles are for particles"),
+        (OptionGroup::Solver, solver_has_no_use),
+    ] {
+        let mut given = method.given();
+        given.retain(|name| group_of(name, reason) == Some(group));
+        if !given.is_empty() && (group != OptionGroup::Solver || reason != Use::Smoothed) {
+            bail!("{} cannot be given with a level set in .vdb: {why}", all_typed(&given));
+        }
+    }
+    Ok(())
+}
+
+/// What an option belongs to, where there are level sets: they can be offset, but not for pictures.
+fn group_of(name: &str, reason: Use) -> Option<OptionGroup> {
+    match name {
+        "particle_radius" => Some(OptionGroup::General),
+        "obstacle" => Some(OptionGroup::Obstacles),
+        "offset" => (reason == Use::Picture).then_some(OptionGroup::Solver),
+        _ => MethodOptions::info(name).map(|info| info.group),
+    }
+}

@@ -1,0 +1,50 @@
+//! What a command may take of the machine: threads and memory.
+
+use std::thread::available_parallelism;
+
+use anyhow::{Context, Result, bail};
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+use crate::pipeline::default_memory_bytes;
+
+/// No frame does with less memory, in bytes: whoever asks for that has left out the unit.
+const MEMORY_MIN_BYTES: u64 = 1 << 20;
+
+/// How many threads compute: as given, or one for each core.
+pub(super) fn thread_count(given: Option<u16>) -> usize {
+    given.map_or_else(|| available_parallelism().map_or(1, usize::from), usize::from)
+}
+
+/// The threads that compute: as many as given, or one for each core.
+///
+/// # Errors
+/// When the system refuses.
+pub(super) fn thread_pool(given: Option<u16>) -> Result<ThreadPool> {
+    let pool = ThreadPoolBuilder::new().num_threads(thread_count(given));
+    pool.thread_name(|index| format!("compute {index}")).build().context("cannot start the threads")
+}
+
+/// The memory that frames may take, in bytes: as given, or half of what there is.
+///
+/// # Errors
+/// When it is too little for any frame.
+pub(super) fn memory_bytes(given: Option<u64>) -> Result<u64> {
+    match given {
+        Some(bytes) if bytes < MEMORY_MIN_BYTES => {
+            bail!("{bytes} bytes of memory are too little for any frame: give 1MiB at least, or such as 8GiB")
+        }
+        Some(bytes) => Ok(bytes),
+        None => Ok(default_memory_bytes()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn memory_without_a_unit_is_too_little() {
+        assert!(memory_bytes(Some(5)).is_err_and(|why| why.to_string().contains("5 bytes of memory")));
+        assert_eq!(memory_bytes(Some(1 << 20)).ok(), Some(1 << 20));
+    }
+}

@@ -1,0 +1,441 @@
+//! What `meniscus tune` varies: `ratio=1.5,2,3,time,h=0.5x,1x`.
+//!
+//! ```text
+//!   ratio   --radius-ratio     1.5    the number as the option takes it
+//!   time    --steps            2x     a multiple of what it is without
+//!   h       --voxel-size
+//! ```
+
+use std::fmt::Write;
+use std::str::FromStr;
+
+use crate::surface::options::{MethodOptions, Settings, ValueKind};
+
+use super::wording::{significant, typed};
+
+/// What differs from cell to cell.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Vary {
+    /// One to three, each another parameter.
+    varied: Vec<Varied>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+struct Varied {
+    parameter: &'static Parameter,
+    /// `None` for the parameter's own.
+    amounts: Option<Vec<Amount>>,
+}
+
+/// An option that can be varied.
+#[derive(Debug, PartialEq)]
+pub(super) struct Parameter {
+    /// Its short name.
+    pub(super) name: &'static str,
+    /// The option.
+    option: &'static str,
+    /// What it is, in a title. Of whole numbers, what is counted is before the first ` of `.
+    pub(super) meaning: &'static str,
+    /// The values beside the one without, where none are given.
+    amounts: (Unit, &'static [f64]),
+}
+
+/// A number, and its unit.
+type Amount = (Unit, f64);
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Unit {
+    /// As the option takes it.
+    Plain,
+    /// In units of what it is without.
+    Times,
+}
+
+/// A value of an option.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Value {
+    parameter: &'static Parameter,
+    /// `None` for what it is without.
+    number: Option<f64>,
+}
+
+use Unit::{Plain, Times};
+
+static PARAMETERS: [Parameter; 14] = [
+    // From the most faithful to the smoothest.
+    parameter("ratio", "radius_ratio", "r_max / r_min", Plain, &[1.25, 2.0, 3.0, 4.0]),
+    // None to twice as long.
+    parameter("time", "steps", "steps of smoothing", Times, &[0.0, 0.5, 2.0]),
+    // A quick look to four times the work. The coarsest is first: it is the quickest.
+    parameter("h", "voxel_size", "voxel size h", Times, &[1.5, 0.75, 0.5]),
+    parameter("smoothing", "position_smoothing", "position smoothing", Plain, &[0.0, 0.5, 0.7, 0.9]),
+    parameter("min", "radius_min", "r_min", Times, &[0.75, 0.875, 1.25]),
+    parameter("init", "radius_init", "r_init", Times, &[0.9, 1.1, 1.2]),
+    parameter("thin", "thin_radius", "least half axis of flattened particles", Times, &[1.5, 2.0, 3.0]),
+    parameter("alone", "lone_radius", "r_min of particles without neighbours", Times, &[1.2, 1.4, 1.6]),
+    parameter("stretch", "max_stretch", "greatest stretch of particles", Plain, &[1.0, 2.0, 4.0, 8.0]),
+    parameter("neighbors", "neighbor_radius", "how far neighbours count", Times, &[0.75, 1.25, 1.5]),
+    parameter("laplacian", "laplacian_steps", "Laplacian steps", Times, &[0.0, 0.5, 2.0, 4.0]),
+    parameter("step", "step_size", "size of a step, h\u{2074}", Times, &[0.25, 4.0, 16.0]),
+    parameter("redistance", "redistance_every", "steps between redistancings", Plain, &[1.0, 2.0, 4.0]),
+    // A multiple of 0 is 0: values must be given.
+    parameter("offset", "offset", "offset", Plain, &[]),
+];
+
+const fn parameter(
+    name: &'static str,
+    option: &'static str,
+    meaning: &'static str,
+    unit: Unit,
+    numbers: &'static [f64],
+) -> Parameter {
+    Parameter { name, option, meaning, amounts: (unit, numbers) }
+}
+
+/// What `meniscus tune --help` says below the options.
+pub(super) fn tuning_help() -> String {
+    let mut text = "What to vary, with the values that are shown beside what it is without:\n".to_owned();
+    for Parameter { name, option, meaning, amounts: (unit, numbers) } in &PARAMETERS {
+        let x = if *unit == Times { "x" } else { "" };
+        let numbers: Vec<String> = numbers.iter().map(|number| format!("{number}{x}")).collect();
+        let numbers = if numbers.is_empty() { "give values".to_owned() } else { numbers.join(",") };
+        // Text in memory takes everything.
+        let _ = writeln!(text, "  {name:<11} {:<21} {meaning}: {numbers}", typed(option));
+    }
+    text + TUNING
+}
+
+const TUNING: &str = "\
+  Values follow a = and are separated by commas: numbers as the option takes them, or, with an x
+  behind them, multiples of what it is without: --vary ratio=1.5,2,3,h=0.5x,1x.
+  The first differs from row to row, the second from column to column, the third from block to block.
+  With --preset paper and an h smaller than without, r_min is held at what it is without, or spheres
+  would come apart.
+
+What is shown:
+  Without --camera or --camera-from the part of the frame that has the most surface, 16 particle
+  spacings wide; with --camera zoom=1 the whole frame.
+
+  All other options hold for every cell. The command of each cell is printed, with how long the cell
+  took, and is on the sheet: it converts INPUT as the cell shows it.
+
+Exit status:
+  0    every cell has its picture
+  1    some settings were refused or failed: their cells say why, and the others are there
+  2    the command cannot be carried out, or no cell has a picture: there is no sheet";
+
+impl Vary {
+    /// The parameters, and the values of each: one at least. `settings` are those without.
+    ///
+    /// # Errors
+    /// When a parameter has no values, or changes nothing with these settings.
+    pub(super) fn values(
+        &self,
+        settings: &Settings,
+    ) -> Result<Vec<(&'static Parameter, Vec<Value>)>, String> {
+        self.varied.iter().map(|varied| Ok((varied.parameter, varied.values(settings)?))).collect()
+    }
+}
+
+impl Varied {
+    fn values(&self, settings: &Settings) -> Result<Vec<Value>, String> {
+        let &Parameter { name, amounts: (unit, numbers), .. } = self.parameter;
+        if self.parameter.value_in(settings).is_none() {
+            return Err(format!(
+                "--vary {name} changes nothing where neighbours do not shape particles: add --anisotropy neighbors"
+            ));
+        }
+        let value = |amount: Amount| self.parameter.value(amount, settings);
+        if let Some(amounts) = &self.amounts {
+            return Ok(amounts.iter().copied().map(value).collect());
+        }
+        if numbers.is_empty() {
+            return Err(format!("--vary {name} has no values: write {name}=VALUE,VALUE"));
+        }
+        let mut values = vec![value((Times, 1.0))];
+        values.extend(numbers.iter().map(|&number| value((unit, number))));
+        values.sort_by(|a, b| a.number(settings).total_cmp(&b.number(settings)));
+        values.dedup_by(|a, b| a.number(settings) == b.number(settings));
+        if name == "h" {
+            values.reverse();
+        }
+        Ok(values)
+    }
+}
+
+impl Parameter {
+    fn named(name: &str) -> Result<&'static Parameter, String> {
+        let found = PARAMETERS.iter().find(|parameter| parameter.name == name);
+        found.ok_or_else(|| format!("there is no `{name}` to vary: expected {}", names()))
+    }
+
+    /// Whether its values are whole numbers.
+    fn is_counted(&self) -> bool {
+        MethodOptions::info(self.option).is_some_and(|info| info.kind == ValueKind::Count)
+    }
+
+    /// Its value in settings; `None` where these do not use it.
+    fn value_in(&self, settings: &Settings) -> Option<f64> {
+        let pairs = settings.to_options().to_pairs();
+        let found = pairs.iter().find(|(name, _)| *name == self.option);
+        // Settings without an offset have one of 0.
+        found.and_then(|(_, text)| text.parse().ok()).or_else(|| (self.option == "offset").then_some(0.0))
+    }
+
+    /// What it is without.
+    fn without(&self, settings: &Settings) -> f64 {
+        self.value_in(settings).unwrap_or(f64::NAN)
+    }
+
+    fn value(&'static self, amount: Amount, settings: &Settings) -> Value {
+        let without = self.without(settings);
+        let number = match amount {
+            (Times, 1.0) => None,
+            (Plain, number) => Some(number),
+            (Times, factor) if !self.is_counted() => Some(short(factor * without)),
+            // Half of a step is one.
+            (Times, factor) if factor > 0.0 => Some((factor * without).round().max(1.0)),
+            (Times, _) => Some(0.0),
+        };
+        Value { parameter: self, number }
+    }
+
+    /// An amount as it is typed.
+    fn amount(&self, text: &str) -> Result<Amount, String> {
+        let parsed = match text.strip_suffix('x') {
+            Some(factor) => factor.parse().ok().filter(|factor| *factor >= 0.0).map(|factor| (Times, factor)),
+            None => text.parse().ok().map(|number| (Plain, number)),
+        };
+        let is_counted = self.is_counted();
+        let is_sound = |amount: &Amount| match *amount {
+            (Plain, steps) if is_counted => steps.fract() == 0.0 && (0.0..=STEPS_TYPED_MAX).contains(&steps),
+            (_, number) => number.is_finite(),
+        };
+        let expected = if is_counted { "a whole number of steps, such as 5" } else { "a number, such as 2" };
+        parsed.filter(is_sound).ok_or_else(|| {
+            let name = self.name;
+            format!("{name}=`{text}`: expected {expected}, or a multiple of what it is without, such as 0.5x")
+        })
+    }
+}
+
+impl Value {
+    fn number(self, settings: &Settings) -> f64 {
+        self.number.unwrap_or_else(|| self.parameter.without(settings))
+    }
+
+    /// Puts it into options; `settings` are those without.
+    pub(super) fn put(self, options: &mut MethodOptions, settings: &Settings) {
+        let Some(number) = self.number else { return };
+        let Parameter { name, option, .. } = self.parameter;
+        let is_set = options.set(option, &number.to_string());
+        debug_assert!(is_set.is_some(), "{option} takes numbers");
+        // In smaller voxels the paper's spheres would shrink, too, and come apart. In larger ones they must grow.
+        let follows_voxel_size = options.preset.unwrap_or_default().follows_voxel_size();
+        let is_finer = *name == "h" && number < settings.voxel_size;
+        if follows_voxel_size && is_finer && options.radius_min.is_none() {
+            options.radius_min = Some(short(settings.radius_min).into());
+        }
+    }
+
+    /// As it is written under a cell with these settings.
+    pub(super) fn label(self, settings: &Settings) -> String {
+        let (&Parameter { name, meaning, .. }, number) = (self.parameter, self.number(settings));
+        let noun = meaning.split(" of ").next().unwrap_or_default();
+        match self.parameter.is_counted() {
+            true if number == 1.0 => format!("1 {}", noun.replacen("steps", "step", 1)),
+            true => format!("{number} {noun}"),
+            false => format!("{name} {}", significant(number)),
+        }
+    }
+
+    /// Whether it is what it is without.
+    pub(super) fn is_without(self, settings: &Settings) -> bool {
+        self.number(settings) == self.parameter.without(settings)
+    }
+}
+
+/// A number to four digits, as it is easily typed.
+fn short(number: f64) -> f64 {
+    format!("{number:.3e}").parse().unwrap_or(number)
+}
+
+/// Rows, columns and blocks.
+const PARAMETERS_MAX: usize = 3;
+
+/// More are no whole number of steps.
+const STEPS_TYPED_MAX: f64 = u32::MAX as f64;
+
+impl FromStr for Vary {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Vary, String> {
+        let mut varied: Vec<Varied> = Vec::new();
+        for item in text.split(',').map(str::trim) {
+            let (name, value) = match item.split_once('=') {
+                Some((name, value)) => (Some(name.trim()), Some(value.trim())),
+                None if item.starts_with(|c: char| c.is_ascii_alphabetic()) => (Some(item), None),
+                None => (None, Some(item)),
+            };
+            if let Some(name) = name {
+                let parameter = Parameter::named(name)?;
+                if varied.iter().any(|varied| varied.parameter == parameter) {
+                    return Err(format!("parameter {name} is given twice"));
+                }
+                if varied.len() == PARAMETERS_MAX {
+                    return Err(format!(
+                        "{name} is one parameter too many: a sheet has rows, columns and blocks"
+                    ));
+                }
+                varied.push(Varied { parameter, amounts: None });
+            }
+            let Some(value) = value else { continue };
+            let Some(Varied { parameter, amounts }) = varied.last_mut() else {
+                return Err(format!(
+                    "value `{value}` has no parameter: write NAME={value}, with one of {}",
+                    names()
+                ));
+            };
+            if name.is_none() && amounts.is_none() {
+                return Err(format!("`{value}`: values follow a =, such as {}={value}", parameter.name));
+            }
+            amounts.get_or_insert_default().push(parameter.amount(value)?);
+        }
+        Ok(Vary { varied })
+    }
+}
+
+fn names() -> String {
+    let names: Vec<&str> = PARAMETERS.iter().map(|parameter| parameter.name).collect();
+    format!("{}, each with values or without, such as ratio=1.5,2,3,time", names.join(", "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::surface::options::Preset;
+
+    fn settings() -> Settings {
+        Settings::paper(0.1, &MethodOptions::default()).expect("sound")
+    }
+
+    fn values(text: &str, settings: &Settings) -> Vec<Vec<Option<f64>>> {
+        let vary: Vary = text.parse().expect(text);
+        let numbers = |values: Vec<Value>| values.into_iter().map(|value| value.number).collect();
+        vary.values(settings).expect(text).into_iter().map(|(_, values)| numbers(values)).collect()
+    }
+
+    #[test]
+    fn values_are_those_that_were_given() {
+        let given = values("ratio=1.5, 0.7x ,time=7,2x,0x,h=0.3,1x,0.3333333x", &settings());
+        assert_eq!(given[0], [Some(1.5), Some(1.4)]);
+        assert_eq!(given[1], [Some(7.0), Some(10.0), Some(0.0)]);
+        assert_eq!(given[2], [Some(0.3), None, Some(0.03333)]);
+    }
+
+    #[test]
+    fn without_values_what_it_is_without_is_there() {
+        assert_eq!(values("time", &settings())[0], [Some(0.0), Some(3.0), None, Some(10.0)]);
+        assert_eq!(values("ratio", &settings())[0], [Some(1.25), None, Some(3.0), Some(4.0)]);
+        assert_eq!(values("h", &settings())[0], [Some(0.15), None, Some(0.075), Some(0.05)]);
+        let granular = MethodOptions {
+            preset: Some(Preset::Granular),
+            radius_ratio: Some(1.4),
+            ..MethodOptions::default()
+        };
+        let granular = Settings::paper(0.1, &granular).expect("sound");
+        // Half of a step is one.
+        assert_eq!(values("time", &granular)[0], [Some(0.0), None, Some(2.0)]);
+        assert_eq!(values("ratio", &granular)[0], [Some(1.25), None, Some(2.0), Some(3.0), Some(4.0)]);
+    }
+
+    #[test]
+    fn axes_without_effect_or_values_are_refused() {
+        let refused = |text: &str| {
+            let vary: Vary = text.parse().expect(text);
+            vary.values(&settings()).err().unwrap_or_default()
+        };
+        for name in ["thin", "alone", "stretch", "neighbors=1,2"] {
+            assert!(refused(name).contains("changes nothing"), "{name}: {}", refused(name));
+        }
+        assert_eq!(refused("offset"), "--vary offset has no values: write offset=VALUE,VALUE");
+        assert_eq!(refused("offset=0,0.1"), "");
+    }
+
+    /// What is put into the options comes out of the settings.
+    #[test]
+    fn every_parameter_changes_the_settings() {
+        let with = |options: &MethodOptions| Settings::resolve(options, Some(0.2.into())).expect("sound");
+        let without = with(&MethodOptions::default());
+        for parameter in &PARAMETERS {
+            let usual = parameter.without(&without);
+            let number = match parameter.name {
+                "offset" => -0.01,
+                "redistance" => 2.0,
+                _ if parameter.is_counted() => 2.0 * usual,
+                _ => short(1.01 * usual),
+            };
+            let mut options = MethodOptions::default();
+            let value = Value { parameter, number: Some(number) };
+            value.put(&mut options, &without);
+            assert_eq!(parameter.without(&with(&options)), number, "{}", parameter.name);
+            assert!(value.is_without(&with(&options)) && !value.is_without(&without), "{}", parameter.name);
+        }
+    }
+
+    #[test]
+    fn whole_numbers_agree_with_what_is_counted() {
+        for (name, labels) in [
+            ("time", ["1 step", "5 steps"]),
+            ("laplacian", ["1 Laplacian step", "5 Laplacian steps"]),
+            ("redistance", ["1 step between redistancings", "5 steps between redistancings"]),
+            ("h", ["h 1", "h 5"]),
+        ] {
+            let parameter = Parameter::named(name).expect("known");
+            let label = |number| Value { parameter, number: Some(number) }.label(&settings());
+            assert_eq!([label(1.0), label(5.0)], labels);
+        }
+    }
+
+    fn voxel_size_of(number: f64) -> Value {
+        Value { parameter: Parameter::named("h").expect("known"), number: Some(number) }
+    }
+
+    #[test]
+    fn radii_stay_where_voxels_are_smaller_and_grow_where_they_are_larger() {
+        let settings = settings();
+        for (voxel_size, radius_min) in [(0.05, Some(0.1732.into())), (0.1, None), (0.2, None)] {
+            let mut options = MethodOptions { preset: Some(Preset::Paper), ..MethodOptions::default() };
+            voxel_size_of(voxel_size).put(&mut options, &settings);
+            assert_eq!((options.voxel_size, options.radius_min), (Some(voxel_size.into()), radius_min));
+        }
+        let mut options = MethodOptions {
+            preset: Some(Preset::Paper),
+            radius_min: Some(0.2.into()),
+            ..MethodOptions::default()
+        };
+        voxel_size_of(0.05).put(&mut options, &settings);
+        assert_eq!(options.radius_min, Some(0.2.into()));
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_what_was_expected() {
+        for (text, told) in [
+            ("", "value `` has no parameter"),
+            ("2,3", "value `2` has no parameter: write NAME=2"),
+            ("size", "no `size` to vary: expected ratio, time, h"),
+            ("ratio,2", "such as ratio=2"),
+            ("ratio,time,ratio", "parameter ratio is given twice"),
+            ("ratio,time,h,min", "min is one parameter too many"),
+            ("ratio=", "ratio=``: expected a number"),
+            ("ratio=wide", "ratio=`wide`: expected a number"),
+            ("time=2.5", "time=`2.5`: expected a whole number"),
+            ("time=-1", "time=`-1`"),
+            ("h=-1x", "h=`-1x`"),
+            ("h=infx", "h=`infx`"),
+        ] {
+            let error = text.parse::<Vary>().expect_err(text);
+            assert!(error.contains(told), "{text}: {error}");
+        }
+    }
+}
