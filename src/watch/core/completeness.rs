@@ -249,12 +249,12 @@ pub fn sentinel_path(frame: &Path, pattern: &str) -> PathBuf {
 }
 
 /// The file that says that a frame is complete.
-pub(in crate::watch) fn path_of_sentinel(watch: &Watch, frame: &Path) -> PathBuf {
+pub(crate) fn path_of_sentinel(watch: &Watch, frame: &Path) -> PathBuf {
     sentinel_path(frame, sentinel_pattern(watch))
 }
 
 /// Whether some frame's sentinel could have this name.
-pub(in crate::watch) fn may_be_sentinel(watch: &Watch, path: &Path) -> bool {
+pub(crate) fn may_be_sentinel(watch: &Watch, path: &Path) -> bool {
     let pattern = sentinel_pattern(watch);
     let end = pattern.rsplit('}').next().unwrap_or(pattern);
     path.as_os_str().as_encoded_bytes().ends_with(end.as_bytes())

@@ -8,7 +8,7 @@ use super::frames::FrameId;
 
 /// The steps of a file.
 #[derive(Debug)]
-pub(in crate::watch) struct FileSteps {
+pub(crate) struct FileSteps {
     /// The place of each among them.
     pub(super) index_of: HashMap<FrameId, usize>,
     pub(super) found: FileFrames,
@@ -23,17 +23,17 @@ impl FileSteps {
 
 /// A complete file that is to be gone through.
 #[derive(Debug)]
-pub(in crate::watch) struct StepsOrder {
-    pub(in crate::watch) id: FrameId,
-    pub(in crate::watch) stamp: FileStamp,
+pub(crate) struct StepsOrder {
+    pub(crate) id: FrameId,
+    pub(crate) stamp: FileStamp,
     /// Why the frame is refused if it has no steps: what its outputs would replace.
-    pub(in crate::watch) conflict: Option<String>,
+    pub(crate) conflict: Option<String>,
 }
 
 /// What came of it.
 #[derive(Debug)]
-pub(in crate::watch) struct FoundSteps {
-    pub(in crate::watch) order: StepsOrder,
+pub(crate) struct FoundSteps {
+    pub(crate) order: StepsOrder,
     /// Its frames; `None` if the file was written again meanwhile.
-    pub(in crate::watch) frames: Result<Option<FileFrames>, FrameError>,
+    pub(crate) frames: Result<Option<FileFrames>, FrameError>,
 }

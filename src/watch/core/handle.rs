@@ -14,17 +14,17 @@ use super::state::{Core, Count, Failure, STALL_AFTER};
 
 /// What came of all frames.
 #[derive(Debug)]
-pub(in crate::watch) struct Tally {
-    pub(in crate::watch) done_count: usize,
-    pub(in crate::watch) broken_count: usize,
+pub(crate) struct Tally {
+    pub(crate) done_count: usize,
+    pub(crate) broken_count: usize,
     /// Sentences, and how many frames were finished since each was logged.
-    pub(in crate::watch) failed: Vec<(String, Option<usize>)>,
-    pub(in crate::watch) left_count: usize,
+    pub(crate) failed: Vec<(String, Option<usize>)>,
+    pub(crate) left_count: usize,
 }
 
 impl Core {
     /// Takes in an event. What is to be done for it is returned by [`Core::take_effects`].
-    pub(in crate::watch) fn handle(&mut self, event: Event, now: Now) {
+    pub(crate) fn handle(&mut self, event: Event, now: Now) {
         self.now = now;
         match event {
             Event::FileSeen { id, seen, at, renamed } => self.on_file_seen(&id, &seen, at, renamed),
@@ -56,7 +56,7 @@ impl Core {
 
     /// Does what is due, and what several events together make possible. To be called after each batch of events, and
     /// when [`Core::next_deadline`] has come.
-    pub(in crate::watch) fn settle_batch(&mut self, now: Now) {
+    pub(crate) fn settle_batch(&mut self, now: Now) {
         self.now = now;
         while let Some(id) = self.frames.next_alarm(now.at) {
             self.on_alarm(&id);
@@ -68,17 +68,17 @@ impl Core {
     }
 
     /// When something is due next.
-    pub(in crate::watch) fn next_deadline(&self) -> Option<Instant> {
+    pub(crate) fn next_deadline(&self) -> Option<Instant> {
         self.frames.alarm_at()
     }
 
     /// What is to be done, in this order.
-    pub(in crate::watch) fn take_effects(&mut self) -> Vec<Effect> {
+    pub(crate) fn take_effects(&mut self) -> Vec<Effect> {
         std::mem::take(&mut self.effects)
     }
 
     /// What is to be counted.
-    pub(in crate::watch) fn take_counts(&mut self) -> Vec<Count> {
+    pub(crate) fn take_counts(&mut self) -> Vec<Count> {
         std::mem::take(&mut self.counts)
     }
 
@@ -152,21 +152,21 @@ impl Core {
     }
 
     /// Whether everything was looked at once; folders that hang are not waited for.
-    pub(in crate::watch) fn is_ready(&self) -> bool {
+    pub(crate) fn is_ready(&self) -> bool {
         let is_waiting = self.roots.iter().any(|root| !root.was_scanned && root.stalled_since.is_none());
         let hangs = self.roots.iter().any(|root| root.stalled_since.is_some());
         !is_waiting && (hangs || !self.frames.is_inspecting(None))
     }
 
     /// The first root that cannot be scanned, and why.
-    pub(in crate::watch) fn unavailable_root(&self) -> Option<(usize, String)> {
+    pub(crate) fn unavailable_root(&self) -> Option<(usize, String)> {
         let why = |(index, root): (usize, &super::state::RootState)| Some((index, root.unavailable.clone()?));
         self.roots.iter().enumerate().find_map(why)
     }
 
     /// Whether nothing is left that can be done. Frames whose settings cannot be measured fail for it; those that wait for
     /// a file are left, and so are frames that wait for their settings.
-    pub(in crate::watch) fn is_drained(&mut self) -> bool {
+    pub(crate) fn is_drained(&mut self) -> bool {
         let is_busy = self.frames.is_inspecting(None) || !self.dirty_sequences.is_empty();
         if !self.is_ready() || self.queue.len() > 0 || !self.under_way.is_empty() || is_busy {
             return false;
@@ -208,27 +208,27 @@ impl Core {
     }
 
     /// Begins no further frame.
-    pub(in crate::watch) fn stop(&mut self) {
+    pub(crate) fn stop(&mut self) {
         self.is_stopping = true;
     }
 
     /// Whether frames are under way that do not hang.
-    pub(in crate::watch) fn has_frames_under_way(&self, with_stalled: bool) -> bool {
+    pub(crate) fn has_frames_under_way(&self, with_stalled: bool) -> bool {
         self.under_way.keys().any(|id| with_stalled || self.may_begin(id.root))
     }
 
-    pub(in crate::watch) fn is_stopping(&self) -> bool {
+    pub(crate) fn is_stopping(&self) -> bool {
         self.is_stopping
     }
 
     /// Whether a folder hangs.
-    pub(in crate::watch) fn has_stalled(&self) -> bool {
+    pub(crate) fn has_stalled(&self) -> bool {
         let roots = self.roots.iter().any(|root| root.stalled_since.is_some());
         roots || self.outputs.iter().any(|output| output.stalled_since.is_some())
     }
 
     /// Has all journals written to the disk; returns how many there are.
-    pub(in crate::watch) fn sync_journals(&mut self) -> usize {
+    pub(crate) fn sync_journals(&mut self) -> usize {
         for output in 0..self.outputs.len() {
             self.effects.push(Effect::Output(output, OutputRequest::Sync));
         }
@@ -236,7 +236,7 @@ impl Core {
     }
 
     /// What came of all frames; failures in natural order.
-    pub(in crate::watch) fn tally(&mut self) -> Tally {
+    pub(crate) fn tally(&mut self) -> Tally {
         let counts = self.frames.counts();
         let mut failed: Vec<(FrameId, Failure)> = std::mem::take(&mut self.failed).into_iter().collect();
         failed.sort_by(|(a, _), (b, _)| natural_order(&a.path.to_string_lossy(), &b.path.to_string_lossy()));

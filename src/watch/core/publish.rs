@@ -16,7 +16,7 @@ use super::sequences::SequenceSettings;
 use super::state::Core;
 
 /// A frame as it is to be shown.
-pub(in crate::watch) enum Shown {
+pub(crate) enum Shown {
     Frame(Box<FrameView>),
     /// It is gone, or is no frame.
     Removed(String),
@@ -24,13 +24,13 @@ pub(in crate::watch) enum Shown {
 
 impl Core {
     /// The frames that have changed since this was called last.
-    pub(in crate::watch) fn take_changed_frames(&mut self) -> Vec<Shown> {
+    pub(crate) fn take_changed_frames(&mut self) -> Vec<Shown> {
         let changed = std::mem::take(&mut self.changed);
         changed.iter().map(|id| self.shown(id)).collect()
     }
 
     /// The sequences that have got settings since this was called last, by name.
-    pub(in crate::watch) fn take_changed_sequences(&mut self) -> Vec<(String, SequenceRecord)> {
+    pub(crate) fn take_changed_sequences(&mut self) -> Vec<(String, SequenceRecord)> {
         let changed = std::mem::take(&mut self.changed_sequences);
         changed.into_iter().filter_map(|index| self.shown_sequence(index)).collect()
     }
@@ -96,7 +96,7 @@ impl Core {
     }
 
     /// What the daemon was asked for.
-    pub(in crate::watch) fn plan(&self) -> Value {
+    pub(crate) fn plan(&self) -> Value {
         plan_of(&self.config)
     }
 
@@ -115,7 +115,7 @@ impl Core {
     }
 
     /// How the daemon is.
-    pub(in crate::watch) fn status(&self, memory_bytes: Option<u64>) -> Status {
+    pub(crate) fn status(&self, memory_bytes: Option<u64>) -> Status {
         Status {
             paused: self.guard.reason(),
             unavailable: self.unavailable().map(|(path, why)| format!("{}: {why}", path.display())).collect(),
@@ -136,7 +136,7 @@ impl Core {
     }
 
     /// How the daemon is, in one line.
-    pub(in crate::watch) fn status_line(&self) -> String {
+    pub(crate) fn status_line(&self) -> String {
         let FrameCounts { settling, held, queued, finding_steps, retrying, done, failed, .. } =
             self.frames.counts();
         let mut status = format!("{done} done, {queued} queued");

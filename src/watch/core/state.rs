@@ -19,7 +19,7 @@ use super::sequences::Sequences;
 
 /// The state of the daemon, and what it decides: pure, so no file, clock or thread is used here. Time comes with each
 /// event; what is to be done is collected as effects.
-pub(in crate::watch) struct Core {
+pub(crate) struct Core {
     pub(super) config: Arc<Config>,
     /// Which daemon this is, for the journal.
     identity: DaemonRecord,
@@ -66,10 +66,10 @@ pub(in crate::watch) struct Core {
 }
 
 /// Counts something.
-pub(in crate::watch) type Count = Box<dyn FnOnce(&mut Counters) + Send>;
+pub(crate) type Count = Box<dyn FnOnce(&mut Counters) + Send>;
 
 /// A watched folder.
-pub(in crate::watch) struct RootState {
+pub(crate) struct RootState {
     /// Absolute.
     pub(super) path: PathBuf,
     pub(super) obstacles: Arc<ObstacleFiles>,
@@ -83,7 +83,7 @@ pub(in crate::watch) struct RootState {
 }
 
 /// A folder of outputs.
-pub(in crate::watch) struct OutputDir {
+pub(crate) struct OutputDir {
     /// Absolute.
     pub(super) folder: PathBuf,
     pub(super) journal: JournalState,
@@ -94,19 +94,19 @@ pub(in crate::watch) struct OutputDir {
 
 /// Why a frame failed.
 #[derive(Debug)]
-pub(in crate::watch) struct Failure {
+pub(crate) struct Failure {
     pub(super) reason: String,
     /// How many frames were finished when it was logged; `None` if it was not logged in this run.
     pub(super) logged_at: Option<usize>,
 }
 
 /// A worker that does not answer for so long has stalled.
-pub(in crate::watch) const STALL_AFTER: Duration = Duration::from_secs(5);
+pub(crate) const STALL_AFTER: Duration = Duration::from_secs(5);
 
 impl Core {
     /// The state at the start: `roots` are the absolute paths of the watched folders, and `outputs` the folders of outputs
     /// with their journals.
-    pub(in crate::watch) fn new(
+    pub(crate) fn new(
         config: Arc<Config>,
         identity: DaemonRecord,
         roots: Vec<(PathBuf, Arc<ObstacleFiles>)>,
@@ -162,7 +162,7 @@ impl Core {
     }
 
     /// Records what is watched, and that the daemon runs; logs the folders, and asks for the first look at everything.
-    pub(in crate::watch) fn start(&mut self) {
+    pub(crate) fn start(&mut self) {
         let of_root =
             |(root, watch): (&RootState, &Watch)| Watch { input: root.path.clone(), ..watch.clone() };
         let watches: Vec<Watch> = self.roots.iter().zip(&self.config.watches).map(of_root).collect();
@@ -203,7 +203,7 @@ impl Core {
     }
 
     /// Forgets what is to be shown: there are no users.
-    pub(in crate::watch) fn forget_changes(&mut self) {
+    pub(crate) fn forget_changes(&mut self) {
         self.changed.clear();
         self.changed_sequences.clear();
         self.counts.clear();
@@ -224,7 +224,7 @@ impl Core {
     }
 
     /// Records what the daemon itself is doing.
-    pub(in crate::watch) fn record_daemon(&mut self, state: DaemonState) {
+    pub(crate) fn record_daemon(&mut self, state: DaemonState) {
         for output in 0..self.outputs.len() {
             let record =
                 DaemonRecord { state: state.clone(), at_ms: self.now.unix_ms, ..self.identity.clone() };
@@ -234,7 +234,7 @@ impl Core {
     }
 
     /// Records whether the daemon is paused, if that has changed.
-    pub(in crate::watch) fn record_pause(&mut self) {
+    pub(crate) fn record_pause(&mut self) {
         let state = self.guard.reason().map_or(DaemonState::Running, DaemonState::Paused);
         if state != self.last_state && !self.is_stopping {
             self.record_daemon(state);

@@ -297,7 +297,8 @@ fn watch_error(error: notify::Error) -> WatchError {
     }
 }
 
-#[cfg(all(test, target_os = "linux"))]
+#[cfg(test)]
+#[cfg(target_os = "linux")]
 mod tests {
     use super::*;
     use std::fs::File;

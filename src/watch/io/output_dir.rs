@@ -34,9 +34,9 @@ pub(super) struct OutputDir {
 
 /// Knows whether a folder of outputs is the one that was opened.
 #[derive(Debug)]
-pub(in crate::watch) struct OutputGuard {
+pub(crate) struct OutputGuard {
     /// Absolute.
-    pub(in crate::watch) folder: PathBuf,
+    pub(crate) folder: PathBuf,
     floor_bytes: u64,
     held: Mutex<Held>,
 }
@@ -185,17 +185,17 @@ impl Work for OutputDir {
 
 impl OutputGuard {
     /// Whether the folder is there, as it was opened.
-    pub(in crate::watch) fn is_in_place(&self) -> bool {
+    pub(crate) fn is_in_place(&self) -> bool {
         self.held().lock.is_in_place(&self.folder)
     }
 
     /// Whether frames with outputs here may begin.
-    pub(in crate::watch) fn may_begin(&self) -> bool {
+    pub(crate) fn may_begin(&self) -> bool {
         self.is_in_place() && free_bytes(&self.folder).map_or(true, |free| free >= self.floor_bytes)
     }
 
     /// Looks at the folder. One that was removed is made again, and locked.
-    pub(in crate::watch) fn check(&self, output: usize) -> OutputDirState {
+    pub(crate) fn check(&self, output: usize) -> OutputDirState {
         let presence = self.find();
         let free_bytes = free_bytes(&self.folder).ok();
         OutputDirState { output, presence, free_bytes }

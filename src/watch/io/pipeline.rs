@@ -25,27 +25,27 @@ use super::mounts::free_bytes;
 use super::output_dir::OutputGuard;
 
 /// A frame to convert, and what is known of the outputs that it has.
-pub(in crate::watch) struct Start {
-    pub(in crate::watch) id: FrameId,
-    pub(in crate::watch) frame: Box<Frame>,
-    pub(in crate::watch) known_outputs: Vec<OutputRecord>,
+pub(crate) struct Start {
+    pub(crate) id: FrameId,
+    pub(crate) frame: Box<Frame>,
+    pub(crate) known_outputs: Vec<OutputRecord>,
 }
 
 /// What all pipelines have in common.
 #[derive(Clone)]
-pub(in crate::watch) struct Surroundings {
-    pub(in crate::watch) config: Arc<Config>,
-    pub(in crate::watch) board: Option<Arc<Board>>,
+pub(crate) struct Surroundings {
+    pub(crate) config: Arc<Config>,
+    pub(crate) board: Option<Arc<Board>>,
     /// The folder of outputs of each root, and its index.
-    pub(in crate::watch) outputs: Arc<Vec<(usize, Arc<OutputGuard>)>>,
-    pub(in crate::watch) events: Sender<Event>,
+    pub(crate) outputs: Arc<Vec<(usize, Arc<OutputGuard>)>>,
+    pub(crate) events: Sender<Event>,
 }
 
 /// Starts a pipeline. It asks for frames by [`Event::FrameWanted`], and ends when the sender that is returned is dropped.
 ///
 /// # Errors
 /// When the system has no more threads.
-pub(in crate::watch) fn start(index: usize, surroundings: Surroundings) -> io::Result<Sender<Start>> {
+pub(crate) fn start(index: usize, surroundings: Surroundings) -> io::Result<Sender<Start>> {
     let pool = ThreadPoolBuilder::new()
         .num_threads(surroundings.config.threads)
         .thread_name(|index| format!("compute {index}"))

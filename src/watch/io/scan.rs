@@ -191,7 +191,7 @@ impl Edges {
 
 /// Which folder it is, by whatever way it was reached.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(in crate::watch) struct FolderIdentity {
+pub(crate) struct FolderIdentity {
     #[cfg(unix)]
     device_and_inode: (u64, u64),
     #[cfg(not(unix))]
@@ -200,14 +200,14 @@ pub(in crate::watch) struct FolderIdentity {
 
 impl FolderIdentity {
     #[cfg(unix)]
-    pub(in crate::watch) fn of(folder: &Path) -> io::Result<FolderIdentity> {
+    pub(crate) fn of(folder: &Path) -> io::Result<FolderIdentity> {
         use std::os::unix::fs::MetadataExt;
         let metadata = fs::metadata(folder)?;
         Ok(FolderIdentity { device_and_inode: (metadata.dev(), metadata.ino()) })
     }
 
     #[cfg(not(unix))]
-    pub(in crate::watch) fn of(folder: &Path) -> io::Result<FolderIdentity> {
+    pub(crate) fn of(folder: &Path) -> io::Result<FolderIdentity> {
         Ok(FolderIdentity { path: folder.canonicalize()? })
     }
 }
@@ -239,7 +239,8 @@ fn is_gone(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
 }
 
-#[cfg(all(test, unix))]
+#[cfg(test)]
+#[cfg(unix)]
 mod tests {
     use super::*;
     use std::ffi::OsStr;

@@ -25,15 +25,15 @@ use super::slow;
 use super::worker::{Pulse, StallMonitor, spawn};
 
 /// The threads that do I/O. They end when this is dropped, those that hang when they no longer do.
-pub(in crate::watch) struct Workers {
-    pub(in crate::watch) roots: Vec<Sender<RootRequest>>,
+pub(crate) struct Workers {
+    pub(crate) roots: Vec<Sender<RootRequest>>,
     /// Of each root, for what takes long.
-    pub(in crate::watch) slow: Vec<Sender<RootRequest>>,
-    pub(in crate::watch) outputs: Vec<Sender<OutputRequest>>,
-    pub(in crate::watch) monitors: Vec<StallMonitor>,
+    pub(crate) slow: Vec<Sender<RootRequest>>,
+    pub(crate) outputs: Vec<Sender<OutputRequest>>,
+    pub(crate) monitors: Vec<StallMonitor>,
     /// What they hold: gone when they have ended.
-    pub(in crate::watch) guards: Vec<Weak<OutputGuard>>,
-    pub(in crate::watch) is_over: Arc<AtomicBool>,
+    pub(crate) guards: Vec<Weak<OutputGuard>>,
+    pub(crate) is_over: Arc<AtomicBool>,
 }
 
 impl Drop for Workers {
@@ -47,7 +47,7 @@ impl Drop for Workers {
 ///
 /// # Errors
 /// When a folder of outputs cannot be had, a pattern is invalid, or the system has no more threads.
-pub(in crate::watch) fn start(
+pub(crate) fn start(
     config: &Arc<Config>,
     board: Option<Arc<Board>>,
     events: &Sender<Event>,
@@ -118,7 +118,7 @@ pub(in crate::watch) fn start(
 
 impl Workers {
     /// The pulse of a worker that is watched from now on.
-    pub(in crate::watch) fn monitor(&mut self, worker: Worker) -> Pulse {
+    pub(crate) fn monitor(&mut self, worker: Worker) -> Pulse {
         let pulse = Pulse::default();
         self.monitors.push(StallMonitor::new(worker, pulse.clone(), Instant::now()));
         pulse
@@ -137,6 +137,6 @@ fn identity() -> DaemonRecord {
 }
 
 /// The time.
-pub(in crate::watch) fn now() -> Now {
+pub(crate) fn now() -> Now {
     Now { at: Instant::now(), unix_ms: now_ms() }
 }

@@ -20,7 +20,7 @@ use crate::watch::core::events::{Event, Worker};
 use crate::watch::core::state::STALL_AFTER;
 
 /// What a worker does. Any of it may block for as long as the file system does.
-pub(in crate::watch) trait Work: Send {
+pub(crate) trait Work: Send {
     /// What the core asks for.
     type Request: Send;
     /// What the system tells.
@@ -41,7 +41,7 @@ pub(in crate::watch) trait Work: Send {
 
 /// The life of a worker, for others to see.
 #[derive(Clone, Debug, Default)]
-pub(in crate::watch) struct Pulse(Arc<PulseState>);
+pub(crate) struct Pulse(Arc<PulseState>);
 
 #[derive(Debug, Default)]
 struct PulseState {
@@ -51,7 +51,7 @@ struct PulseState {
 
 impl Pulse {
     /// The worker makes progress.
-    pub(in crate::watch) fn beat(&self) {
+    pub(crate) fn beat(&self) {
         self.0.beats.fetch_add(1, Ordering::Relaxed);
     }
 
@@ -63,7 +63,7 @@ impl Pulse {
 
 /// Finds out whether a worker is stuck.
 #[derive(Debug)]
-pub(in crate::watch) struct StallMonitor {
+pub(crate) struct StallMonitor {
     worker: Worker,
     pulse: Pulse,
     beats: u64,
@@ -72,12 +72,12 @@ pub(in crate::watch) struct StallMonitor {
 }
 
 impl StallMonitor {
-    pub(in crate::watch) fn new(worker: Worker, pulse: Pulse, now: Instant) -> StallMonitor {
+    pub(crate) fn new(worker: Worker, pulse: Pulse, now: Instant) -> StallMonitor {
         StallMonitor { worker, pulse, beats: 0, since: now, has_stalled: false }
     }
 
     /// Tells if the worker has stalled, or answers again.
-    pub(in crate::watch) fn check(&mut self, now: Instant) -> Option<Event> {
+    pub(crate) fn check(&mut self, now: Instant) -> Option<Event> {
         let PulseState { is_busy, beats } = &*self.pulse.0;
         let (is_busy, beats) = (is_busy.load(Ordering::Relaxed), beats.load(Ordering::Relaxed));
         if beats != self.beats || !is_busy {
@@ -101,7 +101,7 @@ const HINTS_PER_TURN: usize = 4096;
 ///
 /// # Errors
 /// When the system has no more threads.
-pub(in crate::watch) fn spawn<W: Work + 'static>(
+pub(crate) fn spawn<W: Work + 'static>(
     name: &str,
     mut work: W,
     hints: Option<Receiver<W::Hint>>,
