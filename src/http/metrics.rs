@@ -133,10 +133,12 @@ mod tests {
     fn buckets_hold_those_before_them() {
         let board = Board::new();
         let mut figures = Figures::default();
+        let mut counters = Counters::default();
         for seconds in [0.002, 2.0, 500.0] {
             figures.seconds.smooth = seconds;
-            board.count(|counters| counters.add_converted(&figures, 10, 20));
+            counters.add_converted(&figures, 10, 20);
         }
+        board.set_counters(counters);
         let text = exposition(&board);
         for line in [
             "meniscus_frames{state=\"done\"} 0",

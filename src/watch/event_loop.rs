@@ -9,12 +9,10 @@ use crossbeam::channel::{Receiver, Sender, never, select, unbounded};
 
 use crate::pipeline::resident_memory_bytes;
 
-use super::api::{Command, Ended, FailedFrame, Notice, Summary};
+use super::api::{Command, Ended, Notice, Summary};
 use super::board::Board;
 use super::config::Config;
-use super::core::Tally;
-use super::core::events::{Effect, Event, RootRequest};
-use super::core::publish::Shown;
+use super::core::events::{Effect, Event};
 use super::core::state::Core;
 use super::io::error::DaemonError;
 use super::io::pipeline::{Start, Surroundings, start as start_pipeline};
@@ -87,6 +85,7 @@ impl<'a> EventLoop<'a> {
     fn run(mut self, commands: &Receiver<Command>) -> Result<Summary, DaemonError> {
         if let Some(board) = &self.surroundings.board {
             board.begin(self.core.plan());
+            self.core.counters = board.counters();
         }
         let once = self.surroundings.config.once;
         let mut commands = commands.clone();
@@ -149,17 +148,12 @@ impl<'a> EventLoop<'a> {
     }
 
     fn carry_out(&mut self) -> Result<(), DaemonError> {
-        match &self.surroundings.board {
-            Some(board) => publish(&mut self.core, board),
-            None => self.core.forget_changes(),
-        }
+        self.core.publish(self.surroundings.board.as_deref());
         // Workers live as long as the loop: what cannot be sent has no one to do it.
         for effect in self.core.take_effects() {
             match effect {
-                Effect::Root(root, request @ (RootRequest::Measure(_) | RootRequest::FindSteps(_))) => {
-                    let _ = self.workers.slow[root].send(request);
-                }
                 Effect::Root(root, request) => drop(self.workers.roots[root].send(request)),
+                Effect::Slow(root, request) => drop(self.workers.slow[root].send(request)),
                 Effect::Output(output, request) => drop(self.workers.outputs[output].send(request)),
                 Effect::Start { pipeline, id, frame, known_outputs } => {
                     if let Some(Some(sender)) = self.pipelines.get(&pipeline) {
@@ -261,10 +255,9 @@ impl<'a> EventLoop<'a> {
     }
 
     /// Writes that the daemon has stopped, waits for the journals, and ends the workers.
-    fn end(&mut self) -> Result<Tally, DaemonError> {
+    fn end(&mut self) -> Result<(), DaemonError> {
         self.core.record_daemon(DaemonState::Stopped);
-        self.sync_journals()?;
-        Ok(self.core.tally())
+        self.sync_journals()
     }
 
     /// Waits until all journals are on the disk, but not for a folder that hangs.
@@ -281,9 +274,8 @@ impl<'a> EventLoop<'a> {
     }
 
     fn finish(mut self, ended: Ended) -> Result<Summary, DaemonError> {
-        let Tally { done_count, broken_count, failed, left_count } = self.end()?;
-        let failed = failed.into_iter().map(|(what, frames_since)| FailedFrame { what, frames_since });
-        let summary = Summary { ended, done_count, broken_count, failed: failed.collect(), left_count };
+        self.end()?;
+        let summary = self.core.summary(ended);
         // The next run takes the locks that these threads hold.
         let has_stalled = self.core.has_stalled();
         let wait = if has_stalled { GRACE } else { self.surroundings.config.stop_deadline };
@@ -299,20 +291,6 @@ impl<'a> EventLoop<'a> {
             std::thread::sleep(Duration::from_millis(1));
         }
         Ok(summary)
-    }
-}
-
-/// Shows what has changed.
-fn publish(core: &mut Core, board: &Board) {
-    core.take_counts().into_iter().for_each(|count| board.count(count));
-    for frame in core.take_changed_frames() {
-        match frame {
-            Shown::Frame(view) => board.show(*view),
-            Shown::Removed(name) => board.remove(&name),
-        }
-    }
-    for (name, record) in core.take_changed_sequences() {
-        board.show_sequence(name, record);
     }
 }
 
@@ -343,7 +321,7 @@ mod tests {
     use crate::pipeline::{OutputFormat, OutputOptions};
     use crate::surface::options::MethodOptions;
     use crate::watch::config::{Order, Patience, Poll, Watch};
-    use crate::watch::core::events::Worker;
+    use crate::watch::core::events::{RootRequest, Worker};
     use crate::watch::io::fs_events::NoEvents;
     use crate::watch::io::worker::{Pulse, StallMonitor, Work, spawn};
 

@@ -261,9 +261,9 @@ impl Board {
         }
     }
 
-    /// Counts something.
-    pub fn count(&self, count: impl FnOnce(&mut Counters)) {
-        count(&mut self.lock().counters);
+    /// What was counted by now.
+    pub fn set_counters(&self, counters: Counters) {
+        self.lock().counters = counters;
     }
 
     /// Up to `limit` frames after that of this name; from the first one on without it.

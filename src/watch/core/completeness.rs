@@ -39,7 +39,7 @@ pub struct Seen {
 }
 
 /// A file that may become a frame, as it was seen last, and since when it has not changed.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
     stamp: FileStamp,
     /// When it was seen for the first time as it is, or touched since.

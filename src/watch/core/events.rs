@@ -221,6 +221,11 @@ pub(crate) enum RootRequest {
     Scan,
     /// Look at the obstacles of frames with these numbers.
     StampObstacles(BTreeSet<Option<u64>>),
+}
+
+/// Something that takes long, for the other thread of a root.
+#[derive(Debug)]
+pub(crate) enum SlowRequest {
     Measure(Box<MeasureOrder>),
     FindSteps(StepsOrder),
 }
@@ -259,6 +264,7 @@ impl fmt::Debug for Log {
 #[derive(Debug)]
 pub(crate) enum Effect {
     Root(usize, RootRequest),
+    Slow(usize, SlowRequest),
     Output(usize, OutputRequest),
     /// Give a frame to a pipeline that wants one.
     Start {

@@ -3,10 +3,10 @@
 //! ```text
 //!                  ┌──────── written again ─────────────────────────┐
 //!                  ▼                                                │
-//!   (seen) ──▶ settling ──▶ held ──▶ queued or under way ──▶ done ──┤
-//!                  │   no settings yet      │                       │
-//!                  │                        ├──▶ retrying           │
-//!                  └──▶ ignored             └──▶ failed ────────────┘
+//!   (seen) ──▶ settling ──▶ held ──▶ queued ──▶ under way ──▶ done ─┤
+//!                  │   no settings yet               │              │
+//!                  │                                 ├──▶ retrying  │
+//!                  └──▶ ignored                      └──▶ failed ───┘
 //!                  └──▶ finding steps ──▶ steps     a file with several: each is a frame of its own, held at once
 //! ```
 
@@ -83,8 +83,11 @@ pub(crate) struct Frames {
 pub(crate) struct FrameState {
     /// The index of its sequence.
     pub(crate) sequence: usize,
-    /// How far it is.
     pub(crate) phase: Phase,
+    /// Its file, as it was when it came into this phase.
+    pub(crate) stamp: FileStamp,
+    /// Whether it was found to have too few particles to measure the spacing of its sequence.
+    pub(crate) is_sparse: bool,
     /// The fingerprint of what it was queued to be converted with, or of what the journal says it was made with where
     /// that may change while the daemon runs; else empty.
     pub(crate) made_with: String,
@@ -108,43 +111,28 @@ impl FrameState {
 }
 
 /// How far a frame is.
-#[derive(Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Phase {
     /// Its file may still be written.
     Settling(Candidate),
     /// Complete; its sequence has no settings yet.
-    Held(FileStamp),
-    /// Waits for the pipeline, or is in it.
-    Queued(FileStamp),
+    Held,
+    /// Waits for a pipeline.
+    Queued,
+    /// In the pipeline with this number. Until its outcome comes, what is seen of its file changes nothing.
+    UnderWay(usize),
     /// Failed, and is tried again at this time.
-    Retrying(FileStamp, Instant),
+    Retrying(Instant),
     /// Its outputs are there.
-    Done(FileStamp),
+    Done,
     /// Failed; only another file helps.
-    Failed(FileStamp),
+    Failed,
     /// No particles: some other file, or one of our own outputs.
-    Ignored(FileStamp),
+    Ignored,
     /// Complete, and of a kind that may have several steps: which it has is being found out.
-    FindingSteps(FileStamp),
+    FindingSteps,
     /// A file with several steps, of which each is a frame.
-    Steps(FileStamp),
-}
-
-impl Phase {
-    /// The file that this phase is about.
-    pub(crate) fn stamp(&self) -> FileStamp {
-        match self {
-            Phase::Settling(candidate) => *candidate.stamp(),
-            Phase::Held(stamp)
-            | Phase::Queued(stamp)
-            | Phase::Retrying(stamp, _)
-            | Phase::Done(stamp)
-            | Phase::Failed(stamp)
-            | Phase::Ignored(stamp)
-            | Phase::FindingSteps(stamp)
-            | Phase::Steps(stamp) => *stamp,
-        }
-    }
+    Steps,
 }
 
 /// How many frames are in each phase.
@@ -154,13 +142,20 @@ pub(crate) struct FrameCounts {
     /// Of these, those that time does not help: they wait for another file.
     pub(crate) stuck: usize,
     pub(crate) held: usize,
-    /// Waiting or under way.
+    /// [`Phase::Queued`] or [`Phase::UnderWay`].
     pub(crate) queued: usize,
     /// Files whose steps are being found.
     pub(crate) finding_steps: usize,
     pub(crate) retrying: usize,
     pub(crate) done: usize,
     pub(crate) failed: usize,
+}
+
+impl FrameCounts {
+    /// Frames that are neither done nor failed.
+    pub(crate) fn left(&self) -> usize {
+        self.settling + self.held + self.queued + self.finding_steps + self.retrying
+    }
 }
 
 impl Frames {
@@ -172,11 +167,17 @@ impl Frames {
         self.all.get_mut(id)
     }
 
+    pub(crate) fn phase(&self, id: &FrameId) -> Option<Phase> {
+        self.all.get(id).map(|frame| frame.phase)
+    }
+
     /// A frame that was not known.
     pub(crate) fn insert(&mut self, id: &FrameId, sequence: usize, candidate: Candidate, scan_count: u64) {
         let state = FrameState {
             sequence,
             phase: Phase::Settling(candidate),
+            stamp: *candidate.stamp(),
+            is_sparse: false,
             made_with: String::new(),
             attempt_count: 0,
             scan_count,
@@ -192,14 +193,15 @@ impl Frames {
         self.all.remove(id);
     }
 
-    /// Begins an inspection of a frame, in place of one that is under way, and returns its number.
-    pub(crate) fn begin_inspection(&mut self, id: &FrameId) -> Option<u64> {
+    /// Begins an inspection of a frame, in place of one that is under way, and returns its number and
+    /// the file to inspect.
+    pub(crate) fn begin_inspection(&mut self, id: &FrameId) -> Option<(u64, FileStamp)> {
         self.end_inspection(id);
         let frame = self.all.get_mut(id)?;
         self.inspection_count += 1;
         frame.inspection = Some(self.inspection_count);
         *self.inspected_in.entry(frame.sequence).or_default() += 1;
-        frame.inspection
+        Some((self.inspection_count, frame.stamp))
     }
 
     /// Ends the inspection of this number. Returns false if another was begun since, or the frame has changed.
@@ -230,6 +232,11 @@ impl Frames {
             Some(sequence) => self.inspected_in.contains_key(&sequence),
             None => !self.inspected_in.is_empty(),
         }
+    }
+
+    /// The frames that a condition holds for.
+    pub(crate) fn ids_of(&self, holds: impl Fn(&FrameId, &FrameState) -> bool) -> Vec<FrameId> {
+        self.all.iter().filter(|(id, frame)| holds(id, frame)).map(|(id, _)| id.clone()).collect()
     }
 
     pub(crate) fn iter(&self) -> impl Iterator<Item = (&FrameId, &FrameState)> {
@@ -273,13 +280,13 @@ impl Frames {
                     counts.settling += 1;
                     counts.stuck += usize::from(frame.is_stuck());
                 }
-                Phase::Held(_) => counts.held += 1,
-                Phase::Queued(_) => counts.queued += 1,
-                Phase::FindingSteps(_) => counts.finding_steps += 1,
-                Phase::Retrying(..) => counts.retrying += 1,
-                Phase::Done(_) => counts.done += 1,
-                Phase::Failed(_) => counts.failed += 1,
-                Phase::Ignored(_) | Phase::Steps(_) => {}
+                Phase::Held => counts.held += 1,
+                Phase::Queued | Phase::UnderWay(_) => counts.queued += 1,
+                Phase::FindingSteps => counts.finding_steps += 1,
+                Phase::Retrying(_) => counts.retrying += 1,
+                Phase::Done => counts.done += 1,
+                Phase::Failed => counts.failed += 1,
+                Phase::Ignored | Phase::Steps => {}
             }
         }
         counts

@@ -29,5 +29,3 @@ mod steps;
 
 #[cfg(test)]
 mod tests;
-
-pub(crate) use handle::Tally;

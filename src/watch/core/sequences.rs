@@ -59,8 +59,6 @@ pub(crate) struct Sequence {
     pub(crate) settings: SequenceSettings,
     /// The camera that was placed for its pictures, if one had to be.
     pub(crate) framing: Option<Arc<Framing>>,
-    /// Frames that were looked at and have too few particles to measure the spacing.
-    pub(crate) sparse: HashSet<FrameId>,
     /// That its frames wait for one with more particles was told.
     pub(crate) is_told: bool,
     /// Which warnings about its frames were logged.
@@ -131,7 +129,6 @@ impl Sequences {
             single_in,
             settings,
             framing,
-            sparse: HashSet::new(),
             is_told: false,
             reported: ReportedWarnings::default(),
             has_reported_velocity: false,

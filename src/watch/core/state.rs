@@ -1,7 +1,7 @@
 //! Everything that the daemon knows.
 
 use std::collections::{BTreeMap, HashMap, HashSet, VecDeque};
-use std::path::{Path, PathBuf};
+use std::path::{self, Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -39,8 +39,6 @@ pub(crate) struct Core {
     /// The options of each mirrored sub-folder.
     pub(super) outputs_of: HashMap<(usize, PathBuf), Arc<OutputOptions>>,
     pub(super) queue: Queue,
-    /// Frames that a pipeline has, and which pipeline.
-    pub(super) under_way: HashMap<FrameId, usize>,
     /// Pipelines that want a frame.
     pub(super) wanting: VecDeque<usize>,
     /// The pipeline that gets frames. Earlier ones hang, and end when they come back.
@@ -51,11 +49,9 @@ pub(crate) struct Core {
     pub(super) failed: HashMap<FrameId, Failure>,
     /// How many frames the pipelines have finished with.
     pub(super) finished_count: usize,
-    /// Frames that were refused on account of other files.
-    pub(super) refused: HashSet<FrameId>,
     pub(super) is_stopping: bool,
-    /// What is to be counted.
-    pub(super) counts: Vec<Count>,
+    /// What was counted since the process began.
+    pub(crate) counters: Counters,
     pub(super) now: Now,
     pub(super) effects: Vec<Effect>,
     /// Frames that look different now, or are gone.
@@ -64,9 +60,6 @@ pub(crate) struct Core {
     pub(super) changed_sequences: Vec<usize>,
     last_state: DaemonState,
 }
-
-/// Counts something.
-pub(crate) type Count = Box<dyn FnOnce(&mut Counters) + Send>;
 
 /// A watched folder.
 pub(crate) struct RootState {
@@ -98,6 +91,8 @@ pub(crate) struct Failure {
     pub(super) reason: String,
     /// How many frames were finished when it was logged; `None` if it was not logged in this run.
     pub(super) logged_at: Option<usize>,
+    /// Whether the frame was refused because of other files.
+    pub(super) is_refusal: bool,
 }
 
 /// A worker that does not answer for so long has stalled.
@@ -144,15 +139,13 @@ impl Core {
             measuring_count: 0,
             claims: HashMap::new(),
             outputs_of: HashMap::new(),
-            under_way: HashMap::new(),
             wanting: VecDeque::new(),
             pipeline: 0,
             scan_count: 0,
             failed: HashMap::new(),
             finished_count: 0,
-            refused: HashSet::new(),
             is_stopping: false,
-            counts: Vec::new(),
+            counters: Counters::default(),
             now,
             effects: Vec::new(),
             changed: HashSet::new(),
@@ -202,15 +195,14 @@ impl Core {
         self.effects.push(Effect::Log(Log::new(write)));
     }
 
-    /// Forgets what is to be shown: there are no users.
-    pub(crate) fn forget_changes(&mut self) {
-        self.changed.clear();
-        self.changed_sequences.clear();
-        self.counts.clear();
-    }
-
-    pub(super) fn count(&mut self, count: impl FnOnce(&mut Counters) + Send + 'static) {
-        self.counts.push(Box::new(count));
+    /// Logs something about a file or a folder.
+    pub(super) fn log_about(
+        &mut self,
+        path: impl Into<PathBuf>,
+        write: impl FnOnce(path::Display<'_>) + Send + 'static,
+    ) {
+        let path = path.into();
+        self.log(move || write(path.display()));
     }
 
     pub(super) fn request(&mut self, root: usize, request: RootRequest) {

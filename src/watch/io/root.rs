@@ -354,8 +354,6 @@ impl Work for Root {
                 };
                 report(Event::ObstaclesStamped { root: self.index, stamps });
             }
-            // Another thread does these.
-            RootRequest::Measure(_) | RootRequest::FindSteps(_) => {}
         }
     }
 

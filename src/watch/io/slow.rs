@@ -9,7 +9,7 @@ use std::thread;
 use crossbeam::channel::{Sender, unbounded};
 use rayon::ThreadPoolBuilder;
 
-use crate::watch::core::events::{Event, RootRequest};
+use crate::watch::core::events::{Event, SlowRequest};
 
 use super::find_steps::find_steps;
 use super::measure::measure;
@@ -23,7 +23,7 @@ pub(super) fn spawn(
     threads: usize,
     is_over: Arc<AtomicBool>,
     events: Sender<Event>,
-) -> io::Result<Sender<RootRequest>> {
+) -> io::Result<Sender<SlowRequest>> {
     let (sender, requests) = unbounded();
     thread::Builder::new().name(name.to_owned()).spawn(move || {
         for request in requests {
@@ -31,13 +31,12 @@ pub(super) fn spawn(
                 return;
             }
             let event = match request {
-                RootRequest::FindSteps(order) => Event::StepsFound(find_steps(order, &is_over)),
+                SlowRequest::FindSteps(order) => Event::StepsFound(find_steps(order, &is_over)),
                 // In threads of its own: those of the pipeline must not hang with a file.
-                RootRequest::Measure(order) => match ThreadPoolBuilder::new().num_threads(threads).build() {
+                SlowRequest::Measure(order) => match ThreadPoolBuilder::new().num_threads(threads).build() {
                     Ok(pool) => Event::Measured(Box::new(pool.install(|| measure(*order)))),
                     Err(_) => Event::Measured(Box::new(measure(*order))),
                 },
-                RootRequest::Inspect(_) | RootRequest::Scan | RootRequest::StampObstacles(_) => continue,
             };
             // Nobody listens only when the daemon has ended.
             let _ = events.send(event);

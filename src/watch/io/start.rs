@@ -9,7 +9,7 @@ use crossbeam::channel::Sender;
 use crate::pipeline::ObstacleFiles;
 use crate::watch::board::Board;
 use crate::watch::config::Config;
-use crate::watch::core::events::{Event, Now, OutputRequest, RootRequest, Worker};
+use crate::watch::core::events::{Event, Now, OutputRequest, RootRequest, SlowRequest, Worker};
 use crate::watch::core::state::Core;
 use crate::watch::journal::{DaemonRecord, DaemonState, now_ms};
 
@@ -28,7 +28,7 @@ use super::worker::{Pulse, StallMonitor, spawn};
 pub(crate) struct Workers {
     pub(crate) roots: Vec<Sender<RootRequest>>,
     /// Of each root, for what takes long.
-    pub(crate) slow: Vec<Sender<RootRequest>>,
+    pub(crate) slow: Vec<Sender<SlowRequest>>,
     pub(crate) outputs: Vec<Sender<OutputRequest>>,
     pub(crate) monitors: Vec<StallMonitor>,
     /// What they hold: gone when they have ended.
