@@ -27,7 +27,7 @@ use super::query::value_of;
 
 /// Those who follow.
 #[derive(Debug)]
-pub(super) struct Followers {
+pub(super) struct Subscribers {
     count: AtomicUsize,
     /// From here on the moments are counted at which they look.
     since: Instant,
@@ -47,10 +47,10 @@ struct Told {
 }
 
 /// One of them, until it is dropped.
-struct Follower(Arc<Shared>);
+struct Subscriber(Arc<Shared>);
 
 /// More than this are asked to come again.
-const FOLLOWERS_MAX: usize = 256;
+const SUBSCRIBERS_MAX: usize = 256;
 
 /// How soon a change is told.
 const EVERY: Duration = Duration::from_millis(100);
@@ -64,21 +64,21 @@ const CHANGES_MAX: usize = 256;
 /// The changes after those that the request has seen, by `Last-Event-ID` or `?after=`; without either, those from now
 /// on.
 pub(super) fn follow<B>(shared: &Arc<Shared>, request: &Request<B>) -> Answer {
-    let Some(follower) = Follower::new(shared) else {
+    let Some(subscriber) = Subscriber::new(shared) else {
         return text(StatusCode::SERVICE_UNAVAILABLE, "too many follow already");
     };
     let header = request.headers().get("last-event-id").and_then(|id| id.to_str().ok().map(str::to_owned));
     let seen = header.or_else(|| value_of(request.uri().query(), "after"));
     let (sender, pieces) = mpsc::channel(1);
     if request.method() == hyper::Method::GET {
-        tokio::spawn(tell(follower, seen, sender));
+        tokio::spawn(tell(subscriber, seen, sender));
     }
-    answer(StatusCode::OK, "text/event-stream", Content::Pieces(pieces, None))
+    answer(StatusCode::OK, "text/event-stream", Content::pieces(pieces, None))
 }
 
 /// Tells until nobody listens, or the window closes.
-async fn tell(follower: Follower, seen: Option<String>, sender: mpsc::Sender<io::Result<Bytes>>) {
-    let Shared { board, closing, followers, .. } = &*follower.0;
+async fn tell(subscriber: Subscriber, seen: Option<String>, sender: mpsc::Sender<io::Result<Bytes>>) {
+    let Shared { board, closing, subscribers, .. } = &*subscriber.0;
     let mut version = match seen.as_deref() {
         // So that whoever loses the connection at once has something to go on from.
         None => board.version(),
@@ -95,7 +95,7 @@ async fn tell(follower: Follower, seen: Option<String>, sender: mpsc::Sender<io:
             true if told_at.elapsed() < PULSE => Bytes::new(),
             true => Bytes::from_static(b":\n\n"),
             false => {
-                let told = followers.event_after(board, version);
+                let told = subscribers.event_after(board, version);
                 version = told.next;
                 told.text
             }
@@ -111,7 +111,7 @@ async fn tell(follower: Follower, seen: Option<String>, sender: mpsc::Sender<io:
             return;
         }
         if version == board.version() {
-            sleep_until(followers.next_look()).await;
+            sleep_until(subscribers.next_look()).await;
         }
     }
 }
@@ -144,13 +144,13 @@ fn place(id: &str, run: u64) -> Option<u64> {
     version.parse().ok().filter(|_| of_run.parse() == Ok(run))
 }
 
-impl Default for Followers {
-    fn default() -> Followers {
-        Followers { count: AtomicUsize::new(0), since: Instant::now(), last: Mutex::new(None) }
+impl Default for Subscribers {
+    fn default() -> Subscribers {
+        Subscribers { count: AtomicUsize::new(0), since: Instant::now(), last: Mutex::new(None) }
     }
 }
 
-impl Followers {
+impl Subscribers {
     /// When all look at the board again.
     fn next_look(&self) -> Instant {
         let looks = self.since.elapsed().as_millis() / EVERY.as_millis() + 1;
@@ -172,18 +172,18 @@ impl Followers {
     }
 }
 
-impl Follower {
-    fn new(shared: &Arc<Shared>) -> Option<Follower> {
-        let followers = &shared.followers.count;
+impl Subscriber {
+    fn new(shared: &Arc<Shared>) -> Option<Subscriber> {
+        let subscribers = &shared.subscribers.count;
         // Dropping it takes it back, also where it is one too many.
-        let follower = Follower(Arc::clone(shared));
-        (followers.fetch_add(1, Ordering::Relaxed) < FOLLOWERS_MAX).then_some(follower)
+        let subscriber = Subscriber(Arc::clone(shared));
+        (subscribers.fetch_add(1, Ordering::Relaxed) < SUBSCRIBERS_MAX).then_some(subscriber)
     }
 }
 
-impl Drop for Follower {
+impl Drop for Subscriber {
     fn drop(&mut self) {
-        self.0.followers.count.fetch_sub(1, Ordering::Relaxed);
+        self.0.subscribers.count.fetch_sub(1, Ordering::Relaxed);
     }
 }
 
@@ -213,14 +213,14 @@ mod tests {
         let board = Board::new();
         board.begin(json!({}));
         board.tell(Status { stopping: true, ..Status::default() });
-        let followers = Followers::default();
-        let [first, second] = [1, 1].map(|version| followers.event_after(&board, version));
+        let subscribers = Subscribers::default();
+        let [first, second] = [1, 1].map(|version| subscribers.event_after(&board, version));
         assert_eq!(first.text.as_ptr(), second.text.as_ptr(), "the same bytes, and not equal ones");
         assert!(first.text.starts_with(b"id: ") && first.next == board.version(), "{first:?}");
-        let other = followers.event_after(&board, 0);
+        let other = subscribers.event_after(&board, 0);
         assert_ne!(other.text, first.text, "that is another place");
         board.tell(Status::default());
-        let later = followers.event_after(&board, 1);
+        let later = subscribers.event_after(&board, 1);
         assert_eq!((later.after, later.next), (1, board.version()));
         assert_ne!(later.text, first.text, "more has happened");
     }

@@ -6,10 +6,7 @@ use std::path::Path;
 use std::time::UNIX_EPOCH;
 
 use hyper::body::Bytes;
-use hyper::header::{
-    ACCEPT_RANGES, CACHE_CONTROL, CONTENT_LENGTH, CONTENT_RANGE, ETAG, HeaderName, HeaderValue,
-    IF_NONE_MATCH, IF_RANGE, RANGE,
-};
+use hyper::header::{ACCEPT_RANGES, CONTENT_LENGTH, CONTENT_RANGE, HeaderName, IF_RANGE, RANGE};
 use hyper::{Method, Request, StatusCode};
 use tokio::sync::mpsc;
 use tokio::task::spawn_blocking;
@@ -17,7 +14,7 @@ use tokio::task::spawn_blocking;
 use crate::pipeline::open_itself;
 use crate::watch::board::Board;
 
-use super::answer::{Answer, Content, answer, not_found, text};
+use super::answer::{Answer, Content, answer, cached, not_found, not_modified, text, with};
 
 /// So much of a file is in memory for each who reads one, twice.
 const PIECE_BYTES: usize = 64 << 10;
@@ -39,10 +36,10 @@ pub(super) async fn file<B>(board: &Board, request: &Request<B>, name: &str) -> 
         Ok(Err(error)) if error.kind() == io::ErrorKind::NotFound => return not_found(),
         _ => return text(StatusCode::INTERNAL_SERVER_ERROR, "the file cannot be read"),
     };
-    let header = |name: HeaderName| request.headers().get(name).and_then(|value| value.to_str().ok());
-    if header(IF_NONE_MATCH) == Some(&opened.tag) {
-        return kept(answer(StatusCode::NOT_MODIFIED, content_type, Content::Whole(None)), &opened);
+    if let Some(answer) = not_modified(request, content_type, &opened.tag) {
+        return answer;
     }
+    let header = |name: HeaderName| request.headers().get(name).and_then(|value| value.to_str().ok());
     let is_same = header(IF_RANGE).is_none_or(|tag| tag == opened.tag);
     let range = header(RANGE).filter(|_| is_same).and_then(|range| parse_range(range, opened.size_bytes));
     match range {
@@ -86,10 +83,10 @@ fn part<B>(
 ) -> Answer {
     let (sender, pieces) = mpsc::channel(1);
     let content = match *request.method() == Method::HEAD {
-        true => Content::Whole(None),
-        false => Content::Pieces(pieces, Some(count)),
+        true => Content::none(),
+        false => Content::pieces(pieces, Some(count)),
     };
-    let part = kept(answer(status, content_type, content), &opened);
+    let part = cached(answer(status, content_type, content), &opened.tag);
     if request.method() == Method::GET {
         tokio::spawn(send(opened.file, first, count, sender));
     }
@@ -122,19 +119,6 @@ async fn send(mut file: File, first: u64, count: u64, sender: mpsc::Sender<io::R
             return;
         }
     }
-}
-
-/// A browser may keep it, and asks each time whether it is still the same.
-fn kept(answer: Answer, opened: &Opened) -> Answer {
-    with(with(answer, CACHE_CONTROL, "private, no-cache"), ETAG, &opened.tag)
-}
-
-fn with(mut answer: Answer, name: HeaderName, value: &str) -> Answer {
-    // All that is put here is made of digits and a few signs.
-    if let Ok(value) = HeaderValue::from_str(value) {
-        answer.headers_mut().insert(name, value);
-    }
-    answer
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -12,8 +12,7 @@ use super::answer::{Answer, Content, answer};
 
 /// All that is counted and measured.
 pub(super) fn metrics(board: &Board) -> Answer {
-    let content = Content::Whole(Some(exposition(board).into()));
-    answer(StatusCode::OK, "text/plain; version=0.0.4; charset=utf-8", content)
+    answer(StatusCode::OK, "text/plain; version=0.0.4; charset=utf-8", Content::whole(exposition(board)))
 }
 
 fn exposition(board: &Board) -> String {

@@ -62,7 +62,7 @@ struct Shared {
     token: Option<Token>,
     /// Becomes true when the window closes.
     closing: watch::Receiver<bool>,
-    followers: events::Followers,
+    subscribers: events::Subscribers,
 }
 
 /// The thread calls nothing that goes deep.
@@ -85,7 +85,7 @@ impl Window {
             board,
             token: listen.token.clone(),
             closing: is_closing,
-            followers: events::Followers::default(),
+            subscribers: events::Subscribers::default(),
         });
         let runtime = runtime::Builder::new_current_thread()
             .enable_io()

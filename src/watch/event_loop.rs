@@ -15,7 +15,7 @@ use super::config::Config;
 use super::core::events::{Effect, Event};
 use super::core::state::Core;
 use super::io::error::DaemonError;
-use super::io::pipeline::{Start, Surroundings, start as start_pipeline};
+use super::io::pipeline::{PipelineContext, Start, start as start_pipeline};
 use super::io::start::{Workers, now, start};
 use super::journal::DaemonState;
 
@@ -33,15 +33,15 @@ pub fn run(
 ) -> Result<Summary, DaemonError> {
     let config = Arc::new(config.clone());
     let (to_loop, events) = unbounded();
-    let (core, workers, surroundings) = start(&config, board.cloned(), &to_loop)?;
-    EventLoop::new(core, workers, surroundings, events, notices).run(commands)
+    let (core, workers, context) = start(&config, board.cloned(), &to_loop)?;
+    EventLoop::new(core, workers, context, events, notices).run(commands)
 }
 
 /// Everything that the loop has.
 struct EventLoop<'a> {
     core: Core,
     workers: Workers,
-    surroundings: Surroundings,
+    context: PipelineContext,
     /// Where each pipeline gets its frames from; no longer after it was told to end.
     pipelines: HashMap<usize, Option<Sender<Start>>>,
     events: Receiver<Event>,
@@ -64,14 +64,14 @@ impl<'a> EventLoop<'a> {
     fn new(
         core: Core,
         workers: Workers,
-        surroundings: Surroundings,
+        context: PipelineContext,
         events: Receiver<Event>,
         notices: &'a mut dyn FnMut(Notice),
     ) -> EventLoop<'a> {
         EventLoop {
             core,
             workers,
-            surroundings,
+            context,
             pipelines: HashMap::new(),
             events,
             notices,
@@ -83,25 +83,25 @@ impl<'a> EventLoop<'a> {
 
     /// Runs until a command ends it or nothing is left to do.
     fn run(mut self, commands: &Receiver<Command>) -> Result<Summary, DaemonError> {
-        if let Some(board) = &self.surroundings.board {
+        if let Some(board) = &self.context.board {
             board.begin(self.core.plan());
             self.core.counters = board.counters();
         }
-        let once = self.surroundings.config.once;
+        let once = self.context.config.once;
         let mut commands = commands.clone();
         let mut is_ready = false;
         self.core.start();
         loop {
             self.settle_batch()?;
             if once && let Some((root, why)) = self.core.unavailable_root() {
-                let folder = self.surroundings.config.watches[root].input.clone();
+                let folder = self.context.config.watches[root].input.clone();
                 self.end()?;
                 return Err(DaemonError::Unavailable { folder, why });
             }
             if !is_ready && self.core.is_ready() {
                 is_ready = true;
                 (self.notices)(Notice::Ready);
-                if let Some(board) = &self.surroundings.board {
+                if let Some(board) = &self.context.board {
                     board.set_ready();
                 }
             }
@@ -148,7 +148,7 @@ impl<'a> EventLoop<'a> {
     }
 
     fn carry_out(&mut self) -> Result<(), DaemonError> {
-        self.core.publish(self.surroundings.board.as_deref());
+        self.core.publish(self.context.board.as_deref());
         // Workers live as long as the loop: what cannot be sent has no one to do it.
         for effect in self.core.take_effects() {
             match effect {
@@ -161,7 +161,7 @@ impl<'a> EventLoop<'a> {
                     }
                 }
                 Effect::StartPipeline(pipeline) => {
-                    let sender = start_pipeline(pipeline, self.surroundings.clone());
+                    let sender = start_pipeline(pipeline, self.context.clone());
                     let sender = sender.map_err(|error| DaemonError::Threads(error.to_string()))?;
                     self.pipelines.insert(pipeline, Some(sender));
                 }
@@ -195,7 +195,7 @@ impl<'a> EventLoop<'a> {
         for event in self.workers.monitors.iter_mut().filter_map(|monitor| monitor.check(now.at)) {
             self.core.handle(event, now);
         }
-        if let Some(board) = &self.surroundings.board {
+        if let Some(board) = &self.context.board {
             board.tell(self.core.status(resident_memory_bytes()));
         }
         let status = self.core.status_line();
@@ -212,7 +212,7 @@ impl<'a> EventLoop<'a> {
         mut command: Command,
         commands: &Receiver<Command>,
     ) -> Result<Summary, DaemonError> {
-        let stop_deadline = self.surroundings.config.stop_deadline;
+        let stop_deadline = self.context.config.stop_deadline;
         let mut commands = commands.clone();
         (self.notices)(Notice::Stopping);
         self.core.stop();
@@ -264,7 +264,7 @@ impl<'a> EventLoop<'a> {
     fn sync_journals(&mut self) -> Result<(), DaemonError> {
         self.unsynced_count = self.core.sync_journals();
         self.carry_out()?;
-        let until = Instant::now() + self.surroundings.config.stop_deadline.max(TICK);
+        let until = Instant::now() + self.context.config.stop_deadline.max(TICK);
         while self.unsynced_count > 0 && Instant::now() < until && !self.core.has_stalled() {
             let event = self.events.recv_timeout(self.wait().max(Duration::from_millis(1)));
             self.take_batch(event.ok())?;
@@ -278,10 +278,10 @@ impl<'a> EventLoop<'a> {
         let summary = self.core.summary(ended);
         // The next run takes the locks that these threads hold.
         let has_stalled = self.core.has_stalled();
-        let wait = if has_stalled { GRACE } else { self.surroundings.config.stop_deadline };
-        let EventLoop { workers, surroundings, pipelines, notices, .. } = self;
+        let wait = if has_stalled { GRACE } else { self.context.config.stop_deadline };
+        let EventLoop { workers, context, pipelines, notices, .. } = self;
         let guards = workers.guards.clone();
-        drop((workers, surroundings, pipelines));
+        drop((workers, context, pipelines));
         let (began, mut alive_at) = (Instant::now(), Instant::now());
         while guards.iter().any(|guard: &Weak<_>| guard.strong_count() > 0) && began.elapsed() < wait {
             if alive_at.elapsed() >= TICK {
@@ -322,7 +322,6 @@ mod tests {
     use crate::surface::options::MethodOptions;
     use crate::watch::config::{Order, Patience, Poll, Watch};
     use crate::watch::core::events::{RootRequest, Worker};
-    use crate::watch::io::fs_events::NoEvents;
     use crate::watch::io::worker::{Pulse, StallMonitor, Work, spawn};
 
     /// A file system that does not answer while the other end of the channel is there.
@@ -330,7 +329,6 @@ mod tests {
 
     impl Work for Hanging {
         type Request = RootRequest;
-        type Hint = NoEvents;
 
         fn handle(&mut self, _request: RootRequest, _report: &dyn Fn(Event)) {
             let _ = self.0.recv();
@@ -385,7 +383,7 @@ mod tests {
         fs::write(folder.path().join("sound/a.1.csv"), format!("x,y,z\n{block}")).expect("written");
 
         let (to_loop, events) = unbounded();
-        let (core, mut workers, surroundings) = start(&config, None, &to_loop).expect("started");
+        let (core, mut workers, context) = start(&config, None, &to_loop).expect("started");
         let (answers, hanging) = bounded(0);
         let pulse = Pulse::default();
         let started = Instant::now();
@@ -396,9 +394,8 @@ mod tests {
         let (commands, to_obey) = bounded(1);
         let (to_tell, notices) = unbounded();
         let mut tell = move |notice| drop(to_tell.send(notice));
-        let running = thread::spawn(move || {
-            EventLoop::new(core, workers, surroundings, events, &mut tell).run(&to_obey)
-        });
+        let running =
+            thread::spawn(move || EventLoop::new(core, workers, context, events, &mut tell).run(&to_obey));
         let out = folder.path().join("out/sound/a.1.obj");
         let mut alive_count = 0;
         while !out.exists() || alive_count < 3 {

@@ -29,4 +29,4 @@ pub use api::{Command, Ended, FailedFrame, Notice, Summary};
 pub use config::{Config, Order, Patience, Poll, Watch, names_level_sets};
 pub use event_loop::run;
 pub use io::error::DaemonError;
-pub use io::{canonical_path as place, fs_events, lock, mounts, scan, selection};
+pub use io::{canonical_path as place, fs_events, lock, mounts, selection};

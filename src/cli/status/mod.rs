@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
-use serde::{Serialize, Serializer};
+use serde::Serialize;
 
 use crate::pipeline::{FileStamp, file_of, is_absent, is_missing_step, natural_order};
 use crate::watch::Watch;
@@ -29,10 +29,8 @@ use super::console::Console;
 /// What there is to tell of a folder of outputs.
 #[derive(Debug, PartialEq, Serialize)]
 struct StatusRecord {
-    #[serde(serialize_with = "path_as_text")]
-    output: PathBuf,
-    #[serde(serialize_with = "path_as_text")]
-    journal: PathBuf,
+    output: String,
+    journal: String,
     /// Null where none is known.
     daemon: Option<DaemonStatus>,
     /// Null where the journal does not say.
@@ -71,8 +69,7 @@ struct DaemonStatus {
 
 #[derive(Debug, PartialEq, Serialize)]
 struct WatchStatus {
-    #[serde(serialize_with = "path_as_text")]
-    input: PathBuf,
+    input: String,
     pattern: Option<String>,
     recursive: bool,
     sentinel: Option<String>,
@@ -89,10 +86,8 @@ struct Counts {
 
 #[derive(Debug, PartialEq, Serialize)]
 struct FrameStatus {
-    #[serde(serialize_with = "path_as_text")]
-    input: PathBuf,
-    #[serde(serialize_with = "paths_as_text")]
-    outputs: Vec<PathBuf>,
+    input: String,
+    outputs: Vec<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     reason: Option<String>,
     attempts: u32,
@@ -110,18 +105,13 @@ struct FrameStatus {
 
 #[derive(Debug, PartialEq, Serialize)]
 struct WaitingStatus {
-    #[serde(serialize_with = "path_as_text")]
-    input: PathBuf,
+    input: String,
     reason: String,
 }
 
-/// A path as it is shown: JSON has no place for one that is no text.
-fn path_as_text<S: Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.serialize_str(&path.to_string_lossy())
-}
-
-fn paths_as_text<S: Serializer>(paths: &[PathBuf], serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.collect_seq(paths.iter().map(|path| path.to_string_lossy()))
+/// A path as it is shown: in JSON, all names are text.
+fn shown(path: &Path) -> String {
+    path.to_string_lossy().into_owned()
 }
 
 /// So many of the frames that are done are told: enough to see that it goes on, and how fast.
@@ -221,8 +211,8 @@ impl StatusRecord {
         // Nobody waits where no daemon is.
         let waiting = if has_daemon { waiting(state) } else { Waiting::default() };
         StatusRecord {
-            output: output.to_owned(),
-            journal: journal.to_owned(),
+            output: shown(output),
+            journal: shown(journal),
             daemon: DaemonStatus::new(state, holder),
             watches: state.plan.as_ref().map(|plan| plan.watches.iter().map(WatchStatus::new).collect()),
             counts,
@@ -312,7 +302,7 @@ impl DaemonStatus {
 impl WatchStatus {
     fn new(watch: &Watch) -> WatchStatus {
         WatchStatus {
-            input: watch.input.clone(),
+            input: shown(&watch.input),
             pattern: watch.pattern.clone(),
             recursive: watch.recursive,
             sentinel: watch.sentinel.clone(),
@@ -324,15 +314,18 @@ impl WatchStatus {
 impl WaitingStatus {
     fn all(Waiting { mut files, .. }: Waiting) -> Vec<WaitingStatus> {
         files.sort_by(|(a, _), (b, _)| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
-        files.into_iter().map(|(input, why)| WaitingStatus { input, reason: why.to_string() }).collect()
+        files
+            .into_iter()
+            .map(|(input, why)| WaitingStatus { input: shown(&input), reason: why.to_string() })
+            .collect()
     }
 }
 
 impl FrameStatus {
     fn new(input: &Path, frame: &FrameRecord) -> FrameStatus {
         FrameStatus {
-            input: input.to_owned(),
-            outputs: frame.outputs.iter().map(|output| output.path.clone()).collect(),
+            input: shown(input),
+            outputs: frame.outputs.iter().map(|output| shown(&output.path)).collect(),
             reason: frame.reason.clone(),
             attempts: frame.attempt_count,
             particles: frame.particle_count,

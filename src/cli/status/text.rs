@@ -17,7 +17,7 @@ impl StatusRecord {
         };
         let Counts { done, queued, retrying, failed } = self.counts;
         let mut lines = vec![
-            format!("{}: {daemon}", self.output.display()),
+            format!("{}: {daemon}", self.output),
             format!("{done} done, {queued} queued, {retrying} to retry, {failed} failed"),
         ];
         if let Some(watches) = &self.watches {
@@ -27,7 +27,7 @@ impl StatusRecord {
         if !self.waiting.is_empty() {
             lines.push(format!("waiting for the writers of {}:", counted(self.waiting.len(), "file")));
             for WaitingStatus { input, reason } in self.waiting.iter().take(TOLD_MAX) {
-                lines.push(format!("  {}: {reason}", input.display()));
+                lines.push(format!("  {input}: {reason}"));
             }
             lines.extend(more(self.waiting.len()));
         }
@@ -82,7 +82,7 @@ impl DaemonStatus {
 
 impl WatchStatus {
     fn text(&self) -> String {
-        let mut text = self.input.display().to_string();
+        let mut text = self.input.clone();
         if self.recursive {
             text += " and its sub-folders";
         }
@@ -108,10 +108,10 @@ impl FrameStatus {
             about.push("tried again at the next start".to_owned());
         }
         about.push(ago(self.at_ms, now_ms));
-        let input = self.input.display().to_string();
+        let input = &self.input;
         match &self.reason {
             // A reason mostly names its file.
-            Some(reason) if reason.contains(&input) => format!("{reason} ({})", about.join(", ")),
+            Some(reason) if reason.contains(input) => format!("{reason} ({})", about.join(", ")),
             Some(reason) => format!("{input}: {reason} ({})", about.join(", ")),
             None => [&[format!("{input}: {}", about.join(", "))], &*self.flaws].concat().join("; "),
         }

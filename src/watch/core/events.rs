@@ -14,12 +14,11 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::pipeline::{FileStamp, Frame, ObstacleStamps, Outcome};
+use crate::pipeline::{FileFrames, FileStamp, Frame, FrameError, ObstacleStamps, Outcome};
 use crate::surface::options::Settings;
 use crate::watch::journal::{Entry, FrameRecord, OutputCheck, OutputRecord};
 
 use super::completeness::{Candidate, Proof, Seen, WaitReason};
-use super::file_steps::{FoundSteps, StepsOrder};
 use super::frames::FrameId;
 use super::sequences::{MeasureOrder, Measured};
 
@@ -45,7 +44,7 @@ pub(crate) enum Event {
     /// All files in one folder of a root.
     FolderScanned { root: usize, files: Vec<(PathBuf, Seen)>, at: Instant },
     /// All files of a root, or why it is unavailable.
-    RootScanned { root: usize, found: Result<RootScan, String>, at: Instant },
+    RootScanned { root: usize, found: Result<Scan, String>, at: Instant },
     /// The result of [`RootRequest::Inspect`].
     Inspected(Box<Inspected>),
     /// The result of [`RootRequest::StampObstacles`].
@@ -81,16 +80,18 @@ pub(crate) enum Worker {
     Output(usize),
 }
 
-/// What a scan of a root found.
+/// What a scan found.
 #[derive(Debug, Default)]
-pub(crate) struct RootScan {
-    /// The files that the selection takes, in no order.
+pub(crate) struct Scan {
+    /// The files that the selection takes, in no particular order.
     pub(crate) files: Vec<(PathBuf, Seen)>,
-    /// Paths that could not be examined, and why.
+    /// The folders that were looked into, the one that was asked for first.
+    pub(crate) folders: Vec<PathBuf>,
+    /// Paths that could not be examined, and why: they may be, or hold, frames.
     pub(crate) problems: Vec<(PathBuf, String)>,
-    /// Links whose target is missing.
+    /// Links that the selection takes and whose target is missing; it may be written later.
     pub(crate) dangling: Vec<PathBuf>,
-    /// Whether it was made because events were lost.
+    /// Whether the scan was made because events were lost.
     pub(crate) after_loss: bool,
 }
 
@@ -228,6 +229,23 @@ pub(crate) enum RootRequest {
 pub(crate) enum SlowRequest {
     Measure(Box<MeasureOrder>),
     FindSteps(StepsOrder),
+}
+
+/// A complete file that is to be searched for steps.
+#[derive(Debug)]
+pub(crate) struct StepsOrder {
+    pub(crate) id: FrameId,
+    pub(crate) stamp: FileStamp,
+    /// Why the frame is refused if it has no steps: what its outputs would replace.
+    pub(crate) conflict: Option<String>,
+}
+
+/// The result of a search for steps.
+#[derive(Debug)]
+pub(crate) struct FoundSteps {
+    pub(crate) order: StepsOrder,
+    /// The frames of the file; `None` if it was written again meanwhile.
+    pub(crate) frames: Result<Option<FileFrames>, FrameError>,
 }
 
 /// Something for the worker of a folder of outputs to do.

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::pipeline::{FileStamp, FrameFile, ObstacleStamps};
+use crate::pipeline::{FileFrames, FileStamp, FrameFile, ObstacleStamps};
 
 use super::completeness::Candidate;
 
@@ -133,6 +133,21 @@ pub(crate) enum Phase {
     FindingSteps,
     /// A file with several steps, of which each is a frame.
     Steps,
+}
+
+/// The steps of a file.
+#[derive(Debug)]
+pub(crate) struct FileSteps {
+    /// The position of each among them.
+    pub(crate) index_of: HashMap<FrameId, usize>,
+    pub(crate) found: FileFrames,
+}
+
+impl FileSteps {
+    /// Whether a step is as it was when its file had this stamp.
+    pub(crate) fn is_kept_since(&self, id: &FrameId, stamp: &FileStamp) -> bool {
+        self.index_of.get(id).is_some_and(|&index| index < self.found.kept_since(stamp))
+    }
 }
 
 /// How many frames are in each phase.

@@ -20,9 +20,9 @@ use crate::surface::options::Settings;
 use crate::watch::journal::{FrameRecord, OutputCheck, Standing};
 
 use super::completeness::{Candidate, Seen, path_of_sentinel};
-use super::decision::{Decision, OutputsNow, decide};
+use super::decision::{Decision, decide};
 use super::events::{
-    Complete, Contents, Found, FoundObstacleStamps, Inspect, Inspected, Recorded, RootRequest, RootScan,
+    Complete, Contents, Found, FoundObstacleStamps, Inspect, Inspected, Recorded, RootRequest, Scan,
 };
 use super::frames::{FrameId, FrameState, Phase};
 use super::sequences::SequenceSettings;
@@ -71,11 +71,11 @@ impl Core {
     }
 
     /// Everything in a root was looked at, or could not be.
-    pub(super) fn on_root_scanned(&mut self, root: usize, found: Result<RootScan, String>, at: Instant) {
+    pub(super) fn on_root_scanned(&mut self, root: usize, found: Result<Scan, String>, at: Instant) {
         self.scan_count += 1;
         self.counters.scans += 1;
         let is_first = !std::mem::replace(&mut self.roots[root].was_scanned, true);
-        let RootScan { files, problems, dangling, after_loss } = match found {
+        let Scan { files, problems, dangling, after_loss, .. } = match found {
             Ok(found) => found,
             Err(why) => return self.lose_root(root, why),
         };
@@ -254,7 +254,6 @@ impl Core {
         // The record may be of the same file in another root, whose outputs lie elsewhere.
         let is_recorded = |path: &PathBuf| record.outputs.iter().any(|output| output.path == *path);
         let unrecorded = wanted.iter().find(|path| !is_recorded(path));
-        let outputs = unrecorded.map_or(OutputsNow::AsRecorded, |path| OutputsNow::Missing(path));
         let sequence = self.sequences.get(frame.sequence);
         let settings = match &sequence.settings {
             SequenceSettings::Fixed(settings, fingerprint) if !self.roots[id.root].obstacles.is_empty() => {
@@ -266,7 +265,8 @@ impl Core {
             Some(_) => record.settings.clone(),
             None => sequence.fingerprint(None),
         };
-        let decision = decide(Some(&*record), &frame.stamp, &fingerprint, outputs);
+        let unrecorded = unrecorded.map(PathBuf::as_path);
+        let decision = decide(Some(&*record), &frame.stamp, &fingerprint, unrecorded, None);
         matches!(decision, Decision::Skip(_)).then_some(Recorded { record, settings })
     }
 

@@ -14,7 +14,6 @@ pub mod completeness;
 pub mod decision;
 pub(crate) mod disk_guard;
 pub(crate) mod events;
-pub(crate) mod file_steps;
 pub(crate) mod frames;
 mod handle;
 mod intake;

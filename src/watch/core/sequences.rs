@@ -60,7 +60,7 @@ pub(crate) struct Sequence {
     /// The camera that was placed for its pictures, if one had to be.
     pub(crate) framing: Option<Arc<Framing>>,
     /// That its frames wait for one with more particles was told.
-    pub(crate) is_told: bool,
+    pub(crate) is_sparse_logged: bool,
     /// Which warnings about its frames were logged.
     pub(crate) reported: ReportedWarnings,
     /// Whether it was logged that its frames have velocities which the outputs lack.
@@ -129,7 +129,7 @@ impl Sequences {
             single_in,
             settings,
             framing,
-            is_told: false,
+            is_sparse_logged: false,
             reported: ReportedWarnings::default(),
             has_reported_velocity: false,
         });

@@ -153,7 +153,7 @@ impl Core {
         let root = self.sequences.get(index).root;
         let why = why_held(&self.config.watches[root]);
         let sequence = self.sequences.get_mut(index);
-        if !sparse.is_empty() && !std::mem::replace(&mut sequence.is_told, true) {
+        if !sparse.is_empty() && !std::mem::replace(&mut sequence.is_sparse_logged, true) {
             let path = sequence.key.folder.join(&sequence.key.name);
             self.log_about(path, move |sequence| tracing::warn!(%sequence, "{why}"));
         }

@@ -12,8 +12,7 @@ use crate::watch::journal::{DaemonRecord, DaemonState, Entry, PlanRecord, State 
 
 use super::disk_guard::{DiskGuard, FoundSpace};
 use super::events::{Effect, Log, Now, OutputRequest, RootRequest};
-use super::file_steps::FileSteps;
-use super::frames::{FrameId, Frames};
+use super::frames::{FileSteps, FrameId, Frames};
 use super::queue::Queue;
 use super::sequences::Sequences;
 

@@ -20,9 +20,8 @@ use std::time::Instant;
 use crate::pipeline::{FileFrames, FileStamp};
 
 use super::completeness::{Candidate, Seen};
-use super::events::{Effect, SlowRequest};
-use super::file_steps::{FileSteps, FoundSteps, StepsOrder};
-use super::frames::{FrameId, Phase};
+use super::events::{Effect, FoundSteps, SlowRequest, StepsOrder};
+use super::frames::{FileSteps, FrameId, Phase};
 use super::state::Core;
 
 impl Core {

@@ -23,7 +23,7 @@ use crate::watch::journal::{
 use super::completeness::{Proof, Seen, WaitReason};
 use super::events::{
     Complete, Contents, Effect, Event, Finished, Found, Inspect, Inspected, Now, OutputDirState,
-    OutputRequest, Presence, RootRequest, RootScan, SlowRequest, Worker,
+    OutputRequest, Presence, RootRequest, Scan, SlowRequest, Worker,
 };
 use super::frames::FrameId;
 use super::sequences::{MeasureOrder, Measured};
@@ -208,7 +208,7 @@ impl Rig {
         let folder = format!("/in{root}");
         let files = self.files.iter().filter(|(path, _)| path.starts_with(&folder));
         let files = files.map(|(path, (stamp, _))| (path.clone(), seen(*stamp))).collect();
-        let found = Ok(RootScan { files, ..RootScan::default() });
+        let found = Ok(Scan { files, ..Scan::default() });
         self.event(Event::RootScanned { root, found, at: self.now.at });
     }
 

@@ -10,7 +10,6 @@
 pub mod canonical_path;
 pub(crate) mod error;
 pub(crate) mod evidence;
-mod find_steps;
 pub mod fs_events;
 mod inspect;
 pub mod lock;
@@ -20,7 +19,7 @@ mod output_dir;
 pub(crate) mod pipeline;
 mod rescan_backoff;
 mod root;
-pub mod scan;
+pub(crate) mod scan;
 pub mod selection;
 mod slow;
 pub(crate) mod start;

@@ -13,7 +13,6 @@ use crate::watch::core::events::{Event, OutputDirState, OutputRequest, Presence}
 use crate::watch::journal::{FILE_NAME as JOURNAL_FILE_NAME, Journal, STATE_FOLDER};
 
 use super::error::DaemonError;
-use super::fs_events::NoEvents;
 use super::lock::{FILE_NAME as LOCK_FILE_NAME, OutputLock};
 use super::mounts::{RootIdentity, free_bytes};
 use super::worker::Work;
@@ -153,7 +152,6 @@ impl OutputDir {
 
 impl Work for OutputDir {
     type Request = OutputRequest;
-    type Hint = NoEvents;
 
     fn handle(&mut self, request: OutputRequest, report: &dyn Fn(Event)) {
         match request {

@@ -33,7 +33,7 @@ pub(crate) struct Start {
 
 /// What all pipelines have in common.
 #[derive(Clone)]
-pub(crate) struct Surroundings {
+pub(crate) struct PipelineContext {
     pub(crate) config: Arc<Config>,
     pub(crate) board: Option<Arc<Board>>,
     /// The folder of outputs of each root, and its index.
@@ -45,17 +45,17 @@ pub(crate) struct Surroundings {
 ///
 /// # Errors
 /// When the system has no more threads.
-pub(crate) fn start(index: usize, surroundings: Surroundings) -> io::Result<Sender<Start>> {
+pub(crate) fn start(index: usize, context: PipelineContext) -> io::Result<Sender<Start>> {
     let pool = ThreadPoolBuilder::new()
-        .num_threads(surroundings.config.threads)
+        .num_threads(context.config.threads)
         .thread_name(|index| format!("compute {index}"))
         .build()
         .map_err(io::Error::other)?;
     let (sender, frames) = bounded(1);
     thread::Builder::new().name(format!("pipeline {index}")).spawn(move || {
         // Whatever ends it: the core must know.
-        let _ended = Ended(index, surroundings.events.clone());
-        run(index, &pool, &frames, &surroundings);
+        let _ended = Ended(index, context.events.clone());
+        run(index, &pool, &frames, &context);
     })?;
     Ok(sender)
 }
@@ -73,7 +73,7 @@ fn run(
     index: usize,
     pool: &rayon::ThreadPool,
     frames: &Receiver<Start>,
-    Surroundings { config, board, outputs, events }: &Surroundings,
+    PipelineContext { config, board, outputs, events }: &PipelineContext,
 ) {
     let mirrors: Vec<PathBuf> = outputs.iter().map(|(_, guard)| guard.folder.clone()).collect();
     let output_states = OutputStates::default();

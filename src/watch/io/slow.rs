@@ -9,9 +9,9 @@ use std::thread;
 use crossbeam::channel::{Sender, unbounded};
 use rayon::ThreadPoolBuilder;
 
-use crate::watch::core::events::{Event, SlowRequest};
+use crate::pipeline::{FileStamp, FrameError, Stage, frames_in_unless};
+use crate::watch::core::events::{Event, FoundSteps, SlowRequest, StepsOrder};
 
-use super::find_steps::find_steps;
 use super::measure::measure;
 
 /// Starts the thread; it ends when the sender that is returned is dropped, and `is_over` is set.
@@ -43,4 +43,18 @@ pub(super) fn spawn(
         }
     })?;
     Ok(sender)
+}
+
+/// Searches a file for steps; not to its end once all is over.
+fn find_steps(order: StepsOrder, is_over: &AtomicBool) -> FoundSteps {
+    let path = &order.id.path;
+    let is_same = || FileStamp::of_path(path).is_ok_and(|now| now == order.stamp);
+    // It may have waited for the files before it.
+    if !is_same() {
+        return FoundSteps { order, frames: Ok(None) };
+    }
+    let read = FrameError::catch(path, Stage::Read, || frames_in_unless(path, is_over));
+    let read = read.and_then(|read| read.map_err(|error| FrameError::file(path, Stage::Read, error)));
+    let frames = if is_same() { read.map(Some) } else { Ok(None) };
+    FoundSteps { order, frames }
 }

@@ -18,7 +18,7 @@ use super::error::DaemonError;
 use super::fs_events::Watcher;
 use super::lock::host_name;
 use super::output_dir::{OutputGuard, open_outputs};
-use super::pipeline::Surroundings;
+use super::pipeline::PipelineContext;
 use super::root::Root;
 use super::selection::Selection;
 use super::slow;
@@ -51,7 +51,7 @@ pub(crate) fn start(
     config: &Arc<Config>,
     board: Option<Arc<Board>>,
     events: &Sender<Event>,
-) -> Result<(Core, Workers, Surroundings), DaemonError> {
+) -> Result<(Core, Workers, PipelineContext), DaemonError> {
     let (outputs, output_of) = open_outputs(config)?;
     let guards: Vec<Arc<OutputGuard>> = outputs.iter().map(|output| Arc::clone(output.guard())).collect();
     let folders: Vec<_> = guards.iter().map(|guard| guard.folder.clone()).collect();
@@ -76,7 +76,7 @@ pub(crate) fn start(
         now(),
     );
     let outputs_of_roots = output_of.iter().map(|&output| (output, Arc::clone(&guards[output]))).collect();
-    let surroundings = Surroundings {
+    let context = PipelineContext {
         config: Arc::clone(config),
         board,
         outputs: Arc::new(outputs_of_roots),
@@ -98,8 +98,8 @@ pub(crate) fn start(
     }
     for (index, path_and_selection) in paths.into_iter().enumerate() {
         // A run that ends when all is done needs no events.
-        let (watcher, hints) = match (!config.once).then(Watcher::new).transpose() {
-            Ok(Some((watcher, hints))) => (Ok(Some(watcher)), Some(hints)),
+        let (watcher, fs_events) = match (!config.once).then(Watcher::new).transpose() {
+            Ok(Some((watcher, fs_events))) => (Ok(Some(watcher)), Some(fs_events)),
             Ok(None) => (Ok(None), None),
             Err(error) => (Err(error), None),
         };
@@ -107,13 +107,13 @@ pub(crate) fn start(
         let guard = Arc::clone(&guards[output_of[index]]);
         let obstacles = obstacles.clone();
         let root = Root::new(index, path_and_selection, config, obstacles, guard, watcher, pulse.clone());
-        let sender = spawn(&format!("root {index}"), root, hints, pulse, events.clone());
+        let sender = spawn(&format!("root {index}"), root, fs_events, pulse, events.clone());
         workers.roots.push(sender.map_err(failed)?);
         let is_over = Arc::clone(&workers.is_over);
         let sender = slow::spawn(&format!("slow {index}"), config.threads, is_over, events.clone());
         workers.slow.push(sender.map_err(failed)?);
     }
-    Ok((core, workers, surroundings))
+    Ok((core, workers, context))
 }
 
 impl Workers {

@@ -2,12 +2,11 @@
 //!
 //! ```text
 //!   core ──requests──▶ ┌────────┐ ──events──▶ core
-//!   system ──hints───▶ │ worker │
+//!   system ──changes─▶ │ worker │
 //!   time ────────────▶ └────────┘ ──pulse───▶ the event loop sees whether it is stuck
 //! ```
 
 use std::collections::HashSet;
-use std::hash::Hash;
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -19,18 +18,18 @@ use crossbeam::channel::{Receiver, Sender, never, select, unbounded};
 use crate::watch::core::events::{Event, Worker};
 use crate::watch::core::state::STALL_AFTER;
 
+use super::fs_events::FsEvent;
+
 /// What a worker does. Any of it may block for as long as the file system does.
 pub(crate) trait Work: Send {
     /// What the core asks for.
     type Request: Send;
-    /// What the system tells.
-    type Hint: Send + Eq + Hash + Clone;
 
     /// Does what the core asks for.
     fn handle(&mut self, request: Self::Request, report: &dyn Fn(Event));
 
     /// Looks where the system says that something has changed.
-    fn hear(&mut self, _hint: Self::Hint, _report: &dyn Fn(Event)) {}
+    fn on_fs_event(&mut self, _event: FsEvent, _report: &dyn Fn(Event)) {}
 
     /// Does what is due by itself.
     fn on_time(&mut self, report: &dyn Fn(Event));
@@ -94,8 +93,8 @@ impl StallMonitor {
     }
 }
 
-/// So many hints are taken at once: equal ones are looked at once.
-const HINTS_PER_TURN: usize = 4096;
+/// So many changes are taken at once: equal ones are looked at once.
+const FS_EVENTS_PER_TURN: usize = 4096;
 
 /// Starts a worker. It ends when the sender that is returned is dropped, as soon as it does not hang.
 ///
@@ -104,7 +103,7 @@ const HINTS_PER_TURN: usize = 4096;
 pub(crate) fn spawn<W: Work + 'static>(
     name: &str,
     mut work: W,
-    hints: Option<Receiver<W::Hint>>,
+    fs_events: Option<Receiver<FsEvent>>,
     pulse: Pulse,
     events: Sender<Event>,
 ) -> io::Result<Sender<W::Request>> {
@@ -112,7 +111,7 @@ pub(crate) fn spawn<W: Work + 'static>(
     let run = move || {
         // Nobody listens only when the daemon has ended.
         let report = |event| drop(events.send(event));
-        let mut hints = hints.unwrap_or_else(never);
+        let mut fs_events = fs_events.unwrap_or_else(never);
         loop {
             let wait = work.next_time().saturating_duration_since(Instant::now()).min(IDLE_MAX);
             pulse.set_busy(false);
@@ -124,20 +123,20 @@ pub(crate) fn spawn<W: Work + 'static>(
                     }
                     Err(_) => return,
                 },
-                recv(hints) -> hint => match hint {
+                recv(fs_events) -> event => match event {
                     Ok(first) => {
                         pulse.set_busy(true);
                         let mut known = HashSet::new();
-                        let rest: Vec<W::Hint> = hints.try_iter().take(HINTS_PER_TURN).collect();
-                        for hint in std::iter::once(first).chain(rest) {
+                        let rest: Vec<FsEvent> = fs_events.try_iter().take(FS_EVENTS_PER_TURN).collect();
+                        for event in std::iter::once(first).chain(rest) {
                             pulse.beat();
-                            if known.insert(hint.clone()) {
-                                work.hear(hint, &report);
+                            if known.insert(event.clone()) {
+                                work.on_fs_event(event, &report);
                             }
                         }
                     }
                     // Scans will do.
-                    Err(_) => hints = never(),
+                    Err(_) => fs_events = never(),
                 },
                 default(wait) => {}
             }

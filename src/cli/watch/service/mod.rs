@@ -7,6 +7,6 @@ mod systemd;
 pub(super) use systemd::{Service, tell_not_reloaded, tell_reloading};
 
 #[cfg(not(target_os = "linux"))]
-mod nobody;
+mod noop;
 #[cfg(not(target_os = "linux"))]
-pub(super) use nobody::{Service, tell_not_reloaded, tell_reloading};
+pub(super) use noop::{Service, tell_not_reloaded, tell_reloading};
