@@ -1,4 +1,4 @@
-//! Outputs, by their names on the board.
+//! Outputs, by their names in the status store.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -12,7 +12,7 @@ use tokio::sync::mpsc;
 use tokio::task::spawn_blocking;
 
 use crate::pipeline::open_itself;
-use crate::watch::board::Board;
+use crate::watch::status_store::StatusStore;
 
 use super::answer::{Answer, Content, answer, cached, not_found, not_modified, text, with};
 
@@ -28,8 +28,8 @@ struct Opened {
 }
 
 /// The output of this name, or the part of it that was asked for.
-pub(super) async fn file<B>(board: &Board, request: &Request<B>, name: &str) -> Answer {
-    let Some(path) = board.file(name) else { return not_found() };
+pub(super) async fn file<B>(store: &StatusStore, request: &Request<B>, name: &str) -> Answer {
+    let Some(path) = store.file(name) else { return not_found() };
     let content_type = content_type(&path);
     let opened = match spawn_blocking(move || open(&path)).await {
         Ok(Ok(opened)) => opened,
@@ -60,7 +60,7 @@ pub(super) async fn file<B>(board: &Board, request: &Request<B>, name: &str) -> 
     }
 }
 
-/// Opens what the board names, if it is a file.
+/// Opens what the status store names, if it is a file.
 fn open(path: &Path) -> io::Result<Opened> {
     // What a link in its place leads to is not ours to show.
     let file = open_itself(path, File::options().read(true)).map_err(|error| match error.kind() {

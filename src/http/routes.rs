@@ -67,20 +67,20 @@ fn refusal<B: Body>(shared: &Shared, request: &Request<B>, local: SocketAddr) ->
 /// What is asked for.
 async fn route<B>(shared: &Arc<Shared>, request: &Request<B>) -> Answer {
     let (path, query) = (request.uri().path(), request.uri().query());
-    let board = &shared.board;
+    let store = &shared.store;
     match path {
-        "/api/frames" => api::frames(board, query),
-        "/api/settings" => api::settings(board),
-        "/api/status" => api::status(board),
+        "/api/frames" => api::frames(store, query),
+        "/api/settings" => api::settings(store),
+        "/api/status" => api::status(store),
         "/events" => events::follow(shared, request),
-        "/metrics" => metrics::metrics(board),
-        "/healthz" => api::health(board),
-        "/readyz" => api::readiness(board),
+        "/metrics" => metrics::metrics(store),
+        "/healthz" => api::health(store),
+        "/readyz" => api::readiness(store),
         _ => {
             let name_after = |prefix| path.strip_prefix(prefix).map(decoded);
             match (name_after("/api/frames/"), name_after("/files/")) {
-                (Some(name), _) => name.map_or_else(not_found, |name| api::frame(board, &name)),
-                (_, Some(Some(name))) => files::file(board, request, &name).await,
+                (Some(name), _) => name.map_or_else(not_found, |name| api::frame(store, &name)),
+                (_, Some(Some(name))) => files::file(store, request, &name).await,
                 (_, Some(None)) => not_found(),
                 (None, None) => assets::asset(request),
             }

@@ -230,7 +230,7 @@ mod tests {
     use tokio::sync::watch;
 
     use super::super::events::Subscribers;
-    use crate::watch::board::Board;
+    use crate::watch::status_store::StatusStore;
 
     /// How many pieces of 20 kB are taken by a side that takes one in so many seconds.
     fn pieces_taken(every_s: u64) -> usize {
@@ -259,7 +259,7 @@ mod tests {
         let limits = Limits { connections_max: 20, head_patience: Duration::from_secs(3600) };
         let (closing, is_closing) = watch::channel(false);
         let shared = Arc::new(Shared {
-            board: Arc::new(Board::new()),
+            store: Arc::new(StatusStore::new()),
             token: None,
             closing: is_closing,
             subscribers: Subscribers::default(),

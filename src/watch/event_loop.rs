@@ -10,30 +10,30 @@ use crossbeam::channel::{Receiver, Sender, never, select, unbounded};
 use crate::pipeline::resident_memory_bytes;
 
 use super::api::{Command, Ended, Notice, Summary};
-use super::board::Board;
 use super::config::Config;
-use super::core::events::{Effect, Event};
+use super::core::events::{Effect, Event, Start};
 use super::core::state::Core;
 use super::io::error::DaemonError;
-use super::io::pipeline::{PipelineContext, Start, start as start_pipeline};
+use super::io::pipeline::{PipelineContext, start as start_pipeline};
 use super::io::start::{Workers, now, start};
 use super::journal::DaemonState;
+use super::status_store::StatusStore;
 
 /// Watches and converts until a command ends it, or, where that is all that was asked for, until
-/// everything is converted. What there is to see of it is shown on the `board`, if there is one.
+/// everything is converted. What there is to see of it is shown on the `store`, if there is one.
 ///
 /// # Errors
 /// When it cannot begin. What happens to single frames is no error here: it is logged, kept in the
 /// journal and counted.
 pub fn run(
     config: &Config,
-    board: Option<&Arc<Board>>,
+    store: Option<&Arc<StatusStore>>,
     commands: &Receiver<Command>,
     notices: &mut dyn FnMut(Notice),
 ) -> Result<Summary, DaemonError> {
     let config = Arc::new(config.clone());
     let (to_loop, events) = unbounded();
-    let (core, workers, context) = start(&config, board.cloned(), &to_loop)?;
+    let (core, workers, context) = start(&config, store.cloned(), &to_loop)?;
     EventLoop::new(core, workers, context, events, notices).run(commands)
 }
 
@@ -83,9 +83,9 @@ impl<'a> EventLoop<'a> {
 
     /// Runs until a command ends it or nothing is left to do.
     fn run(mut self, commands: &Receiver<Command>) -> Result<Summary, DaemonError> {
-        if let Some(board) = &self.context.board {
-            board.begin(self.core.plan());
-            self.core.counters = board.counters();
+        if let Some(store) = &self.context.store {
+            store.begin(self.core.plan());
+            self.core.counters = store.counters();
         }
         let once = self.context.config.once;
         let mut commands = commands.clone();
@@ -101,8 +101,8 @@ impl<'a> EventLoop<'a> {
             if !is_ready && self.core.is_ready() {
                 is_ready = true;
                 (self.notices)(Notice::Ready);
-                if let Some(board) = &self.context.board {
-                    board.set_ready();
+                if let Some(store) = &self.context.store {
+                    store.set_ready();
                 }
             }
             if once && self.core.is_drained() {
@@ -148,16 +148,16 @@ impl<'a> EventLoop<'a> {
     }
 
     fn carry_out(&mut self) -> Result<(), DaemonError> {
-        self.core.publish(self.context.board.as_deref());
+        self.core.publish(self.context.store.as_deref());
         // Workers live as long as the loop: what cannot be sent has no one to do it.
         for effect in self.core.take_effects() {
             match effect {
                 Effect::Root(root, request) => drop(self.workers.roots[root].send(request)),
                 Effect::Slow(root, request) => drop(self.workers.slow[root].send(request)),
                 Effect::Output(output, request) => drop(self.workers.outputs[output].send(request)),
-                Effect::Start { pipeline, id, frame, known_outputs } => {
+                Effect::Start(pipeline, start) => {
                     if let Some(Some(sender)) = self.pipelines.get(&pipeline) {
-                        let _ = sender.try_send(Start { id, frame, known_outputs });
+                        let _ = sender.try_send(start);
                     }
                 }
                 Effect::StartPipeline(pipeline) => {
@@ -195,8 +195,8 @@ impl<'a> EventLoop<'a> {
         for event in self.workers.monitors.iter_mut().filter_map(|monitor| monitor.check(now.at)) {
             self.core.handle(event, now);
         }
-        if let Some(board) = &self.context.board {
-            board.tell(self.core.status(resident_memory_bytes()));
+        if let Some(store) = &self.context.store {
+            store.set_status(self.core.status(resident_memory_bytes()));
         }
         let status = self.core.status_line();
         if status != self.last_status && !self.core.is_stopping() {

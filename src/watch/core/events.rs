@@ -278,6 +278,14 @@ impl fmt::Debug for Log {
     }
 }
 
+/// A frame to convert, and what is known of the outputs that it has.
+#[derive(Debug)]
+pub(crate) struct Start {
+    pub(crate) id: FrameId,
+    pub(crate) frame: Box<Frame>,
+    pub(crate) known_outputs: Vec<OutputRecord>,
+}
+
 /// Something that the core wants done. Effects are carried out in order.
 #[derive(Debug)]
 pub(crate) enum Effect {
@@ -285,12 +293,7 @@ pub(crate) enum Effect {
     Slow(usize, SlowRequest),
     Output(usize, OutputRequest),
     /// Give a frame to a pipeline that wants one.
-    Start {
-        pipeline: usize,
-        id: FrameId,
-        frame: Box<Frame>,
-        known_outputs: Vec<OutputRecord>,
-    },
+    Start(usize, Start),
     /// Start a pipeline beside those that hang.
     StartPipeline(usize),
     /// Tell a pipeline that there are no more frames.

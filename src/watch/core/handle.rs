@@ -8,7 +8,7 @@ use crate::pipeline::natural_order;
 use crate::watch::api::{Ended, FailedFrame, Summary};
 
 use super::completeness::path_of_sentinel;
-use super::events::{Effect, Event, Now, OutputDirState, OutputRequest, Presence, Worker};
+use super::events::{Effect, Event, Now, OutputDirState, OutputRequest, Presence, Start, Worker};
 use super::frames::{FrameCounts, FrameId, FrameState, Phase};
 use super::state::{Core, RootState, STALL_AFTER};
 
@@ -87,7 +87,7 @@ impl Core {
             }
             let record = self.record_of(&id);
             let known_outputs = record.map_or(Vec::new(), |record| record.outputs.clone());
-            self.effects.push(Effect::Start { pipeline, id, frame, known_outputs });
+            self.effects.push(Effect::Start(pipeline, Start { id, frame, known_outputs }));
         }
     }
 

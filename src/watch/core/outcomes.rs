@@ -6,8 +6,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use crate::pipeline::{FrameError, FrameReport, Outcome, ReadInput, Scope, Stage, Warning};
-use crate::watch::board::Figures;
 use crate::watch::journal::{Entry, FrameRecord, OutputRecord, Standing};
+use crate::watch::status_store::Figures;
 
 use super::completeness::{Candidate, Seen};
 use super::events::{Finished, Log};

@@ -7,9 +7,9 @@ use std::path::{Component, Path};
 use serde_json::{Value, json};
 
 use crate::pipeline::{SequenceRecord, text_of_name};
-use crate::watch::board::{Board, FrameState, FrameSummary, FrameView, OutputView, Status};
 use crate::watch::config::{Config, Order, Poll, Watch};
 use crate::watch::journal::{FrameRecord, Standing};
+use crate::watch::status_store::{FrameState, FrameSummary, FrameView, OutputView, Status, StatusStore};
 
 use super::frames::{FrameCounts, FrameId, Phase};
 use super::sequences::SequenceSettings;
@@ -17,22 +17,22 @@ use super::state::Core;
 
 impl Core {
     /// Shows what has changed since this was called last.
-    pub(crate) fn publish(&mut self, board: Option<&Board>) {
+    pub(crate) fn publish(&mut self, store: Option<&StatusStore>) {
         let frames = std::mem::take(&mut self.changed);
         let sequences = std::mem::take(&mut self.changed_sequences);
-        let Some(board) = board else { return };
-        board.set_counters(self.counters.clone());
-        frames.iter().for_each(|id| self.show(id, board));
+        let Some(store) = store else { return };
+        store.set_counters(self.counters.clone());
+        frames.iter().for_each(|id| self.show(id, store));
         for (name, record) in sequences.into_iter().filter_map(|index| self.shown_sequence(index)) {
-            board.show_sequence(name, record);
+            store.set_sequence(name, record);
         }
     }
 
-    fn show(&self, id: &FrameId, board: &Board) {
+    fn show(&self, id: &FrameId, store: &StatusStore) {
         let name = self.shown_name(id.root, self.root_path(id.root), &id.path);
         let frame = self.frames.get(id);
         let Some((frame, state)) = frame.and_then(|frame| Some((frame, state_of(frame.phase)?))) else {
-            return board.remove(&name);
+            return store.remove(&name);
         };
         // Only a pipeline knows the stage of a frame that it has.
         let record = self.record_of(id).map(|record| &**record);
@@ -45,7 +45,7 @@ impl Core {
         let named = |ending: &str| outputs.iter().find(|output| output.name.ends_with(ending));
         let [surface, picture] =
             [".glb", ".png"].map(|ending| named(ending).map(|output| output.name.clone()));
-        board.show(FrameView {
+        store.update(FrameView {
             summary: FrameSummary {
                 name: name.into(),
                 state,
@@ -66,7 +66,7 @@ impl Core {
     }
 
     /// Outputs as they are shown. One that is elsewhere, which the journal may say, has no name here, and nobody is to
-    /// read it through the board.
+    /// read it through the status store.
     fn shown_outputs(&self, id: &FrameId, record: &FrameRecord) -> Vec<OutputView> {
         let folder = &self.output(id.root).folder;
         let inside = record.outputs.iter().filter(|output| is_inside(&output.path, folder));
@@ -78,7 +78,7 @@ impl Core {
         shown.collect()
     }
 
-    /// What a file is called on the board: its path within the folder, and where there are several, the number of the
+    /// What a file is called in the status store: its path within the folder, and where there are several, the number of the
     /// watched one before it.
     fn shown_name(&self, root: usize, folder: &Path, path: &Path) -> String {
         let within = text_of_name(path.strip_prefix(folder).unwrap_or(path).as_os_str());

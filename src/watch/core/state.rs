@@ -6,9 +6,9 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::pipeline::{ObstacleFiles, OutputOptions};
-use crate::watch::board::Counters;
 use crate::watch::config::{Config, Watch};
 use crate::watch::journal::{DaemonRecord, DaemonState, Entry, PlanRecord, State as JournalState};
+use crate::watch::status_store::Counters;
 
 use super::disk_guard::{DiskGuard, FoundSpace};
 use super::events::{Effect, Log, Now, OutputRequest, RootRequest};

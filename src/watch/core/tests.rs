@@ -23,7 +23,7 @@ use crate::watch::journal::{
 use super::completeness::{Proof, Seen, WaitReason};
 use super::events::{
     Complete, Contents, Effect, Event, Finished, Found, Inspect, Inspected, Now, OutputDirState,
-    OutputRequest, Presence, RootRequest, Scan, SlowRequest, Worker,
+    OutputRequest, Presence, RootRequest, Scan, SlowRequest, Start, Worker,
 };
 use super::frames::FrameId;
 use super::sequences::{MeasureOrder, Measured};
@@ -138,7 +138,9 @@ impl Rig {
                     Effect::Root(_, RootRequest::Inspect(inspect)) => self.inspections.push(*inspect),
                     Effect::Slow(_, SlowRequest::Measure(order)) => self.orders.push(*order),
                     Effect::Output(_, OutputRequest::Record(entry, _)) => self.records.push(entry),
-                    Effect::Start { pipeline, id, frame, .. } => self.started.push((pipeline, id, frame)),
+                    Effect::Start(pipeline, Start { id, frame, .. }) => {
+                        self.started.push((pipeline, id, frame))
+                    }
                     Effect::StartPipeline(pipeline) => self.pipelines.push(pipeline),
                     Effect::EndPipeline(pipeline) => self.ended_pipelines.push(pipeline),
                     Effect::Root(..) | Effect::Slow(..) | Effect::Output(..) | Effect::Log(_) => {}

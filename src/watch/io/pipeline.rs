@@ -15,27 +15,20 @@ use crate::pipeline::{
     Frame, FrameError, LevelSetSkinning, Observer, OnError, Outcome, OutputStates, PipelineOptions, Stage,
     StepsFoundBy, stream,
 };
-use crate::watch::board::Board;
 use crate::watch::config::Config;
-use crate::watch::core::events::{Event, Finished};
+use crate::watch::core::events::{Event, Finished, Start};
 use crate::watch::core::frames::FrameId;
 use crate::watch::journal::OutputRecord;
+use crate::watch::status_store::StatusStore;
 
 use super::mounts::free_bytes;
 use super::output_dir::OutputGuard;
-
-/// A frame to convert, and what is known of the outputs that it has.
-pub(crate) struct Start {
-    pub(crate) id: FrameId,
-    pub(crate) frame: Box<Frame>,
-    pub(crate) known_outputs: Vec<OutputRecord>,
-}
 
 /// What all pipelines have in common.
 #[derive(Clone)]
 pub(crate) struct PipelineContext {
     pub(crate) config: Arc<Config>,
-    pub(crate) board: Option<Arc<Board>>,
+    pub(crate) store: Option<Arc<StatusStore>>,
     /// The folder of outputs of each root, and its index.
     pub(crate) outputs: Arc<Vec<(usize, Arc<OutputGuard>)>>,
     pub(crate) events: Sender<Event>,
@@ -73,7 +66,7 @@ fn run(
     index: usize,
     pool: &rayon::ThreadPool,
     frames: &Receiver<Start>,
-    PipelineContext { config, board, outputs, events }: &PipelineContext,
+    PipelineContext { config, store, outputs, events }: &PipelineContext,
 ) {
     let mirrors: Vec<PathBuf> = outputs.iter().map(|(_, guard)| guard.folder.clone()).collect();
     let output_states = OutputStates::default();
@@ -88,7 +81,7 @@ fn run(
         steps_found_by: StepsFoundBy::Another,
         mirrors: &mirrors,
         output_states: Some(&output_states),
-        observer: board.as_ref().map(|board| &**board as &dyn Observer),
+        observer: store.as_ref().map(|store| &**store as &dyn Observer),
     };
     let next = || {
         loop {
@@ -116,7 +109,7 @@ fn run(
     });
 }
 
-impl Observer for Board {
+impl Observer for StatusStore {
     fn began(&self, frame: &Frame, stage: Stage) {
         self.stage_began(&frame.outputs.folder.join(&frame.stem), stage);
     }

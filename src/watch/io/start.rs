@@ -7,11 +7,11 @@ use std::time::Instant;
 use crossbeam::channel::Sender;
 
 use crate::pipeline::ObstacleFiles;
-use crate::watch::board::Board;
 use crate::watch::config::Config;
 use crate::watch::core::events::{Event, Now, OutputRequest, RootRequest, SlowRequest, Worker};
 use crate::watch::core::state::Core;
 use crate::watch::journal::{DaemonRecord, DaemonState, now_ms};
+use crate::watch::status_store::StatusStore;
 
 use super::canonical_path::known_path;
 use super::error::DaemonError;
@@ -49,7 +49,7 @@ impl Drop for Workers {
 /// When a folder of outputs cannot be had, a pattern is invalid, or the system has no more threads.
 pub(crate) fn start(
     config: &Arc<Config>,
-    board: Option<Arc<Board>>,
+    store: Option<Arc<StatusStore>>,
     events: &Sender<Event>,
 ) -> Result<(Core, Workers, PipelineContext), DaemonError> {
     let (outputs, output_of) = open_outputs(config)?;
@@ -78,7 +78,7 @@ pub(crate) fn start(
     let outputs_of_roots = output_of.iter().map(|&output| (output, Arc::clone(&guards[output]))).collect();
     let context = PipelineContext {
         config: Arc::clone(config),
-        board,
+        store,
         outputs: Arc::new(outputs_of_roots),
         events: events.clone(),
     };
