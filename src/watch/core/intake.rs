@@ -209,8 +209,9 @@ impl Core {
         {
             // The file of a step is inspected instead of the step.
             let candidate = (!id.is_step()).then_some(candidate);
-            let recorded = self.recorded(id);
-            self.inspect(id, candidate, recorded);
+            let outputs = self.output_paths(id);
+            let recorded = self.recorded(id, &outputs);
+            self.request_inspection(id, false, outputs, candidate, recorded);
         }
     }
 
@@ -225,30 +226,30 @@ impl Core {
 
     /// Inspects whether a file is still what it was.
     pub(super) fn check_stamp(&mut self, id: &FrameId) {
-        self.request_inspection(id, true, None, None);
+        self.request_inspection(id, true, Vec::new(), None, None);
     }
 
     /// Inspects a file: whether it may stay as it is recorded, then whether it is complete, then what it is.
     pub(super) fn inspect(&mut self, id: &FrameId, candidate: Option<Candidate>, recorded: Option<Recorded>) {
-        self.request_inspection(id, false, candidate, recorded);
+        let outputs = self.output_paths(id);
+        self.request_inspection(id, false, outputs, candidate, recorded);
     }
 
     fn request_inspection(
         &mut self,
         id: &FrameId,
         only_stamp: bool,
+        outputs: Vec<PathBuf>,
         candidate: Option<Candidate>,
         recorded: Option<Recorded>,
     ) {
         let Some((number, stamp)) = self.frames.begin_inspection(id) else { return };
-        let outputs = self.output_paths(id);
         let inspect = Inspect { id: id.clone(), number, stamp, only_stamp, recorded, candidate, outputs };
         self.request(id.root, RootRequest::Inspect(Box::new(inspect)));
     }
 
     /// What the journal says of exactly this file, if it stays as it is while its outputs and obstacles are as recorded.
-    fn recorded(&mut self, id: &FrameId) -> Option<Recorded> {
-        let wanted = self.output_paths(id);
+    fn recorded(&self, id: &FrameId, wanted: &[PathBuf]) -> Option<Recorded> {
         let record = Arc::clone(self.output(id.root).journal.frames.get(&*id.path)?);
         let frame = self.frames.get(id)?;
         // The record may be of the same file in another root, whose outputs lie elsewhere.
