@@ -204,6 +204,8 @@ impl<'a> Tuning<'a> {
             let (shown, command) = match caught(self.frame.path(), || self.taken(&method)) {
                 Ok((made, settings, picture)) => {
                     tally.done_count += 1;
+                    // That differs from run to run, and is no part of the picture.
+                    let seconds = seconds(&made);
                     let of_settings = settings.warnings().into_iter().map(Warning::Sentence);
                     for warning in of_settings.chain(made.warnings) {
                         if reported.is_new(&warning) {
@@ -213,8 +215,6 @@ impl<'a> Tuning<'a> {
                     let triangles = counted(made.surface.report.mesh.triangle_count, "triangle");
                     let places = (&*self.args.inputs, &*self.args.out);
                     let command = CommandLine::convert(places, &method, self.args.view.up);
-                    // That differs from run to run, and is no part of the picture.
-                    let seconds = seconds(&made);
                     console.say(format_args!("{label}: {seconds:.2} s, {triangles}"));
                     console.say(command.text());
                     lines.push(triangles);
