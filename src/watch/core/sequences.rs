@@ -12,7 +12,7 @@
 //! finished first, or on the order in which frames are converted. With `--once` all frames are waited for:
 //! they are measured as `convert` measures them.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
