@@ -6,23 +6,52 @@ use std::task::{Context, Poll, ready};
 
 use hyper::body::{Body, Bytes, Frame, SizeHint};
 use hyper::header::{
-    ALLOW, CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY,
-    X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
+    ALLOW, CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, ETAG, HeaderName, HeaderValue,
+    IF_NONE_MATCH, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
 };
-use hyper::{Response, StatusCode};
+use hyper::{Request, Response, StatusCode};
 use serde::Serialize;
 use tokio::sync::mpsc;
+
+use super::connections::Answering;
 
 /// An answer.
 pub(super) type Answer = Response<Content>;
 
 /// What an answer holds.
 #[derive(Debug)]
-pub(super) enum Content {
+pub(super) struct Content {
+    source: Source,
+    /// Keeps the connection busy until the content is dropped.
+    _answering: Option<Answering>,
+}
+
+#[derive(Debug)]
+enum Source {
     /// All of it, until it is taken.
     Whole(Option<Bytes>),
-    /// What somebody sends, who waits while it is not taken; and how much of it is to come, where that is known.
+    /// What a task sends, which waits while it is not taken; and how much of it is to come, where that is known.
     Pieces(mpsc::Receiver<io::Result<Bytes>>, Option<u64>),
+}
+
+impl Content {
+    pub(super) fn none() -> Content {
+        Content { source: Source::Whole(None), _answering: None }
+    }
+
+    pub(super) fn whole(bytes: impl Into<Bytes>) -> Content {
+        Content { source: Source::Whole(Some(bytes.into())), _answering: None }
+    }
+
+    /// Content in pieces, of this size if it is known.
+    pub(super) fn pieces(pieces: mpsc::Receiver<io::Result<Bytes>>, size_bytes: Option<u64>) -> Content {
+        Content { source: Source::Pieces(pieces, size_bytes), _answering: None }
+    }
+
+    /// The same content, during which a connection is busy.
+    pub(super) fn during(self, answering: Answering) -> Content {
+        Content { _answering: Some(answering), ..self }
+    }
 }
 
 impl Body for Content {
@@ -30,9 +59,9 @@ impl Body for Content {
     type Error = io::Error;
 
     fn poll_frame(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<io::Result<Frame<Bytes>>>> {
-        match self.get_mut() {
-            Content::Whole(bytes) => Poll::Ready(bytes.take().map(|bytes| Ok(Frame::data(bytes)))),
-            Content::Pieces(pieces, left_bytes) => {
+        match &mut self.get_mut().source {
+            Source::Whole(bytes) => Poll::Ready(bytes.take().map(|bytes| Ok(Frame::data(bytes)))),
+            Source::Pieces(pieces, left_bytes) => {
                 let Some(piece) = ready!(pieces.poll_recv(context)) else { return Poll::Ready(None) };
                 if let (Ok(piece), Some(left_bytes)) = (&piece, left_bytes) {
                     *left_bytes = left_bytes.saturating_sub(piece.len() as u64);
@@ -43,17 +72,17 @@ impl Body for Content {
     }
 
     fn is_end_stream(&self) -> bool {
-        match self {
-            Content::Whole(bytes) => bytes.as_ref().is_none_or(Bytes::is_empty),
-            Content::Pieces(_, left_bytes) => *left_bytes == Some(0),
+        match &self.source {
+            Source::Whole(bytes) => bytes.as_ref().is_none_or(Bytes::is_empty),
+            Source::Pieces(_, left_bytes) => *left_bytes == Some(0),
         }
     }
 
     fn size_hint(&self) -> SizeHint {
-        match self {
-            Content::Whole(bytes) => SizeHint::with_exact(bytes.as_ref().map_or(0, Bytes::len) as u64),
-            Content::Pieces(_, Some(left_bytes)) => SizeHint::with_exact(*left_bytes),
-            Content::Pieces(_, None) => SizeHint::new(),
+        match &self.source {
+            Source::Whole(bytes) => SizeHint::with_exact(bytes.as_ref().map_or(0, Bytes::len) as u64),
+            Source::Pieces(_, Some(left_bytes)) => SizeHint::with_exact(*left_bytes),
+            Source::Pieces(_, None) => SizeHint::new(),
         }
     }
 }
@@ -87,14 +116,13 @@ pub(super) fn answer(status: StatusCode, content_type: &'static str, content: Co
 
 /// A line of text.
 pub(super) fn text(status: StatusCode, line: &str) -> Answer {
-    let bytes = Bytes::from(format!("{line}\n"));
-    answer(status, "text/plain; charset=utf-8", Content::Whole(Some(bytes)))
+    answer(status, "text/plain; charset=utf-8", Content::whole(format!("{line}\n")))
 }
 
 /// Something as JSON.
 pub(super) fn json(value: &impl Serialize) -> Answer {
     match serde_json::to_vec(value) {
-        Ok(bytes) => answer(StatusCode::OK, "application/json", Content::Whole(Some(bytes.into()))),
+        Ok(bytes) => answer(StatusCode::OK, "application/json", Content::whole(bytes)),
         Err(error) => text(StatusCode::INTERNAL_SERVER_ERROR, &error.to_string()),
     }
 }
@@ -104,9 +132,27 @@ pub(super) fn not_found() -> Answer {
     text(StatusCode::NOT_FOUND, "not found")
 }
 
-/// Whoever looks only looks.
-pub(super) fn only_to_look_at() -> Answer {
-    let mut answer = text(StatusCode::METHOD_NOT_ALLOWED, "only GET and HEAD");
-    answer.headers_mut().insert(ALLOW, HeaderValue::from_static("GET, HEAD"));
+/// The method is neither GET nor HEAD.
+pub(super) fn method_not_allowed() -> Answer {
+    with(text(StatusCode::METHOD_NOT_ALLOWED, "only GET and HEAD"), ALLOW, "GET, HEAD")
+}
+
+/// The answer with this header; without it if the value cannot be one.
+pub(super) fn with(mut answer: Answer, name: HeaderName, value: &str) -> Answer {
+    if let Ok(value) = HeaderValue::from_str(value) {
+        answer.headers_mut().insert(name, value);
+    }
     answer
+}
+
+/// A browser may keep this answer, and asks each time whether the tag is still the same.
+pub(super) fn cached(answer: Answer, tag: &str) -> Answer {
+    with(with(answer, CACHE_CONTROL, "private, no-cache"), ETAG, tag)
+}
+
+/// The answer to a request of a browser that has what this tag is of; `None` if it does not.
+pub(super) fn not_modified<B>(request: &Request<B>, content_type: &'static str, tag: &str) -> Option<Answer> {
+    let known = request.headers().get(IF_NONE_MATCH)?;
+    let answer = || answer(StatusCode::NOT_MODIFIED, content_type, Content::none());
+    (known.as_bytes() == tag.as_bytes()).then(|| cached(answer(), tag))
 }

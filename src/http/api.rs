@@ -4,7 +4,7 @@ use hyper::StatusCode;
 use serde::Serialize;
 use serde_json::json;
 
-use crate::watch::board::{Board, FrameSummary};
+use crate::watch::status_store::{FrameSummary, StatusStore};
 
 use super::answer::{Answer, json, not_found, text};
 use super::query::value_of;
@@ -24,17 +24,17 @@ struct FramesPage<'a> {
 }
 
 /// Some frames, in natural order: `?after=NAME&limit=N`.
-pub(super) fn frames(board: &Board, query: Option<&str>) -> Answer {
+pub(super) fn frames(store: &StatusStore, query: Option<&str>) -> Answer {
     let after = value_of(query, "after");
     let limit = match value_of(query, "limit").map(|limit| limit.parse::<usize>()) {
         None => LIMIT,
         Some(Ok(limit @ 1..)) => limit.min(LIMIT_MAX),
         Some(_) => return text(StatusCode::BAD_REQUEST, "limit is a whole number from 1"),
     };
-    let page = board.page(after.as_deref(), limit);
+    let page = store.page(after.as_deref(), limit);
     let last = page.frames.last().filter(|_| page.has_more);
     json(&FramesPage {
-        at: format!("{}-{}", board.run(), page.version),
+        at: format!("{}-{}", store.run(), page.version),
         total: page.total,
         frames: page.frames.iter().map(|frame| &frame.summary).collect(),
         next: last.map(|frame| &*frame.summary.name),
@@ -42,48 +42,48 @@ pub(super) fn frames(board: &Board, query: Option<&str>) -> Answer {
 }
 
 /// All that is known of a frame.
-pub(super) fn frame(board: &Board, name: &str) -> Answer {
-    board.frame(name).map_or_else(not_found, |frame| json(&*frame))
+pub(super) fn frame(store: &StatusStore, name: &str) -> Answer {
+    store.frame(name).map_or_else(not_found, |frame| json(&*frame))
 }
 
 /// What the daemon was asked for, and the settings of each sequence.
-pub(super) fn settings(board: &Board) -> Answer {
-    let (daemon, sequences) = board.settings();
+pub(super) fn settings(store: &StatusStore) -> Answer {
+    let (daemon, sequences) = store.settings();
     json(&json!({ "daemon": *daemon, "sequences": sequences }))
 }
 
 /// How the daemon is, and how it was in the last quarter of an hour.
-pub(super) fn status(board: &Board) -> Answer {
-    let (status, counts) = board.status();
-    let counters = board.counters();
+pub(super) fn status(store: &StatusStore) -> Answer {
+    let (status, counts) = store.status();
+    let counters = store.counters();
     json(&json!({
-        "run": board.run(),
-        "ready": board.is_ready(),
+        "run": store.run(),
+        "ready": store.is_ready(),
         "status": status,
         "frames": counts,
-        "forecast": board.forecast(),
+        "forecast": store.forecast(),
         "converted": counters.converted,
         "found_done": counters.found_done,
         "failures": counters.failures,
         "retries": counters.retries,
         "scans": counters.scans,
         "rescans": counters.rescans,
-        "samples": board.samples(),
+        "samples": store.samples(),
     }))
 }
 
 /// Whether the daemon is not stuck.
-pub(super) fn health(board: &Board) -> Answer {
-    match board.is_alive() {
+pub(super) fn health(store: &StatusStore) -> Answer {
+    match store.is_alive() {
         true => text(StatusCode::OK, "ok"),
         false => text(StatusCode::SERVICE_UNAVAILABLE, "the daemon has not been heard of for 30 seconds"),
     }
 }
 
 /// Whether everything was looked at once, and the daemon takes frames.
-pub(super) fn readiness(board: &Board) -> Answer {
-    let (status, _) = board.status();
-    match (board.is_ready(), status.stopping, board.is_alive()) {
+pub(super) fn readiness(store: &StatusStore) -> Answer {
+    let (status, _) = store.status();
+    match (store.is_ready(), status.stopping, store.is_alive()) {
         (true, false, true) => text(StatusCode::OK, "ready"),
         (_, true, _) => text(StatusCode::SERVICE_UNAVAILABLE, "stopping"),
         (false, ..) => text(StatusCode::SERVICE_UNAVAILABLE, "starting"),

@@ -1,11 +1,9 @@
 //! The page: files that are part of the program.
 
-use hyper::body::Bytes;
-use hyper::header::{CACHE_CONTROL, ETAG, HeaderValue, IF_NONE_MATCH};
 use hyper::{Request, StatusCode};
 use twox_hash::XxHash3_64;
 
-use super::answer::{Answer, Content, answer, not_found};
+use super::answer::{Answer, Content, answer, cached, not_found, not_modified};
 
 const HTML: &str = "text/html; charset=utf-8";
 const CSS: &str = "text/css; charset=utf-8";
@@ -33,16 +31,6 @@ pub(super) fn asset<B>(request: &Request<B>) -> Answer {
     let found = ASSETS.iter().find(|(path, ..)| *path == request.uri().path());
     let Some(&(_, content_type, bytes)) = found else { return not_found() };
     let tag = format!("\"{:016x}\"", XxHash3_64::oneshot(bytes));
-    let is_known =
-        request.headers().get(IF_NONE_MATCH).is_some_and(|known| known.as_bytes() == tag.as_bytes());
-    let mut asset = match is_known {
-        true => answer(StatusCode::NOT_MODIFIED, content_type, Content::Whole(None)),
-        false => answer(StatusCode::OK, content_type, Content::Whole(Some(Bytes::from_static(bytes)))),
-    };
-    let headers = asset.headers_mut();
-    headers.insert(CACHE_CONTROL, HeaderValue::from_static("private, no-cache"));
-    if let Ok(tag) = HeaderValue::from_str(&tag) {
-        headers.insert(ETAG, tag);
-    }
-    asset
+    let asset = || answer(StatusCode::OK, content_type, Content::whole(bytes));
+    not_modified(request, content_type, &tag).unwrap_or_else(|| cached(asset(), &tag))
 }

@@ -11,15 +11,11 @@
 
 use std::collections::BTreeMap;
 use std::future::{Future, poll_fn};
-use std::io;
-use std::pin::{Pin, pin};
+use std::pin::pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::task::{Context, Poll};
+use std::task::Poll;
 
-use hyper::body::{Body, Bytes, Frame, SizeHint};
 use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
-
-use super::answer::Content;
 
 /// All open connections.
 #[derive(Debug)]
@@ -186,34 +182,10 @@ impl Drop for Answering {
     }
 }
 
-/// The content of an answer, during which its connection is busy.
-#[derive(Debug)]
-pub(super) struct BusyContent {
-    pub(super) content: Content,
-    pub(super) _answering: Answering,
-}
-
-impl Body for BusyContent {
-    type Data = Bytes;
-    type Error = io::Error;
-
-    fn poll_frame(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<io::Result<Frame<Bytes>>>> {
-        Pin::new(&mut self.get_mut().content).poll_frame(context)
-    }
-
-    fn is_end_stream(&self) -> bool {
-        self.content.is_end_stream()
-    }
-
-    fn size_hint(&self) -> SizeHint {
-        self.content.size_hint()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::task::Waker;
+    use std::task::{Context, Waker};
 
     /// Polls once.
     fn now<T>(future: impl Future<Output = T>) -> Option<T> {

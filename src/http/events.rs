@@ -1,11 +1,11 @@
-//! Changes as they come: server-sent events.
+//! Server-sent events: changes as they come.
 //!
-//! Nothing is kept for anybody. Whoever follows has a place in the log of the board, and is told from there what
-//! has changed, as fast as the other side takes it. Who falls behind the end of the log is told to look at
-//! everything again.
+//! Nothing is kept for a subscriber. Each has a position in the log of changes of the status store, and gets what has
+//! changed since, as fast as it takes it. A subscriber that falls behind the end of the log gets a `resync` event and must
+//! reload.
 //!
-//! All who follow look at the board at the same moments. Those who keep up are then at the same place, and what comes
-//! after it is put into words once for all of them.
+//! All subscribers read the store at the same moments. Those that keep up are then at the same position, and the event
+//! after it is serialized once for all of them.
 
 use std::fmt::Write as _;
 use std::io;
@@ -19,83 +19,83 @@ use serde_json::json;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep_until};
 
-use crate::watch::board::{Board, Changes, FrameSummary};
+use crate::watch::status_store::{Changes, FrameSummary, StatusStore};
 
 use super::Shared;
 use super::answer::{Answer, Content, answer, text};
 use super::query::value_of;
 
-/// Those who follow.
+/// All subscribers.
 #[derive(Debug)]
-pub(super) struct Followers {
+pub(super) struct Subscribers {
     count: AtomicUsize,
-    /// From here on the moments are counted at which they look.
+    /// From here on the moments are counted at which they read the store.
     since: Instant,
-    last: Mutex<Option<Told>>,
+    last: Mutex<Option<LastEvent>>,
 }
 
-/// What was told to the last of them, in words.
+/// The event that was sent last.
 #[derive(Clone, Debug)]
-struct Told {
+struct LastEvent {
     /// What has happened after this version.
     after: u64,
-    /// That of the board when it was put into words.
-    board_version: u64,
+    /// That of the store when the event was serialized.
+    store_version: u64,
     /// What happens after this version is not in it.
     next: u64,
     text: Bytes,
 }
 
-/// One of them, until it is dropped.
-struct Follower(Arc<Shared>);
+/// A subscriber, until it is dropped.
+struct Subscriber(Arc<Shared>);
 
-/// More than this are asked to come again.
-const FOLLOWERS_MAX: usize = 256;
+/// More than this are refused.
+const SUBSCRIBERS_MAX: usize = 256;
 
-/// How soon a change is told.
+/// How soon a change is sent.
 const EVERY: Duration = Duration::from_millis(100);
 
-/// Something is said so often, to find out who is gone.
+/// A comment is sent so often, to find out which clients are gone.
 const PULSE: Duration = Duration::from_secs(15);
 
-/// As many changes are told in one event.
+/// As many changes are in one event.
 const CHANGES_MAX: usize = 256;
 
 /// The changes after those that the request has seen, by `Last-Event-ID` or `?after=`; without either, those from now
 /// on.
 pub(super) fn follow<B>(shared: &Arc<Shared>, request: &Request<B>) -> Answer {
-    let Some(follower) = Follower::new(shared) else {
+    let Some(subscriber) = Subscriber::new(shared) else {
         return text(StatusCode::SERVICE_UNAVAILABLE, "too many follow already");
     };
     let header = request.headers().get("last-event-id").and_then(|id| id.to_str().ok().map(str::to_owned));
     let seen = header.or_else(|| value_of(request.uri().query(), "after"));
     let (sender, pieces) = mpsc::channel(1);
     if request.method() == hyper::Method::GET {
-        tokio::spawn(tell(follower, seen, sender));
+        tokio::spawn(send_events(subscriber, seen, sender));
     }
-    answer(StatusCode::OK, "text/event-stream", Content::Pieces(pieces, None))
+    answer(StatusCode::OK, "text/event-stream", Content::pieces(pieces, None))
 }
 
-/// Tells until nobody listens, or the window closes.
-async fn tell(follower: Follower, seen: Option<String>, sender: mpsc::Sender<io::Result<Bytes>>) {
-    let Shared { board, closing, followers, .. } = &*follower.0;
+/// Sends events until the client is gone, or the server stops.
+async fn send_events(subscriber: Subscriber, seen: Option<String>, sender: mpsc::Sender<io::Result<Bytes>>) {
+    let Shared { store, closing, subscribers, .. } = &*subscriber.0;
     let mut version = match seen.as_deref() {
         // So that whoever loses the connection at once has something to go on from.
-        None => board.version(),
+        None => store.version(),
         // An id of another run is no place in this one: it is beyond the end.
-        Some(id) => place(id, board.run()).unwrap_or(u64::MAX),
+        Some(id) => place(id, store.run()).unwrap_or(u64::MAX),
     };
-    let hello = format!("retry: 1000\nid: {}-{version}\nevent: hello\ndata: {{}}\n\n", board.run());
+    let hello = format!("retry: 1000\nid: {}-{version}\nevent: hello\ndata: {{}}\n\n", store.run());
     if version != u64::MAX && sender.send(Ok(hello.into())).await.is_err() {
         return;
     }
     let mut told_at = Instant::now();
     while !*closing.borrow() {
-        let text = match version == board.version() {
+        let text = match version == store.version() {
             true if told_at.elapsed() < PULSE => Bytes::new(),
             true => Bytes::from_static(b":\n\n"),
             false => {
-                let told = followers.event_after(board, version);
+                let told = subscribers.event_after(store, version);
                 version = told.next;
                 told.text
             }
@@ -106,19 +106,19 @@ async fn tell(follower: Follower, seen: Option<String>, sender: mpsc::Sender<io:
                 return;
             }
         }
-        // Who does not listen any more is found out with the next word.
+        // A client that is gone is noticed at the next event.
         if sender.is_closed() {
             return;
         }
-        if version == board.version() {
-            sleep_until(followers.next_look()).await;
+        if version == store.version() {
+            sleep_until(subscribers.next_look()).await;
         }
     }
 }
 
 /// What happened after a version, and the version after that.
-fn event(board: &Board, version: u64) -> (u64, String) {
-    let (version, kind, data) = match board.changes_since(version, CHANGES_MAX) {
+fn event(store: &StatusStore, version: u64) -> (u64, String) {
+    let (version, kind, data) = match store.changes_since(version, CHANGES_MAX) {
         Changes::Lost(version) => (version, "resync", json!({})),
         Changes::Known { version, frames, removed, status, settings } => {
             let summaries: Vec<&FrameSummary> = frames.iter().map(|frame| &frame.summary).collect();
@@ -127,14 +127,14 @@ fn event(board: &Board, version: u64) -> (u64, String) {
                 "removed": removed,
                 "status": status,
                 "settings": settings,
-                "counts": board.status().1,
+                "counts": store.status().1,
             });
             (version, "change", data)
         }
     };
     let mut text = String::new();
     // Strings take everything; JSON has no line breaks.
-    let _ = write!(text, "id: {}-{version}\nevent: {kind}\ndata: {data}\n\n", board.run());
+    let _ = write!(text, "id: {}-{version}\nevent: {kind}\ndata: {data}\n\n", store.run());
     (version, text)
 }
 
@@ -144,53 +144,53 @@ fn place(id: &str, run: u64) -> Option<u64> {
     version.parse().ok().filter(|_| of_run.parse() == Ok(run))
 }
 
-impl Default for Followers {
-    fn default() -> Followers {
-        Followers { count: AtomicUsize::new(0), since: Instant::now(), last: Mutex::new(None) }
+impl Default for Subscribers {
+    fn default() -> Subscribers {
+        Subscribers { count: AtomicUsize::new(0), since: Instant::now(), last: Mutex::new(None) }
     }
 }
 
-impl Followers {
-    /// When all look at the board again.
+impl Subscribers {
+    /// When all read the store again.
     fn next_look(&self) -> Instant {
         let looks = self.since.elapsed().as_millis() / EVERY.as_millis() + 1;
         self.since + EVERY.saturating_mul(u32::try_from(looks).unwrap_or(u32::MAX))
     }
 
     /// What happened after a version; in the words of the last who asked, where these are still true.
-    fn event_after(&self, board: &Board, version: u64) -> Told {
+    fn event_after(&self, store: &StatusStore, version: u64) -> LastEvent {
         let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
-        let board_version = board.version();
+        let store_version = store.version();
         if let Some(told) = &*last
-            && (told.after, told.board_version) == (version, board_version)
+            && (told.after, told.store_version) == (version, store_version)
         {
             return told.clone();
         }
-        let (next, text) = event(board, version);
-        let told = Told { after: version, board_version, next, text: text.into() };
+        let (next, text) = event(store, version);
+        let told = LastEvent { after: version, store_version, next, text: text.into() };
         last.insert(told).clone()
     }
 }
 
-impl Follower {
-    fn new(shared: &Arc<Shared>) -> Option<Follower> {
-        let followers = &shared.followers.count;
+impl Subscriber {
+    fn new(shared: &Arc<Shared>) -> Option<Subscriber> {
+        let subscribers = &shared.subscribers.count;
         // Dropping it takes it back, also where it is one too many.
-        let follower = Follower(Arc::clone(shared));
-        (followers.fetch_add(1, Ordering::Relaxed) < FOLLOWERS_MAX).then_some(follower)
+        let subscriber = Subscriber(Arc::clone(shared));
+        (subscribers.fetch_add(1, Ordering::Relaxed) < SUBSCRIBERS_MAX).then_some(subscriber)
     }
 }
 
-impl Drop for Follower {
+impl Drop for Subscriber {
     fn drop(&mut self) {
-        self.0.followers.count.fetch_sub(1, Ordering::Relaxed);
+        self.0.subscribers.count.fetch_sub(1, Ordering::Relaxed);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::watch::board::Status;
+    use crate::watch::status_store::Status;
 
     #[test]
     fn places_are_of_one_run() {
@@ -202,26 +202,26 @@ mod tests {
 
     #[test]
     fn who_is_too_late_is_told_to_look_again() {
-        let board = Board::new();
-        board.begin(json!({}));
-        let (version, text) = event(&board, u64::MAX);
-        assert_eq!(version, board.version());
+        let store = StatusStore::new();
+        store.begin(json!({}));
+        let (version, text) = event(&store, u64::MAX);
+        assert_eq!(version, store.version());
         assert!(text.contains("event: resync\n") && text.ends_with("\n\n"), "{text}");
     }
     #[test]
     fn those_at_the_same_place_are_told_the_same_words() {
-        let board = Board::new();
-        board.begin(json!({}));
-        board.tell(Status { stopping: true, ..Status::default() });
-        let followers = Followers::default();
-        let [first, second] = [1, 1].map(|version| followers.event_after(&board, version));
+        let store = StatusStore::new();
+        store.begin(json!({}));
+        store.set_status(Status { stopping: true, ..Status::default() });
+        let subscribers = Subscribers::default();
+        let [first, second] = [1, 1].map(|version| subscribers.event_after(&store, version));
         assert_eq!(first.text.as_ptr(), second.text.as_ptr(), "the same bytes, and not equal ones");
-        assert!(first.text.starts_with(b"id: ") && first.next == board.version(), "{first:?}");
-        let other = followers.event_after(&board, 0);
+        assert!(first.text.starts_with(b"id: ") && first.next == store.version(), "{first:?}");
+        let other = subscribers.event_after(&store, 0);
         assert_ne!(other.text, first.text, "that is another place");
-        board.tell(Status::default());
-        let later = followers.event_after(&board, 1);
-        assert_eq!((later.after, later.next), (1, board.version()));
+        store.set_status(Status::default());
+        let later = subscribers.event_after(&store, 1);
+        assert_eq!((later.after, later.next), (1, store.version()));
         assert_ne!(later.text, first.text, "more has happened");
     }
 }

@@ -1,4 +1,4 @@
-//! Outputs, by their names on the board.
+//! Outputs, by their names in the status store.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -6,18 +6,15 @@ use std::path::Path;
 use std::time::UNIX_EPOCH;
 
 use hyper::body::Bytes;
-use hyper::header::{
-    ACCEPT_RANGES, CACHE_CONTROL, CONTENT_LENGTH, CONTENT_RANGE, ETAG, HeaderName, HeaderValue,
-    IF_NONE_MATCH, IF_RANGE, RANGE,
-};
+use hyper::header::{ACCEPT_RANGES, CONTENT_LENGTH, CONTENT_RANGE, HeaderName, IF_RANGE, RANGE};
 use hyper::{Method, Request, StatusCode};
 use tokio::sync::mpsc;
 use tokio::task::spawn_blocking;
 
 use crate::pipeline::open_itself;
-use crate::watch::board::Board;
+use crate::watch::status_store::StatusStore;
 
-use super::answer::{Answer, Content, answer, not_found, text};
+use super::answer::{Answer, Content, answer, cached, not_found, not_modified, text, with};
 
 /// So much of a file is in memory for each who reads one, twice.
 const PIECE_BYTES: usize = 64 << 10;
@@ -31,18 +28,18 @@ struct Opened {
 }
 
 /// The output of this name, or the part of it that was asked for.
-pub(super) async fn file<B>(board: &Board, request: &Request<B>, name: &str) -> Answer {
-    let Some(path) = board.file(name) else { return not_found() };
+pub(super) async fn file<B>(store: &StatusStore, request: &Request<B>, name: &str) -> Answer {
+    let Some(path) = store.file(name) else { return not_found() };
     let content_type = content_type(&path);
     let opened = match spawn_blocking(move || open(&path)).await {
         Ok(Ok(opened)) => opened,
         Ok(Err(error)) if error.kind() == io::ErrorKind::NotFound => return not_found(),
         _ => return text(StatusCode::INTERNAL_SERVER_ERROR, "the file cannot be read"),
     };
-    let header = |name: HeaderName| request.headers().get(name).and_then(|value| value.to_str().ok());
-    if header(IF_NONE_MATCH) == Some(&opened.tag) {
-        return kept(answer(StatusCode::NOT_MODIFIED, content_type, Content::Whole(None)), &opened);
+    if let Some(answer) = not_modified(request, content_type, &opened.tag) {
+        return answer;
     }
+    let header = |name: HeaderName| request.headers().get(name).and_then(|value| value.to_str().ok());
     let is_same = header(IF_RANGE).is_none_or(|tag| tag == opened.tag);
     let range = header(RANGE).filter(|_| is_same).and_then(|range| parse_range(range, opened.size_bytes));
     match range {
@@ -63,7 +60,7 @@ pub(super) async fn file<B>(board: &Board, request: &Request<B>, name: &str) -> 
     }
 }
 
-/// Opens what the board names, if it is a file.
+/// Opens what the status store names, if it is a file.
 fn open(path: &Path) -> io::Result<Opened> {
     // What a link in its place leads to is not ours to show.
     let file = open_itself(path, File::options().read(true)).map_err(|error| match error.kind() {
@@ -86,10 +83,10 @@ fn part<B>(
 ) -> Answer {
     let (sender, pieces) = mpsc::channel(1);
     let content = match *request.method() == Method::HEAD {
-        true => Content::Whole(None),
-        false => Content::Pieces(pieces, Some(count)),
+        true => Content::none(),
+        false => Content::pieces(pieces, Some(count)),
     };
-    let part = kept(answer(status, content_type, content), &opened);
+    let part = cached(answer(status, content_type, content), &opened.tag);
     if request.method() == Method::GET {
         tokio::spawn(send(opened.file, first, count, sender));
     }
@@ -122,19 +119,6 @@ async fn send(mut file: File, first: u64, count: u64, sender: mpsc::Sender<io::R
             return;
         }
     }
-}
-
-/// A browser may keep it, and asks each time whether it is still the same.
-fn kept(answer: Answer, opened: &Opened) -> Answer {
-    with(with(answer, CACHE_CONTROL, "private, no-cache"), ETAG, &opened.tag)
-}
-
-fn with(mut answer: Answer, name: HeaderName, value: &str) -> Answer {
-    // All that is put here is made of digits and a few signs.
-    if let Ok(value) = HeaderValue::from_str(value) {
-        answer.headers_mut().insert(name, value);
-    }
-    answer
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -6,19 +6,18 @@ use std::fmt::{Display, Write as _};
 
 use hyper::StatusCode;
 
-use crate::watch::board::{BUCKETS_S, Board, Counters, Counts, Histogram, STAGES};
+use crate::watch::status_store::{BUCKETS_S, Counters, Counts, Histogram, STAGES, StatusStore};
 
 use super::answer::{Answer, Content, answer};
 
 /// All that is counted and measured.
-pub(super) fn metrics(board: &Board) -> Answer {
-    let content = Content::Whole(Some(exposition(board).into()));
-    answer(StatusCode::OK, "text/plain; version=0.0.4; charset=utf-8", content)
+pub(super) fn metrics(store: &StatusStore) -> Answer {
+    answer(StatusCode::OK, "text/plain; version=0.0.4; charset=utf-8", Content::whole(exposition(store)))
 }
 
-fn exposition(board: &Board) -> String {
-    let (status, counts) = board.status();
-    let counters = board.counters();
+fn exposition(store: &StatusStore) -> String {
+    let (status, counts) = store.status();
+    let counters = store.counters();
     let mut text = Text(String::new());
     text.head("meniscus_build_info", "gauge", "The version that runs; always 1.");
     text.value("meniscus_build_info", &format!("version=\"{}\"", env!("CARGO_PKG_VERSION")), 1);
@@ -127,17 +126,19 @@ impl Text {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::watch::board::Figures;
+    use crate::watch::status_store::Figures;
 
     #[test]
     fn buckets_hold_those_before_them() {
-        let board = Board::new();
+        let store = StatusStore::new();
         let mut figures = Figures::default();
+        let mut counters = Counters::default();
         for seconds in [0.002, 2.0, 500.0] {
             figures.seconds.smooth = seconds;
-            board.count(|counters| counters.add_converted(&figures, 10, 20));
+            counters.add_converted(&figures, 10, 20);
         }
-        let text = exposition(&board);
+        store.set_counters(counters);
+        let text = exposition(&store);
         for line in [
             "meniscus_frames{state=\"done\"} 0",
             "meniscus_frames_converted_total 3",
@@ -154,7 +155,7 @@ mod tests {
 
     #[test]
     fn every_name_has_its_help_and_type_before_it() {
-        let text = exposition(&Board::new());
+        let text = exposition(&StatusStore::new());
         let mut known = Vec::new();
         for line in text.lines() {
             match line.strip_prefix("# TYPE ") {

@@ -1,18 +1,18 @@
-//! The window: what is on the [board](crate::watch::board), for a browser and for programs, by HTTP.
+//! The status page, the API and the metrics: what is in the [status store](crate::watch::status_store), by HTTP.
 //!
 //! ```text
 //!   serve     sockets ──▶ requests: how large, how slow; connections: how many
 //!   access    who may ask: the name of the host, the token
 //!   routes    what is asked for          api       frames, settings, status as JSON
 //!   answer    what every answer says     events    changes, as they come
-//!                                        files     outputs, by their names on the board
+//!                                        files     outputs, by their names in the status store
 //!                                        metrics   for Prometheus
 //!                                        assets    the page
 //! ```
 //!
-//! One thread serves all who look, and has nothing else to do: nobody who looks can slow down a frame by more
-//! than that. It only reads. Whatever a request says, no path is made of it: names are looked up on the
-//! board, and what is not there is not served. `docs/window.md` is the interface as users know it.
+//! One thread serves all clients and does nothing else, so they slow down a frame by no more than that. It only reads.
+//! No path is made of what a request says: names are looked up in the status store, and what is not there is not served.
+//! `docs/window.md` is the interface as users know it.
 
 mod access;
 mod answer;
@@ -34,7 +34,7 @@ use std::thread::{self, JoinHandle};
 use tokio::runtime;
 use tokio::sync::watch;
 
-use crate::watch::board::Board;
+use crate::watch::status_store::StatusStore;
 
 pub use access::{Token, TokenError};
 
@@ -58,11 +58,11 @@ pub struct Window {
 /// What all requests share.
 #[derive(Debug)]
 struct Shared {
-    board: Arc<Board>,
+    store: Arc<StatusStore>,
     token: Option<Token>,
     /// Becomes true when the window closes.
     closing: watch::Receiver<bool>,
-    followers: events::Followers,
+    subscribers: events::Subscribers,
 }
 
 /// The thread calls nothing that goes deep.
@@ -72,20 +72,20 @@ const STACK_BYTES: usize = 512 << 10;
 const READERS_MAX: usize = 2;
 
 impl Window {
-    /// Opens a window at this address onto the board.
+    /// Serves the status store at this address.
     ///
     /// # Errors
     /// When somebody else has the address, or the system refuses.
-    pub fn open(listen: &Listen, board: Arc<Board>) -> io::Result<Window> {
+    pub fn open(listen: &Listen, store: Arc<StatusStore>) -> io::Result<Window> {
         let listener = TcpListener::bind(listen.address)?;
         listener.set_nonblocking(true)?;
         let address = listener.local_addr()?;
         let (closing, is_closing) = watch::channel(false);
         let shared = Arc::new(Shared {
-            board,
+            store,
             token: listen.token.clone(),
             closing: is_closing,
-            followers: events::Followers::default(),
+            subscribers: events::Subscribers::default(),
         });
         let runtime = runtime::Builder::new_current_thread()
             .enable_io()

@@ -4,12 +4,12 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 
 use hyper::body::Body;
-use hyper::header::{CONNECTION, HeaderValue, LOCATION, SET_COOKIE, WWW_AUTHENTICATE};
+use hyper::header::{CONNECTION, LOCATION, SET_COOKIE, WWW_AUTHENTICATE};
 use hyper::{Method, Request, StatusCode};
 
 use super::Shared;
 use super::access::is_for_this_host;
-use super::answer::{Answer, not_found, only_to_look_at, text};
+use super::answer::{Answer, method_not_allowed, not_found, text, with};
 use super::query::{decoded, value_of};
 use super::{api, assets, events, files, metrics};
 
@@ -47,7 +47,7 @@ fn refusal<B: Body>(shared: &Shared, request: &Request<B>, local: SocketAddr) ->
         return Some(closing(text(StatusCode::MISDIRECTED_REQUEST, "this is not that host")));
     }
     if !matches!(*request.method(), Method::GET | Method::HEAD) {
-        return Some(closing(only_to_look_at()));
+        return Some(closing(method_not_allowed()));
     }
     if !request.body().is_end_stream() {
         return Some(closing(text(StatusCode::PAYLOAD_TOO_LARGE, "a request has no body here")));
@@ -67,20 +67,20 @@ fn refusal<B: Body>(shared: &Shared, request: &Request<B>, local: SocketAddr) ->
 /// What is asked for.
 async fn route<B>(shared: &Arc<Shared>, request: &Request<B>) -> Answer {
     let (path, query) = (request.uri().path(), request.uri().query());
-    let board = &shared.board;
+    let store = &shared.store;
     match path {
-        "/api/frames" => api::frames(board, query),
-        "/api/settings" => api::settings(board),
-        "/api/status" => api::status(board),
+        "/api/frames" => api::frames(store, query),
+        "/api/settings" => api::settings(store),
+        "/api/status" => api::status(store),
         "/events" => events::follow(shared, request),
-        "/metrics" => metrics::metrics(board),
-        "/healthz" => api::health(board),
-        "/readyz" => api::readiness(board),
+        "/metrics" => metrics::metrics(store),
+        "/healthz" => api::health(store),
+        "/readyz" => api::readiness(store),
         _ => {
             let name_after = |prefix| path.strip_prefix(prefix).map(decoded);
             match (name_after("/api/frames/"), name_after("/files/")) {
-                (Some(name), _) => name.map_or_else(not_found, |name| api::frame(board, &name)),
-                (_, Some(Some(name))) => files::file(board, request, &name).await,
+                (Some(name), _) => name.map_or_else(not_found, |name| api::frame(store, &name)),
+                (_, Some(Some(name))) => files::file(store, request, &name).await,
                 (_, Some(None)) => not_found(),
                 (None, None) => assets::asset(request),
             }
@@ -89,24 +89,16 @@ async fn route<B>(shared: &Arc<Shared>, request: &Request<B>) -> Answer {
 }
 
 /// The connection ends with this answer: what else would come is not worth reading.
-fn closing(mut answer: Answer) -> Answer {
-    answer.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
-    answer
+fn closing(answer: Answer) -> Answer {
+    with(answer, CONNECTION, "close")
 }
 
 fn unauthorized() -> Answer {
-    let mut answer =
-        text(StatusCode::UNAUTHORIZED, "a token is needed: open /?token=TOKEN, or send it as a bearer");
-    answer.headers_mut().insert(WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
-    answer
+    let what = "a token is needed: open /?token=TOKEN, or send it as a bearer";
+    with(text(StatusCode::UNAUTHORIZED, what), WWW_AUTHENTICATE, "Bearer")
 }
 
-/// The token is kept by the browser, and taken from the address.
+/// The browser keeps the token, and it is taken out of the address.
 fn with_cookie(cookie: &str) -> Answer {
-    let mut answer = text(StatusCode::SEE_OTHER, "");
-    answer.headers_mut().insert(LOCATION, HeaderValue::from_static("/"));
-    if let Ok(cookie) = HeaderValue::from_str(cookie) {
-        answer.headers_mut().insert(SET_COOKIE, cookie);
-    }
-    answer
+    with(with(text(StatusCode::SEE_OTHER, ""), LOCATION, "/"), SET_COOKIE, cookie)
 }

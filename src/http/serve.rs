@@ -21,7 +21,7 @@ use tokio::net::TcpStream;
 use tokio::time::{Instant, Sleep, sleep, timeout};
 
 use super::Shared;
-use super::connections::{BusyContent, Connection, Connections};
+use super::connections::{Connection, Connections};
 use super::routes::{answer_in_a_crowd, answer_to};
 
 /// What connections may take together and each.
@@ -125,7 +125,7 @@ async fn answer_all(
                 true => answer_in_a_crowd(&shared, &request, local).await,
                 false => answer_to(&shared, &request, local).await,
             };
-            Ok::<_, Infallible>(answer.map(|content| BusyContent { content, _answering: answering }))
+            Ok::<_, Infallible>(answer.map(|content| content.during(answering)))
         }
     });
     let mut served = pin!(
@@ -134,7 +134,7 @@ async fn answer_all(
             .header_read_timeout(head_patience)
             .max_buf_size(HEAD_BYTES_MAX)
             .max_headers(HEAD_LINES_MAX)
-            .serve_connection(TokioIo::new(Guarded::new(stream, Arc::clone(&connection))), service)
+            .serve_connection(TokioIo::new(StallTimeout::new(stream, Arc::clone(&connection))), service)
     );
     let mut is_to_close = pin!(connection.is_to_close());
     let ended = poll_fn(|context| match is_to_close.as_mut().poll(context) {
@@ -148,7 +148,7 @@ async fn answer_all(
 }
 
 /// A socket that gives up on a side that takes nothing, or too little.
-struct Guarded {
+struct StallTimeout {
     stream: TcpStream,
     /// How long the other side may still hold us up.
     patience: Duration,
@@ -157,9 +157,9 @@ struct Guarded {
     connection: Arc<Connection>,
 }
 
-impl Guarded {
-    fn new(stream: TcpStream, connection: Arc<Connection>) -> Guarded {
-        Guarded { stream, patience: STALL_PATIENCE, held: None, connection }
+impl StallTimeout {
+    fn new(stream: TcpStream, connection: Arc<Connection>) -> StallTimeout {
+        StallTimeout { stream, patience: STALL_PATIENCE, held: None, connection }
     }
 
     /// The other side has taken so many bytes.
@@ -182,7 +182,7 @@ fn patience_after(before: Duration, held: Duration, taken_bytes: usize) -> Durat
     (before.saturating_sub(held) + earned).min(STALL_PATIENCE)
 }
 
-impl AsyncRead for Guarded {
+impl AsyncRead for StallTimeout {
     fn poll_read(
         self: Pin<&mut Self>,
         context: &mut Context<'_>,
@@ -192,7 +192,7 @@ impl AsyncRead for Guarded {
     }
 }
 
-impl AsyncWrite for Guarded {
+impl AsyncWrite for StallTimeout {
     fn poll_write(self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         let this = self.get_mut();
         match Pin::new(&mut this.stream).poll_write(context, bytes) {
@@ -229,8 +229,8 @@ mod tests {
     use tokio::runtime;
     use tokio::sync::watch;
 
-    use super::super::events::Followers;
-    use crate::watch::board::Board;
+    use super::super::events::Subscribers;
+    use crate::watch::status_store::StatusStore;
 
     /// How many pieces of 20 kB are taken by a side that takes one in so many seconds.
     fn pieces_taken(every_s: u64) -> usize {
@@ -259,10 +259,10 @@ mod tests {
         let limits = Limits { connections_max: 20, head_patience: Duration::from_secs(3600) };
         let (closing, is_closing) = watch::channel(false);
         let shared = Arc::new(Shared {
-            board: Arc::new(Board::new()),
+            store: Arc::new(StatusStore::new()),
             token: None,
             closing: is_closing,
-            followers: Followers::default(),
+            subscribers: Subscribers::default(),
         });
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
         listener.set_nonblocking(true).expect("set");

@@ -9,41 +9,39 @@ use crossbeam::channel::{Receiver, Sender, never, select, unbounded};
 
 use crate::pipeline::resident_memory_bytes;
 
-use super::api::{Command, Ended, FailedFrame, Notice, Summary};
-use super::board::Board;
+use super::api::{Command, Ended, Notice, Summary};
 use super::config::Config;
-use super::core::Tally;
-use super::core::events::{Effect, Event, RootRequest};
-use super::core::publish::Shown;
+use super::core::events::{Effect, Event, Start};
 use super::core::state::Core;
 use super::io::error::DaemonError;
-use super::io::pipeline::{Start, Surroundings, start as start_pipeline};
+use super::io::pipeline::{PipelineContext, start as start_pipeline};
 use super::io::start::{Workers, now, start};
 use super::journal::DaemonState;
+use super::status_store::StatusStore;
 
 /// Watches and converts until a command ends it, or, where that is all that was asked for, until
-/// everything is converted. What there is to see of it is shown on the `board`, if there is one.
+/// everything is converted. What there is to see of it is shown on the `store`, if there is one.
 ///
 /// # Errors
 /// When it cannot begin. What happens to single frames is no error here: it is logged, kept in the
 /// journal and counted.
 pub fn run(
     config: &Config,
-    board: Option<&Arc<Board>>,
+    store: Option<&Arc<StatusStore>>,
     commands: &Receiver<Command>,
     notices: &mut dyn FnMut(Notice),
 ) -> Result<Summary, DaemonError> {
     let config = Arc::new(config.clone());
     let (to_loop, events) = unbounded();
-    let (core, workers, surroundings) = start(&config, board.cloned(), &to_loop)?;
-    EventLoop::new(core, workers, surroundings, events, notices).run(commands)
+    let (core, workers, context) = start(&config, store.cloned(), &to_loop)?;
+    EventLoop::new(core, workers, context, events, notices).run(commands)
 }
 
 /// Everything that the loop has.
 struct EventLoop<'a> {
     core: Core,
     workers: Workers,
-    surroundings: Surroundings,
+    context: PipelineContext,
     /// Where each pipeline gets its frames from; no longer after it was told to end.
     pipelines: HashMap<usize, Option<Sender<Start>>>,
     events: Receiver<Event>,
@@ -66,14 +64,14 @@ impl<'a> EventLoop<'a> {
     fn new(
         core: Core,
         workers: Workers,
-        surroundings: Surroundings,
+        context: PipelineContext,
         events: Receiver<Event>,
         notices: &'a mut dyn FnMut(Notice),
     ) -> EventLoop<'a> {
         EventLoop {
             core,
             workers,
-            surroundings,
+            context,
             pipelines: HashMap::new(),
             events,
             notices,
@@ -85,25 +83,26 @@ impl<'a> EventLoop<'a> {
 
     /// Runs until a command ends it or nothing is left to do.
     fn run(mut self, commands: &Receiver<Command>) -> Result<Summary, DaemonError> {
-        if let Some(board) = &self.surroundings.board {
-            board.begin(self.core.plan());
+        if let Some(store) = &self.context.store {
+            store.begin(self.core.plan());
+            self.core.counters = store.counters();
         }
-        let once = self.surroundings.config.once;
+        let once = self.context.config.once;
         let mut commands = commands.clone();
         let mut is_ready = false;
         self.core.start();
         loop {
             self.settle_batch()?;
             if once && let Some((root, why)) = self.core.unavailable_root() {
-                let folder = self.surroundings.config.watches[root].input.clone();
+                let folder = self.context.config.watches[root].input.clone();
                 self.end()?;
                 return Err(DaemonError::Unavailable { folder, why });
             }
             if !is_ready && self.core.is_ready() {
                 is_ready = true;
                 (self.notices)(Notice::Ready);
-                if let Some(board) = &self.surroundings.board {
-                    board.set_ready();
+                if let Some(store) = &self.context.store {
+                    store.set_ready();
                 }
             }
             if once && self.core.is_drained() {
@@ -149,25 +148,20 @@ impl<'a> EventLoop<'a> {
     }
 
     fn carry_out(&mut self) -> Result<(), DaemonError> {
-        match &self.surroundings.board {
-            Some(board) => publish(&mut self.core, board),
-            None => self.core.forget_changes(),
-        }
+        self.core.publish(self.context.store.as_deref());
         // Workers live as long as the loop: what cannot be sent has no one to do it.
         for effect in self.core.take_effects() {
             match effect {
-                Effect::Root(root, request @ (RootRequest::Measure(_) | RootRequest::FindSteps(_))) => {
-                    let _ = self.workers.slow[root].send(request);
-                }
                 Effect::Root(root, request) => drop(self.workers.roots[root].send(request)),
+                Effect::Slow(root, request) => drop(self.workers.slow[root].send(request)),
                 Effect::Output(output, request) => drop(self.workers.outputs[output].send(request)),
-                Effect::Start { pipeline, id, frame, known_outputs } => {
+                Effect::Start(pipeline, start) => {
                     if let Some(Some(sender)) = self.pipelines.get(&pipeline) {
-                        let _ = sender.try_send(Start { id, frame, known_outputs });
+                        let _ = sender.try_send(start);
                     }
                 }
                 Effect::StartPipeline(pipeline) => {
-                    let sender = start_pipeline(pipeline, self.surroundings.clone());
+                    let sender = start_pipeline(pipeline, self.context.clone());
                     let sender = sender.map_err(|error| DaemonError::Threads(error.to_string()))?;
                     self.pipelines.insert(pipeline, Some(sender));
                 }
@@ -201,8 +195,8 @@ impl<'a> EventLoop<'a> {
         for event in self.workers.monitors.iter_mut().filter_map(|monitor| monitor.check(now.at)) {
             self.core.handle(event, now);
         }
-        if let Some(board) = &self.surroundings.board {
-            board.tell(self.core.status(resident_memory_bytes()));
+        if let Some(store) = &self.context.store {
+            store.set_status(self.core.status(resident_memory_bytes()));
         }
         let status = self.core.status_line();
         if status != self.last_status && !self.core.is_stopping() {
@@ -218,7 +212,7 @@ impl<'a> EventLoop<'a> {
         mut command: Command,
         commands: &Receiver<Command>,
     ) -> Result<Summary, DaemonError> {
-        let stop_deadline = self.surroundings.config.stop_deadline;
+        let stop_deadline = self.context.config.stop_deadline;
         let mut commands = commands.clone();
         (self.notices)(Notice::Stopping);
         self.core.stop();
@@ -261,17 +255,16 @@ impl<'a> EventLoop<'a> {
     }
 
     /// Writes that the daemon has stopped, waits for the journals, and ends the workers.
-    fn end(&mut self) -> Result<Tally, DaemonError> {
+    fn end(&mut self) -> Result<(), DaemonError> {
         self.core.record_daemon(DaemonState::Stopped);
-        self.sync_journals()?;
-        Ok(self.core.tally())
+        self.sync_journals()
     }
 
     /// Waits until all journals are on the disk, but not for a folder that hangs.
     fn sync_journals(&mut self) -> Result<(), DaemonError> {
         self.unsynced_count = self.core.sync_journals();
         self.carry_out()?;
-        let until = Instant::now() + self.surroundings.config.stop_deadline.max(TICK);
+        let until = Instant::now() + self.context.config.stop_deadline.max(TICK);
         while self.unsynced_count > 0 && Instant::now() < until && !self.core.has_stalled() {
             let event = self.events.recv_timeout(self.wait().max(Duration::from_millis(1)));
             self.take_batch(event.ok())?;
@@ -281,15 +274,14 @@ impl<'a> EventLoop<'a> {
     }
 
     fn finish(mut self, ended: Ended) -> Result<Summary, DaemonError> {
-        let Tally { done_count, broken_count, failed, left_count } = self.end()?;
-        let failed = failed.into_iter().map(|(what, frames_since)| FailedFrame { what, frames_since });
-        let summary = Summary { ended, done_count, broken_count, failed: failed.collect(), left_count };
+        self.end()?;
+        let summary = self.core.summary(ended);
         // The next run takes the locks that these threads hold.
         let has_stalled = self.core.has_stalled();
-        let wait = if has_stalled { GRACE } else { self.surroundings.config.stop_deadline };
-        let EventLoop { workers, surroundings, pipelines, notices, .. } = self;
+        let wait = if has_stalled { GRACE } else { self.context.config.stop_deadline };
+        let EventLoop { workers, context, pipelines, notices, .. } = self;
         let guards = workers.guards.clone();
-        drop((workers, surroundings, pipelines));
+        drop((workers, context, pipelines));
         let (began, mut alive_at) = (Instant::now(), Instant::now());
         while guards.iter().any(|guard: &Weak<_>| guard.strong_count() > 0) && began.elapsed() < wait {
             if alive_at.elapsed() >= TICK {
@@ -299,20 +291,6 @@ impl<'a> EventLoop<'a> {
             std::thread::sleep(Duration::from_millis(1));
         }
         Ok(summary)
-    }
-}
-
-/// Shows what has changed.
-fn publish(core: &mut Core, board: &Board) {
-    core.take_counts().into_iter().for_each(|count| board.count(count));
-    for frame in core.take_changed_frames() {
-        match frame {
-            Shown::Frame(view) => board.show(*view),
-            Shown::Removed(name) => board.remove(&name),
-        }
-    }
-    for (name, record) in core.take_changed_sequences() {
-        board.show_sequence(name, record);
     }
 }
 
@@ -343,8 +321,7 @@ mod tests {
     use crate::pipeline::{OutputFormat, OutputOptions};
     use crate::surface::options::MethodOptions;
     use crate::watch::config::{Order, Patience, Poll, Watch};
-    use crate::watch::core::events::Worker;
-    use crate::watch::io::fs_events::NoEvents;
+    use crate::watch::core::events::{RootRequest, Worker};
     use crate::watch::io::worker::{Pulse, StallMonitor, Work, spawn};
 
     /// A file system that does not answer while the other end of the channel is there.
@@ -352,7 +329,6 @@ mod tests {
 
     impl Work for Hanging {
         type Request = RootRequest;
-        type Hint = NoEvents;
 
         fn handle(&mut self, _request: RootRequest, _report: &dyn Fn(Event)) {
             let _ = self.0.recv();
@@ -407,7 +383,7 @@ mod tests {
         fs::write(folder.path().join("sound/a.1.csv"), format!("x,y,z\n{block}")).expect("written");
 
         let (to_loop, events) = unbounded();
-        let (core, mut workers, surroundings) = start(&config, None, &to_loop).expect("started");
+        let (core, mut workers, context) = start(&config, None, &to_loop).expect("started");
         let (answers, hanging) = bounded(0);
         let pulse = Pulse::default();
         let started = Instant::now();
@@ -418,9 +394,8 @@ mod tests {
         let (commands, to_obey) = bounded(1);
         let (to_tell, notices) = unbounded();
         let mut tell = move |notice| drop(to_tell.send(notice));
-        let running = thread::spawn(move || {
-            EventLoop::new(core, workers, surroundings, events, &mut tell).run(&to_obey)
-        });
+        let running =
+            thread::spawn(move || EventLoop::new(core, workers, context, events, &mut tell).run(&to_obey));
         let out = folder.path().join("out/sound/a.1.obj");
         let mut alive_count = 0;
         while !out.exists() || alive_count < 3 {

@@ -19,14 +19,13 @@ use twox_hash::XxHash3_128;
 use crate::pipeline::{FrameFile, ObstacleFiles, file_of, is_missing_step, outputs_made_from, read_file};
 
 use super::config::{Patience, Watch};
-use super::core::completeness::Seen;
-use super::core::completeness::{Candidate, Readiness, WaitReason};
-use super::core::decision::{ConvertReason, Decision, OutputsNow, SkipReason, decide, decide_by_content};
+use super::core::completeness::{Candidate, Readiness, Seen, WaitReason};
+use super::core::decision::{ConvertReason, Decision, SkipReason, decide};
 use super::core::sequences::{SequenceSettings, choices_fingerprint, fingerprint_with};
-use super::io::evidence::{completeness_of, sentinel_of};
+use super::io::evidence::readiness_of;
 use super::io::mounts::network_file_system;
 use super::io::scan::look;
-use super::io::selection::{Content, PatternError, Selection, content};
+use super::io::selection::{Content, Selection, content};
 use super::journal::{FrameRecord, SequenceKey, State};
 
 /// A frame, and what the loop would go by.
@@ -123,24 +122,23 @@ pub fn remembered_fingerprint(watch: &Watch, frame: &Path, state: &State) -> Opt
 ///
 /// # Errors
 /// When the file or its folder cannot be looked at, or the pattern of the watch is none.
-pub fn explain(question: &Question<'_>) -> Result<Explanation, ExplainError> {
+pub fn explain(question: &Question<'_>) -> io::Result<Explanation> {
     let Question { frame, watch, record, .. } = *question;
     let selection =
         Selection::new(watch.pattern.as_deref(), watch.recursive, question.output_folders.to_vec())
-            .map_err(ExplainError::Pattern)?;
+            .map_err(|error| io::Error::new(io::ErrorKind::InvalidInput, error))?;
     let is_taken = selection.takes(&watch.input, file_of(frame));
     let settings_hold = record.zip(question.settings).map(|(record, settings)| record.settings == settings);
     let output_missing = record.and_then(first_missing_output);
-    let seen = look(frame, trust_clock(frame)).map_err(ExplainError::Io)?;
+    let seen = look(frame, trust_clock(frame))?;
     // What cannot be gone through may have it: reading it will say why.
     let seen = seen.filter(|_| !is_missing_step(frame).unwrap_or(false));
     let (file, verdict) = match seen {
         None => (None, Verdict::Gone),
         Some(seen) => {
-            let (file, decision) =
-                facts(question, &seen, output_missing.as_deref()).map_err(ExplainError::Io)?;
+            let (file, decision) = facts(question, &seen, output_missing.as_deref())?;
             let verdict = if is_taken { verdict(&file, decision) } else { Verdict::NotTaken };
-            (Some(file), found_done(question, verdict).map_err(ExplainError::Io)?)
+            (Some(file), found_done(question, verdict)?)
         }
     };
     Ok(Explanation { is_taken, file, settings_hold, output_missing, verdict })
@@ -176,32 +174,20 @@ fn facts(
 ) -> io::Result<(FileFacts, Decision)> {
     let Question { frame, watch, patience, record, .. } = *question;
     let now = Instant::now();
-    let readiness = Candidate::new(now, seen, false).readiness(
-        now,
-        patience,
-        sentinel_of(watch, file_of(frame), &seen.stamp),
-        || completeness_of(file_of(frame)),
-    );
+    let readiness = readiness_of(file_of(frame), &Candidate::new(now, seen, false), now, watch, patience);
+    let is_same = |record: &FrameRecord| record.stamp.still_holds(&seen.stamp);
+    // Only a file of the same size and another time has to be read to know.
+    let is_to_read = |record: &&FrameRecord| {
+        record.hash.is_some() && record.stamp.size == seen.stamp.size && !is_same(record)
+    };
+    let hash = record.filter(is_to_read).map(|_| hash_of(frame)).transpose()?;
     let settings = question.settings.or(record.map(|record| &*record.settings)).unwrap_or_default();
-    let outputs = output_missing.map_or(OutputsNow::AsRecorded, OutputsNow::Missing);
-    let mut decision = decide(record, &seen.stamp, settings, outputs);
-    let mut change = None;
-    if let Some(record) = record {
-        let is_same = record.stamp.still_holds(&seen.stamp);
-        let hash = match record.hash {
-            // Only a file of the same size and another time has to be read to know.
-            Some(_) if !is_same && record.stamp.size == seen.stamp.size => Some(hash_of(frame)?),
-            _ => None,
-        };
-        change = Some(match hash {
-            _ if is_same => Change::Unchanged,
-            Some(hash) if record.hash == Some(hash) => Change::Touched,
-            _ => Change::Rewritten,
-        });
-        if let (Decision::CompareContent, Some(hash)) = (&decision, hash) {
-            decision = decide_by_content(record, hash);
-        }
-    }
+    let decision = decide(record, &seen.stamp, settings, output_missing, hash);
+    let change = record.map(|record| match hash {
+        _ if is_same(record) => Change::Unchanged,
+        Some(hash) if record.hash == Some(hash) => Change::Touched,
+        _ => Change::Rewritten,
+    });
     Ok((FileFacts { content: content(file_of(frame))?, readiness, change }, decision))
 }
 
@@ -253,26 +239,6 @@ impl fmt::Display for Verdict {
         }
     }
 }
-
-/// Why there is no explanation.
-#[derive(Debug)]
-pub enum ExplainError {
-    /// The file cannot be looked at.
-    Io(io::Error),
-    /// The pattern is none.
-    Pattern(PatternError),
-}
-
-impl fmt::Display for ExplainError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            ExplainError::Io(error) => error.fmt(f),
-            ExplainError::Pattern(error) => error.fmt(f),
-        }
-    }
-}
-
-impl std::error::Error for ExplainError {}
 
 #[cfg(test)]
 mod tests {
@@ -458,7 +424,7 @@ mod tests {
             record: None,
             settings: None,
         };
-        assert!(matches!(explain(&question), Err(ExplainError::Pattern(_))));
+        assert!(explain(&question).is_err_and(|error| error.kind() == io::ErrorKind::InvalidInput));
 
         bench.watch.pattern = Some("*.txt".into());
         bench.frame = bench.frame.with_file_name("notes.txt");

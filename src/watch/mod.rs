@@ -5,7 +5,7 @@
 //!   event_loop   one thread: hands events to the core, carries out its effects, gives signs of life
 //!   io           threads that may block: one for each watched folder and each folder of outputs, and the pipelines
 //!   journal      what is known after a restart
-//!   board        what users see: frames, status, counters
+//!   status_store what users see: frames, status, counters
 //!   explain      why a frame is, or is not, converted       waiting   which files are not complete
 //! ```
 //!
@@ -15,13 +15,13 @@
 //! they were made from; what is written appears by rename. So a daemon may be killed at any moment.
 
 mod api;
-pub mod board;
 mod config;
 mod core;
 mod event_loop;
 pub mod explain;
 mod io;
 pub mod journal;
+pub mod status_store;
 pub mod waiting;
 
 pub use self::core::{completeness, decision};
@@ -29,4 +29,4 @@ pub use api::{Command, Ended, FailedFrame, Notice, Summary};
 pub use config::{Config, Order, Patience, Poll, Watch, names_level_sets};
 pub use event_loop::run;
 pub use io::error::DaemonError;
-pub use io::{canonical_path as place, fs_events, lock, mounts, scan, selection};
+pub use io::{canonical_path as place, fs_events, lock, mounts, selection};

@@ -21,10 +21,9 @@ use std::time::{Duration, Instant};
 use crate::pipeline::{FileStamp, file_of};
 
 use super::config::{Patience, Watch};
-use super::core::completeness::Seen;
-use super::core::completeness::{Candidate, Readiness, WaitReason};
+use super::core::completeness::{Candidate, Readiness, Seen, WaitReason};
 use super::explain::trust_clock;
-use super::io::evidence::{completeness_of, sentinel_of};
+use super::io::evidence::readiness_of;
 use super::io::scan::scan;
 use super::io::selection::{Content, Selection, content};
 use super::journal::{PlanRecord, State};
@@ -65,19 +64,16 @@ pub fn waiting(state: &State) -> Waiting {
 /// Files as the journal knows them, without their status change times.
 type Known = HashSet<(PathBuf, FileStamp)>;
 
-/// What is told of a search: a file, or that this was all.
-enum Told {
-    File(PathBuf, WaitReason),
-    All,
-}
+/// A file that waits; `None` when the search has ended.
+type Told = Option<(PathBuf, WaitReason)>;
 
 /// What is told until then.
 fn gathered(told: &Receiver<Told>, until: Instant) -> Waiting {
     let mut waiting = Waiting::default();
     loop {
         match told.recv_timeout(until.saturating_duration_since(Instant::now())) {
-            Ok(Told::File(path, why)) => waiting.files.push((path, why)),
-            Ok(Told::All) => break,
+            Ok(Some(file)) => waiting.files.push(file),
+            Ok(None) => break,
             Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {
                 waiting.is_cut_short = true;
                 break;
@@ -114,23 +110,21 @@ fn look_for(
             let (path, _) = file;
             let Some(why) = why_waiting(&path, &seen, watch, &plan.patience) else { continue };
             // Nobody listens any more once the time is up.
-            if told.insert(path.clone()) && tell.send(Told::File(path, why)).is_err() {
+            if told.insert(path.clone()) && tell.send(Some((path, why))).is_err() {
                 return;
             }
         }
     }
     // The same of this.
-    let _ = tell.send(Told::All);
+    let _ = tell.send(None);
 }
 
 fn why_waiting(path: &Path, seen: &Seen, watch: &Watch, patience: &Patience) -> Option<WaitReason> {
     let now = Instant::now();
-    let sentinel = sentinel_of(watch, path, &seen.stamp);
     // Without an age it would have changed just now, whenever somebody asks.
     let settle = if seen.age.is_some() { patience.settle } else { Duration::ZERO };
     let patience = Patience { settle, ..*patience };
-    let readiness =
-        Candidate::new(now, seen, false).readiness(now, &patience, sentinel, || completeness_of(path));
+    let readiness = readiness_of(path, &Candidate::new(now, seen, false), now, watch, &patience);
     let Readiness::Waiting { why, .. } = readiness else { return None };
     let is_told = seen.age.is_some() || matches!(why, WaitReason::Sentinel | WaitReason::Incomplete { .. });
     // What cannot be read may be one: reading it will say why not.
@@ -233,7 +227,7 @@ mod tests {
         assert!(files.is_empty() && is_cut_short, "{files:?}");
         // One that was found before a folder hangs.
         let (tell, told) = channel();
-        tell.send(Told::File("dam.1.ply".into(), WaitReason::Changing)).expect("heard");
+        tell.send(Some(("dam.1.ply".into(), WaitReason::Changing))).expect("heard");
         let waiting = gathered(&told, Instant::now() + Duration::from_millis(20));
         assert_eq!((waiting.files.len(), waiting.is_cut_short), (1, true));
     }

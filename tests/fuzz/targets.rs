@@ -15,8 +15,8 @@ use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use meniscus::http::{Listen, Window};
-use meniscus::watch::board::Board;
 use meniscus::watch::journal::Journal;
+use meniscus::watch::status_store::StatusStore;
 use meniscus_formats::steps::find_steps;
 use meniscus_formats::{
     Format, Kind, Limits, OutputFormat, ParticleBatch, ParticleBatches, ParticleFrame, Result, Values, bgeo,
@@ -253,13 +253,13 @@ fn with_checksum(line: &[u8]) -> Vec<u8> {
 
 /// Bytes that somebody sends to the window, who then listens; the next one is answered all the same.
 fn window(bytes: &[u8]) {
-    static WINDOW: OnceLock<(Window, Arc<Board>)> = OnceLock::new();
-    let (window, board) = WINDOW.get_or_init(|| {
+    static WINDOW: OnceLock<(Window, Arc<StatusStore>)> = OnceLock::new();
+    let (window, store) = WINDOW.get_or_init(|| {
         let address = "127.0.0.1:0".parse().expect("an address");
-        let board = Arc::new(Board::new());
-        (Window::open(&Listen { address, token: None }, Arc::clone(&board)).expect("a window"), board)
+        let store = Arc::new(StatusStore::new());
+        (Window::open(&Listen { address, token: None }, Arc::clone(&store)).expect("a window"), store)
     });
-    board.pulse();
+    store.pulse();
     let mut stream = connect(window.address());
     // A side that has refused already does not listen to the rest.
     let _ = stream.write_all(bytes);

@@ -27,7 +27,7 @@ impl StatusRecord {
         if !self.waiting.is_empty() {
             lines.push(format!("waiting for the writers of {}:", counted(self.waiting.len(), "file")));
             for WaitingStatus { input, reason } in self.waiting.iter().take(TOLD_MAX) {
-                lines.push(format!("  {}: {reason}", input));
+                lines.push(format!("  {input}: {reason}"));
             }
             lines.extend(more(self.waiting.len()));
         }
@@ -82,7 +82,7 @@ impl DaemonStatus {
 
 impl WatchStatus {
     fn text(&self) -> String {
-        let mut text = self.input.to_string();
+        let mut text = self.input.clone();
         if self.recursive {
             text += " and its sub-folders";
         }
@@ -111,7 +111,7 @@ impl FrameStatus {
         let input = &self.input;
         match &self.reason {
             // A reason mostly names its file.
-            Some(reason) if reason.contains(input.as_str()) => format!("{reason} ({})", about.join(", ")),
+            Some(reason) if reason.contains(input) => format!("{reason} ({})", about.join(", ")),
             Some(reason) => format!("{input}: {reason} ({})", about.join(", ")),
             None => [&[format!("{input}: {}", about.join(", "))], &*self.flaws].concat().join("; "),
         }

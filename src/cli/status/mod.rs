@@ -109,8 +109,8 @@ struct WaitingStatus {
     reason: String,
 }
 
-/// A path as it is shown: JSON has no place for one that is no text.
-fn text(path: &Path) -> String {
+/// A path as it is shown: in JSON, all names are text.
+fn shown(path: &Path) -> String {
     path.to_string_lossy().into_owned()
 }
 
@@ -211,8 +211,8 @@ impl StatusRecord {
         // Nobody waits where no daemon is.
         let waiting = if has_daemon { waiting(state) } else { Waiting::default() };
         StatusRecord {
-            output: text(output),
-            journal: text(journal),
+            output: shown(output),
+            journal: shown(journal),
             daemon: DaemonStatus::new(state, holder),
             watches: state.plan.as_ref().map(|plan| plan.watches.iter().map(WatchStatus::new).collect()),
             counts,
@@ -302,7 +302,7 @@ impl DaemonStatus {
 impl WatchStatus {
     fn new(watch: &Watch) -> WatchStatus {
         WatchStatus {
-            input: text(&watch.input),
+            input: shown(&watch.input),
             pattern: watch.pattern.clone(),
             recursive: watch.recursive,
             sentinel: watch.sentinel.clone(),
@@ -316,7 +316,7 @@ impl WaitingStatus {
         files.sort_by(|(a, _), (b, _)| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
         files
             .into_iter()
-            .map(|(input, why)| WaitingStatus { input: text(&input), reason: why.to_string() })
+            .map(|(input, why)| WaitingStatus { input: shown(&input), reason: why.to_string() })
             .collect()
     }
 }
@@ -324,8 +324,8 @@ impl WaitingStatus {
 impl FrameStatus {
     fn new(input: &Path, frame: &FrameRecord) -> FrameStatus {
         FrameStatus {
-            input: text(input),
-            outputs: frame.outputs.iter().map(|output| text(&output.path)).collect(),
+            input: shown(input),
+            outputs: frame.outputs.iter().map(|output| shown(&output.path)).collect(),
             reason: frame.reason.clone(),
             attempts: frame.attempt_count,
             particles: frame.particle_count,

@@ -26,7 +26,7 @@ use tracing::{error, info, warn};
 use crate::http::{Listen, Window};
 use crate::pipeline::stop_writing;
 use crate::surface::simd::level_warning;
-use crate::watch::board::Board;
+use crate::watch::status_store::StatusStore;
 use crate::watch::{self, Command, Ended, FailedFrame, Notice, Summary, Watch};
 
 use super::Verdict;
@@ -53,8 +53,8 @@ pub(super) fn watch(args: &WatchArgs) -> Result<Verdict> {
     let control = Arc::new(Control::new(args.clone(), (plan.log, plan.listen.clone()), sender));
     signals::listen(Arc::clone(&control))?;
     let mut service = Service::new();
-    let board = plan.listen.as_ref().map(|_| Arc::new(Board::new()));
-    let _window = open_window(plan.listen.as_ref(), board.as_ref())?;
+    let store = plan.listen.as_ref().map(|_| Arc::new(StatusStore::new()));
+    let _window = open_window(plan.listen.as_ref(), store.as_ref())?;
     let mut previous = None;
     loop {
         for warning in &plan.warnings {
@@ -67,7 +67,7 @@ pub(super) fn watch(args: &WatchArgs) -> Result<Verdict> {
             Notice::Overdue => give_up_what_is_under_way(args.once),
             notice => service.tell(&notice),
         };
-        let summary = match watch::run(&plan.config, board.as_ref(), &commands, &mut notices) {
+        let summary = match watch::run(&plan.config, store.as_ref(), &commands, &mut notices) {
             Ok(summary) => summary,
             // What could be read again may still be impossible: somebody else has the new output.
             Err(error) => match previous.take() {
@@ -93,10 +93,10 @@ pub(super) fn watch(args: &WatchArgs) -> Result<Verdict> {
     }
 }
 
-/// Shows the board to whoever may look.
-fn open_window(listen: Option<&Listen>, board: Option<&Arc<Board>>) -> Result<Option<Window>> {
-    let (Some(listen), Some(board)) = (listen, board) else { return Ok(None) };
-    let window = Window::open(listen, Arc::clone(board));
+/// Serves the status store by HTTP.
+fn open_window(listen: Option<&Listen>, store: Option<&Arc<StatusStore>>) -> Result<Option<Window>> {
+    let (Some(listen), Some(store)) = (listen, store) else { return Ok(None) };
+    let window = Window::open(listen, Arc::clone(store));
     let window = window.with_context(|| format!("cannot listen on {}", listen.address))?;
     info!(address = %format_args!("http://{}/", window.address()), "the window is open");
     Ok(Some(window))

@@ -106,7 +106,8 @@ pub(super) fn listen(_control: Arc<Control>) -> Result<()> {
     Ok(())
 }
 
-#[cfg(all(test, target_os = "linux"))]
+#[cfg(test)]
+#[cfg(target_os = "linux")]
 mod tests {
     use super::*;
     use std::time::Instant;

@@ -39,7 +39,7 @@ pub struct Seen {
 }
 
 /// A file that may become a frame, as it was seen last, and since when it has not changed.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
     stamp: FileStamp,
     /// When it was seen for the first time as it is, or touched since.
@@ -52,19 +52,11 @@ pub struct Candidate {
 
 /// The file that says that a frame is complete.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sentinel {
-    /// There is no such thing.
-    None,
-    /// The frame waits for it.
-    Wanted {
-        /// Whether it is there, and [`counts`](sentinel_counts).
-        there: bool,
-    },
-    /// It is a proof among others.
-    Optional {
-        /// Whether it is there, and [`counts`](sentinel_counts).
-        there: bool,
-    },
+pub struct Sentinel {
+    /// Whether the frame waits for it; else it is a proof among others.
+    pub is_required: bool,
+    /// Whether it is there, and [`counts`](sentinel_counts).
+    pub is_there: bool,
 }
 
 /// Whether a file may be read now.
@@ -151,16 +143,12 @@ impl Candidate {
         completeness: impl FnOnce() -> Completeness,
     ) -> Readiness {
         match sentinel {
-            Sentinel::Wanted { there: false } => {
+            Sentinel { is_there: true, .. } => return Readiness::Ready(Proof::Sentinel),
+            Sentinel { is_required: true, .. } => {
                 return Readiness::Waiting { until: None, why: WaitReason::Sentinel };
             }
-            Sentinel::Wanted { there: true } | Sentinel::Optional { there: true } => {
-                return Readiness::Ready(Proof::Sentinel);
-            }
-            Sentinel::None | Sentinel::Optional { there: false } if self.renamed => {
-                return Readiness::Ready(Proof::Renamed);
-            }
-            Sentinel::None | Sentinel::Optional { there: false } => {}
+            _ if self.renamed => return Readiness::Ready(Proof::Renamed),
+            _ => {}
         }
         self.left_alone(now, patience.settle, WaitReason::Changing).unwrap_or_else(|| match completeness() {
             Completeness::Complete | Completeness::ByReading => Readiness::Ready(Proof::Format),
@@ -249,12 +237,12 @@ pub fn sentinel_path(frame: &Path, pattern: &str) -> PathBuf {
 }
 
 /// The file that says that a frame is complete.
-pub(in crate::watch) fn path_of_sentinel(watch: &Watch, frame: &Path) -> PathBuf {
+pub(crate) fn path_of_sentinel(watch: &Watch, frame: &Path) -> PathBuf {
     sentinel_path(frame, sentinel_pattern(watch))
 }
 
 /// Whether some frame's sentinel could have this name.
-pub(in crate::watch) fn may_be_sentinel(watch: &Watch, path: &Path) -> bool {
+pub(crate) fn may_be_sentinel(watch: &Watch, path: &Path) -> bool {
     let pattern = sentinel_pattern(watch);
     let end = pattern.rsplit('}').next().unwrap_or(pattern);
     path.as_os_str().as_encoded_bytes().ends_with(end.as_bytes())
@@ -309,7 +297,7 @@ mod tests {
     use Completeness::{ByReading, Complete, Unproven};
     use Step::{Ask, Renamed, See};
 
-    const NONE: Sentinel = Sentinel::None;
+    const NONE: Sentinel = Sentinel { is_required: false, is_there: false };
 
     fn stamp(size: u64, modified_ns: i64, inode: u64) -> FileStamp {
         FileStamp { size, modified_ns, inode, changed_ns: None }
@@ -499,7 +487,7 @@ mod tests {
             &[
                 (0, See(100, 1, 1, Some(0))),
                 (1, Renamed(100, 1, 1, Some(1))),
-                (1, Ask(Sentinel::Optional { there: false }, Unproven, Ready(Proof::Renamed))),
+                (1, Ask(NONE, Unproven, Ready(Proof::Renamed))),
             ],
         );
         check(
@@ -518,7 +506,7 @@ mod tests {
 
     #[test]
     fn sentinels_are_waited_for_where_they_are_wanted() {
-        let wanted = |there| Sentinel::Wanted { there };
+        let wanted = |is_there| Sentinel { is_required: true, is_there };
         check(
             "wanted",
             &[
@@ -532,8 +520,8 @@ mod tests {
             "optional",
             &[
                 (0, See(100, 1, 1, Some(0))),
-                (0, Ask(Sentinel::Optional { there: false }, Complete, Until(500, WaitReason::Changing))),
-                (0, Ask(Sentinel::Optional { there: true }, Unproven, Ready(Proof::Sentinel))),
+                (0, Ask(NONE, Complete, Until(500, WaitReason::Changing))),
+                (0, Ask(Sentinel { is_required: false, is_there: true }, Unproven, Ready(Proof::Sentinel))),
             ],
         );
         let (older, frame, later) = (stamp(0, 9, 7), stamp(100, 10, 1), stamp(0, 11, 7));
@@ -546,7 +534,8 @@ mod tests {
     fn formats_are_asked_only_if_it_matters() {
         let start = Instant::now();
         let seen = Seen { stamp: stamp(1, 1, 1), age: None };
-        for (renamed, sentinel) in [(false, NONE), (true, NONE), (false, Sentinel::Wanted { there: false })] {
+        let missing = Sentinel { is_required: true, is_there: false };
+        for (renamed, sentinel) in [(false, NONE), (true, NONE), (false, missing)] {
             let candidate = Candidate::new(start, &seen, renamed);
             candidate.readiness(start, &PATIENCE, sentinel, || panic!("asked for nothing"));
         }

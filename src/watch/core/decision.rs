@@ -5,8 +5,7 @@
 //!                   │           under way      now          for good
 //!   ────────────────┼──────────────────────────────────────────────────────────────────────────
 //!   same input,     │ convert   convert        convert      skip            skip, if its outputs
-//!   same settings   │                                                       are there; if one was
-//!                   │                                                       touched, contents decide
+//!   same settings   │                                                       are there
 //!   same size, else │ convert   convert        convert      the content     the content decides
 //!   a new stamp     │                                       decides
 //!   anything else   │ convert   convert        convert      convert         convert
@@ -27,7 +26,7 @@ use crate::watch::journal::{FrameRecord, Standing};
 pub enum Decision {
     /// It stays as it is.
     Skip(SkipReason),
-    /// Its content decides: hash it, and ask [`decide_by_content`].
+    /// Its content decides: hash it, and ask [`decide`] again.
     CompareContent,
     /// It is converted.
     Convert(ConvertReason),
@@ -61,24 +60,14 @@ pub enum ConvertReason {
     WasRefused,
 }
 
-/// How the outputs of a frame compare with their records.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum OutputsNow<'a> {
-    /// All of them have the recorded stamps, or the recorded bytes.
-    AsRecorded,
-    /// All of them have the recorded sizes, but one has another stamp: only its bytes can tell whether it is damaged.
-    Touched,
-    /// This one is missing, or has another size or other bytes.
-    Missing(&'a Path),
-}
-
-/// Decides about a frame by its record, its stamp, the fingerprint of the settings it would be converted with now, and
-/// its outputs.
+/// Decides about a frame by its record, its stamp, the fingerprint of the settings it would be converted with now, the first
+/// output that is missing or damaged, and the hash of its content, where that is known.
 pub fn decide(
     record: Option<&FrameRecord>,
     stamp: &FileStamp,
     settings: &str,
-    outputs: OutputsNow<'_>,
+    missing_output: Option<&Path>,
+    hash: Option<u128>,
 ) -> Decision {
     let Some(record) = record else { return Decision::Convert(ConvertReason::New) };
     let skip_reason = match record.standing {
@@ -94,31 +83,15 @@ pub fn decide(
     if record.settings != settings {
         return Decision::Convert(ConvertReason::SettingsChanged);
     }
-    match (outputs, skip_reason) {
-        (OutputsNow::Missing(output), SkipReason::Done) => {
-            return Decision::Convert(ConvertReason::OutputMissing(output.to_owned()));
-        }
-        (OutputsNow::Touched, SkipReason::Done) => return Decision::CompareContent,
-        // A failed frame has no outputs.
-        (_, SkipReason::FailedUnchanged) | (OutputsNow::AsRecorded, _) => {}
+    // A failed frame has no outputs.
+    if let Some(output) = missing_output.filter(|_| skip_reason == SkipReason::Done) {
+        return Decision::Convert(ConvertReason::OutputMissing(output.to_owned()));
     }
-    match (record.stamp.still_holds(stamp), record.hash) {
-        (true, _) => Decision::Skip(skip_reason),
-        (false, Some(_)) => Decision::CompareContent,
-        (false, None) => Decision::Convert(ConvertReason::InputChanged),
-    }
-}
-
-/// Decides about a frame of which [`decide`] said [`Decision::CompareContent`]. Where it is skipped,
-/// its new stamp is worth recording: the next look need not read it again.
-pub fn decide_by_content(record: &FrameRecord, hash: u128) -> Decision {
-    match record.standing {
-        _ if record.hash != Some(hash) => Decision::Convert(ConvertReason::InputChanged),
-        Standing::Done => Decision::Skip(SkipReason::Done),
-        Standing::Failed => Decision::Skip(SkipReason::FailedUnchanged),
-        Standing::Queued => Decision::Convert(ConvertReason::WasUnderWay),
-        Standing::Retrying | Standing::GivenUp => Decision::Convert(ConvertReason::Retry),
-        Standing::Refused => Decision::Convert(ConvertReason::WasRefused),
+    match (record.hash, hash) {
+        _ if record.stamp.still_holds(stamp) => Decision::Skip(skip_reason),
+        (Some(_), None) => Decision::CompareContent,
+        (Some(recorded), Some(hash)) if recorded == hash => Decision::Skip(skip_reason),
+        _ => Decision::Convert(ConvertReason::InputChanged),
     }
 }
 
@@ -127,7 +100,7 @@ impl fmt::Display for Decision {
         match self {
             Decision::Skip(reason) => reason.fmt(f),
             Decision::CompareContent => f.write_str(
-                "it or an output of it was touched, moved or written again in the same size, so that contents decide",
+                "it was touched, moved or written again in the same size, so that its content decides",
             ),
             Decision::Convert(reason) => reason.fmt(f),
         }
@@ -199,14 +172,15 @@ mod tests {
     struct Now {
         stamp: FileStamp,
         settings: &'static str,
-        outputs: OutputsNow<'static>,
+        missing_output: Option<&'static Path>,
     }
 
-    const ALIKE: fn() -> Now = || Now { stamp: stamp(), settings: SETTINGS, outputs: OutputsNow::AsRecorded };
+    const ALIKE: fn() -> Now = || Now { stamp: stamp(), settings: SETTINGS, missing_output: None };
 
     #[track_caller]
     fn check(standing: Standing, now: &Now, wanted: &Decision) {
-        assert_eq!(decide(Some(&record(standing)), &now.stamp, now.settings, now.outputs), *wanted);
+        let Now { stamp, settings, missing_output } = now;
+        assert_eq!(decide(Some(&record(standing)), stamp, settings, *missing_output, None), *wanted);
     }
 
     fn touched() -> Now {
@@ -226,11 +200,7 @@ mod tests {
     }
 
     fn output_gone() -> Now {
-        Now { outputs: OutputsNow::Missing(Path::new("/out/a.glb")), ..ALIKE() }
-    }
-
-    fn output_touched() -> Now {
-        Now { outputs: OutputsNow::Touched, ..ALIKE() }
+        Now { missing_output: Some(Path::new("/out/a.glb")), ..ALIKE() }
     }
 
     /// `chmod`, a new hard link, or a rewrite that set the modification time back.
@@ -240,7 +210,7 @@ mod tests {
 
     #[test]
     fn what_was_never_seen_is_converted() {
-        let decision = decide(None, &stamp(), SETTINGS, OutputsNow::AsRecorded);
+        let decision = decide(None, &stamp(), SETTINGS, None, None);
         assert_eq!(decision, Decision::Convert(ConvertReason::New));
     }
 
@@ -251,7 +221,6 @@ mod tests {
         check(Standing::Done, &touched(), &Decision::CompareContent);
         check(Standing::Done, &moved(), &Decision::CompareContent);
         check(Standing::Done, &status_changed(), &Decision::CompareContent);
-        check(Standing::Done, &output_touched(), &Decision::CompareContent);
         check(Standing::Done, &longer(), &Decision::Convert(ConvertReason::InputChanged));
         check(Standing::Done, &other_settings(), &Decision::Convert(ConvertReason::SettingsChanged));
         check(Standing::Done, &output_gone(), &Decision::Convert(missing.clone()));
@@ -266,7 +235,6 @@ mod tests {
     fn failed_is_skipped_until_something_changes() {
         check(Standing::Failed, &ALIKE(), &Decision::Skip(SkipReason::FailedUnchanged));
         check(Standing::Failed, &output_gone(), &Decision::Skip(SkipReason::FailedUnchanged));
-        check(Standing::Failed, &output_touched(), &Decision::Skip(SkipReason::FailedUnchanged));
         check(Standing::Failed, &touched(), &Decision::CompareContent);
         check(Standing::Failed, &longer(), &Decision::Convert(ConvertReason::InputChanged));
         check(Standing::Failed, &other_settings(), &Decision::Convert(ConvertReason::SettingsChanged));
@@ -286,7 +254,7 @@ mod tests {
     fn record_without_status_change_time_is_not_compared_in_it() {
         let old = FileStamp { changed_ns: None, ..stamp() };
         let record = FrameRecord { stamp: old, ..record(Standing::Done) };
-        let decision = decide(Some(&record), &stamp(), SETTINGS, OutputsNow::AsRecorded);
+        let decision = decide(Some(&record), &stamp(), SETTINGS, None, None);
         assert_eq!(decision, Decision::Skip(SkipReason::Done));
     }
 
@@ -294,7 +262,7 @@ mod tests {
     fn without_a_hash_another_stamp_is_another_input() {
         for standing in [Standing::Done, Standing::Failed] {
             let record = FrameRecord { hash: None, ..record(standing) };
-            let decision = decide(Some(&record), &touched().stamp, SETTINGS, OutputsNow::AsRecorded);
+            let decision = decide(Some(&record), &touched().stamp, SETTINGS, None, None);
             assert_eq!(decision, Decision::Convert(ConvertReason::InputChanged));
         }
     }
@@ -304,15 +272,16 @@ mod tests {
         let cases = [
             (Standing::Done, Decision::Skip(SkipReason::Done)),
             (Standing::Failed, Decision::Skip(SkipReason::FailedUnchanged)),
-            (Standing::Queued, Decision::Convert(ConvertReason::WasUnderWay)),
-            (Standing::Retrying, Decision::Convert(ConvertReason::Retry)),
-            (Standing::Refused, Decision::Convert(ConvertReason::WasRefused)),
         ];
+        let decide =
+            |standing, hash| decide(Some(&record(standing)), &touched().stamp, SETTINGS, None, Some(hash));
         for (standing, same) in cases {
-            assert_eq!(decide_by_content(&record(standing), HASH), same);
-            let other = decide_by_content(&record(standing), HASH + 1);
-            assert_eq!(other, Decision::Convert(ConvertReason::InputChanged));
+            assert_eq!(decide(standing, HASH), same);
+            assert_eq!(decide(standing, HASH + 1), Decision::Convert(ConvertReason::InputChanged));
         }
+        assert_eq!(decide(Standing::Queued, HASH), Decision::Convert(ConvertReason::WasUnderWay));
+        assert_eq!(decide(Standing::Retrying, HASH), Decision::Convert(ConvertReason::Retry));
+        assert_eq!(decide(Standing::Refused, HASH), Decision::Convert(ConvertReason::WasRefused));
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 /// Stops the start of frames while their outputs could not be written.
 #[derive(Debug)]
-pub(in crate::watch) struct DiskGuard {
+pub(crate) struct DiskGuard {
     floor_bytes: u64,
     block: Option<WriteBlock>,
     /// The next wait after a full disk.
@@ -34,12 +34,12 @@ struct Full {
 
 /// A folder of outputs as it was found last.
 #[derive(Clone, Debug)]
-pub(in crate::watch) struct FoundSpace<'a> {
-    pub(in crate::watch) folder: &'a Path,
+pub(crate) struct FoundSpace<'a> {
+    pub(crate) folder: &'a Path,
     /// Whether the folder is mounted.
-    pub(in crate::watch) is_there: bool,
+    pub(crate) is_there: bool,
     /// Free bytes, if the file system says.
-    pub(in crate::watch) free_bytes: Option<u64>,
+    pub(crate) free_bytes: Option<u64>,
 }
 
 /// More than this must have become free before a disk that was full is tried again at once.
@@ -49,12 +49,12 @@ const BACKOFF_FIRST: Duration = Duration::from_secs(5);
 const BACKOFF_MAX: Duration = Duration::from_secs(300);
 
 impl DiskGuard {
-    pub(in crate::watch) fn new(floor_bytes: u64) -> DiskGuard {
+    pub(crate) fn new(floor_bytes: u64) -> DiskGuard {
         DiskGuard { floor_bytes, block: None, backoff: BACKOFF_FIRST }
     }
 
     /// A frame found the disk of this folder full, with so much free.
-    pub(in crate::watch) fn on_full(&mut self, folder: &Path, free_bytes: Option<u64>, now: Instant) {
+    pub(crate) fn on_full(&mut self, folder: &Path, free_bytes: Option<u64>, now: Instant) {
         let free_bytes = free_bytes.unwrap_or(0);
         // Frames that are under way together find the disk full one after the other: one wait for all of them.
         let retry_at = match &self.block {
@@ -70,13 +70,13 @@ impl DiskGuard {
     }
 
     /// The system refuses to write, for this reason.
-    pub(in crate::watch) fn on_refusal(&mut self, reason: String, now: Instant) {
+    pub(crate) fn on_refusal(&mut self, reason: String, now: Instant) {
         let wait = self.next_backoff();
         self.block = Some(WriteBlock::Refused(reason, now + wait));
     }
 
     /// A frame was written: the next wait is a short one.
-    pub(in crate::watch) fn on_success(&mut self) {
+    pub(crate) fn on_success(&mut self) {
         self.backoff = BACKOFF_FIRST;
     }
 
@@ -87,7 +87,7 @@ impl DiskGuard {
 
     /// Decides again, by the folders as they are now. A folder of which the free space is unknown does not block:
     /// writing into it will say what is wrong.
-    pub(in crate::watch) fn check(&mut self, found: &[FoundSpace<'_>], now: Instant) {
+    pub(crate) fn check(&mut self, found: &[FoundSpace<'_>], now: Instant) {
         if let Some(absent) = found.iter().find(|found| !found.is_there) {
             self.block = Some(WriteBlock::Unmounted(absent.folder.to_owned()));
             return;
@@ -117,7 +117,7 @@ impl DiskGuard {
     }
 
     /// Why no frame begins; `None` if frames may begin.
-    pub(in crate::watch) fn reason(&self) -> Option<String> {
+    pub(crate) fn reason(&self) -> Option<String> {
         Some(match self.block.as_ref()? {
             WriteBlock::Refused(reason, _) => format!("{reason}; trying again before long"),
             WriteBlock::Unmounted(folder) => format!("{} is not mounted; waiting for it", folder.display()),

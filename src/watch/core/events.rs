@@ -14,26 +14,25 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::pipeline::{FileStamp, Frame, ObstacleStamps, Outcome};
+use crate::pipeline::{FileFrames, FileStamp, Frame, FrameError, ObstacleStamps, Outcome};
 use crate::surface::options::Settings;
 use crate::watch::journal::{Entry, FrameRecord, OutputCheck, OutputRecord};
 
 use super::completeness::{Candidate, Proof, Seen, WaitReason};
-use super::file_steps::{FoundSteps, StepsOrder};
 use super::frames::FrameId;
 use super::sequences::{MeasureOrder, Measured};
 
 /// The time, by both clocks.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::watch) struct Now {
-    pub(in crate::watch) at: Instant,
+pub(crate) struct Now {
+    pub(crate) at: Instant,
     /// Milliseconds since 1970, for records.
-    pub(in crate::watch) unix_ms: u64,
+    pub(crate) unix_ms: u64,
 }
 
 /// Something that happened outside of the core.
 #[derive(Debug)]
-pub(in crate::watch) enum Event {
+pub(crate) enum Event {
     /// A file was found, at a time that may be a little in the past.
     FileSeen { id: FrameId, seen: Seen, at: Instant, renamed: bool },
     /// A file is gone.
@@ -45,7 +44,7 @@ pub(in crate::watch) enum Event {
     /// All files in one folder of a root.
     FolderScanned { root: usize, files: Vec<(PathBuf, Seen)>, at: Instant },
     /// All files of a root, or why it is unavailable.
-    RootScanned { root: usize, found: Result<RootScan, String>, at: Instant },
+    RootScanned { root: usize, found: Result<Scan, String>, at: Instant },
     /// The result of [`RootRequest::Inspect`].
     Inspected(Box<Inspected>),
     /// The result of [`RootRequest::StampObstacles`].
@@ -74,38 +73,40 @@ pub(in crate::watch) enum Event {
 
 /// A thread that does the I/O of one watched folder or of one folder of outputs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(in crate::watch) enum Worker {
+pub(crate) enum Worker {
     /// Of the root with this index.
     Root(usize),
     /// Of the folder of outputs with this index.
     Output(usize),
 }
 
-/// What a scan of a root found.
+/// What a scan found.
 #[derive(Debug, Default)]
-pub(in crate::watch) struct RootScan {
-    /// The files that the selection takes, in no order.
-    pub(in crate::watch) files: Vec<(PathBuf, Seen)>,
-    /// Paths that could not be examined, and why.
-    pub(in crate::watch) problems: Vec<(PathBuf, String)>,
-    /// Links whose target is missing.
-    pub(in crate::watch) dangling: Vec<PathBuf>,
-    /// Whether it was made because events were lost.
-    pub(in crate::watch) after_loss: bool,
+pub(crate) struct Scan {
+    /// The files that the selection takes, in no particular order.
+    pub(crate) files: Vec<(PathBuf, Seen)>,
+    /// The folders that were looked into, the one that was asked for first.
+    pub(crate) folders: Vec<PathBuf>,
+    /// Paths that could not be examined, and why: they may be, or hold, frames.
+    pub(crate) problems: Vec<(PathBuf, String)>,
+    /// Links that the selection takes and whose target is missing; it may be written later.
+    pub(crate) dangling: Vec<PathBuf>,
+    /// Whether the scan was made because events were lost.
+    pub(crate) after_loss: bool,
 }
 
 /// A folder of outputs as it was found.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::watch) struct OutputDirState {
-    pub(in crate::watch) output: usize,
-    pub(in crate::watch) presence: Presence,
+pub(crate) struct OutputDirState {
+    pub(crate) output: usize,
+    pub(crate) presence: Presence,
     /// Free bytes, if the file system says.
-    pub(in crate::watch) free_bytes: Option<u64>,
+    pub(crate) free_bytes: Option<u64>,
 }
 
 /// Whether a folder of outputs is the one that was opened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::watch) enum Presence {
+pub(crate) enum Presence {
     There,
     /// It was removed, and was made again: what was in it is gone.
     MadeAgain,
@@ -115,7 +116,7 @@ pub(in crate::watch) enum Presence {
 
 /// The obstacles of frames, by the frames' numbers.
 #[derive(Debug)]
-pub(in crate::watch) enum FoundObstacleStamps {
+pub(crate) enum FoundObstacleStamps {
     /// The same for all frames.
     Same(Arc<ObstacleStamps>),
     PerNumber(std::collections::HashMap<Option<u64>, Arc<ObstacleStamps>>),
@@ -123,54 +124,54 @@ pub(in crate::watch) enum FoundObstacleStamps {
 
 /// A frame that a pipeline has finished with.
 #[derive(Debug)]
-pub(in crate::watch) struct Finished {
-    pub(in crate::watch) id: FrameId,
+pub(crate) struct Finished {
+    pub(crate) id: FrameId,
     /// Its outputs, if they are there.
-    pub(in crate::watch) outputs: Vec<OutputRecord>,
-    pub(in crate::watch) outcome: Outcome,
+    pub(crate) outputs: Vec<OutputRecord>,
+    pub(crate) outcome: Outcome,
     /// Of a frame that failed because the disk is full: free bytes there.
-    pub(in crate::watch) free_bytes: Option<u64>,
+    pub(crate) free_bytes: Option<u64>,
 }
 
 /// Asks what a file is now. The answer comes as soon as the first of these says no.
 #[derive(Debug)]
-pub(in crate::watch) struct Inspect {
-    pub(in crate::watch) id: FrameId,
+pub(crate) struct Inspect {
+    pub(crate) id: FrameId,
     /// The number of this request.
-    pub(in crate::watch) number: u64,
+    pub(crate) number: u64,
     /// What the file was when this was asked.
-    pub(in crate::watch) stamp: FileStamp,
+    pub(crate) stamp: FileStamp,
     /// If only this is asked: whether it is still the same file.
-    pub(in crate::watch) only_stamp: bool,
+    pub(crate) only_stamp: bool,
     /// What the journal says of it, if the frame stays as it is while this holds.
-    pub(in crate::watch) recorded: Option<Recorded>,
+    pub(crate) recorded: Option<Recorded>,
     /// The file may still be written.
-    pub(in crate::watch) candidate: Option<Candidate>,
+    pub(crate) candidate: Option<Candidate>,
     /// The files that the frame becomes.
-    pub(in crate::watch) outputs: Vec<PathBuf>,
+    pub(crate) outputs: Vec<PathBuf>,
 }
 
 /// A frame that stays as it is while its outputs are as they were written, and its obstacles too.
 #[derive(Debug)]
-pub(in crate::watch) struct Recorded {
-    pub(in crate::watch) record: Arc<FrameRecord>,
+pub(crate) struct Recorded {
+    pub(crate) record: Arc<FrameRecord>,
     /// The settings of its sequence, if only its obstacles can tell whether they are those recorded.
-    pub(in crate::watch) settings: Option<(Arc<Settings>, Arc<str>)>,
+    pub(crate) settings: Option<(Arc<Settings>, Arc<str>)>,
 }
 
 /// The answer to [`Inspect`].
 #[derive(Debug)]
-pub(in crate::watch) struct Inspected {
-    pub(in crate::watch) id: FrameId,
-    pub(in crate::watch) number: u64,
-    pub(in crate::watch) found: Found,
+pub(crate) struct Inspected {
+    pub(crate) id: FrameId,
+    pub(crate) number: u64,
+    pub(crate) found: Found,
     /// The files of its obstacles; `None` without obstacles.
-    pub(in crate::watch) obstacles: Option<Arc<ObstacleStamps>>,
+    pub(crate) obstacles: Option<Arc<ObstacleStamps>>,
 }
 
 /// What an inspection found.
 #[derive(Debug)]
-pub(in crate::watch) enum Found {
+pub(crate) enum Found {
     /// The file is gone.
     Gone,
     /// The system refuses to say what it is.
@@ -191,19 +192,19 @@ pub(in crate::watch) enum Found {
 
 /// A file that is complete.
 #[derive(Debug)]
-pub(in crate::watch) struct Complete {
+pub(crate) struct Complete {
     /// Why it is complete, if that was asked.
-    pub(in crate::watch) proof: Option<Proof>,
+    pub(crate) proof: Option<Proof>,
     /// A recorded output that is not as it was written.
-    pub(in crate::watch) changed_output: Option<(PathBuf, OutputCheck)>,
-    pub(in crate::watch) contents: Contents,
+    pub(crate) changed_output: Option<(PathBuf, OutputCheck)>,
+    pub(crate) contents: Contents,
     /// A file that its outputs would replace: why the frame is refused.
-    pub(in crate::watch) conflict: Option<String>,
+    pub(crate) conflict: Option<String>,
 }
 
 /// What a file is, by its first bytes.
 #[derive(Debug)]
-pub(in crate::watch) enum Contents {
+pub(crate) enum Contents {
     /// A frame, or a step of a file.
     Frame,
     /// Of a kind that may have several steps.
@@ -215,19 +216,41 @@ pub(in crate::watch) enum Contents {
 
 /// Something for the worker of a root to do.
 #[derive(Debug)]
-pub(in crate::watch) enum RootRequest {
+pub(crate) enum RootRequest {
     Inspect(Box<Inspect>),
     /// Scan everything.
     Scan,
     /// Look at the obstacles of frames with these numbers.
     StampObstacles(BTreeSet<Option<u64>>),
+}
+
+/// Something that takes long, for the other thread of a root.
+#[derive(Debug)]
+pub(crate) enum SlowRequest {
     Measure(Box<MeasureOrder>),
     FindSteps(StepsOrder),
 }
 
+/// A complete file that is to be searched for steps.
+#[derive(Debug)]
+pub(crate) struct StepsOrder {
+    pub(crate) id: FrameId,
+    pub(crate) stamp: FileStamp,
+    /// Why the frame is refused if it has no steps: what its outputs would replace.
+    pub(crate) conflict: Option<String>,
+}
+
+/// The result of a search for steps.
+#[derive(Debug)]
+pub(crate) struct FoundSteps {
+    pub(crate) order: StepsOrder,
+    /// The frames of the file; `None` if it was written again meanwhile.
+    pub(crate) frames: Result<Option<FileFrames>, FrameError>,
+}
+
 /// Something for the worker of a folder of outputs to do.
 #[derive(Debug)]
-pub(in crate::watch) enum OutputRequest {
+pub(crate) enum OutputRequest {
     /// Add a record to the journal, and then log this: what the log says is in the journal.
     Record(Entry, Option<Log>),
     /// Look at the folder now.
@@ -237,14 +260,14 @@ pub(in crate::watch) enum OutputRequest {
 }
 
 /// A line of the log, which is written after the state that it is about can be seen.
-pub(in crate::watch) struct Log(Box<dyn FnOnce() + Send>);
+pub(crate) struct Log(Box<dyn FnOnce() + Send>);
 
 impl Log {
-    pub(in crate::watch) fn new(write: impl FnOnce() + Send + 'static) -> Log {
+    pub(crate) fn new(write: impl FnOnce() + Send + 'static) -> Log {
         Log(Box::new(write))
     }
 
-    pub(in crate::watch) fn write(self) {
+    pub(crate) fn write(self) {
         (self.0)();
     }
 }
@@ -255,18 +278,22 @@ impl fmt::Debug for Log {
     }
 }
 
+/// A frame to convert, and what is known of the outputs that it has.
+#[derive(Debug)]
+pub(crate) struct Start {
+    pub(crate) id: FrameId,
+    pub(crate) frame: Box<Frame>,
+    pub(crate) known_outputs: Vec<OutputRecord>,
+}
+
 /// Something that the core wants done. Effects are carried out in order.
 #[derive(Debug)]
-pub(in crate::watch) enum Effect {
+pub(crate) enum Effect {
     Root(usize, RootRequest),
+    Slow(usize, SlowRequest),
     Output(usize, OutputRequest),
     /// Give a frame to a pipeline that wants one.
-    Start {
-        pipeline: usize,
-        id: FrameId,
-        frame: Box<Frame>,
-        known_outputs: Vec<OutputRecord>,
-    },
+    Start(usize, Start),
     /// Start a pipeline beside those that hang.
     StartPipeline(usize),
     /// Tell a pipeline that there are no more frames.

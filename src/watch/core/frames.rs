@@ -3,10 +3,10 @@
 //! ```text
 //!                  ┌──────── written again ─────────────────────────┐
 //!                  ▼                                                │
-//!   (seen) ──▶ settling ──▶ held ──▶ queued or under way ──▶ done ──┤
-//!                  │   no settings yet      │                       │
-//!                  │                        ├──▶ retrying           │
-//!                  └──▶ ignored             └──▶ failed ────────────┘
+//!   (seen) ──▶ settling ──▶ held ──▶ queued ──▶ under way ──▶ done ─┤
+//!                  │   no settings yet               │              │
+//!                  │                                 ├──▶ retrying  │
+//!                  └──▶ ignored                      └──▶ failed ───┘
 //!                  └──▶ finding steps ──▶ steps     a file with several: each is a frame of its own, held at once
 //! ```
 
@@ -16,53 +16,53 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::pipeline::{FileStamp, FrameFile, ObstacleStamps};
+use crate::pipeline::{FileFrames, FileStamp, FrameFile, ObstacleStamps};
 
 use super::completeness::Candidate;
 
 /// A file in a watched folder, or a step of one. A file in two watched folders is two frames: their outputs differ.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub(in crate::watch) struct FrameId {
+pub(crate) struct FrameId {
     /// The index of its root.
-    pub(in crate::watch) root: usize,
+    pub(crate) root: usize,
     /// Absolute.
-    pub(in crate::watch) path: Arc<Path>,
+    pub(crate) path: Arc<Path>,
     /// Whether it is a step of a file. Part of the id, because by its path alone only the file system can tell.
     is_step: bool,
 }
 
 impl FrameId {
     /// A file.
-    pub(in crate::watch) fn new(root: usize, path: &Path) -> FrameId {
+    pub(crate) fn new(root: usize, path: &Path) -> FrameId {
         FrameId { root, path: path.into(), is_step: false }
     }
 
     /// A step of a file.
-    pub(in crate::watch) fn step(root: usize, path: &Path) -> FrameId {
+    pub(crate) fn step(root: usize, path: &Path) -> FrameId {
         FrameId { root, path: path.into(), is_step: true }
     }
 
-    pub(in crate::watch) fn is_step(&self) -> bool {
+    pub(crate) fn is_step(&self) -> bool {
         self.is_step
     }
 
     /// The file of a step; `None` for a file.
-    pub(in crate::watch) fn file(&self) -> Option<FrameId> {
+    pub(crate) fn file(&self) -> Option<FrameId> {
         self.is_step.then(|| FrameId::new(self.root, self.file_path()))
     }
 
     /// The path of the file that it is, or is a step of.
-    pub(in crate::watch) fn file_path(&self) -> &Path {
+    pub(crate) fn file_path(&self) -> &Path {
         if self.is_step { self.path.parent().unwrap_or(&self.path) } else { &self.path }
     }
 
     /// What its name says.
-    pub(in crate::watch) fn frame_file(&self) -> FrameFile {
+    pub(crate) fn frame_file(&self) -> FrameFile {
         FrameFile::known(self.path.to_path_buf(), self.is_step)
     }
 
     /// The file of its outputs, as a path without extension, in this folder for outputs of files in `root`.
-    pub(in crate::watch) fn mirrored_folder(&self, root: &Path, out: &Path) -> PathBuf {
+    pub(crate) fn mirrored_folder(&self, root: &Path, out: &Path) -> PathBuf {
         let within = self.file_path().parent().and_then(|folder| folder.strip_prefix(root).ok());
         within.map_or_else(|| out.to_owned(), |within| out.join(within))
     }
@@ -70,7 +70,7 @@ impl FrameId {
 
 /// All frames.
 #[derive(Debug, Default)]
-pub(in crate::watch) struct Frames {
+pub(crate) struct Frames {
     all: HashMap<FrameId, FrameState>,
     alarms: BinaryHeap<Reverse<(Instant, FrameId)>>,
     /// How many frames of each sequence are being inspected.
@@ -80,20 +80,23 @@ pub(in crate::watch) struct Frames {
 
 /// What is known of a frame.
 #[derive(Debug)]
-pub(in crate::watch) struct FrameState {
+pub(crate) struct FrameState {
     /// The index of its sequence.
-    pub(in crate::watch) sequence: usize,
-    /// How far it is.
-    pub(in crate::watch) phase: Phase,
+    pub(crate) sequence: usize,
+    pub(crate) phase: Phase,
+    /// Its file, as it was when it came into this phase.
+    pub(crate) stamp: FileStamp,
+    /// Whether it was found to have too few particles to measure the spacing of its sequence.
+    pub(crate) is_sparse: bool,
     /// The fingerprint of what it was queued to be converted with, or of what the journal says it was made with where
     /// that may change while the daemon runs; else empty.
-    pub(in crate::watch) made_with: String,
+    pub(crate) made_with: String,
     /// Failures in a row that may pass by themselves.
-    pub(in crate::watch) attempt_count: u32,
+    pub(crate) attempt_count: u32,
     /// The scan that saw it last.
-    pub(in crate::watch) scan_count: u64,
+    pub(crate) scan_count: u64,
     /// The files of its obstacles at its last inspection; `None` without obstacles.
-    pub(in crate::watch) obstacles: Option<Arc<ObstacleStamps>>,
+    pub(crate) obstacles: Option<Arc<ObstacleStamps>>,
     /// When it is to be inspected again.
     alarm_at: Option<Instant>,
     /// The number of the inspection that is under way.
@@ -102,87 +105,94 @@ pub(in crate::watch) struct FrameState {
 
 impl FrameState {
     /// Whether it is not complete, and time alone does not help: it waits for another file.
-    pub(in crate::watch) fn is_stuck(&self) -> bool {
+    pub(crate) fn is_stuck(&self) -> bool {
         matches!(self.phase, Phase::Settling(_)) && self.alarm_at.is_none() && self.inspection.is_none()
     }
 }
 
 /// How far a frame is.
-#[derive(Debug)]
-pub(in crate::watch) enum Phase {
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Phase {
     /// Its file may still be written.
     Settling(Candidate),
     /// Complete; its sequence has no settings yet.
-    Held(FileStamp),
-    /// Waits for the pipeline, or is in it.
-    Queued(FileStamp),
+    Held,
+    /// Waits for a pipeline.
+    Queued,
+    /// In the pipeline with this number. Until its outcome comes, what is seen of its file changes nothing.
+    UnderWay(usize),
     /// Failed, and is tried again at this time.
-    Retrying(FileStamp, Instant),
+    Retrying(Instant),
     /// Its outputs are there.
-    Done(FileStamp),
+    Done,
     /// Failed; only another file helps.
-    Failed(FileStamp),
+    Failed,
     /// No particles: some other file, or one of our own outputs.
-    Ignored(FileStamp),
+    Ignored,
     /// Complete, and of a kind that may have several steps: which it has is being found out.
-    FindingSteps(FileStamp),
+    FindingSteps,
     /// A file with several steps, of which each is a frame.
-    Steps(FileStamp),
+    Steps,
 }
 
-impl Phase {
-    /// The file that this phase is about.
-    pub(in crate::watch) fn stamp(&self) -> FileStamp {
-        match self {
-            Phase::Settling(candidate) => *candidate.stamp(),
-            Phase::Held(stamp)
-            | Phase::Queued(stamp)
-            | Phase::Retrying(stamp, _)
-            | Phase::Done(stamp)
-            | Phase::Failed(stamp)
-            | Phase::Ignored(stamp)
-            | Phase::FindingSteps(stamp)
-            | Phase::Steps(stamp) => *stamp,
-        }
+/// The steps of a file.
+#[derive(Debug)]
+pub(crate) struct FileSteps {
+    /// The position of each among them.
+    pub(crate) index_of: HashMap<FrameId, usize>,
+    pub(crate) found: FileFrames,
+}
+
+impl FileSteps {
+    /// Whether a step is as it was when its file had this stamp.
+    pub(crate) fn is_kept_since(&self, id: &FrameId, stamp: &FileStamp) -> bool {
+        self.index_of.get(id).is_some_and(|&index| index < self.found.kept_since(stamp))
     }
 }
 
 /// How many frames are in each phase.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(in crate::watch) struct FrameCounts {
-    pub(in crate::watch) settling: usize,
+pub(crate) struct FrameCounts {
+    pub(crate) settling: usize,
     /// Of these, those that time does not help: they wait for another file.
-    pub(in crate::watch) stuck: usize,
-    pub(in crate::watch) held: usize,
-    /// Waiting or under way.
-    pub(in crate::watch) queued: usize,
+    pub(crate) stuck: usize,
+    pub(crate) held: usize,
+    /// [`Phase::Queued`] or [`Phase::UnderWay`].
+    pub(crate) queued: usize,
     /// Files whose steps are being found.
-    pub(in crate::watch) finding_steps: usize,
-    pub(in crate::watch) retrying: usize,
-    pub(in crate::watch) done: usize,
-    pub(in crate::watch) failed: usize,
+    pub(crate) finding_steps: usize,
+    pub(crate) retrying: usize,
+    pub(crate) done: usize,
+    pub(crate) failed: usize,
+}
+
+impl FrameCounts {
+    /// Frames that are neither done nor failed.
+    pub(crate) fn left(&self) -> usize {
+        self.settling + self.held + self.queued + self.finding_steps + self.retrying
+    }
 }
 
 impl Frames {
-    pub(in crate::watch) fn get(&self, id: &FrameId) -> Option<&FrameState> {
+    pub(crate) fn get(&self, id: &FrameId) -> Option<&FrameState> {
         self.all.get(id)
     }
 
-    pub(in crate::watch) fn get_mut(&mut self, id: &FrameId) -> Option<&mut FrameState> {
+    pub(crate) fn get_mut(&mut self, id: &FrameId) -> Option<&mut FrameState> {
         self.all.get_mut(id)
     }
 
+    pub(crate) fn phase(&self, id: &FrameId) -> Option<Phase> {
+        self.all.get(id).map(|frame| frame.phase)
+    }
+
     /// A frame that was not known.
-    pub(in crate::watch) fn insert(
-        &mut self,
-        id: &FrameId,
-        sequence: usize,
-        candidate: Candidate,
-        scan_count: u64,
-    ) {
+    pub(crate) fn insert(&mut self, id: &FrameId, sequence: usize, candidate: Candidate, scan_count: u64) {
         let state = FrameState {
             sequence,
             phase: Phase::Settling(candidate),
+            stamp: *candidate.stamp(),
+            is_sparse: false,
             made_with: String::new(),
             attempt_count: 0,
             scan_count,
@@ -193,23 +203,24 @@ impl Frames {
         self.all.insert(id.clone(), state);
     }
 
-    pub(in crate::watch) fn remove(&mut self, id: &FrameId) {
+    pub(crate) fn remove(&mut self, id: &FrameId) {
         self.end_inspection(id);
         self.all.remove(id);
     }
 
-    /// Begins an inspection of a frame, in place of one that is under way, and returns its number.
-    pub(in crate::watch) fn begin_inspection(&mut self, id: &FrameId) -> Option<u64> {
+    /// Begins an inspection of a frame, in place of one that is under way, and returns its number and
+    /// the file to inspect.
+    pub(crate) fn begin_inspection(&mut self, id: &FrameId) -> Option<(u64, FileStamp)> {
         self.end_inspection(id);
         let frame = self.all.get_mut(id)?;
         self.inspection_count += 1;
         frame.inspection = Some(self.inspection_count);
         *self.inspected_in.entry(frame.sequence).or_default() += 1;
-        frame.inspection
+        Some((self.inspection_count, frame.stamp))
     }
 
     /// Ends the inspection of this number. Returns false if another was begun since, or the frame has changed.
-    pub(in crate::watch) fn take_inspection(&mut self, id: &FrameId, number: u64) -> bool {
+    pub(crate) fn take_inspection(&mut self, id: &FrameId, number: u64) -> bool {
         let is_current = self.all.get(id).is_some_and(|frame| frame.inspection == Some(number));
         if is_current {
             self.end_inspection(id);
@@ -218,7 +229,7 @@ impl Frames {
     }
 
     /// Disregards the inspection that is under way.
-    pub(in crate::watch) fn end_inspection(&mut self, id: &FrameId) {
+    pub(crate) fn end_inspection(&mut self, id: &FrameId) {
         if let Some(frame) = self.all.get_mut(id)
             && frame.inspection.take().is_some()
             && let Some(count) = self.inspected_in.get_mut(&frame.sequence)
@@ -231,19 +242,24 @@ impl Frames {
     }
 
     /// Whether a frame is being inspected, of this sequence or of any.
-    pub(in crate::watch) fn is_inspecting(&self, sequence: Option<usize>) -> bool {
+    pub(crate) fn is_inspecting(&self, sequence: Option<usize>) -> bool {
         match sequence {
             Some(sequence) => self.inspected_in.contains_key(&sequence),
             None => !self.inspected_in.is_empty(),
         }
     }
 
-    pub(in crate::watch) fn iter(&self) -> impl Iterator<Item = (&FrameId, &FrameState)> {
+    /// The frames that a condition holds for.
+    pub(crate) fn ids_of(&self, holds: impl Fn(&FrameId, &FrameState) -> bool) -> Vec<FrameId> {
+        self.all.iter().filter(|(id, frame)| holds(id, frame)).map(|(id, _)| id.clone()).collect()
+    }
+
+    pub(crate) fn iter(&self) -> impl Iterator<Item = (&FrameId, &FrameState)> {
         self.all.iter()
     }
 
     /// Has [`Frames::next_alarm`] name the frame at this time, unless it will be named before.
-    pub(in crate::watch) fn set_alarm(&mut self, id: &FrameId, at: Instant) {
+    pub(crate) fn set_alarm(&mut self, id: &FrameId, at: Instant) {
         if let Some(frame) = self.all.get_mut(id)
             && frame.alarm_at.is_none_or(|earlier| at < earlier)
         {
@@ -253,12 +269,12 @@ impl Frames {
     }
 
     /// When the first alarm is due.
-    pub(in crate::watch) fn alarm_at(&self) -> Option<Instant> {
+    pub(crate) fn alarm_at(&self) -> Option<Instant> {
         self.alarms.peek().map(|Reverse((at, _))| *at)
     }
 
     /// A frame whose alarm is due.
-    pub(in crate::watch) fn next_alarm(&mut self, now: Instant) -> Option<FrameId> {
+    pub(crate) fn next_alarm(&mut self, now: Instant) -> Option<FrameId> {
         if self.alarm_at()? > now {
             return None;
         }
@@ -271,7 +287,7 @@ impl Frames {
         Some(id)
     }
 
-    pub(in crate::watch) fn counts(&self) -> FrameCounts {
+    pub(crate) fn counts(&self) -> FrameCounts {
         let mut counts = FrameCounts::default();
         for frame in self.all.values() {
             match frame.phase {
@@ -279,13 +295,13 @@ impl Frames {
                     counts.settling += 1;
                     counts.stuck += usize::from(frame.is_stuck());
                 }
-                Phase::Held(_) => counts.held += 1,
-                Phase::Queued(_) => counts.queued += 1,
-                Phase::FindingSteps(_) => counts.finding_steps += 1,
-                Phase::Retrying(..) => counts.retrying += 1,
-                Phase::Done(_) => counts.done += 1,
-                Phase::Failed(_) => counts.failed += 1,
-                Phase::Ignored(_) | Phase::Steps(_) => {}
+                Phase::Held => counts.held += 1,
+                Phase::Queued | Phase::UnderWay(_) => counts.queued += 1,
+                Phase::FindingSteps => counts.finding_steps += 1,
+                Phase::Retrying(_) => counts.retrying += 1,
+                Phase::Done => counts.done += 1,
+                Phase::Failed => counts.failed += 1,
+                Phase::Ignored | Phase::Steps => {}
             }
         }
         counts

@@ -2,29 +2,19 @@
 
 use std::collections::HashSet;
 use std::path::Path;
-use std::sync::Arc;
 use std::time::Instant;
 
 use crate::pipeline::natural_order;
+use crate::watch::api::{Ended, FailedFrame, Summary};
 
 use super::completeness::path_of_sentinel;
-use super::events::{Effect, Event, Now, OutputDirState, OutputRequest, Presence, Worker};
+use super::events::{Effect, Event, Now, OutputDirState, OutputRequest, Presence, Start, Worker};
 use super::frames::{FrameCounts, FrameId, FrameState, Phase};
-use super::state::{Core, Count, Failure, STALL_AFTER};
-
-/// What came of all frames.
-#[derive(Debug)]
-pub(in crate::watch) struct Tally {
-    pub(in crate::watch) done_count: usize,
-    pub(in crate::watch) broken_count: usize,
-    /// Sentences, and how many frames were finished since each was logged.
-    pub(in crate::watch) failed: Vec<(String, Option<usize>)>,
-    pub(in crate::watch) left_count: usize,
-}
+use super::state::{Core, RootState, STALL_AFTER};
 
 impl Core {
     /// Takes in an event. What is to be done for it is returned by [`Core::take_effects`].
-    pub(in crate::watch) fn handle(&mut self, event: Event, now: Now) {
+    pub(crate) fn handle(&mut self, event: Event, now: Now) {
         self.now = now;
         match event {
             Event::FileSeen { id, seen, at, renamed } => self.on_file_seen(&id, &seen, at, renamed),
@@ -39,9 +29,9 @@ impl Core {
             Event::StepsFound(found) => self.on_steps_found(found),
             Event::FrameWanted { pipeline } => self.wanting.push_back(pipeline),
             Event::FrameReturned { id, frame, found } => {
-                self.under_way.remove(&id);
-                if let Some(stamp) = self.frames.get(&id).map(|state| state.phase.stamp()) {
-                    self.queue.push(&id, frame, stamp.modified_ns);
+                if let Some(state) = self.frames.get_mut(&id) {
+                    state.phase = Phase::Queued;
+                    self.queue.push(&id, frame, state.stamp.modified_ns);
                 }
                 self.on_output_dir_checked(found);
             }
@@ -56,7 +46,7 @@ impl Core {
 
     /// Does what is due, and what several events together make possible. To be called after each batch of events, and
     /// when [`Core::next_deadline`] has come.
-    pub(in crate::watch) fn settle_batch(&mut self, now: Now) {
+    pub(crate) fn settle_batch(&mut self, now: Now) {
         self.now = now;
         while let Some(id) = self.frames.next_alarm(now.at) {
             self.on_alarm(&id);
@@ -68,18 +58,13 @@ impl Core {
     }
 
     /// When something is due next.
-    pub(in crate::watch) fn next_deadline(&self) -> Option<Instant> {
+    pub(crate) fn next_deadline(&self) -> Option<Instant> {
         self.frames.alarm_at()
     }
 
     /// What is to be done, in this order.
-    pub(in crate::watch) fn take_effects(&mut self) -> Vec<Effect> {
+    pub(crate) fn take_effects(&mut self) -> Vec<Effect> {
         std::mem::take(&mut self.effects)
-    }
-
-    /// What is to be counted.
-    pub(in crate::watch) fn take_counts(&mut self) -> Vec<Count> {
-        std::mem::take(&mut self.counts)
     }
 
     /// Gives frames to the pipelines that want one.
@@ -97,19 +82,25 @@ impl Core {
             let may_begin: Vec<bool> = (0..self.roots.len()).map(|root| self.may_begin(root)).collect();
             let Some((id, frame)) = self.queue.pop(|root| may_begin[root]) else { return };
             self.wanting.pop_front();
-            self.under_way.insert(id.clone(), pipeline);
+            if let Some(state) = self.frames.get_mut(&id) {
+                state.phase = Phase::UnderWay(pipeline);
+            }
             let record = self.record_of(&id);
             let known_outputs = record.map_or(Vec::new(), |record| record.outputs.clone());
-            self.effects.push(Effect::Start { pipeline, id, frame, known_outputs });
+            self.effects.push(Effect::Start(pipeline, Start { id, frame, known_outputs }));
         }
     }
 
     /// Frames whose folder hangs hold up the pipeline that has them: then another one goes on with the rest.
     fn replace_stalled_pipeline(&mut self) {
-        let hangs =
-            |(id, pipeline): (&FrameId, &usize)| *pipeline == self.pipeline && !self.may_begin(id.root);
         let may_others_begin = (0..self.roots.len()).any(|root| self.may_begin(root));
-        if self.is_stopping || !may_others_begin || !self.under_way.iter().any(hangs) {
+        if self.is_stopping || !may_others_begin || !self.has_stalled() {
+            return;
+        }
+        let hangs = |(id, frame): (&FrameId, &FrameState)| {
+            frame.phase == Phase::UnderWay(self.pipeline) && !self.may_begin(id.root)
+        };
+        if !self.frames.iter().any(hangs) {
             return;
         }
         self.pipeline += 1;
@@ -129,12 +120,12 @@ impl Core {
             }
         };
         *stalled = since;
-        self.log(move || match since {
+        self.log_about(path, move |folder| match since {
             Some(_) => tracing::warn!(
-                folder = %path.display(),
+                %folder,
                 "unavailable: its file system has not answered for {STALL_AFTER:?}; other folders go on"
             ),
-            None => tracing::info!(folder = %path.display(), "answers again"),
+            None => tracing::info!(%folder, "answers again"),
         });
     }
 
@@ -144,7 +135,7 @@ impl Core {
         (dir.is_there, dir.free_bytes) = (presence != Presence::Away, free_bytes);
         if presence == Presence::MadeAgain {
             let folder = dir.folder.clone();
-            self.log(move || tracing::warn!(folder = %folder.display(), "was gone, and is taken again"));
+            self.log_about(folder, |folder| tracing::warn!(%folder, "was gone, and is taken again"));
             // What was in it may be gone as well.
             self.scan_all();
         }
@@ -152,28 +143,28 @@ impl Core {
     }
 
     /// Whether everything was looked at once; folders that hang are not waited for.
-    pub(in crate::watch) fn is_ready(&self) -> bool {
+    pub(crate) fn is_ready(&self) -> bool {
         let is_waiting = self.roots.iter().any(|root| !root.was_scanned && root.stalled_since.is_none());
         let hangs = self.roots.iter().any(|root| root.stalled_since.is_some());
         !is_waiting && (hangs || !self.frames.is_inspecting(None))
     }
 
     /// The first root that cannot be scanned, and why.
-    pub(in crate::watch) fn unavailable_root(&self) -> Option<(usize, String)> {
-        let why = |(index, root): (usize, &super::state::RootState)| Some((index, root.unavailable.clone()?));
+    pub(crate) fn unavailable_root(&self) -> Option<(usize, String)> {
+        let why = |(index, root): (usize, &RootState)| Some((index, root.unavailable.clone()?));
         self.roots.iter().enumerate().find_map(why)
     }
 
     /// Whether nothing is left that can be done. Frames whose settings cannot be measured fail for it; those that wait for
     /// a file are left, and so are frames that wait for their settings.
-    pub(in crate::watch) fn is_drained(&mut self) -> bool {
+    pub(crate) fn is_drained(&mut self) -> bool {
         let is_busy = self.frames.is_inspecting(None) || !self.dirty_sequences.is_empty();
-        if !self.is_ready() || self.queue.len() > 0 || !self.under_way.is_empty() || is_busy {
+        if !self.is_ready() || self.queue.len() > 0 || self.measuring_count > 0 || is_busy {
             return false;
         }
-        let FrameCounts { settling, stuck, queued, finding_steps, retrying, held, .. } = self.frames.counts();
-        let left_count = settling - stuck + queued + finding_steps + retrying + self.measuring_count;
-        if left_count > 0 {
+        let counts = self.frames.counts();
+        let FrameCounts { stuck, held, .. } = counts;
+        if counts.left() > stuck + held {
             return false;
         }
         let stuck = self.log_stuck();
@@ -185,50 +176,49 @@ impl Core {
 
     /// Names the frames that are left because their sentinels are missing. Returns their sequences.
     fn log_stuck(&mut self) -> HashSet<usize> {
-        let stuck = self.frames.iter().filter(|(_, frame)| frame.is_stuck());
-        let stuck: Vec<(FrameId, usize)> = stuck.map(|(id, frame)| (id.clone(), frame.sequence)).collect();
-        for (id, _) in &stuck {
+        let stuck = self.frames.ids_of(|_, frame| frame.is_stuck());
+        for id in &stuck {
             let sentinel = path_of_sentinel(self.watch(id.root), &id.path);
-            let path = Arc::clone(&id.path);
-            self.log(move || {
-                tracing::warn!(frame = %path.display(), "left: there is no newer {}", sentinel.display());
+            self.log_about(&*id.path, move |frame| {
+                tracing::warn!(%frame, "left: there is no newer {}", sentinel.display());
             });
         }
-        stuck.into_iter().map(|(_, sequence)| sequence).collect()
+        stuck.iter().filter_map(|id| self.frames.get(id)).map(|frame| frame.sequence).collect()
     }
 
     fn give_up_on_held(&mut self, stuck_sequences: &HashSet<usize>) {
-        let held = self.frames.iter().filter_map(|(id, frame)| match frame.phase {
-            Phase::Held(stamp) if !stuck_sequences.contains(&frame.sequence) => Some((id.clone(), stamp)),
-            _ => None,
-        });
-        for (id, stamp) in held.collect::<Vec<_>>() {
-            self.refuse(&id, stamp, TOO_SPARSE.to_owned());
+        let is_meant =
+            |frame: &FrameState| frame.phase == Phase::Held && !stuck_sequences.contains(&frame.sequence);
+        for id in self.frames.ids_of(|_, frame| is_meant(frame)) {
+            self.refuse(&id, TOO_SPARSE.to_owned());
         }
     }
 
     /// Begins no further frame.
-    pub(in crate::watch) fn stop(&mut self) {
+    pub(crate) fn stop(&mut self) {
         self.is_stopping = true;
     }
 
     /// Whether frames are under way that do not hang.
-    pub(in crate::watch) fn has_frames_under_way(&self, with_stalled: bool) -> bool {
-        self.under_way.keys().any(|id| with_stalled || self.may_begin(id.root))
+    pub(crate) fn has_frames_under_way(&self, with_stalled: bool) -> bool {
+        let is_under_way = |(id, frame): (&FrameId, &FrameState)| {
+            matches!(frame.phase, Phase::UnderWay(_)) && (with_stalled || self.may_begin(id.root))
+        };
+        self.frames.iter().any(is_under_way)
     }
 
-    pub(in crate::watch) fn is_stopping(&self) -> bool {
+    pub(crate) fn is_stopping(&self) -> bool {
         self.is_stopping
     }
 
     /// Whether a folder hangs.
-    pub(in crate::watch) fn has_stalled(&self) -> bool {
+    pub(crate) fn has_stalled(&self) -> bool {
         let roots = self.roots.iter().any(|root| root.stalled_since.is_some());
         roots || self.outputs.iter().any(|output| output.stalled_since.is_some())
     }
 
     /// Has all journals written to the disk; returns how many there are.
-    pub(in crate::watch) fn sync_journals(&mut self) -> usize {
+    pub(crate) fn sync_journals(&mut self) -> usize {
         for output in 0..self.outputs.len() {
             self.effects.push(Effect::Output(output, OutputRequest::Sync));
         }
@@ -236,22 +226,25 @@ impl Core {
     }
 
     /// What came of all frames; failures in natural order.
-    pub(in crate::watch) fn tally(&mut self) -> Tally {
+    pub(crate) fn summary(&self, ended: Ended) -> Summary {
         let counts = self.frames.counts();
-        let mut failed: Vec<(FrameId, Failure)> = std::mem::take(&mut self.failed).into_iter().collect();
+        let mut failed: Vec<_> = self.failed.iter().collect();
         failed.sort_by(|(a, _), (b, _)| natural_order(&a.path.to_string_lossy(), &b.path.to_string_lossy()));
-        let failed = failed.into_iter().map(|(id, Failure { reason, logged_at })| {
-            (about(&id.path, reason), logged_at.map(|logged_at| self.finished_count - logged_at))
+        let failed = failed.into_iter().map(|(id, failure)| FailedFrame {
+            what: about(&id.path, &failure.reason),
+            frames_since: failure.logged_at.map(|logged_at| self.finished_count - logged_at),
         });
         let unreadable = self.roots.iter().flat_map(|root| &root.unreadable);
-        let unreadable = unreadable.map(|(path, why)| (about(path, why.clone()), Some(self.finished_count)));
-        let left_count =
-            counts.settling + counts.held + counts.queued + counts.finding_steps + counts.retrying;
-        Tally {
+        let unreadable = unreadable.map(|(path, why)| FailedFrame {
+            what: about(path, why),
+            frames_since: Some(self.finished_count),
+        });
+        Summary {
+            ended,
             done_count: counts.done,
             broken_count: self.broken_count(),
             failed: failed.chain(unreadable).collect(),
-            left_count,
+            left_count: counts.left(),
         }
     }
 
@@ -259,16 +252,16 @@ impl Core {
     fn broken_count(&self) -> usize {
         let is_broken = |(id, frame): &(&FrameId, &FrameState)| {
             let figures = self.record_of(id).and_then(|record| record.figures.as_ref());
-            matches!(frame.phase, Phase::Done(_)) && figures.is_some_and(|figures| !figures.certificate.holds)
+            frame.phase == Phase::Done && figures.is_some_and(|figures| !figures.certificate.holds)
         };
         self.frames.iter().filter(is_broken).count()
     }
 }
 
 /// A reason that names the frame it is about.
-fn about(path: &Path, reason: String) -> String {
+fn about(path: &Path, reason: &str) -> String {
     let path = path.display().to_string();
-    if reason.contains(&path) { reason } else { format!("{path}: {reason}") }
+    if reason.contains(&path) { reason.to_owned() } else { format!("{path}: {reason}") }
 }
 
 /// Why a frame has no settings when all is said and done; convert says the same.

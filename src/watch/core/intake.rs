@@ -15,14 +15,14 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::pipeline::{FileStamp, Frame, FrameError, Job, ObstacleStamps, OutputOptions, Stage, output_path};
+use crate::pipeline::{Frame, Job, ObstacleStamps, OutputOptions, output_path};
 use crate::surface::options::Settings;
 use crate::watch::journal::{FrameRecord, OutputCheck, Standing};
 
 use super::completeness::{Candidate, Seen, path_of_sentinel};
-use super::decision::{Decision, OutputsNow, decide};
+use super::decision::{Decision, decide};
 use super::events::{
-    Complete, Contents, Found, FoundObstacleStamps, Inspect, Inspected, Recorded, RootRequest, RootScan,
+    Complete, Contents, Found, FoundObstacleStamps, Inspect, Inspected, Recorded, RootRequest, Scan,
 };
 use super::frames::{FrameId, FrameState, Phase};
 use super::sequences::SequenceSettings;
@@ -38,23 +38,22 @@ impl Core {
             return self.on_step_seen(&file, id, seen, at);
         }
         let candidate = Candidate::new(at, seen, renamed);
-        let scan_count = self.scan_count;
         let Some(frame) = self.frames.get_mut(id) else {
-            let sequence = self.sequence_of(id);
-            self.frames.insert(id, sequence, candidate, scan_count);
-            self.changed.insert(id.clone());
-            return self.inspect_candidate(id);
+            return self.add_frame(id, candidate);
         };
-        frame.scan_count = scan_count;
-        let is_same = frame.phase.stamp() == seen.stamp;
-        match &mut frame.phase {
-            Phase::Settling(candidate) => candidate.see(at, seen, renamed),
-            Phase::Done(_) if is_same => return self.check_outputs(id),
-            Phase::Steps(_) if is_same => return self.check_steps(id),
+        frame.scan_count = self.scan_count;
+        let is_same = frame.stamp == seen.stamp;
+        match frame.phase {
+            Phase::Settling(mut candidate) => {
+                candidate.see(at, seen, renamed);
+                (frame.phase, frame.stamp) = (Phase::Settling(candidate), seen.stamp);
+            }
+            Phase::Done if is_same => return self.check_outputs(id),
+            Phase::Steps if is_same => return self.check_steps(id),
+            // It is inspected again when its outcome comes.
+            Phase::UnderWay(_) => return,
             _ if is_same => return,
-            // Under way: it is inspected again when its outcome comes.
-            Phase::Queued(stamp) if !self.queue.remove(id, stamp.modified_ns) => return,
-            Phase::Steps(_) => {
+            Phase::Steps => {
                 self.unqueue_steps(id, seen, at);
                 self.settle(id, candidate);
             }
@@ -63,21 +62,29 @@ impl Core {
         self.inspect_candidate(id);
     }
 
+    /// A file, or a step of one, was seen for the first time.
+    pub(super) fn add_frame(&mut self, id: &FrameId, candidate: Candidate) {
+        let sequence = self.sequence_of(id);
+        self.frames.insert(id, sequence, candidate, self.scan_count);
+        self.changed.insert(id.clone());
+        self.inspect_candidate(id);
+    }
+
     /// Everything in a root was looked at, or could not be.
-    pub(super) fn on_root_scanned(&mut self, root: usize, found: Result<RootScan, String>, at: Instant) {
+    pub(super) fn on_root_scanned(&mut self, root: usize, found: Result<Scan, String>, at: Instant) {
         self.scan_count += 1;
-        self.count(|counters| counters.scans += 1);
+        self.counters.scans += 1;
         let is_first = !std::mem::replace(&mut self.roots[root].was_scanned, true);
-        let RootScan { files, problems, dangling, after_loss } = match found {
+        let Scan { files, problems, dangling, after_loss, .. } = match found {
             Ok(found) => found,
             Err(why) => return self.lose_root(root, why),
         };
         if after_loss && !is_first {
-            self.count(|counters| counters.rescans += 1);
+            self.counters.rescans += 1;
         }
         if self.roots[root].unavailable.take().is_some() {
             let path = self.root_path(root).to_owned();
-            self.log(move || tracing::info!(folder = %path.display(), "is there again"));
+            self.log_about(path, |folder| tracing::info!(%folder, "is there again"));
         }
         self.note_unreadable(root, &problems, dangling);
         self.on_files_scanned(root, files, at);
@@ -90,8 +97,7 @@ impl Core {
             // A step goes with its file.
             id.root == root && !id.is_step() && frame.scan_count != count && !is_hidden(id)
         };
-        let gone = self.frames.iter().filter(|(id, frame)| is_gone(id, frame));
-        for id in gone.map(|(id, _)| id.clone()).collect::<Vec<_>>() {
+        for id in self.frames.ids_of(is_gone) {
             self.forget(&id);
         }
     }
@@ -122,20 +128,16 @@ impl Core {
             .map(|(path, why)| (path.clone(), why.clone()))
             .collect();
         for (path, why) in news {
-            self.log(move || tracing::error!(path = %path.display(), "cannot be read: {why}"));
+            self.log_about(path, move |path| tracing::error!(%path, "cannot be read: {why}"));
         }
     }
 
     /// A root is gone, or came up empty: nothing is forgotten, and the daemon waits for it.
     fn lose_root(&mut self, root: usize, why: String) {
-        if self.roots[root].unavailable.as_ref() != Some(&why) {
-            let (path, reason) = (self.root_path(root).to_owned(), why.clone());
-            if !self.config.once {
-                self.log(move || {
-                    tracing::warn!(folder = %path.display(), "unavailable: {reason}; waiting for it");
-                });
-            }
-            self.roots[root].unavailable = Some(why);
+        let known = self.roots[root].unavailable.replace(why.clone());
+        if known.as_ref() != Some(&why) && !self.config.once {
+            let path = self.root_path(root).to_owned();
+            self.log_about(path, move |folder| tracing::warn!(%folder, "unavailable: {why}; waiting for it"));
         }
     }
 
@@ -148,36 +150,38 @@ impl Core {
                 && id.path.parent() == path.parent()
                 && path_of_sentinel(watch, &id.path) == path
         };
-        let waiting = self.frames.iter().filter(|(id, frame)| is_waiting(id, frame));
-        for id in waiting.map(|(id, _)| id.clone()).collect::<Vec<_>>() {
+        for id in self.frames.ids_of(is_waiting) {
             self.inspect_candidate(&id);
         }
     }
 
     /// A file changed: whatever is known of the frame is of an earlier one.
     pub(super) fn settle(&mut self, id: &FrameId, candidate: Candidate) {
+        self.unqueue(id);
         self.set_phase(id, Phase::Settling(candidate));
         self.failed.remove(id);
-        self.refused.remove(id);
         if let Some(frame) = self.frames.get_mut(id) {
-            frame.attempt_count = 0;
-            self.sequences.get_mut(frame.sequence).sparse.remove(id);
+            (frame.stamp, frame.attempt_count, frame.is_sparse) = (*candidate.stamp(), 0, false);
+        }
+    }
+
+    fn unqueue(&mut self, id: &FrameId) {
+        if let Some(FrameState { phase: Phase::Queued, stamp, .. }) = self.frames.get(id) {
+            self.queue.remove(id, stamp.modified_ns);
         }
     }
 
     /// A file is not there any more. A frame that is under way is finished: its outcome says what to do.
     pub(super) fn forget(&mut self, id: &FrameId) {
         let Some(frame) = self.frames.get(id) else { return };
-        if let Phase::Queued(stamp) = frame.phase
-            && !self.queue.remove(id, stamp.modified_ns)
-        {
+        if matches!(frame.phase, Phase::UnderWay(_)) {
             return;
         }
         // Frames that waited for its settings need not wait any longer.
         self.dirty_sequences.insert(frame.sequence);
+        self.unqueue(id);
         self.frames.remove(id);
         self.failed.remove(id);
-        self.refused.remove(id);
         self.changed.insert(id.clone());
         self.release_claim(id);
         self.forget_steps(id);
@@ -190,12 +194,11 @@ impl Core {
             return;
         }
         self.claims.remove(&claimed);
-        for rival in self.refused.iter().cloned().collect::<Vec<_>>() {
-            if self.claimed_stem(&rival) == claimed && self.frames.get(&rival).is_some() {
-                self.refused.remove(&rival);
-                self.failed.remove(&rival);
-                self.inspect(&rival, None, None);
-            }
+        let is_rival =
+            |(id, failure): &(&FrameId, &Failure)| failure.is_refusal && self.claimed_stem(id) == claimed;
+        for rival in self.failed.iter().filter(is_rival).map(|(id, _)| id.clone()).collect::<Vec<_>>() {
+            self.failed.remove(&rival);
+            self.inspect(&rival, None, None);
         }
     }
 
@@ -206,8 +209,9 @@ impl Core {
         {
             // The file of a step is inspected instead of the step.
             let candidate = (!id.is_step()).then_some(candidate);
-            let recorded = self.recorded(id);
-            self.inspect(id, candidate, recorded);
+            let outputs = self.output_paths(id);
+            let recorded = self.recorded(id, &outputs);
+            self.request_inspection(id, false, outputs, candidate, recorded);
         }
     }
 
@@ -222,39 +226,35 @@ impl Core {
 
     /// Inspects whether a file is still what it was.
     pub(super) fn check_stamp(&mut self, id: &FrameId) {
-        self.request_inspection(id, |inspect| Inspect { only_stamp: true, ..inspect });
+        self.request_inspection(id, true, Vec::new(), None, None);
     }
 
     /// Inspects a file: whether it may stay as it is recorded, then whether it is complete, then what it is.
     pub(super) fn inspect(&mut self, id: &FrameId, candidate: Option<Candidate>, recorded: Option<Recorded>) {
-        self.request_inspection(id, |inspect| Inspect { candidate, recorded, ..inspect });
+        let outputs = self.output_paths(id);
+        self.request_inspection(id, false, outputs, candidate, recorded);
     }
 
-    fn request_inspection(&mut self, id: &FrameId, with: impl FnOnce(Inspect) -> Inspect) {
-        let Some(stamp) = self.frames.get(id).map(|frame| frame.phase.stamp()) else { return };
-        let outputs = self.output_paths(id);
-        let Some(number) = self.frames.begin_inspection(id) else { return };
-        let inspect = Inspect {
-            id: id.clone(),
-            number,
-            stamp,
-            only_stamp: false,
-            recorded: None,
-            candidate: None,
-            outputs,
-        };
-        self.request(id.root, RootRequest::Inspect(Box::new(with(inspect))));
+    fn request_inspection(
+        &mut self,
+        id: &FrameId,
+        only_stamp: bool,
+        outputs: Vec<PathBuf>,
+        candidate: Option<Candidate>,
+        recorded: Option<Recorded>,
+    ) {
+        let Some((number, stamp)) = self.frames.begin_inspection(id) else { return };
+        let inspect = Inspect { id: id.clone(), number, stamp, only_stamp, recorded, candidate, outputs };
+        self.request(id.root, RootRequest::Inspect(Box::new(inspect)));
     }
 
     /// What the journal says of exactly this file, if it stays as it is while its outputs and obstacles are as recorded.
-    fn recorded(&mut self, id: &FrameId) -> Option<Recorded> {
-        let wanted = self.output_paths(id);
+    fn recorded(&self, id: &FrameId, wanted: &[PathBuf]) -> Option<Recorded> {
         let record = Arc::clone(self.output(id.root).journal.frames.get(&*id.path)?);
         let frame = self.frames.get(id)?;
         // The record may be of the same file in another root, whose outputs lie elsewhere.
         let is_recorded = |path: &PathBuf| record.outputs.iter().any(|output| output.path == *path);
         let unrecorded = wanted.iter().find(|path| !is_recorded(path));
-        let outputs = unrecorded.map_or(OutputsNow::AsRecorded, |path| OutputsNow::Missing(path));
         let sequence = self.sequences.get(frame.sequence);
         let settings = match &sequence.settings {
             SequenceSettings::Fixed(settings, fingerprint) if !self.roots[id.root].obstacles.is_empty() => {
@@ -266,7 +266,8 @@ impl Core {
             Some(_) => record.settings.clone(),
             None => sequence.fingerprint(None),
         };
-        let decision = decide(Some(&*record), &frame.phase.stamp(), &fingerprint, outputs);
+        let unrecorded = unrecorded.map(PathBuf::as_path);
+        let decision = decide(Some(&*record), &frame.stamp, &fingerprint, unrecorded, None);
         matches!(decision, Decision::Skip(_)).then_some(Recorded { record, settings })
     }
 
@@ -277,8 +278,8 @@ impl Core {
             return;
         }
         let Some(frame) = self.frames.get_mut(&id) else { return };
-        let stamp = frame.phase.stamp();
         let is_settling = matches!(frame.phase, Phase::Settling(_));
+        let bytes = frame.stamp.size;
         frame.obstacles = obstacles;
         // Its sequence may have waited for this.
         self.dirty_sequences.insert(frame.sequence);
@@ -286,111 +287,99 @@ impl Core {
             Found::Gone => self.forget(&id),
             Found::Unreadable(error) => self.on_file_unreadable(&id, error),
             Found::Changed(seen, at) => self.on_file_seen(&id, &seen, at, false),
-            Found::AsRecorded if is_settling => self.take_record(&id, stamp),
+            Found::AsRecorded if is_settling => self.take_record(&id),
             Found::OutputsAway if is_settling => self.frames.set_alarm(&id, self.now.at + AWAY_RETRY),
             Found::Same | Found::AsRecorded | Found::OutputsAway => {}
             Found::Waiting { until, why } => {
-                let path = Arc::clone(&id.path);
-                self.log(move || {
-                    tracing::debug!(frame = %path.display(), bytes = stamp.size, "waiting because {why}");
-                });
+                self.log_about(
+                    &*id.path,
+                    move |frame| tracing::debug!(%frame, bytes, "waiting because {why}"),
+                );
                 if let Some(until) = until {
                     self.frames.set_alarm(&id, until);
                 }
             }
-            Found::Complete(complete) => self.on_complete(&id, stamp, complete),
+            Found::Complete(complete) => self.on_complete(&id, complete),
         }
     }
 
     /// A frame is as the journal says.
-    fn take_record(&mut self, id: &FrameId, stamp: FileStamp) {
+    fn take_record(&mut self, id: &FrameId) {
         let Some(record) = self.record_of(id).map(Arc::clone) else { return };
-        if record.standing == Standing::Done {
+        let phase = match record.standing {
             // Its outputs are its own, also when another input comes that would have the same.
-            match self.free_stem(id) {
-                Ok(claimed) => self.claims.insert(claimed, id.clone()),
-                Err(conflict) => return self.refuse(id, stamp, conflict),
-            };
-        } else {
-            let reason = record.reason.clone().unwrap_or_default();
-            self.failed.insert(id.clone(), Failure { reason, logged_at: None });
-        }
+            Standing::Done if self.claim_outputs(id, None) => Phase::Done,
+            Standing::Done => return,
+            _ => {
+                let reason = record.reason.clone().unwrap_or_default();
+                self.failed.insert(id.clone(), Failure { reason, logged_at: None, is_refusal: false });
+                Phase::Failed
+            }
+        };
         // Obstacles may be written again later.
         if !self.roots[id.root].obstacles.is_empty()
             && let Some(frame) = self.frames.get_mut(id)
         {
             frame.made_with.clone_from(&record.settings);
         }
-        let is_done = record.standing == Standing::Done;
-        self.set_phase(id, if is_done { Phase::Done(stamp) } else { Phase::Failed(stamp) });
+        self.set_phase(id, phase);
     }
 
     /// A file is complete.
-    fn on_complete(&mut self, id: &FrameId, stamp: FileStamp, complete: Complete) {
+    fn on_complete(&mut self, id: &FrameId, complete: Complete) {
         let Complete { proof, changed_output, contents, conflict } = complete;
-        let path = Arc::clone(&id.path);
-        let is_done = matches!(self.frames.get(id).map(|frame| &frame.phase), Some(Phase::Done(_)));
-        match (proof, changed_output) {
-            (Some(proof), _) => self.log(move || tracing::debug!(frame = %path.display(), "ready: {proof}")),
-            (None, Some((output, OutputCheck::Missing))) if is_done => self.log(move || {
-                tracing::info!(frame = %path.display(), "{} is gone: converted again", output.display());
-            }),
-            (None, Some((output, _))) if is_done => self.log(move || {
-                let what = "has changed: its content is compared";
-                tracing::info!(frame = %path.display(), "{} {what}", output.display());
-            }),
+        let is_done = self.frames.phase(id) == Some(Phase::Done);
+        self.log_about(&*id.path, move |frame| match (proof, changed_output) {
+            (Some(proof), _) => tracing::debug!(%frame, "ready: {proof}"),
+            (None, Some((output, check))) if is_done => {
+                let what = match check {
+                    OutputCheck::Missing => "is gone: converted again",
+                    _ => "has changed: its content is compared",
+                };
+                tracing::info!(%frame, "{} {what}", output.display());
+            }
             _ => {}
-        }
+        });
         match contents {
             Contents::NotParticles => {
                 self.forget_steps(id);
-                self.set_phase(id, Phase::Ignored(stamp));
+                self.set_phase(id, Phase::Ignored);
             }
-            Contents::MaybeSteps => self.find_steps(id, stamp, conflict),
+            Contents::MaybeSteps => self.find_steps(id, conflict),
             // It may pass: the steps are not forgotten for it.
-            Contents::Unreadable(error) => {
-                self.failed_frame(id, stamp, &FrameError::file(&id.path, Stage::Read, error), None);
-            }
+            Contents::Unreadable(error) => self.on_file_unreadable(id, error),
             Contents::Frame => {
                 if !id.is_step() {
                     self.forget_steps(id);
                 }
-                self.hold(id, stamp, conflict);
+                self.hold(id, conflict);
             }
         }
     }
 
     /// A frame is there to be converted, unless its outputs would replace another file.
-    pub(super) fn hold(&mut self, id: &FrameId, stamp: FileStamp, conflict: Option<String>) {
-        match self.free_stem(id).and_then(|claimed| conflict.map_or(Ok(claimed), Err)) {
-            Ok(claimed) => self.claims.insert(claimed, id.clone()),
-            Err(conflict) => return self.refuse(id, stamp, conflict),
-        };
-        self.set_phase(id, Phase::Held(stamp));
-        self.release(id);
+    pub(super) fn hold(&mut self, id: &FrameId, conflict: Option<String>) {
+        if self.claim_outputs(id, conflict) {
+            self.set_phase(id, Phase::Held);
+            self.release(id);
+        }
     }
 
     /// Queues a frame that is held, if its sequence has settings.
     pub(super) fn release(&mut self, id: &FrameId) {
-        let Some(frame) = self.frames.get(id) else { return };
-        let (sequence, stamp) = (frame.sequence, frame.phase.stamp());
-        match &self.sequences.get(sequence).settings {
-            SequenceSettings::Fixed(settings, _) => {
-                let settings = Arc::clone(settings);
-                self.enqueue(id, stamp, settings);
-            }
-            SequenceSettings::Impossible(why) => {
-                let why = why.clone();
-                self.fail_for_good(id, stamp, why);
-            }
+        let Some(sequence) = self.frames.get(id).map(|frame| frame.sequence) else { return };
+        match self.sequences.get(sequence).settings.clone() {
+            SequenceSettings::Fixed(settings, _) => self.enqueue(id, settings),
+            SequenceSettings::Impossible(why) => self.fail_for_good(id, why),
             SequenceSettings::Unknown(_) | SequenceSettings::BeingMeasured => {
                 self.dirty_sequences.insert(sequence);
             }
         }
     }
 
-    fn enqueue(&mut self, id: &FrameId, stamp: FileStamp, settings: Arc<Settings>) {
+    fn enqueue(&mut self, id: &FrameId, settings: Arc<Settings>) {
         let Some(frame) = self.frames.get_mut(id) else { return };
+        let modified_ns = frame.stamp.modified_ns;
         let sequence = self.sequences.get(frame.sequence);
         frame.made_with = sequence.fingerprint(frame.obstacles.as_deref());
         let framing = sequence.framing.clone();
@@ -405,9 +394,9 @@ impl Core {
             obstacles: Arc::clone(&self.roots[id.root].obstacles),
             framing,
         };
-        self.set_phase(id, Phase::Queued(stamp));
-        self.note(id, Standing::Queued, stamp, None, None);
-        self.queue.push(id, Box::new(frame), stamp.modified_ns);
+        self.set_phase(id, Phase::Queued);
+        self.note(id, Standing::Queued, None, None);
+        self.queue.push(id, Box::new(frame), modified_ns);
     }
 
     /// Asks for the obstacles of the frames of a root that have ended: of those that went around obstacles, or failed for
@@ -424,7 +413,8 @@ impl Core {
     /// Frames are converted again if an obstacle of theirs was written since.
     pub(super) fn on_obstacles_stamped(&mut self, root: usize, stamps: &FoundObstacleStamps) {
         let is_stale = |id: &FrameId, frame: &FrameState| {
-            let was_begun = !frame.made_with.is_empty() && !self.refused.contains(id);
+            let is_refused = self.failed.get(id).is_some_and(|failure| failure.is_refusal);
+            let was_begun = !frame.made_with.is_empty() && !is_refused;
             if id.root != root || !has_ended(frame) || !was_begun {
                 return false;
             }
@@ -437,13 +427,11 @@ impl Core {
                 self.sequences.get(frame.sequence).fingerprint(Some(stamps.as_ref())) != frame.made_with
             })
         };
-        let stale = self.frames.iter().filter(|(id, frame)| is_stale(id, frame));
-        let mut stale: Vec<FrameId> = stale.map(|(id, _)| id.clone()).collect();
+        let mut stale = self.frames.ids_of(is_stale);
         stale.sort();
         for id in stale {
-            let path = Arc::clone(&id.path);
-            self.log(move || {
-                tracing::info!(frame = %path.display(), "an obstacle was written again: converted again");
+            self.log_about(&*id.path, |frame| {
+                tracing::info!(%frame, "an obstacle was written again: converted again");
             });
             self.failed.remove(&id);
             if let Some(frame) = self.frames.get_mut(&id) {
@@ -470,19 +458,26 @@ impl Core {
         outputs.formats.iter().map(|&format| output_path(&outputs.folder, &stem, format)).collect()
     }
 
-    /// What a frame's outputs are called, if no other frame's are called so.
-    fn free_stem(&mut self, id: &FrameId) -> Result<PathBuf, String> {
+    /// Claims the names of a frame's outputs for it. Where they are another's, or there is another conflict, the frame is
+    /// refused, and this returns false.
+    fn claim_outputs(&mut self, id: &FrameId, conflict: Option<String>) -> bool {
         let claimed = self.claimed_stem(id);
         let is_another = |owner: &&FrameId| *owner != id && self.frames.get(owner).is_some();
-        match self.claims.get(&claimed).filter(is_another) {
-            None => Ok(claimed),
-            Some(owner) => Err(format!(
+        let owned = self.claims.get(&claimed).filter(is_another).map(|owner| {
+            format!(
                 "{} and {} would both become {}.*; the first of them has it",
                 owner.path.display(),
                 id.path.display(),
                 claimed.display(),
-            )),
+            )
+        });
+        let conflict = owned.or(conflict);
+        let is_free = conflict.is_none();
+        match conflict {
+            Some(conflict) => self.refuse(id, conflict),
+            None => drop(self.claims.insert(claimed, id.clone())),
         }
+        is_free
     }
 
     /// What the outputs of a frame are called, but for their extensions.
@@ -510,5 +505,5 @@ impl Core {
 
 /// Whether a frame is done, or has failed.
 fn has_ended(frame: &FrameState) -> bool {
-    matches!(frame.phase, Phase::Done(_) | Phase::Failed(_))
+    matches!(frame.phase, Phase::Done | Phase::Failed)
 }

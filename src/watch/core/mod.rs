@@ -12,22 +12,19 @@
 
 pub mod completeness;
 pub mod decision;
-pub(in crate::watch) mod disk_guard;
-pub(in crate::watch) mod events;
-pub(in crate::watch) mod file_steps;
-pub(in crate::watch) mod frames;
+pub(crate) mod disk_guard;
+pub(crate) mod events;
+pub(crate) mod frames;
 mod handle;
 mod intake;
 mod outcomes;
-pub(in crate::watch) mod publish;
+pub(crate) mod publish;
 mod queue;
 mod retry;
-pub(in crate::watch) mod sequences;
+pub(crate) mod sequences;
 mod settle;
-pub(in crate::watch) mod state;
+pub(crate) mod state;
 mod steps;
 
 #[cfg(test)]
 mod tests;
-
-pub(in crate::watch) use handle::Tally;

@@ -5,9 +5,9 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::pipeline::{FileStamp, FrameError, FrameReport, Outcome, ReadInput, Scope, Stage, Warning};
-use crate::watch::board::Figures;
+use crate::pipeline::{FrameError, FrameReport, Outcome, ReadInput, Scope, Stage, Warning};
 use crate::watch::journal::{Entry, FrameRecord, OutputRecord, Standing};
+use crate::watch::status_store::Figures;
 
 use super::completeness::{Candidate, Seen};
 use super::events::{Finished, Log};
@@ -19,20 +19,19 @@ impl Core {
     /// A pipeline is finished with a frame.
     pub(super) fn on_finished(&mut self, finished: Finished) {
         let Finished { id, outputs, outcome, free_bytes } = finished;
-        self.under_way.remove(&id);
         self.finished_count += 1;
-        let Some(stamp) = self.frames.get(&id).map(|frame| frame.phase.stamp()) else { return };
+        let Some(frame) = self.frames.get_mut(&id) else { return };
+        // Also if the pipeline was closed before it began the frame.
+        frame.phase = Phase::Queued;
         match outcome {
             Outcome::Converted(report) => self.on_converted(&id, &report, outputs),
             Outcome::AlreadyDone { input, .. } => self.on_already_done(&id, &input, outputs),
             Outcome::Changed => {
-                let path = Arc::clone(&id.path);
                 let what = "was written while it was read: it is read again";
-                self.log(move || tracing::info!(frame = %path.display(), "{what}"));
+                self.log_about(&*id.path, move |frame| tracing::info!(%frame, "{what}"));
                 return self.start_over(&id);
             }
-            Outcome::Failed(error) => self.failed_frame(&id, stamp, &error, free_bytes),
-            // The pipeline was closed before the frame was begun.
+            Outcome::Failed(error) => self.failed_frame(&id, &error, free_bytes),
             Outcome::NotStarted => {}
         }
         self.check_again(&id);
@@ -47,9 +46,7 @@ impl Core {
         let skin = &report.skin;
         let seconds = report.seconds.total();
         let figures = Arc::new(Figures::of(report));
-        let (input_bytes, output_bytes) = (report.input.stamp.size, report.output_bytes.iter().sum());
-        let counted = Arc::clone(&figures);
-        self.count(move |counters| counters.add_converted(&counted, input_bytes, output_bytes));
+        self.counters.add_converted(&figures, report.input.stamp.size, report.output_bytes.iter().sum());
         let record = FrameRecord {
             outputs,
             hash: Some(report.input.hash),
@@ -57,7 +54,8 @@ impl Core {
             seconds: Some(rounded(seconds)),
             flaws: report.all_warnings().iter().filter(|w| w.is_flaw()).map(Warning::to_string).collect(),
             figures: Some(Arc::clone(&figures)),
-            ..self.new_record(id, Standing::Done, report.input.stamp)
+            stamp: report.input.stamp,
+            ..self.new_record(id, Standing::Done)
         };
         let (path, queue) = (Arc::clone(&id.path), self.queue.len());
         self.note_done(
@@ -103,45 +101,33 @@ impl Core {
     }
 
     fn on_already_done(&mut self, id: &FrameId, input: &ReadInput, outputs: Vec<OutputRecord>) {
-        let record =
-            FrameRecord { hash: Some(input.hash), ..self.new_record(id, Standing::Done, input.stamp) };
+        let record = self.new_record(id, Standing::Done);
         // What was measured when these very outputs were written is still true of them.
         let known = self.record_of(id).filter(|known| are_the_same(&known.outputs, &outputs));
-        let record = match known.map(|known| FrameRecord::clone(known)) {
-            Some(FrameRecord { particle_count, seconds, flaws, figures, .. }) => {
-                FrameRecord { particle_count, seconds, flaws, figures, ..record }
-            }
-            None => record,
-        };
-        self.count(|counters| counters.found_done += 1);
+        let record = with_measurements(record, known);
+        let record = FrameRecord { stamp: input.stamp, hash: Some(input.hash), outputs, ..record };
+        self.counters.found_done += 1;
         let (path, queue) = (Arc::clone(&id.path), self.queue.len());
         let log = Log::new(move || tracing::info!(frame = %path.display(), queue, "was done already"));
-        self.note_done(id, FrameRecord { outputs, ..record }, log);
+        self.note_done(id, record, log);
     }
 
     fn note_done(&mut self, id: &FrameId, record: FrameRecord, log: Log) {
         let Some(frame) = self.frames.get_mut(id) else { return };
-        frame.attempt_count = 0;
+        (frame.stamp, frame.attempt_count) = (record.stamp, 0);
         self.failed.remove(id);
-        self.set_phase(id, Phase::Done(record.stamp));
+        self.set_phase(id, Phase::Done);
         let entry = Entry::Frame { input: Arc::clone(&id.path), record: Arc::new(record) };
         self.record(self.output_of[id.root], entry, Some(log));
     }
 
     /// A frame failed: what now depends on why.
-    pub(super) fn failed_frame(
-        &mut self,
-        id: &FrameId,
-        stamp: FileStamp,
-        error: &FrameError,
-        free_bytes: Option<u64>,
-    ) {
+    pub(super) fn failed_frame(&mut self, id: &FrameId, error: &FrameError, free_bytes: Option<u64>) {
         let (now, reason) = (self.now.at, error.to_string());
         match recovery(error) {
             Recovery::Forget => {
-                let path = Arc::clone(&id.path);
-                self.log(move || tracing::info!(frame = %path.display(), "is gone"));
-                self.set_phase(id, Phase::Failed(stamp));
+                self.log_about(&*id.path, |frame| tracing::info!(%frame, "is gone"));
+                self.set_phase(id, Phase::Failed);
                 self.forget(id);
             }
             Recovery::AwaitSpace => {
@@ -153,24 +139,24 @@ impl Core {
                     true => self.guard.on_full(folder, free_bytes, now),
                     false => self.guard.on_refusal(reason.clone(), now),
                 }
-                self.retry_at(id, stamp, now, &reason, |path, why| {
+                self.retry_at(id, now, &reason, |path, why| {
                     tracing::warn!(frame = %path.display(), "{why}: paused until that has changed");
                 });
             }
-            Recovery::Retry => self.fail_for_now(id, stamp, reason, now),
-            Recovery::AwaitRestart => self.fail(id, Standing::GivenUp, stamp, reason),
-            Recovery::GiveUp => self.fail_for_good(id, stamp, reason),
+            Recovery::Retry => self.fail_for_now(id, reason, now),
+            Recovery::AwaitRestart => self.fail(id, Standing::GivenUp, reason),
+            Recovery::GiveUp => self.fail_for_good(id, reason),
         }
     }
 
-    fn fail_for_now(&mut self, id: &FrameId, stamp: FileStamp, reason: String, now: Instant) {
+    fn fail_for_now(&mut self, id: &FrameId, reason: String, now: Instant) {
         let Some(frame) = self.frames.get_mut(id) else { return };
         frame.attempt_count += 1;
         let attempt = frame.attempt_count;
         let Some(wait) = backoff(attempt, self.config.once) else {
-            return self.fail(id, Standing::GivenUp, stamp, reason);
+            return self.fail(id, Standing::GivenUp, reason);
         };
-        self.retry_at(id, stamp, now + wait, &reason, move |path, why| {
+        self.retry_at(id, now + wait, &reason, move |path, why| {
             tracing::warn!(frame = %path.display(), attempt, "{why}; again in {wait:?}");
         });
     }
@@ -178,35 +164,33 @@ impl Core {
     fn retry_at(
         &mut self,
         id: &FrameId,
-        stamp: FileStamp,
         at: Instant,
         reason: &str,
         log: impl FnOnce(&Path, &str) + Send + 'static,
     ) {
-        self.count(|counters| counters.retries += 1);
-        self.set_phase(id, Phase::Retrying(stamp, at));
+        self.counters.retries += 1;
+        self.set_phase(id, Phase::Retrying(at));
         let (path, why) = (Arc::clone(&id.path), reason.to_owned());
         let log = Log::new(move || log(&path, &why));
-        self.note(id, Standing::Retrying, stamp, Some(reason.to_owned()), Some(log));
+        self.note(id, Standing::Retrying, Some(reason.to_owned()), Some(log));
         self.frames.set_alarm(id, at);
     }
 
     /// A frame is not tried again until its file changes.
-    pub(super) fn fail_for_good(&mut self, id: &FrameId, stamp: FileStamp, reason: String) {
-        self.fail(id, Standing::Failed, stamp, reason);
+    pub(super) fn fail_for_good(&mut self, id: &FrameId, reason: String) {
+        self.fail(id, Standing::Failed, reason);
         self.release_claim(id);
     }
 
     /// Other files keep a frame from being converted. They may change without it, so it is looked at again
     /// after a restart.
-    pub(super) fn refuse(&mut self, id: &FrameId, stamp: FileStamp, reason: String) {
-        self.fail(id, Standing::Refused, stamp, reason);
-        self.refused.insert(id.clone());
+    pub(super) fn refuse(&mut self, id: &FrameId, reason: String) {
+        self.fail(id, Standing::Refused, reason);
     }
 
     /// A frame is not tried again until its file changes, or, as its standing says, after a restart.
-    fn fail(&mut self, id: &FrameId, standing: Standing, stamp: FileStamp, reason: String) {
-        self.set_phase(id, Phase::Failed(stamp));
+    fn fail(&mut self, id: &FrameId, standing: Standing, reason: String) {
+        self.set_phase(id, Phase::Failed);
         let attempts = self.frames.get(id).map_or(0, |frame| frame.attempt_count);
         let (path, why) = (Arc::clone(&id.path), reason.clone());
         let log = Log::new(move || match standing {
@@ -215,32 +199,33 @@ impl Core {
             }
             _ => tracing::error!(frame = %path.display(), "{why}"),
         });
-        self.note(id, standing, stamp, Some(reason.clone()), Some(log));
-        self.failed.insert(id.clone(), Failure { reason, logged_at: Some(self.finished_count) });
-        self.count(|counters| counters.failures += 1);
+        self.note(id, standing, Some(reason.clone()), Some(log));
+        let (logged_at, is_refusal) = (Some(self.finished_count), standing == Standing::Refused);
+        self.failed.insert(id.clone(), Failure { reason, logged_at, is_refusal });
+        self.counters.failures += 1;
     }
 
     /// A frame asked to be inspected now.
     pub(super) fn on_alarm(&mut self, id: &FrameId) {
-        match self.frames.get(id).map(|frame| &frame.phase) {
+        match self.frames.phase(id) {
             Some(Phase::Settling(_)) => self.inspect_candidate(id),
-            Some(Phase::Retrying(_, at)) if *at > self.now.at => self.frames.set_alarm(id, *at),
-            Some(Phase::Retrying(..)) => self.inspect(id, None, None),
+            Some(Phase::Retrying(at)) if at > self.now.at => self.frames.set_alarm(id, at),
+            Some(Phase::Retrying(_)) => self.inspect(id, None, None),
             _ => {}
         }
     }
 
     /// Waits once more until a file is complete, whatever is known of it.
     pub(super) fn start_over(&mut self, id: &FrameId) {
-        let Some(stamp) = self.frames.get(id).map(|frame| frame.phase.stamp()) else { return };
+        let Some(stamp) = self.frames.get(id).map(|frame| frame.stamp) else { return };
         self.settle(id, Candidate::new(self.now.at, &Seen { stamp, age: None }, false));
         self.inspect_candidate(id);
     }
 
     /// A file that was under way may have been written again meanwhile, or be gone.
     pub(super) fn check_again(&mut self, id: &FrameId) {
-        match self.frames.get(id).map(|frame| &frame.phase) {
-            Some(Phase::Done(_)) => self.check_outputs(id),
+        match self.frames.phase(id) {
+            Some(Phase::Done) => self.check_outputs(id),
             Some(Phase::Settling(_)) | None => {}
             Some(_) => self.check_stamp(id),
         }
@@ -248,8 +233,10 @@ impl Core {
 
     /// A file is there, and the system refuses to say more.
     pub(super) fn on_file_unreadable(&mut self, id: &FrameId, error: io::Error) {
-        let Some(stamp) = self.frames.get(id).map(|frame| frame.phase.stamp()) else { return };
-        self.failed_frame(id, stamp, &FrameError::file(&id.path, Stage::Read, error), None);
+        if self.frames.get(id).is_none() {
+            return;
+        }
+        self.failed_frame(id, &FrameError::file(&id.path, Stage::Read, error), None);
     }
 
     /// Records how far a frame has come.
@@ -257,19 +244,16 @@ impl Core {
         &mut self,
         id: &FrameId,
         standing: Standing,
-        stamp: FileStamp,
         reason: Option<String>,
         log: Option<Log>,
     ) {
-        let mut record = FrameRecord { reason, ..self.new_record(id, standing, stamp) };
         // A frame that is inspected again may turn out to be done: its outputs, and what was measured when they were
         // written, are remembered until then.
-        if matches!(standing, Standing::Queued | Standing::Retrying)
-            && let Some(known) = self.record_of(id)
-        {
-            let FrameRecord { outputs, particle_count, seconds, flaws, figures, .. } = (**known).clone();
-            record = FrameRecord { outputs, particle_count, seconds, flaws, figures, ..record };
-        }
+        let is_kept = matches!(standing, Standing::Queued | Standing::Retrying);
+        let known = self.record_of(id).filter(|_| is_kept);
+        let outputs = known.map_or(Vec::new(), |known| known.outputs.clone());
+        let record = with_measurements(self.new_record(id, standing), known);
+        let record = FrameRecord { reason, outputs, ..record };
         let entry = Entry::Frame { input: Arc::clone(&id.path), record: Arc::new(record) };
         self.record(self.output_of[id.root], entry, log);
         self.changed.insert(id.clone());
@@ -284,11 +268,11 @@ impl Core {
         }
     }
 
-    fn new_record(&self, id: &FrameId, standing: Standing, stamp: FileStamp) -> FrameRecord {
+    fn new_record(&self, id: &FrameId, standing: Standing) -> FrameRecord {
         let frame = self.frames.get(id);
         FrameRecord {
             standing,
-            stamp,
+            stamp: frame.map(|frame| frame.stamp).unwrap_or_default(),
             hash: None,
             settings: frame.map_or(String::new(), |frame| self.made_with(frame)),
             outputs: Vec::new(),
@@ -301,6 +285,13 @@ impl Core {
             figures: None,
         }
     }
+}
+
+/// The record with what was measured when the known one was made.
+fn with_measurements(record: FrameRecord, known: Option<&Arc<FrameRecord>>) -> FrameRecord {
+    let Some(known) = known else { return record };
+    let FrameRecord { particle_count, seconds, flaws, figures, .. } = FrameRecord::clone(known);
+    FrameRecord { particle_count, seconds, flaws, figures, ..record }
 }
 
 /// Whether these are the same files with the same bytes.

@@ -7,44 +7,37 @@ use std::path::{Component, Path};
 use serde_json::{Value, json};
 
 use crate::pipeline::{SequenceRecord, text_of_name};
-use crate::watch::board::{FrameState, FrameSummary, FrameView, OutputView, Status};
 use crate::watch::config::{Config, Order, Poll, Watch};
 use crate::watch::journal::{FrameRecord, Standing};
+use crate::watch::status_store::{FrameState, FrameSummary, FrameView, OutputView, Status, StatusStore};
 
 use super::frames::{FrameCounts, FrameId, Phase};
 use super::sequences::SequenceSettings;
 use super::state::Core;
 
-/// A frame as it is to be shown.
-pub(in crate::watch) enum Shown {
-    Frame(Box<FrameView>),
-    /// It is gone, or is no frame.
-    Removed(String),
-}
-
 impl Core {
-    /// The frames that have changed since this was called last.
-    pub(in crate::watch) fn take_changed_frames(&mut self) -> Vec<Shown> {
-        let changed = std::mem::take(&mut self.changed);
-        changed.iter().map(|id| self.shown(id)).collect()
+    /// Shows what has changed since this was called last.
+    pub(crate) fn publish(&mut self, store: Option<&StatusStore>) {
+        let frames = std::mem::take(&mut self.changed);
+        let sequences = std::mem::take(&mut self.changed_sequences);
+        let Some(store) = store else { return };
+        store.set_counters(self.counters.clone());
+        frames.iter().for_each(|id| self.show(id, store));
+        for (name, record) in sequences.into_iter().filter_map(|index| self.shown_sequence(index)) {
+            store.set_sequence(name, record);
+        }
     }
 
-    /// The sequences that have got settings since this was called last, by name.
-    pub(in crate::watch) fn take_changed_sequences(&mut self) -> Vec<(String, SequenceRecord)> {
-        let changed = std::mem::take(&mut self.changed_sequences);
-        changed.into_iter().filter_map(|index| self.shown_sequence(index)).collect()
-    }
-
-    fn shown(&self, id: &FrameId) -> Shown {
+    fn show(&self, id: &FrameId, store: &StatusStore) {
         let name = self.shown_name(id.root, self.root_path(id.root), &id.path);
         let frame = self.frames.get(id);
-        let Some((frame, state)) = frame.and_then(|frame| Some((frame, state_of(&frame.phase)?))) else {
-            return Shown::Removed(name);
+        let Some((frame, state)) = frame.and_then(|frame| Some((frame, state_of(frame.phase)?))) else {
+            return store.remove(&name);
         };
         // Only a pipeline knows the stage of a frame that it has.
         let record = self.record_of(id).map(|record| &**record);
         // That of an earlier file, or of an earlier failure, says nothing of this one.
-        let record = record.filter(|record| is_about(record, &frame.phase));
+        let record = record.filter(|record| is_about(record, frame.phase));
         let done = record.filter(|_| state == FrameState::Done);
         let outputs: Vec<OutputView> = done.map_or_else(Vec::new, |record| self.shown_outputs(id, record));
         let failure = self.failed.get(id).map(|failure| failure.reason.clone());
@@ -52,7 +45,7 @@ impl Core {
         let named = |ending: &str| outputs.iter().find(|output| output.name.ends_with(ending));
         let [surface, picture] =
             [".glb", ".png"].map(|ending| named(ending).map(|output| output.name.clone()));
-        Shown::Frame(Box::new(FrameView {
+        store.update(FrameView {
             summary: FrameSummary {
                 name: name.into(),
                 state,
@@ -65,15 +58,15 @@ impl Core {
                 picture,
             },
             attempts: frame.attempt_count,
-            input_bytes: frame.phase.stamp().size,
+            input_bytes: frame.stamp.size,
             outputs,
             figures: done.and_then(|record| record.figures.clone()),
             stem: self.claimed_stem(id),
-        }))
+        });
     }
 
     /// Outputs as they are shown. One that is elsewhere, which the journal may say, has no name here, and nobody is to
-    /// read it through the board.
+    /// read it through the status store.
     fn shown_outputs(&self, id: &FrameId, record: &FrameRecord) -> Vec<OutputView> {
         let folder = &self.output(id.root).folder;
         let inside = record.outputs.iter().filter(|output| is_inside(&output.path, folder));
@@ -85,7 +78,7 @@ impl Core {
         shown.collect()
     }
 
-    /// What a file is called on the board: its path within the folder, and where there are several, the number of the
+    /// What a file is called in the status store: its path within the folder, and where there are several, the number of the
     /// watched one before it.
     fn shown_name(&self, root: usize, folder: &Path, path: &Path) -> String {
         let within = text_of_name(path.strip_prefix(folder).unwrap_or(path).as_os_str());
@@ -96,7 +89,7 @@ impl Core {
     }
 
     /// What the daemon was asked for.
-    pub(in crate::watch) fn plan(&self) -> Value {
+    pub(crate) fn plan(&self) -> Value {
         plan_of(&self.config)
     }
 
@@ -115,7 +108,7 @@ impl Core {
     }
 
     /// How the daemon is.
-    pub(in crate::watch) fn status(&self, memory_bytes: Option<u64>) -> Status {
+    pub(crate) fn status(&self, memory_bytes: Option<u64>) -> Status {
         Status {
             paused: self.guard.reason(),
             unavailable: self.unavailable().map(|(path, why)| format!("{}: {why}", path.display())).collect(),
@@ -136,7 +129,7 @@ impl Core {
     }
 
     /// How the daemon is, in one line.
-    pub(in crate::watch) fn status_line(&self) -> String {
+    pub(crate) fn status_line(&self) -> String {
         let FrameCounts { settling, held, queued, finding_steps, retrying, done, failed, .. } =
             self.frames.counts();
         let mut status = format!("{done} done, {queued} queued");
@@ -165,14 +158,14 @@ impl Core {
 const STALLED: &str = "its file system does not answer";
 
 /// How far a frame is; `None` if it is no frame.
-fn state_of(phase: &Phase) -> Option<FrameState> {
+fn state_of(phase: Phase) -> Option<FrameState> {
     Some(match phase {
-        Phase::Settling(_) | Phase::Held(_) | Phase::FindingSteps(_) => FrameState::Waiting,
-        Phase::Queued(_) => FrameState::Queued,
-        Phase::Retrying(..) => FrameState::Retrying,
-        Phase::Done(_) => FrameState::Done,
-        Phase::Failed(_) => FrameState::Failed,
-        Phase::Ignored(_) | Phase::Steps(_) => return None,
+        Phase::Settling(_) | Phase::Held | Phase::FindingSteps => FrameState::Waiting,
+        Phase::Queued | Phase::UnderWay(_) => FrameState::Queued,
+        Phase::Retrying(_) => FrameState::Retrying,
+        Phase::Done => FrameState::Done,
+        Phase::Failed => FrameState::Failed,
+        Phase::Ignored | Phase::Steps => return None,
     })
 }
 
@@ -183,12 +176,12 @@ fn is_inside(path: &Path, folder: &Path) -> bool {
 }
 
 /// Whether a record is about the frame as it is now.
-fn is_about(record: &FrameRecord, phase: &Phase) -> bool {
+fn is_about(record: &FrameRecord, phase: Phase) -> bool {
     match record.standing {
-        Standing::Done => matches!(phase, Phase::Done(_)),
-        Standing::Queued => matches!(phase, Phase::Queued(_) | Phase::Held(_)),
-        Standing::Retrying => matches!(phase, Phase::Retrying(..)),
-        Standing::Failed | Standing::Refused | Standing::GivenUp => matches!(phase, Phase::Failed(_)),
+        Standing::Done => phase == Phase::Done,
+        Standing::Queued => matches!(phase, Phase::Queued | Phase::UnderWay(_) | Phase::Held),
+        Standing::Retrying => matches!(phase, Phase::Retrying(_)),
+        Standing::Failed | Standing::Refused | Standing::GivenUp => phase == Phase::Failed,
     }
 }
 

@@ -13,7 +13,7 @@ use super::frames::FrameId;
 
 /// Frames that wait for the pipeline, in the order in which they are converted.
 #[derive(Debug)]
-pub(in crate::watch) struct Queue {
+pub(crate) struct Queue {
     order: Order,
     waiting: BTreeMap<Rank, Box<Frame>>,
 }
@@ -27,32 +27,29 @@ struct Rank {
 }
 
 impl Queue {
-    pub(in crate::watch) fn new(order: Order) -> Queue {
+    pub(crate) fn new(order: Order) -> Queue {
         Queue { order, waiting: BTreeMap::new() }
     }
 
     /// Adds a frame whose file was last written at `modified_ns`, in place of the one with this id.
-    pub(in crate::watch) fn push(&mut self, id: &FrameId, frame: Box<Frame>, modified_ns: i64) {
+    pub(crate) fn push(&mut self, id: &FrameId, frame: Box<Frame>, modified_ns: i64) {
         self.waiting.insert(self.rank(id, modified_ns), frame);
     }
 
     /// Removes a frame; `false` if it does not wait.
-    pub(in crate::watch) fn remove(&mut self, id: &FrameId, modified_ns: i64) -> bool {
+    pub(crate) fn remove(&mut self, id: &FrameId, modified_ns: i64) -> bool {
         self.waiting.remove(&self.rank(id, modified_ns)).is_some()
     }
 
     /// Removes the first frame of a root that may begin.
-    pub(in crate::watch) fn pop(
-        &mut self,
-        may_begin: impl Fn(usize) -> bool,
-    ) -> Option<(FrameId, Box<Frame>)> {
+    pub(crate) fn pop(&mut self, may_begin: impl Fn(usize) -> bool) -> Option<(FrameId, Box<Frame>)> {
         let rank = self.waiting.keys().find(|rank| may_begin(rank.id.root))?.clone();
         let frame = self.waiting.remove(&rank)?;
         Some((rank.id, frame))
     }
 
     /// How many frames wait.
-    pub(in crate::watch) fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.waiting.len()
     }
 

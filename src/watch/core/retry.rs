@@ -9,7 +9,7 @@ use crate::pipeline::{Cause, FrameError, ObstacleError, Stage};
 
 /// What to do about a frame that failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::watch) enum Recovery {
+pub(crate) enum Recovery {
     /// The file is gone: forget it.
     Forget,
     /// Nothing can be written into the folder of the outputs: wait until that has changed, then go on.
@@ -23,7 +23,7 @@ pub(in crate::watch) enum Recovery {
 }
 
 /// What to do about this error.
-pub(in crate::watch) fn recovery(error: &FrameError) -> Recovery {
+pub(crate) fn recovery(error: &FrameError) -> Recovery {
     match &error.cause {
         _ if error.is_disk_full() => Recovery::AwaitSpace,
         Cause::File(source) => recovery_of_file(error.during, source),
@@ -70,7 +70,7 @@ fn concerns_all(kind: io::ErrorKind) -> bool {
 }
 
 /// How long to wait after the `attempt_count`-th failure in a row; `None`: no more.
-pub(in crate::watch) fn backoff(attempt_count: u32, once: bool) -> Option<Duration> {
+pub(crate) fn backoff(attempt_count: u32, once: bool) -> Option<Duration> {
     // Whoever wants the work done and the program ended does not wait for minutes.
     let attempts_max = if once { ATTEMPTS_MAX_ONCE } else { ATTEMPTS_MAX };
     let doublings = attempt_count.saturating_sub(1);

@@ -12,7 +12,7 @@
 //! finished first, or on the order in which frames are converted. With `--once` all frames are waited for:
 //! they are measured as `convert` measures them.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -30,7 +30,7 @@ use super::frames::FrameId;
 
 /// All sequences that were met.
 #[derive(Debug, Default)]
-pub(in crate::watch) struct Sequences {
+pub(crate) struct Sequences {
     all: Vec<Sequence>,
     index_of: HashMap<(usize, PathBuf, String), usize>,
     /// What files have in common whose names differ in their numbers only: their root and [`FrameFile::kin`].
@@ -48,30 +48,28 @@ struct Kin {
 
 /// Frames whose names differ in their number only.
 #[derive(Debug)]
-pub(in crate::watch) struct Sequence {
+pub(crate) struct Sequence {
     /// What the journal knows it by.
-    pub(in crate::watch) key: SequenceKey,
+    pub(crate) key: SequenceKey,
     /// The index of its root.
-    pub(in crate::watch) root: usize,
+    pub(crate) root: usize,
     /// The kin that counts it as a sequence of one frame, as long as it has no more.
     single_in: Option<(usize, PathBuf, String)>,
     /// Its settings, or what is missing.
-    pub(in crate::watch) settings: SequenceSettings,
+    pub(crate) settings: SequenceSettings,
     /// The camera that was placed for its pictures, if one had to be.
-    pub(in crate::watch) framing: Option<Arc<Framing>>,
-    /// Frames that were looked at and have too few particles to measure the spacing.
-    pub(in crate::watch) sparse: HashSet<FrameId>,
+    pub(crate) framing: Option<Arc<Framing>>,
     /// That its frames wait for one with more particles was told.
-    pub(in crate::watch) is_told: bool,
+    pub(crate) is_sparse_logged: bool,
     /// Which warnings about its frames were logged.
-    pub(in crate::watch) reported: ReportedWarnings,
+    pub(crate) reported: ReportedWarnings,
     /// Whether it was logged that its frames have velocities which the outputs lack.
-    pub(in crate::watch) has_reported_velocity: bool,
+    pub(crate) has_reported_velocity: bool,
 }
 
 impl Sequence {
     /// The fingerprint of the settings and of the obstacles of a frame; empty while there are no settings.
-    pub(in crate::watch) fn fingerprint(&self, obstacles: Option<&ObstacleStamps>) -> String {
+    pub(crate) fn fingerprint(&self, obstacles: Option<&ObstacleStamps>) -> String {
         match &self.settings {
             SequenceSettings::Fixed(settings, fingerprint) => {
                 fingerprint_with(settings, fingerprint, obstacles)
@@ -83,7 +81,7 @@ impl Sequence {
 
 /// The settings of a sequence, or what is missing.
 #[derive(Clone, Debug)]
-pub(in crate::watch) enum SequenceSettings {
+pub(crate) enum SequenceSettings {
     /// What all its frames are converted with, and what the journal knows these settings by.
     Fixed(Arc<Settings>, Arc<str>),
     /// To be measured on its frames; and where their particles have radii of their own.
@@ -97,7 +95,7 @@ pub(in crate::watch) enum SequenceSettings {
 impl Sequences {
     /// The index of the sequence that a frame belongs to; `remembered` is asked for what is known of one that is
     /// met for the first time.
-    pub(in crate::watch) fn index(
+    pub(crate) fn index(
         &mut self,
         id: &FrameId,
         watch: &Watch,
@@ -131,8 +129,7 @@ impl Sequences {
             single_in,
             settings,
             framing,
-            sparse: HashSet::new(),
-            is_told: false,
+            is_sparse_logged: false,
             reported: ReportedWarnings::default(),
             has_reported_velocity: false,
         });
@@ -142,7 +139,7 @@ impl Sequences {
 
     /// Folders in which this many sequences or more, and most of those whose names differ in their numbers only, have one
     /// frame; each is named once: its root, the folder, and how many.
-    pub(in crate::watch) fn newly_fallen_apart(&mut self, count_min: usize) -> Vec<(usize, PathBuf, usize)> {
+    pub(crate) fn newly_fallen_apart(&mut self, count_min: usize) -> Vec<(usize, PathBuf, usize)> {
         let mut folders = Vec::new();
         for ((root, folder, _), kin) in &mut self.kin {
             let has_fallen =
@@ -156,16 +153,16 @@ impl Sequences {
         folders
     }
 
-    pub(in crate::watch) fn get(&self, index: usize) -> &Sequence {
+    pub(crate) fn get(&self, index: usize) -> &Sequence {
         &self.all[index]
     }
 
     /// How many there are.
-    pub(in crate::watch) fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.all.len()
     }
 
-    pub(in crate::watch) fn get_mut(&mut self, index: usize) -> &mut Sequence {
+    pub(crate) fn get_mut(&mut self, index: usize) -> &mut Sequence {
         &mut self.all[index]
     }
 }
@@ -173,7 +170,7 @@ impl Sequences {
 impl SequenceSettings {
     /// The settings, where they need no measuring: the particle spacing was given, or is remembered, and so is the camera if
     /// there are to be pictures.
-    pub(in crate::watch) fn new(watch: &Watch, remembered: Option<&SequenceRecord>) -> SequenceSettings {
+    pub(crate) fn new(watch: &Watch, remembered: Option<&SequenceRecord>) -> SequenceSettings {
         let measured = remembered.and_then(|record| record.measured.as_ref()).map(options::Measured::from);
         let lacks_camera = watch.outputs.needs_camera() && framing_of(watch, remembered).is_none();
         let unknown = || watch.choices.own_radii().map(SequenceSettings::Unknown);
@@ -197,24 +194,21 @@ impl SequenceSettings {
 }
 
 /// The camera that is remembered for the pictures of a sequence, if one was placed for what is asked for now.
-pub(in crate::watch) fn framing_of(
-    watch: &Watch,
-    remembered: Option<&SequenceRecord>,
-) -> Option<Arc<Framing>> {
+pub(crate) fn framing_of(watch: &Watch, remembered: Option<&SequenceRecord>) -> Option<Arc<Framing>> {
     let SequenceCamera { asked, framed } = remembered?.camera.as_ref()?;
     let is_asked = watch.outputs.needs_camera() && *asked == asked_camera(&watch.outputs);
     is_asked.then(|| Arc::new(Framing::new(&watch.outputs, framed.clone())))
 }
 
 /// All that a camera depends on beside the frame.
-pub(in crate::watch) fn asked_camera(outputs: &OutputOptions) -> String {
+pub(crate) fn asked_camera(outputs: &OutputOptions) -> String {
     let PictureOptions { size: [width, height], camera } = outputs.picture;
     format!("{width}x{height} {camera} {:?}", outputs.up())
 }
 
 /// The fingerprint of the settings, and of the files of obstacles if there are any: by their stamps, because they are
 /// compared without being read.
-pub(in crate::watch) fn fingerprint_with(
+pub(crate) fn fingerprint_with(
     settings: &Settings,
     fingerprint: &str,
     obstacles: Option<&ObstacleStamps>,
@@ -226,37 +220,37 @@ pub(in crate::watch) fn fingerprint_with(
 
 /// What a sequence is to be measured on.
 #[derive(Debug)]
-pub(in crate::watch) struct MeasureOrder {
+pub(crate) struct MeasureOrder {
     /// Which sequence.
-    pub(in crate::watch) sequence: usize,
+    pub(crate) sequence: usize,
     /// Its complete frames, in natural order, and what they were when they were found complete.
-    pub(in crate::watch) files: Vec<(FrameId, FileStamp)>,
+    pub(crate) files: Vec<(FrameId, FileStamp)>,
     /// Where its particles have radii of their own.
-    pub(in crate::watch) own_radii: Option<OwnRadii>,
+    pub(crate) own_radii: Option<OwnRadii>,
     /// What is known already: the particle spacing, where only the camera is not.
-    pub(in crate::watch) known: Option<SequenceRecord>,
+    pub(crate) known: Option<SequenceRecord>,
     /// What was asked for.
-    pub(in crate::watch) watch: Watch,
+    pub(crate) watch: Watch,
 }
 
 /// What came of it.
 #[derive(Debug)]
-pub(in crate::watch) struct Measured {
+pub(crate) struct Measured {
     /// Which sequence.
-    pub(in crate::watch) sequence: usize,
+    pub(crate) sequence: usize,
     /// The particle spacing and where it is from, if one of the files tells.
-    pub(in crate::watch) record: Option<SequenceRecord>,
+    pub(crate) record: Option<SequenceRecord>,
     /// Files with too few particles.
-    pub(in crate::watch) sparse: Vec<(FrameId, FileStamp)>,
+    pub(crate) sparse: Vec<(FrameId, FileStamp)>,
     /// Files that cannot be read.
-    pub(in crate::watch) unreadable: Vec<(FrameId, FileStamp, FrameError)>,
+    pub(crate) unreadable: Vec<(FrameId, FileStamp, FrameError)>,
     /// A file that was written again meanwhile: with it, nothing is known.
-    pub(in crate::watch) changed: Option<FrameId>,
+    pub(crate) changed: Option<FrameId>,
     /// What should make a user check the spacing.
-    pub(in crate::watch) warnings: Vec<String>,
+    pub(crate) warnings: Vec<String>,
 }
 
 /// What the user chose, in short: with other choices, a sequence is another.
-pub(in crate::watch) fn choices_fingerprint(watch: &Watch) -> String {
+pub(crate) fn choices_fingerprint(watch: &Watch) -> String {
     format!("{:016x}", XxHash3_64::oneshot(format!("{:?}", watch.choices).as_bytes()))
 }

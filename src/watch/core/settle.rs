@@ -6,7 +6,7 @@ use crate::pipeline::{FileStamp, Job, natural_order, order_subframes, single_fra
 use crate::watch::config::Watch;
 use crate::watch::journal::{Entry, SequenceRecord, Standing};
 
-use super::events::{Log, RootRequest};
+use super::events::{Effect, Log, SlowRequest};
 use super::frames::{FrameId, FrameState, Phase};
 use super::sequences::{MeasureOrder, Measured, SequenceSettings, framing_of};
 use super::state::Core;
@@ -49,7 +49,7 @@ impl Core {
                 self.sequences.get_mut(index).settings = SequenceSettings::BeingMeasured;
                 self.measuring_count += 1;
                 let root = self.sequences.get(index).root;
-                self.request(root, RootRequest::Measure(Box::new(order)));
+                self.effects.push(Effect::Slow(root, SlowRequest::Measure(Box::new(order))));
             }
         }
     }
@@ -58,7 +58,7 @@ impl Core {
     fn awaits_frames(&self, index: usize) -> bool {
         let awaited = |frame: &FrameState| match frame.phase {
             Phase::Settling(_) => !frame.is_stuck(),
-            Phase::FindingSteps(_) | Phase::Retrying(..) => true,
+            Phase::FindingSteps | Phase::Retrying(_) => true,
             _ => false,
         };
         matches!(self.sequences.get(index).settings, SequenceSettings::Unknown(_))
@@ -73,10 +73,10 @@ impl Core {
         let mut members: Vec<(&FrameId, Option<FileStamp>)> = self
             .frames
             .iter()
-            .filter(|(id, frame)| frame.sequence == index && !sequence.sparse.contains(*id))
+            .filter(|(_, frame)| frame.sequence == index && !frame.is_sparse)
             .filter_map(|(id, frame)| match frame.phase {
-                Phase::Held(stamp) => Some((id, Some(stamp))),
-                Phase::Settling(_) | Phase::FindingSteps(_) | Phase::Retrying(..) => Some((id, None)),
+                Phase::Held => Some((id, Some(frame.stamp))),
+                Phase::Settling(_) | Phase::FindingSteps | Phase::Retrying(_) => Some((id, None)),
                 _ => None,
             })
             .collect();
@@ -97,10 +97,14 @@ impl Core {
         let Measured { sequence: index, record, sparse, unreadable, changed, warnings } = measured;
         let root = self.sequences.get(index).root;
         // Of a file that was written again since, this says nothing.
-        let sparse = sparse.into_iter().filter(|(id, stamp)| self.is_held(id, stamp));
+        let sparse = sparse.into_iter().filter(|(id, stamp)| self.is_still(id, Phase::Held, stamp));
         let sparse: Vec<FrameId> = sparse.map(|(id, _)| id).collect();
+        for id in &sparse {
+            if let Some(frame) = self.frames.get_mut(id) {
+                frame.is_sparse = true;
+            }
+        }
         let sequence = self.sequences.get_mut(index);
-        sequence.sparse.extend(sparse.iter().cloned());
         let watch = &self.config.watches[root];
         sequence.settings = SequenceSettings::new(watch, record.as_ref());
         sequence.framing = framing_of(watch, record.as_ref());
@@ -108,8 +112,8 @@ impl Core {
             self.log_sparse(index, &sparse);
         }
         for (id, stamp, error) in &unreadable {
-            if self.is_held(id, stamp) {
-                self.failed_frame(id, *stamp, error, None);
+            if self.is_still(id, Phase::Held, stamp) {
+                self.failed_frame(id, error, None);
             }
         }
         if let Some(id) = changed {
@@ -120,7 +124,7 @@ impl Core {
             let log = self.log_of_settings(index, warnings);
             self.record(self.output_of[root], Entry::Sequence { key, record: Box::new(record) }, log);
             self.changed_sequences.push(index);
-            for id in self.held_frames(index) {
+            for id in self.frames.ids_of(|_, frame| frame.sequence == index && frame.phase == Phase::Held) {
                 self.release(&id);
             }
         }
@@ -149,14 +153,12 @@ impl Core {
         let root = self.sequences.get(index).root;
         let why = why_held(&self.config.watches[root]);
         let sequence = self.sequences.get_mut(index);
-        if !sparse.is_empty() && !std::mem::replace(&mut sequence.is_told, true) {
+        if !sparse.is_empty() && !std::mem::replace(&mut sequence.is_sparse_logged, true) {
             let path = sequence.key.folder.join(&sequence.key.name);
-            self.log(move || tracing::warn!(sequence = %path.display(), "{why}"));
+            self.log_about(path, move |sequence| tracing::warn!(%sequence, "{why}"));
         }
         for id in sparse {
-            if let Some(stamp) = self.frames.get(id).map(|frame| frame.phase.stamp()) {
-                self.note(id, Standing::Queued, stamp, Some(why.to_owned()), None);
-            }
+            self.note(id, Standing::Queued, Some(why.to_owned()), None);
         }
     }
 
@@ -187,16 +189,9 @@ impl Core {
         }))
     }
 
-    /// Whether a frame waits for the settings of its sequence, and is still this file.
-    fn is_held(&self, id: &FrameId, stamp: &FileStamp) -> bool {
-        self.frames.get(id).is_some_and(|frame| matches!(&frame.phase, Phase::Held(held) if held == stamp))
-    }
-
-    /// The frames of a sequence that wait for its settings.
-    fn held_frames(&self, sequence: usize) -> Vec<FrameId> {
-        let is_held =
-            |frame: &FrameState| frame.sequence == sequence && matches!(frame.phase, Phase::Held(_));
-        self.frames.iter().filter(|(_, frame)| is_held(frame)).map(|(id, _)| id.clone()).collect()
+    /// Whether a frame is still in this phase, and its file still this one.
+    pub(super) fn is_still(&self, id: &FrameId, phase: Phase, stamp: &FileStamp) -> bool {
+        self.frames.get(id).is_some_and(|frame| frame.phase == phase && frame.stamp == *stamp)
     }
 }
 

@@ -1,25 +1,24 @@
 //! Everything that the daemon knows.
 
 use std::collections::{BTreeMap, HashMap, HashSet, VecDeque};
-use std::path::{Path, PathBuf};
+use std::path::{self, Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::pipeline::{ObstacleFiles, OutputOptions};
-use crate::watch::board::Counters;
 use crate::watch::config::{Config, Watch};
 use crate::watch::journal::{DaemonRecord, DaemonState, Entry, PlanRecord, State as JournalState};
+use crate::watch::status_store::Counters;
 
 use super::disk_guard::{DiskGuard, FoundSpace};
 use super::events::{Effect, Log, Now, OutputRequest, RootRequest};
-use super::file_steps::FileSteps;
-use super::frames::{FrameId, Frames};
+use super::frames::{FileSteps, FrameId, Frames};
 use super::queue::Queue;
 use super::sequences::Sequences;
 
 /// The state of the daemon, and what it decides: pure, so no file, clock or thread is used here. Time comes with each
 /// event; what is to be done is collected as effects.
-pub(in crate::watch) struct Core {
+pub(crate) struct Core {
     pub(super) config: Arc<Config>,
     /// Which daemon this is, for the journal.
     identity: DaemonRecord,
@@ -39,8 +38,6 @@ pub(in crate::watch) struct Core {
     /// The options of each mirrored sub-folder.
     pub(super) outputs_of: HashMap<(usize, PathBuf), Arc<OutputOptions>>,
     pub(super) queue: Queue,
-    /// Frames that a pipeline has, and which pipeline.
-    pub(super) under_way: HashMap<FrameId, usize>,
     /// Pipelines that want a frame.
     pub(super) wanting: VecDeque<usize>,
     /// The pipeline that gets frames. Earlier ones hang, and end when they come back.
@@ -51,11 +48,9 @@ pub(in crate::watch) struct Core {
     pub(super) failed: HashMap<FrameId, Failure>,
     /// How many frames the pipelines have finished with.
     pub(super) finished_count: usize,
-    /// Frames that were refused on account of other files.
-    pub(super) refused: HashSet<FrameId>,
     pub(super) is_stopping: bool,
-    /// What is to be counted.
-    pub(super) counts: Vec<Count>,
+    /// What was counted since the process began.
+    pub(crate) counters: Counters,
     pub(super) now: Now,
     pub(super) effects: Vec<Effect>,
     /// Frames that look different now, or are gone.
@@ -65,11 +60,8 @@ pub(in crate::watch) struct Core {
     last_state: DaemonState,
 }
 
-/// Counts something.
-pub(in crate::watch) type Count = Box<dyn FnOnce(&mut Counters) + Send>;
-
 /// A watched folder.
-pub(in crate::watch) struct RootState {
+pub(crate) struct RootState {
     /// Absolute.
     pub(super) path: PathBuf,
     pub(super) obstacles: Arc<ObstacleFiles>,
@@ -83,7 +75,7 @@ pub(in crate::watch) struct RootState {
 }
 
 /// A folder of outputs.
-pub(in crate::watch) struct OutputDir {
+pub(crate) struct OutputDir {
     /// Absolute.
     pub(super) folder: PathBuf,
     pub(super) journal: JournalState,
@@ -94,19 +86,21 @@ pub(in crate::watch) struct OutputDir {
 
 /// Why a frame failed.
 #[derive(Debug)]
-pub(in crate::watch) struct Failure {
+pub(crate) struct Failure {
     pub(super) reason: String,
     /// How many frames were finished when it was logged; `None` if it was not logged in this run.
     pub(super) logged_at: Option<usize>,
+    /// Whether the frame was refused because of other files.
+    pub(super) is_refusal: bool,
 }
 
 /// A worker that does not answer for so long has stalled.
-pub(in crate::watch) const STALL_AFTER: Duration = Duration::from_secs(5);
+pub(crate) const STALL_AFTER: Duration = Duration::from_secs(5);
 
 impl Core {
     /// The state at the start: `roots` are the absolute paths of the watched folders, and `outputs` the folders of outputs
     /// with their journals.
-    pub(in crate::watch) fn new(
+    pub(crate) fn new(
         config: Arc<Config>,
         identity: DaemonRecord,
         roots: Vec<(PathBuf, Arc<ObstacleFiles>)>,
@@ -144,15 +138,13 @@ impl Core {
             measuring_count: 0,
             claims: HashMap::new(),
             outputs_of: HashMap::new(),
-            under_way: HashMap::new(),
             wanting: VecDeque::new(),
             pipeline: 0,
             scan_count: 0,
             failed: HashMap::new(),
             finished_count: 0,
-            refused: HashSet::new(),
             is_stopping: false,
-            counts: Vec::new(),
+            counters: Counters::default(),
             now,
             effects: Vec::new(),
             changed: HashSet::new(),
@@ -162,7 +154,7 @@ impl Core {
     }
 
     /// Records what is watched, and that the daemon runs; logs the folders, and asks for the first look at everything.
-    pub(in crate::watch) fn start(&mut self) {
+    pub(crate) fn start(&mut self) {
         let of_root =
             |(root, watch): (&RootState, &Watch)| Watch { input: root.path.clone(), ..watch.clone() };
         let watches: Vec<Watch> = self.roots.iter().zip(&self.config.watches).map(of_root).collect();
@@ -202,15 +194,14 @@ impl Core {
         self.effects.push(Effect::Log(Log::new(write)));
     }
 
-    /// Forgets what is to be shown: there are no users.
-    pub(in crate::watch) fn forget_changes(&mut self) {
-        self.changed.clear();
-        self.changed_sequences.clear();
-        self.counts.clear();
-    }
-
-    pub(super) fn count(&mut self, count: impl FnOnce(&mut Counters) + Send + 'static) {
-        self.counts.push(Box::new(count));
+    /// Logs something about a file or a folder.
+    pub(super) fn log_about(
+        &mut self,
+        path: impl Into<PathBuf>,
+        write: impl FnOnce(path::Display<'_>) + Send + 'static,
+    ) {
+        let path = path.into();
+        self.log(move || write(path.display()));
     }
 
     pub(super) fn request(&mut self, root: usize, request: RootRequest) {
@@ -224,7 +215,7 @@ impl Core {
     }
 
     /// Records what the daemon itself is doing.
-    pub(in crate::watch) fn record_daemon(&mut self, state: DaemonState) {
+    pub(crate) fn record_daemon(&mut self, state: DaemonState) {
         for output in 0..self.outputs.len() {
             let record =
                 DaemonRecord { state: state.clone(), at_ms: self.now.unix_ms, ..self.identity.clone() };
@@ -234,7 +225,7 @@ impl Core {
     }
 
     /// Records whether the daemon is paused, if that has changed.
-    pub(in crate::watch) fn record_pause(&mut self) {
+    pub(crate) fn record_pause(&mut self) {
         let state = self.guard.reason().map_or(DaemonState::Running, DaemonState::Paused);
         if state != self.last_state && !self.is_stopping {
             self.record_daemon(state);

@@ -20,24 +20,24 @@ use std::time::Instant;
 use crate::pipeline::{FileFrames, FileStamp};
 
 use super::completeness::{Candidate, Seen};
-use super::events::RootRequest;
-use super::file_steps::{FileSteps, FoundSteps, StepsOrder};
-use super::frames::{FrameId, Phase};
+use super::events::{Effect, FoundSteps, SlowRequest, StepsOrder};
+use super::frames::{FileSteps, FrameId, Phase};
 use super::state::Core;
 
 impl Core {
     /// Has a complete file searched for steps.
-    pub(super) fn find_steps(&mut self, id: &FrameId, stamp: FileStamp, conflict: Option<String>) {
-        self.set_phase(id, Phase::FindingSteps(stamp));
-        self.request(id.root, RootRequest::FindSteps(StepsOrder { id: id.clone(), stamp, conflict }));
+    pub(super) fn find_steps(&mut self, id: &FrameId, conflict: Option<String>) {
+        let Some(stamp) = self.frames.get(id).map(|frame| frame.stamp) else { return };
+        self.set_phase(id, Phase::FindingSteps);
+        let order = StepsOrder { id: id.clone(), stamp, conflict };
+        self.effects.push(Effect::Slow(id.root, SlowRequest::FindSteps(order)));
     }
 
     /// A file was searched for steps.
     pub(super) fn on_steps_found(&mut self, found: FoundSteps) {
         let FoundSteps { order: StepsOrder { id, stamp, conflict }, frames } = found;
         // Of a file that was written again since, this says nothing.
-        let phase = self.frames.get(&id).map(|frame| &frame.phase);
-        if !matches!(phase, Some(Phase::FindingSteps(asked)) if *asked == stamp) {
+        if !self.is_still(&id, Phase::FindingSteps, &stamp) {
             return;
         }
         match frames {
@@ -45,11 +45,11 @@ impl Core {
             Ok(Some(found)) if found.has_several() => self.take_steps(&id, stamp, found),
             Ok(Some(_)) => {
                 self.forget_steps(&id);
-                self.hold(&id, stamp, conflict);
+                self.hold(&id, conflict);
             }
             Err(error) => {
                 self.forget_steps(&id);
-                self.failed_frame(&id, stamp, &error, None);
+                self.failed_frame(&id, &error, None);
             }
         }
     }
@@ -67,7 +67,7 @@ impl Core {
             self.forget(&step);
         }
         self.release_claim(id);
-        self.set_phase(id, Phase::Steps(stamp));
+        self.set_phase(id, Phase::Steps);
         for step in &steps {
             self.take_step(id, step, stamp);
         }
@@ -76,52 +76,46 @@ impl Core {
     /// A step of a file that has settled, and has this stamp now.
     fn take_step(&mut self, file: &FrameId, id: &FrameId, stamp: FileStamp) {
         let candidate = Candidate::new(self.now.at, &Seen { stamp, age: None }, false);
-        let is_kept =
-            |done: &FileStamp| self.steps_of.get(file).is_some_and(|steps| steps.is_kept_since(id, done));
-        match self.frames.get(id).map(|frame| &frame.phase) {
-            None => {
-                let sequence = self.sequence_of(id);
-                self.frames.insert(id, sequence, candidate, self.scan_count);
-                self.changed.insert(id.clone());
-            }
-            Some(Phase::Done(done)) if *done == stamp => return self.check_outputs(id),
-            Some(Phase::Done(done)) if is_kept(done) => {
-                self.set_phase(id, Phase::Done(stamp));
+        let Some(frame) = self.frames.get_mut(id) else {
+            return self.add_frame(id, candidate);
+        };
+        let is_same = frame.stamp == stamp;
+        let is_kept = || self.steps_of.get(file).is_some_and(|steps| steps.is_kept_since(id, &frame.stamp));
+        match frame.phase {
+            Phase::Done if is_same => return self.check_outputs(id),
+            Phase::Done if is_kept() => {
+                frame.stamp = stamp;
+                self.set_phase(id, Phase::Done);
                 return self.check_outputs(id);
             }
-            Some(Phase::Settling(_)) => self.settle(id, candidate),
-            Some(phase) if phase.stamp() == stamp => return,
-            // Under way: it is inspected again when its outcome comes.
-            Some(Phase::Queued(queued)) if !self.queue.remove(id, queued.modified_ns) => return,
-            Some(_) => self.settle(id, candidate),
+            Phase::Settling(_) => {}
+            // It is inspected again when its outcome comes.
+            Phase::UnderWay(_) => return,
+            _ if is_same => return,
+            _ => {}
         }
+        self.settle(id, candidate);
         self.inspect_candidate(id);
     }
 
     /// The file of a step was seen.
     pub(super) fn on_step_seen(&mut self, file: &FrameId, id: &FrameId, seen: &Seen, at: Instant) {
-        match self.frames.get(file).map(|frame| &frame.phase) {
-            Some(Phase::Steps(stamp)) if *stamp == seen.stamp => {
-                match self.steps_of.get(file).is_some_and(|steps| steps.index_of.contains_key(id)) {
-                    true => self.take_step(file, id, seen.stamp),
-                    false => self.forget(id),
-                }
-            }
-            None | Some(Phase::Settling(_) | Phase::FindingSteps(_)) => {
-                self.on_file_seen(file, seen, at, false);
-            }
-            // It has no steps any more.
-            Some(phase) if phase.stamp() == seen.stamp => self.forget(id),
-            Some(_) => self.on_file_seen(file, seen, at, false),
+        let is_step = self.steps_of.get(file).is_some_and(|steps| steps.index_of.contains_key(id));
+        match self.frames.get(file) {
+            Some(frame) if frame.stamp == seen.stamp => match frame.phase {
+                Phase::Steps if is_step => self.take_step(file, id, seen.stamp),
+                Phase::Settling(_) | Phase::FindingSteps => self.on_file_seen(file, seen, at, false),
+                // The file has no such step any more.
+                _ => self.forget(id),
+            },
+            _ => self.on_file_seen(file, seen, at, false),
         }
     }
 
     /// The file of these steps was written again. Those that are not under way wait until it is known where they are now.
     pub(super) fn unqueue_steps(&mut self, file: &FrameId, seen: &Seen, at: Instant) {
         for step in self.known_steps(file) {
-            if let Some(Phase::Queued(stamp)) = self.frames.get(&step).map(|frame| &frame.phase)
-                && self.queue.remove(&step, stamp.modified_ns)
-            {
+            if self.frames.phase(&step) == Some(Phase::Queued) {
                 self.settle(&step, Candidate::new(at, seen, false));
             }
         }
@@ -130,7 +124,7 @@ impl Core {
     /// Steps that are done stay so only while their outputs are there.
     pub(super) fn check_steps(&mut self, file: &FrameId) {
         for step in self.known_steps(file) {
-            if matches!(self.frames.get(&step).map(|frame| &frame.phase), Some(Phase::Done(_))) {
+            if self.frames.phase(&step) == Some(Phase::Done) {
                 self.check_outputs(&step);
             }
         }

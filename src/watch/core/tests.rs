@@ -13,6 +13,7 @@ use crate::pipeline::{
     ReadInput, Stage,
 };
 use crate::surface::options::MethodOptions;
+use crate::watch::api::Ended;
 use crate::watch::config::{Config, Order, Patience, Poll, Watch};
 use crate::watch::journal::{
     DaemonRecord, DaemonState, Entry, FrameRecord, OutputCheck, OutputRecord, SequenceRecord, Standing,
@@ -22,7 +23,7 @@ use crate::watch::journal::{
 use super::completeness::{Proof, Seen, WaitReason};
 use super::events::{
     Complete, Contents, Effect, Event, Finished, Found, Inspect, Inspected, Now, OutputDirState,
-    OutputRequest, Presence, RootRequest, RootScan, Worker,
+    OutputRequest, Presence, RootRequest, Scan, SlowRequest, Start, Worker,
 };
 use super::frames::FrameId;
 use super::sequences::{MeasureOrder, Measured};
@@ -135,12 +136,14 @@ impl Rig {
             for effect in effects {
                 match effect {
                     Effect::Root(_, RootRequest::Inspect(inspect)) => self.inspections.push(*inspect),
-                    Effect::Root(_, RootRequest::Measure(order)) => self.orders.push(*order),
+                    Effect::Slow(_, SlowRequest::Measure(order)) => self.orders.push(*order),
                     Effect::Output(_, OutputRequest::Record(entry, _)) => self.records.push(entry),
-                    Effect::Start { pipeline, id, frame, .. } => self.started.push((pipeline, id, frame)),
+                    Effect::Start(pipeline, Start { id, frame, .. }) => {
+                        self.started.push((pipeline, id, frame))
+                    }
                     Effect::StartPipeline(pipeline) => self.pipelines.push(pipeline),
                     Effect::EndPipeline(pipeline) => self.ended_pipelines.push(pipeline),
-                    Effect::Root(..) | Effect::Output(..) | Effect::Log(_) => {}
+                    Effect::Root(..) | Effect::Slow(..) | Effect::Output(..) | Effect::Log(_) => {}
                 }
             }
             if !self.holds_inspections {
@@ -207,7 +210,7 @@ impl Rig {
         let folder = format!("/in{root}");
         let files = self.files.iter().filter(|(path, _)| path.starts_with(&folder));
         let files = files.map(|(path, (stamp, _))| (path.clone(), seen(*stamp))).collect();
-        let found = Ok(RootScan { files, ..RootScan::default() });
+        let found = Ok(Scan { files, ..Scan::default() });
         self.event(Event::RootScanned { root, found, at: self.now.at });
     }
 
@@ -452,7 +455,7 @@ fn unmounted_outputs_are_waited_for_and_removed_ones_made_again() {
     rig.want(0);
     rig.scan(0);
     assert!(rig.started().is_empty(), "what is not mounted is not missing");
-    assert_eq!(rig.core.tally().done_count, 1);
+    assert_eq!(rig.core.summary(Ended::Finish).done_count, 1);
     rig.outputs = outputs;
     rig.output_dir(0, Presence::There, 2 * GIB);
     rig.scan(0);
@@ -509,7 +512,7 @@ fn outputs_claimed_twice_belong_to_the_first_until_it_is_gone() {
     rig.files.remove(Path::new("/in0/a.1.ply"));
     rig.tell("/in0/a.1.ply");
     assert_eq!(rig.started(), ["a.1.csv"]);
-    let refused = rig.core.tally().failed;
+    let refused = rig.core.summary(Ended::Finish).failed;
     assert!(refused.is_empty(), "{refused:?}");
 }
 
@@ -598,7 +601,7 @@ fn stopping_begins_no_further_frame() {
     assert!(rig.core.has_frames_under_way(true));
     rig.convert("/in0/a.1.ply");
     assert!(!rig.core.has_frames_under_way(true) && rig.started().is_empty());
-    let tally = rig.core.tally();
+    let tally = rig.core.summary(Ended::Finish);
     assert_eq!((tally.done_count, tally.left_count), (1, 1));
 }
 

@@ -41,7 +41,8 @@ pub fn below(folder: &Path, file: &Path) -> Option<PathBuf> {
     Some(folder.join(within))
 }
 
-#[cfg(all(test, unix))]
+#[cfg(test)]
+#[cfg(unix)]
 mod tests {
     use super::*;
     use std::fs;

@@ -43,10 +43,6 @@ pub enum FsEvent {
     Rescan,
 }
 
-/// The events of a folder that is not watched: none.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum NoEvents {}
-
 /// Why a folder cannot be watched.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum WatchError {
@@ -91,8 +87,8 @@ impl Watcher {
     fn with_capacity(capacity: usize) -> Result<(Watcher, Receiver<FsEvent>), WatchError> {
         let (queue, hints) = bounded(capacity);
         let folders = Arc::new(Mutex::new(Folders::default()));
-        let mut listener = Listener { queue, capacity, last: None, folders: folders.clone() };
-        let notify = notify::recommended_watcher(move |event| listener.hear(event)).map_err(watch_error)?;
+        let mut handler = EventHandler { queue, capacity, last: None, folders: folders.clone() };
+        let notify = notify::recommended_watcher(move |event| handler.hear(event)).map_err(watch_error)?;
         Ok((Watcher { notify, folders }, hints))
     }
 
@@ -198,7 +194,7 @@ fn lock(folders: &Mutex<Folders>) -> MutexGuard<'_, Folders> {
 }
 
 /// What notify's thread calls. It alone puts hints into the queue.
-struct Listener {
+struct EventHandler {
     queue: Sender<FsEvent>,
     capacity: usize,
     /// The hint that was put into the queue last.
@@ -206,11 +202,11 @@ struct Listener {
     folders: Arc<Mutex<Folders>>,
 }
 
-impl Listener {
+impl EventHandler {
     fn hear(&mut self, event: notify::Result<Event>) {
         match event {
             Ok(event) if event.need_rescan() => self.tell(FsEvent::Rescan),
-            Ok(event) => self.hear_event(event),
+            Ok(event) => self.on_event(event),
             Err(error) => {
                 tracing::warn!(%error, "the system's word on changes was lost");
                 self.tell(FsEvent::Rescan);
@@ -218,21 +214,21 @@ impl Listener {
         }
     }
 
-    fn hear_event(&mut self, event: Event) {
-        let Some(meaning) = meaning(event.kind) else { return };
+    fn on_event(&mut self, event: Event) {
+        let Some(change) = change_of(event.kind) else { return };
         if event.paths.is_empty() {
             self.tell(FsEvent::Rescan);
         }
         for path in event.paths {
             // Followed, as a link to a folder is one. What is gone was one if it was watched.
-            let is_there = meaning != Meaning::Went && path.is_dir();
+            let is_there = change != ChangeKind::Went && path.is_dir();
             let hints: Vec<FsEvent> = {
                 let folders = lock(&self.folders);
-                let hint = |path: PathBuf| match meaning {
+                let hint = |path: PathBuf| match change {
                     _ if is_there || folders.place_of.contains_key(&path) => FsEvent::Folder(path),
-                    Meaning::FolderChanged => FsEvent::Folder(path),
-                    Meaning::Renamed => FsEvent::Renamed(path),
-                    Meaning::Changed | Meaning::Went => FsEvent::Changed(path),
+                    ChangeKind::FolderChanged => FsEvent::Folder(path),
+                    ChangeKind::Renamed => FsEvent::Renamed(path),
+                    ChangeKind::Changed | ChangeKind::Went => FsEvent::Changed(path),
                 };
                 folders.asked_for(&path).into_iter().map(hint).collect()
             };
@@ -256,7 +252,7 @@ impl Listener {
 
 /// What an event says of its path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Meaning {
+enum ChangeKind {
     Changed,
     Renamed,
     Went,
@@ -264,19 +260,21 @@ enum Meaning {
 }
 
 /// `None` for what need not be looked at.
-fn meaning(kind: EventKind) -> Option<Meaning> {
+fn change_of(kind: EventKind) -> Option<ChangeKind> {
     Some(match kind {
         // Opened, or closed after reading, by us as by others.
-        EventKind::Access(AccessKind::Close(AccessMode::Write)) => Meaning::Changed,
+        EventKind::Access(AccessKind::Close(AccessMode::Write)) => ChangeKind::Changed,
         EventKind::Access(_) => return None,
         EventKind::Create(CreateKind::Folder) | EventKind::Remove(RemoveKind::Folder) => {
-            Meaning::FolderChanged
+            ChangeKind::FolderChanged
         }
-        EventKind::Remove(_) | EventKind::Modify(ModifyKind::Name(RenameMode::From)) => Meaning::Went,
-        EventKind::Modify(ModifyKind::Name(RenameMode::To)) => Meaning::Renamed,
+        EventKind::Remove(_) | EventKind::Modify(ModifyKind::Name(RenameMode::From)) => ChangeKind::Went,
+        EventKind::Modify(ModifyKind::Name(RenameMode::To)) => ChangeKind::Renamed,
         // Both sides were told before, one by one.
         EventKind::Modify(ModifyKind::Name(RenameMode::Both)) => return None,
-        EventKind::Create(_) | EventKind::Modify(_) | EventKind::Any | EventKind::Other => Meaning::Changed,
+        EventKind::Create(_) | EventKind::Modify(_) | EventKind::Any | EventKind::Other => {
+            ChangeKind::Changed
+        }
     })
 }
 
@@ -297,7 +295,8 @@ fn watch_error(error: notify::Error) -> WatchError {
     }
 }
 
-#[cfg(all(test, target_os = "linux"))]
+#[cfg(test)]
+#[cfg(target_os = "linux")]
 mod tests {
     use super::*;
     use std::fs::File;
@@ -507,22 +506,22 @@ mod tests {
     }
 
     /// The queue with events of our own making.
-    struct Ear {
-        listener: Listener,
+    struct Rig {
+        handler: EventHandler,
         hints: Receiver<FsEvent>,
     }
 
-    impl Ear {
-        fn new(capacity: usize) -> Ear {
+    impl Rig {
+        fn new(capacity: usize) -> Rig {
             let (queue, hints) = bounded(capacity);
             let mut folders = Folders::default();
             folders.add(Path::new("/f"), Place { path: "/true".into(), inode: 1 });
             let folders = Arc::new(Mutex::new(folders));
-            Ear { listener: Listener { queue, capacity, last: None, folders }, hints }
+            Rig { handler: EventHandler { queue, capacity, last: None, folders }, hints }
         }
 
         fn hear(&mut self, kind: EventKind, name: &str) {
-            self.listener.hear(Ok(Event::new(kind).add_path(Path::new("/true").join(name))));
+            self.handler.hear(Ok(Event::new(kind).add_path(Path::new("/true").join(name))));
         }
 
         fn heard(&self) -> Vec<FsEvent> {
@@ -538,40 +537,40 @@ mod tests {
 
     #[test]
     fn the_last_place_is_for_the_word_that_others_were_lost() {
-        let mut ear = Ear::new(4);
+        let mut rig = Rig::new(4);
         let names = ["a", "b", "c", "d", "e", "f"];
-        names.iter().for_each(|name| ear.hear(WRITTEN, name));
-        assert_eq!(ear.heard(), [changed("a"), changed("b"), changed("c"), FsEvent::Rescan]);
+        names.iter().for_each(|name| rig.hear(WRITTEN, name));
+        assert_eq!(rig.heard(), [changed("a"), changed("b"), changed("c"), FsEvent::Rescan]);
         // Lost once more while the word of the first loss is still waiting.
-        names.iter().for_each(|name| ear.hear(WRITTEN, name));
-        assert_eq!(ear.hints.try_recv(), Ok(changed("a")));
-        names.iter().for_each(|name| ear.hear(WRITTEN, name));
-        assert_eq!(ear.heard().last(), Some(&FsEvent::Rescan));
-        ear.hear(WRITTEN, "g");
-        assert_eq!(ear.heard(), [changed("g")]);
+        names.iter().for_each(|name| rig.hear(WRITTEN, name));
+        assert_eq!(rig.hints.try_recv(), Ok(changed("a")));
+        names.iter().for_each(|name| rig.hear(WRITTEN, name));
+        assert_eq!(rig.heard().last(), Some(&FsEvent::Rescan));
+        rig.hear(WRITTEN, "g");
+        assert_eq!(rig.heard(), [changed("g")]);
     }
 
     #[test]
     fn the_same_hint_waits_once() {
-        let mut ear = Ear::new(8);
+        let mut rig = Rig::new(8);
         for _ in 0..3 {
-            ear.hear(EventKind::Create(CreateKind::File), "a");
-            ear.hear(WRITTEN, "a");
+            rig.hear(EventKind::Create(CreateKind::File), "a");
+            rig.hear(WRITTEN, "a");
         }
-        assert_eq!(ear.heard(), [changed("a")]);
-        ear.hear(WRITTEN, "a");
-        assert_eq!(ear.heard(), [changed("a")], "taken out, it may come again");
+        assert_eq!(rig.heard(), [changed("a")]);
+        rig.hear(WRITTEN, "a");
+        assert_eq!(rig.heard(), [changed("a")], "taken out, it may come again");
     }
 
     #[test]
     fn losses_of_others_are_told() {
-        let mut ear = Ear::new(8);
-        ear.listener.hear(Ok(Event::new(EventKind::Other).set_flag(notify::event::Flag::Rescan)));
-        assert_eq!(ear.heard(), [FsEvent::Rescan]);
-        ear.listener.hear(Err(notify::Error::generic("lost")));
-        assert_eq!(ear.heard(), [FsEvent::Rescan]);
-        ear.listener.hear(Ok(Event::new(EventKind::Any)));
-        assert_eq!(ear.heard(), [FsEvent::Rescan], "something happened, nobody knows where");
+        let mut rig = Rig::new(8);
+        rig.handler.hear(Ok(Event::new(EventKind::Other).set_flag(notify::event::Flag::Rescan)));
+        assert_eq!(rig.heard(), [FsEvent::Rescan]);
+        rig.handler.hear(Err(notify::Error::generic("lost")));
+        assert_eq!(rig.heard(), [FsEvent::Rescan]);
+        rig.handler.hear(Ok(Event::new(EventKind::Any)));
+        assert_eq!(rig.heard(), [FsEvent::Rescan], "something happened, nobody knows where");
     }
 
     #[test]

@@ -4,81 +4,86 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::pipeline::{ObstacleFiles, ObstacleStamps, may_hold_several};
-use crate::watch::config::{Patience, Watch};
+use crate::pipeline::{ObstacleStamps, may_hold_several};
 use crate::watch::core::completeness::Readiness;
 use crate::watch::core::events::{Complete, Contents, Found, Inspect, Inspected, Recorded};
 use crate::watch::core::frames::FrameId;
 use crate::watch::core::sequences::fingerprint_with;
 use crate::watch::journal::OutputCheck;
 
-use super::evidence::{completeness_of, sentinel_of};
-use super::output_dir::OutputGuard;
+use super::evidence::readiness_of;
+use super::root::Root;
 use super::scan::look;
 use super::selection::{Content, content};
 
-/// What decides about a file beside the file itself.
-pub(super) struct Surroundings<'a> {
-    pub(super) watch: &'a Watch,
-    pub(super) patience: Patience,
-    pub(super) trust_clock: bool,
-    /// The obstacles of all roots.
-    pub(super) obstacles: &'a [Arc<ObstacleFiles>],
-    /// Those of this root.
-    pub(super) own_obstacles: &'a ObstacleFiles,
-    pub(super) output: &'a OutputGuard,
-}
+impl Root {
+    /// Looks at a file.
+    pub(super) fn inspect(&self, request: Inspect) -> Inspected {
+        let own = &self.obstacles[self.index];
+        let stamps = || Arc::new(own.stamps(request.id.frame_file().number()));
+        let obstacles = (!own.is_empty()).then(stamps);
+        let found = self.find(&request, obstacles.as_deref());
+        Inspected { id: request.id, number: request.number, found, obstacles }
+    }
 
-/// Looks at a file.
-pub(super) fn inspect(request: Inspect, surroundings: &Surroundings<'_>) -> Inspected {
-    let own = surroundings.own_obstacles;
-    let stamps = || Arc::new(own.stamps(request.id.frame_file().number()));
-    let obstacles = (!own.is_empty()).then(stamps);
-    let found = find(&request, obstacles.as_deref(), surroundings);
-    Inspected { id: request.id, number: request.number, found, obstacles }
-}
+    fn find(&self, request: &Inspect, obstacles: Option<&ObstacleStamps>) -> Found {
+        let Inspect { id, stamp, outputs, .. } = request;
+        let file = id.file_path();
+        let seen = match look(file, self.trust_clock()) {
+            Ok(Some(seen)) => seen,
+            Ok(None) => return Found::Gone,
+            Err(error) => return Found::Unreadable(error),
+        };
+        let at = Instant::now();
+        if seen.stamp != *stamp {
+            return Found::Changed(seen, at);
+        }
+        if request.only_stamp {
+            return Found::Same;
+        }
+        let mut changed_output = None;
+        if let Some(recorded) = &request.recorded {
+            changed_output = changed_output_of(recorded);
+            if changed_output.is_none() && has_recorded_settings(recorded, obstacles) {
+                return Found::AsRecorded;
+            }
+            if changed_output.is_some() && !self.output.is_in_place() {
+                return Found::OutputsAway;
+            }
+        }
+        let mut proof = None;
+        if let Some(mut candidate) = request.candidate {
+            candidate.see(at, &seen, false);
+            match readiness_of(file, &candidate, at, &self.watch, &self.patience()) {
+                Readiness::Ready(found) => proof = Some(found),
+                Readiness::Waiting { until, why } => return Found::Waiting { until, why },
+            }
+        }
+        let contents = contents_of(id);
+        let conflict = match contents {
+            Contents::Frame | Contents::MaybeSteps => self.conflict_of(outputs),
+            Contents::NotParticles | Contents::Unreadable(_) => None,
+        };
+        Found::Complete(Complete { proof, changed_output, contents, conflict })
+    }
 
-fn find(request: &Inspect, obstacles: Option<&ObstacleStamps>, surroundings: &Surroundings<'_>) -> Found {
-    let Inspect { id, stamp, outputs, .. } = request;
-    let file = id.file_path();
-    let seen = match look(file, surroundings.trust_clock) {
-        Ok(Some(seen)) => seen,
-        Ok(None) => return Found::Gone,
-        Err(error) => return Found::Unreadable(error),
-    };
-    let at = Instant::now();
-    if seen.stamp != *stamp {
-        return Found::Changed(seen, at);
-    }
-    if request.only_stamp {
-        return Found::Same;
-    }
-    let mut changed_output = None;
-    if let Some(recorded) = &request.recorded {
-        changed_output = changed_output_of(recorded);
-        if changed_output.is_none() && has_recorded_settings(recorded, obstacles) {
-            return Found::AsRecorded;
+    /// The file that outputs would replace and may not: one of particles, or an obstacle of any folder.
+    fn conflict_of(&self, outputs: &[PathBuf]) -> Option<String> {
+        for output in outputs {
+            if output.symlink_metadata().is_ok() && matches!(content(output), Ok(Content::Particles)) {
+                return Some(format!(
+                    "its output {} would replace a file of particles: choose another folder or format",
+                    output.display()
+                ));
+            }
+            for obstacles in &self.obstacles {
+                if let Err(conflict) = obstacles.refuse_output(output) {
+                    return Some(conflict.to_string());
+                }
+            }
         }
-        if changed_output.is_some() && !surroundings.output.is_in_place() {
-            return Found::OutputsAway;
-        }
+        None
     }
-    let mut proof = None;
-    if let Some(mut candidate) = request.candidate {
-        candidate.see(at, &seen, false);
-        let Surroundings { watch, patience, .. } = surroundings;
-        let sentinel = sentinel_of(watch, file, stamp);
-        match candidate.readiness(at, patience, sentinel, || completeness_of(file)) {
-            Readiness::Ready(found) => proof = Some(found),
-            Readiness::Waiting { until, why } => return Found::Waiting { until, why },
-        }
-    }
-    let contents = contents_of(id);
-    let conflict = match contents {
-        Contents::Frame | Contents::MaybeSteps => conflict_of(outputs, surroundings),
-        Contents::NotParticles | Contents::Unreadable(_) => None,
-    };
-    Found::Complete(Complete { proof, changed_output, contents, conflict })
 }
 
 fn changed_output_of(recorded: &Recorded) -> Option<(PathBuf, OutputCheck)> {
@@ -108,22 +113,4 @@ fn contents_of(id: &FrameId) -> Contents {
         Ok(false) => Contents::Frame,
         Err(error) => Contents::Unreadable(error),
     }
-}
-
-/// The file that outputs would replace and may not: one of particles, or an obstacle of any folder.
-fn conflict_of(outputs: &[PathBuf], surroundings: &Surroundings<'_>) -> Option<String> {
-    for output in outputs {
-        if output.symlink_metadata().is_ok() && matches!(content(output), Ok(Content::Particles)) {
-            return Some(format!(
-                "its output {} would replace a file of particles: choose another folder or format",
-                output.display()
-            ));
-        }
-        for obstacles in surroundings.obstacles {
-            if let Err(conflict) = obstacles.refuse_output(output) {
-                return Some(conflict.to_string());
-            }
-        }
-    }
-    None
 }

@@ -22,7 +22,7 @@ use crate::pipeline::{FileStamp, has_other_names, open_own};
 use crate::watch::journal::STATE_FOLDER;
 
 /// The file that is locked, in the folder of what the daemon keeps for itself.
-pub(in crate::watch) const FILE_NAME: &str = "lock";
+pub(crate) const FILE_NAME: &str = "lock";
 
 /// Whoever only looks whether the lock is held has it for a moment.
 const ATTEMPTS_MAX: usize = 5;

@@ -8,20 +8,19 @@
 //! ```
 
 pub mod canonical_path;
-pub(in crate::watch) mod error;
-pub(in crate::watch) mod evidence;
-mod find_steps;
+pub(crate) mod error;
+pub(crate) mod evidence;
 pub mod fs_events;
 mod inspect;
 pub mod lock;
 mod measure;
 pub mod mounts;
 mod output_dir;
-pub(in crate::watch) mod pipeline;
+pub(crate) mod pipeline;
 mod rescan_backoff;
 mod root;
-pub mod scan;
+pub(crate) mod scan;
 pub mod selection;
 mod slow;
-pub(in crate::watch) mod start;
-pub(in crate::watch) mod worker;
+pub(crate) mod start;
+pub(crate) mod worker;

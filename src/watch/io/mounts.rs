@@ -52,24 +52,24 @@ mod system {
     use std::io;
     use std::path::Path;
 
-    pub(in crate::watch) fn free_bytes(path: &Path) -> io::Result<u64> {
+    pub(crate) fn free_bytes(path: &Path) -> io::Result<u64> {
         let room = rustix::fs::statvfs(path)?;
         Ok(room.f_bavail.saturating_mul(room.f_frsize))
     }
 
-    pub(in crate::watch) fn device(metadata: &Metadata) -> u64 {
+    pub(crate) fn device(metadata: &Metadata) -> u64 {
         std::os::unix::fs::MetadataExt::dev(metadata)
     }
 
     #[cfg(target_os = "linux")]
-    pub(in crate::watch) fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
+    pub(crate) fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
         // 32 bits, in a number of whatever width and sign the machine has.
         let magic = rustix::fs::statfs(path)?.f_type as u32;
         Ok(super::NETWORK_FILE_SYSTEMS.iter().find(|entry| entry.0 == magic).map(|entry| entry.1))
     }
 
     #[cfg(not(target_os = "linux"))]
-    pub(in crate::watch) fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
+    pub(crate) fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
         path.metadata().map(|_| None)
     }
 }
@@ -80,15 +80,15 @@ mod system {
     use std::io;
     use std::path::Path;
 
-    pub(in crate::watch) fn free_bytes(_path: &Path) -> io::Result<u64> {
+    pub(crate) fn free_bytes(_path: &Path) -> io::Result<u64> {
         Err(io::ErrorKind::Unsupported.into())
     }
 
-    pub(in crate::watch) fn device(_metadata: &Metadata) -> u64 {
+    pub(crate) fn device(_metadata: &Metadata) -> u64 {
         0
     }
 
-    pub(in crate::watch) fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
+    pub(crate) fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
         path.metadata().map(|_| None)
     }
 }

@@ -13,7 +13,6 @@ use crate::watch::core::events::{Event, OutputDirState, OutputRequest, Presence}
 use crate::watch::journal::{FILE_NAME as JOURNAL_FILE_NAME, Journal, STATE_FOLDER};
 
 use super::error::DaemonError;
-use super::fs_events::NoEvents;
 use super::lock::{FILE_NAME as LOCK_FILE_NAME, OutputLock};
 use super::mounts::{RootIdentity, free_bytes};
 use super::worker::Work;
@@ -34,9 +33,9 @@ pub(super) struct OutputDir {
 
 /// Knows whether a folder of outputs is the one that was opened.
 #[derive(Debug)]
-pub(in crate::watch) struct OutputGuard {
+pub(crate) struct OutputGuard {
     /// Absolute.
-    pub(in crate::watch) folder: PathBuf,
+    pub(crate) folder: PathBuf,
     floor_bytes: u64,
     held: Mutex<Held>,
 }
@@ -153,7 +152,6 @@ impl OutputDir {
 
 impl Work for OutputDir {
     type Request = OutputRequest;
-    type Hint = NoEvents;
 
     fn handle(&mut self, request: OutputRequest, report: &dyn Fn(Event)) {
         match request {
@@ -185,17 +183,17 @@ impl Work for OutputDir {
 
 impl OutputGuard {
     /// Whether the folder is there, as it was opened.
-    pub(in crate::watch) fn is_in_place(&self) -> bool {
+    pub(crate) fn is_in_place(&self) -> bool {
         self.held().lock.is_in_place(&self.folder)
     }
 
     /// Whether frames with outputs here may begin.
-    pub(in crate::watch) fn may_begin(&self) -> bool {
+    pub(crate) fn may_begin(&self) -> bool {
         self.is_in_place() && free_bytes(&self.folder).map_or(true, |free| free >= self.floor_bytes)
     }
 
     /// Looks at the folder. One that was removed is made again, and locked.
-    pub(in crate::watch) fn check(&self, output: usize) -> OutputDirState {
+    pub(crate) fn check(&self, output: usize) -> OutputDirState {
         let presence = self.find();
         let free_bytes = free_bytes(&self.folder).ok();
         OutputDirState { output, presence, free_bytes }

@@ -15,47 +15,40 @@ use crate::pipeline::{
     Frame, FrameError, LevelSetSkinning, Observer, OnError, Outcome, OutputStates, PipelineOptions, Stage,
     StepsFoundBy, stream,
 };
-use crate::watch::board::Board;
 use crate::watch::config::Config;
-use crate::watch::core::events::{Event, Finished};
+use crate::watch::core::events::{Event, Finished, Start};
 use crate::watch::core::frames::FrameId;
 use crate::watch::journal::OutputRecord;
+use crate::watch::status_store::StatusStore;
 
 use super::mounts::free_bytes;
 use super::output_dir::OutputGuard;
 
-/// A frame to convert, and what is known of the outputs that it has.
-pub(in crate::watch) struct Start {
-    pub(in crate::watch) id: FrameId,
-    pub(in crate::watch) frame: Box<Frame>,
-    pub(in crate::watch) known_outputs: Vec<OutputRecord>,
-}
-
 /// What all pipelines have in common.
 #[derive(Clone)]
-pub(in crate::watch) struct Surroundings {
-    pub(in crate::watch) config: Arc<Config>,
-    pub(in crate::watch) board: Option<Arc<Board>>,
+pub(crate) struct PipelineContext {
+    pub(crate) config: Arc<Config>,
+    pub(crate) store: Option<Arc<StatusStore>>,
     /// The folder of outputs of each root, and its index.
-    pub(in crate::watch) outputs: Arc<Vec<(usize, Arc<OutputGuard>)>>,
-    pub(in crate::watch) events: Sender<Event>,
+    pub(crate) outputs: Arc<Vec<(usize, Arc<OutputGuard>)>>,
+    pub(crate) events: Sender<Event>,
 }
 
 /// Starts a pipeline. It asks for frames by [`Event::FrameWanted`], and ends when the sender that is returned is dropped.
 ///
 /// # Errors
 /// When the system has no more threads.
-pub(in crate::watch) fn start(index: usize, surroundings: Surroundings) -> io::Result<Sender<Start>> {
+pub(crate) fn start(index: usize, context: PipelineContext) -> io::Result<Sender<Start>> {
     let pool = ThreadPoolBuilder::new()
-        .num_threads(surroundings.config.threads)
+        .num_threads(context.config.threads)
         .thread_name(|index| format!("compute {index}"))
         .build()
         .map_err(io::Error::other)?;
     let (sender, frames) = bounded(1);
     thread::Builder::new().name(format!("pipeline {index}")).spawn(move || {
         // Whatever ends it: the core must know.
-        let _ended = Ended(index, surroundings.events.clone());
-        run(index, &pool, &frames, &surroundings);
+        let _ended = Ended(index, context.events.clone());
+        run(index, &pool, &frames, &context);
     })?;
     Ok(sender)
 }
@@ -73,7 +66,7 @@ fn run(
     index: usize,
     pool: &rayon::ThreadPool,
     frames: &Receiver<Start>,
-    Surroundings { config, board, outputs, events }: &Surroundings,
+    PipelineContext { config, store, outputs, events }: &PipelineContext,
 ) {
     let mirrors: Vec<PathBuf> = outputs.iter().map(|(_, guard)| guard.folder.clone()).collect();
     let output_states = OutputStates::default();
@@ -88,7 +81,7 @@ fn run(
         steps_found_by: StepsFoundBy::Another,
         mirrors: &mirrors,
         output_states: Some(&output_states),
-        observer: board.as_ref().map(|board| &**board as &dyn Observer),
+        observer: store.as_ref().map(|store| &**store as &dyn Observer),
     };
     let next = || {
         loop {
@@ -116,7 +109,7 @@ fn run(
     });
 }
 
-impl Observer for Board {
+impl Observer for StatusStore {
     fn began(&self, frame: &Frame, stage: Stage) {
         self.stage_began(&frame.outputs.folder.join(&frame.stem), stage);
     }

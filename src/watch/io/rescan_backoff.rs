@@ -7,9 +7,9 @@ use std::time::{Duration, Instant};
 
 /// When the next scan after a loss is due.
 #[derive(Debug, Default)]
-pub(in crate::watch) struct RescanBackoff {
+pub(crate) struct RescanBackoff {
     /// When, if one is wanted.
-    pub(in crate::watch) due_at: Option<Instant>,
+    pub(crate) due_at: Option<Instant>,
     last_at: Option<Instant>,
     in_a_row: u32,
 }
@@ -26,7 +26,7 @@ const CALM: Duration = Duration::from_secs(60);
 
 impl RescanBackoff {
     /// Events were lost.
-    pub(in crate::watch) fn ask(&mut self, now: Instant) {
+    pub(crate) fn ask(&mut self, now: Instant) {
         if self.due_at.is_some() {
             return;
         }
@@ -42,7 +42,7 @@ impl RescanBackoff {
     }
 
     /// Whether it is time; then the scan counts as done.
-    pub(in crate::watch) fn is_due(&mut self, now: Instant) -> bool {
+    pub(crate) fn is_due(&mut self, now: Instant) -> bool {
         let is_due = self.due_at.is_some_and(|due_at| due_at <= now);
         if is_due {
             self.due_at = None;

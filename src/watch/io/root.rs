@@ -16,29 +16,28 @@ use std::time::{Duration, Instant};
 use crate::pipeline::ObstacleFiles;
 use crate::watch::config::{Config, Patience, Poll, Watch};
 use crate::watch::core::completeness::may_be_sentinel;
-use crate::watch::core::events::{Event, FoundObstacleStamps, RootRequest, RootScan};
+use crate::watch::core::events::{Event, FoundObstacleStamps, RootRequest, Scan};
 use crate::watch::core::frames::FrameId;
 
 use super::fs_events::{FsEvent, WatchError, Watcher};
-use super::inspect::{Surroundings, inspect};
 use super::mounts::network_file_system;
 use super::output_dir::OutputGuard;
 use super::rescan_backoff::RescanBackoff;
-use super::scan::{FolderIdentity, Scan, look, scan_with};
+use super::scan::{FolderIdentity, look, scan_with};
 use super::selection::Selection;
 use super::worker::{Pulse, Work};
 
 /// A watched folder.
 pub(super) struct Root {
-    index: usize,
+    pub(super) index: usize,
     once: bool,
     patience: Patience,
-    watch: Watch,
+    pub(super) watch: Watch,
     /// Absolute.
     path: PathBuf,
     selection: Selection,
-    obstacles: Vec<Arc<ObstacleFiles>>,
-    output: Arc<OutputGuard>,
+    pub(super) obstacles: Vec<Arc<ObstacleFiles>>,
+    pub(super) output: Arc<OutputGuard>,
     watcher: Option<Watcher>,
     rescans: RescanBackoff,
     /// Whether the next scan is made because events were lost.
@@ -127,12 +126,12 @@ impl Root {
     }
 
     /// Whether the times of its files can be compared with the clock here.
-    fn trust_clock(&self) -> bool {
+    pub(super) fn trust_clock(&self) -> bool {
         self.network.is_none()
     }
 
     /// How long its files must be left alone before they are read.
-    fn patience(&self) -> Patience {
+    pub(super) fn patience(&self) -> Patience {
         let Patience { settle, unproven, stalled } = self.patience;
         match self.network {
             None => self.patience,
@@ -148,12 +147,7 @@ impl Root {
     fn scan_and_report(&mut self, report: &dyn Fn(Event)) {
         let started = Instant::now();
         let after_loss = std::mem::take(&mut self.is_after_loss);
-        let found = self.scan().map(|found| RootScan {
-            files: found.files,
-            problems: found.problems.into_iter().map(|(path, error)| (path, error.to_string())).collect(),
-            dangling: found.dangling,
-            after_loss,
-        });
+        let found = self.scan().map(|found| Scan { after_loss, ..found });
         if found.is_ok() {
             // What a scan finds is inspected: that is a part of its cost.
             let cost = started.elapsed() + std::mem::take(&mut self.inspected_for);
@@ -325,22 +319,13 @@ impl Root {
 
 impl Work for Root {
     type Request = RootRequest;
-    type Hint = FsEvent;
 
     fn handle(&mut self, request: RootRequest, report: &dyn Fn(Event)) {
         match request {
             RootRequest::Scan => self.next_scan = Instant::now(),
             RootRequest::Inspect(request) => {
                 let started = Instant::now();
-                let surroundings = Surroundings {
-                    watch: &self.watch,
-                    patience: self.patience(),
-                    trust_clock: self.trust_clock(),
-                    obstacles: &self.obstacles,
-                    own_obstacles: &self.obstacles[self.index],
-                    output: &self.output,
-                };
-                report(Event::Inspected(Box::new(inspect(*request, &surroundings))));
+                report(Event::Inspected(Box::new(self.inspect(*request))));
                 self.inspected_for += started.elapsed();
             }
             RootRequest::StampObstacles(numbers) => {
@@ -354,12 +339,10 @@ impl Work for Root {
                 };
                 report(Event::ObstaclesStamped { root: self.index, stamps });
             }
-            // Another thread does these.
-            RootRequest::Measure(_) | RootRequest::FindSteps(_) => {}
         }
     }
 
-    fn hear(&mut self, event: FsEvent, report: &dyn Fn(Event)) {
+    fn on_fs_event(&mut self, event: FsEvent, report: &dyn Fn(Event)) {
         match event {
             FsEvent::Rescan => self.rescans.ask(Instant::now()),
             FsEvent::Changed(path) => self.on_file_event(&path, false, report),

@@ -18,21 +18,9 @@ use std::time::{Duration, SystemTime};
 use crate::pipeline::{FileStamp, file_of, is_link_loop};
 
 use crate::watch::core::completeness::Seen;
+use crate::watch::core::events::Scan;
 
 use super::selection::{Selection, is_hidden};
-
-/// All that was found.
-#[derive(Debug, Default)]
-pub struct Scan {
-    /// The files that the selection takes, in no particular order.
-    pub files: Vec<(PathBuf, Seen)>,
-    /// The folders that were looked into, the one that was asked for first.
-    pub folders: Vec<PathBuf>,
-    /// Paths that could not be examined: they may be, or hold, frames.
-    pub problems: Vec<(PathBuf, io::Error)>,
-    /// Links that the selection takes and whose target is missing; it may be written later.
-    pub dangling: Vec<PathBuf>,
-}
 
 /// Looks at one file; links are followed. `None` if it is gone, or is no regular file.
 ///
@@ -40,7 +28,7 @@ pub struct Scan {
 ///
 /// # Errors
 /// When the system refuses.
-pub fn look(path: &Path, trust_clock: bool) -> io::Result<Option<Seen>> {
+pub(crate) fn look(path: &Path, trust_clock: bool) -> io::Result<Option<Seen>> {
     match fs::metadata(file_of(path)) {
         Ok(metadata) => Ok(seen(&metadata, trust_clock)),
         Err(error) if is_gone(&error) => Ok(None),
@@ -53,7 +41,7 @@ pub fn look(path: &Path, trust_clock: bool) -> io::Result<Option<Seen>> {
 ///
 /// # Errors
 /// When `folder` itself cannot be looked into. Whatever else cannot is told in [`Scan::problems`].
-pub fn scan(folder: &Path, root: &Path, selection: &Selection, trust_clock: bool) -> io::Result<Scan> {
+pub(crate) fn scan(folder: &Path, root: &Path, selection: &Selection, trust_clock: bool) -> io::Result<Scan> {
     scan_with(folder, root, selection, trust_clock, &|| {})
 }
 
@@ -77,7 +65,7 @@ pub(super) fn scan_with(
         // Some that were entered since are not around this one.
         around.truncate(depth);
         match walk.enter(&next, &mut around, &mut pending) {
-            Err(error) if !is_gone(&error) => walk.scan.problems.push((next, error)),
+            Err(error) if !is_gone(&error) => walk.scan.problems.push((next, error.to_string())),
             _ => {}
         }
     }
@@ -128,7 +116,7 @@ impl Walk<'_> {
                 Ok(true) => pending.push((path, around.len())),
                 Ok(false) => {}
                 Err(error) if is_gone(&error) => {}
-                Err(error) => self.scan.problems.push((path, error)),
+                Err(error) => self.scan.problems.push((path, error.to_string())),
             }
         }
         Ok(())
@@ -191,7 +179,7 @@ impl Edges {
 
 /// Which folder it is, by whatever way it was reached.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(in crate::watch) struct FolderIdentity {
+pub(crate) struct FolderIdentity {
     #[cfg(unix)]
     device_and_inode: (u64, u64),
     #[cfg(not(unix))]
@@ -200,14 +188,14 @@ pub(in crate::watch) struct FolderIdentity {
 
 impl FolderIdentity {
     #[cfg(unix)]
-    pub(in crate::watch) fn of(folder: &Path) -> io::Result<FolderIdentity> {
+    pub(crate) fn of(folder: &Path) -> io::Result<FolderIdentity> {
         use std::os::unix::fs::MetadataExt;
         let metadata = fs::metadata(folder)?;
         Ok(FolderIdentity { device_and_inode: (metadata.dev(), metadata.ino()) })
     }
 
     #[cfg(not(unix))]
-    pub(in crate::watch) fn of(folder: &Path) -> io::Result<FolderIdentity> {
+    pub(crate) fn of(folder: &Path) -> io::Result<FolderIdentity> {
         Ok(FolderIdentity { path: folder.canonicalize()? })
     }
 }
@@ -239,7 +227,8 @@ fn is_gone(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
 }
 
-#[cfg(all(test, unix))]
+#[cfg(test)]
+#[cfg(unix)]
 mod tests {
     use super::*;
     use std::ffi::OsStr;

@@ -88,7 +88,7 @@ impl Selection {
     }
 
     /// Whether its name, and the way to it from the root, say that a file is a frame.
-    pub(in crate::watch) fn takes_name(&self, within: &Path) -> bool {
+    pub(crate) fn takes_name(&self, within: &Path) -> bool {
         let name = within.file_name().unwrap_or_default().to_string_lossy();
         if is_level_set(within) && !names_level_sets(self.pattern.as_ref().map(Pattern::as_str)) {
             return false;
@@ -101,17 +101,17 @@ impl Selection {
     }
 
     /// Whether a folder within the root is looked into, as far as its name tells.
-    pub(in crate::watch) fn enters(&self, root: &Path, folder: &Path) -> bool {
+    pub(crate) fn enters(&self, root: &Path, folder: &Path) -> bool {
         folder.strip_prefix(root).is_ok_and(|within| self.recursive && !is_hidden_path(within))
     }
 
     /// Whether sub-folders are looked into.
-    pub(in crate::watch) fn is_recursive(&self) -> bool {
+    pub(crate) fn is_recursive(&self) -> bool {
         self.recursive
     }
 
     /// Folders whose files are no frames.
-    pub(in crate::watch) fn excluded(&self) -> &[PathBuf] {
+    pub(crate) fn excluded(&self) -> &[PathBuf] {
         &self.excluded
     }
 }
@@ -149,7 +149,7 @@ pub fn content(path: &Path) -> io::Result<Content> {
 }
 
 /// Whether a name is one that listings leave out.
-pub(in crate::watch) fn is_hidden(name: &OsStr) -> bool {
+pub(crate) fn is_hidden(name: &OsStr) -> bool {
     name.as_encoded_bytes().starts_with(b".")
 }
 

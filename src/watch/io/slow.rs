@@ -9,9 +9,9 @@ use std::thread;
 use crossbeam::channel::{Sender, unbounded};
 use rayon::ThreadPoolBuilder;
 
-use crate::watch::core::events::{Event, RootRequest};
+use crate::pipeline::{FileStamp, FrameError, Stage, frames_in_unless};
+use crate::watch::core::events::{Event, FoundSteps, SlowRequest, StepsOrder};
 
-use super::find_steps::find_steps;
 use super::measure::measure;
 
 /// Starts the thread; it ends when the sender that is returned is dropped, and `is_over` is set.
@@ -23,7 +23,7 @@ pub(super) fn spawn(
     threads: usize,
     is_over: Arc<AtomicBool>,
     events: Sender<Event>,
-) -> io::Result<Sender<RootRequest>> {
+) -> io::Result<Sender<SlowRequest>> {
     let (sender, requests) = unbounded();
     thread::Builder::new().name(name.to_owned()).spawn(move || {
         for request in requests {
@@ -31,17 +31,30 @@ pub(super) fn spawn(
                 return;
             }
             let event = match request {
-                RootRequest::FindSteps(order) => Event::StepsFound(find_steps(order, &is_over)),
+                SlowRequest::FindSteps(order) => Event::StepsFound(find_steps(order, &is_over)),
                 // In threads of its own: those of the pipeline must not hang with a file.
-                RootRequest::Measure(order) => match ThreadPoolBuilder::new().num_threads(threads).build() {
+                SlowRequest::Measure(order) => match ThreadPoolBuilder::new().num_threads(threads).build() {
                     Ok(pool) => Event::Measured(Box::new(pool.install(|| measure(*order)))),
                     Err(_) => Event::Measured(Box::new(measure(*order))),
                 },
-                RootRequest::Inspect(_) | RootRequest::Scan | RootRequest::StampObstacles(_) => continue,
             };
             // Nobody listens only when the daemon has ended.
             let _ = events.send(event);
         }
     })?;
     Ok(sender)
+}
+
+/// Searches a file for steps; not to its end once all is over.
+fn find_steps(order: StepsOrder, is_over: &AtomicBool) -> FoundSteps {
+    let path = &order.id.path;
+    let is_same = || FileStamp::of_path(path).is_ok_and(|now| now == order.stamp);
+    // It may have waited for the files before it.
+    if !is_same() {
+        return FoundSteps { order, frames: Ok(None) };
+    }
+    let read = FrameError::catch(path, Stage::Read, || frames_in_unless(path, is_over));
+    let read = read.and_then(|read| read.map_err(|error| FrameError::file(path, Stage::Read, error)));
+    let frames = if is_same() { read.map(Some) } else { Ok(None) };
+    FoundSteps { order, frames }
 }

@@ -7,33 +7,33 @@ use std::time::Instant;
 use crossbeam::channel::Sender;
 
 use crate::pipeline::ObstacleFiles;
-use crate::watch::board::Board;
 use crate::watch::config::Config;
-use crate::watch::core::events::{Event, Now, OutputRequest, RootRequest, Worker};
+use crate::watch::core::events::{Event, Now, OutputRequest, RootRequest, SlowRequest, Worker};
 use crate::watch::core::state::Core;
 use crate::watch::journal::{DaemonRecord, DaemonState, now_ms};
+use crate::watch::status_store::StatusStore;
 
 use super::canonical_path::known_path;
 use super::error::DaemonError;
 use super::fs_events::Watcher;
 use super::lock::host_name;
 use super::output_dir::{OutputGuard, open_outputs};
-use super::pipeline::Surroundings;
+use super::pipeline::PipelineContext;
 use super::root::Root;
 use super::selection::Selection;
 use super::slow;
 use super::worker::{Pulse, StallMonitor, spawn};
 
 /// The threads that do I/O. They end when this is dropped, those that hang when they no longer do.
-pub(in crate::watch) struct Workers {
-    pub(in crate::watch) roots: Vec<Sender<RootRequest>>,
+pub(crate) struct Workers {
+    pub(crate) roots: Vec<Sender<RootRequest>>,
     /// Of each root, for what takes long.
-    pub(in crate::watch) slow: Vec<Sender<RootRequest>>,
-    pub(in crate::watch) outputs: Vec<Sender<OutputRequest>>,
-    pub(in crate::watch) monitors: Vec<StallMonitor>,
+    pub(crate) slow: Vec<Sender<SlowRequest>>,
+    pub(crate) outputs: Vec<Sender<OutputRequest>>,
+    pub(crate) monitors: Vec<StallMonitor>,
     /// What they hold: gone when they have ended.
-    pub(in crate::watch) guards: Vec<Weak<OutputGuard>>,
-    pub(in crate::watch) is_over: Arc<AtomicBool>,
+    pub(crate) guards: Vec<Weak<OutputGuard>>,
+    pub(crate) is_over: Arc<AtomicBool>,
 }
 
 impl Drop for Workers {
@@ -47,11 +47,11 @@ impl Drop for Workers {
 ///
 /// # Errors
 /// When a folder of outputs cannot be had, a pattern is invalid, or the system has no more threads.
-pub(in crate::watch) fn start(
+pub(crate) fn start(
     config: &Arc<Config>,
-    board: Option<Arc<Board>>,
+    store: Option<Arc<StatusStore>>,
     events: &Sender<Event>,
-) -> Result<(Core, Workers, Surroundings), DaemonError> {
+) -> Result<(Core, Workers, PipelineContext), DaemonError> {
     let (outputs, output_of) = open_outputs(config)?;
     let guards: Vec<Arc<OutputGuard>> = outputs.iter().map(|output| Arc::clone(output.guard())).collect();
     let folders: Vec<_> = guards.iter().map(|guard| guard.folder.clone()).collect();
@@ -76,9 +76,9 @@ pub(in crate::watch) fn start(
         now(),
     );
     let outputs_of_roots = output_of.iter().map(|&output| (output, Arc::clone(&guards[output]))).collect();
-    let surroundings = Surroundings {
+    let context = PipelineContext {
         config: Arc::clone(config),
-        board,
+        store,
         outputs: Arc::new(outputs_of_roots),
         events: events.clone(),
     };
@@ -98,8 +98,8 @@ pub(in crate::watch) fn start(
     }
     for (index, path_and_selection) in paths.into_iter().enumerate() {
         // A run that ends when all is done needs no events.
-        let (watcher, hints) = match (!config.once).then(Watcher::new).transpose() {
-            Ok(Some((watcher, hints))) => (Ok(Some(watcher)), Some(hints)),
+        let (watcher, fs_events) = match (!config.once).then(Watcher::new).transpose() {
+            Ok(Some((watcher, fs_events))) => (Ok(Some(watcher)), Some(fs_events)),
             Ok(None) => (Ok(None), None),
             Err(error) => (Err(error), None),
         };
@@ -107,18 +107,18 @@ pub(in crate::watch) fn start(
         let guard = Arc::clone(&guards[output_of[index]]);
         let obstacles = obstacles.clone();
         let root = Root::new(index, path_and_selection, config, obstacles, guard, watcher, pulse.clone());
-        let sender = spawn(&format!("root {index}"), root, hints, pulse, events.clone());
+        let sender = spawn(&format!("root {index}"), root, fs_events, pulse, events.clone());
         workers.roots.push(sender.map_err(failed)?);
         let is_over = Arc::clone(&workers.is_over);
         let sender = slow::spawn(&format!("slow {index}"), config.threads, is_over, events.clone());
         workers.slow.push(sender.map_err(failed)?);
     }
-    Ok((core, workers, surroundings))
+    Ok((core, workers, context))
 }
 
 impl Workers {
     /// The pulse of a worker that is watched from now on.
-    pub(in crate::watch) fn monitor(&mut self, worker: Worker) -> Pulse {
+    pub(crate) fn monitor(&mut self, worker: Worker) -> Pulse {
         let pulse = Pulse::default();
         self.monitors.push(StallMonitor::new(worker, pulse.clone(), Instant::now()));
         pulse
@@ -137,6 +137,6 @@ fn identity() -> DaemonRecord {
 }
 
 /// The time.
-pub(in crate::watch) fn now() -> Now {
+pub(crate) fn now() -> Now {
     Now { at: Instant::now(), unix_ms: now_ms() }
 }

@@ -2,12 +2,11 @@
 //!
 //! ```text
 //!   core ──requests──▶ ┌────────┐ ──events──▶ core
-//!   system ──hints───▶ │ worker │
+//!   system ──changes─▶ │ worker │
 //!   time ────────────▶ └────────┘ ──pulse───▶ the event loop sees whether it is stuck
 //! ```
 
 use std::collections::HashSet;
-use std::hash::Hash;
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -19,18 +18,18 @@ use crossbeam::channel::{Receiver, Sender, never, select, unbounded};
 use crate::watch::core::events::{Event, Worker};
 use crate::watch::core::state::STALL_AFTER;
 
+use super::fs_events::FsEvent;
+
 /// What a worker does. Any of it may block for as long as the file system does.
-pub(in crate::watch) trait Work: Send {
+pub(crate) trait Work: Send {
     /// What the core asks for.
     type Request: Send;
-    /// What the system tells.
-    type Hint: Send + Eq + Hash + Clone;
 
     /// Does what the core asks for.
     fn handle(&mut self, request: Self::Request, report: &dyn Fn(Event));
 
     /// Looks where the system says that something has changed.
-    fn hear(&mut self, _hint: Self::Hint, _report: &dyn Fn(Event)) {}
+    fn on_fs_event(&mut self, _event: FsEvent, _report: &dyn Fn(Event)) {}
 
     /// Does what is due by itself.
     fn on_time(&mut self, report: &dyn Fn(Event));
@@ -41,7 +40,7 @@ pub(in crate::watch) trait Work: Send {
 
 /// The life of a worker, for others to see.
 #[derive(Clone, Debug, Default)]
-pub(in crate::watch) struct Pulse(Arc<PulseState>);
+pub(crate) struct Pulse(Arc<PulseState>);
 
 #[derive(Debug, Default)]
 struct PulseState {
@@ -51,7 +50,7 @@ struct PulseState {
 
 impl Pulse {
     /// The worker makes progress.
-    pub(in crate::watch) fn beat(&self) {
+    pub(crate) fn beat(&self) {
         self.0.beats.fetch_add(1, Ordering::Relaxed);
     }
 
@@ -63,7 +62,7 @@ impl Pulse {
 
 /// Finds out whether a worker is stuck.
 #[derive(Debug)]
-pub(in crate::watch) struct StallMonitor {
+pub(crate) struct StallMonitor {
     worker: Worker,
     pulse: Pulse,
     beats: u64,
@@ -72,12 +71,12 @@ pub(in crate::watch) struct StallMonitor {
 }
 
 impl StallMonitor {
-    pub(in crate::watch) fn new(worker: Worker, pulse: Pulse, now: Instant) -> StallMonitor {
+    pub(crate) fn new(worker: Worker, pulse: Pulse, now: Instant) -> StallMonitor {
         StallMonitor { worker, pulse, beats: 0, since: now, has_stalled: false }
     }
 
     /// Tells if the worker has stalled, or answers again.
-    pub(in crate::watch) fn check(&mut self, now: Instant) -> Option<Event> {
+    pub(crate) fn check(&mut self, now: Instant) -> Option<Event> {
         let PulseState { is_busy, beats } = &*self.pulse.0;
         let (is_busy, beats) = (is_busy.load(Ordering::Relaxed), beats.load(Ordering::Relaxed));
         if beats != self.beats || !is_busy {
@@ -94,17 +93,17 @@ impl StallMonitor {
     }
 }
 
-/// So many hints are taken at once: equal ones are looked at once.
-const HINTS_PER_TURN: usize = 4096;
+/// So many changes are taken at once: equal ones are looked at once.
+const FS_EVENTS_PER_TURN: usize = 4096;
 
 /// Starts a worker. It ends when the sender that is returned is dropped, as soon as it does not hang.
 ///
 /// # Errors
 /// When the system has no more threads.
-pub(in crate::watch) fn spawn<W: Work + 'static>(
+pub(crate) fn spawn<W: Work + 'static>(
     name: &str,
     mut work: W,
-    hints: Option<Receiver<W::Hint>>,
+    fs_events: Option<Receiver<FsEvent>>,
     pulse: Pulse,
     events: Sender<Event>,
 ) -> io::Result<Sender<W::Request>> {
@@ -112,7 +111,7 @@ pub(in crate::watch) fn spawn<W: Work + 'static>(
     let run = move || {
         // Nobody listens only when the daemon has ended.
         let report = |event| drop(events.send(event));
-        let mut hints = hints.unwrap_or_else(never);
+        let mut fs_events = fs_events.unwrap_or_else(never);
         loop {
             let wait = work.next_time().saturating_duration_since(Instant::now()).min(IDLE_MAX);
             pulse.set_busy(false);
@@ -124,20 +123,20 @@ pub(in crate::watch) fn spawn<W: Work + 'static>(
                     }
                     Err(_) => return,
                 },
-                recv(hints) -> hint => match hint {
+                recv(fs_events) -> event => match event {
                     Ok(first) => {
                         pulse.set_busy(true);
                         let mut known = HashSet::new();
-                        let rest: Vec<W::Hint> = hints.try_iter().take(HINTS_PER_TURN).collect();
-                        for hint in std::iter::once(first).chain(rest) {
+                        let rest: Vec<FsEvent> = fs_events.try_iter().take(FS_EVENTS_PER_TURN).collect();
+                        for event in std::iter::once(first).chain(rest) {
                             pulse.beat();
-                            if known.insert(hint.clone()) {
-                                work.hear(hint, &report);
+                            if known.insert(event.clone()) {
+                                work.on_fs_event(event, &report);
                             }
                         }
                     }
                     // Scans will do.
-                    Err(_) => hints = never(),
+                    Err(_) => fs_events = never(),
                 },
                 default(wait) => {}
             }

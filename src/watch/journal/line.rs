@@ -56,7 +56,7 @@ mod tests {
     };
     use super::*;
     use crate::pipeline::{FileStamp, Framed, MeasuredSpacing, OutputState};
-    use crate::watch::board::Figures;
+    use crate::watch::status_store::Figures;
 
     #[track_caller]
     fn comes_back(entry: &Entry) {

@@ -13,8 +13,8 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::pipeline::files::json::{hex, path, text};
 use crate::pipeline::{CameraChoice, FileStamp, Framed, MeasuredSpacing, OutputState};
-use crate::watch::board::Figures;
 use crate::watch::config::{Patience, Watch};
+use crate::watch::status_store::Figures;
 
 /// All that is remembered.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -1,20 +1,17 @@
-//! What there is to see of a running daemon: plain data that the daemon puts here, and whoever wants to
-//! look takes from here.
+//! What clients can see of a running daemon, as plain data: the daemon puts it here, and clients read it.
 //!
 //! ```text
-//!   the daemon's loop ──show──▶ ┌─────────────────────────────┐ ──page, frame, file──▶ whoever looks
-//!   the pipeline ──────began──▶ │ frames in natural order     │
-//!                               │ the last changes, by number │ ──changes_since──────▶ whoever follows
-//!                               └─────────────────────────────┘
+//!   event loop ──update──▶ ┌─────────────────────────────┐ ──page, frame, file──▶ requests
+//!   pipeline ────began───▶ │ frames in natural order     │
+//!                          │ the last changes, by number │ ──changes_since──────▶ subscribers
+//!                          └─────────────────────────────┘
 //! ```
 //!
-//! Two things must not happen: that somebody who looks slows down a frame, and that somebody who is slow
-//! costs memory. So what is shown of a frame is replaced, never built anew for all; the lock is held for
-//! the copy of some pointers and of plain numbers: those of a page, of 256 changes, of the 900 samples of
-//! the chart, of the counters; what is said of them is put into words after it; and the log of changes
-//! has an end. It holds *names* and not states: who
-//! comes late is told of a frame once, as it is by then. Who comes too late is told so, and looks at
-//! everything again.
+//! Two things must not happen: that a client slows down a frame, and that a slow client costs memory. So the view of a
+//! frame is replaced, never built anew for all. The lock is held while pointers and plain numbers are copied: those of a
+//! page, of 256 changes, of the 900 samples of the chart, of the counters; they are serialized after it. The log of
+//! changes has an end, and holds *names* and not states: a client that comes late gets each frame once, as it is by then.
+//! A client that comes too late is told so, and reads everything again.
 //!
 //! The types here are those of the interface in `docs/window.md`: what they serialize to is promised there.
 
@@ -36,9 +33,9 @@ pub use figures::Figures;
 pub use metrics::{BUCKETS_S, Counters, Histogram, STAGES};
 pub use view::{Counts, Forecast, FrameState, FrameSummary, FrameView, OutputView, Sample, Status};
 
-/// What there is to see of one daemon.
+/// What clients can see of one daemon.
 #[derive(Debug)]
-pub struct Board {
+pub struct StatusStore {
     /// Tells this daemon from the one before: numbers of changes begin anew with each.
     run: u64,
     version: AtomicU64,
@@ -130,16 +127,16 @@ const CHANGES_MAX: usize = 4096;
 /// As many samples are kept: with one each second, a quarter of an hour.
 const SAMPLES_MAX: usize = 900;
 
-impl Default for Board {
-    fn default() -> Board {
-        Board::new()
+impl Default for StatusStore {
+    fn default() -> StatusStore {
+        StatusStore::new()
     }
 }
 
-impl Board {
-    /// A board with nothing on it.
-    pub fn new() -> Board {
-        Board {
+impl StatusStore {
+    /// An empty store.
+    pub fn new() -> StatusStore {
+        StatusStore {
             run: now_ms(),
             version: AtomicU64::new(0),
             alive_ms: AtomicU64::new(now_ms()),
@@ -183,7 +180,7 @@ impl Board {
     }
 
     /// Shows a frame, in place of what was shown of it. Figures of one that is still done stay.
-    pub fn show(&self, mut view: FrameView) {
+    pub fn update(&self, mut view: FrameView) {
         let mut state = self.lock();
         let rank = Rank(view.summary.name.clone());
         let old = state.frames.remove(&rank);
@@ -231,14 +228,14 @@ impl Board {
     }
 
     /// Shows the settings of a sequence.
-    pub fn show_sequence(&self, name: String, record: SequenceRecord) {
+    pub fn set_sequence(&self, name: String, record: SequenceRecord) {
         let mut state = self.lock();
         state.sequences.insert(name, Arc::new(record));
         self.note(&mut state, Change::Settings);
     }
 
     /// How the daemon is. Comes about once a second, and makes a sample for the chart.
-    pub fn tell(&self, status: Status) {
+    pub fn set_status(&self, status: Status) {
         self.pulse();
         let mut state = self.lock();
         let Counts { waiting, queued, working, failed, .. } = state.counts;
@@ -261,9 +258,9 @@ impl Board {
         }
     }
 
-    /// Counts something.
-    pub fn count(&self, count: impl FnOnce(&mut Counters)) {
-        count(&mut self.lock().counters);
+    /// What was counted by now.
+    pub fn set_counters(&self, counters: Counters) {
+        self.lock().counters = counters;
     }
 
     /// Up to `limit` frames after that of this name; from the first one on without it.

@@ -31,8 +31,8 @@ fn names(frames: &[Arc<FrameView>]) -> Vec<&str> {
 }
 
 /// The names of frames that changed, and of those that are gone.
-fn news(board: &Board, version: u64) -> Option<(u64, Vec<String>, Vec<String>)> {
-    match board.changes_since(version, 100) {
+fn news(store: &StatusStore, version: u64) -> Option<(u64, Vec<String>, Vec<String>)> {
+    match store.changes_since(version, 100) {
         Changes::Lost(_) => None,
         Changes::Known { version, frames, removed, .. } => {
             let frames = names(&frames).into_iter().map(str::to_owned).collect();
@@ -43,71 +43,71 @@ fn news(board: &Board, version: u64) -> Option<(u64, Vec<String>, Vec<String>)> 
 
 #[test]
 fn pages_are_in_natural_order() {
-    let board = Board::new();
+    let store = StatusStore::new();
     for number in [10, 9, 1, 100, 2] {
-        board.show(view(&format!("a.{number}"), FrameState::Queued));
+        store.update(view(&format!("a.{number}"), FrameState::Queued));
     }
-    let page = board.page(None, 3);
+    let page = store.page(None, 3);
     assert_eq!((names(&page.frames), page.total, page.has_more), (vec!["a.1", "a.2", "a.9"], 5, true));
-    let page = board.page(Some("a.9"), 3);
+    let page = store.page(Some("a.9"), 3);
     assert_eq!((names(&page.frames), page.has_more), (vec!["a.10", "a.100"], false));
-    assert_eq!(names(&board.page(Some("a.5"), 1).frames), ["a.9"]);
-    assert!(board.page(Some("b"), 3).frames.is_empty());
+    assert_eq!(names(&store.page(Some("a.5"), 1).frames), ["a.9"]);
+    assert!(store.page(Some("b"), 3).frames.is_empty());
 }
 
 #[test]
 fn a_frame_is_told_once_as_it_is_now() {
-    let board = Board::new();
-    board.show(view("a", FrameState::Waiting));
-    board.show(view("b", FrameState::Waiting));
-    board.show(view("a", FrameState::Queued));
-    board.stage_began(Path::new("/out/a"), Stage::Smooth);
-    board.remove("b");
-    let (version, frames, removed) = news(&board, 0).expect("known");
-    assert_eq!((version, frames, removed), (board.version(), vec!["a".to_owned()], vec!["b".to_owned()]));
-    let frame = board.frame("a").expect("shown");
+    let store = StatusStore::new();
+    store.update(view("a", FrameState::Waiting));
+    store.update(view("b", FrameState::Waiting));
+    store.update(view("a", FrameState::Queued));
+    store.stage_began(Path::new("/out/a"), Stage::Smooth);
+    store.remove("b");
+    let (version, frames, removed) = news(&store, 0).expect("known");
+    assert_eq!((version, frames, removed), (store.version(), vec!["a".to_owned()], vec!["b".to_owned()]));
+    let frame = store.frame("a").expect("shown");
     assert_eq!((frame.summary.state, frame.summary.stage), (FrameState::Working, Some("smooth")));
-    assert_eq!(board.status().1, Counts { working: 1, ..Counts::default() });
-    assert_eq!(news(&board, version).expect("known").1, [""; 0]);
+    assert_eq!(store.status().1, Counts { working: 1, ..Counts::default() });
+    assert_eq!(news(&store, version).expect("known").1, [""; 0]);
 }
 
 #[test]
 fn what_does_not_change_is_no_news() {
-    let board = Board::new();
-    board.show(FrameView { figures: Some(Arc::default()), ..view("a", FrameState::Done) });
-    let version = board.version();
-    board.show(view("a", FrameState::Done));
-    assert_eq!(board.version(), version);
-    assert!(board.frame("a").expect("shown").figures.is_some());
-    board.show(view("a", FrameState::Queued));
-    assert!(board.frame("a").expect("shown").figures.is_none());
+    let store = StatusStore::new();
+    store.update(FrameView { figures: Some(Arc::default()), ..view("a", FrameState::Done) });
+    let version = store.version();
+    store.update(view("a", FrameState::Done));
+    assert_eq!(store.version(), version);
+    assert!(store.frame("a").expect("shown").figures.is_some());
+    store.update(view("a", FrameState::Queued));
+    assert!(store.frame("a").expect("shown").figures.is_none());
 }
 
 #[test]
 fn who_comes_too_late_is_told_so() {
-    let board = Board::new();
+    let store = StatusStore::new();
     for number in 0..=CHANGES_MAX {
-        board.show(view(&number.to_string(), FrameState::Queued));
+        store.update(view(&number.to_string(), FrameState::Queued));
     }
-    assert!(news(&board, 0).is_none());
-    assert_eq!(news(&board, 1).expect("known").0, 101);
-    assert!(news(&board, board.version() + 1).is_none(), "of another run");
-    let version = board.version();
-    board.begin(Value::Null);
-    assert!(news(&board, version).is_none());
-    assert_eq!(board.page(None, 1).total, 0);
+    assert!(news(&store, 0).is_none());
+    assert_eq!(news(&store, 1).expect("known").0, 101);
+    assert!(news(&store, store.version() + 1).is_none(), "of another run");
+    let version = store.version();
+    store.begin(Value::Null);
+    assert!(news(&store, version).is_none());
+    assert_eq!(store.page(None, 1).total, 0);
 }
 
 #[test]
 fn only_outputs_of_frames_are_found_by_name() {
-    let board = Board::new();
-    board.show(view("a", FrameState::Done));
-    assert_eq!(board.file("a.glb"), Some("/out/a.glb".into()));
+    let store = StatusStore::new();
+    store.update(view("a", FrameState::Done));
+    assert_eq!(store.file("a.glb"), Some("/out/a.glb".into()));
     for name in ["/out/a.glb", "a", "../a.glb", "a.glb/", ""] {
-        assert_eq!(board.file(name), None, "{name}");
+        assert_eq!(store.file(name), None, "{name}");
     }
-    board.show(view("a", FrameState::Queued));
-    assert_eq!(board.file("a.glb"), None);
+    store.update(view("a", FrameState::Queued));
+    assert_eq!(store.file("a.glb"), None);
 }
 
 #[test]
