@@ -6,7 +6,7 @@ mod dependencies; // a reason for each crate, and nothing in C
 mod docs; // links of the pages lead somewhere, and what they say is tested is
 mod formats; // the table of what is read, written and kept
 mod options; // the help, the example of a configuration and the page of options know the same options
-mod readme; // every command in the README, run as it stands there
+mod readme; // every command in the README and the tutorials, run as it stands there
 mod report; // the page of the report has each of its fields
 #[path = "../meniscus/scene.rs"]
 #[expect(dead_code, reason = "some of it is for other tests")]
