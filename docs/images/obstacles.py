@@ -60,7 +60,7 @@ def tetrahedron(folder):
     panels = []
     for label, options in WAYS:
         start()
-        show(skinned(points, wall, options, voxel_size), WATER)
+        show(reconstructed(points, wall, options, voxel_size), WATER)
         panels.append(rendered(folder / "panel.png", label, *view))
     return panels
 
@@ -79,7 +79,7 @@ def ball(folder):
         body = bpy.context.object
         bpy.ops.object.transform_apply()
         write_obj(wall, [v.co for v in body.data.vertices], [p.vertices for p in body.data.polygons])
-        water = skinned(points, wall, options, voxel_size)
+        water = reconstructed(points, wall, options, voxel_size)
         # The water's cut lies in front, so that it shows where it is in the ball.
         cut_open(body, center.y + 2e-4, WALL)
         cut_open(water, center.y, WATER)
@@ -104,7 +104,7 @@ def cut_open(thing, depth, color):
     mesh.free()
 
 
-def skinned(points, wall, options, voxel_size):
+def reconstructed(points, wall, options, voxel_size):
     """The mesh of these particles. `options` is None for a surface without an obstacle."""
     obstacle = [] if options is None else ["--obstacle", wall, *options]
     out = points.with_suffix("")
