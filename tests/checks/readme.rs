@@ -150,7 +150,8 @@ const RUN_ELSEWHERE: [(&str, &str, &str); 6] = [
 #[test]
 fn commands_that_run_elsewhere_are_in_a_page_and_in_their_check() {
     for (command, file, part) in RUN_ELSEWHERE {
-        let is_in_page = PAGES.iter().any(|(_, text)| commands(text).iter().any(|found| found.text == command));
+        let is_in_page =
+            PAGES.iter().any(|(_, text)| commands(text).iter().any(|found| found.text == command));
         assert!(is_in_page, "no page has the command {command}");
         let text = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(file)).expect("readable");
         assert!(text.contains(part), "{command}: {file} has no {part}");
