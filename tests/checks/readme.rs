@@ -27,7 +27,7 @@ use tempfile::{TempDir, tempdir};
 
 use crate::scene::{block, meniscus, write_ply};
 
-/// The pages whose commands run here, each in a folder of its own, from top to bottom.
+/// The pages whose commands run here, each in a separate folder, from top to bottom.
 const PAGES: [(&str, &str); 7] = [
     ("README.md", include_str!("../../README.md")),
     ("docs/commands.md", include_str!("../../docs/commands.md")),
@@ -38,8 +38,8 @@ const PAGES: [(&str, &str); 7] = [
     ("docs/tutorial-farm.md", include_str!("../../docs/tutorial-farm.md")),
 ];
 
-/// Far longer than anything here takes.
-const PATIENCE: Duration = Duration::from_secs(120);
+/// A timeout far longer than any command here takes.
+const TIMEOUT: Duration = Duration::from_secs(120);
 
 /// Frames of `cache/` and of the same name beside it.
 const FRAMES: [usize; 3] = [11, 12, 13];
@@ -204,7 +204,7 @@ fn made_by<'a>(words: &[&'a str]) -> Vec<&'a str> {
     words.windows(2).filter(|pair| options.contains(&pair[0])).map(|pair| pair[1]).collect()
 }
 
-/// An example, built as this test is: together with it, so that Cargo chooses the same features of all crates.
+/// Builds an example in the same Cargo command as this test, so that Cargo chooses the same features of all crates.
 fn example_program(name: &str) -> PathBuf {
     let build = Command::new(env!("CARGO"))
         .args(["build", "--locked", "--workspace", "--bin", name, "--test", "checks"])
@@ -217,7 +217,7 @@ fn example_program(name: &str) -> PathBuf {
     let messages = out.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).expect("JSON"));
     let messages = messages.filter(|message| message["target"]["name"] == name);
     let mut programs = messages.filter_map(|message| Some(message["executable"].as_str()?.into()));
-    programs.next_back().unwrap_or_else(|| panic!("{name} is no program"))
+    programs.next_back().unwrap_or_else(|| panic!("cargo built no program {name}"))
 }
 
 /// The README builds the program first. The examples that follow must not take minutes more to build.
@@ -247,7 +247,7 @@ fn examples_in_pages_need_no_crate_or_feature_that_the_program_does_not_need() {
     }
 }
 
-/// Files by their names, and what tells one version from the next.
+/// Files by path, with values that differ between versions of a file: inode, modification time, size.
 type Outputs = BTreeMap<PathBuf, (u64, i64, u64)>;
 
 /// A folder with all files that the commands of a page name.
@@ -292,12 +292,12 @@ impl Scene {
         self.folder.path()
     }
 
-    /// A shell that finds the program under its name.
+    /// A shell with the program in its PATH.
     fn shell(&self, command: &str) -> Command {
         let program = Path::new(env!("CARGO_BIN_EXE_meniscus")).parent().expect("a folder").to_owned();
         let others = env::var_os("PATH").unwrap_or_default();
         let folders: Vec<PathBuf> = [program].into_iter().chain(env::split_paths(&others)).collect();
-        // Quotes and patterns are the shell's; what else it could do is not the program's.
+        // Commands may use the shell's quotes and patterns, and no other feature of the shell.
         assert!(!command.contains([';', '&', '|', '<', '>', '$', '`']), "{command}");
         let mut shell = Command::new("sh");
         shell.args(["-c", &format!("exec {command}")]).current_dir(self.path()).stdin(Stdio::null());
@@ -328,7 +328,7 @@ impl Scene {
         }
         let socket = self.path().join("notify");
         let manager = UnixDatagram::bind(&socket).expect("a socket");
-        manager.set_read_timeout(Some(PATIENCE)).expect("a socket");
+        manager.set_read_timeout(Some(TIMEOUT)).expect("a socket");
         let mut shell = self.shell(command);
         let daemon = shell.env("NOTIFY_SOCKET", &socket).stdout(Stdio::null()).stderr(Stdio::null());
         let mut daemon = Ended(daemon.spawn().expect("the shell starts"));
@@ -349,7 +349,7 @@ impl Scene {
     }
 }
 
-/// A file, or all files below a folder; none where nothing is.
+/// A file, or all files below a folder; empty if the path does not exist.
 fn files_below(path: &Path) -> Outputs {
     if let Ok(entries) = fs::read_dir(path) {
         let paths = entries.map(|entry| entry.expect("an entry").path());
@@ -359,26 +359,26 @@ fn files_below(path: &Path) -> Outputs {
     fs::metadata(path).ok().map(version).into_iter().collect()
 }
 
-/// Waits until the daemon has said this to its service manager.
+/// Waits until the daemon sends a notification with this start to its service manager.
 fn wait_for(manager: &UnixDatagram, start: &str) {
     let mut bytes = [0; 4096];
     loop {
         match manager.recv(&mut bytes) {
             Ok(count) if String::from_utf8_lossy(&bytes[..count]).starts_with(start) => return,
             Ok(_) => {}
-            // A child of another test has ended.
+            // A signal arrived, for example because a child of another test has exited.
             Err(error) if error.kind() == ErrorKind::Interrupted => {}
             Err(error) => panic!("no {start}: {error}"),
         }
     }
 }
 
-/// A daemon that does not outlive the test.
+/// A daemon that is killed when the test ends.
 struct Ended(Child);
 
 impl Drop for Ended {
     fn drop(&mut self) {
-        // It has ended, unless the test has failed.
+        // The daemon has already exited, unless the test has failed.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
@@ -404,7 +404,7 @@ fn write_bgeo(path: &Path, edge_count: usize, number: usize) {
     bgeo::write(&frame, &mut BufWriter::new(File::create(path).expect("made"))).expect("written");
 }
 
-/// Particles of two sizes.
+/// Particles with two different radii.
 fn write_beads(path: &Path) {
     let particles = block(4, 0.0);
     let lines = particles
@@ -417,7 +417,7 @@ fn write_beads(path: &Path) {
     fs::write(path, header + &lines.collect::<String>()).expect("written");
 }
 
-/// Two steps.
+/// A LAMMPS dump with two steps.
 fn write_dump(path: &Path) {
     let step = |number: usize| {
         let particles = block(4, 0.01 * number as f64);
@@ -432,7 +432,7 @@ fn write_dump(path: &Path) {
     fs::write(path, [0, 10].map(step).concat()).expect("written");
 }
 
-/// A box that stands in the block.
+/// A box inside the block of particles.
 fn write_ship(path: &Path) {
     let corner = |index: i32| IVec3::new(index & 1, index >> 1 & 1, index >> 2 & 1).as_vec3();
     let place = |index| Vec3::new(0.2, 0.2, -0.2) + corner(index) * Vec3::new(0.2, 0.2, 1.0);
