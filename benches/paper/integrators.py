@@ -21,17 +21,19 @@ LONGEST = "explicit, 10 000 steps"  # once, not once a round
 # Half the spacing of the particles in examples/frames.
 DAM_VOXEL_SIZE = 0.0264
 
-ABOUT = """The paper's frames are not published, so ours are others: small simulations with h = half the spacing, and a solid of 600 000 particles with
-h = spacing. Not all need be here: `--frames` leaves some out.
+ABOUT = """The paper's frames are not published, so we use others: small simulations with h = half the spacing, and a solid of 600 000 particles with h = spacing.
+The table may lack some of them, because `--frames` selects frames.
 
-- We have no dense grid. Our `explicit` works on the same sparse leaves as the others, so what the paper gained by leaving the dense grid
-  cannot be measured here. Nor did we run a dense program of the authors: what stands below as theirs is their published sparse one.
-- The paper's explicit runs take 10 000 steps. Ours take 500 unless told otherwise, a twentieth of the time that implicit ones integrate. Both
-  stand here, the 10 000 from one run each.
-- `smooth` is what the paper counts as operator, slope, vectors of CG, voxels on and off, constraints, and sweeping between steps.
-  `rasterize` has the sweeping of the bounds in it. `contour` has the measuring and the certificate in it; the paper names no part for
-  making a mesh.
-- The process in all has the start of the program and reading in it, too."""
+- meniscus has no dense grid.
+  Its `explicit` integrator works on the same sparse leaves as the others, so the paper's gain over a dense grid cannot be measured here.
+  The authors' program in the tables is their published sparse one, not a dense one.
+- The paper's explicit runs take 10 000 steps.
+  Ours take 500 by default, a twentieth of the time that implicit ones integrate.
+  The tables have both, the 10 000 from one run each.
+- `smooth` is what the paper lists as operator, slope, vectors of CG, voxels on and off, constraints, and sweeping between steps.
+  `rasterize` includes the sweeping of the bounds.
+  `contour` includes the measurements and the certificate; the paper lists no time for contouring.
+- The time of the whole process also includes the start of the program and reading."""
 
 
 @dataclass

@@ -11,11 +11,11 @@ from paper import figures
 from paper.measuring import UPPER_RIGHT, in_seconds
 from processes import Table, spread
 
-ABOUT = """The same surface again and again, of 4.8 million particles at h = spacing: by as many processes as there are threads in all, or by fewer
-processes with more threads each. The last row of ours is one process that is given all frames by one command: there a thread takes a frame
-of its own as long as there are enough (`src/pipeline/crew.rs`).
+ABOUT = """The same surface of 4.8 million particles at h = spacing is made repeatedly: with as many processes as threads in total, or with fewer processes of more threads each.
+The last row of ours is a single process that gets all frames in one command: there each thread processes a different frame as long as there are enough (`src/pipeline/scheduler.rs`).
 
-The paper's text says 120 jobs, its caption 12. With what a job takes in its Table 3, it was 120."""
+The paper's text says 120 jobs, its caption 12.
+According to the time of a job in its Table 3, there were 120."""
 
 
 def table(asked):
@@ -63,8 +63,8 @@ def in_one(pattern, voxel_size, threads):
 
 def papers():
     table = Table(
-        f"The paper's, {figures.JOBS} jobs, on {figures.MACHINE}. The last two columns follow from the times: what a job took while"
-        " so many ran, and how many times faster it is than with one thread.",
+        f"The paper's, {figures.JOBS} jobs, on {figures.MACHINE}. The last two columns are derived from the times: the time of"
+        " a job while that many ran, and its speedup over one thread.",
         *("processes at once", "threads of each", "time, h:min", "beside the first", "seconds of a job", "times faster"),
     )
     least = figures.PROCESSES[0][2]

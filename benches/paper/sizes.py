@@ -19,8 +19,7 @@ from paper.measuring import (
 from processes import THREADS, Table, spread
 
 ABOUT = """The dragon of the paper's Fig. 17 on finer and finer lattices, and a solid with about its area and volume (`examples/solid`), both with
-h = spacing. A row with ¹ is that of [performance.md](../performance.md#large-frames), with the machine and commit that it names; the others were
-measured now, that of 38.6 million once."""
+h = spacing. A row with ¹ is from [performance.md](../performance.md#large-frames), with the machine and commit given there; the others were measured for this page, that of 38.6 million once."""
 
 
 def table(asked):

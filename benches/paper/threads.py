@@ -13,14 +13,15 @@ from processes import Table, spread
 
 PICTURE = "tables_speedup.svg"  # beside the page
 
-ABOUT = f"""The paper's figures are drawings without numbers. What they show, how fast {figures.CORES} threads are, follows from its Table 2 as well: there a job
-of many threads stands beside jobs of one thread. (Twelve of those at once were a little slower than one alone, says the paper: so all of them
-are a little too good here.)
+ABOUT = f"""The paper's figures are plots without numbers.
+Their content, the speedup with {figures.CORES} threads, also follows from its Table 2, which has jobs of many threads and jobs of one thread.
+(According to the paper, twelve of the latter at once were a little slower than one alone, so these speedups are slightly too high.)
 
-**What stands here for more cores than were measured is a projection**, and no measurement. The serial share s is what makes Amdahl's law,
-T(n) = T(1)·(s + (1 − s)/n), fit one thread and the most that there were, round by round; the projection is that law. It knows nothing of memory
-and caches that more cores share, of processors far from each other, or of loops with too few pieces for so many cores. All of these take
-from it. A share of 0, which noise can bring about, gives the number of cores."""
+**The figures for more cores than were measured are a projection**, not a measurement.
+The serial share s makes Amdahl's law, T(n) = T(1)·(s + (1 − s)/n), fit the times with one thread and with the most threads, round by round; the projection is that law.
+It ignores memory and caches that more cores share, distant processors, and loops with too few pieces for that many cores.
+All of these reduce the real speedup.
+A share of 0, which noise can cause, gives the number of cores."""
 
 NOTHING_PROJECTED = """Other work took a part of the cores while the first of these two tables was measured, so that two threads got hardly more of
 them than one. Nothing is taken from it: the table and the picture below have the second one only."""
@@ -42,8 +43,8 @@ def table(asked):
             is_shared,
         ),
         stages_on_threads(
-            "The same from what `cargo bench --bench stages` printed for [performance.md](../performance.md#stages), with the machine"
-            " and commit named there: another solid with h = half the spacing, so that many more voxels are free.",
+            "The same from the output of `cargo bench --bench stages` in [performance.md](../performance.md#stages), with the machine"
+            " and commit given there: another solid with h = half the spacing, which has many more free voxels.",
             told,
         ),
     ]
@@ -131,7 +132,7 @@ def projected(sources):
     """Fig. 18 and 20: the paper's, and ours at the same numbers of threads."""
     names = [name for source in sources for name in (f"measured, {source}", f"projected, {source}")]
     table = Table(
-        "Times faster than one thread, all three stages. The paper's follow from its Table 2; ours are those of the largest"
+        "Speedup over one thread, all three stages.\nThe paper's are derived from its Table 2; ours are those of the largest"
         " solids above.",
         *("threads", "the paper's", *names),
     )

@@ -2,7 +2,7 @@
 
     cargo build --release --bin meniscus && cargo build --release -p dam_break && python docs/images/live.py
 
-To the left the particles, to the right what meniscus makes of them.
+The particles are on the left, and their surface on the right.
 """
 
 import os
@@ -16,7 +16,7 @@ TARGET = Path(os.environ.get("CARGO_TARGET_DIR", "target")) / "release"
 FRAMES = 72
 SIZE = (760, 280)
 PICTURE = Path("docs/images/live.gif")
-# Fewer are seen as bands on the ground, more make the file larger.
+# Fewer colours cause bands on the ground; more make the file larger.
 COLORS = 128
 MILLISECONDS = 50
 
@@ -29,7 +29,8 @@ def main():
         render = [TARGET / "meniscus", "render", cache, "--out", pictures, "--particles", "--size", size]
         subprocess.run(render, check=True, stdout=subprocess.DEVNULL)
         frames = [Image.open(path).convert("RGB") for path in sorted(pictures.glob("*.png"))]
-    # One palette for all, or the colours would flicker. The most of all colours are shadow: they are not to become water.
+    # One palette for all frames, so that colours do not flicker. MAXCOVERAGE, because most colours are shades of the shadow, which
+    # would otherwise displace those of the water.
     shown = Image.new("RGB", (SIZE[0], SIZE[1] * len(frames[::8])))
     for place, frame in enumerate(frames[::8]):
         shown.paste(frame, (0, SIZE[1] * place))

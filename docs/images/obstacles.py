@@ -2,8 +2,8 @@
 
     cargo build --release && python docs/images/obstacles.py
 
-Above, particles all over the inside of a tetrahedron: what surrounds them is the obstacle. Below, a frame of
-examples/frames with a ball in the water, cut open where the ball is thickest.
+The upper row has particles on the whole inside of a tetrahedron: the block around them is the obstacle. The lower row has a
+frame of examples/frames with a ball in the water, cut open at the centre of the ball.
 """
 
 import os
@@ -13,7 +13,7 @@ import tempfile
 from pathlib import Path
 
 import bpy
-import bmesh  # Blender's, and only there after bpy.
+import bmesh  # Blender's; can be imported only after bpy.
 import numpy as np
 from mathutils import Euler, Vector
 
@@ -36,7 +36,7 @@ def main():
 
 
 def tetrahedron(folder):
-    """Particles on the faces of a tetrahedron, none nearer to another than 3.2 h."""
+    """Particles on the faces of a tetrahedron, at least 3.2 h apart."""
     voxel_size = 0.04
     turn = Euler((0.3, 0.2, 0.5)).to_matrix()
     corners = np.array([turn @ Vector(c) for c in [(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)]])
@@ -60,7 +60,7 @@ def tetrahedron(folder):
     panels = []
     for label, options in WAYS:
         start()
-        show(skinned(points, wall, options, voxel_size), WATER)
+        show(reconstructed(points, wall, options, voxel_size), WATER)
         panels.append(rendered(folder / "panel.png", label, *view))
     return panels
 
@@ -79,7 +79,7 @@ def ball(folder):
         body = bpy.context.object
         bpy.ops.object.transform_apply()
         write_obj(wall, [v.co for v in body.data.vertices], [p.vertices for p in body.data.polygons])
-        water = skinned(points, wall, options, voxel_size)
+        water = reconstructed(points, wall, options, voxel_size)
         # The water's cut lies in front, so that it shows where it is in the ball.
         cut_open(body, center.y + 2e-4, WALL)
         cut_open(water, center.y, WATER)
@@ -104,8 +104,8 @@ def cut_open(thing, depth, color):
     mesh.free()
 
 
-def skinned(points, wall, options, voxel_size):
-    """The mesh of these particles. `options` is none where there shall be no obstacle."""
+def reconstructed(points, wall, options, voxel_size):
+    """The mesh of these particles. `options` is None for a surface without an obstacle."""
     obstacle = [] if options is None else ["--obstacle", wall, *options]
     out = points.with_suffix("")
     command = [PROGRAM, "convert", points, "--out", out, "--format", "ply", "--voxel-size", str(voxel_size), *obstacle]
@@ -115,7 +115,7 @@ def skinned(points, wall, options, voxel_size):
 
 
 def read_bgeo(path):
-    """Positions of a classic BGEO file with velocities, whose y is up; z is up in what comes back."""
+    """Positions of a classic BGEO file with velocities and Y up; returns them with Z up."""
     data = path.read_bytes()
     (count,) = struct.unpack_from(">i", data, 9)
     points = np.frombuffer(data, ">f4", count * 7, len(data) - 2 - count * 28).reshape(-1, 7)
@@ -163,7 +163,7 @@ def material(color):
 
 
 def rendered(path, label, direction, center, distance):
-    """The panel, drawn into a file; its rows from below, as four numbers a pixel."""
+    """Renders the panel into a file, and returns its rows from the bottom, with four numbers per pixel."""
     camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     camera.data.lens = 50
     camera.location = center + Vector(direction).normalized() * distance

@@ -1,19 +1,19 @@
-"""Brings a sequence of meniscus' surfaces into Blender, while it grows or when it is finished.
+"""Imports a sequence of meniscus' surfaces into Blender, finished or still growing.
 
-    blender --python import_sequence.py -- out                    in Blender's window
-    blender --python import_sequence.py                           nothing but the panel: 3D view, sidebar, meniscus
-    python import_sequence.py out --save dam.blend                with Blender as a module (bpy), no window
+    blender --python import_sequence.py -- out                    opens Blender with the sequence
+    blender --python import_sequence.py                           only adds the panel: 3D view, sidebar, meniscus
+    python import_sequence.py out --save dam.blend                with Blender as a module (bpy), without a window
 
 A path is a folder with one sequence, one of its files, or a pattern such as `out/dam.####.vdb`.
 
-    .glb    One mesh, refilled with the file of the frame. Its object, materials and modifiers are the scene's own and
-            stay. The attribute `velocity` becomes motion blur in Cycles.
-    .vdb    A volume with Blender's own file sequence, and a mesh object that shows it by Volume to Mesh.
+    .glb    One mesh, whose geometry is replaced by the file of the current frame. Its object, materials and modifiers
+            belong to the scene and stay. The attribute `velocity` becomes motion blur in Cycles.
+    .vdb    A volume with Blender's own file sequence, and a mesh object that shows it with Volume to Mesh.
 
-A frame is the number in a file's name, or with `--step N` each Nth. A frame that is not there shows the last one before it,
-and before the first there is the first: the console and the panel say so. Files are looked for when the playhead gets to a
-frame that is not known, by the button Reload, and in Blender's window every few seconds. All that is a handler of frames:
-a .blend takes this script along as a text, and needs it to be allowed to run. Only a .vdb sequence without gaps goes without.
+The frame is the number in the file's name, divided by N with `--step N`. A missing frame shows the last frame before it,
+or the first frame if there is none before it; the console and the panel say so. The script looks for files when the playhead
+reaches an unknown frame, on the button Reload, and every few seconds if Blender has a window. A frame-change handler does
+this: a .blend contains this script as a text, which must be allowed to run. Only a .vdb sequence without gaps plays without it.
 """
 
 import argparse
@@ -36,16 +36,16 @@ from mathutils import Matrix, Quaternion
 
 KINDS = (".glb", ".vdb")
 NAME = re.compile(r"([^.].*)(\.(?:glb|vdb))", re.IGNORECASE)
-# What stands before the number of a frame or of a version, behind a count, and at the end of a name with a subframe.
+# Text before the number of a frame or a version, text after a count, and the end of a name with a subframe.
 FRAME = re.compile(r"(?:^|[^a-z])(?:frame|frm|step|timestep)[._ -]?$", re.IGNORECASE)
 VERSION = re.compile(r"(?:^|[^a-z])(?:v|ver|version|rev|take|wedge)$", re.IGNORECASE)
 COUNT = re.compile(r"[._ -]?(?:particles?|points?|pts|parts|vertices|atoms|spheres)(?![a-z])", re.IGNORECASE)
 SUBFRAME = re.compile(r"(?:^|[^0-9a-z])(\d{4,})\.(\d+)$", re.IGNORECASE)
 FRAME_MAX = 1048574
 FOLLOW_SECONDS = 5.0
-# Up along y becomes up along z.
+# Turns Y up into Z up.
 TURN = Matrix.Rotation(math.radians(90), 4, "X")
-UPS = [("Y", "Y", "As in glTF: turned upright"), ("Z", "Z", "As in Blender: left as it is")]
+UPS = [("Y", "Y", "As in glTF: turned to Z up"), ("Z", "Z", "As in Blender: not turned")]
 
 
 # Files
@@ -54,8 +54,8 @@ UPS = [("Y", "Y", "As in glTF: turned upright"), ("Z", "Z", "As in Blender: left
 def ends_of(name):
     """The text before and after a name's frame number, or None.
 
-    As for meniscus, versions and counts are frames only where there is no other number. Subframes are left out: for
-    names such as shot.0100.1.glb, where the last number is the frame, give the pattern shot.0100.#.glb.
+    As in meniscus, a version or a count is the frame only if the name has no other number. Subframes are ignored: for
+    names such as shot.0100.1.glb, whose last number is the frame, give the pattern shot.0100.#.glb.
     """
     match = NAME.fullmatch(name)
     if not match:
@@ -78,7 +78,7 @@ def ends_of(name):
         return 1 if COUNT.match(after) and not is_padded else 2
 
     numbers = list(re.finditer("[0-9]+", stem))
-    # The last of those with the highest rank.
+    # The last number with the highest rank.
     number = max(reversed(numbers), key=rank, default=None)
     return number and (stem[: number.start()], stem[number.end() :] + extension)
 
@@ -90,13 +90,13 @@ def number_in(name, ends):
 
 
 def files_of(folder, ends):
-    """The name of each number's file."""
+    """The file names by number."""
     names = {number_in(name, ends): name for name in os.listdir(folder)}
     return dict(sorted((int(number), name) for number, name in names.items() if number))
 
 
 def sequences_in(folder):
-    """What a folder holds: by the text before and after the number, the name of each number's file."""
+    """The sequences of a folder: file names by number, by the text before and after the number."""
     found = {}
     for name in os.listdir(folder):
         ends = ends_of(name)
@@ -107,24 +107,24 @@ def sequences_in(folder):
 
 
 def chosen(path, kind=None):
-    """The folder, the ends and the files of the one sequence that a path means."""
+    """The folder, the name parts and the files of the sequence at a path."""
     path = Path(bpy.path.abspath(str(path))).absolute()
     if not path.is_dir():
         folder, ends = path.parent, ends_of(path.name)
         files = files_of(folder, ends) if ends else {}
         if not files:
-            raise ValueError(f"{path} is no folder, and no frame of a sequence of .glb or .vdb")
+            raise ValueError(f"{path} is neither a folder nor a frame of a .glb or .vdb sequence")
         if kind and not ends[1].lower().endswith(kind):
-            raise ValueError(f"{path} is no {kind}")
+            raise ValueError(f"{path} is not a {kind}")
         return folder, ends, files
-    folder, there = path, sequences_in(path)
-    wanted = [ends for ends in there if kind is None or ends[1].lower().endswith(kind)]
-    # Of one name in both formats the mesh is taken: it comes first.
+    folder, sequences = path, sequences_in(path)
+    wanted = [ends for ends in sequences if kind is None or ends[1].lower().endswith(kind)]
+    # If a name exists in both formats, the mesh is used: it comes first.
     if len({(before, after[:-4]) for before, after in wanted}) == 1:
-        return folder, wanted[0], there[wanted[0]]
+        return folder, wanted[0], sequences[wanted[0]]
     if not wanted:
-        raise ValueError(f"{folder} holds no numbered {kind or '.glb or .vdb'} yet")
-    raise ValueError(f"{folder} holds several sequences; name one: {', '.join(map(pattern_of, wanted))}")
+        raise ValueError(f"{folder} contains no numbered {kind or '.glb or .vdb'} files")
+    raise ValueError(f"{folder} contains several sequences; choose one: {', '.join(map(pattern_of, wanted))}")
 
 
 def pattern_of(ends):
@@ -132,20 +132,20 @@ def pattern_of(ends):
 
 
 def read_glb(path, up):
-    """Triangles and what is at the vertices, by name, of a .glb as meniscus writes it, along Blender's axes.
+    """The triangles and the vertex attributes by name of a .glb that meniscus wrote, in Blender's axes.
 
-    Not by Blender's importer: that makes new objects each time, which a handler must not, and fails before 5.1 on
-    vectors beside single numbers.
+    Blender's importer is not suitable: it makes new objects each time, which a handler must not do, and before 5.1 it
+    fails on files with both vectors and single numbers.
     """
     data = np.fromfile(path, np.uint8)
     if len(data) < 20 or struct.unpack_from("<4s2I", data) != (b"glTF", 2, len(data)):
-        raise ValueError("it is not a whole .glb")
+        raise ValueError("incomplete .glb")
     (json_bytes,) = struct.unpack_from("<I", data, 12)
     document = json.loads(data[20 : 20 + json_bytes].tobytes())
     if not document.get("meshes"):
         return np.empty((0, 3), np.int32), {"POSITION": np.empty((0, 3), np.float32)}
     if len(document["meshes"]) != 1 or "animations" in document:
-        raise ValueError("it is not one surface; File > Import > glTF takes others")
+        raise ValueError("not a single surface; import this file with File > Import > glTF")
 
     def column(index):
         accessor = document["accessors"][index]
@@ -162,7 +162,7 @@ def read_glb(path, up):
     node = document["nodes"][0]
     x, y, z, w = node.get("rotation", (0, 0, 0, 1))
     place = Matrix.LocRotScale(node.get("translation", (0, 0, 0)), Quaternion((w, x, y, z)), node.get("scale", (1, 1, 1)))
-    # A scene with Z up was turned when it was written, if meniscus was told; or else must not be turned here.
+    # With `--up z` meniscus has turned the mesh, and stored the rotation; otherwise a mesh with Z up is not turned here.
     if up == "Y" or "rotation" in node:
         place = TURN @ place
     turned = np.array(place.to_3x3().normalized())
@@ -172,11 +172,11 @@ def read_glb(path, up):
     return column(primitive["indices"]).reshape(-1, 3), columns
 
 
-# What is shown
+# Display
 
 
 def refill(mesh, triangles, columns):
-    """Gives a mesh new vertices and triangles, and leaves it what else it has: materials, names, users."""
+    """Replaces the vertices and triangles of a mesh, and keeps its materials, name and users."""
     mesh.clear_geometry()
     mesh.vertices.add(len(columns["POSITION"]))
     mesh.vertices.foreach_set("co", flat(columns["POSITION"]))
@@ -190,7 +190,7 @@ def refill(mesh, triangles, columns):
             values = np.concatenate([values, opaque], axis=1)
         if name != "POSITION":
             kind, key = ATTRIBUTES[values.shape[1]]
-            # Some names, such as `id`, Blender has for itself: then it is called `_ID`, as in the file.
+            # Blender reserves some names, such as `id`: then the attribute is called `_ID`, as in the file.
             plain = NAMES.get(name, name[1:].lower())
             attribute = mesh.attributes.new(plain, kind, "POINT") or mesh.attributes.new(name, kind, "POINT")
             attribute.data.foreach_set(key, flat(values))
@@ -198,7 +198,7 @@ def refill(mesh, triangles, columns):
 
 
 NAMES = {"NORMAL": "custom_normal", "COLOR_0": "Color"}
-# What Blender calls so many numbers at a vertex.
+# Blender's names for attributes with this many numbers per vertex.
 ATTRIBUTES = {1: ("FLOAT", "value"), 2: ("FLOAT2", "vector"), 3: ("FLOAT_VECTOR", "vector"), 4: ("FLOAT_COLOR", "color")}
 
 
@@ -207,46 +207,46 @@ def flat(values):
 
 
 def show(obj, scene):
-    """Shows what there is for the scene's frame."""
+    """Shows the file for the current frame of the scene, or for the nearest frame before it."""
     source = obj.meniscus
     if obj.type == "MESH" and obj.data.is_editmode:
         return
-    # Motion blur asks for times between frames; these belong to the nearest.
+    # Motion blur requests times between frames; they are rounded.
     frame = round(scene.frame_current_final)
     number = number_for(source, frame, known_files(source))
     if number is None or number // source.step != frame:
         look_again(obj, scene)
         number = number_for(source, frame, known_files(source))
     if number is None:
-        tell(f"{source.folder} has no {pattern_of((source.before, source.after))}: {obj.name} stays as it is")
+        log_once(f"{source.folder} has no {pattern_of((source.before, source.after))}; {obj.name} is unchanged")
         return
     path = Path(bpy.path.abspath(source.folder), known_files(source)[number])
     if number // source.step != frame:
-        tell(f"frame {frame} is not there: {obj.name} shows {path.name}")
+        log_once(f"frame {frame} is missing: {obj.name} shows {path.name}")
     try:
         stat = path.stat()
         stamp = f"{path} {stat.st_size} {stat.st_mtime_ns}"
         if obj.type == "VOLUME":
             count_files(obj.data, source, path, number, frame)
             if source.shown.startswith(f"{path} ") and stamp != source.shown:
-                tell(f"{path} was written again, and Blender keeps what it has read: Reload reads it anew")
+                log_once(f"{path} was written again, but Blender has cached it: use Reload")
         elif stamp != source.shown:
             refill(obj.data, *read_glb(path, source.up))
         source.shown = stamp
     except (OSError, ValueError, LookupError, AttributeError, TypeError, OverflowError) as error:
-        tell(f"{path} could not be read, {obj.name} stays as it is: {error}")
+        log_once(f"cannot read {path}: {error}; {obj.name} is unchanged")
 
 
 def number_for(source, frame, files):
-    """The last number that belongs to a frame or to one before it, or else the first."""
+    """The last number for this frame or an earlier one, otherwise the first number."""
     numbers = list(files)
     return numbers[max(bisect.bisect_left(numbers, (frame + 1) * source.step) - 1, 0)] if numbers else None
 
 
 def count_files(volume, source, path, number, frame):
-    """Lets Blender's own counting of files arrive at this one.
+    """Sets Blender's own file sequence so that it shows this file.
 
-    It counts the frames since the first and adds an offset: one for all frames, where there are no gaps.
+    Blender counts the frames since the first and adds an offset. Without gaps the offset is the same for all frames.
     """
     first, last = range_of(source)
     place = min(max(frame - first + 1, 1), last - first + 1)
@@ -260,9 +260,9 @@ def count_files(volume, source, path, number, frame):
             setattr(volume, name, value)
 
 
-# The files of a sequence, as they were last seen: by folder and ends.
+# The known files of each sequence, by folder and name parts.
 _files = {}
-_told = set()
+_logged = set()
 
 
 def known_files(source):
@@ -273,20 +273,20 @@ def files_now(source):
     try:
         files = files_of(bpy.path.abspath(source.folder), (source.before, source.after))
     except OSError as error:
-        tell(str(error))
+        log_once(str(error))
         files = {}
     _files[source.folder, source.before, source.after] = files
     return files
 
 
 def range_of(source):
-    """The first and the last frame that are there."""
+    """The first and the last existing frame."""
     numbers = list(known_files(source))
     return numbers[0] // source.step, min(numbers[-1] // source.step, FRAME_MAX)
 
 
 def look_again(obj, scene):
-    """Finds the files that came since. Where the scene ended with the sequence, it still does."""
+    """Finds new files. If the scene ended with the sequence, extends the scene to the new end."""
     source = obj.meniscus
     if files_now(source):
         last = range_of(source)[1]
@@ -295,10 +295,10 @@ def look_again(obj, scene):
         source.last = last
 
 
-def tell(text):
-    """Says something, once."""
-    if text not in _told:
-        _told.add(text)
+def log_once(text):
+    """Prints a text, unless it was printed before."""
+    if text not in _logged:
+        _logged.add(text)
         print(f"meniscus: {text}", flush=True)
 
 
@@ -306,17 +306,17 @@ def sequences_of(scene):
     return [obj for obj in scene.objects if obj.meniscus.folder]
 
 
-# What is imported
+# Import
 
 
 def import_sequence(scene, path, kind=None, up="Y", step=1, is_bare_volume=False):
-    """Adds a sequence to a scene, and returns the object that shows it."""
+    """Adds a sequence to a scene, and returns its object."""
     folder, (before, after), files = chosen(path, kind)
     if max(files) // step > FRAME_MAX:
         raise ValueError(f"{files[max(files)]} is beyond Blender's last frame, {FRAME_MAX}: choose a step")
     is_mesh = after.lower().endswith(".glb")
     if is_mesh and is_bare_volume:
-        raise ValueError(f"{pattern_of((before, after))} has no volume; .vdb have")
+        raise ValueError(f"{pattern_of((before, after))} has no volume; use .vdb files")
     name = before.rstrip("._- ") or folder.name
     if is_mesh:
         source = shown = bpy.data.objects.new(name, bpy.data.meshes.new(name))
@@ -327,19 +327,19 @@ def import_sequence(scene, path, kind=None, up="Y", step=1, is_bare_volume=False
         setattr(source.meniscus, key, value)
     look_again(source, scene)
     scene.frame_start, scene.frame_end = range_of(source.meniscus)
-    # The handler changes what is drawn: not while it is being drawn.
+    # The handler changes meshes, which must not happen while the interface draws them.
     scene.render.use_lock_interface = True
     scene.frame_set(min(max(scene.frame_current, scene.frame_start), scene.frame_end))
     stay_in_file()
-    tell(f"{name}: {summary(source.meniscus)}")
+    log_once(f"{name}: {summary(source.meniscus)}")
     gaps = np.diff(list(files))
     if len(gaps) and (apart := math.gcd(*gaps.tolist())) > step:
-        tell(f"numbers are {apart} apart; with a step of {apart} each file is a frame")
+        log_once(f"numbers are {apart} apart; with a step of {apart} each file is a frame")
     return shown
 
 
 def add_level_set(scene, name, first, up, is_bare_volume):
-    """A volume with Blender's file sequence, and a mesh around it: the object that shows it, and the volume."""
+    """Adds a volume with Blender's file sequence, and a mesh around it; returns the visible object and the volume."""
     data = bpy.data.volumes.new(name)
     data.filepath = str(first)
     if not data.grids.load() or "surface" not in data.grids:
@@ -361,10 +361,10 @@ def add_level_set(scene, name, first, up, is_bare_volume):
     modifier = mesh.modifiers.new("surface", "VOLUME_TO_MESH")
     modifier.object, modifier.grid_name, modifier.threshold = volume, "surface", 0.0
     modifier.resolution_mode, modifier.use_smooth_shade = "GRID", True
-    # The modifier takes values to be in the middle of cells, as those of smoke, and so moves surfaces by half a voxel,
-    # along the axes of the mesh.
+    # The modifier assumes that values are at cell centres, as those of smoke, and so moves surfaces by half a voxel along the
+    # axes of the mesh.
     volume.matrix_world = Matrix.Translation((-h / 2,) * 3) @ volume.matrix_world
-    # The mesh can be moved, and the volume comes along.
+    # The volume follows when the mesh is moved.
     volume.parent, volume.hide_viewport, volume.hide_render = mesh, True, True
     return mesh, volume
 
@@ -379,7 +379,7 @@ def summary(source):
 
 
 def stay_in_file():
-    """A copy of this script goes with the .blend, and runs when that is opened."""
+    """Stores a copy of this script in the .blend, which runs when the file is opened."""
     script = Path(__file__)
     text = bpy.data.texts.get(script.name) or bpy.data.texts.new(script.name)
     if script.is_file():
@@ -387,11 +387,11 @@ def stay_in_file():
     text.use_module = True
 
 
-# Blender's side
+# Blender interface
 
 
 class MeniscusSequence(bpy.types.PropertyGroup):
-    """Where an object's frames come from."""
+    """The source of an object's frames."""
 
     folder: StringProperty(name="Folder", subtype="DIR_PATH")
     before: StringProperty()
@@ -403,7 +403,7 @@ class MeniscusSequence(bpy.types.PropertyGroup):
 
 
 class MENISCUS_OT_import(bpy.types.Operator, ImportHelper):
-    """Import a sequence of meniscus' .glb or .vdb: choose one of its files"""
+    """Import a .glb or .vdb sequence of meniscus: choose one of its files"""
 
     bl_idname = "meniscus.import_sequence"
     bl_label = "Import sequence"
@@ -411,8 +411,8 @@ class MENISCUS_OT_import(bpy.types.Operator, ImportHelper):
 
     filter_glob: StringProperty(default="*.glb;*.vdb", options={"HIDDEN"})
     up: EnumProperty(name="Up", items=UPS, description="The axis of the particles that points up")
-    step: IntProperty(name="Step", default=1, min=1, description="Numbers from one frame to the next")
-    is_bare_volume: BoolProperty(name="Bare volume", description="Of .vdb: no mesh around the volume")
+    step: IntProperty(name="Step", default=1, min=1, description="Difference between the numbers of consecutive frames")
+    is_bare_volume: BoolProperty(name="Bare volume", description="For .vdb: no mesh around the volume")
 
     def execute(self, context):
         try:
@@ -424,14 +424,14 @@ class MENISCUS_OT_import(bpy.types.Operator, ImportHelper):
 
 
 class MENISCUS_OT_reload(bpy.types.Operator):
-    """Look for files again, and read again what is shown"""
+    """Look for new files, and read the current files again"""
 
     bl_idname = "meniscus.reload"
     bl_label = "Reload"
 
     def execute(self, context):
-        _told.clear()
-        # Blender keeps what it has read of a .vdb, even where the file is another now, up to a limit: so there is none.
+        _logged.clear()
+        # Blender caches .vdb files up to a limit, even if the file has changed: a limit of 0 empties the cache.
         system = context.preferences.system
         limit, system.memory_cache_limit = system.memory_cache_limit, 0
         try:
@@ -461,7 +461,7 @@ class MENISCUS_PT_sequences(bpy.types.Panel):
             box.label(text=f"{obj.name}: {summary(obj.meniscus)}")
             number = number_for(obj.meniscus, context.scene.frame_current, known_files(obj.meniscus))
             if number is not None and number // obj.meniscus.step != context.scene.frame_current:
-                box.label(text=f"Frame {context.scene.frame_current} is not there: shows {number}", icon="ERROR")
+                box.label(text=f"Frame {context.scene.frame_current} is missing: shows {number}", icon="ERROR")
             box.prop(obj.meniscus, "folder", text="")
 
 
@@ -472,7 +472,7 @@ def show_sequences(scene, _graph=None):
 
 
 def follow():
-    """Looks for new files now and then, until this script is run again."""
+    """Looks for new files every few seconds, until this script is run again."""
     if show_sequences not in bpy.app.handlers.frame_change_pre:
         return None
     if not bpy.app.is_job_running("RENDER"):
@@ -487,7 +487,7 @@ CLASSES = (MeniscusSequence, MENISCUS_OT_import, MENISCUS_OT_reload, MENISCUS_PT
 
 
 def register():
-    """Takes the place of what an earlier run of this script left, too."""
+    """Registers the classes and the handler, and replaces those of an earlier run of this script."""
     handlers = bpy.app.handlers.frame_change_pre
     handlers[:] = [handler for handler in handlers if handler.__name__ != show_sequences.__name__] + [show_sequences]
     for kind in CLASSES:
@@ -498,7 +498,7 @@ def register():
     if not bpy.app.background:
         bpy.app.timers.register(follow, first_interval=FOLLOW_SECONDS, persistent=True)
     if bpy.app.module:
-        # A module does not come to its end while it has these.
+        # Without this, Blender as a module does not exit.
         atexit.register(unregister)
 
 
@@ -515,15 +515,15 @@ def main():
         return
     parser = argparse.ArgumentParser(prog="import_sequence.py", description="Imports a sequence of meniscus' surfaces.")
     parser.add_argument("path", help="a folder, a file of the sequence, or a pattern such as out/dam.####.vdb")
-    parser.add_argument("--format", choices=[kind[1:] for kind in KINDS], help="where a folder has both (glb)")
-    parser.add_argument("--up", choices=["y", "z"], default="y", help="the axis of the particles that points up (y)")
-    parser.add_argument("--step", type=int, default=1, help="numbers from one frame to the next (1)")
+    parser.add_argument("--format", choices=[kind[1:] for kind in KINDS], help="format to import if a folder has both [default: glb]")
+    parser.add_argument("--up", choices=["y", "z"], default="y", help="up axis of the particles [default: y]")
+    parser.add_argument("--step", type=int, default=1, help="difference between the numbers of consecutive frames [default: 1]")
     parser.add_argument("--fps", type=float, help="frames per second of the scene")
-    parser.add_argument("--bare-volume", action="store_true", help="of .vdb: no mesh around the volume")
+    parser.add_argument("--bare-volume", action="store_true", help="for .vdb: no mesh around the volume")
     parser.add_argument("--save", metavar="FILE.blend", help="save the scene")
     options = parser.parse_args(words)
     if options.step < 1 or (options.fps is not None and not options.fps > 0):
-        parser.error("--step and --fps are positive")
+        parser.error("--step and --fps must be positive")
     if bpy.app.module:
         bpy.ops.wm.read_homefile(use_empty=True)
     scene = bpy.context.scene
@@ -534,7 +534,7 @@ def main():
     try:
         import_sequence(scene, options.path, kind, options.up.upper(), options.step, options.bare_volume)
     except (OSError, ValueError) as error:
-        # In a window the scene may hold work: it stays open.
+        # With a window the scene may contain unsaved work: keep it open.
         if bpy.app.background:
             sys.exit(f"import_sequence.py: {error}")
         print(f"import_sequence.py: {error}", file=sys.stderr)
@@ -544,6 +544,6 @@ def main():
 
 
 register()
-# As a text of a .blend this is no file, and what was typed is not for it.
+# As a text in a .blend this script is not a file, and the command line is not meant for it.
 if __name__ == "__main__" and Path(__file__).is_file():
     main()

@@ -35,8 +35,10 @@ const HEIGHT: f64 = 14.0;
 const RADIUS: f64 = 4.0;
 
 const INTRODUCTION: &str = "\
-9 216 particles of a pool stand still while a drop of 257 flies over it through 24 frames, always 10 spacings above. The vertices of the pool are compared \
-from one frame to the next: one has changed if the other frame has none with the same bits at all, be it new or gone. How far it moved is told by its distance to the surface of the other frame.";
+9 216 particles of a pool stand still while a drop of 257 particles flies over it through 24 frames, always 10 spacings above.
+The vertices of the pool are compared from one frame to the next.
+A vertex has changed if the other frame has no vertex with exactly the same bits, whether it is new or gone.
+Its movement is its distance to the surface of the other frame.";
 
 /// The pool, by each program.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
@@ -62,9 +64,9 @@ pub(crate) fn run(folder: &Path) -> Outcome<()> {
 }
 
 const IMPLICIT: &str = "\
-The implicit integrator solves for all voxels of a frame together, by conjugate gradients that end when the frame as a whole \
-is near enough to the solution. So a drop changes all of it a little. Fast and explicit steps, and \
-splashsurf without its smoothing, reach only so far.";
+The implicit integrator solves for all voxels of a frame together, with conjugate gradients that stop when the whole frame is near enough to the solution.
+So a drop changes all of the frame a little.
+Fast and explicit steps, and splashsurf without its smoothing, have a limited reach.";
 
 /// What happened to the vertices of the pool.
 struct Changes {

@@ -181,7 +181,7 @@ impl Study {
         page.plot(grid.part, &Plot { title, axes, is_log: [false, true], curves })?;
         page.pictures(
             grid.part,
-            "Sequences at four times: by meniscus, where no other program is named",
+            "Sequences at four times: by meniscus, unless another program is named",
             pictures,
         )
     }
@@ -199,38 +199,36 @@ const COLUMNS: [&str; 8] = [
 ];
 
 const INTRODUCTION: &str = "\
-Particles on a lattice fill a body, but for half a spacing below its surface, and are carried by a flow that is known \
-everywhere: what a surface does beside following it is the program's own. 300 frames make a cycle: twelve and a half \
-seconds of film. 4000 points begin on the first surface of each program, evenly by area, and are carried as well.
+Particles on a lattice fill a body, except for half a spacing below its surface, and an analytic flow carries them: any motion of the surface relative to the flow comes from the program.
+A cycle has 300 frames: twelve and a half seconds of film.
+4000 points start on the first surface of each program, evenly by area, and follow the flow as well.
 
-The flicker is the root of the mean square of the second difference in time of the points' signed distances to the \
-surface, in units of h. It has two parts: a trembling of all the surface, which the median tells, and jumps where a \
-sheet tears or two meet, which are the greatest. The last column is what the worst twentieth of the points makes of the \
-squares: 5 % if all tremble alike. Since it is counted in h, only scores on one grid can be compared.
+The flicker is the root mean square of the second difference in time of the points' signed distances to the surface, in units of h.
+It has two parts: the whole surface trembles, which the median measures, and it jumps where a sheet tears or two sheets meet, which the maximum shows.
+The last column is the share of the worst twentieth of the points in the sum of squares: 5 % if all points tremble alike.
+The unit is h, so only scores on the same grid can be compared.
 
-In the second half of the test of Enright all frames of the first come back in reverse, so a whole cycle has nearly the \
-score of its half, which stands here. Zalesak's sphere has the radius 0.15, and a notch 0.05 wide and 0.125 deep.";
+In the second half of the test of Enright all frames of the first return in reverse, so a whole cycle has nearly the score of its half, which is in the table.
+Zalesak's sphere has the radius 0.15, and a notch 0.05 wide and 0.125 deep.";
 
 const SAMPLED: &str = "\
-[The flows](flows.md) again. Here all of a cycle is run, and three frames in a row are skinned of each ten: 29 moments \
-of the 299 stand for all.";
+[The flows](flows.md) again. This page covers a whole cycle, but only three consecutive frames of every ten are reconstructed: 29 of the 299 second differences.";
 
 const ON_FINE: &str = "\
 ## On a fine grid
 
-h is a quarter of the spacing, which is the cell that splashsurf recommends, and splashsurf runs as its authors \
-recommend it. As the paper does it, the radii of meniscus do not follow such a grid: r_min is the spacing, r_max twice as \
-much. There are 30 Laplacian steps, between the 15 of the usual grid and the 60 that would reach as far in the world. \
-r_min and these steps were chosen for sequences by this very score, among a few: with r_min at 0.87 spacings and 15 \
-steps, which is what the usual grid comes to, the flicker of 5 000 particles was a fifth larger. For a spacing of 1 these are \
-`--voxel-size 0.25 --radius-min 1 --laplacian-steps 30`. As time steps are counted in h, smoothing reaches less far here \
-than on the usual grid: at frame 0 the steps of the lattice show.";
+h is a quarter of the spacing, the cell size that splashsurf recommends, and splashsurf has the settings that its authors recommend.
+As in the paper, the radii of meniscus do not follow such a grid: r_min is the spacing, r_max twice as much.
+There are 30 Laplacian steps, between the 15 of the usual grid and the 60 that would reach as far in world units.
+r_min and these steps were chosen for sequences by this score, from a few candidates: with r_min at 0.87 spacings and 15 steps, the values of the usual grid, the flicker of 5 000 particles was a fifth larger.
+For a spacing of 1 the options are `--voxel-size 0.25 --radius-min 1 --laplacian-steps 30`.
+Time steps are in units of h, so smoothing reaches less far here than on the usual grid: at frame 0 the steps of the lattice are visible.";
 
 const ON_USUAL: &str = "\
 ## On the usual grid
 
-h is half the spacing, and all else is the default of meniscus. splashsurf's cells are as large, which is \
-twice what it recommends.";
+h is half the spacing, and all other settings are the defaults of meniscus.
+splashsurf's cells have the same size, which is twice what it recommends.";
 
 /// What came of a sequence.
 struct Sequence {

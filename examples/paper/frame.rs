@@ -29,23 +29,27 @@ const RATIOS: [f64; 5] = [1.0, 1.25, 1.5, 2.0, 4.0];
 const TIMES: [f64; 7] = [0.0, 5.0, 20.0, 40.0, 60.0, 80.0, 100.0];
 
 const INTRODUCTION: &str = "\
-3 072 particles of a dam break, as it splashes up: `examples/frames/dam.0006.bgeo`, made by `examples/dam_break`. The voxels are half a spacing: `--voxel-size 0.025`.
+The frame has 3 072 particles of a dam break that splashes up: `examples/frames/dam.0006.bgeo`, made by `examples/dam_break`.
+The voxels are half a spacing: `--voxel-size 0.025`.
 
 ## The ratio of the radii
 
-r_min is √3 h, r_max is so many times as much, and r_init is their mean. The larger it is, the farther the surface may leave the particles to be smooth.";
+r_min is √3 h, r_max is r_min times the ratio, and r_init is their mean.
+A larger ratio lets the surface move farther from the particles to become smooth.";
 
 const VOXELS: &str = "\
 ## The voxel size
 
-h as large as the spacing, half of it, which is the default, and a quarter. With a quarter the radii \
-would shrink too, and the spheres of neighbours would not meet; so there they are those of the second.";
+h is the spacing, half of it, which is the default of the preset `paper`, and a quarter.
+With a quarter the radii would shrink, too, and the spheres of neighbours would not meet; so there the radii are those of the second row.";
 
 const ENERGY: &str = "\
 ## Bending energy over time
 
-The same frame after more and more fictitious time, in units of h⁴, which begins after the 15 Laplacian steps. Implicit and fast steps are 20 h⁴ long, the last one shorter where the time is; explicit ones 0.01 h⁴. \
-A frame usually gets 100 h⁴ by implicit and fast steps, and 5 h⁴ by explicit ones. Seconds are those of the smoothing alone, the least of three runs.";
+The same frame after increasing fictitious times, in units of h⁴, after the 15 Laplacian steps.
+Implicit and fast steps are 20 h⁴ long, except a shorter last one; explicit steps are 0.01 h⁴ long.
+By default a frame gets 100 h⁴ with implicit and fast steps, and 5 h⁴ with explicit ones.
+Seconds are those of the smoothing alone, the minimum of three runs.";
 
 /// Ratios, and energies over time.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {

@@ -17,15 +17,17 @@ use crate::splashsurf::{Post, Splashsurf};
 use crate::surfaces::{Program, Scale, band_of, mesh_of};
 
 const INTRODUCTION: &str = "\
-Particles are thrown into a ball of radius 1, anywhere in it with the same probability, so that some are close together \
-and some leave gaps. The spacing is the edge of the cube that each of them has on average. Three measures tell how rough \
-the surface is: the standard deviation of the triangles' distances from the middle, by area, in parts of the radius; the \
-root of the mean square of the angle between a triangle and the ball, in degrees, by area; and the integral of H² in parts \
-of a ball's, 4π, where slivers leave a meaning to it.
+Particles have uniformly random positions in a ball of radius 1, so that some are close together and some leave gaps.
+The spacing is the edge of the cube that each particle occupies on average.
+Three measures describe the roughness of the surface:
 
-Inner surfaces, around gaps, are left out of the first two: what faces inward, or is nearer to the middle than three \
-quarters of the radius. splashsurf is meant for particles that simulations have spread evenly; so it also has the cell that \
-its authors recommend, and a kernel twice as wide, which reaches over the gaps.";
+- the standard deviation of the triangles' distances from the centre, weighted by area, relative to the radius;
+- the root mean square of the angle between a triangle and the ball, weighted by area, in degrees;
+- the integral of H² relative to that of a ball, 4π, if slivers do not make it meaningless.
+
+The first two exclude inner surfaces around gaps: triangles that face inward, or that are nearer to the centre than three quarters of the radius.
+splashsurf is made for the even distributions of simulations.
+So the table also has it with the cell size that its authors recommend, and with a kernel twice as wide, which spans the gaps.";
 
 /// Ours at 50 000, and splashsurf at 50 000 and at 1 000 000.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {

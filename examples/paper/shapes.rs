@@ -20,19 +20,24 @@ use crate::submerged;
 const CROWN: &str = "\
 ## Anisotropy
 
-A crown, such as a drop throws up: a thin sheet that opens and ends in threads, of particles that are one layer and move along it. From left to right the particles, the surface of balls, \
-of particles that are stretched by their neighbours, and by their velocities. All have the same voxels.";
+A crown, as a falling drop throws it up: a thin sheet that opens and ends in threads, with one layer of particles that move along it.
+From left to right: the particles, and the surfaces of balls, of particles stretched by their neighbours, and of particles stretched by their velocities.
+All have the same voxels.";
 
 const SIZES: &str = "\
 ## Radii of the particles' own
 
-A heap of particles of four sizes. From left to right the particles, the surface with one radius for all, which is that of the least, and with their own. r_max is 1.25 r_min. \
-The other method that the paper has beside its own was not run.";
+A heap of particles of four sizes.
+From left to right: the particles, the surface with the smallest radius for all, and with the radius of each particle.
+r_max is 1.25 r_min.
+The other method in the paper's comparison was not run.";
 
 const TETRAHEDRON: &str = "\
 ## An obstacle all around
 
-Particles on the inside of a tetrahedral mould, some a little outside of it. From left to right without the mould; with what is inside of the mould's walls taken away; and with the gaps below h filled, as it is by default. How far the outer side is from the walls is measured at its vertices.";
+Particles on the inside of a tetrahedral mould, some slightly outside of it.
+From left to right: without the mould; without the part of the surface inside the mould's walls; and with gaps below h filled as well, which is the default.
+The distance of the outer side from the walls is measured at its vertices.";
 
 /// Pictures, with what can be counted below them.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {

@@ -37,15 +37,17 @@ const LAPLACIAN_STEPS: [u32; 9] = [0, 5, 15, 50, 100, 200, 400, 700, 1000];
 const BIHARMONIC_STEPS: [u32; 9] = [0, 20, 50, 150, 500, 1000, 2000, 5000, 10_000];
 
 const LAPLACIAN: &str = "\
-A sphere of radius 20 h whose field has ± 1 h of noise at every voxel may move between spheres of 16 and 24 h. Laplacian smoothing takes the noise away at once, \
-and then shrinks the sphere until the inner bound holds it. Thin-plate smoothing takes longer and ends at the sphere that was there. \
-A Laplacian step is 0.1 h² long, a thin-plate step 0.01 h⁴: steps of one are not steps of the other.";
+A sphere of radius 20 h has a field with ± 1 h of noise at every voxel, and its surface may move between spheres of 16 and 24 h.
+Laplacian smoothing removes the noise at once, and then shrinks the sphere until the inner bound stops it.
+Thin-plate smoothing takes longer and ends at the original sphere.
+A Laplacian step is 0.1 h² long and a thin-plate step 0.01 h⁴ long, so their numbers of steps cannot be compared.";
 
 const DISTANCE: &str = "\
-## Where φ is no distance
+## Where φ is not a distance
 
-The same sphere, with a field that rises quickly away from the surface where x < 0: the farther to the left, the quicker. The flow of the thin-plate energy is linear in φ, so what is steep is moved less. \
-Without redistancing the left side stays rough and the right one comes out smooth; with it, both do.";
+The same sphere, with a field that rises too quickly away from the surface where x < 0, and more so farther to the left.
+The flow of the thin-plate energy is linear in φ, so it moves a surface less where φ is steep.
+Without redistancing the left side stays rough and only the right side becomes smooth; with redistancing both sides become smooth.";
 
 /// Both flows over time, and what redistancing is for.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {

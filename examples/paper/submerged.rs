@@ -19,9 +19,10 @@ use crate::surfaces::{cut_open, data};
 const INTRODUCTION: &str = "\
 ## An obstacle in water
 
-The same frame of a dam break as in [the first of these pages](frame.md), `examples/frames/dam.0006.bgeo`, with a ball where the water is deep; no particle is in it, as after a simulation. All is cut open where the ball is thickest, and the ball is not shown: \
-the hole is where it is. From left to right without the ball, so that the water reaches into its room; with what is inside of it taken away; and with the gaps below h filled, as it is by default. \
-How far the water is from the ball is measured at the vertices within 2 h of it and below its middle, where there is water all around.";
+The same frame of a dam break as in [the first of these pages](frame.md), `examples/frames/dam.0006.bgeo`, with a ball where the water is deep; no particle is in the ball, as after a simulation.
+The picture is cut open at the centre of the ball, and the ball is invisible: the hole is its place.
+From left to right: without the ball, so that the water extends into it; without the part of the surface inside the ball; and with gaps below h filled as well, which is the default. \
+The distance of the water from the ball is measured at the vertices within 2 h of it and below its centre, where water surrounds it.";
 
 /// Between the floor of the tank and the waterline, which it breaks through.
 const CENTER: DVec3 = DVec3::new(0.62, 0.24, 0.3);

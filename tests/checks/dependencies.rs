@@ -1,11 +1,11 @@
-//! What the program is built of: a reason for each crate that is asked for, and nothing in C.
+//! Checks the dependencies: a reason for each direct one, and no C code.
 
 use std::process::Command;
 
 const MANIFESTS: [(&str, &str); 2] =
     [("Cargo.toml", include_str!("../../Cargo.toml")), ("formats", include_str!("../../formats/Cargo.toml"))];
 
-/// What calls a C compiler, or looks for a library in C.
+/// Crates that call a C compiler, or look for a C library.
 const TOOLS_FOR_C: [&str; 6] = ["cc", "cmake", "bindgen", "pkg-config", "vcpkg", "system-deps"];
 
 #[test]
@@ -46,7 +46,7 @@ fn reasons_are_found() {
     assert!(!has_reason("c = \"2\" # "));
 }
 
-/// Here and for this system; `.ci/supply_chain` looks at all systems, and at what build scripts there are.
+/// For this system; `.ci/supply_chain` checks all systems, and the build scripts.
 #[test]
 fn the_product_needs_no_c() {
     let words = "tree --package meniscus --edges normal,build --prefix none --format {p} --locked --offline";

@@ -1,18 +1,18 @@
-//! The pages: every link of theirs leads somewhere, and what is said to be tested names its test.
+//! Checks the documentation: every link has a target, and every link to a test names an existing test.
 //!
 //! ```text
 //!   [yes](../tests/meniscus/shots.rs "fn a_shot_shows_one_frame_after_the_other")
-//!         a file, from the page         a test in it; `def` for a check in Python
+//!         a file, relative to the page  a test in the file; `def` for a check in Python
 //! ```
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Beside what other programs can do, all that this one can names a test.
+/// The comparison with other programs, where every feature of this program names a test.
 const COMPARISON: &str = "docs/compare.md";
 const OURS: &str = "meniscus";
 
-/// A link of a page: where it leads, and the title that shows when the pointer is on it.
+/// A link of a page: its target, and the title that a browser shows as a tooltip.
 #[derive(Debug, PartialEq)]
 struct Link<'text> {
     target: &'text str,
@@ -23,11 +23,11 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// README.md and all pages of `docs` and of the examples, with what they say.
+/// README.md and all pages of `docs` and of the examples, with their text.
 fn pages() -> Vec<(PathBuf, String)> {
     let folders =
         ["docs", "docs/results", "examples/blender", "examples/farm"].map(|folder| root().join(folder));
-    let files = folders.iter().flat_map(|folder| fs::read_dir(folder).expect("the folder is there"));
+    let files = folders.iter().flat_map(|folder| fs::read_dir(folder).expect("the folder exists"));
     let files = files.map(|entry| entry.expect("an entry").path());
     let paths = files.filter(|path| path.extension().is_some_and(|extension| extension == "md"));
     let paths: Vec<PathBuf> = paths.chain([root().join("README.md")]).collect();
@@ -39,13 +39,13 @@ fn pages() -> Vec<(PathBuf, String)> {
     paths.into_iter().map(read).collect()
 }
 
-/// A page without its code, which may look like links.
+/// A page without its code, which may contain text that looks like a link.
 fn prose(text: &str) -> String {
     let outside_blocks: String = text.split("```").step_by(2).collect();
     outside_blocks.split('`').step_by(2).collect()
 }
 
-/// All links of a text but those to other sites.
+/// All links of a text, except those to other sites.
 fn links(text: &str) -> impl Iterator<Item = Link<'_>> {
     let inner = text.split("](").skip(1).filter_map(|rest| Some(rest.split_once(')')?.0));
     let links = inner.map(|inner| match inner.split_once(" \"") {
@@ -55,15 +55,15 @@ fn links(text: &str) -> impl Iterator<Item = Link<'_>> {
     links.filter(|link| !link.target.contains("://"))
 }
 
-/// The file that a link leads to, if it is another than the page, and the heading in it.
-fn place<'link>(page: &Path, target: &'link str) -> (PathBuf, Option<&'link str>) {
+/// The file and the heading that a link leads to.
+fn target_of<'link>(page: &Path, target: &'link str) -> (PathBuf, Option<&'link str>) {
     let (file, heading) =
         target.split_once('#').map_or((target, None), |(file, heading)| (file, Some(heading)));
     let file = if file.is_empty() { page.to_owned() } else { page.with_file_name("").join(file) };
     (file, heading)
 }
 
-/// Whether a page has this heading, by the name that browsers know it by.
+/// Whether a page has a heading with this anchor.
 fn has_heading(text: &str, name: &str) -> bool {
     text.lines().filter(|line| line.starts_with('#')).any(|line| {
         let words = line.trim_start_matches('#').trim().to_lowercase().replace(' ', "-");
@@ -72,33 +72,33 @@ fn has_heading(text: &str, name: &str) -> bool {
 }
 
 #[test]
-fn links_lead_to_files_and_headings() {
+fn every_link_leads_to_an_existing_file_and_heading() {
     let mut wrong = Vec::new();
     let mut count = 0;
     for (page, text) in pages() {
         for Link { target, .. } in links(&prose(&text)) {
-            let (file, heading) = place(&page, target);
-            let is_there = file.exists()
+            let (file, heading) = target_of(&page, target);
+            let exists = file.exists()
                 && heading.is_none_or(|heading| {
                     has_heading(&fs::read_to_string(&file).expect("headings are in pages"), heading)
                 });
-            if !is_there {
+            if !exists {
                 wrong.push(format!("{}: {target}", page.display()));
             }
             count += 1;
         }
     }
     assert!(count > 50, "{count} links were found");
-    assert!(wrong.is_empty(), "these lead nowhere:\n{}", wrong.join("\n"));
+    assert!(wrong.is_empty(), "links without a target:\n{}", wrong.join("\n"));
 }
 
 #[test]
-fn tests_that_are_named_are_there() {
+fn every_test_named_in_a_page_exists_and_runs() {
     let mut wrong = Vec::new();
     for (page, text) in pages() {
         for Link { target, title } in links(&prose(&text)) {
             let Some(title) = title else { continue };
-            let (file, _) = place(&page, target);
+            let (file, _) = target_of(&page, target);
             let is_run =
                 fs::read_to_string(&file).is_ok_and(|source| has_test(&source, title)) && is_run(&file);
             if !is_run {
@@ -109,7 +109,7 @@ fn tests_that_are_named_are_there() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// Checks in Python are run by `tests/clients/run`, under what their name has after `check_`.
+/// `tests/clients/run` runs the checks in Python, by the part of their name after `check_`.
 fn is_run(file: &Path) -> bool {
     let name = file.file_stem().and_then(|stem| stem.to_str()?.strip_prefix("check_"));
     let checks = fs::read_to_string(root().join("tests/clients/run")).expect("readable");
@@ -117,7 +117,7 @@ fn is_run(file: &Path) -> bool {
     name.is_none_or(|name| name == "convert" || all.split_whitespace().any(|check| check == name))
 }
 
-/// Whether there is such a test in Rust, or in Python such a function that the rest of its file calls: `fn name`, `def name`.
+/// Whether the source has this test in Rust (`fn name`), or this function in Python, called by the rest of its file (`def name`).
 fn has_test(source: &str, title: &str) -> bool {
     let lines: Vec<&str> = source.lines().map(str::trim_start).collect();
     let begins = format!("{title}(");
@@ -131,24 +131,24 @@ fn has_test(source: &str, title: &str) -> bool {
     }
 }
 
-/// Whatever the comparison says that we can has its test beside it.
+/// In the comparison, every feature of this program links to its test.
 #[test]
-fn every_yes_has_its_test() {
+fn every_feature_in_the_comparison_links_to_a_test() {
     let text = fs::read_to_string(root().join(COMPARISON)).expect("readable");
     let cells = cells_of_ours(&text);
     assert!(cells.len() > 40, "{} cells were found", cells.len());
-    let is_nothing = |cell: &str| cell.split(|c: char| !c.is_alphabetic()).next() == Some("no");
+    let is_no = |cell: &str| cell.split(|c: char| !c.is_alphabetic()).next() == Some("no");
     let is_page = |link: &Link| link.target.split('#').next().is_some_and(|file| file.ends_with(".md"));
     let has_test = |cell: &str| {
         links(cell).any(|link| link.title.is_some())
             && links(cell).all(|link| link.title.is_some() || is_page(&link))
     };
-    let wrong: Vec<&&str> = cells.iter().filter(|cell| !is_nothing(cell) && !has_test(cell)).collect();
-    assert!(wrong.is_empty(), "these name no test: {wrong:#?}");
-    assert!(cells.iter().any(|cell| is_nothing(cell)), "nobody can do everything");
+    let wrong: Vec<&&str> = cells.iter().filter(|cell| !is_no(cell) && !has_test(cell)).collect();
+    assert!(wrong.is_empty(), "cells without a link to a test: {wrong:#?}");
+    assert!(cells.iter().any(|cell| is_no(cell)), "expected at least one cell with no");
 }
 
-/// The second column of tables that give it our name.
+/// The second column of the tables in which it has our name.
 fn cells_of_ours(text: &str) -> Vec<&str> {
     let mut is_ours = false;
     let mut cells = Vec::new();
@@ -172,8 +172,8 @@ fn links_titles_and_tests_are_found() {
     let one = Link { target: "a.md", title: None };
     assert_eq!(found, [one, Link { target: "b.md#its-head", title: Some("fn x") }]);
     let page = Path::new("/p/docs/q.md");
-    assert_eq!(place(page, "b.md#its-head"), (PathBuf::from("/p/docs/b.md"), Some("its-head")));
-    assert_eq!(place(page, "#here"), (page.to_owned(), Some("here")));
+    assert_eq!(target_of(page, "b.md#its-head"), (PathBuf::from("/p/docs/b.md"), Some("its-head")));
+    assert_eq!(target_of(page, "#here"), (page.to_owned(), Some("here")));
     assert!(
         has_heading("text\n## Its `head`, now\n", "its-head-now") && !has_heading("its-head", "its-head")
     );

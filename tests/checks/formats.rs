@@ -1,4 +1,4 @@
-//! The table of docs/formats.md has a row for each format, with its extensions.
+//! Checks that the table in docs/formats.md has a row for each format, with its extensions.
 
 use meniscus_formats::Format;
 

@@ -1,14 +1,14 @@
-//! What is written about the program, and what it is built of: that pages, the README and the manifests are true.
+//! Checks that the documentation, the README and the manifests agree with the program.
 //!
-//! Plain `cargo test` leaves these out (`test = false` in Cargo.toml); `cargo test --test checks` and `.ci/run` run them.
+//! `cargo test` skips these tests (`test = false` in Cargo.toml); `cargo test --test checks` and `.ci/run` run them.
 
 mod dependencies; // a reason for each crate, and nothing in C
-mod docs; // links of the pages lead somewhere, and what they say is tested is
-mod formats; // the table of what is read, written and kept
-mod options; // the help, the example of a configuration and the page of options know the same options
-mod readme; // every command in the README, run as it stands there
-mod report; // the page of the report has each of its fields
+mod docs; // every link has a target, and every test named in a page exists
+mod formats; // the table of formats is complete
+mod options; // the help, the example configuration and the page of options have the same options
+mod readme; // every command in the README and the tutorials, run as it stands there
+mod report; // the page of the report has each field
 #[path = "../meniscus/scene.rs"]
-#[expect(dead_code, reason = "some of it is for other tests")]
+#[expect(dead_code, reason = "other tests use the rest")]
 mod scene; // small frames of particles, and a way to run the command
-mod troubleshooting; // the page of symptoms quotes the program
+mod troubleshooting; // the messages on the troubleshooting page exist in the program

@@ -1,4 +1,4 @@
-//! The help, the example of a configuration and the page of options know the same options.
+//! Checks that the help, the example configuration and docs/options.md have the same options.
 
 use std::collections::BTreeSet;
 
@@ -24,11 +24,11 @@ fn help_has_every_key_of_the_file() {
             "obstacles" => "--obstacle ".to_owned(),
             key => format!("--{}", key.replace('_', "-")),
         };
-        assert!(help.out.contains(&option), "the help does not know {option}");
+        assert!(help.out.contains(&option), "the help lacks {option}");
     }
 }
 
-/// Every option has a line in the docs, with its unit, and none that there is not.
+/// The tables in the docs have exactly the options of `convert`.
 #[test]
 fn the_docs_have_every_option() {
     let folder = tempdir().expect("a folder");

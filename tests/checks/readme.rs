@@ -1,8 +1,9 @@
-//! Every command in the README's blocks of code is run, as it stands there, in a folder with the files that it names.
+//! Runs every command in the README, the tutorials and other pages as it stands there, in a folder with the files that it names.
 //!
-//! Commands are the lines of the blocks of code, up to their remarks: two blanks or more. `meniscus` is run through a shell,
-//! has to end well, and to make what it names. Of what begins with `cargo`, the program or the example is run with the same
-//! arguments, as tests are built. A line of another kind is an error, so that no command is added that nobody has tried.
+//! Commands are the lines of code blocks in `sh`, up to their remarks: two blanks or more. `meniscus` runs in a shell, must
+//! exit with status 0 (or with 1, where the remark says so), and must make the files that it names. For commands that begin with
+//! `cargo`, the program or the example runs with the same arguments, in the build of these tests. A command of another kind
+//! must be in `RUN_ELSEWHERE`, so that no page has a command that was never run.
 
 #![cfg(target_os = "linux")]
 
@@ -26,106 +27,173 @@ use tempfile::{TempDir, tempdir};
 
 use crate::scene::{block, meniscus, write_ply};
 
-const README: &str = include_str!("../../README.md");
+/// The pages whose commands run here, each in a separate folder, from top to bottom.
+const PAGES: [(&str, &str); 7] = [
+    ("README.md", include_str!("../../README.md")),
+    ("docs/commands.md", include_str!("../../docs/commands.md")),
+    ("docs/library.md", include_str!("../../docs/library.md")),
+    ("docs/tutorial-first-surface.md", include_str!("../../docs/tutorial-first-surface.md")),
+    ("docs/tutorial-live.md", include_str!("../../docs/tutorial-live.md")),
+    ("docs/tutorial-houdini-blender.md", include_str!("../../docs/tutorial-houdini-blender.md")),
+    ("docs/tutorial-farm.md", include_str!("../../docs/tutorial-farm.md")),
+];
 
-/// Far longer than anything here takes.
-const PATIENCE: Duration = Duration::from_secs(120);
+/// A timeout far longer than any command here takes.
+const TIMEOUT: Duration = Duration::from_secs(120);
 
 /// Frames of `cache/` and of the same name beside it.
 const FRAMES: [usize; 3] = [11, 12, 13];
 
-/// So many frames are in `shot/` that the shard of the README has one, of 60.
+/// Frames of `shot/`: with 60 shards, shard 17 of docs/commands.md is the last that has a frame.
 const SHOT_FRAMES: usize = 18;
 
 #[test]
-fn every_command_does_what_it_says() {
-    let scene = Scene::new();
-    let commands = commands(README);
-    assert!(commands.len() > 30, "only {} commands were found", commands.len());
-    for command in commands {
-        let words: Vec<&str> = command.split_whitespace().collect();
-        let made = made_by(&words);
-        let before = scene.outputs(&made);
-        match words[..] {
-            ["cargo", "test", "--workspace"] => {}
-            ["cargo", "run", "--release", "-p", example, "--", ..] => {
-                let arguments = command.split_once(" -- ").expect("just seen").1;
-                scene.runs(&format!("{} {arguments}", example_program(example).display()));
-            }
-            ["cargo", "run", "--release", "--", ..] => {
-                let arguments = command.split_once(" -- ").expect("just seen").1;
-                scene.runs(&format!("meniscus {arguments}"));
-            }
-            ["meniscus", "watch", ..] => scene.watches(command),
-            ["meniscus", ..] => {
-                if command.starts_with("meniscus verify ") {
-                    scene.runs_other_shards();
-                }
-                scene.runs(command);
-            }
-            _ => panic!("a command in the README that this test does not know how to run: {command}"),
+fn every_command_runs_and_makes_the_files_it_names() {
+    let mut command_count = 0;
+    for (page, text) in PAGES {
+        let scene = Scene::new();
+        for command in commands(text) {
+            run_command(page, &command, &scene);
+            command_count += 1;
         }
-        let after = scene.outputs(&made);
-        for (made, (before, after)) in made.iter().zip(before.iter().zip(&after)) {
-            assert!(before != after && !after.is_empty(), "{command}: nothing new in {made}");
+        if page == "README.md" {
+            // The README names the first outputs of the first command.
+            let out = scene.path().join("out");
+            assert!(out.join("dam.0001.glb").is_file() && out.join("dam.0001.vdb").is_file());
         }
     }
-    // What the README says of the first of them.
-    assert!(
-        scene.path().join("out/dam.0001.glb").is_file() && scene.path().join("out/dam.0001.vdb").is_file()
-    );
+    assert!(command_count > 50, "only {command_count} commands were found");
 }
 
-/// The commands in the blocks of code, without their remarks. Blocks in Rust have none.
-fn commands(text: &str) -> Vec<&str> {
-    let blocks = text.split("```").skip(1).step_by(2).filter(|block| !block.starts_with("rust\n"));
+fn run_command(page: &str, &PageCommand { text: command, status }: &PageCommand, scene: &Scene) {
+    if RUN_ELSEWHERE.iter().any(|(elsewhere, ..)| *elsewhere == command) {
+        return;
+    }
+    let words: Vec<&str> = command.split_whitespace().collect();
+    let made = made_by(&words);
+    let before = scene.outputs(&made);
+    match words[..] {
+        ["cargo", "test", "--workspace"] => {}
+        ["cargo", "run", "--release", "-p", example, "--", ..] => {
+            let arguments = command.split_once(" -- ").expect("just seen").1;
+            scene.runs(&format!("{} {arguments}", example_program(example).display()), status);
+        }
+        ["cargo", "run", "--release", "--", ..] => {
+            let arguments = command.split_once(" -- ").expect("just seen").1;
+            scene.runs(&format!("meniscus {arguments}"), status);
+        }
+        ["meniscus", "watch", .., "--once"] => scene.runs(command, status),
+        ["meniscus", "watch", ..] => scene.watches(command),
+        ["meniscus", ..] => {
+            if page == "docs/commands.md" && command.starts_with("meniscus verify ") {
+                scene.runs_other_shards();
+            }
+            scene.runs(command, status);
+        }
+        ["cp" | "rm", ..] => scene.runs(command, status),
+        _ => panic!("{page}: this test does not know how to run: {command}"),
+    }
+    // With `--once` the frames may be done already.
+    if words.contains(&"--once") {
+        return;
+    }
+    let after = scene.outputs(&made);
+    for (made, (before, after)) in made.iter().zip(before.iter().zip(&after)) {
+        assert!(before != after && !after.is_empty(), "{page}: {command}: nothing new in {made}");
+    }
+}
+
+/// A command of a page, without its remark, and the exit status that it must have.
+#[derive(Debug, PartialEq)]
+struct PageCommand<'text> {
+    text: &'text str,
+    status: i32,
+}
+
+/// The commands in the code blocks in `sh`.
+fn commands(text: &str) -> Vec<PageCommand<'_>> {
+    let blocks = text.split("```").skip(1).step_by(2).filter_map(|block| block.strip_prefix("sh\n"));
     let lines = blocks.flat_map(str::lines).map(str::trim).filter(|line| !line.is_empty());
-    lines.map(|line| line.split("  ").next().unwrap_or(line)).collect()
+    let command = |line| {
+        let (text, remark) = str::split_once(line, "  ").unwrap_or((line, ""));
+        PageCommand { text, status: i32::from(remark.contains("exit status 1")) }
+    };
+    lines.map(command).collect()
 }
 
-/// Commands within sentences, and who tries them: a file, and what it has of them.
-const IN_SENTENCES: [(&str, &str, &str); 9] = [
+/// Commands in code blocks that other checks run: the file of the check, and the text in it that runs the command.
+const RUN_ELSEWHERE: [(&str, &str, &str); 6] = [
     ("cargo install --path . --locked", ".ci/install", "cargo install --path . --locked"),
-    (".debian/build", "tests/clients/check_package.py", "\".debian\" / \"build\""),
+    ("pip install pysplishsplash==2.19.0", "tests/clients/install", "pysplishsplash==2.19.0"),
+    (
+        "python tests/clients/simulate_splishsplash.py simulation",
+        "tests/clients/check_simulators.py",
+        "simulate_{name}.py",
+    ),
     (
         "blender --python examples/blender/import_sequence.py -- surfaces",
         "tests/clients/check_blender_example.py",
         "\"import_sequence.py\"",
     ),
-    ("cargo doc --open", ".ci/run", "cargo doc"),
-    ("meniscus tune INPUT -o tune.png", "README.md", "\nmeniscus tune cache/ -o tune.png"),
-    ("meniscus convert --help", "tests/meniscus/manual.rs", "--help"),
-    ("meniscus flicker", "README.md", "\nmeniscus flicker 'surfaces"),
-    ("meniscus info", "tests/meniscus/info.rs", "\"info\""),
     (
-        "cargo run --release -p solid -- 38.6e6 FILE.ply",
-        "benches/processes.py",
-        "\"-p\", \"solid\", \"--\", str(count), path",
+        "examples/farm/submit.sh plan.json --cpus-per-task=4 --time=30",
+        "tests/clients/check_slurm.py",
+        "\"submit.sh\"",
+    ),
+    (
+        "openjd run examples/farm/openjd.yaml -p Plan=\"$PWD/plan.json\" -p Out=\"$PWD/meshes\" -p LastShard=3",
+        "tests/clients/check_openjd.py",
+        "OPENJD, \"run\", TEMPLATE",
     ),
 ];
 
 #[test]
-fn commands_in_sentences_are_tried_elsewhere() {
-    let sentences: String = README.split("```").step_by(2).collect();
+fn commands_that_run_elsewhere_are_in_a_page_and_in_their_check() {
+    for (command, file, part) in RUN_ELSEWHERE {
+        let is_in_page =
+            PAGES.iter().any(|(_, text)| commands(text).iter().any(|found| found.text == command));
+        assert!(is_in_page, "no page has the command {command}");
+        let text = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(file)).expect("readable");
+        assert!(text.contains(part), "{command}: {file} has no {part}");
+    }
+}
+
+/// Commands within sentences: the file of the check that runs each, and the text in it that does.
+const IN_SENTENCES: [(&str, &str, &str); 6] = [
+    ("meniscus flicker", "docs/commands.md", "\nmeniscus flicker 'surfaces"),
+    ("meniscus help COMMAND", "tests/meniscus/manual.rs", "--help"),
+    ("meniscus man", "docs/commands.md", "\nmeniscus man "),
+    ("meniscus convert", "docs/commands.md", "\nmeniscus convert "),
+    ("meniscus watch", "docs/commands.md", "\nmeniscus watch "),
+    ("cargo doc --open", ".ci/run", "cargo doc"),
+];
+
+#[test]
+fn commands_in_sentences_run_elsewhere() {
     let begins = ["cargo ", "meniscus ", "blender ", ".debian/", "benches/"];
-    let commands =
-        sentences.split('`').skip(1).step_by(2).filter(|code| begins.iter().any(|b| code.starts_with(b)));
-    let mut known = IN_SENTENCES.map(|(command, ..)| command);
-    let mut commands: Vec<&str> = commands.collect();
-    known.sort_unstable();
-    commands.sort_unstable();
-    assert_eq!(commands, known);
+    let mut found = BTreeSet::new();
+    for (_, text) in PAGES {
+        let sentences: String = text.split("```").step_by(2).collect();
+        let code = sentences.split('`').skip(1).step_by(2);
+        found.extend(code.filter(|code| begins.iter().any(|b| code.starts_with(b))).map(str::to_owned));
+    }
+    let known: BTreeSet<String> = IN_SENTENCES.iter().map(|(command, ..)| (*command).to_owned()).collect();
+    assert_eq!(found, known);
     for (command, file, part) in IN_SENTENCES {
         let text = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(file)).expect("readable");
         assert!(text.contains(part), "{command}: {file} has no {part}");
     }
 }
 
-/// What a command makes: files, and folders.
+/// The files and folders that a command makes.
 fn made_by<'a>(words: &[&'a str]) -> Vec<&'a str> {
-    // Examples take no options: what they make comes last.
-    if words.contains(&"-p") {
-        return words.last().copied().into_iter().collect();
+    match words[..] {
+        // It writes frames of particles only, if no folder for surfaces follows their number.
+        [.., "dam_break", "--", cache, _] => return vec![cache],
+        // Examples take no options: their output comes last.
+        ["cargo", .., output] if words.contains(&"-p") => return vec![output],
+        ["cp", .., output] => return vec![output],
+        _ => {}
     }
     let options: &[&str] = match words[..] {
         [_, "status" | "why", ..] => &[],
@@ -136,7 +204,7 @@ fn made_by<'a>(words: &[&'a str]) -> Vec<&'a str> {
     words.windows(2).filter(|pair| options.contains(&pair[0])).map(|pair| pair[1]).collect()
 }
 
-/// An example, built as this test is: together with it, so that Cargo chooses the same features of all crates.
+/// Builds an example in the same Cargo command as this test, so that Cargo chooses the same features of all crates.
 fn example_program(name: &str) -> PathBuf {
     let build = Command::new(env!("CARGO"))
         .args(["build", "--locked", "--workspace", "--bin", name, "--test", "checks"])
@@ -149,12 +217,12 @@ fn example_program(name: &str) -> PathBuf {
     let messages = out.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).expect("JSON"));
     let messages = messages.filter(|message| message["target"]["name"] == name);
     let mut programs = messages.filter_map(|message| Some(message["executable"].as_str()?.into()));
-    programs.next_back().unwrap_or_else(|| panic!("{name} is no program"))
+    programs.next_back().unwrap_or_else(|| panic!("cargo built no program {name}"))
 }
 
-/// The README has its reader build the program first. What it runs next must not take minutes more.
+/// The README builds the program first. The examples that follow must not take minutes more to build.
 #[test]
-fn examples_of_the_readme_need_no_crate_or_feature_that_the_program_does_not_need() {
+fn examples_in_pages_need_no_crate_or_feature_that_the_program_does_not_need() {
     let crates = |arguments: &[&str]| {
         let tree = ["tree", "--edges", "normal,build", "--prefix", "none", "--format", "{p} {f}"];
         let tree = Command::new(env!("CARGO"))
@@ -169,9 +237,9 @@ fn examples_of_the_readme_need_no_crate_or_feature_that_the_program_does_not_nee
         lines.lines().map(|line| line.trim_end_matches(" (*)").to_owned()).collect::<BTreeSet<String>>()
     };
     let program = crates(&[]);
-    let examples =
-        commands(README).into_iter().filter_map(|command| command.split_once("cargo run --release -p "));
-    let examples: BTreeSet<&str> = examples.filter_map(|(_, rest)| rest.split(' ').next()).collect();
+    let commands = PAGES.iter().flat_map(|(_, text)| commands(text));
+    let examples = commands.filter_map(|command| command.text.strip_prefix("cargo run --release -p "));
+    let examples: BTreeSet<&str> = examples.filter_map(|rest| rest.split(' ').next()).collect();
     assert_eq!(examples, BTreeSet::from(["dam_break", "library"]));
     for example in examples {
         let more: Vec<String> = crates(&["-p", example]).difference(&program).cloned().collect();
@@ -179,10 +247,10 @@ fn examples_of_the_readme_need_no_crate_or_feature_that_the_program_does_not_nee
     }
 }
 
-/// Files by their names, and what tells one version from the next.
+/// Files by path, with values that differ between versions of a file: inode, modification time, size.
 type Outputs = BTreeMap<PathBuf, (u64, i64, u64)>;
 
-/// A folder with all files that the README's commands name.
+/// A folder with all files that the commands of a page name.
 struct Scene {
     folder: TempDir,
 }
@@ -191,13 +259,18 @@ impl Scene {
     fn new() -> Scene {
         let folder = tempdir().expect("a folder");
         let path = folder.path();
-        for name in ["cache", "shot"] {
-            fs::create_dir(path.join(name)).expect("made");
+        for name in ["cache", "shot", "simulation/partio"] {
+            fs::create_dir_all(path.join(name)).expect("made");
         }
         for number in FRAMES {
             let name = format!("dam.{number:04}.bgeo");
             write_bgeo(&path.join("cache").join(&name), 6, number);
             write_bgeo(&path.join(&name), 6, number);
+        }
+        // As SPlisHSPlasH names them.
+        for number in 1..=FRAMES.len() {
+            let name = format!("simulation/partio/ParticleData_Fluid_{number}.bgeo");
+            write_bgeo(&path.join(name), 6, number);
         }
         (1..=SHOT_FRAMES)
             .for_each(|number| write_bgeo(&path.join(format!("shot/shot.{number:04}.bgeo")), 4, number));
@@ -219,12 +292,12 @@ impl Scene {
         self.folder.path()
     }
 
-    /// A shell that finds the program under its name.
+    /// A shell with the program in its PATH.
     fn shell(&self, command: &str) -> Command {
         let program = Path::new(env!("CARGO_BIN_EXE_meniscus")).parent().expect("a folder").to_owned();
         let others = env::var_os("PATH").unwrap_or_default();
         let folders: Vec<PathBuf> = [program].into_iter().chain(env::split_paths(&others)).collect();
-        // Quotes and patterns are the shell's; what else it could do is not the program's.
+        // Commands may use the shell's quotes and patterns, and no other feature of the shell.
         assert!(!command.contains([';', '&', '|', '<', '>', '$', '`']), "{command}");
         let mut shell = Command::new("sh");
         shell.args(["-c", &format!("exec {command}")]).current_dir(self.path()).stdin(Stdio::null());
@@ -232,28 +305,30 @@ impl Scene {
         shell
     }
 
-    /// Runs a command to its end.
-    fn runs(&self, command: &str) {
+    /// Runs a command to its end, which must have this exit status.
+    fn runs(&self, command: &str, exit_status: i32) {
         let Output { status, stdout, stderr } = self.shell(command).output().expect("the shell starts");
         let (out, err) = (String::from_utf8_lossy(&stdout), String::from_utf8_lossy(&stderr));
-        assert_eq!(status.code(), Some(0), "{command}\n{out}{err}");
+        assert_eq!(status.code(), Some(exit_status), "{command}\n{out}{err}");
         assert!(!err.contains("changes no file"), "{command}\n{err}");
     }
 
-    /// What is there of some files and folders.
+    /// The files at these paths, and below these folders.
     fn outputs(&self, made: &[&str]) -> Vec<Outputs> {
         made.iter().map(|made| files_below(&self.path().join(made))).collect()
     }
 
-    /// Runs a daemon until it has done what is there, and ends it. It begins with nothing: what is done stays as it is.
+    /// Runs a daemon until it has converted all frames, and stops it. Earlier outputs are removed, so that it converts all.
     fn watches(&self, command: &str) {
+        // The port of the page may be in use on this machine.
+        let command = &command.replace("127.0.0.1:7700", "127.0.0.1:0");
         let surfaces = self.path().join("surfaces");
         if surfaces.exists() {
             fs::remove_dir_all(surfaces).expect("removed");
         }
         let socket = self.path().join("notify");
         let manager = UnixDatagram::bind(&socket).expect("a socket");
-        manager.set_read_timeout(Some(PATIENCE)).expect("a socket");
+        manager.set_read_timeout(Some(TIMEOUT)).expect("a socket");
         let mut shell = self.shell(command);
         let daemon = shell.env("NOTIFY_SOCKET", &socket).stdout(Stdio::null()).stderr(Stdio::null());
         let mut daemon = Ended(daemon.spawn().expect("the shell starts"));
@@ -264,7 +339,7 @@ impl Scene {
         fs::remove_file(socket).expect("removed");
     }
 
-    /// The shards of the README's plan but the one that it runs itself.
+    /// Runs all shards of the plan in docs/commands.md but the last, which the page runs itself.
     fn runs_other_shards(&self) {
         for shard in 0..SHOT_FRAMES - 1 {
             let ran =
@@ -274,7 +349,7 @@ impl Scene {
     }
 }
 
-/// A file, or all files below a folder; none where nothing is.
+/// A file, or all files below a folder; empty if the path does not exist.
 fn files_below(path: &Path) -> Outputs {
     if let Ok(entries) = fs::read_dir(path) {
         let paths = entries.map(|entry| entry.expect("an entry").path());
@@ -284,26 +359,26 @@ fn files_below(path: &Path) -> Outputs {
     fs::metadata(path).ok().map(version).into_iter().collect()
 }
 
-/// Waits until the daemon has said this to its service manager.
+/// Waits until the daemon sends a notification with this start to its service manager.
 fn wait_for(manager: &UnixDatagram, start: &str) {
     let mut bytes = [0; 4096];
     loop {
         match manager.recv(&mut bytes) {
             Ok(count) if String::from_utf8_lossy(&bytes[..count]).starts_with(start) => return,
             Ok(_) => {}
-            // A child of another test has ended.
+            // A signal arrived, for example because a child of another test has exited.
             Err(error) if error.kind() == ErrorKind::Interrupted => {}
             Err(error) => panic!("no {start}: {error}"),
         }
     }
 }
 
-/// A daemon that does not outlive the test.
+/// A daemon that is killed when the test ends.
 struct Ended(Child);
 
 impl Drop for Ended {
     fn drop(&mut self) {
-        // It has ended, unless the test has failed.
+        // The daemon has already exited, unless the test has failed.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
@@ -329,7 +404,7 @@ fn write_bgeo(path: &Path, edge_count: usize, number: usize) {
     bgeo::write(&frame, &mut BufWriter::new(File::create(path).expect("made"))).expect("written");
 }
 
-/// Particles of two sizes.
+/// Particles with two different radii.
 fn write_beads(path: &Path) {
     let particles = block(4, 0.0);
     let lines = particles
@@ -342,7 +417,7 @@ fn write_beads(path: &Path) {
     fs::write(path, header + &lines.collect::<String>()).expect("written");
 }
 
-/// Two steps.
+/// A LAMMPS dump with two steps.
 fn write_dump(path: &Path) {
     let step = |number: usize| {
         let particles = block(4, 0.01 * number as f64);
@@ -357,7 +432,7 @@ fn write_dump(path: &Path) {
     fs::write(path, [0, 10].map(step).concat()).expect("written");
 }
 
-/// A box that stands in the block.
+/// A box inside the block of particles.
 fn write_ship(path: &Path) {
     let corner = |index: i32| IVec3::new(index & 1, index >> 1 & 1, index >> 2 & 1).as_vec3();
     let place = |index| Vec3::new(0.2, 0.2, -0.2) + corner(index) * Vec3::new(0.2, 0.2, 1.0);
@@ -381,10 +456,15 @@ fn write_level_set(path: &Path) {
 
 #[test]
 fn commands_are_found_without_their_remarks() {
-    let text = "Words.\n\n```\nmeniscus a b     remark\n\nmeniscus d.##.e   # more\n```\nWords.\n```\ncargo test\n```\n```rust\nuse a;\n```\n";
-    assert_eq!(commands(text), ["meniscus a b", "meniscus d.##.e", "cargo test"]);
+    let text = "Words.\n\n```sh\nmeniscus a b     # remark\n\nmeniscus d.##.e   # exit status 1\n```\nWords.\n\
+                ```sh\ncargo test\n```\n```rust\nuse a;\n```\n```\noutput\n```\n";
+    let found = commands(text);
+    let found: Vec<(&str, i32)> = found.iter().map(|command| (command.text, command.status)).collect();
+    assert_eq!(found, [("meniscus a b", 0), ("meniscus d.##.e", 1), ("cargo test", 0)]);
     assert_eq!(made_by(&["meniscus", "render", "a", "-o", "b.png", "--out", "c"]), ["b.png", "c"]);
     assert_eq!(made_by(&["meniscus", "status", "--out", "c"]), [""; 0]);
     assert_eq!(made_by(&["meniscus", "plan", "a", "--out", "c", "-o", "p"]), ["p"]);
     assert_eq!(made_by(&["cargo", "run", "-p", "e", "--", "in", "out"]), ["out"]);
+    assert_eq!(made_by(&["cargo", "run", "-p", "dam_break", "--", "in", "60"]), ["in"]);
+    assert_eq!(made_by(&["cp", "-r", "a", "b"]), ["b"]);
 }

@@ -1,4 +1,4 @@
-//! The page of the report has each of its fields.
+//! Checks that docs/report.md has every field of a report.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -8,7 +8,7 @@ use tempfile::tempdir;
 
 use crate::scene::{block, meniscus};
 
-/// Every field that a report may have is in the docs, and none that none has leads a line there.
+/// Every possible field of a report is in the docs, and no line of the docs starts with an unknown field.
 #[test]
 fn the_docs_have_every_field_of_the_report() {
     let folder = tempdir().expect("a folder");
@@ -33,7 +33,7 @@ fn the_docs_have_every_field_of_the_report() {
     ];
     let ran = meniscus(path, &[&["convert"], &arguments[..]].concat());
     assert_eq!(ran.status, 0, "{}", ran.err);
-    // Level sets have fields of their own.
+    // Level sets have additional fields.
     let ran = meniscus(path, &["convert", "o/dam.1.vdb", "--out=l", "--format=glb", "--report=l.json"]);
     assert_eq!(ran.status, 0, "{}", ran.err);
     let mut fields = BTreeSet::new();
@@ -52,7 +52,7 @@ fn the_docs_have_every_field_of_the_report() {
     assert_eq!(unknown, [""; 0]);
 }
 
-/// The names of all fields but those that options have.
+/// The names of all fields, except those inside `more`, which are options.
 fn collect_fields(value: &Value, fields: &mut BTreeSet<String>) {
     match value {
         Value::Object(object) => {

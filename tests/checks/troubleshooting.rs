@@ -1,15 +1,15 @@
-//! The page of symptoms quotes the program: each message in it is one that the program has.
+//! Checks that every message quoted in docs/troubleshooting.md is a message of the program.
 
 use std::fs;
 use std::path::Path;
 
 const PAGE: &str = include_str!("../../docs/troubleshooting.md");
 
-/// Shorter pieces are found anywhere.
+/// Shorter pieces occur everywhere.
 const PIECE_MIN: usize = 4;
 
 #[test]
-fn every_message_that_is_quoted_is_one_of_the_program() {
+fn every_quoted_message_exists_in_the_source() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let program = [root.join("src"), root.join("formats/src")].map(|folder| messages_below(&folder)).concat();
     let quoted = quoted(PAGE);
@@ -20,10 +20,10 @@ fn every_message_that_is_quoted_is_one_of_the_program() {
         .filter(|(_, piece)| piece.len() >= PIECE_MIN && !program.contains(piece))
         .map(|(message, _)| *message)
         .collect();
-    assert!(unknown.is_empty(), "the program does not say so: {unknown:#?}");
+    assert!(unknown.is_empty(), "quoted messages that no source contains: {unknown:#?}");
 }
 
-/// What stands between backticks in the tables and is neither a command nor an option.
+/// The texts in backticks in tables that are neither commands nor options.
 fn quoted(page: &str) -> Vec<&str> {
     let rows = page.lines().filter(|line| line.starts_with('|'));
     let code = rows.flat_map(|row| row.split('`').skip(1).step_by(2));
@@ -31,23 +31,22 @@ fn quoted(page: &str) -> Vec<&str> {
         .collect()
 }
 
-/// What all sources below a folder may say, without their tests.
+/// The string literals of all sources below a folder, without tests.
 fn messages_below(folder: &Path) -> String {
     let mut text = String::new();
-    for entry in fs::read_dir(folder).expect("the folder is there") {
+    for entry in fs::read_dir(folder).expect("the folder exists") {
         let path = entry.expect("an entry").path();
         if path.is_dir() {
             text += &messages_below(&path);
         } else if path.extension().is_some_and(|extension| extension == "rs") && !path.ends_with("tests.rs") {
-            text += &said_in(&fs::read_to_string(&path).expect("readable"));
+            text += &literals_of(&fs::read_to_string(&path).expect("readable"));
         }
     }
     text
 }
 
-/// What a source may say when it runs: its literals of text, each on a line; one that goes on in the next line of the source is
-/// one.
-fn said_in(source: &str) -> String {
+/// The string literals of a source, each on a line; a literal that continues on the next line of the source is joined.
+fn literals_of(source: &str) -> String {
     let source = source.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
     let mut said = String::new();
     let mut rest = source;
@@ -60,7 +59,7 @@ fn said_in(source: &str) -> String {
         } else if let Some(text) = from.strip_prefix('"') {
             said.push('\n');
             unescaped(text, &mut said)
-        } else if let Some((text, after)) = raw(from).filter(|_| !before.ends_with(is_of_a_name)) {
+        } else if let Some((text, after)) = raw(from).filter(|_| !before.ends_with(is_identifier_char)) {
             said += &format!("\n{text}");
             after
         } else {
@@ -70,7 +69,7 @@ fn said_in(source: &str) -> String {
     said
 }
 
-/// Appends the text up to the quote that ends it; what is behind that.
+/// Appends the text up to the closing quote, and returns the rest.
 fn unescaped<'s>(text: &'s str, said: &mut String) -> &'s str {
     let mut characters = text.chars();
     while let Some(character) = characters.next() {
@@ -87,7 +86,7 @@ fn unescaped<'s>(text: &'s str, said: &mut String) -> &'s str {
     ""
 }
 
-/// The text of a raw literal, and what is behind it.
+/// The text of a raw string literal, and the rest of the source.
 fn raw(from: &str) -> Option<(&str, &str)> {
     let after = from.strip_prefix('r')?;
     let opened = after.trim_start_matches('#');
@@ -95,14 +94,14 @@ fn raw(from: &str) -> Option<(&str, &str)> {
     opened.strip_prefix('"')?.split_once(&*end)
 }
 
-fn is_of_a_name(character: char) -> bool {
+fn is_identifier_char(character: char) -> bool {
     character.is_alphanumeric() || character == '_'
 }
 
 #[test]
 fn messages_are_found() {
     let source = "/// \"Said\".\nf(\"one \\\n    two\"); g('\"', 5 / 3, \"a \\\"b\\\"\")\n    // \"never\"\nh(r#\"c\"d\"#, r\"\\e\", for\"f\")\n#[cfg(test)]\nmod tests {\n\"g\"";
-    assert_eq!(said_in(source), "\none two\na \"b\"\nc\"d\n\\e\nf");
+    assert_eq!(literals_of(source), "\none two\na \"b\"\nc\"d\n\\e\nf");
     let page =
         "Words `like this`.\n| `it is … not` | `--set 1` | `meniscus info F`, `done` and `all gone` |\n";
     assert_eq!(quoted(page), ["it is … not", "all gone"]);

@@ -50,10 +50,10 @@ def main():
     status, said, _ = convert([OWN], FOLDER / "own", "--format", "glb,vdb,ply", "--attributes", "velocity")
     check.line("own frames", f"exit status {status}", [said] if status else [])
     for label, examine, *wanted in (
-        ("dam.####.glb", lambda: frames("glb"), "frame 11 is not there: dam shows dam.10.glb", "frame 3 is not there"),
-        ("dam.####.vdb", lambda: frames("vdb"), "frame 11 is not there", "dam.13.vdb was written again"),
+        ("dam.####.glb", lambda: frames("glb"), "frame 11 is missing: dam shows dam.10.glb", "frame 3 is missing"),
+        ("dam.####.vdb", lambda: frames("vdb"), "frame 11 is missing", "dam.13.vdb was written again"),
         ("attributes", attributes),
-        ("choices", choices, "with a step of 2", "splash.7.glb could not be read, splash stays as it is: it is not a whole .glb"),
+        ("choices", choices, "with a step of 2", "splash.7.glb: incomplete .glb; splash is unchanged"),
         ("Z up, quantized", turned),
         ("command line", command_line),
         ("pictures", pictures),
@@ -177,7 +177,7 @@ def frames(kind):
     for frame, number in ((8, 1), (9, 2), (10, 3), (11, 3), (12, 5), (13, 5), (3, 1), (9, 2), (13, 5)):
         look(frame, number)
         if frame == 11:
-            faults.extend(panel_faults("Frame 11 is not there: shows 10"))
+            faults.extend(panel_faults("Frame 11 is missing: shows 10"))
     put(6, folder, kind, 13)
     look(13, 6)
     if scene.frame_end != 13:
@@ -254,11 +254,11 @@ def choices():
     (folder / "splash.7.glb").write_bytes(b"glTF")
     refused(folder, ["dam.####.glb", "splash.####.glb"])
     refused(folder / "wave.####.glb", ["wave.####.glb"])
-    refused(folder / "dam.0002.vdb", ["no .glb"], ".glb")
+    refused(folder / "dam.0002.vdb", ["not a .glb"], ".glb")
     refused(folder / "dam.0002.glb", ["no volume"], None, "Y", 1, True)
     shutil.copy(own(2, "glb"), folder / "broken.1.vdb")
     refused(folder / "broken.1.vdb", ["surface"])
-    refused(WORK / "venv", ["holds no numbered"])
+    refused(WORK / "venv", ["contains no numbered"])
     (folder / "steps.3000000.glb").write_bytes(b"glTF")
     refused(folder / "steps.3000000.glb", ["beyond Blender's last frame"])
     scene = empty_scene()
