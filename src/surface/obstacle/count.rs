@@ -1,4 +1,4 @@
-//! How many particles are inside obstacles, where a simulation had better not left them.
+//! Counts particles inside obstacles, where a simulation should have none.
 
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
@@ -35,10 +35,11 @@ impl Obstacles {
     }
 }
 
-/// The nearest voxel is up to √3/2 away: farther from the surface, a particle is on its side.
+/// The nearest voxel is up to √3/2 voxels away: a particle is on its side if the voxel is farther from the
+/// surface.
 const NEAR: f32 = 0.9;
 
-/// The leaf that was asked for last: the next particle is often in the same.
+/// The last leaf: the next particle is often in the same one.
 struct Known<'a> {
     obstacles: &'a Obstacles,
     lattice: &'a Lattice,

@@ -1,6 +1,6 @@
 //! Distances from the voxels of a leaf to triangles, eight at a time.
 //!
-//! Each edge of a triangle has a frame of its own: along the edge, out of the triangle, and along the normal.
+//! Each edge of a triangle has its own frame: along the edge, out of the triangle, and along the normal.
 //!
 //! ```text
 //!         c                      along u: where p is between the ends, and how far beyond     t
@@ -10,11 +10,12 @@
 //!        u₀ →                    inside all edges: h²;  else the least of h² + s² + beyond²
 //! ```
 //!
-//! What is kept of a triangle are directions, and the places of its edges along them relative to the centre of
-//! the leaf: computed in 64 bits, they are small numbers wherever the triangle is near, however large it is or
-//! far from the world's origin.
+//! For each triangle, directions are stored, and the offsets of its edges along these directions relative to
+//! the centre of the leaf. They are computed in 64 bits. For a nearby triangle they are small numbers,
+//! however large the triangle is or far from the world's origin.
 //!
-//! Only the triangles that may be the nearest to something are asked, which is told block by block:
+//! Distances are computed only to triangles that may be the nearest to a voxel. The candidates are culled
+//! block by block:
 //!
 //! ```text
 //!   8³ ──▶ eight blocks of 4³ ──▶ eight of 2³ each ──▶ eight voxels: a row of values
@@ -28,19 +29,19 @@ use super::tree::EIGHT;
 use crate::surface::grid::{LEAF_VOXELS, Leaf};
 use crate::surface::simd::{Kernel, Lanes};
 
-/// Numbers that are kept of a triangle.
+/// Number of values per triangle.
 const NUMBER_COUNT: usize = 31;
 
-/// Eight triangles, number by number.
+/// Eight triangles, one array per value.
 #[derive(Clone, Debug)]
 pub(super) struct Eight {
     rows: [[f32; EIGHT]; NUMBER_COUNT],
-    /// Which of the eight there are.
+    /// Mask of the lanes that hold a triangle.
     live: u8,
 }
 
 impl Eight {
-    /// At most eight triangles; positions are `(world − center) · scale`.
+    /// At most eight triangles; positions become `(world − center) · scale`.
     pub(super) fn new(triangles: &[[DVec3; 3]], center: DVec3, scale: f64) -> Eight {
         let mut eight = Eight { rows: [[0.0; EIGHT]; NUMBER_COUNT], live: 0 };
         for (lane, triangle) in triangles.iter().take(EIGHT).enumerate() {
@@ -54,7 +55,8 @@ impl Eight {
     }
 }
 
-/// Normal and place of the plane; for each edge: out and its place, along and the places of both ends.
+/// Normal and offset of the plane; for each edge: outward direction and its offset, edge direction and the
+/// offsets of both ends.
 fn numbers_of(corners: [DVec3; 3]) -> [f32; NUMBER_COUNT] {
     let mut numbers = [0.0; NUMBER_COUNT];
     let [a, b, c] = corners;
@@ -78,14 +80,14 @@ fn put(numbers: &mut [f32; NUMBER_COUNT], at: usize, direction: DVec3, place: f6
     }
 }
 
-/// Finds the distances from the voxels of a leaf, in voxels; none is more than `most`.
+/// Computes the distances from the voxels of a leaf, in voxels, limited to `most`.
 pub(super) struct Distances<'a> {
     /// The triangles, relative to the centre of the leaf and in voxels.
     pub(super) eights: &'a [Eight],
     pub(super) most: f32,
 }
 
-/// Added to distances that are compared with each other: more than rounding makes of them.
+/// Added when distances are compared: more than their rounding error.
 const ROUNDING: f32 = 1e-3;
 
 impl Kernel for Distances<'_> {
@@ -118,14 +120,14 @@ impl Kernel for Distances<'_> {
     }
 }
 
-/// The place of one of eight: 0 or 1 on each axis.
+/// The position of one of eight: 0 or 1 on each axis.
 #[inline(always)]
 fn step(place: usize) -> [f32; 3] {
     [(place >> 2) as f32, (place >> 1 & 1) as f32, (place & 1) as f32]
 }
 
-/// Finds the triangles that may be the nearest to a voxel of a block, unless these are farther than `most`. Voxels
-/// are up to `half_edge` from the centre on each axis.
+/// Culls the triangles that cannot be the nearest to a voxel of a block, and those farther than `most`.
+/// Voxels are up to `half_edge` from the centre on each axis.
 #[inline(always)]
 fn narrow<V: Lanes>(
     eights: &[Eight],
@@ -163,7 +165,7 @@ fn narrow<V: Lanes>(
     }
 }
 
-/// The distances from the eight voxels around a point, in the order of their places.
+/// The distances from the eight voxels around a point.
 #[inline(always)]
 fn of_block<V: Lanes>(eights: &[Eight], near: &[(u32, u8)], center: [f32; 3], most: f32) -> [f32; 8] {
     let point = [
@@ -185,7 +187,7 @@ fn of_block<V: Lanes>(eights: &[Eight], near: &[(u32, u8)], center: [f32; 3], mo
     distances
 }
 
-/// Puts the distances of a block of 2³ voxels where they belong.
+/// Writes the distances of a block of 2³ voxels to their voxels.
 #[inline(always)]
 fn scatter(distances: &[f32; 8], four: usize, two: usize, leaf: &mut Leaf) {
     let bit = |place: usize, axis: usize| place >> (2 - axis) & 1;
@@ -197,7 +199,7 @@ fn scatter(distances: &[f32; 8], four: usize, two: usize, leaf: &mut Leaf) {
     }
 }
 
-/// A triangle against eight points, or eight triangles against one.
+/// One triangle against eight points, or eight triangles against one.
 struct Frame<V> {
     numbers: [V; NUMBER_COUNT],
 }
@@ -221,14 +223,14 @@ impl<V: Lanes> Frame<V> {
         Frame { numbers }
     }
 
-    /// How far a point is along the direction kept at `at`.
+    /// The coordinate of a point along the direction stored at `at`.
     #[inline(always)]
     fn along(&self, at: usize, [x, y, z]: [V; 3]) -> V {
         self.numbers[at].mul(x).add(self.numbers[at + 1].mul(y)).add(self.numbers[at + 2].mul(z))
     }
 }
 
-/// The distance, squared.
+/// The squared distance.
 #[inline(always)]
 fn squared<V: Lanes>(frame: &Frame<V>, point: [V; 3]) -> V {
     let zero = V::splat(0.0);

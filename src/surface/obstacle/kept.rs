@@ -1,8 +1,8 @@
-//! Leaves that are computed once: a frame asks for the same leaf in more than one stage, and of an obstacle that stands
-//! still the next frame asks for it again.
+//! A cache of leaves: a frame requests the same leaf in more than one stage, and if an obstacle is static the
+//! next frame requests it again.
 //!
-//! What is kept is what would be computed again, so nobody can tell whether it was. When the memory for it is used
-//! up, what was kept makes room.
+//! A cached leaf equals the recomputed one, so the cache does not change results. When its memory is used up,
+//! old leaves are evicted.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -12,7 +12,7 @@ use rustc_hash::FxHashMap;
 use super::leaf::ObstacleLeaf;
 use crate::surface::space::Lattice;
 
-/// Leaves, in parts of which each has a lock of its own.
+/// The cache, in shards with one lock each.
 pub(super) struct KeptLeaves {
     shards: [Mutex<Shard>; SHARDS],
     /// What one part may take.
@@ -25,13 +25,13 @@ struct Shard {
     size_bytes: usize,
 }
 
-/// Origin, voxel size and half width.
+/// Origin, voxel size and half width, as bits.
 type Key = (IVec3, u64, u32);
 
-/// So many threads do not wait for each other.
+/// Number of shards: with more threads than this, some may wait for each other.
 const SHARDS: usize = 16;
 
-/// What an entry of a map takes besides the leaf, with room to grow.
+/// Estimated memory of a map entry besides the leaf, with spare capacity.
 const ENTRY_BYTES: usize = 64;
 
 impl KeptLeaves {
@@ -39,7 +39,7 @@ impl KeptLeaves {
         KeptLeaves { shards: std::array::from_fn(|_| Mutex::default()), most_bytes: most_bytes / SHARDS }
     }
 
-    /// The leaf that is kept, or the one that is computed.
+    /// Returns the cached leaf, or computes and caches it.
     pub(super) fn get(
         &self,
         origin: IVec3,
@@ -60,7 +60,7 @@ impl KeptLeaves {
             if shard.size_bytes + size > self.most_bytes {
                 *shard = Shard::default();
             }
-            // Another thread may have been first.
+            // Another thread may have inserted it first.
             if shard.leaves.insert(key, leaf.clone()).is_none() {
                 shard.size_bytes += size;
             }
@@ -68,12 +68,12 @@ impl KeptLeaves {
         leaf
     }
 
-    /// The memory that it takes, in bytes.
+    /// Its memory, in bytes.
     pub(super) fn size_bytes(&self) -> usize {
         let size = |shard: &Mutex<Shard>| shard.lock().unwrap_or_else(PoisonError::into_inner).size_bytes;
         self.shards.iter().map(size).sum()
     }
-    /// The memory that it may come to take, in bytes.
+    /// Upper limit of its memory, in bytes.
     pub(super) fn size_bytes_max(&self) -> usize {
         self.most_bytes.saturating_mul(SHARDS)
     }

@@ -1,44 +1,44 @@
-//! Triangles in a tree of boxes, with what each branch looks like from afar.
+//! A tree of boxes over triangles, with the dipole of each branch.
 //!
-//! Leaves hold eight triangles: as many as distances are computed of at once. Positions are in world units and
-//! in 64 bits.
+//! Leaves hold eight triangles, because distances are computed eight at a time. Positions are in world units
+//! and in 64 bits.
 
 use glam::DVec3;
 
 use super::surface::area_vector;
 
-/// Triangles of a leaf.
+/// Number of triangles in a leaf.
 pub(super) const EIGHT: usize = 8;
 
-/// A branch: the triangles of a range.
+/// A branch: a range of triangles.
 pub(super) struct Node {
     /// The box around them.
     pub(super) min: DVec3,
     pub(super) max: DVec3,
-    /// Their centre of area.
+    /// Their area-weighted centre.
     pub(super) center: DVec3,
-    /// The sum of their normals, each as long as the area.
+    /// The sum of their normals, each with the area as its length.
     pub(super) area_vector: DVec3,
-    /// How far from the centre they reach, squared.
+    /// The squared distance from the centre to the farthest corner.
     pub(super) radius_squared: f64,
-    /// The first triangle, and how many there are.
+    /// The first triangle, and the number of triangles.
     first: u32,
     count: u32,
-    /// The second branch; the first follows this node. 0 for a leaf.
+    /// The second child; the first child is the next node. 0 for a leaf.
     second: u32,
 }
 
-/// All triangles.
+/// The tree.
 pub(super) struct Tree {
     nodes: Vec<Node>,
     triangles: Vec<[DVec3; 3]>,
 }
 
-/// What is at a node.
+/// The contents of a node.
 pub(super) enum Branch<'a> {
-    /// Two nodes.
+    /// The two children.
     Both([u32; 2]),
-    /// Up to eight triangles, and the number of the first.
+    /// Up to eight triangles.
     Leaf(&'a [[DVec3; 3]]),
 }
 
@@ -54,7 +54,7 @@ impl Tree {
         Tree { nodes, triangles }
     }
 
-    /// All triangles.
+    /// All triangles, in tree order.
     pub(super) fn triangles(&self) -> &[[DVec3; 3]] {
         &self.triangles
     }
@@ -76,17 +76,17 @@ impl Tree {
         }
     }
 
-    /// The bytes that it takes.
+    /// Its memory, in bytes.
     pub(super) fn size_bytes(&self) -> usize {
         size_of_val(&*self.nodes) + size_of_val(&*self.triangles)
     }
 
-    /// The distance from a point to the nearest triangle, squared, if it is less than `limit`.
+    /// The squared distance from a point to the nearest triangle, if it is less than `limit`.
     pub(super) fn nearest_squared(&self, point: DVec3, limit: f64) -> Option<f64> {
         self.nearest(point, limit).map(|nearest| nearest.distance_squared(point))
     }
 
-    /// The nearest point of a triangle, if the square of the distance is less than `limit`.
+    /// The nearest point on a triangle, if its squared distance is less than `limit`.
     pub(super) fn nearest(&self, point: DVec3, limit: f64) -> Option<DVec3> {
         let (mut nearest, mut place) = (limit, None);
         let mut pending = vec![(self.root()?.distance_squared(point), 0)];
@@ -109,7 +109,7 @@ impl Tree {
                     if both[0].0 < both[1].0 {
                         both.swap(0, 1);
                     }
-                    // The nearer one is looked at first.
+                    // The nearer child is visited first.
                     pending.extend(both.into_iter().filter(|(distance, _)| *distance < nearest));
                 }
             }
@@ -117,7 +117,7 @@ impl Tree {
         place
     }
 
-    /// The leaves that come within `box_reach` of a box, and within `center_reach` of its centre.
+    /// The leaves within `box_reach` of a box, and within `center_reach` of its centre.
     pub(super) fn leaves_near(
         &self,
         center: DVec3,
@@ -144,13 +144,13 @@ impl Tree {
 }
 
 impl Node {
-    /// From a point to the box.
+    /// The squared distance from a point to the box.
     pub(super) fn distance_squared(&self, point: DVec3) -> f64 {
         (self.min - point).max(point - self.max).max(DVec3::ZERO).length_squared()
     }
 }
 
-/// Makes the node of a run of triangles and those below it.
+/// Builds the node of a range of triangles and the nodes below it.
 fn split(order: &mut [(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]], nodes: &mut Vec<Node>) {
     let index = nodes.len();
     nodes.push(node_of(order, first, triangles));
@@ -168,7 +168,7 @@ fn split(order: &mut [(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]], nodes
         one.0[axis].total_cmp(&other.0[axis]).then(one.1.cmp(&other.1))
     });
     let (one, other) = order.split_at_mut(half);
-    // What is selected is a set; in which order its members come would be up to the library.
+    // Selection splits into two sets; sort them, because their inner order depends on the library.
     for part in [&mut *one, &mut *other] {
         if part.len() <= EIGHT {
             part.sort_unstable_by_key(|&(_, index)| index);
@@ -190,7 +190,7 @@ fn node_of(order: &[(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]]) -> Node
         let one = area_vector(triangle);
         let size = one.length();
         vector += one;
-        // Relative to the first, so that nothing is lost far from the origin.
+        // Relative to the first triangle, to keep precision far from the origin.
         moment += size * (center - order[0].0);
         area += size;
     }
@@ -211,7 +211,7 @@ fn node_of(order: &[(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]]) -> Node
     }
 }
 
-/// The point of a triangle, which has an area, that is nearest to another one.
+/// The point of a triangle with an area that is nearest to `point`.
 ///
 /// Christer Ericson. Real-Time Collision Detection. 2005
 pub(super) fn nearest_point(&[a, b, c]: &[DVec3; 3], point: DVec3) -> DVec3 {
