@@ -1,17 +1,17 @@
-//! Many pictures on one sheet, with words about them.
+//! Contact sheets: many pictures on one sheet, with text.
 //!
 //! ```text
 //!   dam: 60 of 240 frames
 //!   ┌──────┐ ┌──────┐ ┌──────┐
-//!   │      │ │      │ │ why  │      a block: cells in rows; where there is no picture
-//!   └──────┘ └──────┘ │ not  │      there are words
+//!   │      │ │      │ │ why  │      a block: cells in rows; a cell without a picture
+//!   └──────┘ └──────┘ │ not  │      contains text
 //!   dam.0001 dam.0002 └──────┘
 //!   1.2 s    1.3 s    dam.0003
 //!
-//!   1  meniscus convert …           the foot, in lines as long as the sheet is wide
+//!   1  meniscus convert …           the footer, wrapped at the width of the sheet
 //! ```
 //!
-//! No line is cut: what is too long goes on below.
+//! No line is cut: long lines are wrapped.
 
 use std::convert::Infallible;
 
@@ -23,50 +23,50 @@ use embedded_graphics::text::{Baseline, Text};
 
 use super::Picture;
 
-/// A sheet, before it is drawn.
+/// A sheet to draw.
 #[derive(Clone, Debug)]
 pub struct Sheet {
-    /// What is written above all; may be empty.
+    /// Text above everything; may be empty.
     pub title: String,
-    /// Width and height of a place, pixels. No picture is larger.
+    /// Width and height of a cell's picture area, pixels. No picture is larger.
     pub place: [usize; 2],
-    /// One below the other.
+    /// From top to bottom.
     pub blocks: Vec<Block>,
-    /// What is written below all, a paragraph each.
+    /// Paragraphs below everything.
     pub foot: Vec<String>,
 }
 
-/// Cells that belong together.
+/// A group of cells.
 #[derive(Clone, Debug)]
 pub struct Block {
-    /// What is written above them; may be empty.
+    /// Text above the cells; may be empty.
     pub title: String,
     /// Row by row.
     pub cells: Vec<Cell>,
-    /// So many in a row.
+    /// Number of cells in a row.
     pub columns: usize,
 }
 
-/// A place on a sheet, and what is written under it.
+/// A cell of a sheet, with the text below it.
 #[derive(Clone, Debug)]
 pub struct Cell {
-    /// What is in the place.
+    /// The contents of the picture area.
     pub shown: Shown,
-    /// From the top.
+    /// Lines of text, from the top.
     pub lines: Vec<String>,
 }
 
-/// What is in a place of a sheet.
+/// The contents of a cell's picture area.
 #[derive(Clone, Debug)]
 pub enum Shown {
     /// A picture.
     Picture(Picture),
-    /// Why there is none.
+    /// Text instead of a picture: why it is missing.
     Words(String),
 }
 
 impl Sheet {
-    /// The sheet as a picture.
+    /// Draws the sheet.
     pub fn picture(&self) -> Picture {
         let width = self.width();
         let title = Words::new(&self.title, &HEADING, width);
@@ -90,7 +90,7 @@ impl Sheet {
         canvas.picture
     }
 
-    /// Between the margins, pixels.
+    /// Width between the margins, pixels.
     fn width(&self) -> usize {
         let columns = self.blocks.iter().map(|block| block.columns.min(block.cells.len())).max();
         let of_cells = columns.unwrap_or(0) * (self.place[0] + GAP);
@@ -144,7 +144,7 @@ impl Sheet {
     }
 }
 
-/// Pictures side by side, from the left, all of one height.
+/// Places pictures of the same height side by side, from the left.
 pub fn side_by_side(pictures: &[Picture]) -> Picture {
     let width = pictures.iter().map(|picture| picture.size[0]).sum();
     let height = pictures.iter().map(|picture| picture.size[1]).max().unwrap_or(0);
@@ -157,7 +157,7 @@ pub fn side_by_side(pictures: &[Picture]) -> Picture {
     canvas.picture
 }
 
-/// Pictures one below the other, from the top, all of one width.
+/// Stacks pictures of the same width, from the top.
 pub fn stacked(pictures: &[Picture]) -> Picture {
     let width = pictures.iter().map(|picture| picture.size[0]).max().unwrap_or(0);
     let height = pictures.iter().map(|picture| picture.size[1]).sum();
@@ -170,24 +170,24 @@ pub fn stacked(pictures: &[Picture]) -> Picture {
     canvas.picture
 }
 
-/// Letters of one size.
+/// A font with its line height.
 pub(super) struct Hand {
     font: MonoFont<'static>,
-    /// From a line to the next, pixels.
+    /// Distance from one line to the next, pixels.
     line_height: usize,
 }
 
 pub(super) const TEXT: Hand = Hand { font: FONT_7X13, line_height: 15 };
 const HEADING: Hand = Hand { font: FONT_9X18_BOLD, line_height: 22 };
 
-/// Text in lines.
+/// Wrapped text.
 pub(super) struct Words<'h> {
     hand: &'h Hand,
     lines: Vec<String>,
 }
 
 impl<'h> Words<'h> {
-    /// Text in lines no wider than so many pixels.
+    /// Wraps text at a width in pixels.
     pub(super) fn new(text: &str, hand: &'h Hand, width: usize) -> Words<'h> {
         let letters = width / hand.font.character_size.width as usize;
         Words { hand, lines: wrapped(text, letters.max(1)) }
@@ -197,12 +197,12 @@ impl<'h> Words<'h> {
         self.lines.len() * self.hand.line_height
     }
 
-    /// With what is left free below; nothing if there is no text.
+    /// The height including the gap below; 0 without text.
     fn height_with_gap(&self) -> usize {
         if self.lines.is_empty() { 0 } else { self.height() + GAP }
     }
 
-    /// As much of them as is no higher than so many pixels; dots tell that there was more.
+    /// Cuts the text to a height in pixels; dots mark the cut.
     fn within(mut self, height: usize) -> Words<'h> {
         let line_count = height / self.hand.line_height;
         if self.lines.len() > line_count {
@@ -218,7 +218,7 @@ impl<'h> Words<'h> {
 
 const DOTS: &str = "...";
 
-/// Lines of at most so many letters, broken between words where that can be.
+/// Wraps text at this many letters, between words if possible.
 fn wrapped(text: &str, letters: usize) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     let mut line_letters = 0;
@@ -241,13 +241,13 @@ fn wrapped(text: &str, letters: usize) -> Vec<String> {
     lines
 }
 
-/// Between cells, and around them, in pixels.
+/// Gap between cells, and around them, pixels.
 const GAP: usize = 10;
-/// Between a picture and what is written under it.
+/// Gap between a picture and the text below it, pixels.
 const LABEL_GAP: usize = 3;
-/// Titles need some room, however few cells there are.
+/// Smallest width of a sheet, so that titles fit, pixels.
 const LEAST_WIDTH: usize = 240;
-/// So do commands.
+/// Smallest width of a sheet with a footer, so that commands fit, pixels.
 const LEAST_WIDTH_OF_FOOT: usize = 720;
 
 /// Linear colours.
@@ -255,7 +255,7 @@ const PAPER: [f32; 3] = [0.87, 0.88, 0.9];
 const EMPTY: [f32; 3] = [0.68, 0.69, 0.71];
 const INK: [f32; 3] = [0.03, 0.04, 0.05];
 
-/// A picture that is being put together.
+/// A picture to draw on.
 pub(super) struct Canvas {
     pub(super) picture: Picture,
 }
@@ -283,7 +283,7 @@ impl Canvas {
         }
     }
 
-    /// Writes lines whose upper left corner is at a place.
+    /// Writes lines with the upper left corner at this pixel.
     pub(super) fn write(&mut self, words: &Words, [left, top]: [usize; 2]) {
         let style = MonoTextStyle::new(&words.hand.font, BinaryColor::On);
         for (index, line) in words.lines.iter().enumerate() {
@@ -328,7 +328,7 @@ mod tests {
         Cell { shown: Shown::Picture(plain([140, 20], value)), lines: vec![line.into()] }
     }
 
-    /// The number of pixels with ink in these rows, from a column on.
+    /// The number of pixels with ink in these rows, from column `left` on.
     fn inked(sheet: &Picture, rows: std::ops::Range<usize>, left: usize) -> usize {
         let width = sheet.size[0];
         let row = |y: usize| &sheet.color[y * width + left..(y + 1) * width];
@@ -336,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn cells_lie_in_rows_with_their_lines_below() {
+    fn cells_are_laid_out_in_rows_with_their_lines_below() {
         let words = Cell { shown: Shown::Words("why not".into()), lines: vec!["third".into()] };
         let block =
             Block { title: String::new(), cells: vec![cell(0.1, "a"), cell(0.2, "b"), words], columns: 2 };
@@ -345,7 +345,7 @@ mod tests {
         let (head, row) = (10 + 22 + 10, 40 + 3 + 15 + 10);
         assert_eq!(drawn.size, [10 + 2 * 150, head + 2 * row]);
         let at = |x: usize, y: usize| drawn.color[y * drawn.size[0] + x];
-        // A picture that is smaller than its place is in the middle of it.
+        // A picture smaller than its area is centred in it.
         assert_eq!((at(10, head + 9), at(10, head + 10), at(160, head + 10)), (PAPER, [0.1; 3], [0.2; 3]));
         assert_eq!((at(155, head + 10), at(10, head + row)), (PAPER, EMPTY));
         assert!(inked(&drawn, 10..32, 0) > 40, "the title is written");
@@ -355,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_too_long_goes_on_below() {
+    fn long_lines_are_wrapped() {
         let sheet = |line: &str, foot: &[&str]| Sheet {
             title: String::new(),
             place: [140, 20],
@@ -364,14 +364,14 @@ mod tests {
         };
         let [short, long] = ["short", "three words and a few more"].map(|line| sheet(line, &[]).picture());
         assert_eq!(long.size[1], short.size[1] + 15);
-        assert_eq!(inked(&long, 0..long.size[1], 150), 0, "nothing is beyond the cell");
+        assert_eq!(inked(&long, 0..long.size[1], 150), 0, "no text beyond the cell");
         let footed = sheet("short", &["word ".repeat(60).as_str(), "one"]).picture();
-        // 300 letters in lines of 102, and one line more.
+        // 300 letters in lines of 102, and one more line.
         assert_eq!(footed.size, [740, short.size[1] + 4 * 15 + 10]);
     }
 
     #[test]
-    fn words_are_kept_whole_where_they_can_be() {
+    fn wrapping_breaks_between_words_if_possible() {
         assert_eq!(wrapped("a bc  def", 4), ["a bc", "def"]);
         assert_eq!(wrapped("abcdefghij k", 4), ["abcd", "efgh", "ij k"]);
         assert_eq!(wrapped(" ", 4), [""; 0]);
@@ -380,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_stand_side_by_side_and_one_below_the_other() {
+    fn pictures_are_joined_side_by_side_and_stacked() {
         let pictures = [plain([3, 2], 0.1), plain([2, 2], 0.2)];
         let both = side_by_side(&pictures);
         assert_eq!(both.size, [5, 2]);

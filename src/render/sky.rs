@@ -1,10 +1,10 @@
-//! How much of the light from a direction arrives: the fluid as a fog of coarse cells, and of coarser ones, in which a
-//! cone is followed with as few looks as its width allows.
+//! Occlusion of the sky: the fluid as a fog on a pyramid of coarse cells, through which a cone is traced with
+//! as few samples as its width allows.
 //!
 //! ```text
-//!     ·  ╱           Each cell knows what part of it is inside. Twice as far away,
-//!      ╱───╮         cells of twice the edge are looked at: a cone takes a handful of looks,
-//!    ╱──╮  │         and what it finds is soft, without noise.
+//!     ·  ╱           Each cell has the fraction of it that is inside. Twice as far away,
+//!      ╱───╮         cells with twice the edge are sampled: a cone takes a handful of samples,
+//!    ╱──╮  │         and shadows are soft, without noise.
 //!   •───┴──┴──
 //! ```
 //!
@@ -18,7 +18,7 @@ use crate::surface::grid::{LEAF_EDGE, negative_masks};
 use crate::surface::level_set::NarrowBand;
 use crate::surface::space::box_of;
 
-/// What stands between a place and the light.
+/// The occlusion pyramid.
 pub(super) struct Sky {
     /// The first voxel of the first cell.
     origin: DVec3,
@@ -30,18 +30,18 @@ pub(super) struct Sky {
 /// Cells of one size.
 struct Level {
     size: IVec3,
-    /// The part of each that is inside; z changes fastest.
+    /// The fraction of each cell that is inside; z changes fastest.
     density: Vec<f32>,
 }
 
 /// The finest cells, in voxels: half a leaf.
 const FINEST_EDGE: i32 = 4;
 
-/// No more of the finest cells than this: a large frame has larger ones.
+/// Upper limit of the number of finest cells: large frames have larger cells.
 const CELLS_MAX: f64 = (1 << 20) as f64;
 
 impl Sky {
-    /// Nothing stands in its way.
+    /// A sky without occlusion.
     pub(super) fn empty() -> Sky {
         Sky { origin: DVec3::ZERO, levels: Vec::new(), edge: FINEST_EDGE as f32 }
     }
@@ -67,8 +67,8 @@ impl Sky {
         Sky { origin: least.as_dvec3(), levels, edge: edge as f32 }
     }
 
-    /// The part of the light that comes through a cone: from a place, in voxels, around a direction, as wide as the
-    /// tangent of half its angle says.
+    /// The fraction of the light that passes through a cone: from a point, in voxels, along a direction, with
+    /// the tangent of half its opening angle.
     pub(super) fn through(&self, place: DVec3, direction: Vec3, tangent: f32) -> f32 {
         let Some(coarsest) = self.levels.last() else { return 1.0 };
         let extent = self.edge * (1 << (self.levels.len() - 1)) as f32;
@@ -84,7 +84,8 @@ impl Sky {
         clear
     }
 
-    /// The part that is inside around a place, in finest cells, where cells have an edge of 2 to this power.
+    /// The inside fraction around a point, in units of the finest cells, on the level whose cells have an
+    /// edge of 2^`power`.
     fn density(&self, place: Vec3, power: f32) -> f32 {
         let power = power.clamp(0.0, (self.levels.len() - 1) as f32);
         let finer = power.floor();
@@ -96,7 +97,7 @@ impl Sky {
 }
 
 impl Level {
-    /// Trilinear, in cells; nothing is inside beyond them.
+    /// Trilinear interpolation, in cells; 0 outside of all cells.
     fn at(&self, place: Vec3) -> f32 {
         let place = place - 0.5;
         let is_near = place.cmpge(Vec3::NEG_ONE).all() && place.cmple(self.size.as_vec3()).all();
@@ -121,7 +122,7 @@ impl Level {
             + i64::from(cell.z)) as usize
     }
 
-    /// Eight cells to one.
+    /// Merges eight cells into one.
     fn coarser(&self) -> Level {
         let size = (self.size + 1) / 2;
         let count = size.as_i64vec3().element_product() as usize;
@@ -142,14 +143,14 @@ impl Level {
     }
 }
 
-/// The whole numbers not above these, without a call for each.
+/// Rounds down, without a function call per component.
 fn floor(place: Vec3) -> IVec3 {
     let toward_zero = place.as_ivec3();
     let above = place.cmplt(toward_zero.as_vec3());
     toward_zero - IVec3::select(above, IVec3::ONE, IVec3::ZERO)
 }
 
-/// Tells each cell what part of it is inside; what strayed beyond all cells is in none.
+/// Fills in the inside fraction of each cell; stray leaves outside of all cells are ignored.
 fn fill(level: &mut Level, band: &NarrowBand, least: IVec3, edge: i64) {
     let per_voxel = (1.0 / edge as f32).powi(3);
     let negative = negative_masks(&band.phi);
@@ -173,7 +174,7 @@ fn fill(level: &mut Level, band: &NarrowBand, least: IVec3, edge: i64) {
             let place = level.place(((first + aside.as_i64vec3()) / edge).as_ivec3());
             level.density[place] += count as f32 * per_voxel;
         }
-        // What is between two leaves of a column and not stored is inside where the first of them ends inside.
+        // The gap between two leaves of a column is inside if the first leaf ends inside.
         let Some(&(next, _)) = columns.get(index + 1) else { continue };
         let is_column = next.truncate() == first.truncate();
         let ends_inside = negative[leaf].rows_with(0x80).count_ones() > 32;
@@ -223,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn all_that_is_inside_is_in_some_cell() {
+    fn cells_hold_the_whole_inside_volume() {
         for radius in [10.0f32, 30.0] {
             let sky = Sky::new(&ball(radius));
             let volume = sky.levels[0].density.iter().sum::<f32>() * sky.edge.powi(3);
@@ -234,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ball_is_in_the_way_of_what_is_behind_it() {
+    fn ball_occludes_the_light_behind_it() {
         let sky = Sky::new(&ball(20.0));
         let below = DVec3::new(0.0, -30.0, 0.0);
         assert!(sky.through(below, Vec3::Y, 0.1) < 0.05);
@@ -245,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn what_strayed_leaves_the_light_alone() {
+    fn stray_leaf_does_not_change_the_light() {
         let near = ball(30.0);
         let place = DVec3::new(0.0, -40.0, 0.0);
         for stray in [IVec3::splat(110_000 * 8), IVec3::splat(-(1 << 30)), IVec3::new(0, 0, (1 << 30) - 8)] {
@@ -264,9 +265,9 @@ mod tests {
         }
     }
 
-    /// Two halves of what there is, as far from each other as can be: neither has strayed.
+    /// Two halves of the scene, as far apart as possible: neither counts as stray.
     #[test]
-    fn the_ends_of_the_world_are_one_sky() {
+    fn leaves_at_both_ends_of_the_grid_share_one_sky() {
         let origins = [IVec3::splat(-(1 << 30)), IVec3::splat((1 << 30) - 8)];
         let topology = Topology::new(origins.to_vec());
         let phi = Field::splat(2, -1.0);

@@ -1,4 +1,4 @@
-//! A tile of a picture, with the pixels around it that its own are compared with.
+//! A tile of a picture, with a border of pixels for comparisons with its own.
 
 use glam::{DVec2, DVec3, Vec3};
 
@@ -8,35 +8,35 @@ use super::walk::Ray;
 use super::{FAR, Layers, PictureData, View};
 use crate::surface::space::Lattice;
 
-/// Pixels along the edge of a tile.
+/// Edge of a tile, pixels.
 pub(super) const TILE_EDGE: usize = 64;
 
-/// Pixels around it: as far as the next places where light is followed.
+/// Border of a tile, pixels: it contains the next points with computed light.
 const BORDER: usize = 4;
 
 const SEEN_EDGE: usize = TILE_EDGE + 2 * BORDER;
 
-/// Light is followed at every so many pixels.
+/// Distance between points with computed light, pixels.
 const LIGHT_STEP: usize = 4;
 
 const LIGHT_EDGE: usize = SEEN_EDGE / LIGHT_STEP;
 
-/// What looks: rays through pixels, in voxels.
+/// Traces rays through pixels, in voxels.
 pub(super) struct Eyes<'a> {
     surface: &'a Surface<'a>,
     view: &'a View,
     voxel_size: f64,
-    /// The camera's place, in voxels.
+    /// The position of the camera, in voxels.
     eye: DVec3,
 }
 
-/// What a ray has found.
+/// The result of a ray.
 #[derive(Clone, Copy, Debug)]
 struct Seen {
     what: What,
-    /// In voxels from the eye.
+    /// Distance from the camera, in voxels.
     t: f64,
-    /// In voxels.
+    /// Position, in voxels.
     position: DVec3,
     normal: Vec3,
 }
@@ -55,21 +55,22 @@ impl<'a> Eyes<'a> {
         Eyes { surface, view, voxel_size, eye: view.camera.eye / voxel_size }
     }
 
-    /// The ray through a place of the picture, in pixels from its upper left corner.
+    /// The ray through a point of the picture, in pixels from its upper left corner.
     fn ray(&self, place: DVec2) -> Ray {
         let [width, height] = self.view.size.map(|size| size as f64);
         let direction = DVec2::new(2.0 * place.x - width, height - 2.0 * place.y) / height;
         Ray::new(self.eye, self.view.camera.direction(direction))
     }
 
-    /// The edge of a pixel so far away, in voxels.
+    /// The edge of a pixel at this distance, in voxels.
     fn pixel_edge(&self, t: f64) -> f64 {
         2.0 * self.view.camera.tan_half_view * t / self.view.size[1] as f64
     }
 
     fn look(&self, place: DVec2) -> (Seen, Option<Around>) {
         let ray = self.ray(place);
-        // The ground is there for shadows, and hides nothing: fluid may be below it, and rests on it without a gap.
+        // The ground only receives shadows and hides nothing: fluid may be below it, and rests on it without
+        // a gap.
         if let Some(hit) = self.surface.meet(&ray, [0.0, f64::INFINITY]) {
             let around = self.surface.around(&ray, &hit);
             let outward = around.gradient().normalize_or(-ray.direction.as_vec3());
@@ -85,7 +86,7 @@ impl<'a> Eyes<'a> {
         (seen, None)
     }
 
-    /// Where a ray meets the ground from above.
+    /// Where a ray hits the ground from above.
     fn ground_at(&self, ray: &Ray) -> Option<f64> {
         let up = self.view.up.direction();
         let above = ray.origin.dot(up) - self.view.ground? / self.voxel_size;
@@ -94,19 +95,19 @@ impl<'a> Eyes<'a> {
     }
 }
 
-/// What a tile's pixels and those around it show.
+/// The rays of a tile's pixels and its border.
 pub(super) struct Tile<'a> {
     eyes: &'a Eyes<'a>,
     lighting: &'a Lighting<'a>,
-    /// The first pixel; with the border, it may be before the picture's first.
+    /// The first pixel; with the border, it may be outside of the picture.
     first: [isize; 2],
     seen: Vec<Seen>,
     arounds: Vec<Option<Around>>,
-    /// Where light was followed, if anything is there.
+    /// The computed light, if a ray hit something.
     lights: Vec<Option<Light>>,
 }
 
-/// A finished tile: values of its pixels, row by row.
+/// A finished tile: the values of its pixels, row by row.
 pub(super) struct Finished {
     pub(super) color: Vec<[f32; 3]>,
     pub(super) coverage: Vec<f32>,
@@ -146,7 +147,7 @@ impl<'a> Tile<'a> {
         (seen.what != What::Nothing).then(|| self.lighting.arriving(seen.position, seen.normal))
     }
 
-    /// The colours of the tile's own pixels.
+    /// Shades the tile's own pixels.
     pub(super) fn finish(&self, layers: Layers) -> Finished {
         let own = BORDER..BORDER + TILE_EDGE;
         let lit: Vec<Light> = (0..SEEN_EDGE * SEEN_EDGE)
@@ -173,7 +174,7 @@ impl<'a> Tile<'a> {
         finished
     }
 
-    /// The light at a pixel: that at the four places around it, as far as these lie in its plane.
+    /// The light at a pixel, interpolated from the four surrounding points that lie in its plane.
     fn light_at(&self, x: usize, y: usize) -> Light {
         let seen = self.seen[y * SEEN_EDGE + x];
         if seen.what == What::Nothing {
@@ -219,13 +220,13 @@ impl<'a> Tile<'a> {
         }
     }
 
-    /// Whether a pixel beside this one shows something else.
+    /// Whether a neighbouring pixel shows something else.
     fn is_edge(&self, x: usize, y: usize) -> bool {
         let seen = self.seen[y * SEEN_EDGE + x];
         let position = seen.position;
         [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)].into_iter().any(|(x, y)| {
             let other = self.seen[y * SEEN_EDGE + x];
-            // Ground and background have one colour.
+            // Ground and background have the same colour.
             let is_fluid = |what: What| matches!(what, What::Outside | What::Inside);
             if other.what != seen.what {
                 return is_fluid(other.what) || is_fluid(seen.what);
@@ -254,14 +255,14 @@ impl<'a> Tile<'a> {
             let toward = -self.eyes.ray(place).direction.as_vec3();
             let light = self.light_of(&seen, lit, x, y);
             let (one, covers) = self.shade(&seen, light, toward);
-            // What glints must not outshine the rest of the pixel.
+            // A highlight must not outshine the rest of the pixel.
             color += one.min(Vec3::splat(2.0)) / OFFSETS.len() as f32;
             coverage += covers / OFFSETS.len() as f32;
         }
         (color, coverage)
     }
 
-    /// The light on what a ray within a pixel shows: that of the pixel, or one beside it, that shows the same.
+    /// The light for a ray within a pixel: that of the pixel, or of a neighbour, that shows the same thing.
     fn light_of(&self, seen: &Seen, lit: &[Light], x: usize, y: usize) -> Light {
         if seen.what == What::Nothing {
             return Light::NONE;
@@ -316,21 +317,22 @@ impl<'a> Tile<'a> {
     }
 }
 
-/// Places whose light is taken for a pixel's lie in its plane but for this part of the way between them.
+/// Points count as in a pixel's plane if their offset from it is less than this fraction of their distance.
 const PLANE_TOLERANCE: f64 = 0.7;
 
-/// Ground that is nearer to fluid has light of its own: where they touch, it fades within a voxel.
+/// Ground closer to the fluid than this gets its own light: at the contact, light fades within a voxel.
 const CONTACT_VOXELS: f64 = 6.0;
 const CONTACT_PIXELS: f64 = 3.0 * LIGHT_STEP as f64;
 
-/// With less of them its light is followed by itself.
+/// With a smaller weight of interpolated points, the light is computed for the pixel.
 const LEAST_WEIGHT: f32 = 0.3;
 
-/// Neighbours with a step of so many pixels between them are an edge, and those whose normals are farther apart.
+/// Neighbouring pixels are an edge if their depths differ by more than this many pixels, or their normals by
+/// more than this cosine.
 const EDGE_STEP: f64 = 1.5;
 const EDGE_COSINE: f32 = 0.94;
 
-/// Eight places in a pixel, no two in a row or a column of eight.
+/// Eight points in a pixel, no two in the same row or column of eight.
 const OFFSETS: [DVec2; 8] = [
     DVec2::new(0.0625, 0.4375),
     DVec2::new(0.1875, 0.8125),

@@ -1,30 +1,30 @@
-//! Weighted moments of the particles around each particle.
+//! Weighted moments of the neighbours of each particle.
 //!
 //! ```text
 //!   surroundings   ∙∙∙∙∙∙∙∙ ∙∙∙∙∙∙∙∙ ∙∙∙∙∙∙∙∙       squared distances, eight at a time
 //!                   ╲ ╲   ╱   │   ╱   ╱
-//!   within          ∙∙∙∙∙∙∙∙ ∙∙∙                    one after the other: and here the sums are taken
+//!   within          ∙∙∙∙∙∙∙∙ ∙∙∙                    compacted, then summed
 //! ```
 //!
-//! What is beyond the radius is not multiplied by zero but left out: so it does not even decide which numbers are
-//! added to which, and cannot change the last bit of a sum.
+//! Particles beyond the radius are left out, not multiplied by zero. So they do not even affect which numbers
+//! are added to which, and cannot change the last bit of a sum.
 //!
-//! With w = 1 − (d/R)³ (Yu and Turk 2010, Eq. 11) the sums are W = Σ w, Σ w·(x − p) and Σ w·(x − p)(x − p)ᵀ for a
-//! particle at p, itself among the particles x. Relative to p they are small numbers: mean and covariance
-//! (Eq. 9 and 10) come out of them without loss.
+//! With w = 1 − (d/R)³ (Yu and Turk 2010, Eq. 11) the sums are W = Σ w, Σ w·(x − p) and Σ w·(x − p)(x − p)ᵀ
+//! for a particle at p, which is one of the particles x. Relative to p these are small numbers, so mean and
+//! covariance (Eq. 9 and 10) lose no precision.
 
 use glam::Vec3;
 
 use crate::surface::neighbors::Eight;
 use crate::surface::simd::Lanes;
 
-/// Sums: W; those of w·x, w·y and w·z; those of w·xx, w·yy, w·zz, w·xy, w·xz and w·yz.
+/// Number of sums: W; those of w·x, w·y and w·z; those of w·xx, w·yy, w·zz, w·xy, w·xz and w·yz.
 pub(super) const MOMENT_COUNT: usize = 10;
 
-/// The first of them, which are enough for means.
+/// Number of the first sums that are enough for means.
 pub(super) const MEAN_COUNT: usize = 4;
 
-/// The first `COUNT` moments around a particle at `at`, in units of the radius. `within` is memory to work in.
+/// The first `COUNT` moments around a particle at `at`, in units of the radius. `within` is a buffer.
 #[inline(always)]
 pub(super) fn moments<V: Lanes, const COUNT: usize>(
     eights: &[Eight],
@@ -51,10 +51,10 @@ pub(super) fn moments<V: Lanes, const COUNT: usize>(
     moments
 }
 
-/// Writes the places of the particles within the radius to the front of `within`. Returns how many they are.
+/// Writes the indices of the particles within the radius to the front of `within`. Returns their number.
 #[inline(always)]
 fn find_within<V: Lanes>(eights: &[Eight], at: Vec3, within: &mut Vec<u32>) -> usize {
-    // Eight are written at once, of which some count.
+    // Eight are written at once, of which only some count.
     within.resize(8 * eights.len() + 8, 0);
     let [x, y, z] = [V::splat(at.x), V::splat(at.y), V::splat(at.z)];
     let mut count = 0;
@@ -73,7 +73,7 @@ fn find_within<V: Lanes>(eights: &[Eight], at: Vec3, within: &mut Vec<u32>) -> u
     count
 }
 
-/// For eight bits the places of those that are set, from the lowest on.
+/// For each 8-bit mask, the positions of its set bits in ascending order.
 static PLACES: [[u32; 8]; 256] = places();
 
 const fn places() -> [[u32; 8]; 256] {
@@ -93,7 +93,7 @@ const fn places() -> [[u32; 8]; 256] {
     places
 }
 
-/// Eight particles from anywhere. Where there are fewer, the others stand for none.
+/// Eight particles from arbitrary positions. Unused lanes have a multiplicity of 0.
 struct Particles {
     along: [[f32; 8]; 3],
     stands_for: [f32; 8],

@@ -79,7 +79,7 @@ pub fn hold_contact(
             ObstacleLeaf::Inside => &inside,
             ObstacleLeaf::Near(distances) => distances,
         };
-        simd::dispatch(Hold { obstacle, void_threshold, phi, lower, upper })
+        simd::dispatch(ContactKernel { obstacle, void_threshold, phi, lower, upper })
     };
     fields.map(of_leaf).reduce(ContactTally::default, ContactTally::and)
 }
@@ -89,7 +89,7 @@ pub fn hold_contact(
 const STEEPNESS: f32 = 4.0;
 
 /// The kernel for one leaf.
-struct Hold<'a> {
+struct ContactKernel<'a> {
     obstacle: &'a Leaf,
     void_threshold: f32,
     phi: &'a mut Leaf,
@@ -97,7 +97,7 @@ struct Hold<'a> {
     upper: &'a mut Leaf,
 }
 
-impl Kernel for Hold<'_> {
+impl Kernel for ContactKernel<'_> {
     type Output = ContactTally;
 
     #[inline(always)]

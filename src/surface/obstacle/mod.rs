@@ -10,15 +10,15 @@
 //! caller gets the same leaf: a frame, a tile, or the next frame, for which it is cached.
 
 mod contact;
-mod count;
+mod count_inside;
 mod depth;
-mod eights;
-mod kept;
+mod triangle8;
+mod leaf_cache;
 mod leaf;
 mod mesh_distance;
-mod rim;
+mod boundary;
 mod sampled;
-mod sides;
+mod inside_test;
 mod solid;
 mod surface;
 #[cfg(test)]
@@ -39,7 +39,7 @@ pub use solid::Solid;
 pub use surface::MeshFindings;
 
 use crate::surface::space::Lattice;
-use kept::KeptLeaves;
+use leaf_cache::LeafCache;
 
 /// The geometry of an obstacle.
 pub enum Shape {
@@ -70,7 +70,7 @@ impl Shape {
 /// A body that the fluid must not enter. Share it between frames by an `Arc`: its distances are cached in it.
 pub struct Obstacle {
     shape: Shape,
-    kept: KeptLeaves,
+    cache: LeafCache,
 }
 
 impl Obstacle {
@@ -84,8 +84,8 @@ impl Obstacle {
     #[doc(hidden)]
     /// An obstacle with a cache of at most this many bytes for its leaves: a frame requests each leaf more
     /// than once, and if the obstacle is static the next frame requests the same ones.
-    pub fn new(shape: Shape, kept_bytes_max: usize) -> Obstacle {
-        Obstacle { shape, kept: KeptLeaves::new(kept_bytes_max) }
+    pub fn new(shape: Shape, cache_bytes_max: usize) -> Obstacle {
+        Obstacle { shape, cache: LeafCache::new(cache_bytes_max) }
     }
 
     /// Problems of its mesh: holes, and triangles that were left out or turned. `None` for a level set.
@@ -104,12 +104,12 @@ impl Obstacle {
 
     /// Its memory, in bytes.
     pub fn size_bytes(&self) -> usize {
-        self.kept.size_bytes() + self.shape.size_bytes()
+        self.cache.size_bytes() + self.shape.size_bytes()
     }
 
     /// Its memory once its cache is full, in bytes.
     pub fn size_bytes_max(&self) -> usize {
-        self.kept.size_bytes_max().saturating_add(self.shape.size_bytes())
+        self.cache.size_bytes_max().saturating_add(self.shape.size_bytes())
     }
 
     #[doc(hidden)]
@@ -119,7 +119,7 @@ impl Obstacle {
             Shape::Solid(solid) => solid.leaf(origin, lattice, half_width),
             Shape::Sampled(sampled) => sampled.leaf(origin, lattice, half_width),
         };
-        self.kept.get(origin, lattice, half_width, compute)
+        self.cache.get(origin, lattice, half_width, compute)
     }
 
     #[doc(hidden)]

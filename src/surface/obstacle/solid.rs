@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use glam::{DVec3, IVec3};
 
-use super::eights::{Distances, Eight};
+use super::triangle8::{Distances, Triangle8};
 use super::leaf::ObstacleLeaf;
-use super::sides::{Winds, sign};
+use super::inside_test::{WindingField, sign};
 use super::surface::{MeshFindings, Surface};
 use super::winding::{WINDING_ERROR, winding, winding_gradient};
 use crate::surface::grid::LEAF_EDGE;
@@ -46,7 +46,7 @@ impl Solid {
 
     /// Its memory, in bytes.
     pub fn size_bytes(&self) -> usize {
-        self.surface.tree.size_bytes() + self.surface.rim.size_bytes()
+        self.surface.tree.size_bytes() + self.surface.boundary.size_bytes()
     }
 
     /// The signed distances of a leaf.
@@ -59,8 +59,8 @@ impl Solid {
         {
             return side;
         }
-        let eights = nearest.map_or(Vec::new(), |nearest| view.near(far, nearest + 2.0 * RADIUS));
-        let mut leaf = simd::dispatch(Distances { eights: &eights, most: half_width });
+        let packets = nearest.map_or(Vec::new(), |nearest| view.near(far, nearest + 2.0 * RADIUS));
+        let mut leaf = simd::dispatch(Distances { packets: &packets, most: half_width });
         sign(&mut leaf, &view, view.slope_bound(RADIUS));
         ObstacleLeaf::of_values(Arc::new(leaf), half_width)
     }
@@ -75,7 +75,7 @@ impl Solid {
         }
         let outside = tree.nearest(point, f64::INFINITY)?;
         let depth = outside.distance(point);
-        if !self.surface.rim.is_empty() {
+        if !self.surface.boundary.is_empty() {
             let gradient = winding_gradient(tree, point);
             let to_patch = beyond / gradient.length();
             if to_patch < depth {
@@ -98,7 +98,7 @@ impl Solid {
     pub(super) fn touches(&self, origin: IVec3, lattice: &Lattice, margin_voxels: f32) -> bool {
         let view = View::new(&self.surface, origin, lattice);
         let margin = f64::from(margin_voxels);
-        let has_patches = !self.surface.rim.is_empty();
+        let has_patches = !self.surface.boundary.is_empty();
         view.nearest(margin + RADIUS + ROUNDING).is_some() || has_patches && view.side(margin).is_none()
     }
 }
@@ -138,18 +138,18 @@ impl View<'_> {
 
     /// Upper bound of the change of the winding number per voxel, within `radius` voxels of the centre.
     fn slope_bound(&self, radius: f64) -> f64 {
-        self.surface.rim.slope_bound(self.center, radius * self.voxel_size) * self.voxel_size
+        self.surface.boundary.slope_bound(self.center, radius * self.voxel_size) * self.voxel_size
     }
 
     /// The triangles within `far` of the leaf's box and within `reach` of its centre, and some more.
-    fn near(&self, far: f64, reach: f64) -> Vec<Eight> {
-        let mut eights = Vec::new();
+    fn near(&self, far: f64, reach: f64) -> Vec<Triangle8> {
+        let mut packets = Vec::new();
         let [half_edge, far, reach] =
             [HALF_EDGE, far + ROUNDING, reach + ROUNDING].map(|voxels| voxels * self.voxel_size);
         self.surface.tree.leaves_near(self.center, half_edge, far, reach, |triangles| {
-            eights.push(Eight::new(triangles, self.center, 1.0 / self.voxel_size));
+            packets.push(Triangle8::new(triangles, self.center, 1.0 / self.voxel_size));
         });
-        eights
+        packets
     }
 
     fn place(&self, voxel: IVec3) -> DVec3 {
@@ -157,7 +157,7 @@ impl View<'_> {
     }
 }
 
-impl Winds for View<'_> {
+impl WindingField for View<'_> {
     fn winding(&self, voxel: IVec3) -> f64 {
         winding(&self.surface.tree, self.place(voxel))
     }

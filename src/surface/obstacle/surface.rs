@@ -14,12 +14,12 @@
 //!    └─────────┘
 //! ```
 //!
-//! Holes stay open: the [rim](Surface::rim) locates them, and the winding number closes them.
+//! Holes stay open: the [boundary](Surface::boundary) locates them, and the winding number closes them.
 
 use glam::DVec3;
 use rustc_hash::{FxHashMap, FxHashSet};
 
-use super::rim::Rim;
+use super::boundary::BoundaryEdges;
 use super::tree::Tree;
 use super::winding::{WINDING_ERROR, winding};
 
@@ -52,7 +52,7 @@ pub struct MeshFindings {
 pub(super) struct Surface {
     pub(super) tree: Tree,
     /// The boundary edges: only near these does the winding number change gradually.
-    pub(super) rim: Rim,
+    pub(super) boundary: BoundaryEdges,
     pub(super) findings: MeshFindings,
 }
 
@@ -74,8 +74,8 @@ impl Surface {
         turn(&mut faces, &turned);
         findings.unasked_part_count = turn_parts(&points, &mut faces, &parts, &mut turned);
         findings.turned_count = turned.iter().filter(|&&turned| turned).count();
-        let rim = Rim::new(rim(&points, &faces));
-        findings.open_edge_count = rim.len();
+        let boundary = BoundaryEdges::new(boundary(&points, &faces));
+        findings.open_edge_count = boundary.len();
         let corners: Vec<[DVec3; 3]> = faces
             .iter()
             .map(|face| face.map(|corner| points[corner as usize]))
@@ -85,7 +85,7 @@ impl Surface {
         findings.degenerate_count += faces.len() - corners.len();
         let tree = Tree::new(corners);
         findings.encloses_nothing = findings.open_edge_count > 0 && encloses_nothing(&tree);
-        Surface { tree, rim, findings }
+        Surface { tree, boundary, findings }
     }
 }
 
@@ -105,14 +105,14 @@ pub(super) fn sound_triangles(positions: &[[f64; 3]], triangles: &[[u32; 3]]) ->
 pub(super) fn open_edge_count(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> usize {
     let (points, welded) = weld(positions);
     let faces = distinct_faces(&points, &welded, triangles, &mut MeshFindings::default());
-    rim(&points, &faces).len()
+    boundary(&points, &faces).len()
 }
 
 /// Whether the winding number exceeds 1/2 nowhere. It is evaluated behind some of the triangles, where it is
 /// largest.
 fn encloses_nothing(tree: &Tree) -> bool {
     let triangles = tree.triangles();
-    let every = triangles.len().div_ceil(ASKED_COUNT).max(1);
+    let every = triangles.len().div_ceil(TEST_COUNT).max(1);
     triangles.iter().step_by(every).all(|triangle| {
         let area = area_vector(triangle);
         let behind = area.normalize_or_zero() * (BEHIND * area.length().sqrt());
@@ -122,7 +122,7 @@ fn encloses_nothing(tree: &Tree) -> bool {
 }
 
 /// Approximate number of triangles that are tested.
-const ASKED_COUNT: usize = 500;
+const TEST_COUNT: usize = 500;
 
 /// Distance of the evaluation point behind a triangle, in units of the square root of its area.
 const BEHIND: f64 = 1e-3;
@@ -259,7 +259,7 @@ fn turn(faces: &mut [[u32; 3]], turned: &[bool]) {
 const PARTS_MAX: usize = 4096;
 
 /// Number of corners of a part to test; the part is a cavity if all of them are inside other parts.
-const PLACES_ASKED: usize = 64;
+const CORNERS_TESTED: usize = 64;
 
 /// Flips parts with negative volume, except cavities. Returns how many such parts were left unchanged because
 /// there are too many parts.
@@ -310,14 +310,14 @@ fn are_cavities(
         places[part as usize].push(points[face[0] as usize]);
     }
     let is_cavity = |places: &Vec<DVec3>| {
-        let every = places.len().div_ceil(PLACES_ASKED).max(1);
+        let every = places.len().div_ceil(CORNERS_TESTED).max(1);
         !places.is_empty() && places.iter().step_by(every).all(|&place| winding(&sound, place) > 0.5)
     };
     places.iter().map(is_cavity).collect()
 }
 
 /// The edges that are not traversed equally often in both directions.
-fn rim(points: &[DVec3], faces: &[[u32; 3]]) -> Vec<[DVec3; 2]> {
+fn boundary(points: &[DVec3], faces: &[[u32; 3]]) -> Vec<[DVec3; 2]> {
     let edges = Edges::new(faces);
     let is_open = |uses: &&[([u32; 2], u32, bool)]| {
         uses.iter().map(|(_, _, up)| if *up { 1 } else { -1 }).sum::<i32>() != 0

@@ -444,17 +444,17 @@ fn what_is_no_level_set_is_refused() {
     }
 }
 
-fn obstacle(mesh: &Mesh, kept_bytes_max: usize) -> Arc<Obstacle> {
-    Arc::new(Obstacle::new(Shape::Solid(mesh.solid()), kept_bytes_max))
+fn obstacle(mesh: &Mesh, cache_bytes_max: usize) -> Arc<Obstacle> {
+    Arc::new(Obstacle::new(Shape::Solid(mesh.solid()), cache_bytes_max))
 }
 
 #[test]
 fn leaves_that_are_kept_are_those_that_are_computed() {
     let mesh = Mesh::ball(DVec3::splat(0.3), 13.0, 12);
     let other = Mesh::cuboid(DVec3::new(5.0, -20.0, -3.0), DVec3::new(30.0, 20.0, 3.0));
-    for kept_bytes_max in [0, 20 << 10, 1 << 30] {
+    for cache_bytes_max in [0, 20 << 10, 1 << 30] {
         let obstacles =
-            Obstacles { members: vec![obstacle(&mesh, kept_bytes_max), obstacle(&other, kept_bytes_max)] };
+            Obstacles { members: vec![obstacle(&mesh, cache_bytes_max), obstacle(&other, cache_bytes_max)] };
         for lattice in [UNIT, Lattice { voxel_size: 1.5 }] {
             for _ in 0..2 {
                 for index in 0..216 {
@@ -469,9 +469,9 @@ fn leaves_that_are_kept_are_those_that_are_computed() {
                 }
             }
         }
-        assert!(obstacles.members[0].kept.size_bytes() <= kept_bytes_max);
+        assert!(obstacles.members[0].cache.size_bytes() <= cache_bytes_max);
         assert!(obstacles.members[0].size_bytes() <= obstacles.members[0].size_bytes_max());
-        assert_eq!(obstacles.members[0].kept.size_bytes() > 0, kept_bytes_max > 0);
+        assert_eq!(obstacles.members[0].cache.size_bytes() > 0, cache_bytes_max > 0);
     }
     let obstacles = Obstacles { members: vec![obstacle(&mesh, 0)] };
     assert!(!obstacles.touches(IVec3::splat(64), &UNIT, HALF_WIDTH));

@@ -8,7 +8,7 @@ use glam::DVec3;
 use super::surface::area_vector;
 
 /// Number of triangles in a leaf.
-pub(super) const EIGHT: usize = 8;
+pub(super) const LEAF_TRIANGLES: usize = 8;
 
 /// A branch: a range of triangles.
 pub(super) struct Node {
@@ -46,7 +46,7 @@ impl Tree {
     pub(super) fn new(triangles: Vec<[DVec3; 3]>) -> Tree {
         let mut order: Vec<(DVec3, u32)> =
             triangles.iter().zip(0..).map(|([a, b, c], index)| ((a + b + c) / 3.0, index)).collect();
-        let mut nodes = Vec::with_capacity(2 * triangles.len().div_ceil(EIGHT));
+        let mut nodes = Vec::with_capacity(2 * triangles.len().div_ceil(LEAF_TRIANGLES));
         if !order.is_empty() {
             split(&mut order, 0, &triangles, &mut nodes);
         }
@@ -154,7 +154,7 @@ impl Node {
 fn split(order: &mut [(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]], nodes: &mut Vec<Node>) {
     let index = nodes.len();
     nodes.push(node_of(order, first, triangles));
-    if order.len() <= EIGHT {
+    if order.len() <= LEAF_TRIANGLES {
         return;
     }
     let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
@@ -163,14 +163,14 @@ fn split(order: &mut [(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]], nodes
     }
     let axis = (max - min).max_position();
     // All leaves but the last are full.
-    let half = (order.len() / 2).next_multiple_of(EIGHT).min(order.len() - 1);
+    let half = (order.len() / 2).next_multiple_of(LEAF_TRIANGLES).min(order.len() - 1);
     order.select_nth_unstable_by(half, |one, other| {
         one.0[axis].total_cmp(&other.0[axis]).then(one.1.cmp(&other.1))
     });
     let (one, other) = order.split_at_mut(half);
     // Selection splits into two sets; sort them, because their inner order depends on the library.
     for part in [&mut *one, &mut *other] {
-        if part.len() <= EIGHT {
+        if part.len() <= LEAF_TRIANGLES {
             part.sort_unstable_by_key(|&(_, index)| index);
         }
     }

@@ -9,7 +9,7 @@
 //! tree is approximated by one dipole.
 //!
 //! The gradient of w comes from the boundary edges only, like the magnetic field of a current through them.
-//! So the [rim](super::rim) bounds how fast w can change between triangles.
+//! So the [boundary](super::boundary) bounds how fast w can change between triangles.
 //!
 //! This work is based on:
 //! Alec Jacobson, Ladislav Kavan, Olga Sorkine-Hornung. Robust Inside-Outside Segmentation using Generalized
@@ -35,8 +35,8 @@ pub(super) fn winding(tree: &Tree, point: DVec3) -> f64 {
     let mut sum = 0.0;
     visit(tree, point, |seen| {
         sum += match seen {
-            Seen::Dipole { area_vector, to } => area_vector.dot(to) / to.length_squared().powf(1.5),
-            Seen::Triangle(corners) => solid_angle(corners),
+            Item::Dipole { area_vector, to } => area_vector.dot(to) / to.length_squared().powf(1.5),
+            Item::Triangle(corners) => solid_angle(corners),
         }
     });
     sum / (4.0 * PI)
@@ -47,36 +47,36 @@ pub(super) fn winding_gradient(tree: &Tree, point: DVec3) -> DVec3 {
     let mut sum = DVec3::ZERO;
     visit(tree, point, |seen| {
         sum += match seen {
-            Seen::Dipole { area_vector, to } => {
+            Item::Dipole { area_vector, to } => {
                 let squared = to.length_squared();
                 (3.0 * area_vector.dot(to) / squared * to - area_vector) / squared.powf(1.5)
             }
-            Seen::Triangle([a, b, c]) => edge_field(a, b) + edge_field(b, c) + edge_field(c, a),
+            Item::Triangle([a, b, c]) => edge_field(a, b) + edge_field(b, c) + edge_field(c, a),
         }
     });
     sum / (4.0 * PI)
 }
 
 /// A triangle or a dipole, with positions relative to the point.
-enum Seen {
+enum Item {
     Dipole { area_vector: DVec3, to: DVec3 },
     Triangle([DVec3; 3]),
 }
 
-fn visit(tree: &Tree, point: DVec3, mut see: impl FnMut(Seen)) {
+fn visit(tree: &Tree, point: DVec3, mut see: impl FnMut(Item)) {
     let mut pending: Vec<u32> = tree.root().map(|_| 0).into_iter().collect();
     while let Some(index) = pending.pop() {
         let node = tree.node(index);
         let to = node.center - point;
         if to.length_squared() > FAR * FAR * node.radius_squared {
-            see(Seen::Dipole { area_vector: node.area_vector, to });
+            see(Item::Dipole { area_vector: node.area_vector, to });
             continue;
         }
         match tree.branch(index) {
             Branch::Leaf(triangles) => {
                 triangles
                     .iter()
-                    .for_each(|triangle| see(Seen::Triangle(triangle.map(|corner| corner - point))));
+                    .for_each(|triangle| see(Item::Triangle(triangle.map(|corner| corner - point))));
             }
             Branch::Both(nodes) => pending.extend(nodes),
         }

@@ -51,8 +51,8 @@ pub(super) enum Local {
 }
 
 impl Local {
-    /// Measures among the neighbours of a particle: their offsets, the nearest first. `None` where it has no neighbours,
-    /// or distances are beyond the range of a 64-bit real.
+    /// Measures a particle among its neighbours, given as offsets, the nearest first. `None` if it has no
+    /// neighbours, or if distances do not fit into an `f64`.
     pub(super) fn among(neighbors: &[DVec3]) -> Option<Local> {
         let nearest = neighbors.first()?.length();
         let near_count = neighbors.partition_point(|neighbor| neighbor.length() <= FAR * nearest);

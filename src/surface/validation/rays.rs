@@ -1,14 +1,14 @@
-//! Whether a closed mesh encloses points near it, by rays to cells of which that is known.
+//! Casts rays from points to classified cells, to find whether a closed mesh encloses the points.
 //!
 //! ```text
 //!            ╲                          a ray along an axis, from a particle to the nearest cell that no triangle
-//!        ●────╲──────▶ clear, outside   passes through. Each triangle on the way counts, by the side that it is
-//!              ╲                        met from: +1 on the way out, −1 on the way in
+//!        ●────╲──────▶ clear, outside   passes through. Each triangle on the way counts by the side from which
+//!              ╲                        the ray hits it: +1 on the way out, −1 on the way in
 //! ```
 //!
-//! A triangle meets a ray in a slice: the plane that holds the ray cuts the edges of triangles in points, and two triangles
-//! with a common edge have the same point, to the last bit. So a ray that passes through an edge or a vertex meets exactly
-//! one of the triangles there, or one for each sheet.
+//! A triangle is intersected in a slice: the plane that contains the ray cuts the edges of triangles in
+//! points, and two triangles with a common edge get the same point, to the last bit. So a ray through an edge
+//! or a vertex hits exactly one of the triangles there, or one for each sheet.
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
@@ -20,7 +20,7 @@ use super::particle_checks::Part;
 use super::surfaces::Bodies;
 use crate::surface::grid::LEAF_EDGE;
 
-/// Rays end within so many cells, or the particle counts as outside.
+/// Maximum length of a ray in cells; if it finds no clear cell, the particle counts as outside.
 const REACH: i32 = 32;
 
 /// A ray from a particle along an axis.
@@ -28,13 +28,13 @@ const REACH: i32 = 32;
 struct Ray {
     from: DVec3,
     axis: usize,
-    /// Where it ends on the axis: in the middle of a clear cell.
+    /// Its end on the axis: the middle of a clear cell.
     to: f64,
     /// Whether that cell is inside.
     is_end_inside: bool,
 }
 
-/// Those of the particles, each relative to the origin of a leaf, in voxels, that the mesh does not enclose.
+/// The particles, relative to the origin of a leaf and in voxels, that the mesh does not enclose.
 pub(super) fn not_enclosed(
     part: &Part,
     bodies: Option<&Bodies>,
@@ -55,7 +55,7 @@ pub(super) fn not_enclosed(
 }
 
 impl Ray {
-    /// The shortest that ends in a clear cell.
+    /// The shortest ray that ends in a clear cell.
     fn new(part: &Part, bodies: Option<&Bodies>, origin: IVec3, local: Vec3) -> Option<Ray> {
         let from = origin.as_dvec3() + local.as_dvec3();
         let cell = from.floor().as_ivec3();
@@ -78,7 +78,7 @@ impl Ray {
         })
     }
 
-    /// From where to where it goes on its axis, the lesser first.
+    /// Its interval on the axis, in ascending order.
     fn range(&self) -> [f64; 2] {
         let from = self.from[self.axis];
         [from.min(self.to), from.max(self.to)]
@@ -100,13 +100,13 @@ impl Ray {
         let [low, high] = self.range();
         let mut winding = i32::from(self.is_end_inside);
         for leaf in self.leaves() {
-            // A triangle is with each leaf that it is in: it counts in the one where it is met.
+            // A triangle is listed in each leaf that it touches; count it in the leaf of the intersection.
             let (first, last) = (f64::from(leaf[self.axis]), f64::from(leaf[self.axis] + LEAF_EDGE));
             for &triangle in triangles.of(leaf) {
                 let corners = corners(part.mesh, part.mesh.triangles[triangle as usize], part.lattice);
                 let Some((at, facing)) = crossing(&corners, self.axis, self.from) else { continue };
                 if (low..high).contains(&at) && (first..last).contains(&at) {
-                    // On the way out of the mesh a ray goes the way that the triangle faces.
+                    // Where the ray leaves the mesh, it has the direction of the triangle's normal.
                     winding += if self.to > self.from[self.axis] { facing } else { -facing };
                 }
             }
@@ -115,7 +115,8 @@ impl Ray {
     }
 }
 
-/// Where a triangle meets the line through a point along an axis, and whether it faces along the axis (1) or against it (−1).
+/// Where a triangle intersects the line through a point along an axis, and whether it faces along the axis
+/// (1) or against it (−1).
 fn crossing(corners: &[DVec3; 3], axis: usize, point: DVec3) -> Option<(f64, i32)> {
     let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
     let is_above = corners.map(|corner| corner[u] > point[u]);
@@ -125,7 +126,7 @@ fn crossing(corners: &[DVec3; 3], axis: usize, point: DVec3) -> Option<(f64, i32
         if is_above[place] == is_above[next] {
             continue;
         }
-        // The same ends in the same order, whichever triangle asks.
+        // Use the same ends in the same order for both triangles of the edge.
         let (below, above) = match is_above[next] {
             true => (corners[place], corners[next]),
             false => (corners[next], corners[place]),
@@ -145,11 +146,11 @@ fn crossing(corners: &[DVec3; 3], axis: usize, point: DVec3) -> Option<(f64, i32
 /// The triangles in some leaves.
 struct TrianglesByLeaf {
     places: FxHashMap<IVec3, u32>,
-    /// By place of the leaf.
+    /// Pairs of leaf index and triangle.
     triangles: Vec<(u32, u32)>,
 }
 
-/// Triangles in a piece of work.
+/// Number of triangles per task.
 const PIECE: usize = 4096;
 
 impl TrianglesByLeaf {
@@ -191,7 +192,7 @@ impl TrianglesByLeaf {
 mod tests {
     use super::*;
 
-    /// Rays through the vertices and edges of a closed mesh meet it as often on the way in as on the way out.
+    /// Rays through the vertices and edges of a closed mesh enter it as often as they leave it.
     #[test]
     fn rays_through_edges_and_vertices_count_each_sheet_once() {
         let c = [DVec3::X, -DVec3::X, DVec3::Y, -DVec3::Y, DVec3::Z, -DVec3::Z];

@@ -6,7 +6,7 @@
 //! ```
 //!
 //! For a closed surface this suffices: the winding number is an integer, and constant between triangles. Near
-//! the rim of a hole it changes gradually, by at most `slope` per voxel. Each classified voxel therefore
+//! the boundary of a hole it changes gradually, by at most `slope` per voxel. Each classified voxel therefore
 //! carries a lower bound of |w − ½|. If that is no more than `slope` times the voxel's distance, the patch
 //! over the hole may be closer than any triangle, and the winding number is evaluated at the voxel:
 //!
@@ -20,20 +20,20 @@ use glam::IVec3;
 use super::winding::WINDING_ERROR;
 
 /// The winding number at the voxels of a leaf.
-pub(super) trait Winds {
+pub(super) trait WindingField {
     /// The winding number.
     fn winding(&self, voxel: IVec3) -> f64;
 
-    /// Upper bound of its change per voxel.
+    /// The magnitude of its gradient, per voxel.
     fn slope(&self, voxel: IVec3) -> f64;
 }
 
 /// Gives distances their signs, negative inside. `slope` bounds the change of the winding number in the leaf.
-pub(super) fn sign(distances: &mut Leaf, surface: &impl Winds, slope: f64) {
-    let mut reached = Reached { distances, margins: [None; LEAF_VOXELS], slope, pending: Vec::new() };
+pub(super) fn sign(distances: &mut Leaf, surface: &impl WindingField, slope: f64) {
+    let mut reached = Classification { distances, margins: [None; LEAF_VOXELS], slope, pending: Vec::new() };
     for offset in 0..LEAF_VOXELS {
-        if reached.margins[offset].is_none() && !reached.reach_from_afar(offset) {
-            reached.ask(surface, offset);
+        if reached.margins[offset].is_none() && !reached.classify_from_afar(offset) {
+            reached.evaluate(surface, offset);
         }
         reached.spread();
     }
@@ -53,7 +53,7 @@ const STEPS: [(IVec3, isize); 6] = [
     (IVec3::Z, 1),
 ];
 
-struct Reached<'a> {
+struct Classification<'a> {
     /// Signed at the voxels that are classified.
     distances: &'a mut Leaf,
     /// Lower bounds of |w − ½|; `None` if the voxel is not classified.
@@ -62,9 +62,9 @@ struct Reached<'a> {
     pending: Vec<usize>,
 }
 
-impl Reached<'_> {
+impl Classification<'_> {
     /// Evaluates the winding number at a voxel.
-    fn ask(&mut self, surface: &impl Winds, offset: usize) {
+    fn evaluate(&mut self, surface: &impl WindingField, offset: usize) {
         let voxel = voxel_in_leaf(offset);
         let beyond = surface.winding(voxel) - 0.5;
         let margin = beyond.abs() - WINDING_ERROR;
@@ -82,7 +82,7 @@ impl Reached<'_> {
     }
 
     /// Takes the side of a voxel that is not a direct neighbour, if the line to it is free.
-    fn reach_from_afar(&mut self, offset: usize) -> bool {
+    fn classify_from_afar(&mut self, offset: usize) -> bool {
         let voxel = voxel_in_leaf(offset);
         for step in FAR_STEPS {
             for [x, y, z] in [step, [step[1], step[2], step[0]], [step[2], step[0], step[1]]] {
@@ -91,7 +91,7 @@ impl Reached<'_> {
                     let from = voxel + IVec3::new(signed(x, 0), signed(y, 1), signed(z, 2));
                     let is_inside = from.min_element() >= 0 && from.max_element() < LEAF_EDGE;
                     if is_inside
-                        && self.reach(
+                        && self.classify_from(
                             crate::surface::grid::offset_in_leaf(from),
                             offset,
                             (from - voxel).length_squared(),
@@ -106,7 +106,7 @@ impl Reached<'_> {
     }
 
     /// Gives one voxel the side of another, if the line between them is free.
-    fn reach(&mut self, from: usize, to: usize, step_squared: i32) -> bool {
+    fn classify_from(&mut self, from: usize, to: usize, step_squared: i32) -> bool {
         let Some(margin) = self.margins[from] else { return false };
         let step = (step_squared as f32).sqrt();
         let (near, far) = (self.distances.values[from], self.distances.values[to]);
@@ -135,7 +135,7 @@ impl Reached<'_> {
                 }
                 let to = from.wrapping_add_signed(places);
                 if self.margins[to].is_none() {
-                    self.reach(from, to, 1);
+                    self.classify_from(from, to, 1);
                 }
             }
         }

@@ -13,7 +13,7 @@ use std::f64::consts::PI;
 use glam::DVec3;
 
 /// The boundary edges of a surface.
-pub(super) struct Rim {
+pub(super) struct BoundaryEdges {
     nodes: Vec<Node>,
     edges: Vec<[DVec3; 2]>,
 }
@@ -39,8 +39,8 @@ const LEAF_EDGES: usize = 8;
 /// quarter.
 const FAR: f64 = 3.0;
 
-impl Rim {
-    pub(super) fn new(edges: Vec<[DVec3; 2]>) -> Rim {
+impl BoundaryEdges {
+    pub(super) fn new(edges: Vec<[DVec3; 2]>) -> BoundaryEdges {
         let mut order: Vec<(DVec3, u32)> =
             edges.iter().zip(0..).map(|([from, to], index)| (0.5 * (from + to), index)).collect();
         let mut nodes = Vec::with_capacity(4 * edges.len().div_ceil(LEAF_EDGES));
@@ -48,7 +48,7 @@ impl Rim {
             split(&mut order, 0, &edges, &mut nodes);
         }
         let edges = order.iter().map(|&(_, index)| edges[index as usize]).collect();
-        Rim { nodes, edges }
+        BoundaryEdges { nodes, edges }
     }
 
     /// The number of edges.
@@ -150,14 +150,14 @@ mod tests {
                 [from, from + 0.2 * (place(9 * index + 3) - 0.5)]
             };
             let edges: Vec<[DVec3; 2]> = (0..count).map(edge).collect();
-            let rim = Rim::new(edges.clone());
-            assert_eq!(rim.len(), count);
+            let boundary = BoundaryEdges::new(edges.clone());
+            assert_eq!(boundary.len(), count);
             for asked in 0..60 {
                 let center = 60.0 * (place(7 * asked + 5) - 0.5);
                 let radius = random(asked + 100);
                 let all: f64 =
                     edges.iter().map(|edge| of_edge(edge, center, radius)).sum::<f64>() / (4.0 * PI);
-                let bound = rim.slope_bound(center, radius);
+                let bound = boundary.slope_bound(center, radius);
                 let slack = (4.0f64 / 3.0).powi(2) + 1e-9;
                 let is_tight = all * (1.0 - 1e-9) <= bound && (bound <= all * slack || all == f64::INFINITY);
                 assert!(is_tight, "{count} edges at {center}: {bound} for {all}");
@@ -170,7 +170,7 @@ mod tests {
     fn distant_box_counts_as_one_edge() {
         let edges =
             (0..1000).map(|x| [DVec3::new(f64::from(x), 0.0, 0.0), DVec3::new(f64::from(x), 1.0, 0.0)]);
-        let rim = Rim::new(edges.collect());
-        assert_eq!(rim.slope_bound(DVec3::new(0.0, 0.0, 4000.0), 0.0), 1000.0 / 16e6 / (4.0 * PI));
+        let boundary = BoundaryEdges::new(edges.collect());
+        assert_eq!(boundary.slope_bound(DVec3::new(0.0, 0.0, 4000.0), 0.0), 1000.0 / 16e6 / (4.0 * PI));
     }
 }

@@ -25,31 +25,31 @@
 
 use glam::DVec3;
 
-use super::tree::EIGHT;
+use super::tree::LEAF_TRIANGLES;
 use crate::surface::grid::{LEAF_VOXELS, Leaf};
 use crate::surface::simd::{Kernel, Lanes};
 
 /// Number of values per triangle.
-const NUMBER_COUNT: usize = 31;
+const VALUE_COUNT: usize = 31;
 
-/// Eight triangles, one array per value.
+/// Triangle8 triangles, one array per value.
 #[derive(Clone, Debug)]
-pub(super) struct Eight {
-    rows: [[f32; EIGHT]; NUMBER_COUNT],
+pub(super) struct Triangle8 {
+    rows: [[f32; LEAF_TRIANGLES]; VALUE_COUNT],
     /// Mask of the lanes that hold a triangle.
-    live: u8,
+    lanes: u8,
 }
 
-impl Eight {
+impl Triangle8 {
     /// At most eight triangles; positions become `(world − center) · scale`.
-    pub(super) fn new(triangles: &[[DVec3; 3]], center: DVec3, scale: f64) -> Eight {
-        let mut eight = Eight { rows: [[0.0; EIGHT]; NUMBER_COUNT], live: 0 };
-        for (lane, triangle) in triangles.iter().take(EIGHT).enumerate() {
-            let numbers = numbers_of(triangle.map(|corner| (corner - center) * scale));
+    pub(super) fn new(triangles: &[[DVec3; 3]], center: DVec3, scale: f64) -> Triangle8 {
+        let mut eight = Triangle8 { rows: [[0.0; LEAF_TRIANGLES]; VALUE_COUNT], lanes: 0 };
+        for (lane, triangle) in triangles.iter().take(LEAF_TRIANGLES).enumerate() {
+            let numbers = values_of(triangle.map(|corner| (corner - center) * scale));
             for (row, number) in eight.rows.iter_mut().zip(numbers) {
                 row[lane] = number;
             }
-            eight.live |= 1 << lane;
+            eight.lanes |= 1 << lane;
         }
         eight
     }
@@ -57,8 +57,8 @@ impl Eight {
 
 /// Normal and offset of the plane; for each edge: outward direction and its offset, edge direction and the
 /// offsets of both ends.
-fn numbers_of(corners: [DVec3; 3]) -> [f32; NUMBER_COUNT] {
-    let mut numbers = [0.0; NUMBER_COUNT];
+fn values_of(corners: [DVec3; 3]) -> [f32; VALUE_COUNT] {
+    let mut numbers = [0.0; VALUE_COUNT];
     let [a, b, c] = corners;
     let normal = (b - a).cross(c - a).normalize_or_zero();
     put(&mut numbers, 0, normal, normal.dot(a));
@@ -73,7 +73,7 @@ fn numbers_of(corners: [DVec3; 3]) -> [f32; NUMBER_COUNT] {
     numbers
 }
 
-fn put(numbers: &mut [f32; NUMBER_COUNT], at: usize, direction: DVec3, place: f64) {
+fn put(numbers: &mut [f32; VALUE_COUNT], at: usize, direction: DVec3, place: f64) {
     let [x, y, z] = direction.to_array();
     for (number, value) in numbers[at..at + 4].iter_mut().zip([x, y, z, place]) {
         *number = value as f32;
@@ -83,7 +83,7 @@ fn put(numbers: &mut [f32; NUMBER_COUNT], at: usize, direction: DVec3, place: f6
 /// Computes the distances from the voxels of a leaf, in voxels, limited to `most`.
 pub(super) struct Distances<'a> {
     /// The triangles, relative to the centre of the leaf and in voxels.
-    pub(super) eights: &'a [Eight],
+    pub(super) packets: &'a [Triangle8],
     pub(super) most: f32,
 }
 
@@ -95,23 +95,23 @@ impl Kernel for Distances<'_> {
 
     #[inline(always)]
     fn run<V: Lanes>(self) -> Leaf {
-        let Distances { eights, most } = self;
-        let all: Vec<(u32, u8)> = eights.iter().zip(0..).map(|(eight, index)| (index, eight.live)).collect();
+        let Distances { packets, most } = self;
+        let all: Vec<(u32, u8)> = packets.iter().zip(0..).map(|(eight, index)| (index, eight.lanes)).collect();
         let (mut near_four, mut near_two) = (Vec::with_capacity(all.len()), Vec::with_capacity(all.len()));
         let mut squares = vec![[0.0f32; 8]; all.len()];
         let mut leaf = Leaf::splat(most);
         for four in 0..8 {
             let center = step(four).map(|c| 4.0 * c - 2.0);
-            narrow::<V>(eights, &all, center, 1.5, most, &mut squares, &mut near_four);
+            cull::<V>(packets, &all, center, 1.5, most, &mut squares, &mut near_four);
             if near_four.is_empty() {
                 continue;
             }
             for two in 0..8 {
                 let within = step(two);
                 let center = [0, 1, 2].map(|axis| center[axis] + 2.0 * within[axis] - 1.0);
-                narrow::<V>(eights, &near_four, center, 0.5, most, &mut squares, &mut near_two);
+                cull::<V>(packets, &near_four, center, 0.5, most, &mut squares, &mut near_two);
                 if !near_two.is_empty() {
-                    let distances = of_block::<V>(eights, &near_two, center, most);
+                    let distances = of_block::<V>(packets, &near_two, center, most);
                     scatter(&distances, four, two, &mut leaf);
                 }
             }
@@ -129,8 +129,8 @@ fn step(place: usize) -> [f32; 3] {
 /// Culls the triangles that cannot be the nearest to a voxel of a block, and those farther than `most`.
 /// Voxels are up to `half_edge` from the centre on each axis.
 #[inline(always)]
-fn narrow<V: Lanes>(
-    eights: &[Eight],
+fn cull<V: Lanes>(
+    packets: &[Triangle8],
     from: &[(u32, u8)],
     center: [f32; 3],
     half_edge: f32,
@@ -143,9 +143,9 @@ fn narrow<V: Lanes>(
     let point = [V::splat(center[0]), V::splat(center[1]), V::splat(center[2])];
     let infinite = V::splat(f32::INFINITY);
     let mut least = infinite;
-    for (&(index, live), squares) in from.iter().zip(&mut *squares) {
-        let distance = squared(&Frame::<V>::of_eight(&eights[index as usize]), point);
-        let distance = V::select(V::mask(live), distance, infinite);
+    for (&(index, lanes), squares) in from.iter().zip(&mut *squares) {
+        let distance = squared(&Frame::<V>::of_packet(&packets[index as usize]), point);
+        let distance = V::select(V::mask(lanes), distance, infinite);
         least = least.min(distance);
         distance.store(squares);
     }
@@ -158,28 +158,28 @@ fn narrow<V: Lanes>(
     let farthest = (nearest.sqrt() + 2.0 * radius).min(most + radius) + ROUNDING;
     let limit = V::splat(farthest * farthest);
     for (&(index, _), squares) in from.iter().zip(&*squares) {
-        let live = V::bits(V::load(squares).lt(limit));
-        if live != 0 {
-            to.push((index, live));
+        let lanes = V::bits(V::load(squares).lt(limit));
+        if lanes != 0 {
+            to.push((index, lanes));
         }
     }
 }
 
 /// The distances from the eight voxels around a point.
 #[inline(always)]
-fn of_block<V: Lanes>(eights: &[Eight], near: &[(u32, u8)], center: [f32; 3], most: f32) -> [f32; 8] {
+fn of_block<V: Lanes>(packets: &[Triangle8], near: &[(u32, u8)], center: [f32; 3], most: f32) -> [f32; 8] {
     let point = [
         V::load(&[-0.5, -0.5, -0.5, -0.5, 0.5, 0.5, 0.5, 0.5]).add(V::splat(center[0])),
         V::load(&[-0.5, -0.5, 0.5, 0.5, -0.5, -0.5, 0.5, 0.5]).add(V::splat(center[1])),
         V::load(&[-0.5, 0.5, -0.5, 0.5, -0.5, 0.5, -0.5, 0.5]).add(V::splat(center[2])),
     ];
     let mut least = V::splat(most * most);
-    for &(index, live) in near {
-        let mut live = live;
-        while live != 0 {
-            let lane = live.trailing_zeros() as usize;
-            live &= live - 1;
-            least = least.min(squared(&Frame::<V>::of_triangle(&eights[index as usize], lane), point));
+    for &(index, lanes) in near {
+        let mut lanes = lanes;
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros() as usize;
+            lanes &= lanes - 1;
+            least = least.min(squared(&Frame::<V>::of_triangle(&packets[index as usize], lane), point));
         }
     }
     let mut distances = [0.0; 8];
@@ -201,13 +201,13 @@ fn scatter(distances: &[f32; 8], four: usize, two: usize, leaf: &mut Leaf) {
 
 /// One triangle against eight points, or eight triangles against one.
 struct Frame<V> {
-    numbers: [V; NUMBER_COUNT],
+    numbers: [V; VALUE_COUNT],
 }
 
 impl<V: Lanes> Frame<V> {
     #[inline(always)]
-    fn of_eight(eight: &Eight) -> Frame<V> {
-        let mut numbers = [V::splat(0.0); NUMBER_COUNT];
+    fn of_packet(eight: &Triangle8) -> Frame<V> {
+        let mut numbers = [V::splat(0.0); VALUE_COUNT];
         for (number, row) in numbers.iter_mut().zip(&eight.rows) {
             *number = V::load(row);
         }
@@ -215,8 +215,8 @@ impl<V: Lanes> Frame<V> {
     }
 
     #[inline(always)]
-    fn of_triangle(eight: &Eight, lane: usize) -> Frame<V> {
-        let mut numbers = [V::splat(0.0); NUMBER_COUNT];
+    fn of_triangle(eight: &Triangle8, lane: usize) -> Frame<V> {
+        let mut numbers = [V::splat(0.0); VALUE_COUNT];
         for (number, row) in numbers.iter_mut().zip(&eight.rows) {
             *number = V::splat(row[lane]);
         }

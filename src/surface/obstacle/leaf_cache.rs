@@ -1,8 +1,8 @@
 //! A cache of leaves: a frame requests the same leaf in more than one stage, and if an obstacle is static the
 //! next frame requests it again.
 //!
-//! A cached leaf equals the recomputed one, so the cache does not change results. When its memory is used up,
-//! old leaves are evicted.
+//! A cached leaf equals the recomputed one, so the cache does not change results. When the memory of a
+//! shard is used up, the shard is cleared.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -13,10 +13,10 @@ use super::leaf::ObstacleLeaf;
 use crate::surface::space::Lattice;
 
 /// The cache, in shards with one lock each.
-pub(super) struct KeptLeaves {
+pub(super) struct LeafCache {
     shards: [Mutex<Shard>; SHARDS],
-    /// What one part may take.
-    most_bytes: usize,
+    /// Memory limit of a shard, in bytes.
+    shard_bytes_max: usize,
 }
 
 #[derive(Default)]
@@ -34,9 +34,9 @@ const SHARDS: usize = 16;
 /// Estimated memory of a map entry besides the leaf, with spare capacity.
 const ENTRY_BYTES: usize = 64;
 
-impl KeptLeaves {
-    pub(super) fn new(most_bytes: usize) -> KeptLeaves {
-        KeptLeaves { shards: std::array::from_fn(|_| Mutex::default()), most_bytes: most_bytes / SHARDS }
+impl LeafCache {
+    pub(super) fn new(shard_bytes_max: usize) -> LeafCache {
+        LeafCache { shards: std::array::from_fn(|_| Mutex::default()), shard_bytes_max: shard_bytes_max / SHARDS }
     }
 
     /// Returns the cached leaf, or computes and caches it.
@@ -55,9 +55,9 @@ impl KeptLeaves {
         }
         let leaf = compute();
         let size = leaf.size_bytes() + ENTRY_BYTES;
-        if size <= self.most_bytes {
+        if size <= self.shard_bytes_max {
             let mut shard = shard.lock().unwrap_or_else(PoisonError::into_inner);
-            if shard.size_bytes + size > self.most_bytes {
+            if shard.size_bytes + size > self.shard_bytes_max {
                 *shard = Shard::default();
             }
             // Another thread may have inserted it first.
@@ -75,6 +75,6 @@ impl KeptLeaves {
     }
     /// Upper limit of its memory, in bytes.
     pub(super) fn size_bytes_max(&self) -> usize {
-        self.most_bytes.saturating_mul(SHARDS)
+        self.shard_bytes_max.saturating_mul(SHARDS)
     }
 }
