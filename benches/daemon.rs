@@ -1,16 +1,16 @@
-//! What the daemon adds to a frame: from the moment it is renamed into the watched folder to the moment
-//! when all its outputs are there, less the seconds that the log says reading, skinning and writing took.
+//! Measures the latency that the daemon adds to a frame: the time from its rename into the watched folder
+//! until all outputs exist, minus the seconds for reading, reconstruction and writing that the log reports.
 //!
 //! ```text
-//!   rename ─▶ event ─▶ the loop ─▶ queue ─▶ read … write ─▶ outputs are there
+//!   rename ─▶ event ─▶ event loop ─▶ queue ─▶ read … write ─▶ outputs exist
 //!          └──────────── added ───────────┘└── the log ──┘└─ added ─┘
 //! ```
 //!
-//! Ends with 1 where the median is not what the project promises.
+//! Exits with 1 if the median exceeds the project's target.
 //!
 //! `cargo bench --bench daemon`
 
-#![expect(clippy::print_stdout, reason = "it is what a benchmark is for")]
+#![expect(clippy::print_stdout, reason = "a benchmark prints its results")]
 
 mod block;
 
@@ -25,7 +25,7 @@ use serde_json::Value;
 
 use block::block_ply;
 
-/// Frames before these have their own costs: the first settles the voxel size.
+/// The first frames have extra costs: the first one determines the voxel size.
 const WARM_UP_COUNT: usize = 3;
 const FRAME_COUNT: usize = 60;
 /// A block of 3 000 particles.
@@ -39,7 +39,7 @@ fn main() -> ExitCode {
     fs::create_dir(&inside).expect("made");
     let mut daemon = Daemon::start(folder.path());
     let mut added: Vec<Duration> = (0..WARM_UP_COUNT + FRAME_COUNT)
-        .map(|number| daemon.time_added(folder.path(), number))
+        .map(|number| daemon.added_latency(folder.path(), number))
         .skip(WARM_UP_COUNT)
         .collect();
     added.sort();
@@ -56,7 +56,7 @@ fn main() -> ExitCode {
     ExitCode::FAILURE
 }
 
-/// A daemon, and its log.
+/// A daemon process and its log.
 struct Daemon {
     child: Child,
     log: BufReader<ChildStderr>,
@@ -76,15 +76,15 @@ impl Daemon {
         Daemon { child, log }
     }
 
-    /// Lets a frame land, and tells what the daemon added to its skinning.
-    fn time_added(&mut self, folder: &Path, number: usize) -> Duration {
+    /// Lets a frame arrive. Returns the time that the daemon adds to its reconstruction.
+    fn added_latency(&mut self, folder: &Path, number: usize) -> Duration {
         let part = folder.join(format!("in/.{number}.part"));
         fs::write(&part, block_ply(BLOCK, 0.01 * number as f32)).expect("written");
         let outputs = ["glb", "vdb"].map(|format| folder.join(format!("out/dam.{number}.{format}")));
         let landed = Instant::now();
         fs::rename(&part, folder.join(format!("in/dam.{number}.ply"))).expect("renamed");
         while !outputs.iter().all(|output| output.exists()) {
-            thread::sleep(LOOK_EVERY);
+            thread::sleep(POLL_INTERVAL);
         }
         let taken = landed.elapsed();
         taken.saturating_sub(self.logged_time())
@@ -109,11 +109,11 @@ impl Daemon {
 
 impl Drop for Daemon {
     fn drop(&mut self) {
-        // It has nothing left to do.
+        // It has no work left.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-/// Rarely enough to leave the cores to the daemon.
-const LOOK_EVERY: Duration = Duration::from_micros(200);
+/// The polling interval: long enough to leave the cores to the daemon.
+const POLL_INTERVAL: Duration = Duration::from_micros(200);

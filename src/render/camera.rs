@@ -20,7 +20,7 @@ impl Up {
         }
     }
 
-    /// The direction of azimuth 0: towards a viewer who looks along −z with y up, or along y with z up.
+    /// The direction of azimuth 0: towards a viewer whose viewing direction is −z with y up, or y with z up.
     fn front(self) -> DVec3 {
         match self {
             Up::Y => DVec3::Z,

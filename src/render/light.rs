@@ -61,23 +61,23 @@ impl<'a> Lighting<'a> {
     }
 
     /// The light at a point, in voxels, on a surface with this normal.
-    pub(super) fn arriving(&self, place: DVec3, normal: Vec3) -> Light {
+    pub(super) fn incoming(&self, place: DVec3, normal: Vec3) -> Light {
         let (aside, across) = normal.any_orthonormal_pair();
-        let mut ambient = MIDDLE_WEIGHT * self.from(place, normal);
+        let mut ambient = MIDDLE_WEIGHT * self.light_from(place, normal);
         for cone in 0..5 {
             let angle = cone as f32 * (std::f32::consts::TAU / 5.0);
             let around = aside * angle.cos() + across * angle.sin();
             let direction = normal * TILT.0 + around * TILT.1;
-            ambient += (1.0 - MIDDLE_WEIGHT) / 5.0 * self.from(place, direction);
+            ambient += (1.0 - MIDDLE_WEIGHT) / 5.0 * self.light_from(place, direction);
         }
         let faces_sun = normal.dot(self.sun) > 0.0;
-        let sun = if faces_sun { self.sky.through(place, self.sun, SUN_TANGENT) } else { 0.0 };
+        let sun = if faces_sun { self.sky.transmittance(place, self.sun, SUN_TANGENT) } else { 0.0 };
         Light { ambient, sun }
     }
 
     /// The light from a direction, with occlusion.
-    fn from(&self, place: DVec3, direction: Vec3) -> Vec3 {
-        self.radiance(direction) * self.sky.through(place, direction, AMBIENT_TANGENT)
+    fn light_from(&self, place: DVec3, direction: Vec3) -> Vec3 {
+        self.radiance(direction) * self.sky.transmittance(place, direction, AMBIENT_TANGENT)
     }
 
     /// The light from a direction, without occlusion.
@@ -112,11 +112,11 @@ impl<'a> Lighting<'a> {
     /// The colour of the ground: the background, darkened by shadows.
     pub(super) fn ground(&self, light: Light) -> Vec3 {
         let facing = self.up.dot(self.sun);
-        let open = self.arriving_in_the_open() + SUN * facing;
+        let open = self.unoccluded_on_ground() + SUN * facing;
         BACKGROUND * ((light.ambient + SUN * facing * light.sun) / open)
     }
 
-    fn arriving_in_the_open(&self) -> Vec3 {
+    fn unoccluded_on_ground(&self) -> Vec3 {
         let tilted = self.radiance(self.up * TILT.0 + self.up.any_orthonormal_vector() * TILT.1);
         MIDDLE_WEIGHT * self.radiance(self.up) + (1.0 - MIDDLE_WEIGHT) * tilted
     }
@@ -127,7 +127,7 @@ impl<'a> Lighting<'a> {
     }
 
     /// The unoccluded light on a surface with this normal.
-    pub(super) fn open(&self, normal: Vec3) -> Light {
+    pub(super) fn unoccluded(&self, normal: Vec3) -> Light {
         let height = 0.5 + 0.5 * normal.dot(self.up);
         Light { ambient: FROM_BELOW.lerp(ZENITH, height), sun: 1.0 }
     }

@@ -36,7 +36,7 @@ use crate::surface::space::Lattice;
 use light::Lighting;
 use sky::Sky;
 use surface::Surface;
-use tile::{Eyes, Finished, TILE_EDGE, Tile};
+use tile::{Finished, TILE_EDGE, Tile, Tracer};
 
 /// The view: camera, picture size and ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -67,11 +67,11 @@ pub struct Picture {
 /// Data at the centre of each pixel.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PictureData {
-    /// Distance along the camera's axis, world units; [`FAR`] where there is no surface.
+    /// Distance along the camera's axis, world units; [`FAR`] if the pixel shows no surface.
     pub depth: Vec<f32>,
-    /// Outward unit normals in world space; 0 where there is no surface.
+    /// Outward unit normals in world space; 0 if the pixel shows no surface.
     pub normals: Vec<[f32; 3]>,
-    /// Positions in world units; 0 where there is no surface.
+    /// Positions in world units; 0 if the pixel shows no surface.
     pub positions: Vec<[f32; 3]>,
     /// Velocities in world units per second; `None` if the frame has none.
     pub velocities: Option<Vec<[f32; 3]>>,
@@ -94,9 +94,9 @@ pub struct Layers<'a> {
 /// Renders a level set.
 pub fn render(band: &NarrowBand, lattice: &Lattice, view: &View, layers: Layers) -> Picture {
     let (surface, sky) = rayon::join(|| Surface::new(band), || Sky::new(band));
-    let eyes = Eyes::new(&surface, lattice, view);
+    let tracer = Tracer::new(&surface, lattice, view);
     let lighting = Lighting::new(&sky, view);
-    assemble(view.size, |place| Tile::new(&eyes, &lighting, place).finish(layers))
+    assemble(view.size, |place| Tile::new(&tracer, &lighting, place).finish(layers))
 }
 
 /// Renders particles as balls of this radius, world units, with the same lighting.

@@ -9,7 +9,7 @@
 //! ```
 
 use super::Picture;
-use super::sheet::{Canvas, TEXT, Words};
+use super::sheet::{Canvas, TEXT, TextLines};
 
 /// A plot of one or more lines.
 #[derive(Clone, Debug)]
@@ -80,7 +80,7 @@ impl Plot {
 }
 
 fn write(canvas: &mut Canvas, text: &str, place: [usize; 2]) {
-    canvas.write(&Words::new(text, &TEXT, usize::MAX), place);
+    canvas.write(&TextLines::new(text, &TEXT, usize::MAX), place);
 }
 
 /// The plot area.
@@ -182,7 +182,10 @@ mod tests {
             Area { size: [400 - LEFT - RIGHT, 200 - TOP - BOTTOM], range: [1.0, 4.0], decades: [-2, 0] };
         let middle = area.y(0.1);
         assert_eq!(red_rows(&picture, area.x(1.0)), [area.y(0.01), area.y(0.01) + 1]);
-        assert!(red_rows(&picture, area.x(1.5)).contains(&middle), "the scale is logarithmic between the ends");
+        assert!(
+            red_rows(&picture, area.x(1.5)).contains(&middle),
+            "the scale is logarithmic between the ends"
+        );
         assert_eq!(red_rows(&picture, area.x(2.0))[0], area.y(1.0));
         assert_eq!(red_rows(&picture, area.x(3.0)), [0; 0], "frame 3 is missing");
         assert_eq!(red_rows(&picture, area.x(4.0))[0], middle);

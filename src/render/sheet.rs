@@ -43,7 +43,7 @@ pub struct Block {
     pub title: String,
     /// Row by row.
     pub cells: Vec<Cell>,
-    /// Number of cells in a row.
+    /// Number of cells per row.
     pub columns: usize,
 }
 
@@ -69,10 +69,10 @@ impl Sheet {
     /// Draws the sheet.
     pub fn picture(&self) -> Picture {
         let width = self.width();
-        let title = Words::new(&self.title, &HEADING, width);
-        let foot: Vec<Words> = self.foot.iter().map(|text| Words::new(text, &TEXT, width)).collect();
+        let title = TextLines::new(&self.title, &HEADING, width);
+        let foot: Vec<TextLines> = self.foot.iter().map(|text| TextLines::new(text, &TEXT, width)).collect();
         let heights = self.blocks.iter().map(|block| self.block_height(block, width)).sum::<usize>();
-        let foot_height: usize = foot.iter().map(Words::height).sum();
+        let foot_height: usize = foot.iter().map(TextLines::height).sum();
         let height = GAP + title.height_with_gap() + heights + foot_height;
         let foot_gap = if foot.is_empty() { 0 } else { GAP };
         let mut canvas = Canvas::new([width + 2 * GAP, height + foot_gap]);
@@ -94,12 +94,12 @@ impl Sheet {
     fn width(&self) -> usize {
         let columns = self.blocks.iter().map(|block| block.columns.min(block.cells.len())).max();
         let of_cells = columns.unwrap_or(0) * (self.place[0] + GAP);
-        let least = if self.foot.is_empty() { LEAST_WIDTH } else { LEAST_WIDTH_OF_FOOT };
+        let least = if self.foot.is_empty() { MIN_WIDTH } else { MIN_WIDTH_WITH_FOOTER };
         of_cells.saturating_sub(GAP).max(least)
     }
 
     fn block_height(&self, block: &Block, width: usize) -> usize {
-        let title = Words::new(&block.title, &TEXT, width);
+        let title = TextLines::new(&block.title, &TEXT, width);
         let rows = block.cells.len().div_ceil(block.columns.max(1));
         title.height_with_gap() + rows * self.row_height(block)
     }
@@ -109,12 +109,12 @@ impl Sheet {
         self.place[1] + LABEL_GAP + block.cells.iter().map(of_lines).max().unwrap_or(0) + GAP
     }
 
-    fn label(&self, line: &str) -> Words<'_> {
-        Words::new(line, &TEXT, self.place[0])
+    fn label(&self, line: &str) -> TextLines<'_> {
+        TextLines::new(line, &TEXT, self.place[0])
     }
 
     fn draw(&self, block: &Block, width: usize, canvas: &mut Canvas, mut top: usize) {
-        let title = Words::new(&block.title, &TEXT, width);
+        let title = TextLines::new(&block.title, &TEXT, width);
         canvas.write(&title, [GAP, top]);
         top += title.height_with_gap();
         let [place_width, place_height] = self.place;
@@ -131,7 +131,7 @@ impl Sheet {
                 Shown::Words(words) => {
                     canvas.fill(EMPTY, [left, cell_top], self.place);
                     let room = self.place.map(|edge| edge.saturating_sub(2 * GAP));
-                    let words = Words::new(words, &TEXT, room[0]).within(room[1]);
+                    let words = TextLines::new(words, &TEXT, room[0]).within(room[1]);
                     canvas.write(&words, [left + GAP, cell_top + GAP]);
                 }
             }
@@ -171,30 +171,30 @@ pub fn stacked(pictures: &[Picture]) -> Picture {
 }
 
 /// A font with its line height.
-pub(super) struct Hand {
+pub(super) struct TextStyle {
     font: MonoFont<'static>,
     /// Distance from one line to the next, pixels.
     line_height: usize,
 }
 
-pub(super) const TEXT: Hand = Hand { font: FONT_7X13, line_height: 15 };
-const HEADING: Hand = Hand { font: FONT_9X18_BOLD, line_height: 22 };
+pub(super) const TEXT: TextStyle = TextStyle { font: FONT_7X13, line_height: 15 };
+const HEADING: TextStyle = TextStyle { font: FONT_9X18_BOLD, line_height: 22 };
 
 /// Wrapped text.
-pub(super) struct Words<'h> {
-    hand: &'h Hand,
+pub(super) struct TextLines<'h> {
+    style: &'h TextStyle,
     lines: Vec<String>,
 }
 
-impl<'h> Words<'h> {
+impl<'h> TextLines<'h> {
     /// Wraps text at a width in pixels.
-    pub(super) fn new(text: &str, hand: &'h Hand, width: usize) -> Words<'h> {
-        let letters = width / hand.font.character_size.width as usize;
-        Words { hand, lines: wrapped(text, letters.max(1)) }
+    pub(super) fn new(text: &str, style: &'h TextStyle, width: usize) -> TextLines<'h> {
+        let letters = width / style.font.character_size.width as usize;
+        TextLines { style, lines: wrapped(text, letters.max(1)) }
     }
 
     fn height(&self) -> usize {
-        self.lines.len() * self.hand.line_height
+        self.lines.len() * self.style.line_height
     }
 
     /// The height including the gap below; 0 without text.
@@ -203,8 +203,8 @@ impl<'h> Words<'h> {
     }
 
     /// Cuts the text to a height in pixels; dots mark the cut.
-    fn within(mut self, height: usize) -> Words<'h> {
-        let line_count = height / self.hand.line_height;
+    fn within(mut self, height: usize) -> TextLines<'h> {
+        let line_count = height / self.style.line_height;
         if self.lines.len() > line_count {
             self.lines.truncate(line_count);
             if let Some(last) = self.lines.last_mut() {
@@ -246,9 +246,9 @@ const GAP: usize = 10;
 /// Gap between a picture and the text below it, pixels.
 const LABEL_GAP: usize = 3;
 /// Smallest width of a sheet, so that titles fit, pixels.
-const LEAST_WIDTH: usize = 240;
+const MIN_WIDTH: usize = 240;
 /// Smallest width of a sheet with a footer, so that commands fit, pixels.
-const LEAST_WIDTH_OF_FOOT: usize = 720;
+const MIN_WIDTH_WITH_FOOTER: usize = 720;
 
 /// Linear colours.
 const PAPER: [f32; 3] = [0.87, 0.88, 0.9];
@@ -284,10 +284,10 @@ impl Canvas {
     }
 
     /// Writes lines with the upper left corner at this pixel.
-    pub(super) fn write(&mut self, words: &Words, [left, top]: [usize; 2]) {
-        let style = MonoTextStyle::new(&words.hand.font, BinaryColor::On);
+    pub(super) fn write(&mut self, words: &TextLines, [left, top]: [usize; 2]) {
+        let style = MonoTextStyle::new(&words.style.font, BinaryColor::On);
         for (index, line) in words.lines.iter().enumerate() {
-            let place = Point::new(left as i32, (top + index * words.hand.line_height) as i32);
+            let place = Point::new(left as i32, (top + index * words.style.line_height) as i32);
             let Ok(_) = Text::with_baseline(line, place, style, Baseline::Top).draw(self);
         }
     }
@@ -375,7 +375,7 @@ mod tests {
         assert_eq!(wrapped("a bc  def", 4), ["a bc", "def"]);
         assert_eq!(wrapped("abcdefghij k", 4), ["abcd", "efgh", "ij k"]);
         assert_eq!(wrapped(" ", 4), [""; 0]);
-        let cut = Words::new("one two three four", &TEXT, 7 * 5).within(2 * 15);
+        let cut = TextLines::new("one two three four", &TEXT, 7 * 5).within(2 * 15);
         assert_eq!(cut.lines, ["one", "..."]);
     }
 

@@ -69,7 +69,7 @@ impl Sky {
 
     /// The fraction of the light that passes through a cone: from a point, in voxels, along a direction, with
     /// the tangent of half its opening angle.
-    pub(super) fn through(&self, place: DVec3, direction: Vec3, tangent: f32) -> f32 {
+    pub(super) fn transmittance(&self, place: DVec3, direction: Vec3, tangent: f32) -> f32 {
         let Some(coarsest) = self.levels.last() else { return 1.0 };
         let extent = self.edge * (1 << (self.levels.len() - 1)) as f32;
         let reach = 1.8 * extent * coarsest.size.max_element() as f32;
@@ -238,10 +238,10 @@ mod tests {
     fn ball_occludes_the_light_behind_it() {
         let sky = Sky::new(&ball(20.0));
         let below = DVec3::new(0.0, -30.0, 0.0);
-        assert!(sky.through(below, Vec3::Y, 0.1) < 0.05);
-        assert!(sky.through(below, Vec3::NEG_Y, 0.1) > 0.99);
-        assert!(sky.through(DVec3::new(60.0, 0.0, 0.0), Vec3::Y, 0.1) > 0.99);
-        let half = sky.through(DVec3::new(20.0, -30.0, 0.0), Vec3::Y, 0.3);
+        assert!(sky.transmittance(below, Vec3::Y, 0.1) < 0.05);
+        assert!(sky.transmittance(below, Vec3::NEG_Y, 0.1) > 0.99);
+        assert!(sky.transmittance(DVec3::new(60.0, 0.0, 0.0), Vec3::Y, 0.1) > 0.99);
+        let half = sky.transmittance(DVec3::new(20.0, -30.0, 0.0), Vec3::Y, 0.3);
         assert!((0.1..0.9).contains(&half), "{half} past the edge");
     }
 
@@ -260,7 +260,8 @@ mod tests {
                 }
             }
             let band = NarrowBand { topology: Arc::new(topology), phi, half_width: 8.0 };
-            let [with, without] = [&band, &near].map(|band| Sky::new(band).through(place, Vec3::X, 0.5));
+            let [with, without] =
+                [&band, &near].map(|band| Sky::new(band).transmittance(place, Vec3::X, 0.5));
             assert!((with - without).abs() < 1e-3, "{with} with a stray at {stray}, {without} without");
         }
     }
@@ -272,6 +273,6 @@ mod tests {
         let topology = Topology::new(origins.to_vec());
         let phi = Field::splat(2, -1.0);
         let sky = Sky::new(&NarrowBand { topology: Arc::new(topology), phi, half_width: 8.0 });
-        assert!(sky.through(DVec3::ZERO, Vec3::X, 0.5) > 0.99);
+        assert!(sky.transmittance(DVec3::ZERO, Vec3::X, 0.5) > 0.99);
     }
 }

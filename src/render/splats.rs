@@ -39,7 +39,7 @@ const BAND_ROWS: usize = 64;
 pub(super) fn render(particles: &Particles, radius: f64, view: &View) -> Picture {
     let splats = draw(particles.len(), |index| particles.position(index), radius, view);
     shade(&splats, view, |lighting, Splat { normal, .. }, toward| {
-        lighting.water(lighting.open(normal), normal, toward, true)
+        lighting.water(lighting.unoccluded(normal), normal, toward, true)
     })
 }
 
@@ -52,7 +52,7 @@ pub(super) fn render_marks(marks: &[Mark], radius: f64, view: &View) -> Picture 
         let normal = normal.as_vec3();
         // Shade a sheet from behind, too.
         let normal = if normal.dot(toward) < 0.0 { -normal } else { normal };
-        lighting.matte(Vec3::from(color), lighting.open(normal), normal)
+        lighting.matte(Vec3::from(color), lighting.unoccluded(normal), normal)
     })
 }
 

@@ -69,7 +69,7 @@ impl<'a> Surface<'a> {
             topology.origins().par_iter().enumerate().filter_map(crossed).collect();
         let mut nodes = FxHashMap::default();
         let mut cells = CoordBox::EMPTY;
-        let kept = kept_box(&crossed);
+        let kept = rendered_box(&crossed);
         for (index, leaf) in crossed.iter().enumerate().filter(|(_, leaf)| kept.contains(leaf.origin)) {
             let (node, place) = node_of(leaf.origin / LEAF_EDGE);
             nodes.entry(node).or_insert_with(|| Box::new([NO_LEAF; NODE_LEAVES]))[place] = index as u32;
@@ -81,7 +81,7 @@ impl<'a> Surface<'a> {
     }
 
     /// The first intersection of a ray with the surface, from `t_min` to `t_max`.
-    pub(super) fn meet(&self, ray: &Ray, span: [f64; 2]) -> Option<Hit> {
+    pub(super) fn intersect(&self, ray: &Ray, span: [f64; 2]) -> Option<Hit> {
         if self.cells.is_empty() {
             return None;
         }
@@ -98,11 +98,11 @@ impl<'a> Surface<'a> {
             for (leaf, in_leaf) in
                 Cells::along(ray, f64::from(LEAF_EDGE), in_node, [first, first + (NODE_EDGE - 1)])
             {
-                let index = leaves[place_in_node(leaf)];
+                let index = leaves[index_in_node(leaf)];
                 if index == NO_LEAF {
                     continue;
                 }
-                let hit = self.meet_in(index, ray, in_leaf, &mut side);
+                let hit = self.intersect_leaf(index, ray, in_leaf, &mut side);
                 if hit.is_some() {
                     return hit;
                 }
@@ -111,7 +111,7 @@ impl<'a> Surface<'a> {
         None
     }
 
-    fn meet_in(&self, leaf: u32, ray: &Ray, span: [f64; 2], side: &mut Side) -> Option<Hit> {
+    fn intersect_leaf(&self, leaf: u32, ray: &Ray, span: [f64; 2], side: &mut Side) -> Option<Hit> {
         let crossed = &self.crossed[leaf as usize];
         let range = [crossed.origin, crossed.origin + (LEAF_EDGE - 1)];
         for (cell, span) in Cells::along(ray, 1.0, span, range) {
@@ -159,17 +159,17 @@ impl<'a> Surface<'a> {
     }
 
     /// φ at the voxels of a hit's cell and of the cells around it.
-    pub(super) fn around(&self, ray: &Ray, hit: &Hit) -> Around {
+    pub(super) fn around(&self, ray: &Ray, hit: &Hit) -> Stencil {
         let leaf = &self.crossed[hit.leaf as usize];
         let voxel = |index: i32| hit.cell + IVec3::new(index / 16, index / 4 % 4, index % 4) - 1;
         let values = std::array::from_fn(|index| self.value(leaf, voxel(index as i32)));
         let at = ray.at(hit.t) - (leaf.origin + hit.cell).as_dvec3();
         let at = at.as_vec3().clamp(Vec3::ZERO, Vec3::ONE);
-        Around { values, at, leaf: leaf.around[13], cell: hit.cell }
+        Stencil { values, at, leaf: leaf.around[13], cell: hit.cell }
     }
 
     /// A field on the same leaves, trilinear at a hit. If no leaf is stored, the value of the nearest voxel.
-    pub(super) fn interpolate(&self, field: &[Leaf], around: &Around) -> f32 {
+    pub(super) fn interpolate(&self, field: &[Leaf], around: &Stencil) -> f32 {
         let values = &field[around.leaf as usize].values;
         let corner = |corner: i32| {
             let step = IVec3::new(corner >> 2, corner >> 1 & 1, corner & 1);
@@ -181,7 +181,7 @@ impl<'a> Surface<'a> {
 }
 
 /// The box of rendered leaves: all leaves, except stray ones if the scene is too wide for rays.
-fn kept_box(leaves: &[CrossedLeaf]) -> CoordBox {
+fn rendered_box(leaves: &[CrossedLeaf]) -> CoordBox {
     let corner = |index: usize| [leaves[index].origin.as_dvec3(); 2];
     let all = (0..leaves.len()).map(corner).reduce(joined);
     let wide = f64::from(NODE_EDGE * LEAF_EDGE) * NODES_MAX as f64;
@@ -194,10 +194,10 @@ fn kept_box(leaves: &[CrossedLeaf]) -> CoordBox {
 
 /// The node of a leaf, given by its origin divided by its edge, and the index in the node.
 fn node_of(leaf: IVec3) -> (IVec3, usize) {
-    (leaf.div_euclid(IVec3::splat(NODE_EDGE)), place_in_node(leaf))
+    (leaf.div_euclid(IVec3::splat(NODE_EDGE)), index_in_node(leaf))
 }
 
-fn place_in_node(leaf: IVec3) -> usize {
+fn index_in_node(leaf: IVec3) -> usize {
     let local = leaf & (NODE_EDGE - 1);
     ((local.x * NODE_EDGE + local.y) * NODE_EDGE + local.z) as usize
 }
@@ -314,7 +314,7 @@ fn trilinear(corners: [f32; 8], at: Vec3) -> f32 {
 }
 
 /// φ at 4 × 4 × 4 voxels around a point in the middle cell.
-pub(super) struct Around {
+pub(super) struct Stencil {
     values: [f32; 64],
     /// Position in the cell, 0 to 1.
     at: Vec3,
@@ -322,7 +322,7 @@ pub(super) struct Around {
     cell: IVec3,
 }
 
-impl Around {
+impl Stencil {
     /// φ at an offset of whole voxels from the point.
     fn phi(&self, x: i32, y: i32, z: i32) -> f32 {
         let first = ((x + 1) * 16 + (y + 1) * 4 + z + 1) as usize;
@@ -410,7 +410,7 @@ mod tests {
         for ray in rays(20_000) {
             let middle = -ray.origin.dot(ray.direction);
             let nearest = ray.at(middle).length();
-            let hit = surface.meet(&ray, [0.0, f64::INFINITY]);
+            let hit = surface.intersect(&ray, [0.0, f64::INFINITY]);
             if let Some(hit) = hit {
                 assert!((ray.at(hit.t).length() - f64::from(radius)).abs() < 0.02, "{hit:?} of {ray:?}");
                 assert!(hit.is_front && hit.t < middle + 1.0, "{hit:?} of {ray:?}");

@@ -78,7 +78,7 @@ pub struct Surface {
     pub level_set: NarrowBand,
     /// The resolved options: the spacing, the voxel size, the radii, and all others.
     pub settings: Settings,
-    /// What was measured and checked.
+    /// The measurements and checks.
     pub report: Report,
 }
 
@@ -296,7 +296,10 @@ impl<'a> Reconstructor<'a> {
     }
 
     /// Reconstructs a frame in memory.
-    fn reconstruct_in_memory<'p>(&mut self, work: ShapedFrame<'_, 'p>) -> Result<(skin::Surface, Shaped<'p>), Error> {
+    fn reconstruct_in_memory<'p>(
+        &mut self,
+        work: ShapedFrame<'_, 'p>,
+    ) -> Result<(skin::Surface, Shaped<'p>), Error> {
         let ShapedFrame { settings, shaped, shaping } = work;
         let mut rasterized = skin::rasterize(&shaped, settings, shaping, self.obstacles.clone())?;
         require_particles(rasterized.report_mut().particle_count, &shaped)?;
@@ -332,7 +335,8 @@ impl<'a> Reconstructor<'a> {
         let left = frame.report_mut().particle_count;
         require_particles(left, frame.source())?;
         self.begin(Phase::Smooth)?;
-        let frame = tiled::smooth(frame, settings, &mut |fraction| self.report_progress(Phase::Smooth, fraction));
+        let frame =
+            tiled::smooth(frame, settings, &mut |fraction| self.report_progress(Phase::Smooth, fraction));
         let frame = frame.map_err(storage_error)?;
         self.begin(Phase::Contour)?;
         tiled::contour(frame, settings, &[Stored::AsTheyAre]).map_err(tiled_error)

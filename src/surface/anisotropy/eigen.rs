@@ -54,16 +54,16 @@ fn rotate<V: Lanes>(pp: V, qq: V, pq: &mut V, others: [&mut V; 2], axes: [&mut [
     let moved = tangent.mul(*pq);
     *pq = V::splat(0.0);
     let [pr, qr] = others;
-    turn(pr, qr, cosine, sine);
+    rotate_pair(pr, qr, cosine, sine);
     let [p, q] = axes;
     for axis in 0..3 {
-        turn(&mut p[axis], &mut q[axis], cosine, sine);
+        rotate_pair(&mut p[axis], &mut q[axis], cosine, sine);
     }
     (pp.sub(moved), qq.add(moved))
 }
 
 #[inline(always)]
-fn turn<V: Lanes>(p: &mut V, q: &mut V, cosine: V, sine: V) {
+fn rotate_pair<V: Lanes>(p: &mut V, q: &mut V, cosine: V, sine: V) {
     let (before_p, before_q) = (*p, *q);
     *p = cosine.mul(before_p).sub(sine.mul(before_q));
     *q = sine.mul(before_p).add(cosine.mul(before_q));

@@ -39,7 +39,7 @@ const WEIGHT_FULL: f32 = 4.0;
 const SPREAD_MIN: f32 = 1e-4;
 
 /// The shapes of eight particles.
-pub(super) struct Eights {
+pub(super) struct Shapes8 {
     pub(super) shapes: [Ellipsoid; 8],
     /// Mask of the particles with a raised half axis.
     pub(super) raised: u8,
@@ -53,7 +53,7 @@ pub(super) fn shapes<V: Lanes>(
     moments: &[[f32; 8]; MOMENT_COUNT],
     scales: &[f32; 8],
     limits: Stretch,
-) -> Eights {
+) -> Shapes8 {
     let covariance = covariance::<V>(moments);
     let Eigen { values, vectors } = eigen(covariance);
     // Each particle is one of its own neighbours, with a weight of 1.
@@ -63,7 +63,7 @@ pub(super) fn shapes<V: Lanes>(
     let half_axes = blended(limited(values, limits.max_stretch), part);
     let (half_axes, is_raised) = scaled(half_axes, part, V::load(scales), limits);
     let is_ball = V::not(V::splat(0.0).lt(part));
-    Eights {
+    Shapes8 {
         shapes: ellipsoids(half_axes, vectors, V::bits(is_ball)),
         raised: V::bits(is_raised),
         balls: V::bits(is_ball),
@@ -118,7 +118,7 @@ fn limited<V: Lanes>(eigenvalues: [V; 3], max_stretch: f32) -> [V; 3] {
     }
     let [a, b, c] = half_axes;
     let least = a.max(b).max(c).mul(V::splat(1.0 / max_stretch));
-    of_volume_one([a.max(least), b.max(least), c.max(least)])
+    with_unit_volume([a.max(least), b.max(least), c.max(least)])
 }
 
 /// Blends half axes of product 1 with those of a ball; the product stays 1, and the stretch is between 1 and
@@ -127,7 +127,7 @@ fn limited<V: Lanes>(eigenvalues: [V; 3], max_stretch: f32) -> [V; 3] {
 fn blended<V: Lanes>(half_axes: [V; 3], part: V) -> [V; 3] {
     let one = V::splat(1.0);
     let [a, b, c] = half_axes;
-    of_volume_one([
+    with_unit_volume([
         one.add(part.mul(a.sub(one))),
         one.add(part.mul(b.sub(one))),
         one.add(part.mul(c.sub(one))),
@@ -135,7 +135,7 @@ fn blended<V: Lanes>(half_axes: [V; 3], part: V) -> [V; 3] {
 }
 
 #[inline(always)]
-fn of_volume_one<V: Lanes>(half_axes: [V; 3]) -> [V; 3] {
+fn with_unit_volume<V: Lanes>(half_axes: [V; 3]) -> [V; 3] {
     let [a, b, c] = half_axes;
     let mut row = [0.0; 8];
     a.mul(b).mul(c).store(&mut row);

@@ -51,7 +51,7 @@ fn longest_bound(max_stretch: f32, floor: f32) -> f32 {
     (root * root * (1.0 + 1e-5)).max(floor)
 }
 
-/// The scale of all particles if there is no scale per particle.
+/// The scale of all particles without per-particle scales.
 const SCALE: f32 = 1.0;
 
 /// The scale of a particle. An invalid scale becomes 0, the smallest.

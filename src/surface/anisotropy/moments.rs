@@ -65,7 +65,7 @@ fn find_within<V: Lanes>(eights: &[Eight], at: Vec3, within: &mut Vec<u32>) -> u
         let squared = dx.mul(dx).add(dy.mul(dy)).add(dz.mul(dz));
         let bits = V::bits(squared.lt(V::splat(1.0)));
         let Some(next) = within[count..].first_chunk_mut::<8>() else { break };
-        for (next, place) in next.iter_mut().zip(PLACES[usize::from(bits)]) {
+        for (next, place) in next.iter_mut().zip(SET_BITS[usize::from(bits)]) {
             *next = 8 * index as u32 + place;
         }
         count += bits.count_ones() as usize;
@@ -74,9 +74,9 @@ fn find_within<V: Lanes>(eights: &[Eight], at: Vec3, within: &mut Vec<u32>) -> u
 }
 
 /// For each 8-bit mask, the positions of its set bits in ascending order.
-static PLACES: [[u32; 8]; 256] = places();
+static SET_BITS: [[u32; 8]; 256] = set_bits();
 
-const fn places() -> [[u32; 8]; 256] {
+const fn set_bits() -> [[u32; 8]; 256] {
     let mut places = [[0; 8]; 256];
     let mut bits = 0;
     while bits < 256 {
@@ -96,11 +96,11 @@ const fn places() -> [[u32; 8]; 256] {
 /// Eight particles from arbitrary positions. Unused lanes have a multiplicity of 0.
 struct Particles {
     along: [[f32; 8]; 3],
-    stands_for: [f32; 8],
+    multiplicity: [f32; 8],
 }
 
 impl Particles {
-    const NONE: Particles = Particles { along: [[0.0; 8]; 3], stands_for: [0.0; 8] };
+    const NONE: Particles = Particles { along: [[0.0; 8]; 3], multiplicity: [0.0; 8] };
 
     #[inline(always)]
     fn take(&mut self, eights: &[Eight], places: &[u32]) {
@@ -109,7 +109,7 @@ impl Particles {
             for axis in 0..3 {
                 self.along[axis][k] = eight.along[axis][lane];
             }
-            self.stands_for[k] = eight.stands_for[lane];
+            self.multiplicity[k] = eight.multiplicity[lane];
         }
     }
 }
@@ -121,7 +121,7 @@ fn add_moments<V: Lanes, const COUNT: usize>(sums: &mut [V; COUNT], particles: &
     let dz = V::load(&particles.along[2]).sub(V::splat(at.z));
     let squared = dx.mul(dx).add(dy.mul(dy)).add(dz.mul(dz));
     let fallen = V::splat(1.0).sub(squared.mul(squared.sqrt()));
-    let weight = fallen.mul(V::load(&particles.stands_for));
+    let weight = fallen.mul(V::load(&particles.multiplicity));
     let (x, y, z) = (weight.mul(dx), weight.mul(dy), weight.mul(dz));
     let terms = [weight, x, y, z, x.mul(dx), y.mul(dy), z.mul(dz), x.mul(dy), x.mul(dz), y.mul(dz)];
     for (sum, term) in sums.iter_mut().zip(terms) {

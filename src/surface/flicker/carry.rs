@@ -22,11 +22,11 @@ pub const CARRY_REACH: f64 = 3.0;
 const BEYOND_NEAREST: f64 = 1.0;
 
 /// Search radius for all of them, in spacings. The first guess of a carried position may be off by this much.
-pub(super) const SEARCHED: f64 = CARRY_REACH + BEYOND_NEAREST;
+pub(super) const SEARCH_RADIUS: f64 = CARRY_REACH + BEYOND_NEAREST;
 
 /// The position of a point of `from` in the frame `to`, the next one (`direction` 1) or the previous one
 /// (−1). `None` if no particle within reach carries it.
-pub(super) fn carried(
+pub(super) fn carry(
     from: &FlickerFrame,
     to: &FlickerFrame,
     carrier: Carrier,
@@ -53,8 +53,9 @@ pub(super) fn carried(
             // Evaluated at the particles' mean position instead of on the surface, because more particles
             // surround it.
             let Mean { vector: here, place } = mean(from, point, (limit, spacing), velocity_in(from))?;
-            let there =
-                |place: DVec3| Some(mean(to, place, (SEARCHED * spacing, spacing), velocity_in(to))?.vector);
+            let there = |place: DVec3| {
+                Some(mean(to, place, (SEARCH_RADIUS * spacing, spacing), velocity_in(to))?.vector)
+            };
             let first = there(place + step * here)?;
             let second = there(place + step * 0.5 * (here + first))?;
             step * 0.5 * (here + second)

@@ -32,7 +32,7 @@ use crate::surface::particles::Particles;
 pub use carry::CARRY_REACH;
 pub use summary::Summary;
 
-use carry::carried;
+use carry::carry;
 use sampling::samples;
 
 /// Upper limit of the distances from a surface, in spacings; larger ones are clamped.
@@ -100,7 +100,7 @@ impl FlickerFrame {
         let count = particles.positions.len();
         particles.ids = particles.ids.filter(|ids| ids.len() == count);
         particles.velocities = particles.velocities.filter(|velocities| velocities.len() == count);
-        let near = Neighbors::new(&particles.positions, carry::SEARCHED * spacing);
+        let near = Neighbors::new(&particles.positions, carry::SEARCH_RADIUS * spacing);
         let index_of = index_of(particles.ids.as_deref().unwrap_or_default());
         FlickerFrame { particles, near, index_of, surface }
     }
@@ -139,7 +139,7 @@ fn index_of(ids: &[i64]) -> FxHashMap<i64, u32> {
 /// The flicker of the middle frame at `sample_count` points, evenly by area. `spacing` is that of all three
 /// frames.
 ///
-/// Without particles to carry them, no point is carried; without a surface, there are no points.
+/// Without particles to carry them, no point is carried; without a surface, the result has no points.
 pub fn flicker(
     [before, middle, after]: [&FlickerFrame; 3],
     carrier: Carrier,
@@ -148,7 +148,7 @@ pub fn flicker(
 ) -> FrameFlicker {
     let limit = REACH * spacing;
     let distance = |to: &FlickerFrame, seconds_sign: f64, point: DVec3| {
-        let place = carried(middle, to, carrier, seconds_sign, point, spacing)?;
+        let place = carry(middle, to, carrier, seconds_sign, point, spacing)?;
         // Without a surface, every point is outside.
         Some(to.surface.distance(place).unwrap_or(f64::INFINITY).clamp(-limit, limit))
     };

@@ -3,7 +3,7 @@
 /// Statistics of the magnitudes of numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Summary {
-    /// How many numbers there are; all other fields are 0 if there are none.
+    /// How many numbers were summarized; if 0, all other fields are 0.
     pub count: usize,
     /// Root mean square.
     pub rms: f64,

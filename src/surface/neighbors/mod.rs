@@ -27,7 +27,7 @@ use rustc_hash::FxHashMap;
 use crate::surface::particles::Particles;
 use crate::surface::space::{INDEX_LIMIT, Lattice};
 
-pub use surroundings::{Eight, NOBODY, Surroundings};
+pub use surroundings::{Eight, NO_PARTICLE, Surroundings};
 
 /// Particles sorted into cells.
 #[derive(Clone, Debug)]

@@ -23,16 +23,17 @@ pub struct Eight {
     /// x, y and z in edges of a cell, from the lower corner of the middle cell.
     pub along: [[f32; 8]; 3],
     /// The multiplicity: how many particles each represents.
-    pub stands_for: [f32; 8],
-    /// Their indices in the input of the grid; [`NOBODY`] for an unused lane.
+    pub multiplicity: [f32; 8],
+    /// Their indices in the input of the grid; [`NO_PARTICLE`] for an unused lane.
     pub indices: [u32; 8],
 }
 
 /// The index of an unused lane.
-pub const NOBODY: u32 = u32::MAX;
+pub const NO_PARTICLE: u32 = u32::MAX;
 
 impl Eight {
-    const EMPTY: Eight = Eight { along: [[f32::INFINITY; 8]; 3], stands_for: [0.0; 8], indices: [NOBODY; 8] };
+    const EMPTY: Eight =
+        Eight { along: [[f32::INFINITY; 8]; 3], multiplicity: [0.0; 8], indices: [NO_PARTICLE; 8] };
 }
 
 /// The particles in a cell and its 26 neighbours.
@@ -55,10 +56,10 @@ impl Surroundings {
                 self.extend(neighbors, run.places, step, 1.0);
                 continue;
             }
-            let stands_for = run.places.len() as f32 / cell_max as f32;
+            let multiplicity = run.places.len() as f32 / cell_max as f32;
             for part in 0..cell_max {
                 let place = run.places.start + chosen(run.places.len(), part, cell_max);
-                self.extend(neighbors, place..place + 1, step, stands_for);
+                self.extend(neighbors, place..place + 1, step, multiplicity);
             }
         }
     }
@@ -73,12 +74,12 @@ impl Surroundings {
         self.len
     }
 
-    /// Whether there are no particles.
+    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }
 
-    fn extend(&mut self, neighbors: &Neighbors, places: Range<usize>, step: [f32; 3], stands_for: f32) {
+    fn extend(&mut self, neighbors: &Neighbors, places: Range<usize>, step: [f32; 3], multiplicity: f32) {
         let mut rest = places;
         while !rest.is_empty() {
             let at = self.len % 8;
@@ -93,7 +94,7 @@ impl Surroundings {
                     *along = local + step;
                 }
             }
-            eight.stands_for[at..at + count].fill(stands_for);
+            eight.multiplicity[at..at + count].fill(multiplicity);
             eight.indices[at..at + count].copy_from_slice(&neighbors.indices()[from]);
             self.len += count;
             rest.start += count;

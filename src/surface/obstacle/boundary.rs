@@ -81,7 +81,7 @@ impl BoundaryEdges {
                 pending.extend(if one < other { [both[1], both[0]] } else { both });
             } else {
                 let edges = &self.edges[node.first as usize..][..node.count as usize];
-                sum += edges.iter().map(|edge| of_edge(edge, center, radius)).sum::<f64>();
+                sum += edges.iter().map(|edge| edge_slope(edge, center, radius)).sum::<f64>();
                 if sum == f64::INFINITY {
                     break;
                 }
@@ -99,7 +99,7 @@ impl Node {
 }
 
 /// The contribution of one edge.
-fn of_edge(&[from, to]: &[DVec3; 2], center: DVec3, radius: f64) -> f64 {
+fn edge_slope(&[from, to]: &[DVec3; 2], center: DVec3, radius: f64) -> f64 {
     let along = to - from;
     let place = ((center - from).dot(along) / along.length_squared()).clamp(0.0, 1.0);
     let distance = (from + along * place - center).length() - radius;
@@ -156,7 +156,7 @@ mod tests {
                 let center = 60.0 * (place(7 * asked + 5) - 0.5);
                 let radius = random(asked + 100);
                 let all: f64 =
-                    edges.iter().map(|edge| of_edge(edge, center, radius)).sum::<f64>() / (4.0 * PI);
+                    edges.iter().map(|edge| edge_slope(edge, center, radius)).sum::<f64>() / (4.0 * PI);
                 let bound = boundary.slope_bound(center, radius);
                 let slack = (4.0f64 / 3.0).powi(2) + 1e-9;
                 let is_tight = all * (1.0 - 1e-9) <= bound && (bound <= all * slack || all == f64::INFINITY);

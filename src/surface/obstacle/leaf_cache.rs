@@ -36,7 +36,10 @@ const ENTRY_BYTES: usize = 64;
 
 impl LeafCache {
     pub(super) fn new(shard_bytes_max: usize) -> LeafCache {
-        LeafCache { shards: std::array::from_fn(|_| Mutex::default()), shard_bytes_max: shard_bytes_max / SHARDS }
+        LeafCache {
+            shards: std::array::from_fn(|_| Mutex::default()),
+            shard_bytes_max: shard_bytes_max / SHARDS,
+        }
     }
 
     /// Returns the cached leaf, or computes and caches it.

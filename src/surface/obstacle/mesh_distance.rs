@@ -16,7 +16,7 @@ use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
 
-use super::surface::{open_edge_count, sound_triangles};
+use super::surface::{open_edge_count, valid_triangles};
 use super::tree::Tree;
 
 /// A mesh that gives signed distances. Unlike in a [`Solid`](super::Solid), triangles keep their orientation,
@@ -34,7 +34,7 @@ const ROUNDING: f64 = 1e-12;
 impl MeshDistance {
     /// The triangles with an area and finite corners, world units, counter-clockwise seen from outside.
     pub fn new(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> MeshDistance {
-        let tree = Tree::new(sound_triangles(positions, triangles));
+        let tree = Tree::new(valid_triangles(positions, triangles));
         let farthest = tree.root().map_or(0.0, |node| node.min.abs().max(node.max.abs()).max_element());
         MeshDistance {
             tree,

@@ -9,21 +9,21 @@
 //! Each leaf is computed alone, relative to its own centre and in 64 bits where precision matters. So every
 //! caller gets the same leaf: a frame, a tile, or the next frame, for which it is cached.
 
+mod boundary;
 mod contact;
 mod count_inside;
 mod depth;
-mod triangle8;
-mod leaf_cache;
-mod leaf;
-mod mesh_distance;
-mod boundary;
-mod sampled;
 mod inside_test;
+mod leaf;
+mod leaf_cache;
+mod mesh_distance;
+mod sampled;
 mod solid;
 mod surface;
 #[cfg(test)]
 mod tests;
 mod tree;
+mod triangle8;
 mod winding;
 
 use std::sync::Arc;
@@ -144,7 +144,7 @@ pub struct Obstacles {
 }
 
 impl Obstacles {
-    /// Whether there are no obstacles.
+    /// Whether the list is empty.
     pub fn is_empty(&self) -> bool {
         self.members.is_empty()
     }

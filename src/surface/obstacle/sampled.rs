@@ -61,14 +61,14 @@ struct Sample {
 
 /// Voxels with known distances.
 #[derive(Default)]
-struct Sources {
+struct KnownVoxels {
     x: Vec<f32>,
     y: Vec<f32>,
     z: Vec<f32>,
     distances: Vec<f32>,
 }
 
-impl Sources {
+impl KnownVoxels {
     fn push(&mut self, voxel: IVec3, distance: f32) {
         self.x.push(voxel.x as f32);
         self.y.push(voxel.y as f32);
@@ -76,7 +76,7 @@ impl Sources {
         self.distances.push(distance);
     }
 
-    /// The minimum of distance plus way over all of them; infinite if there are none.
+    /// The minimum over all of them of distance plus way; infinite if the set is empty.
     fn nearest(&self, from: IVec3) -> f32 {
         let from = from.as_vec3();
         let places = self.x.iter().zip(&self.y).zip(&self.z).zip(&self.distances);
@@ -128,8 +128,8 @@ impl Sampled {
     /// addition.
     ///
     /// # Errors
-    /// A sentence without subject that says what is wrong: voxels that are not cubes, a background that is
-    /// not positive, or distances that cannot be rebuilt in that memory.
+    /// A sentence without subject with the reason: voxels that are not cubes, a background that is not
+    /// positive, or distances that cannot be rebuilt in that memory.
     pub fn new(mut source: LevelSetSource, memory_bytes: u64) -> Result<Sampled, String> {
         let [x, y, z] = source.axes;
         let size_squared = x.length_squared();
@@ -244,7 +244,7 @@ impl Sampled {
         let reach = (half_width.ceil() as i32).min(EXTENSION_MAX);
         let outermost = (f64::from(self.known_width()) / lattice.voxel_size) as f32 - OUTERMOST;
         let edge = LEAF_EDGE + 2 * reach;
-        let mut sources = [Sources::default(), Sources::default()];
+        let mut sources = [KnownVoxels::default(), KnownVoxels::default()];
         for index in 0..edge * edge * edge {
             let local = IVec3::new(index / (edge * edge), index / edge % edge, index % edge) - reach;
             let sample = self.sample_at(origin + local, lattice);

@@ -4,10 +4,10 @@ use std::sync::Arc;
 
 use glam::{DVec3, IVec3};
 
-use super::triangle8::{Distances, Triangle8};
-use super::leaf::ObstacleLeaf;
 use super::inside_test::{WindingField, sign};
+use super::leaf::ObstacleLeaf;
 use super::surface::{MeshFindings, Surface};
+use super::triangle8::{Distances, Triangle8};
 use super::winding::{WINDING_ERROR, winding, winding_gradient};
 use crate::surface::grid::LEAF_EDGE;
 use crate::surface::simd;

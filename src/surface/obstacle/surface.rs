@@ -69,11 +69,11 @@ impl Surface {
         let (points, welded) = weld(positions);
         let mut faces = distinct_faces(&points, &welded, triangles, &mut findings);
         let edges = Edges::new(&faces);
-        let mut turned = vec![false; faces.len()];
-        let parts = agree(&points, &faces, &edges, &mut turned);
-        turn(&mut faces, &turned);
-        findings.unasked_part_count = turn_parts(&points, &mut faces, &parts, &mut turned);
-        findings.turned_count = turned.iter().filter(|&&turned| turned).count();
+        let mut flipped = vec![false; faces.len()];
+        let parts = orient(&points, &faces, &edges, &mut flipped);
+        flip(&mut faces, &flipped);
+        findings.unasked_part_count = flip_parts(&points, &mut faces, &parts, &mut flipped);
+        findings.turned_count = flipped.iter().filter(|&&flipped| flipped).count();
         let boundary = BoundaryEdges::new(boundary(&points, &faces));
         findings.open_edge_count = boundary.len();
         let corners: Vec<[DVec3; 3]> = faces
@@ -90,7 +90,7 @@ impl Surface {
 }
 
 /// The triangles with an area and finite corners, in their original orientation.
-pub(super) fn sound_triangles(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> Vec<[DVec3; 3]> {
+pub(super) fn valid_triangles(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> Vec<[DVec3; 3]> {
     let corner = |index: u32| {
         let position = positions.get(index as usize);
         position
@@ -207,7 +207,7 @@ impl Edges {
 }
 
 /// Decides which triangles to flip so that neighbours agree. Returns the part of each triangle.
-fn agree(points: &[DVec3], faces: &[[u32; 3]], edges: &Edges, turned: &mut [bool]) -> Vec<u32> {
+fn orient(points: &[DVec3], faces: &[[u32; 3]], edges: &Edges, flipped: &mut [bool]) -> Vec<u32> {
     const NONE: u32 = u32::MAX;
     let mut neighbors = vec![[(NONE, false); 3]; faces.len()];
     for uses in edges.iter() {
@@ -233,25 +233,25 @@ fn agree(points: &[DVec3], faces: &[[u32; 3]], edges: &Edges, turned: &mut [bool
             for (neighbor, disagrees) in neighbors[face as usize] {
                 if neighbor != NONE && parts[neighbor as usize] == NONE {
                     parts[neighbor as usize] = part_count;
-                    turned[neighbor as usize] = turned[face as usize] != disagrees;
+                    flipped[neighbor as usize] = flipped[face as usize] != disagrees;
                     members.push(neighbor);
                 }
             }
         }
         let area = |wanted: bool| -> f64 {
-            let members = members.iter().filter(|&&face| turned[face as usize] == wanted);
+            let members = members.iter().filter(|&&face| flipped[face as usize] == wanted);
             members.map(|&face| area_vector(&corners(points, faces[face as usize])).length()).sum()
         };
         if area(true) > area(false) {
-            members.iter().for_each(|&face| turned[face as usize] ^= true);
+            members.iter().for_each(|&face| flipped[face as usize] ^= true);
         }
         part_count += 1;
     }
     parts
 }
 
-fn turn(faces: &mut [[u32; 3]], turned: &[bool]) {
-    faces.iter_mut().zip(turned).filter(|(_, turned)| **turned).for_each(|(face, _)| face.swap(1, 2));
+fn flip(faces: &mut [[u32; 3]], flipped: &[bool]) {
+    faces.iter_mut().zip(flipped).filter(|(_, flipped)| **flipped).for_each(|(face, _)| face.swap(1, 2));
 }
 
 /// With more parts than this, they are left as they are: the mesh is rubble, or its triangles share no
@@ -263,7 +263,7 @@ const CORNERS_TESTED: usize = 64;
 
 /// Flips parts with negative volume, except cavities. Returns how many such parts were left unchanged because
 /// there are too many parts.
-fn turn_parts(points: &[DVec3], faces: &mut [[u32; 3]], parts: &[u32], turned: &mut [bool]) -> usize {
+fn flip_parts(points: &[DVec3], faces: &mut [[u32; 3]], parts: &[u32], flipped: &mut [bool]) -> usize {
     let part_count = parts.iter().max().map_or(0, |&last| last as usize + 1);
     let Some(&anchor) = points.first() else { return 0 };
     let mut volumes = vec![0.0; part_count];
@@ -284,10 +284,10 @@ fn turn_parts(points: &[DVec3], faces: &mut [[u32; 3]], parts: &[u32], turned: &
             *wrong ^= *volume < 0.0 && !is_cavity;
         }
     }
-    for ((face, &part), turned) in faces.iter_mut().zip(parts).zip(turned) {
+    for ((face, &part), flipped) in faces.iter_mut().zip(parts).zip(flipped) {
         if wrong[part as usize] {
             face.swap(1, 2);
-            *turned ^= true;
+            *flipped ^= true;
         }
     }
     if is_asked { 0 } else { suspect_count }

@@ -1,4 +1,5 @@
-//! Obstacles against what is known of balls, boxes and tori, and against going through all triangles.
+//! Tests obstacles against exact distances of balls, boxes and tori, and against brute force over all
+//! triangles.
 
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
@@ -45,7 +46,7 @@ impl Mesh {
     fn ball(center: DVec3, radius: f64, count: u32) -> Mesh {
         Mesh::swept(2 * count, count, false, |u, v| {
             let (angle, height) = (TAU * u, PI * v);
-            // All corners of a pole are at one place.
+            // All vertices of a pole are at one position.
             let across = if v == 0.0 || v == 1.0 { 0.0 } else { height.sin() };
             center - radius * DVec3::new(across * angle.cos(), across * angle.sin(), height.cos())
         })
@@ -118,7 +119,7 @@ fn sample(
     values
 }
 
-/// The greatest difference between φ_o around the origin and a distance that is known.
+/// The largest difference between φ_o around the origin and a known distance.
 fn error_of(solid: &Solid, lattice: &Lattice, known: impl Fn(DVec3) -> f64) -> f64 {
     let reach = IVec3::splat(24);
     let far = f64::from(HALF_WIDTH);
@@ -140,11 +141,11 @@ fn to_torus(radius: f64, thickness: f64, point: DVec3) -> f64 {
 }
 
 #[test]
-fn distances_are_those_of_the_shapes() {
+fn distances_match_the_exact_shapes() {
     let (min, max) = (DVec3::new(-9.3, -7.1, -12.0), DVec3::new(8.2, 10.4, 3.7));
     assert!(error_of(&Mesh::cuboid(min, max).solid(), &UNIT, |point| to_cuboid(min, max, point)) < 2e-5);
     let ball = Mesh::ball(DVec3::ZERO, 13.0, 48).solid();
-    // A chord is off by less than r(1 − cos(π/96)).
+    // The error of a chord is less than r(1 − cos(π/96)).
     assert!(error_of(&ball, &UNIT, |point| point.length() - 13.0) < 0.02);
     let torus = Mesh::torus(DVec3::ZERO, 12.0, 5.0, 48).solid();
     assert!(error_of(&torus, &UNIT, |point| to_torus(12.0, 5.0, point)) < 0.03);
@@ -160,7 +161,7 @@ fn distances_are_those_of_the_shapes() {
 }
 
 #[test]
-fn distances_are_those_to_the_nearest_of_all_triangles() {
+fn distances_match_brute_force_over_all_triangles() {
     let mesh = Mesh::torus(DVec3::new(1.3, -0.4, 2.2), 11.0, 4.0, 9);
     let (solid, corners) = (mesh.solid(), mesh.corners());
     let brute = |point: DVec3| {
@@ -172,7 +173,7 @@ fn distances_are_those_to_the_nearest_of_all_triangles() {
     assert!(error_of(&solid, &UNIT, brute) < 1e-5);
 }
 
-/// By projecting, and by going to each edge otherwise.
+/// By projection, or else to each edge.
 fn to_triangle(&[a, b, c]: &[DVec3; 3], point: DVec3) -> f64 {
     let normal = (b - a).cross(c - a).normalize();
     let foot = point - normal * normal.dot(point - a);
@@ -187,7 +188,7 @@ fn to_triangle(&[a, b, c]: &[DVec3; 3], point: DVec3) -> f64 {
     to_edge(a, b).min(to_edge(b, c)).min(to_edge(c, a))
 }
 
-/// By the angles of the spherical triangle.
+/// From the angles of the spherical triangle.
 fn solid_angle(triangle: &[DVec3; 3], point: DVec3) -> f64 {
     let [a, b, c] = triangle.map(|corner| (corner - point).normalize());
     let angle = |at: DVec3, to: DVec3, other: DVec3| {
@@ -199,9 +200,9 @@ fn solid_angle(triangle: &[DVec3; 3], point: DVec3) -> f64 {
 }
 
 #[test]
-fn winding_numbers_are_those_of_all_triangles() {
+fn winding_numbers_match_the_sum_over_all_triangles() {
     let mut mesh = Mesh::ball(DVec3::new(0.3, 0.2, -0.1), 10.0, 40);
-    // Half of it: every value between 0 and 1 is there.
+    // Half of it, so that every value between 0 and 1 occurs.
     mesh.triangles.truncate(mesh.triangles.len() / 2);
     let (tree, corners) = (Tree::new(mesh.corners()), mesh.corners());
     let mut worst: f64 = 0.0;
@@ -220,9 +221,9 @@ fn winding_numbers_are_those_of_all_triangles() {
     assert!(worst < super::winding::WINDING_ERROR, "{worst}");
 }
 
-/// What is wrong with the mesh does not matter: turned parts, parts that are there twice, seams.
+/// Defects of the mesh do not matter: flipped parts, duplicate parts, seams.
 #[test]
-fn a_mesh_that_is_badly_made_encloses_what_it_should() {
+fn defective_meshes_enclose_the_intended_volume() {
     let mesh = Mesh::torus(DVec3::new(0.2, 0.1, -0.3), 12.0, 5.0, 16);
     let sound = mesh.solid();
     let values = |solid: &Solid| {
@@ -237,7 +238,7 @@ fn a_mesh_that_is_badly_made_encloses_what_it_should() {
     patched.triangles[100..300].iter_mut().for_each(|triangle| triangle.swap(0, 1));
     let mut two_sided = mesh.clone();
     two_sided.triangles.extend(mesh.clone().turned().triangles);
-    // Each triangle has corners of its own.
+    // Each triangle has its own corners.
     let own = |corner: &u32| mesh.positions[*corner as usize];
     let torn = Mesh {
         positions: mesh.triangles.iter().flatten().map(own).collect(),
@@ -266,7 +267,7 @@ fn a_mesh_that_is_badly_made_encloses_what_it_should() {
 }
 
 #[test]
-fn parts_are_joined_and_cavities_stay() {
+fn parts_are_united_and_cavities_stay() {
     let (min, max, step) = (DVec3::splat(-9.5), DVec3::splat(3.5), DVec3::splat(6.0));
     let both = |point: DVec3| to_cuboid(min, max, point).min(to_cuboid(min + step, max + step, point));
     let second = Mesh::cuboid(min + step, max + step);
@@ -276,7 +277,7 @@ fn parts_are_joined_and_cavities_stay() {
             solid.leaf(at, lattice, far)
         }) {
             let known = both(voxel.as_dvec3());
-            // Inside, the walls that are inside the other part are there, too.
+            // Inside, the walls within the other part count, too.
             assert_eq!(value < 0.0, known < 0.0, "{voxel}");
             assert!(known < 0.0 || (known.min(6.0) - f64::from(value)).abs() < 1e-5, "{voxel}");
         }
@@ -292,9 +293,10 @@ fn parts_are_joined_and_cavities_stay() {
     assert!(matches!(filled.leaf(IVec3::splat(-4), &UNIT, 0.5), ObstacleLeaf::Inside));
 }
 
-/// One part beside that faces inwards is turned, of few parts and of many cavities; of too many it is told.
+/// A separate part that faces inwards is flipped if there are few parts, even with many cavities; with too
+/// many parts it is reported.
 #[test]
-fn parts_that_face_inwards_are_turned_or_told() {
+fn inward_facing_parts_are_flipped_or_reported() {
     let cube = |x: usize, y: usize, size: f64| {
         let min = DVec3::new(x as f64, y as f64, 0.0) * 4.0;
         Mesh::cuboid(min, min + size)
@@ -312,9 +314,9 @@ fn parts_that_face_inwards_are_turned_or_told() {
     }
 }
 
-/// A hole is closed by a patch: distances are continuous there, and its edges are told.
+/// A patch closes a hole: distances are continuous there, and the open edges are reported.
 #[test]
-fn holes_are_closed() {
+fn holes_are_closed_by_a_patch() {
     let (min, max) = (DVec3::splat(-10.0), DVec3::splat(10.0));
     let mut mesh = Mesh::cuboid(min, max);
     let lid = 10; // one of the two triangles at z = 10
@@ -331,7 +333,7 @@ fn holes_are_closed() {
     let mut steepest: f32 = 0.0;
     for (voxel, value) in &values {
         let known = to_cuboid(min, max, voxel.as_dvec3());
-        // A patch of least area sags by a part of the hole, which is 20 voxels wide.
+        // A minimal patch sags by a fraction of the hole, which is 20 voxels wide.
         assert!(known.abs() < 5.0 || (*value < 0.0) == (known < 0.0), "{voxel}: {value}");
         for step in [IVec3::X, IVec3::Y, IVec3::Z] {
             if let Some(next) = values.get(&(*voxel + step)) {
@@ -347,7 +349,7 @@ fn holes_are_closed() {
 }
 
 #[test]
-fn far_from_the_origin_nothing_is_lost() {
+fn precision_is_kept_far_from_the_origin() {
     // The lattice moves along, so the values are the same.
     let far = IVec3::new(1 << 28, -(1 << 27), 1 << 26);
     let mesh = Mesh::torus(DVec3::new(0.5, 0.25, -0.125), 12.0, 5.0, 16);
@@ -369,7 +371,7 @@ fn far_from_the_origin_nothing_is_lost() {
     }
 }
 
-/// The ball as a level set with voxels of this edge, turned about z.
+/// A ball as a level set with voxels of this edge, rotated about z.
 fn level_set(center: DVec3, radius: f64, voxel_size: f64, band_voxels: f32) -> LevelSetSource {
     let (sine, cosine) = 0.3f64.sin_cos();
     let axes =
@@ -405,7 +407,7 @@ fn level_set(center: DVec3, radius: f64, voxel_size: f64, band_voxels: f32) -> L
 }
 
 #[test]
-fn level_sets_are_what_they_were_made_of() {
+fn resampled_level_sets_match_the_original_ball() {
     let center = DVec3::new(1.7, -2.2, 0.4);
     for (voxel_size, band, tolerance) in [(1.0, 8.0, 0.05), (0.37, 20.0, 0.02), (2.3, 4.0, 0.25)] {
         let sampled = Sampled::new(level_set(center, 12.0, voxel_size, band), 1 << 30).expect("a level set");
@@ -430,7 +432,7 @@ fn level_sets_are_what_they_were_made_of() {
 }
 
 #[test]
-fn what_is_no_level_set_is_refused() {
+fn invalid_level_sets_are_rejected() {
     let sound = level_set(DVec3::ZERO, 5.0, 1.0, 3.0);
     for (source, word) in [
         (LevelSetSource { axes: [DVec3::X, DVec3::Y * 2.0, DVec3::Z], ..sound.clone() }, "cubes"),
@@ -449,7 +451,7 @@ fn obstacle(mesh: &Mesh, cache_bytes_max: usize) -> Arc<Obstacle> {
 }
 
 #[test]
-fn leaves_that_are_kept_are_those_that_are_computed() {
+fn cached_leaves_equal_computed_leaves() {
     let mesh = Mesh::ball(DVec3::splat(0.3), 13.0, 12);
     let other = Mesh::cuboid(DVec3::new(5.0, -20.0, -3.0), DVec3::new(30.0, 20.0, 3.0));
     for cache_bytes_max in [0, 20 << 10, 1 << 30] {
@@ -479,7 +481,7 @@ fn leaves_that_are_kept_are_those_that_are_computed() {
 }
 
 #[test]
-fn nothing_encloses_nothing() {
+fn empty_mesh_is_outside_everywhere() {
     for (positions, triangles) in [
         (vec![], vec![]),
         (vec![[0.0; 3]; 3], vec![[0, 1, 2]]),
@@ -493,9 +495,9 @@ fn nothing_encloses_nothing() {
     }
 }
 
-/// A vertex that is moved to a wall faces into it; what is not moved keeps its normal.
+/// A vertex that is moved to a wall faces it; a vertex that is not moved keeps its normal.
 #[test]
-fn vertices_that_are_moved_face_the_wall() {
+fn moved_vertices_face_the_wall() {
     let wall = Mesh::cuboid(DVec3::new(-30.0, -30.0, -20.0), DVec3::new(30.0, 30.0, 0.25));
     let obstacles = Obstacles { members: vec![obstacle(&wall, 0)] };
     let mut mesh = crate::surface::mesh::Mesh {
@@ -510,9 +512,9 @@ fn vertices_that_are_moved_face_the_wall() {
     assert_eq!(mesh.normals[1..], [Vec3::X; 2]);
 }
 
-/// A plane, and terrain: there is nothing behind them.
+/// A plane and terrain enclose no volume.
 #[test]
-fn what_encloses_nothing_is_told() {
+fn open_meshes_that_enclose_nothing_are_reported() {
     let terrain = |bumps: f64| {
         let at = |u: f64, v: f64| {
             DVec3::new(v * 40.0, (20.0 * v).sin() * (TAU * u).cos() * bumps, (TAU * u).cos() * 20.0)

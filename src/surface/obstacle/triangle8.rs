@@ -96,7 +96,8 @@ impl Kernel for Distances<'_> {
     #[inline(always)]
     fn run<V: Lanes>(self) -> Leaf {
         let Distances { packets, most } = self;
-        let all: Vec<(u32, u8)> = packets.iter().zip(0..).map(|(eight, index)| (index, eight.lanes)).collect();
+        let all: Vec<(u32, u8)> =
+            packets.iter().zip(0..).map(|(eight, index)| (index, eight.lanes)).collect();
         let (mut near_four, mut near_two) = (Vec::with_capacity(all.len()), Vec::with_capacity(all.len()));
         let mut squares = vec![[0.0f32; 8]; all.len()];
         let mut leaf = Leaf::splat(most);
@@ -111,7 +112,7 @@ impl Kernel for Distances<'_> {
                 let center = [0, 1, 2].map(|axis| center[axis] + 2.0 * within[axis] - 1.0);
                 cull::<V>(packets, &near_four, center, 0.5, most, &mut squares, &mut near_two);
                 if !near_two.is_empty() {
-                    let distances = of_block::<V>(packets, &near_two, center, most);
+                    let distances = block_distances::<V>(packets, &near_two, center, most);
                     scatter(&distances, four, two, &mut leaf);
                 }
             }
@@ -167,7 +168,12 @@ fn cull<V: Lanes>(
 
 /// The distances from the eight voxels around a point.
 #[inline(always)]
-fn of_block<V: Lanes>(packets: &[Triangle8], near: &[(u32, u8)], center: [f32; 3], most: f32) -> [f32; 8] {
+fn block_distances<V: Lanes>(
+    packets: &[Triangle8],
+    near: &[(u32, u8)],
+    center: [f32; 3],
+    most: f32,
+) -> [f32; 8] {
     let point = [
         V::load(&[-0.5, -0.5, -0.5, -0.5, 0.5, 0.5, 0.5, 0.5]).add(V::splat(center[0])),
         V::load(&[-0.5, -0.5, 0.5, 0.5, -0.5, -0.5, 0.5, 0.5]).add(V::splat(center[1])),

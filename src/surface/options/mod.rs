@@ -179,7 +179,7 @@ const ADAPTIVE_TIME_MAX: f64 = 1e4;
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct SettingsError {
-    /// The message: what is wrong, and what is allowed.
+    /// The message: the invalid value, and the allowed range.
     pub what: String,
 }
 
@@ -598,10 +598,7 @@ fn neighbor_radius(options: &MethodOptions, radius_min: f64, scale: &Scale) -> R
     let radius = scale.length(options.neighbor_radius).or(of_recipe).unwrap_or(NEIGHBOR_RADIUS * radius_min);
     let radius = positive("neighbour radius", radius)?;
     require(radius <= NEIGHBOR_RADIUS_MAX_VOXELS * h, || {
-        format!(
-            "the neighbour radius is {} h; it must be at most {NEIGHBOR_RADIUS_MAX_VOXELS} h",
-            radius / h
-        )
+        format!("the neighbour radius is {} h; it must be at most {NEIGHBOR_RADIUS_MAX_VOXELS} h", radius / h)
     })?;
     Ok(radius)
 }

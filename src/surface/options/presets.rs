@@ -278,7 +278,7 @@ pub(super) fn tidy(number: f64) -> f64 {
 /// unit than the positions would otherwise require a grid that fits into no memory.
 const VOXELS_PER_SPACING_MAX: f64 = 8.0;
 
-/// What was measured on the particles of a sequence.
+/// Measurements of the particles of a sequence.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measured {
     /// The particle spacing d, world units.

@@ -77,7 +77,9 @@ impl FromStr for AttributeSelection {
     fn from_str(text: &str) -> Result<AttributeSelection, String> {
         let names: Vec<String> = text.split(',').map(|name| name.trim().to_owned()).collect();
         if names.iter().any(String::is_empty) {
-            return Err(format!("`{text}` is not a list of attributes: expected names such as velocity,Cd, or all"));
+            return Err(format!(
+                "`{text}` is not a list of attributes: expected names such as velocity,Cd, or all"
+            ));
         }
         if names.len() > 1 && names.iter().any(|name| name == "all") {
             return Err(format!(
@@ -100,7 +102,8 @@ impl FromStr for ClipBox {
     type Err = String;
 
     fn from_str(text: &str) -> Result<ClipBox, String> {
-        let wanted = || format!("`{text}` is not a box: expected six numbers x0,y0,z0,x1,y1,z1, lower corner first");
+        let wanted =
+            || format!("`{text}` is not a box: expected six numbers x0,y0,z0,x1,y1,z1, lower corner first");
         let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse()).collect();
         let [x, y, z, to_x, to_y, to_z] = numbers.map_err(|_| wanted())?[..] else { return Err(wanted()) };
         Ok(ClipBox { min: [x, y, z], max: [to_x, to_y, to_z] })

@@ -1,4 +1,4 @@
-//! Attributes: what is known of each particle or vertex besides its position.
+//! Attributes: data of each particle or vertex besides its position.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -92,7 +92,7 @@ impl AttributeValues {
         }
     }
 
-    /// Whether there are no values.
+    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }

@@ -224,7 +224,7 @@ impl Positions<'_> {
         }
     }
 
-    /// Whether there are no particles.
+    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -264,7 +264,7 @@ impl Particles {
         Positions::from(self).len()
     }
 
-    /// Whether there are no particles.
+    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }

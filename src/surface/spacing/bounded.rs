@@ -40,7 +40,7 @@ impl Sample {
     pub(crate) fn of<S: ParticleSource>(source: &S, particle_count: usize) -> Result<Sample, S::Error> {
         let every = particle_count.div_ceil(SAMPLE_MAX).max(1);
         let mut passed = 0;
-        let particles = gathered(source, |_| {
+        let particles = collect_wanted(source, |_| {
             passed += 1;
             (passed - 1) % every == 0
         })?;
@@ -64,7 +64,7 @@ impl Sample {
                 .iter()
                 .any(|[least, greatest]| position.cmpge(*least).all() && position.cmple(*greatest).all())
         };
-        Ok(estimate_spacing(&gathered(source, in_a_box)?))
+        Ok(estimate_spacing(&collect_wanted(source, in_a_box)?))
     }
 
     /// Cubes around some of the particles.
@@ -77,16 +77,16 @@ impl Sample {
 }
 
 /// The finite particles that `is_wanted` selects.
-fn gathered<S: ParticleSource>(
+fn collect_wanted<S: ParticleSource>(
     source: &S,
     mut is_wanted: impl FnMut(DVec3) -> bool,
 ) -> Result<Particles, S::Error> {
-    let mut gathered: Vec<[f64; 3]> = Vec::new();
+    let mut found: Vec<[f64; 3]> = Vec::new();
     for batch in 0..source.batch_count() {
         let mut take = |position: [f64; 3]| {
             let point = DVec3::from(position);
-            if is_wanted(point) && point.is_finite() && gathered.len() < 2 * SAMPLE_MAX {
-                gathered.push(position);
+            if is_wanted(point) && point.is_finite() && found.len() < 2 * SAMPLE_MAX {
+                found.push(position);
             }
         };
         match source.batch(batch)? {
@@ -96,7 +96,7 @@ fn gathered<S: ParticleSource>(
             Positions::F64(positions) => positions.iter().for_each(|&position| take(position)),
         }
     }
-    Ok(Particles::Double(gathered))
+    Ok(Particles::Double(found))
 }
 
 #[cfg(test)]

@@ -83,7 +83,7 @@ pub fn estimate_spacing<'a>(positions: impl Into<Positions<'a>>) -> Option<Estim
     let measure = |&point: &DVec3| Local::among(&tree.neighbors(point, NEIGHBOR_COUNT));
     let locals: Vec<Local> = sample.par_iter().filter_map(measure).collect();
 
-    let spacing = combined(&locals).filter(|spacing| spacing.is_finite() && *spacing > 0.0)?;
+    let spacing = combine(&locals).filter(|spacing| spacing.is_finite() && *spacing > 0.0)?;
     let agrees = |local: &&Local| (local.spacing() - spacing).abs() <= AGREEMENT * spacing;
     let count = locals.len() as f64;
     let share = locals.iter().filter(agrees).count() as f64 / count;
@@ -141,8 +141,8 @@ pub fn rounded(length: f64) -> f64 {
     format!("{length:.1e}").parse().unwrap_or(length)
 }
 
-/// Combines the spacings around the particles; `None` if there are none.
-fn combined(locals: &[Local]) -> Option<f64> {
+/// Combines the spacings around the particles; `None` for an empty list.
+fn combine(locals: &[Local]) -> Option<f64> {
     let (mut bodies, mut sheets, mut open) = (Vec::new(), Vec::new(), Vec::new());
     for local in without_spray(locals) {
         match local {
@@ -160,10 +160,10 @@ fn combined(locals: &[Local]) -> Option<f64> {
     let open = mean(&squares(&open)).zip(mean(&open)).map(|(square, length)| square / length);
     // Sheets average areas, bodies volumes: these are what particles share.
     let sheets = mean(&middle(squares(&sheets))).map(f64::sqrt);
-    let flat = mixed(sheets, open, weight(sheet_count, flat_count, SHEET_SHARE));
+    let flat = weighted_mean(sheets, open, weight(sheet_count, flat_count, SHEET_SHARE));
     let volumes = bodies.into_iter().map(|length| length * length * length);
     let bodies = mean(&middle(volumes.collect())).map(f64::cbrt);
-    mixed(bodies, flat, weight(body_count, body_count + flat_count, BODY_SHARE))
+    weighted_mean(bodies, flat, weight(body_count, body_count + flat_count, BODY_SHARE))
 }
 
 /// The closest quarter, and all that follow without a gap.
@@ -183,7 +183,7 @@ fn without_spray(locals: &[Local]) -> Vec<Local> {
 }
 
 /// The weighted mean of both; if one is missing, the other.
-fn mixed(first: Option<f64>, second: Option<f64>, weight: f64) -> Option<f64> {
+fn weighted_mean(first: Option<f64>, second: Option<f64>, weight: f64) -> Option<f64> {
     match (first, second) {
         (Some(first), Some(second)) => Some(second + weight * (first - second)),
         (first, second) => first.or(second),
@@ -201,7 +201,7 @@ fn mean(numbers: &[f64]) -> Option<f64> {
     (!numbers.is_empty()).then(|| numbers.iter().sum::<f64>() / numbers.len() as f64)
 }
 
-/// The median; the lower of the two middle numbers if the count is even. `None` if there are none.
+/// The median; the lower of the two middle numbers if the count is even. `None` for an empty list.
 pub(crate) fn median(mut numbers: Vec<f64>) -> Option<f64> {
     let middle = numbers.len().checked_sub(1)? / 2;
     Some(*numbers.select_nth_unstable_by(middle, f64::total_cmp).1)

@@ -31,11 +31,11 @@ pub(super) fn particles_outside(part: &Part) -> (Vec<(IVec3, Vec3)>, usize) {
     let origins = part.bins.topology.origins().par_iter().enumerate();
     let owned = origins.filter(|(_, origin)| part.owned.contains(**origin));
     let found = owned.map(|(leaf, &origin)| dispatch(LeafParticles { part, leaf, origin }));
-    let found: Vec<Unsettled> = found.collect();
+    let found: Vec<Undecided> = found.collect();
     let exempt_count = found.iter().map(|found| found.exempt_count).sum();
-    let (leaking, others): (Vec<Unsettled>, Vec<Unsettled>) =
+    let (leaking, others): (Vec<Undecided>, Vec<Undecided>) =
         found.into_iter().partition(|found| part.cells.is_leaking(found.origin));
-    let particles = |found: Unsettled| {
+    let particles = |found: Undecided| {
         let origin = found.origin;
         found.particles.into_iter().map(move |local| (origin, local))
     };
@@ -66,7 +66,7 @@ pub(super) fn depth_outside(band: &NarrowBand, origin: IVec3, local: Vec3) -> f3
 }
 
 /// The particles of a leaf that its masks do not show to be inside.
-struct Unsettled {
+struct Undecided {
     origin: IVec3,
     particles: Vec<Vec3>,
     exempt_count: usize,
@@ -80,16 +80,16 @@ struct LeafParticles<'a> {
 }
 
 impl Kernel for LeafParticles<'_> {
-    type Output = Unsettled;
+    type Output = Undecided;
 
     #[inline(always)]
-    fn run<V: Lanes>(self) -> Unsettled {
+    fn run<V: Lanes>(self) -> Undecided {
         let [known, with_unstored] = match self.part.cells.is_leaking(self.origin) {
             true => [LeafMask::EMPTY; 2],
             false => self.inside_cells(),
         };
         let exempt = self.part.exempt;
-        let mut unsettled = Unsettled { origin: self.origin, particles: Vec::new(), exempt_count: 0 };
+        let mut unsettled = Undecided { origin: self.origin, particles: Vec::new(), exempt_count: 0 };
         let Part { bins, radii, .. } = self.part;
         for (index, &particle) in bins.range(self.leaf).zip(bins.in_leaf(self.leaf)) {
             // Removed regions are not checked: without stored values, nothing is known about them.

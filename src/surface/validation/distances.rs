@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::DistanceLimits;
 use super::particle_checks::{Part, ParticleChecks};
-use super::strays::{MOVE_MAX, Stray, returned};
+use super::strays::{MOVE_MAX, Stray, corrected_position};
 use super::surfaces::{Bodies, Sides};
 use crate::surface::grid::{LEAF_EDGE, leaf_steps_within};
 use crate::surface::rasterize::ParticleBins;
@@ -20,7 +20,7 @@ use crate::surface::simd::{Kernel, Lanes, dispatch};
 pub(super) const CELL_MARGIN: f32 = 0.5;
 
 /// Number of vertices per task.
-const PIECE: usize = 4096;
+const CHUNK: usize = 4096;
 
 /// Number of vertices that are compared with particles at once.
 pub(super) const LANES: usize = 8;
@@ -35,9 +35,9 @@ pub(super) fn check_vertices(part: &Part) -> (ParticleChecks, Vec<Stray>) {
     let longest = bodies.as_ref().map_or(1.0, Bodies::longest);
     let reach = part.radii.max * longest + part.radii.outward();
     let steps = leaf_steps_within(reach + CELL_MARGIN + 2.0 * MOVE_MAX);
-    let pieces = part.mesh.positions.par_chunks(PIECE).enumerate();
+    let pieces = part.mesh.positions.par_chunks(CHUNK).enumerate();
     let check = |(piece, positions)| {
-        let first = piece * PIECE;
+        let first = piece * CHUNK;
         dispatch(PieceChecks { part, bodies: bodies.as_ref(), steps: &steps, first, positions })
     };
     let pieces: Vec<(ParticleChecks, Vec<Stray>)> = pieces.map(check).collect();
@@ -121,7 +121,7 @@ impl PieceChecks<'_> {
     /// The corrected position of a vertex that is out of bounds: these are few.
     #[cold]
     fn stray(&self, near: &NearLeaves, vertex: usize, origin: IVec3, local: Vec3) -> Option<Stray> {
-        let place = origin.as_dvec3() + returned(self.part, near, local)?.as_dvec3();
+        let place = origin.as_dvec3() + corrected_position(self.part, near, local)?.as_dvec3();
         let Part { mesh, lattice, .. } = self.part;
         Some(Stray { vertex, position: (place * lattice.voxel_size - mesh.origin).as_vec3() })
     }

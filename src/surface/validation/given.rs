@@ -85,12 +85,12 @@ pub fn given_outside(
     (lattice, offset): (&Lattice, f32),
     exempt: &dyn Exempt,
 ) -> ParticlesOutside {
-    let count = |tally: Tally, place: &GivenPlace| tally.and(place.tally((band, offset), exempt));
+    let count = |sum: OutsideCount, place: &GivenPlace| sum.and(place.count_outside((band, offset), exempt));
     places
         .par_iter()
         .flatten()
-        .fold(Tally::default, count)
-        .reduce(Tally::default, Tally::and)
+        .fold(OutsideCount::default, count)
+        .reduce(OutsideCount::default, OutsideCount::and)
         .in_world(lattice)
 }
 
@@ -106,23 +106,24 @@ pub fn given_outside_of<S: ParticleSource>(
 ) -> Result<ParticlesOutside, S::Error> {
     let of_batch = |batch| {
         let places = places_of(source, batch, lattice)?;
-        Ok(places.fold(Tally::default(), |tally, place| tally.and(place.tally((band, offset), exempt))))
+        Ok(places
+            .fold(OutsideCount::default(), |sum, place| sum.and(place.count_outside((band, offset), exempt))))
     };
     let batches = (0..source.batch_count()).into_par_iter().map(of_batch);
-    let tally = batches.try_reduce(Tally::default, |one, other| Ok(one.and(other)))?;
-    Ok(tally.in_world(lattice))
+    let sum = batches.try_reduce(OutsideCount::default, |one, other| Ok(one.and(other)))?;
+    Ok(sum.in_world(lattice))
 }
 
 /// Number of positions outside, and the distance of the farthest one from the surface, in voxels.
 #[derive(Clone, Copy, Default)]
-struct Tally {
+struct OutsideCount {
     count: usize,
     deepest: f32,
 }
 
-impl Tally {
-    fn and(self, other: Tally) -> Tally {
-        Tally { count: self.count + other.count, deepest: self.deepest.max(other.deepest) }
+impl OutsideCount {
+    fn and(self, other: OutsideCount) -> OutsideCount {
+        OutsideCount { count: self.count + other.count, deepest: self.deepest.max(other.deepest) }
     }
 
     fn in_world(self, lattice: &Lattice) -> ParticlesOutside {
@@ -131,7 +132,7 @@ impl Tally {
 }
 
 impl GivenPlace {
-    fn tally(&self, (band, offset): (&NarrowBand, f32), exempt: &dyn Exempt) -> Tally {
+    fn count_outside(&self, (band, offset): (&NarrowBand, f32), exempt: &dyn Exempt) -> OutsideCount {
         let phi = match self.corner_values(&band.topology, &band.phi) {
             Some(corners) => self.interpolated(corners),
             None => match self.first_stored(&band.topology, &band.phi) {
@@ -141,9 +142,9 @@ impl GivenPlace {
         };
         if phi > 0.0 && (exempt.is_nothing() || !exempt.particle(self.origin, self.local)) {
             // Before the offset, the moved particle was inside.
-            return Tally { count: 1, deepest: phi.min(self.moved.length() - offset.min(0.0)) };
+            return OutsideCount { count: 1, deepest: phi.min(self.moved.length() - offset.min(0.0)) };
         }
-        Tally::default()
+        OutsideCount::default()
     }
 
     /// The values at the corners of its cell; `None` unless all are stored.

@@ -40,7 +40,7 @@ pub struct MeshCells {
 }
 
 /// Number of triangles per task.
-const PIECE: usize = 4096;
+const CHUNK: usize = 4096;
 
 /// A point this close to a face of a cell, in voxels, belongs to the cells on both sides.
 const FACE_MARGIN: f64 = 1e-6;
@@ -53,7 +53,7 @@ impl MeshCells {
     pub fn new(mesh: &Mesh, band: &NarrowBand, lattice: &Lattice) -> MeshCells {
         let topology = &*band.topology;
         let masks: Vec<[AtomicU64; 8]> = (0..topology.len()).map(|_| Default::default()).collect();
-        mesh.triangles.par_chunks(PIECE).for_each(|triangles| {
+        mesh.triangles.par_chunks(CHUNK).for_each(|triangles| {
             let mut marker = Marker { topology, masks: &masks, found: None };
             for &triangle in triangles {
                 passed_cells(&corners(mesh, triangle, lattice), |cell| marker.mark(cell));

@@ -151,16 +151,16 @@ struct TrianglesByLeaf {
 }
 
 /// Number of triangles per task.
-const PIECE: usize = 4096;
+const CHUNK: usize = 4096;
 
 impl TrianglesByLeaf {
     fn new(part: &Part, leaves: &[IVec3]) -> TrianglesByLeaf {
         let places: FxHashMap<IVec3, u32> = leaves.iter().copied().zip(0..).collect();
-        let pieces = part.mesh.triangles.par_chunks(PIECE).enumerate();
+        let pieces = part.mesh.triangles.par_chunks(CHUNK).enumerate();
         let mut triangles: Vec<(u32, u32)> = pieces
             .flat_map_iter(|(piece, triangles)| {
                 let mut found = Vec::new();
-                for (&triangle, index) in triangles.iter().zip((piece * PIECE) as u32..) {
+                for (&triangle, index) in triangles.iter().zip((piece * CHUNK) as u32..) {
                     let [first, last] = cells_of_box(&corners(part.mesh, triangle, part.lattice));
                     let (first, last) = (first & !(LEAF_EDGE - 1), last & !(LEAF_EDGE - 1));
                     for x in (first.x..=last.x).step_by(LEAF_EDGE as usize) {

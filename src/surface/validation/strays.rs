@@ -24,7 +24,7 @@ pub struct Stray {
 
 /// The corrected position of a vertex that is out of bounds, relative to the leaf around which `near` was
 /// collected; `None` if no position within a voxel is valid.
-pub(super) fn returned(part: &Part, near: &NearLeaves, local: Vec3) -> Option<Vec3> {
+pub(super) fn corrected_position(part: &Part, near: &NearLeaves, local: Vec3) -> Option<Vec3> {
     let mut place = local;
     for _ in 0..STEPS_MAX {
         match step(part, near, place) {
