@@ -260,15 +260,15 @@ fn median_s(mut work: impl FnMut() -> f32) -> f64 {
 /// Computes the moments around each particle, pair by pair. Returns a value that depends on all of them.
 fn plain_moments(neighbors: &Neighbors) -> f32 {
     let [x, y, z] = neighbors.locals();
-    let local = |place: usize| Vec3::new(x[place], y[place], z[place]);
+    let local = |slot: usize| Vec3::new(x[slot], y[slot], z[slot]);
     let of_cell = |cell: usize| {
         let runs: Vec<_> = neighbors.runs(neighbors.cells()[cell]).collect();
         let mut sum = 0.0;
-        for place in neighbors.places(cell) {
+        for slot in neighbors.slots(cell) {
             let mut moments = [0.0f32; 10];
             for run in &runs {
-                let from = local(place) - run.step.as_vec3();
-                for other in run.places.clone() {
+                let from = local(slot) - run.step.as_vec3();
+                for other in run.slots.clone() {
                     let apart = local(other) - from;
                     let squared = apart.length_squared();
                     if squared < 1.0 {

@@ -61,23 +61,23 @@ impl<'a> Lighting<'a> {
     }
 
     /// The light at a point, in voxels, on a surface with this normal.
-    pub(super) fn incoming(&self, place: DVec3, normal: Vec3) -> Light {
+    pub(super) fn incoming(&self, point: DVec3, normal: Vec3) -> Light {
         let (aside, across) = normal.any_orthonormal_pair();
-        let mut ambient = MIDDLE_WEIGHT * self.light_from(place, normal);
+        let mut ambient = MIDDLE_WEIGHT * self.light_from(point, normal);
         for cone in 0..5 {
             let angle = cone as f32 * (std::f32::consts::TAU / 5.0);
             let around = aside * angle.cos() + across * angle.sin();
             let direction = normal * TILT.0 + around * TILT.1;
-            ambient += (1.0 - MIDDLE_WEIGHT) / 5.0 * self.light_from(place, direction);
+            ambient += (1.0 - MIDDLE_WEIGHT) / 5.0 * self.light_from(point, direction);
         }
         let faces_sun = normal.dot(self.sun) > 0.0;
-        let sun = if faces_sun { self.sky.transmittance(place, self.sun, SUN_TANGENT) } else { 0.0 };
+        let sun = if faces_sun { self.sky.transmittance(point, self.sun, SUN_TANGENT) } else { 0.0 };
         Light { ambient, sun }
     }
 
     /// The light from a direction, with occlusion.
-    fn light_from(&self, place: DVec3, direction: Vec3) -> Vec3 {
-        self.radiance(direction) * self.sky.transmittance(place, direction, AMBIENT_TANGENT)
+    fn light_from(&self, point: DVec3, direction: Vec3) -> Vec3 {
+        self.radiance(direction) * self.sky.transmittance(point, direction, AMBIENT_TANGENT)
     }
 
     /// The light from a direction, without occlusion.

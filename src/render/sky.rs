@@ -69,11 +69,11 @@ impl Sky {
 
     /// The fraction of the light that passes through a cone: from a point, in voxels, along a direction, with
     /// the tangent of half its opening angle.
-    pub(super) fn transmittance(&self, place: DVec3, direction: Vec3, tangent: f32) -> f32 {
+    pub(super) fn transmittance(&self, point: DVec3, direction: Vec3, tangent: f32) -> f32 {
         let Some(coarsest) = self.levels.last() else { return 1.0 };
         let extent = self.edge * (1 << (self.levels.len() - 1)) as f32;
         let reach = 1.8 * extent * coarsest.size.max_element() as f32;
-        let start = (place - self.origin).as_vec3() / self.edge;
+        let start = (point - self.origin).as_vec3() / self.edge;
         let (mut t, mut clear) = (1.2f32, 1f32);
         let reach = reach / self.edge;
         while t < reach && clear > 0.02 {
@@ -86,10 +86,10 @@ impl Sky {
 
     /// The inside fraction around a point, in units of the finest cells, on the level whose cells have an
     /// edge of 2^`power`.
-    fn density(&self, place: Vec3, power: f32) -> f32 {
+    fn density(&self, point: Vec3, power: f32) -> f32 {
         let power = power.clamp(0.0, (self.levels.len() - 1) as f32);
         let finer = power.floor();
-        let at = |level: usize| self.levels[level].at(place / (1 << level) as f32);
+        let at = |level: usize| self.levels[level].at(point / (1 << level) as f32);
         let one = at(finer as usize);
         let part = power - finer;
         if part < 0.05 { one } else { one + (at(finer as usize + 1) - one) * part }
@@ -98,18 +98,18 @@ impl Sky {
 
 impl Level {
     /// Trilinear interpolation, in cells; 0 outside of all cells.
-    fn at(&self, place: Vec3) -> f32 {
-        let place = place - 0.5;
-        let is_near = place.cmpge(Vec3::NEG_ONE).all() && place.cmple(self.size.as_vec3()).all();
+    fn at(&self, point: Vec3) -> f32 {
+        let point = point - 0.5;
+        let is_near = point.cmpge(Vec3::NEG_ONE).all() && point.cmple(self.size.as_vec3()).all();
         if !is_near {
             return 0.0;
         }
-        let first = floor(place);
-        let part = place - first.as_vec3();
+        let first = floor(point);
+        let part = point - first.as_vec3();
         let value = |x: i32, y: i32, z: i32| {
             let cell = first + IVec3::new(x, y, z);
             let is_in = cell.cmpge(IVec3::ZERO).all() && cell.cmplt(self.size).all();
-            if is_in { self.density[self.place(cell)] } else { 0.0 }
+            if is_in { self.density[self.index(cell)] } else { 0.0 }
         };
         let mix = |one: f32, other: f32, part: f32| one + (other - one) * part;
         let along_z = |x, y| mix(value(x, y, 0), value(x, y, 1), part.z);
@@ -117,7 +117,7 @@ impl Level {
         mix(along_y(0), along_y(1), part.x)
     }
 
-    fn place(&self, cell: IVec3) -> usize {
+    fn index(&self, cell: IVec3) -> usize {
         ((i64::from(cell.x) * i64::from(self.size.y) + i64::from(cell.y)) * i64::from(self.size.z)
             + i64::from(cell.z)) as usize
     }
@@ -126,15 +126,15 @@ impl Level {
     fn coarser(&self) -> Level {
         let size = (self.size + 1) / 2;
         let count = size.as_i64vec3().element_product() as usize;
-        let mean = |place: usize| {
-            let (z, rest) = (place % size.z as usize, place / size.z as usize);
+        let mean = |index: usize| {
+            let (z, rest) = (index % size.z as usize, index / size.z as usize);
             let first =
                 2 * IVec3::new((rest / size.y as usize) as i32, (rest % size.y as usize) as i32, z as i32);
             let mut sum = 0.0;
             for corner in 0..8 {
                 let cell = first + IVec3::new(corner >> 2, corner >> 1 & 1, corner & 1);
                 if cell.cmplt(self.size).all() {
-                    sum += self.density[self.place(cell)];
+                    sum += self.density[self.index(cell)];
                 }
             }
             sum / 8.0
@@ -144,9 +144,9 @@ impl Level {
 }
 
 /// Rounds down, without a function call per component.
-fn floor(place: Vec3) -> IVec3 {
-    let toward_zero = place.as_ivec3();
-    let above = place.cmplt(toward_zero.as_vec3());
+fn floor(point: Vec3) -> IVec3 {
+    let toward_zero = point.as_ivec3();
+    let above = point.cmplt(toward_zero.as_vec3());
     toward_zero - IVec3::select(above, IVec3::ONE, IVec3::ZERO)
 }
 
@@ -171,8 +171,8 @@ fn fill(level: &mut Level, band: &NarrowBand, least: IVec3, edge: i64) {
                     ((negative[leaf].row((x * 8 + y) as usize) >> aside.z) & 0xf).count_ones()
                 })
                 .sum();
-            let place = level.place(((first + aside.as_i64vec3()) / edge).as_ivec3());
-            level.density[place] += count as f32 * per_voxel;
+            let cell_index = level.index(((first + aside.as_i64vec3()) / edge).as_ivec3());
+            level.density[cell_index] += count as f32 * per_voxel;
         }
         // The gap between two leaves of a column is inside if the first leaf ends inside.
         let Some(&(next, _)) = columns.get(index + 1) else { continue };
@@ -185,8 +185,8 @@ fn fill(level: &mut Level, band: &NarrowBand, least: IVec3, edge: i64) {
                 for quarter in 0..4 {
                     let aside = i64::from(half) * I64Vec3::new(quarter >> 1, quarter & 1, 0);
                     let cell = ((first + aside) / edge).with_z(z).as_ivec3();
-                    let place = level.place(cell);
-                    level.density[place] += (count * i64::from(half * half)) as f32 * per_voxel;
+                    let cell_index = level.index(cell);
+                    level.density[cell_index] += (count * i64::from(half * half)) as f32 * per_voxel;
                 }
             }
         }
@@ -248,7 +248,7 @@ mod tests {
     #[test]
     fn stray_leaf_does_not_change_the_light() {
         let near = ball(30.0);
-        let place = DVec3::new(0.0, -40.0, 0.0);
+        let point = DVec3::new(0.0, -40.0, 0.0);
         for stray in [IVec3::splat(110_000 * 8), IVec3::splat(-(1 << 30)), IVec3::new(0, 0, (1 << 30) - 8)] {
             let mut origins = near.topology.origins().to_vec();
             origins.push(stray);
@@ -261,7 +261,7 @@ mod tests {
             }
             let band = NarrowBand { topology: Arc::new(topology), phi, half_width: 8.0 };
             let [with, without] =
-                [&band, &near].map(|band| Sky::new(band).transmittance(place, Vec3::X, 0.5));
+                [&band, &near].map(|band| Sky::new(band).transmittance(point, Vec3::X, 0.5));
             assert!((with - without).abs() < 1e-3, "{with} with a stray at {stray}, {without} without");
         }
     }

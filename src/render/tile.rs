@@ -329,8 +329,8 @@ const CONTACT_PIXELS: f64 = 3.0 * LIGHT_STEP as f64;
 /// With a smaller weight of interpolated points, the light is computed for the pixel.
 const MIN_WEIGHT: f32 = 0.3;
 
-/// Neighbouring pixels are an edge if their depths differ by more than this many pixels, or their normals by
-/// more than this cosine.
+/// Neighbouring pixels are an edge if their depths differ by more than this many pixels, or if the cosine
+/// between their normals is smaller than this.
 const EDGE_STEP: f64 = 1.5;
 const EDGE_COSINE: f32 = 0.94;
 

@@ -85,7 +85,7 @@ pub(super) fn means<V: Lanes>(moments: &[[f32; 8]]) -> [[f32; 8]; 3] {
 /// The mean (Yu and Turk, Eq. 10), and the factor that turns a sum into a mean.
 #[inline(always)]
 fn mean_and_weight<V: Lanes>(moments: &[[f32; 8]]) -> ([V; 3], V) {
-    // A particle contributes a weight of 1, except if it was not sampled in a crowded cell.
+    // Each particle itself contributes a weight of 1, unless the sample of a crowded cell left it out.
     let by_weight = V::splat(1.0).div(V::load(&moments[0]).max(V::splat(1.0)));
     let mut means = [V::splat(0.0); 3];
     for (mean, moment) in means.iter_mut().zip(&moments[1..4]) {

@@ -34,9 +34,9 @@ pub(super) fn moments<V: Lanes, const COUNT: usize>(
     let count = find_within::<V>(eights, at, within);
     let (full, rest) = within[..count].as_chunks::<8>();
     let mut sums = [V::splat(0.0); COUNT];
-    for places in full {
+    for indices in full {
         let mut particles = Particles::NONE;
-        particles.take(eights, places);
+        particles.take(eights, indices);
         add_moments(&mut sums, &particles, at);
     }
     if !rest.is_empty() {
@@ -65,8 +65,8 @@ fn find_within<V: Lanes>(eights: &[Eight], at: Vec3, within: &mut Vec<u32>) -> u
         let squared = dx.mul(dx).add(dy.mul(dy)).add(dz.mul(dz));
         let bits = V::bits(squared.lt(V::splat(1.0)));
         let Some(next) = within[count..].first_chunk_mut::<8>() else { break };
-        for (next, place) in next.iter_mut().zip(SET_BITS[usize::from(bits)]) {
-            *next = 8 * index as u32 + place;
+        for (next, bit) in next.iter_mut().zip(SET_BITS[usize::from(bits)]) {
+            *next = 8 * index as u32 + bit;
         }
         count += bits.count_ones() as usize;
     }
@@ -77,20 +77,20 @@ fn find_within<V: Lanes>(eights: &[Eight], at: Vec3, within: &mut Vec<u32>) -> u
 static SET_BITS: [[u32; 8]; 256] = set_bits();
 
 const fn set_bits() -> [[u32; 8]; 256] {
-    let mut places = [[0; 8]; 256];
+    let mut table = [[0; 8]; 256];
     let mut bits = 0;
     while bits < 256 {
-        let (mut place, mut count) = (0, 0);
-        while place < 8 {
-            if bits >> place & 1 == 1 {
-                places[bits][count] = place;
+        let (mut bit, mut count) = (0, 0);
+        while bit < 8 {
+            if bits >> bit & 1 == 1 {
+                table[bits][count] = bit;
                 count += 1;
             }
-            place += 1;
+            bit += 1;
         }
         bits += 1;
     }
-    places
+    table
 }
 
 /// Eight particles from arbitrary positions. Unused lanes have a multiplicity of 0.
@@ -103,9 +103,9 @@ impl Particles {
     const NONE: Particles = Particles { along: [[0.0; 8]; 3], multiplicity: [0.0; 8] };
 
     #[inline(always)]
-    fn take(&mut self, eights: &[Eight], places: &[u32]) {
-        for (k, &place) in places.iter().enumerate().take(8) {
-            let (eight, lane) = (&eights[place as usize / 8], place as usize % 8);
+    fn take(&mut self, eights: &[Eight], indices: &[u32]) {
+        for (k, &index) in indices.iter().enumerate().take(8) {
+            let (eight, lane) = (&eights[index as usize / 8], index as usize % 8);
             for axis in 0..3 {
                 self.along[axis][k] = eight.along[axis][lane];
             }

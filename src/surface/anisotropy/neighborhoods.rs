@@ -95,21 +95,21 @@ fn by_neighbors(
     assert!(scales.is_none_or(|scales| scales.len() == particles.len()), "a scale for each particle");
     let neighbors = Neighbors::new(particles, config.radius_world);
     let in_order = (0u32..).zip(neighbors.indices());
-    let places: Vec<u32> =
-        in_order.filter(|(_, index)| is_wanted(**index as usize)).map(|(place, _)| place).collect();
-    let mut means = vec![[0.0f32; 3]; places.len()];
-    let shape_count = if config.stretch.is_some() { places.len() } else { 0 };
+    let slots: Vec<u32> =
+        in_order.filter(|(_, index)| is_wanted(**index as usize)).map(|(slot, _)| slot).collect();
+    let mut means = vec![[0.0f32; 3]; slots.len()];
+    let shape_count = if config.stretch.is_some() { slots.len() } else { 0 };
     let mut shapes = vec![Ellipsoid::ball(1.0); shape_count];
-    let counts = places
+    let counts = slots
         .par_chunks(PIECE)
         .zip_eq(means.par_chunks_mut(PIECE))
-        .zip_eq(pieces_of(&mut shapes, places.len()))
-        .map(|((places, means), shapes)| {
-            dispatch_at(level, Piece { neighbors: &neighbors, scales, config, places, means, shapes })
+        .zip_eq(pieces_of(&mut shapes, slots.len()))
+        .map(|((slots, means), shapes)| {
+            dispatch_at(level, Piece { neighbors: &neighbors, scales, config, slots, means, shapes })
         })
         .reduce(Counts::default, Counts::plus);
     ByNeighbors {
-        indices: places.iter().map(|&place| neighbors.indices()[place as usize]).collect(),
+        indices: slots.iter().map(|&slot| neighbors.indices()[slot as usize]).collect(),
         means,
         shapes,
         raised_count: counts.raised,
@@ -145,7 +145,7 @@ struct Piece<'a> {
     scales: Option<&'a [f32]>,
     config: &'a NeighborConfig,
     /// Their indices in the grid.
-    places: &'a [u32],
+    slots: &'a [u32],
     means: &'a mut [[f32; 3]],
     /// Empty if only means are needed.
     shapes: &'a mut [Ellipsoid],
@@ -174,20 +174,20 @@ impl Piece<'_> {
         let mut waiting_count = 0;
         let [x, y, z] = self.neighbors.locals();
         let mut cell_end = 0;
-        for (number, &place) in self.places.iter().enumerate() {
-            let place = place as usize;
-            if place >= cell_end {
-                let cell = self.neighbors.cell_at(place);
+        for (number, &slot) in self.slots.iter().enumerate() {
+            let slot = slot as usize;
+            if slot >= cell_end {
+                let cell = self.neighbors.cell_at(slot);
                 surroundings.gather(self.neighbors, self.neighbors.cells()[cell], CELL_MAX);
-                cell_end = self.neighbors.places(cell).end;
+                cell_end = self.neighbors.slots(cell).end;
             }
-            let at = Vec3::new(x[place], y[place], z[place]);
+            let at = Vec3::new(x[slot], y[slot], z[slot]);
             let moments = moments::<V, COUNT>(surroundings.eights(), at, &mut within);
             for (row, moment) in waiting.iter_mut().zip(moments) {
                 row[waiting_count % 8] = moment;
             }
             waiting_count += 1;
-            if waiting_count == 8 || number + 1 == self.places.len() {
+            if waiting_count == 8 || number + 1 == self.slots.len() {
                 let first = number + 1 - waiting_count;
                 counts = counts.plus(self.finish::<V, COUNT>(&waiting, first, waiting_count, stretch));
                 waiting_count = 0;
@@ -213,8 +213,8 @@ impl Piece<'_> {
             return Counts::default();
         };
         let mut scales = [1.0; 8];
-        for (scale, &place) in scales.iter_mut().zip(&self.places[first..first + count]) {
-            *scale = scale_of(self.scales, self.neighbors.indices()[place as usize] as usize);
+        for (scale, &slot) in scales.iter_mut().zip(&self.slots[first..first + count]) {
+            *scale = scale_of(self.scales, self.neighbors.indices()[slot as usize] as usize);
         }
         let limits = Stretch { max_stretch: stretch.max_stretch.max(1.0), ..stretch };
         let eights = shapes::<V>(moments, &scales, limits);

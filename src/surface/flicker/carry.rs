@@ -52,16 +52,16 @@ pub(super) fn carry(
             let step = direction * seconds;
             // Evaluated at the particles' mean position instead of on the surface, because more particles
             // surround it.
-            let Mean { vector: here, place } = mean(from, point, (limit, spacing), velocity_in(from))?;
-            let there = |place: DVec3| {
-                Some(mean(to, place, (SEARCH_RADIUS * spacing, spacing), velocity_in(to))?.vector)
+            let Mean { vector: here, position } = mean(from, point, (limit, spacing), velocity_in(from))?;
+            let there = |position: DVec3| {
+                Some(mean(to, position, (SEARCH_RADIUS * spacing, spacing), velocity_in(to))?.vector)
             };
-            let first = there(place + step * here)?;
-            let second = there(place + step * 0.5 * (here + first))?;
+            let first = there(position + step * here)?;
+            let second = there(position + step * 0.5 * (here + first))?;
             step * 0.5 * (here + second)
         }
     };
-    Some(point + displacement).filter(|place| place.is_finite())
+    Some(point + displacement).filter(|position| position.is_finite())
 }
 
 fn velocity_in(frame: &FlickerFrame) -> impl Fn(usize) -> Option<DVec3> {
@@ -74,7 +74,7 @@ struct Mean {
     /// The mean of a vector of the particles.
     vector: DVec3,
     /// Their mean position, world units.
-    place: DVec3,
+    position: DVec3,
 }
 
 /// The means over the particles around a point for which `vector` is known. `None` if the nearest of them is
@@ -92,11 +92,11 @@ fn mean(
     let mut found: Vec<(f64, DVec3, DVec3)> = Vec::new();
     for run in near.runs(cell) {
         let corner = run.step.as_vec3() - local;
-        for place in run.places {
+        for slot in run.slots {
             // In cell edges, the search radius of the grid.
-            let apart = (corner + Vec3::new(x[place], y[place], z[place])).as_dvec3();
+            let apart = (corner + Vec3::new(x[slot], y[slot], z[slot])).as_dvec3();
             if apart.length_squared() <= 1.0
-                && let Some(vector) = vector_of(near.indices()[place] as usize).filter(|v| v.is_finite())
+                && let Some(vector) = vector_of(near.indices()[slot] as usize).filter(|v| v.is_finite())
             {
                 found.push((apart.length() * edge, apart * edge, vector));
             }
@@ -115,5 +115,5 @@ fn mean(
         offsets += weight * offset;
         weights += weight;
     }
-    Some(Mean { vector: vectors / weights, place: point + offsets / weights })
+    Some(Mean { vector: vectors / weights, position: point + offsets / weights })
 }

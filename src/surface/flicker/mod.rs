@@ -148,9 +148,9 @@ pub fn flicker(
 ) -> FrameFlicker {
     let limit = REACH * spacing;
     let distance = |to: &FlickerFrame, seconds_sign: f64, point: DVec3| {
-        let place = carry(middle, to, carrier, seconds_sign, point, spacing)?;
+        let carried = carry(middle, to, carrier, seconds_sign, point, spacing)?;
         // Without a surface, every point is outside.
-        Some(to.surface.distance(place).unwrap_or(f64::INFINITY).clamp(-limit, limit))
+        Some(to.surface.distance(carried).unwrap_or(f64::INFINITY).clamp(-limit, limit))
     };
     let score = |(position, normal): (DVec3, DVec3)| {
         let [one, other] = [distance(before, -1.0, position)?, distance(after, 1.0, position)?];

@@ -25,8 +25,8 @@ impl Summary {
         }
         let rms = (sizes.iter().map(|size| size * size).sum::<f64>() / count as f64).sqrt();
         let mut of_rank = |part: f64| {
-            let place = ((part * count as f64).ceil() as usize).clamp(1, count) - 1;
-            *sizes.select_nth_unstable_by(place, f64::total_cmp).1
+            let rank = ((part * count as f64).ceil() as usize).clamp(1, count) - 1;
+            *sizes.select_nth_unstable_by(rank, f64::total_cmp).1
         };
         Summary { count, rms, median: of_rank(0.5), percentile_99: of_rank(0.99), max: of_rank(1.0) }
     }

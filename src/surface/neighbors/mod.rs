@@ -54,7 +54,7 @@ pub struct Run {
     /// From the middle cell to this one: −1, 0 or 1 on each axis.
     pub step: IVec3,
     /// The indices of its particles in the sorted order.
-    pub places: Range<usize>,
+    pub slots: Range<usize>,
 }
 
 impl Neighbors {
@@ -71,11 +71,11 @@ impl Neighbors {
         let axes = x.par_chunks_mut(PIECE).zip(y.par_chunks_mut(PIECE)).zip(z.par_chunks_mut(PIECE));
         axes.zip(indices.par_chunks_mut(PIECE)).zip(keys.par_chunks(PIECE)).for_each(
             |((((x, y), z), indices), keys)| {
-                for (place, &key) in keys.iter().enumerate() {
+                for (slot, &key) in keys.iter().enumerate() {
                     let index = index_of(key);
                     // The particle was located when it was sorted, so this succeeds again.
                     let (_, local) = place_in(particles.position(index as usize), &cells).unwrap_or_default();
-                    (x[place], y[place], z[place], indices[place]) = (local.x, local.y, local.z, index);
+                    (x[slot], y[slot], z[slot], indices[slot]) = (local.x, local.y, local.z, index);
                 }
             },
         );
@@ -100,15 +100,15 @@ impl Neighbors {
     }
 
     /// The index range of the particles of `cells()[cell]`, in the sorted order.
-    pub fn places(&self, cell: usize) -> Range<usize> {
+    pub fn slots(&self, cell: usize) -> Range<usize> {
         self.starts[cell]..self.starts[cell + 1]
     }
 
     /// The cell of a particle in the sorted order, as an index into `cells()`; `cells().len()` if the index
     /// is past the last.
-    pub fn cell_at(&self, place: usize) -> usize {
+    pub fn cell_at(&self, slot: usize) -> usize {
         // The first cell starts at 0.
-        self.starts.partition_point(|&start| start <= place) - 1
+        self.starts.partition_point(|&start| start <= slot) - 1
     }
 
     /// For each particle in the sorted order, its index in the input.
@@ -129,7 +129,7 @@ impl Neighbors {
             let column = self.columns.get(&[cell.x + x, cell.y + y]).cloned().unwrap_or_default();
             let first = column.start + self.coords[column.clone()].partition_point(|at| at.z < cell.z - 1);
             let near = (first..column.end).take_while(move |&other| self.coords[other].z <= cell.z + 1);
-            near.map(move |other| Run { step: self.coords[other] - cell, places: self.places(other) })
+            near.map(move |other| Run { step: self.coords[other] - cell, slots: self.slots(other) })
         })
     }
 }
@@ -182,10 +182,10 @@ fn place_in(world: DVec3, cells: &Lattice) -> Option<(IVec3, Vec3)> {
 /// The cells, and the position where each one's keys start.
 fn cells_of(keys: &[Key]) -> (Vec<IVec3>, Vec<usize>) {
     let (mut coords, mut starts) = (Vec::new(), Vec::new());
-    for (place, &key) in keys.iter().enumerate() {
-        if place == 0 || keys[place - 1] >> INDEX_BITS != key >> INDEX_BITS {
+    for (slot, &key) in keys.iter().enumerate() {
+        if slot == 0 || keys[slot - 1] >> INDEX_BITS != key >> INDEX_BITS {
             coords.push(cell_of(key));
-            starts.push(place);
+            starts.push(slot);
         }
     }
     starts.push(keys.len());

@@ -52,14 +52,14 @@ impl Surroundings {
         let cell_max = cell_max.max(1);
         for run in neighbors.runs(cell) {
             let step = run.step.as_vec3().to_array();
-            if run.places.len() <= cell_max {
-                self.extend(neighbors, run.places, step, 1.0);
+            if run.slots.len() <= cell_max {
+                self.extend(neighbors, run.slots, step, 1.0);
                 continue;
             }
-            let multiplicity = run.places.len() as f32 / cell_max as f32;
+            let multiplicity = run.slots.len() as f32 / cell_max as f32;
             for part in 0..cell_max {
-                let place = run.places.start + chosen(run.places.len(), part, cell_max);
-                self.extend(neighbors, place..place + 1, step, multiplicity);
+                let slot = run.slots.start + chosen(run.slots.len(), part, cell_max);
+                self.extend(neighbors, slot..slot + 1, step, multiplicity);
             }
         }
     }
@@ -79,8 +79,8 @@ impl Surroundings {
         self.len == 0
     }
 
-    fn extend(&mut self, neighbors: &Neighbors, places: Range<usize>, step: [f32; 3], multiplicity: f32) {
-        let mut rest = places;
+    fn extend(&mut self, neighbors: &Neighbors, slots: Range<usize>, step: [f32; 3], multiplicity: f32) {
+        let mut rest = slots;
         while !rest.is_empty() {
             let at = self.len % 8;
             if at == 0 {

@@ -43,8 +43,8 @@ fn all_particles_within_an_edge_are_found() {
         let positions = cloud(3000, 2.0, around);
         let neighbors = Neighbors::new(&Particles::Double(positions.clone()), radius);
         assert_eq!((neighbors.indices().len(), neighbors.dropped_count), (3000, 0));
-        for place in cloud(200, 2.5, around) {
-            let world = DVec3::from(place);
+        for point in cloud(200, 2.5, around) {
+            let world = DVec3::from(point);
             assert_eq!(found(&neighbors, world), expected(&positions, world, radius), "at {world}");
         }
     }
@@ -57,13 +57,13 @@ fn cells_are_sorted_and_particles_keep_file_order() {
     let neighbors = Neighbors::new(&Particles::Double(positions.clone()), 0.25);
     assert!(neighbors.cells().is_sorted_by_key(|cell| cell.to_array()));
     for (cell, coord) in neighbors.cells().iter().enumerate() {
-        let places = neighbors.places(cell);
-        assert!(!places.is_empty() && neighbors.indices()[places.clone()].is_sorted());
-        for place in places {
-            assert_eq!(neighbors.cell_at(place), cell);
-            let [x, y, z] = neighbors.locals().map(|along| f64::from(along[place]));
+        let slots = neighbors.slots(cell);
+        assert!(!slots.is_empty() && neighbors.indices()[slots.clone()].is_sorted());
+        for slot in slots {
+            assert_eq!(neighbors.cell_at(slot), cell);
+            let [x, y, z] = neighbors.locals().map(|along| f64::from(along[slot]));
             let world = (coord.as_dvec3() + DVec3::new(x, y, z)) * 0.25;
-            let original = DVec3::from(positions[neighbors.indices()[place] as usize]);
+            let original = DVec3::from(positions[neighbors.indices()[slot] as usize]);
             assert!(world.distance(original) < 1e-7, "{world} for {original}");
         }
     }

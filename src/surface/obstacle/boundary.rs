@@ -101,8 +101,8 @@ impl Node {
 /// The contribution of one edge.
 fn edge_slope(&[from, to]: &[DVec3; 2], center: DVec3, radius: f64) -> f64 {
     let along = to - from;
-    let place = ((center - from).dot(along) / along.length_squared()).clamp(0.0, 1.0);
-    let distance = (from + along * place - center).length() - radius;
+    let t = ((center - from).dot(along) / along.length_squared()).clamp(0.0, 1.0);
+    let distance = (from + along * t - center).length() - radius;
     if distance <= 0.0 { f64::INFINITY } else { along.length() / (distance * distance) }
 }
 
@@ -143,18 +143,18 @@ mod tests {
     #[test]
     fn slope_bound_is_tight_against_the_sum_over_all_edges() {
         let random = |seed: usize| (seed as f64 * 12.9898).sin().mul_add(43758.5453, 0.0).rem_euclid(1.0);
-        let place = |seed: usize| DVec3::new(random(seed), random(seed + 1), random(seed + 2));
+        let random_point = |seed: usize| DVec3::new(random(seed), random(seed + 1), random(seed + 2));
         for count in [0, 1, 8, 9, 100, 5000] {
             let edge = |index: usize| {
-                let from = 10.0 * place(9 * index);
-                [from, from + 0.2 * (place(9 * index + 3) - 0.5)]
+                let from = 10.0 * random_point(9 * index);
+                [from, from + 0.2 * (random_point(9 * index + 3) - 0.5)]
             };
             let edges: Vec<[DVec3; 2]> = (0..count).map(edge).collect();
             let boundary = BoundaryEdges::new(edges.clone());
             assert_eq!(boundary.len(), count);
-            for asked in 0..60 {
-                let center = 60.0 * (place(7 * asked + 5) - 0.5);
-                let radius = random(asked + 100);
+            for query in 0..60 {
+                let center = 60.0 * (random_point(7 * query + 5) - 0.5);
+                let radius = random(query + 100);
                 let all: f64 =
                     edges.iter().map(|edge| edge_slope(edge, center, radius)).sum::<f64>() / (4.0 * PI);
                 let bound = boundary.slope_bound(center, radius);

@@ -128,12 +128,12 @@ impl Classification<'_> {
     fn spread(&mut self) {
         while let Some(from) = self.pending.pop() {
             let voxel = voxel_in_leaf(from);
-            for (step, places) in STEPS {
+            for (step, offset_step) in STEPS {
                 let next = voxel + step;
                 if next.min_element() < 0 || next.max_element() >= LEAF_EDGE {
                     continue;
                 }
-                let to = from.wrapping_add_signed(places);
+                let to = from.wrapping_add_signed(offset_step);
                 if self.margins[to].is_none() {
                     self.classify_from(from, to, 1);
                 }

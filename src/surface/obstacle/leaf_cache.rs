@@ -51,8 +51,8 @@ impl LeafCache {
         compute: impl FnOnce() -> ObstacleLeaf,
     ) -> ObstacleLeaf {
         let key = (origin, lattice.voxel_size.to_bits(), half_width.to_bits());
-        let place = (origin.x >> 3) ^ (origin.y >> 4) ^ (origin.z >> 5) ^ (origin.z >> 3);
-        let shard = &self.shards[place.rem_euclid(SHARDS as i32) as usize];
+        let hash = (origin.x >> 3) ^ (origin.y >> 4) ^ (origin.z >> 5) ^ (origin.z >> 3);
+        let shard = &self.shards[hash.rem_euclid(SHARDS as i32) as usize];
         if let Some(leaf) = shard.lock().unwrap_or_else(PoisonError::into_inner).leaves.get(&key) {
             return leaf.clone();
         }

@@ -67,11 +67,11 @@ impl MeshDistance {
     }
 
     /// The angle-weighted sum of the normals of the triangles at a point on the surface.
-    fn normal_at(&self, place: DVec3) -> DVec3 {
+    fn normal_at(&self, point: DVec3) -> DVec3 {
         let mut normal = DVec3::ZERO;
-        self.tree.leaves_near(place, 0.0, self.touch, f64::INFINITY, |triangles| {
+        self.tree.leaves_near(point, 0.0, self.touch, f64::INFINITY, |triangles| {
             for triangle in triangles {
-                if let Some(angle) = self.angle_at(triangle, place) {
+                if let Some(angle) = self.angle_at(triangle, point) {
                     let [a, b, c] = triangle;
                     normal += (b - a).cross(c - a).normalize_or_zero() * angle;
                 }
@@ -82,9 +82,9 @@ impl MeshDistance {
 
     /// The angle that a triangle has around a point: that of a corner, π on an edge, 2π in its interior.
     /// `None` if it does not touch the point.
-    fn angle_at(&self, triangle: &[DVec3; 3], place: DVec3) -> Option<f64> {
-        let is_near = |other: DVec3| other.distance_squared(place) <= self.touch * self.touch;
-        if !is_near(super::tree::nearest_point(triangle, place)) {
+    fn angle_at(&self, triangle: &[DVec3; 3], point: DVec3) -> Option<f64> {
+        let is_near = |other: DVec3| other.distance_squared(point) <= self.touch * self.touch;
+        if !is_near(super::tree::nearest_point(triangle, point)) {
             return None;
         }
         let [a, b, c] = *triangle;
@@ -95,7 +95,7 @@ impl MeshDistance {
         }
         let is_on = |[from, to]: [DVec3; 2]| {
             let along = to - from;
-            is_near(from + along * ((place - from).dot(along) / along.length_squared()).clamp(0.0, 1.0))
+            is_near(from + along * ((point - from).dot(along) / along.length_squared()).clamp(0.0, 1.0))
         };
         Some(if [[a, b], [b, c], [c, a]].into_iter().any(is_on) { PI } else { TAU })
     }

@@ -79,8 +79,8 @@ impl KnownVoxels {
     /// The minimum over all of them of distance plus way; infinite if the set is empty.
     fn nearest(&self, from: IVec3) -> f32 {
         let from = from.as_vec3();
-        let places = self.x.iter().zip(&self.y).zip(&self.z).zip(&self.distances);
-        places.fold(f32::INFINITY, |least, (((x, y), z), distance)| {
+        let voxels = self.x.iter().zip(&self.y).zip(&self.z).zip(&self.distances);
+        voxels.fold(f32::INFINITY, |least, (((x, y), z), distance)| {
             let (x, y, z) = (x - from.x, y - from.y, z - from.z);
             least.min(distance + (x * x + y * y + z * z).sqrt())
         })
@@ -303,8 +303,8 @@ impl Sampled {
         let edge = IVec3::splat(LEAF_EDGE);
         let (first, last) = (min.div_euclid(edge), max.div_euclid(edge));
         let is_between = |origin: &IVec3| {
-            let place = origin.div_euclid(edge);
-            place.cmpge(first).all() && place.cmple(last).all()
+            let leaf = origin.div_euclid(edge);
+            leaf.cmpge(first).all() && leaf.cmple(last).all()
         };
         // The source's voxels may be much smaller than ours.
         let spans = last.as_dvec3() - first.as_dvec3() + 1.0;

@@ -152,17 +152,17 @@ impl View<'_> {
         packets
     }
 
-    fn place(&self, voxel: IVec3) -> DVec3 {
+    fn position(&self, voxel: IVec3) -> DVec3 {
         self.center + (voxel.as_dvec3() - HALF_EDGE) * self.voxel_size
     }
 }
 
 impl WindingField for View<'_> {
     fn winding(&self, voxel: IVec3) -> f64 {
-        winding(&self.surface.tree, self.place(voxel))
+        winding(&self.surface.tree, self.position(voxel))
     }
 
     fn slope(&self, voxel: IVec3) -> f64 {
-        winding_gradient(&self.surface.tree, self.place(voxel)).length() * self.voxel_size
+        winding_gradient(&self.surface.tree, self.position(voxel)).length() * self.voxel_size
     }
 }

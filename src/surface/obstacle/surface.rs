@@ -129,7 +129,7 @@ const BEHIND: f64 = 1e-3;
 
 /// The distinct positions, and for each vertex the index of its position; `None` if it is not finite.
 fn weld(positions: &[[f64; 3]]) -> (Vec<DVec3>, Vec<Option<u32>>) {
-    let mut places: FxHashMap<[u64; 3], u32> = FxHashMap::default();
+    let mut index_of: FxHashMap<[u64; 3], u32> = FxHashMap::default();
     let mut points = Vec::new();
     let welded = positions
         .iter()
@@ -139,11 +139,11 @@ fn weld(positions: &[[f64; 3]]) -> (Vec<DVec3>, Vec<Option<u32>>) {
             }
             let next = u32::try_from(points.len()).ok()?;
             // Adding 0 turns −0 into 0.
-            let place = *places.entry(position.map(|c| (c + 0.0).to_bits())).or_insert(next);
-            if place == next {
+            let index = *index_of.entry(position.map(|c| (c + 0.0).to_bits())).or_insert(next);
+            if index == next {
                 points.push(DVec3::from(*position));
             }
-            Some(place)
+            Some(index)
         })
         .collect();
     (points, welded)
@@ -305,15 +305,15 @@ fn are_cavities(
     let of_sound = faces.iter().zip(parts).filter(|&(_, &part)| volumes[part as usize] > 0.0);
     let of_sound = of_sound.map(|(face, _)| corners(points, *face)).filter(|corners| !is_flat(corners));
     let sound = Tree::new(of_sound.map(outward).collect());
-    let mut places: Vec<Vec<DVec3>> = vec![Vec::new(); volumes.len()];
+    let mut part_corners: Vec<Vec<DVec3>> = vec![Vec::new(); volumes.len()];
     for (face, &part) in faces.iter().zip(parts).filter(|&(_, &part)| volumes[part as usize] < 0.0) {
-        places[part as usize].push(points[face[0] as usize]);
+        part_corners[part as usize].push(points[face[0] as usize]);
     }
-    let is_cavity = |places: &Vec<DVec3>| {
-        let every = places.len().div_ceil(CORNERS_TESTED).max(1);
-        !places.is_empty() && places.iter().step_by(every).all(|&place| winding(&sound, place) > 0.5)
+    let is_cavity = |corners: &Vec<DVec3>| {
+        let every = corners.len().div_ceil(CORNERS_TESTED).max(1);
+        !corners.is_empty() && corners.iter().step_by(every).all(|&corner| winding(&sound, corner) > 0.5)
     };
-    places.iter().map(is_cavity).collect()
+    part_corners.iter().map(is_cavity).collect()
 }
 
 /// The edges that are not traversed equally often in both directions.

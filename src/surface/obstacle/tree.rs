@@ -88,7 +88,7 @@ impl Tree {
 
     /// The nearest point on a triangle, if its squared distance is less than `limit`.
     pub(super) fn nearest(&self, point: DVec3, limit: f64) -> Option<DVec3> {
-        let (mut nearest, mut place) = (limit, None);
+        let (mut nearest, mut found) = (limit, None);
         let mut pending = vec![(self.root()?.distance_squared(point), 0)];
         while let Some((distance, index)) = pending.pop() {
             if distance >= nearest {
@@ -100,7 +100,7 @@ impl Tree {
                         let on_triangle = nearest_point(triangle, point);
                         let squared = on_triangle.distance_squared(point);
                         if squared < nearest {
-                            (nearest, place) = (squared, Some(on_triangle));
+                            (nearest, found) = (squared, Some(on_triangle));
                         }
                     }
                 }
@@ -114,7 +114,7 @@ impl Tree {
                 }
             }
         }
-        place
+        found
     }
 
     /// The leaves within `box_reach` of a box, and within `center_reach` of its centre.

@@ -73,9 +73,9 @@ fn values_of(corners: [DVec3; 3]) -> [f32; VALUE_COUNT] {
     numbers
 }
 
-fn put(numbers: &mut [f32; VALUE_COUNT], at: usize, direction: DVec3, place: f64) {
+fn put(numbers: &mut [f32; VALUE_COUNT], at: usize, direction: DVec3, offset: f64) {
     let [x, y, z] = direction.to_array();
-    for (number, value) in numbers[at..at + 4].iter_mut().zip([x, y, z, place]) {
+    for (number, value) in numbers[at..at + 4].iter_mut().zip([x, y, z, offset]) {
         *number = value as f32;
     }
 }
@@ -123,8 +123,8 @@ impl Kernel for Distances<'_> {
 
 /// The position of one of eight: 0 or 1 on each axis.
 #[inline(always)]
-fn step(place: usize) -> [f32; 3] {
-    [(place >> 2) as f32, (place >> 1 & 1) as f32, (place & 1) as f32]
+fn step(index: usize) -> [f32; 3] {
+    [(index >> 2) as f32, (index >> 1 & 1) as f32, (index & 1) as f32]
 }
 
 /// Culls the triangles that cannot be the nearest to a voxel of a block, and those farther than `most`.
@@ -196,9 +196,9 @@ fn block_distances<V: Lanes>(
 /// Writes the distances of a block of 2³ voxels to their voxels.
 #[inline(always)]
 fn scatter(distances: &[f32; 8], four: usize, two: usize, leaf: &mut Leaf) {
-    let bit = |place: usize, axis: usize| place >> (2 - axis) & 1;
-    for (place, distance) in distances.iter().enumerate() {
-        let coord = |axis: usize| 4 * bit(four, axis) + 2 * bit(two, axis) + bit(place, axis);
+    let bit = |index: usize, axis: usize| index >> (2 - axis) & 1;
+    for (index, distance) in distances.iter().enumerate() {
+        let coord = |axis: usize| 4 * bit(four, axis) + 2 * bit(two, axis) + bit(index, axis);
         let offset = coord(0) << 6 | coord(1) << 3 | coord(2);
         debug_assert!(offset < LEAF_VOXELS);
         leaf.values[offset] = *distance;

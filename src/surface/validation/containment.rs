@@ -51,8 +51,8 @@ pub(super) fn depth_outside(band: &NarrowBand, origin: IVec3, local: Vec3) -> f3
     let cell = local.floor().as_ivec3();
     let part = local - cell.as_vec3();
     let depth: f32 = (0..8)
-        .map(|place| {
-            let step = corner(place);
+        .map(|number| {
+            let step = corner(number);
             let weights = Vec3::select(step.cmpeq(IVec3::ONE), part, 1.0 - part);
             let phi = match band.topology.find_voxel(origin + cell + step) {
                 Some((leaf, local)) => band.phi.leaves[leaf].values[offset_in_leaf(local)],
@@ -121,8 +121,8 @@ impl LeafParticles<'_> {
     fn inside_cells(&self) -> [LeafMask; 2] {
         let Part { band, cells, bins, .. } = self.part;
         [LeafMask::EMPTY, LeafMask::FULL].map(|unstored| {
-            let masks = std::array::from_fn(|place| {
-                let origin = self.origin + corner(place) * LEAF_EDGE;
+            let masks = std::array::from_fn(|number| {
+                let origin = self.origin + corner(number) * LEAF_EDGE;
                 match band.topology.find(origin) {
                     Some(leaf) => cells.signs[leaf],
                     None if bins.is_deep(origin) => LeafMask::FULL,

@@ -121,9 +121,9 @@ impl PieceChecks<'_> {
     /// The corrected position of a vertex that is out of bounds: these are few.
     #[cold]
     fn stray(&self, near: &NearLeaves, vertex: usize, origin: IVec3, local: Vec3) -> Option<Stray> {
-        let place = origin.as_dvec3() + corrected_position(self.part, near, local)?.as_dvec3();
+        let corrected = origin.as_dvec3() + corrected_position(self.part, near, local)?.as_dvec3();
         let Part { mesh, lattice, .. } = self.part;
-        Some(Stray { vertex, position: (place * lattice.voxel_size - mesh.origin).as_vec3() })
+        Some(Stray { vertex, position: (corrected * lattice.voxel_size - mesh.origin).as_vec3() })
     }
 }
 

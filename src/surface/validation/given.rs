@@ -151,19 +151,19 @@ impl GivenPlace {
     fn corner_values(&self, topology: &Topology, field: &Field) -> Option<[f32; 8]> {
         let cell = self.origin + self.local.floor().as_ivec3();
         let mut values = [0.0; 8];
-        for (place, value) in values.iter_mut().enumerate() {
-            *value = value_at(topology, field, cell + corner(place))?;
+        for (number, value) in values.iter_mut().enumerate() {
+            *value = value_at(topology, field, cell + corner(number))?;
         }
         Some(values)
     }
 
     fn interpolated(&self, corners: [f32; 8]) -> f32 {
         let part = self.local - self.local.floor();
-        let weight = |place: usize| {
-            let step = corner(place).as_vec3();
+        let weight = |number: usize| {
+            let step = corner(number).as_vec3();
             (step * part + (1.0 - step) * (1.0 - part)).element_product()
         };
-        (0..8).map(|place| weight(place) * corners[place]).sum()
+        (0..8).map(|number| weight(number) * corners[number]).sum()
     }
 
     /// The value of the first stored voxel on the way to the moved particle.

@@ -67,7 +67,7 @@ impl MeshCells {
         let leaks: Vec<IVec3> = leaks.copied().collect();
         let around = |origin: &IVec3| {
             let origin = *origin;
-            (0..27).map(move |place| origin + LEAF_EDGE * step_of(place, 3))
+            (0..27).map(move |number| origin + LEAF_EDGE * step_of(number, 3))
         };
         cells.leaking = leaks.iter().flat_map(around).collect();
         cells
@@ -91,7 +91,7 @@ impl MeshCells {
 
     fn leaks(&self, topology: &Topology, origin: IVec3) -> bool {
         let leaves: [Option<usize>; 8] =
-            std::array::from_fn(|place| topology.find(origin + corner(place) * LEAF_EDGE));
+            std::array::from_fn(|number| topology.find(origin + corner(number) * LEAF_EDGE));
         let Some(leaf) = leaves[0] else { return false };
         let all_corners = |of_leaf: &dyn Fn(usize) -> LeafMask| {
             with_all_corners(leaves.map(|leaf| leaf.map_or(LeafMask::EMPTY, of_leaf)))
@@ -103,7 +103,7 @@ impl MeshCells {
         let leaks_around = |offset: usize| {
             let cell = origin + voxel_in_leaf(offset);
             let width = 2 * LEAK_CELLS + 1;
-            let around = || (0..width.pow(3)).map(|place| cell + step_of(place, width));
+            let around = || (0..width.pow(3)).map(|number| cell + step_of(number, width));
             if around().any(|cell| self.contains(topology, cell)) {
                 return false;
             }
@@ -118,18 +118,18 @@ impl MeshCells {
     /// Whether a cell is inside according to φ; `None` if φ is not stored at all of its corners, or changes
     /// its sign.
     fn clear_side(&self, topology: &Topology, cell: IVec3) -> Option<bool> {
-        let is_inside = |place: usize| {
-            let (leaf, local) = topology.find_voxel(cell + corner(place))?;
+        let is_inside = |number: usize| {
+            let (leaf, local) = topology.find_voxel(cell + corner(number))?;
             Some(self.signs[leaf].contains(offset_in_leaf(local)))
         };
         let first = is_inside(0)?;
-        (1..8).all(|place| is_inside(place) == Some(first)).then_some(first)
+        (1..8).all(|number| is_inside(number) == Some(first)).then_some(first)
     }
 }
 
 /// Converts an index in a cube of `width`³ cells to a step from its middle.
-fn step_of(place: i32, width: i32) -> IVec3 {
-    IVec3::new(place / (width * width), place / width % width, place % width) - width / 2
+fn step_of(number: i32, width: i32) -> IVec3 {
+    IVec3::new(number / (width * width), number / width % width, number % width) - width / 2
 }
 
 /// The corners of a triangle, in voxels.
@@ -234,15 +234,15 @@ pub(super) fn corner(number: usize) -> IVec3 {
 #[inline(always)]
 pub(super) fn with_all_corners(mut masks: [LeafMask; 8]) -> LeafMask {
     // Along z, then y, then x. Of the leaves after it, only the nearest voxels count.
-    for place in [0, 2, 4, 6] {
-        let after = masks[place + 1].words;
-        masks[place].words.iter_mut().zip(after).for_each(|(word, after)| {
+    for number in [0, 2, 4, 6] {
+        let after = masks[number + 1].words;
+        masks[number].words.iter_mut().zip(after).for_each(|(word, after)| {
             *word &= *word >> 1 & !LAST_Z | after << 7 & LAST_Z;
         });
     }
-    for place in [0, 4] {
-        let after = masks[place + 2].words;
-        masks[place].words.iter_mut().zip(after).for_each(|(word, after)| *word &= *word >> 8 | after << 56);
+    for number in [0, 4] {
+        let after = masks[number + 2].words;
+        masks[number].words.iter_mut().zip(after).for_each(|(word, after)| *word &= *word >> 8 | after << 56);
     }
     let [mut cells, .., after, _, _, _] = masks;
     for x in 0..8 {
@@ -258,8 +258,9 @@ mod tests {
 
     /// Whether an empty mesh leaks anywhere if the voxels inside are those of `is_inside`.
     fn leaks(is_inside: impl Fn(IVec3) -> bool) -> bool {
-        let places = (0..64).map(|place| LEAF_EDGE * (IVec3::new(place / 16, place / 4 % 4, place % 4) - 2));
-        let topology = Topology::new(places.collect());
+        let leaf_origins =
+            (0..64).map(|number| LEAF_EDGE * (IVec3::new(number / 16, number / 4 % 4, number % 4) - 2));
+        let topology = Topology::new(leaf_origins.collect());
         let leaf =
             |origin: &IVec3| Leaf {
                 values: std::array::from_fn(|offset| {

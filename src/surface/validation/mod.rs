@@ -12,10 +12,11 @@
 //! positions that a reader gets.
 //!
 //! A surface with an outward offset is that much farther from S_min, and at most that much farther from
-//! S_max. A surface with an inward offset is that much closer to S_min, and no closer to S_max:
+//! S_max. A surface with an inward offset is that much closer to S_min, but may be as close to
+//! S_max as before:
 //!
 //! ```text
-//!    S_max ╲   ╱ S_max       Where two spheres meet, a point b deep in their union is less deep in each of them.
+//!    S_max ╲   ╱ S_max       Where two spheres meet, a point that is b deep in their union is less deep in each of them.
 //!           ╲ ╱
 //!    moved ──×── inward by b
 //! ```
@@ -62,8 +63,8 @@ pub struct Certificate {
     /// How far the surface was moved outward after its bounds were checked, world units; negative values mean
     /// inward.
     pub offset: f64,
-    /// The smallest distance of a vertex from a particle and its largest distance from all particles, world
-    /// units: r_min and r_max plus the offset. `None` for surfaces of level sets.
+    /// The smallest and the largest allowed distance from a vertex to its nearest particle, world units: r_min
+    /// and r_max plus the offset. `None` for surfaces of level sets.
     pub distance_limits: Option<[f64; 2]>,
     /// Mesh vertices closer to a particle than the first limit by more than h/2.
     pub vertices_inside_min: usize,

@@ -121,15 +121,15 @@ fn crossing(corners: &[DVec3; 3], axis: usize, point: DVec3) -> Option<(f64, i32
     let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
     let is_above = corners.map(|corner| corner[u] > point[u]);
     let (mut up, mut down) = (None, None);
-    for place in 0..3 {
-        let next = (place + 1) % 3;
-        if is_above[place] == is_above[next] {
+    for index in 0..3 {
+        let next = (index + 1) % 3;
+        if is_above[index] == is_above[next] {
             continue;
         }
         // Use the same ends in the same order for both triangles of the edge.
         let (below, above) = match is_above[next] {
-            true => (corners[place], corners[next]),
-            false => (corners[next], corners[place]),
+            true => (corners[index], corners[next]),
+            false => (corners[next], corners[index]),
         };
         let part = (point[u] - below[u]) / (above[u] - below[u]);
         let cut = [v, axis].map(|along| below[along] + part * (above[along] - below[along]));
@@ -145,7 +145,7 @@ fn crossing(corners: &[DVec3; 3], axis: usize, point: DVec3) -> Option<(f64, i32
 
 /// The triangles in some leaves.
 struct TrianglesByLeaf {
-    places: FxHashMap<IVec3, u32>,
+    leaf_indices: FxHashMap<IVec3, u32>,
     /// Pairs of leaf index and triangle.
     triangles: Vec<(u32, u32)>,
 }
@@ -155,7 +155,7 @@ const CHUNK: usize = 4096;
 
 impl TrianglesByLeaf {
     fn new(part: &Part, leaves: &[IVec3]) -> TrianglesByLeaf {
-        let places: FxHashMap<IVec3, u32> = leaves.iter().copied().zip(0..).collect();
+        let leaf_indices: FxHashMap<IVec3, u32> = leaves.iter().copied().zip(0..).collect();
         let pieces = part.mesh.triangles.par_chunks(CHUNK).enumerate();
         let mut triangles: Vec<(u32, u32)> = pieces
             .flat_map_iter(|(piece, triangles)| {
@@ -166,7 +166,11 @@ impl TrianglesByLeaf {
                     for x in (first.x..=last.x).step_by(LEAF_EDGE as usize) {
                         for y in (first.y..=last.y).step_by(LEAF_EDGE as usize) {
                             for z in (first.z..=last.z).step_by(LEAF_EDGE as usize) {
-                                found.extend(places.get(&IVec3::new(x, y, z)).map(|&place| (place, index)));
+                                found.extend(
+                                    leaf_indices
+                                        .get(&IVec3::new(x, y, z))
+                                        .map(|&leaf_index| (leaf_index, index)),
+                                );
                             }
                         }
                     }
@@ -175,15 +179,15 @@ impl TrianglesByLeaf {
             })
             .collect();
         triangles.par_sort_unstable();
-        TrianglesByLeaf { places, triangles }
+        TrianglesByLeaf { leaf_indices, triangles }
     }
 
     fn of(&self, leaf: IVec3) -> impl Iterator<Item = &u32> {
-        let place = self.places.get(&leaf).copied().unwrap_or(u32::MAX);
-        let start = self.triangles.partition_point(|&(other, _)| other < place);
+        let leaf_index = self.leaf_indices.get(&leaf).copied().unwrap_or(u32::MAX);
+        let start = self.triangles.partition_point(|&(other, _)| other < leaf_index);
         self.triangles[start..]
             .iter()
-            .take_while(move |&&(other, _)| other == place)
+            .take_while(move |&&(other, _)| other == leaf_index)
             .map(|(_, triangle)| triangle)
     }
 }

@@ -25,13 +25,13 @@ pub struct Stray {
 /// The corrected position of a vertex that is out of bounds, relative to the leaf around which `near` was
 /// collected; `None` if no position within a voxel is valid.
 pub(super) fn corrected_position(part: &Part, near: &NearLeaves, local: Vec3) -> Option<Vec3> {
-    let mut place = local;
+    let mut point = local;
     for _ in 0..STEPS_MAX {
-        match step(part, near, place) {
-            None => return Some(place),
-            Some(step) => place += step,
+        match step(part, near, point) {
+            None => return Some(point),
+            Some(step) => point += step,
         }
-        if place.distance(local) > MOVE_MAX {
+        if point.distance(local) > MOVE_MAX {
             return None;
         }
     }
@@ -49,7 +49,7 @@ const STEPS_MAX: usize = 8;
 const SLACK: f32 = 2e-3;
 
 /// The step from a position to the bound that it violates; `None` if it violates none.
-fn step(part: &Part, near: &NearLeaves, place: Vec3) -> Option<Vec3> {
+fn step(part: &Part, near: &NearLeaves, point: Vec3) -> Option<Vec3> {
     let Part { bins, radii, rounding, .. } = *part;
     let DistanceLimits { radii: [min, max], from_spheres: [from_min, from_max] } =
         DistanceLimits::new(&radii).with_margin(CELL_MARGIN);
@@ -57,7 +57,7 @@ fn step(part: &Part, near: &NearLeaves, place: Vec3) -> Option<Vec3> {
     let (mut deepest, mut nearest) = ((f32::INFINITY, Vec3::ZERO), (f32::INFINITY, Vec3::ZERO));
     for &(from_leaf, leaf) in &near.leaves {
         for (index, &center) in bins.range(leaf).zip(bins.in_leaf(leaf)) {
-            let apart = place - from_leaf - center;
+            let apart = point - from_leaf - center;
             // The first-order distance to an ellipsoid far away is too small. And the result must not depend
             // on which leaves were searched.
             if apart.length() > max * bins.shapes.longest(index) + from_max + MOVE_MAX {
@@ -72,7 +72,7 @@ fn step(part: &Part, near: &NearLeaves, place: Vec3) -> Option<Vec3> {
             }
         }
     }
-    // The vertex was found out of bounds, if only by a rounding error.
+    // Every vertex that comes here was found out of bounds, if only by a rounding error.
     if deepest.0 < from_min + slack / 2.0 {
         Some(deepest.1 * (from_min + slack - deepest.0))
     } else if nearest.0 > from_max - slack / 2.0 && nearest.0.is_finite() {

@@ -104,8 +104,8 @@ fn distance_to_ellipsoid(ellipsoid: &Ellipsoid, radius: f64, x: DVec3) -> f64 {
     let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball.map(f64::from);
     let to_ball = DMat3::from_cols(DVec3::new(xx, xy, xz), DVec3::new(xy, yy, yz), DVec3::new(xz, yz, zz));
     let squared = to_ball * to_ball;
-    let place = |lambda: f64| (DMat3::IDENTITY + lambda * squared).inverse() * x;
-    let is_beyond = |lambda: f64| (to_ball * place(lambda)).length() > radius;
+    let point_at = |lambda: f64| (DMat3::IDENTITY + lambda * squared).inverse() * x;
+    let is_beyond = |lambda: f64| (to_ball * point_at(lambda)).length() > radius;
     if !is_beyond(0.0) {
         return 0.0;
     }
@@ -120,7 +120,7 @@ fn distance_to_ellipsoid(ellipsoid: &Ellipsoid, radius: f64, x: DVec3) -> f64 {
             high = middle;
         }
     }
-    x.distance(place(high))
+    x.distance(point_at(high))
 }
 
 /// Number of bisections after which λ is known to a millionth of its upper bound.
@@ -176,7 +176,7 @@ mod tests {
                 |axis: usize| turned[axis].as_dvec3() * f64::from(half_axes[axis] * radius) * ball[axis];
             along(0) + along(1) + along(2)
         };
-        let places: Vec<DVec3> =
+        let points: Vec<DVec3> =
             (0..600).flat_map(|u| (0..=300).map(move |v| (u, v))).map(|(u, v)| on_surface(u, v)).collect();
         let shapes = Shapes::Ellipsoids(vec![ellipsoid]);
         for x in [
@@ -185,7 +185,7 @@ mod tests {
             DVec3::new(0.5, 0.1, 3.1),
             DVec3::new(4.6, 6.2, 0.3),
         ] {
-            let nearest = places.iter().map(|place| place.distance(x)).fold(f64::INFINITY, f64::min);
+            let nearest = points.iter().map(|point| point.distance(x)).fold(f64::INFINITY, f64::min);
             let found = distance_to_ellipsoid(&ellipsoid, f64::from(radius), x);
             assert!((found - nearest).abs() < 2e-3, "{x}: {found} {nearest}");
             // The first-order distance is never larger.
