@@ -35,7 +35,7 @@ use crate::surface::particles::Particles;
 use crate::surface::space::Lattice;
 use light::Lighting;
 use sky::Sky;
-use surface::Surface;
+use surface::RaySurface;
 use tile::{Finished, TILE_EDGE, Tile, Tracer};
 
 /// The view: camera, picture size and ground.
@@ -93,7 +93,7 @@ pub struct Layers<'a> {
 
 /// Renders a level set.
 pub fn render(band: &NarrowBand, lattice: &Lattice, view: &View, layers: Layers) -> Picture {
-    let (surface, sky) = rayon::join(|| Surface::new(band), || Sky::new(band));
+    let (surface, sky) = rayon::join(|| RaySurface::new(band), || Sky::new(band));
     let tracer = Tracer::new(&surface, lattice, view);
     let lighting = Lighting::new(&sky, view);
     assemble(view.size, |place| Tile::new(&tracer, &lighting, place).finish(layers))

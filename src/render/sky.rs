@@ -22,13 +22,13 @@ use crate::surface::space::box_of;
 pub(super) struct Sky {
     /// The first voxel of the first cell.
     origin: DVec3,
-    levels: Vec<Level>,
+    levels: Vec<DensityLevel>,
     /// The edge of the finest cells, in voxels.
     edge: f32,
 }
 
 /// Cells of one size.
-struct Level {
+struct DensityLevel {
     size: IVec3,
     /// The fraction of each cell that is inside; z changes fastest.
     density: Vec<f32>,
@@ -57,7 +57,7 @@ impl Sky {
             edge *= 2;
         }
         let count = size(edge).element_product() as usize;
-        let mut finest = Level { size: size(edge).as_ivec3(), density: vec![0.0; count] };
+        let mut finest = DensityLevel { size: size(edge).as_ivec3(), density: vec![0.0; count] };
         fill(&mut finest, band, least, edge);
         let mut levels = vec![finest];
         while let Some(level) = levels.last().filter(|level| level.size.max_element() > 1) {
@@ -96,7 +96,7 @@ impl Sky {
     }
 }
 
-impl Level {
+impl DensityLevel {
     /// Trilinear interpolation, in cells; 0 outside of all cells.
     fn at(&self, point: Vec3) -> f32 {
         let point = point - 0.5;
@@ -123,7 +123,7 @@ impl Level {
     }
 
     /// Merges eight cells into one.
-    fn coarser(&self) -> Level {
+    fn coarser(&self) -> DensityLevel {
         let size = (self.size + 1) / 2;
         let count = size.as_i64vec3().element_product() as usize;
         let mean = |index: usize| {
@@ -139,7 +139,7 @@ impl Level {
             }
             sum / 8.0
         };
-        Level { size, density: (0..count).into_par_iter().map(mean).collect() }
+        DensityLevel { size, density: (0..count).into_par_iter().map(mean).collect() }
     }
 }
 
@@ -151,7 +151,7 @@ fn floor(point: Vec3) -> IVec3 {
 }
 
 /// Fills in the inside fraction of each cell; stray leaves outside of all cells are ignored.
-fn fill(level: &mut Level, band: &NarrowBand, least: IVec3, edge: i64) {
+fn fill(level: &mut DensityLevel, band: &NarrowBand, least: IVec3, edge: i64) {
     let per_voxel = (1.0 / edge as f32).powi(3);
     let negative = negative_masks(&band.phi);
     let extent = level.size.as_i64vec3() * edge;

@@ -67,7 +67,7 @@ fn draw(count: usize, position: impl Fn(usize) -> DVec3 + Sync, radius: f64, vie
     let nothing = Splat { depth: f32::INFINITY, normal: Vec3::ZERO, index: 0 };
     let mut splats = vec![nothing; columns * rows];
     splats.par_chunks_mut(BAND_ROWS * columns.max(1)).enumerate().for_each(|(band, splats)| {
-        let mut band = Band { first_row: band * BAND_ROWS, columns, splats };
+        let mut band = RowBand { first_row: band * BAND_ROWS, columns, splats };
         discs.iter().for_each(|disc| band.draw(disc, radius, &view.camera));
     });
     splats
@@ -89,13 +89,13 @@ fn disc(index: u32, center: DVec3, radius: f64, view: &View) -> Option<Disc> {
 }
 
 /// Some rows of rays.
-struct Band<'a> {
+struct RowBand<'a> {
     first_row: usize,
     columns: usize,
     splats: &'a mut [Splat],
 }
 
-impl Band<'_> {
+impl RowBand<'_> {
     fn draw(&mut self, disc: &Disc, radius: f64, camera: &Camera) {
         let &Disc { x, y, edge, depth, index } = disc;
         let span = |along: f64, count: usize| {

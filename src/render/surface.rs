@@ -18,7 +18,7 @@ use crate::surface::level_set::NarrowBand;
 use crate::surface::space::{CoordBox, box_of, joined};
 
 /// A level set prepared for ray intersection.
-pub(super) struct Surface<'a> {
+pub(super) struct RaySurface<'a> {
     band: &'a NarrowBand,
     /// Leaves with a crossing, by node; [`NO_LEAF`] if a leaf has none.
     nodes: FxHashMap<IVec3, Box<[u32; NODE_LEAVES]>>,
@@ -56,8 +56,8 @@ const NODE_LEAVES: usize = (NODE_EDGE * NODE_EDGE * NODE_EDGE) as usize;
 /// voxels.
 const NODES_MAX: usize = 1 << 14;
 
-impl<'a> Surface<'a> {
-    pub(super) fn new(band: &'a NarrowBand) -> Surface<'a> {
+impl<'a> RaySurface<'a> {
+    pub(super) fn new(band: &'a NarrowBand) -> RaySurface<'a> {
         let negative = negative_masks(&band.phi);
         let topology = &*band.topology;
         let crossed = |(leaf, &origin): (usize, &IVec3)| {
@@ -77,7 +77,7 @@ impl<'a> Surface<'a> {
             cells.include(leaf.origin + own.min);
             cells.include(leaf.origin + own.max);
         }
-        Surface { band, nodes, crossed, cells }
+        RaySurface { band, nodes, crossed, cells }
     }
 
     /// The first intersection of a ray with the surface, from `t_min` to `t_max`.
@@ -406,7 +406,7 @@ mod tests {
     fn rays_hit_a_sphere_at_its_surface() {
         let radius = 17.3;
         let band = band(40, |at| at.length() - radius);
-        let surface = Surface::new(&band);
+        let surface = RaySurface::new(&band);
         for ray in rays(20_000) {
             let middle = -ray.origin.dot(ray.direction);
             let nearest = ray.at(middle).length();

@@ -3,7 +3,7 @@
 use glam::{DVec2, DVec3, Vec3};
 
 use super::light::{Light, Lighting};
-use super::surface::{Stencil, Surface};
+use super::surface::{RaySurface, Stencil};
 use super::walk::Ray;
 use super::{FAR, Layers, PictureData, View};
 use crate::surface::space::Lattice;
@@ -23,7 +23,7 @@ const LIGHT_EDGE: usize = TRACED_EDGE / LIGHT_STEP;
 
 /// Traces rays through pixels, in voxels.
 pub(super) struct Tracer<'a> {
-    surface: &'a Surface<'a>,
+    surface: &'a RaySurface<'a>,
     view: &'a View,
     voxel_size: f64,
     /// The position of the camera, in voxels.
@@ -50,7 +50,7 @@ enum HitKind {
 }
 
 impl<'a> Tracer<'a> {
-    pub(super) fn new(surface: &'a Surface<'a>, lattice: &Lattice, view: &'a View) -> Tracer<'a> {
+    pub(super) fn new(surface: &'a RaySurface<'a>, lattice: &Lattice, view: &'a View) -> Tracer<'a> {
         let voxel_size = lattice.voxel_size;
         Tracer { surface, view, voxel_size, eye: view.camera.eye / voxel_size }
     }

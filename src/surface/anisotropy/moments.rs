@@ -35,12 +35,12 @@ pub(super) fn moments<V: Lanes, const COUNT: usize>(
     let (full, rest) = within[..count].as_chunks::<8>();
     let mut sums = [V::splat(0.0); COUNT];
     for indices in full {
-        let mut particles = Particles::NONE;
+        let mut particles = ParticlePacket::NONE;
         particles.take(eights, indices);
         add_moments(&mut sums, &particles, at);
     }
     if !rest.is_empty() {
-        let mut particles = Particles::NONE;
+        let mut particles = ParticlePacket::NONE;
         particles.take(eights, rest);
         add_moments(&mut sums, &particles, at);
     }
@@ -94,13 +94,13 @@ const fn set_bits() -> [[u32; 8]; 256] {
 }
 
 /// Eight particles from arbitrary positions. Unused lanes have a multiplicity of 0.
-struct Particles {
+struct ParticlePacket {
     along: [[f32; 8]; 3],
     multiplicity: [f32; 8],
 }
 
-impl Particles {
-    const NONE: Particles = Particles { along: [[0.0; 8]; 3], multiplicity: [0.0; 8] };
+impl ParticlePacket {
+    const NONE: ParticlePacket = ParticlePacket { along: [[0.0; 8]; 3], multiplicity: [0.0; 8] };
 
     #[inline(always)]
     fn take(&mut self, eights: &[Eight], indices: &[u32]) {
@@ -115,7 +115,7 @@ impl Particles {
 }
 
 #[inline(always)]
-fn add_moments<V: Lanes, const COUNT: usize>(sums: &mut [V; COUNT], particles: &Particles, at: Vec3) {
+fn add_moments<V: Lanes, const COUNT: usize>(sums: &mut [V; COUNT], particles: &ParticlePacket, at: Vec3) {
     let dx = V::load(&particles.along[0]).sub(V::splat(at.x));
     let dy = V::load(&particles.along[1]).sub(V::splat(at.y));
     let dz = V::load(&particles.along[2]).sub(V::splat(at.z));

@@ -14,12 +14,12 @@ use glam::DVec3;
 
 /// The boundary edges of a surface.
 pub(super) struct BoundaryEdges {
-    nodes: Vec<Node>,
+    nodes: Vec<EdgeNode>,
     edges: Vec<[DVec3; 2]>,
 }
 
 /// A range of edges.
-struct Node {
+struct EdgeNode {
     /// The box around them.
     min: DVec3,
     max: DVec3,
@@ -91,7 +91,7 @@ impl BoundaryEdges {
     }
 }
 
-impl Node {
+impl EdgeNode {
     /// The distance from a point to the box.
     fn distance(&self, point: DVec3) -> f64 {
         (self.min - point).max(point - self.max).max(DVec3::ZERO).length()
@@ -107,14 +107,14 @@ fn edge_slope(&[from, to]: &[DVec3; 2], center: DVec3, radius: f64) -> f64 {
 }
 
 /// Builds the node of a range of edges, given by their midpoints and indices, and the nodes below it.
-fn split(order: &mut [(DVec3, u32)], first: u32, edges: &[[DVec3; 2]], nodes: &mut Vec<Node>) {
+fn split(order: &mut [(DVec3, u32)], first: u32, edges: &[[DVec3; 2]], nodes: &mut Vec<EdgeNode>) {
     let index = nodes.len();
     let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     for &(_, edge) in &*order {
         let [from, to] = edges[edge as usize];
         (min, max) = (min.min(from).min(to), max.max(from).max(to));
     }
-    nodes.push(Node { min, max, length: 0.0, first, count: order.len() as u32, second: 0 });
+    nodes.push(EdgeNode { min, max, length: 0.0, first, count: order.len() as u32, second: 0 });
     if order.len() <= LEAF_EDGES {
         order.sort_unstable_by_key(|&(_, edge)| edge);
         let lengths =

@@ -14,13 +14,13 @@ use crate::surface::space::Lattice;
 
 /// The cache, in shards with one lock each.
 pub(super) struct LeafCache {
-    shards: [Mutex<Shard>; SHARDS],
+    shards: [Mutex<CacheShard>; SHARDS],
     /// Memory limit of a shard, in bytes.
     shard_bytes_max: usize,
 }
 
 #[derive(Default)]
-struct Shard {
+struct CacheShard {
     leaves: FxHashMap<Key, ObstacleLeaf>,
     size_bytes: usize,
 }
@@ -61,7 +61,7 @@ impl LeafCache {
         if size <= self.shard_bytes_max {
             let mut shard = shard.lock().unwrap_or_else(PoisonError::into_inner);
             if shard.size_bytes + size > self.shard_bytes_max {
-                *shard = Shard::default();
+                *shard = CacheShard::default();
             }
             // Another thread may have inserted it first.
             if shard.leaves.insert(key, leaf.clone()).is_none() {
@@ -73,7 +73,8 @@ impl LeafCache {
 
     /// Its memory, in bytes.
     pub(super) fn size_bytes(&self) -> usize {
-        let size = |shard: &Mutex<Shard>| shard.lock().unwrap_or_else(PoisonError::into_inner).size_bytes;
+        let size =
+            |shard: &Mutex<CacheShard>| shard.lock().unwrap_or_else(PoisonError::into_inner).size_bytes;
         self.shards.iter().map(size).sum()
     }
     /// Upper limit of its memory, in bytes.

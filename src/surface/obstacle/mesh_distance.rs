@@ -17,12 +17,12 @@ use std::f64::consts::{PI, TAU};
 use glam::DVec3;
 
 use super::surface::{open_edge_count, valid_triangles};
-use super::tree::Tree;
+use super::tree::TriangleTree;
 
 /// A mesh that gives signed distances. Unlike in a [`Solid`](super::Solid), triangles keep their orientation,
 /// which defines the outside.
 pub struct MeshDistance {
-    tree: Tree,
+    tree: TriangleTree,
     /// A point closer than this, world units, is on an edge or at a corner.
     touch: f64,
     open_edge_count: usize,
@@ -34,7 +34,7 @@ const ROUNDING: f64 = 1e-12;
 impl MeshDistance {
     /// The triangles with an area and finite corners, world units, counter-clockwise seen from outside.
     pub fn new(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> MeshDistance {
-        let tree = Tree::new(valid_triangles(positions, triangles));
+        let tree = TriangleTree::new(valid_triangles(positions, triangles));
         let farthest = tree.root().map_or(0.0, |node| node.min.abs().max(node.max.abs()).max_element());
         MeshDistance {
             tree,

@@ -54,7 +54,7 @@ const SKEW_MAX: f64 = 1e-4;
 
 /// A distance in our voxels, and whether it is known; otherwise only its sign is.
 #[derive(Clone, Copy)]
-struct Sample {
+struct GridSample {
     distance: f32,
     is_known: bool,
 }
@@ -232,10 +232,10 @@ impl Sampled {
     }
 
     /// The sample at one of our voxels.
-    fn sample_at(&self, voxel: IVec3, lattice: &Lattice) -> Sample {
+    fn sample_at(&self, voxel: IVec3, lattice: &Lattice) -> GridSample {
         let value = self.sample(self.index_of(voxel.as_dvec3(), lattice));
         let distance = (f64::from(value) / lattice.voxel_size) as f32;
-        Sample { distance, is_known: value.abs() < self.known_width() }
+        GridSample { distance, is_known: value.abs() < self.known_width() }
     }
 
     /// Computes the unknown distances of a leaf from known ones around it: the minimum of |φ(y)| + |x − y|

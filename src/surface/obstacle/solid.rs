@@ -6,7 +6,7 @@ use glam::{DVec3, IVec3};
 
 use super::inside_test::{WindingField, sign};
 use super::leaf::ObstacleLeaf;
-use super::surface::{MeshFindings, Surface};
+use super::surface::{MeshFindings, RepairedMesh};
 use super::triangle8::{Distances, Triangle8};
 use super::winding::{WINDING_ERROR, winding, winding_gradient};
 use crate::surface::grid::LEAF_EDGE;
@@ -15,7 +15,7 @@ use crate::surface::space::Lattice;
 
 /// The inside of a mesh.
 pub struct Solid {
-    surface: Surface,
+    surface: RepairedMesh,
 }
 
 /// From the centre of a leaf to its outermost voxels along an axis, in voxels.
@@ -31,7 +31,7 @@ impl Solid {
     /// The inside of these triangles, in world units. Triangles that cannot be part of a surface are left out
     /// and counted in [`Solid::findings`].
     pub fn new(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> Solid {
-        Solid { surface: Surface::new(positions, triangles) }
+        Solid { surface: RepairedMesh::new(positions, triangles) }
     }
 
     /// The problems of the mesh.
@@ -51,7 +51,7 @@ impl Solid {
 
     /// The signed distances of a leaf.
     pub(super) fn leaf(&self, origin: IVec3, lattice: &Lattice, half_width: f32) -> ObstacleLeaf {
-        let view = View::new(&self.surface, origin, lattice);
+        let view = LeafView::new(&self.surface, origin, lattice);
         let far = f64::from(half_width);
         let nearest = view.nearest(far + RADIUS);
         if nearest.is_none()
@@ -96,7 +96,7 @@ impl Solid {
 
     /// Whether the surface may come within `margin_voxels` of a leaf's voxels.
     pub(super) fn touches(&self, origin: IVec3, lattice: &Lattice, margin_voxels: f32) -> bool {
-        let view = View::new(&self.surface, origin, lattice);
+        let view = LeafView::new(&self.surface, origin, lattice);
         let margin = f64::from(margin_voxels);
         let has_patches = !self.surface.boundary.is_empty();
         view.nearest(margin + RADIUS + ROUNDING).is_some() || has_patches && view.side(margin).is_none()
@@ -104,17 +104,17 @@ impl Solid {
 }
 
 /// The surface relative to a leaf.
-struct View<'a> {
-    surface: &'a Surface,
+struct LeafView<'a> {
+    surface: &'a RepairedMesh,
     /// The centre of the leaf, and the edge length of a voxel, world units.
     center: DVec3,
     voxel_size: f64,
 }
 
-impl View<'_> {
-    fn new<'a>(surface: &'a Surface, origin: IVec3, lattice: &Lattice) -> View<'a> {
+impl LeafView<'_> {
+    fn new<'a>(surface: &'a RepairedMesh, origin: IVec3, lattice: &Lattice) -> LeafView<'a> {
         let voxel_size = lattice.voxel_size;
-        View { surface, center: (origin.as_dvec3() + HALF_EDGE) * voxel_size, voxel_size }
+        LeafView { surface, center: (origin.as_dvec3() + HALF_EDGE) * voxel_size, voxel_size }
     }
 
     /// The distance from the centre to the nearest triangle, in voxels, if less than `limit`.
@@ -157,7 +157,7 @@ impl View<'_> {
     }
 }
 
-impl WindingField for View<'_> {
+impl WindingField for LeafView<'_> {
     fn winding(&self, voxel: IVec3) -> f64 {
         winding(&self.surface.tree, self.position(voxel))
     }

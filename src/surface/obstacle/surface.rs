@@ -14,13 +14,13 @@
 //!    └─────────┘
 //! ```
 //!
-//! Holes stay open: the [boundary](Surface::boundary) locates them, and the winding number closes them.
+//! Holes stay open: the [boundary](RepairedMesh::boundary) locates them, and the winding number closes them.
 
 use glam::DVec3;
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::boundary::BoundaryEdges;
-use super::tree::Tree;
+use super::tree::TriangleTree;
 use super::winding::{WINDING_ERROR, winding};
 
 /// Problems of the mesh of an obstacle: triangles that were left out or flipped, and holes. The winding
@@ -49,8 +49,8 @@ pub struct MeshFindings {
 }
 
 /// Consistently oriented triangles.
-pub(super) struct Surface {
-    pub(super) tree: Tree,
+pub(super) struct RepairedMesh {
+    pub(super) tree: TriangleTree,
     /// The boundary edges: only near these does the winding number change gradually.
     pub(super) boundary: BoundaryEdges,
     pub(super) findings: MeshFindings,
@@ -62,9 +62,9 @@ const FARTHEST: f64 = 1e60;
 /// A triangle is flat if its height is below this fraction of its longest edge.
 const FLAT: f64 = 1e-12;
 
-impl Surface {
+impl RepairedMesh {
     /// The surface of these triangles, in world units.
-    pub(super) fn new(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> Surface {
+    pub(super) fn new(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> RepairedMesh {
         let mut findings = MeshFindings::default();
         let (points, welded) = weld(positions);
         let mut faces = distinct_faces(&points, &welded, triangles, &mut findings);
@@ -83,9 +83,9 @@ impl Surface {
             .collect();
         findings.triangle_count = corners.len();
         findings.degenerate_count += faces.len() - corners.len();
-        let tree = Tree::new(corners);
+        let tree = TriangleTree::new(corners);
         findings.encloses_nothing = findings.open_edge_count > 0 && encloses_nothing(&tree);
-        Surface { tree, boundary, findings }
+        RepairedMesh { tree, boundary, findings }
     }
 }
 
@@ -110,7 +110,7 @@ pub(super) fn open_edge_count(positions: &[[f64; 3]], triangles: &[[u32; 3]]) ->
 
 /// Whether the winding number exceeds 1/2 nowhere. It is evaluated behind some of the triangles, where it is
 /// largest.
-fn encloses_nothing(tree: &Tree) -> bool {
+fn encloses_nothing(tree: &TriangleTree) -> bool {
     let triangles = tree.triangles();
     let every = triangles.len().div_ceil(TEST_COUNT).max(1);
     triangles.iter().step_by(every).all(|triangle| {
@@ -304,7 +304,7 @@ fn are_cavities(
     let outward = |[a, b, c]: [DVec3; 3]| if inside_out { [a, c, b] } else { [a, b, c] };
     let of_sound = faces.iter().zip(parts).filter(|&(_, &part)| volumes[part as usize] > 0.0);
     let of_sound = of_sound.map(|(face, _)| corners(points, *face)).filter(|corners| !is_flat(corners));
-    let sound = Tree::new(of_sound.map(outward).collect());
+    let sound = TriangleTree::new(of_sound.map(outward).collect());
     let mut part_corners: Vec<Vec<DVec3>> = vec![Vec::new(); volumes.len()];
     for (face, &part) in faces.iter().zip(parts).filter(|&(_, &part)| volumes[part as usize] < 0.0) {
         part_corners[part as usize].push(points[face[0] as usize]);

@@ -11,7 +11,7 @@ use super::surface::area_vector;
 pub(super) const LEAF_TRIANGLES: usize = 8;
 
 /// A branch: a range of triangles.
-pub(super) struct Node {
+pub(super) struct TriangleNode {
     /// The box around them.
     pub(super) min: DVec3,
     pub(super) max: DVec3,
@@ -29,21 +29,21 @@ pub(super) struct Node {
 }
 
 /// The tree.
-pub(super) struct Tree {
-    nodes: Vec<Node>,
+pub(super) struct TriangleTree {
+    nodes: Vec<TriangleNode>,
     triangles: Vec<[DVec3; 3]>,
 }
 
 /// The contents of a node.
-pub(super) enum Branch<'a> {
+pub(super) enum TreeBranch<'a> {
     /// The two children.
     Both([u32; 2]),
     /// Up to eight triangles.
     Leaf(&'a [[DVec3; 3]]),
 }
 
-impl Tree {
-    pub(super) fn new(triangles: Vec<[DVec3; 3]>) -> Tree {
+impl TriangleTree {
+    pub(super) fn new(triangles: Vec<[DVec3; 3]>) -> TriangleTree {
         let mut order: Vec<(DVec3, u32)> =
             triangles.iter().zip(0..).map(|([a, b, c], index)| ((a + b + c) / 3.0, index)).collect();
         let mut nodes = Vec::with_capacity(2 * triangles.len().div_ceil(LEAF_TRIANGLES));
@@ -51,7 +51,7 @@ impl Tree {
             split(&mut order, 0, &triangles, &mut nodes);
         }
         let triangles = order.iter().map(|&(_, index)| triangles[index as usize]).collect();
-        Tree { nodes, triangles }
+        TriangleTree { nodes, triangles }
     }
 
     /// All triangles, in tree order.
@@ -60,19 +60,19 @@ impl Tree {
     }
 
     /// The node of all triangles.
-    pub(super) fn root(&self) -> Option<&Node> {
+    pub(super) fn root(&self) -> Option<&TriangleNode> {
         self.nodes.first()
     }
 
-    pub(super) fn node(&self, index: u32) -> &Node {
+    pub(super) fn node(&self, index: u32) -> &TriangleNode {
         &self.nodes[index as usize]
     }
 
-    pub(super) fn branch(&self, index: u32) -> Branch<'_> {
+    pub(super) fn branch(&self, index: u32) -> TreeBranch<'_> {
         let node = &self.nodes[index as usize];
         match node.second {
-            0 => Branch::Leaf(&self.triangles[node.first as usize..][..node.count as usize]),
-            second => Branch::Both([index + 1, second]),
+            0 => TreeBranch::Leaf(&self.triangles[node.first as usize..][..node.count as usize]),
+            second => TreeBranch::Both([index + 1, second]),
         }
     }
 
@@ -95,7 +95,7 @@ impl Tree {
                 continue;
             }
             match self.branch(index) {
-                Branch::Leaf(triangles) => {
+                TreeBranch::Leaf(triangles) => {
                     for triangle in triangles {
                         let on_triangle = nearest_point(triangle, point);
                         let squared = on_triangle.distance_squared(point);
@@ -104,7 +104,7 @@ impl Tree {
                         }
                     }
                 }
-                Branch::Both(nodes) => {
+                TreeBranch::Both(nodes) => {
                     let mut both = nodes.map(|node| (self.node(node).distance_squared(point), node));
                     if both[0].0 < both[1].0 {
                         both.swap(0, 1);
@@ -126,7 +126,7 @@ impl Tree {
         center_reach: f64,
         mut each: impl FnMut(&[[DVec3; 3]]),
     ) {
-        let is_near = |node: &Node| {
+        let is_near = |node: &TriangleNode| {
             let apart = (node.min - center).max(center - node.max) - half_edge;
             apart.max(DVec3::ZERO).length_squared() <= box_reach * box_reach
                 && node.distance_squared(center) <= center_reach * center_reach
@@ -134,8 +134,8 @@ impl Tree {
         let mut pending: Vec<u32> = self.root().filter(|root| is_near(root)).map(|_| 0).into_iter().collect();
         while let Some(index) = pending.pop() {
             match self.branch(index) {
-                Branch::Leaf(triangles) => each(triangles),
-                Branch::Both(nodes) => {
+                TreeBranch::Leaf(triangles) => each(triangles),
+                TreeBranch::Both(nodes) => {
                     pending.extend(nodes.into_iter().filter(|&node| is_near(self.node(node))));
                 }
             }
@@ -143,7 +143,7 @@ impl Tree {
     }
 }
 
-impl Node {
+impl TriangleNode {
     /// The squared distance from a point to the box.
     pub(super) fn distance_squared(&self, point: DVec3) -> f64 {
         (self.min - point).max(point - self.max).max(DVec3::ZERO).length_squared()
@@ -151,7 +151,7 @@ impl Node {
 }
 
 /// Builds the node of a range of triangles and the nodes below it.
-fn split(order: &mut [(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]], nodes: &mut Vec<Node>) {
+fn split(order: &mut [(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]], nodes: &mut Vec<TriangleNode>) {
     let index = nodes.len();
     nodes.push(node_of(order, first, triangles));
     if order.len() <= LEAF_TRIANGLES {
@@ -179,7 +179,7 @@ fn split(order: &mut [(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]], nodes
     split(other, first + half as u32, triangles, nodes);
 }
 
-fn node_of(order: &[(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]]) -> Node {
+fn node_of(order: &[(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]]) -> TriangleNode {
     let members = || order.iter().map(|&(center, index)| (center, &triangles[index as usize]));
     let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     let (mut vector, mut moment, mut area) = (DVec3::ZERO, DVec3::ZERO, 0.0);
@@ -199,7 +199,7 @@ fn node_of(order: &[(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]]) -> Node
         triangle.iter().fold(0.0, |most: f64, corner| most.max(corner.distance_squared(center)))
     };
     let radius_squared = members().map(reach).fold(0.0, f64::max);
-    Node {
+    TriangleNode {
         min,
         max,
         center,

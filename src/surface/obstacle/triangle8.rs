@@ -145,7 +145,7 @@ fn cull<V: Lanes>(
     let infinite = V::splat(f32::INFINITY);
     let mut least = infinite;
     for (&(index, lanes), squares) in from.iter().zip(&mut *squares) {
-        let distance = squared(&Frame::<V>::of_packet(&packets[index as usize]), point);
+        let distance = squared(&EdgeFrames::<V>::of_packet(&packets[index as usize]), point);
         let distance = V::select(V::mask(lanes), distance, infinite);
         least = least.min(distance);
         distance.store(squares);
@@ -185,7 +185,7 @@ fn block_distances<V: Lanes>(
         while lanes != 0 {
             let lane = lanes.trailing_zeros() as usize;
             lanes &= lanes - 1;
-            least = least.min(squared(&Frame::<V>::of_triangle(&packets[index as usize], lane), point));
+            least = least.min(squared(&EdgeFrames::<V>::of_triangle(&packets[index as usize], lane), point));
         }
     }
     let mut distances = [0.0; 8];
@@ -206,27 +206,27 @@ fn scatter(distances: &[f32; 8], four: usize, two: usize, leaf: &mut Leaf) {
 }
 
 /// One triangle against eight points, or eight triangles against one.
-struct Frame<V> {
+struct EdgeFrames<V> {
     numbers: [V; VALUE_COUNT],
 }
 
-impl<V: Lanes> Frame<V> {
+impl<V: Lanes> EdgeFrames<V> {
     #[inline(always)]
-    fn of_packet(eight: &Triangle8) -> Frame<V> {
+    fn of_packet(eight: &Triangle8) -> EdgeFrames<V> {
         let mut numbers = [V::splat(0.0); VALUE_COUNT];
         for (number, row) in numbers.iter_mut().zip(&eight.rows) {
             *number = V::load(row);
         }
-        Frame { numbers }
+        EdgeFrames { numbers }
     }
 
     #[inline(always)]
-    fn of_triangle(eight: &Triangle8, lane: usize) -> Frame<V> {
+    fn of_triangle(eight: &Triangle8, lane: usize) -> EdgeFrames<V> {
         let mut numbers = [V::splat(0.0); VALUE_COUNT];
         for (number, row) in numbers.iter_mut().zip(&eight.rows) {
             *number = V::splat(row[lane]);
         }
-        Frame { numbers }
+        EdgeFrames { numbers }
     }
 
     /// The coordinate of a point along the direction stored at `at`.
@@ -238,7 +238,7 @@ impl<V: Lanes> Frame<V> {
 
 /// The squared distance.
 #[inline(always)]
-fn squared<V: Lanes>(frame: &Frame<V>, point: [V; 3]) -> V {
+fn squared<V: Lanes>(frame: &EdgeFrames<V>, point: [V; 3]) -> V {
     let zero = V::splat(0.0);
     let off_plane = frame.along(0, point).sub(frame.numbers[3]);
     let mut off_edges = V::splat(f32::INFINITY);

@@ -21,7 +21,7 @@ use std::f64::consts::PI;
 
 use glam::DVec3;
 
-use super::tree::{Branch, Tree};
+use super::tree::{TreeBranch, TriangleTree};
 
 /// A branch is far away at this many times its radius. Around half a ball of 3200 triangles the error of w is
 /// then 0.024.
@@ -31,7 +31,7 @@ const FAR: f64 = 2.5;
 pub(super) const WINDING_ERROR: f64 = 0.03;
 
 /// The winding number at a point.
-pub(super) fn winding(tree: &Tree, point: DVec3) -> f64 {
+pub(super) fn winding(tree: &TriangleTree, point: DVec3) -> f64 {
     let mut sum = 0.0;
     visit(tree, point, |seen| {
         sum += match seen {
@@ -43,7 +43,7 @@ pub(super) fn winding(tree: &Tree, point: DVec3) -> f64 {
 }
 
 /// The gradient of the winding number at a point.
-pub(super) fn winding_gradient(tree: &Tree, point: DVec3) -> DVec3 {
+pub(super) fn winding_gradient(tree: &TriangleTree, point: DVec3) -> DVec3 {
     let mut sum = DVec3::ZERO;
     visit(tree, point, |seen| {
         sum += match seen {
@@ -63,7 +63,7 @@ enum Item {
     Triangle([DVec3; 3]),
 }
 
-fn visit(tree: &Tree, point: DVec3, mut see: impl FnMut(Item)) {
+fn visit(tree: &TriangleTree, point: DVec3, mut see: impl FnMut(Item)) {
     let mut pending: Vec<u32> = tree.root().map(|_| 0).into_iter().collect();
     while let Some(index) = pending.pop() {
         let node = tree.node(index);
@@ -73,12 +73,12 @@ fn visit(tree: &Tree, point: DVec3, mut see: impl FnMut(Item)) {
             continue;
         }
         match tree.branch(index) {
-            Branch::Leaf(triangles) => {
+            TreeBranch::Leaf(triangles) => {
                 triangles
                     .iter()
                     .for_each(|triangle| see(Item::Triangle(triangle.map(|corner| corner - point))));
             }
-            Branch::Both(nodes) => pending.extend(nodes),
+            TreeBranch::Both(nodes) => pending.extend(nodes),
         }
     }
 }

@@ -55,7 +55,7 @@ method_options! {
     /// spacings or voxels: see [`Length`].
     pub struct MethodOptions {
         General {
-            /// Set of defaults for this kind of particles; the options below override it [default: fluid]
+            /// Defaults for a kind of particles; the options below override them [default: fluid]
             #[arg(value_name = "NAME", ignore_case = true)]
             preset: Preset,
 

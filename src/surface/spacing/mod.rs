@@ -31,7 +31,7 @@ use crate::surface::particles::Positions;
 pub(crate) use bounded::Sample;
 use local::Local;
 use sample::sample;
-use tree::Node;
+use tree::KdNode;
 
 /// Sample size: its median is within about one percent of the median of all particles, whatever their number.
 const SAMPLE_COUNT: usize = 2000;
@@ -79,7 +79,7 @@ pub struct Estimate {
 pub fn estimate_spacing<'a>(positions: impl Into<Positions<'a>>) -> Option<Estimate> {
     let mut points = finite_positions(&positions.into());
     let sample = sample(&points, SAMPLE_COUNT);
-    let tree = Node::build(&mut points);
+    let tree = KdNode::build(&mut points);
     let measure = |&point: &DVec3| Local::among(&tree.neighbors(point, NEIGHBOR_COUNT));
     let locals: Vec<Local> = sample.par_iter().filter_map(measure).collect();
 

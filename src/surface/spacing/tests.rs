@@ -205,7 +205,7 @@ fn lengths_are_rounded_to_two_digits() {
 fn neighbours_match_brute_force() {
     let points: Vec<DVec3> = random(500).into_iter().chain(lattice(6, 0.2)).map(DVec3::from).collect();
     let mut sorted = points.clone();
-    let tree = Node::build(&mut sorted);
+    let tree = KdNode::build(&mut sorted);
     for &from in points.iter().step_by(17) {
         let mut others: Vec<DVec3> = points.iter().filter(|&&point| point != from).copied().collect();
         let order = |a: &DVec3, b: &DVec3| {

@@ -12,21 +12,21 @@ const LEAF_COUNT: usize = 16;
 const PARALLEL_COUNT: usize = 1 << 14;
 
 /// A node of the tree: the box of its points, and its two halves.
-pub(super) struct Node<'a> {
+pub(super) struct KdNode<'a> {
     lower: DVec3,
     upper: DVec3,
     points: &'a [DVec3],
     /// `None` for a leaf: few points, or one position, possibly repeated.
-    halves: Option<Box<[Node<'a>; 2]>>,
+    halves: Option<Box<[KdNode<'a>; 2]>>,
 }
 
-impl<'a> Node<'a> {
+impl<'a> KdNode<'a> {
     /// Builds the tree by sorting the points in place. Halving by count bounds the depth for any data.
-    pub(super) fn build(points: &'a mut [DVec3]) -> Node<'a> {
+    pub(super) fn build(points: &'a mut [DVec3]) -> KdNode<'a> {
         let lower = points.iter().copied().fold(DVec3::INFINITY, DVec3::min);
         let upper = points.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
         if points.len() <= LEAF_COUNT || lower == upper {
-            return Node { lower, upper, points, halves: None };
+            return KdNode { lower, upper, points, halves: None };
         }
         let axis = (upper - lower).max_position();
         let middle = points.len() / 2;
@@ -34,11 +34,11 @@ impl<'a> Node<'a> {
         let parallel = points.len() > PARALLEL_COUNT;
         let (left, right) = points.split_at_mut(middle);
         let (left, right) = if parallel {
-            rayon::join(|| Node::build(left), || Node::build(right))
+            rayon::join(|| KdNode::build(left), || KdNode::build(right))
         } else {
-            (Node::build(left), Node::build(right))
+            (KdNode::build(left), KdNode::build(right))
         };
-        Node { lower, upper, points: &[], halves: Some(Box::new([left, right])) }
+        KdNode { lower, upper, points: &[], halves: Some(Box::new([left, right])) }
     }
 
     /// Up to `count` nearest distinct positions other than `from`, as offsets from it, the nearest first.

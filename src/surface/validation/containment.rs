@@ -18,7 +18,7 @@ use super::distances::is_inside_one;
 use super::mesh_cells::{corner, with_all_corners};
 use super::particle_checks::Part;
 use super::rays::not_enclosed;
-use super::surfaces::Bodies;
+use super::surfaces::ShapedParticles;
 use crate::surface::grid::{LEAF_EDGE, LeafMask, offset_in_leaf};
 use crate::surface::level_set::NarrowBand;
 use crate::surface::simd::{Kernel, Lanes, dispatch};
@@ -26,8 +26,8 @@ use crate::surface::simd::{Kernel, Lanes, dispatch};
 /// The particles of a part that the mesh does not enclose, in voxels relative to the origin of their leaf,
 /// and the number of exempt particles.
 pub(super) fn particles_outside(part: &Part) -> (Vec<(IVec3, Vec3)>, usize) {
-    let bodies = Bodies::of(part.bins);
-    let bodies = bodies.as_ref();
+    let shaped = ShapedParticles::of(part.bins);
+    let shaped = shaped.as_ref();
     let origins = part.bins.topology.origins().par_iter().enumerate();
     let owned = origins.filter(|(_, origin)| part.owned.contains(**origin));
     let found = owned.map(|(leaf, &origin)| dispatch(LeafParticles { part, leaf, origin }));
@@ -41,7 +41,7 @@ pub(super) fn particles_outside(part: &Part) -> (Vec<(IVec3, Vec3)>, usize) {
     };
     let mut outside: Vec<(IVec3, Vec3)> = leaking.into_iter().flat_map(particles).collect();
     let doubtful: Vec<(IVec3, Vec3)> = others.into_iter().flat_map(particles).collect();
-    outside.extend(not_enclosed(part, bodies, &doubtful));
+    outside.extend(not_enclosed(part, shaped, &doubtful));
     (outside, exempt_count)
 }
 
@@ -140,11 +140,11 @@ impl LeafParticles<'_> {
 
 /// Whether φ is negative at a voxel. If φ is not stored, no surface is near: the voxel is inside if φ_0 is
 /// negative, and outside otherwise, as around spheres so small that they fall between voxels.
-pub(super) fn is_voxel_inside(part: &Part, bodies: Option<&Bodies>, voxel: IVec3) -> bool {
+pub(super) fn is_voxel_inside(part: &Part, shaped: Option<&ShapedParticles>, voxel: IVec3) -> bool {
     if let Some((leaf, local)) = part.band.topology.find_voxel(voxel) {
         return part.cells.signs[leaf].contains(offset_in_leaf(local));
     }
     let local = voxel & IVec3::splat(LEAF_EDGE - 1);
     part.bins.is_deep(voxel - local)
-        || is_inside_one(part.bins, bodies, voxel - local, local.as_vec3(), part.radii.init)
+        || is_inside_one(part.bins, shaped, voxel - local, local.as_vec3(), part.radii.init)
 }

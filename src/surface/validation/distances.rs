@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::DistanceLimits;
 use super::particle_checks::{Part, ParticleChecks};
 use super::strays::{MOVE_MAX, Stray, corrected_position};
-use super::surfaces::{Bodies, Sides};
+use super::surfaces::{ShapedParticles, Sides};
 use crate::surface::grid::{LEAF_EDGE, leaf_steps_within};
 use crate::surface::rasterize::ParticleBins;
 use crate::surface::simd::{Kernel, Lanes, dispatch};
@@ -31,14 +31,14 @@ pub(super) type Column = [f32; LANES];
 /// Checks how far the vertices of a part are from its particles. Returns the checks, and corrected positions
 /// for vertices that are out of bounds.
 pub(super) fn check_vertices(part: &Part) -> (ParticleChecks, Vec<Stray>) {
-    let bodies = Bodies::of(part.bins);
-    let longest = bodies.as_ref().map_or(1.0, Bodies::longest);
+    let shaped = ShapedParticles::of(part.bins);
+    let longest = shaped.as_ref().map_or(1.0, ShapedParticles::longest);
     let reach = part.radii.max * longest + part.radii.outward();
     let steps = leaf_steps_within(reach + CELL_MARGIN + 2.0 * MOVE_MAX);
     let pieces = part.mesh.positions.par_chunks(CHUNK).enumerate();
     let check = |(piece, positions)| {
         let first = piece * CHUNK;
-        dispatch(PieceChecks { part, bodies: bodies.as_ref(), steps: &steps, first, positions })
+        dispatch(PieceChecks { part, shaped: shaped.as_ref(), steps: &steps, first, positions })
     };
     let pieces: Vec<(ParticleChecks, Vec<Stray>)> = pieces.map(check).collect();
     let checks = pieces.iter().fold(ParticleChecks::NOTHING, |checks, (piece, _)| checks.and(*piece));
@@ -49,7 +49,7 @@ pub(super) fn check_vertices(part: &Part) -> (ParticleChecks, Vec<Stray>) {
 struct PieceChecks<'a> {
     part: &'a Part<'a>,
     /// The particles, if they differ in shape.
-    bodies: Option<&'a Bodies<'a>>,
+    shaped: Option<&'a ShapedParticles<'a>>,
     steps: &'a [IVec3],
     /// The index of the first of them.
     first: usize,
@@ -92,12 +92,12 @@ impl Kernel for PieceChecks<'_> {
             }
             near.find_around(self.part.bins, origin, self.steps);
             let distances = near.distances(self.part.bins, &locals);
-            let Sides { is_inside_min, is_within_max } = match self.bodies {
+            let Sides { is_inside_min, is_within_max } = match self.shaped {
                 None => Sides {
                     is_inside_min: distances.map(|distance| distance < least),
                     is_within_max: distances.map(|distance| distance <= greatest),
                 },
-                Some(bodies) => bodies.sides(&near, &locals, &limits),
+                Some(shaped) => shaped.sides(&near, &locals, &limits),
             };
             for (lane, &position) in positions.iter().enumerate() {
                 if is_exempt(self.part, position) {
@@ -217,20 +217,20 @@ pub(super) fn squared_gap(points: &[Column; 3]) -> f32 {
 /// inside its ellipsoid.
 pub(super) fn is_inside_one(
     bins: &ParticleBins,
-    bodies: Option<&Bodies>,
+    shaped: Option<&ShapedParticles>,
     origin: IVec3,
     point: Vec3,
     radius: f32,
 ) -> bool {
-    let longest = bodies.map_or(1.0, Bodies::longest);
+    let longest = shaped.map_or(1.0, ShapedParticles::longest);
     let mut near = NearLeaves::nowhere();
     near.find_around(bins, origin, &leaf_steps_within(radius * longest));
     let points = point.to_array().map(|axis| [axis; LANES]);
-    match bodies {
+    match shaped {
         None => near.distances(bins, &points)[0] < radius,
-        Some(bodies) => {
+        Some(shaped) => {
             let limits = DistanceLimits { radii: [radius; 2], from_spheres: [0.0; 2] };
-            bodies.sides(&near, &points, &limits).is_inside_min[0]
+            shaped.sides(&near, &points, &limits).is_inside_min[0]
         }
     }
 }

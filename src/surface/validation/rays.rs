@@ -17,7 +17,7 @@ use rustc_hash::FxHashMap;
 use super::containment::is_voxel_inside;
 use super::mesh_cells::{cells_of_box, corner, corners};
 use super::particle_checks::Part;
-use super::surfaces::Bodies;
+use super::surfaces::ShapedParticles;
 use crate::surface::grid::LEAF_EDGE;
 
 /// Maximum length of a ray in cells; if it finds no clear cell, the particle counts as outside.
@@ -37,13 +37,13 @@ struct Ray {
 /// The particles, relative to the origin of a leaf and in voxels, that the mesh does not enclose.
 pub(super) fn not_enclosed(
     part: &Part,
-    bodies: Option<&Bodies>,
+    shaped: Option<&ShapedParticles>,
     particles: &[(IVec3, Vec3)],
 ) -> Vec<(IVec3, Vec3)> {
     if particles.is_empty() {
         return Vec::new();
     }
-    let ray = |&(origin, local): &(IVec3, Vec3)| Ray::new(part, bodies, origin, local);
+    let ray = |&(origin, local): &(IVec3, Vec3)| Ray::new(part, shaped, origin, local);
     let rays: Vec<Option<Ray>> = particles.par_iter().map(ray).collect();
     let mut leaves: Vec<IVec3> = rays.iter().flatten().flat_map(Ray::leaves).collect();
     leaves.par_sort_unstable_by_key(|leaf| leaf.to_array());
@@ -56,10 +56,10 @@ pub(super) fn not_enclosed(
 
 impl Ray {
     /// The shortest ray that ends in a clear cell.
-    fn new(part: &Part, bodies: Option<&Bodies>, origin: IVec3, local: Vec3) -> Option<Ray> {
+    fn new(part: &Part, shaped: Option<&ShapedParticles>, origin: IVec3, local: Vec3) -> Option<Ray> {
         let from = origin.as_dvec3() + local.as_dvec3();
         let cell = from.floor().as_ivec3();
-        let is_inside = |voxel| is_voxel_inside(part, bodies, voxel);
+        let is_inside = |voxel| is_voxel_inside(part, shaped, voxel);
         let clear_side = |cell: IVec3| {
             let leaf = cell & !(LEAF_EDGE - 1);
             if part.cells.contains(&part.band.topology, cell) || part.cells.is_leaking(leaf) {

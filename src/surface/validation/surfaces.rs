@@ -11,20 +11,20 @@ use crate::surface::particles::{Ellipsoid, Shapes};
 use crate::surface::rasterize::ParticleBins;
 
 /// Particles with their own shapes, and their extents.
-pub(super) struct Bodies<'a> {
+pub(super) struct ShapedParticles<'a> {
     bins: &'a ParticleBins,
     /// The longest half axis in each leaf, in units of the radii.
     longest: Vec<f32>,
 }
 
-impl<'a> Bodies<'a> {
+impl<'a> ShapedParticles<'a> {
     /// `None` if all particles have the same shape.
-    pub(super) fn of(bins: &'a ParticleBins) -> Option<Bodies<'a>> {
+    pub(super) fn of(bins: &'a ParticleBins) -> Option<ShapedParticles<'a>> {
         if bins.shapes.are_balls() {
             return None;
         }
         let longest = |leaf| bins.range(leaf).map(|index| bins.shapes.longest(index)).fold(0.0, f32::max);
-        Some(Bodies { bins, longest: (0..bins.topology.len()).map(longest).collect() })
+        Some(ShapedParticles { bins, longest: (0..bins.topology.len()).map(longest).collect() })
     }
 
     /// The longest half axis of all particles, in units of the radii.
