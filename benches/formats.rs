@@ -77,7 +77,7 @@ fn main() -> ExitCode {
         .map(|threads| ThreadPoolBuilder::new().num_threads(threads).build().expect("threads"));
     println!("{core_count} cores, {ROUND_COUNT} rounds; MB a second, and in parts of a copy by one core");
     println!("                                  one core:                 all cores:");
-    println!("                              MB  median    best  of copy   median    best  of copy  promised");
+    println!("                              MB  median    best  of copy   median    best  of copy  target");
     let reading = reading_rows(&pools);
     let writing = writing_rows(&pools);
     if reading && writing {
@@ -199,7 +199,7 @@ fn measure(mut row: Row, pools: &[ThreadPool; 2]) -> bool {
     let meets_target = row.target.is_none_or(|(least, cores)| least <= cores.of(&one, &all).median);
     if let Some((least, cores)) = row.target {
         let _ = write!(line, "{least:5.0} {}", cores.of("a core", "in all"));
-        line += if meets_target { "" } else { ", NOT KEPT" };
+        line += if meets_target { "" } else { ", BELOW TARGET" };
     }
     println!("{line}");
     meets_target

@@ -123,11 +123,7 @@ fn print_passes(pools: &[ThreadPool; 2]) -> bool {
             meets_target &= !std::ptr::eq(ceilings, of_memory) || part(ceilings.triad) >= ROOF_FLOOR;
         }
     }
-    println!(
-        "promised of the largest: {:.0} %, and at the least {:.0} %",
-        100.0 * ROOF_TARGET,
-        100.0 * ROOF_FLOOR
-    );
+    println!("largest shell: target {:.0} %, minimum {:.0} %", 100.0 * ROOF_TARGET, 100.0 * ROOF_FLOOR);
     meets_target
 }
 

@@ -182,7 +182,7 @@ fn print_speedups(rows: &[[Row; 2]]) -> bool {
         println!("{:13}{rasterize:8.2}{smooth:8.2}{contour:8.2}   {target_label}", one.free_count);
         is_kept &= smooth >= SPEEDUP_FLOOR;
     }
-    println!("promised while smoothing: {SPEEDUP_TARGET}, and at the least {SPEEDUP_FLOOR}");
+    println!("smoothing: target {SPEEDUP_TARGET}, minimum {SPEEDUP_FLOOR}");
     is_kept
 }
 
@@ -209,7 +209,7 @@ fn print_growth(rows: &[[Row; 2]]) -> bool {
         );
         is_kept &= most <= GROWTH_FLOOR;
     }
-    println!("promised: ± {:.0} %, and at the most ± {:.0} %", 100.0 * GROWTH_TARGET, 100.0 * GROWTH_FLOOR);
+    println!("target: ± {:.0} %, limit: ± {:.0} %", 100.0 * GROWTH_TARGET, 100.0 * GROWTH_FLOOR);
     is_kept
 }
 

@@ -11,8 +11,9 @@ use crate::surface::error::Error;
 use crate::surface::particles::{ParticleSource, Positions, Shapes};
 use crate::surface::skin::Storage;
 
-/// Cancels a [`Reconstructor`](crate::surface::Reconstructor) from another thread, a signal handler or its progress
-/// callback. Clones cancel the same work. A cancelled token stays cancelled: make a new one for the next frame.
+/// Cancels a [`Reconstructor`](crate::surface::Reconstructor) from another thread, a signal handler or its
+/// progress callback. Clones cancel the same work. A cancelled token stays cancelled: create a new one for
+/// the next frame.
 ///
 /// The reconstruction checks the token between batches of particles while it rasterizes, between steps while
 /// it smooths, and between making and checking the mesh while it contours. It does not interrupt any of these

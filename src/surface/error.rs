@@ -11,10 +11,11 @@ use crate::surface::options::SettingsError;
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum Error {
-    /// An option is out of its range, or two contradict each other. The text names the option, its value and its range.
+    /// An option is out of its range, or two options contradict each other. The message names the option, its
+    /// value and its range.
     Options(SettingsError),
-    /// Neither [`spacing`](crate::surface::Options::spacing) nor a voxel size is given, and the spacing cannot be
-    /// measured: fewer than two particles have different finite positions.
+    /// Neither [`spacing`](crate::surface::Options::spacing) nor a voxel size is given, and the spacing
+    /// cannot be measured: fewer than two particles have different finite positions.
     UnknownSpacing,
     /// The particles cannot form a surface: there are none, or every position is not finite or outside the
     /// range of the grid.
@@ -85,7 +86,7 @@ impl fmt::Display for Error {
             ),
             Error::MemoryLimit { needed_bytes, limit_bytes } => write!(
                 f,
-                "the frame needs {} MiB of memory, but the limit is {} MiB: raise the limit or choose larger voxels",
+                "the frame needs {} MiB of memory; the limit is {} MiB: raise it or choose larger voxels",
                 needed_bytes.div_ceil(MEBIBYTE),
                 limit_bytes / MEBIBYTE
             ),

@@ -23,9 +23,9 @@
 //! inside the wall. If only the voxels outside the obstacle had this value, the surface would lie between
 //! them and a value that is too far away.
 //!
-//! The voids are found once, from φ_0. If they were searched again after smoothing, the fluid would climb the walls. The result
-//! is then kept as an upper bound where a void was filled, and where fluid is closer to the wall than to its
-//! own surface. So the surface does not detach from the wall where it was wet.
+//! The voids are found once, from φ_0. If they were searched again after smoothing, the fluid would climb the
+//! walls. The result is then kept as an upper bound where a void was filled, and where fluid is closer to the
+//! wall than to its own surface. So the surface does not detach from the wall where it was wet.
 //!
 //! Each voxel is computed alone, so tiles give the same result.
 

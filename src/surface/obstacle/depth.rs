@@ -37,7 +37,8 @@ const NEAR: f32 = 1.0;
 
 impl Obstacles {
     /// Moves vertices out of obstacles that are sharper than the grid. The normal of a moved vertex faces the
-    /// obstacle. Returns the depth of the deepest vertex afterwards. `half_width` is that of the cached leaves.
+    /// obstacle. Returns the depth of the deepest vertex afterwards. `half_width` is that of the cached
+    /// leaves.
     pub fn clear(&self, mesh: &mut Mesh, lattice: &Lattice, half_width: f32) -> DepthTally {
         let origin = mesh.origin;
         let of_vertex = |(position, normal): (&mut Vec3, &mut Vec3)| {

@@ -63,7 +63,8 @@ method_options! {
             #[arg(value_name = "LENGTH", value_parser = Length::parse_world)]
             spacing: f64,
 
-            /// Voxel edge length h, positive, in world units or particle spacings [default: 0.4d; depends on the preset]
+            /// Voxel edge length h, positive, in world units or particle spacings [default: 0.4d; depends on
+            /// the preset]
             #[arg(value_name = "LENGTH", value_parser = Length::parse_voxel_size)]
             voxel_size: Length,
         }
@@ -131,7 +132,8 @@ method_options! {
             velocity_gain: f64,
         }
         Obstacles {
-            /// Fill gaps between the surface and obstacles that are narrower than this, in units of h, 0 to 4 [default: 1]
+            /// Fill gaps between the surface and obstacles that are narrower than this, in units of h, 0 to 4
+            /// [default: 1]
             #[arg(value_name = "VOXELS")]
             void_threshold: f64 in 0.0..=VOID_THRESHOLD_MAX,
         }

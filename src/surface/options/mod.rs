@@ -398,7 +398,7 @@ impl Settings {
         }
         if self.integrator == Integrator::Adaptive {
             warnings.push(
-                "adaptive steps are for single frames: their size depends on the frame, so a sequence flickers"
+                "adaptive steps are for single frames: their sizes differ per frame, so a sequence flickers"
                     .into(),
             );
         }
@@ -409,7 +409,7 @@ impl Settings {
         }
         if self.radius_min < 0.999 * 3f64.sqrt() * self.voxel_size {
             warnings.push(format!(
-                "r_min is {:.3} voxels: below √3, particles may fall between voxels and be lost",
+                "r_min is {:.3} voxels: below √3, particles may fall between voxels and end up outside the surface",
                 self.radius_min / self.voxel_size
             ));
         }

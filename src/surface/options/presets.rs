@@ -89,7 +89,8 @@ pub(super) struct Recipe {
     pub(super) explicit_time: f64,
 }
 
-/// The paper's numbers: r_min = √3 h (Eq. 13), five implicit steps of 20 h⁴ or 500 explicit ones of 0.01 h⁴ (Eq. 14, 15).
+/// The paper's numbers: r_min = √3 h (Eq. 13), five implicit steps of 20 h⁴ or 500 explicit ones of 0.01 h⁴
+/// (Eq. 14, 15).
 const PAPER: Recipe = Recipe {
     unit: Unit::VoxelSize,
     voxel_size: 0.5,

@@ -116,7 +116,8 @@ impl Ellipsoid {
         0.9999 / (mean + (2.0 * variance).sqrt())
     }
 
-    /// How far it reaches from its centre along x, y and z, in units of its radius: the lengths of the rows of T⁻¹.
+    /// How far it reaches from its centre along x, y and z, in units of its radius: the lengths of the rows
+    /// of T⁻¹.
     pub fn extents(&self) -> Vec3 {
         let [xx, yy, zz, xy, xz, yz] = self.to_ball;
         let cofactors = [

@@ -16,7 +16,7 @@
 //! S_max as before:
 //!
 //! ```text
-//!    S_max ╲   ╱ S_max       Where two spheres meet, a point that is b deep in their union is less deep in each of them.
+//!    S_max ╲   ╱ S_max       Where two spheres meet, a point b deep inside their union is less deep in each.
 //!           ╲ ╱
 //!    moved ──×── inward by b
 //! ```
@@ -63,8 +63,8 @@ pub struct Certificate {
     /// How far the surface was moved outward after its bounds were checked, world units; negative values mean
     /// inward.
     pub offset: f64,
-    /// The smallest and the largest allowed distance from a vertex to its nearest particle, world units: r_min
-    /// and r_max plus the offset. `None` for surfaces of level sets.
+    /// The smallest and the largest allowed distance from a vertex to its nearest particle, world units:
+    /// r_min and r_max plus the offset. `None` for surfaces of level sets.
     pub distance_limits: Option<[f64; 2]>,
     /// Mesh vertices closer to a particle than the first limit by more than h/2.
     pub vertices_inside_min: usize,
