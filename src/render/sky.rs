@@ -2,7 +2,7 @@
 //! as few samples as its width allows.
 //!
 //! ```text
-//!     ·  ╱           Each cell has the fraction of it that is inside. Twice as far away,
+//!     ·  ╱           Each cell stores the fraction that is inside. Twice as far away,
 //!      ╱───╮         cells with twice the edge are sampled: a cone takes a handful of samples,
 //!    ╱──╮  │         and shadows are soft, without noise.
 //!   •───┴──┴──

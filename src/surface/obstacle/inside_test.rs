@@ -7,7 +7,7 @@
 //!
 //! For a closed surface this suffices: the winding number is an integer, and constant between triangles. Near
 //! the boundary of a hole it changes gradually, by at most `slope` per voxel. Each classified voxel therefore
-//! carries a lower bound of |w − ½|. If that is no more than `slope` times the voxel's distance, the patch
+//! carries a lower bound of |w − ½|. If it is at most `slope` times the voxel's distance, the patch
 //! over the hole may be closer than any triangle, and the winding number is evaluated at the voxel:
 //!
 //! ```text

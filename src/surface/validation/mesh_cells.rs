@@ -3,8 +3,8 @@
 //! ```text
 //!   ┌───┬───┬───┬───┐       ▒  a triangle passes through: rays decide what is inside
 //!   │   │   │▒▒▒│▒▒▒│
-//!   ├───┼───┼─╱─┼───┤          the others are *clear*: all points of a clear cell are on one side of a closed mesh,
-//!   │   │▒▒▒│▒▒▒│   │          and so are two clear cells with a common face
+//!   ├───┼───┼─╱─┼───┤          the others are *clear*: a closed mesh has all points of a clear cell on one side,
+//!   │   │▒▒▒│▒▒▒│   │          and those of two clear cells with a common face, too
 //!   ├───┼─╱─┼───┼───┤
 //!   │   │▒▒▒│   │   │
 //!   └───┴───┴───┴───┘
