@@ -1,18 +1,18 @@
-//! What the daemon adds to a frame, and how long it takes to start.
+//! Measures the latency that the daemon adds to a frame, and how long it takes to start.
 //!
 //! ```text
-//!   rename ─▶ event ─▶ the loop ─▶ queue ─▶ read … write ─▶ outputs are there
+//!   rename ─▶ event ─▶ event loop ─▶ queue ─▶ read … write ─▶ outputs exist
 //!          └──────────── added ───────────┘└── the log ──┘└─ added ─┘
 //!
 //!   program starts ─▶ journal is read ─▶ 50,000 frames are found done ─▶ /readyz says ready
 //!                  └───────────────────────── start ────────────────────┘
 //! ```
 //!
-//! Ends with 1 where a median is not what the project promises.
+//! Exits with 1 if a median exceeds the project's target.
 //!
 //! `cargo bench --bench daemon`
 
-#![expect(clippy::print_stdout, reason = "it is what a benchmark is for")]
+#![expect(clippy::print_stdout, reason = "a benchmark prints its results")]
 
 mod block;
 
@@ -28,7 +28,7 @@ use serde_json::Value;
 
 use block::block_ply;
 
-/// Frames before these have their own costs: the first settles the voxel size.
+/// The first frames have extra costs: the first one determines the voxel size.
 const WARM_UP_COUNT: usize = 3;
 const FRAME_COUNT: usize = 60;
 /// A block of 3 000 particles.
@@ -154,7 +154,7 @@ impl Daemon {
         let landed = Instant::now();
         fs::rename(&part, folder.join(format!("in/dam.{number}.ply"))).expect("renamed");
         while !outputs.iter().all(|output| output.exists()) {
-            thread::sleep(LOOK_EVERY);
+            thread::sleep(POLL_INTERVAL);
         }
         let taken = landed.elapsed();
         taken.saturating_sub(self.logged_time())
@@ -185,11 +185,11 @@ struct Running(Child);
 
 impl Drop for Running {
     fn drop(&mut self) {
-        // It has nothing left to do.
+        // It has no work left.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
 }
 
-/// Rarely enough to leave the cores to the daemon.
-const LOOK_EVERY: Duration = Duration::from_micros(200);
+/// The polling interval: long enough to leave the cores to the daemon.
+const POLL_INTERVAL: Duration = Duration::from_micros(200);

@@ -1,21 +1,21 @@
-//! How fast files are read and written, beside a plain copy of as many bytes.
+//! Measures how fast files are read and written, compared with copying the same number of bytes.
 //!
 //! ```text
 //!   read     bytes of a file in memory ──▶ ParticleFrame
 //!   write    mesh, level set ──▶ bytes of a file in memory
 //! ```
 //!
-//! No disk takes part. Each row is measured on one core and on all, in turns with a copy of as many bytes from
-//! one place in memory to another, by one core. MB are 10⁶ bytes of the file; for .vdb they are 4 for each voxel
-//! of the leaves that are stored, of which the active ones, about a third, are in the file one by one. Ends with 1
-//! where a figure is below what the project promises.
+//! No disk is involved. Each row is measured on one core and on all cores, alternating with a copy of as many
+//! bytes in memory by one core. MB are 10⁶ bytes of the file. For .vdb they count 4 bytes per voxel of the
+//! stored leaves; the file contains the active voxels, about a third of them. Exits with 1 if a figure is
+//! below the project's target.
 //!
 //! ```text
 //! cargo bench --bench formats                       everything
-//! cargo bench --bench formats -- .vdb .csv          what has one of these in its name
+//! cargo bench --bench formats -- .vdb .csv          rows with one of these in their name
 //! ```
 
-#![expect(clippy::print_stdout, reason = "it is what a benchmark is for")]
+#![expect(clippy::print_stdout, reason = "a benchmark prints its results")]
 
 use std::fmt::Write;
 use std::hint::black_box;
@@ -33,27 +33,27 @@ use twox_hash::XxHash3_128;
 
 const ROUND_COUNT: usize = 7;
 
-/// Particles in files of bytes, and in files of text.
+/// Number of particles in binary files and in text files.
 const BINARY_PARTICLE_COUNT: usize = 1_000_000;
 const TEXT_PARTICLE_COUNT: usize = 300_000;
 
-/// The height field that is written as a mesh has as many vertices along an edge.
+/// Number of vertices along an edge of the height field that is written as a mesh.
 const MESH_EDGE: usize = 700;
 
-/// The ball that is written as a level set has a radius of as many voxels.
+/// Radius of the ball that is written as a level set, in voxels.
 const BALL_RADIUS: f32 = 220.0;
 
-/// One thing that is measured.
+/// A measured operation.
 struct Row<'a> {
     name: &'a str,
-    /// Bytes that count.
+    /// Number of bytes for the speed.
     size_bytes: usize,
-    promise: Promise,
+    target: Target,
     work: Box<dyn FnMut() + Send + 'a>,
 }
 
-/// The least that the project promises, if anything: MB a second, and on how many cores.
-type Promise = Option<(f64, Cores)>;
+/// The project's target: the minimum in MB/s, and the number of cores.
+type Target = Option<(f64, Cores)>;
 
 #[derive(Clone, Copy)]
 enum Cores {
@@ -62,7 +62,7 @@ enum Cores {
 }
 
 impl Cores {
-    /// What holds for as many.
+    /// Selects the value for this number of cores.
     fn of<T>(self, one: T, all: T) -> T {
         match self {
             Cores::One => one,
@@ -77,17 +77,17 @@ fn main() -> ExitCode {
         .map(|threads| ThreadPoolBuilder::new().num_threads(threads).build().expect("threads"));
     println!("{core_count} cores, {ROUND_COUNT} rounds; MB a second, and in parts of a copy by one core");
     println!("                                  one core:                 all cores:");
-    println!("                              MB  median    best  of copy   median    best  of copy  promised");
+    println!("                              MB  median    best  of copy   median    best  of copy  target");
     let reading = reading_rows(&pools);
     let writing = writing_rows(&pools);
     if reading && writing {
         return ExitCode::SUCCESS;
     }
-    println!("a figure is below what is promised");
+    println!("a figure is below its target");
     ExitCode::FAILURE
 }
 
-/// Measures the readers. Returns whether they keep what is promised.
+/// Measures the readers. Returns whether they reach their targets.
 fn reading_rows(pools: &[ThreadPool; 2]) -> bool {
     let frame = particles(BINARY_PARTICLE_COUNT);
     let files = [
@@ -97,13 +97,13 @@ fn reading_rows(pools: &[ThreadPool; 2]) -> bool {
         ("read .csv", "f.csv", csv_file(&particles(TEXT_PARTICLE_COUNT)), Some((250.0, Cores::One))),
         ("read ASCII .ply", "f.ply", ply_file(&particles(TEXT_PARTICLE_COUNT), "ascii"), None),
     ];
-    let mut is_kept = true;
-    for (name, file_name, bytes, promise) in &files {
+    let mut meets_target = true;
+    for (name, file_name, bytes, target) in &files {
         let read = || {
             black_box(read_particles(bytes, file_name, &Limits::default()).expect("a good file"));
         };
-        is_kept &=
-            measure(Row { name, size_bytes: bytes.len(), promise: *promise, work: Box::new(read) }, pools);
+        meets_target &=
+            measure(Row { name, size_bytes: bytes.len(), target: *target, work: Box::new(read) }, pools);
     }
     let bytes = &files[0].2;
     let read = || {
@@ -117,23 +117,23 @@ fn reading_rows(pools: &[ThreadPool; 2]) -> bool {
         };
         indices.for_each_init(ParticleBatch::default, read);
     };
-    let promise = Some((1000.0, Cores::All));
-    let row = Row { name: "read .ply in batches", size_bytes: bytes.len(), promise, work: Box::new(read) };
-    is_kept &= measure(row, pools);
+    let target = Some((1000.0, Cores::All));
+    let row = Row { name: "read .ply in batches", size_bytes: bytes.len(), target, work: Box::new(read) };
+    meets_target &= measure(row, pools);
     let hash = || {
         black_box(XxHash3_128::oneshot(bytes));
     };
-    is_kept
-        & measure(Row { name: "hash", size_bytes: bytes.len(), promise: None, work: Box::new(hash) }, pools)
+    meets_target
+        & measure(Row { name: "hash", size_bytes: bytes.len(), target: None, work: Box::new(hash) }, pools)
 }
 
-/// Measures the writers. Returns whether they keep what is promised.
+/// Measures the writers. Returns whether they reach their targets.
 fn writing_rows(pools: &[ThreadPool; 2]) -> bool {
     let mesh = HeightField::new(MESH_EDGE);
     let mesh = mesh.view();
-    let mut is_kept = true;
+    let mut meets_target = true;
     type WriteMesh<'a> = &'a (dyn Fn(&mut Vec<u8>) + Sync);
-    let writers: [(&str, Promise, WriteMesh); 4] = [
+    let writers: [(&str, Target, WriteMesh); 4] = [
         ("write .glb", Some((500.0, Cores::All)), &|out| {
             gltf::write_glb(&mesh, &MeshOptions::default(), &[], out).expect("written");
         }),
@@ -145,7 +145,7 @@ fn writing_rows(pools: &[ThreadPool; 2]) -> bool {
             OutputFormat::Obj.write_mesh(&mesh, &MeshOptions::default(), &[], out).expect("written");
         }),
     ];
-    for (name, promise, write) in writers {
+    for (name, target, write) in writers {
         let mut file = Vec::new();
         write(&mut file);
         let size_bytes = file.len();
@@ -153,7 +153,7 @@ fn writing_rows(pools: &[ThreadPool; 2]) -> bool {
             file.clear();
             write(&mut file);
         });
-        is_kept &= measure(Row { name, size_bytes, promise, work }, pools);
+        meets_target &= measure(Row { name, size_bytes, target, work }, pools);
     }
     let ball = Ball::new(BALL_RADIUS);
     for (name, compression, half) in [
@@ -168,12 +168,12 @@ fn writing_rows(pools: &[ThreadPool; 2]) -> bool {
             vdb::write(&ball.view(), &options, &[], &mut file).expect("written");
         });
         let size_bytes = 4 * ball.stored_voxel_count();
-        is_kept &= measure(Row { name, size_bytes, promise: Some((300.0, Cores::One)), work }, pools);
+        meets_target &= measure(Row { name, size_bytes, target: Some((300.0, Cores::One)), work }, pools);
     }
-    is_kept
+    meets_target
 }
 
-/// Measures one thing by turns with a copy and prints its row. Returns whether it keeps what is promised.
+/// Measures an operation alternating with a copy and prints its row. Returns whether it reaches its target.
 fn measure(mut row: Row, pools: &[ThreadPool; 2]) -> bool {
     let wanted: Vec<String> =
         std::env::args().skip(1).filter(|argument| !argument.starts_with('-')).collect();
@@ -183,7 +183,7 @@ fn measure(mut row: Row, pools: &[ThreadPool; 2]) -> bool {
     let source = vec![1_u8; row.size_bytes];
     let mut target = vec![0_u8; row.size_bytes];
     let mut seconds: [Vec<f64>; 3] = Default::default();
-    // Unmeasured: the first time, memory has to be had from the system.
+    // Warm up, not measured: the first run requests memory from the system.
     pools[1].install(&mut row.work);
     for _ in 0..ROUND_COUNT {
         seconds[0].push(timed(|| black_box(&mut target).copy_from_slice(black_box(&source))));
@@ -196,16 +196,16 @@ fn measure(mut row: Row, pools: &[ThreadPool; 2]) -> bool {
     for Speeds { median, best } in [&one, &all] {
         let _ = write!(line, "{median:8.0}{best:8.0}{:9.3} ", median / copy.median);
     }
-    let is_kept = row.promise.is_none_or(|(least, cores)| least <= cores.of(&one, &all).median);
-    if let Some((least, cores)) = row.promise {
+    let meets_target = row.target.is_none_or(|(least, cores)| least <= cores.of(&one, &all).median);
+    if let Some((least, cores)) = row.target {
         let _ = write!(line, "{least:5.0} {}", cores.of("a core", "in all"));
-        line += if is_kept { "" } else { ", NOT KEPT" };
+        line += if meets_target { "" } else { ", BELOW TARGET" };
     }
     println!("{line}");
-    is_kept
+    meets_target
 }
 
-/// MB a second.
+/// MB per second.
 struct Speeds {
     median: f64,
     best: f64,
@@ -222,7 +222,7 @@ fn timed(work: impl FnOnce()) -> f64 {
     start.elapsed().as_secs_f64()
 }
 
-/// Particles with velocities and identities, none of whose digits repeat.
+/// Particles with velocities and ids, with digits that do not repeat.
 fn particles(count: usize) -> ParticleFrame {
     let number = |index: usize, scale: f32| ((index as f32 * 0.618_034).fract() - 0.5) * scale;
     let vectors = |scale: f32| -> Vec<[f32; 3]> {
@@ -245,7 +245,7 @@ fn particles(count: usize) -> ParticleFrame {
     }
 }
 
-/// Position, velocity and identity of each particle.
+/// Position, velocity and id of each particle.
 fn rows(frame: &ParticleFrame) -> impl Iterator<Item = ([f32; 6], i32)> {
     let Positions::F32(positions) = &frame.positions else { unreachable!("made so") };
     let (Values::F32(velocities), Values::I32(ids)) =
@@ -298,7 +298,7 @@ fn csv_file(frame: &ParticleFrame) -> Vec<u8> {
     text.into_bytes()
 }
 
-/// Waves on a square.
+/// A square with waves.
 struct HeightField {
     positions: Vec<[f32; 3]>,
     normals: Vec<[f32; 3]>,
@@ -346,7 +346,7 @@ impl HeightField {
     }
 }
 
-/// The narrow band around a sphere.
+/// The narrow band of a sphere.
 struct Ball {
     origins: Vec<[i32; 3]>,
     leaves: Vec<[f32; 512]>,
@@ -381,7 +381,7 @@ impl Ball {
         ball.in_tree_order()
     }
 
-    /// The leaves in the order of the file, as the program has them, too.
+    /// Sorts the leaves in the order of the file, as the program does.
     fn in_tree_order(self) -> Ball {
         let mut order: Vec<usize> = (0..self.origins.len()).collect();
         order.sort_by_key(|&index| [12, 7, 3].map(|log2| self.origins[index].map(|c| c >> log2)));

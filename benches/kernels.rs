@@ -1,29 +1,30 @@
-//! How near the kernels come to what the machine can do.
+//! Measures how close the kernels come to the limits of the machine.
 //!
 //! ```text
-//!   ceilings   triad     a = b + s·c        of arrays as large, together, as what a pass streams
-//!              update    a = a + s·b        the same, without the lines that a triad fetches to overwrite
-//!              mul, add  x = x·m + a        in registers, twelve at a time, each rounded by itself
+//!   ceilings   triad     a = b + s·c        on arrays with the total size that a pass streams
+//!              update    a = a + s·b        the same, without the cache lines that a triad fetches to overwrite
+//!              mul, add  x = x·m + a        in registers, twelve at a time, each rounded separately
 //!   kernels    smoothing passes over shells of several sizes; sweeps of a redistancing
 //! ```
 //!
-//! A pass reads, of each leaf with a free voxel, φ, φ at the start, the values before, and both bounds, and writes one
-//! field: 12 kB a leaf. Of the rows with free voxels alone that would be less, which is printed beside it. It takes
-//! 22 operations a free voxel: two Laplacians of 7, and 8 for the step. The roof is the time that a machine would take
-//! that moved these bytes as fast as the triad, in arrays that take as much together and on the same threads, and
-//! calculated as fast as the loop in registers, whichever is longer. No kernel fuses multiplications
-//! with additions, so that all processors agree, and nor does that loop.
+//! For each leaf with a free voxel, a pass reads φ, the initial φ, the previous values and both bounds, and
+//! writes one field: 12 kB per leaf. Rows with free voxels alone are less, which is printed, too. A pass
+//! takes 22 operations per free voxel: two Laplacians of 7, and 8 for the step. The roofline time is that of
+//! a machine that moves these bytes as fast as the triad, in arrays with the same total size and on the same
+//! threads, or that computes as fast as the loop in registers, whichever is longer. No kernel fuses
+//! multiplications with additions, so that all processors agree; neither does that loop.
 //!
-//! By the usual count a triad moves less than it does, for it fetches the lines that it overwrites; an update and
-//! a pass do not, so beside an update a pass looks worse, and it is printed, too. And fields that fit into a cache are streamed from
-//! there, so each shell is also held to the triad of the largest, which is that of memory. Ends with 1 where the
-//! largest shell is below the floor of its triad's roof.
+//! A triad moves more bytes than its usual count, because it fetches the cache lines that it overwrites. An
+//! update and a pass do not, so relative to an update a pass looks worse; that is printed, too. Fields that
+//! fit into a cache are streamed from there, so each shell is also compared with the triad of the largest,
+//! which runs from memory. Exits with 1 if the largest shell is below the required fraction of its triad's
+//! roofline.
 //!
 //! ```text
 //! cargo bench --bench kernels
 //! ```
 
-#![expect(clippy::print_stdout, reason = "it is what a benchmark is for")]
+#![expect(clippy::print_stdout, reason = "a benchmark prints its results")]
 
 use std::hint::black_box;
 use std::process::{Command, ExitCode};
@@ -37,32 +38,32 @@ use meniscus::surface::simd::{self, Kernel, LEVEL_VARIABLE, Lanes, Level};
 use meniscus::surface::smooth::{Act, Config, Integrator, Memory, Work};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-/// Radii of the shells, in voxels. Their passes stream 1, 14 and 200 MB: about a core's own cache, the cache that
-/// cores share, and memory.
+/// Radii of the shells, in voxels. Their passes stream 1, 14 and 200 MB: about a core's own cache, the shared
+/// cache, and memory.
 const SHELL_RADII: [f32; 3] = [14.0, 55.0, 220.0];
 
-/// The shell on which sweeps are measured, and the levels of vectors compared.
+/// The shell for measuring sweeps and comparing SIMD levels.
 const MIDDLE_SHELL: usize = 1;
 
-/// Parts of the roof that the project promises.
+/// Target and minimum, as fractions of the roofline.
 const ROOF_TARGET: f64 = 0.5;
 const ROOF_FLOOR: f64 = 0.25;
 
-/// Asks this program for the figures of one level of vectors.
+/// Argument with which this program runs itself to measure one SIMD level.
 const LEVEL_FIGURES: &str = "--level-figures";
 
-/// Measurements go on for at least so many seconds and so many times. The best counts, as in STREAM: what a machine can
-/// do is not less for having been interrupted, and the kernels are measured as their ceilings are.
+/// Minimum duration and number of measurements. The best counts, as in STREAM: interruptions do not lower
+/// what a machine can do, and kernels and ceilings are measured the same way.
 const MEASURE_S: f64 = 0.5;
 const MEASURE_COUNT: usize = 7;
 
-/// Passes that are timed at once: few, so that some are not interrupted.
+/// Number of passes per measurement: few, so that some measurements are not interrupted.
 const TIMED_PASSES: u32 = 10;
 
-/// Fields that a pass streams: five are read and one is written.
+/// Number of fields that a pass streams: five are read and one is written.
 const STREAMED_FIELDS: usize = 6;
 
-/// Operations of a pass on a free voxel.
+/// Number of operations of a pass per free voxel.
 const PASS_OPERATIONS: f64 = 22.0;
 
 fn main() -> ExitCode {
@@ -72,10 +73,10 @@ fn main() -> ExitCode {
     }
     let pools = [1, 2].map(pool);
     println!("vectors: {}; the best of at least {MEASURE_COUNT}", Level::current().name());
-    let is_kept = print_passes(&pools);
+    let meets_target = print_passes(&pools);
     print_sweeps(&pools);
     print_levels();
-    if is_kept {
+    if meets_target {
         return ExitCode::SUCCESS;
     }
     println!("the largest shell is below {:.0} % of the roof", 100.0 * ROOF_FLOOR);
@@ -86,7 +87,7 @@ fn pool(threads: usize) -> ThreadPool {
     ThreadPoolBuilder::new().num_threads(threads).build().expect("threads")
 }
 
-/// Measures smoothing passes beside the ceilings. Returns whether the largest shell keeps the floor.
+/// Measures smoothing passes and ceilings. Returns whether the largest shell reaches the minimum.
 fn print_passes(pools: &[ThreadPool; 2]) -> bool {
     let shells = SHELL_RADII.map(Shell::new);
     println!(
@@ -95,7 +96,7 @@ fn print_passes(pools: &[ThreadPool; 2]) -> bool {
     println!(
         "threads  free voxels  leaves         MB       MB      GB/s     GB/s   Gflop/s  voxels, M/s     GB/s   triad  update  memory"
     );
-    let mut is_kept = true;
+    let mut meets_target = true;
     for (threads, pool) in (1..).zip(pools) {
         let operations = mul_add_rate(pool);
         let ceilings = shells.each_ref().map(|shell| Ceilings::measure(pool, shell.streamed_bytes()));
@@ -118,16 +119,12 @@ fn print_passes(pools: &[ThreadPool; 2]) -> bool {
                 100.0 * part(ceilings.update),
                 100.0 * part(of_memory.triad),
             );
-            // The last of each pool is the largest.
-            is_kept &= !std::ptr::eq(ceilings, of_memory) || part(ceilings.triad) >= ROOF_FLOOR;
+            // The last shell of each pool is the largest.
+            meets_target &= !std::ptr::eq(ceilings, of_memory) || part(ceilings.triad) >= ROOF_FLOOR;
         }
     }
-    println!(
-        "promised of the largest: {:.0} %, and at the least {:.0} %",
-        100.0 * ROOF_TARGET,
-        100.0 * ROOF_FLOOR
-    );
-    is_kept
+    println!("largest shell: target {:.0} %, minimum {:.0} %", 100.0 * ROOF_TARGET, 100.0 * ROOF_FLOOR);
+    meets_target
 }
 
 fn print_sweeps(pools: &[ThreadPool; 2]) {
@@ -144,7 +141,7 @@ fn print_sweeps(pools: &[ThreadPool; 2]) {
     }
 }
 
-/// Runs this program at each level of vectors, for a level is chosen once in a process.
+/// Runs this program at each SIMD level, because a process selects its level once.
 fn print_levels() {
     println!("\nlevels of vectors, 1 thread    passes x free voxels, M/s   gain    sweeps: rows, M/s   gain");
     let mut plain = None;
@@ -167,7 +164,7 @@ fn print_levels() {
     }
 }
 
-/// What a process of [`print_levels`] does.
+/// The child process of [`print_levels`].
 fn print_level_figures() {
     let shell = Shell::new(SHELL_RADII[MIDDLE_SHELL]);
     let pool = pool(1);
@@ -175,22 +172,22 @@ fn print_level_figures() {
     println!("{passes} {sweeps}");
 }
 
-/// The narrow band around a sphere with ripples, and bounds as far away as those of particles.
+/// The narrow band of a sphere with ripples, and bounds at the distance of those of particles.
 struct Shell {
     band: NarrowBand,
     bounds: Bounds,
     free_count: usize,
-    /// Leaves with a free voxel.
+    /// Number of leaves with a free voxel.
     touched_count: usize,
-    /// Rows with a free voxel.
+    /// Number of rows with a free voxel.
     row_count: usize,
 }
 
-/// Voxels nearer to the surface are free.
+/// Voxels closer to the surface are free.
 const FREE_WIDTH: f32 = 3.0;
 const HALF_WIDTH: f32 = 6.0;
 
-/// Half of r_max − r_min by default, in voxels.
+/// Half of the default r_max − r_min, in voxels.
 const BOUND_DISTANCE: f32 = 0.866;
 
 impl Shell {
@@ -209,7 +206,7 @@ impl Shell {
             Field { leaves: sphere.leaves.iter().map(leaf).collect() }
         };
         let bounds = Bounds { lower: moved(&|_| -BOUND_DISTANCE), upper: moved(&|_| BOUND_DISTANCE) };
-        // As wide as the bounds: some voxels will be held by them.
+        // As wide as the bounds, so that they clamp some voxels.
         let phi = moved(&|offset| BOUND_DISTANCE * (offset as f32 * 0.7).sin());
         let is_free = |phi: &&f32| phi.abs() <= FREE_WIDTH;
         let rows = phi
@@ -230,12 +227,12 @@ impl Shell {
         self.band.topology.len()
     }
 
-    /// What a pass streams.
+    /// The bytes that a pass streams.
     fn streamed_bytes(&self) -> usize {
         STREAMED_FIELDS * size_of::<Leaf>() * self.touched_count
     }
 
-    /// What it would stream if it could take rows alone.
+    /// The bytes that it would stream if it processed only rows.
     fn row_bytes(&self) -> usize {
         STREAMED_FIELDS * size_of::<[f32; 8]>() * self.row_count
     }
@@ -244,14 +241,14 @@ impl Shell {
         self.streamed_bytes() as f64 / self.free_count as f64
     }
 
-    /// The seconds that a pass takes for each free voxel at the least, where so many bytes are moved, and so many
-    /// operations are done, in a second.
+    /// Lower bound of the seconds of a pass per free voxel, at this bandwidth (bytes per second) and speed
+    /// (operations per second).
     fn least_seconds(&self, bandwidth: f64, operations: f64) -> f64 {
         (self.bytes_per_voxel() / bandwidth).max(PASS_OPERATIONS / operations)
     }
 }
 
-/// Whether a leaf may hold a voxel of the band.
+/// Whether a leaf may contain a voxel of the band.
 fn is_near(origin: IVec3, radius: f32) -> bool {
     let middle = origin.as_vec3() + 3.5;
     let corner = Vec3::splat(3.5).length();
@@ -266,7 +263,7 @@ fn leaf_of_sphere(origin: IVec3, radius: f32) -> Leaf {
     Leaf { values: std::array::from_fn(phi) }
 }
 
-/// How often a second a free voxel is moved, all together: passes times free voxels.
+/// Updates of free voxels per second, over all threads: passes times free voxels.
 fn pass_rate(shell: &Shell, pool: &ThreadPool) -> f64 {
     let config = Config {
         laplacian_steps: 0,
@@ -289,8 +286,8 @@ fn pass_rate(shell: &Shell, pool: &ThreadPool) -> f64 {
             pool.install(|| work.perform(Act::Passes { step: 0, first: 0, count, holds_tips: false }));
         (start.elapsed().as_secs_f64(), tally.moved_count)
     };
-    // What acts of several passes and of one differ by is passes alone, without finding out what is free and where to
-    // set out.
+    // The difference between runs with several passes and with one is the time of the passes alone, without
+    // finding the free voxels and initializing.
     let mut moved_counts = [0; 2];
     let [several, one] = [0, 1].map(|which| {
         best(|| {
@@ -302,10 +299,10 @@ fn pass_rate(shell: &Shell, pool: &ThreadPool) -> f64 {
     (moved_counts[0] - moved_counts[1]) as f64 / (several - one)
 }
 
-/// Sweeps of a redistancing.
+/// Number of sweeps of a redistancing.
 const SWEEP_COUNT: u32 = 8;
 
-/// How often a second a row is updated by sweeps, all together.
+/// Row updates by sweeps per second, over all threads.
 fn sweep_rate(shell: &Shell, row_count: usize, pool: &ThreadPool) -> f64 {
     let (distance, fixed) = pinned(shell);
     let timed = |count: u32| {
@@ -315,7 +312,7 @@ fn sweep_rate(shell: &Shell, row_count: usize, pool: &ThreadPool) -> f64 {
         black_box(&distance);
         start.elapsed().as_secs_f64()
     };
-    // Less what no sweeps take: memory has to be had.
+    // Subtract the time without sweeps, which includes allocating memory.
     let [all, none] = [SWEEP_COUNT, 0].map(|count| best(|| timed(count)));
     row_count as f64 / (all - none)
 }
@@ -325,7 +322,7 @@ fn sweeps(count: u32) -> Sweeps {
     Sweeps { count, second_order_within: 1.2 }
 }
 
-/// Distances within a voxel of the sphere, and which voxels these are; of the others the side.
+/// Distances within a voxel of the sphere, and a mask of these voxels; the sign for all others.
 fn pinned(shell: &Shell) -> (Field, Vec<LeafMask>) {
     let is_pinned = |phi: f32| phi.abs() < 1.0;
     let distance = |leaf: &Leaf| Leaf {
@@ -337,8 +334,8 @@ fn pinned(shell: &Shell) -> (Field, Vec<LeafMask>) {
     (Field { leaves: leaves.iter().map(distance).collect() }, fixed)
 }
 
-/// How many rows are updated in all sweeps: each time those within two voxels, along an axis, of a row that the last
-/// sweep changed; in the first, of a row with something known.
+/// Number of row updates in all sweeps: each sweep updates the rows within two voxels, along an axis, of a
+/// row that the last sweep changed; the first sweep starts from rows with a known voxel.
 fn swept_row_count(shell: &Shell) -> usize {
     let (start, fixed) = pinned(shell);
     let mut changed: Vec<u64> = fixed.iter().map(LeafMask::occupied_rows).collect();
@@ -374,16 +371,16 @@ fn dependent_row_count(topology: &Topology, changed: &[u64]) -> usize {
     rows.filter(depends).count()
 }
 
-/// How fast the machine moves what is in memory, or in a cache.
+/// The streaming speed of the machine, from memory or a cache.
 struct Ceilings {
-    /// Bytes a second that a triad moves, by the usual count: two arrays read, one written.
+    /// Bytes per second of a triad, by the usual count: two arrays read, one written.
     triad: f64,
-    /// Bytes a second that an update moves.
+    /// Bytes per second of an update.
     update: f64,
 }
 
 impl Ceilings {
-    /// Those of arrays that have so many bytes together.
+    /// Measures arrays with this total size.
     fn measure(pool: &ThreadPool, size_bytes: usize) -> Ceilings {
         let [triad, update] = [Streaming::Triad, Streaming::Update].map(|kind| kind.rate(pool, size_bytes));
         Ceilings { triad, update }
@@ -397,7 +394,7 @@ enum Streaming {
 }
 
 impl Streaming {
-    /// Bytes a second, each thread on arrays of its own.
+    /// Bytes per second; each thread has its own arrays.
     fn rate(self, pool: &ThreadPool, size_bytes: usize) -> f64 {
         let array_count = match self {
             Streaming::Triad => 3,
@@ -406,7 +403,7 @@ impl Streaming {
         let length = size_bytes / pool.current_num_threads() / array_count / size_of::<[f32; 8]>();
         let arrays = || std::array::from_fn(|index| vec![[index as f32; 8]; length]);
         let of_thread: Vec<Mutex<[Vec<[f32; 8]>; 3]>> = pool.broadcast(|_| Mutex::new(arrays()));
-        // So often that starting the threads does not count.
+        // Enough repetitions that starting the threads does not matter.
         let repeat_count = (64 << 20) / size_bytes + 1;
         let seconds = best(|| {
             let start = Instant::now();
@@ -452,7 +449,7 @@ impl Kernel for Stream<'_> {
     }
 }
 
-/// Multiplications and additions a second in registers, all threads together.
+/// Multiplications and additions per second in registers, over all threads.
 fn mul_add_rate(pool: &ThreadPool) -> f64 {
     const ROUNDS: usize = 4_000_000;
     let seconds = best(|| {
@@ -463,7 +460,7 @@ fn mul_add_rate(pool: &ThreadPool) -> f64 {
     (ROUNDS * MUL_ADD_CHAINS * 8 * 2 * pool.current_num_threads()) as f64 / seconds
 }
 
-/// As many as hide how long each takes, and as fit into sixteen registers.
+/// Enough chains to hide the latency, and few enough for sixteen registers.
 const MUL_ADD_CHAINS: usize = 12;
 
 struct MulAdd {
@@ -488,7 +485,7 @@ impl Kernel for MulAdd {
     }
 }
 
-/// The least that `measure` returns, seconds.
+/// The smallest result of `measure`, seconds.
 fn best(mut measure: impl FnMut() -> f64) -> f64 {
     let (start, mut least, mut count) = (Instant::now(), f64::INFINITY, 0);
     while count < MEASURE_COUNT || start.elapsed().as_secs_f64() < MEASURE_S {

@@ -1,15 +1,15 @@
-//! Frames through the pipeline beside the same frames through its stages in a plain loop.
+//! Compares converting frames with the pipeline and with a plain loop over its stages.
 //!
 //! ```text
 //! cargo bench --bench pipeline                      40 frames of 19 683 particles on 2 threads
 //! cargo bench --bench pipeline -- 8 64 16           8 frames of 64³ particles on 16 threads
 //! ```
 //!
-//! The plain loop reads, skins and writes one frame after the other, all threads working on each. Both
-//! are timed in turns, for machines are never as quiet as one would like; what counts is the ratio of the
-//! two in one round. Below 1 the pipeline is quicker.
+//! The plain loop reads, reconstructs and writes one frame after the other, with all threads on each. Both
+//! are timed alternately, because no machine is completely quiet; the result is the ratio of the two in one
+//! round. Below 1 the pipeline is faster.
 
-#![expect(clippy::print_stdout, reason = "it is what a benchmark is for")]
+#![expect(clippy::print_stdout, reason = "a benchmark prints its results")]
 
 use std::error::Error;
 use std::fs;
@@ -30,7 +30,7 @@ use rayon::ThreadPool;
 /// Distance between particles.
 const SPACING: f32 = 0.1;
 
-/// Rounds, each of the loop and the pipeline.
+/// Number of rounds, each with the loop and the pipeline.
 const ROUND_COUNT: usize = 5;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -45,24 +45,24 @@ fn main() -> Result<(), Box<dyn Error>> {
     for _ in 0..ROUND_COUNT {
         let start = Instant::now();
         for frame in &frames {
-            convert_alone(frame, &pool)?;
+            convert_in_loop(frame, &pool)?;
         }
-        let of_loop = start.elapsed().as_secs_f64();
+        let loop_s = start.elapsed().as_secs_f64();
         let start = Instant::now();
-        let first = convert_together(&frames, &pool)?;
-        let of_pipeline = start.elapsed().as_secs_f64();
+        let first = convert_with_pipeline(&frames, &pool)?;
+        let pipeline_s = start.elapsed().as_secs_f64();
         println!(
-            "loop {of_loop:.2} s, pipeline {of_pipeline:.2} s: {:.3}; first frame after {first:.2} s",
-            of_pipeline / of_loop
+            "loop {loop_s:.2} s, pipeline {pipeline_s:.2} s: {:.3}; first frame after {first:.2} s",
+            pipeline_s / loop_s
         );
-        ratios.push(of_pipeline / of_loop);
+        ratios.push(pipeline_s / loop_s);
     }
     ratios.sort_by(f64::total_cmp);
     println!("median {:.3}", ratios[ROUND_COUNT / 2]);
     Ok(())
 }
 
-/// Blocks of particles that are moved a little from their places, another way in each frame.
+/// Blocks of particles with small displacements, different in each frame.
 fn write_frames(folder: &Path, frame_count: usize, edge_count: usize) -> Result<Vec<Frame>, Box<dyn Error>> {
     let settings = Arc::new(Settings::paper(f64::from(SPACING) / 2.0, &MethodOptions::default())?);
     let outputs = Arc::new(OutputOptions::new(folder.join("out"), &[OutputFormat::Glb, OutputFormat::Vdb]));
@@ -88,8 +88,8 @@ fn block(edge_count: usize, number: usize) -> Vec<[f32; 3]> {
     (0..edge_count.pow(3)).map(particle).collect()
 }
 
-/// The pipeline. Returns after how many seconds the first frame was there.
-fn convert_together(frames: &[Frame], pool: &ThreadPool) -> Result<f64, Box<dyn Error>> {
+/// Runs the pipeline. Returns the seconds until the first frame was written.
+fn convert_with_pipeline(frames: &[Frame], pool: &ThreadPool) -> Result<f64, Box<dyn Error>> {
     let start = Instant::now();
     let mut first = None;
     let pipeline_options = PipelineOptions { memory_bytes: u64::MAX, ..PipelineOptions::new(pool) };
@@ -103,8 +103,8 @@ fn convert_together(frames: &[Frame], pool: &ThreadPool) -> Result<f64, Box<dyn 
     if failures.is_empty() { Ok(first.unwrap_or_default()) } else { Err(failures.join("\n").into()) }
 }
 
-/// One turn of the loop.
-fn convert_alone(frame: &Frame, pool: &ThreadPool) -> Result<(), Box<dyn Error>> {
+/// Converts one frame in the plain loop.
+fn convert_in_loop(frame: &Frame, pool: &ThreadPool) -> Result<(), Box<dyn Error>> {
     let bytes = read_file(&frame.input)?;
     let read = parse_particles(&frame.input, &bytes, &Wanted::default())?;
     let surface = pool.install(|| skin(&read.cloud.positions, &frame.settings));

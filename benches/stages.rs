@@ -1,24 +1,25 @@
-//! What the stages take, by the particle and by the free voxel, as frames grow.
+//! Measures the time of the stages per particle and per free voxel as frames grow.
 //!
 //! ```text
-//!   one lattice, more and more of the same sponge:
+//!   one lattice, with growing pieces of the same sponge:
 //!
-//!     ▒▒ ▒▒      ▒▒ ▒▒ ▒▒      ▒▒ ▒▒ ▒▒ ▒▒         so nothing changes with the size but the size
+//!     ▒▒ ▒▒      ▒▒ ▒▒ ▒▒      ▒▒ ▒▒ ▒▒ ▒▒         so only the size changes
 //!     ▒▒ ▒▒      ▒▒ ▒▒ ▒▒      ▒▒ ▒▒ ▒▒ ▒▒
 //! ```
 //!
-//! h is half the spacing. Each frame is skinned by turns on one thread and on two. The seconds of smoothing for a free
-//! voxel, and those of rasterization for a particle, should be the same for all sizes; and two threads should smooth
-//! nearly twice as fast as one. Ends with 1 where the floor of either is missed.
+//! h is half the spacing. Each frame is reconstructed alternately on one thread and on two. The seconds of
+//! smoothing per free voxel, and those of rasterization per particle, should be the same for all sizes, and
+//! two threads should smooth nearly twice as fast as one. Exits with 1 if a minimum is missed.
 //!
-//! Then the shapes of 600 000 particles by their neighbours, beside a plain loop that only sums what they are made of.
+//! It then measures the anisotropic shapes of 600 000 particles, compared with a plain loop that only sums
+//! their moments.
 //!
 //! ```text
 //! cargo bench --bench stages                10⁶ to 10⁷ free voxels
 //! cargo bench --bench stages -- 1e8         to 10⁸: some minutes, and 10 GB of memory
 //! ```
 
-#![expect(clippy::print_stdout, reason = "it is what a benchmark is for")]
+#![expect(clippy::print_stdout, reason = "a benchmark prints its results")]
 
 #[path = "../examples/solid/sponge.rs"]
 mod sponge;
@@ -43,25 +44,25 @@ use sponge::Sponge;
 const FREE_MIN: f64 = 1e6;
 const FREE_MAX: f64 = 1e7;
 
-/// Free voxels for a particle, at h = spacing/2: 8.6 in the smallest frame, where more of the surface is that of the ball
-/// which closes the sponge, and 7.5 at 10⁷.
+/// Free voxels per particle at h = spacing/2: 8.6 in the smallest frame, where more of the surface belongs to
+/// the ball that closes the sponge, and 7.5 at 10⁷.
 const FREE_PER_PARTICLE: f64 = 8.0;
 
-/// Spacings in a period of the gyroid: walls and gaps are then a dozen spacings wide, and no layer of free voxels meets
-/// another.
+/// Spacings per period of the gyroid. Walls and gaps are then a dozen spacings wide, so layers of free voxels
+/// do not meet.
 const SPACINGS_PER_PERIOD: f64 = 24.0;
 
-/// Of a ball of radius R + 1, the part that is in the solid.
+/// The fraction of a ball of radius R + 1 that the solid fills.
 const FILLED_PART: f64 = 0.517;
 
-/// Rounds for the smallest frame; larger ones have fewer.
+/// Number of rounds for the smallest frame; larger ones have fewer.
 const ROUND_COUNT: usize = 5;
 
-/// Two threads against one, while smoothing.
+/// Target and minimum of the speedup of smoothing on two threads.
 const SPEEDUP_TARGET: f64 = 1.85;
 const SPEEDUP_FLOOR: f64 = 1.7;
 
-/// How far seconds for a free voxel, or for a particle, may be from those of the smallest frame.
+/// How far the seconds per free voxel, or per particle, may deviate from those of the smallest frame.
 const GROWTH_TARGET: f64 = 0.15;
 const GROWTH_FLOOR: f64 = 0.30;
 
@@ -85,7 +86,7 @@ fn main() -> ExitCode {
     if is_fast && is_flat { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
-/// What a frame took on some number of threads: medians.
+/// The median times of a frame on a number of threads.
 struct Row {
     particle_count: f64,
     free_count: f64,
@@ -94,18 +95,18 @@ struct Row {
 }
 
 impl Row {
-    /// Nanoseconds of rasterization for a particle.
+    /// Nanoseconds of rasterization per particle.
     fn rasterize_ns(&self) -> f64 {
         1e9 * self.seconds[0] / self.particle_count
     }
 
-    /// Nanoseconds of smoothing for a free voxel.
+    /// Nanoseconds of smoothing per free voxel.
     fn smooth_ns(&self) -> f64 {
         1e9 * self.seconds[1] / self.free_count
     }
 }
 
-/// Skins a frame by turns on both pools.
+/// Reconstructs a frame alternately on both pools.
 fn measure(free_wanted: f64, pools: &[ThreadPool; 2]) -> [Row; 2] {
     let (particles, spacing) = frame(free_wanted / FREE_PER_PARTICLE);
     let settings = Settings::paper(spacing / 2.0, &MethodOptions::default()).expect("valid");
@@ -113,7 +114,7 @@ fn measure(free_wanted: f64, pools: &[ThreadPool; 2]) -> [Row; 2] {
     let mut reports: [Vec<SkinReport>; 2] = Default::default();
     for _ in 0..round_count {
         for (pool, reports) in pools.iter().zip(&mut reports) {
-            reports.push(pool.install(|| skinned(&particles, &settings)));
+            reports.push(pool.install(|| reconstructed(&particles, &settings)));
         }
     }
     let rows = reports.map(|reports| row(&reports));
@@ -133,7 +134,7 @@ fn measure(free_wanted: f64, pools: &[ThreadPool; 2]) -> [Row; 2] {
     rows
 }
 
-/// About so many particles on the one lattice, and their spacing.
+/// About this many particles on one lattice, and their spacing.
 fn frame(particle_count: f64) -> (Particles, f64) {
     let spacing = TAU / SPACINGS_PER_PERIOD;
     let ball = particle_count * spacing.powi(3) / FILLED_PART;
@@ -146,7 +147,7 @@ fn frame(particle_count: f64) -> (Particles, f64) {
     (Particles::Single(planes.flatten_iter().collect()), solid.spacing)
 }
 
-fn skinned(particles: &Particles, settings: &Settings) -> SkinReport {
+fn reconstructed(particles: &Particles, settings: &Settings) -> SkinReport {
     let mut timer = PhaseTimer::default();
     let mut surface = skin_observed(particles, settings, &mut |phase| timer.enter(phase));
     assert!(surface.report.certificate.holds(), "{:?}", surface.report.certificate);
@@ -171,21 +172,22 @@ fn row(reports: &[SkinReport]) -> Row {
     }
 }
 
-/// Prints how much faster two threads are than one. Returns whether the floor is kept while smoothing.
+/// Prints the speedups of two threads. Returns whether smoothing reaches the minimum.
 fn print_speedups(rows: &[[Row; 2]]) -> bool {
     println!("\ntwo threads against one: free voxels, rasterize, smooth, contour");
     let mut is_kept = true;
     for [one, two] in rows {
         let [rasterize, smooth, contour] = [0, 1, 2].map(|stage| one.seconds[stage] / two.seconds[stage]);
-        let verdict = verdict(smooth >= SPEEDUP_TARGET, smooth >= SPEEDUP_FLOOR);
-        println!("{:13}{rasterize:8.2}{smooth:8.2}{contour:8.2}   {verdict}", one.free_count);
+        let target_label = target_label(smooth >= SPEEDUP_TARGET, smooth >= SPEEDUP_FLOOR);
+        println!("{:13}{rasterize:8.2}{smooth:8.2}{contour:8.2}   {target_label}", one.free_count);
         is_kept &= smooth >= SPEEDUP_FLOOR;
     }
-    println!("promised while smoothing: {SPEEDUP_TARGET}, and at the least {SPEEDUP_FLOOR}");
+    println!("smoothing: target {SPEEDUP_TARGET}, minimum {SPEEDUP_FLOOR}");
     is_kept
 }
 
-/// Prints how far larger frames are from the smallest. Returns whether the floor is kept on two threads.
+/// Prints how the times per unit change from the smallest frame. Returns whether they stay within the limit
+/// on two threads.
 fn print_growth(rows: &[[Row; 2]]) -> bool {
     println!(
         "\ngrowth from the smallest, on one thread and on two: rasterization of a particle, smoothing of a free voxel"
@@ -203,18 +205,18 @@ fn print_growth(rows: &[[Row; 2]]) -> bool {
             100.0 * rasterize[1],
             100.0 * smooth[0],
             100.0 * smooth[1],
-            verdict(most <= GROWTH_TARGET, most <= GROWTH_FLOOR),
+            target_label(most <= GROWTH_TARGET, most <= GROWTH_FLOOR),
         );
         is_kept &= most <= GROWTH_FLOOR;
     }
-    println!("promised: ± {:.0} %, and at the most ± {:.0} %", 100.0 * GROWTH_TARGET, 100.0 * GROWTH_FLOOR);
+    println!("target: ± {:.0} %, limit: ± {:.0} %", 100.0 * GROWTH_TARGET, 100.0 * GROWTH_FLOOR);
     is_kept
 }
 
-/// Particles that are shaped.
+/// Number of particles for the measurement of shapes.
 const SHAPED_COUNT: f64 = 6e5;
 
-/// Prints what shapes by neighbours take.
+/// Measures and prints the time for shapes from neighbours.
 fn print_shapes(pools: &[ThreadPool; 2]) {
     let (particles, spacing) = frame(SHAPED_COUNT);
     // 3·r_min, where r_min is √3·h and h half the spacing.
@@ -242,7 +244,7 @@ fn print_shapes(pools: &[ThreadPool; 2]) {
     }
 }
 
-/// The median of some rounds.
+/// The median over some rounds.
 fn median_s(mut work: impl FnMut() -> f32) -> f64 {
     let mut seconds: Vec<f64> = (0..ROUND_COUNT)
         .map(|_| {
@@ -255,18 +257,18 @@ fn median_s(mut work: impl FnMut() -> f32) -> f64 {
     seconds[ROUND_COUNT / 2]
 }
 
-/// Moments around each particle, pair by pair. Returns something that needs them all.
+/// Computes the moments around each particle, pair by pair. Returns a value that depends on all of them.
 fn plain_moments(neighbors: &Neighbors) -> f32 {
     let [x, y, z] = neighbors.locals();
-    let local = |place: usize| Vec3::new(x[place], y[place], z[place]);
+    let local = |slot: usize| Vec3::new(x[slot], y[slot], z[slot]);
     let of_cell = |cell: usize| {
         let runs: Vec<_> = neighbors.runs(neighbors.cells()[cell]).collect();
         let mut sum = 0.0;
-        for place in neighbors.places(cell) {
+        for slot in neighbors.slots(cell) {
             let mut moments = [0.0f32; 10];
             for run in &runs {
-                let from = local(place) - run.step.as_vec3();
-                for other in run.places.clone() {
+                let from = local(slot) - run.step.as_vec3();
+                for other in run.slots.clone() {
                     let apart = local(other) - from;
                     let squared = apart.length_squared();
                     if squared < 1.0 {
@@ -287,7 +289,7 @@ fn plain_moments(neighbors: &Neighbors) -> f32 {
     (0..neighbors.cells().len()).into_par_iter().map(of_cell).sum()
 }
 
-fn verdict(is_target: bool, is_floor: bool) -> &'static str {
+fn target_label(is_target: bool, is_floor: bool) -> &'static str {
     match (is_target, is_floor) {
         (true, _) => "target",
         (_, true) => "floor",

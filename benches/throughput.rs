@@ -1,18 +1,17 @@
-//! What the daemon costs when there is much to do: frames through `watch --once`, against the same frames
-//! through the stages called in a plain loop.
+//! Measures the overhead of the daemon under load: frames through `watch --once`, compared with the same
+//! frames through the stages in a plain loop.
 //!
 //! ```text
-//!   daemon   start, scan, journal ─▶ frames overlap, each as a whole on a core where several wait ─▶ end
+//!   daemon   start, scan, journal ─▶ frames overlap, each on one core if several wait ─▶ end
 //!   loop     start ─▶ read, rasterize, smooth, contour, write, one frame after the other ─▶ end
 //! ```
 //!
-//! Both are processes of their own with the same number of threads, and take turns, so that both see the
-//! machine as it is in that minute. Ends with 1 where the median of the ratios is not what the project
-//! promises.
+//! Both run as separate processes with the same number of threads, alternately, so that both see the same
+//! state of the machine. Exits with 1 if the median of the ratios exceeds the project's target.
 //!
 //! `cargo bench --bench throughput`
 
-#![expect(clippy::print_stdout, reason = "it is what a benchmark is for")]
+#![expect(clippy::print_stdout, reason = "a benchmark prints its results")]
 
 mod block;
 
@@ -31,7 +30,7 @@ use rayon::ThreadPoolBuilder;
 
 use block::block_ply;
 
-/// So many frames of a block of particles.
+/// A number of frames with a block of particles each.
 struct Load {
     frame_count: usize,
     block: [usize; 3],
@@ -44,7 +43,7 @@ const ROUND_COUNT: usize = 7;
 const RATIO_MAX: f64 = 1.05;
 const VOXEL_SIZE: f64 = 0.05;
 
-/// Asks this program for the plain loop.
+/// Argument with which this program runs itself as the plain loop.
 const PLAIN: &str = "--plain-loop";
 
 fn main() -> ExitCode {
@@ -66,16 +65,16 @@ fn main() -> ExitCode {
     ExitCode::FAILURE
 }
 
-/// Measures both by turns, prints a row, and returns the median of the ratios.
+/// Measures both alternately, prints a row, and returns the median of the ratios.
 fn measure(load: &Load) -> f64 {
     let folder = tempfile::tempdir().expect("a folder");
-    let inside = folder.path().join("in");
-    fs::create_dir(&inside).expect("made");
+    let watched = folder.path().join("in");
+    fs::create_dir(&watched).expect("made");
     for number in 0..load.frame_count {
         let bytes = block_ply(load.block, 0.01 * number as f32);
-        fs::write(inside.join(format!("dam.{number}.ply")), bytes).expect("written");
+        fs::write(watched.join(format!("dam.{number}.ply")), bytes).expect("written");
     }
-    // Unmeasured: the files, which must be left alone for a while, become old enough meanwhile.
+    // Warm up, not measured. Meanwhile the files become old enough to count as stable.
     run_plain_loop(folder.path());
     let times = (0..ROUND_COUNT).map(|_| [run_plain_loop(folder.path()), run_daemon(folder.path())]);
     let times: Vec<[f64; 2]> = times.collect();
@@ -112,7 +111,7 @@ fn run_daemon(folder: &Path) -> f64 {
     run_timed(folder, command)
 }
 
-/// The seconds from the start of a process to its end, into an empty folder.
+/// The seconds from the start of a process to its end, with an empty output folder.
 fn run_timed(folder: &Path, mut command: Command) -> f64 {
     let out = folder.join("out");
     fs::create_dir(&out).expect("made");
@@ -125,12 +124,12 @@ fn run_timed(folder: &Path, mut command: Command) -> f64 {
     seconds
 }
 
-/// Each frame of `folder`/`in` through the stages, one after the other, all threads on each.
+/// Each frame of `folder`/`in` through the stages, one after the other, with all threads on each.
 fn plain_loop(folder: &Path) {
     let settings = Settings::paper(VOXEL_SIZE, &MethodOptions::default()).expect("valid");
     let pool = ThreadPoolBuilder::new().build().expect("threads");
     let mut inputs: Vec<PathBuf> = fs::read_dir(folder.join("in"))
-        .expect("the folder is there")
+        .expect("the folder exists")
         .map(|entry| entry.expect("an entry").path())
         .collect();
     inputs.sort();
@@ -145,7 +144,7 @@ fn plain_loop(folder: &Path) {
     }
 }
 
-/// Writes what the daemon writes by default.
+/// Writes the default outputs of the daemon.
 fn write_surface(surface: &Surface, settings: &Settings, folder: &Path, stem: &str) {
     let mesh = MeshView {
         positions: bytemuck::cast_slice(&surface.mesh.positions),

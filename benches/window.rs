@@ -1,17 +1,17 @@
-//! What it costs the frames that many look through the window: seconds per frame with 100 that follow the
-//! changes and 100 that each read a surface at 100 kB/s, against seconds per frame with nobody there.
+//! Measures how much HTTP clients slow down conversion: seconds per frame with 100 clients that subscribe to
+//! events and 100 that each read a surface at 100 kB/s, compared with seconds per frame without clients.
 //!
 //! ```text
-//!   one daemon   ── alone ── looked at ── alone ── looked at ──▶ so many frames each time
+//!   one daemon   ── alone ── watched ─── alone ── watched ───▶ the same number of frames each time
 //!   one thread   ────────── 200 clients ───────── 200 clients
 //! ```
 //!
-//! The rounds take turns, so that both see the machine as it is in that minute. The clients run on the same machine, so
-//! what they cost themselves is counted, too. Ends with 1 where the median of the ratios is not what the project promises.
+//! The rounds alternate, so that both see the same state of the machine. The clients run on the same machine,
+//! so their own cost is included. Exits with 1 if the median of the ratios exceeds the project's target.
 //!
 //! `cargo bench --bench window`
 
-#![expect(clippy::print_stdout, reason = "it is what a benchmark is for")]
+#![expect(clippy::print_stdout, reason = "a benchmark prints its results")]
 
 mod block;
 
@@ -39,7 +39,8 @@ const READER_BYTES_PER_S: u64 = 100_000;
 
 const ROUND_COUNT: usize = 15;
 const FRAME_COUNT: usize = 16;
-/// Blocks of 25 000 particles, and the one whose surface is read: larger than what systems keep for a slow reader.
+/// Blocks of 25 000 particles, and a block whose surface is read: larger than the buffers of the system for a
+/// slow reader.
 const BLOCK: [usize; 3] = [50, 25, 20];
 const LARGE_BLOCK: [usize; 3] = [160, 100, 100];
 
@@ -51,39 +52,39 @@ fn main() -> ExitCode {
         fs::create_dir(folder.path().join(name)).expect("made");
     }
     let mut daemon = Daemon::start(folder.path());
-    // Unmeasured: what is read, and a round to warm up.
-    land(folder.path(), "large.1.ply", &block_ply(LARGE_BLOCK, 0.0));
+    // Not measured: create the file to read, and warm up.
+    publish(folder.path(), "large.1.ply", &block_ply(LARGE_BLOCK, 0.0));
     daemon.await_converted(1);
     daemon.round(folder.path(), "warm");
     println!("{FOLLOWER_COUNT} follow, {READER_COUNT} read at {} kB/s", READER_BYTES_PER_S / 1000);
     println!(
-        "  round   alone s/frame   looked at   events/s   read MB/s   share of a core: window   clients"
+        "  round   alone s/frame     watched   events/s   read MB/s   share of a core: window   clients"
     );
     let rounds: Vec<[f64; 2]> = (0..ROUND_COUNT)
         .map(|round| {
             let alone = daemon.round(folder.path(), &format!("alone{round}"));
             let clients = Clients::start(daemon.address);
-            // All are there, and have been told what there is.
+            // Wait until all clients are connected and have the initial state.
             thread::sleep(Duration::from_secs(1));
-            let (at_start, start) = (clients.told(), Instant::now());
-            let cpu_at_start = [daemon.window_cpu_s(), own_cpu_s()];
-            let looked_at = daemon.round(folder.path(), &format!("seen{round}"));
+            let (at_start, start) = (clients.counts(), Instant::now());
+            let cpu_at_start = [daemon.http_cpu_s(), own_cpu_s()];
+            let watched = daemon.round(folder.path(), &format!("seen{round}"));
             let seconds = start.elapsed().as_secs_f64();
-            let [events, bytes] = clients.told();
+            let [events, bytes] = clients.counts();
             println!(
-                "{round:7}{alone:16.4}{looked_at:12.4}{:11.0}{:12.2}{:26.3}{:10.3}",
+                "{round:7}{alone:16.4}{watched:12.4}{:11.0}{:12.2}{:26.3}{:10.3}",
                 (events - at_start[0]) as f64 / seconds,
                 (bytes - at_start[1]) as f64 / seconds / 1e6,
-                (daemon.window_cpu_s() - cpu_at_start[0]) / seconds,
+                (daemon.http_cpu_s() - cpu_at_start[0]) / seconds,
                 (own_cpu_s() - cpu_at_start[1]) / seconds,
             );
-            [alone, looked_at]
+            [alone, watched]
         })
         .collect();
-    let [alone, looked_at] = [0, 1].map(|which| median(rounds.iter().map(|round| round[which]).collect()));
-    // Of two neighbours, for the machine changes from one minute to the next.
-    let ratio = median(rounds.iter().map(|[alone, looked_at]| looked_at / alone).collect());
-    println!("medians: {alone:.4} s and {looked_at:.4} s per frame; ratio {ratio:.3}");
+    let [alone, watched] = [0, 1].map(|which| median(rounds.iter().map(|round| round[which]).collect()));
+    // Ratios of adjacent rounds, because the machine changes from one minute to the next.
+    let ratio = median(rounds.iter().map(|[alone, watched]| watched / alone).collect());
+    println!("medians: {alone:.4} s and {watched:.4} s per frame; ratio {ratio:.3}");
     if ratio < RATIO_MAX {
         return ExitCode::SUCCESS;
     }
@@ -96,7 +97,7 @@ fn median(mut values: Vec<f64>) -> f64 {
     values[values.len() / 2]
 }
 
-/// A daemon with a window, and its log.
+/// A daemon process with an HTTP server, and its log.
 struct Daemon {
     child: Child,
     log: BufReader<ChildStderr>,
@@ -135,7 +136,7 @@ impl Daemon {
         daemon
     }
 
-    /// Lets frames land all at once; the seconds until they are converted, for each.
+    /// Lets frames arrive all at once. Returns the seconds per frame until they are converted.
     fn round(&mut self, folder: &Path, name: &str) -> f64 {
         for number in 0..FRAME_COUNT {
             let bytes = block_ply(BLOCK, 0.01 * number as f32);
@@ -169,19 +170,20 @@ impl Daemon {
         }
     }
 
-    /// What the thread of the window has computed until now.
-    fn window_cpu_s(&self) -> f64 {
+    /// CPU time of the HTTP thread so far.
+    fn http_cpu_s(&self) -> f64 {
         let tasks = fs::read_dir(format!("/proc/{}/task", self.child.id())).into_iter().flatten().flatten();
         tasks.filter_map(|task| cpu_s(&task.path().join("stat"), "window")).sum()
     }
 }
 
-/// What this program has computed until now.
+/// CPU time of this program so far.
 fn own_cpu_s() -> f64 {
     cpu_s(Path::new("/proc/self/stat"), "window").unwrap_or_default()
 }
 
-/// What a process or thread has computed until now, if its name begins so; nothing where the system does not tell.
+/// CPU time of a process or thread so far, if its name starts with `name`; `None` if the system does not
+/// report it.
 fn cpu_s(stat: &Path, name: &str) -> Option<f64> {
     let stat = fs::read_to_string(stat).ok()?;
     let (before, fields) = stat.rsplit_once(") ")?;
@@ -192,82 +194,82 @@ fn cpu_s(stat: &Path, name: &str) -> Option<f64> {
 
 impl Drop for Daemon {
     fn drop(&mut self) {
-        // It has nothing left to do.
+        // It has no work left.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-/// What Linux counts in for programs, whatever it counts in itself.
+/// The clock ticks that Linux reports to programs, whatever its internal rate.
 const TICKS_PER_SECOND: f64 = 100.0;
 
-/// All who look, on one thread; they are gone when it is dropped.
+/// All clients, on one thread; dropping it disconnects them.
 struct Clients {
-    told: Arc<[AtomicU64; 2]>,
+    counts: Arc<[AtomicU64; 2]>,
     /// Ends the thread when it is dropped.
     _here: oneshot::Sender<()>,
 }
 
 impl Clients {
     fn start(address: SocketAddr) -> Clients {
-        let told = Arc::new([const { AtomicU64::new(0) }; 2]);
-        let (here, gone) = oneshot::channel::<()>();
-        let of_thread = Arc::clone(&told);
+        let counts = Arc::new([const { AtomicU64::new(0) }; 2]);
+        let (here, closed) = oneshot::channel::<()>();
+        let of_thread = Arc::clone(&counts);
         thread::spawn(move || {
             let runtime = runtime::Builder::new_current_thread().enable_io().enable_time().build();
             runtime.expect("a runtime").block_on(async move {
                 for number in 0..FOLLOWER_COUNT + READER_COUNT {
-                    tokio::spawn(look(address, number < FOLLOWER_COUNT, Arc::clone(&of_thread)));
+                    tokio::spawn(run_client(address, number < FOLLOWER_COUNT, Arc::clone(&of_thread)));
                 }
-                // Nothing is ever sent.
-                let _ = gone.await;
+                // This channel carries no message.
+                let _ = closed.await;
             });
         });
-        Clients { told, _here: here }
+        Clients { counts, _here: here }
     }
 
-    /// How often a follower was told something, and how many bytes were read.
-    fn told(&self) -> [u64; 2] {
-        [0, 1].map(|which| self.told[which].load(Ordering::Relaxed))
+    /// The number of events that followers received, and the number of bytes read.
+    fn counts(&self) -> [u64; 2] {
+        [0, 1].map(|which| self.counts[which].load(Ordering::Relaxed))
     }
 }
 
-/// Follows or reads; whoever is refused, or has read all, comes again.
-async fn look(address: SocketAddr, follows: bool, told: Arc<[AtomicU64; 2]>) {
+/// Follows events or reads a file; reconnects when the connection is refused or at the end.
+async fn run_client(address: SocketAddr, follows: bool, counts: Arc<[AtomicU64; 2]>) {
     loop {
-        let _ = if follows { follow(address, &told[0]).await } else { read(address, &told[1]).await };
+        let _ = if follows { follow(address, &counts[0]).await } else { read(address, &counts[1]).await };
         sleep(Duration::from_millis(100)).await;
     }
 }
 
-async fn follow(address: SocketAddr, told: &AtomicU64) -> io::Result<()> {
-    let stream = asked(address, "/events").await?;
+async fn follow(address: SocketAddr, counts: &AtomicU64) -> io::Result<()> {
+    let stream = get(address, "/events").await?;
     let mut piece = vec![0; 64 << 10];
-    while take(&stream, &mut piece).await? > 0 {
-        told.fetch_add(1, Ordering::Relaxed);
+    while receive(&stream, &mut piece).await? > 0 {
+        counts.fetch_add(1, Ordering::Relaxed);
     }
     Ok(())
 }
 
-/// Reads a file, four times a second a part of what may be read in a second.
-async fn read(address: SocketAddr, told: &AtomicU64) -> io::Result<()> {
+/// Reads a file in parts, four times a second, to limit the bytes per second.
+async fn read(address: SocketAddr, counts: &AtomicU64) -> io::Result<()> {
     const PARTS_PER_S: u32 = 4;
-    let stream = asked(address, "/files/large.1.glb").await?;
+    let stream = get(address, "/files/large.1.glb").await?;
     let mut piece = vec![0; (READER_BYTES_PER_S / u64::from(PARTS_PER_S)) as usize];
     let mut next = tokio::time::Instant::now();
     loop {
-        let count = take(&stream, &mut piece).await?;
+        let count = receive(&stream, &mut piece).await?;
         if count == 0 {
             return Ok(());
         }
-        told.fetch_add(count as u64, Ordering::Relaxed);
+        counts.fetch_add(count as u64, Ordering::Relaxed);
         next += Duration::from_secs(1) / PARTS_PER_S;
         sleep_until(next).await;
     }
 }
 
-/// A connection on which this was asked for; little is kept for it on this side.
-async fn asked(address: SocketAddr, path: &str) -> io::Result<TcpStream> {
+/// Opens a connection with a small receive buffer and sends a GET request.
+async fn get(address: SocketAddr, path: &str) -> io::Result<TcpStream> {
     let socket = TcpSocket::new_v4()?;
     socket.set_recv_buffer_size(64 << 10)?;
     let stream = socket.connect(address).await?;
@@ -278,8 +280,8 @@ async fn asked(address: SocketAddr, path: &str) -> io::Result<TcpStream> {
     Ok(stream)
 }
 
-/// What has come, as much as there is room for; 0 at the end.
-async fn take(stream: &TcpStream, piece: &mut [u8]) -> io::Result<usize> {
+/// Reads what has arrived, up to the size of the buffer; 0 at the end.
+async fn receive(stream: &TcpStream, piece: &mut [u8]) -> io::Result<usize> {
     loop {
         stream.readable().await?;
         match stream.try_read(piece) {
@@ -289,7 +291,7 @@ async fn take(stream: &TcpStream, piece: &mut [u8]) -> io::Result<usize> {
     }
 }
 
-fn land(folder: &Path, name: &str, bytes: &[u8]) {
+fn publish(folder: &Path, name: &str, bytes: &[u8]) {
     fs::write(folder.join("beside").join(name), bytes).expect("written");
     fs::rename(folder.join("beside").join(name), folder.join("in").join(name)).expect("renamed");
 }

@@ -1,6 +1,6 @@
-//! Frames to measure with.
+//! Generated input frames for benchmarks.
 
-/// A block of particles, 0.1 apart, moved along x, as binary PLY.
+/// A block of particles, 0.1 apart, moved along x by `shift`, as binary PLY.
 pub(crate) fn block_ply(block: [usize; 3], shift: f32) -> Vec<u8> {
     let count: usize = block.iter().product();
     let header = format!(

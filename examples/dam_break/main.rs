@@ -1,15 +1,15 @@
-//! A dam break of 3 072 particles, and its surfaces while it runs.
+//! Simulates a dam break of 3 072 particles and reconstructs its surfaces while it runs.
 //!
 //! ```text
 //! cargo run --release -p dam_break -- out/cache 60 out/surfaces
 //! ```
 //!
-//! The simulation writes a frame into `out/cache` every fraction of a second. Beside it the daemon
-//! watches that folder, as `meniscus watch out/cache --out out/surfaces` does, and each surface is in
-//! `out/surfaces` about as soon as its frame can be skinned. Each frame is a classic BGEO with velocity,
-//! as SPlisHSPlasH and partio write them.
+//! The simulation writes a frame into `out/cache` every fraction of a second. Meanwhile the daemon watches
+//! that folder, as `meniscus watch out/cache --out out/surfaces` does, and writes each surface to
+//! `out/surfaces` as soon as it is ready. The frames are classic BGEO files with velocity, as SPlisHSPlasH
+//! and partio write them.
 //!
-//! Without a folder for surfaces it only simulates: so `examples/frames` were made.
+//! Without a folder for surfaces it only simulates. The frames in `examples/frames` were made this way.
 //!
 //! ```text
 //! cargo run --release -p dam_break -- examples/frames 8
@@ -37,35 +37,35 @@ fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     match arguments.as_slice() {
         [cache, count] => simulate(Path::new(cache), count.parse()?),
-        [cache, count, surfaces] => simulate_and_skin(Path::new(cache), count.parse()?, Path::new(surfaces)),
+        [cache, count, surfaces] => simulate_and_watch(Path::new(cache), count.parse()?, Path::new(surfaces)),
         _ => Err("usage: dam_break FOLDER FRAMES [SURFACES]".into()),
     }
 }
 
-/// The daemon in a thread of its own, the simulation in this one.
-fn simulate_and_skin(cache: &Path, frame_count: usize, surfaces: &Path) -> Result<(), Box<dyn Error>> {
+/// Runs the daemon in another thread, and the simulation in this one.
+fn simulate_and_watch(cache: &Path, frame_count: usize, surfaces: &Path) -> Result<(), Box<dyn Error>> {
     let stderr = std::io::stderr;
     tracing_subscriber::fmt().with_target(false).with_ansi(stderr().is_terminal()).with_writer(stderr).init();
     std::fs::create_dir_all(cache)?;
     std::fs::create_dir_all(surfaces)?;
     let config = config(&std::path::absolute(cache)?, &std::path::absolute(surfaces)?);
-    let (commands, heard) = channel::unbounded();
+    let (commands, commands_rx) = channel::unbounded();
     let (simulated, end, watched) = thread::scope(|scope| {
-        let watching = scope.spawn(|| watch::run(&config, None, &heard, &mut |_| ()));
+        let watching = scope.spawn(|| watch::run(&config, None, &commands_rx, &mut |_| ()));
         let simulated = simulate(cache, frame_count);
         let end = Instant::now();
-        // A daemon that has ended already hears nothing, and its thread tells why.
+        // If the daemon has already ended, its thread returns the reason.
         let _ = commands.send(Command::Finish);
         (simulated, end, watching.join())
     });
     simulated?;
     watched.map_err(|_| "the daemon panicked")??;
-    // What had not begun by then: a daemon goes on where another has ended.
-    let summary = watch::run(&Config { once: true, ..config }, None, &heard, &mut |_| ())?;
-    tell(&summary, end.elapsed())
+    // A second run converts the frames that the first had not started: it continues from the journal.
+    let summary = watch::run(&Config { once: true, ..config }, None, &commands_rx, &mut |_| ())?;
+    print_summary(&summary, end.elapsed())
 }
 
-fn tell(summary: &Summary, after: Duration) -> Result<(), Box<dyn Error>> {
+fn print_summary(summary: &Summary, after: Duration) -> Result<(), Box<dyn Error>> {
     writeln!(
         std::io::stdout(),
         "{} frames have their surfaces, {:.2} s after the simulation ended",
@@ -76,7 +76,7 @@ fn tell(summary: &Summary, after: Duration) -> Result<(), Box<dyn Error>> {
     if failed.is_empty() { Ok(()) } else { Err(failed.join("\n").into()) }
 }
 
-/// What `meniscus watch CACHE --out SURFACES` does: its defaults, written out.
+/// The settings of `meniscus watch CACHE --out SURFACES`: its defaults, written out.
 fn config(cache: &Path, surfaces: &Path) -> Config {
     let threads = thread::available_parallelism().map_or(1, usize::from);
     Config {
@@ -123,7 +123,7 @@ fn simulate(cache: &Path, frame_count: usize) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Writes under another name and renames: whoever watches the folder sees whole frames only.
+/// Writes to a temporary name and renames it, so that a watcher sees complete frames only.
 fn write_frame(water: &Water, path: &Path) -> Result<(), Box<dyn Error>> {
     let velocity = Attribute {
         name: "v".into(),

@@ -1,7 +1,7 @@
-//! A block of water that collapses in a tank, by position-based fluids.
+//! Simulates a block of water that collapses in a tank, with position-based fluids.
 //!
-//! The simulation is as small as it can be and still splash; it has no random numbers, so its frames
-//! are always the same.
+//! The simulation is as small as possible and still splashes. It uses no random numbers, so its frames are
+//! always the same.
 //!
 //! This work is based on:
 //! Miles Macklin, Matthias Müller. Position Based Fluids. 2013
@@ -12,26 +12,26 @@ use glam::{IVec3, Vec3};
 
 /// Distance between particles at rest, metres.
 const SPACING: f32 = 0.05;
-/// Reach of the smoothing kernel.
+/// Radius of the smoothing kernel.
 const REACH: f32 = 2.2 * SPACING;
-/// The tank, from the origin to here; y is up.
+/// The tank, from the origin to this corner; y is up.
 const TANK: Vec3 = Vec3::new(1.6, 1.2, 0.6);
 /// Particles along the edges of the block of water.
 const BLOCK: IVec3 = IVec3::new(16, 16, 12);
 const GRAVITY: Vec3 = Vec3::new(0.0, -9.81, 0.0);
 const SECONDS_PER_STEP: f32 = 1.0 / 120.0;
-/// Corrections of the positions in each step.
+/// Number of position corrections per step.
 const SOLVER_ITERATIONS: usize = 4;
-/// Softens the density constraint where a particle has few neighbours.
+/// Softens the density constraint of particles with few neighbours.
 const RELAXATION: f32 = 200.0;
-/// How much velocities of neighbours blend in a step.
+/// How much a velocity blends with those of its neighbours in a step.
 const VISCOSITY: f32 = 0.02;
 
-/// All that there is of the water.
+/// The state of the simulation.
 pub(crate) struct Water {
     pub(crate) positions: Vec<Vec3>,
     pub(crate) velocities: Vec<Vec3>,
-    /// The density of the block at rest, in units of one particle's mass.
+    /// The density of the block at rest, in particle masses per volume.
     rest_density: f32,
 }
 
@@ -76,7 +76,7 @@ impl Water {
         neighbors.iter().map(|&j| kernel(self.positions[i].distance(self.positions[j]))).sum()
     }
 
-    /// The moves that bring every density that is too high towards that at rest (Eq. 12).
+    /// Displacements that bring densities above the rest density towards it (Eq. 12).
     fn corrections(&self, neighbors: &[Vec<usize>]) -> Vec<Vec3> {
         let multiplier = |i: usize| {
             let excess = (self.density(i, &neighbors[i]) / self.rest_density - 1.0).max(0.0);
@@ -94,7 +94,7 @@ impl Water {
         (0..self.positions.len()).map(correction).collect()
     }
 
-    /// The gradient of particle i's relative density with its own position, as far as j causes it.
+    /// The gradient of particle i's relative density with respect to its own position: the contribution of j.
     fn gradient(&self, i: usize, j: usize) -> Vec3 {
         let offset = self.positions[i] - self.positions[j];
         let distance = offset.length();
@@ -130,7 +130,7 @@ fn kernel_slope(distance: f32) -> f32 {
     -45.0 / (std::f32::consts::PI * REACH.powi(6)) * rest * rest
 }
 
-/// The particles within reach of each, itself included, in order of their index.
+/// The particles within the kernel radius of each particle, including itself, by index.
 fn neighbors(positions: &[Vec3]) -> Vec<Vec<usize>> {
     let cell_of = |position: Vec3| (position / REACH).floor().as_ivec3();
     let mut cells: HashMap<IVec3, Vec<usize>> = HashMap::new();

@@ -1,18 +1,18 @@
-//! meniscus from another program: one frame to a mesh, and a folder to a folder.
+//! Uses meniscus as a library: converts one frame to a mesh, or a folder to a folder.
 //!
 //! ```text
 //! cargo run --release -p library -- examples/frames/dam.0001.bgeo out/dam.0001.glb
 //! cargo run --release -p library -- examples/frames out/library
 //! ```
 //!
-//! For one frame another crate needs
+//! To convert one frame, your crate needs
 //!
 //! ```toml
 //! meniscus = { version = "0.1", default-features = false }
 //! meniscus-formats = "0.1"    # only to read and write files
 //! ```
 //!
-//! and for folders the feature `pipeline`, and `rayon`, whose threads compute.
+//! To convert folders, it also needs the feature `pipeline`, and `rayon` for the threads.
 
 use std::error::Error;
 use std::fs::{self, File};
@@ -46,12 +46,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Reads a file of particles in any supported format, reconstructs its surface and writes a .glb.
+/// Reads a file of particles in any supported format, reconstructs its surface and writes a .glb file.
 pub(crate) fn reconstruct_file(from: &Path, to: &Path) -> Result<(), Box<dyn Error>> {
     let name = from.file_name().unwrap_or_default().to_string_lossy();
     let frame = read_particles(&fs::read(from)?, &name, &Limits::default())?;
 
-    // Without a callback and a memory limit, `meniscus::surface::reconstruct(&positions, &options)` is all.
+    // Without a callback and a memory limit, `meniscus::surface::reconstruct(&positions, &options)` is
+    // enough.
     let mut reconstructor = Reconstructor::new(Options::default());
     reconstructor.memory_limit(4 << 30).on_progress(|progress| {
         if progress.phase == Phase::Smooth {
@@ -67,7 +68,7 @@ pub(crate) fn reconstruct_file(from: &Path, to: &Path) -> Result<(), Box<dyn Err
         return Err(format!("the surface is not valid: {}", certificate.fault()).into());
     }
 
-    // Positions are absolute, in 64 bits. Files take 32 bits, relative to a point of your choice.
+    // Positions are absolute, in 64 bits. Files store 32 bits relative to an origin that you choose.
     let origin = DVec3::ZERO;
     let positions = surface.positions_f32(origin);
     let normals: Vec<[f32; 3]> = surface.normals.iter().map(|normal| normal.to_array()).collect();
@@ -83,8 +84,8 @@ pub(crate) fn reconstruct_file(from: &Path, to: &Path) -> Result<(), Box<dyn Err
     Ok(out.flush()?)
 }
 
-/// Converts the sequences in a folder to meshes and level sets in another, as `meniscus convert FROM --out TO` does
-/// where the folder holds nothing else. Returns the number of frames.
+/// Converts the sequences in a folder to meshes and level sets in another, as `meniscus convert FROM --out
+/// TO` does if the folder contains nothing else. Returns the number of frames.
 pub(crate) fn convert_folder(from: &Path, to: &Path) -> Result<usize, Box<dyn Error>> {
     let outputs = Arc::new(OutputOptions::new(to, &[OutputFormat::Glb, OutputFormat::Vdb]));
     let files = pipeline::files_in(from)?.into_iter().map(FrameFile::new);

@@ -1,12 +1,12 @@
-//! A pool that stands still, and a drop that flies over it: what changes in the pool.
+//! A static pool and a drop that flies over it: measures what changes in the pool.
 //!
 //! ```text
 //!        o ──▶ o ──▶ o           the drop, in 24 frames
 //!   ≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈    the pool: the same particles in each frame
 //! ```
 //!
-//! Each frame is skinned by itself, on a grid that stands where it stands whatever the particles do, and smoothing couples
-//! nothing through air. So the pool comes out with the same bits each time.
+//! Each frame is reconstructed alone, on a grid that does not depend on the particles, and smoothing couples
+//! nothing through air. So the pool has the same bits in all frames.
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -21,17 +21,17 @@ use crate::Outcome;
 use crate::output::Page;
 use crate::samples::Random;
 use crate::splashsurf::{Post, Splashsurf};
-use crate::surfaces::{Program, Scale, mesh_of, skinned};
+use crate::surfaces::{Program, Scale, mesh_of, reconstructed};
 
 const FRAMES: usize = 24;
 
-/// Particles along the pool, down into it, and across.
+/// Number of particles along, down and across the pool.
 const POOL: [i32; 3] = [48, 6, 32];
 
-/// From the middle of the drop to the top of the pool, in spacings.
+/// Height of the centre of the drop above the pool, in spacings.
 const HEIGHT: f64 = 14.0;
 
-/// Of the drop, in spacings.
+/// Radius of the drop, in spacings.
 const RADIUS: f64 = 4.0;
 
 const INTRODUCTION: &str = "\
@@ -68,7 +68,7 @@ The implicit integrator solves for all voxels of a frame together, with conjugat
 So a drop changes all of the frame a little.
 Fast and explicit steps, and splashsurf without its smoothing, have a limited reach.";
 
-/// What happened to the vertices of the pool.
+/// Changes of the vertices of the pool.
 struct Changes {
     vertex_count: usize,
     least: usize,
@@ -101,7 +101,7 @@ fn changes(program: Program, peer: &Splashsurf) -> Outcome<Changes> {
             let distances = changed.iter().filter_map(|vertex| surface.distance(**vertex));
             let farthest = distances.map(f64::abs).fold(0.0, f64::max) / scale.voxel_size;
             changes.farthest = changes.farthest.max(farthest);
-            // What is there no more has changed, too.
+            // Vertices that disappeared have changed, too.
             let kept_count = vertices.len() - changed.len();
             let changed_count = changed.len().max(known.len().saturating_sub(kept_count));
             changes.least = changes.least.min(changed_count);
@@ -116,7 +116,7 @@ fn changes(program: Program, peer: &Splashsurf) -> Outcome<Changes> {
 fn picture(frame: usize) -> Outcome<(Picture, String)> {
     let scale = Scale::usual(1.0);
     let particles = [&pool()[..], &drop_at(frame)].concat();
-    let surface = skinned(&particles, scale, Integrator::Fast)?;
+    let surface = reconstructed(&particles, scale, Integrator::Fast)?;
     let [along, down, across] = POOL.map(f64::from);
     let bounds = [DVec3::new(0.0, -down, 0.0), DVec3::new(along, HEIGHT + RADIUS, across)];
     let size = [400, 240];
@@ -135,7 +135,7 @@ fn bits(vertex: &DVec3) -> [u64; 3] {
     vertex.to_array().map(f64::to_bits)
 }
 
-/// A lattice whose points are each up to a fifth of a spacing away, at most 0 high.
+/// A lattice whose points are displaced by up to a fifth of a spacing, at most 0 high.
 fn pool() -> Vec<DVec3> {
     let mut random = Random::new(20);
     let [along, down, across] = POOL;
@@ -144,7 +144,7 @@ fn pool() -> Vec<DVec3> {
     places.map(|place| place.as_dvec3() + random.in_ball(0.2)).collect()
 }
 
-/// It flies along the pool, by no whole number of voxels a frame.
+/// The drop moves along the pool by a non-integer number of voxels per frame.
 fn drop_at(frame: usize) -> Vec<DVec3> {
     let reach = RADIUS as i32;
     let middle = DVec3::new(4.0 + 1.7 * frame as f64, HEIGHT, 0.5 * f64::from(POOL[2]));

@@ -1,14 +1,14 @@
-//! How much a surface flickers: what it does between frames that the flow did not do.
+//! Flicker of a surface: its changes between frames that the flow does not explain.
 //!
-//! Points are carried by the flow. Where a surface is carried as they are, a point's distance to it stays, or changes
-//! steadily. So for each point and each three frames in a row
+//! The flow carries points. If the surface follows the flow, too, the distance of a point to it is constant
+//! or changes steadily. So for each point and each three consecutive frames, the flicker is
 //!
 //! ```text
 //!   d₀ ─── d₁ ─── d₂       the second difference d₀ − 2 d₁ + d₂, in units of h
 //! ```
 //!
-//! and the score is the root of the mean of its squares, over all points and times. Frames may be left out, if three in a
-//! row are there now and then.
+//! and the score is its root mean square over all points and times. Frames may be left out, as long as there
+//! are some runs of three consecutive frames.
 
 use glam::DVec3;
 use meniscus::surface::obstacle::Solid;
@@ -16,36 +16,36 @@ use rayon::prelude::*;
 
 use crate::Outcome;
 
-/// What is kept of a sequence while its frames come by.
+/// The distances collected from the frames of a sequence.
 #[derive(Debug, Default)]
 pub(crate) struct Flicker {
-    /// The frames that were taken, by their numbers, with the distances of the points in each.
+    /// The collected frames: their numbers, and the distances of the points.
     frames: Vec<(usize, Vec<f64>)>,
 }
 
-/// What a sequence comes to, in units of h.
+/// The score of a sequence, in units of h.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Score {
-    /// The root of the mean of the squares.
+    /// Root mean square.
     pub(crate) rms: f64,
-    /// Half of all are less.
+    /// Median.
     pub(crate) median: f64,
-    /// Of a hundred, one is more.
+    /// 99th percentile.
     pub(crate) most: f64,
-    /// The greatest of all.
+    /// Maximum.
     pub(crate) max: f64,
-    /// The part of the sum of squares that the worst twentieth of the points makes.
+    /// The share of the worst twentieth of the points in the sum of squares.
     pub(crate) worst: f64,
 }
 
 impl Flicker {
-    /// Takes in a later frame: its mesh, and the points at that time.
+    /// Adds a later frame: its mesh, and the points at that time.
     ///
     /// # Errors
-    /// A mesh without triangles, and no points: of these nothing can be said.
+    /// If the mesh has no triangles, or `points` is empty.
     pub(crate) fn add(&mut self, frame: usize, surface: &Solid, points: &[DVec3]) -> Outcome<()> {
         if points.is_empty() {
-            return Err(format!("frame {frame}: there are no points on the first surface").into());
+            return Err(format!("frame {frame}: the first surface has no points").into());
         }
         let distances = points.par_iter().map(|point| surface.distance(*point)).collect::<Option<Vec<f64>>>();
         let distances = distances.ok_or_else(|| format!("frame {frame}: its mesh has no triangles"))?;
@@ -53,7 +53,7 @@ impl Flicker {
         Ok(())
     }
 
-    /// The second differences around each frame that has both of its neighbours, in units of h.
+    /// The second differences around each frame with both neighbours, in units of h.
     fn changes(&self, voxel_size: f64) -> impl Iterator<Item = (usize, Vec<f64>)> {
         self.frames.windows(3).filter_map(move |three| match three {
             [(before, first), (frame, second), (after, third)] if after - before == 2 => {
@@ -68,17 +68,18 @@ impl Flicker {
     /// The score of all frames.
     ///
     /// # Errors
-    /// Where no three frames are in a row.
+    /// If no three frames are consecutive.
     pub(crate) fn score(&self, voxel_size: f64) -> Outcome<Score> {
         let mut changes: Vec<f64> = self.changes(voxel_size).flat_map(|(_, changes)| changes).collect();
         changes.sort_by(f64::total_cmp);
-        let max = *changes.last().ok_or("no three frames in a row")?;
+        let max = *changes.last().ok_or("no three frames are consecutive")?;
         let percentile = |part: usize| changes[changes.len() * part / 100];
         let worst = self.worst(voxel_size);
         Ok(Score { rms: rms(&changes), median: percentile(50), most: percentile(99), max, worst })
     }
 
-    /// What the worst twentieth of the points makes of the sum of squares: whether all of a surface trembles, or a part.
+    /// The share of the worst twentieth of the points in the sum of squares: shows whether all of a surface
+    /// flickers, or a part.
     fn worst(&self, voxel_size: f64) -> f64 {
         let mut squares = Vec::new();
         for (_, changes) in self.changes(voxel_size) {
@@ -90,7 +91,7 @@ impl Flicker {
         of_worst / squares.iter().sum::<f64>()
     }
 
-    /// The frames, and what each comes to.
+    /// The frame numbers, each with its score.
     pub(crate) fn over_time(&self, voxel_size: f64) -> Vec<[f64; 2]> {
         self.changes(voxel_size).map(|(frame, changes)| [frame as f64, rms(&changes)]).collect()
     }

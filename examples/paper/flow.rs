@@ -1,4 +1,4 @@
-//! Two flows that are known everywhere and at all times, and carry a body back to where it was.
+//! Two flows that are known everywhere and at all times, and return a body to its initial position.
 
 use std::f64::consts::{PI, TAU};
 
@@ -8,23 +8,23 @@ use rayon::prelude::*;
 /// A velocity field in the unit cube, and the body that it carries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Flow {
-    /// Stretches a sphere into a thin curved sheet, and then takes all of it back.
+    /// Stretches a sphere into a thin curved sheet, and then reverses.
     ///
     /// Douglas Enright, Ronald Fedkiw, Joel Ferziger, Ian Mitchell. A hybrid particle level set method for improved
     /// interface capturing. 2002
     Enright,
-    /// Turns a sphere with a notch once around: of the radius 0.15, a notch 0.05 wide and 0.125 deep.
+    /// Rotates a sphere with a notch once: radius 0.15, notch 0.05 wide and 0.125 deep.
     ///
     /// Steven T. Zalesak. Fully multidimensional flux-corrected transport algorithms for fluids. 1979; as a body in the
     /// work above
     Zalesak,
 }
 
-/// Steps of integration between two frames: 16 times as many change no position by more than 10⁻⁹.
+/// Integration steps between two frames: 16 times as many change no position by more than 10⁻⁹.
 const STEPS: usize = 8;
 
 impl Flow {
-    /// How long it takes until all is where it was.
+    /// Time until the body is back at its initial position.
     pub(crate) fn period(self) -> f64 {
         match self {
             Flow::Enright => 3.0,
@@ -32,7 +32,7 @@ impl Flow {
         }
     }
 
-    /// At this place and time.
+    /// The velocity at this position and time.
     fn velocity(self, at: DVec3, time: f64) -> DVec3 {
         match self {
             Flow::Enright => {
@@ -50,7 +50,7 @@ impl Flow {
         }
     }
 
-    /// Carries points from one time to another one, by the classical method of Runge and Kutta.
+    /// Carries points from one time to another, by the classical Runge-Kutta method.
     pub(crate) fn carry(self, points: &mut [DVec3], from: f64, to: f64) {
         let step = (to - from) / STEPS as f64;
         points.par_iter_mut().for_each(|point| {
@@ -65,7 +65,7 @@ impl Flow {
         });
     }
 
-    /// The body at first: negative inside.
+    /// Signed distance to the initial body: negative inside.
     pub(crate) fn distance(self, at: DVec3) -> f64 {
         let sphere = |center: DVec3, radius: f64| at.distance(center) - radius;
         match self {
@@ -80,7 +80,7 @@ impl Flow {
         }
     }
 
-    /// A box around the body at first.
+    /// A box around the initial body.
     pub(crate) fn bounds(self) -> [DVec3; 2] {
         let center = match self {
             Flow::Enright => DVec3::splat(0.35),

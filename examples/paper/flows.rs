@@ -1,4 +1,4 @@
-//! Sequences of which the motion is known: the test of Enright, and Zalesak's sphere (paper, Fig. 4).
+//! Sequences with known motion: the test of Enright, and Zalesak's sphere (paper, Fig. 4).
 //!
 //! ```text
 //!   particles of the body ──flow──▶ particles of each frame ──▶ a surface by each program
@@ -6,7 +6,7 @@
 //!   points on the first surface ──flow──▶ points at that time ─────────┘
 //! ```
 //!
-//! Every program has the same particles and the same grid. The points begin on the surface that is scored.
+//! All programs get the same particles and the same grid. The points start on the surface that is scored.
 
 use std::path::Path;
 use std::time::Instant;
@@ -24,33 +24,34 @@ use crate::output::{Page, Plot};
 use crate::samples::{on_mesh, particles_in};
 use crate::splashsurf::{Post, Splashsurf};
 use crate::surfaces::{Program, Scale, band_of, mesh_of};
-use crate::{Outcome, told};
+use crate::{Outcome, print_progress};
 
-/// Frames of a whole cycle. The quickest of 5 000 particles moves by a spacing and a half between two.
+/// Number of frames of a whole cycle. The fastest of 5 000 particles moves by a spacing and a half per frame.
 const FRAMES: usize = 300;
 
 const POINTS: usize = 4000;
 
-/// Where pictures are taken, in parts of a cycle.
+/// Frames that are rendered.
 const PICTURES: [usize; 4] = [0, FRAMES / 6, FRAMES / 3, FRAMES / 2];
 
-/// A body of so many particles in a flow.
+/// A body with a number of particles in a flow.
 struct Case {
     flow: Flow,
     count: usize,
-    /// In the second half of the test of Enright all frames of the first come back.
+    /// Whether to run the whole cycle. The second half of the test of Enright repeats the frames of the
+    /// first.
     is_whole: bool,
-    /// Three frames in a row of each so many are skinned: the score of some moments stands for all.
+    /// Three consecutive frames are reconstructed out of this many: their score represents all.
     every: usize,
 }
 
 impl Case {
-    /// All frames that differ.
+    /// All distinct frames.
     fn short(flow: Flow, count: usize) -> Case {
         Case { flow, count, is_whole: flow != Flow::Enright, every: 1 }
     }
 
-    /// The whole cycle, of which some frames are skinned.
+    /// The whole cycle, of which some frames are reconstructed.
     fn sampled(flow: Flow, count: usize) -> Case {
         Case { flow, count, is_whole: true, every: 10 }
     }
@@ -67,12 +68,12 @@ impl Case {
         program == Program::Meniscus(Integrator::Fast) || is_beside
     }
 
-    /// The first case of each page is plotted, and pictured beside splashsurf.
+    /// The first case of each page is plotted, and rendered next to splashsurf.
     fn is_first(&self) -> bool {
         self.flow == Flow::Enright && self.count >= 5_000
     }
 
-    /// Multiples of `every`, and the frames beside them.
+    /// Multiples of `every`, and the frames next to them.
     fn takes(&self, frame: usize) -> bool {
         (frame + 1) % self.every <= 2
     }
@@ -82,7 +83,7 @@ impl Case {
     }
 }
 
-/// How large voxels are.
+/// The voxel size.
 #[derive(Clone, Copy)]
 struct Grid {
     part: &'static str,
@@ -93,7 +94,7 @@ struct Grid {
 const FINE: Grid = Grid { part: "fine", heading: ON_FINE, scale: Scale::fine };
 const USUAL: Grid = Grid { part: "usual", heading: ON_USUAL, scale: Scale::usual };
 
-/// What a page is about.
+/// The contents of a page.
 struct Study {
     name: &'static str,
     title: &'static str,
@@ -103,7 +104,7 @@ struct Study {
     grids: &'static [Grid],
 }
 
-/// The flicker of programs, on either grid.
+/// The flicker of programs, on both grids.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let cases = [(Flow::Enright, 5_000), (Flow::Enright, 500), (Flow::Zalesak, 5_000)];
     let study = Study {
@@ -117,7 +118,7 @@ pub(crate) fn run(folder: &Path) -> Outcome<()> {
     study.publish(folder)
 }
 
-/// The same with our three integrators, as they are by default.
+/// The same for our three integrators with their defaults.
 pub(crate) fn run_integrators(folder: &Path) -> Outcome<()> {
     let cases = [(Flow::Enright, 5_000), (Flow::Enright, 500), (Flow::Zalesak, 5_000)];
     let study = Study {
@@ -131,7 +132,7 @@ pub(crate) fn run_integrators(folder: &Path) -> Outcome<()> {
     study.publish(folder)
 }
 
-/// And of more particles by all programs. The paper's finest set is on such a grid.
+/// The same for more particles and all programs. The paper's finest set is on such a grid.
 pub(crate) fn run_many(folder: &Path) -> Outcome<()> {
     let study = Study {
         name: "flows_many",
@@ -165,7 +166,7 @@ impl Study {
                 let start = Instant::now();
                 let sequence = follow(case, program, peer, grid.scale)?;
                 let row = sequence.row(case, program);
-                told(&format!("{}: {:.0} s", row.join(", "), start.elapsed().as_secs_f64()))?;
+                print_progress(&format!("{}: {:.0} s", row.join(", "), start.elapsed().as_secs_f64()))?;
                 rows.push(row);
                 if case.is_first() {
                     curves.push((program.name().to_owned(), sequence.over_time));
@@ -230,7 +231,7 @@ const ON_USUAL: &str = "\
 h is half the spacing, and all other settings are the defaults of meniscus.
 splashsurf's cells have the same size, which is twice what it recommends.";
 
-/// What came of a sequence.
+/// The results of a sequence.
 struct Sequence {
     particle_count: usize,
     score: Score,
@@ -286,7 +287,7 @@ fn follow(case: &Case, program: Program, peer: &Splashsurf, scale: fn(f64) -> Sc
     Ok(Sequence { particle_count: particles.len(), score, over_time, pictures })
 }
 
-/// All of the unit cube that bodies come to.
+/// Shows the part of the unit cube that the bodies reach.
 fn picture(band: &NarrowBand, voxel_size: f64) -> Picture {
     let bounds = [DVec3::splat(0.05), DVec3::splat(0.95)];
     let view = View {

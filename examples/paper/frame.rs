@@ -1,4 +1,4 @@
-//! One frame of a dam break under other settings (paper, Fig. 3 and 6 to 9).
+//! One frame of a dam break with different settings (paper, Fig. 3 and 6 to 9).
 
 use std::path::Path;
 
@@ -15,7 +15,7 @@ use meniscus_formats::{Limits, Positions, read_particles};
 use crate::Outcome;
 use crate::output::{Page, Plot};
 
-/// Made by the dam break of the examples.
+/// Made by the example `dam_break`.
 const FRAME: &str = "examples/frames/dam.0006.bgeo";
 
 /// Half the spacing.
@@ -25,7 +25,7 @@ const SPACING: f64 = 0.05;
 
 const RATIOS: [f64; 5] = [1.0, 1.25, 1.5, 2.0, 4.0];
 
-/// In units of h⁴. Five steps of 20 are what a frame usually gets, and 500 explicit ones of 0.01.
+/// In units of h⁴. The default is five implicit steps of 20, or 500 explicit ones of 0.01.
 const TIMES: [f64; 7] = [0.0, 5.0, 20.0, 40.0, 60.0, 80.0, 100.0];
 
 const INTRODUCTION: &str = "\
@@ -51,7 +51,7 @@ Implicit and fast steps are 20 h⁴ long, except a shorter last one; explicit st
 By default a frame gets 100 h⁴ with implicit and fast steps, and 5 h⁴ with explicit ones.
 Seconds are those of the smoothing alone, the minimum of three runs.";
 
-/// Ratios, and energies over time.
+/// Ratios, voxel sizes, and energies over time.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let mut page = Page::new(folder, "frame", "A frame under other settings");
     let particles = particles()?;
@@ -122,7 +122,7 @@ fn energies(page: &mut Page, particles: &Particles) -> Outcome<()> {
     ] {
         let mut surfaces = Vec::new();
         for time in TIMES {
-            // The quickest of some: the others were held up by something else.
+            // The fastest run: others may have been slowed down by other processes.
             let mut runs = Vec::new();
             for _ in 0..3 {
                 runs.push(after(particles, integrator, time, step_size)?);
@@ -145,7 +145,7 @@ fn energies(page: &mut Page, particles: &Particles) -> Outcome<()> {
         let taken = surfaces.iter().skip(1).map(|(_, s)| [seconds(s), energy(s)]);
         over_seconds.push((name.to_owned(), taken.collect()));
         let some = [0, 2, 4, 6].into_iter().filter_map(|index| surfaces.get(index));
-        // The letters of sheets are Latin-1, which has no ⁴.
+        // The font of contact sheets is Latin-1, which has no ⁴.
         let shown = some.map(|(time, surface)| {
             (picture(surface, VOXEL_SIZE, [300, 200]), format!("{name}, time {time}"))
         });
@@ -164,7 +164,7 @@ fn energies(page: &mut Page, particles: &Particles) -> Outcome<()> {
     page.pictures("time", "Above explicit, then implicit, then fast", pictures)
 }
 
-/// The surface after so much time, in steps of one size, which is no larger than it was to be.
+/// The surface after this much time, in steps of equal size, at most `step_size`.
 fn after(particles: &Particles, integrator: Integrator, time: f64, step_size: f64) -> Outcome<Surface> {
     let steps = (time / step_size).ceil().max(1.0);
     let choices = MethodOptions {

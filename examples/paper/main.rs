@@ -1,12 +1,12 @@
-//! The paper's experiments, from generated data: tables, plots and pictures.
+//! The paper's experiments on generated data: tables, plots and pictures.
 //!
 //! ```text
 //! cargo run --release --example paper                     all of them, into docs/results
 //! cargo run --release --example paper -- flows            one of them
-//! cargo run --release --example paper -- --long           and what takes hours
+//! cargo run --release --example paper -- --long           including those that take hours
 //! ```
 //!
-//! Some stand beside splashsurf, which `benches/peers` installs, or which `SPLASHSURF` names.
+//! Some compare with splashsurf, which `benches/peers` installs; `SPLASHSURF` can name another executable.
 
 mod drop;
 mod flicker;
@@ -31,15 +31,15 @@ use std::time::Instant;
 
 use crate::splashsurf::Splashsurf;
 
-/// What an experiment comes to, or why it did not.
+/// The result of an experiment, or its error.
 pub(crate) type Outcome<T> = Result<T, Box<dyn Error>>;
 
-/// Writes a page into a folder.
+/// An experiment, which writes a page into a folder.
 #[derive(Clone, Copy)]
 struct Experiment {
     name: &'static str,
     run: fn(&Path) -> Outcome<()>,
-    /// It takes hours, not minutes.
+    /// Whether it takes hours instead of minutes.
     is_long: bool,
 }
 
@@ -74,14 +74,14 @@ fn main() -> Outcome<()> {
     };
     let known = EXPERIMENTS.map(|experiment| experiment.name);
     if let Some(name) = names.iter().find(|name| !known.contains(&&***name)) {
-        return Err(format!("no experiment {name}; there are: {}", known.join(", ")).into());
+        return Err(format!("unknown experiment {name}; expected one of: {}", known.join(", ")).into());
     }
     let is_asked = |experiment: &Experiment| match names.is_empty() {
         true => is_long || !experiment.is_long,
         false => names.iter().any(|name| name == experiment.name),
     };
     let asked: Vec<Experiment> = EXPERIMENTS.into_iter().filter(is_asked).collect();
-    // Missed before the first experiment takes its minutes.
+    // Check for splashsurf before the first experiment, which takes minutes.
     if asked.iter().any(|experiment| !WITHOUT_SPLASHSURF.contains(&experiment.name)) {
         Splashsurf::find()?;
     }
@@ -90,12 +90,12 @@ fn main() -> Outcome<()> {
     for Experiment { name, run, .. } in asked {
         let start = Instant::now();
         run(&folder)?;
-        told(&format!("{name}: {:.0} s", start.elapsed().as_secs_f64()))?;
+        print_progress(&format!("{name}: {:.0} s", start.elapsed().as_secs_f64()))?;
     }
     Ok(())
 }
 
-/// What is under way takes minutes: those who wait are told.
-pub(crate) fn told(line: &str) -> Outcome<()> {
+/// Prints progress, because an experiment takes minutes.
+pub(crate) fn print_progress(line: &str) -> Outcome<()> {
     Ok(writeln!(std::io::stdout(), "{line}")?)
 }

@@ -1,4 +1,4 @@
-//! What an experiment leaves: a page with its tables, plots and pictures.
+//! The output of an experiment: a page with its tables, plots and pictures.
 
 use std::fmt::Write as _;
 use std::fs::{self, File};
@@ -12,7 +12,7 @@ use plotters::prelude::*;
 
 use crate::Outcome;
 
-/// A page under way.
+/// A page that is being written.
 pub(crate) struct Page {
     folder: PathBuf,
     name: &'static str,
@@ -20,17 +20,17 @@ pub(crate) struct Page {
 }
 
 impl Page {
-    /// An empty one.
+    /// An empty page.
     pub(crate) fn new(folder: &Path, name: &'static str, title: &str) -> Page {
         Page { folder: folder.to_owned(), name, text: format!("# {title}\n") }
     }
 
-    /// A paragraph.
+    /// Adds a paragraph.
     pub(crate) fn say(&mut self, text: &str) {
         let _ = write!(self.text, "\n{text}\n");
     }
 
-    /// A table. Each row has a cell for each column.
+    /// Adds a table. Each row has a cell for each column.
     pub(crate) fn table(&mut self, columns: &[&str], rows: &[Vec<String>]) {
         self.text.push('\n');
         let mut line = |cells: &mut dyn Iterator<Item = &str>| {
@@ -45,7 +45,7 @@ impl Page {
         rows.iter().for_each(|row| line(&mut row.iter().map(String::as_str)));
     }
 
-    /// A plot, and the link to it.
+    /// Writes a plot and adds a link to it.
     pub(crate) fn plot(&mut self, part: &str, plot: &Plot) -> Outcome<()> {
         let file = format!("{}_{part}.svg", self.name);
         plot.write(&self.folder.join(&file))?;
@@ -53,7 +53,7 @@ impl Page {
         Ok(())
     }
 
-    /// Pictures in rows, each with what is said below it.
+    /// Writes pictures in rows, each with its caption, and adds a link.
     pub(crate) fn pictures(
         &mut self,
         part: &str,
@@ -89,7 +89,7 @@ impl Page {
     }
 }
 
-/// The machine, the commit and its day.
+/// The machine, the commit and its date.
 fn conditions() -> String {
     let processors = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = processors.lines().find_map(|line| line.strip_prefix("model name")?.split_once(": "));
@@ -105,13 +105,13 @@ fn conditions() -> String {
     format!("{model}, {} threads; {commit}{changes}", rayon::current_num_threads())
 }
 
-/// Curves over one axis.
+/// Curves in one coordinate system.
 pub(crate) struct Plot {
     /// What it shows.
     pub(crate) title: String,
-    /// What is along the axes, with units.
+    /// The axis labels, with units.
     pub(crate) axes: [&'static str; 2],
-    /// Which of the axes count by powers of ten.
+    /// Which axes are logarithmic.
     pub(crate) is_log: [bool; 2],
     /// Names and points.
     pub(crate) curves: Vec<(String, Vec<[f64; 2]>)>,
@@ -119,12 +119,12 @@ pub(crate) struct Plot {
 
 const SIZE: (u32, u32) = (960, 420);
 
-/// Where the names of the curves begin, beside the axes.
+/// X position of the legend, to the right of the plot.
 const NAMES_FROM: u32 = 750;
 
 const NAME_HEIGHT: i32 = 22;
 
-/// Dark enough on white, and told apart by those who see no red or no green.
+/// Dark enough on white, and distinguishable for colour-blind readers.
 const COLORS: [RGBColor; 6] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
@@ -146,8 +146,8 @@ impl Plot {
             .x_label_area_size(42)
             .y_label_area_size(64)
             .build_cartesian_2d(x, y)?;
-        // Logarithms are plotted; what is written along an axis is what they are of.
-        let told = |axis: usize| {
+        // Logarithms are plotted, but the axis labels show the original values.
+        let axis_label = |axis: usize| {
             move |value: &f64| match self.is_log[axis] {
                 true => number(10f64.powf(*value)),
                 false => number(*value),
@@ -157,18 +157,18 @@ impl Plot {
             .configure_mesh()
             .x_desc(self.axes[0])
             .y_desc(self.axes[1])
-            .x_label_formatter(&told(0))
-            .y_label_formatter(&told(1))
+            .x_label_formatter(&axis_label(0))
+            .y_label_formatter(&axis_label(1))
             .light_line_style(WHITE)
             .label_style(("sans-serif", 13))
             .draw()?;
         for (index, (name, points)) in self.curves.iter().enumerate() {
             let color = COLORS[index % COLORS.len()];
-            let points = points.iter().map(|point| (self.placed(point, 0), self.placed(point, 1)));
-            // Of nothing there is no logarithm.
+            let points = points.iter().map(|point| (self.scaled(point, 0), self.scaled(point, 1)));
+            // 0 has no logarithm.
             let points = points.filter(|(x, y)| x.is_finite() && y.is_finite());
             chart.draw_series(LineSeries::new(points, color.stroke_width(2)))?;
-            // Within the axes they would lie over a curve sooner or later.
+            // The legend is outside of the axes, where no curve can hide it.
             let y = 60 + NAME_HEIGHT * index as i32;
             names.draw(&PathElement::new([(6, y), (24, y)], color.stroke_width(2)))?;
             names.draw(&Text::new(name.as_str(), (30, y - 7), ("sans-serif", 13)))?;
@@ -176,13 +176,13 @@ impl Plot {
         Ok(area.present()?)
     }
 
-    fn placed(&self, point: &[f64; 2], axis: usize) -> f64 {
+    fn scaled(&self, point: &[f64; 2], axis: usize) -> f64 {
         if self.is_log[axis] { point[axis].log10() } else { point[axis] }
     }
 
-    /// All points, and a little more.
+    /// The range of all points, with a margin.
     fn range(&self, axis: usize) -> std::ops::Range<f64> {
-        let values = self.curves.iter().flat_map(|(_, points)| points).map(|point| self.placed(point, axis));
+        let values = self.curves.iter().flat_map(|(_, points)| points).map(|point| self.scaled(point, axis));
         let (low, high) = values
             .filter(|value| value.is_finite())
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));

@@ -1,4 +1,4 @@
-//! Particles at random in a ball: how near to a ball the surface is (paper, Fig. 12).
+//! Random particles in a ball: how close the surface is to a sphere (paper, Fig. 12).
 
 use std::f64::consts::PI;
 use std::path::Path;
@@ -29,7 +29,7 @@ The first two exclude inner surfaces around gaps: triangles that face inward, or
 splashsurf is made for the even distributions of simulations.
 So the table also has it with the cell size that its authors recommend, and with a kernel twice as wide, which spans the gaps.";
 
-/// Ours at 50 000, and splashsurf at 50 000 and at 1 000 000.
+/// Ours at 50 000 particles, and splashsurf at 50 000 and at 1 000 000.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let peer = Splashsurf::find()?;
     let mut page = Page::new(folder, "random_ball", "Particles at random in a ball");
@@ -106,7 +106,7 @@ fn view() -> View {
     View { size: [380, 380], camera, up: Placement::AUTO.up, ground: None }
 }
 
-/// How far from a ball.
+/// Deviation from a sphere.
 struct Roughness {
     mean_radius: f64,
     deviation: f64,
@@ -118,14 +118,14 @@ struct Roughness {
 impl Roughness {
     fn of(data: &MeshData) -> Roughness {
         let place = |vertex: u32| DVec3::from(data.positions[vertex as usize]);
-        // By area: some programs have many small triangles where it is rough.
+        // Weighted by area: some programs produce many small triangles at rough places.
         let (mut area, mut radius, mut square, mut angle) = (0.0, 0.0, 0.0, 0.0);
         for &[a, b, c] in &data.triangles {
             let [a, b, c] = [a, b, c].map(place);
             let normal = (b - a).cross(c - a);
             let middle = (a + b + c) / 3.0;
             let outward = normal.normalize_or_zero().dot(middle.normalize_or_zero());
-            // What faces inward, or is deep inside, is around a gap.
+            // Triangles that face inward or lie deep inside belong to a cavity.
             if outward <= 0.0 || middle.length() < 0.75 {
                 continue;
             }
@@ -159,7 +159,7 @@ impl Roughness {
             format!("{mean_radius:.4}"),
             format!("{deviation:.5}"),
             format!("{angle_degrees:.2}"),
-            // Slivers: there is no telling what of it is the surface's.
+            // Slivers dominate the sum, so the number is meaningless.
             if *energy > 1000.0 { "> 1000".into() } else { format!("{energy:.2}") },
             triangle_count.to_string(),
         ]

@@ -1,15 +1,16 @@
-//! Particles within a body, and points on a mesh.
+//! Samples: particles in a body, and points on a mesh.
 
 use glam::{DVec3, IVec3};
 use meniscus_formats::MeshData;
 
 use super::flow::Flow;
 
-/// The points of a cubic lattice that are inside, about so many, and their spacing.
+/// About `count` points of a cubic lattice inside a body, and their spacing.
 pub(crate) fn particles_in(flow: Flow, count: usize) -> (Vec<DVec3>, f64) {
     let mut spacing = 0.15 / 20.0;
     let mut nearest = (inside(flow, spacing), spacing);
-    // What one lattice has tells the spacing of the next. Counts jump by layers, so the last is not always the nearest.
+    // Each lattice's count gives the spacing of the next. Counts jump by layers, so the last is not always
+    // the closest.
     for _ in 0..20 {
         let points = inside(flow, spacing);
         let found = points.len();
@@ -38,7 +39,7 @@ fn inside(flow: Flow, spacing: f64) -> Vec<DVec3> {
     points
 }
 
-/// Points on a mesh, so many, evenly by area.
+/// `count` points on a mesh, evenly by area.
 pub(crate) fn on_mesh(mesh: &MeshData, count: usize) -> Vec<DVec3> {
     let corners = |triangle: &[u32; 3]| triangle.map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
     let area = |triangle: &[u32; 3]| {
@@ -62,10 +63,11 @@ pub(crate) fn on_mesh(mesh: &MeshData, count: usize) -> Vec<DVec3> {
     points
 }
 
-/// The inverse of the plastic number, and its square: multiples of them, less their whole parts, fill a square evenly.
+/// The inverse of the plastic number, and its square: the fractional parts of their multiples fill a square
+/// evenly.
 const SPREAD: [f64; 2] = [0.754_877_666_246_692_7, 0.569_840_290_998_053_2];
 
-/// Numbers that come out the same everywhere.
+/// Random numbers that are the same on all machines.
 ///
 /// Melissa E. O'Neill. PCG: A Family of Simple Fast Space-Efficient Statistically Good Algorithms for Random Number
 /// Generation. 2014
@@ -74,14 +76,14 @@ pub(crate) struct Random {
 }
 
 impl Random {
-    /// Others for another seed.
+    /// Each seed gives another sequence.
     pub(crate) fn new(seed: u64) -> Random {
         let mut random = Random { state: seed };
         random.unit();
         random
     }
 
-    /// From 0 to 1.
+    /// A number from 0 to 1.
     pub(crate) fn unit(&mut self) -> f64 {
         self.state =
             self.state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -89,7 +91,7 @@ impl Random {
         f64::from(word.rotate_right((self.state >> 59) as u32)) / 2f64.powi(32)
     }
 
-    /// Anywhere in a ball around the origin.
+    /// A uniformly distributed point in a ball around the origin.
     pub(crate) fn in_ball(&mut self, radius: f64) -> DVec3 {
         loop {
             let point = 2.0 * DVec3::from_array([(); 3].map(|()| self.unit())) - 1.0;

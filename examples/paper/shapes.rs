@@ -1,4 +1,4 @@
-//! Particles of their own shapes and sizes, and an obstacle around them (paper, Fig. 11, 13, 15 and 16).
+//! Particles with different shapes and sizes, and an obstacle around them (paper, Fig. 11, 13, 15 and 16).
 
 use std::f64::consts::TAU;
 use std::path::Path;
@@ -39,7 +39,7 @@ Particles on the inside of a tetrahedral mould, some slightly outside of it.
 From left to right: without the mould; without the part of the surface inside the mould's walls; and with gaps below h filled as well, which is the default.
 The distance of the outer side from the walls is measured at its vertices.";
 
-/// Pictures, with what can be counted below them.
+/// Pictures, with tables below them.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let mut page = Page::new(folder, "shapes", "Particles of their own shapes and sizes, and an obstacle");
     page.say(CROWN);
@@ -62,7 +62,7 @@ fn crown(page: &mut Page) -> Outcome<()> {
         let count = (TAU * radius).round() as usize;
         for index in 0..count {
             let angle = TAU * index as f64 / count as f64;
-            // Above the rim there are only threads.
+            // Above the rim of the crown there are only threads.
             if height > 13.0 + 12.0 * (12.0 * angle).cos() {
                 continue;
             }
@@ -84,7 +84,7 @@ fn crown(page: &mut Page) -> Outcome<()> {
         ("by velocity", AnisotropyKind::Velocity),
     ] {
         let choices = MethodOptions { anisotropy: Some(kind), ..MethodOptions::default() };
-        let surface = skinned(&cloud, voxel_size, &choices, &Obstacles::default())?;
+        let surface = reconstructed(&cloud, voxel_size, &choices, &Obstacles::default())?;
         let measures = &surface.report.mesh;
         rows.push(vec![
             name.into(),
@@ -102,7 +102,7 @@ fn crown(page: &mut Page) -> Outcome<()> {
 fn sizes(page: &mut Page) -> Outcome<()> {
     let mut random = Random::new(13);
     let (mut places, mut radii): (Vec<DVec3>, Vec<f64>) = (Vec::new(), Vec::new());
-    // The largest first: what is thrown in later takes the room that is left.
+    // The largest first: later ones fill the remaining space.
     for (radius, tries) in [(4.0, 400), (2.4, 3000), (1.5, 12_000), (0.9, 40_000)] {
         for _ in 0..tries {
             let place = random.in_ball(16.0) * DVec3::new(1.0, 0.5, 1.0);
@@ -123,7 +123,7 @@ fn sizes(page: &mut Page) -> Outcome<()> {
     let one = MethodOptions { radius_min: Some(0.9.into()), ..close };
     let mut pictures = vec![(balls(&places, &radii, &view)?, "particles".to_owned())];
     for (name, choices) in [("one radius", one), ("their own radii", own)] {
-        let surface = skinned(&cloud, voxel_size, &choices, &Obstacles::default())?;
+        let surface = reconstructed(&cloud, voxel_size, &choices, &Obstacles::default())?;
         pictures
             .push((picture(&surface, voxel_size, &view), format!("{name}, certificate {}", holds(&surface))));
     }
@@ -134,7 +134,7 @@ fn sizes(page: &mut Page) -> Outcome<()> {
     )
 }
 
-/// Particles as they are: balls that hardly anything smooths.
+/// The particles as balls, with almost no smoothing.
 fn balls(places: &[DVec3], radii: &[f64], view: &View) -> Outcome<Picture> {
     let positions = Particles::Double(places.iter().map(|place| place.to_array()).collect());
     let numbers = radii.iter().map(|radius| *radius as f32).collect();
@@ -147,7 +147,7 @@ fn balls(places: &[DVec3], radii: &[f64], view: &View) -> Outcome<Picture> {
         ..MethodOptions::default()
     };
     let voxel_size = 0.25;
-    Ok(picture(&skinned(&cloud, voxel_size, &choices, &Obstacles::default())?, voxel_size, view))
+    Ok(picture(&reconstructed(&cloud, voxel_size, &choices, &Obstacles::default())?, voxel_size, view))
 }
 
 fn tetrahedron(page: &mut Page) -> Outcome<()> {
@@ -173,8 +173,8 @@ fn tetrahedron(page: &mut Page) -> Outcome<()> {
         ("and gaps filled", None, &obstacles),
     ] {
         let choices = MethodOptions { void_threshold: threshold, ..MethodOptions::default() };
-        let surface = skinned(&cloud, voxel_size, &choices, obstacles)?;
-        let off = Off::of(&surface, &wall);
+        let surface = reconstructed(&cloud, voxel_size, &choices, obstacles)?;
+        let off = Deviation::of(&surface, &wall);
         let number = |value: f64| format!("{:.3}", value / voxel_size);
         rows.push(vec![name.to_owned(), number(off.beyond), number(off.rms), holds(&surface)]);
         pictures.push((picture(&surface, voxel_size, &view), name.to_owned()));
@@ -183,31 +183,31 @@ fn tetrahedron(page: &mut Page) -> Outcome<()> {
     page.pictures("tetrahedron", "No obstacle, walls taken away, and gaps filled", vec![pictures])
 }
 
-/// How far the outer surface is from the walls of the mould, world units.
-struct Off {
+/// Distances of the outer surface from the walls of the mould, world units.
+struct Deviation {
     beyond: f64,
     rms: f64,
 }
 
-impl Off {
-    /// What is far inside is the inner side of the layer of particles, and left out.
-    fn of(surface: &Surface, wall: &Solid) -> Off {
+impl Deviation {
+    /// Points far inside belong to the inner side of the layer of particles, and are left out.
+    fn of(surface: &Surface, wall: &Solid) -> Deviation {
         let mesh = &surface.mesh;
         let places = mesh.positions.iter().map(|position| mesh.origin + position.as_dvec3());
         let distances = places.filter_map(|place| wall.distance(place));
         let outer: Vec<f64> = distances.filter(|distance| *distance > -OUTER).collect();
         let squares: f64 = outer.iter().map(|distance| distance * distance).sum();
-        Off {
+        Deviation {
             beyond: outer.iter().copied().fold(0.0, f64::max),
             rms: (squares / outer.len().max(1) as f64).sqrt(),
         }
     }
 }
 
-/// Half of how thick the layer of particles on the walls is, about, world units.
+/// About half the thickness of the layer of particles on the walls, world units.
 const OUTER: f64 = 0.06;
 
-/// Points on the faces, none nearer to another than this; then some a little outside, more of them inside.
+/// Points on the faces, at least `apart` from each other; some are a little outside, more of them inside.
 fn on_faces(corners: &[DVec3; 4], faces: &[[usize; 3]; 4], apart: f64) -> Vec<DVec3> {
     let mut random = Random::new(7);
     let mut places: Vec<DVec3> = Vec::new();
@@ -225,7 +225,7 @@ fn on_faces(corners: &[DVec3; 4], faces: &[[usize; 3]; 4], apart: f64) -> Vec<DV
     places.iter().map(|place| *place * (1.05 - 0.11 * random.unit())).collect()
 }
 
-/// A block with a hole as the tetrahedron: its faces look inward.
+/// A block with a hole in the shape of the tetrahedron: its faces look inward.
 fn mould(corners: &[DVec3; 4], faces: &[[usize; 3]; 4]) -> Obstacles {
     let mut positions: Vec<[f64; 3]> = corners.iter().map(|corner| corner.to_array()).collect();
     let side = |bit: u32, corner: u32| if corner >> bit & 1 == 0 { -2.0 } else { 2.0 };
@@ -247,7 +247,7 @@ fn with(positions: Particles, name: &str, meaning: Meaning, arity: usize, number
     Cloud { attributes: vec![attribute], ..Cloud::from(positions) }
 }
 
-pub(crate) fn skinned(
+pub(crate) fn reconstructed(
     cloud: &Cloud,
     voxel_size: f64,
     choices: &MethodOptions,

@@ -1,4 +1,4 @@
-//! A sphere with noise under the flows: what each makes of it (paper, Fig. 5 and 10).
+//! A noisy sphere under both flows (paper, Fig. 5 and 10).
 //!
 //! ```text
 //!      radius 16 ──────  upper bound of φ
@@ -27,12 +27,12 @@ use crate::samples::Random;
 const RADIUS: f32 = 20.0;
 const BOUND_RADII: [f32; 2] = [16.0, 24.0];
 
-/// Values that a step reads, and how far the surface may move.
+/// Half width of the band, in voxels: the stencil of a step plus the movement of the surface.
 const HALF_WIDTH: f32 = 9.0;
 
 const LATTICE: Lattice = Lattice { voxel_size: 1.0 };
 
-/// Laplacian steps of 0.1 h², and explicit biharmonic ones of 0.01 h⁴.
+/// Laplacian steps of 0.1 h², and explicit biharmonic steps of 0.01 h⁴.
 const LAPLACIAN_STEPS: [u32; 9] = [0, 5, 15, 50, 100, 200, 400, 700, 1000];
 const BIHARMONIC_STEPS: [u32; 9] = [0, 20, 50, 150, 500, 1000, 2000, 5000, 10_000];
 
@@ -49,7 +49,7 @@ The same sphere, with a field that rises too quickly away from the surface where
 The flow of the thin-plate energy is linear in φ, so it moves a surface less where φ is steep.
 Without redistancing the left side stays rough and only the right side becomes smooth; with redistancing both sides become smooth.";
 
-/// Both flows over time, and what redistancing is for.
+/// Both flows over time, and the effect of redistancing.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let mut page = Page::new(folder, "spheres", "A noisy sphere under both flows");
     page.say(LAPLACIAN);
@@ -114,7 +114,7 @@ fn distances(page: &mut Page) -> Outcome<()> {
         let (mut band, bounds) = start();
         let config = explicit(10_000);
         let mut memory = Memory::new(band.topology.len());
-        // Restoring comes first, and would make distances of what is none.
+        // Redistancing comes first, and would repair the distorted distances.
         let acts = acts(&config, u32::MAX)
             .into_iter()
             .filter(|act| redistances || !matches!(act, Act::Restore | Act::Redistance));
@@ -146,7 +146,7 @@ fn explicit(steps: u32) -> Config {
     }
 }
 
-/// The noisy sphere and its bounds, its field changed by `field`: from the distance, and where that is.
+/// The noisy sphere and its bounds; `field` changes the field, given the distance and the position.
 fn noisy_sphere(field: impl Fn(f32, glam::Vec3) -> f32) -> (NarrowBand, Bounds) {
     let topology = Topology::new(leaf_origins());
     let sphere = |radius: f32| {
@@ -168,7 +168,7 @@ fn noisy_sphere(field: impl Fn(f32, glam::Vec3) -> f32) -> (NarrowBand, Bounds) 
     (NarrowBand { topology: Arc::new(topology), phi, half_width: HALF_WIDTH }, bounds)
 }
 
-/// The leaves with a voxel whose distance is within the half width.
+/// The leaves with a voxel within the half width.
 fn leaf_origins() -> Vec<IVec3> {
     let near = |offset: usize, origin: IVec3| {
         ((origin + voxel_in_leaf(offset)).as_vec3().length() - RADIUS).abs() < HALF_WIDTH
@@ -181,13 +181,13 @@ fn measured(band: &NarrowBand) -> MeshMeasures {
     contour(band, &LATTICE, Contouring::Dual).measure()
 }
 
-/// Volume and bending energy in parts of the sphere's.
+/// Volume and bending energy relative to the sphere.
 fn relative(measures: &MeshMeasures) -> [f64; 2] {
     let sphere = 4.0 / 3.0 * PI * f64::from(RADIUS).powi(3);
     [measures.volume / sphere, measures.bending_energy / (4.0 * PI)]
 }
 
-/// The standard deviation of the radius on one side, in voxels. What is between the sides belongs to neither.
+/// The standard deviation of the radius on one side, in voxels. The region between the sides is left out.
 fn roughness(band: &NarrowBand, side: f64) -> f64 {
     let mesh = contour(band, &LATTICE, Contouring::Dual);
     let places = mesh.positions.iter().map(|position| mesh.origin + position.as_dvec3());

@@ -1,4 +1,4 @@
-//! splashsurf, as a program beside this one.
+//! Runs splashsurf as a separate program.
 
 use std::env;
 use std::fs;
@@ -10,18 +10,18 @@ use meniscus_formats::{Limits, MeshData, ParticleFrame, Positions, ply};
 
 use crate::Outcome;
 
-/// Whether its mesh is smoothed afterwards.
+/// The post-processing of the mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Post {
-    /// As it comes.
+    /// None.
     Plain,
-    /// Weighted Laplacian smoothing, as its authors recommend it.
+    /// Weighted Laplacian smoothing, as its authors recommend.
     Processed,
-    /// The same, with a kernel twice as wide: for particles that leave gaps.
+    /// The same, with a kernel twice as wide: for particles with gaps.
     Wide,
 }
 
-/// Smooths and cleans up; the same as in `benches/peers`.
+/// The arguments for smoothing and cleanup; the same as in `benches/peers`.
 const PROCESSED: [&str; 6] = [
     "--mesh-smoothing-weights=on",
     "--mesh-smoothing-iters=25",
@@ -31,27 +31,29 @@ const PROCESSED: [&str; 6] = [
     "--normals-smoothing-iters=10",
 ];
 
-/// Where it is.
+/// The executable.
 pub(crate) struct Splashsurf {
     program: PathBuf,
     folder: tempfile::TempDir,
 }
 
 impl Splashsurf {
-    /// What `SPLASHSURF` names, else what `benches/peers` has installed beside what cargo builds.
+    /// Uses `SPLASHSURF`, or else the executable that `benches/peers` installed in cargo's target folder.
     pub(crate) fn find() -> Outcome<Splashsurf> {
         let built = env::var_os("CARGO_TARGET_DIR").map_or_else(|| "target".into(), PathBuf::from);
         let installed = || built.join("peers/bin/splashsurf");
         let program = env::var_os("SPLASHSURF").map_or_else(installed, PathBuf::from);
         if !program.is_file() {
-            return Err(
-                format!("{}: no splashsurf there; benches/peers installs it", program.display()).into()
-            );
+            return Err(format!(
+                "{}: splashsurf not found; install it with benches/peers",
+                program.display()
+            )
+            .into());
         }
         Ok(Splashsurf { program, folder: tempfile::tempdir()? })
     }
 
-    /// The surface of particles that stand for so much room, with cells of this size.
+    /// The surface of particles with this spacing, with cells of this size.
     pub(crate) fn reconstruct(
         &self,
         particles: &[DVec3],

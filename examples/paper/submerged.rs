@@ -13,7 +13,7 @@ use meniscus::surface::space::Lattice;
 use crate::Outcome;
 use crate::frame::{self, VOXEL_SIZE};
 use crate::output::Page;
-use crate::shapes::{holds, skinned};
+use crate::shapes::{holds, reconstructed};
 use crate::surfaces::{cut_open, data};
 
 const INTRODUCTION: &str = "\
@@ -24,7 +24,7 @@ The picture is cut open at the centre of the ball, and the ball is invisible: th
 From left to right: without the ball, so that the water extends into it; without the part of the surface inside the ball; and with gaps below h filled as well, which is the default. \
 The distance of the water from the ball is measured at the vertices within 2 h of it and below its centre, where water surrounds it.";
 
-/// Between the floor of the tank and the waterline, which it breaks through.
+/// Between the floor of the tank and the waterline, which the ball breaks through.
 const CENTER: DVec3 = DVec3::new(0.62, 0.24, 0.3);
 
 const RADIUS: f64 = 0.15;
@@ -36,7 +36,7 @@ pub(crate) fn publish(page: &mut Page) -> Outcome<()> {
     let positions = (0..particles.len()).map(|index| particles.position(index).to_array()).filter(is_out);
     let cloud = Cloud::from(Particles::Double(positions.collect()));
     let obstacles = ball();
-    // From above and a little from the left.
+    // From above and slightly from the left.
     let bounds = [CENTER - 0.29, CENTER + 0.29];
     let placement =
         Placement { azimuth_degrees: -14.0, elevation_degrees: 19.0, zoom: 1.45, ..Placement::AUTO };
@@ -50,19 +50,23 @@ pub(crate) fn publish(page: &mut Page) -> Outcome<()> {
         ("and gaps filled", None, &obstacles),
     ] {
         let choices = MethodOptions { void_threshold: threshold, ..MethodOptions::default() };
-        let surface = skinned(&cloud, VOXEL_SIZE, &choices, obstacles)?;
-        let [deepest, rms] = off(&surface).map(|distance| format!("{:.3}", distance / VOXEL_SIZE));
+        let surface = reconstructed(&cloud, VOXEL_SIZE, &choices, obstacles)?;
+        let [deepest, rms] =
+            depth_and_deviation(&surface).map(|distance| format!("{:.3}", distance / VOXEL_SIZE));
         rows.push(vec![name.to_owned(), deepest, rms, holds(&surface)]);
         let fine = 0.5 * VOXEL_SIZE;
         let band = cut_open(&data(&surface), fine, CENTER.z);
         let layers = Layers { data: false, velocity: None };
         pictures.push((render(&band, &Lattice { voxel_size: fine }, &view, layers), name.to_owned()));
     }
-    page.table(&["surface", "in the ball by at most, h", "off it, rms, h", "certificate"], &rows);
+    page.table(
+        &["surface", "in the ball by at most, h", "depth_and_deviation it, rms, h", "certificate"],
+        &rows,
+    );
     page.pictures("submerged", "No obstacle, a ball taken away, and gaps filled", vec![pictures])
 }
 
-/// A sphere of triangles, finer than the voxels.
+/// A triangulated sphere, finer than the voxels.
 fn ball() -> Obstacles {
     let (rows, columns) = (64u32, 128u32);
     let mut positions =
@@ -91,9 +95,9 @@ fn ball() -> Obstacles {
     Obstacles { members: vec![Arc::new(obstacle)] }
 }
 
-/// How deep a vertex is in the ball at most, and how far those near it and below its middle are from it, root mean
-/// square: world units.
-fn off(surface: &Surface) -> [f64; 2] {
+/// The largest depth of a vertex inside the ball, and the root mean square distance from it of the vertices
+/// near it and below its centre: world units.
+fn depth_and_deviation(surface: &Surface) -> [f64; 2] {
     let mesh = &surface.mesh;
     let places = mesh.positions.iter().map(|position| mesh.origin + position.as_dvec3());
     let under = places.filter(|place| place.y < CENTER.y);

@@ -1,4 +1,4 @@
-//! The programs that skin: this one with each of its integrators, and splashsurf.
+//! The compared programs: this one with each of its integrators, and splashsurf.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
@@ -18,17 +18,17 @@ use rayon::prelude::*;
 use crate::Outcome;
 use crate::splashsurf::{Post, Splashsurf};
 
-/// What makes a surface.
+/// A program that reconstructs surfaces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Program {
-    /// This one.
+    /// This program.
     Meniscus(Integrator),
-    /// The other one.
+    /// splashsurf.
     Splashsurf(Post),
 }
 
 impl Program {
-    /// All of them.
+    /// All variants.
     pub(crate) const ALL: [Program; 5] = [
         Program::Meniscus(Integrator::Fast),
         Program::Meniscus(Integrator::Implicit),
@@ -37,21 +37,21 @@ impl Program {
         Program::Splashsurf(Post::Processed),
     ];
 
-    /// This one with each of its integrators.
+    /// This program with each of its integrators.
     pub(crate) const OURS: [Program; 3] = [
         Program::Meniscus(Integrator::Fast),
         Program::Meniscus(Integrator::Implicit),
         Program::Meniscus(Integrator::Explicit),
     ];
 
-    /// The one that is used, and the other program.
+    /// The default of each program.
     pub(crate) const USUAL: [Program; 3] = [
         Program::Meniscus(Integrator::Fast),
         Program::Splashsurf(Post::Plain),
         Program::Splashsurf(Post::Processed),
     ];
 
-    /// As it is called in tables.
+    /// Its name in tables.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Program::Meniscus(Integrator::Fast) => "meniscus, fast",
@@ -65,25 +65,25 @@ impl Program {
     }
 }
 
-/// The grid, and the room of a particle.
+/// The grid and the particle spacing.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Scale {
-    /// Between neighbouring particles, world units.
+    /// Distance between neighbouring particles, world units.
     pub(crate) spacing: f64,
-    /// The edge of a voxel, or of a cell, world units.
+    /// Edge length of a voxel, or of a cell, world units.
     pub(crate) voxel_size: f64,
-    /// What is not left to follow from the voxel size.
+    /// Options that do not follow from the voxel size.
     choices: fn(f64) -> MethodOptions,
 }
 
 impl Scale {
-    /// As meniscus chooses it: half the spacing.
+    /// The default of meniscus: half the spacing.
     pub(crate) fn usual(spacing: f64) -> Scale {
         Scale { spacing, voxel_size: 0.5 * spacing, choices: |_| MethodOptions::default() }
     }
 
-    /// Half of that: the cell that splashsurf recommends. Radii that followed from it would not reach from a particle to
-    /// the next one.
+    /// Half of that, the cell that splashsurf recommends. Radii derived from this voxel size would not reach
+    /// from one particle to the next.
     pub(crate) fn fine(spacing: f64) -> Scale {
         let choices = |spacing: f64| MethodOptions {
             radius_min: Some(spacing.into()),
@@ -99,7 +99,7 @@ impl Scale {
     }
 }
 
-/// The surface that a program makes of particles.
+/// The mesh that a program makes from particles.
 pub(crate) fn mesh_of(
     program: Program,
     peer: &Splashsurf,
@@ -107,29 +107,30 @@ pub(crate) fn mesh_of(
     scale: Scale,
 ) -> Outcome<MeshData> {
     match program {
-        Program::Meniscus(integrator) => Ok(data(&skinned(particles, scale, integrator)?)),
+        Program::Meniscus(integrator) => Ok(data(&reconstructed(particles, scale, integrator)?)),
         Program::Splashsurf(post) => peer.reconstruct(particles, scale.spacing, scale.voxel_size, post),
     }
 }
 
-/// The surface that this program makes of particles, with all that is known of it.
-pub(crate) fn skinned(particles: &[DVec3], scale: Scale, integrator: Integrator) -> Outcome<Surface> {
+/// The surface that this program makes from particles, with all of its data.
+pub(crate) fn reconstructed(particles: &[DVec3], scale: Scale, integrator: Integrator) -> Outcome<Surface> {
     let positions = particles.iter().map(|particle| particle.to_array()).collect();
     Ok(skin(&Particles::Double(positions), &scale.settings(integrator)?))
 }
 
-/// The level set of a closed mesh, for pictures of it: voxels half as large as its cells leave its edges as they are.
+/// The level set of a closed mesh, for rendering: voxels half as large as the cells of the mesh preserve its
+/// edges.
 pub(crate) fn band_of(mesh: &MeshData, voxel_size: f64) -> NarrowBand {
     let all = |_: DVec3| f64::NEG_INFINITY;
     intersection(mesh, voxel_size, leaves_near(mesh.positions.iter().copied(), voxel_size), all)
 }
 
-/// The same without what lies at a greater z.
+/// The same, without everything above z.
 pub(crate) fn cut_open(mesh: &MeshData, voxel_size: f64, z: f64) -> NarrowBand {
     let mesh_leaves = leaves_near(mesh.positions.iter().copied(), voxel_size);
     let columns: BTreeSet<[i32; 2]> = mesh_leaves.iter().map(|[x, y, _]| [*x, *y]).collect();
     let edge = voxel_size * f64::from(LEAF_EDGE);
-    // Where the mesh is far above and below, its inside may be in the cut all the same.
+    // Between distant parts of the mesh above and below, the cut may still be inside.
     let sides = [0, 1].map(|axis| {
         let along = || columns.iter().map(|column| column[axis]);
         along().min().unwrap_or(0)..=along().max().unwrap_or(0)
@@ -142,7 +143,7 @@ pub(crate) fn cut_open(mesh: &MeshData, voxel_size: f64, z: f64) -> NarrowBand {
     intersection(mesh, voxel_size, leaves, |at| at.z - z)
 }
 
-/// The leaves with these places, and those beside them: triangles reach beyond the leaves of their corners.
+/// The leaves of these points, and their neighbours: triangles reach beyond the leaves of their corners.
 fn leaves_near(places: impl Iterator<Item = [f64; 3]>, voxel_size: f64) -> BTreeSet<[i32; 3]> {
     let leaf_of =
         |place: [f64; 3]| (DVec3::from(place) / (voxel_size * f64::from(LEAF_EDGE))).floor().as_ivec3();
@@ -154,7 +155,7 @@ fn leaves_near(places: impl Iterator<Item = [f64; 3]>, voxel_size: f64) -> BTree
     leaves.iter().flat_map(around).collect()
 }
 
-/// What is inside of a mesh and, by its signed distance, of another body: in these leaves.
+/// The intersection of a mesh and another body, given by its signed distance, in these leaves.
 fn intersection(
     mesh: &MeshData,
     voxel_size: f64,
@@ -186,10 +187,10 @@ fn intersection(
     NarrowBand { topology: Arc::new(topology), phi: Field { leaves }, half_width: HALF_WIDTH }
 }
 
-/// As wide as the band of a surface of ours is, in voxels.
+/// The half width of the band of our surfaces, in voxels.
 const HALF_WIDTH: f32 = 4.0;
 
-/// The mesh of a surface, in the world.
+/// The mesh of a surface, in world units.
 pub(crate) fn data(surface: &Surface) -> MeshData {
     let mesh = &surface.mesh;
     MeshData {

@@ -1,12 +1,13 @@
-//! Writes a solid full of particles, of any number, as binary PLY: something large to skin.
+//! Writes a solid filled with any number of particles as binary PLY: a large test input.
 //!
 //! ```text
 //! cargo run --release -p solid -- 309e6 FILE.ply
 //! ```
 //!
-//! The shape is always the same and the lattice in it as fine as the number asks for, so that it is to 0.6, 4.8,
-//! 38.6 and 309 million particles what the Stanford dragon is to the method's paper. The header says the spacing in a
-//! comment: a good `--voxel-size`. Planes are written as they are made; there are never more than a few in memory.
+//! The shape is always the same, and the number of particles sets the spacing of the lattice. With 0.6, 4.8,
+//! 38.6 and 309 million particles it corresponds to the Stanford dragon in the method's paper. A comment in
+//! the header has the spacing: a good `--voxel-size`. Planes are written as they are made, so only a few are
+//! in memory.
 
 mod sponge;
 
@@ -19,11 +20,13 @@ use rayon::prelude::*;
 
 use sponge::Sponge;
 
-/// R of the shape. There its area is 11.7 times the ⅔ power of its volume; a ball's is 4.8. With what the spheres around
-/// particles add to the dragon, whose ratio is 12.5, and do not add to this, both have about as many leaves.
+/// R of the shape. With it, the area is 11.7 times the ⅔ power of the volume; for a ball it is 4.8. The ratio
+/// of the dragon is 12.5, but the spheres around its particles change its area, unlike here; so both have
+/// about the same number of leaves.
 const RADIUS: f64 = 6.0;
 
-/// Planes that are made side by side before they are written: a few MB each at 309 million particles.
+/// Number of planes that are made in parallel before they are written: a few MB each at 309 million
+/// particles.
 const PLANES_AT_ONCE: usize = 32;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -31,7 +34,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let [count, path] = arguments.as_slice() else { return Err("usage: solid PARTICLES FILE.ply".into()) };
     let asked: f64 = count.parse()?;
     if !(1.0..=4e9).contains(&asked) {
-        return Err(format!("{count} particles: from 1 to 4e9 can be had").into());
+        return Err(format!("the number of particles is {count}; it must be from 1 to 4e9").into());
     }
     let solid = Sponge::new(RADIUS, (volume() / asked).cbrt());
     let count = write(&solid, Path::new(path))?;
@@ -39,15 +42,15 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// The volume of the shape, by counting points of a lattice of its own.
+/// The volume of the shape, by counting the points of a lattice.
 fn volume() -> f64 {
     let coarse = Sponge::new(RADIUS, RADIUS / 60.0);
     let count: usize = (0..coarse.plane_count()).map(|x| coarse.count_in_plane(x)).sum();
     count as f64 * coarse.spacing.powi(3)
 }
 
-/// Writes under another name and renames, so that no half file is ever taken for a whole one. Returns the number of
-/// particles.
+/// Writes to a temporary name and renames it, so that an incomplete file is never mistaken for a complete
+/// one. Returns the number of particles.
 fn write(solid: &Sponge, path: &Path) -> Result<usize, Box<dyn Error>> {
     let count: usize = (0..solid.plane_count()).into_par_iter().map(|x| solid.count_in_plane(x)).sum();
     let mut part = path.as_os_str().to_owned();

@@ -1,36 +1,37 @@
-//! A smooth solid full of particles, of any number, made plane by plane.
+//! A smooth solid filled with any number of particles, made plane by plane.
 //!
 //! ```text
 //!       ▒▒▒▒   ▒▒▒▒▒▒         a gyroid, one of the two labyrinths that sin x cos y + sin y cos z + sin z cos x
-//!     ▒▒▒  ▒▒▒▒▒   ▒▒▒        parts space into, closed by a ball:
+//!     ▒▒▒  ▒▒▒▒▒   ▒▒▒        divides space into, closed by a ball:
 //!     ▒▒▒▒   ▒▒▒   ▒▒▒▒
 //!       ▒▒▒▒▒▒ ▒▒▒▒▒▒           gyroid(p) + ½ max(0, |p| − R)²  <  0
 //! ```
 //!
-//! Why this one: it is one smooth piece; it bends in and out by the same amount, so the space around it has as
-//! much surface as it has itself; and along a row of the lattice it costs three products a point, for the
-//! sines come from tables.
+//! Why this shape: it is one smooth piece; it bends in and out equally, so the space around it has as much
+//! surface as the solid; and along a row of the lattice it costs three products per point, because the sines
+//! come from tables.
 //!
-//! Particles are the points of a cubic lattice inside it, each moved by up to a fifth of the spacing along each
-//! axis. By how much depends on the point's indices alone: the same particles on any machine.
+//! Particles are the points of a cubic lattice inside it, each displaced by up to a fifth of the spacing
+//! along each axis. The displacement depends only on the point's indices, so the particles are the same on
+//! any machine.
 
-/// The solid ends nearer than this beyond R, where ½ (|p| − R)² has outgrown the gyroid's 1.5.
+/// The solid ends closer than this beyond R: there ½ (|p| − R)² exceeds the gyroid's maximum of 1.5.
 const CLOSED_WITHIN: f64 = 1.75;
 
-/// A particle is moved along each axis by up to so many spacings.
+/// Upper limit of a particle's displacement along each axis, in spacings.
 const JITTER: f32 = 0.2;
 
 /// A solid and the lattice in it.
 pub(crate) struct Sponge {
-    /// Distance of lattice points.
+    /// Spacing of the lattice.
     pub(crate) spacing: f64,
     /// R.
     radius: f64,
-    /// Along each axis what the gyroid needs of each lattice plane.
+    /// Along each axis, the values for the gyroid at each lattice plane.
     planes: [Vec<Plane>; 3],
 }
 
-/// What all points of a lattice plane share.
+/// The values that all points of a lattice plane share.
 #[derive(Clone, Copy)]
 struct Plane {
     position: f32,
@@ -39,7 +40,7 @@ struct Plane {
     cos: f32,
 }
 
-/// Where the gyroid begins, along each axis: anywhere but at one of its points of symmetry.
+/// The phase of the gyroid along each axis: an arbitrary point without symmetry.
 const PHASE: [f64; 3] = [0.7, 1.9, 3.1];
 
 impl Sponge {
@@ -59,19 +60,19 @@ impl Sponge {
         Sponge { spacing, radius, planes }
     }
 
-    /// How many planes across x the lattice has.
+    /// Number of lattice planes along x.
     pub(crate) fn plane_count(&self) -> usize {
         self.planes[0].len()
     }
 
-    /// How many particles a plane has.
+    /// Number of particles in a plane.
     pub(crate) fn count_in_plane(&self, x: usize) -> usize {
         let mut count = 0;
         self.for_each_inside(x, |_, _| count += 1);
         count
     }
 
-    /// Hands over the particles of a plane, in the order of the lattice.
+    /// Calls `particle` for the particles of a plane, in the order of the lattice.
     pub(crate) fn for_each_in_plane(&self, x: usize, mut particle: impl FnMut([f32; 3])) {
         let spacing = self.spacing as f32;
         self.for_each_inside(x, |y, z| {
@@ -99,9 +100,9 @@ impl Sponge {
     }
 }
 
-/// Three numbers from −1 to 1 that look random, made of a lattice point's indices.
+/// Three pseudo-random numbers from −1 to 1, derived from a lattice point's indices.
 fn jitter(place: [usize; 3]) -> [f32; 3] {
-    // SplitMix64: the finalizer of MurmurHash3, whose bits are as good as independent.
+    // SplitMix64, with the finalizer of MurmurHash3, whose bits are nearly independent.
     let mut bits = place.iter().fold(0, |bits: u64, &index| bits << 21 ^ index as u64);
     bits = bits.wrapping_add(0x9e37_79b9_7f4a_7c15);
     bits = (bits ^ bits >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);

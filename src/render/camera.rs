@@ -1,8 +1,8 @@
-//! Where a picture is taken from: a pinhole camera, and how one is placed around a box.
+//! A pinhole camera, and its placement around a box.
 
 use glam::{DQuat, DVec2, DVec3};
 
-/// Which way is up.
+/// Which axis points up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Up {
     /// Along y, as in glTF.
@@ -12,7 +12,7 @@ pub enum Up {
 }
 
 impl Up {
-    /// The unit vector.
+    /// Its unit vector.
     pub fn direction(self) -> DVec3 {
         match self {
             Up::Y => DVec3::Y,
@@ -20,7 +20,7 @@ impl Up {
         }
     }
 
-    /// Where azimuths are counted from: towards someone who looks along −z with y up, or along y with z up.
+    /// The direction of azimuth 0: towards a viewer whose viewing direction is −z with y up, or y with z up.
     fn front(self) -> DVec3 {
         match self {
             Up::Y => DVec3::Z,
@@ -32,35 +32,35 @@ impl Up {
 /// A pinhole camera in world space. `right`, `up` and `forward` are orthonormal.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
-    /// Where it is, world units.
+    /// Its position, world units.
     pub eye: DVec3,
-    /// Towards the right of the picture.
+    /// Towards the right edge of the picture.
     pub right: DVec3,
-    /// Towards its upper edge.
+    /// Towards the upper edge.
     pub up: DVec3,
-    /// Into it.
+    /// Into the picture.
     pub forward: DVec3,
     /// The tangent of half the vertical angle of view.
     pub tan_half_view: f64,
 }
 
-/// Where a camera stands around what it looks at.
+/// The placement of a camera relative to a box.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
-    /// To the right around what is seen, in degrees.
+    /// Azimuth of the camera to the right, degrees.
     pub azimuth_degrees: f64,
-    /// Above the horizon, in degrees.
+    /// Elevation above the horizon, degrees.
     pub elevation_degrees: f64,
-    /// The vertical angle of view, in degrees.
+    /// The vertical angle of view, degrees.
     pub view_degrees: f64,
     /// 1 fits the box; 2 shows it twice as large.
     pub zoom: f64,
-    /// Which way is up.
+    /// Which axis points up.
     pub up: Up,
 }
 
 impl Placement {
-    /// From the right, a little above: what is flat is seen to be flat, and nothing hides behind itself.
+    /// From the right and a little above: flat surfaces look flat, and the scene does not hide itself.
     pub const AUTO: Placement = Placement {
         azimuth_degrees: 32.0,
         elevation_degrees: 22.0,
@@ -69,8 +69,8 @@ impl Placement {
         up: Up::Y,
     };
 
-    /// The camera that has the whole of a box, `least` to `greatest` in world units, in a picture that is `aspect` times
-    /// as wide as high.
+    /// The camera that shows a whole box, `least` to `greatest` in world units, in a picture with this aspect
+    /// ratio (width / height).
     pub fn around(&self, [least, greatest]: [DVec3; 2], aspect: f64) -> Camera {
         let up = self.up.direction();
         let turn = DQuat::from_axis_angle(up, self.azimuth_degrees.to_radians());
@@ -94,22 +94,22 @@ impl Placement {
     }
 }
 
-/// How much of the picture, from the middle to an edge, a box may fill.
+/// Upper limit of the fraction of the picture that a box fills, from the middle to an edge.
 const MARGIN: f64 = 0.88;
 
 impl Camera {
-    /// One at the origin that looks along `forward`, with `up` as far up as can be.
+    /// A camera at the origin that looks along `forward`, with `up` as far up as possible.
     pub fn towards(forward: DVec3, up: DVec3, tan_half_view: f64) -> Camera {
         let forward = forward.normalize_or(DVec3::NEG_Z);
         let aside = forward.cross(up);
-        // Straight up or down nothing tells where right is.
+        // Straight up or down, the right direction is undefined; choose one.
         let right =
             if aside.length_squared() > 1e-12 { aside.normalize() } else { forward.any_orthonormal_vector() };
         Camera { eye: DVec3::ZERO, right, up: right.cross(forward), forward, tan_half_view }
     }
 
-    /// The direction, of length 1, of the ray through a place of the picture: `[-1, 1]` to the right, times `aspect`, and
-    /// upwards.
+    /// The unit direction of the ray through a point of the picture: x from -`aspect` to `aspect` to the
+    /// right, y from -1 to 1 upwards.
     pub(super) fn direction(&self, place: DVec2) -> DVec3 {
         let aside = self.right * place.x + self.up * place.y;
         (self.forward + aside * self.tan_half_view).normalize()
@@ -121,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_corner_of_the_box_is_in_the_picture() {
+    fn whole_box_is_in_the_picture() {
         let boxes = [
             [DVec3::ZERO, DVec3::ONE],
             [DVec3::new(-5.0, 0.0, 2.0), DVec3::new(90.0, 0.1, 2.5)],
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn rays_go_where_the_picture_says() {
+    fn rays_match_the_coordinates_of_the_picture() {
         let camera = Placement { elevation_degrees: 0.0, azimuth_degrees: 0.0, ..Placement::AUTO }
             .around([DVec3::NEG_ONE, DVec3::ONE], 1.0);
         assert!(camera.direction(DVec2::ZERO).dot(DVec3::NEG_Z) > 0.999_999);

@@ -1,4 +1,4 @@
-//! What light does: a bright sky, a sun over the beholder's left shoulder, and ground that throws some of it back.
+//! Lighting: a bright sky, a sun over the viewer's left shoulder, and ground that reflects some of the light.
 
 use glam::{DVec3, Vec3};
 
@@ -9,16 +9,16 @@ use super::sky::Sky;
 pub(super) struct Lighting<'a> {
     sky: &'a Sky,
     up: Vec3,
-    /// Towards the sun.
+    /// The direction to the sun.
     sun: Vec3,
 }
 
-/// What arrives at a place.
+/// The light that arrives at a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Light {
-    /// From everywhere around, for a surface of this direction; 1 where nothing is in the way.
+    /// From the hemisphere around the normal; 1 if it is unoccluded.
     pub(super) ambient: Vec3,
-    /// The part of the sun that is seen.
+    /// The visible fraction of the sun.
     pub(super) sun: f32,
 }
 
@@ -34,19 +34,20 @@ impl Light {
     }
 }
 
-/// The colours are linear.
+/// Colours are linear.
 const WATER: Vec3 = Vec3::new(0.105, 0.34, 0.66);
-/// What shows the inside.
+/// The colour of back faces.
 const INSIDE: Vec3 = Vec3::new(0.85, 0.25, 0.03);
 const SUN: Vec3 = Vec3::new(1.12, 1.05, 0.95);
 const ZENITH: Vec3 = Vec3::new(0.70, 0.78, 0.90);
 const HORIZON: Vec3 = Vec3::new(0.74, 0.76, 0.79);
 const FROM_BELOW: Vec3 = Vec3::new(0.36, 0.35, 0.34);
 const BACKGROUND: Vec3 = Vec3::new(0.80, 0.82, 0.845);
-/// Half the angle of a cone of ambient light, and of the sun's: 30° and 5°, which blurs shadows with distance.
+/// Tangents of half the opening angle of a cone of ambient light (30°) and of the sun's (5°), which blurs
+/// shadows with distance.
 const AMBIENT_TANGENT: f32 = 0.577;
 const SUN_TANGENT: f32 = 0.09;
-/// Of the five cones around the middle one: cosine and sine of their angle to it.
+/// Cosine and sine of the angle between the middle cone and the five cones around it.
 const TILT: (f32, f32) = (0.5, 0.866);
 const MIDDLE_WEIGHT: f32 = 0.25;
 
@@ -59,27 +60,27 @@ impl<'a> Lighting<'a> {
         Lighting { sky, up: up.as_vec3(), sun: sun.normalize().as_vec3() }
     }
 
-    /// The light at a place, in voxels, on a surface of this direction.
-    pub(super) fn arriving(&self, place: DVec3, normal: Vec3) -> Light {
+    /// The light at a point, in voxels, on a surface with this normal.
+    pub(super) fn incoming(&self, point: DVec3, normal: Vec3) -> Light {
         let (aside, across) = normal.any_orthonormal_pair();
-        let mut ambient = MIDDLE_WEIGHT * self.from(place, normal);
+        let mut ambient = MIDDLE_WEIGHT * self.light_from(point, normal);
         for cone in 0..5 {
             let angle = cone as f32 * (std::f32::consts::TAU / 5.0);
             let around = aside * angle.cos() + across * angle.sin();
             let direction = normal * TILT.0 + around * TILT.1;
-            ambient += (1.0 - MIDDLE_WEIGHT) / 5.0 * self.from(place, direction);
+            ambient += (1.0 - MIDDLE_WEIGHT) / 5.0 * self.light_from(point, direction);
         }
         let faces_sun = normal.dot(self.sun) > 0.0;
-        let sun = if faces_sun { self.sky.through(place, self.sun, SUN_TANGENT) } else { 0.0 };
+        let sun = if faces_sun { self.sky.transmittance(point, self.sun, SUN_TANGENT) } else { 0.0 };
         Light { ambient, sun }
     }
 
-    /// What comes from a direction.
-    fn from(&self, place: DVec3, direction: Vec3) -> Vec3 {
-        self.radiance(direction) * self.sky.through(place, direction, AMBIENT_TANGENT)
+    /// The light from a direction, with occlusion.
+    fn light_from(&self, point: DVec3, direction: Vec3) -> Vec3 {
+        self.radiance(direction) * self.sky.transmittance(point, direction, AMBIENT_TANGENT)
     }
 
-    /// What comes from there if nothing is in the way.
+    /// The light from a direction, without occlusion.
     fn radiance(&self, direction: Vec3) -> Vec3 {
         let height = direction.dot(self.up);
         if height > 0.0 {
@@ -89,7 +90,7 @@ impl<'a> Lighting<'a> {
         }
     }
 
-    /// The colour of the surface: `toward` the beholder.
+    /// The colour of the surface; `toward` points to the viewer.
     pub(super) fn water(&self, light: Light, normal: Vec3, toward: Vec3, is_front: bool) -> Vec3 {
         let albedo = if is_front { WATER } else { INSIDE };
         let facing = normal.dot(self.sun).max(0.0) * light.sun;
@@ -97,36 +98,36 @@ impl<'a> Lighting<'a> {
         let glint = normal.dot(half).max(0.0).powi(90) * light.sun;
         let edge = (1.0 - normal.dot(toward).clamp(0.0, 1.0)).powi(5);
         let mirrored = self.radiance(2.0 * normal.dot(toward) * normal - toward);
-        // What is mirrored is hidden by what hides the sky.
+        // Whatever occludes the sky also occludes its reflection.
         let open = (light.ambient.y / HORIZON.y).min(1.0);
         albedo * (light.ambient + SUN * facing) + (0.02 + 0.5 * edge) * open * mirrored + 0.55 * glint * SUN
     }
 
-    /// The colour of a dull surface of this colour.
+    /// The colour of a matte surface with this albedo.
     pub(super) fn matte(&self, albedo: Vec3, light: Light, normal: Vec3) -> Vec3 {
         let facing = normal.dot(self.sun).max(0.0) * light.sun;
         albedo * (light.ambient + SUN * facing)
     }
 
-    /// The colour of the ground: that of the background, but for what is in the way of its light.
+    /// The colour of the ground: the background, darkened by shadows.
     pub(super) fn ground(&self, light: Light) -> Vec3 {
         let facing = self.up.dot(self.sun);
-        let open = self.arriving_in_the_open() + SUN * facing;
+        let open = self.unoccluded_on_ground() + SUN * facing;
         BACKGROUND * ((light.ambient + SUN * facing * light.sun) / open)
     }
 
-    fn arriving_in_the_open(&self) -> Vec3 {
+    fn unoccluded_on_ground(&self) -> Vec3 {
         let tilted = self.radiance(self.up * TILT.0 + self.up.any_orthonormal_vector() * TILT.1);
         MIDDLE_WEIGHT * self.radiance(self.up) + (1.0 - MIDDLE_WEIGHT) * tilted
     }
 
-    /// The colour of nothing.
+    /// The background colour.
     pub(super) fn background(&self) -> Vec3 {
         BACKGROUND
     }
 
-    /// The light on a place of which nothing is known but its direction.
-    pub(super) fn open(&self, normal: Vec3) -> Light {
+    /// The unoccluded light on a surface with this normal.
+    pub(super) fn unoccluded(&self, normal: Vec3) -> Light {
         let height = 0.5 + 0.5 * normal.dot(self.up);
         Light { ambient: FROM_BELOW.lerp(ZENITH, height), sun: 1.0 }
     }

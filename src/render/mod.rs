@@ -1,15 +1,15 @@
-//! A picture of a level set, straight from φ: no mesh is made.
+//! Renders a picture of a level set directly from φ, without a mesh.
 //!
 //! ```text
-//!   camera ──ray──▶ surface, ground or nothing ──▶ light that arrives there ──▶ colour
-//!     every pixel         the cubic in a cell         every fourth pixel          edges: eight rays more
+//!   camera ──ray──▶ surface, ground or nothing ──▶ incoming light ──▶ colour
+//!     every pixel         the cubic in a cell         every fourth pixel          edges: eight more rays
 //! ```
 //!
-//! What is smooth is looked at seldom: light is followed for one pixel of sixteen and interpolated among places that
-//! lie in one plane. What is sharp is looked at often: where neighbouring pixels show different things, a pixel is the
-//! mean of eight rays. Each pixel depends on the frame and the view alone, not on threads.
+//! Smooth features are sampled sparsely: light is computed for one pixel of sixteen and interpolated between
+//! points in one plane. Sharp features are sampled densely: where neighbouring pixels show different things,
+//! a pixel is the mean of eight rays. Each pixel depends on the frame and the view only, not on threads.
 //!
-//! The inside of the surface is orange. Nobody ever sees it, unless φ has a wrong sign or a hole.
+//! The inside of the surface is orange. It is visible only if φ has a wrong sign or a hole.
 
 mod camera;
 mod light;
@@ -35,92 +35,92 @@ use crate::surface::particles::Particles;
 use crate::surface::space::Lattice;
 use light::Lighting;
 use sky::Sky;
-use surface::Surface;
-use tile::{Eyes, Finished, TILE_EDGE, Tile};
+use surface::RaySurface;
+use tile::{Finished, TILE_EDGE, Tile, Tracer};
 
-/// What is seen, and from where.
+/// The view: camera, picture size and ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
     /// Width and height, pixels.
     pub size: [usize; 2],
-    /// Where from.
+    /// The camera.
     pub camera: Camera,
     /// Which way is up.
     pub up: Up,
-    /// How high the ground is, world units; `None` for no ground.
+    /// Height of the ground, world units; `None` for no ground.
     pub ground: Option<f64>,
 }
 
-/// A picture: values of its pixels, row by row from the top left.
+/// A picture: the values of its pixels, row by row from the top left.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Picture {
     /// Width and height, pixels.
     pub size: [usize; 2],
     /// Linear colour with the primaries of sRGB; 1 is white.
     pub color: Vec<[f32; 3]>,
-    /// The part of each pixel that the surface covers.
+    /// The fraction of each pixel that the surface covers.
     pub coverage: Vec<f32>,
-    /// What the middle of each pixel shows; empty if it was not asked for.
+    /// Data at the centre of each pixel; `None` unless requested.
     pub data: Option<PictureData>,
 }
 
-/// What the middle of each pixel shows.
+/// Data at the centre of each pixel.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PictureData {
-    /// How far along the camera's axis, world units; [`FAR`] where there is no surface.
+    /// Distance along the camera's axis, world units; [`FAR`] if the pixel shows no surface.
     pub depth: Vec<f32>,
-    /// Outward, of length 1, in world space; 0 where there is no surface.
+    /// Outward unit normals in world space; 0 if the pixel shows no surface.
     pub normals: Vec<[f32; 3]>,
-    /// World units; 0 where there is no surface.
+    /// Positions in world units; 0 if the pixel shows no surface.
     pub positions: Vec<[f32; 3]>,
-    /// World units per second; `None` if the frame has none.
+    /// Velocities in world units per second; `None` if the frame has none.
     pub velocities: Option<Vec<[f32; 3]>>,
-    /// Mean curvature, per world unit; positive where the fluid bulges.
+    /// Mean curvature, per world unit; positive where the fluid is convex.
     pub curvatures: Vec<f32>,
 }
 
-/// The depth of what is not there.
+/// The depth of pixels without a surface.
 pub const FAR: f32 = 1e10;
 
-/// What a picture is made with beside its colours.
+/// Optional layers of a picture.
 #[derive(Clone, Copy, Debug)]
 pub struct Layers<'a> {
-    /// Whether data are wanted.
+    /// Whether to fill in [`Picture::data`].
     pub data: bool,
     /// Velocities at the voxels of the band, x, y and z, world units per second.
     pub velocity: Option<&'a [Field; 3]>,
 }
 
-/// A picture of a level set.
+/// Renders a level set.
 pub fn render(band: &NarrowBand, lattice: &Lattice, view: &View, layers: Layers) -> Picture {
-    let (surface, sky) = rayon::join(|| Surface::new(band), || Sky::new(band));
-    let eyes = Eyes::new(&surface, lattice, view);
+    let (surface, sky) = rayon::join(|| RaySurface::new(band), || Sky::new(band));
+    let tracer = Tracer::new(&surface, lattice, view);
     let lighting = Lighting::new(&sky, view);
-    assemble(view.size, |place| Tile::new(&eyes, &lighting, place).finish(layers))
+    assemble(view.size, |place| Tile::new(&tracer, &lighting, place).finish(layers))
 }
 
-/// A picture of particles as balls of this radius, in world units, in the same light.
+/// Renders particles as balls of this radius, world units, with the same lighting.
 pub fn render_particles(particles: &Particles, radius: f64, view: &View) -> Picture {
     splats::render(particles, radius, view)
 }
 
-/// A place on a surface, in a colour of its own.
+/// A coloured point on a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mark {
-    /// World units.
+    /// Position, world units.
     pub position: DVec3,
-    /// Unit vector out of the surface.
+    /// Outward unit normal.
     pub normal: DVec3,
-    /// Linear, with the primaries of sRGB.
+    /// Linear colour with the primaries of sRGB.
     pub color: [f32; 3],
 }
 
-/// A picture of marks as balls of this radius, in world units, on the ground's background.
+/// Renders marks as balls of this radius, world units, in front of the background.
 pub fn render_marks(marks: &[Mark], radius: f64, view: &View) -> Picture {
     splats::render_marks(marks, radius, view)
 }
 
-/// The tiles of a picture, put together.
+/// Assembles a picture from its tiles.
 fn assemble(size: [usize; 2], tile: impl Fn([usize; 2]) -> Finished + Sync) -> Picture {
     let [width, height] = size;
     let (columns, rows) = (width.div_ceil(TILE_EDGE), height.div_ceil(TILE_EDGE));
@@ -151,7 +151,7 @@ fn assemble(size: [usize; 2], tile: impl Fn([usize; 2]) -> Finished + Sync) -> P
     }
 }
 
-/// How tiles lie in a picture.
+/// The layout of the tiles in a picture.
 struct Gather {
     size: [usize; 2],
     columns: usize,

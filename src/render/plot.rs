@@ -1,4 +1,4 @@
-//! Numbers over frames as lines, on a logarithmic scale.
+//! A line plot of numbers over frames, with a logarithmic scale.
 //!
 //! ```text
 //!   0.1  |         _
@@ -9,50 +9,50 @@
 //! ```
 
 use super::Picture;
-use super::sheet::{Canvas, TEXT, Words};
+use super::sheet::{Canvas, TEXT, TextLines};
 
-/// Lines over the same numbers.
+/// A plot of one or more lines.
 #[derive(Clone, Debug)]
 pub struct Plot {
     /// Width and height, pixels; each edge at least 160.
     pub size: [usize; 2],
-    /// Points that are farther apart than this along x are not joined.
+    /// Points farther apart than this along x are not connected.
     pub step: f64,
-    /// From the one that is drawn first.
+    /// In drawing order.
     pub lines: Vec<Line>,
 }
 
 /// A line of a plot.
 #[derive(Clone, Debug)]
 pub struct Line {
-    /// What it is.
+    /// Its name in the legend.
     pub name: String,
-    /// Linear, with the primaries of sRGB.
+    /// Linear colour with the primaries of sRGB.
     pub color: [f32; 3],
-    /// x and y, with growing x. Where y is not positive the line is at the lower edge.
+    /// x and y, with ascending x. If y is not positive, the line is at the lower edge.
     pub points: Vec<[f64; 2]>,
 }
 
 const GROUND: [f32; 3] = [0.97, 0.97, 0.98];
 const RULE: [f32; 3] = [0.74, 0.75, 0.77];
 
-/// Around the area of the lines, pixels: for the scale to the left, names above, frames below.
+/// Margins of the plot area, pixels: for the scale on the left, the names above, and the frames below.
 const LEFT: usize = 64;
 const TOP: usize = 24;
 const RIGHT: usize = 12;
 const BOTTOM: usize = 24;
 
-/// Half the thickness of a line is less than this, pixels.
+/// Upper limit of half the thickness of a line, pixels.
 const THICKNESS: usize = 2;
 
-/// Labels along x are at least so far apart, pixels.
+/// Smallest distance between labels along x, pixels.
 const LABEL_PIXELS: f64 = 60.0;
 
-/// Decades that are shown at least, and at most.
+/// Smallest and largest number of decades of the scale.
 const DECADES: [i32; 2] = [1, 5];
 
 impl Plot {
-    /// The plot as a picture.
+    /// Draws the plot.
     pub fn picture(&self) -> Picture {
         let area = Area::new(self);
         let mut canvas = Canvas::new(self.size);
@@ -80,13 +80,13 @@ impl Plot {
 }
 
 fn write(canvas: &mut Canvas, text: &str, place: [usize; 2]) {
-    canvas.write(&Words::new(text, &TEXT, usize::MAX), place);
+    canvas.write(&TextLines::new(text, &TEXT, usize::MAX), place);
 }
 
-/// Where the lines are.
+/// The plot area.
 struct Area {
     size: [usize; 2],
-    /// Along x.
+    /// Range along x.
     range: [f64; 2],
     /// Exponents of ten at the lower and the upper edge.
     decades: [i32; 2],
@@ -114,15 +114,15 @@ impl Area {
         Area { size, range, decades: [lowest, highest] }
     }
 
-    /// The pixel of a number along x.
+    /// Converts x to a pixel column.
     fn x(&self, x: f64) -> usize {
         let width = self.range[1] - self.range[0];
-        // A lone frame is in the middle.
+        // A single frame is in the middle.
         let part = if width > 0.0 { (x - self.range[0]) / width } else { 0.5 };
         LEFT + (part * self.size[0].saturating_sub(THICKNESS) as f64).round() as usize
     }
 
-    /// The pixel of a value, from the top.
+    /// Converts a value to a pixel row, from the top.
     fn y(&self, value: f64) -> usize {
         let [lowest, highest] = self.decades.map(f64::from);
         let exponent = if value > 0.0 { value.log10().clamp(lowest, highest) } else { lowest };
@@ -130,7 +130,7 @@ impl Area {
         TOP + (part * self.size[1].saturating_sub(THICKNESS) as f64).round() as usize
     }
 
-    /// Whole numbers along x for labels: multiples of 1, 2 or 5 times a power of ten.
+    /// Integers along x for the labels: multiples of 1, 2 or 5 times a power of ten.
     fn labels(&self) -> Vec<f64> {
         let most = (self.size[0] as f64 / LABEL_PIXELS).max(1.0);
         let least_step = ((self.range[1] - self.range[0]) / most).max(1.0);
@@ -170,26 +170,29 @@ mod tests {
         Plot { size: [400, 200], step: 1.0, lines: vec![line] }
     }
 
-    /// The rows with red in a column.
+    /// The rows of a column that contain red.
     fn red_rows(picture: &Picture, x: usize) -> Vec<usize> {
         (TOP..picture.size[1]).filter(|y| picture.color[y * picture.size[0] + x] == RED).collect()
     }
 
     #[test]
-    fn lines_go_from_value_to_value_and_break_at_gaps() {
+    fn lines_connect_values_and_break_at_gaps() {
         let picture = plot(&[[1.0, 0.01], [2.0, 1.0], [4.0, 0.1]]).picture();
         let area =
             Area { size: [400 - LEFT - RIGHT, 200 - TOP - BOTTOM], range: [1.0, 4.0], decades: [-2, 0] };
         let middle = area.y(0.1);
         assert_eq!(red_rows(&picture, area.x(1.0)), [area.y(0.01), area.y(0.01) + 1]);
-        assert!(red_rows(&picture, area.x(1.5)).contains(&middle), "halfway there are the roots of the ends");
+        assert!(
+            red_rows(&picture, area.x(1.5)).contains(&middle),
+            "the scale is logarithmic between the ends"
+        );
         assert_eq!(red_rows(&picture, area.x(2.0))[0], area.y(1.0));
         assert_eq!(red_rows(&picture, area.x(3.0)), [0; 0], "frame 3 is missing");
         assert_eq!(red_rows(&picture, area.x(4.0))[0], middle);
     }
 
     #[test]
-    fn scales_hold_any_numbers() {
+    fn scale_accepts_any_numbers() {
         let area = |points: &[[f64; 2]]| Area::new(&plot(points));
         assert_eq!(area(&[[0.0, 3e-4], [9.0, 0.2]]).decades, [-4, 0]);
         assert_eq!(area(&[[0.0, 1e-30], [9.0, 0.2]]).decades, [-5, 0]);

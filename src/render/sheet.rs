@@ -1,17 +1,17 @@
-//! Many pictures on one sheet, with words about them.
+//! Contact sheets: many pictures on one sheet, with text.
 //!
 //! ```text
 //!   dam: 60 of 240 frames
 //!   ┌──────┐ ┌──────┐ ┌──────┐
-//!   │      │ │      │ │ why  │      a block: cells in rows; where there is no picture
-//!   └──────┘ └──────┘ │ not  │      there are words
+//!   │      │ │      │ │ why  │      a block: cells in rows; a cell without a picture
+//!   └──────┘ └──────┘ │ not  │      contains text
 //!   dam.0001 dam.0002 └──────┘
 //!   1.2 s    1.3 s    dam.0003
 //!
-//!   1  meniscus convert …           the foot, in lines as long as the sheet is wide
+//!   1  meniscus convert …           the footer, wrapped at the width of the sheet
 //! ```
 //!
-//! No line is cut: what is too long goes on below.
+//! No line is cut: long lines are wrapped.
 
 use std::convert::Infallible;
 
@@ -23,56 +23,56 @@ use embedded_graphics::text::{Baseline, Text};
 
 use super::Picture;
 
-/// A sheet, before it is drawn.
+/// A sheet to draw.
 #[derive(Clone, Debug)]
 pub struct Sheet {
-    /// What is written above all; may be empty.
+    /// Text above everything; may be empty.
     pub title: String,
-    /// Width and height of a place, pixels. No picture is larger.
+    /// Width and height of a cell's picture area, pixels. No picture is larger.
     pub place: [usize; 2],
-    /// One below the other.
+    /// From top to bottom.
     pub blocks: Vec<Block>,
-    /// What is written below all, a paragraph each.
+    /// Paragraphs below everything.
     pub foot: Vec<String>,
 }
 
-/// Cells that belong together.
+/// A group of cells.
 #[derive(Clone, Debug)]
 pub struct Block {
-    /// What is written above them; may be empty.
+    /// Text above the cells; may be empty.
     pub title: String,
     /// Row by row.
     pub cells: Vec<Cell>,
-    /// So many in a row.
+    /// Number of cells per row.
     pub columns: usize,
 }
 
-/// A place on a sheet, and what is written under it.
+/// A cell of a sheet, with the text below it.
 #[derive(Clone, Debug)]
 pub struct Cell {
-    /// What is in the place.
+    /// The contents of the picture area.
     pub shown: Shown,
-    /// From the top.
+    /// Lines of text, from the top.
     pub lines: Vec<String>,
 }
 
-/// What is in a place of a sheet.
+/// The contents of a cell's picture area.
 #[derive(Clone, Debug)]
 pub enum Shown {
     /// A picture.
     Picture(Picture),
-    /// Why there is none.
+    /// Text instead of a picture: why it is missing.
     Words(String),
 }
 
 impl Sheet {
-    /// The sheet as a picture.
+    /// Draws the sheet.
     pub fn picture(&self) -> Picture {
         let width = self.width();
-        let title = Words::new(&self.title, &HEADING, width);
-        let foot: Vec<Words> = self.foot.iter().map(|text| Words::new(text, &TEXT, width)).collect();
+        let title = TextLines::new(&self.title, &HEADING, width);
+        let foot: Vec<TextLines> = self.foot.iter().map(|text| TextLines::new(text, &TEXT, width)).collect();
         let heights = self.blocks.iter().map(|block| self.block_height(block, width)).sum::<usize>();
-        let foot_height: usize = foot.iter().map(Words::height).sum();
+        let foot_height: usize = foot.iter().map(TextLines::height).sum();
         let height = GAP + title.height_with_gap() + heights + foot_height;
         let foot_gap = if foot.is_empty() { 0 } else { GAP };
         let mut canvas = Canvas::new([width + 2 * GAP, height + foot_gap]);
@@ -90,16 +90,16 @@ impl Sheet {
         canvas.picture
     }
 
-    /// Between the margins, pixels.
+    /// Width between the margins, pixels.
     fn width(&self) -> usize {
         let columns = self.blocks.iter().map(|block| block.columns.min(block.cells.len())).max();
         let of_cells = columns.unwrap_or(0) * (self.place[0] + GAP);
-        let least = if self.foot.is_empty() { LEAST_WIDTH } else { LEAST_WIDTH_OF_FOOT };
+        let least = if self.foot.is_empty() { MIN_WIDTH } else { MIN_WIDTH_WITH_FOOTER };
         of_cells.saturating_sub(GAP).max(least)
     }
 
     fn block_height(&self, block: &Block, width: usize) -> usize {
-        let title = Words::new(&block.title, &TEXT, width);
+        let title = TextLines::new(&block.title, &TEXT, width);
         let rows = block.cells.len().div_ceil(block.columns.max(1));
         title.height_with_gap() + rows * self.row_height(block)
     }
@@ -109,12 +109,12 @@ impl Sheet {
         self.place[1] + LABEL_GAP + block.cells.iter().map(of_lines).max().unwrap_or(0) + GAP
     }
 
-    fn label(&self, line: &str) -> Words<'_> {
-        Words::new(line, &TEXT, self.place[0])
+    fn label(&self, line: &str) -> TextLines<'_> {
+        TextLines::new(line, &TEXT, self.place[0])
     }
 
     fn draw(&self, block: &Block, width: usize, canvas: &mut Canvas, mut top: usize) {
-        let title = Words::new(&block.title, &TEXT, width);
+        let title = TextLines::new(&block.title, &TEXT, width);
         canvas.write(&title, [GAP, top]);
         top += title.height_with_gap();
         let [place_width, place_height] = self.place;
@@ -131,7 +131,7 @@ impl Sheet {
                 Shown::Words(words) => {
                     canvas.fill(EMPTY, [left, cell_top], self.place);
                     let room = self.place.map(|edge| edge.saturating_sub(2 * GAP));
-                    let words = Words::new(words, &TEXT, room[0]).within(room[1]);
+                    let words = TextLines::new(words, &TEXT, room[0]).within(room[1]);
                     canvas.write(&words, [left + GAP, cell_top + GAP]);
                 }
             }
@@ -144,7 +144,7 @@ impl Sheet {
     }
 }
 
-/// Pictures side by side, from the left, all of one height.
+/// Places pictures of the same height side by side, from the left.
 pub fn side_by_side(pictures: &[Picture]) -> Picture {
     let width = pictures.iter().map(|picture| picture.size[0]).sum();
     let height = pictures.iter().map(|picture| picture.size[1]).max().unwrap_or(0);
@@ -157,7 +157,7 @@ pub fn side_by_side(pictures: &[Picture]) -> Picture {
     canvas.picture
 }
 
-/// Pictures one below the other, from the top, all of one width.
+/// Stacks pictures of the same width, from the top.
 pub fn stacked(pictures: &[Picture]) -> Picture {
     let width = pictures.iter().map(|picture| picture.size[0]).max().unwrap_or(0);
     let height = pictures.iter().map(|picture| picture.size[1]).sum();
@@ -170,41 +170,41 @@ pub fn stacked(pictures: &[Picture]) -> Picture {
     canvas.picture
 }
 
-/// Letters of one size.
-pub(super) struct Hand {
+/// A font with its line height.
+pub(super) struct TextStyle {
     font: MonoFont<'static>,
-    /// From a line to the next, pixels.
+    /// Distance from one line to the next, pixels.
     line_height: usize,
 }
 
-pub(super) const TEXT: Hand = Hand { font: FONT_7X13, line_height: 15 };
-const HEADING: Hand = Hand { font: FONT_9X18_BOLD, line_height: 22 };
+pub(super) const TEXT: TextStyle = TextStyle { font: FONT_7X13, line_height: 15 };
+const HEADING: TextStyle = TextStyle { font: FONT_9X18_BOLD, line_height: 22 };
 
-/// Text in lines.
-pub(super) struct Words<'h> {
-    hand: &'h Hand,
+/// Wrapped text.
+pub(super) struct TextLines<'h> {
+    style: &'h TextStyle,
     lines: Vec<String>,
 }
 
-impl<'h> Words<'h> {
-    /// Text in lines no wider than so many pixels.
-    pub(super) fn new(text: &str, hand: &'h Hand, width: usize) -> Words<'h> {
-        let letters = width / hand.font.character_size.width as usize;
-        Words { hand, lines: wrapped(text, letters.max(1)) }
+impl<'h> TextLines<'h> {
+    /// Wraps text at a width in pixels.
+    pub(super) fn new(text: &str, style: &'h TextStyle, width: usize) -> TextLines<'h> {
+        let letters = width / style.font.character_size.width as usize;
+        TextLines { style, lines: wrapped(text, letters.max(1)) }
     }
 
     fn height(&self) -> usize {
-        self.lines.len() * self.hand.line_height
+        self.lines.len() * self.style.line_height
     }
 
-    /// With what is left free below; nothing if there is no text.
+    /// The height including the gap below; 0 without text.
     fn height_with_gap(&self) -> usize {
         if self.lines.is_empty() { 0 } else { self.height() + GAP }
     }
 
-    /// As much of them as is no higher than so many pixels; dots tell that there was more.
-    fn within(mut self, height: usize) -> Words<'h> {
-        let line_count = height / self.hand.line_height;
+    /// Cuts the text to a height in pixels; dots mark the cut.
+    fn within(mut self, height: usize) -> TextLines<'h> {
+        let line_count = height / self.style.line_height;
         if self.lines.len() > line_count {
             self.lines.truncate(line_count);
             if let Some(last) = self.lines.last_mut() {
@@ -218,7 +218,7 @@ impl<'h> Words<'h> {
 
 const DOTS: &str = "...";
 
-/// Lines of at most so many letters, broken between words where that can be.
+/// Wraps text at this many letters, between words if possible.
 fn wrapped(text: &str, letters: usize) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     let mut line_letters = 0;
@@ -241,21 +241,21 @@ fn wrapped(text: &str, letters: usize) -> Vec<String> {
     lines
 }
 
-/// Between cells, and around them, in pixels.
+/// Gap between cells, and around them, pixels.
 const GAP: usize = 10;
-/// Between a picture and what is written under it.
+/// Gap between a picture and the text below it, pixels.
 const LABEL_GAP: usize = 3;
-/// Titles need some room, however few cells there are.
-const LEAST_WIDTH: usize = 240;
-/// So do commands.
-const LEAST_WIDTH_OF_FOOT: usize = 720;
+/// Smallest width of a sheet, so that titles fit, pixels.
+const MIN_WIDTH: usize = 240;
+/// Smallest width of a sheet with a footer, so that commands fit, pixels.
+const MIN_WIDTH_WITH_FOOTER: usize = 720;
 
 /// Linear colours.
 const PAPER: [f32; 3] = [0.87, 0.88, 0.9];
 const EMPTY: [f32; 3] = [0.68, 0.69, 0.71];
 const INK: [f32; 3] = [0.03, 0.04, 0.05];
 
-/// A picture that is being put together.
+/// A picture to draw on.
 pub(super) struct Canvas {
     pub(super) picture: Picture,
 }
@@ -283,11 +283,11 @@ impl Canvas {
         }
     }
 
-    /// Writes lines whose upper left corner is at a place.
-    pub(super) fn write(&mut self, words: &Words, [left, top]: [usize; 2]) {
-        let style = MonoTextStyle::new(&words.hand.font, BinaryColor::On);
+    /// Writes lines with the upper left corner at this pixel.
+    pub(super) fn write(&mut self, words: &TextLines, [left, top]: [usize; 2]) {
+        let style = MonoTextStyle::new(&words.style.font, BinaryColor::On);
         for (index, line) in words.lines.iter().enumerate() {
-            let place = Point::new(left as i32, (top + index * words.hand.line_height) as i32);
+            let place = Point::new(left as i32, (top + index * words.style.line_height) as i32);
             let Ok(_) = Text::with_baseline(line, place, style, Baseline::Top).draw(self);
         }
     }
@@ -328,7 +328,7 @@ mod tests {
         Cell { shown: Shown::Picture(plain([140, 20], value)), lines: vec![line.into()] }
     }
 
-    /// The number of pixels with ink in these rows, from a column on.
+    /// The number of pixels with ink in these rows, from column `left` on.
     fn inked(sheet: &Picture, rows: std::ops::Range<usize>, left: usize) -> usize {
         let width = sheet.size[0];
         let row = |y: usize| &sheet.color[y * width + left..(y + 1) * width];
@@ -336,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn cells_lie_in_rows_with_their_lines_below() {
+    fn cells_are_laid_out_in_rows_with_their_lines_below() {
         let words = Cell { shown: Shown::Words("why not".into()), lines: vec!["third".into()] };
         let block =
             Block { title: String::new(), cells: vec![cell(0.1, "a"), cell(0.2, "b"), words], columns: 2 };
@@ -345,7 +345,7 @@ mod tests {
         let (head, row) = (10 + 22 + 10, 40 + 3 + 15 + 10);
         assert_eq!(drawn.size, [10 + 2 * 150, head + 2 * row]);
         let at = |x: usize, y: usize| drawn.color[y * drawn.size[0] + x];
-        // A picture that is smaller than its place is in the middle of it.
+        // A picture smaller than its area is centred in it.
         assert_eq!((at(10, head + 9), at(10, head + 10), at(160, head + 10)), (PAPER, [0.1; 3], [0.2; 3]));
         assert_eq!((at(155, head + 10), at(10, head + row)), (PAPER, EMPTY));
         assert!(inked(&drawn, 10..32, 0) > 40, "the title is written");
@@ -355,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_too_long_goes_on_below() {
+    fn long_lines_are_wrapped() {
         let sheet = |line: &str, foot: &[&str]| Sheet {
             title: String::new(),
             place: [140, 20],
@@ -364,23 +364,23 @@ mod tests {
         };
         let [short, long] = ["short", "three words and a few more"].map(|line| sheet(line, &[]).picture());
         assert_eq!(long.size[1], short.size[1] + 15);
-        assert_eq!(inked(&long, 0..long.size[1], 150), 0, "nothing is beyond the cell");
+        assert_eq!(inked(&long, 0..long.size[1], 150), 0, "no text beyond the cell");
         let footed = sheet("short", &["word ".repeat(60).as_str(), "one"]).picture();
-        // 300 letters in lines of 102, and one line more.
+        // 300 letters in lines of 102, and one more line.
         assert_eq!(footed.size, [740, short.size[1] + 4 * 15 + 10]);
     }
 
     #[test]
-    fn words_are_kept_whole_where_they_can_be() {
+    fn wrapping_breaks_between_words_if_possible() {
         assert_eq!(wrapped("a bc  def", 4), ["a bc", "def"]);
         assert_eq!(wrapped("abcdefghij k", 4), ["abcd", "efgh", "ij k"]);
         assert_eq!(wrapped(" ", 4), [""; 0]);
-        let cut = Words::new("one two three four", &TEXT, 7 * 5).within(2 * 15);
+        let cut = TextLines::new("one two three four", &TEXT, 7 * 5).within(2 * 15);
         assert_eq!(cut.lines, ["one", "..."]);
     }
 
     #[test]
-    fn pictures_stand_side_by_side_and_one_below_the_other() {
+    fn pictures_are_joined_side_by_side_and_stacked() {
         let pictures = [plain([3, 2], 0.1), plain([2, 2], 0.2)];
         let both = side_by_side(&pictures);
         assert_eq!(both.size, [5, 2]);

@@ -1,12 +1,12 @@
-//! A picture in less room.
+//! Scales a picture down.
 //!
-//! Each pixel is the mean of what it covers, and what it covers in part counts in part: nothing is left out, so
+//! Each pixel is the mean of the pixels that it covers, weighted by the covered area. Nothing is skipped, so
 //! threads and drops stay visible.
 
 use super::Picture;
 
 impl Picture {
-    /// The same in no more than this room, with the same ratio of its edges. One that is smaller is left as it is.
+    /// Scales the picture to fit into `room`, with the same aspect ratio. A picture that fits is unchanged.
     pub fn shrunk(&self, room: [usize; 2]) -> Picture {
         let scale = [0, 1].map(|axis| room[axis] as f64 / self.size[axis].max(1) as f64);
         let scale = scale[0].min(scale[1]);
@@ -41,7 +41,7 @@ impl Picture {
     }
 }
 
-/// Which of `from` pixels in a row each of `to` pixels covers, and how much of them.
+/// For each of `to` pixels, the `from` pixels that it covers, with the covered fraction.
 fn shares(from: usize, to: usize) -> Vec<Vec<(usize, f32)>> {
     let step = from as f64 / to as f64;
     let of_pixel = |index: usize| {
@@ -65,7 +65,7 @@ mod tests {
     }
 
     #[test]
-    fn means_are_kept() {
+    fn shrinking_keeps_the_mean() {
         let wide = picture([30, 20], |x, y| (x * y) as f32);
         let mean = |picture: &Picture| {
             picture.color.iter().map(|color| f64::from(color[0])).sum::<f64>() / picture.color.len() as f64

@@ -1,10 +1,10 @@
-//! How much of the light from a direction arrives: the fluid as a fog of coarse cells, and of coarser ones, in which a
-//! cone is followed with as few looks as its width allows.
+//! Occlusion of the sky: the fluid as a fog on a pyramid of coarse cells, through which a cone is traced with
+//! as few samples as its width allows.
 //!
 //! ```text
-//!     ·  ╱           Each cell knows what part of it is inside. Twice as far away,
-//!      ╱───╮         cells of twice the edge are looked at: a cone takes a handful of looks,
-//!    ╱──╮  │         and what it finds is soft, without noise.
+//!     ·  ╱           Each cell stores the fraction that is inside. Twice as far away,
+//!      ╱───╮         cells with twice the edge are sampled: a cone takes a handful of samples,
+//!    ╱──╮  │         and shadows are soft, without noise.
 //!   •───┴──┴──
 //! ```
 //!
@@ -18,30 +18,30 @@ use crate::surface::grid::{LEAF_EDGE, negative_masks};
 use crate::surface::level_set::NarrowBand;
 use crate::surface::space::box_of;
 
-/// What stands between a place and the light.
+/// The occlusion pyramid.
 pub(super) struct Sky {
     /// The first voxel of the first cell.
     origin: DVec3,
-    levels: Vec<Level>,
+    levels: Vec<DensityLevel>,
     /// The edge of the finest cells, in voxels.
     edge: f32,
 }
 
 /// Cells of one size.
-struct Level {
+struct DensityLevel {
     size: IVec3,
-    /// The part of each that is inside; z changes fastest.
+    /// The fraction of each cell that is inside; z changes fastest.
     density: Vec<f32>,
 }
 
 /// The finest cells, in voxels: half a leaf.
 const FINEST_EDGE: i32 = 4;
 
-/// No more of the finest cells than this: a large frame has larger ones.
+/// Upper limit of the number of finest cells: large frames have larger cells.
 const CELLS_MAX: f64 = (1 << 20) as f64;
 
 impl Sky {
-    /// Nothing stands in its way.
+    /// A sky without occlusion.
     pub(super) fn empty() -> Sky {
         Sky { origin: DVec3::ZERO, levels: Vec::new(), edge: FINEST_EDGE as f32 }
     }
@@ -57,7 +57,7 @@ impl Sky {
             edge *= 2;
         }
         let count = size(edge).element_product() as usize;
-        let mut finest = Level { size: size(edge).as_ivec3(), density: vec![0.0; count] };
+        let mut finest = DensityLevel { size: size(edge).as_ivec3(), density: vec![0.0; count] };
         fill(&mut finest, band, least, edge);
         let mut levels = vec![finest];
         while let Some(level) = levels.last().filter(|level| level.size.max_element() > 1) {
@@ -67,13 +67,13 @@ impl Sky {
         Sky { origin: least.as_dvec3(), levels, edge: edge as f32 }
     }
 
-    /// The part of the light that comes through a cone: from a place, in voxels, around a direction, as wide as the
-    /// tangent of half its angle says.
-    pub(super) fn through(&self, place: DVec3, direction: Vec3, tangent: f32) -> f32 {
+    /// The fraction of the light that passes through a cone: from a point, in voxels, along a direction, with
+    /// the tangent of half its opening angle.
+    pub(super) fn transmittance(&self, point: DVec3, direction: Vec3, tangent: f32) -> f32 {
         let Some(coarsest) = self.levels.last() else { return 1.0 };
         let extent = self.edge * (1 << (self.levels.len() - 1)) as f32;
         let reach = 1.8 * extent * coarsest.size.max_element() as f32;
-        let start = (place - self.origin).as_vec3() / self.edge;
+        let start = (point - self.origin).as_vec3() / self.edge;
         let (mut t, mut clear) = (1.2f32, 1f32);
         let reach = reach / self.edge;
         while t < reach && clear > 0.02 {
@@ -84,31 +84,32 @@ impl Sky {
         clear
     }
 
-    /// The part that is inside around a place, in finest cells, where cells have an edge of 2 to this power.
-    fn density(&self, place: Vec3, power: f32) -> f32 {
+    /// The inside fraction around a point, in units of the finest cells, on the level whose cells have an
+    /// edge of 2^`power`.
+    fn density(&self, point: Vec3, power: f32) -> f32 {
         let power = power.clamp(0.0, (self.levels.len() - 1) as f32);
         let finer = power.floor();
-        let at = |level: usize| self.levels[level].at(place / (1 << level) as f32);
+        let at = |level: usize| self.levels[level].at(point / (1 << level) as f32);
         let one = at(finer as usize);
         let part = power - finer;
         if part < 0.05 { one } else { one + (at(finer as usize + 1) - one) * part }
     }
 }
 
-impl Level {
-    /// Trilinear, in cells; nothing is inside beyond them.
-    fn at(&self, place: Vec3) -> f32 {
-        let place = place - 0.5;
-        let is_near = place.cmpge(Vec3::NEG_ONE).all() && place.cmple(self.size.as_vec3()).all();
+impl DensityLevel {
+    /// Trilinear interpolation, in cells; 0 outside of all cells.
+    fn at(&self, point: Vec3) -> f32 {
+        let point = point - 0.5;
+        let is_near = point.cmpge(Vec3::NEG_ONE).all() && point.cmple(self.size.as_vec3()).all();
         if !is_near {
             return 0.0;
         }
-        let first = floor(place);
-        let part = place - first.as_vec3();
+        let first = floor(point);
+        let part = point - first.as_vec3();
         let value = |x: i32, y: i32, z: i32| {
             let cell = first + IVec3::new(x, y, z);
             let is_in = cell.cmpge(IVec3::ZERO).all() && cell.cmplt(self.size).all();
-            if is_in { self.density[self.place(cell)] } else { 0.0 }
+            if is_in { self.density[self.index(cell)] } else { 0.0 }
         };
         let mix = |one: f32, other: f32, part: f32| one + (other - one) * part;
         let along_z = |x, y| mix(value(x, y, 0), value(x, y, 1), part.z);
@@ -116,41 +117,41 @@ impl Level {
         mix(along_y(0), along_y(1), part.x)
     }
 
-    fn place(&self, cell: IVec3) -> usize {
+    fn index(&self, cell: IVec3) -> usize {
         ((i64::from(cell.x) * i64::from(self.size.y) + i64::from(cell.y)) * i64::from(self.size.z)
             + i64::from(cell.z)) as usize
     }
 
-    /// Eight cells to one.
-    fn coarser(&self) -> Level {
+    /// Merges eight cells into one.
+    fn coarser(&self) -> DensityLevel {
         let size = (self.size + 1) / 2;
         let count = size.as_i64vec3().element_product() as usize;
-        let mean = |place: usize| {
-            let (z, rest) = (place % size.z as usize, place / size.z as usize);
+        let mean = |index: usize| {
+            let (z, rest) = (index % size.z as usize, index / size.z as usize);
             let first =
                 2 * IVec3::new((rest / size.y as usize) as i32, (rest % size.y as usize) as i32, z as i32);
             let mut sum = 0.0;
             for corner in 0..8 {
                 let cell = first + IVec3::new(corner >> 2, corner >> 1 & 1, corner & 1);
                 if cell.cmplt(self.size).all() {
-                    sum += self.density[self.place(cell)];
+                    sum += self.density[self.index(cell)];
                 }
             }
             sum / 8.0
         };
-        Level { size, density: (0..count).into_par_iter().map(mean).collect() }
+        DensityLevel { size, density: (0..count).into_par_iter().map(mean).collect() }
     }
 }
 
-/// The whole numbers not above these, without a call for each.
-fn floor(place: Vec3) -> IVec3 {
-    let toward_zero = place.as_ivec3();
-    let above = place.cmplt(toward_zero.as_vec3());
+/// Rounds down, without a function call per component.
+fn floor(point: Vec3) -> IVec3 {
+    let toward_zero = point.as_ivec3();
+    let above = point.cmplt(toward_zero.as_vec3());
     toward_zero - IVec3::select(above, IVec3::ONE, IVec3::ZERO)
 }
 
-/// Tells each cell what part of it is inside; what strayed beyond all cells is in none.
-fn fill(level: &mut Level, band: &NarrowBand, least: IVec3, edge: i64) {
+/// Fills in the inside fraction of each cell; stray leaves outside of all cells are ignored.
+fn fill(level: &mut DensityLevel, band: &NarrowBand, least: IVec3, edge: i64) {
     let per_voxel = (1.0 / edge as f32).powi(3);
     let negative = negative_masks(&band.phi);
     let extent = level.size.as_i64vec3() * edge;
@@ -170,10 +171,10 @@ fn fill(level: &mut Level, band: &NarrowBand, least: IVec3, edge: i64) {
                     ((negative[leaf].row((x * 8 + y) as usize) >> aside.z) & 0xf).count_ones()
                 })
                 .sum();
-            let place = level.place(((first + aside.as_i64vec3()) / edge).as_ivec3());
-            level.density[place] += count as f32 * per_voxel;
+            let cell_index = level.index(((first + aside.as_i64vec3()) / edge).as_ivec3());
+            level.density[cell_index] += count as f32 * per_voxel;
         }
-        // What is between two leaves of a column and not stored is inside where the first of them ends inside.
+        // The gap between two leaves of a column is inside if the first leaf ends inside.
         let Some(&(next, _)) = columns.get(index + 1) else { continue };
         let is_column = next.truncate() == first.truncate();
         let ends_inside = negative[leaf].rows_with(0x80).count_ones() > 32;
@@ -184,8 +185,8 @@ fn fill(level: &mut Level, band: &NarrowBand, least: IVec3, edge: i64) {
                 for quarter in 0..4 {
                     let aside = i64::from(half) * I64Vec3::new(quarter >> 1, quarter & 1, 0);
                     let cell = ((first + aside) / edge).with_z(z).as_ivec3();
-                    let place = level.place(cell);
-                    level.density[place] += (count * i64::from(half * half)) as f32 * per_voxel;
+                    let cell_index = level.index(cell);
+                    level.density[cell_index] += (count * i64::from(half * half)) as f32 * per_voxel;
                 }
             }
         }
@@ -223,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn all_that_is_inside_is_in_some_cell() {
+    fn cells_hold_the_whole_inside_volume() {
         for radius in [10.0f32, 30.0] {
             let sky = Sky::new(&ball(radius));
             let volume = sky.levels[0].density.iter().sum::<f32>() * sky.edge.powi(3);
@@ -234,20 +235,20 @@ mod tests {
     }
 
     #[test]
-    fn a_ball_is_in_the_way_of_what_is_behind_it() {
+    fn ball_occludes_the_light_behind_it() {
         let sky = Sky::new(&ball(20.0));
         let below = DVec3::new(0.0, -30.0, 0.0);
-        assert!(sky.through(below, Vec3::Y, 0.1) < 0.05);
-        assert!(sky.through(below, Vec3::NEG_Y, 0.1) > 0.99);
-        assert!(sky.through(DVec3::new(60.0, 0.0, 0.0), Vec3::Y, 0.1) > 0.99);
-        let half = sky.through(DVec3::new(20.0, -30.0, 0.0), Vec3::Y, 0.3);
+        assert!(sky.transmittance(below, Vec3::Y, 0.1) < 0.05);
+        assert!(sky.transmittance(below, Vec3::NEG_Y, 0.1) > 0.99);
+        assert!(sky.transmittance(DVec3::new(60.0, 0.0, 0.0), Vec3::Y, 0.1) > 0.99);
+        let half = sky.transmittance(DVec3::new(20.0, -30.0, 0.0), Vec3::Y, 0.3);
         assert!((0.1..0.9).contains(&half), "{half} past the edge");
     }
 
     #[test]
-    fn what_strayed_leaves_the_light_alone() {
+    fn stray_leaf_does_not_change_the_light() {
         let near = ball(30.0);
-        let place = DVec3::new(0.0, -40.0, 0.0);
+        let point = DVec3::new(0.0, -40.0, 0.0);
         for stray in [IVec3::splat(110_000 * 8), IVec3::splat(-(1 << 30)), IVec3::new(0, 0, (1 << 30) - 8)] {
             let mut origins = near.topology.origins().to_vec();
             origins.push(stray);
@@ -259,18 +260,19 @@ mod tests {
                 }
             }
             let band = NarrowBand { topology: Arc::new(topology), phi, half_width: 8.0 };
-            let [with, without] = [&band, &near].map(|band| Sky::new(band).through(place, Vec3::X, 0.5));
+            let [with, without] =
+                [&band, &near].map(|band| Sky::new(band).transmittance(point, Vec3::X, 0.5));
             assert!((with - without).abs() < 1e-3, "{with} with a stray at {stray}, {without} without");
         }
     }
 
-    /// Two halves of what there is, as far from each other as can be: neither has strayed.
+    /// Two halves of the scene, as far apart as possible: neither counts as stray.
     #[test]
-    fn the_ends_of_the_world_are_one_sky() {
+    fn leaves_at_both_ends_of_the_grid_share_one_sky() {
         let origins = [IVec3::splat(-(1 << 30)), IVec3::splat((1 << 30) - 8)];
         let topology = Topology::new(origins.to_vec());
         let phi = Field::splat(2, -1.0);
         let sky = Sky::new(&NarrowBand { topology: Arc::new(topology), phi, half_width: 8.0 });
-        assert!(sky.through(DVec3::ZERO, Vec3::X, 0.5) > 0.99);
+        assert!(sky.transmittance(DVec3::ZERO, Vec3::X, 0.5) > 0.99);
     }
 }

@@ -1,4 +1,4 @@
-//! A picture of the particles themselves, as balls; and of marks on a surface, in colours of their own.
+//! Renders particles as balls, and coloured marks on a surface.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -8,54 +8,55 @@ use super::sky::Sky;
 use super::{Camera, Mark, Picture, View};
 use crate::surface::particles::Particles;
 
-/// Rays along the edge of a pixel.
+/// Number of rays along the edge of a pixel.
 const SAMPLES: usize = 2;
 
-/// What a ray shows: how far it is, and the ball's direction there.
+/// The result of a ray: the distance, and the normal of the ball.
 #[derive(Clone, Copy)]
 struct Splat {
     depth: f32,
     normal: Vec3,
-    /// Which ball it is.
+    /// Index of the ball.
     index: u32,
 }
 
-/// A ball as the camera sees it, in rays from the upper left corner of the picture.
+/// A ball in camera space, in rays from the upper left corner of the picture.
 #[derive(Clone, Copy)]
 struct Disc {
     x: f64,
     y: f64,
-    /// Its radius.
+    /// Its radius, in rays.
     edge: f64,
-    /// World units.
+    /// Its depth, world units.
     depth: f64,
     index: u32,
 }
 
-/// Rows of rays that one task draws.
+/// Number of rows of rays per task.
 const BAND_ROWS: usize = 64;
 
-/// A picture of balls of this radius, world units.
+/// Renders balls of this radius, world units.
 pub(super) fn render(particles: &Particles, radius: f64, view: &View) -> Picture {
     let splats = draw(particles.len(), |index| particles.position(index), radius, view);
     shade(&splats, view, |lighting, Splat { normal, .. }, toward| {
-        lighting.water(lighting.open(normal), normal, toward, true)
+        lighting.water(lighting.unoccluded(normal), normal, toward, true)
     })
 }
 
-/// A picture of marks as balls of this radius, world units, each lit as the surface that it lies on.
+/// Renders marks as balls of this radius, world units, each shaded with the normal of the surface that it
+/// lies on.
 pub(super) fn render_marks(marks: &[Mark], radius: f64, view: &View) -> Picture {
     let splats = draw(marks.len(), |index| marks[index].position, radius, view);
     shade(&splats, view, |lighting, Splat { index, .. }, toward| {
         let Mark { normal, color, .. } = marks[index as usize];
         let normal = normal.as_vec3();
-        // A sheet is seen from behind, too.
+        // Shade a sheet from behind, too.
         let normal = if normal.dot(toward) < 0.0 { -normal } else { normal };
-        lighting.matte(Vec3::from(color), lighting.open(normal), normal)
+        lighting.matte(Vec3::from(color), lighting.unoccluded(normal), normal)
     })
 }
 
-/// What the rays of a picture of balls show.
+/// The results of the rays of a picture of balls.
 fn draw(count: usize, position: impl Fn(usize) -> DVec3 + Sync, radius: f64, view: &View) -> Vec<Splat> {
     let [columns, rows] = view.size.map(|size| size * SAMPLES);
     let count = u32::try_from(count).unwrap_or(u32::MAX);
@@ -66,13 +67,13 @@ fn draw(count: usize, position: impl Fn(usize) -> DVec3 + Sync, radius: f64, vie
     let nothing = Splat { depth: f32::INFINITY, normal: Vec3::ZERO, index: 0 };
     let mut splats = vec![nothing; columns * rows];
     splats.par_chunks_mut(BAND_ROWS * columns.max(1)).enumerate().for_each(|(band, splats)| {
-        let mut band = Band { first_row: band * BAND_ROWS, columns, splats };
+        let mut band = RowBand { first_row: band * BAND_ROWS, columns, splats };
         discs.iter().for_each(|disc| band.draw(disc, radius, &view.camera));
     });
     splats
 }
 
-/// What is seen of a ball; `None` behind the camera.
+/// The projection of a ball; `None` if it is behind the camera.
 fn disc(index: u32, center: DVec3, radius: f64, view: &View) -> Option<Disc> {
     let camera = &view.camera;
     let [columns, rows] = view.size.map(|size| (size * SAMPLES) as f64);
@@ -87,14 +88,14 @@ fn disc(index: u32, center: DVec3, radius: f64, view: &View) -> Option<Disc> {
     Some(Disc { x, y, edge: (radius * scale).max(0.5), depth, index })
 }
 
-/// Some rows of the rays.
-struct Band<'a> {
+/// Some rows of rays.
+struct RowBand<'a> {
     first_row: usize,
     columns: usize,
     splats: &'a mut [Splat],
 }
 
-impl Band<'_> {
+impl RowBand<'_> {
     fn draw(&mut self, disc: &Disc, radius: f64, camera: &Camera) {
         let &Disc { x, y, edge, depth, index } = disc;
         let span = |along: f64, count: usize| {
@@ -121,7 +122,7 @@ impl Band<'_> {
     }
 }
 
-/// Pixels are the means of their rays; `color` gives what a ball shows towards the camera.
+/// Averages the rays of each pixel; `color_of` returns the colour of a ball towards the camera.
 fn shade(splats: &[Splat], view: &View, color_of: impl Fn(&Lighting, Splat, Vec3) -> Vec3 + Sync) -> Picture {
     let [width, height] = view.size;
     let sky = Sky::empty();
@@ -153,7 +154,7 @@ mod tests {
     use crate::render::{Placement, Up};
 
     #[test]
-    fn marks_show_their_colors_and_hide_those_behind() {
+    fn marks_show_their_colors_and_occlude_those_behind() {
         let placement = Placement { azimuth_degrees: 0.0, elevation_degrees: 0.0, ..Placement::AUTO };
         let camera = placement.around([DVec3::NEG_ONE, DVec3::ONE], 2.0);
         let view = View { size: [80, 40], camera, up: Up::Y, ground: None };
@@ -167,10 +168,10 @@ mod tests {
         let picture = render_marks(&marks, 0.3, &view);
         let lit = |color: [f32; 3]| color.map(|part| part > 0.1);
         let at = |x: usize| lit(picture.color[20 * 80 + x]);
-        // Half of the box is 0.88 of half the height: 0.8 is a bit less than 14 pixels from the middle.
+        // The box spans 0.88 of half the height: 0.8 is just under 14 pixels from the middle.
         assert_eq!([at(27), at(53)], [[true, false, false], [false, true, false]]);
         assert_eq!(picture.coverage[20 * 80 + 40], 0.0);
-        // From behind they are lit as from the front.
+        // From behind they are shaded as from the front.
         let turned = marks.map(|mark| Mark { normal: -mark.normal, ..mark });
         assert_eq!(render_marks(&turned, 0.3, &view), picture);
     }

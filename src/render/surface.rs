@@ -1,12 +1,12 @@
-//! Where a ray meets the zero set of φ.
+//! Ray intersection with the zero set of φ.
 //!
 //! ```text
-//!   nodes of 16³ leaves ─▶ leaves that the surface passes ─▶ cells that it passes ─▶ a cubic in t
+//!   nodes of 16³ leaves ─▶ leaves with a crossing ─▶ cells with a crossing ─▶ a cubic in t
 //!        hashed                 a table in each node             a bit for each        its first root
 //! ```
 //!
-//! Inside a cell φ is trilinear, so along a ray it is a polynomial of third degree: what is met is the very surface
-//! that the values describe, however thin, and not what a step of some length may find.
+//! Inside a cell φ is trilinear, so along a ray it is a cubic polynomial. The intersection is therefore exact
+//! for the stored values, however thin the surface; marching with fixed steps could miss it.
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
@@ -17,46 +17,47 @@ use crate::surface::grid::{LEAF_EDGE, Leaf, LeafMask, NO_LEAF, negative_masks, o
 use crate::surface::level_set::NarrowBand;
 use crate::surface::space::{CoordBox, box_of, joined};
 
-/// A level set that rays can find.
-pub(super) struct Surface<'a> {
+/// A level set prepared for ray intersection.
+pub(super) struct RaySurface<'a> {
     band: &'a NarrowBand,
-    /// Leaves with a crossing, by node; [`NO_LEAF`] where a leaf has none.
+    /// Leaves with a crossing, by node; [`NO_LEAF`] if a leaf has none.
     nodes: FxHashMap<IVec3, Box<[u32; NODE_LEAVES]>>,
     crossed: Vec<CrossedLeaf>,
-    /// The cells that the surface is in.
+    /// The box of cells with a crossing.
     pub(super) cells: CoordBox,
 }
 
 /// A leaf with cells that the surface passes through.
 struct CrossedLeaf {
     origin: IVec3,
-    /// By their least corners.
+    /// These cells, by their lower corners.
     cells: LeafMask,
-    /// As [`Topology::neighborhood`] says.
+    /// Its neighbour leaves, as in [`Topology::neighborhood`].
     around: [u32; 27],
 }
 
-/// Where a ray met the surface.
+/// An intersection of a ray and the surface.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Hit {
     pub(super) t: f64,
-    /// Whether it came from outside.
+    /// Whether the ray came from outside.
     pub(super) is_front: bool,
     leaf: u32,
     /// Relative to the leaf.
     cell: IVec3,
 }
 
-/// Leaves along the edge of a node.
+/// Number of leaves along the edge of a node.
 const NODE_EDGE: i32 = 16;
 
 const NODE_LEAVES: usize = (NODE_EDGE * NODE_EDGE * NODE_EDGE) as usize;
 
-/// A ray is followed through so many nodes, which are two million voxels: beyond that no pixel is as small as a voxel.
+/// Upper limit of the nodes along a ray, which are two million voxels: beyond that, pixels are larger than
+/// voxels.
 const NODES_MAX: usize = 1 << 14;
 
-impl<'a> Surface<'a> {
-    pub(super) fn new(band: &'a NarrowBand) -> Surface<'a> {
+impl<'a> RaySurface<'a> {
+    pub(super) fn new(band: &'a NarrowBand) -> RaySurface<'a> {
         let negative = negative_masks(&band.phi);
         let topology = &*band.topology;
         let crossed = |(leaf, &origin): (usize, &IVec3)| {
@@ -68,7 +69,7 @@ impl<'a> Surface<'a> {
             topology.origins().par_iter().enumerate().filter_map(crossed).collect();
         let mut nodes = FxHashMap::default();
         let mut cells = CoordBox::EMPTY;
-        let kept = kept_box(&crossed);
+        let kept = rendered_box(&crossed);
         for (index, leaf) in crossed.iter().enumerate().filter(|(_, leaf)| kept.contains(leaf.origin)) {
             let (node, place) = node_of(leaf.origin / LEAF_EDGE);
             nodes.entry(node).or_insert_with(|| Box::new([NO_LEAF; NODE_LEAVES]))[place] = index as u32;
@@ -76,11 +77,11 @@ impl<'a> Surface<'a> {
             cells.include(leaf.origin + own.min);
             cells.include(leaf.origin + own.max);
         }
-        Surface { band, nodes, crossed, cells }
+        RaySurface { band, nodes, crossed, cells }
     }
 
-    /// The first place where a ray meets the surface, from `t_min` to `t_max`.
-    pub(super) fn meet(&self, ray: &Ray, span: [f64; 2]) -> Option<Hit> {
+    /// The first intersection of a ray with the surface, from `t_min` to `t_max`.
+    pub(super) fn intersect(&self, ray: &Ray, span: [f64; 2]) -> Option<Hit> {
         if self.cells.is_empty() {
             return None;
         }
@@ -97,11 +98,11 @@ impl<'a> Surface<'a> {
             for (leaf, in_leaf) in
                 Cells::along(ray, f64::from(LEAF_EDGE), in_node, [first, first + (NODE_EDGE - 1)])
             {
-                let index = leaves[place_in_node(leaf)];
+                let index = leaves[index_in_node(leaf)];
                 if index == NO_LEAF {
                     continue;
                 }
-                let hit = self.meet_in(index, ray, in_leaf, &mut side);
+                let hit = self.intersect_leaf(index, ray, in_leaf, &mut side);
                 if hit.is_some() {
                     return hit;
                 }
@@ -110,7 +111,7 @@ impl<'a> Surface<'a> {
         None
     }
 
-    fn meet_in(&self, leaf: u32, ray: &Ray, span: [f64; 2], side: &mut Side) -> Option<Hit> {
+    fn intersect_leaf(&self, leaf: u32, ray: &Ray, span: [f64; 2], side: &mut Side) -> Option<Hit> {
         let crossed = &self.crossed[leaf as usize];
         let range = [crossed.origin, crossed.origin + (LEAF_EDGE - 1)];
         for (cell, span) in Cells::along(ray, 1.0, span, range) {
@@ -122,7 +123,7 @@ impl<'a> Surface<'a> {
             let entry = Side::of(along.values[0]);
             let is_front =
                 if *side == Side::Unknown { entry == Side::Outside } else { *side == Side::Outside };
-            // Rounding between two cells may hide a crossing on the face that they share.
+            // Rounding between two cells may hide a crossing on their common face.
             let root = if *side != Side::Unknown && *side != entry { Some(0.0) } else { along.first_root() };
             if let Some(root) = root {
                 let t = span[0] + (span[1] - span[0]) * f64::from(root);
@@ -133,7 +134,7 @@ impl<'a> Surface<'a> {
         None
     }
 
-    /// The values at the corners of a cell: that at x, y, z at 4x + 2y + z.
+    /// The values at the corners of a cell: corner x, y, z at index 4x + 2y + z.
     fn corners(&self, leaf: &CrossedLeaf, cell: IVec3) -> [f32; 8] {
         let values = &self.band.phi.leaves[leaf.around[13] as usize].values;
         if cell.max_element() < LEAF_EDGE - 1 {
@@ -146,8 +147,8 @@ impl<'a> Surface<'a> {
         })
     }
 
-    /// φ at a voxel relative to a leaf, up to a leaf's edge away. Where no leaf is stored, that of the nearest voxel of
-    /// the leaf itself: it has the side, and the surface is far.
+    /// φ at a voxel relative to a leaf, up to one leaf away. If no leaf is stored there, φ of the nearest
+    /// voxel of the leaf itself: it has the right sign, and the surface is far.
     fn value(&self, leaf: &CrossedLeaf, voxel: IVec3) -> f32 {
         let step = voxel.div_euclid(IVec3::splat(LEAF_EDGE)) + 1;
         let (index, voxel) = match leaf.around[(9 * step.x + 3 * step.y + step.z) as usize] {
@@ -157,18 +158,18 @@ impl<'a> Surface<'a> {
         self.band.phi.leaves[index as usize].values[offset_in_leaf(voxel)]
     }
 
-    /// What is around a hit: φ at the voxels of its cell and of those around it.
-    pub(super) fn around(&self, ray: &Ray, hit: &Hit) -> Around {
+    /// φ at the voxels of a hit's cell and of the cells around it.
+    pub(super) fn around(&self, ray: &Ray, hit: &Hit) -> Stencil {
         let leaf = &self.crossed[hit.leaf as usize];
         let voxel = |index: i32| hit.cell + IVec3::new(index / 16, index / 4 % 4, index % 4) - 1;
         let values = std::array::from_fn(|index| self.value(leaf, voxel(index as i32)));
         let at = ray.at(hit.t) - (leaf.origin + hit.cell).as_dvec3();
         let at = at.as_vec3().clamp(Vec3::ZERO, Vec3::ONE);
-        Around { values, at, leaf: leaf.around[13], cell: hit.cell }
+        Stencil { values, at, leaf: leaf.around[13], cell: hit.cell }
     }
 
-    /// A field on the same leaves, trilinear at a hit. Where no leaf is stored, as at the nearest voxel.
-    pub(super) fn interpolate(&self, field: &[Leaf], around: &Around) -> f32 {
+    /// A field on the same leaves, trilinear at a hit. If no leaf is stored, the value of the nearest voxel.
+    pub(super) fn interpolate(&self, field: &[Leaf], around: &Stencil) -> f32 {
         let values = &field[around.leaf as usize].values;
         let corner = |corner: i32| {
             let step = IVec3::new(corner >> 2, corner >> 1 & 1, corner & 1);
@@ -179,8 +180,8 @@ impl<'a> Surface<'a> {
     }
 }
 
-/// Which leaves are shown: all, but of a world too wide for rays only those that did not stray.
-fn kept_box(leaves: &[CrossedLeaf]) -> CoordBox {
+/// The box of rendered leaves: all leaves, except stray ones if the scene is too wide for rays.
+fn rendered_box(leaves: &[CrossedLeaf]) -> CoordBox {
     let corner = |index: usize| [leaves[index].origin.as_dvec3(); 2];
     let all = (0..leaves.len()).map(corner).reduce(joined);
     let wide = f64::from(NODE_EDGE * LEAF_EDGE) * NODES_MAX as f64;
@@ -191,20 +192,20 @@ fn kept_box(leaves: &[CrossedLeaf]) -> CoordBox {
     }
 }
 
-/// The node that holds a leaf, given by its origin over its edge, and the place in it.
+/// The node of a leaf, given by its origin divided by its edge, and the index in the node.
 fn node_of(leaf: IVec3) -> (IVec3, usize) {
-    (leaf.div_euclid(IVec3::splat(NODE_EDGE)), place_in_node(leaf))
+    (leaf.div_euclid(IVec3::splat(NODE_EDGE)), index_in_node(leaf))
 }
 
-fn place_in_node(leaf: IVec3) -> usize {
+fn index_in_node(leaf: IVec3) -> usize {
     let local = leaf & (NODE_EDGE - 1);
     ((local.x * NODE_EDGE + local.y) * NODE_EDGE + local.z) as usize
 }
 
-/// The cells of a leaf, by their least corners, that have corners on both sides.
+/// The cells of a leaf, by their lower corners, that have corners on both sides.
 fn crossed_cells(around: &[u32; 27], negative: &[LeafMask]) -> LeafMask {
     let row_at = |x: usize, y: usize| -> u16 {
-        // Beyond what is stored is what is beside it.
+        // Outside of stored leaves, use the nearest stored voxel.
         let mask = |x: usize, y: usize, z: usize| around[13 + 9 * (x / 8) + 3 * (y / 8) + z];
         let own = match mask(x, y, 0) {
             NO_LEAF => negative[around[13] as usize].row(x.min(7) * 8 + y.min(7)),
@@ -242,9 +243,9 @@ impl Side {
     }
 }
 
-/// φ along the way of a ray through a cell, from 0 to 1.
+/// φ along a ray through a cell, parametrized from 0 to 1.
 struct Cubic {
-    /// At 0, 1/3, 2/3 and 1.
+    /// The values at 0, 1/3, 2/3 and 1.
     values: [f32; 4],
 }
 
@@ -256,7 +257,7 @@ impl Cubic {
         Cubic { values: values.map(|part| trilinear(*corners, entry.lerp(exit, part))) }
     }
 
-    /// The polynomial's coefficients, the constant first.
+    /// The coefficients of the polynomial, the constant first.
     fn coefficients(&self) -> [f32; 4] {
         let [a, b, c, d] = self.values;
         [
@@ -267,11 +268,11 @@ impl Cubic {
         ]
     }
 
-    /// The least place where the sign changes.
+    /// The first sign change.
     fn first_root(&self) -> Option<f32> {
         let [a, b, c, d] = self.coefficients();
         let at = |x: f32| ((d * x + c) * x + b) * x + a;
-        // Between its extremes it goes one way only.
+        // Between its extremes the polynomial is monotonic.
         let mut ends = [0.0, 1.0, 1.0, 1.0];
         let (quadratic, half, constant) = (3.0 * d, c, b);
         let discriminant = half * half - quadratic * constant;
@@ -303,7 +304,7 @@ impl Cubic {
     }
 }
 
-/// Steps of false position: what is left is far below what a pixel shows.
+/// Steps of false position: the remaining error is far below the size of a pixel.
 const ROOT_STEPS: usize = 4;
 
 fn trilinear(corners: [f32; 8], at: Vec3) -> f32 {
@@ -312,17 +313,17 @@ fn trilinear(corners: [f32; 8], at: Vec3) -> f32 {
     mix(mix(a, b, at.y), mix(c, d, at.y), at.x)
 }
 
-/// φ around a place: at 4 × 4 × 4 voxels, of whose middle cell it is in.
-pub(super) struct Around {
+/// φ at 4 × 4 × 4 voxels around a point in the middle cell.
+pub(super) struct Stencil {
     values: [f32; 64],
-    /// In the cell, 0 to 1.
+    /// Position in the cell, 0 to 1.
     at: Vec3,
     leaf: u32,
     cell: IVec3,
 }
 
-impl Around {
-    /// φ as many whole voxels from the place.
+impl Stencil {
+    /// φ at an offset of whole voxels from the point.
     fn phi(&self, x: i32, y: i32, z: i32) -> f32 {
         let first = ((x + 1) * 16 + (y + 1) * 4 + z + 1) as usize;
         trilinear([0, 1, 4, 5, 16, 17, 20, 21].map(|step| self.values[first + step]), self.at)
@@ -334,7 +335,7 @@ impl Around {
         0.5 * Vec3::new(along(IVec3::X), along(IVec3::Y), along(IVec3::Z))
     }
 
-    /// The mean curvature, per voxel: positive where the fluid bulges.
+    /// The mean curvature, per voxel: positive where the fluid is convex.
     pub(super) fn mean_curvature(&self) -> f32 {
         let g = self.gradient();
         let twice = |step: IVec3| {
@@ -365,7 +366,7 @@ mod tests {
     use crate::surface::grid::{Field, Topology, voxel_in_leaf};
     use glam::DVec3;
 
-    /// The band around a shape, and some random rays towards it.
+    /// The narrow band of a shape.
     fn band(reach: i32, distance: impl Fn(Vec3) -> f32) -> NarrowBand {
         let mut origins = Vec::new();
         for x in (-reach..reach).step_by(8) {
@@ -402,14 +403,14 @@ mod tests {
     }
 
     #[test]
-    fn a_sphere_is_met_where_it_is() {
+    fn rays_hit_a_sphere_at_its_surface() {
         let radius = 17.3;
         let band = band(40, |at| at.length() - radius);
-        let surface = Surface::new(&band);
+        let surface = RaySurface::new(&band);
         for ray in rays(20_000) {
             let middle = -ray.origin.dot(ray.direction);
             let nearest = ray.at(middle).length();
-            let hit = surface.meet(&ray, [0.0, f64::INFINITY]);
+            let hit = surface.intersect(&ray, [0.0, f64::INFINITY]);
             if let Some(hit) = hit {
                 assert!((ray.at(hit.t).length() - f64::from(radius)).abs() < 0.02, "{hit:?} of {ray:?}");
                 assert!(hit.is_front && hit.t < middle + 1.0, "{hit:?} of {ray:?}");

@@ -1,91 +1,94 @@
-//! A tile of a picture, with the pixels around it that its own are compared with.
+//! A tile of a picture, with a border of pixels for comparisons with its own.
 
 use glam::{DVec2, DVec3, Vec3};
 
 use super::light::{Light, Lighting};
-use super::surface::{Around, Surface};
+use super::surface::{RaySurface, Stencil};
 use super::walk::Ray;
 use super::{FAR, Layers, PictureData, View};
 use crate::surface::space::Lattice;
 
-/// Pixels along the edge of a tile.
+/// Edge of a tile, pixels.
 pub(super) const TILE_EDGE: usize = 64;
 
-/// Pixels around it: as far as the next places where light is followed.
+/// Border of a tile, pixels: it contains the next points with computed light.
 const BORDER: usize = 4;
 
-const SEEN_EDGE: usize = TILE_EDGE + 2 * BORDER;
+const TRACED_EDGE: usize = TILE_EDGE + 2 * BORDER;
 
-/// Light is followed at every so many pixels.
+/// Distance between points with computed light, pixels.
 const LIGHT_STEP: usize = 4;
 
-const LIGHT_EDGE: usize = SEEN_EDGE / LIGHT_STEP;
+const LIGHT_EDGE: usize = TRACED_EDGE / LIGHT_STEP;
 
-/// What looks: rays through pixels, in voxels.
-pub(super) struct Eyes<'a> {
-    surface: &'a Surface<'a>,
+/// Traces rays through pixels, in voxels.
+pub(super) struct Tracer<'a> {
+    surface: &'a RaySurface<'a>,
     view: &'a View,
     voxel_size: f64,
-    /// The camera's place, in voxels.
+    /// The position of the camera, in voxels.
     eye: DVec3,
 }
 
-/// What a ray has found.
+/// The result of a ray.
 #[derive(Clone, Copy, Debug)]
-struct Seen {
-    what: What,
-    /// In voxels from the eye.
+struct RayHit {
+    what: HitKind,
+    /// Distance from the camera, in voxels.
     t: f64,
-    /// In voxels.
+    /// Position, in voxels.
     position: DVec3,
     normal: Vec3,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum What {
+enum HitKind {
     Nothing,
     Ground,
     Outside,
     Inside,
 }
 
-impl<'a> Eyes<'a> {
-    pub(super) fn new(surface: &'a Surface<'a>, lattice: &Lattice, view: &'a View) -> Eyes<'a> {
+impl<'a> Tracer<'a> {
+    pub(super) fn new(surface: &'a RaySurface<'a>, lattice: &Lattice, view: &'a View) -> Tracer<'a> {
         let voxel_size = lattice.voxel_size;
-        Eyes { surface, view, voxel_size, eye: view.camera.eye / voxel_size }
+        Tracer { surface, view, voxel_size, eye: view.camera.eye / voxel_size }
     }
 
-    /// The ray through a place of the picture, in pixels from its upper left corner.
+    /// The ray through a point of the picture, in pixels from its upper left corner.
     fn ray(&self, place: DVec2) -> Ray {
         let [width, height] = self.view.size.map(|size| size as f64);
         let direction = DVec2::new(2.0 * place.x - width, height - 2.0 * place.y) / height;
         Ray::new(self.eye, self.view.camera.direction(direction))
     }
 
-    /// The edge of a pixel so far away, in voxels.
+    /// The edge of a pixel at this distance, in voxels.
     fn pixel_edge(&self, t: f64) -> f64 {
         2.0 * self.view.camera.tan_half_view * t / self.view.size[1] as f64
     }
 
-    fn look(&self, place: DVec2) -> (Seen, Option<Around>) {
+    fn trace(&self, place: DVec2) -> (RayHit, Option<Stencil>) {
         let ray = self.ray(place);
-        // The ground is there for shadows, and hides nothing: fluid may be below it, and rests on it without a gap.
-        if let Some(hit) = self.surface.meet(&ray, [0.0, f64::INFINITY]) {
+        // The ground only receives shadows and hides nothing: fluid may be below it, and rests on it without
+        // a gap.
+        if let Some(hit) = self.surface.intersect(&ray, [0.0, f64::INFINITY]) {
             let around = self.surface.around(&ray, &hit);
             let outward = around.gradient().normalize_or(-ray.direction.as_vec3());
             let (what, normal) =
-                if hit.is_front { (What::Outside, outward) } else { (What::Inside, -outward) };
-            return (Seen { what, t: hit.t, position: ray.at(hit.t), normal }, Some(around));
+                if hit.is_front { (HitKind::Outside, outward) } else { (HitKind::Inside, -outward) };
+            return (RayHit { what, t: hit.t, position: ray.at(hit.t), normal }, Some(around));
         }
         let up = self.view.up.direction().as_vec3();
         let seen = match self.ground_at(&ray) {
-            Some(t) => Seen { what: What::Ground, t, position: ray.at(t), normal: up },
-            None => Seen { what: What::Nothing, t: f64::INFINITY, position: DVec3::INFINITY, normal: up },
+            Some(t) => RayHit { what: HitKind::Ground, t, position: ray.at(t), normal: up },
+            None => {
+                RayHit { what: HitKind::Nothing, t: f64::INFINITY, position: DVec3::INFINITY, normal: up }
+            }
         };
         (seen, None)
     }
 
-    /// Where a ray meets the ground from above.
+    /// Where a ray hits the ground from above.
     fn ground_at(&self, ray: &Ray) -> Option<f64> {
         let up = self.view.up.direction();
         let above = ray.origin.dot(up) - self.view.ground? / self.voxel_size;
@@ -94,19 +97,19 @@ impl<'a> Eyes<'a> {
     }
 }
 
-/// What a tile's pixels and those around it show.
+/// The rays of a tile's pixels and its border.
 pub(super) struct Tile<'a> {
-    eyes: &'a Eyes<'a>,
+    tracer: &'a Tracer<'a>,
     lighting: &'a Lighting<'a>,
-    /// The first pixel; with the border, it may be before the picture's first.
+    /// The first pixel; with the border, it may be outside of the picture.
     first: [isize; 2],
-    seen: Vec<Seen>,
-    arounds: Vec<Option<Around>>,
-    /// Where light was followed, if anything is there.
+    seen: Vec<RayHit>,
+    arounds: Vec<Option<Stencil>>,
+    /// The computed light, if a ray hit something.
     lights: Vec<Option<Light>>,
 }
 
-/// A finished tile: values of its pixels, row by row.
+/// A finished tile: the values of its pixels, row by row.
 pub(super) struct Finished {
     pub(super) color: Vec<[f32; 3]>,
     pub(super) coverage: Vec<f32>,
@@ -115,13 +118,13 @@ pub(super) struct Finished {
 
 impl<'a> Tile<'a> {
     /// The tile whose first pixel is at `place`.
-    pub(super) fn new(eyes: &'a Eyes<'a>, lighting: &'a Lighting<'a>, place: [usize; 2]) -> Tile<'a> {
+    pub(super) fn new(tracer: &'a Tracer<'a>, lighting: &'a Lighting<'a>, place: [usize; 2]) -> Tile<'a> {
         let first = place.map(|along| along as isize - BORDER as isize);
         let mut tile =
-            Tile { eyes, lighting, first, seen: Vec::new(), arounds: Vec::new(), lights: Vec::new() };
-        for y in 0..SEEN_EDGE {
-            for x in 0..SEEN_EDGE {
-                let (seen, around) = eyes.look(tile.place(x, y) + 0.5);
+            Tile { tracer, lighting, first, seen: Vec::new(), arounds: Vec::new(), lights: Vec::new() };
+        for y in 0..TRACED_EDGE {
+            for x in 0..TRACED_EDGE {
+                let (seen, around) = tracer.trace(tile.place(x, y) + 0.5);
                 tile.seen.push(seen);
                 tile.arounds.push(around);
             }
@@ -129,7 +132,7 @@ impl<'a> Tile<'a> {
         for y in 0..LIGHT_EDGE {
             for x in 0..LIGHT_EDGE {
                 let [x, y] = [x, y].map(|along| along * LIGHT_STEP + LIGHT_STEP / 2);
-                let light = tile.follow(x, y);
+                let light = tile.trace_light(x, y);
                 tile.lights.push(light);
             }
         }
@@ -141,17 +144,17 @@ impl<'a> Tile<'a> {
         DVec2::new((self.first[0] + x as isize) as f64, (self.first[1] + y as isize) as f64)
     }
 
-    fn follow(&self, x: usize, y: usize) -> Option<Light> {
-        let seen = &self.seen[y * SEEN_EDGE + x];
-        (seen.what != What::Nothing).then(|| self.lighting.arriving(seen.position, seen.normal))
+    fn trace_light(&self, x: usize, y: usize) -> Option<Light> {
+        let seen = &self.seen[y * TRACED_EDGE + x];
+        (seen.what != HitKind::Nothing).then(|| self.lighting.incoming(seen.position, seen.normal))
     }
 
-    /// The colours of the tile's own pixels.
+    /// Shades the tile's own pixels.
     pub(super) fn finish(&self, layers: Layers) -> Finished {
         let own = BORDER..BORDER + TILE_EDGE;
-        let lit: Vec<Light> = (0..SEEN_EDGE * SEEN_EDGE)
+        let lit: Vec<Light> = (0..TRACED_EDGE * TRACED_EDGE)
             .map(|index| {
-                let (x, y) = (index % SEEN_EDGE, index / SEEN_EDGE);
+                let (x, y) = (index % TRACED_EDGE, index / TRACED_EDGE);
                 let is_near_own = |along: usize| (BORDER - 1..BORDER + TILE_EDGE + 1).contains(&along);
                 if is_near_own(x) && is_near_own(y) { self.light_at(x, y) } else { Light::NONE }
             })
@@ -173,10 +176,10 @@ impl<'a> Tile<'a> {
         finished
     }
 
-    /// The light at a pixel: that at the four places around it, as far as these lie in its plane.
+    /// The light at a pixel, interpolated from the four surrounding points that lie in its plane.
     fn light_at(&self, x: usize, y: usize) -> Light {
-        let seen = self.seen[y * SEEN_EDGE + x];
-        if seen.what == What::Nothing {
+        let seen = self.seen[y * TRACED_EDGE + x];
+        if seen.what == HitKind::Nothing {
             return Light::NONE;
         }
         let [(x_light, x_part), (y_light, y_part)] = [x, y].map(|along| {
@@ -184,8 +187,8 @@ impl<'a> Tile<'a> {
             (along.floor() as usize, along.fract())
         });
         let position = seen.position;
-        let tolerance = (PLANE_TOLERANCE * LIGHT_STEP as f64 * self.eyes.pixel_edge(seen.t)) as f32;
-        let contact = CONTACT_VOXELS.max(CONTACT_PIXELS * self.eyes.pixel_edge(seen.t));
+        let tolerance = (PLANE_TOLERANCE * LIGHT_STEP as f64 * self.tracer.pixel_edge(seen.t)) as f32;
+        let contact = CONTACT_VOXELS.max(CONTACT_PIXELS * self.tracer.pixel_edge(seen.t));
         let (mut sum, mut weights) = (Light::NONE, 0.0);
         for corner in 0..4 {
             let (right, down) = (corner & 1, corner >> 1);
@@ -195,12 +198,12 @@ impl<'a> Tile<'a> {
             }
             let Some(light) = self.lights[y_light * LIGHT_EDGE + x_light] else { continue };
             let [x_seen, y_seen] = [x_light, y_light].map(|along| along * LIGHT_STEP + LIGHT_STEP / 2);
-            let other = self.seen[y_seen * SEEN_EDGE + x_seen];
-            let is_contact = seen.what == What::Ground
-                && matches!(other.what, What::Outside | What::Inside)
+            let other = self.seen[y_seen * TRACED_EDGE + x_seen];
+            let is_contact = seen.what == HitKind::Ground
+                && matches!(other.what, HitKind::Outside | HitKind::Inside)
                 && other.position.distance(position) < contact;
             if is_contact {
-                return self.lighting.arriving(position, seen.normal);
+                return self.lighting.incoming(position, seen.normal);
             }
             let apart = (other.position - position).as_vec3().dot(seen.normal).abs();
             let alike = other.normal.dot(seen.normal).max(0.0).powi(8) * (1.0 - apart / tolerance).max(0.0);
@@ -212,21 +215,21 @@ impl<'a> Tile<'a> {
             let weight = across * along * alike;
             (sum, weights) = (sum.plus(light, weight), weights + weight);
         }
-        if weights < LEAST_WEIGHT {
-            self.lighting.arriving(position, seen.normal)
+        if weights < MIN_WEIGHT {
+            self.lighting.incoming(position, seen.normal)
         } else {
             sum.times(1.0 / weights)
         }
     }
 
-    /// Whether a pixel beside this one shows something else.
+    /// Whether a neighbouring pixel shows something else.
     fn is_edge(&self, x: usize, y: usize) -> bool {
-        let seen = self.seen[y * SEEN_EDGE + x];
+        let seen = self.seen[y * TRACED_EDGE + x];
         let position = seen.position;
         [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)].into_iter().any(|(x, y)| {
-            let other = self.seen[y * SEEN_EDGE + x];
-            // Ground and background have one colour.
-            let is_fluid = |what: What| matches!(what, What::Outside | What::Inside);
+            let other = self.seen[y * TRACED_EDGE + x];
+            // Ground and background have the same colour.
+            let is_fluid = |what: HitKind| matches!(what, HitKind::Outside | HitKind::Inside);
             if other.what != seen.what {
                 return is_fluid(other.what) || is_fluid(seen.what);
             }
@@ -234,14 +237,14 @@ impl<'a> Tile<'a> {
                 return false;
             }
             let apart = (other.position - position).as_vec3().dot(seen.normal).abs();
-            let is_step = apart > (EDGE_STEP * self.eyes.pixel_edge(seen.t)) as f32;
+            let is_step = apart > (EDGE_STEP * self.tracer.pixel_edge(seen.t)) as f32;
             other.normal.dot(seen.normal) < EDGE_COSINE || is_step
         })
     }
 
     fn single(&self, lit: &[Light], x: usize, y: usize) -> (Vec3, f32) {
-        let index = y * SEEN_EDGE + x;
-        let toward = -self.eyes.ray(self.place(x, y) + 0.5).direction.as_vec3();
+        let index = y * TRACED_EDGE + x;
+        let toward = -self.tracer.ray(self.place(x, y) + 0.5).direction.as_vec3();
         self.shade(&self.seen[index], lit[index], toward)
     }
 
@@ -250,50 +253,50 @@ impl<'a> Tile<'a> {
         let (mut color, mut coverage) = (Vec3::ZERO, 0.0);
         for offset in OFFSETS {
             let place = self.place(x, y) + offset;
-            let (seen, _) = self.eyes.look(place);
-            let toward = -self.eyes.ray(place).direction.as_vec3();
+            let (seen, _) = self.tracer.trace(place);
+            let toward = -self.tracer.ray(place).direction.as_vec3();
             let light = self.light_of(&seen, lit, x, y);
             let (one, covers) = self.shade(&seen, light, toward);
-            // What glints must not outshine the rest of the pixel.
+            // A highlight must not outshine the rest of the pixel.
             color += one.min(Vec3::splat(2.0)) / OFFSETS.len() as f32;
             coverage += covers / OFFSETS.len() as f32;
         }
         (color, coverage)
     }
 
-    /// The light on what a ray within a pixel shows: that of the pixel, or one beside it, that shows the same.
-    fn light_of(&self, seen: &Seen, lit: &[Light], x: usize, y: usize) -> Light {
-        if seen.what == What::Nothing {
+    /// The light for a ray within a pixel: that of the pixel, or of a neighbour, that shows the same thing.
+    fn light_of(&self, seen: &RayHit, lit: &[Light], x: usize, y: usize) -> Light {
+        if seen.what == HitKind::Nothing {
             return Light::NONE;
         }
         let position = seen.position;
-        let within = (2.5 * self.eyes.pixel_edge(seen.t)).powi(2);
+        let within = (2.5 * self.tracer.pixel_edge(seen.t)).powi(2);
         let beside = [(x, y), (x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)];
         let alike = beside.into_iter().find(|&(x, y)| {
-            let other = self.seen[y * SEEN_EDGE + x];
+            let other = self.seen[y * TRACED_EDGE + x];
             other.what == seen.what
                 && other.normal.dot(seen.normal) > EDGE_COSINE
-                && (seen.what == What::Ground || other.position.distance_squared(position) < within)
+                && (seen.what == HitKind::Ground || other.position.distance_squared(position) < within)
         });
         match alike {
-            Some((x, y)) => lit[y * SEEN_EDGE + x],
-            None => self.lighting.arriving(position, seen.normal),
+            Some((x, y)) => lit[y * TRACED_EDGE + x],
+            None => self.lighting.incoming(position, seen.normal),
         }
     }
 
-    fn shade(&self, seen: &Seen, light: Light, toward: Vec3) -> (Vec3, f32) {
+    fn shade(&self, seen: &RayHit, light: Light, toward: Vec3) -> (Vec3, f32) {
         match seen.what {
-            What::Nothing => (self.lighting.background(), 0.0),
-            What::Ground => (self.lighting.ground(light), 0.0),
-            What::Outside => (self.lighting.water(light, seen.normal, toward, true), 1.0),
-            What::Inside => (self.lighting.water(light, seen.normal, toward, false), 1.0),
+            HitKind::Nothing => (self.lighting.background(), 0.0),
+            HitKind::Ground => (self.lighting.ground(light), 0.0),
+            HitKind::Outside => (self.lighting.water(light, seen.normal, toward, true), 1.0),
+            HitKind::Inside => (self.lighting.water(light, seen.normal, toward, false), 1.0),
         }
     }
 
     fn push_data(&self, data: &mut PictureData, layers: Layers, x: usize, y: usize) {
-        let index = y * SEEN_EDGE + x;
-        let voxel_size = self.eyes.voxel_size;
-        let camera = &self.eyes.view.camera;
+        let index = y * TRACED_EDGE + x;
+        let voxel_size = self.tracer.voxel_size;
+        let camera = &self.tracer.view.camera;
         let Some(around) = &self.arounds[index] else {
             data.depth.push(FAR);
             data.normals.push([0.0; 3]);
@@ -311,26 +314,27 @@ impl<'a> Tile<'a> {
         data.curvatures.push((f64::from(around.mean_curvature()) / voxel_size) as f32);
         if let (Some(velocities), Some(fields)) = (&mut data.velocities, layers.velocity) {
             velocities
-                .push(fields.each_ref().map(|field| self.eyes.surface.interpolate(&field.leaves, around)));
+                .push(fields.each_ref().map(|field| self.tracer.surface.interpolate(&field.leaves, around)));
         }
     }
 }
 
-/// Places whose light is taken for a pixel's lie in its plane but for this part of the way between them.
+/// Points count as in a pixel's plane if their offset from it is less than this fraction of their distance.
 const PLANE_TOLERANCE: f64 = 0.7;
 
-/// Ground that is nearer to fluid has light of its own: where they touch, it fades within a voxel.
+/// Ground closer to the fluid than this gets its own light: at the contact, light fades within a voxel.
 const CONTACT_VOXELS: f64 = 6.0;
 const CONTACT_PIXELS: f64 = 3.0 * LIGHT_STEP as f64;
 
-/// With less of them its light is followed by itself.
-const LEAST_WEIGHT: f32 = 0.3;
+/// With a smaller weight of interpolated points, the light is computed for the pixel.
+const MIN_WEIGHT: f32 = 0.3;
 
-/// Neighbours with a step of so many pixels between them are an edge, and those whose normals are farther apart.
+/// Neighbouring pixels are an edge if their depths differ by more than this many pixels, or if the cosine
+/// between their normals is smaller than this.
 const EDGE_STEP: f64 = 1.5;
 const EDGE_COSINE: f32 = 0.94;
 
-/// Eight places in a pixel, no two in a row or a column of eight.
+/// Eight points in a pixel, no two in the same row or column of eight.
 const OFFSETS: [DVec2; 8] = [
     DVec2::new(0.0625, 0.4375),
     DVec2::new(0.1875, 0.8125),

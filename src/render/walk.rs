@@ -1,4 +1,4 @@
-//! The cells of a cubic lattice along a ray, in order.
+//! Traverses the cells of a cubic lattice along a ray.
 //!
 //! ```text
 //!   ·──┬───┬───┬──      A ray leaves each cell by the nearest of three planes; the next ones
@@ -12,11 +12,11 @@
 
 use glam::{DVec3, IVec3};
 
-/// A ray in voxels; t counts them.
+/// A ray in voxels, parametrized by its length t.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Ray {
     pub(super) origin: DVec3,
-    /// Of length 1.
+    /// Unit vector.
     pub(super) direction: DVec3,
     inverse: DVec3,
 }
@@ -30,7 +30,8 @@ impl Ray {
         self.origin + self.direction * t
     }
 
-    /// Where the ray is in a box, if it ever is, after `t_min` and before `t_max`. One that is not finite is nowhere.
+    /// The interval of t in which the ray is inside a box, between `t_min` and `t_max`. `None` if it misses
+    /// the box or is not finite.
     pub(super) fn within(&self, least: DVec3, greatest: DVec3, [t_min, t_max]: [f64; 2]) -> Option<[f64; 2]> {
         if !(self.origin.is_finite() && self.direction.is_finite()) {
             return None;
@@ -51,13 +52,13 @@ impl Ray {
     }
 }
 
-/// The cells of a lattice along a part of a ray, each with the t at which the ray is in it.
+/// The cells along a part of a ray, each with the interval of t in it.
 pub(super) struct Cells {
     cell: IVec3,
     step: IVec3,
-    /// Where the ray leaves the cell on each axis.
+    /// Where the ray leaves the cell on each axis, in t.
     exits: DVec3,
-    /// The way through a cell on each axis.
+    /// The length of a cell on each axis, in t.
     strides: DVec3,
     t: f64,
     last: f64,
@@ -66,8 +67,8 @@ pub(super) struct Cells {
 }
 
 impl Cells {
-    /// Cells of this edge, in voxels, from the first t to the last; only those between `least` and `greatest`, where the
-    /// ray is, whatever rounding says.
+    /// Cells of this edge, in voxels, from the first t to the last. Cells outside `least` to `greatest`,
+    /// which only rounding can produce, are left out.
     pub(super) fn along(
         ray: &Ray,
         edge: f64,
@@ -113,7 +114,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_cell_holds_its_part_of_the_ray() {
+    fn cells_cover_the_ray_without_gaps() {
         let everywhere = [IVec3::MIN, IVec3::MAX];
         for direction in
             [DVec3::X, DVec3::new(-1.0, 2.0, 0.3), DVec3::new(1.0, 1.0, 1.0), DVec3::new(0.0, -1.0, 1e-9)]
@@ -132,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn rays_meet_boxes() {
+    fn rays_intersect_boxes() {
         let ray = Ray::new(DVec3::ZERO, DVec3::X);
         assert_eq!(ray.within(DVec3::new(2.0, -1.0, -1.0), DVec3::splat(3.0), [0.0, 9.0]), Some([2.0, 3.0]));
         assert_eq!(ray.within(DVec3::new(2.0, 1.0, -1.0), DVec3::splat(3.0), [0.0, 9.0]), None);
@@ -140,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ray_from_nowhere_meets_nothing() {
+    fn non_finite_ray_intersects_nothing() {
         for origin in [DVec3::NAN, DVec3::INFINITY] {
             let ray = Ray::new(origin, DVec3::X);
             assert_eq!(ray.within(DVec3::NEG_ONE, DVec3::ONE, [0.0, 9.0]), None);

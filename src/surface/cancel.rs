@@ -1,4 +1,4 @@
-//! Cancelling a reconstruction from anywhere.
+//! Cancellation of a reconstruction from another thread or a callback.
 
 use std::io;
 use std::ops::ControlFlow;
@@ -11,11 +11,13 @@ use crate::surface::error::Error;
 use crate::surface::particles::{ParticleSource, Positions, Shapes};
 use crate::surface::skin::Storage;
 
-/// Cancels a [`Reconstructor`](crate::surface::Reconstructor) from another thread, a signal handler or its progress
-/// callback. Clones cancel the same work. A cancelled token stays cancelled: make a new one for the next frame.
+/// Cancels a [`Reconstructor`](crate::surface::Reconstructor) from another thread, a signal handler or its
+/// progress callback. Clones cancel the same work. A cancelled token stays cancelled: create a new one for
+/// the next frame.
 ///
-/// The work stops between batches of particles while it rasterizes, between steps while it smooths, and between making and
-/// checking the mesh while it contours. One such part is never interrupted.
+/// The reconstruction checks the token between batches of particles while it rasterizes, between steps while
+/// it smooths, and between making and checking the mesh while it contours. It does not interrupt any of these
+/// parts.
 #[derive(Clone, Debug, Default)]
 pub struct CancelToken(Arc<AtomicBool>);
 
@@ -25,28 +27,29 @@ impl CancelToken {
         CancelToken::default()
     }
 
-    /// Cancels all work that was given this token or a clone of it. It returns at once, and may be called repeatedly.
+    /// Cancels all work that holds this token or a clone of it. Returns at once; further calls have no
+    /// effect.
     pub fn cancel(&self) {
         self.0.store(true, Ordering::Relaxed);
     }
 
-    /// Whether it was cancelled.
+    /// Whether [`cancel`](Self::cancel) was called.
     pub fn is_cancelled(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
 
-    /// [`Error::Cancelled`] if it was cancelled.
+    /// [`Error::Cancelled`] if the token is cancelled.
     pub(super) fn check(&self) -> Result<(), Error> {
         if self.is_cancelled() { Err(Error::Cancelled) } else { Ok(()) }
     }
 
-    /// The same for callbacks.
+    /// The same check, for callbacks.
     pub(super) fn flow(&self) -> ControlFlow<Error> {
         self.check().map_or_else(ControlFlow::Break, ControlFlow::Continue)
     }
 }
 
-/// Particles of which no batch can be had once the token is cancelled.
+/// A particle source that returns [`Error::Cancelled`] instead of a batch once the token is cancelled.
 #[derive(Clone, Debug)]
 pub(super) struct CancellableParticles<'a> {
     pub(super) positions: Positions<'a>,

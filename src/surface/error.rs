@@ -1,60 +1,61 @@
-//! Why there is no surface.
+//! Errors of a reconstruction.
 
 use std::fmt;
 use std::io;
 
 use crate::surface::options::SettingsError;
 
-/// Why [`reconstruct`](crate::surface::reconstruct()) returned no surface.
+/// Why [`reconstruct`](crate::surface::reconstruct()) failed.
 ///
-/// The text of each is one sentence without a full stop that names what is wrong and what to change.
+/// Each message is one sentence without a full stop that says what is wrong and what to change.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum Error {
-    /// An option is out of its range, or two contradict each other. The text names the option, its value and its range.
+    /// An option is out of its range, or two options contradict each other. The message names the option, its
+    /// value and its range.
     Options(SettingsError),
-    /// Neither [`spacing`](crate::surface::Options::spacing) nor a voxel size is given, and the spacing cannot be
-    /// measured: fewer than two particles have different finite positions.
+    /// Neither [`spacing`](crate::surface::Options::spacing) nor a voxel size is given, and the spacing
+    /// cannot be measured: fewer than two particles have different finite positions.
     UnknownSpacing,
-    /// No particle can be part of a surface: the input is empty, or every position is not finite or too far away for
-    /// the grid.
+    /// The particles cannot form a surface: there are none, or every position is not finite or outside the
+    /// range of the grid.
     NoParticles {
-        /// The particles that were given.
+        /// Number of particles in the input.
         given: usize,
     },
-    /// The options name an attribute that the particles lack, or that has another number of values per particle.
+    /// The options name an attribute that the particles lack, or whose arity (values per particle) differs.
     MissingAttribute {
         /// The name in the options.
         name: String,
-        /// The values per particle that it must have.
+        /// The arity that the option requires.
         arity: usize,
     },
     /// The number of values of an attribute is not its arity times the number of particles.
     AttributeLength {
         /// The name of the attribute.
         name: String,
-        /// The values that it must have.
+        /// The number of values that it must have.
         expected: usize,
-        /// The values that it has.
+        /// The number of values that it has.
         found: usize,
     },
-    /// The voxels are so small that 32-bit positions, or the indices of the grid, cannot tell them apart over the whole
-    /// frame: usually a mistake in the unit of length.
+    /// The voxels are so small that 32-bit positions, or the grid's indices, cannot resolve them over the
+    /// whole frame. Usually the unit of length is wrong.
     VoxelTooSmall {
         /// The voxel size, world units.
         voxel_size: f64,
         /// The smallest voxel size that this frame allows, world units.
         least: f64,
     },
-    /// The frame needs more memory than the
-    /// [limit](crate::surface::Reconstructor::memory_limit): raise it, or choose larger voxels.
+    /// The frame needs more memory than the [limit](crate::surface::Reconstructor::memory_limit). Raise the
+    /// limit or choose larger voxels.
     MemoryLimit {
-        /// The memory that is needed, in bytes: an upper estimate.
+        /// Upper estimate of the memory that the frame needs, in bytes.
         needed_bytes: u64,
         /// The limit, in bytes.
         limit_bytes: u64,
     },
-    /// The [scratch storage](crate::surface::Reconstructor::scratch) cannot be made, read or written.
+    /// The [scratch storage](crate::surface::Reconstructor::scratch) cannot be created, read or written.
     Scratch(io::Error),
     /// The [token](crate::surface::CancelToken) was cancelled.
     Cancelled,
@@ -65,19 +66,19 @@ impl fmt::Display for Error {
         match self {
             Error::Options(error) => error.fmt(f),
             Error::UnknownSpacing => f.write_str(
-                "the particle spacing cannot be measured on fewer than two particles in different places: \
+                "cannot measure the particle spacing: fewer than two particles have different positions; \
                  set `spacing` or `voxel_size`",
             ),
-            Error::NoParticles { given: 0 } => f.write_str("there are no particles"),
+            Error::NoParticles { given: 0 } => f.write_str("the frame has no particles"),
             Error::NoParticles { given } => {
-                write!(f, "none of the {given} particles has a finite position within the grid")
+                write!(f, "none of the {given} particles has a finite position inside the grid")
             }
             Error::MissingAttribute { name, arity } => {
                 let numbers = if *arity == 1 { "number" } else { "numbers" };
-                write!(f, "the particles have no attribute `{name}` with {arity} {numbers} each")
+                write!(f, "the particles have no attribute `{name}` with {arity} {numbers} per particle")
             }
             Error::AttributeLength { name, expected, found } => {
-                write!(f, "the attribute `{name}` has {found} values; it must have {expected}")
+                write!(f, "the attribute `{name}` has {found} values; expected {expected}")
             }
             Error::VoxelTooSmall { voxel_size, least } => write!(
                 f,
@@ -85,7 +86,7 @@ impl fmt::Display for Error {
             ),
             Error::MemoryLimit { needed_bytes, limit_bytes } => write!(
                 f,
-                "the frame needs {} MiB of memory and the limit is {} MiB: raise the limit or choose larger voxels",
+                "the frame needs {} MiB of memory; the limit is {} MiB: raise it or choose larger voxels",
                 needed_bytes.div_ceil(MEBIBYTE),
                 limit_bytes / MEBIBYTE
             ),

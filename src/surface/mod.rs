@@ -1,10 +1,10 @@
-//! The method: particles in, a smooth surface out. It opens no file, has no clock, and computes in the rayon pool that the
-//! caller is in.
+//! The method: reconstructs a smooth surface from particles. It opens no files, reads no clock, and computes
+//! in the caller's rayon pool.
 //!
-//! [`reconstruct`] makes the surface of one frame. A [`Reconstructor`] makes those of a sequence, with attributes,
-//! obstacles, a progress callback, cancellation and a memory limit. [`Options`] has every option of the method; its defaults
-//! are for liquids. [`Surface`] is a mesh with absolute positions, its level set, and a [`Report`] of what was measured and
-//! [checked](Certificate).
+//! [`reconstruct`] makes the surface of one frame. A [`Reconstructor`] makes the surfaces of a sequence, with
+//! attributes, obstacles, a progress callback, cancellation and a memory limit. [`Options`] has every option
+//! of the method; its defaults are for liquids. [`Surface`] is a mesh with absolute positions, its level set,
+//! and a [`Report`] of what was measured and [checked](Certificate).
 //!
 //! All lengths are in world units unless a field says voxels (h) or particle spacings (d).
 
@@ -36,8 +36,8 @@ pub use self::{
     validation::{Certificate, ParticlesOutside},
 };
 
-// The modules below are public for the tests, benchmarks and experiments of this repository, and for the other parts of
-// this crate. They are no part of the API: anything in them may change in any version.
+// The modules below are public for the tests, benchmarks and experiments of this repository, and for the
+// other parts of this crate. They are not part of the API: anything in them may change in any version.
 
 #[doc(hidden)]
 pub mod skin;

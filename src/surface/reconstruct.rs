@@ -1,4 +1,4 @@
-//! Particles in memory to a surface: what another program calls.
+//! Reconstructs surfaces from particles in memory: the entry points for other programs.
 
 use std::io;
 use std::ops::ControlFlow;
@@ -22,19 +22,19 @@ use crate::surface::skin::{
 use crate::surface::spacing::{estimate_spacing, median, rounded};
 use crate::surface::{Options, Report};
 
-/// The surface of one frame of particles: the smoothest one, in the sense of least bending energy, that stays between two
-/// unions of spheres around the particles.
+/// Reconstructs the surface of one frame of particles: the surface of least bending energy that stays between
+/// two unions of spheres around the particles.
 ///
-/// `positions` are in world units: `&[[f32; 3]]` or `&[[f64; 3]]`, which are borrowed and not copied. The same particles and
-/// options give the same bits on any number of threads. It computes in rayon's current pool: call it inside
-/// `ThreadPool::install` to choose one.
+/// `positions` are in world units: `&[[f32; 3]]` or `&[[f64; 3]]`, which are borrowed and not copied. The
+/// same particles and options give the same bits on any number of threads. The function computes in rayon's
+/// current pool: call it inside `ThreadPool::install` to choose one.
 ///
-/// Use a [`Reconstructor`] for a sequence of frames, attributes, obstacles, progress, cancellation, or another memory limit than
-/// [`MEMORY_LIMIT`].
+/// Use a [`Reconstructor`] for a sequence of frames, attributes, obstacles, progress, cancellation, or a
+/// memory limit other than [`MEMORY_LIMIT`].
 ///
 /// # Errors
 /// See [`Error`]: options out of range, no usable particle, voxels too small, or more memory than the limit.
-/// Positions that are not finite are left out, and counted in [`Report::dropped_count`].
+/// Particles whose position is not finite are left out and counted in [`Report::dropped_count`].
 ///
 /// ```
 /// use meniscus::surface::{Options, reconstruct};
@@ -54,57 +54,59 @@ pub fn reconstruct<'a>(positions: impl Into<Positions<'a>>, options: &Options) -
     Reconstructor::new(options.clone()).reconstruct(positions)
 }
 
-/// The memory that a reconstruction may take unless [another limit](Reconstructor::memory_limit) is set: 16 GiB.
+/// The default [memory limit](Reconstructor::memory_limit) of a reconstruction: 16 GiB.
 pub const MEMORY_LIMIT: u64 = 16 << 30;
 
 /// The surface of a frame.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Surface {
-    /// Vertex positions in world units, absolute. Each is exact: the mesh is computed in 32 bits relative to an origin near
-    /// the frame, and the origin is added in 64 bits.
+    /// Vertex positions in absolute world units. The mesh is computed in 32 bits relative to an origin near
+    /// the frame, and the origin is added in 64 bits, so the sum loses no digits.
     pub positions: Vec<DVec3>,
-    /// Unit normals, outward; one for each vertex.
+    /// Outward unit normals, one per vertex.
     pub normals: Vec<Vec3>,
-    /// Three vertex indices for each triangle, counter-clockwise seen from outside. The mesh is closed and 2-manifold
-    /// unless [`Certificate::mesh_is_closed_manifold`](crate::surface::Certificate::mesh_is_closed_manifold) says otherwise.
+    /// Three vertex indices per triangle, counter-clockwise seen from outside. The mesh is closed and
+    /// 2-manifold unless
+    /// [`Certificate::mesh_is_closed_manifold`](crate::surface::Certificate::mesh_is_closed_manifold) says
+    /// otherwise.
     pub triangles: Vec<[u32; 3]>,
-    /// The particles' attributes at the vertices: those that [`Options::attributes`] selects, in the order in which they
-    /// were given.
+    /// The particles' attributes at the vertices: those that [`Options::attributes`] selects, in the order of
+    /// the input.
     pub attributes: Vec<Attribute>,
-    /// The signed distances that were meshed, in voxels of [`Settings::voxel_size`].
+    /// The signed distances that were contoured, in voxels of [`Settings::voxel_size`].
     pub level_set: NarrowBand,
-    /// The options in numbers: the spacing, the voxel size, the radii, and all others.
+    /// The resolved options: the spacing, the voxel size, the radii, and all others.
     pub settings: Settings,
-    /// What was measured and checked on the way.
+    /// The measurements and checks.
     pub report: Report,
 }
 
 impl Surface {
-    /// The vertex positions in 32 bits relative to `origin`: `DVec3::ZERO` for world positions, or a point near the
-    /// surface where the frame is so far from the world's origin that 32 bits are too few.
+    /// The vertex positions in 32 bits relative to `origin`. Use `DVec3::ZERO` for world positions, or a
+    /// point near the surface if the frame is so far from the world's origin that 32 bits are too few.
     pub fn positions_f32(&self, origin: DVec3) -> Vec<[f32; 3]> {
         self.positions.iter().map(|position| (*position - origin).as_vec3().to_array()).collect()
     }
 }
 
-/// How far a reconstruction is.
+/// The progress of a reconstruction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Progress {
-    /// The phase.
+    /// The current phase.
     pub phase: Phase,
-    /// The fraction of the phase that is done: 0 as it begins, and up to 1 while it smooths. The other phases report only
-    /// their beginning.
+    /// The fraction of the phase that is done: 0 at its beginning. Only smoothing reports further fractions,
+    /// up to 1.
     pub fraction: f64,
 }
 
 /// Reconstructs the frames of a sequence, with everything that [`reconstruct`] leaves out.
 ///
-/// It resolves the options on the first frame and keeps the result, [`settings`](Self::settings), for all others: a particle
-/// spacing estimated for each frame would make the surface flicker. Obstacles keep their distances from frame to frame. Other
-/// memory is returned after each frame: keeping all of it would save 3 to 5 % of the processor time (400 000 particles), and hold
-/// the peak of a frame in between.
+/// The first frame resolves the options. All later frames use the same [`settings`](Self::settings): a
+/// particle spacing estimated for each frame would make the surface flicker. Obstacles keep their distances
+/// from frame to frame. All other memory is freed after each frame: keeping it would save 3 to 5 % of the
+/// processor time (400 000 particles), and hold the peak of a frame between frames.
 ///
 /// ```
 /// use meniscus::surface::{CancelToken, Options, Phase, Reconstructor};
@@ -135,12 +137,12 @@ pub struct Reconstructor<'a> {
     on_progress: Option<Box<dyn FnMut(Progress) + Send + 'a>>,
 }
 
-/// Makes scratch storage.
+/// Creates one scratch file.
 type MakeStorage<'a> = dyn FnMut() -> io::Result<Box<dyn Storage>> + Send + 'a;
 
 impl<'a> Reconstructor<'a> {
-    /// A reconstructor with these options, no obstacles and the default [memory limit](MEMORY_LIMIT). The options are checked
-    /// with the first frame.
+    /// A reconstructor with these options, no obstacles and the default [memory limit](MEMORY_LIMIT). The
+    /// options are checked when the first frame is reconstructed.
     pub fn new(options: Options) -> Reconstructor<'a> {
         Reconstructor {
             options,
@@ -153,48 +155,49 @@ impl<'a> Reconstructor<'a> {
         }
     }
 
-    /// The memory that a frame may take, in bytes, beside its particles. It is estimated before any of it is allocated, from
-    /// above: frames take about two thirds of the estimate. A frame that needs more is an
-    /// [error](Error::MemoryLimit), or goes through [scratch storage](Self::scratch).
+    /// Limits the memory that a frame may take in addition to its particles, in bytes. The need is estimated
+    /// from above before anything is allocated: frames take about two thirds of the estimate. A frame that
+    /// needs more fails with an [error](Error::MemoryLimit), or uses [scratch storage](Self::scratch).
     pub fn memory_limit(&mut self, bytes: u64) -> &mut Self {
         self.memory_limit = bytes;
         self
     }
 
-    /// Where to put what does not fit into the memory limit: for such a frame `make` is called eight times, for temporary files as a
-    /// rule, which are dropped with the frame. The surface is the same to the bit. The integrators
-    /// [`Implicit`](crate::surface::Integrator::Implicit) and [`Adaptive`](crate::surface::Integrator::Adaptive) cannot use it.
+    /// Sets where to store what does not fit into the memory limit. For such a frame, `make` is called eight
+    /// times, usually to create temporary files, which are dropped with the frame. The surface is the same to
+    /// the bit. The integrators [`Implicit`](crate::surface::Integrator::Implicit) and
+    /// [`Adaptive`](crate::surface::Integrator::Adaptive) cannot use scratch storage.
     pub fn scratch(&mut self, make: impl FnMut() -> io::Result<Box<dyn Storage>> + Send + 'a) -> &mut Self {
         self.scratch = Some(Box::new(make));
         self
     }
 
-    /// The obstacles of the frames that follow, in place of those before. Keep the `Arc` of an obstacle that stands still:
-    /// its distances are cached in it.
+    /// Replaces the obstacles, for all later frames. Keep the `Arc` of a static obstacle: its distances are
+    /// cached in it.
     pub fn obstacles(&mut self, obstacles: impl IntoIterator<Item = Arc<Obstacle>>) -> &mut Self {
         self.obstacles = Obstacles { members: obstacles.into_iter().collect() };
         self
     }
 
-    /// The token that cancels the frames that follow.
+    /// Sets the token that cancels later frames.
     pub fn cancel_token(&mut self, token: CancelToken) -> &mut Self {
         self.token = token;
         self
     }
 
-    /// Calls `callback` on the calling thread as each phase begins and as smoothing advances. Measure time there if you need it:
-    /// the method has no clock.
+    /// Sets a callback, which runs on the calling thread as each phase begins and as smoothing advances.
+    /// Measure time there if you need it: the method reads no clock.
     pub fn on_progress(&mut self, callback: impl FnMut(Progress) + Send + 'a) -> &mut Self {
         self.on_progress = Some(Box::new(callback));
         self
     }
 
-    /// The resolved options; `None` before the first frame whose options are valid.
+    /// The resolved options; `None` until a frame had valid options.
     pub fn settings(&self) -> Option<&Settings> {
         self.settings.as_ref()
     }
 
-    /// The surface of the next frame. See [`reconstruct`].
+    /// Reconstructs the next frame. See [`reconstruct`].
     ///
     /// # Errors
     /// See [`Error`]. The reconstructor can be used again after any of them.
@@ -202,11 +205,11 @@ impl<'a> Reconstructor<'a> {
         self.reconstruct_with(positions, &[])
     }
 
-    /// The surface of the next frame, whose particles have attributes: for [`Options::attributes`],
+    /// Reconstructs the next frame, whose particles have attributes: for [`Options::attributes`],
     /// [`Options::radius_attribute`] and stretching by velocity.
     ///
     /// # Errors
-    /// See [`Error`]. Each attribute must have its arity times as many values as there are particles. An attribute that only
+    /// See [`Error`]. Each attribute must have arity × particles values. An attribute that only
     /// [`Options::attributes`] names may be missing.
     pub fn reconstruct_with<'p>(
         &mut self,
@@ -214,7 +217,7 @@ impl<'a> Reconstructor<'a> {
         attributes: &[Attribute],
     ) -> Result<Surface, Error> {
         let positions = positions.into();
-        self.enter(Phase::Prepare)?;
+        self.begin(Phase::Prepare)?;
         if positions.is_empty() {
             return Err(Error::NoParticles { given: 0 });
         }
@@ -224,41 +227,41 @@ impl<'a> Reconstructor<'a> {
             None => resolve(&self.options, &positions, attributes)?,
         };
         self.settings = Some(settings.clone());
-        check_present(&settings, attributes)?;
+        check_required_attributes(&settings, attributes)?;
         let token = self.token.clone();
         let given = CancellableParticles { positions, shapes: Shapes::Balls, token };
         let plan = self.plan(&given, attributes, &settings)?;
-        self.enter(Phase::Rasterize)?;
+        self.begin(Phase::Rasterize)?;
         let (shapes, shaping) = skin::shapes_by_attributes(given.positions.len(), attributes, &settings);
         let given = CancellableParticles { shapes, ..given };
         let (shaped, shaping) = skin::shape_by_neighbors(given, shaping, &settings)?;
-        let work = Work { settings: &settings, shaped, shaping };
+        let work = ShapedFrame { settings: &settings, shaped, shaping };
         let (mut surface, shaped) = match plan.tile_leaves {
-            None => self.whole(work)?,
-            Some(tile_leaves) => self.in_tiles(work, tile_leaves)?,
+            None => self.reconstruct_in_memory(work)?,
+            Some(tile_leaves) => self.reconstruct_tiled(work, tile_leaves)?,
         };
         if settings.attributes.is_some() {
-            self.enter(Phase::Interpolate)?;
+            self.begin(Phase::Interpolate)?;
             let (positions, shapes) = shaped.into_positions(|given| (given.positions, given.shapes));
             let targets = Targets { vertices: true, band_half_width_voxels: None };
             skin::transfer_from((positions, &shapes, attributes), &mut surface, &settings, targets);
         }
-        Ok(finished(surface, settings))
+        Ok(with_absolute_positions(surface, settings))
     }
 
-    /// Reports that a phase begins, unless the token is cancelled.
-    fn enter(&mut self, phase: Phase) -> Result<(), Error> {
-        self.advance(phase, 0.0);
+    /// Reports the beginning of a phase. Fails if the token is cancelled.
+    fn begin(&mut self, phase: Phase) -> Result<(), Error> {
+        self.report_progress(phase, 0.0);
         self.token.check()
     }
 
-    fn advance(&mut self, phase: Phase, fraction: f64) {
+    fn report_progress(&mut self, phase: Phase, fraction: f64) {
         if let Some(callback) = &mut self.on_progress {
             callback(Progress { phase, fraction });
         }
     }
 
-    /// How the frame fits into memory.
+    /// Decides whether the frame is computed in memory or in tiles.
     fn plan(
         &self,
         given: &CancellableParticles<'_>,
@@ -272,11 +275,11 @@ impl<'a> Reconstructor<'a> {
         let bytes: usize = selected.map(|attribute| attribute.values.size_bytes()).sum();
         let attribute_bytes = bytes as f64 / given.positions.len() as f64;
         let surroundings = Surroundings { obstacles: &self.obstacles, attribute_bytes };
-        let of_obstacles =
+        let obstacle_bytes =
             self.obstacles.members.iter().map(|obstacle| obstacle.size_bytes_max() as u64).sum();
-        let allowed_bytes = self.memory_limit.saturating_sub(of_obstacles);
+        let allowed_bytes = self.memory_limit.saturating_sub(obstacle_bytes);
         let over = |least_bytes: u64| Error::MemoryLimit {
-            needed_bytes: least_bytes.saturating_add(of_obstacles),
+            needed_bytes: least_bytes.saturating_add(obstacle_bytes),
             limit_bytes: self.memory_limit,
         };
         let planned = match &self.scratch {
@@ -292,30 +295,33 @@ impl<'a> Reconstructor<'a> {
         }
     }
 
-    /// A frame in memory.
-    fn whole<'p>(&mut self, work: Work<'_, 'p>) -> Result<(skin::Surface, Shaped<'p>), Error> {
-        let Work { settings, shaped, shaping } = work;
+    /// Reconstructs a frame in memory.
+    fn reconstruct_in_memory<'p>(
+        &mut self,
+        work: ShapedFrame<'_, 'p>,
+    ) -> Result<(skin::Surface, Shaped<'p>), Error> {
+        let ShapedFrame { settings, shaped, shaping } = work;
         let mut rasterized = skin::rasterize(&shaped, settings, shaping, self.obstacles.clone())?;
-        has_particles(rasterized.report_mut().particle_count, &shaped)?;
-        self.enter(Phase::Smooth)?;
+        require_particles(rasterized.report_mut().particle_count, &shaped)?;
+        self.begin(Phase::Smooth)?;
         let token = self.token.clone();
         let smoothed = skin::smooth_while(rasterized, settings, &mut |fraction| {
-            self.advance(Phase::Smooth, fraction);
+            self.report_progress(Phase::Smooth, fraction);
             token.flow()
         });
-        let smoothed = of_flow(smoothed)?;
-        self.enter(Phase::Contour)?;
+        let smoothed = flow_result(smoothed)?;
+        self.begin(Phase::Contour)?;
         let surface = skin::contour_while(smoothed, settings, &[Stored::AsTheyAre], &|| token.flow());
-        Ok((of_flow(surface)?, shaped))
+        Ok((flow_result(surface)?, shaped))
     }
 
-    /// A frame that does not fit into memory.
-    fn in_tiles<'p>(
+    /// Reconstructs a frame in tiles, through scratch storage.
+    fn reconstruct_tiled<'p>(
         &mut self,
-        work: Work<'_, 'p>,
+        work: ShapedFrame<'_, 'p>,
         tile_leaves: i32,
     ) -> Result<(skin::Surface, Shaped<'p>), Error> {
-        let Work { settings, shaped, shaping } = work;
+        let ShapedFrame { settings, shaped, shaping } = work;
         let mut storages: Vec<Box<dyn Storage>> = Vec::new();
         if let Some(make) = &mut self.scratch {
             for _ in 0..SHELF_COUNT {
@@ -325,28 +331,29 @@ impl<'a> Reconstructor<'a> {
         }
         let obstacles = self.obstacles.clone();
         let mut frame = tiled::rasterize(shaped, settings, shaping, obstacles, tile_leaves, storages)
-            .map_err(of_tiles)?;
+            .map_err(tiled_error)?;
         let left = frame.report_mut().particle_count;
-        has_particles(left, frame.source())?;
-        self.enter(Phase::Smooth)?;
-        let frame = tiled::smooth(frame, settings, &mut |fraction| self.advance(Phase::Smooth, fraction));
-        let frame = frame.map_err(of_storage)?;
-        self.enter(Phase::Contour)?;
-        tiled::contour(frame, settings, &[Stored::AsTheyAre]).map_err(of_tiles)
+        require_particles(left, frame.source())?;
+        self.begin(Phase::Smooth)?;
+        let frame =
+            tiled::smooth(frame, settings, &mut |fraction| self.report_progress(Phase::Smooth, fraction));
+        let frame = frame.map_err(storage_error)?;
+        self.begin(Phase::Contour)?;
+        tiled::contour(frame, settings, &[Stored::AsTheyAre]).map_err(tiled_error)
     }
 }
 
-/// Particles where and as the method has them.
+/// Particles with their final positions and shapes.
 type Shaped<'p> = ShapedSource<CancellableParticles<'p>>;
 
-/// What is to be reconstructed.
-struct Work<'s, 'p> {
+/// The input of a reconstruction after its particles got their shapes.
+struct ShapedFrame<'s, 'p> {
     settings: &'s Settings,
     shaped: Shaped<'p>,
     shaping: Shaping,
 }
 
-/// Fills in what the options leave open.
+/// Resolves the options, and measures the spacing if they need it.
 fn resolve(
     options: &Options,
     positions: &Positions<'_>,
@@ -377,8 +384,8 @@ fn check_lengths(positions: &Positions<'_>, attributes: &[Attribute]) -> Result<
     Ok(())
 }
 
-/// Whether the attributes that shape particles are there.
-fn check_present(settings: &Settings, attributes: &[Attribute]) -> Result<(), Error> {
+/// Checks that the attributes that shape particles exist.
+fn check_required_attributes(settings: &Settings, attributes: &[Attribute]) -> Result<(), Error> {
     let radius = settings.own_radii.as_ref().map(|own| (&*own.attribute, 1));
     let velocity = matches!(settings.anisotropy, Anisotropy::Velocity { .. }).then_some(("velocity", 3));
     for (name, arity) in radius.into_iter().chain(velocity) {
@@ -389,23 +396,23 @@ fn check_present(settings: &Settings, attributes: &[Attribute]) -> Result<(), Er
     Ok(())
 }
 
-/// An error where no particle was left.
-fn has_particles(left: usize, shaped: &Shaped<'_>) -> Result<(), Error> {
+/// Fails if no particle is left.
+fn require_particles(left: usize, shaped: &Shaped<'_>) -> Result<(), Error> {
     match left {
         0 => Err(Error::NoParticles { given: shaped.given().positions.len() }),
         _ => Ok(()),
     }
 }
 
-fn of_flow<T>(flow: ControlFlow<Error, T>) -> Result<T, Error> {
+fn flow_result<T>(flow: ControlFlow<Error, T>) -> Result<T, Error> {
     match flow {
         ControlFlow::Continue(value) => Ok(value),
         ControlFlow::Break(error) => Err(error),
     }
 }
 
-/// Storage fails when the token is cancelled, too.
-fn of_storage(error: io::Error) -> Error {
+/// Converts an I/O error, which may come from a cancelled token.
+fn storage_error(error: io::Error) -> Error {
     if error.get_ref().is_some_and(|inner| inner.is::<Error>()) {
         Error::Cancelled
     } else {
@@ -413,15 +420,15 @@ fn of_storage(error: io::Error) -> Error {
     }
 }
 
-fn of_tiles(error: TiledError<Error>) -> Error {
+fn tiled_error(error: TiledError<Error>) -> Error {
     match error {
         TiledError::Source(error) => error,
-        TiledError::Storage(error) => of_storage(error),
+        TiledError::Storage(error) => storage_error(error),
     }
 }
 
-/// The surface as callers get it: with absolute positions.
-fn finished(surface: skin::Surface, settings: Settings) -> Surface {
+/// Converts the mesh to absolute positions.
+fn with_absolute_positions(surface: skin::Surface, settings: Settings) -> Surface {
     let skin::Surface { band, mesh, attributes, report } = surface;
     let Mesh { positions, normals, triangles, origin } = mesh;
     let positions = positions.into_par_iter().map(|position| origin + position.as_dvec3()).collect();

@@ -1,4 +1,4 @@
-//! What each stage measured: plain numbers, filled in by the stages, written out by the pipeline.
+//! What each stage measures: plain numbers that the stages fill in and the pipeline writes.
 
 use glam::DVec3;
 
@@ -8,58 +8,59 @@ pub use crate::surface::obstacle::{ContactTally, DepthTally};
 pub use crate::surface::smooth::Convergence;
 pub use crate::surface::validation::{Certificate, ParticlesOutside};
 
-/// Everything that was measured and checked while a frame was reconstructed. Check `certificate.holds()` before you use a
-/// surface, and `dropped_count` if the input may be damaged.
+/// Everything that was measured and checked while a frame was reconstructed. Check `certificate.holds()`
+/// before you use a surface, and `dropped_count` if the input may be damaged.
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct SkinReport {
-    /// Particles that the surface was made of.
+    /// Number of particles that the surface was made from.
     pub particle_count: usize,
-    /// Particles left out: not finite, outside the grid's range of indices, or so far from the others that 32-bit positions
-    /// cannot hold a surface around them.
+    /// Number of particles left out: not finite, outside the grid's range of indices, or so far from the
+    /// others that 32-bit positions cannot hold a surface around them.
     pub dropped_count: usize,
-    /// About where one of them is, in world units, if any of them is finite.
+    /// Approximate position of one of the dropped particles, world units; `None` if none of them is finite.
     pub stray: Option<DVec3>,
-    /// How particles got their shapes; all zero where they are balls of one size.
+    /// Statistics of particle radii and anisotropy; all zero if all particles are balls of one size.
     pub shaping: Shaping,
-    /// What obstacles changed of the level sets.
+    /// What the obstacles changed in the level sets.
     pub contact: ContactTally,
-    /// How deep vertices are in obstacles.
+    /// How deep vertices lie inside obstacles.
     pub depth: DepthTally,
-    /// What the options for edits changed.
+    /// What islands, cavities, clipping and decimation changed.
     pub edits: EditReport,
-    /// Leaves of 8³ voxels that were stored.
+    /// Number of stored leaves of 8³ voxels.
     pub leaf_count: usize,
-    /// Voxels with |φ| at most 3 voxels after the Laplacian steps: the unknowns of the first biharmonic step.
+    /// Number of voxels with |φ| ≤ 3 voxels after the Laplacian steps: the unknowns of the first biharmonic
+    /// step.
     pub free_voxel_count: usize,
-    /// Passes of the biharmonic operator: at most so many over a voxel.
+    /// Number of passes of the biharmonic operator; a voxel takes part in at most this many.
     pub pass_count: usize,
-    /// How often a free voxel was moved: free voxels times passes, where all have the same number.
+    /// Number of updates of free voxels: free voxels times passes, if every voxel takes part in every pass.
     pub moved_count: u64,
-    /// How far a change of one particle can reach, in voxels; `None` where the integrator couples
-    /// all voxels (conjugate gradients).
+    /// How far a change of one particle can reach, in voxels; `None` if the integrator couples all voxels
+    /// (conjugate gradients).
     pub reach_voxels: Option<u32>,
-    /// Of the conjugate gradients only.
+    /// Convergence of the conjugate gradients; `None` for the other integrators.
     pub convergence: Option<Convergence>,
-    /// Explicit steps whose CFL bound (Eq. 8) was exceeded.
+    /// Number of explicit steps that exceeded the CFL bound (Eq. 8).
     pub cfl_exceeded_count: usize,
-    /// Seconds in each stage, where the caller measured them: the method has no clock.
+    /// Seconds in each stage, if the caller measured them: the method reads no clock.
     pub seconds: StageSeconds,
-    /// What was checked of the result.
+    /// The checks of the result.
     pub certificate: Certificate,
-    /// Vertices that were out of their bounds by more than half a voxel, and were moved back.
+    /// Number of vertices that were more than half a voxel outside their bounds and were moved back.
     pub vertices_returned: usize,
-    /// Triangles without area at the positions that are written, which were taken out.
+    /// Number of triangles removed because they have no area at the positions that are written.
     pub flat_triangles_removed: usize,
     /// ∫H² over the surface, from φ; 4π for a sphere of any size.
     pub bending_energy: f64,
-    /// What was measured on the mesh.
+    /// Measures of the mesh.
     pub mesh: MeshMeasures,
-    /// What the surface got of the particles' attributes, if that was asked for.
+    /// How well the particles' attributes cover the surface; `None` unless attributes were requested.
     pub transfer: Option<TransferReport>,
 }
 
-/// Which attributes the surface got from its particles, and how well they cover it.
+/// The attributes that were interpolated to the surface, and how well the particles cover it.
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
@@ -67,103 +68,104 @@ pub struct TransferReport {
     /// The names of the attributes.
     #[cfg_attr(feature = "serde", serde(rename = "names"))]
     pub attributes: Vec<String>,
-    /// At the vertices.
+    /// Counts for the vertices.
     pub vertices: TransferCounts,
-    /// At the places in the band that voxels have their values from.
+    /// Counts for the positions in the band from which the voxels take their values.
     pub band: TransferCounts,
-    /// Seconds that it took, where the caller measured them.
+    /// Seconds that it took, if the caller measured them.
     pub seconds: f64,
 }
 
-/// A 32-bit number as JSON that has all of its digits.
+/// Serializes an `f32` as a JSON number with all of its digits.
 #[cfg(feature = "serde")]
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
 fn as_f64<S: serde::Serializer>(number: &f32, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_f64(f64::from(*number))
 }
 
-/// How particles got their shapes: by their own radii, by stretching, and by their neighbours. All 0 where the options leave
-/// particles as balls of one size.
+/// How particles got their shapes: from their own radii, from stretching, and from their neighbours. All 0 if
+/// the options leave the particles as balls of one size.
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Shaping {
-    /// Particles whose own r_min the grid could not hold, and which was raised to √3·h.
+    /// Particles whose own r_min is too small for the grid; it was raised to √3·h.
     #[cfg_attr(feature = "serde", serde(rename = "small_radii"))]
     pub small_radius_count: usize,
-    /// r_min of the smallest of them, as it was to be, world units; 0 if there is none.
+    /// The smallest of these r_min before it was raised, world units; 0 if none was raised.
     pub small_radius_min: f64,
-    /// Particles so large that their r_max was lowered to the largest there may be.
+    /// Particles whose r_max was lowered to the largest allowed.
     #[cfg_attr(feature = "serde", serde(rename = "large_radii"))]
     pub large_radius_count: usize,
-    /// Particles whose own radius is none: they have the least.
+    /// Particles whose own radius is invalid; they get the smallest radius.
     #[cfg_attr(feature = "serde", serde(rename = "invalid_radii"))]
     pub invalid_radius_count: usize,
-    /// Particles near the surface, of which neighbours were looked at. The others stay where they were given, and are not
+    /// Particles near the surface, whose neighbours were searched. The others keep their position and are not
     /// stretched by neighbours.
     #[cfg_attr(feature = "serde", serde(rename = "near"))]
     pub near_count: usize,
-    /// Stretched particles with a half axis that the grid could not hold, which was raised to √3·h.
+    /// Stretched particles with a half axis too short for the grid; it was raised to √3·h.
     #[cfg_attr(feature = "serde", serde(rename = "raised"))]
     pub raised_count: usize,
-    /// Particles that were to be stretched and are balls: neighbours too few, or no velocity that is finite.
+    /// Particles that stayed balls although stretching is on: too few neighbours, or no finite velocity.
     #[cfg_attr(feature = "serde", serde(rename = "balls"))]
     pub ball_count: usize,
     /// The longest half axis, in units of the settings' radii.
     #[cfg_attr(feature = "serde", serde(serialize_with = "as_f64"))]
     pub longest: f32,
-    /// Seconds that it took, where the caller measured them; those of rasterization include them.
+    /// Seconds that it took, if the caller measured them; the seconds of rasterization include them.
     pub seconds: f64,
 }
 
-/// What the options for edits changed: islands dropped, cavities filled, what a box clips, triangles saved. All 0 without them.
+/// What the options for edits changed: dropped islands, filled cavities, clipping, decimation. All 0 without
+/// them.
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct EditReport {
-    /// Pieces that were dropped: they had too few particles.
+    /// Pieces that were dropped because they had too few particles.
     #[cfg_attr(feature = "serde", serde(rename = "islands_dropped"))]
     pub island_count: usize,
-    /// The particles in them.
+    /// Number of particles in the dropped pieces.
     #[cfg_attr(feature = "serde", serde(rename = "island_particles"))]
     pub island_particle_count: u64,
-    /// Cavities that were filled.
+    /// Number of cavities that were filled.
     #[cfg_attr(feature = "serde", serde(rename = "cavities_filled"))]
     pub cavity_count: usize,
-    /// Their volume, in voxels.
+    /// Volume of the filled cavities, in voxels.
     #[cfg_attr(feature = "serde", serde(rename = "cavity_volume_voxels"))]
     pub cavity_voxel_count: u64,
-    /// Voxels inside that a box cut off.
+    /// Number of inside voxels that the clip box removed.
     #[cfg_attr(feature = "serde", serde(rename = "clipped_voxels"))]
     pub clipped_voxel_count: u64,
-    /// Triangles that were saved.
+    /// Number of triangles that decimation removed.
     #[cfg_attr(feature = "serde", serde(rename = "triangles_saved"))]
     pub removed_triangle_count: usize,
-    /// How far the mesh may have moved for that, in voxels.
+    /// Upper bound on how far decimation moved the mesh, in voxels.
     pub decimation_error_voxels: f64,
 }
 
-/// The phases of a reconstruction, in their order.
+/// The phases of a reconstruction, in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[non_exhaustive]
 pub enum Phase {
-    /// Checks the input, and estimates the particle spacing where the options need it.
+    /// Checks the input, and estimates the particle spacing if the options need it.
     Prepare,
-    /// Particles to level sets; what neighbours do to the shapes of particles is part of it.
+    /// Converts particles to level sets, including the shapes that neighbours give them.
     Rasterize,
     /// Smooths the level set within its bounds: usually most of the time.
     Smooth,
-    /// Level set to mesh, with its measures and checks.
+    /// Converts the level set to a mesh, measures and checks it.
     Contour,
-    /// Attributes of the particles to the vertices of the mesh.
+    /// Interpolates the particles' attributes at the vertices of the mesh.
     Interpolate,
 }
 
-/// Wall-clock seconds in each stage of the method, where the caller measured them; else 0.
+/// Wall-clock seconds in each stage of the method, if the caller measured them; else 0.
 ///
-/// When several frames are under way in one pool of threads, each has fewer of them than it would have
-/// alone, and a stage that waits for a part of its work may wait for another frame's stage, too. Only of
-/// a frame that runs alone is this the cost.
+/// If several frames run in one thread pool, each gets only a share of it, and a stage that waits for part of
+/// its work may also wait for another frame's stage. The seconds are the cost of a frame only if it runs
+/// alone.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct StageSeconds {
@@ -171,12 +173,12 @@ pub struct StageSeconds {
     pub rasterize: f64,
     /// Laplacian and biharmonic smoothing.
     pub smooth: f64,
-    /// Level set to mesh, and the measures and certificate of the result.
+    /// Level set to mesh, with the measures and the certificate.
     pub contour: f64,
 }
 
 impl StageSeconds {
-    /// All stages together.
+    /// The sum of all stages.
     pub fn total(&self) -> f64 {
         self.rasterize + self.smooth + self.contour
     }

@@ -1,7 +1,7 @@
-//! Numbers and counts as they are told.
+//! Formats numbers and counts for messages.
 
 #[cfg(any(test, feature = "pipeline"))]
-/// So many of something.
+/// A count with its noun, in the plural unless the count is 1.
 pub(crate) fn counted(count: usize, noun: &str) -> String {
     if count == 1 {
         return format!("1 {noun}");
@@ -13,23 +13,24 @@ pub(crate) fn counted(count: usize, noun: &str) -> String {
     }
 }
 
-/// A number to six significant digits, without zeros that say nothing.
+/// A number with six significant digits, without trailing zeros.
 pub(crate) fn significant(value: f64) -> String {
-    // Rounded in decimal digits, and read back: printed again it has no more digits than these.
+    // Round in decimal digits and parse the result: printing it again gives no more digits than these.
     let rounded: f64 = format!("{value:.5e}").parse().unwrap_or(value);
     let is_plain = rounded == 0.0 || !rounded.is_finite() || (1e-4..1e9).contains(&rounded.abs());
     if is_plain { rounded.to_string() } else { format!("{rounded:e}") }
 }
 
+/// A positive number rounded down to three significant digits.
 #[cfg(any(test, feature = "cli"))]
-/// A positive number to three significant digits, and not above it.
 pub(crate) fn rounded_down(value: f64) -> String {
     let near: f64 = format!("{value:.2e}").parse().unwrap_or(value);
     let below = if near > value { near - 10f64.powf(value.log10().floor() - 2.0) } else { near };
     significant(below)
 }
 
-/// Defines an enum whose variants are words of the command line and of files, and the ways to these words and back.
+/// Defines an enum whose variants are words on the command line and in files, with conversions in both
+/// directions.
 macro_rules! word_enum {
     (
         $(#[$attribute:meta])*
@@ -52,7 +53,7 @@ macro_rules! word_enum {
             /// Every variant.
             pub const ALL: &'static [$name] = &[$($name::$variant),+];
 
-            /// The word of the command line and of files.
+            /// The word for this variant on the command line and in files.
             pub fn name(self) -> &'static str {
                 match self {
                     $($name::$variant => $word),+
@@ -83,7 +84,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn voxels_that_hold_a_particle_are_not_rounded_up() {
+    fn rounding_down_never_exceeds_the_number() {
         for (value, expected) in [
             (0.123_456, "0.123"),
             (0.129_999, "0.129"),
@@ -96,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn six_digits_say_enough_at_any_magnitude() {
+    fn significant_keeps_six_digits_at_any_magnitude() {
         for (value, expected) in [
             (0.0, "0"),
             (0.5, "0.5"),
@@ -117,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn counts_agree_with_their_nouns() {
+    fn counted_uses_the_plural_unless_the_count_is_one() {
         assert_eq!(counted(1, "vertex"), "1 vertex");
         assert_eq!(counted(0, "non-manifold vertex"), "0 non-manifold vertices");
         assert_eq!(counted(2, "triangle without area"), "2 triangles without area");

@@ -86,7 +86,7 @@ fn every_command_refuses_voxels_that_are_too_small() {
         &["watch", "in", "--out", "seen", "--once", "--settle", "0s"],
     ] {
         let ran = meniscus(path, &[command, &["--voxel-size", "1e-9"]].concat());
-        let words = "r_max is 230000000 voxels, and 64 are the most: choose a larger voxel size";
+        let words = "r_max is 230000000 voxels; it must be at most 64: choose a larger voxel size";
         assert!(ran.status != 0 && ran.err.contains(words), "{command:?}: {}{}", ran.out, ran.err);
         let ran = meniscus(path, &[command, &["--preset", "paper", "--voxel-size", "1e-9"]].concat());
         assert_ne!(ran.status, 0, "{command:?}: {}{}", ran.out, ran.err);

@@ -1,11 +1,11 @@
-//! Heights of a pool's surface above a grid: its level and its bumps.
+//! Heights of a pool's surface over a grid: its level and its bumps.
 
 use std::collections::BTreeMap;
 
 use glam::{DVec2, DVec3};
 use meniscus_formats::MeshData;
 
-/// The axis against gravity.
+/// The axis opposite to gravity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Up {
     Y,
@@ -13,7 +13,7 @@ pub(super) enum Up {
 }
 
 impl Up {
-    /// Where a point is on the ground, and its height.
+    /// Splits a point into its ground position and its height.
     fn split(self, at: DVec3) -> (DVec2, f64) {
         match self {
             Up::Y => (DVec2::new(at.x, at.z), at.y),
@@ -22,7 +22,7 @@ impl Up {
     }
 }
 
-/// Rays from above, half a spacing apart and three spacings from the walls.
+/// Vertical rays, half a spacing apart and three spacings from the walls.
 pub(super) struct Rays {
     up: Up,
     spacing: f64,
@@ -32,18 +32,19 @@ pub(super) struct Rays {
 }
 
 impl Rays {
-    /// Into a pool with walls at x0, y0, x1, y1 on the ground.
+    /// Rays into a pool with walls at x0, y0, x1, y1 on the ground.
     pub(super) fn new([x0, y0, x1, y1]: [f64; 4], up: Up, spacing: f64) -> Rays {
         let corner = DVec2::new(x0, y0) + 3.0 * spacing;
         let steps = ((DVec2::new(x1, y1) - 3.0 * spacing - corner) / (0.5 * spacing)).floor().as_ivec2();
         Rays { up, spacing, corner, columns: steps.x.max(0) as usize + 1, rows: steps.y.max(0) as usize + 1 }
     }
 
-    /// The mean of the highest particle of each column, and half a spacing above it.
+    /// The mean height of the highest particle of each column, plus half a spacing.
     ///
-    /// Columns are 1.25 spacings wide. Some narrower ones have no particle of the uppermost layer where particles lie
-    /// irregularly: with columns as wide as a spacing the level of the simulated pool is 0.28 spacings below where its
-    /// particles would end if all had their mean density; with these 0.04, and in the jittered pool 0.04 above.
+    /// Columns are 1.25 spacings wide. With irregular particles, some narrower columns have no particle in
+    /// the uppermost layer. With columns of one spacing, the level of the simulated pool is 0.28 spacings
+    /// below the level that its particles would have at their mean density; with these columns it is 0.04
+    /// below, and in the jittered pool 0.04 above.
     pub(super) fn true_level(&self, points: &[DVec3]) -> f64 {
         let size = 0.5 * self.spacing * DVec2::new(self.columns as f64 - 1.0, self.rows as f64 - 1.0);
         let width = size / (size / (1.25 * self.spacing)).floor().max(DVec2::ONE);
@@ -60,7 +61,7 @@ impl Rays {
         highest.values().sum::<f64>() / highest.len().max(1) as f64 + 0.5 * self.spacing
     }
 
-    /// The greatest height of a mesh on each ray; negative infinity where there is none.
+    /// The largest height of a mesh on each ray; negative infinity if the ray misses it.
     pub(super) fn heights(&self, mesh: &MeshData) -> Vec<f64> {
         let mut heights = vec![f64::NEG_INFINITY; self.columns * self.rows];
         for triangle in &mesh.triangles {
@@ -89,7 +90,8 @@ impl Rays {
         heights
     }
 
-    /// What each height with three others on all sides differs by from the mean of the 7 × 7 around it.
+    /// The difference of each height from the mean of the 7 × 7 heights around it, for rays with three others
+    /// on all sides.
     pub(super) fn bumps(&self, heights: &[f64]) -> Vec<f64> {
         let at = |x: usize, y: usize| heights[y * self.columns + x];
         let mut bumps = Vec::new();

@@ -1,4 +1,4 @@
-//! What makes the surfaces.
+//! The programs that make the surfaces.
 
 use std::fs;
 use std::path::PathBuf;
@@ -19,26 +19,26 @@ use crate::surfaces::data;
 pub(super) enum Maker {
     /// This program, with these settings.
     Ours(Vec<(String, String)>),
-    /// splashsurf, with cells of so many spacings.
+    /// splashsurf, with this cell size in spacings.
     Splashsurf { peer: Box<Splashsurf>, post: Post, cell: f64 },
-    /// A program that has left a mesh for each frame in a folder.
+    /// Another program that left a mesh for each frame in a folder.
     Meshes(PathBuf),
 }
 
-/// A surface, and what it took.
-pub(super) struct Made {
+/// A surface and its cost.
+pub(super) struct MadeSurface {
     pub(super) mesh: MeshData,
     pub(super) solid: Solid,
-    /// Voxels times passes of the smoothing; `None` where another program made it.
+    /// Voxels times smoothing passes; `None` if another program made the surface.
     pub(super) voxel_passes: Option<u64>,
-    /// Whether the certificate holds; `None` where another program made it.
+    /// Whether the certificate holds; `None` if another program made the surface.
     pub(super) is_certified: Option<bool>,
     pub(super) seconds: f64,
 }
 
 impl Maker {
-    /// The surface of a frame.
-    pub(super) fn made(&self, set: &Set, frame: &Frame) -> Outcome<Made> {
+    /// Makes the surface of a frame.
+    pub(super) fn make(&self, set: &Set, frame: &Frame) -> Outcome<MadeSurface> {
         let start = Instant::now();
         let (mut voxel_passes, mut is_certified) = (None, None);
         let (mesh, seconds) = match self {
@@ -61,7 +61,7 @@ impl Maker {
             }
         };
         let solid = Solid::new(&mesh.positions, &mesh.triangles);
-        Ok(Made { mesh, solid, voxel_passes, is_certified, seconds })
+        Ok(MadeSurface { mesh, solid, voxel_passes, is_certified, seconds })
     }
 }
 
@@ -75,11 +75,11 @@ fn settings_of(pairs: &[(String, String)], spacing: f64) -> Outcome<Settings> {
         }
     }
     let choices = MethodOptions::from_pairs(texts.iter().map(|(name, value)| (*name, value.as_str())));
-    let choices = choices.ok_or("a setting is unknown, or its value is invalid")?;
+    let choices = choices.ok_or("a setting has an unknown name or an invalid value")?;
     Ok(Settings::resolve(&choices, Some(Measured::from(spacing)))?)
 }
 
-/// What the line `comment seconds S` of the header says.
+/// The value of the line `comment seconds S` in the header.
 fn seconds_in(ply: &[u8]) -> Option<f64> {
     let head = String::from_utf8_lossy(&ply[..ply.len().min(1000)]);
     head.lines().find_map(|line| line.strip_prefix("comment seconds "))?.trim().parse().ok()

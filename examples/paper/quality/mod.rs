@@ -1,4 +1,4 @@
-//! How good surfaces are, in numbers, one line of JSON for each set of particles: what `benches/quality` asks.
+//! Measures the quality of surfaces: one line of JSON per set of particles, for `benches/quality`.
 //!
 //! ```text
 //! cargo run --release --example paper -- quality preset=fluid               ours, on generated particles
@@ -11,8 +11,8 @@
 //! cargo run --release --example paper -- quality meshes=surfaces            and reads .ply meshes of the same names
 //! ```
 //!
-//! Settings are `name=value` as in a file of settings; names that end in `/d` have lengths in particle spacings. All
-//! scores are in particle spacings d, so that they can be compared whatever the grid.
+//! Settings are `name=value` as in a settings file; names that end in `/d` are lengths in particle spacings.
+//! All scores are in particle spacings d, so that they can be compared for any grid.
 
 mod heights;
 mod maker;
@@ -28,33 +28,33 @@ use meniscus_formats::{ParticleFrame, Positions, ply};
 use serde_json::{Map, Value, json};
 
 use crate::splashsurf::{Post, Splashsurf};
-use crate::{Outcome, told};
+use crate::{Outcome, print_progress};
 use maker::Maker;
 use sets::{Set, Sets};
 
-/// Does what the words ask for.
+/// Runs what the arguments ask for.
 pub(crate) fn run(words: &[String]) -> Outcome<()> {
-    let Asked { task, sets } = Asked::new(words)?;
+    let Arguments { task, sets } = Arguments::new(words)?;
     sets.visit(|set| {
         let start = Instant::now();
         let mut found = match &task {
             Task::Score { maker, repeats } => scores::score(maker, *repeats, &set)?,
-            Task::Write(folder) => written(folder, &set)?,
-            Task::Spacings => spacing_found(&set),
+            Task::Write(folder) => write_particles(folder, &set)?,
+            Task::Spacings => estimated_spacing(&set),
         };
         found.insert("data".into(), set.name.into());
         found.insert("seconds_in_all".into(), start.elapsed().as_secs_f64().round().into());
-        told(&Value::Object(found).to_string())
+        print_progress(&Value::Object(found).to_string())
     })
 }
 
-struct Asked {
+struct Arguments {
     task: Task,
     sets: Sets,
 }
 
 enum Task {
-    /// Makes the surfaces and scores them. One frame alone is made several times, for the least of its seconds.
+    /// Makes the surfaces and scores them. A single frame is made several times, for the shortest time.
     Score { maker: Maker, repeats: usize },
     /// Writes the particles of each frame into a folder.
     Write(PathBuf),
@@ -62,8 +62,8 @@ enum Task {
     Spacings,
 }
 
-impl Asked {
-    fn new(words: &[String]) -> Outcome<Asked> {
+impl Arguments {
+    fn new(words: &[String]) -> Outcome<Arguments> {
         let (mut settings, mut peer, mut cell, mut repeats) = (Vec::new(), None, 0.25, 1);
         let (mut other_task, mut meshes) = (None, None);
         let mut sets = Sets::default();
@@ -85,7 +85,7 @@ impl Asked {
                         _ => return Err("splashsurf=plain or splashsurf=post".into()),
                     });
                 }
-                _ if sets.takes(name, value)? => {}
+                _ if sets.parse_argument(name, value)? => {}
                 _ => settings.push((name.to_owned(), value.to_owned())),
             }
         }
@@ -94,12 +94,12 @@ impl Asked {
             (None, Some(post)) => Maker::Splashsurf { peer: Box::new(Splashsurf::find()?), post, cell },
             (None, None) => Maker::Ours(settings),
         };
-        Ok(Asked { task: other_task.unwrap_or(Task::Score { maker, repeats }), sets })
+        Ok(Arguments { task: other_task.unwrap_or(Task::Score { maker, repeats }), sets })
     }
 }
 
-/// Writes each frame, in single precision as other programs read it; the spacing is in the file's header.
-fn written(folder: &PathBuf, set: &Set) -> Outcome<Map<String, Value>> {
+/// Writes each frame in single precision, which other programs read; the header contains the spacing.
+fn write_particles(folder: &PathBuf, set: &Set) -> Outcome<Map<String, Value>> {
     std::fs::create_dir_all(folder)?;
     for frame in &set.frames {
         let positions = frame.points.iter().map(|point| point.as_vec3().to_array()).collect();
@@ -111,8 +111,8 @@ fn written(folder: &PathBuf, set: &Set) -> Outcome<Map<String, Value>> {
     Ok(map(json!({ "frames": set.frames.len() })))
 }
 
-/// The estimate by the first, the middle and the last frame, over the true spacing.
-fn spacing_found(set: &Set) -> Map<String, Value> {
+/// The spacing estimated from the first, middle and last frame, divided by the true spacing.
+fn estimated_spacing(set: &Set) -> Map<String, Value> {
     let last = set.frames.len() - 1;
     let mut indices = vec![0, last / 2, last];
     indices.dedup();
@@ -135,7 +135,7 @@ fn map(value: Value) -> Map<String, Value> {
     }
 }
 
-/// Four digits behind the point.
+/// Four decimal places.
 fn round(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }

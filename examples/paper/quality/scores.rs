@@ -1,4 +1,4 @@
-//! What the surfaces of a set of particles score. All lengths are in particle spacings.
+//! Scores of the surfaces of a set of particles. All lengths are in particle spacings.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 
 use super::heights::Rays;
-use super::maker::{Made, Maker};
+use super::maker::{MadeSurface, Maker};
 use super::sets::{FRAMES, Frame, Kind, Set};
 use super::{map, round};
 use crate::Outcome;
@@ -33,10 +33,11 @@ pub(super) fn score(maker: &Maker, repeats: usize, set: &Set) -> Outcome<Map<Str
     Ok(of_kind)
 }
 
-/// Points on a mesh that flicker is measured at.
+/// Number of points on a mesh at which flicker is measured.
 const POINTS: usize = 4000;
 
-/// Surfaces of a flow are measured at the multiples of this frame: where particles are outside takes longer than the surface.
+/// Surfaces of a flow are measured at multiples of this frame: finding particles outside takes longer than
+/// the surface.
 const MEASURED_EVERY: usize = 50;
 
 /// The flicker of a flow, as in the experiment `flows`.
@@ -50,7 +51,7 @@ fn in_flow(maker: &Maker, set: &Set, flow: Flow, measures: &mut Measures) -> Out
             flow.carry(&mut carried, time(number), time(number + 1));
         }
         before = frame.number;
-        let made = maker.made(set, frame)?;
+        let made = maker.make(set, frame)?;
         if frame.number == 0 {
             carried = on_mesh(&made.mesh, POINTS);
         }
@@ -67,11 +68,11 @@ fn in_flow(maker: &Maker, set: &Set, flow: Flow, measures: &mut Measures) -> Out
     })))
 }
 
-/// The flicker of a simulation, by the motion of its particles: docs/flicker.md.
+/// The flicker of a simulation, from the motion of its particles: docs/flicker.md.
 fn moving(maker: &Maker, set: &Set, seconds: f64, measures: &mut Measures) -> Outcome<Map<String, Value>> {
     let mut frames = Vec::new();
     for frame in &set.frames {
-        let made = maker.made(set, frame)?;
+        let made = maker.make(set, frame)?;
         measures.add_costs(&made);
         measures.add_shape(&made, frame, set.spacing);
         let particles = MovingParticles {
@@ -97,12 +98,12 @@ fn moving(maker: &Maker, set: &Set, seconds: f64, measures: &mut Measures) -> Ou
     })))
 }
 
-/// A frame alone.
+/// A single frame.
 fn still(maker: &Maker, repeats: usize, set: &Set, measures: &mut Measures) -> Outcome<Map<String, Value>> {
     for frame in &set.frames {
-        let mut made = maker.made(set, frame)?;
+        let mut made = maker.make(set, frame)?;
         for _ in 1..repeats {
-            made.seconds = made.seconds.min(maker.made(set, frame)?.seconds);
+            made.seconds = made.seconds.min(maker.make(set, frame)?.seconds);
         }
         measures.add_costs(&made);
         measures.add_shape(&made, frame, set.spacing);
@@ -110,12 +111,12 @@ fn still(maker: &Maker, repeats: usize, set: &Set, measures: &mut Measures) -> O
     Ok(Map::new())
 }
 
-/// The bumps of a pool's surface, how they change from frame to frame, and how far its level is off.
+/// The bumps of a pool's surface, their changes from frame to frame, and the error of its level.
 fn pool(maker: &Maker, set: &Set, rays: &Rays, measures: &mut Measures) -> Outcome<Map<String, Value>> {
     let mut before: Option<Vec<f64>> = None;
     let (mut bumps, mut changes, mut level) = (Vec::new(), Vec::new(), 0.0);
     for frame in &set.frames {
-        let made = maker.made(set, frame)?;
+        let made = maker.make(set, frame)?;
         measures.add_costs(&made);
         measures.add_shape(&made, frame, set.spacing);
         let heights = rays.heights(&made.mesh);
@@ -135,7 +136,7 @@ fn pool(maker: &Maker, set: &Set, rays: &Rays, measures: &mut Measures) -> Outco
     Ok(map(json!({ "bumps": bumps, "flicker": changes, "level_error": level })))
 }
 
-/// Measures of one surface or of several.
+/// Measures of one or more surfaces.
 #[derive(Default)]
 struct Measures {
     bending_energies: Vec<f64>,
@@ -152,28 +153,28 @@ struct Measures {
 }
 
 impl Measures {
-    fn add_costs(&mut self, made: &Made) {
+    fn add_costs(&mut self, made: &MadeSurface) {
         self.voxel_passes.extend(made.voxel_passes.map(|count| count as f64));
         self.seconds.push(made.seconds);
         self.uncertified += usize::from(made.is_certified == Some(false));
     }
 
-    fn add_shape(&mut self, made: &Made, frame: &Frame, spacing: f64) {
+    fn add_shape(&mut self, made: &MadeSurface, frame: &Frame, spacing: f64) {
         let mesh = mesh_of(&made.mesh);
         let whole = mesh.measure();
         self.bending_energies.push(whole.bending_energy);
         self.outer_bending_energies.push(outer_part(&mesh).measure().bending_energy);
         self.volumes.push(whole.volume / (frame.points.len() as f64 * spacing.powi(3)));
         self.component_counts.push(whole.component_count as f64);
-        // The genus of all pieces together.
+        // The total genus of all pieces.
         self.handle_counts.push(whole.component_count as f64 - 0.5 * whole.euler_characteristic as f64);
         self.triangle_counts.push(whole.triangle_count as f64);
-        let (outside, deepest) = left_outside(&made.solid, &frame.points, spacing);
+        let (outside, deepest) = outside_fraction_and_depth(&made.solid, &frame.points, spacing);
         self.outside = self.outside.max(outside);
         self.deepest = self.deepest.max(deepest);
     }
 
-    /// Means; of volumes the least and the greatest, of particles outside the greatest part.
+    /// Means; for volumes the smallest and the largest, for particles outside the largest fraction.
     fn scores(self) -> Map<String, Value> {
         let mean = |values: &[f64]| match values {
             [] => None,
@@ -193,22 +194,22 @@ impl Measures {
     }
 }
 
-/// The part of the particles that is outside, and how deep the deepest is, in spacings.
-fn left_outside(solid: &Solid, points: &[DVec3], spacing: f64) -> (f64, f64) {
+/// The fraction of particles outside, and the depth of the deepest, in spacings.
+fn outside_fraction_and_depth(solid: &Solid, points: &[DVec3], spacing: f64) -> (f64, f64) {
     let depths: Vec<f64> =
         points.par_iter().map(|point| solid.distance(*point).unwrap_or(f64::INFINITY) / spacing).collect();
     let outside = depths.iter().filter(|depth| **depth > 0.0).count();
     (outside as f64 / points.len().max(1) as f64, depths.iter().copied().fold(0.0, f64::max))
 }
 
-/// A mesh of ours, for its measures.
+/// Our mesh type, for its measures.
 fn mesh_of(data: &MeshData) -> Mesh {
     let origin = data.positions.first().map_or(DVec3::ZERO, |at| DVec3::from(*at));
     let positions = data.positions.iter().map(|at| (DVec3::from(*at) - origin).as_vec3()).collect();
     Mesh { positions, normals: Vec::new(), triangles: data.triangles.clone(), origin }
 }
 
-/// The pieces that are around something, and not around a void in it.
+/// The pieces that enclose fluid, without those that bound a cavity.
 fn outer_part(mesh: &Mesh) -> Mesh {
     let mut parent: Vec<usize> = (0..mesh.positions.len()).collect();
     fn root(parent: &mut [usize], mut vertex: usize) -> usize {

@@ -1,4 +1,4 @@
-//! Sets of particles to make surfaces of: generated ones, and frames in files.
+//! Sets of input particles: generated ones, and frames in files.
 
 use std::f64::consts::{PI, TAU};
 use std::fs;
@@ -13,7 +13,7 @@ use crate::Outcome;
 use crate::flow::Flow;
 use crate::samples::{Random, particles_in};
 
-/// Frames of particles that are scored together.
+/// Frames that are scored together.
 pub(super) struct Set {
     pub(super) name: String,
     /// The distance between neighbouring particles at rest, world units.
@@ -29,28 +29,28 @@ pub(super) struct Frame {
     pub(super) motion: Motion,
 }
 
-/// What a file says of the motion of its particles.
+/// The motion data of particles in a file.
 #[derive(Clone, Default)]
 pub(super) struct Motion {
-    /// Which particle is which in other frames.
+    /// The id of each particle, constant over frames.
     pub(super) ids: Option<Vec<i64>>,
     pub(super) velocities: Option<Vec<[f32; 3]>>,
 }
 
-/// What is known of the motion of a set.
+/// The motion of a set.
 pub(super) enum Kind {
-    /// One frame alone.
+    /// A single frame.
     Still,
     /// A known flow carries the particles.
     Flow(Flow),
-    /// The particles have ids, or velocities and so many seconds between two frames.
+    /// The particles have ids, or velocities and this time between two frames.
     Moving { seconds: f64 },
-    /// A pool at rest or nearly so.
+    /// A pool at rest, or nearly.
     Pool { rays: Rays },
 }
 
 impl Set {
-    /// The name of a frame's particles, and of its mesh, where other programs read or write them.
+    /// The file name of a frame's particles, and of its mesh, for other programs.
     pub(super) fn file_name(&self, frame: &Frame) -> String {
         format!("{}.{:04}.ply", self.name.replace(' ', "_"), frame.number)
     }
@@ -64,7 +64,7 @@ impl Set {
 /// Frames of a whole cycle of a flow, as in the experiment `flows`.
 pub(super) const FRAMES: usize = 300;
 
-/// Flows with a lattice of particles, and with particles that are moved from it at random.
+/// Flows with a lattice of particles, and with randomly displaced particles.
 const FLOWS: [(&str, Flow, usize, f64); 8] = [
     ("Enright 500", Flow::Enright, 500, 0.0),
     ("Enright 5000", Flow::Enright, 5_000, 0.0),
@@ -76,26 +76,26 @@ const FLOWS: [(&str, Flow, usize, f64); 8] = [
     ("jittered Enright 50000", Flow::Enright, 50_000, JITTER),
 ];
 
-/// How far particles are moved on each axis, in spacings, at most.
+/// Upper limit of the displacement on each axis, in spacings.
 const JITTER: f64 = 0.25;
 
 const POOL: &str = "jittered pool";
 const STILLS: [(&str, Generate); 3] = [("random ball", random_ball), ("sheet", sheet), ("thread", thread)];
 
-/// Makes particles, and says their spacing.
+/// Generates particles; also returns their spacing.
 type Generate = fn() -> (Vec<DVec3>, f64);
 
-/// The sets that are asked for.
+/// The selected sets.
 pub(super) struct Sets {
-    /// Names of generated sets; `None` for all but those that take long.
+    /// Names of generated sets; `None` for all except slow ones.
     only: Option<Vec<String>>,
-    /// Of flows, three frames in a row around the multiples of this.
+    /// For flows, three consecutive frames around the multiples of this number.
     every: usize,
-    /// A file each, with its spacing.
+    /// Files with their spacing.
     files: Vec<(PathBuf, f64)>,
-    /// A folder each, with the spacing and the seconds between two frames.
+    /// Folders with their spacing and the seconds between two frames.
     moving: Vec<(PathBuf, f64, f64)>,
-    /// A folder each, with the spacing.
+    /// Folders of pools with their spacing.
     pools: Vec<(PathBuf, f64)>,
     /// The walls of the pools in folders.
     walls: [f64; 4],
@@ -110,8 +110,8 @@ impl Default for Sets {
 }
 
 impl Sets {
-    /// Takes in a word about sets; whether it is one.
-    pub(super) fn takes(&mut self, name: &str, value: &str) -> Outcome<bool> {
+    /// Parses an argument. Returns false if it does not select sets.
+    pub(super) fn parse_argument(&mut self, name: &str, value: &str) -> Outcome<bool> {
         let with_number = |value: &str, form: &str| -> Outcome<(PathBuf, f64)> {
             let (path, number) = value.rsplit_once(':').ok_or(form)?;
             Ok((path.into(), number.parse()?))
@@ -122,7 +122,9 @@ impl Sets {
                     value.split(',').filter(|name| !name.is_empty()).map(str::to_owned).collect();
                 let known: Vec<&str> = generated_names().collect();
                 if let Some(unknown) = names.iter().find(|name| !known.contains(&name.as_str())) {
-                    return Err(format!("no set {unknown}; there are: {}", known.join(", ")).into());
+                    return Err(
+                        format!("unknown set {unknown}; expected one of: {}", known.join(", ")).into()
+                    );
                 }
                 self.only = Some(names);
             }
@@ -158,7 +160,7 @@ impl Sets {
         }
     }
 
-    /// Calls this for each set. One at a time is in memory.
+    /// Calls `visitor` for each set. Only one is in memory at a time.
     pub(super) fn visit(&self, mut visitor: impl FnMut(Set) -> Outcome<()>) -> Outcome<()> {
         for (name, flow, count, jitter) in FLOWS.into_iter().filter(|flow| self.wants(flow.0)) {
             visitor(in_flow(name, flow, count, jitter, self.every))?;
@@ -206,17 +208,17 @@ fn in_flow(name: &str, flow: Flow, count: usize, jitter: f64, every: usize) -> S
     Set { name: name.into(), spacing, frames, kind: Kind::Flow(flow) }
 }
 
-/// From −1 to 1 on each axis.
+/// A vector with components from −1 to 1.
 fn random_offset(random: &mut Random) -> DVec3 {
     DVec3::from_array([(); 3].map(|()| 2.0 * random.unit() - 1.0))
 }
 
-/// How many particles are along the edges of the jittered pool.
+/// Number of particles along the edges of the jittered pool.
 const POOL_SIZE: IVec3 = IVec3::new(28, 28, 8);
 
 const POOL_FRAMES: usize = 8;
 
-/// A lattice in which each particle has another random place in each frame.
+/// A lattice in which each particle has a new random displacement in each frame.
 fn jittered_pool() -> Set {
     let frame = |number: usize| {
         let mut random = Random::new(100 + number as u64);
@@ -236,7 +238,7 @@ fn jittered_pool() -> Set {
     Set { name: POOL.into(), spacing: 1.0, frames: (0..POOL_FRAMES).map(frame).collect(), kind }
 }
 
-/// 50 000 particles anywhere in a ball. The spacing is the edge of the cube that each stands for.
+/// 50 000 random particles in a ball. The spacing is the edge of a cube with the volume per particle.
 fn random_ball() -> (Vec<DVec3>, f64) {
     let mut random = Random::new(12);
     let points: Vec<DVec3> = (0..50_000).map(|_| random.in_ball(1.0)).collect();
@@ -244,7 +246,7 @@ fn random_ball() -> (Vec<DVec3>, f64) {
     (points, spacing)
 }
 
-/// A wavy sheet of 40 by 40 particles, all 1 from their neighbours along the sheet.
+/// A wavy sheet of 40 by 40 particles, each 1 from its neighbours along the sheet.
 fn sheet() -> (Vec<DVec3>, f64) {
     const COUNT: usize = 40;
     const STEPS: usize = 64;
@@ -262,7 +264,7 @@ fn sheet() -> (Vec<DVec3>, f64) {
     (points, 1.0)
 }
 
-/// A helix of 200 particles, all 1 from their neighbours along the thread.
+/// A helix of 200 particles, each 1 from its neighbours along the thread.
 fn thread() -> (Vec<DVec3>, f64) {
     let (radius, rise_per_radian) = (6.0, 1.0);
     let step = 1.0 / f64::hypot(radius, rise_per_radian);
@@ -277,7 +279,7 @@ fn stem_of(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// All frames in a folder, by the lengths of their names first: the numbers of some have no leading zeros.
+/// All frames in a folder, sorted by the length of their names first: some numbers have no leading zeros.
 fn frames_in(folder: &Path) -> Outcome<Vec<Frame>> {
     let mut paths: Vec<PathBuf> =
         fs::read_dir(folder)?.map(|entry| entry.map(|entry| entry.path())).collect::<Result<_, _>>()?;
@@ -299,7 +301,7 @@ fn frame_in(path: &Path, number: usize) -> Outcome<Frame> {
     Ok(Frame { number, points, motion: Motion { ids, velocities } })
 }
 
-/// The values of an attribute of integers, as simulators write ids.
+/// The values of an integer attribute, as simulators write ids.
 fn integers(attribute: &Attribute) -> Option<Vec<i64>> {
     match &attribute.values {
         Values::I32(numbers) => Some(numbers.iter().map(|&number| number.into()).collect()),
@@ -308,7 +310,7 @@ fn integers(attribute: &Attribute) -> Option<Vec<i64>> {
     }
 }
 
-/// The values of an attribute of three single-precision numbers, as simulators write velocities.
+/// The values of a 3-vector attribute in single precision, as simulators write velocities.
 fn vectors(attribute: &Attribute) -> Option<Vec<[f32; 3]>> {
     match &attribute.values {
         Values::F32(numbers) if attribute.arity == 3 => Some(numbers.as_chunks::<3>().0.to_vec()),

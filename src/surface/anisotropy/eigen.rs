@@ -1,28 +1,28 @@
-//! Eigenvalues and eigenvectors of eight symmetric 3×3 matrices at once, by Jacobi's rotations.
+//! Eigenvalues and eigenvectors of eight symmetric 3×3 matrices at once, by Jacobi rotations.
 //!
 //! ```text
-//!   ⎡xx xy xz⎤    each rotation makes one of xy, xz and yz zero and the other two smaller than they were
-//!   ⎢xy yy yz⎥    together; after each sweep of three there are about twice as many digits
+//!   ⎡xx xy xz⎤    each rotation makes one of xy, xz and yz zero and shrinks the sum of the squares of
+//!   ⎢xy yy yz⎥    all three; each sweep of three rotations about doubles the number of correct digits
 //!   ⎣xz yz zz⎦
 //! ```
 //!
-//! No branch, no trigonometry and always as many rotations: so eight matrices take little more time than one, all
-//! processors agree, and equal eigenvalues are no special case.
+//! There are no branches, no trigonometry, and a fixed number of rotations: so eight matrices take little
+//! more time than one, all processors agree, and equal eigenvalues need no special case.
 //!
 //! This work is based on:
 //! William Press et al. Numerical Recipes, section 11.1. 2007
 
 use crate::surface::simd::Lanes;
 
-/// Eigenvalues, and eigenvectors of length 1 that are orthogonal.
+/// Eigenvalues and orthonormal eigenvectors.
 pub(super) struct Eigen<V> {
-    /// In no order.
+    /// In no particular order.
     pub(super) values: [V; 3],
-    /// x, y and z of the vector for each.
+    /// x, y and z of the vector of each eigenvalue.
     pub(super) vectors: [[V; 3]; 3],
 }
 
-/// The eigenvalues and eigenvectors of matrices with entries xx, yy, zz, xy, xz and yz about 1 or smaller.
+/// Decomposes matrices with entries xx, yy, zz, xy, xz and yz of about 1 or smaller.
 #[inline(always)]
 pub(super) fn eigen<V: Lanes>(matrix: [V; 6]) -> Eigen<V> {
     let [mut xx, mut yy, mut zz, mut xy, mut xz, mut yz] = matrix;
@@ -36,17 +36,17 @@ pub(super) fn eigen<V: Lanes>(matrix: [V; 6]) -> Eigen<V> {
     Eigen { values: [xx, yy, zz], vectors: [x, y, z] }
 }
 
-/// What is off the diagonal is then lost in rounding, whatever the matrix.
+/// Number of sweeps; then the entries off the diagonal are smaller than the rounding error, for any matrix.
 const SWEEP_COUNT: usize = 5;
 
-/// Makes `pq` zero by a rotation of the axes p and q. `others` are the entries that p and q have with the third axis.
-/// Returns pp and qq.
+/// Makes `pq` zero by a rotation of the axes p and q. `others` are the entries of p and q with the third
+/// axis. Returns pp and qq.
 #[inline(always)]
 fn rotate<V: Lanes>(pp: V, qq: V, pq: &mut V, others: [&mut V; 2], axes: [&mut [V; 3]; 2]) -> (V, V) {
     let apart = qq.sub(pp);
     let twice = pq.add(*pq);
     let root = apart.mul(apart).add(twice.mul(twice)).sqrt();
-    // Nothing to rotate where this is zero: then so is `twice`.
+    // If this is zero, so is `twice`, and there is nothing to rotate.
     let sum = apart.abs().add(root).max(V::splat(f32::MIN_POSITIVE));
     let tangent = twice.div(sum).mul(V::splat(1.0).copysign(apart));
     let cosine = V::splat(1.0).div(V::splat(1.0).add(tangent.mul(tangent)).sqrt());
@@ -54,16 +54,16 @@ fn rotate<V: Lanes>(pp: V, qq: V, pq: &mut V, others: [&mut V; 2], axes: [&mut [
     let moved = tangent.mul(*pq);
     *pq = V::splat(0.0);
     let [pr, qr] = others;
-    turn(pr, qr, cosine, sine);
+    rotate_pair(pr, qr, cosine, sine);
     let [p, q] = axes;
     for axis in 0..3 {
-        turn(&mut p[axis], &mut q[axis], cosine, sine);
+        rotate_pair(&mut p[axis], &mut q[axis], cosine, sine);
     }
     (pp.sub(moved), qq.add(moved))
 }
 
 #[inline(always)]
-fn turn<V: Lanes>(p: &mut V, q: &mut V, cosine: V, sine: V) {
+fn rotate_pair<V: Lanes>(p: &mut V, q: &mut V, cosine: V, sine: V) {
     let (before_p, before_q) = (*p, *q);
     *p = cosine.mul(before_p).sub(sine.mul(before_q));
     *q = sine.mul(before_p).add(cosine.mul(before_q));
@@ -97,7 +97,7 @@ mod tests {
         }
     }
 
-    /// How far what is found is from what it should be: M·v from λ·v, and the vectors from orthogonal ones of length 1.
+    /// The largest error: of M·v against λ·v, and of the vectors against orthonormal ones.
     fn error(matrices: [[f32; 8]; 6], level: Level) -> f64 {
         let rows = dispatch_at(level, Decompose(matrices));
         let mut error = 0f64;
@@ -121,14 +121,14 @@ mod tests {
     }
 
     #[test]
-    fn vectors_are_turned_into_multiples_of_themselves() {
+    fn eigenvectors_map_to_multiples_of_themselves() {
         let mut state = 5u32;
         let mut random = || {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
             (state >> 8) as f32 / (1 << 23) as f32 - 1.0
         };
         for round in 0..2000 {
-            // From full matrices to all but diagonal ones, and some in which entries are equal.
+            // From full matrices to nearly diagonal ones; some have equal entries.
             let off = 0.3f32.powi(round % 40);
             let mut matrices: [[f32; 8]; 6] = std::array::from_fn(|entry| {
                 std::array::from_fn(|_| if entry < 3 { random() } else { off * random() })
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_rotated_is_left() {
+    fn diagonal_matrices_stay_unchanged() {
         let tiny = f32::MIN_POSITIVE;
         let cases = [[0.0; 6], [1.0, 1.0, 1.0, 0.0, 0.0, 0.0], [0.5, 0.5, 0.5, tiny, -tiny, 1e-20], [1.0; 6]];
         for entries in cases {

@@ -1,21 +1,21 @@
-//! From moments to ellipsoids, eight particles at a time.
+//! Converts moments to ellipsoids, eight particles at a time.
 //!
 //! ```text
 //!   moments ──▶ covariance ──▶ eigenvalues λ ──▶ √λ ──▶ limit ──▶ volume ──▶ blend ──▶ scale ──▶ floor ──▶ ellipsoid
 //! ```
 //!
-//! - **√λ**: half axes are as the square roots of the eigenvalues, that is as how far the neighbours spread along each
-//!   direction: a particle has the shape of its neighbourhood. (Yu and Turk, Eq. 16, take the eigenvalues
-//!   themselves, which is twice the stretch on a logarithmic scale.)
-//! - **Limit**: none is shorter than the longest divided by `max_stretch` (their k_r, Eq. 15).
-//! - **Volume**: all are divided by the cube root of their product (in place of their k_s).
-//! - **Blend**: where neighbours are few, by the sum of their weights, the ellipsoid passes into a ball. (In place of their
-//!   N_ε, a number of neighbours at which shapes would jump from one frame to the next.)
+//! - **√λ**: half axes are proportional to the square roots of the eigenvalues, that is, to the spread of the
+//!   neighbours along each direction: a particle gets the shape of its neighbourhood. (Yu and Turk, Eq. 16,
+//!   use the eigenvalues themselves, which is twice the stretch on a logarithmic scale.)
+//! - **Limit**: no half axis is shorter than the longest divided by `max_stretch` (their k_r, Eq. 15).
+//! - **Volume**: all are divided by the cube root of their product (instead of their k_s).
+//! - **Blend**: with few neighbours, measured by the sum of their weights, the ellipsoid blends into a ball.
+//!   (Instead of their N_ε, a number of neighbours at which shapes would jump from one frame to the next.)
 //!
 //! ```text
-//!   part of the ellipsoid
+//!   share of the ellipsoid
 //!     1 │       ╱▔▔▔▔▔▔
-//!       │     ╱                  1: a pair has no shape of its own, wherever it is
+//!       │     ╱                  1: a pair of particles is too few for a shape
 //!     0 │▁▁▁▁╱▁▁▁▁▁▁▁▁▁ weight   4: a tenth of a full neighbourhood, as 25 are of Yu and Turk's 270 or so
 //!            1   4
 //! ```
@@ -27,51 +27,51 @@ use super::neighborhoods::Stretch;
 use crate::surface::particles::Ellipsoid;
 use crate::surface::simd::Lanes;
 
-/// Weights of neighbours up to which a particle is a ball.
+/// Up to this sum of neighbour weights a particle is a ball.
 const WEIGHT_NONE: f32 = 1.0;
 
-/// Weights of neighbours from which on it is all ellipsoid. At a radius of 2.6 spacings a particle has 36 inside, 24
-/// at a plane surface, 12 in a sheet, 7 at the edge of a sheet and 3 in a line.
+/// From this sum of neighbour weights on, the ellipsoid is not blended. At a radius of 2.6 spacings the sum
+/// is 36 inside, 24 at a plane surface, 12 in a sheet, 7 at the edge of a sheet and 3 in a line.
 const WEIGHT_FULL: f32 = 4.0;
 
-/// Added to each eigenvalue, in units of the squared radius. So a heap of particles in one place is a ball, and not of the
-/// shape of what was lost in rounding. No half axis is then more than about 50 times another.
+/// Added to each eigenvalue, in units of the squared radius. Many particles at one point therefore give a
+/// ball, and not the shape of rounding errors. No half axis is then more than about 50 times another.
 const SPREAD_MIN: f32 = 1e-4;
 
-/// Eight particles.
-pub(super) struct Eights {
+/// The shapes of eight particles.
+pub(super) struct Shapes8 {
     pub(super) shapes: [Ellipsoid; 8],
-    /// Those of which a half axis was raised, as bits.
+    /// Mask of the particles with a raised half axis.
     pub(super) raised: u8,
-    /// Those that are balls, for want of neighbours.
+    /// Mask of the particles that are balls because they have too few neighbours.
     pub(super) balls: u8,
 }
 
-/// The shapes of eight particles, from their moments and their scales.
+/// Computes the shapes of eight particles from their moments and scales.
 #[inline(always)]
 pub(super) fn shapes<V: Lanes>(
     moments: &[[f32; 8]; MOMENT_COUNT],
     scales: &[f32; 8],
     limits: Stretch,
-) -> Eights {
+) -> Shapes8 {
     let covariance = covariance::<V>(moments);
     let Eigen { values, vectors } = eigen(covariance);
-    // Each particle is among those around it, with a weight of 1.
+    // Each particle is one of its own neighbours, with a weight of 1.
     let neighbors = V::load(&moments[0]).sub(V::splat(1.0 + WEIGHT_NONE));
     let part = neighbors.mul(V::splat(1.0 / (WEIGHT_FULL - WEIGHT_NONE)));
     let part = part.max(V::splat(0.0)).min(V::splat(1.0));
     let half_axes = blended(limited(values, limits.max_stretch), part);
     let (half_axes, is_raised) = scaled(half_axes, part, V::load(scales), limits);
     let is_ball = V::not(V::splat(0.0).lt(part));
-    Eights {
+    Shapes8 {
         shapes: ellipsoids(half_axes, vectors, V::bits(is_ball)),
         raised: V::bits(is_raised),
         balls: V::bits(is_ball),
     }
 }
 
-/// The mean of what is around each of eight particles, relative to it, in units of the radius: x, y and z. Of the
-/// moments the first four are taken.
+/// The mean position of the neighbours of each of eight particles, relative to it, in units of the radius: x,
+/// y and z. Uses the first four moments.
 #[inline(always)]
 pub(super) fn means<V: Lanes>(moments: &[[f32; 8]]) -> [[f32; 8]; 3] {
     let (mean, _) = mean_and_weight::<V>(moments);
@@ -82,10 +82,10 @@ pub(super) fn means<V: Lanes>(moments: &[[f32; 8]]) -> [[f32; 8]; 3] {
     means
 }
 
-/// The mean (Yu and Turk, Eq. 10), and what a sum is multiplied by to be a mean.
+/// The mean (Yu and Turk, Eq. 10), and the factor that turns a sum into a mean.
 #[inline(always)]
 fn mean_and_weight<V: Lanes>(moments: &[[f32; 8]]) -> ([V; 3], V) {
-    // A particle weighs 1 by itself. Only where some stand for all it may not be there.
+    // Each particle itself contributes a weight of 1, unless the sample of a crowded cell left it out.
     let by_weight = V::splat(1.0).div(V::load(&moments[0]).max(V::splat(1.0)));
     let mut means = [V::splat(0.0); 3];
     for (mean, moment) in means.iter_mut().zip(&moments[1..4]) {
@@ -109,7 +109,7 @@ fn covariance<V: Lanes>(moments: &[[f32; 8]; MOMENT_COUNT]) -> [V; 6] {
     covariance
 }
 
-/// Half axes of product 1, none of them more than `max_stretch` times another.
+/// Scales half axes to a product of 1, and limits their ratio to `max_stretch`.
 #[inline(always)]
 fn limited<V: Lanes>(eigenvalues: [V; 3], max_stretch: f32) -> [V; 3] {
     let mut half_axes = eigenvalues;
@@ -118,15 +118,16 @@ fn limited<V: Lanes>(eigenvalues: [V; 3], max_stretch: f32) -> [V; 3] {
     }
     let [a, b, c] = half_axes;
     let least = a.max(b).max(c).mul(V::splat(1.0 / max_stretch));
-    of_volume_one([a.max(least), b.max(least), c.max(least)])
+    with_unit_volume([a.max(least), b.max(least), c.max(least)])
 }
 
-/// Half axes of product 1 between a ball's and these. Their stretch is between 1 and that of these.
+/// Blends half axes of product 1 with those of a ball; the product stays 1, and the stretch is between 1 and
+/// theirs.
 #[inline(always)]
 fn blended<V: Lanes>(half_axes: [V; 3], part: V) -> [V; 3] {
     let one = V::splat(1.0);
     let [a, b, c] = half_axes;
-    of_volume_one([
+    with_unit_volume([
         one.add(part.mul(a.sub(one))),
         one.add(part.mul(b.sub(one))),
         one.add(part.mul(c.sub(one))),
@@ -134,7 +135,7 @@ fn blended<V: Lanes>(half_axes: [V; 3], part: V) -> [V; 3] {
 }
 
 #[inline(always)]
-fn of_volume_one<V: Lanes>(half_axes: [V; 3]) -> [V; 3] {
+fn with_unit_volume<V: Lanes>(half_axes: [V; 3]) -> [V; 3] {
     let [a, b, c] = half_axes;
     let mut row = [0.0; 8];
     a.mul(b).mul(c).store(&mut row);
@@ -145,8 +146,8 @@ fn of_volume_one<V: Lanes>(half_axes: [V; 3]) -> [V; 3] {
     [a.div(root), b.div(root), c.div(root)]
 }
 
-/// The half axes times the scale, but none below the floor; and where one had to be raised. The fewer neighbours there are,
-/// the more scale and floor are those of lone particles.
+/// Multiplies half axes by the scale and raises those below the floor; also returns which particles had one
+/// raised. With fewer neighbours, scale and floor approach those of lone particles.
 #[inline(always)]
 fn scaled<V: Lanes>(half_axes: [V; 3], part: V, scale: V, limits: Stretch) -> ([V; 3], V::Mask) {
     let is_ball = V::not(V::splat(0.0).lt(part));
@@ -155,7 +156,7 @@ fn scaled<V: Lanes>(half_axes: [V; 3], part: V, scale: V, limits: Stretch) -> ([
     let scale = scale.mul(between(limits.lone, 1.0));
     let [mut a, mut b, mut c] = half_axes;
     for half_axis in [&mut a, &mut b, &mut c] {
-        // Not to rounding, for a ball.
+        // Avoids rounding errors for balls.
         *half_axis = V::select(is_ball, scale, half_axis.mul(scale));
     }
     let is_raised = a.min(b).min(c).lt(floor.mul(V::splat(RAISED_BELOW)));
@@ -193,9 +194,9 @@ fn ellipsoids<V: Lanes>(half_axes: [V; 3], vectors: [[V; 3]; 3], balls: u8) -> [
     shapes
 }
 
-/// The cube root of a positive number that is not tiny, to the last bit or two: a guess from the exponent, and two steps
-/// of Halley's, each of which makes three digits of one. The same on all processors, which of the one in libraries
-/// nobody says.
+/// The cube root of a positive number that is not tiny, to the last bit or two: a guess from the exponent,
+/// and two Halley steps, each of which triples the number of correct digits. It is the same on all
+/// processors; libraries do not guarantee that.
 #[inline(always)]
 pub(super) fn cube_root(value: f32) -> f32 {
     let mut root = f32::from_bits(value.to_bits() / 3 + 0x2a51_19f2);
@@ -211,7 +212,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cube_roots_are_right_to_the_last_bits() {
+    fn cube_roots_are_accurate_to_the_last_bits() {
         let mut value = 1e-12f32;
         while value < 1e12 {
             let expected = f64::from(value).cbrt();

@@ -1,30 +1,30 @@
-//! Weighted moments of the particles around each particle.
+//! Weighted moments of the neighbours of each particle.
 //!
 //! ```text
 //!   surroundings   ∙∙∙∙∙∙∙∙ ∙∙∙∙∙∙∙∙ ∙∙∙∙∙∙∙∙       squared distances, eight at a time
 //!                   ╲ ╲   ╱   │   ╱   ╱
-//!   within          ∙∙∙∙∙∙∙∙ ∙∙∙                    one after the other: and here the sums are taken
+//!   within          ∙∙∙∙∙∙∙∙ ∙∙∙                    compacted, then summed
 //! ```
 //!
-//! What is beyond the radius is not multiplied by zero but left out: so it does not even decide which numbers are
-//! added to which, and cannot change the last bit of a sum.
+//! Particles beyond the radius are left out, not multiplied by zero. So they do not even affect which numbers
+//! are added to which, and cannot change the last bit of a sum.
 //!
-//! With w = 1 − (d/R)³ (Yu and Turk 2010, Eq. 11) the sums are W = Σ w, Σ w·(x − p) and Σ w·(x − p)(x − p)ᵀ for a
-//! particle at p, itself among the particles x. Relative to p they are small numbers: mean and covariance
-//! (Eq. 9 and 10) come out of them without loss.
+//! With w = 1 − (d/R)³ (Yu and Turk 2010, Eq. 11) the sums are W = Σ w, Σ w·(x − p) and Σ w·(x − p)(x − p)ᵀ
+//! for a particle at p, which is one of the particles x. Relative to p these are small numbers, so mean and
+//! covariance (Eq. 9 and 10) lose no precision.
 
 use glam::Vec3;
 
 use crate::surface::neighbors::Eight;
 use crate::surface::simd::Lanes;
 
-/// Sums: W; those of w·x, w·y and w·z; those of w·xx, w·yy, w·zz, w·xy, w·xz and w·yz.
+/// Number of sums: W; those of w·x, w·y and w·z; those of w·xx, w·yy, w·zz, w·xy, w·xz and w·yz.
 pub(super) const MOMENT_COUNT: usize = 10;
 
-/// The first of them, which are enough for means.
+/// Number of the first sums that are enough for means.
 pub(super) const MEAN_COUNT: usize = 4;
 
-/// The first `COUNT` moments around a particle at `at`, in units of the radius. `within` is memory to work in.
+/// The first `COUNT` moments around a particle at `at`, in units of the radius. `within` is a buffer.
 #[inline(always)]
 pub(super) fn moments<V: Lanes, const COUNT: usize>(
     eights: &[Eight],
@@ -34,13 +34,13 @@ pub(super) fn moments<V: Lanes, const COUNT: usize>(
     let count = find_within::<V>(eights, at, within);
     let (full, rest) = within[..count].as_chunks::<8>();
     let mut sums = [V::splat(0.0); COUNT];
-    for places in full {
-        let mut particles = Particles::NONE;
-        particles.take(eights, places);
+    for indices in full {
+        let mut particles = ParticlePacket::NONE;
+        particles.take(eights, indices);
         add_moments(&mut sums, &particles, at);
     }
     if !rest.is_empty() {
-        let mut particles = Particles::NONE;
+        let mut particles = ParticlePacket::NONE;
         particles.take(eights, rest);
         add_moments(&mut sums, &particles, at);
     }
@@ -51,10 +51,10 @@ pub(super) fn moments<V: Lanes, const COUNT: usize>(
     moments
 }
 
-/// Writes the places of the particles within the radius to the front of `within`. Returns how many they are.
+/// Writes the indices of the particles within the radius to the front of `within`. Returns their number.
 #[inline(always)]
 fn find_within<V: Lanes>(eights: &[Eight], at: Vec3, within: &mut Vec<u32>) -> usize {
-    // Eight are written at once, of which some count.
+    // Eight are written at once, of which only some count.
     within.resize(8 * eights.len() + 8, 0);
     let [x, y, z] = [V::splat(at.x), V::splat(at.y), V::splat(at.z)];
     let mut count = 0;
@@ -65,63 +65,63 @@ fn find_within<V: Lanes>(eights: &[Eight], at: Vec3, within: &mut Vec<u32>) -> u
         let squared = dx.mul(dx).add(dy.mul(dy)).add(dz.mul(dz));
         let bits = V::bits(squared.lt(V::splat(1.0)));
         let Some(next) = within[count..].first_chunk_mut::<8>() else { break };
-        for (next, place) in next.iter_mut().zip(PLACES[usize::from(bits)]) {
-            *next = 8 * index as u32 + place;
+        for (next, bit) in next.iter_mut().zip(SET_BITS[usize::from(bits)]) {
+            *next = 8 * index as u32 + bit;
         }
         count += bits.count_ones() as usize;
     }
     count
 }
 
-/// For eight bits the places of those that are set, from the lowest on.
-static PLACES: [[u32; 8]; 256] = places();
+/// For each 8-bit mask, the positions of its set bits in ascending order.
+static SET_BITS: [[u32; 8]; 256] = set_bits();
 
-const fn places() -> [[u32; 8]; 256] {
-    let mut places = [[0; 8]; 256];
+const fn set_bits() -> [[u32; 8]; 256] {
+    let mut table = [[0; 8]; 256];
     let mut bits = 0;
     while bits < 256 {
-        let (mut place, mut count) = (0, 0);
-        while place < 8 {
-            if bits >> place & 1 == 1 {
-                places[bits][count] = place;
+        let (mut bit, mut count) = (0, 0);
+        while bit < 8 {
+            if bits >> bit & 1 == 1 {
+                table[bits][count] = bit;
                 count += 1;
             }
-            place += 1;
+            bit += 1;
         }
         bits += 1;
     }
-    places
+    table
 }
 
-/// Eight particles from anywhere. Where there are fewer, the others stand for none.
-struct Particles {
+/// Eight particles from arbitrary positions. Unused lanes have a multiplicity of 0.
+struct ParticlePacket {
     along: [[f32; 8]; 3],
-    stands_for: [f32; 8],
+    multiplicity: [f32; 8],
 }
 
-impl Particles {
-    const NONE: Particles = Particles { along: [[0.0; 8]; 3], stands_for: [0.0; 8] };
+impl ParticlePacket {
+    const NONE: ParticlePacket = ParticlePacket { along: [[0.0; 8]; 3], multiplicity: [0.0; 8] };
 
     #[inline(always)]
-    fn take(&mut self, eights: &[Eight], places: &[u32]) {
-        for (k, &place) in places.iter().enumerate().take(8) {
-            let (eight, lane) = (&eights[place as usize / 8], place as usize % 8);
+    fn take(&mut self, eights: &[Eight], indices: &[u32]) {
+        for (k, &index) in indices.iter().enumerate().take(8) {
+            let (eight, lane) = (&eights[index as usize / 8], index as usize % 8);
             for axis in 0..3 {
                 self.along[axis][k] = eight.along[axis][lane];
             }
-            self.stands_for[k] = eight.stands_for[lane];
+            self.multiplicity[k] = eight.multiplicity[lane];
         }
     }
 }
 
 #[inline(always)]
-fn add_moments<V: Lanes, const COUNT: usize>(sums: &mut [V; COUNT], particles: &Particles, at: Vec3) {
+fn add_moments<V: Lanes, const COUNT: usize>(sums: &mut [V; COUNT], particles: &ParticlePacket, at: Vec3) {
     let dx = V::load(&particles.along[0]).sub(V::splat(at.x));
     let dy = V::load(&particles.along[1]).sub(V::splat(at.y));
     let dz = V::load(&particles.along[2]).sub(V::splat(at.z));
     let squared = dx.mul(dx).add(dy.mul(dy)).add(dz.mul(dz));
     let fallen = V::splat(1.0).sub(squared.mul(squared.sqrt()));
-    let weight = fallen.mul(V::load(&particles.stands_for));
+    let weight = fallen.mul(V::load(&particles.multiplicity));
     let (x, y, z) = (weight.mul(dx), weight.mul(dy), weight.mul(dz));
     let terms = [weight, x, y, z, x.mul(dx), y.mul(dy), z.mul(dz), x.mul(dy), x.mul(dz), y.mul(dz)];
     for (sum, term) in sums.iter_mut().zip(terms) {

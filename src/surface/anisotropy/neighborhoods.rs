@@ -1,23 +1,23 @@
-//! Shapes from the particles around each: those of a sheet are flat, those of a thread long, those inside balls.
+//! Shapes from the neighbours of each particle: flat in a sheet, long in a thread, balls inside a body.
 //!
 //! ```text
 //!        ∙ ∙ ∙           w(d) = 1 − (d/R)³, 0 from R on
 //!      ∙  ∙   ∙
-//!     ∙  ∙ ●──∙─── R     covariance of the particles within R, each with its weight, around their mean
+//!     ∙  ∙ ●──∙─── R     weighted covariance of the particles within R, around their mean
 //!      ∙   ∙  ∙
-//!        ∙ ∙             ● itself is among them
+//!        ∙ ∙             including ● itself
 //! ```
 //!
-//! At the plane surface of a solid the particles within R are on one side: they spread half as far outward as along
-//! the surface, and what is there is flattened to 0.56.
+//! At the plane surface of a body, the particles within R are on one side: they spread half as far outward as
+//! along the surface, and the particle is flattened to 0.56.
 //!
-//! Where particles are moved, it is toward the mean of those around them (Yu and Turk, Eq. 6). Shapes are always those of
-//! the particles as they were, as theirs are: one search does for both, and a particle depends on what is within R and
-//! on nothing else.
+//! Position smoothing moves particles toward the mean of their neighbours (Yu and Turk, Eq. 6). As in their
+//! method, shapes are computed from the unmoved particles: one search serves both, and a particle depends
+//! only on particles within R.
 //!
-//! Particles come by the cell of a grid whose edge is R, and the work is dealt out by their number, whatever cells they
-//! are in. Where cells hold more than [`CELL_MAX`] particles only so many of each are looked at, here and there: then
-//! shapes depend on which particles there are in all cells that meet the ball of radius R.
+//! Particles are sorted by cells of a grid with edge R, and the work is divided by the number of particles,
+//! not by cells. In cells with more than [`CELL_MAX`] particles only a sample is used. Shapes then depend on
+//! which particles are in all cells that intersect the ball of radius R.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -29,52 +29,53 @@ use crate::surface::neighbors::{Neighbors, Surroundings};
 use crate::surface::particles::{Ellipsoid, Particles};
 use crate::surface::simd::{Kernel, Lanes, Level, dispatch_at};
 
-/// How neighbours make shapes.
+/// How neighbours shape particles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NeighborConfig {
-    /// R: particles farther away do not matter. World units, positive.
+    /// R: particles farther away are not neighbours. World units, positive.
     pub radius_world: f64,
-    /// How particles are stretched; `None` where only means are wanted.
+    /// How particles are stretched; `None` if only means are needed.
     pub stretch: Option<Stretch>,
 }
 
-/// What half axes are held to.
+/// Limits of the half axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stretch {
-    /// No half axis is more than this many times another, before they are raised to the floor: 1 or more.
+    /// Upper limit of the ratio of two half axes, before they are raised to the floor: 1 or more.
     pub max_stretch: f32,
-    /// The least half axis of particles with many neighbours, in units of the settings' radii. Positive.
+    /// Lower limit of half axes of particles with many neighbours, in units of the settings' radii. Positive.
     pub floor: f32,
-    /// The scale of particles without neighbours, in units of that of others: they are balls.
+    /// The scale of particles without neighbours, relative to that of others: they are balls.
     pub lone: f32,
-    /// The least scale of these balls, in units of the settings' radii. Positive.
+    /// Lower limit of the scale of these balls, in units of the settings' radii. Positive.
     pub lone_floor: f32,
 }
 
-/// What the neighbours of some particles make of them.
+/// Means and shapes that the neighbours of some particles give.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ByNeighbors {
-    /// Which particles these are, each once.
+    /// Indices of these particles, each once.
     pub indices: Vec<u32>,
-    /// For each of them where the mean of what is around it is, relative to it, in units of R (Yu and Turk, Eq. 6).
+    /// For each of them, the mean position of its neighbours relative to it, in units of R (Yu and Turk, Eq.
+    /// 6).
     pub means: Vec<[f32; 3]>,
-    /// The shape of each; empty where none are wanted.
+    /// The shape of each; empty if shapes are not needed.
     pub shapes: Vec<Ellipsoid>,
-    /// How many have a half axis that was raised to the floor.
+    /// Number of particles with a half axis that was raised to the floor.
     pub raised_count: usize,
-    /// How many are balls because their neighbours are too few.
+    /// Number of particles that are balls because they have too few neighbours.
     pub ball_count: usize,
 }
 
-/// The particles of a cell that are looked at, at most: 7 times as many as a cell with an edge of 2.6 spacings has.
-/// So particles that are far nearer to each other than R is wide take a microsecond each, and not as many as there are.
+/// Upper limit of the particles that are used of a cell: 7 times the number in a cell with an edge of 2.6
+/// spacings. It bounds the cost of very dense particles to a microsecond each, independent of their number.
 const CELL_MAX: usize = 128;
 
-/// What the neighbours of the particles that are wanted make of them (Yu and Turk, Eq. 6 and 9 to 16). `scales` has one for each particle. Of
-/// the particles that are wanted, those without a place in the range of indices are left out.
+/// Means and shapes of the wanted particles from their neighbours (Yu and Turk, Eq. 6 and 9 to 16). `scales`
+/// has one entry per particle. Wanted particles outside the range of indices are left out.
 ///
-/// A particle is the same whichever other ones are wanted, and whatever is missing from `particles` in cells of edge R that are not next to
-/// its own; particles keep their order.
+/// The result for a particle does not depend on which others are wanted, nor on particles missing from
+/// `particles` in cells of edge R that are not adjacent to its own. Particles keep their order.
 pub fn from_neighbors(
     particles: &Particles,
     is_wanted: impl Fn(usize) -> bool + Sync,
@@ -94,21 +95,21 @@ fn by_neighbors(
     assert!(scales.is_none_or(|scales| scales.len() == particles.len()), "a scale for each particle");
     let neighbors = Neighbors::new(particles, config.radius_world);
     let in_order = (0u32..).zip(neighbors.indices());
-    let places: Vec<u32> =
-        in_order.filter(|(_, index)| is_wanted(**index as usize)).map(|(place, _)| place).collect();
-    let mut means = vec![[0.0f32; 3]; places.len()];
-    let shape_count = if config.stretch.is_some() { places.len() } else { 0 };
+    let slots: Vec<u32> =
+        in_order.filter(|(_, index)| is_wanted(**index as usize)).map(|(slot, _)| slot).collect();
+    let mut means = vec![[0.0f32; 3]; slots.len()];
+    let shape_count = if config.stretch.is_some() { slots.len() } else { 0 };
     let mut shapes = vec![Ellipsoid::ball(1.0); shape_count];
-    let counts = places
+    let counts = slots
         .par_chunks(PIECE)
         .zip_eq(means.par_chunks_mut(PIECE))
-        .zip_eq(pieces_of(&mut shapes, places.len()))
-        .map(|((places, means), shapes)| {
-            dispatch_at(level, Piece { neighbors: &neighbors, scales, config, places, means, shapes })
+        .zip_eq(pieces_of(&mut shapes, slots.len()))
+        .map(|((slots, means), shapes)| {
+            dispatch_at(level, Piece { neighbors: &neighbors, scales, config, slots, means, shapes })
         })
         .reduce(Counts::default, Counts::plus);
     ByNeighbors {
-        indices: places.iter().map(|&place| neighbors.indices()[place as usize]).collect(),
+        indices: slots.iter().map(|&slot| neighbors.indices()[slot as usize]).collect(),
         means,
         shapes,
         raised_count: counts.raised,
@@ -116,10 +117,10 @@ fn by_neighbors(
     }
 }
 
-/// Particles of one task: enough that those of the cells at its ends, which two tasks gather, do not count.
+/// Number of particles per task: enough that the cells at its ends, which two tasks gather, do not matter.
 const PIECE: usize = 1024;
 
-/// As many pieces as `count` has, empty ones if nothing is wanted.
+/// Splits the shapes into as many pieces as `count` requires; empty pieces if shapes are not needed.
 fn pieces_of(shapes: &mut [Ellipsoid], count: usize) -> Vec<&mut [Ellipsoid]> {
     let mut pieces: Vec<&mut [Ellipsoid]> = shapes.chunks_mut(PIECE).collect();
     pieces.resize_with(count.div_ceil(PIECE), Default::default);
@@ -138,15 +139,15 @@ impl Counts {
     }
 }
 
-/// Particles that follow each other in the order of the grid.
+/// Consecutive particles in the order of the grid.
 struct Piece<'a> {
     neighbors: &'a Neighbors,
     scales: Option<&'a [f32]>,
     config: &'a NeighborConfig,
-    /// Their places in the grid.
-    places: &'a [u32],
+    /// Their indices in the grid.
+    slots: &'a [u32],
     means: &'a mut [[f32; 3]],
-    /// Empty if only means are wanted.
+    /// Empty if only means are needed.
     shapes: &'a mut [Ellipsoid],
 }
 
@@ -163,7 +164,7 @@ impl Kernel for Piece<'_> {
 }
 
 impl Piece<'_> {
-    /// Takes the first `COUNT` moments of each particle.
+    /// Computes the first `COUNT` moments of each particle.
     #[inline(always)]
     fn run_with<V: Lanes, const COUNT: usize>(mut self, stretch: Option<Stretch>) -> Counts {
         let mut surroundings = Surroundings::default();
@@ -173,20 +174,20 @@ impl Piece<'_> {
         let mut waiting_count = 0;
         let [x, y, z] = self.neighbors.locals();
         let mut cell_end = 0;
-        for (number, &place) in self.places.iter().enumerate() {
-            let place = place as usize;
-            if place >= cell_end {
-                let cell = self.neighbors.cell_at(place);
+        for (number, &slot) in self.slots.iter().enumerate() {
+            let slot = slot as usize;
+            if slot >= cell_end {
+                let cell = self.neighbors.cell_at(slot);
                 surroundings.gather(self.neighbors, self.neighbors.cells()[cell], CELL_MAX);
-                cell_end = self.neighbors.places(cell).end;
+                cell_end = self.neighbors.slots(cell).end;
             }
-            let at = Vec3::new(x[place], y[place], z[place]);
+            let at = Vec3::new(x[slot], y[slot], z[slot]);
             let moments = moments::<V, COUNT>(surroundings.eights(), at, &mut within);
             for (row, moment) in waiting.iter_mut().zip(moments) {
                 row[waiting_count % 8] = moment;
             }
             waiting_count += 1;
-            if waiting_count == 8 || number + 1 == self.places.len() {
+            if waiting_count == 8 || number + 1 == self.slots.len() {
                 let first = number + 1 - waiting_count;
                 counts = counts.plus(self.finish::<V, COUNT>(&waiting, first, waiting_count, stretch));
                 waiting_count = 0;
@@ -195,7 +196,7 @@ impl Piece<'_> {
         counts
     }
 
-    /// Finishes up to eight particles, of which `first` is the first.
+    /// Completes up to eight particles, starting at `first`.
     #[inline(always)]
     fn finish<V: Lanes, const COUNT: usize>(
         &mut self,
@@ -212,8 +213,8 @@ impl Piece<'_> {
             return Counts::default();
         };
         let mut scales = [1.0; 8];
-        for (scale, &place) in scales.iter_mut().zip(&self.places[first..first + count]) {
-            *scale = scale_of(self.scales, self.neighbors.indices()[place as usize] as usize);
+        for (scale, &slot) in scales.iter_mut().zip(&self.slots[first..first + count]) {
+            *scale = scale_of(self.scales, self.neighbors.indices()[slot as usize] as usize);
         }
         let limits = Stretch { max_stretch: stretch.max_stretch.max(1.0), ..stretch };
         let eights = shapes::<V>(moments, &scales, limits);

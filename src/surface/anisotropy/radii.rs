@@ -1,27 +1,29 @@
-//! Scales from the particles' own radii (paper, Fig. 13).
+//! Scales from per-particle radii (paper, Fig. 13).
 //!
-//! r_min of a particle is to be S times its radius, and r_init and r_max are in the ratio of the settings: so its scale,
-//! in units of the settings' radii, is S·radius / r_min. The grid holds no surface of less than the floor.
+//! r_min of a particle is S times its radius, and r_init and r_max keep the ratios of the settings. So its
+//! scale, in units of the settings' radii, is S·radius / r_min. The grid cannot hold a surface smaller than
+//! the floor.
 
 use rayon::prelude::*;
 
-/// A scale for each particle.
+/// A scale per particle.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RadiusScales {
     /// In units of the settings' radii, none below the floor.
     pub scales: Vec<f32>,
-    /// Radii that are less than the grid can hold, and were raised.
+    /// Number of radii too small for the grid, which were raised.
     pub raised_count: usize,
-    /// Radii that are no positive numbers, or not finite once scaled: these particles have the least scale.
+    /// Number of radii that are not positive, or not finite once scaled: these particles get the smallest
+    /// scale.
     pub invalid_count: usize,
 }
 
-/// Scales from radii in world units: `radius_scale` times the radius over `radius_min`, the settings' r_min in world
-/// units, but not below `floor`.
+/// Scales from radii in world units: `radius_scale` · radius / `radius_min`, but at least `floor`.
+/// `radius_min` is the settings' r_min in world units.
 pub fn radius_scales(radii: &[f32], radius_scale: f64, radius_min: f64, floor: f32) -> RadiusScales {
     let scale_of = |&radius: &f32| {
         let scale = (radius_scale * f64::from(radius) / radius_min) as f32;
-        // In 64 bits nothing was lost: what is 0 was nearly so, and is raised.
+        // In 64 bits, a positive radius stays positive; a scale that rounds to 0 is raised.
         (radius > 0.0 && scale.is_finite()).then_some(scale)
     };
     let count = |is_counted: fn(Option<f32>, f32) -> bool| {

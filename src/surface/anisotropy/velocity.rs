@@ -1,12 +1,12 @@
-//! Shapes from velocities: the faster, the longer along its way (paper, Eq. 16, Fig. 11).
+//! Shapes from velocities: faster particles are longer along their velocity (paper, Eq. 16, Fig. 11).
 //!
 //! ```text
 //!              ⎡ 1/(1+s)²            ⎤             half axes (1 + s)² along v
 //!   T = [v t t]⎢          1+s        ⎥[v t t]ᵀ               1/(1 + s) across
-//!              ⎣               1 + s ⎦             so of volume 1, and stretched by (1 + s)³
+//!              ⎣               1 + s ⎦             so volume 1, stretched by (1 + s)³
 //! ```
 //!
-//! Across all directions are alike, so T is 1/b plus (1/a − 1/b)·v·vᵀ and no t is needed.
+//! All directions across are equivalent, so T = 1/b + (1/a − 1/b)·v·vᵀ, and t is not needed.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -15,20 +15,20 @@ use super::half_axes::cube_root;
 use super::{RAISED_BELOW, Shaped, ball, scale_of};
 use crate::surface::particles::Ellipsoid;
 
-/// How velocities make shapes.
+/// How velocities shape particles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VelocityConfig {
-    /// s for a speed of one world unit a second: a gain in seconds, divided by r_min. Not negative.
+    /// s at a speed of one world unit per second: a gain in seconds, divided by r_min. Not negative.
     pub gain_per_speed: f32,
-    /// The half axis along the velocity is at most this many times that across, before they are raised to the floor: 1
-    /// or more.
+    /// Upper limit of the half axis along the velocity, relative to those across, before they are raised to
+    /// the floor: 1 or more.
     pub max_stretch: f32,
-    /// The least half axis, in units of the settings' radii. Positive.
+    /// Lower limit of half axes, in units of the settings' radii. Positive.
     pub floor: f32,
 }
 
-/// Shapes particles by their velocities, x, y and z for each (paper, Eq. 16). `scales` has one for each. Those whose
-/// velocity is not finite are balls.
+/// Shapes particles by their velocities: x, y and z per particle (paper, Eq. 16). `scales` has one entry per
+/// particle. A particle whose velocity is not finite is a ball.
 pub fn from_velocities(velocities: &[f32], scales: Option<&[f32]>, config: &VelocityConfig) -> Shaped {
     let (velocities, rest) = velocities.as_chunks::<3>();
     assert!(rest.is_empty(), "three components for each particle");
@@ -50,12 +50,12 @@ fn is_finite(velocity: &[f32; 3]) -> bool {
     velocity.iter().all(|along| along.is_finite())
 }
 
-/// The shape for a velocity with s at most `most`, and whether a half axis was raised.
+/// The shape for a velocity with s limited to `most`, and whether a half axis was raised.
 fn stretched(velocity: DVec3, scale: f32, most: f64, config: &VelocityConfig) -> (Ellipsoid, bool) {
-    // In 64 bits, squares of 32-bit numbers are in range.
+    // In 64 bits, the squares of 32-bit numbers do not overflow.
     let speed = velocity.length();
     let s = (f64::from(config.gain_per_speed) * speed).min(most) as f32;
-    // A comparison with what is not a number is false.
+    // False for NaN.
     if !(s > 0.0 && speed.is_finite()) {
         return ball(scale, config.floor);
     }
@@ -85,7 +85,7 @@ mod tests {
 
     const CONFIG: VelocityConfig = VelocityConfig { gain_per_speed: 0.5, max_stretch: 8.0, floor: 0.01 };
 
-    /// How far the surface of r = 1 is in a direction.
+    /// Distance of the surface of r = 1 from the centre, along a direction.
     fn extent(shape: &Ellipsoid, direction: Vec3) -> f32 {
         1.0 / shape.apply(direction.normalize()).length()
     }
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn half_axes_are_those_of_equation_16() {
+    fn half_axes_match_equation_16() {
         for (speed, s) in [(0.5f32, 0.25f32), (1.0, 0.5), (2.0, 1.0), (2.5, 1.0), (3e38, 1.0)] {
             for along in [Vec3::X, Vec3::new(0.48, -0.6, 0.64), Vec3::new(0.0, 0.6, 0.8)] {
                 for scale in [1.0, 3.0] {
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_moves_is_stretched() {
+    fn only_moving_particles_are_stretched() {
         let infinite = f32::INFINITY;
         let velocities = [0.0, 0.0, 0.0, f32::NAN, 1.0, 0.0, -infinite, infinite, 0.0, 1e-40, 0.0, 0.0];
         let shaped = from_velocities(&velocities, None, &CONFIG);
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_thinner_than_the_floor_is_raised_and_counted() {
+    fn half_axes_below_the_floor_are_raised_and_counted() {
         let config = VelocityConfig { floor: 0.8, ..CONFIG };
         let velocities = [2.0, 0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0];
         let shaped = from_velocities(&velocities, Some(&[1.0, 1.0, 0.5]), &config);
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn scales_that_are_no_lengths_are_the_least() {
+    fn invalid_scales_become_the_smallest() {
         for scale in [f32::NAN, -1.0, 0.0, f32::INFINITY] {
             assert_eq!(shape(Vec3::ZERO, scale), Ellipsoid::ball(0.01));
             assert_eq!(shape(Vec3::X, scale).longest, 0.01);

@@ -1,4 +1,4 @@
-//! Where particles carry a point to.
+//! Carries points along with the particles.
 //!
 //! ```text
 //!     ∙   ∙   ∙
@@ -6,27 +6,27 @@
 //!     ∙   ∙   ∙           R is the distance of the nearest one and a spacing
 //! ```
 //!
-//! With ids the displacement of a particle is known. With velocities it is by the trapezoidal rule, with one correction:
-//! the mean of the velocities here and there, exact for a constant acceleration. With the velocity here alone a drop in
-//! free fall would flicker by g dt².
+//! With ids, the displacement of a particle is known. With velocities, it comes from the trapezoidal rule
+//! with one correction: the mean of the velocities at both ends, exact for a constant acceleration. With the
+//! velocity at the start only, a drop in free fall would flicker by g dt².
 
 use glam::{DVec3, Vec3};
 
 use super::{Carrier, FlickerFrame};
 
-/// A point is carried by particles if one is nearer to it than this, in spacings: surfaces that smooth much are as far
-/// from their particles.
+/// A point is carried if a particle is closer than this, in spacings. With strong smoothing, surfaces are
+/// this far from their particles.
 pub const CARRY_REACH: f64 = 3.0;
 
-/// Particles are weighted up to this much beyond the nearest one, in spacings.
+/// Particles are weighted up to this distance beyond the nearest one, in spacings.
 const BEYOND_NEAREST: f64 = 1.0;
 
-/// All of them are within this, in spacings. So far a first guess of where particles are may be off.
-pub(super) const SEARCHED: f64 = CARRY_REACH + BEYOND_NEAREST;
+/// Search radius for all of them, in spacings. The first guess of a carried position may be off by this much.
+pub(super) const SEARCH_RADIUS: f64 = CARRY_REACH + BEYOND_NEAREST;
 
-/// Where a point of `from` is in the frame `to`, which comes after it (`direction` 1) or before it (−1). `None` where no
-/// particle within reach carries it.
-pub(super) fn carried(
+/// The position of a point of `from` in the frame `to`, the next one (`direction` 1) or the previous one
+/// (−1). `None` if no particle within reach carries it.
+pub(super) fn carry(
     from: &FlickerFrame,
     to: &FlickerFrame,
     carrier: Carrier,
@@ -40,7 +40,7 @@ pub(super) fn carried(
             let ids = from.particles.ids.as_deref()?;
             let displacement = |index: usize| {
                 let id = ids.get(index)?;
-                // An id that several particles share is in no table.
+                // Shared ids are not in the table.
                 let (other, own) = (*to.index_of.get(id)?, *from.index_of.get(id)?);
                 let position =
                     |frame: &FlickerFrame, index: u32| frame.particles.positions.position(index as usize);
@@ -50,16 +50,18 @@ pub(super) fn carried(
         }
         Carrier::Velocities { seconds } => {
             let step = direction * seconds;
-            // Looked up among the particles, and not at the surface: there are more of them around.
-            let Mean { vector: here, place } = mean(from, point, (limit, spacing), velocity_in(from))?;
-            let there =
-                |place: DVec3| Some(mean(to, place, (SEARCHED * spacing, spacing), velocity_in(to))?.vector);
-            let first = there(place + step * here)?;
-            let second = there(place + step * 0.5 * (here + first))?;
+            // Evaluated at the particles' mean position instead of on the surface, because more particles
+            // surround it.
+            let Mean { vector: here, position } = mean(from, point, (limit, spacing), velocity_in(from))?;
+            let there = |position: DVec3| {
+                Some(mean(to, position, (SEARCH_RADIUS * spacing, spacing), velocity_in(to))?.vector)
+            };
+            let first = there(position + step * here)?;
+            let second = there(position + step * 0.5 * (here + first))?;
             step * 0.5 * (here + second)
         }
     };
-    Some(point + displacement).filter(|place| place.is_finite())
+    Some(point + displacement).filter(|position| position.is_finite())
 }
 
 fn velocity_in(frame: &FlickerFrame) -> impl Fn(usize) -> Option<DVec3> {
@@ -67,16 +69,16 @@ fn velocity_in(frame: &FlickerFrame) -> impl Fn(usize) -> Option<DVec3> {
     |index| velocities.get(index).map(|&velocity| Vec3::from(velocity).as_dvec3())
 }
 
-/// The weighted means of particles.
+/// Weighted means over particles.
 struct Mean {
-    /// Of a vector of theirs.
+    /// The mean of a vector of the particles.
     vector: DVec3,
-    /// Of where they are, world units.
-    place: DVec3,
+    /// Their mean position, world units.
+    position: DVec3,
 }
 
-/// The means over the particles around a point that have this vector. `None` where the nearest of them is farther than
-/// `limit`, in world units.
+/// The means over the particles around a point for which `vector` is known. `None` if the nearest of them is
+/// farther than `limit`, world units.
 fn mean(
     frame: &FlickerFrame,
     point: DVec3,
@@ -90,11 +92,11 @@ fn mean(
     let mut found: Vec<(f64, DVec3, DVec3)> = Vec::new();
     for run in near.runs(cell) {
         let corner = run.step.as_vec3() - local;
-        for place in run.places {
-            // In edges of the cells, within which all particles are found.
-            let apart = (corner + Vec3::new(x[place], y[place], z[place])).as_dvec3();
+        for slot in run.slots {
+            // In cell edges, the search radius of the grid.
+            let apart = (corner + Vec3::new(x[slot], y[slot], z[slot])).as_dvec3();
             if apart.length_squared() <= 1.0
-                && let Some(vector) = vector_of(near.indices()[place] as usize).filter(|v| v.is_finite())
+                && let Some(vector) = vector_of(near.indices()[slot] as usize).filter(|v| v.is_finite())
             {
                 found.push((apart.length() * edge, apart * edge, vector));
             }
@@ -113,5 +115,5 @@ fn mean(
         offsets += weight * offset;
         weights += weight;
     }
-    Some(Mean { vector: vectors / weights, place: point + offsets / weights })
+    Some(Mean { vector: vectors / weights, position: point + offsets / weights })
 }

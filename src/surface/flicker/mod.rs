@@ -1,18 +1,19 @@
-//! Flicker of a sequence of surfaces: how far points on a surface stray from smooth motion between three frames.
+//! Flicker of a sequence of surfaces: how much points on a surface deviate from smooth motion over three
+//! frames.
 //!
 //! ```text
 //!   frame t − 1          frame t           frame t + 1
-//!      ╭──╮     ◀──────   ─●─    ──────▶     ╭─╮          a point ● on the surface of t is carried by the particles;
+//!      ╭──╮     ◀──────   ─●─    ──────▶     ╭─╮          particles carry a point ● on the surface of t;
 //!    ──╯ ● ╰──                             ──╯●╰──        s(t ± 1) is its signed distance to the surface there
 //!
 //!   flicker of the point = (s(t − 1) − 2 s(t) + s(t + 1)) / d       s(t) = 0; d is the particle spacing
 //! ```
 //!
-//! A surface that moves with its particles scores 0, however fast, and one that grows evenly along them scores nearly 0: what is
-//! of first order in time cancels. `docs/flicker.md` has the definition for users.
+//! A surface that moves with its particles scores 0, however fast, and one that grows evenly along them
+//! scores nearly 0: terms of first order in time cancel. `docs/flicker.md` has the definition for users.
 //!
-//! Invariants: the same frames give the same bits on any number of threads; scaling positions and spacing by a power of two
-//! changes no value.
+//! Invariants: the same frames give the same bits on any number of threads; scaling positions and spacing by
+//! a power of two changes no value.
 
 mod carry;
 mod sampling;
@@ -31,20 +32,20 @@ use crate::surface::particles::Particles;
 pub use carry::CARRY_REACH;
 pub use summary::Summary;
 
-use carry::carried;
+use carry::carry;
 use sampling::samples;
 
-/// The greatest distance from a surface that counts, in spacings.
+/// Upper limit of the distances from a surface, in spacings; larger ones are clamped.
 pub const REACH: f64 = 2.0;
 
-/// What carries points from a frame to the next.
+/// How points are carried to the next frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Carrier {
-    /// The positions of particles with the same id.
+    /// By the positions of particles with the same id.
     Ids,
-    /// The velocities of particles.
+    /// By the velocities of particles.
     Velocities {
-        /// The time between the frames, in the seconds of the velocities.
+        /// The time between the frames, in the time unit of the velocities.
         seconds: f64,
     },
 }
@@ -52,11 +53,11 @@ pub enum Carrier {
 /// The particles of a frame, and their motion.
 #[derive(Clone, Debug)]
 pub struct MovingParticles {
-    /// Where they are, world units.
+    /// Positions, world units.
     pub positions: Particles,
-    /// The identity of each over time. Those that several particles share carry nothing.
+    /// The id of each particle, constant over time. Ids that several particles share are not used.
     pub ids: Option<Vec<i64>>,
-    /// World units per second.
+    /// Velocities, world units per second.
     pub velocities: Option<Vec<[f32; 3]>>,
 }
 
@@ -64,7 +65,7 @@ pub struct MovingParticles {
 pub struct FlickerFrame {
     particles: MovingParticles,
     near: Neighbors,
-    /// The particle of each id that only one has.
+    /// The particle of each unique id.
     index_of: FxHashMap<i64, u32>,
     surface: MeshDistance,
 }
@@ -72,34 +73,34 @@ pub struct FlickerFrame {
 /// A point on a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScoredPoint {
-    /// World units.
+    /// Its position, world units.
     pub position: DVec3,
-    /// Unit vector out of the surface.
+    /// Outward unit normal of the surface.
     pub normal: DVec3,
-    /// Its flicker in spacings, signed: positive where the surface of the middle frame bulges.
+    /// Its flicker in spacings, signed: positive if the surface of the middle frame bulges.
     pub value: f64,
 }
 
-/// The flicker of a frame between its neighbours.
+/// The flicker of a frame, relative to the frames before and after it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FrameFlicker {
     /// Points that were carried to both neighbours.
     pub points: Vec<ScoredPoint>,
-    /// Other points: no particle near them carries to both neighbours.
+    /// Number of other points: no particle near them can be followed to both neighbours.
     pub uncarried_count: usize,
-    /// Carried points that are [`REACH`] or farther from a surface, and count as if they were so far.
+    /// Number of carried points [`REACH`] or farther from a surface, whose distance is clamped to that.
     pub left_count: usize,
 }
 
 impl FlickerFrame {
-    /// Prepares a frame for particles that are `spacing` apart, in world units: positive and finite.
+    /// Prepares a frame whose particles are `spacing` apart, world units: positive and finite.
     ///
-    /// Ids and velocities must be as many as positions; others are not used.
+    /// Ids and velocities are ignored unless there are as many as positions.
     pub fn new(mut particles: MovingParticles, surface: MeshDistance, spacing: f64) -> FlickerFrame {
         let count = particles.positions.len();
         particles.ids = particles.ids.filter(|ids| ids.len() == count);
         particles.velocities = particles.velocities.filter(|velocities| velocities.len() == count);
-        let near = Neighbors::new(&particles.positions, carry::SEARCHED * spacing);
+        let near = Neighbors::new(&particles.positions, carry::SEARCH_RADIUS * spacing);
         let index_of = index_of(particles.ids.as_deref().unwrap_or_default());
         FlickerFrame { particles, near, index_of, surface }
     }
@@ -114,7 +115,8 @@ impl FlickerFrame {
         !self.particles.positions.is_empty()
     }
 
-    /// Whether its particles, if it has some, have what this takes: ids of which at most half are shared, or velocities.
+    /// Whether its particles, if any, can be carried this way: by ids of which at most half are shared, or by
+    /// velocities.
     pub fn has(&self, carrier: Carrier) -> bool {
         match carrier {
             Carrier::Ids => 2 * self.index_of.len() >= self.particles.positions.len(),
@@ -123,7 +125,7 @@ impl FlickerFrame {
     }
 }
 
-/// Which particle has an id, where only one has it.
+/// The particle of each id that is unique.
 fn index_of(ids: &[i64]) -> FxHashMap<i64, u32> {
     const SHARED: u32 = u32::MAX;
     let mut index_of = FxHashMap::default();
@@ -134,9 +136,10 @@ fn index_of(ids: &[i64]) -> FxHashMap<i64, u32> {
     index_of
 }
 
-/// The flicker of the frame in the middle, at `sample_count` points, evenly by area. `spacing` is that of all three frames.
+/// The flicker of the middle frame at `sample_count` points, evenly by area. `spacing` is that of all three
+/// frames.
 ///
-/// A frame without particles that carry has no carried points; one without a surface has no points at all.
+/// Without particles to carry them, no point is carried; without a surface, the result has no points.
 pub fn flicker(
     [before, middle, after]: [&FlickerFrame; 3],
     carrier: Carrier,
@@ -145,9 +148,9 @@ pub fn flicker(
 ) -> FrameFlicker {
     let limit = REACH * spacing;
     let distance = |to: &FlickerFrame, seconds_sign: f64, point: DVec3| {
-        let place = carried(middle, to, carrier, seconds_sign, point, spacing)?;
-        // Without a surface everything is outside.
-        Some(to.surface.distance(place).unwrap_or(f64::INFINITY).clamp(-limit, limit))
+        let carried = carry(middle, to, carrier, seconds_sign, point, spacing)?;
+        // Without a surface, every point is outside.
+        Some(to.surface.distance(carried).unwrap_or(f64::INFINITY).clamp(-limit, limit))
     };
     let score = |(position, normal): (DVec3, DVec3)| {
         let [one, other] = [distance(before, -1.0, position)?, distance(after, 1.0, position)?];

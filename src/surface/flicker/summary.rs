@@ -1,22 +1,22 @@
-//! A few numbers for many.
+//! Summary statistics.
 
-/// How large numbers are, without their signs.
+/// Statistics of the magnitudes of numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Summary {
-    /// How many there are; all else is 0 where there are none.
+    /// How many numbers were summarized; if 0, all other fields are 0.
     pub count: usize,
-    /// The root of the mean of their squares.
+    /// Root mean square.
     pub rms: f64,
-    /// Half of them are no larger.
+    /// Median magnitude.
     pub median: f64,
-    /// 99 of 100 are no larger.
+    /// 99th percentile of the magnitudes.
     pub percentile_99: f64,
-    /// None is larger.
+    /// Largest magnitude.
     pub max: f64,
 }
 
 impl Summary {
-    /// Of these numbers, in this order: it decides how sums are rounded.
+    /// The summary of these numbers. Their order decides how sums are rounded.
     pub fn of(values: impl IntoIterator<Item = f64>) -> Summary {
         let mut sizes: Vec<f64> = values.into_iter().map(f64::abs).collect();
         let count = sizes.len();
@@ -25,8 +25,8 @@ impl Summary {
         }
         let rms = (sizes.iter().map(|size| size * size).sum::<f64>() / count as f64).sqrt();
         let mut of_rank = |part: f64| {
-            let place = ((part * count as f64).ceil() as usize).clamp(1, count) - 1;
-            *sizes.select_nth_unstable_by(place, f64::total_cmp).1
+            let rank = ((part * count as f64).ceil() as usize).clamp(1, count) - 1;
+            *sizes.select_nth_unstable_by(rank, f64::total_cmp).1
         };
         Summary { count, rms, median: of_rank(0.5), percentile_99: of_rank(0.99), max: of_rank(1.0) }
     }

@@ -1,13 +1,13 @@
-//! Surfaces whose flicker is known.
+//! Tests with surfaces whose flicker is known.
 
 use super::*;
 
-/// The spacing of all particles here.
+/// The particle spacing of all tests.
 const SPACING: f64 = 0.1;
 
 const SAMPLES: usize = 1000;
 
-/// A sphere of latitudes and longitudes: its greatest chord error is `chord_error(rings)` of the radius.
+/// A sphere of latitudes and longitudes; its largest chord error is `chord_error(rings)` of the radius.
 fn sphere(radius: f64, center: DVec3, rings: u32) -> MeshDistance {
     let columns = 2 * rings;
     let mut positions = Vec::new();
@@ -28,7 +28,8 @@ fn sphere(radius: f64, center: DVec3, rings: u32) -> MeshDistance {
     MeshDistance::new(&positions, &triangles.collect::<Vec<_>>())
 }
 
-/// How far quads of such a sphere are within it, in radii: the sagitta of half a diagonal, and some.
+/// How far the quads of such a sphere are inside it, in radii: slightly more than the sagitta of half a
+/// diagonal.
 fn chord_error(rings: u32) -> f64 {
     (std::f64::consts::PI / f64::from(rings)).powi(2) / 4.0
 }
@@ -54,7 +55,8 @@ fn particles(
     }
 }
 
-/// The flicker of a ball whose centre and radius at three times are these, with velocities of the centre, `seconds` apart.
+/// The flicker of a ball with these centres and radii at three times, `seconds` apart, and with velocities of
+/// the centre.
 fn of_ball(
     centers: [DVec3; 3],
     velocities: [DVec3; 3],
@@ -92,7 +94,8 @@ fn still_and_uniformly_moving_balls_do_not_flicker() {
 
 #[test]
 fn falling_ball_does_not_flicker() {
-    // x = g t²/2 at t = 1/4, 1/2, 3/4, where g dt² is four spacings: the velocity alone would lead two astray.
+    // x = g t²/2 at t = 1/4, 1/2, 3/4, where g dt² is four spacings: with the velocity alone, points would be
+    // two spacings off.
     let g = DVec3::new(0.0, -6.4, 0.0);
     let times = [0.25, 0.5, 0.75];
     for carrier in BOTH {
@@ -103,7 +106,7 @@ fn falling_ball_does_not_flicker() {
 }
 
 #[test]
-fn meshes_of_other_triangles_flicker_by_their_chords() {
+fn different_triangulations_flicker_by_their_chord_error() {
     let rest = ball(1.0);
     let frame = |rings| {
         FlickerFrame::new(
@@ -137,8 +140,8 @@ fn alternating_radius_scores_four_amplitudes() {
 }
 
 #[test]
-fn even_growth_does_not_flicker_and_its_acceleration_does() {
-    // The radius grows by 0.05 a frame, half a spacing; the particles scale along.
+fn even_growth_does_not_flicker_but_accelerated_growth_does() {
+    // The radius grows by 0.05 per frame, half a spacing; the particles scale along.
     let rest = ball(1.0);
     let found = |scales: [f64; 3]| {
         let frames = [0, 1, 2].map(|t| {
@@ -149,13 +152,14 @@ fn even_growth_does_not_flicker_and_its_acceleration_does() {
     };
     let even = found([0.95, 1.0, 1.05]);
     assert!(even.rms < 0.01, "{even:?}");
-    // Points lie beyond the particles and go as fast as these: a tenth of the acceleration, or less, remains.
+    // Points are beyond the particles and move as fast as these: a tenth of the acceleration, or less,
+    // remains.
     let uneven = found([0.98, 1.0, 1.06]);
     assert!(uneven.rms < 0.1 * 0.04 * 1.1 / SPACING + 0.01, "{uneven:?}");
 }
 
 #[test]
-fn surface_that_vanishes_counts_as_far_as_points_reach() {
+fn vanished_surface_counts_as_the_maximum_distance() {
     let rest = ball(1.0);
     let frame = |surface| FlickerFrame::new(particles(&rest, |at| at, |_| DVec3::ZERO), surface, SPACING);
     let (ball, none, far) = (
@@ -203,7 +207,7 @@ fn points_without_particles_are_counted_and_left_out() {
 }
 
 #[test]
-fn threads_change_nothing() {
+fn thread_count_does_not_change_the_result() {
     let found = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
         pool.install(|| of_ball([DVec3::ZERO; 3], [DVec3::X; 3], ([1.05, 1.07, 1.04], 24), BOTH[1]))
@@ -217,7 +221,7 @@ fn samples_are_even_by_area() {
     let points = samples(surface.triangles(), 10_000);
     for axis in 0..3 {
         for sign in [1.0, -1.0] {
-            // A cap of a quarter of the area.
+            // A cap with a quarter of the area.
             let count = points.iter().filter(|(at, _)| sign * at[axis] > 0.5).count();
             assert!((2400..2600).contains(&count), "{count} of 10000");
         }
@@ -227,7 +231,7 @@ fn samples_are_even_by_area() {
 }
 
 #[test]
-fn summaries_are_those_of_the_sorted_numbers() {
+fn summary_matches_the_sorted_numbers() {
     let found = Summary::of((1..=1000).map(|n| f64::from(if n % 2 == 0 { n } else { -n })));
     let square = 1001.0 * 2001.0 / 6.0;
     assert_eq!((found.count, found.median, found.percentile_99, found.max), (1000, 500.0, 990.0, 1000.0));

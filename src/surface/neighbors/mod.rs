@@ -1,20 +1,20 @@
-//! Which particles are near: a sorted uniform grid.
+//! Neighbour search in a sorted uniform grid.
 //!
 //! ```text
-//!   ┌───┬───┬───┐     Cells are world-anchored and their edge is the radius of the search: whatever is within
-//!   │ ∙ │∙ ∙│   │     the radius of a place in the middle cell is in one of these.
+//!   ┌───┬───┬───┐     Cells are world-anchored and their edge is the search radius: all particles within
+//!   │ ∙ │∙ ∙│   │     the radius of a point in the middle cell are in one of these.
 //!   ├───┼───┼───┤
-//!   │∙  │ ● │∙∙ │     x  y  z  index      by cell, and in a cell in the order of the file. x, y and z count
-//!   ├───┼───┼───┤     x  y  z  index      from the cell's least corner, in edges: from 0 to 1, so that 32 bits
+//!   │∙  │ ● │∙∙ │     x  y  z  index      sorted by cell, then in file order. x, y and z are relative
+//!   ├───┼───┼───┤     x  y  z  index      to the cell's lower corner, in edges: from 0 to 1, so that 32 bits
 //!   │  ∙│∙  │  ∙│     …                   lose nothing that matters, however far from the origin the cell is
 //!   └───┴───┴───┘
 //! ```
 //!
-//! Cells are sorted by x, then y, then z. So those above each other are next to each other, and one look finds a
-//! column of them; cells that hold nothing take no memory.
+//! Cells are sorted by x, then y, then z. Cells in a column along z are therefore adjacent, and one lookup
+//! finds a whole column; empty cells take no memory.
 //!
-//! Invariants: the order depends on the particles alone, not on threads. What is said of a cell and of its particles
-//! depends on nothing outside of it. Scaling positions and edge by a power of two changes no bit.
+//! Invariants: the order depends on the particles only, not on threads. The data of a cell and its particles
+//! depends on nothing outside the cell. Scaling positions and edge by a power of two changes no bit.
 
 mod surroundings;
 
@@ -27,38 +27,39 @@ use rustc_hash::FxHashMap;
 use crate::surface::particles::Particles;
 use crate::surface::space::{INDEX_LIMIT, Lattice};
 
-pub use surroundings::{Eight, NOBODY, Surroundings};
+pub use surroundings::{Eight, NO_PARTICLE, Surroundings};
 
 /// Particles sorted into cells.
 #[derive(Clone, Debug)]
 pub struct Neighbors {
     cells: Lattice,
-    /// Cells that hold a particle, sorted.
+    /// Cells with particles, sorted.
     coords: Vec<IVec3>,
     /// Where each cell's particles start; one more entry than cells.
     starts: Vec<usize>,
-    /// Which cells have this x and y.
+    /// The range of cells with this x and y.
     columns: FxHashMap<[i32; 2], Range<usize>>,
     x: Vec<f32>,
     y: Vec<f32>,
     z: Vec<f32>,
     indices: Vec<u32>,
-    /// Particles left out: positions that are not finite or beyond the range of indices, and, if there are so many, all
-    /// after the first 2³² − 1.
+    /// Number of particles left out: positions that are not finite or outside the range of indices, and all
+    /// particles after the first 2³² − 1.
     pub dropped_count: usize,
 }
 
-/// Particles of one cell, and which of the cells around another one it is.
+/// The particles of a cell around another cell.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Run {
-    /// From the cell in the middle to this one: −1, 0 or 1 on each axis.
+    /// From the middle cell to this one: −1, 0 or 1 on each axis.
     pub step: IVec3,
-    /// Places of its particles.
-    pub places: Range<usize>,
+    /// The indices of its particles in the sorted order.
+    pub slots: Range<usize>,
 }
 
 impl Neighbors {
-    /// Sorts these particles into cells of this edge, in world units. Nothing is found if that is not a positive number.
+    /// Sorts these particles into cells of this edge, world units. If the edge is not positive, the grid is
+    /// empty.
     pub fn new(particles: &Particles, edge_world: f64) -> Neighbors {
         let cells = Lattice { voxel_size: edge_world };
         let keys = sorted_keys(particles, &cells);
@@ -70,11 +71,11 @@ impl Neighbors {
         let axes = x.par_chunks_mut(PIECE).zip(y.par_chunks_mut(PIECE)).zip(z.par_chunks_mut(PIECE));
         axes.zip(indices.par_chunks_mut(PIECE)).zip(keys.par_chunks(PIECE)).for_each(
             |((((x, y), z), indices), keys)| {
-                for (place, &key) in keys.iter().enumerate() {
+                for (slot, &key) in keys.iter().enumerate() {
                     let index = index_of(key);
-                    // It had a place when it was sorted.
+                    // The particle was located when it was sorted, so this succeeds again.
                     let (_, local) = place_in(particles.position(index as usize), &cells).unwrap_or_default();
-                    (x[place], y[place], z[place], indices[place]) = (local.x, local.y, local.z, index);
+                    (x[slot], y[slot], z[slot], indices[slot]) = (local.x, local.y, local.z, index);
                 }
             },
         );
@@ -82,63 +83,65 @@ impl Neighbors {
         Neighbors { cells, coords, starts, columns, x, y, z, indices, dropped_count }
     }
 
-    /// The edge of a cell in world units: the greatest radius within which all particles are found.
+    /// The edge of a cell, world units: the largest search radius for which all neighbours are found.
     pub fn edge_world(&self) -> f64 {
         self.cells.voxel_size
     }
 
-    /// The cell of a world position, and where in it that is, in edges from its least corner. `None` where it is not
-    /// finite or beyond the range of indices: nothing is near.
+    /// The cell of a world position, and the position in it, in edges from its lower corner. `None` if it is
+    /// not finite or outside the range of indices: then it has no neighbours.
     pub fn locate(&self, world: DVec3) -> Option<(IVec3, Vec3)> {
         place_in(world, &self.cells)
     }
 
-    /// Cells that hold a particle, sorted by x, then y, then z.
+    /// Cells with particles, sorted by x, then y, then z.
     pub fn cells(&self) -> &[IVec3] {
         &self.coords
     }
 
-    /// Where the particles of `cells()[cell]` are.
-    pub fn places(&self, cell: usize) -> Range<usize> {
+    /// The index range of the particles of `cells()[cell]`, in the sorted order.
+    pub fn slots(&self, cell: usize) -> Range<usize> {
         self.starts[cell]..self.starts[cell + 1]
     }
 
-    /// The cell that holds this place: its index in `cells()`. As many as there are, for a place beyond the last.
-    pub fn cell_at(&self, place: usize) -> usize {
-        // The first one starts at 0.
-        self.starts.partition_point(|&start| start <= place) - 1
+    /// The cell of a particle in the sorted order, as an index into `cells()`; `cells().len()` if the index
+    /// is past the last.
+    pub fn cell_at(&self, slot: usize) -> usize {
+        // The first cell starts at 0.
+        self.starts.partition_point(|&start| start <= slot) - 1
     }
 
-    /// For each place the index of its particle in what the grid was made from.
+    /// For each particle in the sorted order, its index in the input.
     pub fn indices(&self) -> &[u32] {
         &self.indices
     }
 
-    /// For each place x, y and z of its particle, in edges from its cell's least corner, 0 to 1.
+    /// For each particle in the sorted order, x, y and z in edges from its cell's lower corner, 0 to 1.
     pub fn locals(&self) -> [&[f32]; 3] {
         [&self.x, &self.y, &self.z]
     }
 
-    /// The particles in a cell and in the 26 around it, cell by cell, in the order of the cells: all within an edge of
-    /// any place in it. A `run.step` must be added to the particles' places to count from the corner of this cell.
+    /// The particles in a cell and its 26 neighbours, cell by cell, in cell order: all that are within an
+    /// edge of any point in the cell. Add `run.step` to their positions to make them relative to the corner
+    /// of this cell.
     pub fn runs(&self, cell: IVec3) -> impl Iterator<Item = Run> {
         COLUMNS.iter().flat_map(move |&[x, y]| {
             let column = self.columns.get(&[cell.x + x, cell.y + y]).cloned().unwrap_or_default();
             let first = column.start + self.coords[column.clone()].partition_point(|at| at.z < cell.z - 1);
             let near = (first..column.end).take_while(move |&other| self.coords[other].z <= cell.z + 1);
-            near.map(move |other| Run { step: self.coords[other] - cell, places: self.places(other) })
+            near.map(move |other| Run { step: self.coords[other] - cell, slots: self.slots(other) })
         })
     }
 }
 
-/// Places that one task fills.
+/// Number of particles per task.
 const PIECE: usize = 1 << 13;
 
 /// Steps in x and y to the columns around a cell.
 const COLUMNS: [[i32; 2]; 9] = [[-1, -1], [-1, 0], [-1, 1], [0, -1], [0, 0], [0, 1], [1, -1], [1, 0], [1, 1]];
 
-/// A cell and the index of a particle in one number: x, y and z, 31 bits each, and 35 bits. Sorting these sorts by cell,
-/// and in a cell by index.
+/// A cell and the index of a particle in one number: x, y and z with 31 bits each, and the index with 35.
+/// Sorting the keys sorts by cell, then by index.
 type Key = u128;
 
 const INDEX_BITS: u32 = 35;
@@ -176,13 +179,13 @@ fn place_in(world: DVec3, cells: &Lattice) -> Option<(IVec3, Vec3)> {
     Some((corner.as_ivec3(), (index - corner).as_vec3()))
 }
 
-/// The cells, and where each one's keys start.
+/// The cells, and the position where each one's keys start.
 fn cells_of(keys: &[Key]) -> (Vec<IVec3>, Vec<usize>) {
     let (mut coords, mut starts) = (Vec::new(), Vec::new());
-    for (place, &key) in keys.iter().enumerate() {
-        if place == 0 || keys[place - 1] >> INDEX_BITS != key >> INDEX_BITS {
+    for (slot, &key) in keys.iter().enumerate() {
+        if slot == 0 || keys[slot - 1] >> INDEX_BITS != key >> INDEX_BITS {
             coords.push(cell_of(key));
-            starts.push(place);
+            starts.push(slot);
         }
     }
     starts.push(keys.len());

@@ -1,4 +1,4 @@
-//! Against brute force.
+//! Tests against brute force.
 
 use super::*;
 
@@ -13,7 +13,7 @@ fn cloud(count: usize, extent: f64, around: DVec3) -> Vec<[f64; 3]> {
     (0..count).map(|_| (DVec3::new(along(), along(), along()) + around).to_array()).collect()
 }
 
-/// Indices of the particles within an edge of a place, in their order.
+/// Indices of the particles within an edge of a point, in order.
 fn found(neighbors: &Neighbors, world: DVec3) -> Vec<u32> {
     let Some((cell, local)) = neighbors.locate(world) else { return Vec::new() };
     let mut surroundings = Surroundings::default();
@@ -37,40 +37,40 @@ fn expected(positions: &[[f64; 3]], world: DVec3, radius: f64) -> Vec<u32> {
 }
 
 #[test]
-fn all_within_an_edge_are_found() {
+fn all_particles_within_an_edge_are_found() {
     for (around, radius) in [(0.0, 0.3), (-1234.5, 0.17), (3e7, 0.4)] {
         let around = DVec3::new(around, 0.5 * around, -around);
         let positions = cloud(3000, 2.0, around);
         let neighbors = Neighbors::new(&Particles::Double(positions.clone()), radius);
         assert_eq!((neighbors.indices().len(), neighbors.dropped_count), (3000, 0));
-        for place in cloud(200, 2.5, around) {
-            let world = DVec3::from(place);
+        for point in cloud(200, 2.5, around) {
+            let world = DVec3::from(point);
             assert_eq!(found(&neighbors, world), expected(&positions, world, radius), "at {world}");
         }
     }
 }
 
 #[test]
-fn cells_are_sorted_and_their_particles_in_the_order_of_the_file() {
+fn cells_are_sorted_and_particles_keep_file_order() {
     let mut positions = cloud(5000, 2.0, DVec3::ZERO);
     positions.extend_from_within(..100);
     let neighbors = Neighbors::new(&Particles::Double(positions.clone()), 0.25);
     assert!(neighbors.cells().is_sorted_by_key(|cell| cell.to_array()));
     for (cell, coord) in neighbors.cells().iter().enumerate() {
-        let places = neighbors.places(cell);
-        assert!(!places.is_empty() && neighbors.indices()[places.clone()].is_sorted());
-        for place in places {
-            assert_eq!(neighbors.cell_at(place), cell);
-            let [x, y, z] = neighbors.locals().map(|along| f64::from(along[place]));
+        let slots = neighbors.slots(cell);
+        assert!(!slots.is_empty() && neighbors.indices()[slots.clone()].is_sorted());
+        for slot in slots {
+            assert_eq!(neighbors.cell_at(slot), cell);
+            let [x, y, z] = neighbors.locals().map(|along| f64::from(along[slot]));
             let world = (coord.as_dvec3() + DVec3::new(x, y, z)) * 0.25;
-            let original = DVec3::from(positions[neighbors.indices()[place] as usize]);
+            let original = DVec3::from(positions[neighbors.indices()[slot] as usize]);
             assert!(world.distance(original) < 1e-7, "{world} for {original}");
         }
     }
 }
 
 #[test]
-fn what_has_no_place_is_left_out() {
+fn particles_outside_the_grid_are_left_out() {
     let (nan, far) = (f32::NAN, 3e38);
     let positions = vec![[nan, 0.0, 0.0], [0.5, 0.5, 0.5], [0.0, f32::INFINITY, 0.0], [0.0, 0.0, far]];
     let neighbors = Neighbors::new(&Particles::Single(positions), 0.1);
@@ -86,7 +86,7 @@ fn what_has_no_place_is_left_out() {
 }
 
 #[test]
-fn cells_at_the_ends_of_the_range_are_told_apart() {
+fn cells_at_both_ends_of_the_range_differ() {
     let end = f64::from(INDEX_LIMIT) - 1.0;
     let positions: Vec<[f64; 3]> =
         vec![[end, -end, end], [-end, end, 0.5], [end, -end, end - 1.5], [-end, -end, -end]];
@@ -97,7 +97,7 @@ fn cells_at_the_ends_of_the_range_are_told_apart() {
 }
 
 #[test]
-fn what_is_added_far_away_changes_nothing_here() {
+fn distant_particles_change_nothing() {
     let here = cloud(2000, 2.0, DVec3::ZERO);
     let mut more = cloud(500, 2.0, DVec3::splat(-90.0));
     more.extend(&here);
@@ -108,25 +108,28 @@ fn what_is_added_far_away_changes_nothing_here() {
         around.gather(&one, cell, 20);
         around_other.gather(&other, cell, 20);
         for (eight, eight_other) in around.eights().iter().zip(around_other.eights()) {
-            assert_eq!((eight.along, eight.stands_for), (eight_other.along, eight_other.stands_for));
+            assert_eq!((eight.along, eight.multiplicity), (eight_other.along, eight_other.multiplicity));
         }
         assert_eq!(around.len(), around_other.len());
     }
 }
 
 #[test]
-fn of_a_crowd_some_stand_for_all() {
+fn crowded_cells_are_sampled() {
     let mut positions = vec![[0.5f32, 0.5, 0.5]; 1000];
     positions.push([1.5, 0.5, 0.5]);
     let neighbors = Neighbors::new(&Particles::Single(positions), 1.0);
     let mut surroundings = Surroundings::default();
     surroundings.gather(&neighbors, IVec3::ZERO, 64);
     assert_eq!((surroundings.len(), surroundings.is_empty(), surroundings.eights().len()), (65, false, 9));
-    let total: f32 = surroundings.eights().iter().flat_map(|eight| eight.stands_for).sum();
+    let total: f32 = surroundings.eights().iter().flat_map(|eight| eight.multiplicity).sum();
     assert_eq!(total, 1001.0);
     let indices: Vec<u32> = surroundings.eights().iter().flat_map(|eight| eight.indices).collect();
     assert!(indices[..65].is_sorted_by(|one, next| one < next), "{indices:?}");
-    assert_eq!(indices[64..], [1000, NOBODY, NOBODY, NOBODY, NOBODY, NOBODY, NOBODY, NOBODY]);
+    assert_eq!(
+        indices[64..],
+        [1000, NO_PARTICLE, NO_PARTICLE, NO_PARTICLE, NO_PARTICLE, NO_PARTICLE, NO_PARTICLE, NO_PARTICLE]
+    );
     for (part, &index) in indices[..64].iter().enumerate() {
         assert!((part * 1000 / 64..(part + 1) * 1000 / 64).contains(&(index as usize)));
     }

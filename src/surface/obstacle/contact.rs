@@ -1,4 +1,4 @@
-//! Where the fluid meets an obstacle: φ and its bounds are made to respect it (paper, §3.6, Eq. 12).
+//! The contact of fluid and obstacles: makes φ and its bounds respect the obstacles (paper, §3.6, Eq. 12).
 //!
 //! ```text
 //!          fluid                    fluid                 φ_0    signed distance of the start
@@ -9,25 +9,25 @@
 //!        obstacle                  obstacle
 //! ```
 //!
-//! Intersections: φ ≥ −φ_o, as a lower bound. It wins over the inner spheres of particles inside the obstacle.
+//! Intersections: φ ≥ −φ_o is a lower bound. It overrides the inner spheres of particles inside the obstacle.
 //!
-//! Voids: the paper sets φ = −φ_o where φ_0 > 0, φ_o > 0 and φ_0 + φ_o < ε. The filled part then ends in steps of
-//! a voxel. Here it ends at the place where φ_0 + φ_o = ε, between voxels: with a steepness k
+//! Voids: the paper sets φ = −φ_o where φ_0 > 0, φ_o > 0 and φ_0 + φ_o < ε. The filled part then ends in
+//! steps of one voxel. Here it ends where φ_0 + φ_o = ε, between voxels. With a steepness k:
 //!
 //! ```text
 //!   φ = max(min(φ_0, k·(φ_0 + φ_o − ε)), −φ_o)
 //! ```
 //!
-//! which is the paper's value but within ε/k of the end. (Around a drop on a floor the edge then has three quarters
-//! of the bending energy, and vertices are half as deep in the floor.) The same on the other side of the wall puts
-//! it where it is: if only the voxels outside the obstacle had this value, the surface would lie between them and
-//! something that is too far away.
+//! This is the paper's value except within ε/k of the end. (Around a drop on a floor the edge then has three
+//! quarters of the bending energy, and vertices are half as deep in the floor.) The same formula applies
+//! inside the wall. If only the voxels outside the obstacle had this value, the surface would lie between
+//! them and a value that is too far away.
 //!
-//! It is decided here, once, on φ_0: again after smoothing, it would climb the walls. Then it is *held*, as an
-//! upper bound, where a void was filled and where fluid is nearer to the wall than to its own surface. So
-//! the surface does not come off the wall where it was wet.
+//! The voids are found once, from φ_0. If they were searched again after smoothing, the fluid would climb the
+//! walls. The result is then kept as an upper bound where a void was filled, and where fluid is closer to the
+//! wall than to its own surface. So the surface does not detach from the wall where it was wet.
 //!
-//! Everything is said of each voxel by itself: tiles give the same.
+//! Each voxel is computed alone, so tiles give the same result.
 
 use glam::IVec3;
 use rayon::prelude::*;
@@ -37,20 +37,20 @@ use crate::surface::grid::{Leaf, ROW_COUNT};
 use crate::surface::level_set::{Bounds, NarrowBand};
 use crate::surface::simd::{self, Kernel, Lanes};
 
-/// How the fluid meets the obstacles: gaps that were filled, and what the obstacles displaced. All 0 without obstacles.
+/// The contact of fluid and obstacles: filled gaps and displaced fluid. All 0 without obstacles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct ContactTally {
     /// Voxels between surface and obstacle that were filled.
     pub void_count: u64,
-    /// Voxels that obstacles took from the inner spheres of particles.
+    /// Voxels that obstacles removed from the inner spheres of particles.
     pub taken_count: u64,
     /// Particles inside an obstacle.
     pub particle_count: usize,
 }
 
 impl ContactTally {
-    /// Both together.
+    /// The sum of both.
     pub fn and(self, other: ContactTally) -> ContactTally {
         ContactTally {
             void_count: self.void_count + other.void_count,
@@ -60,8 +60,8 @@ impl ContactTally {
     }
 }
 
-/// Makes φ_0 and its bounds respect the obstacles, whose leaves `obstacle` gives by their origins, within the half width of the band. Voids of less than `void_threshold` voxels are filled; none is, if
-/// that is 0.
+/// Makes φ_0 and its bounds respect the obstacles. `obstacle` returns their leaf for an origin, clamped to
+/// the half width of the band. Fills voids narrower than `void_threshold` voxels; 0 fills none.
 pub fn hold_contact(
     obstacle: impl Fn(IVec3) -> ObstacleLeaf + Sync,
     void_threshold: f32,
@@ -79,17 +79,17 @@ pub fn hold_contact(
             ObstacleLeaf::Inside => &inside,
             ObstacleLeaf::Near(distances) => distances,
         };
-        simd::dispatch(Hold { obstacle, void_threshold, phi, lower, upper })
+        simd::dispatch(ContactKernel { obstacle, void_threshold, phi, lower, upper })
     };
     fields.map(of_leaf).reduce(ContactTally::default, ContactTally::and)
 }
 
-/// How steeply φ rises where the filled part ends. Smaller leaves what is almost too wide half filled; larger ends
-/// in steps.
+/// The slope of φ where the filled part ends. A smaller slope leaves voids near the threshold half filled; a
+/// larger one ends in steps.
 const STEEPNESS: f32 = 4.0;
 
-/// One leaf.
-struct Hold<'a> {
+/// The kernel for one leaf.
+struct ContactKernel<'a> {
     obstacle: &'a Leaf,
     void_threshold: f32,
     phi: &'a mut Leaf,
@@ -97,7 +97,7 @@ struct Hold<'a> {
     upper: &'a mut Leaf,
 }
 
-impl Kernel for Hold<'_> {
+impl Kernel for ContactKernel<'_> {
     type Output = ContactTally;
 
     #[inline(always)]

@@ -1,8 +1,8 @@
-//! How deep vertices are in obstacles; and those that sharp edges run past are moved out.
+//! Measures how deep vertices are inside obstacles, and moves vertices out that sharp edges cut.
 //!
 //! ```text
-//!    · ────── ·         an edge that is sharper than the grid can tell lies between voxels, none of
-//!    │   ╱╲   │         which is inside. The surface does not know of it, and cuts it off: by a third of
+//!    · ────── ·         an edge that is sharper than the grid resolves lies between voxels, none of
+//!    │   ╱╲   │         which is inside. The contouring misses it and cuts it off: by a third of
 //!  ──┼──●──●──┼──       a voxel at the corner of a tetrahedron.
 //!    · ╱ ── ╲ ·
 //! ```
@@ -15,29 +15,30 @@ use crate::surface::grid::{LEAF_EDGE, offset_in_leaf};
 use crate::surface::mesh::Mesh;
 use crate::surface::space::Lattice;
 
-/// How deep vertices are inside obstacles, after those that were too deep were moved out.
+/// How deep vertices are inside obstacles, after vertices that were too deep were moved out.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct DepthTally {
-    /// The deepest vertex inside an obstacle, in voxels; 0 if none is.
+    /// The depth of the deepest vertex inside an obstacle, in voxels; 0 if all are outside.
     pub deepest_voxels: f64,
-    /// Vertices that were moved out.
+    /// Number of vertices that were moved out.
     pub moved_count: u64,
 }
 
-/// Vertices that are deeper in an obstacle than this, in voxels, are moved to its surface.
+/// Vertices deeper inside an obstacle than this, in voxels, are moved to its surface.
 const DEPTH_MAX: f64 = 0.125;
 
-/// Deeper ones are not where an edge was missed, and stay where they are.
+/// Vertices deeper than this, in voxels, stay: a missed edge is not the cause.
 const MOVE_MAX: f64 = 1.0;
 
-/// Farther from the obstacle than this at the nearest voxel, in voxels, a vertex is outside: more than √3/2.
+/// A vertex is outside if the nearest voxel is farther from the obstacle than this, in voxels: more than
+/// √3/2.
 const NEAR: f32 = 1.0;
 
 impl Obstacles {
-    /// Moves vertices out of obstacles, where the obstacles are sharper than the grid, and tells how deep the
-    /// deepest then is. Where it then lies against an obstacle, the surface faces straight into it. `half_width` is that
-    /// of the leaves that are kept.
+    /// Moves vertices out of obstacles that are sharper than the grid. The normal of a moved vertex faces the
+    /// obstacle. Returns the depth of the deepest vertex afterwards. `half_width` is that of the cached
+    /// leaves.
     pub fn clear(&self, mesh: &mut Mesh, lattice: &Lattice, half_width: f32) -> DepthTally {
         let origin = mesh.origin;
         let of_vertex = |(position, normal): (&mut Vec3, &mut Vec3)| {
@@ -50,7 +51,7 @@ impl Obstacles {
             if DEPTH_MAX < depth && depth < MOVE_MAX {
                 *position = (outside - origin).as_vec3();
                 *normal = (point - outside).normalize_or_zero().as_vec3();
-                // It may have come into another one.
+                // It may now be inside another obstacle.
                 let left = self.depth(origin + position.as_dvec3(), lattice, half_width);
                 tally = DepthTally { deepest_voxels: left.map_or(0.0, |(depth, _)| depth), moved_count: 1 };
             }
@@ -64,8 +65,8 @@ impl Obstacles {
         vertices.map(of_vertex).reduce(DepthTally::default, both)
     }
 
-    /// How deep a point of the world is in an obstacle, in voxels, and the nearest place on its surface; none if
-    /// it is outside of all.
+    /// How deep a world position is inside an obstacle, in voxels, and the nearest point on its surface;
+    /// `None` if it is outside of all.
     pub fn depth(&self, point: DVec3, lattice: &Lattice, half_width: f32) -> Option<(f64, DVec3)> {
         let voxel = lattice.index_from_world(point)?.round().as_ivec3();
         let local = voxel & IVec3::splat(LEAF_EDGE - 1);
@@ -81,7 +82,8 @@ impl Obstacles {
 }
 
 impl Shape {
-    /// How deep a point is inside, in world units, and the nearest place on the surface.
+    /// How deep a point is inside, world units, and the nearest point on the surface. `None` if it is
+    /// outside.
     fn depth(&self, point: DVec3) -> Option<(f64, DVec3)> {
         match self {
             Shape::Solid(solid) => solid.depth(point),

@@ -7,11 +7,11 @@ use crate::surface::grid::Leaf;
 /// φ_o of a leaf: signed distances to obstacles in voxels, negative inside one.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ObstacleLeaf {
-    /// No voxel is within the half width of an obstacle.
+    /// All voxels are outside, farther from obstacles than the half width.
     Outside,
-    /// All voxels are inside one, farther from its surface than the half width.
+    /// All voxels are inside, farther from the surface than the half width.
     Inside,
-    /// Some are nearer; values are within ± the half width.
+    /// Some voxels are closer; values are clamped to ± the half width.
     Near(Arc<Leaf>),
 }
 
@@ -27,7 +27,7 @@ impl ObstacleLeaf {
         }
     }
 
-    /// The leaf with the distances greater by so much, which must be known so much farther than `half_width`.
+    /// Adds `by` to the distances, which must be known that much farther than `half_width`.
     pub fn shifted(self, by: f32, half_width: f32) -> ObstacleLeaf {
         match self {
             ObstacleLeaf::Near(mut leaf) if by != 0.0 => {
@@ -40,7 +40,7 @@ impl ObstacleLeaf {
         }
     }
 
-    /// The leaf of both obstacles together.
+    /// The union of two obstacles.
     pub(super) fn union(self, other: ObstacleLeaf) -> ObstacleLeaf {
         match (self, other) {
             (ObstacleLeaf::Outside, other) => other,
@@ -55,7 +55,7 @@ impl ObstacleLeaf {
         }
     }
 
-    /// The bytes that it takes.
+    /// Its memory, in bytes.
     pub(super) fn size_bytes(&self) -> usize {
         size_of::<ObstacleLeaf>() + if matches!(self, ObstacleLeaf::Near(_)) { size_of::<Leaf>() } else { 0 }
     }

@@ -1,4 +1,4 @@
-//! Signed distances of points to the triangles of a mesh as they are, closed or open.
+//! Signed distances of points to the triangles of a mesh without repairs, closed or open.
 //!
 //! ```text
 //!        \ n₁  │ Σ  / n₂        the point nearest to ● is on an edge: its side is that of the sum of the normals there,
@@ -7,7 +7,8 @@
 //!              q
 //! ```
 //!
-//! For a closed mesh that is exact. Beyond the rim of an open mesh the triangles at the rim decide.
+//! For a closed mesh the distance is exact. Beyond the boundary of an open mesh, the triangles at the
+//! boundary decide the sign.
 //!
 //! Jakob Andreas Bærentzen, Henrik Aanæs. Signed distance computation using the angle weighted pseudonormal. 2005
 
@@ -15,25 +16,25 @@ use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
 
-use super::surface::{open_edge_count, sound_triangles};
-use super::tree::Tree;
+use super::surface::{open_edge_count, valid_triangles};
+use super::tree::TriangleTree;
 
-/// A mesh that points have signed distances to. Unlike for a [`Solid`](super::Solid) no triangle is turned: which side is
-/// outside is as in the mesh.
+/// A mesh that gives signed distances. Unlike in a [`Solid`](super::Solid), triangles keep their orientation,
+/// which defines the outside.
 pub struct MeshDistance {
-    tree: Tree,
-    /// Nearer than this, a place is on an edge or at a corner, in world units.
+    tree: TriangleTree,
+    /// A point closer than this, world units, is on an edge or at a corner.
     touch: f64,
     open_edge_count: usize,
 }
 
-/// A coordinate is off by this part of the greatest of all after a few operations.
+/// Relative rounding error of a coordinate after a few operations, in units of the largest coordinate.
 const ROUNDING: f64 = 1e-12;
 
 impl MeshDistance {
-    /// The triangles with an area and finite corners, in world units, counter-clockwise seen from outside.
+    /// The triangles with an area and finite corners, world units, counter-clockwise seen from outside.
     pub fn new(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> MeshDistance {
-        let tree = Tree::new(sound_triangles(positions, triangles));
+        let tree = TriangleTree::new(valid_triangles(positions, triangles));
         let farthest = tree.root().map_or(0.0, |node| node.min.abs().max(node.max.abs()).max_element());
         MeshDistance {
             tree,
@@ -42,22 +43,22 @@ impl MeshDistance {
         }
     }
 
-    /// The triangles that count, in an order of the mesh alone.
+    /// The valid triangles, in an order that depends on the mesh only.
     pub fn triangles(&self) -> &[[DVec3; 3]] {
         self.tree.triangles()
     }
 
-    /// Edges at which the mesh ends; vertices at one place count as one.
+    /// Number of boundary edges of the mesh; vertices at the same position count as one.
     pub fn open_edge_count(&self) -> usize {
         self.open_edge_count
     }
 
-    /// The least and the greatest corner of the box around it, in world units; `None` without triangles.
+    /// The lower and the upper corner of its bounding box, world units; `None` without triangles.
     pub fn bounds(&self) -> Option<[DVec3; 2]> {
         self.tree.root().map(|node| [node.min, node.max])
     }
 
-    /// The signed distance of a finite point, in world units: negative inside. `None` without triangles.
+    /// The signed distance of a finite point, world units: negative inside. `None` without triangles.
     pub fn distance(&self, point: DVec3) -> Option<f64> {
         let nearest = self.tree.nearest(point, f64::INFINITY)?;
         let distance = nearest.distance(point);
@@ -65,12 +66,12 @@ impl MeshDistance {
         Some(if is_inside { -distance } else { distance })
     }
 
-    /// The sum of the normals of the triangles at a place on the surface, weighted by their angles there.
-    fn normal_at(&self, place: DVec3) -> DVec3 {
+    /// The angle-weighted sum of the normals of the triangles at a point on the surface.
+    fn normal_at(&self, point: DVec3) -> DVec3 {
         let mut normal = DVec3::ZERO;
-        self.tree.leaves_near(place, 0.0, self.touch, f64::INFINITY, |triangles| {
+        self.tree.leaves_near(point, 0.0, self.touch, f64::INFINITY, |triangles| {
             for triangle in triangles {
-                if let Some(angle) = self.angle_at(triangle, place) {
+                if let Some(angle) = self.angle_at(triangle, point) {
                     let [a, b, c] = triangle;
                     normal += (b - a).cross(c - a).normalize_or_zero() * angle;
                 }
@@ -79,11 +80,11 @@ impl MeshDistance {
         normal
     }
 
-    /// The angle that a triangle has around a place: that of a corner, or half a turn on an edge, or a whole one within.
-    /// `None` where it does not touch the place.
-    fn angle_at(&self, triangle: &[DVec3; 3], place: DVec3) -> Option<f64> {
-        let is_near = |other: DVec3| other.distance_squared(place) <= self.touch * self.touch;
-        if !is_near(super::tree::nearest_point(triangle, place)) {
+    /// The angle that a triangle has around a point: that of a corner, π on an edge, 2π in its interior.
+    /// `None` if it does not touch the point.
+    fn angle_at(&self, triangle: &[DVec3; 3], point: DVec3) -> Option<f64> {
+        let is_near = |other: DVec3| other.distance_squared(point) <= self.touch * self.touch;
+        if !is_near(super::tree::nearest_point(triangle, point)) {
             return None;
         }
         let [a, b, c] = *triangle;
@@ -94,7 +95,7 @@ impl MeshDistance {
         }
         let is_on = |[from, to]: [DVec3; 2]| {
             let along = to - from;
-            is_near(from + along * ((place - from).dot(along) / along.length_squared()).clamp(0.0, 1.0))
+            is_near(from + along * ((point - from).dot(along) / along.length_squared()).clamp(0.0, 1.0))
         };
         Some(if [[a, b], [b, c], [c, a]].into_iter().any(is_on) { PI } else { TAU })
     }
@@ -104,7 +105,7 @@ impl MeshDistance {
 mod tests {
     use super::*;
 
-    /// A box, its corners shared or not.
+    /// A box with shared or separate corners.
     fn cuboid(least: DVec3, greatest: DVec3, is_shared: bool) -> (Vec<[f64; 3]>, Vec<[u32; 3]>) {
         let corner = |index: u32| {
             let pick = |axis: usize| if index >> axis & 1 == 0 { least[axis] } else { greatest[axis] };
@@ -121,14 +122,14 @@ mod tests {
         (positions, triangles)
     }
 
-    /// Of a box, in closed form.
+    /// The exact signed distance to a box.
     fn exact(point: DVec3, least: DVec3, greatest: DVec3) -> f64 {
         let beyond = (least - point).max(point - greatest);
         beyond.max(DVec3::ZERO).length() + beyond.max_element().min(0.0)
     }
 
     #[test]
-    fn distances_to_a_box_are_those_of_its_formula_also_far_from_the_origin() {
+    fn distances_to_a_box_are_exact_also_far_from_the_origin() {
         for (shift, tolerance) in [(0.0, 1e-14), (1e5, 1e-10)] {
             let [least, greatest] =
                 [DVec3::new(-1.0, 0.0, 2.0), DVec3::new(0.5, 0.25, 4.0)].map(|at| at + shift);
@@ -136,7 +137,7 @@ mod tests {
                 let (positions, triangles) = cuboid(least, greatest, is_shared);
                 let mesh = MeshDistance::new(&positions, &triangles);
                 assert_eq!(mesh.open_edge_count(), 0);
-                // Multiples of a quarter: many of them are straight off a corner, an edge or a face.
+                // On multiples of a quarter, many points lie straight off a corner, an edge or a face.
                 for index in 0..17 * 13 * 19 {
                     let place =
                         [index % 17, index / 17 % 13, index / 221].map(|along| 0.25 * f64::from(along));

@@ -1,29 +1,29 @@
-//! What stands in the way of a fluid: meshes and level sets as signed distances φ_o, leaf by leaf (paper, §3.6).
+//! Obstacles: meshes and level sets as signed distances φ_o, leaf by leaf (paper, §3.6).
 //!
 //! ```text
-//!   mesh ────────▶ Solid ───┐ winding number: which side;  tree: how far
+//!   mesh ────────▶ Solid ───┐ winding number: side;  tree: distance
 //!                           ├──▶ φ_o of a leaf, in voxels of our lattice, negative inside the obstacle
 //!   level set ───▶ Sampled ─┘ interpolated
 //! ```
 //!
-//! Each leaf is computed by itself, relative to its own centre and in 64 bits where that matters. So it is the same
-//! whoever asks for it: a frame, a tile of one, or the next frame, for which it is kept.
+//! Each leaf is computed alone, relative to its own centre and in 64 bits where precision matters. So every
+//! caller gets the same leaf: a frame, a tile, or the next frame, for which it is cached.
 
+mod boundary;
 mod contact;
-mod count;
+mod count_inside;
 mod depth;
-mod eights;
-mod kept;
+mod inside_test;
 mod leaf;
+mod leaf_cache;
 mod mesh_distance;
-mod rim;
 mod sampled;
-mod sides;
 mod solid;
 mod surface;
 #[cfg(test)]
 mod tests;
 mod tree;
+mod triangle8;
 mod winding;
 
 use std::sync::Arc;
@@ -39,18 +39,18 @@ pub use solid::Solid;
 pub use surface::MeshFindings;
 
 use crate::surface::space::Lattice;
-use kept::KeptLeaves;
+use leaf_cache::LeafCache;
 
-/// What an obstacle is made of.
+/// The geometry of an obstacle.
 pub enum Shape {
-    /// What a mesh encloses.
+    /// The inside of a mesh.
     Solid(Solid),
-    /// What a level set encloses.
+    /// The inside of a level set.
     Sampled(Box<Sampled>),
 }
 
 impl Shape {
-    /// The least and the greatest corner of a box that it is in, in world units; `None` if there is nothing of it.
+    /// The lower and the upper corner of a box around it, world units; `None` if it is empty.
     pub fn bounds(&self) -> Option<[DVec3; 2]> {
         match self {
             Shape::Solid(solid) => solid.bounds(),
@@ -58,7 +58,7 @@ impl Shape {
         }
     }
 
-    /// The memory that it takes, in bytes.
+    /// Its memory, in bytes.
     fn size_bytes(&self) -> usize {
         match self {
             Shape::Solid(solid) => solid.size_bytes(),
@@ -70,25 +70,25 @@ impl Shape {
 /// A body that the fluid must not enter. Share it between frames by an `Arc`: its distances are cached in it.
 pub struct Obstacle {
     shape: Shape,
-    kept: KeptLeaves,
+    cache: LeafCache,
 }
 
 impl Obstacle {
-    /// What a triangle mesh in world units encloses. It may have holes, repeated vertices and triangles that face the wrong way;
-    /// triangles that cannot be part of a surface are left out: see [`mesh_findings`](Self::mesh_findings). Distances around it
-    /// are cached in up to 64 MiB.
+    /// The inside of a triangle mesh in world units. The mesh may have holes, repeated vertices and triangles
+    /// that face the wrong way. Triangles that cannot be part of a surface are left out: see
+    /// [`mesh_findings`](Self::mesh_findings). Up to 64 MiB of distances are cached.
     pub fn from_mesh(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> Obstacle {
         Obstacle::new(Shape::Solid(Solid::new(positions, triangles)), CACHED_BYTES_MAX)
     }
 
     #[doc(hidden)]
-    /// An obstacle whose leaves are kept, in at most so many bytes: a frame asks for them more than once, and if
-    /// the obstacle stands still the next frame asks for the same.
-    pub fn new(shape: Shape, kept_bytes_max: usize) -> Obstacle {
-        Obstacle { shape, kept: KeptLeaves::new(kept_bytes_max) }
+    /// An obstacle with a cache of at most this many bytes for its leaves: a frame requests each leaf more
+    /// than once, and if the obstacle is static the next frame requests the same ones.
+    pub fn new(shape: Shape, cache_bytes_max: usize) -> Obstacle {
+        Obstacle { shape, cache: LeafCache::new(cache_bytes_max) }
     }
 
-    /// What was found in its mesh: holes, and triangles that were left out or turned.
+    /// Problems of its mesh: holes, and triangles that were left out or turned. `None` for a level set.
     pub fn mesh_findings(&self) -> Option<&MeshFindings> {
         match &self.shape {
             Shape::Solid(solid) => Some(solid.findings()),
@@ -96,35 +96,35 @@ impl Obstacle {
         }
     }
 
-    /// What it is made of.
+    /// Its geometry.
     #[doc(hidden)]
     pub fn shape(&self) -> &Shape {
         &self.shape
     }
 
-    /// The memory that it takes, in bytes.
+    /// Its memory, in bytes.
     pub fn size_bytes(&self) -> usize {
-        self.kept.size_bytes() + self.shape.size_bytes()
+        self.cache.size_bytes() + self.shape.size_bytes()
     }
 
-    /// The memory that it takes once its cache is full, in bytes.
+    /// Its memory once its cache is full, in bytes.
     pub fn size_bytes_max(&self) -> usize {
-        self.kept.size_bytes_max().saturating_add(self.shape.size_bytes())
+        self.cache.size_bytes_max().saturating_add(self.shape.size_bytes())
     }
 
     #[doc(hidden)]
-    /// Its signed distances in the leaf with this origin, in voxels, within ± `half_width`.
+    /// Its signed distances in the leaf with this origin, in voxels, clamped to ± `half_width`.
     pub fn leaf(&self, origin: IVec3, lattice: &Lattice, half_width: f32) -> ObstacleLeaf {
         let compute = || match &self.shape {
             Shape::Solid(solid) => solid.leaf(origin, lattice, half_width),
             Shape::Sampled(sampled) => sampled.leaf(origin, lattice, half_width),
         };
-        self.kept.get(origin, lattice, half_width, compute)
+        self.cache.get(origin, lattice, half_width, compute)
     }
 
     #[doc(hidden)]
-    /// Whether its surface may come within `margin_voxels` of the voxels of the leaf with this origin. Cheap, and
-    /// never wrongly no.
+    /// Whether its surface may come within `margin_voxels` of the voxels of the leaf with this origin. A
+    /// cheap test without false negatives.
     pub fn touches(&self, origin: IVec3, lattice: &Lattice, margin_voxels: f32) -> bool {
         match &self.shape {
             Shape::Solid(solid) => solid.touches(origin, lattice, margin_voxels),
@@ -133,29 +133,30 @@ impl Obstacle {
     }
 }
 
-/// What an obstacle keeps of its distances, at most, unless the caller says otherwise.
+/// Default upper limit of an obstacle's cache of distances, in bytes.
 const CACHED_BYTES_MAX: usize = 64 << 20;
 
 /// All obstacles of a frame.
 #[derive(Clone, Default)]
 pub struct Obstacles {
-    /// Each of them.
+    /// The obstacles.
     pub members: Vec<Arc<Obstacle>>,
 }
 
 impl Obstacles {
-    /// Whether there is none.
+    /// Whether the list is empty.
     pub fn is_empty(&self) -> bool {
         self.members.is_empty()
     }
 
-    /// φ_o of all together in the leaf with this origin: the least of theirs.
+    /// φ_o of the union of all obstacles in the leaf with this origin: the minimum of their distances.
     pub fn leaf(&self, origin: IVec3, lattice: &Lattice, half_width: f32) -> ObstacleLeaf {
         let leaves = self.members.iter().map(|obstacle| obstacle.leaf(origin, lattice, half_width));
         leaves.fold(ObstacleLeaf::Outside, ObstacleLeaf::union)
     }
 
-    /// Whether the surface of one may come within `margin_voxels` of the voxels of the leaf with this origin.
+    /// Whether the surface of any of them may come within `margin_voxels` of the voxels of the leaf with this
+    /// origin.
     pub fn touches(&self, origin: IVec3, lattice: &Lattice, margin_voxels: f32) -> bool {
         self.members.iter().any(|obstacle| obstacle.touches(origin, lattice, margin_voxels))
     }

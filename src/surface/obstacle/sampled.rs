@@ -1,13 +1,13 @@
-//! A level set as an obstacle: sampled at our voxels, whatever its own are.
+//! A level set as an obstacle: resampled at our voxels.
 //!
 //! ```text
 //!   its voxels   ·   ·   ·   ·          ours lie anywhere between: values are interpolated along the
 //!   ours           x  x  x  x           three axes from the eight voxels around
 //! ```
 //!
-//! Its values are known within a band around the surface, and are the background beyond. Where ours is wider, the
-//! distance goes on from the end of what is known. A band that is much narrower than one of our voxels tells little:
-//! the surface is then off by a part of a voxel.
+//! Its values are known within a band around the surface; beyond it, they equal the background. If our band
+//! is wider, distances are extended from the outermost known values. A band much narrower than one of our
+//! voxels has too little information: the surface is then off by a fraction of a voxel.
 
 use std::sync::Arc;
 
@@ -22,16 +22,16 @@ use crate::surface::level_set::{
 };
 use crate::surface::space::{INDEX_LIMIT, Lattice};
 
-/// A level set as it comes: signed distances in world units, negative inside.
+/// A level set from a file: signed distances in world units, negative inside.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LevelSetSource {
     /// Origins of the leaves of 8³ voxels, multiples of 8.
     pub origins: Vec<IVec3>,
-    /// The values of each, z fastest.
+    /// The values of each leaf, z fastest.
     pub leaves: Vec<[f32; LEAF_VOXELS]>,
-    /// Cubes of voxels with one value: least voxel, edge, value. The edges are powers of two.
+    /// Cubes of voxels with one value: lowest voxel, edge length, value. Edge lengths are powers of two.
     pub tiles: Vec<(IVec3, i32, f32)>,
-    /// The value where there is nothing else: half the thickness of the band, positive.
+    /// The value of all other voxels: half the thickness of the band, positive.
     pub background: f32,
     /// Steps from a voxel to the next along each index, world units.
     pub axes: [DVec3; 3],
@@ -39,7 +39,7 @@ pub struct LevelSetSource {
     pub translation: DVec3,
 }
 
-/// What a level set encloses.
+/// The inside of a level set.
 pub struct Sampled {
     source: LevelSetSource,
     leaf_of: FxHashMap<IVec3, u32>,
@@ -49,26 +49,26 @@ pub struct Sampled {
     rebuilt_because: Option<RebuildReason>,
 }
 
-/// Steps that differ by more than this part are of different lengths, or not at right angles.
+/// Steps that differ by more than this fraction have different lengths, or are not orthogonal.
 const SKEW_MAX: f64 = 1e-4;
 
-/// A distance in voxels of ours, and whether it is one: else only its sign is.
+/// A distance in our voxels, and whether it is known; otherwise only its sign is.
 #[derive(Clone, Copy)]
-struct Sample {
+struct GridSample {
     distance: f32,
     is_known: bool,
 }
 
-/// Voxels with the distances that are known there.
+/// Voxels with known distances.
 #[derive(Default)]
-struct Sources {
+struct KnownVoxels {
     x: Vec<f32>,
     y: Vec<f32>,
     z: Vec<f32>,
     distances: Vec<f32>,
 }
 
-impl Sources {
+impl KnownVoxels {
     fn push(&mut self, voxel: IVec3, distance: f32) {
         self.x.push(voxel.x as f32);
         self.y.push(voxel.y as f32);
@@ -76,26 +76,26 @@ impl Sources {
         self.distances.push(distance);
     }
 
-    /// The least distance by way of any of them; infinite if there is none.
+    /// The minimum over all of them of distance plus way; infinite if the set is empty.
     fn nearest(&self, from: IVec3) -> f32 {
         let from = from.as_vec3();
-        let places = self.x.iter().zip(&self.y).zip(&self.z).zip(&self.distances);
-        places.fold(f32::INFINITY, |least, (((x, y), z), distance)| {
+        let voxels = self.x.iter().zip(&self.y).zip(&self.z).zip(&self.distances);
+        voxels.fold(f32::INFINITY, |least, (((x, y), z), distance)| {
             let (x, y, z) = (x - from.x, y - from.y, z - from.z);
             least.min(distance + (x * x + y * y + z * z).sqrt())
         })
     }
 }
 
-/// How far around a leaf is looked for what is known, in voxels.
+/// How far around a leaf known values are searched, in voxels.
 const EXTENSION_MAX: i32 = 12;
 
-/// How thick the layer is, in voxels, in which what is known farthest out is looked for: every way out leads through
-/// a voxel of it.
+/// Thickness of the layer, in voxels, in which the outermost known values are searched: every way out passes
+/// through one of its voxels.
 const OUTERMOST: f32 = 1.8;
 
 impl LevelSetSource {
-    /// The same with distances in a band around the surface; `None` if it has them already.
+    /// A copy with distances in a band around the surface; `None` if the source already has them.
     fn rebuilt(
         &self,
         voxel_size: f64,
@@ -124,11 +124,12 @@ impl LevelSetSource {
 }
 
 impl Sampled {
-    /// What a level set encloses. Rebuilding its distances, where the file lacks them, may take `memory_bytes` beside it.
+    /// The inside of a level set. Rebuilding distances that the file lacks may take `memory_bytes` in
+    /// addition.
     ///
     /// # Errors
-    /// What is wrong with it, in a sentence without subject: voxels that are no cubes, a background that is not
-    /// positive, distances that cannot be rebuilt in that memory.
+    /// A sentence without subject with the reason: voxels that are not cubes, a background that is not
+    /// positive, or distances that cannot be rebuilt in that memory.
     pub fn new(mut source: LevelSetSource, memory_bytes: u64) -> Result<Sampled, String> {
         let [x, y, z] = source.axes;
         let size_squared = x.length_squared();
@@ -136,13 +137,13 @@ impl Sampled {
         let is_square = |product: f64| product.abs() <= SKEW_MAX * size_squared;
         let is_finite = source.translation.is_finite() && size_squared.is_finite() && size_squared > 0.0;
         if !(is_finite && is_even(y.length_squared()) && is_even(z.length_squared())) {
-            return Err("has voxels that are no cubes".into());
+            return Err("has voxels that are not cubes".into());
         }
         if !(is_square(x.dot(y)) && is_square(y.dot(z)) && is_square(z.dot(x))) {
-            return Err("has voxels that are no cubes".into());
+            return Err("has voxels that are not cubes".into());
         }
         if !(source.background.is_finite() && source.background > 0.0) {
-            return Err(format!("has the background {}; a level set has a positive one", source.background));
+            return Err(format!("has the background {}; it must be positive", source.background));
         }
         if source.origins.len() != source.leaves.len() {
             return Err("has leaves without values".into());
@@ -150,7 +151,7 @@ impl Sampled {
         let leaf_count_max = rebuilding_leaf_count_max(memory_bytes);
         let rebuilt = source.rebuilt(size_squared.sqrt(), leaf_count_max).map_err(|TooManyLeaves| {
             format!(
-                "has signs without distances over a surface of more than {leaf_count_max} leaves: \
+                "has no distances, only signs, and its surface has more than {leaf_count_max} leaves: \
                  allow more memory (--memory), or save it with a narrow band"
             )
         })?;
@@ -170,12 +171,12 @@ impl Sampled {
         Ok(Sampled { source, leaf_of, tile_of, tile_sizes, to_index, rebuilt_because })
     }
 
-    /// Why its distances were rebuilt, if they were.
+    /// Why its distances were rebuilt; `None` if they were not.
     pub fn rebuilt_because(&self) -> Option<RebuildReason> {
         self.rebuilt_because
     }
 
-    /// The edge of its voxels, world units.
+    /// The edge length of its voxels, world units.
     pub fn voxel_size(&self) -> f64 {
         self.source.axes[0].length()
     }
@@ -185,14 +186,14 @@ impl Sampled {
         f64::from(self.source.background)
     }
 
-    /// Samples up to here are what they say. Farther ones are mixed with the background; but next to the surface
-    /// there is nothing better.
+    /// Samples up to this distance are exact. Farther samples are interpolated with the background; next to
+    /// the surface there is nothing better.
     fn known_width(&self) -> f32 {
         let voxel_size = self.voxel_size() as f32;
         (self.source.background - voxel_size).max(voxel_size).min(0.9999 * self.source.background)
     }
 
-    /// A box around all that has values of its own.
+    /// A box around all stored values.
     pub(super) fn bounds(&self) -> Option<[DVec3; 2]> {
         let LevelSetSource { origins, tiles, axes: [x, y, z], translation, .. } = &self.source;
         let leaves = origins.iter().map(|&origin| (origin, LEAF_EDGE));
@@ -207,7 +208,7 @@ impl Sampled {
         corners.map(|corner| [corner; 2]).reduce(|[min, max], [one, _]| [min.min(one), max.max(one)])
     }
 
-    /// The memory that it takes, in bytes.
+    /// Its memory, in bytes.
     pub fn size_bytes(&self) -> usize {
         size_of_val(&*self.source.leaves) + 40 * self.source.origins.len() + 60 * self.source.tiles.len()
     }
@@ -230,20 +231,20 @@ impl Sampled {
         ObstacleLeaf::of_values(Arc::new(leaf), half_width)
     }
 
-    /// What is known at a voxel of ours.
-    fn sample_at(&self, voxel: IVec3, lattice: &Lattice) -> Sample {
+    /// The sample at one of our voxels.
+    fn sample_at(&self, voxel: IVec3, lattice: &Lattice) -> GridSample {
         let value = self.sample(self.index_of(voxel.as_dvec3(), lattice));
         let distance = (f64::from(value) / lattice.voxel_size) as f32;
-        Sample { distance, is_known: value.abs() < self.known_width() }
+        GridSample { distance, is_known: value.abs() < self.known_width() }
     }
 
-    /// Finds the distances of a leaf that are not known from those around it that are: the least of |φ(y)| + |x − y|
-    /// over the outermost voxels y that are known, on the same side.
+    /// Computes the unknown distances of a leaf from known ones around it: the minimum of |φ(y)| + |x − y|
+    /// over the outermost known voxels y on the same side.
     fn extend(&self, origin: IVec3, lattice: &Lattice, half_width: f32, leaf: &mut Leaf) {
         let reach = (half_width.ceil() as i32).min(EXTENSION_MAX);
         let outermost = (f64::from(self.known_width()) / lattice.voxel_size) as f32 - OUTERMOST;
         let edge = LEAF_EDGE + 2 * reach;
-        let mut sources = [Sources::default(), Sources::default()];
+        let mut sources = [KnownVoxels::default(), KnownVoxels::default()];
         for index in 0..edge * edge * edge {
             let local = IVec3::new(index / (edge * edge), index / edge % edge, index % edge) - reach;
             let sample = self.sample_at(origin + local, lattice);
@@ -261,7 +262,8 @@ impl Sampled {
         }
     }
 
-    /// How deep a point is inside, in world units, and the nearest place on the surface.
+    /// How deep a point is inside, world units, and the nearest point on the surface. `None` if it is
+    /// outside.
     pub(super) fn depth(&self, point: DVec3) -> Option<(f64, DVec3)> {
         let at = |point: DVec3| f64::from(self.sample(self.to_index * (point - self.source.translation)));
         let depth = -at(point);
@@ -276,35 +278,35 @@ impl Sampled {
         self.has_leaf_between(min, max)
     }
 
-    /// The side that a leaf is on, if there is nothing but one value around it.
+    /// The side of a leaf, if one constant value surrounds it.
     fn side(&self, origin: IVec3, lattice: &Lattice) -> Option<ObstacleLeaf> {
         let (min, max) = self.around(origin, lattice, 0.0);
         if self.has_leaf_between(min, max) {
             return None;
         }
-        // Tiles meet only where there are leaves between those of both sides.
+        // Tiles of both sides meet only where leaves separate them.
         Some(if self.value(min) < 0.0 { ObstacleLeaf::Inside } else { ObstacleLeaf::Outside })
     }
 
-    /// The box of its voxels that a leaf's samples, and those so many voxels around it, are taken from.
+    /// The box of source voxels for the samples of a leaf and `margin` voxels around it.
     fn around(&self, origin: IVec3, lattice: &Lattice, margin: f64) -> (IVec3, IVec3) {
         let half = 0.5 * f64::from(LEAF_EDGE - 1);
         let center = self.index_of(origin.as_dvec3() + half, lattice);
         let scale = lattice.voxel_size / self.voxel_size();
-        // Turned by whatever angle, a cube stays within the ball around it.
+        // Rotated by any angle, a cube stays within the ball around it.
         let reach = DVec3::splat((half + margin) * scale * 3f64.sqrt());
         ((center - reach).floor().as_ivec3(), (center + reach).ceil().as_ivec3())
     }
 
-    /// Whether a leaf of a box of voxels is stored.
+    /// Whether a leaf in a box of voxels is stored.
     fn has_leaf_between(&self, min: IVec3, max: IVec3) -> bool {
         let edge = IVec3::splat(LEAF_EDGE);
         let (first, last) = (min.div_euclid(edge), max.div_euclid(edge));
         let is_between = |origin: &IVec3| {
-            let place = origin.div_euclid(edge);
-            place.cmpge(first).all() && place.cmple(last).all()
+            let leaf = origin.div_euclid(edge);
+            leaf.cmpge(first).all() && leaf.cmple(last).all()
         };
-        // Its voxels may be much smaller than ours.
+        // The source's voxels may be much smaller than ours.
         let spans = last.as_dvec3() - first.as_dvec3() + 1.0;
         if spans.element_product() > self.source.origins.len() as f64 {
             return self.source.origins.iter().any(is_between);
@@ -322,7 +324,7 @@ impl Sampled {
     /// The value between voxels.
     fn sample(&self, at: DVec3) -> f32 {
         let low = at.floor();
-        // What is not a number is nowhere.
+        // A NaN index is outside the grid.
         let is_near = low.abs().max_element() < f64::from(INDEX_LIMIT);
         if !is_near {
             return self.source.background;
@@ -341,7 +343,7 @@ impl Sampled {
         let local = voxel & (LEAF_EDGE - 1);
         if let Some(&leaf) = self.leaf_of.get(&(voxel - local)) {
             let value = self.source.leaves[leaf as usize][offset_in_leaf(local)];
-            // What is not a number is nothing.
+            // A NaN value counts as background.
             return if value.is_nan() { self.source.background } else { value };
         }
         let of_size = |&size: &i32| self.tile_of.get(&(voxel & -size, size)).copied();

@@ -1,57 +1,57 @@
-//! A mesh as an obstacle: signed distances leaf by leaf.
+//! A mesh as an obstacle: signed distances, leaf by leaf.
 
 use std::sync::Arc;
 
 use glam::{DVec3, IVec3};
 
-use super::eights::{Distances, Eight};
+use super::inside_test::{WindingField, sign};
 use super::leaf::ObstacleLeaf;
-use super::sides::{Winds, sign};
-use super::surface::{MeshFindings, Surface};
+use super::surface::{MeshFindings, RepairedMesh};
+use super::triangle8::{Distances, Triangle8};
 use super::winding::{WINDING_ERROR, winding, winding_gradient};
 use crate::surface::grid::LEAF_EDGE;
 use crate::surface::simd;
 use crate::surface::space::Lattice;
 
-/// What a mesh encloses.
+/// The inside of a mesh.
 pub struct Solid {
-    surface: Surface,
+    surface: RepairedMesh,
 }
 
-/// From the centre of a leaf to its outermost voxels, on each axis.
+/// From the centre of a leaf to its outermost voxels along an axis, in voxels.
 const HALF_EDGE: f64 = 0.5 * (LEAF_EDGE - 1) as f64;
 
-/// And to the farthest one.
+/// From the centre of a leaf to its farthest voxel, in voxels.
 const RADIUS: f64 = HALF_EDGE * 1.732_050_807_568_877_2;
 
-/// More than rounding makes of distances, in voxels.
+/// More than the rounding error of distances, in voxels.
 const ROUNDING: f64 = 1e-3;
 
 impl Solid {
-    /// What these triangles enclose, in world units. What cannot be part of a surface is left out, and found in
-    /// [`Solid::findings`].
+    /// The inside of these triangles, in world units. Triangles that cannot be part of a surface are left out
+    /// and counted in [`Solid::findings`].
     pub fn new(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> Solid {
-        Solid { surface: Surface::new(positions, triangles) }
+        Solid { surface: RepairedMesh::new(positions, triangles) }
     }
 
-    /// What was found in the mesh.
+    /// The problems of the mesh.
     pub fn findings(&self) -> &MeshFindings {
         &self.surface.findings
     }
 
-    /// The box around it; patches over holes are within it, too.
+    /// The box around it, which also contains the patches over its holes.
     pub(super) fn bounds(&self) -> Option<[DVec3; 2]> {
         self.surface.tree.root().map(|node| [node.min, node.max])
     }
 
-    /// The memory that it takes, in bytes.
+    /// Its memory, in bytes.
     pub fn size_bytes(&self) -> usize {
-        self.surface.tree.size_bytes() + self.surface.rim.size_bytes()
+        self.surface.tree.size_bytes() + self.surface.boundary.size_bytes()
     }
 
     /// The signed distances of a leaf.
     pub(super) fn leaf(&self, origin: IVec3, lattice: &Lattice, half_width: f32) -> ObstacleLeaf {
-        let view = View::new(&self.surface, origin, lattice);
+        let view = LeafView::new(&self.surface, origin, lattice);
         let far = f64::from(half_width);
         let nearest = view.nearest(far + RADIUS);
         if nearest.is_none()
@@ -59,13 +59,14 @@ impl Solid {
         {
             return side;
         }
-        let eights = nearest.map_or(Vec::new(), |nearest| view.near(far, nearest + 2.0 * RADIUS));
-        let mut leaf = simd::dispatch(Distances { eights: &eights, most: half_width });
+        let packets = nearest.map_or(Vec::new(), |nearest| view.near(far, nearest + 2.0 * RADIUS));
+        let mut leaf = simd::dispatch(Distances { packets: &packets, most: half_width });
         sign(&mut leaf, &view, view.slope_bound(RADIUS));
         ObstacleLeaf::of_values(Arc::new(leaf), half_width)
     }
 
-    /// How deep a point is inside, in world units, and the nearest place on the surface.
+    /// How deep a point is inside, world units, and the nearest point on the surface. `None` if it is
+    /// outside.
     pub(super) fn depth(&self, point: DVec3) -> Option<(f64, DVec3)> {
         let tree = &self.surface.tree;
         let beyond = winding(tree, point) - 0.5;
@@ -74,7 +75,7 @@ impl Solid {
         }
         let outside = tree.nearest(point, f64::INFINITY)?;
         let depth = outside.distance(point);
-        if !self.surface.rim.is_empty() {
+        if !self.surface.boundary.is_empty() {
             let gradient = winding_gradient(tree, point);
             let to_patch = beyond / gradient.length();
             if to_patch < depth {
@@ -84,9 +85,9 @@ impl Solid {
         Some((depth, outside))
     }
 
-    /// The signed distance of a point, in world units: negative inside. `None` where there is no surface.
+    /// The signed distance of a point, world units: negative inside. `None` if the mesh has no triangles.
     ///
-    /// Patches over holes count for the side only.
+    /// Patches over holes affect the sign only.
     pub fn distance(&self, point: DVec3) -> Option<f64> {
         let tree = &self.surface.tree;
         let distance = tree.nearest(point, f64::INFINITY)?.distance(point);
@@ -95,36 +96,36 @@ impl Solid {
 
     /// Whether the surface may come within `margin_voxels` of a leaf's voxels.
     pub(super) fn touches(&self, origin: IVec3, lattice: &Lattice, margin_voxels: f32) -> bool {
-        let view = View::new(&self.surface, origin, lattice);
+        let view = LeafView::new(&self.surface, origin, lattice);
         let margin = f64::from(margin_voxels);
-        let has_patches = !self.surface.rim.is_empty();
+        let has_patches = !self.surface.boundary.is_empty();
         view.nearest(margin + RADIUS + ROUNDING).is_some() || has_patches && view.side(margin).is_none()
     }
 }
 
-/// The surface as a leaf sees it.
-struct View<'a> {
-    surface: &'a Surface,
-    /// The centre of the leaf, and the edge of a voxel, in world units.
+/// The surface relative to a leaf.
+struct LeafView<'a> {
+    surface: &'a RepairedMesh,
+    /// The centre of the leaf, and the edge length of a voxel, world units.
     center: DVec3,
     voxel_size: f64,
 }
 
-impl View<'_> {
-    fn new<'a>(surface: &'a Surface, origin: IVec3, lattice: &Lattice) -> View<'a> {
+impl LeafView<'_> {
+    fn new<'a>(surface: &'a RepairedMesh, origin: IVec3, lattice: &Lattice) -> LeafView<'a> {
         let voxel_size = lattice.voxel_size;
-        View { surface, center: (origin.as_dvec3() + HALF_EDGE) * voxel_size, voxel_size }
+        LeafView { surface, center: (origin.as_dvec3() + HALF_EDGE) * voxel_size, voxel_size }
     }
 
-    /// From the centre to the nearest triangle, in voxels, if that is less than `limit`.
+    /// The distance from the centre to the nearest triangle, in voxels, if less than `limit`.
     fn nearest(&self, limit: f64) -> Option<f64> {
         let limit = limit * self.voxel_size;
         let squared = self.surface.tree.nearest_squared(self.center, limit * limit)?;
         Some(squared.sqrt() / self.voxel_size)
     }
 
-    /// The side that the whole leaf is on, if neither a patch over a hole is within `far` voxels of it; triangles
-    /// must be known not to be.
+    /// The side of the whole leaf, if no patch over a hole is within `far` voxels of it. The caller must know
+    /// that no triangle is.
     fn side(&self, far: f64) -> Option<ObstacleLeaf> {
         let slope = self.slope_bound(RADIUS + far);
         if slope == f64::INFINITY {
@@ -135,33 +136,33 @@ impl View<'_> {
         is_certain.then_some(if beyond > 0.0 { ObstacleLeaf::Inside } else { ObstacleLeaf::Outside })
     }
 
-    /// How fast the winding number may change within so many voxels of the centre, a voxel.
+    /// Upper bound of the change of the winding number per voxel, within `radius` voxels of the centre.
     fn slope_bound(&self, radius: f64) -> f64 {
-        self.surface.rim.slope_bound(self.center, radius * self.voxel_size) * self.voxel_size
+        self.surface.boundary.slope_bound(self.center, radius * self.voxel_size) * self.voxel_size
     }
 
     /// The triangles within `far` of the leaf's box and within `reach` of its centre, and some more.
-    fn near(&self, far: f64, reach: f64) -> Vec<Eight> {
-        let mut eights = Vec::new();
+    fn near(&self, far: f64, reach: f64) -> Vec<Triangle8> {
+        let mut packets = Vec::new();
         let [half_edge, far, reach] =
             [HALF_EDGE, far + ROUNDING, reach + ROUNDING].map(|voxels| voxels * self.voxel_size);
         self.surface.tree.leaves_near(self.center, half_edge, far, reach, |triangles| {
-            eights.push(Eight::new(triangles, self.center, 1.0 / self.voxel_size));
+            packets.push(Triangle8::new(triangles, self.center, 1.0 / self.voxel_size));
         });
-        eights
+        packets
     }
 
-    fn place(&self, voxel: IVec3) -> DVec3 {
+    fn position(&self, voxel: IVec3) -> DVec3 {
         self.center + (voxel.as_dvec3() - HALF_EDGE) * self.voxel_size
     }
 }
 
-impl Winds for View<'_> {
+impl WindingField for LeafView<'_> {
     fn winding(&self, voxel: IVec3) -> f64 {
-        winding(&self.surface.tree, self.place(voxel))
+        winding(&self.surface.tree, self.position(voxel))
     }
 
     fn slope(&self, voxel: IVec3) -> f64 {
-        winding_gradient(&self.surface.tree, self.place(voxel)).length() * self.voxel_size
+        winding_gradient(&self.surface.tree, self.position(voxel)).length() * self.voxel_size
     }
 }

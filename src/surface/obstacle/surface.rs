@@ -1,79 +1,81 @@
-//! The triangles of an obstacle, mended as far as they can be without guessing a shape.
+//! The triangles of an obstacle, repaired as far as possible without guessing a shape.
 //!
-//! Meshes of scenes are made to be looked at. Vertices are repeated along seams, parts are drawn twice, some face
-//! the wrong way. Here vertices at one place become one, a triangle that is there twice is kept once, and
-//! neighbours are made to agree on which side is outside:
+//! The meshes of a scene are made for rendering: vertices are repeated along seams, parts are duplicated,
+//! some triangles face the wrong way. Here vertices at the same position are merged, duplicate triangles are
+//! removed, and the orientation of neighbours is made consistent:
 //!
 //! ```text
-//!    ──▶ ◀──        an edge of two triangles is walked in both directions if they agree:
-//!    │ 1 │ 2 │      of those that can be reached over such edges, the lesser part by area is turned
+//!    ──▶ ◀──        two triangles agree if they traverse their common edge in opposite
+//!    │ 1 │ 2 │      directions. Among triangles connected by such edges, the smaller part by area is flipped
 //!
-//!    ┌─────────┐    a part whose volume is negative is turned as a whole,
-//!    │  ┌───┐  │    unless it lies within another one: there it bounds a cavity
+//!    ┌─────────┐    a part with negative volume is flipped as a whole,
+//!    │  ┌───┐  │    unless it lies within another part: then it bounds a cavity
 //!    │  └───┘  │
 //!    └─────────┘
 //! ```
 //!
-//! What is left open stays open: the [rim](Surface::rim) says where, and the winding number closes it.
+//! Holes stay open: the [boundary](RepairedMesh::boundary) locates them, and the winding number closes them.
 
 use glam::DVec3;
 use rustc_hash::{FxHashMap, FxHashSet};
 
-use super::rim::Rim;
-use super::tree::Tree;
+use super::boundary::BoundaryEdges;
+use super::tree::TriangleTree;
 use super::winding::{WINDING_ERROR, winding};
 
-/// What was found in the mesh of an obstacle: triangles that were left out or turned, and holes. An obstacle with open edges is
-/// closed by its winding number; one that [encloses nothing](Self::encloses_nothing) displaces no fluid.
+/// Problems of the mesh of an obstacle: triangles that were left out or flipped, and holes. The winding
+/// number closes an obstacle with open edges; an obstacle that [encloses nothing](Self::encloses_nothing)
+/// displaces no fluid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct MeshFindings {
-    /// Triangles that bound the obstacle.
+    /// Number of triangles that bound the obstacle.
     pub triangle_count: usize,
-    /// Triangles left out since a corner is not finite, or is no vertex.
+    /// Triangles left out because a corner is not finite, or its index is out of range.
     pub broken_count: usize,
-    /// Triangles without an area.
+    /// Triangles without area.
     pub degenerate_count: usize,
-    /// Triangles left out since they are there already.
+    /// Triangles left out because they are duplicates.
     pub duplicate_count: usize,
-    /// Triangles that were turned to agree with their neighbours, or with their volume.
+    /// Triangles flipped to agree with their neighbours, or because their part had negative volume.
     pub turned_count: usize,
-    /// Edges where the surface ends, as at a hole.
+    /// Boundary edges of the surface, as at a hole.
     pub open_edge_count: usize,
-    /// Whether it is so open that it encloses nothing, like a plane.
+    /// Whether the mesh is so open that it encloses nothing, like a plane.
     pub encloses_nothing: bool,
-    /// Parts that seem to face inwards and were left as they are: there are too many parts to find out which are cavities.
+    /// Parts that seem to face inwards and were left as they are: with this many parts, finding the cavities
+    /// would take too long.
     pub unasked_part_count: usize,
 }
 
-/// Triangles that agree on what is outside.
-pub(super) struct Surface {
-    pub(super) tree: Tree,
-    /// The edges where it ends: what is inside changes gradually near these only.
-    pub(super) rim: Rim,
+/// Consistently oriented triangles.
+pub(super) struct RepairedMesh {
+    pub(super) tree: TriangleTree,
+    /// The boundary edges: only near these does the winding number change gradually.
+    pub(super) boundary: BoundaryEdges,
     pub(super) findings: MeshFindings,
 }
 
-/// Positions beyond this are taken for garbage: squares of squares of them would not be numbers.
+/// Positions beyond this are invalid: squares of their squares would overflow.
 const FARTHEST: f64 = 1e60;
 
-/// A height below this part of the longest edge is none.
+/// A triangle is flat if its height is below this fraction of its longest edge.
 const FLAT: f64 = 1e-12;
 
-impl Surface {
+impl RepairedMesh {
     /// The surface of these triangles, in world units.
-    pub(super) fn new(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> Surface {
+    pub(super) fn new(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> RepairedMesh {
         let mut findings = MeshFindings::default();
         let (points, welded) = weld(positions);
         let mut faces = distinct_faces(&points, &welded, triangles, &mut findings);
         let edges = Edges::new(&faces);
-        let mut turned = vec![false; faces.len()];
-        let parts = agree(&points, &faces, &edges, &mut turned);
-        turn(&mut faces, &turned);
-        findings.unasked_part_count = turn_parts(&points, &mut faces, &parts, &mut turned);
-        findings.turned_count = turned.iter().filter(|&&turned| turned).count();
-        let rim = Rim::new(rim(&points, &faces));
-        findings.open_edge_count = rim.len();
+        let mut flipped = vec![false; faces.len()];
+        let parts = orient(&points, &faces, &edges, &mut flipped);
+        flip(&mut faces, &flipped);
+        findings.unasked_part_count = flip_parts(&points, &mut faces, &parts, &mut flipped);
+        findings.turned_count = flipped.iter().filter(|&&flipped| flipped).count();
+        let boundary = BoundaryEdges::new(boundary(&points, &faces));
+        findings.open_edge_count = boundary.len();
         let corners: Vec<[DVec3; 3]> = faces
             .iter()
             .map(|face| face.map(|corner| points[corner as usize]))
@@ -81,14 +83,14 @@ impl Surface {
             .collect();
         findings.triangle_count = corners.len();
         findings.degenerate_count += faces.len() - corners.len();
-        let tree = Tree::new(corners);
+        let tree = TriangleTree::new(corners);
         findings.encloses_nothing = findings.open_edge_count > 0 && encloses_nothing(&tree);
-        Surface { tree, rim, findings }
+        RepairedMesh { tree, boundary, findings }
     }
 }
 
-/// The triangles with an area and finite corners, as they are.
-pub(super) fn sound_triangles(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> Vec<[DVec3; 3]> {
+/// The triangles with an area and finite corners, in their original orientation.
+pub(super) fn valid_triangles(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> Vec<[DVec3; 3]> {
     let corner = |index: u32| {
         let position = positions.get(index as usize);
         position
@@ -99,18 +101,18 @@ pub(super) fn sound_triangles(positions: &[[f64; 3]], triangles: &[[u32; 3]]) ->
     triangles.iter().filter_map(corners).filter(|corners| !is_flat(corners)).collect()
 }
 
-/// How many edges these triangles end at; vertices at one place count as one.
+/// The number of boundary edges of these triangles; vertices at the same position count as one.
 pub(super) fn open_edge_count(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> usize {
     let (points, welded) = weld(positions);
     let faces = distinct_faces(&points, &welded, triangles, &mut MeshFindings::default());
-    rim(&points, &faces).len()
+    boundary(&points, &faces).len()
 }
 
-/// Whether the winding number is nowhere above 1/2, as far as can be told behind some of the triangles: there it is the
-/// greatest.
-fn encloses_nothing(tree: &Tree) -> bool {
+/// Whether the winding number exceeds 1/2 nowhere. It is evaluated behind some of the triangles, where it is
+/// largest.
+fn encloses_nothing(tree: &TriangleTree) -> bool {
     let triangles = tree.triangles();
-    let every = triangles.len().div_ceil(ASKED_COUNT).max(1);
+    let every = triangles.len().div_ceil(TEST_COUNT).max(1);
     triangles.iter().step_by(every).all(|triangle| {
         let area = area_vector(triangle);
         let behind = area.normalize_or_zero() * (BEHIND * area.length().sqrt());
@@ -119,15 +121,15 @@ fn encloses_nothing(tree: &Tree) -> bool {
     })
 }
 
-/// So many triangles are asked, about.
-const ASKED_COUNT: usize = 500;
+/// Approximate number of triangles that are tested.
+const TEST_COUNT: usize = 500;
 
-/// How far behind a triangle it is asked, in units of the root of its area.
+/// Distance of the evaluation point behind a triangle, in units of the square root of its area.
 const BEHIND: f64 = 1e-3;
 
-/// The distinct positions, and for each position which of them it is. What is not finite is none.
+/// The distinct positions, and for each vertex the index of its position; `None` if it is not finite.
 fn weld(positions: &[[f64; 3]]) -> (Vec<DVec3>, Vec<Option<u32>>) {
-    let mut places: FxHashMap<[u64; 3], u32> = FxHashMap::default();
+    let mut index_of: FxHashMap<[u64; 3], u32> = FxHashMap::default();
     let mut points = Vec::new();
     let welded = positions
         .iter()
@@ -136,18 +138,19 @@ fn weld(positions: &[[f64; 3]]) -> (Vec<DVec3>, Vec<Option<u32>>) {
                 return None;
             }
             let next = u32::try_from(points.len()).ok()?;
-            // Adding zero makes one of both zeros.
-            let place = *places.entry(position.map(|c| (c + 0.0).to_bits())).or_insert(next);
-            if place == next {
+            // Adding 0 turns −0 into 0.
+            let index = *index_of.entry(position.map(|c| (c + 0.0).to_bits())).or_insert(next);
+            if index == next {
                 points.push(DVec3::from(*position));
             }
-            Some(place)
+            Some(index)
         })
         .collect();
     (points, welded)
 }
 
-/// The triangles by distinct positions, each once. Flat ones stay, for they join what is beside them.
+/// The triangles by distinct positions, without duplicates. Flat triangles stay, because they connect their
+/// neighbours.
 fn distinct_faces(
     points: &[DVec3],
     welded: &[Option<u32>],
@@ -180,7 +183,8 @@ fn distinct_faces(
 
 /// The triangles at each edge.
 struct Edges {
-    /// Both ends, the lesser first; the triangle; whether it walks from the lesser to the greater.
+    /// Both ends, the lower index first; the triangle; whether it traverses the edge from the lower to the
+    /// higher index.
     uses: Vec<([u32; 2], u32, bool)>,
 }
 
@@ -202,12 +206,12 @@ impl Edges {
     }
 }
 
-/// Decides which triangles are turned so that neighbours agree; returns which part each belongs to.
-fn agree(points: &[DVec3], faces: &[[u32; 3]], edges: &Edges, turned: &mut [bool]) -> Vec<u32> {
+/// Decides which triangles to flip so that neighbours agree. Returns the part of each triangle.
+fn orient(points: &[DVec3], faces: &[[u32; 3]], edges: &Edges, flipped: &mut [bool]) -> Vec<u32> {
     const NONE: u32 = u32::MAX;
     let mut neighbors = vec![[(NONE, false); 3]; faces.len()];
     for uses in edges.iter() {
-        // Where more than two meet, nobody can tell who belongs together.
+        // If more than two triangles meet, it is unknown which of them belong together.
         let &[(_, one, one_up), (_, other, other_up)] = uses else { continue };
         for (from, to) in [(one, other), (other, one)] {
             if let Some(free) = neighbors[from as usize].iter_mut().find(|slot| slot.0 == NONE) {
@@ -229,36 +233,37 @@ fn agree(points: &[DVec3], faces: &[[u32; 3]], edges: &Edges, turned: &mut [bool
             for (neighbor, disagrees) in neighbors[face as usize] {
                 if neighbor != NONE && parts[neighbor as usize] == NONE {
                     parts[neighbor as usize] = part_count;
-                    turned[neighbor as usize] = turned[face as usize] != disagrees;
+                    flipped[neighbor as usize] = flipped[face as usize] != disagrees;
                     members.push(neighbor);
                 }
             }
         }
         let area = |wanted: bool| -> f64 {
-            let members = members.iter().filter(|&&face| turned[face as usize] == wanted);
+            let members = members.iter().filter(|&&face| flipped[face as usize] == wanted);
             members.map(|&face| area_vector(&corners(points, faces[face as usize])).length()).sum()
         };
         if area(true) > area(false) {
-            members.iter().for_each(|&face| turned[face as usize] ^= true);
+            members.iter().for_each(|&face| flipped[face as usize] ^= true);
         }
         part_count += 1;
     }
     parts
 }
 
-fn turn(faces: &mut [[u32; 3]], turned: &[bool]) {
-    faces.iter_mut().zip(turned).filter(|(_, turned)| **turned).for_each(|(face, _)| face.swap(1, 2));
+fn flip(faces: &mut [[u32; 3]], flipped: &[bool]) {
+    faces.iter_mut().zip(flipped).filter(|(_, flipped)| **flipped).for_each(|(face, _)| face.swap(1, 2));
 }
 
-/// More parts than this are left as they are: it is rubble, or the triangles share no vertices at all.
+/// With more parts than this, they are left as they are: the mesh is rubble, or its triangles share no
+/// vertices.
 const PARTS_MAX: usize = 4096;
 
-/// A part is a cavity if so many of its corners, or all, are inside other parts.
-const PLACES_ASKED: usize = 64;
+/// Number of corners of a part to test; the part is a cavity if all of them are inside other parts.
+const CORNERS_TESTED: usize = 64;
 
-/// Turns parts with a negative volume, but for cavities. Returns how many such parts were left as they are, since
+/// Flips parts with negative volume, except cavities. Returns how many such parts were left unchanged because
 /// there are too many parts.
-fn turn_parts(points: &[DVec3], faces: &mut [[u32; 3]], parts: &[u32], turned: &mut [bool]) -> usize {
+fn flip_parts(points: &[DVec3], faces: &mut [[u32; 3]], parts: &[u32], flipped: &mut [bool]) -> usize {
     let part_count = parts.iter().max().map_or(0, |&last| last as usize + 1);
     let Some(&anchor) = points.first() else { return 0 };
     let mut volumes = vec![0.0; part_count];
@@ -279,17 +284,17 @@ fn turn_parts(points: &[DVec3], faces: &mut [[u32; 3]], parts: &[u32], turned: &
             *wrong ^= *volume < 0.0 && !is_cavity;
         }
     }
-    for ((face, &part), turned) in faces.iter_mut().zip(parts).zip(turned) {
+    for ((face, &part), flipped) in faces.iter_mut().zip(parts).zip(flipped) {
         if wrong[part as usize] {
             face.swap(1, 2);
-            *turned ^= true;
+            *flipped ^= true;
         }
     }
     if is_asked { 0 } else { suspect_count }
 }
 
-/// Of each part, whether its volume is negative and it lies within those whose volume is positive. The triangles are
-/// to be turned, if all are `inside_out`.
+/// For each part, whether its volume is negative and it lies within parts of positive volume. If all are
+/// `inside_out`, the triangles are treated as flipped.
 fn are_cavities(
     points: &[DVec3],
     faces: &[[u32; 3]],
@@ -299,20 +304,20 @@ fn are_cavities(
     let outward = |[a, b, c]: [DVec3; 3]| if inside_out { [a, c, b] } else { [a, b, c] };
     let of_sound = faces.iter().zip(parts).filter(|&(_, &part)| volumes[part as usize] > 0.0);
     let of_sound = of_sound.map(|(face, _)| corners(points, *face)).filter(|corners| !is_flat(corners));
-    let sound = Tree::new(of_sound.map(outward).collect());
-    let mut places: Vec<Vec<DVec3>> = vec![Vec::new(); volumes.len()];
+    let sound = TriangleTree::new(of_sound.map(outward).collect());
+    let mut part_corners: Vec<Vec<DVec3>> = vec![Vec::new(); volumes.len()];
     for (face, &part) in faces.iter().zip(parts).filter(|&(_, &part)| volumes[part as usize] < 0.0) {
-        places[part as usize].push(points[face[0] as usize]);
+        part_corners[part as usize].push(points[face[0] as usize]);
     }
-    let is_cavity = |places: &Vec<DVec3>| {
-        let every = places.len().div_ceil(PLACES_ASKED).max(1);
-        !places.is_empty() && places.iter().step_by(every).all(|&place| winding(&sound, place) > 0.5)
+    let is_cavity = |corners: &Vec<DVec3>| {
+        let every = corners.len().div_ceil(CORNERS_TESTED).max(1);
+        !corners.is_empty() && corners.iter().step_by(every).all(|&corner| winding(&sound, corner) > 0.5)
     };
-    places.iter().map(is_cavity).collect()
+    part_corners.iter().map(is_cavity).collect()
 }
 
-/// The edges that are not walked as often one way as the other.
-fn rim(points: &[DVec3], faces: &[[u32; 3]]) -> Vec<[DVec3; 2]> {
+/// The edges that are not traversed equally often in both directions.
+fn boundary(points: &[DVec3], faces: &[[u32; 3]]) -> Vec<[DVec3; 2]> {
     let edges = Edges::new(faces);
     let is_open = |uses: &&[([u32; 2], u32, bool)]| {
         uses.iter().map(|(_, _, up)| if *up { 1 } else { -1 }).sum::<i32>() != 0
@@ -324,7 +329,7 @@ fn corners(points: &[DVec3], face: [u32; 3]) -> [DVec3; 3] {
     face.map(|corner| points[corner as usize])
 }
 
-/// The normal, as long as the area.
+/// The normal, with the area as its length.
 pub(super) fn area_vector([a, b, c]: &[DVec3; 3]) -> DVec3 {
     0.5 * (b - a).cross(c - a)
 }
@@ -333,6 +338,6 @@ fn is_flat(corners: &[DVec3; 3]) -> bool {
     let [a, b, c] = *corners;
     let longest = (b - a).length_squared().max((c - b).length_squared()).max((a - c).length_squared());
     let has_area = 2.0 * area_vector(corners).length() > FLAT * longest;
-    // What is not a number is flat.
+    // A NaN counts as flat.
     !has_area
 }

@@ -1,11 +1,12 @@
-//! Obstacles against what is known of balls, boxes and tori, and against going through all triangles.
+//! Tests obstacles against exact distances of balls, boxes and tori, and against brute force over all
+//! triangles.
 
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
 use glam::{DVec3, IVec3, Vec3};
 
-use super::tree::Tree;
+use super::tree::TriangleTree;
 use super::winding::{winding, winding_gradient};
 use super::{LevelSetSource, MeshFindings, Obstacle, ObstacleLeaf, Obstacles, Sampled, Shape, Solid};
 use crate::surface::grid::{LEAF_VOXELS, voxel_in_leaf};
@@ -16,15 +17,15 @@ const UNIT: Lattice = Lattice { voxel_size: 1.0 };
 
 /// Corners and triangles.
 #[derive(Clone, Default)]
-struct Mesh {
+struct TestMesh {
     positions: Vec<[f64; 3]>,
     triangles: Vec<[u32; 3]>,
 }
 
-impl Mesh {
+impl TestMesh {
     /// A surface over a grid of `u` × `v` quads, closed along u, and along v if it is `ring`.
-    fn swept(u_count: u32, v_count: u32, ring: bool, at: impl Fn(f64, f64) -> DVec3) -> Mesh {
-        let mut mesh = Mesh::default();
+    fn swept(u_count: u32, v_count: u32, ring: bool, at: impl Fn(f64, f64) -> DVec3) -> TestMesh {
+        let mut mesh = TestMesh::default();
         let rows = if ring { v_count } else { v_count + 1 };
         for v in 0..rows {
             for u in 0..u_count {
@@ -42,40 +43,40 @@ impl Mesh {
         mesh
     }
 
-    fn ball(center: DVec3, radius: f64, count: u32) -> Mesh {
-        Mesh::swept(2 * count, count, false, |u, v| {
+    fn ball(center: DVec3, radius: f64, count: u32) -> TestMesh {
+        TestMesh::swept(2 * count, count, false, |u, v| {
             let (angle, height) = (TAU * u, PI * v);
-            // All corners of a pole are at one place.
+            // All vertices of a pole are at one position.
             let across = if v == 0.0 || v == 1.0 { 0.0 } else { height.sin() };
             center - radius * DVec3::new(across * angle.cos(), across * angle.sin(), height.cos())
         })
     }
 
-    fn torus(center: DVec3, radius: f64, thickness: f64, count: u32) -> Mesh {
-        Mesh::swept(2 * count, count, true, |u, v| {
+    fn torus(center: DVec3, radius: f64, thickness: f64, count: u32) -> TestMesh {
+        TestMesh::swept(2 * count, count, true, |u, v| {
             let (around, across) = (TAU * u, TAU * v);
             let reach = radius + thickness * across.cos();
             center + DVec3::new(reach * around.cos(), reach * around.sin(), thickness * across.sin())
         })
     }
 
-    fn cuboid(min: DVec3, max: DVec3) -> Mesh {
+    fn cuboid(min: DVec3, max: DVec3) -> TestMesh {
         let corner =
             |index: usize| [0, 1, 2].map(|axis| if index >> axis & 1 == 1 { max[axis] } else { min[axis] });
         let quads: [[u32; 4]; 6] =
             [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
         let triangles = quads.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
-        Mesh { positions: (0..8).map(corner).collect(), triangles }
+        TestMesh { positions: (0..8).map(corner).collect(), triangles }
     }
 
-    fn and(mut self, other: Mesh) -> Mesh {
+    fn and(mut self, other: TestMesh) -> TestMesh {
         let first = self.positions.len() as u32;
         self.positions.extend(other.positions);
         self.triangles.extend(other.triangles.iter().map(|triangle| triangle.map(|corner| first + corner)));
         self
     }
 
-    fn turned(mut self) -> Mesh {
+    fn turned(mut self) -> TestMesh {
         self.triangles.iter_mut().for_each(|triangle| triangle.swap(1, 2));
         self
     }
@@ -118,7 +119,7 @@ fn sample(
     values
 }
 
-/// The greatest difference between φ_o around the origin and a distance that is known.
+/// The largest difference between φ_o around the origin and a known distance.
 fn error_of(solid: &Solid, lattice: &Lattice, known: impl Fn(DVec3) -> f64) -> f64 {
     let reach = IVec3::splat(24);
     let far = f64::from(HALF_WIDTH);
@@ -140,16 +141,16 @@ fn to_torus(radius: f64, thickness: f64, point: DVec3) -> f64 {
 }
 
 #[test]
-fn distances_are_those_of_the_shapes() {
+fn distances_match_the_exact_shapes() {
     let (min, max) = (DVec3::new(-9.3, -7.1, -12.0), DVec3::new(8.2, 10.4, 3.7));
-    assert!(error_of(&Mesh::cuboid(min, max).solid(), &UNIT, |point| to_cuboid(min, max, point)) < 2e-5);
-    let ball = Mesh::ball(DVec3::ZERO, 13.0, 48).solid();
-    // A chord is off by less than r(1 − cos(π/96)).
+    assert!(error_of(&TestMesh::cuboid(min, max).solid(), &UNIT, |point| to_cuboid(min, max, point)) < 2e-5);
+    let ball = TestMesh::ball(DVec3::ZERO, 13.0, 48).solid();
+    // The error of a chord is less than r(1 − cos(π/96)).
     assert!(error_of(&ball, &UNIT, |point| point.length() - 13.0) < 0.02);
-    let torus = Mesh::torus(DVec3::ZERO, 12.0, 5.0, 48).solid();
+    let torus = TestMesh::torus(DVec3::ZERO, 12.0, 5.0, 48).solid();
     assert!(error_of(&torus, &UNIT, |point| to_torus(12.0, 5.0, point)) < 0.03);
     let fine = Lattice { voxel_size: 0.37 };
-    let small = Mesh::torus(DVec3::ZERO, 0.37 * 12.0, 0.37 * 5.0, 48).solid();
+    let small = TestMesh::torus(DVec3::ZERO, 0.37 * 12.0, 0.37 * 5.0, 48).solid();
     assert!(error_of(&small, &fine, |point| to_torus(0.37 * 12.0, 0.37 * 5.0, point)) < 0.03);
     for solid in [ball, torus] {
         let open =
@@ -160,8 +161,8 @@ fn distances_are_those_of_the_shapes() {
 }
 
 #[test]
-fn distances_are_those_to_the_nearest_of_all_triangles() {
-    let mesh = Mesh::torus(DVec3::new(1.3, -0.4, 2.2), 11.0, 4.0, 9);
+fn distances_match_brute_force_over_all_triangles() {
+    let mesh = TestMesh::torus(DVec3::new(1.3, -0.4, 2.2), 11.0, 4.0, 9);
     let (solid, corners) = (mesh.solid(), mesh.corners());
     let brute = |point: DVec3| {
         let to = |triangle: &[DVec3; 3]| to_triangle(triangle, point);
@@ -172,7 +173,7 @@ fn distances_are_those_to_the_nearest_of_all_triangles() {
     assert!(error_of(&solid, &UNIT, brute) < 1e-5);
 }
 
-/// By projecting, and by going to each edge otherwise.
+/// By projection, or else to each edge.
 fn to_triangle(&[a, b, c]: &[DVec3; 3], point: DVec3) -> f64 {
     let normal = (b - a).cross(c - a).normalize();
     let foot = point - normal * normal.dot(point - a);
@@ -187,7 +188,7 @@ fn to_triangle(&[a, b, c]: &[DVec3; 3], point: DVec3) -> f64 {
     to_edge(a, b).min(to_edge(b, c)).min(to_edge(c, a))
 }
 
-/// By the angles of the spherical triangle.
+/// From the angles of the spherical triangle.
 fn solid_angle(triangle: &[DVec3; 3], point: DVec3) -> f64 {
     let [a, b, c] = triangle.map(|corner| (corner - point).normalize());
     let angle = |at: DVec3, to: DVec3, other: DVec3| {
@@ -199,11 +200,11 @@ fn solid_angle(triangle: &[DVec3; 3], point: DVec3) -> f64 {
 }
 
 #[test]
-fn winding_numbers_are_those_of_all_triangles() {
-    let mut mesh = Mesh::ball(DVec3::new(0.3, 0.2, -0.1), 10.0, 40);
-    // Half of it: every value between 0 and 1 is there.
+fn winding_numbers_match_the_sum_over_all_triangles() {
+    let mut mesh = TestMesh::ball(DVec3::new(0.3, 0.2, -0.1), 10.0, 40);
+    // Half of it, so that every value between 0 and 1 occurs.
     mesh.triangles.truncate(mesh.triangles.len() / 2);
-    let (tree, corners) = (Tree::new(mesh.corners()), mesh.corners());
+    let (tree, corners) = (TriangleTree::new(mesh.corners()), mesh.corners());
     let mut worst: f64 = 0.0;
     for index in 0..4000 {
         let point = IVec3::new(index % 20, index / 20 % 20, index / 400).as_dvec3() * 1.61 - 15.7;
@@ -220,10 +221,10 @@ fn winding_numbers_are_those_of_all_triangles() {
     assert!(worst < super::winding::WINDING_ERROR, "{worst}");
 }
 
-/// What is wrong with the mesh does not matter: turned parts, parts that are there twice, seams.
+/// Defects of the mesh do not matter: flipped parts, duplicate parts, seams.
 #[test]
-fn a_mesh_that_is_badly_made_encloses_what_it_should() {
-    let mesh = Mesh::torus(DVec3::new(0.2, 0.1, -0.3), 12.0, 5.0, 16);
+fn defective_meshes_enclose_the_intended_volume() {
+    let mesh = TestMesh::torus(DVec3::new(0.2, 0.1, -0.3), 12.0, 5.0, 16);
     let sound = mesh.solid();
     let values = |solid: &Solid| {
         sample(IVec3::splat(-24), IVec3::splat(24), &UNIT, |origin, lattice, far| {
@@ -237,9 +238,9 @@ fn a_mesh_that_is_badly_made_encloses_what_it_should() {
     patched.triangles[100..300].iter_mut().for_each(|triangle| triangle.swap(0, 1));
     let mut two_sided = mesh.clone();
     two_sided.triangles.extend(mesh.clone().turned().triangles);
-    // Each triangle has corners of its own.
+    // Each triangle has its own corners.
     let own = |corner: &u32| mesh.positions[*corner as usize];
-    let torn = Mesh {
+    let torn = TestMesh {
         positions: mesh.triangles.iter().flatten().map(own).collect(),
         triangles: (0..mesh.triangles.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect(),
     };
@@ -266,22 +267,22 @@ fn a_mesh_that_is_badly_made_encloses_what_it_should() {
 }
 
 #[test]
-fn parts_are_joined_and_cavities_stay() {
+fn parts_are_united_and_cavities_stay() {
     let (min, max, step) = (DVec3::splat(-9.5), DVec3::splat(3.5), DVec3::splat(6.0));
     let both = |point: DVec3| to_cuboid(min, max, point).min(to_cuboid(min + step, max + step, point));
-    let second = Mesh::cuboid(min + step, max + step);
+    let second = TestMesh::cuboid(min + step, max + step);
     for second in [second.clone(), second.turned()] {
-        let solid = Mesh::cuboid(min, max).and(second).solid();
+        let solid = TestMesh::cuboid(min, max).and(second).solid();
         for (voxel, value) in sample(IVec3::splat(-16), IVec3::splat(16), &UNIT, |at, lattice, far| {
             solid.leaf(at, lattice, far)
         }) {
             let known = both(voxel.as_dvec3());
-            // Inside, the walls that are inside the other part are there, too.
+            // Inside, the walls within the other part count, too.
             assert_eq!(value < 0.0, known < 0.0, "{voxel}");
             assert!(known < 0.0 || (known.min(6.0) - f64::from(value)).abs() < 1e-5, "{voxel}");
         }
     }
-    let (inner, outer) = (Mesh::ball(DVec3::ZERO, 8.0, 24), Mesh::ball(DVec3::ZERO, 18.0, 24));
+    let (inner, outer) = (TestMesh::ball(DVec3::ZERO, 8.0, 24), TestMesh::ball(DVec3::ZERO, 18.0, 24));
     let hollow = outer.clone().and(inner.clone().turned());
     for mesh in [hollow.clone(), hollow.turned()] {
         let solid = mesh.solid();
@@ -292,16 +293,17 @@ fn parts_are_joined_and_cavities_stay() {
     assert!(matches!(filled.leaf(IVec3::splat(-4), &UNIT, 0.5), ObstacleLeaf::Inside));
 }
 
-/// One part beside that faces inwards is turned, of few parts and of many cavities; of too many it is told.
+/// A separate part that faces inwards is flipped if there are few parts, even with many cavities; with too
+/// many parts it is reported.
 #[test]
-fn parts_that_face_inwards_are_turned_or_told() {
+fn inward_facing_parts_are_flipped_or_reported() {
     let cube = |x: usize, y: usize, size: f64| {
         let min = DVec3::new(x as f64, y as f64, 0.0) * 4.0;
-        Mesh::cuboid(min, min + size)
+        TestMesh::cuboid(min, min + size)
     };
-    let block = Mesh::cuboid(DVec3::new(-2.0, -2.0, -2.0), DVec3::new(262.0, 262.0, 3.0));
+    let block = TestMesh::cuboid(DVec3::new(-2.0, -2.0, -2.0), DVec3::new(262.0, 262.0, 3.0));
     for (cavity_count, is_asked) in [(3, true), (4000, true), (4100, false)] {
-        let aside = Mesh::cuboid(DVec3::new(-9.0, -9.0, -9.0), DVec3::splat(-5.0)).turned();
+        let aside = TestMesh::cuboid(DVec3::new(-9.0, -9.0, -9.0), DVec3::splat(-5.0)).turned();
         let mut mesh = aside.and(block.clone());
         for index in 0..cavity_count {
             mesh = mesh.and(cube(index % 65, index / 65, 1.0).turned());
@@ -312,11 +314,11 @@ fn parts_that_face_inwards_are_turned_or_told() {
     }
 }
 
-/// A hole is closed by a patch: distances are continuous there, and its edges are told.
+/// A patch closes a hole: distances are continuous there, and the open edges are reported.
 #[test]
-fn holes_are_closed() {
+fn holes_are_closed_by_a_patch() {
     let (min, max) = (DVec3::splat(-10.0), DVec3::splat(10.0));
-    let mut mesh = Mesh::cuboid(min, max);
+    let mut mesh = TestMesh::cuboid(min, max);
     let lid = 10; // one of the two triangles at z = 10
     assert!(
         mesh.corners()[lid].iter().all(|corner| corner.x == 10.0 || corner.z == 10.0 || corner.y == 10.0)
@@ -331,7 +333,7 @@ fn holes_are_closed() {
     let mut steepest: f32 = 0.0;
     for (voxel, value) in &values {
         let known = to_cuboid(min, max, voxel.as_dvec3());
-        // A patch of least area sags by a part of the hole, which is 20 voxels wide.
+        // A minimal patch sags by a fraction of the hole, which is 20 voxels wide.
         assert!(known.abs() < 5.0 || (*value < 0.0) == (known < 0.0), "{voxel}: {value}");
         for step in [IVec3::X, IVec3::Y, IVec3::Z] {
             if let Some(next) = values.get(&(*voxel + step)) {
@@ -340,17 +342,17 @@ fn holes_are_closed() {
         }
     }
     assert!(steepest < 2.0, "{steepest}");
-    let mut ball = Mesh::ball(DVec3::ZERO, 13.0, 48);
+    let mut ball = TestMesh::ball(DVec3::ZERO, 13.0, 48);
     ball.triangles.remove(2000);
     let error = error_of(&ball.solid(), &UNIT, |point| point.length() - 13.0);
     assert!(error < 0.1, "{error}");
 }
 
 #[test]
-fn far_from_the_origin_nothing_is_lost() {
+fn precision_is_kept_far_from_the_origin() {
     // The lattice moves along, so the values are the same.
     let far = IVec3::new(1 << 28, -(1 << 27), 1 << 26);
-    let mesh = Mesh::torus(DVec3::new(0.5, 0.25, -0.125), 12.0, 5.0, 16);
+    let mesh = TestMesh::torus(DVec3::new(0.5, 0.25, -0.125), 12.0, 5.0, 16);
     let mut moved = mesh.clone();
     for position in &mut moved.positions {
         *position = (DVec3::from(*position) + far.as_dvec3()).to_array();
@@ -369,7 +371,7 @@ fn far_from_the_origin_nothing_is_lost() {
     }
 }
 
-/// The ball as a level set with voxels of this edge, turned about z.
+/// A ball as a level set with voxels of this edge, rotated about z.
 fn level_set(center: DVec3, radius: f64, voxel_size: f64, band_voxels: f32) -> LevelSetSource {
     let (sine, cosine) = 0.3f64.sin_cos();
     let axes =
@@ -405,7 +407,7 @@ fn level_set(center: DVec3, radius: f64, voxel_size: f64, band_voxels: f32) -> L
 }
 
 #[test]
-fn level_sets_are_what_they_were_made_of() {
+fn resampled_level_sets_match_the_original_ball() {
     let center = DVec3::new(1.7, -2.2, 0.4);
     for (voxel_size, band, tolerance) in [(1.0, 8.0, 0.05), (0.37, 20.0, 0.02), (2.3, 4.0, 0.25)] {
         let sampled = Sampled::new(level_set(center, 12.0, voxel_size, band), 1 << 30).expect("a level set");
@@ -430,7 +432,7 @@ fn level_sets_are_what_they_were_made_of() {
 }
 
 #[test]
-fn what_is_no_level_set_is_refused() {
+fn invalid_level_sets_are_rejected() {
     let sound = level_set(DVec3::ZERO, 5.0, 1.0, 3.0);
     for (source, word) in [
         (LevelSetSource { axes: [DVec3::X, DVec3::Y * 2.0, DVec3::Z], ..sound.clone() }, "cubes"),
@@ -444,17 +446,17 @@ fn what_is_no_level_set_is_refused() {
     }
 }
 
-fn obstacle(mesh: &Mesh, kept_bytes_max: usize) -> Arc<Obstacle> {
-    Arc::new(Obstacle::new(Shape::Solid(mesh.solid()), kept_bytes_max))
+fn obstacle(mesh: &TestMesh, cache_bytes_max: usize) -> Arc<Obstacle> {
+    Arc::new(Obstacle::new(Shape::Solid(mesh.solid()), cache_bytes_max))
 }
 
 #[test]
-fn leaves_that_are_kept_are_those_that_are_computed() {
-    let mesh = Mesh::ball(DVec3::splat(0.3), 13.0, 12);
-    let other = Mesh::cuboid(DVec3::new(5.0, -20.0, -3.0), DVec3::new(30.0, 20.0, 3.0));
-    for kept_bytes_max in [0, 20 << 10, 1 << 30] {
+fn cached_leaves_equal_computed_leaves() {
+    let mesh = TestMesh::ball(DVec3::splat(0.3), 13.0, 12);
+    let other = TestMesh::cuboid(DVec3::new(5.0, -20.0, -3.0), DVec3::new(30.0, 20.0, 3.0));
+    for cache_bytes_max in [0, 20 << 10, 1 << 30] {
         let obstacles =
-            Obstacles { members: vec![obstacle(&mesh, kept_bytes_max), obstacle(&other, kept_bytes_max)] };
+            Obstacles { members: vec![obstacle(&mesh, cache_bytes_max), obstacle(&other, cache_bytes_max)] };
         for lattice in [UNIT, Lattice { voxel_size: 1.5 }] {
             for _ in 0..2 {
                 for index in 0..216 {
@@ -469,9 +471,9 @@ fn leaves_that_are_kept_are_those_that_are_computed() {
                 }
             }
         }
-        assert!(obstacles.members[0].kept.size_bytes() <= kept_bytes_max);
+        assert!(obstacles.members[0].cache.size_bytes() <= cache_bytes_max);
         assert!(obstacles.members[0].size_bytes() <= obstacles.members[0].size_bytes_max());
-        assert_eq!(obstacles.members[0].kept.size_bytes() > 0, kept_bytes_max > 0);
+        assert_eq!(obstacles.members[0].cache.size_bytes() > 0, cache_bytes_max > 0);
     }
     let obstacles = Obstacles { members: vec![obstacle(&mesh, 0)] };
     assert!(!obstacles.touches(IVec3::splat(64), &UNIT, HALF_WIDTH));
@@ -479,7 +481,7 @@ fn leaves_that_are_kept_are_those_that_are_computed() {
 }
 
 #[test]
-fn nothing_encloses_nothing() {
+fn empty_mesh_is_outside_everywhere() {
     for (positions, triangles) in [
         (vec![], vec![]),
         (vec![[0.0; 3]; 3], vec![[0, 1, 2]]),
@@ -493,10 +495,10 @@ fn nothing_encloses_nothing() {
     }
 }
 
-/// A vertex that is moved to a wall faces into it; what is not moved keeps its normal.
+/// A vertex that is moved to a wall faces it; a vertex that is not moved keeps its normal.
 #[test]
-fn vertices_that_are_moved_face_the_wall() {
-    let wall = Mesh::cuboid(DVec3::new(-30.0, -30.0, -20.0), DVec3::new(30.0, 30.0, 0.25));
+fn moved_vertices_face_the_wall() {
+    let wall = TestMesh::cuboid(DVec3::new(-30.0, -30.0, -20.0), DVec3::new(30.0, 30.0, 0.25));
     let obstacles = Obstacles { members: vec![obstacle(&wall, 0)] };
     let mut mesh = crate::surface::mesh::Mesh {
         positions: vec![Vec3::new(1.0, 2.0, -0.25), Vec3::new(1.0, 2.0, 0.2), Vec3::new(1.0, 2.0, 0.5)],
@@ -510,14 +512,14 @@ fn vertices_that_are_moved_face_the_wall() {
     assert_eq!(mesh.normals[1..], [Vec3::X; 2]);
 }
 
-/// A plane, and terrain: there is nothing behind them.
+/// A plane and terrain enclose no volume.
 #[test]
-fn what_encloses_nothing_is_told() {
+fn open_meshes_that_enclose_nothing_are_reported() {
     let terrain = |bumps: f64| {
         let at = |u: f64, v: f64| {
             DVec3::new(v * 40.0, (20.0 * v).sin() * (TAU * u).cos() * bumps, (TAU * u).cos() * 20.0)
         };
-        Mesh::swept(24, 24, false, at)
+        TestMesh::swept(24, 24, false, at)
     };
     let half_a_torus = |u: f64, v: f64| {
         let (around, across) = (TAU * u, PI * v);
@@ -527,18 +529,18 @@ fn what_encloses_nothing_is_told() {
             4.0 * across.sin(),
         )
     };
-    let mut open_box = Mesh::cuboid(DVec3::ZERO, DVec3::splat(4.0));
+    let mut open_box = TestMesh::cuboid(DVec3::ZERO, DVec3::splat(4.0));
     open_box.triangles.truncate(10);
-    let mut plane = Mesh::cuboid(DVec3::ZERO, DVec3::splat(4.0));
+    let mut plane = TestMesh::cuboid(DVec3::ZERO, DVec3::splat(4.0));
     plane.triangles.truncate(2);
     for (name, mesh, expected) in [
         ("a plane", plane.clone(), true),
         ("a plane that faces the other way", plane.clone().turned(), true),
         ("hardly bent", terrain(0.0), true),
-        ("a box", Mesh::cuboid(DVec3::ZERO, DVec3::splat(4.0)), false),
+        ("a box", TestMesh::cuboid(DVec3::ZERO, DVec3::splat(4.0)), false),
         ("a box without a side", open_box, false),
-        ("half a torus", Mesh::swept(24, 24, false, half_a_torus), false),
-        ("a plane beside a ball", plane.and(Mesh::ball(DVec3::splat(30.0), 5.0, 8)), false),
+        ("half a torus", TestMesh::swept(24, 24, false, half_a_torus), false),
+        ("a plane beside a ball", plane.and(TestMesh::ball(DVec3::splat(30.0), 5.0, 8)), false),
     ] {
         assert_eq!(mesh.solid().findings().encloses_nothing, expected, "{name}");
     }
@@ -546,8 +548,8 @@ fn what_encloses_nothing_is_told() {
 
 #[test]
 fn distances_of_points_are_negative_inside() {
-    let solid = |mesh: &Mesh| Solid::new(&mesh.positions, &mesh.triangles);
-    let torus = solid(&Mesh::torus(DVec3::new(1.0, 2.0, 3.0), 5.0, 1.5, 96));
+    let solid = |mesh: &TestMesh| Solid::new(&mesh.positions, &mesh.triangles);
+    let torus = solid(&TestMesh::torus(DVec3::new(1.0, 2.0, 3.0), 5.0, 1.5, 96));
     for at in [DVec3::ZERO, DVec3::new(6.0, 2.0, 3.0), DVec3::new(1.0, 2.0, 3.0), DVec3::new(40.0, -7.0, 3.5)]
     {
         let from_middle = at - DVec3::new(1.0, 2.0, 3.0);
@@ -555,5 +557,5 @@ fn distances_of_points_are_negative_inside() {
         let distance = torus.distance(at).expect("a surface");
         assert!((distance - truth).abs() < 0.01, "{at}: {distance} and not {truth}");
     }
-    assert_eq!(solid(&Mesh::default()).distance(DVec3::ZERO), None);
+    assert_eq!(solid(&TestMesh::default()).distance(DVec3::ZERO), None);
 }

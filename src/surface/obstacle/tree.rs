@@ -1,123 +1,123 @@
-//! Triangles in a tree of boxes, with what each branch looks like from afar.
+//! A tree of boxes over triangles, with the dipole of each branch.
 //!
-//! Leaves hold eight triangles: as many as distances are computed of at once. Positions are in world units and
-//! in 64 bits.
+//! Leaves hold eight triangles, because distances are computed eight at a time. Positions are in world units
+//! and in 64 bits.
 
 use glam::DVec3;
 
 use super::surface::area_vector;
 
-/// Triangles of a leaf.
-pub(super) const EIGHT: usize = 8;
+/// Number of triangles in a leaf.
+pub(super) const LEAF_TRIANGLES: usize = 8;
 
-/// A branch: the triangles of a range.
-pub(super) struct Node {
+/// A branch: a range of triangles.
+pub(super) struct TriangleNode {
     /// The box around them.
     pub(super) min: DVec3,
     pub(super) max: DVec3,
-    /// Their centre of area.
+    /// Their area-weighted centre.
     pub(super) center: DVec3,
-    /// The sum of their normals, each as long as the area.
+    /// The sum of their normals, each with the area as its length.
     pub(super) area_vector: DVec3,
-    /// How far from the centre they reach, squared.
+    /// The squared distance from the centre to the farthest corner.
     pub(super) radius_squared: f64,
-    /// The first triangle, and how many there are.
+    /// The first triangle, and the number of triangles.
     first: u32,
     count: u32,
-    /// The second branch; the first follows this node. 0 for a leaf.
+    /// The second child; the first child is the next node. 0 for a leaf.
     second: u32,
 }
 
-/// All triangles.
-pub(super) struct Tree {
-    nodes: Vec<Node>,
+/// The tree.
+pub(super) struct TriangleTree {
+    nodes: Vec<TriangleNode>,
     triangles: Vec<[DVec3; 3]>,
 }
 
-/// What is at a node.
-pub(super) enum Branch<'a> {
-    /// Two nodes.
+/// The contents of a node.
+pub(super) enum TreeBranch<'a> {
+    /// The two children.
     Both([u32; 2]),
-    /// Up to eight triangles, and the number of the first.
+    /// Up to eight triangles.
     Leaf(&'a [[DVec3; 3]]),
 }
 
-impl Tree {
-    pub(super) fn new(triangles: Vec<[DVec3; 3]>) -> Tree {
+impl TriangleTree {
+    pub(super) fn new(triangles: Vec<[DVec3; 3]>) -> TriangleTree {
         let mut order: Vec<(DVec3, u32)> =
             triangles.iter().zip(0..).map(|([a, b, c], index)| ((a + b + c) / 3.0, index)).collect();
-        let mut nodes = Vec::with_capacity(2 * triangles.len().div_ceil(EIGHT));
+        let mut nodes = Vec::with_capacity(2 * triangles.len().div_ceil(LEAF_TRIANGLES));
         if !order.is_empty() {
             split(&mut order, 0, &triangles, &mut nodes);
         }
         let triangles = order.iter().map(|&(_, index)| triangles[index as usize]).collect();
-        Tree { nodes, triangles }
+        TriangleTree { nodes, triangles }
     }
 
-    /// All triangles.
+    /// All triangles, in tree order.
     pub(super) fn triangles(&self) -> &[[DVec3; 3]] {
         &self.triangles
     }
 
     /// The node of all triangles.
-    pub(super) fn root(&self) -> Option<&Node> {
+    pub(super) fn root(&self) -> Option<&TriangleNode> {
         self.nodes.first()
     }
 
-    pub(super) fn node(&self, index: u32) -> &Node {
+    pub(super) fn node(&self, index: u32) -> &TriangleNode {
         &self.nodes[index as usize]
     }
 
-    pub(super) fn branch(&self, index: u32) -> Branch<'_> {
+    pub(super) fn branch(&self, index: u32) -> TreeBranch<'_> {
         let node = &self.nodes[index as usize];
         match node.second {
-            0 => Branch::Leaf(&self.triangles[node.first as usize..][..node.count as usize]),
-            second => Branch::Both([index + 1, second]),
+            0 => TreeBranch::Leaf(&self.triangles[node.first as usize..][..node.count as usize]),
+            second => TreeBranch::Both([index + 1, second]),
         }
     }
 
-    /// The bytes that it takes.
+    /// Its memory, in bytes.
     pub(super) fn size_bytes(&self) -> usize {
         size_of_val(&*self.nodes) + size_of_val(&*self.triangles)
     }
 
-    /// The distance from a point to the nearest triangle, squared, if it is less than `limit`.
+    /// The squared distance from a point to the nearest triangle, if it is less than `limit`.
     pub(super) fn nearest_squared(&self, point: DVec3, limit: f64) -> Option<f64> {
         self.nearest(point, limit).map(|nearest| nearest.distance_squared(point))
     }
 
-    /// The nearest point of a triangle, if the square of the distance is less than `limit`.
+    /// The nearest point on a triangle, if its squared distance is less than `limit`.
     pub(super) fn nearest(&self, point: DVec3, limit: f64) -> Option<DVec3> {
-        let (mut nearest, mut place) = (limit, None);
+        let (mut nearest, mut found) = (limit, None);
         let mut pending = vec![(self.root()?.distance_squared(point), 0)];
         while let Some((distance, index)) = pending.pop() {
             if distance >= nearest {
                 continue;
             }
             match self.branch(index) {
-                Branch::Leaf(triangles) => {
+                TreeBranch::Leaf(triangles) => {
                     for triangle in triangles {
                         let on_triangle = nearest_point(triangle, point);
                         let squared = on_triangle.distance_squared(point);
                         if squared < nearest {
-                            (nearest, place) = (squared, Some(on_triangle));
+                            (nearest, found) = (squared, Some(on_triangle));
                         }
                     }
                 }
-                Branch::Both(nodes) => {
+                TreeBranch::Both(nodes) => {
                     let mut both = nodes.map(|node| (self.node(node).distance_squared(point), node));
                     if both[0].0 < both[1].0 {
                         both.swap(0, 1);
                     }
-                    // The nearer one is looked at first.
+                    // The nearer child is visited first.
                     pending.extend(both.into_iter().filter(|(distance, _)| *distance < nearest));
                 }
             }
         }
-        place
+        found
     }
 
-    /// The leaves that come within `box_reach` of a box, and within `center_reach` of its centre.
+    /// The leaves within `box_reach` of a box, and within `center_reach` of its centre.
     pub(super) fn leaves_near(
         &self,
         center: DVec3,
@@ -126,7 +126,7 @@ impl Tree {
         center_reach: f64,
         mut each: impl FnMut(&[[DVec3; 3]]),
     ) {
-        let is_near = |node: &Node| {
+        let is_near = |node: &TriangleNode| {
             let apart = (node.min - center).max(center - node.max) - half_edge;
             apart.max(DVec3::ZERO).length_squared() <= box_reach * box_reach
                 && node.distance_squared(center) <= center_reach * center_reach
@@ -134,8 +134,8 @@ impl Tree {
         let mut pending: Vec<u32> = self.root().filter(|root| is_near(root)).map(|_| 0).into_iter().collect();
         while let Some(index) = pending.pop() {
             match self.branch(index) {
-                Branch::Leaf(triangles) => each(triangles),
-                Branch::Both(nodes) => {
+                TreeBranch::Leaf(triangles) => each(triangles),
+                TreeBranch::Both(nodes) => {
                     pending.extend(nodes.into_iter().filter(|&node| is_near(self.node(node))));
                 }
             }
@@ -143,18 +143,18 @@ impl Tree {
     }
 }
 
-impl Node {
-    /// From a point to the box.
+impl TriangleNode {
+    /// The squared distance from a point to the box.
     pub(super) fn distance_squared(&self, point: DVec3) -> f64 {
         (self.min - point).max(point - self.max).max(DVec3::ZERO).length_squared()
     }
 }
 
-/// Makes the node of a run of triangles and those below it.
-fn split(order: &mut [(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]], nodes: &mut Vec<Node>) {
+/// Builds the node of a range of triangles and the nodes below it.
+fn split(order: &mut [(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]], nodes: &mut Vec<TriangleNode>) {
     let index = nodes.len();
     nodes.push(node_of(order, first, triangles));
-    if order.len() <= EIGHT {
+    if order.len() <= LEAF_TRIANGLES {
         return;
     }
     let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
@@ -163,14 +163,14 @@ fn split(order: &mut [(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]], nodes
     }
     let axis = (max - min).max_position();
     // All leaves but the last are full.
-    let half = (order.len() / 2).next_multiple_of(EIGHT).min(order.len() - 1);
+    let half = (order.len() / 2).next_multiple_of(LEAF_TRIANGLES).min(order.len() - 1);
     order.select_nth_unstable_by(half, |one, other| {
         one.0[axis].total_cmp(&other.0[axis]).then(one.1.cmp(&other.1))
     });
     let (one, other) = order.split_at_mut(half);
-    // What is selected is a set; in which order its members come would be up to the library.
+    // Selection splits into two sets; sort them, because their inner order depends on the library.
     for part in [&mut *one, &mut *other] {
-        if part.len() <= EIGHT {
+        if part.len() <= LEAF_TRIANGLES {
             part.sort_unstable_by_key(|&(_, index)| index);
         }
     }
@@ -179,7 +179,7 @@ fn split(order: &mut [(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]], nodes
     split(other, first + half as u32, triangles, nodes);
 }
 
-fn node_of(order: &[(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]]) -> Node {
+fn node_of(order: &[(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]]) -> TriangleNode {
     let members = || order.iter().map(|&(center, index)| (center, &triangles[index as usize]));
     let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     let (mut vector, mut moment, mut area) = (DVec3::ZERO, DVec3::ZERO, 0.0);
@@ -190,7 +190,7 @@ fn node_of(order: &[(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]]) -> Node
         let one = area_vector(triangle);
         let size = one.length();
         vector += one;
-        // Relative to the first, so that nothing is lost far from the origin.
+        // Relative to the first triangle, to keep precision far from the origin.
         moment += size * (center - order[0].0);
         area += size;
     }
@@ -199,7 +199,7 @@ fn node_of(order: &[(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]]) -> Node
         triangle.iter().fold(0.0, |most: f64, corner| most.max(corner.distance_squared(center)))
     };
     let radius_squared = members().map(reach).fold(0.0, f64::max);
-    Node {
+    TriangleNode {
         min,
         max,
         center,
@@ -211,7 +211,7 @@ fn node_of(order: &[(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]]) -> Node
     }
 }
 
-/// The point of a triangle, which has an area, that is nearest to another one.
+/// The point of a triangle with an area that is nearest to `point`.
 ///
 /// Christer Ericson. Real-Time Collision Detection. 2005
 pub(super) fn nearest_point(&[a, b, c]: &[DVec3; 3], point: DVec3) -> DVec3 {

@@ -1,4 +1,4 @@
-//! Every option of the method, and its form as text.
+//! All options of the method, and their conversion to and from text.
 //!
 //! ```text
 //!   command line ─┐
@@ -7,7 +7,7 @@
 //!      (name, text) ─────┘ └─────▶ (name, text)
 //! ```
 //!
-//! Numbers as text are in the shortest form that reads back as the same number.
+//! Numbers are written in the shortest form that parses as the same number.
 
 use std::fmt::{Display, LowerExp};
 use std::ops::RangeInclusive;
@@ -22,124 +22,130 @@ use super::presets::{Preset, Recipe};
 use super::values::{AnisotropyKind, AttributeSelection, ClipBox};
 use super::{OwnRadii, SettingsError, positive};
 
-/// A piece of more particles may be so thick that its inside is not stored, and is none to be dropped.
+/// Upper limit of `drop_islands`. A larger piece is not an island to drop; it may also be so thick that its
+/// inside is not stored.
 const ISLAND_MAX: u32 = 1000;
 
 /// Upper limit of `fill_cavities`, in voxels.
 pub(super) const CAVITY_VOXELS_MAX: f64 = 1e6;
 
-/// Distances to obstacles are known no farther, in units of h.
+/// Upper limit of `void_threshold`, in units of h: distances to obstacles are not known farther out.
 const VOID_THRESHOLD_MAX: f64 = 4.0;
 
-/// Beyond it a particle would reach over several leaves.
+/// Upper limit of `max_stretch`: beyond it a particle would reach over several leaves.
 const MAX_STRETCH_MAX: f64 = 8.0;
 
-/// A mesh that moves by more than this, in units of h, has another shape.
+/// Upper limit of `decimate`, in units of h: beyond it the mesh has a different shape.
 const DECIMATE_MAX: f64 = 1.0;
 
-/// Rounds after which normals tell nothing of the surface.
+/// Upper limit of `smooth_normals`: after more rounds the normals no longer depend on the surface.
 const ROUNDS_MAX: u32 = 1000;
 
-/// Steps of either kind: a hundred times what the paper takes.
+/// Upper limit of the number of steps of either kind: a hundred times the paper's.
 pub(super) const STEPS_MAX: u32 = 1_000_000;
 
-/// The least size of a step, in units of h⁴.
+/// The smallest size of a step, in units of h⁴.
 pub(super) const STEP_SIZE_MIN: f64 = 1e-6;
 
-/// The greatest size of a step, in units of h⁴.
+/// The largest size of a step, in units of h⁴.
 pub(super) const STEP_SIZE_MAX: f64 = 1e4;
 
 method_options! {
-    /// Every option of the method. `None` means what the preset says. Lengths are in world units, particle spacings or voxels:
-    /// see [`Length`].
+    /// All options of the method. `None` means the value of the preset. Lengths are in world units, particle
+    /// spacings or voxels: see [`Length`].
     pub struct MethodOptions {
         General {
-            /// The defaults of the options below, for what the particles are; options beside it override it [default: fluid]
+            /// Defaults for a kind of particles; the options below override them [default: fluid]
             #[arg(value_name = "NAME", ignore_case = true)]
             preset: Preset,
 
-            /// Distance between neighbouring particles d, in world units, positive; measured by default
+            /// Distance d between neighbouring particles, in world units, positive [default: measured]
             #[arg(value_name = "LENGTH", value_parser = Length::parse_world)]
             spacing: f64,
 
-            /// Edge of a voxel h, in world units or particle spacings, such as 0.4d, positive; 0.4d by default, and what another
-            /// preset says
+            /// Voxel edge length h, positive, in world units or particle spacings [default: 0.4d; depends on
+            /// the preset]
             #[arg(value_name = "LENGTH", value_parser = Length::parse_voxel_size)]
             voxel_size: Length,
         }
         Surface {
-            /// Radius r_min around each particle that is always inside, before neighbours flatten it, positive; 1.15d by
-            /// default, √3·h at least
+            /// Radius r_min around each particle that is always inside the surface, positive; neighbours may
+            /// flatten it [default: 1.15d, but no less than √3·h]
             #[arg(value_name = "LENGTH")]
             radius_min: Length,
 
-            /// r_max / r_min, at least 1: nothing farther than r_max, which is at most 64 h, from all particles is inside
-            /// [default: 2]
+            /// Ratio r_max / r_min, at least 1; nothing farther than r_max from all particles is inside, and
+            /// r_max is limited to 64 h [default: 2]
             #[arg(value_name = "RATIO")]
             radius_ratio: f64,
 
-            /// Radius of the spheres that smoothing starts from, r_min to r_max; 1.26 r_min by default
+            /// Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.26 r_min]
             #[arg(value_name = "LENGTH")]
             radius_init: Length,
 
-            /// Move the finished surface outward by this, or inward where negative, -r_min to 2 h [default: 0]
+            /// Move the finished surface outward by this distance, -r_min to 2 h; negative moves it inward
+            /// [default: 0]
             #[arg(value_name = "LENGTH", allow_hyphen_values = true)]
             offset: Length,
         }
         Particles {
-            /// The attribute that has each particle's own radius, in the particles' unit of length, such as pscale: its r_min is
-            /// then that radius, and r_init and r_max are larger by the same ratios as without
+            /// Attribute with each particle's own radius, in the particles' unit of length, such as pscale.
+            /// That radius becomes its r_min; r_init and r_max scale with it
             #[arg(value_name = "NAME")]
             radius_attribute: String,
 
-            /// r_min of a particle in units of its own radius, positive [default: 1]
+            /// A particle's r_min divided by its own radius, positive [default: 1]
             #[arg(value_name = "S")]
             radius_scale: f64 => "--radius-attribute", |options, _| options.radius_attribute.is_some(),
 
-            /// What stretches particles, so that sheets and jets are thin and smooth [default: neighbors]
+            /// How to stretch particles, so that sheets and jets are thin and smooth [default: neighbors]
             #[arg(value_name = "BY", ignore_case = true)]
             anisotropy: AnisotropyKind,
 
-            /// The longest half axis of a particle in units of its shortest, at most, 1 to 8 [default: 4]
+            /// Maximum ratio of a particle's longest half axis to its shortest, 1 to 8 [default: 4]
             #[arg(value_name = "K")]
             max_stretch: f64 in 1.0..=MAX_STRETCH_MAX
                 => "--anisotropy", |options, _| options.anisotropy_kind() != AnisotropyKind::None,
 
-            /// The least half axis of particles that neighbours flatten, positive, from 0.9h to r_min, for --anisotropy
-            /// neighbors: smaller makes thinner sheets; 0.36d by default
+            /// Smallest half axis of flattened particles, positive, from 0.9h to r_min, for --anisotropy
+            /// neighbors; smaller makes thinner sheets [default: 0.36d]
             #[arg(value_name = "LENGTH")]
             thin_radius: Length => "--anisotropy neighbors", stretches_by_neighbors,
 
-            /// r_min of a particle without neighbours, positive and at most r_min, for --anisotropy neighbors: the radius of
-            /// drops; 0.7d by default
+            /// r_min of particles without neighbours (the radius of drops), positive and at most r_min, for
+            /// --anisotropy neighbors [default: 0.7d]
             #[arg(value_name = "LENGTH")]
             lone_radius: Length => "--anisotropy neighbors", stretches_by_neighbors,
 
-            /// How far neighbours count, positive and at most 200h, for --anisotropy neighbors and --position-smoothing; 2.6d
-            /// by default
+            /// Search radius for neighbours, positive and at most 200h, for --anisotropy neighbors and
+            /// --position-smoothing [default: 2.6d]
             #[arg(value_name = "LENGTH")]
             neighbor_radius: Length
                 => "--anisotropy neighbors and --position-smoothing", |options, _| options.uses_neighbors(),
 
-            /// Move particles near the surface toward the mean of their neighbours by this part of the way, 0 to 1 [default: 0.7]
+            /// Move particles near the surface toward the mean of their neighbours by this fraction, 0 to 1
+            /// [default: 0.7]
             #[arg(value_name = "L")]
             position_smoothing: f64 in 0.0..=1.0,
 
-            /// Seconds of movement by which particles are stretched, positive, for --anisotropy velocity [default: 0.01]
+            /// Stretch particles by their movement in this time, positive, for --anisotropy velocity
+            /// [default: 0.01]
             #[arg(value_name = "SECONDS")]
             velocity_gain: f64
                 => "--anisotropy velocity", |options, _| options.anisotropy_kind() == AnisotropyKind::Velocity,
         }
         Obstacles {
-            /// Fill gaps between the surface and obstacles that are narrower than this, in units of h, 0 to 4 [default: 1]
+            /// Fill gaps between the surface and obstacles that are narrower than this, in units of h, 0 to 4
+            /// [default: 1]
             #[arg(value_name = "VOXELS")]
             void_threshold: f64 in 0.0..=VOID_THRESHOLD_MAX => "--obstacle", |_, has_obstacles| has_obstacles,
         }
         Particles {
-            /// Attributes that the surface gets: a list of names, such as velocity,Cd,id; or all, by itself
+            /// Attributes to interpolate to the surface: a list of names, such as velocity,Cd,id, or the word
+            /// all
             ///
-            /// Numbers are averaged over the particles around, identities and words are those of the nearest. They are written
-            /// as vertex attributes, and to .vdb as grids beside the level set.
+            /// Numbers are averaged over nearby particles; integers and strings are those of the nearest
+            /// particle. The results are vertex attributes in meshes, and additional grids in .vdb.
             #[arg(value_name = "LIST")]
             attributes: AttributeSelection,
         }
@@ -148,29 +154,30 @@ method_options! {
             #[arg(value_name = "N")]
             drop_islands: u32 in 0..=ISLAND_MAX,
 
-            /// Fill enclosed cavities of less volume than this, in units of h³, 0 to 1000000; 25 cubes of the particle spacing by
-            /// default
+            /// Fill enclosed cavities with less volume than this, in units of h³, 0 to 1000000 [default: 25
+            /// d³]
             #[arg(value_name = "VOLUME")]
             fill_cavities: f64 in 0.0..=CAVITY_VOXELS_MAX,
 
-            /// Cut off what is outside the box x0,y0,z0,x1,y1,z1, least corner first, in the particles' unit of length
+            /// Cut off everything outside the box x0,y0,z0,x1,y1,z1 (lower corner first), in the particles'
+            /// unit of length
             #[arg(value_name = "BOX", allow_hyphen_values = true)]
             clip: ClipBox,
         }
         Mesh {
-            /// How the level set becomes triangles [default: dual]
+            /// How to convert the level set to triangles [default: dual]
             #[arg(value_name = "HOW", ignore_case = true)]
             contour: Contouring,
 
-            /// Save triangles where the mesh moves by no more than this, in units of h, 0 to 1 [default: 0]
+            /// Remove triangles where the mesh moves by no more than this, in units of h, 0 to 1 [default: 0]
             #[arg(value_name = "VOXELS")]
             decimate: f64 in 0.0..=DECIMATE_MAX,
 
-            /// Average normals with their neighbours, in so many rounds, 0 to 1000; 10 without =N [default: 0]
+            /// Average normals with their neighbours this many times, 0 to 1000; 10 without =N [default: 0]
             #[arg(value_name = "N", num_args = 0..=1, require_equals = true, default_missing_value = "10")]
             smooth_normals: u32 in 0..=ROUNDS_MAX,
 
-            /// Write quads to .obj, .vtp and .usda, as dual contouring makes them; =false where a file says otherwise
+            /// Write the quads of dual contouring to .obj, .vtp and .usda; =false overrides a settings file
             #[arg(
                 value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true",
                 hide_possible_values = true
@@ -178,29 +185,32 @@ method_options! {
             quads: bool,
         }
         Solver {
-            /// How the smoothing is integrated [default: fast]
+            /// Time integrator of the smoothing [default: fast]
             #[arg(value_name = "WHICH", ignore_case = true)]
             integrator: Integrator,
 
-            /// Laplacian steps before the biharmonic ones, 0 to 1000000; with 0 distances are restored instead; 10 by default,
-            /// and more on a finer grid
+            /// Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0, distances are
+            /// recomputed instead [default: 10, more on a finer grid]
             #[arg(value_name = "N")]
             laplacian_steps: u32 in 0..=STEPS_MAX,
 
-            /// Biharmonic steps, 0 to 1000000 [default: 2; explicit, adaptive: as many as take the same time]
+            /// Number of biharmonic steps, 0 to 1000000 [default: 2; explicit, adaptive: as many as take the
+            /// same time]
             #[arg(value_name = "N")]
             steps: u32 in 0..=STEPS_MAX,
 
-            /// Size of a biharmonic step, in units of h⁴, 1e-6 to 10000; 0.25 fourth powers of the particle spacing by default,
-            /// and 0.01 h⁴ for explicit and adaptive
+            /// Size of a biharmonic step, in units of h⁴, 1e-6 to 10000 [default: 0.25 d⁴; explicit,
+            /// adaptive: 0.01 h⁴]
             #[arg(value_name = "S")]
             step_size: f64 in STEP_SIZE_MIN..=STEP_SIZE_MAX,
 
-            /// Restore distances after so many biharmonic steps, 1 to 1000000 [default: 1; explicit, adaptive: 50]
+            /// Recompute distances after this many biharmonic steps, 1 to 1000000 [default: 1; explicit,
+            /// adaptive: 50]
             #[arg(value_name = "N")]
             redistance_every: u32 in 1..=STEPS_MAX,
 
-            /// Relative tolerance of the conjugate gradients, 1e-12 to 0.5, for implicit only [default: 0.0001]
+            /// Relative tolerance of the conjugate gradients, 1e-12 to 0.5, for --integrator implicit only
+            /// [default: 0.0001]
             #[arg(value_name = "E")]
             cg_tolerance: f64 in 1e-12..=0.5
                 => "--integrator implicit", |options, _| options.integrator == Some(Integrator::Implicit),
@@ -209,14 +219,15 @@ method_options! {
 }
 
 impl MethodOptions {
-    /// The options of these names and texts; `None` where a name is unknown, or a text is not a value of its option.
+    /// Parses options from pairs of name and text; `None` if a name is unknown or a text is not a value of
+    /// its option.
     pub fn from_pairs<'a>(pairs: impl IntoIterator<Item = (&'a str, &'a str)>) -> Option<MethodOptions> {
         let mut options = MethodOptions::default();
         pairs.into_iter().try_for_each(|(name, text)| options.set(name, text))?;
         Some(options)
     }
 
-    /// What is known of the option of this name.
+    /// The description of the option with this name.
     pub fn info(name: &str) -> Option<&'static OptionInfo> {
         MethodOptions::ALL.iter().find(|info| info.name == name)
     }
@@ -226,7 +237,7 @@ impl MethodOptions {
         self.preset.unwrap_or_default().recipe()
     }
 
-    /// Whether the particle spacing has to be measured to know the settings.
+    /// Whether the particle spacing must be measured to resolve the settings.
     pub fn needs_spacing(&self) -> bool {
         let follows_voxel_size = self.preset.unwrap_or_default().follows_voxel_size();
         let has_voxel_size = self.voxel_size.and_then(Length::world).is_some();
@@ -234,7 +245,7 @@ impl MethodOptions {
             && (!has_voxel_size || !follows_voxel_size || self.has_length_in(LengthUnit::Spacing))
     }
 
-    /// Whether a length beside the voxel size is given in this unit.
+    /// Whether a length other than the voxel size is given in this unit.
     pub fn has_length_in(&self, unit: LengthUnit) -> bool {
         let pairs = self.to_pairs().into_iter();
         let is_beside = |name: &str| !["spacing", "voxel_size"].contains(&name);
@@ -244,7 +255,7 @@ impl MethodOptions {
         lengths.any(|(_, text)| text.parse().is_ok_and(|length: Length| length.unit == unit))
     }
 
-    /// How far particles are moved to the mean of their neighbours.
+    /// How far particles are moved toward the mean of their neighbours, 0 to 1.
     pub(super) fn position_smoothing(&self) -> f64 {
         self.position_smoothing.unwrap_or(self.recipe().position_smoothing)
     }
@@ -254,22 +265,23 @@ impl MethodOptions {
         self.position_smoothing() > 0.0 || self.anisotropy_kind() == AnisotropyKind::Neighbors
     }
 
-    /// What stretches particles.
+    /// How particles are stretched.
     pub fn anisotropy_kind(&self) -> AnisotropyKind {
         self.anisotropy.unwrap_or(self.recipe().anisotropy)
     }
 
-    /// Where particles have radii of their own, if they have.
+    /// The per-particle radii, if an attribute is set for them.
     ///
     /// # Errors
-    /// When their scale is not a positive number.
+    /// If their scale is not a positive number.
     pub fn own_radii(&self) -> Result<Option<OwnRadii>, SettingsError> {
         let Some(attribute) = &self.radius_attribute else { return Ok(None) };
         let scale = positive("radius scale", self.radius_scale.unwrap_or(1.0))?;
         Ok(Some(OwnRadii { attribute: attribute.clone(), scale }))
     }
 
-    /// The options that are given and have no effect, each with what it is for; `has_obstacles` says whether any are given.
+    /// The given options that have no effect, each with the option that it requires; `has_obstacles` says
+    /// whether there are obstacles.
     pub fn without_effect(&self, has_obstacles: bool) -> Vec<(&'static str, &'static str)> {
         let unmet = |name: &'static str| {
             let need = MethodOptions::info(name)?.need?;
@@ -291,7 +303,7 @@ fn out_of_range<T: Display + LowerExp>(name: &str, value: T, range: &RangeInclus
 mod tests {
     use super::*;
 
-    /// Every option, each with the first of these texts that is a value of it.
+    /// All options, each with the first of these texts that is a value of it.
     fn every() -> MethodOptions {
         let mut options = MethodOptions::default();
         for info in MethodOptions::ALL {
@@ -301,7 +313,7 @@ mod tests {
         options
     }
 
-    /// The same, with numbers that are hard to write.
+    /// All options, with numbers that are hard to write.
     #[expect(clippy::needless_update, reason = "options yet to be added have values, too")]
     fn all() -> MethodOptions {
         MethodOptions {
@@ -345,10 +357,10 @@ mod tests {
     }
 
     #[test]
-    fn choices_come_back_to_the_last_bit() {
+    fn options_read_back_from_pairs_to_the_last_bit() {
         let pairs = all().to_pairs();
         assert_eq!(read(&pairs), Some(all()));
-        // Each by itself, and each is told from none.
+        // Each pair alone reads back, and differs from the default.
         for pair in &pairs {
             let one = read(std::slice::from_ref(pair)).expect("known");
             assert_eq!(one.to_pairs(), std::slice::from_ref(pair));
@@ -360,7 +372,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_chosen_is_over_what_is_below() {
+    fn set_options_override_those_below() {
         assert_eq!(all().over(MethodOptions::default()), all());
         assert_eq!(MethodOptions::default().over(all()), all());
         let above = MethodOptions { steps: Some(2), ..MethodOptions::default() };

@@ -1,7 +1,7 @@
-//! How a struct of options is defined: one place for everything that is said of an option.
+//! The macro that defines a struct of options: one place for everything about an option.
 //!
 //! ```text
-//!   Surface {                              the heading of --help, and what the option belongs to
+//!   Surface {                              the heading in --help, and the group of the option
 //!       /// Fill enclosed cavities …       the help, and the documentation of the field
 //!       #[arg(value_name = "VOXELS")]      what else the command line shows
 //!       fill_cavities: f64 in 0.0..=1e6,   the name, on the command line, in files and here; type and range
@@ -13,10 +13,10 @@ use std::fmt::{Display, LowerExp};
 use std::ops::RangeInclusive;
 use std::str::FromStr;
 
-/// What an option belongs to.
+/// The group of an option.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OptionGroup {
-    /// The preset and the scale.
+    /// Preset and scale.
     General,
     /// Radii, and edits of the level set.
     Surface,
@@ -24,9 +24,9 @@ pub enum OptionGroup {
     Particles,
     /// Obstacles.
     Obstacles,
-    /// Triangles.
+    /// Mesh.
     Mesh,
-    /// The smoothing.
+    /// Smoothing.
     Solver,
 }
 
@@ -54,12 +54,12 @@ pub struct Need {
     pub(super) is_met: fn(&super::MethodOptions, bool) -> bool,
 }
 
-/// What is known of an option beside its value.
+/// The description of an option, without its value.
 #[derive(Clone, Copy, Debug)]
 pub struct OptionInfo {
-    /// The name of its field, and its key in files. On the command line it has hyphens for underscores.
+    /// The name of its field, and its key in files. The command line has hyphens instead of underscores.
     pub name: &'static str,
-    /// What it belongs to.
+    /// Its group.
     pub group: OptionGroup,
     /// How its value is written.
     pub kind: ValueKind,
@@ -67,7 +67,7 @@ pub struct OptionInfo {
     pub need: Option<Need>,
 }
 
-/// The value of an option: its text on the command line, in journals and in plans reads back as the same value.
+/// The value of an option. Its text on the command line, in journals and in plans parses as the same value.
 pub trait OptionValue: Display + FromStr {
     /// How it is written in a file.
     const KIND: ValueKind = ValueKind::Text;
@@ -88,7 +88,7 @@ impl OptionValue for bool {
 impl OptionValue for String {}
 
 impl OptionGroup {
-    /// The heading of its options in `--help`; `None` for the first.
+    /// The heading of the group in `--help`; `None` for the first.
     pub fn heading(self) -> Option<&'static str> {
         match self {
             OptionGroup::General => None,
@@ -101,7 +101,7 @@ impl OptionGroup {
     }
 }
 
-/// A range in words, without rows of zeros.
+/// A range as text, without long runs of zeros.
 pub(super) fn range_text<T: Display + LowerExp>(range: &RangeInclusive<T>) -> String {
     let bound = |bound: &T| match bound.to_string() {
         text if text.starts_with("0.000") || text.ends_with("00000000") => format!("{bound:e}"),
@@ -142,7 +142,7 @@ macro_rules! need {
 }
 pub(super) use need;
 
-/// Defines [`MethodOptions`](super::MethodOptions), and all that is done with every option alike.
+/// Defines [`MethodOptions`](super::MethodOptions), and everything that applies to all options.
 macro_rules! method_options {
     (
         $(#[$attribute:meta])*
@@ -173,7 +173,7 @@ macro_rules! method_options {
         }
 
         impl $options {
-            /// Every option, in the order of `--help` and of files.
+            /// All options, in the order of `--help` and of files.
             pub const ALL: &'static [OptionInfo] = &[$($(OptionInfo {
                 name: stringify!($name),
                 group: OptionGroup::$group,
@@ -181,18 +181,18 @@ macro_rules! method_options {
                 need: fields::need!($($need, $is_met)?),
             },)+)+];
 
-            /// These, and where one is not given, that of `below`.
+            /// These options; those that are not set come from `below`.
             pub fn over(self, below: $options) -> $options {
                 $options { $($($name: self.$name.or(below.$name),)+)+ }
             }
 
-            /// The options that are given, as text by name.
+            /// The options that are set, as text by name.
             pub fn to_pairs(&self) -> Pairs {
                 let pairs = [$($((stringify!($name), self.$name.as_ref().map(ToString::to_string)),)+)+];
                 pairs.into_iter().filter_map(|(name, value)| Some((name, value?))).collect()
             }
 
-            /// Sets the option of this name; `None` where there is no such option, or the text is not a value of it.
+            /// Sets the option with this name; `None` if it does not exist or the text is not a value of it.
             pub fn set(&mut self, name: &str, text: &str) -> Option<()> {
                 match name {
                     $($(stringify!($name) => self.$name = Some(text.parse().ok()?),)+)+
@@ -201,7 +201,7 @@ macro_rules! method_options {
                 Some(())
             }
 
-            /// The range of an option, such as `0 to 4`, where it has one of its own.
+            /// The range of an option, such as `0 to 4`, if its definition has one.
             pub fn range(name: &str) -> Option<String> {
                 match name {
                     $($($(stringify!($name) => Some(fields::range_text::<$value>(&$range)),)?)+)+
@@ -209,7 +209,7 @@ macro_rules! method_options {
                 }
             }
 
-            /// Checks every option that has a range of its own.
+            /// Checks every option whose definition has a range.
             pub(super) fn check_ranges(&self) -> Result<(), SettingsError> {
                 $($($(
                     let range: RangeInclusive<$value> = $range;

@@ -1,4 +1,4 @@
-//! Lengths as users give them: `0.05`, `0.6d`, `5h`.
+//! Lengths as users write them: `0.05`, `0.6d`, `5h`.
 
 use std::fmt;
 use std::str::FromStr;
@@ -11,7 +11,7 @@ use super::presets::tidy;
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(into = "Written", try_from = "Written"))]
 pub struct Length {
-    /// How many units.
+    /// The number of units.
     pub value: f64,
     /// The unit.
     pub unit: LengthUnit,
@@ -29,7 +29,7 @@ pub enum LengthUnit {
 }
 
 impl Length {
-    /// The length in world units, for this particle spacing and voxel size in world units.
+    /// The length in world units. `spacing` and `voxel_size` are in world units.
     pub fn resolve(self, spacing: f64, voxel_size: f64) -> f64 {
         match self.unit {
             LengthUnit::World => self.value,
@@ -38,12 +38,12 @@ impl Length {
         }
     }
 
-    /// The number, where it is in world units.
+    /// The number, if the unit is the world unit.
     pub fn world(self) -> Option<f64> {
         (self.unit == LengthUnit::World).then_some(self.value)
     }
 
-    /// Parses a voxel size, which can have any unit but itself.
+    /// Parses a voxel size: every unit but the voxel is allowed.
     #[cfg(feature = "cli")]
     pub(super) fn parse_voxel_size(text: &str) -> Result<Length, String> {
         let length = text.parse().ok().filter(|length: &Length| length.unit != LengthUnit::Voxel);
@@ -52,7 +52,7 @@ impl Length {
         })
     }
 
-    /// Parses a length that others are measured by.
+    /// Parses a length in world units.
     #[cfg(feature = "cli")]
     pub(crate) fn parse_world(text: &str) -> Result<f64, String> {
         text.trim()
@@ -103,7 +103,7 @@ impl FromStr for Length {
     }
 }
 
-/// A length in a file: a number in world units is a number, others are text.
+/// A length in a file: world units are a number, other units are text.
 #[cfg(feature = "serde")]
 #[derive(serde::Serialize, serde::Deserialize)]
 #[serde(untagged)]
@@ -136,7 +136,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lengths_have_a_number_and_a_unit() {
+    fn lengths_parse_as_a_number_and_a_unit() {
         use LengthUnit::{Spacing, Voxel, World};
         for (text, value, unit, resolved) in [
             ("0.05", 0.05, World, 0.05),

@@ -1,7 +1,7 @@
-//! Every number of the method, resolved and checked once.
+//! The settings of the method, resolved and checked once.
 //!
-//! [`MethodOptions`] is what a user asks for; [`Settings`] is what is meant. A sequence has one
-//! `Settings` for all its frames: an estimate for each frame would flicker.
+//! [`MethodOptions`] holds what the user set; [`Settings`] holds every value. A sequence has one `Settings`
+//! for all its frames: an estimate per frame would make it flicker.
 
 mod definition;
 mod fields;
@@ -42,64 +42,64 @@ pub struct Settings {
     pub radius_init: f64,
     /// r_max, world units.
     pub radius_max: f64,
-    /// How far the finished surface is moved outward, world units; negative inward.
+    /// How far the finished surface is moved outward, world units; negative values move it inward.
     pub offset: f64,
-    /// r_max / r_min as it was chosen: their quotient may be another number by a rounding.
+    /// The chosen r_max / r_min. The quotient of the two fields may differ by a rounding error.
     pub radius_ratio: f64,
-    /// Where particles have radii of their own: then the three above are those of a particle whose
-    /// radius is `radius_min` / `scale`.
+    /// Per-particle radii. If set, the three radii above belong to a particle whose own radius is
+    /// `radius_min` / `scale`.
     pub own_radii: Option<OwnRadii>,
-    /// What stretches particles.
+    /// How particles are stretched.
     pub anisotropy: Anisotropy,
-    /// How far particles are moved toward the mean of their neighbours, 0 to 1; 0 leaves them where they are.
+    /// How far particles are moved toward the mean of their neighbours: 0 (not at all) to 1.
     pub position_smoothing: f64,
-    /// R: particles farther apart are not neighbours, world units. 0 where neighbours are not
+    /// R: particles farther apart are not neighbours, world units. 0 if neighbours are not
     /// [used](Settings::uses_neighbors).
     pub neighbor_radius: f64,
-    /// Gaps between the surface and obstacles are filled where they are narrower, in units of h.
+    /// Gaps between the surface and obstacles narrower than this are filled, in units of h.
     pub void_threshold: f64,
-    /// Attributes of the particles that the surface gets.
+    /// Which attributes of the particles are interpolated to the surface.
     pub attributes: Option<AttributeSelection>,
-    /// Pieces of surface with fewer particles are dropped.
+    /// Pieces of surface with fewer particles than this are dropped.
     pub drop_islands: u32,
-    /// Cavities of a smaller volume are filled, in units of h³.
+    /// Cavities with a smaller volume than this are filled, in units of h³.
     pub fill_cavities: f64,
-    /// What is outside this box is cut off.
+    /// The surface outside this box is cut off.
     pub clip: Option<ClipBox>,
-    /// By how much the mesh may move so that triangles are saved, in units of h; 0 for not at all.
+    /// How far decimation may move the mesh, in units of h; 0 for no decimation.
     pub decimate: f64,
-    /// Rounds in which normals are averaged with their neighbours.
+    /// How many times normals are averaged with their neighbours.
     pub smooth_normals: u32,
-    /// Whether .obj, .vtp and .usda have quads.
+    /// Whether .obj, .vtp and .usda files have quads.
     pub quads: bool,
-    /// Which integrator.
+    /// The integrator of the smoothing.
     pub integrator: Integrator,
-    /// Laplacian steps before the biharmonic ones.
+    /// Number of Laplacian steps before the biharmonic ones.
     pub laplacian_steps: u32,
-    /// Biharmonic steps.
+    /// Number of biharmonic steps.
     pub steps: u32,
     /// Size of a biharmonic step, in units of h⁴.
     pub step_size: f64,
-    /// Redistance after so many biharmonic steps.
+    /// Number of biharmonic steps between redistancings.
     pub redistance_every: u32,
     /// Relative tolerance of the conjugate gradients (`Implicit` only).
     pub cg_tolerance: f64,
-    /// Which contouring.
+    /// The contouring method.
     pub contouring: Contouring,
 }
 
-/// Where particles have radii of their own.
+/// Per-particle radii.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct OwnRadii {
-    /// The attribute that tells them, world units.
+    /// The attribute that holds the radii, world units.
     pub attribute: String,
-    /// A particle's r_min in units of its own radius.
+    /// A particle's r_min divided by its own radius.
     pub scale: f64,
 }
 
 impl OwnRadii {
-    /// r_min of each particle whose own radius is a positive number, world units.
+    /// r_min of each particle whose own radius is positive and finite, world units.
     pub fn radii_min(&self, attributes: &[Attribute]) -> Vec<f64> {
         let attribute = attribute_of(attributes, &self.attribute, 1);
         let radii = attribute.and_then(|attribute| attribute.values.numbers()).unwrap_or_default();
@@ -108,76 +108,78 @@ impl OwnRadii {
     }
 }
 
-/// What stretches particles (paper, Eq. 1 and 16, Fig. 11).
+/// How particles are stretched (paper, Eq. 1 and 16, Fig. 11).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Anisotropy {
-    /// Nothing: balls.
+    /// Not at all: all particles are balls.
     None,
-    /// Where the neighbours are.
+    /// By the positions of the neighbours.
     Neighbors {
-        /// The longest half axis in units of the shortest, at most.
+        /// Upper limit of the longest half axis, in units of the shortest.
         max_stretch: f64,
-        /// The least half axis of the inner ellipsoids, world units.
+        /// Lower limit of the half axes of the inner ellipsoids, world units.
         thin_radius: f64,
-        /// r_min of a particle without neighbours, world units: no more than `radius_min`.
+        /// r_min of a particle without neighbours, world units; at most `radius_min`.
         lone_radius: f64,
     },
-    /// The velocity.
+    /// By the velocity.
     Velocity {
-        /// Seconds of movement by which it stretches.
+        /// A particle is stretched by its movement in this time, seconds.
         gain: f64,
-        /// The longest half axis in units of the shortest, at most.
+        /// Upper limit of the longest half axis, in units of the shortest.
         max_stretch: f64,
     },
 }
 
-/// Explicit steps of this much and more, in units of h⁴, are unstable.
+/// Explicit steps of this size or more, in units of h⁴, are unstable.
 pub const EXPLICIT_STEP_MAX: f64 = 2.0 / EIGENVALUE_MAX as f64;
 
-/// Voxel sizes in world units: with others, vertices have no place in the range of 32-bit numbers.
+/// The smallest voxel size, world units. Outside these limits, vertices do not fit into 32-bit numbers.
 const VOXEL_SIZE_MIN: f64 = 1e-36;
 
-/// The greatest voxel size, world units.
+/// The largest voxel size, world units.
 const VOXEL_SIZE_MAX: f64 = 1e30;
 
-/// The least r_min in voxels: half axes are measured in units of it, and the voxel in these units must be a number in 32 bits.
+/// The smallest r_min in voxels. Half axes are measured in units of r_min, and the voxel in these units must
+/// fit into 32 bits.
 const RADIUS_MIN_VOXELS: f64 = 1e-6;
 
-/// The largest radius in voxels: beyond it the bins around a particle would be most of the frame.
+/// The largest radius in voxels. Beyond it the bins around a particle would be most of the frame.
 pub const RADIUS_MAX_VOXELS: f64 = 64.0;
 
-/// How far outward the surface may be moved, in units of h.
+/// Upper limit of the offset, in units of h.
 const OFFSET_MAX: f64 = 2.0;
 
-/// Narrower gaps between the surface and obstacles are filled, in units of h.
+/// Default of the width below which gaps between the surface and obstacles are filled, in units of h.
 const VOID_THRESHOLD: f64 = 1.0;
 
-/// As Yu and Turk limit it.
+/// Default limit of stretching, as in Yu and Turk.
 const MAX_STRETCH: f64 = 4.0;
 
-/// The least half axis that a flattened particle may have, in units of h. Then the sides of a sheet are 1.8 voxels apart.
+/// The smallest half axis of a flattened particle, in units of h. The two sides of a sheet are then 1.8
+/// voxels apart.
 const THIN_MIN_VOXELS: f64 = 0.9;
 
-/// How far neighbours count, in units of r_min.
+/// Default search radius for neighbours, in units of r_min.
 const NEIGHBOR_RADIUS: f64 = 3.0;
 
-/// Seconds of movement by which velocities stretch: a quarter of a frame of film.
+/// Default time of movement by which velocities stretch, seconds: a quarter of a film frame.
 const VELOCITY_GAIN: f64 = 0.01;
 
-/// Neighbours within more voxels are a good part of a frame.
+/// Upper limit of the neighbour radius in voxels: more would cover a large part of a frame.
 const NEIGHBOR_RADIUS_MAX_VOXELS: f64 = 200.0;
 
-/// More steps than this take so long that somebody should know before.
-const STEPS_TOLD: f64 = 2000.0;
+/// More steps per frame than this cause a warning, because they take long.
+const STEPS_WARN: f64 = 2000.0;
 
-/// The time that adaptive steps may add up to, in units of h⁴: some so many steps as well.
+/// Upper limit of the total time of adaptive steps, in units of h⁴. It also limits their number.
 const ADAPTIVE_TIME_MAX: f64 = 1e4;
 
-/// Why options make no settings.
+/// Why options cannot be resolved to settings.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct SettingsError {
-    /// What is wrong, and what would be right.
+    /// The message: the invalid value, and the allowed range.
     pub what: String,
 }
 
@@ -192,12 +194,12 @@ impl std::error::Error for SettingsError {}
 impl Settings {
     /// Fills in the defaults of the preset and checks every number.
     ///
-    /// Lengths that nobody chose follow the particle spacing: that of `options`, else the `measured` one, else the one that
-    /// has the chosen voxel size by default. The preset [`Preset::Paper`] follows the voxel size.
+    /// Lengths that are not set follow the particle spacing: that of `options`, else the `measured` one, else
+    /// the one whose default voxel size is the chosen one. With [`Preset::Paper`] they follow the voxel size.
     ///
     /// # Errors
-    /// When a number is not finite or out of its range, when the radii are out of order, or when neither spacing nor voxel
-    /// size is known.
+    /// If a number is not finite or out of its range, if the radii are out of order, or if neither spacing
+    /// nor voxel size is known.
     pub fn resolve(options: &MethodOptions, measured: Option<Measured>) -> Result<Settings, SettingsError> {
         options.check_ranges()?;
         let recipe = options.recipe();
@@ -247,11 +249,11 @@ impl Settings {
         Ok(settings)
     }
 
-    /// The paper's settings for a voxel size, with these options over them: what tests and the paper's experiments
-    /// use. Particles count as two voxels apart, where a preset among the options follows the spacing.
+    /// The paper's settings for a voxel size, overridden by these options: for tests and the paper's
+    /// experiments. If a preset among the options follows the spacing, the spacing is two voxels.
     ///
     /// # Errors
-    /// Those of [`Settings::resolve`].
+    /// As [`Settings::resolve`].
     pub fn paper(voxel_size: f64, options: &MethodOptions) -> Result<Settings, SettingsError> {
         let paper = MethodOptions {
             preset: Some(Preset::Paper),
@@ -262,21 +264,22 @@ impl Settings {
         Settings::resolve(&options.clone().over(paper), None)
     }
 
-    /// The settings for level sets, whose files say how large their voxels are: with some voxel size that suits the offset,
-    /// until [`with_voxel_size`](Settings::with_voxel_size) has the right one.
+    /// The settings for level sets. Their voxel size is in their files, so these settings have a placeholder
+    /// that suits the offset until [`with_voxel_size`](Settings::with_voxel_size) replaces it.
     ///
     /// # Errors
-    /// When there is no voxel size with which these options make sense.
+    /// If these options are invalid for every voxel size.
     pub fn of_level_sets(options: &MethodOptions) -> Result<Settings, SettingsError> {
         let offset =
             options.offset.and_then(Length::world).filter(|offset| offset.is_finite()).unwrap_or(0.0);
         Settings::paper(if offset == 0.0 { 1.0 } else { offset.abs() }, options)
     }
 
-    /// The same settings on a lattice with these voxels: what follows from the voxel size is that of [`Settings::paper`].
+    /// The same settings for another voxel size: what depends on the voxel size becomes that of
+    /// [`Settings::paper`].
     ///
     /// # Errors
-    /// When the voxel size is invalid, or too small or too large for the offset.
+    /// If the voxel size is invalid, or too small or too large for the offset.
     pub fn with_voxel_size(&self, voxel_size: f64) -> Result<Settings, SettingsError> {
         let offset = (self.offset != 0.0).then_some(self.offset.into());
         let lengths = Settings::paper(voxel_size, &MethodOptions { offset, ..MethodOptions::default() })?;
@@ -295,26 +298,27 @@ impl Settings {
     fn check_together(&self) -> Result<(), SettingsError> {
         if self.integrator == Integrator::Adaptive {
             let time = f64::from(self.steps) * self.step_size;
-            let what = "time of adaptive steps (their number times their size) in h⁴";
+            let what = "total time of adaptive steps (steps times step size) in h⁴";
             require((0.0..=ADAPTIVE_TIME_MAX).contains(&time), || {
                 format!("the {what} is {time}; it must be from 0 to {ADAPTIVE_TIME_MAX}")
             })?;
         }
         require(!self.quads || self.contouring == Contouring::Dual, || {
-            "quads come of dual contouring only: leave out --contour tetrahedra".into()
+            "--quads requires dual contouring: remove --contour tetrahedra".into()
         })?;
         require(!self.quads || self.decimate == 0.0, || {
-            "decimation leaves no quads: choose one of --quads and --decimate".into()
+            "--quads cannot be combined with --decimate, which produces triangles: remove one of them".into()
         })
     }
 
-    /// Whether particles have shapes of their own.
+    /// Whether particles differ in size or shape.
     pub fn has_shapes(&self) -> bool {
         self.own_radii.is_some() || self.anisotropy != Anisotropy::None
     }
 
-    /// About how far the surface of fluid at rest is from its outermost particles, world units: where neighbours flatten these it lies where the
-    /// fluid ends, and else at r_min or beyond. A camera's ground is there.
+    /// Approximate distance from the outermost particles of a fluid at rest to its surface, world units. If
+    /// neighbours flatten these particles, the surface lies where the fluid ends; otherwise at r_min or
+    /// beyond. Pictures put the ground at this height.
     pub fn resting_height(&self) -> f64 {
         match self.anisotropy {
             Anisotropy::Neighbors { .. } => self.radius_min.min(0.5 * self.spacing),
@@ -322,23 +326,22 @@ impl Settings {
         }
     }
 
-    /// Whether a particle's place or shape depends on its neighbours.
+    /// Whether a particle's position or shape depends on its neighbours.
     pub fn uses_neighbors(&self) -> bool {
         self.position_smoothing > 0.0 || matches!(self.anisotropy, Anisotropy::Neighbors { .. })
     }
 
-    /// Whether there is a particle spacing with which these options make sense: for a spacing that is not yet known.
+    /// Checks options whose particle spacing is not known yet: whether any spacing makes them valid.
     ///
     /// # Errors
-    /// When there is none.
+    /// If none does.
     pub fn check(options: &MethodOptions) -> Result<(), SettingsError> {
         if !options.needs_spacing() {
             return Settings::resolve(options, None).map(|_| ());
         }
         let sound = |length: &f64| length.is_finite() && *length > 0.0;
         let recipe = options.recipe();
-        // One with which a length that was given is as long as by default. What is wrong with a length is told by
-        // `resolve`.
+        // Choose a spacing whose default length equals the given length. `resolve` reports invalid lengths.
         let unit = match recipe.unit {
             Unit::Spacing => 1.0,
             Unit::VoxelSize => recipe.voxel_size,
@@ -355,14 +358,15 @@ impl Settings {
             (None, None, None) => 1.0,
         };
         let spacing = Some(spacing).filter(sound).unwrap_or(1.0);
-        // An inward offset can be compared with an r_min that is given; any other fits particles that are far enough apart.
+        // An inward offset can be compared with a given r_min. Any other offset fits some spacing.
         let inward = options.offset.and_then(Length::world).filter(|offset| offset.is_finite());
         if let (Some(radius_min), Some(offset)) = (radius_min.filter(sound), inward) {
             require(-offset <= (1.0 + 1e-9) * radius_min, || {
                 format!("the offset is {offset}; it must be from -r_min = {} on", -radius_min)
             })?;
         }
-        // Lengths in spacings and voxels can be compared with each other, but with none in world units.
+        // Lengths in spacings and in voxels can be compared with each other, but not with lengths in world
+        // units.
         let has_world = [voxel_size, radius_min, radius_init].iter().any(Option::is_some);
         let kept = |given: Option<Length>, is_kept: &dyn Fn(f64) -> bool| {
             given.filter(|length| length.world().map_or(!has_world, is_kept))
@@ -374,7 +378,7 @@ impl Settings {
             offset: kept(options.offset, &|offset| !offset.is_finite()),
             thin_radius: kept(options.thin_radius, &is_unsound),
             lone_radius: kept(options.lone_radius, &is_unsound),
-            // A neighbourhood can be compared with a voxel size that is given; without one it fits some spacing.
+            // A neighbour radius can be compared with a given voxel size; without one, it fits some spacing.
             neighbor_radius: kept(options.neighbor_radius, &|radius| {
                 is_unsound(radius) || voxel_size.is_some()
             }),
@@ -383,29 +387,29 @@ impl Settings {
         Settings::resolve(&options, Some(Measured::from(spacing))).map(|_| ())
     }
 
-    /// What a user should be told before work begins, one sentence each.
+    /// Warnings to show before work begins, one sentence each.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         if self.integrator == Integrator::Explicit && self.step_size >= EXPLICIT_STEP_MAX {
             warnings.push(format!(
-                "explicit steps of {} h⁴ are beyond the stable bound of 2/144 = {EXPLICIT_STEP_MAX:.5} h⁴",
+                "explicit steps of {} h⁴ exceed the stability limit of 2/144 = {EXPLICIT_STEP_MAX:.5} h⁴",
                 self.step_size
             ));
         }
         if self.integrator == Integrator::Adaptive {
             warnings.push(
-                "adaptive steps are for stills: their sizes depend on the frame, and a sequence flickers"
+                "adaptive steps are for single frames: their sizes differ per frame, so a sequence flickers"
                     .into(),
             );
         }
         let (least, steps) = self.step_count();
-        if steps > STEPS_TOLD {
+        if steps > STEPS_WARN {
             let at_least = if least { "at least " } else { "" };
             warnings.push(format!("{at_least}{steps:.0} steps for each frame will take long"));
         }
         if self.radius_min < 0.999 * 3f64.sqrt() * self.voxel_size {
             warnings.push(format!(
-                "r_min is {:.3} voxels: below √3 a particle may fall between the voxels and be left outside",
+                "r_min is {:.3} voxels: below √3, particles may fall between voxels and end up outside the surface",
                 self.radius_min / self.voxel_size
             ));
         }
@@ -414,8 +418,8 @@ impl Settings {
 }
 
 impl Settings {
-    /// How many biharmonic steps there will be, and whether that is the least: adaptive ones are as large as is stable
-    /// at most.
+    /// The number of biharmonic steps, and whether it is only a lower bound: adaptive steps are at most as
+    /// large as is stable.
     fn step_count(&self) -> (bool, f64) {
         let steps = f64::from(self.steps);
         match self.integrator {
@@ -425,7 +429,7 @@ impl Settings {
     }
 }
 
-/// Whether an integrator takes many small steps, and not a few large ones.
+/// Whether the integrator takes many small steps instead of a few large ones.
 fn is_explicit(integrator: Integrator) -> bool {
     matches!(integrator, Integrator::Explicit | Integrator::Adaptive)
 }
@@ -433,7 +437,7 @@ fn is_explicit(integrator: Integrator) -> bool {
 /// Size of an explicit step, in units of h⁴ (Eq. 14, 15).
 const EXPLICIT_STEP_SIZE: f64 = 0.01;
 
-/// The biharmonic steps of an integrator, unless others are asked for.
+/// Default number of biharmonic steps of an integrator.
 fn default_steps(recipe: &Recipe, integrator: Integrator, voxels: f64) -> u32 {
     match is_explicit(integrator) {
         true => {
@@ -444,7 +448,7 @@ fn default_steps(recipe: &Recipe, integrator: Integrator, voxels: f64) -> u32 {
     }
 }
 
-/// The size of a biharmonic step, unless another is asked for, in units of h⁴.
+/// Default size of a biharmonic step, in units of h⁴.
 fn default_step_size(recipe: &Recipe, integrator: Integrator, voxels: f64) -> f64 {
     match is_explicit(integrator) {
         true => EXPLICIT_STEP_SIZE,
@@ -452,19 +456,19 @@ fn default_step_size(recipe: &Recipe, integrator: Integrator, voxels: f64) -> f6
     }
 }
 
-/// Laplacian steps, unless another number is asked for: one at least, where there are to be any.
+/// Default number of Laplacian steps: at least one, unless the preset has none.
 fn laplacian_steps(recipe: &Recipe, voxels: f64) -> u32 {
     let steps = recipe.laplacian_steps * voxels * voxels;
     let least = if recipe.laplacian_steps > 0.0 { 1.0 } else { 0.0 };
     steps.round().clamp(least, f64::from(STEPS_MAX)) as u32
 }
 
-/// The volume below which cavities are filled, unless another is asked for, in units of h³.
+/// Default of the volume below which cavities are filled, in units of h³.
 fn cavities(recipe: &Recipe, voxels: f64) -> f64 {
     tidy(recipe.fill_cavities * voxels.powi(3)).min(CAVITY_VOXELS_MAX)
 }
 
-/// r_init, unless another is asked for, for r_min and r_max = `ratio` · r_min.
+/// Default r_init, for r_min and r_max = `ratio` · r_min.
 fn initial_radius(recipe: &Recipe, radius_min: f64, ratio: f64) -> f64 {
     let radius_max = ratio * radius_min;
     match recipe.radius_init {
@@ -476,7 +480,8 @@ fn initial_radius(recipe: &Recipe, radius_min: f64, ratio: f64) -> f64 {
 /// r_min, r_init and r_max.
 fn radii(scale: &Scale, ratio: f64, options: &MethodOptions) -> Result<[f64; 3], SettingsError> {
     let (recipe, h) = (options.recipe(), scale.voxel_size);
-    // On coarse voxels it is raised to the least with which no particle falls between them (Eq. 13).
+    // On coarse voxels, raise r_min to the smallest value with which no particle falls between voxels (Eq.
+    // 13).
     let usual = scale.units(recipe.unit, recipe.radius_min).max(3f64.sqrt() * h);
     let radius_min = positive("radius r_min", scale.length(options.radius_min).unwrap_or(usual))?;
     require(radius_min >= RADIUS_MIN_VOXELS * h, || {
@@ -486,20 +491,20 @@ fn radii(scale: &Scale, ratio: f64, options: &MethodOptions) -> Result<[f64; 3],
         )
     })?;
     require(ratio.is_finite() && ratio >= 1.0, || {
-        format!("the radius ratio is {ratio}; r_max may not be below r_min: at least 1")
+        format!("the radius ratio is {ratio}; it must be at least 1")
     })?;
     let radius_max = ratio * radius_min;
     let given = scale.length(options.radius_init);
     let radius_init = given.unwrap_or_else(|| initial_radius(&recipe, radius_min, ratio));
     let radius_init = positive("radius r_init", radius_init)?;
-    // A product of two numbers as typed may miss a third as typed by a rounding.
+    // The product of two typed numbers may differ from a third by a rounding error.
     let slack = 1e-9 * radius_max;
     require((radius_min - slack..=radius_max + slack).contains(&radius_init), || {
-        format!("r_init is {radius_init}; it must lie between r_min = {radius_min} and r_max = {radius_max}")
+        format!("r_init is {radius_init}; it must be between r_min = {radius_min} and r_max = {radius_max}")
     })?;
     require(radius_max <= RADIUS_MAX_VOXELS * h, || {
         format!(
-            "r_max is {} voxels, and {RADIUS_MAX_VOXELS} are the most: choose {}",
+            "r_max is {} voxels; it must be at most {RADIUS_MAX_VOXELS}: choose {}",
             significant(radius_max / h),
             match (options.radius_min, recipe.unit) {
                 (Some(_), _) => "a smaller r_min or ratio, or a larger voxel size",
@@ -512,11 +517,11 @@ fn radii(scale: &Scale, ratio: f64, options: &MethodOptions) -> Result<[f64; 3],
     Ok([radius_min, radius_init.clamp(radius_min, radius_max), radius_max])
 }
 
-/// How far the finished surface is moved.
+/// How far the finished surface is moved, world units.
 fn offset(options: &MethodOptions, radius_min: f64, scale: &Scale) -> Result<f64, SettingsError> {
     let offset = scale.length(options.offset).unwrap_or(0.0);
     let [inward, outward] = [-radius_min, OFFSET_MAX * scale.voxel_size];
-    // A radius that was computed may miss one as typed by a rounding.
+    // A computed radius may differ from a typed one by a rounding error.
     let slack = 1e-9 * radius_min;
     require((inward - slack..=outward).contains(&offset), || {
         format!("the offset is {offset}; it must be from -r_min = {inward} to {OFFSET_MAX} h = {outward}")
@@ -528,7 +533,7 @@ fn anisotropy(options: &MethodOptions, radius_min: f64, scale: &Scale) -> Result
     let max_stretch = options.max_stretch.unwrap_or(MAX_STRETCH);
     match options.anisotropy_kind() {
         AnisotropyKind::None => Ok(Anisotropy::None),
-        AnisotropyKind::Neighbors if has_no_room_to_flatten(options, radius_min, scale) => {
+        AnisotropyKind::Neighbors if is_too_coarse_to_flatten(options, radius_min, scale) => {
             Ok(Anisotropy::None)
         }
         AnisotropyKind::Neighbors => {
@@ -542,15 +547,15 @@ fn anisotropy(options: &MethodOptions, radius_min: f64, scale: &Scale) -> Result
     }
 }
 
-/// Whether the preset alone asks for flat particles, on a grid so coarse that none could be thinner than a ball.
-fn has_no_room_to_flatten(options: &MethodOptions, radius_min: f64, scale: &Scale) -> bool {
+/// Whether only the preset requests flattening, and the grid is too coarse for anything thinner than a ball.
+fn is_too_coarse_to_flatten(options: &MethodOptions, radius_min: f64, scale: &Scale) -> bool {
     let MethodOptions { anisotropy, max_stretch, thin_radius, lone_radius, .. } = options;
     let is_chosen = anisotropy.is_some() || max_stretch.is_some();
     let is_chosen = is_chosen || thin_radius.is_some() || lone_radius.is_some();
     !is_chosen && radius_min <= 3f64.sqrt() * scale.voxel_size * (1.0 + 1e-9)
 }
 
-/// The least half axis of flattened particles, and r_min of those without neighbours.
+/// The smallest half axis of flattened particles, and r_min of particles without neighbours.
 fn flattened_radii(
     options: &MethodOptions,
     radius_min: f64,
@@ -561,14 +566,14 @@ fn flattened_radii(
     let [least, most] = [THIN_MIN_VOXELS * h, radius_min.max(held)];
     let thin = recipe.thin_radius.map_or(held, |radius| length(radius).max(tidy(least)).min(most));
     let thin = positive(
-        "least half axis of flattened particles",
+        "smallest half axis of flattened particles",
         scale.length(options.thin_radius).unwrap_or(thin),
     )?;
-    // Numbers as typed may miss computed ones by a rounding.
+    // Typed numbers may differ from computed ones by a rounding error.
     let slack = 1e-9 * most;
     require((least - slack..=most + slack).contains(&thin), || {
         format!(
-            "the least half axis of flattened particles is {thin}; it must be from {THIN_MIN_VOXELS} h = {} to r_min = {}",
+            "the smallest half axis of flattened particles is {thin}; it must be from {THIN_MIN_VOXELS} h = {} to r_min = {}",
             significant(least),
             significant(most)
         )
@@ -591,12 +596,9 @@ fn neighbor_radius(options: &MethodOptions, radius_min: f64, scale: &Scale) -> R
     let (recipe, h) = (options.recipe(), scale.voxel_size);
     let of_recipe = recipe.neighbor_radius.map(|radius| scale.units(recipe.unit, radius));
     let radius = scale.length(options.neighbor_radius).or(of_recipe).unwrap_or(NEIGHBOR_RADIUS * radius_min);
-    let radius = positive("radius within which neighbours count", radius)?;
+    let radius = positive("neighbour radius", radius)?;
     require(radius <= NEIGHBOR_RADIUS_MAX_VOXELS * h, || {
-        format!(
-            "the radius within which neighbours count is {} h; it must be at most {NEIGHBOR_RADIUS_MAX_VOXELS} h",
-            radius / h
-        )
+        format!("the neighbour radius is {} h; it must be at most {NEIGHBOR_RADIUS_MAX_VOXELS} h", radius / h)
     })?;
     Ok(radius)
 }
@@ -611,8 +613,8 @@ fn checked_box(clip: ClipBox) -> Result<ClipBox, SettingsError> {
         let (min, max) = (clip.min[axis], clip.max[axis]);
         require(min < max, || {
             format!(
-                "the box {clip} is empty: its {name}0 is {min} and must be below its {name}1, which is {max}: \
-                 x0,y0,z0 is the least corner, x1,y1,z1 the greatest"
+                "the box {clip} is empty: {name}0 = {min} must be below {name}1 = {max}; \
+                 x0,y0,z0 is the lower corner, x1,y1,z1 the upper one"
             )
         })?;
     }

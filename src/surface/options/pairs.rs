@@ -1,12 +1,12 @@
-//! Settings as the options that make them, and as the names and values that files record.
+//! Settings converted to options, and to the names and values that files record.
 
 use super::{Anisotropy, AnisotropyKind, Integrator, MethodOptions, Settings};
 
-/// Names and values in a fixed order. A value reads as in `meniscus.toml`, but for words, which have no quotes.
+/// Names and values in a fixed order. A value is written as in `meniscus.toml`, but text has no quotes.
 pub type Pairs = Vec<(&'static str, String)>;
 
-/// Options that change nothing at these values, and that files do not record then. Newer options need not be here:
-/// [`Settings::to_options`] leaves them out where they change nothing.
+/// Options that change nothing at these values, so that files do not record them. Newer options are not
+/// needed here: [`Settings::to_options`] omits them if they change nothing.
 const OFF: [(&str, &str); 6] = [
     ("anisotropy", "none"),
     ("drop_islands", "0"),
@@ -16,7 +16,8 @@ const OFF: [(&str, &str); 6] = [
     ("quads", "false"),
 ];
 
-/// Options that others stand for in files: the spacing is in all lengths, and the ratio in r_max.
+/// Options that files omit because others imply them: all lengths contain the spacing, and r_max contains the
+/// ratio.
 const IMPLIED: [&str; 2] = ["spacing", "radius_ratio"];
 
 /// Files record these after all others, in this order.
@@ -24,7 +25,7 @@ const LAST: [&str; 8] =
     ["offset", "drop_islands", "fill_cavities", "clip", "contour", "decimate", "smooth_normals", "quads"];
 
 impl Settings {
-    /// The options that make these settings, every one of them, but for what is not used.
+    /// All options that resolve to these settings, except those that are not used.
     pub fn to_options(&self) -> MethodOptions {
         let (kind, velocity_gain, max_stretch) = match self.anisotropy {
             Anisotropy::None => (AnisotropyKind::None, None, None),
@@ -75,8 +76,9 @@ impl Settings {
         }
     }
 
-    /// The options that results depend on, with their values, as files record them: without those that change nothing,
-    /// so that files keep their bytes when an option is added. `is_relevant` says which options matter to a file.
+    /// The options that results depend on, with their values, as files record them. Options that change
+    /// nothing are omitted, so that files keep their bytes when an option is added. `is_relevant` selects the
+    /// options that matter to a file.
     pub fn pairs(&self, is_relevant: impl Fn(&str) -> bool) -> Pairs {
         let changes_something = |(name, value): &(&str, String)| {
             let is_off = OFF.contains(&(*name, value)) || IMPLIED.contains(name);
@@ -87,7 +89,7 @@ impl Settings {
         let after = pairs.iter().position(|(name, _)| *name == "radius_init").map_or(0, |index| index + 1);
         pairs.insert(after, ("radius_max", self.radius_max.to_string()));
         pairs.retain(|pair| is_relevant(pair.0) && changes_something(pair));
-        // The order of the options, but for those whose place in files is another.
+        // Sort by the order of the options, except those with a fixed position at the end.
         pairs.sort_by_key(|(name, _)| LAST.iter().position(|last| last == name).map_or(0, |index| index + 1));
         let place = |wanted| pairs.iter().position(|(name, _)| *name == wanted);
         if let (Some(stretch), Some(gain)) = (place("max_stretch"), place("velocity_gain")) {

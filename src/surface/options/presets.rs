@@ -1,7 +1,7 @@
-//! Bundles of defaults, for what people do most.
+//! Presets: sets of defaults for the most common kinds of particles.
 //!
-//! Lengths of most presets are in particle spacings d: a finer grid then shows the same surface in more detail. Those of
-//! the paper's presets are in voxels h, as in the paper.
+//! The lengths of most presets are in particle spacings d: a finer grid then shows the same surface in more
+//! detail. Those of the paper's presets are in voxels h, as in the paper.
 
 use crate::surface::words::word_enum;
 
@@ -10,32 +10,32 @@ use super::values::AnisotropyKind;
 use super::{MethodOptions, SettingsError, require};
 
 word_enum! {
-    /// A bundle of defaults.
+    /// A set of defaults.
     #[derive(Default)]
     pub enum Preset {
         /// Water and other liquids: the default
         #[default]
         Fluid = "fluid",
-        /// Particles that lie at random, as those of FLIP and MPM do: smoothed more than fluid
+        /// Irregularly spaced particles, such as those of FLIP and MPM: smoother than fluid
         Noisy = "noisy",
         /// Sheets, threads and drops: finer and thinner than fluid
         Splash = "splash",
-        /// Sand, snow, grain: near the particles, and hardly smoothed
+        /// Sand, snow, grain: close to the particles, with little smoothing
         Granular = "granular",
-        /// A quick look: voxels as large as the spacing
+        /// A quick preview: voxels as large as the spacing
         Preview = "preview",
         /// The parameters of the paper: lengths follow the voxel size
         Paper = "paper",
-        /// Deprecated: as paper, with small cavities filled
+        /// Deprecated: paper, with small cavities filled
         Water = "water",
-        /// Deprecated: as paper, nearer to the particles
+        /// Deprecated: paper, closer to the particles
         Faithful = "faithful",
-        /// Deprecated: as paper, with more room and more steps
+        /// Deprecated: paper, with a larger radius ratio and more steps
         Smooth = "smooth",
     }
 }
 
-/// What the lengths and times of a preset are multiples of.
+/// The unit of a preset's lengths and times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Unit {
     /// The particle spacing d.
@@ -44,21 +44,21 @@ pub(super) enum Unit {
     VoxelSize,
 }
 
-/// Where smoothing starts, between r_min and r_max.
+/// r_init, where smoothing starts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum InitialRadius {
-    /// Half way (paper, Eq. 2).
+    /// Half way between r_min and r_max (paper, Eq. 2).
     Middle,
-    /// So many r_min, but no farther than r_max.
+    /// This many times r_min, limited to r_max.
     Times(f64),
 }
 
 /// The numbers of a preset.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Recipe {
-    /// What the numbers below are multiples of: powers of this length.
+    /// The unit of the numbers below: they are multiples of powers of this length.
     pub(super) unit: Unit,
-    /// The voxel size in particle spacings, where none is given.
+    /// Default voxel size, in particle spacings.
     pub(super) voxel_size: f64,
     /// r_min, in units.
     pub(super) radius_min: f64,
@@ -66,33 +66,35 @@ pub(super) struct Recipe {
     pub(super) radius_ratio: f64,
     /// r_init.
     pub(super) radius_init: InitialRadius,
-    /// What stretches particles.
+    /// How particles are stretched.
     pub(super) anisotropy: AnisotropyKind,
-    /// The least half axis of flattened particles, in units; `None` for √3 h.
+    /// Smallest half axis of flattened particles, in units; `None` for √3 h.
     pub(super) thin_radius: Option<f64>,
     /// r_min of particles without neighbours, in units; `None` for r_min.
     pub(super) lone_radius: Option<f64>,
-    /// How far neighbours count, in units; `None` for 3 r_min.
+    /// Search radius for neighbours, in units; `None` for 3 r_min.
     pub(super) neighbor_radius: Option<f64>,
-    /// How far particles are moved to the mean of their neighbours, 0 to 1.
+    /// How far particles are moved toward the mean of their neighbours, 0 to 1.
     pub(super) position_smoothing: f64,
-    /// Cavities of a smaller volume are filled, in units³.
+    /// Cavities with a smaller volume than this are filled, in units³.
     pub(super) fill_cavities: f64,
-    /// Laplacian steps of the usual size, for a voxel as large as the unit: they become more with its square.
+    /// Number of Laplacian steps if a voxel is as large as the unit; it grows with the square of unit /
+    /// voxel.
     pub(super) laplacian_steps: f64,
-    /// Implicit steps.
+    /// Number of implicit steps.
     pub(super) steps: u32,
     /// Size of an implicit step, in units⁴.
     pub(super) step_size: f64,
-    /// What explicit steps add up to, in units⁴.
+    /// Total time of explicit steps, in units⁴.
     pub(super) explicit_time: f64,
 }
 
-/// The paper's numbers: r_min = √3 h (Eq. 13), five implicit steps of 20 h⁴ or 500 explicit ones of 0.01 h⁴ (Eq. 14, 15).
+/// The paper's numbers: r_min = √3 h (Eq. 13), five implicit steps of 20 h⁴ or 500 explicit ones of 0.01 h⁴
+/// (Eq. 14, 15).
 const PAPER: Recipe = Recipe {
     unit: Unit::VoxelSize,
     voxel_size: 0.5,
-    // √3, which is no constant expression.
+    // √3; `sqrt` is not a constant expression.
     radius_min: 1.732_050_807_568_877_2,
     radius_ratio: 2.0,
     radius_init: InitialRadius::Middle,
@@ -128,7 +130,7 @@ const FLUID: Recipe = Recipe {
 };
 
 impl Preset {
-    /// For a deprecated preset, the one that takes its place.
+    /// The replacement of a deprecated preset.
     pub fn successor(self) -> Option<Preset> {
         match self {
             Preset::Water | Preset::Smooth => Some(Preset::Fluid),
@@ -137,12 +139,12 @@ impl Preset {
         }
     }
 
-    /// Whether its lengths and times follow the voxel size, and need no particle spacing.
+    /// Whether its lengths and times follow the voxel size, so that it needs no particle spacing.
     pub fn follows_voxel_size(self) -> bool {
         self.recipe().unit == Unit::VoxelSize
     }
 
-    /// The voxel size for particles that are so far apart, where none is chosen.
+    /// The default voxel size for a particle spacing.
     pub fn voxel_size(self, spacing: f64) -> f64 {
         tidy(self.recipe().voxel_size * spacing)
     }
@@ -201,7 +203,7 @@ impl Preset {
     }
 }
 
-/// The lengths that settings follow, world units.
+/// The lengths that settings depend on, world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Scale {
     /// The particle spacing d.
@@ -211,10 +213,10 @@ pub(super) struct Scale {
 }
 
 impl Scale {
-    /// From what was chosen and measured.
+    /// From the options and the measured spacing.
     ///
     /// # Errors
-    /// When a length is not positive, or neither of them is known.
+    /// If a length is not positive, or neither length is known.
     pub(super) fn new(options: &MethodOptions, measured: Option<Measured>) -> Result<Scale, SettingsError> {
         let recipe = options.recipe();
         let in_world_units = options.voxel_size.and_then(Length::world);
@@ -245,12 +247,12 @@ impl Scale {
         Ok(Scale { spacing, voxel_size })
     }
 
-    /// A length that an option gives, in world units.
+    /// A length option in world units.
     pub(super) fn length(&self, given: Option<Length>) -> Option<f64> {
         given.map(|length| length.resolve(self.spacing, self.voxel_size))
     }
 
-    /// So many units, as a length.
+    /// Converts `count` units to a length, world units.
     pub(super) fn units(&self, unit: Unit, count: f64) -> f64 {
         match unit {
             Unit::VoxelSize => count * self.voxel_size,
@@ -258,7 +260,7 @@ impl Scale {
         }
     }
 
-    /// So many voxels are in a unit.
+    /// The number of voxels in a unit of length.
     pub(super) fn voxels(&self, unit: Unit) -> f64 {
         match unit {
             Unit::VoxelSize => 1.0,
@@ -267,22 +269,23 @@ impl Scale {
     }
 }
 
-/// A product of decimal numbers without the digits that binary rounding adds: 0.02, and not 0.020000000000000004.
+/// Removes the digits that binary rounding adds to a product of decimal numbers: 0.020000000000000004 becomes
+/// 0.02.
 pub(super) fn tidy(number: f64) -> f64 {
     format!("{number:.12e}").parse().unwrap_or(number)
 }
 
-/// Voxels to the spacing of particles, at most, however small their own radii are: radii in another unit than the
-/// positions would ask for a grid that nobody can have.
+/// Upper limit of voxels per particle spacing, however small the particles' own radii are. Radii in another
+/// unit than the positions would otherwise require a grid that fits into no memory.
 const VOXELS_PER_SPACING_MAX: f64 = 8.0;
 
-/// What was measured on the particles of a sequence.
+/// Measurements of the particles of a sequence.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measured {
     /// The particle spacing d, world units.
     pub spacing: f64,
-    /// The median r_min of particles that have radii of their own, world units: the voxels become small enough for it,
-    /// unless a voxel size is chosen.
+    /// The median r_min of particles with per-particle radii, world units. The default voxel size is small
+    /// enough for it.
     pub radius_median: Option<f64>,
 }
 

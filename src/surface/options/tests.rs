@@ -1,7 +1,7 @@
 use super::*;
 
 #[test]
-fn settings_are_made_again_of_their_choices() {
+fn settings_resolve_again_from_their_own_options() {
     let preset = |&preset| MethodOptions { preset: Some(preset), ..MethodOptions::default() };
     let presets: Vec<MethodOptions> = Preset::ALL.iter().map(preset).collect();
     let others = [
@@ -39,7 +39,7 @@ fn settings_are_made_again_of_their_choices() {
 }
 
 #[test]
-fn ratios_are_printed_as_they_were_chosen() {
+fn radius_ratio_keeps_the_typed_value() {
     // 3 r_min / r_min is not 3 for all of these.
     for voxel_size in [0.1, 0.03, 0.022_176_949_191_354_715, 1.0 / 3.0] {
         let choices = MethodOptions { preset: Some(Preset::Smooth), ..MethodOptions::default() };
@@ -50,7 +50,7 @@ fn ratios_are_printed_as_they_were_chosen() {
 }
 
 #[test]
-fn presets_take_as_much_more_or_less_with_any_integrator() {
+fn presets_smooth_in_the_same_proportions_with_any_integrator() {
     for integrator in [Integrator::Fast, Integrator::Implicit, Integrator::Explicit, Integrator::Adaptive] {
         let resolved = |preset, steps| {
             let choices =
@@ -81,7 +81,7 @@ fn in_spacings(settings: &Settings) -> [f64; 7] {
 }
 
 #[test]
-fn a_finer_grid_has_the_same_surface_to_show() {
+fn finer_grid_keeps_lengths_and_times() {
     for spacing in [1.0, 0.3, 7e5] {
         let resolved = |voxels: f64| {
             let voxel_size = Some((spacing / voxels).into());
@@ -91,7 +91,7 @@ fn a_finer_grid_has_the_same_surface_to_show() {
             in_spacings(&Settings::resolve(&choices, None).expect("sound"))
         };
         let usual = resolved(2.5);
-        // Laplacian steps are whole.
+        // The number of Laplacian steps is rounded.
         for (voxels, slack) in [(2.0, 0.1), (4.0, 0.05), (6.0, 0.05)] {
             for (finer, usual) in resolved(voxels).into_iter().zip(usual) {
                 assert!((finer / usual - 1.0).abs() <= slack, "{voxels}: {finer} and not {usual}");
@@ -111,10 +111,10 @@ fn a_finer_grid_has_the_same_surface_to_show() {
             Anisotropy::Neighbors { thin_radius, .. } => thin_radius / spacing,
             other => panic!("{other:?}"),
         };
-        // Particles are as flat as the grid can hold.
+        // Particles are as flat as the grid allows.
         assert!((thin(2.5) - 0.36).abs() < 1e-9 && (thin(6.0) - 0.36).abs() < 1e-9);
         assert!((thin(2.0) - 0.45).abs() < 1e-9 && (thin(2.49) - 0.9 / 2.49).abs() < 1e-9);
-        // Where r_min is √3 h, particles are balls unless somebody asks for others.
+        // If r_min is √3 h, particles are balls unless the options request other shapes.
         assert_eq!(anisotropy(1.0, None), Anisotropy::None);
         assert!(matches!(anisotropy(1.0, Some(AnisotropyKind::Neighbors)), Anisotropy::Neighbors { .. }));
         // On coarse voxels r_min is raised, and the other radii with it.
@@ -126,7 +126,7 @@ fn a_finer_grid_has_the_same_surface_to_show() {
 }
 
 #[test]
-fn the_spacing_is_the_one_that_was_stated_or_the_measured_one() {
+fn given_spacing_overrides_the_measured_one() {
     const FLUID: Option<Preset> = Some(Preset::Fluid);
     let choices = |spacing, voxel_size: Option<f64>, preset| MethodOptions {
         spacing,
@@ -150,7 +150,8 @@ fn the_spacing_is_the_one_that_was_stated_or_the_measured_one() {
         let error = resolved(&unknown, None).expect_err("unknown");
         assert!(error.what.contains("--spacing"), "{error}");
     }
-    // Voxels become small enough for particles of small radii, but not as small as these ask for in another unit.
+    // The voxel size follows small particle radii, but only down to a limit, in case the radii have another
+    // unit.
     let of_radius = |radius| {
         let measured = Measured { spacing: 1.0, radius_median: Some(radius) };
         Settings::resolve(&choices(None, None, FLUID), Some(measured)).expect("sound").voxel_size
@@ -159,7 +160,7 @@ fn the_spacing_is_the_one_that_was_stated_or_the_measured_one() {
 }
 
 #[test]
-fn offset_beyond_its_range_is_refused_with_the_range() {
+fn offset_out_of_range_is_rejected_with_the_range() {
     let resolved = |offset: f64| {
         let choices = MethodOptions {
             radius_min: Some(0.5.into()),
@@ -171,7 +172,7 @@ fn offset_beyond_its_range_is_refused_with_the_range() {
     for offset in [-0.5, -0.1, 0.0, 0.5] {
         let settings = resolved(offset).expect("in range");
         assert_eq!(settings.offset, offset);
-        // Without an offset files say what they said before there was one.
+        // An offset of 0 is not recorded in files, as before the option existed.
         assert_eq!(settings.pairs(|_| true).iter().any(|(name, _)| *name == "offset"), offset != 0.0);
         assert_eq!(Settings::resolve(&settings.to_options(), None), Ok(settings));
     }
@@ -183,8 +184,8 @@ fn offset_beyond_its_range_is_refused_with_the_range() {
 }
 
 #[test]
-fn many_steps_are_told_before_they_are_taken() {
-    let told = |integrator, steps, step_size| {
+fn many_steps_cause_a_warning() {
+    let warning_of = |integrator, steps, step_size| {
         let choices =
             MethodOptions { integrator: Some(integrator), steps, step_size, ..MethodOptions::default() };
         Settings::paper(1.0, &choices)
@@ -193,18 +194,18 @@ fn many_steps_are_told_before_they_are_taken() {
             .into_iter()
             .find(|warning| warning.contains(" steps for each"))
     };
-    let adaptive = told(Integrator::Adaptive, None, Some(20.0)).expect("so many");
+    let adaptive = warning_of(Integrator::Adaptive, None, Some(20.0)).expect("a warning");
     assert!(adaptive.starts_with("at least 720000 steps"), "{adaptive}");
-    let explicit = told(Integrator::Explicit, Some(5000), None).expect("so many");
+    let explicit = warning_of(Integrator::Explicit, Some(5000), None).expect("a warning");
     assert!(explicit.starts_with("5000 steps"), "{explicit}");
     for integrator in [Integrator::Fast, Integrator::Explicit, Integrator::Adaptive] {
-        assert_eq!(told(integrator, None, None), None);
-        assert_eq!(told(integrator, Some(2000), None), None);
+        assert_eq!(warning_of(integrator, None, None), None);
+        assert_eq!(warning_of(integrator, Some(2000), None), None);
     }
 }
 
 #[test]
-fn choices_are_checked_before_a_voxel_size_is_known() {
+fn options_are_checked_before_the_voxel_size_is_known() {
     let choices = |radius_min: Option<f64>, radius_ratio, radius_init: Option<f64>| MethodOptions {
         radius_min: radius_min.map(Length::from),
         radius_ratio,
@@ -222,7 +223,7 @@ fn choices_are_checked_before_a_voxel_size_is_known() {
         MethodOptions { offset: Some(7.0.into()), ..choices(Some(0.1), None, None) },
         MethodOptions { offset: Some((-0.1).into()), ..choices(Some(0.1), None, None) },
         MethodOptions { offset: Some((-7.0).into()), ..MethodOptions::default() },
-        // Particles may be this far apart.
+        // Some particle spacing makes this valid.
         MethodOptions { neighbor_radius: Some(201.0.into()), ..MethodOptions::default() },
     ] {
         assert_eq!(Settings::check(&sound), Ok(()), "{sound:?}");
@@ -252,9 +253,12 @@ fn choices_are_checked_before_a_voxel_size_is_known() {
                 neighbor_radius: Some(201.0.into()),
                 ..MethodOptions::default()
             },
-            "neighbours",
+            "neighbour radius",
         ),
-        (MethodOptions { neighbor_radius: Some((-1.0).into()), ..MethodOptions::default() }, "neighbours"),
+        (
+            MethodOptions { neighbor_radius: Some((-1.0).into()), ..MethodOptions::default() },
+            "neighbour radius",
+        ),
         (
             MethodOptions { void_threshold: Some(-1.0), ..MethodOptions::default() },
             "void_threshold is -1; it must be from 0 to 4",
@@ -278,13 +282,13 @@ fn choices_are_checked_before_a_voxel_size_is_known() {
     }
 }
 
-/// Options of these texts.
+/// Parses options from text.
 fn options(pairs: &[(&str, &str)]) -> MethodOptions {
     MethodOptions::from_pairs(pairs.iter().copied()).expect("options")
 }
 
 #[test]
-fn lengths_in_spacings_and_voxels_are_those_in_world_units() {
+fn lengths_in_spacings_and_voxels_convert_to_world_units() {
     let given = [
         ("spacing", "0.5"),
         ("voxel_size", "0.4d"),
@@ -323,14 +327,14 @@ fn lengths_in_spacings_need_the_spacing_and_those_in_voxels_do_not() {
     let error =
         Settings::resolve(&options(&[("spacing", "1"), ("voxel_size", "2h")]), None).expect_err("no unit");
     assert!(error.what.contains("2h") && error.what.contains("0.4d"), "{error}");
-    // Lengths that have nothing in common are compared when the spacing is known.
+    // Lengths in different units are compared once the spacing is known.
     assert_eq!(Settings::check(&options(&[("radius_min", "0.1"), ("radius_init", "9d")])), Ok(()));
     assert!(Settings::check(&options(&[("radius_min", "1d"), ("radius_init", "9d")])).is_err());
 }
 
 #[cfg(feature = "pipeline")]
 #[test]
-fn options_are_data_for_serde() {
+fn options_round_trip_through_serde() {
     let given = options(&[
         ("preset", "splash"),
         ("radius_min", "0.6d"),

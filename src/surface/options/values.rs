@@ -1,4 +1,4 @@
-//! The values of options that are neither numbers nor switches.
+//! Values of options other than numbers and switches.
 
 use std::fmt;
 use std::str::FromStr;
@@ -12,36 +12,36 @@ use super::fields::OptionValue;
 use super::presets::Preset;
 
 word_enum! {
-    /// What stretches particles (paper, Fig. 11).
+    /// How particles are stretched (paper, Fig. 11).
     pub enum AnisotropyKind {
-        /// Nothing: spheres
+        /// Not at all: spheres
         None = "none",
-        /// Where the neighbours are, as Yu and Turk have it: flat in sheets, long in threads
+        /// By the positions of the neighbours, as in Yu and Turk: flat in sheets, long in threads
         Neighbors = "neighbors",
-        /// The velocity (paper, Eq. 16): long along it
+        /// By the velocity (paper, Eq. 16): long along it
         Velocity = "velocity",
     }
 }
 
-/// Which attributes of the particles the surface gets.
+/// Which attributes of the particles are interpolated to the surface.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(into = "String", try_from = "String"))]
 pub enum AttributeSelection {
-    /// All there are.
+    /// All of them.
     All,
-    /// Those with these names or meanings: at least one.
+    /// Those with these names or semantics: at least one.
     Named(Vec<String>),
 }
 
-/// A box with faces along the axes, world units; `min` is below `max` on each axis once it is resolved.
+/// An axis-aligned box, world units. `min` is below `max` on each axis once it is resolved.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(into = "String", try_from = "String"))]
 pub struct ClipBox {
-    /// Least corner.
+    /// Lower corner.
     pub min: [f64; 3],
-    /// Greatest corner.
+    /// Upper corner.
     pub max: [f64; 3],
 }
 
@@ -53,7 +53,7 @@ impl OptionValue for AttributeSelection {}
 impl OptionValue for ClipBox {}
 
 impl AttributeSelection {
-    /// Whether the surface is to have this attribute.
+    /// Whether this attribute is selected.
     pub fn selects(&self, attribute: &Attribute) -> bool {
         match self {
             AttributeSelection::All => true,
@@ -77,11 +77,13 @@ impl FromStr for AttributeSelection {
     fn from_str(text: &str) -> Result<AttributeSelection, String> {
         let names: Vec<String> = text.split(',').map(|name| name.trim().to_owned()).collect();
         if names.iter().any(String::is_empty) {
-            return Err(format!("`{text}` is no list of attributes, such as velocity,Cd; or all"));
+            return Err(format!(
+                "`{text}` is not a list of attributes: expected names such as velocity,Cd, or all"
+            ));
         }
         if names.len() > 1 && names.iter().any(|name| name == "all") {
             return Err(format!(
-                "`{text}` names attributes beside all: write all, or only names, such as velocity,Cd"
+                "`{text}` combines all with names: expected all alone, or only names such as velocity,Cd"
             ));
         }
         Ok(if names == ["all"] { AttributeSelection::All } else { AttributeSelection::Named(names) })
@@ -100,14 +102,15 @@ impl FromStr for ClipBox {
     type Err = String;
 
     fn from_str(text: &str) -> Result<ClipBox, String> {
-        let wanted = || format!("`{text}` is no box: six numbers x0,y0,z0,x1,y1,z1, from the least corner");
+        let wanted =
+            || format!("`{text}` is not a box: expected six numbers x0,y0,z0,x1,y1,z1, lower corner first");
         let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse()).collect();
         let [x, y, z, to_x, to_y, to_z] = numbers.map_err(|_| wanted())?[..] else { return Err(wanted()) };
         Ok(ClipBox { min: [x, y, z], max: [to_x, to_y, to_z] })
     }
 }
 
-/// As text in files.
+/// Conversions to and from text, for serde.
 macro_rules! as_text {
     ($($name:ident),+) => {$(
         #[cfg(feature = "serde")]
@@ -134,7 +137,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn boxes_and_lists_are_understood_or_refused() {
+    fn boxes_and_lists_parse_or_are_rejected() {
         let parsed: ClipBox = "-1, 0,0.5, 1e3,2,3".parse().expect("a box");
         assert_eq!(parsed, ClipBox { min: [-1.0, 0.0, 0.5], max: [1000.0, 2.0, 3.0] });
         for text in ["", "1,2,3", "1,2,3,4,5,6,7", "1,2,3,4,5,x"] {
@@ -145,7 +148,7 @@ mod tests {
         assert!("v,,id".parse::<AttributeSelection>().is_err());
         for text in ["all,age", "age, all", "all,all"] {
             let why = text.parse::<AttributeSelection>().expect_err(text);
-            assert!(why.contains(text) && why.contains("beside all"), "{why}");
+            assert!(why.contains(text) && why.contains("combines all"), "{why}");
         }
     }
 }

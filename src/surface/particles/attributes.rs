@@ -1,14 +1,14 @@
-//! What is known of each particle, or of each vertex, beside where it is.
+//! Attributes: data of each particle or vertex besides its position.
 
 use std::borrow::Cow;
 use std::sync::Arc;
 
-/// A named attribute of all particles, or of all vertices of a surface: velocities, colours, identities, anything.
+/// A named attribute of all particles, or of all vertices of a surface: velocities, colours, ids, anything.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Attribute {
     /// Its name.
     pub name: String,
-    /// What it is known to mean.
+    /// Its semantic.
     pub meaning: Meaning,
     /// Values per particle, at least 1.
     pub arity: usize,
@@ -16,30 +16,30 @@ pub struct Attribute {
     pub values: AttributeValues,
 }
 
-/// What an attribute means. Options find velocities and radii by it, whatever they are called.
+/// The semantic of an attribute. Options find velocities and radii by it, whatever their name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Meaning {
     /// World units per second, arity 3.
     Velocity,
-    /// Red, green and blue from 0 to 1 as the file has them, perhaps alpha: arity 3 or 4.
+    /// Red, green and blue from 0 to 1, optionally alpha, in the file's colour space: arity 3 or 4.
     Color,
     /// A radius in world units, arity 1.
     Radius,
-    /// The identity of a particle over time, arity 1.
+    /// The id of a particle, constant over time, arity 1.
     Id,
-    /// Something else.
+    /// Anything else.
     Other,
 }
 
-/// The values of an attribute, particle by particle. Numbers are averaged at the vertices; integers and strings are those of the
-/// nearest particle.
+/// The values of an attribute, particle by particle. Numbers are averaged at the vertices; integers and
+/// strings are those of the nearest particle.
 #[derive(Clone, Debug, PartialEq)]
 pub enum AttributeValues {
     /// Numbers that can be averaged.
     Numbers(Vec<f32>),
-    /// Numbers that name something: identities, kinds, counts.
+    /// Integers, which cannot be averaged: ids, types, counts.
     Integers(Vec<i64>),
-    /// Strings, as indices into a table; an index outside it means none.
+    /// Strings, as indices into a table; an index outside the table means no string.
     Strings {
         /// The distinct strings.
         table: Arc<[String]>,
@@ -49,20 +49,20 @@ pub enum AttributeValues {
 }
 
 impl Attribute {
-    /// Whether it has so many numbers for each particle.
+    /// Whether it has `arity` numbers per particle.
     pub fn has_numbers(&self, arity: usize) -> bool {
         self.arity == arity && !matches!(self.values, AttributeValues::Strings { .. })
     }
 
-    /// Whether it goes by this name: its own, whatever the case, or one of its meaning.
+    /// Whether `name` refers to this attribute: it is its own name, ignoring case, or a name of its semantic.
     pub fn is_called(&self, name: &str) -> bool {
         let is = |other: &&str| name.eq_ignore_ascii_case(other);
         is(&&*self.name) || self.meaning.names().iter().any(is)
     }
 }
 
-/// The attribute among these that goes by this name and has so many numbers for each particle: one whose own it is before
-/// one that means it.
+/// Finds the attribute that `name` refers to, with `arity` numbers per particle. An attribute with this name
+/// takes precedence over one with this semantic.
 pub fn attribute_of<'a>(all: &'a [Attribute], name: &str, arity: usize) -> Option<&'a Attribute> {
     let fitting = || all.iter().filter(|attribute| attribute.has_numbers(arity));
     let own = fitting().find(|attribute| attribute.name == name);
@@ -70,7 +70,7 @@ pub fn attribute_of<'a>(all: &'a [Attribute], name: &str, arity: usize) -> Optio
 }
 
 impl Meaning {
-    /// What users call it.
+    /// The names by which users refer to it.
     fn names(self) -> &'static [&'static str] {
         match self {
             Meaning::Velocity => &["velocity", "velocities", "vel", "v"],
@@ -83,7 +83,7 @@ impl Meaning {
 }
 
 impl AttributeValues {
-    /// How many values there are.
+    /// The number of values.
     pub fn len(&self) -> usize {
         match self {
             AttributeValues::Numbers(values) => values.len(),
@@ -92,12 +92,12 @@ impl AttributeValues {
         }
     }
 
-    /// Whether there is none.
+    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// The values as 32-bit numbers, if they are numbers.
+    /// The values as 32-bit numbers; `None` for integers and strings.
     pub fn numbers(&self) -> Option<Cow<'_, [f32]>> {
         match self {
             AttributeValues::Numbers(values) => Some(Cow::Borrowed(values)),
@@ -106,7 +106,7 @@ impl AttributeValues {
         }
     }
 
-    /// The memory that they take, in bytes.
+    /// The memory of the values, in bytes.
     pub fn size_bytes(&self) -> usize {
         match self {
             AttributeValues::Numbers(values) => size_of_val(&**values),

@@ -1,12 +1,12 @@
-//! What the method needs of the particles: their positions, batch by batch, more than once.
+//! The particles as the method reads them: their positions, batch by batch, more than once.
 //!
 //! ```text
 //!   batch 0            batch 1            batch 2
-//!   p p p p p p p p    p p p p p p p p    p p p            each can be had by itself, on any thread
+//!   p p p p p p p p    p p p p p p p p    p p p            each can be read alone, on any thread
 //! ```
 //!
-//! Most particles lie deep inside and are looked at, but never kept. So nobody needs all of them at once,
-//! and a [`ParticleSource`] may as well be a file that is larger than the memory.
+//! Most particles lie deep inside: they are read, but never stored. No stage needs all of them at once, so a
+//! [`ParticleSource`] may be a file that is larger than the memory.
 
 mod attributes;
 mod shapes;
@@ -20,7 +20,7 @@ use glam::DVec3;
 pub use attributes::{Attribute, AttributeValues, Meaning, attribute_of};
 pub use shapes::{Ellipsoid, Shapes};
 
-/// Particle positions in world units, in the precision they came in.
+/// Particle positions in world units, in the precision of the input.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Particles {
     /// 32-bit positions.
@@ -29,25 +29,25 @@ pub enum Particles {
     Double(Vec<[f64; 3]>),
 }
 
-/// A frame of particles: where they are, what they are, and what else is known of them.
+/// A frame of particles: positions, shapes and attributes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cloud {
-    /// Where they are.
+    /// Positions.
     pub positions: Particles,
-    /// What they are.
+    /// Shapes.
     pub shapes: Shapes,
-    /// What is known of each of them.
+    /// Attributes, each with values for every particle.
     pub attributes: Vec<Attribute>,
 }
 
 impl Cloud {
-    /// The attribute that goes by this name and has so many numbers for each particle: one whose own it is before one
-    /// that means it.
+    /// Finds the attribute that `name` refers to, with `arity` numbers per particle. An attribute with this
+    /// name takes precedence over one with this semantic.
     pub fn attribute_of(&self, name: &str, arity: usize) -> Option<&Attribute> {
         attribute_of(&self.attributes, name, arity)
     }
 
-    /// The memory that they take, in bytes.
+    /// The memory of positions, shapes and attributes, in bytes.
     pub fn size_bytes(&self) -> usize {
         let shapes = match &self.shapes {
             Shapes::Balls => 0,
@@ -65,41 +65,41 @@ impl From<Particles> for Cloud {
     }
 }
 
-/// Particles that can be gone through more than once, in batches.
+/// Particles that can be read more than once, in batches.
 pub trait ParticleSource: Sync {
-    /// Why a batch cannot be had. [`Infallible`] for what is in memory.
+    /// Why a batch cannot be read. [`Infallible`] for particles in memory.
     type Error: Send;
 
     /// The number of batches.
     fn batch_count(&self) -> usize;
 
-    /// The positions of a batch: the same whenever they are asked for. Some ten thousand are a good size: few
-    /// enough for a processor's own cache, and many enough to be worth sorting.
+    /// The positions of a batch: the same in every call. Some ten thousand are a good size: few enough for a
+    /// processor's own cache, and enough to be worth sorting.
     ///
     /// # Errors
-    /// Whatever keeps the source from having them.
+    /// If the source cannot read the batch.
     fn batch(&self, batch: usize) -> Result<Positions<'_>, Self::Error>;
 
     /// The number of particles in a batch.
     fn count_of(&self, batch: usize) -> usize;
 
-    /// Whether particles differ in shape.
+    /// Whether particles differ in size or shape.
     fn has_shapes(&self) -> bool {
         false
     }
 
-    /// What the particles of a batch are, in their order: of all batches the same variant, [`Shapes::Balls`] unless
-    /// they [have shapes](Self::has_shapes).
+    /// The shapes of the particles of a batch, in their order. All batches have the same variant:
+    /// [`Shapes::Balls`] unless they [have shapes](Self::has_shapes).
     fn shapes_of(&self, _batch: usize) -> Shapes {
         Shapes::Balls
     }
 
-    /// Whether particles were given elsewhere.
+    /// Whether position smoothing moved particles.
     fn has_moved(&self) -> bool {
         false
     }
 
-    /// Of those particles of a batch that were given elsewhere: where, and where they are now, world units.
+    /// The moved particles of a batch: their input position and their current position, world units.
     ///
     /// # Errors
     /// As for [`batch`](Self::batch).
@@ -141,7 +141,7 @@ impl<S: ParticleSource> ParticleSource for &S {
     }
 }
 
-/// Positions in world units, in the precision they came in: borrowed from the caller, or owned.
+/// Particle positions in world units, in the precision of the input, borrowed from the caller or owned.
 ///
 /// Functions that take `impl Into<Positions>` accept `&[[f32; 3]]` and `&[[f64; 3]]`, `&Vec` and `&[_; N]` of
 /// these (nothing is copied), and vectors of them.
@@ -153,7 +153,7 @@ pub enum Positions<'a> {
     F64(Cow<'a, [[f64; 3]]>),
 }
 
-/// The conversions into [`Positions`] of everything that holds positions of one precision.
+/// Conversions into [`Positions`] from everything that holds positions of one precision.
 macro_rules! positions_from {
     ($number:ty, $variant:ident) => {
         impl<'a> From<&'a [[$number; 3]]> for Positions<'a> {
@@ -212,7 +212,7 @@ impl From<Positions<'_>> for Particles {
     }
 }
 
-/// Particles in a batch of what is in memory.
+/// Number of particles in a batch of in-memory particles.
 const BATCH: usize = 1 << 14;
 
 impl Positions<'_> {
@@ -224,14 +224,14 @@ impl Positions<'_> {
         }
     }
 
-    /// Whether there is no particle.
+    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
     /// The position of particle `index`.
     ///
-    /// Panics if there is no such particle.
+    /// Panics if `index` is out of range.
     pub fn position(&self, index: usize) -> DVec3 {
         match self {
             Positions::F32(positions) => glam::Vec3::from(positions[index]).as_dvec3(),
@@ -264,12 +264,12 @@ impl Particles {
         Positions::from(self).len()
     }
 
-    /// Whether there is no particle.
+    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// The memory that the positions take, in bytes.
+    /// The memory of the positions, in bytes.
     pub fn size_bytes(&self) -> usize {
         match self {
             Particles::Single(positions) => size_of_val(&**positions),

@@ -1,36 +1,37 @@
-//! What each particle is: a ball, or an ellipsoid.
+//! The shape of each particle: a ball or an ellipsoid.
 //!
-//! The three surfaces of a particle are of one shape and of three sizes: for r = r_min, r_init and r_max
+//! Each particle has three surfaces, of one shape and three sizes, for r = r_min, r_init and r_max:
 //!
 //! ```text
-//!   balls        |x − p| = r            all particles alike
-//!   radii        |x − p| = s·r          s: a scale of each particle's own      (paper, Fig. 13)
-//!   ellipsoids   |T(x − p)| = r         T: a symmetric matrix of its own       (paper, Eq. 1, Fig. 11)
+//!   balls        |x − p| = r            all particles are the same
+//!   radii        |x − p| = s·r          s: one scale per particle      (paper, Fig. 13)
+//!   ellipsoids   |T(x − p)| = r         T: one symmetric matrix per particle       (paper, Eq. 1, Fig. 11)
 //! ```
 
 use std::ops::Range;
 
 use glam::Vec3;
 
-/// What the particles of a frame are.
+/// The shapes of the particles of a frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Shapes {
     /// Balls of the settings' radii.
     #[default]
     Balls,
-    /// Balls of so many times the settings' radii: one scale a particle.
+    /// Balls, with one scale of the settings' radii per particle.
     Scaled(Vec<f32>),
-    /// Ellipsoids, one a particle.
+    /// Ellipsoids, one per particle.
     Ellipsoids(Vec<Ellipsoid>),
 }
 
 impl Shapes {
-    /// Whether all particles are alike.
+    /// Whether all particles have the same shape.
     pub fn are_balls(&self) -> bool {
         matches!(self, Shapes::Balls)
     }
 
-    /// How far particle `index` reaches from its centre, in units of the settings' radii.
+    /// Circumscribed radius: how far particle `index` reaches from its centre, in units of the settings'
+    /// radii.
     pub fn longest(&self, index: usize) -> f32 {
         match self {
             Shapes::Balls => 1.0,
@@ -39,7 +40,8 @@ impl Shapes {
         }
     }
 
-    /// A ball of this radius around the centre of particle `index` is inside it, in units of the settings' radii.
+    /// Inscribed radius, or a little less: a ball of this radius around the centre of particle `index` is
+    /// inside it, in units of the settings' radii.
     pub fn held(&self, index: usize) -> f32 {
         match self {
             Shapes::Balls => 1.0,
@@ -48,7 +50,7 @@ impl Shapes {
         }
     }
 
-    /// Those of the particles in a range.
+    /// The shapes of a range of particles.
     pub fn in_range(&self, range: Range<usize>) -> Shapes {
         match self {
             Shapes::Balls => Shapes::Balls,
@@ -57,7 +59,7 @@ impl Shapes {
         }
     }
 
-    /// Those of these particles.
+    /// The shapes of these particles.
     pub fn of(&self, indices: &[u32]) -> Shapes {
         match self {
             Shapes::Balls => Shapes::Balls,
@@ -71,15 +73,15 @@ impl Shapes {
     }
 }
 
-/// Half axes and directions of an ellipsoid, in units of the settings' radii.
+/// The half axes and directions of an ellipsoid, in units of the settings' radii.
 ///
-/// It is stored as the symmetric matrix T that takes it to the unit ball: eigenvalues 1/a, 1/b, 1/c for half axes
-/// a, b and c.
+/// It is stored as the symmetric matrix T that maps it to the unit ball: its eigenvalues are 1/a, 1/b, 1/c
+/// for half axes a, b and c.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ellipsoid {
     /// T: xx, yy, zz, xy, xz, yz.
     pub to_ball: [f32; 6],
-    /// The longest half axis: nothing of the ellipsoid is farther from its centre.
+    /// The longest half axis: no point of the ellipsoid is farther from its centre.
     pub longest: f32,
 }
 
@@ -90,7 +92,7 @@ impl Ellipsoid {
         Ellipsoid { to_ball: [inverse, inverse, inverse, 0.0, 0.0, 0.0], longest: scale }
     }
 
-    /// The ellipsoid with these half axes along these directions, which are of length 1 and orthogonal.
+    /// The ellipsoid with these half axes along these directions, which must be orthonormal.
     pub fn new(half_axes: [f32; 3], directions: [Vec3; 3]) -> Ellipsoid {
         let mut to_ball = [0.0f32; 6];
         for (half_axis, direction) in half_axes.into_iter().zip(directions) {
@@ -102,18 +104,20 @@ impl Ellipsoid {
         Ellipsoid { to_ball, longest: half_axes.into_iter().fold(0.0, f32::max) }
     }
 
-    /// The shortest half axis, or a little less, in units of its radius. The greatest eigenvalue of T is at most m + √2 s, with
-    /// the mean m and the standard deviation s of the eigenvalues (Wolkowicz and Styan 1980, Theorem 2.1).
+    /// The shortest half axis, or a little less, in units of its radius. The largest eigenvalue of T is at
+    /// most m + √2 s, with the mean m and the standard deviation s of the eigenvalues (Wolkowicz and Styan
+    /// 1980, Theorem 2.1).
     pub fn held(&self) -> f32 {
         let [xx, yy, zz, xy, xz, yz] = self.to_ball;
         let mean = (xx + yy + zz) / 3.0;
         let diagonal = Vec3::new(xx - mean, yy - mean, zz - mean).length_squared();
         let variance = (diagonal + 2.0 * Vec3::new(xy, xz, yz).length_squared()) / 3.0;
-        // What 32 bits round is far less.
+        // The margin is far larger than the 32-bit rounding error.
         0.9999 / (mean + (2.0 * variance).sqrt())
     }
 
-    /// How far it reaches from its centre along x, y and z, in units of its radius: the lengths of the rows of T⁻¹.
+    /// How far it reaches from its centre along x, y and z, in units of its radius: the lengths of the rows
+    /// of T⁻¹.
     pub fn extents(&self) -> Vec3 {
         let [xx, yy, zz, xy, xz, yz] = self.to_ball;
         let cofactors = [

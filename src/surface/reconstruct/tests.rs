@@ -1,4 +1,4 @@
-//! The API as callers use it, and with invalid input.
+//! Tests of the public API, and of invalid input.
 
 use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -11,7 +11,7 @@ use crate::surface::options::{AnisotropyKind, AttributeSelection, ClipBox, Integ
 use crate::surface::particles::{AttributeValues, Meaning, Particles};
 use crate::surface::skin::skin;
 
-/// A block of particles, 1 apart, with one corner here.
+/// A block of particles, 1 apart, with this lower corner.
 fn block(edge: usize, corner: [f64; 3]) -> Vec<[f64; 3]> {
     let place = |index: usize| [index / edge / edge, index / edge % edge, index % edge];
     let at = |steps: [usize; 3]| std::array::from_fn(|axis| corner[axis] + steps[axis] as f64);
@@ -23,7 +23,7 @@ fn numbers(name: &str, meaning: Meaning, arity: usize, values: Vec<f32>) -> Attr
 }
 
 #[test]
-fn surface_is_that_of_the_stages_with_absolute_positions() {
+fn reconstruct_matches_the_stages_with_absolute_positions() {
     let corner = [3.0e6, -2.0e6, 1.0e6];
     let particles = block(6, corner);
     let surface = reconstruct(&particles, &Options::default()).expect("valid");
@@ -37,7 +37,7 @@ fn surface_is_that_of_the_stages_with_absolute_positions() {
         [DVec3::min, DVec3::max].map(|of| surface.positions.iter().copied().reduce(of).expect("some"));
     assert!((least - DVec3::from(corner)).abs().max_element() < 1.5, "{least}");
     assert!((greatest - DVec3::from(corner) - 5.0).abs().max_element() < 1.5, "{greatest}");
-    // Half a unit is lost at 3·10⁶ in 32 bits, and nothing beside the surface.
+    // At 3·10⁶, 32 bits lose half a unit; relative to the surface they lose nothing.
     let near = surface.positions_f32(least);
     assert!(near.iter().flatten().all(|along| (0.0..9.0).contains(along)));
 }
@@ -53,7 +53,7 @@ fn positions_of_either_precision_are_borrowed() {
 }
 
 #[test]
-fn settings_of_the_first_frame_serve_all() {
+fn settings_of_the_first_frame_apply_to_all_frames() {
     let mut reconstructor = Reconstructor::new(Options::default());
     assert_eq!(reconstructor.settings(), None);
     reconstructor.reconstruct(block(5, [0.0; 3])).expect("valid");
@@ -98,7 +98,7 @@ fn phases_are_reported_in_order_and_each_can_be_cancelled() {
     }
 }
 
-/// A file that is a vector.
+/// Storage in a vector.
 #[derive(Default)]
 struct InMemory(Mutex<Vec<u8>>);
 
@@ -119,7 +119,7 @@ impl Storage for InMemory {
 }
 
 #[test]
-fn limited_memory_is_an_error_without_scratch_and_the_same_surface_with_it() {
+fn memory_limit_is_an_error_without_scratch_and_same_bits_with_scratch() {
     // A long bar: most of it is in other tiles.
     let bar: Vec<[f64; 3]> =
         (0..4 * 4 * 600).map(|i| [f64::from(i / 16), f64::from(i / 4 % 4), f64::from(i % 4)]).collect();
@@ -153,9 +153,9 @@ fn limited_memory_is_an_error_without_scratch_and_the_same_surface_with_it() {
 }
 
 #[test]
-fn obstacles_keep_the_surface_out() {
+fn surface_stays_outside_obstacles() {
     let particles = block(6, [0.0; 3]);
-    // So flat that it is nearly a floor, half as high as the block.
+    // A flat tetrahedron, nearly a floor, half as high as the block.
     let corners = [[-300.0, -300.0, -30.0], [300.0, -300.0, -30.0], [0.0, 600.0, -30.0], [2.5, 2.5, 3.0]];
     let tetrahedron = Obstacle::from_mesh(&corners, &[[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]);
     let mut reconstructor = Reconstructor::new(Options::default());
@@ -177,7 +177,7 @@ fn error(positions: &[[f64; 3]], attributes: &[Attribute], options: Options) -> 
 }
 
 #[test]
-fn everything_that_is_wrong_is_an_error_that_says_what() {
+fn invalid_input_returns_the_matching_error() {
     let (particles, default) = (block(4, [0.0; 3]), Options::default());
     let count = particles.len();
     let radii = |values| numbers("pscale", Meaning::Radius, 1, values);
@@ -208,14 +208,14 @@ fn everything_that_is_wrong_is_an_error_that_says_what() {
     assert_eq!((expected, found), (count, count - 1));
     let of_nothing = Attribute { arity: 0, ..radii(Vec::new()) };
     assert!(matches!(error(&particles, &[of_nothing], default.clone()), Error::AttributeLength { .. }));
-    // Far apart, each with a surface of its own as large as can be.
+    // Far apart, each with the largest possible surface.
     let spray: Vec<[f64; 3]> = (0..400).map(|i| [f64::from(i) * 150.0, 0.0, 0.0]).collect();
     let large = Options { radius_min: Some(30.0.into()), ..with(1.0) };
     let large = Options { spacing: Some(26.0), ..large };
     assert!(matches!(error(&spray, &[], large), Error::MemoryLimit { .. }));
 }
 
-/// A generator of numbers that are hostile more often than not.
+/// A random generator that favours extreme values.
 struct Hostile(u64);
 
 impl Hostile {
@@ -348,7 +348,7 @@ impl Hostile {
     }
 }
 
-/// Whatever comes in: a surface or an error comes out, and nothing panics.
+/// Any input gives a surface or an error, and never a panic.
 #[test]
 fn hostile_positions_and_options_never_panic() {
     let (mut made, mut panicked) = (0, Vec::new());
@@ -375,8 +375,8 @@ fn hostile_positions_and_options_never_panic() {
         }
     }
     assert!(panicked.is_empty(), "seeds {panicked:?}");
-    assert!(made as u64 > SEEDS / 20, "only {made} surfaces: the input is too hostile to test anything");
+    assert!(made as u64 > SEEDS / 20, "only {made} surfaces: the input is too extreme to test anything");
 }
 
-/// As many as take a few seconds.
+/// Takes a few seconds.
 const SEEDS: u64 = 300;

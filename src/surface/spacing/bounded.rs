@@ -1,11 +1,11 @@
-//! The spacing of more particles than memory need hold, read twice batch by batch.
+//! The spacing of more particles than fit into memory: reads them twice, batch by batch.
 //!
 //! ```text
-//!   all particles ──▶ one of so many ──▶ boxes around some of these ──▶ all particles in the boxes ──▶ estimate
+//!   all particles ──▶ every n-th ──▶ boxes around some of these ──▶ all particles in the boxes ──▶ estimate
 //! ```
 //!
-//! Particles of a sample are farther apart than all are, and how much farther depends on whether they are in a body, a
-//! sheet or a thread. In a box around one of them are all.
+//! The particles of a sample are farther apart than all particles, and how much farther depends on whether
+//! they are in a body, a sheet or a thread. The boxes around some of them contain all particles.
 
 use glam::DVec3;
 
@@ -13,40 +13,42 @@ use crate::surface::particles::{ParticleSource, Particles, Positions};
 
 use super::{Estimate, estimate_spacing};
 
-/// As many particles are as good as all. No more than twice as many are kept.
+/// A sample of this size is as good as all particles. At most twice as many are kept.
 const SAMPLE_MAX: usize = 1 << 20;
 
-/// Boxes in which all particles are looked at, at most.
+/// Upper limit of the number of boxes.
 const BOX_COUNT: usize = 32;
 
-/// Particles along half an edge of a box in a body, at least: most of those in it have all their neighbours there.
+/// Lower limit of the particles along half an edge of a box in a body: most particles in the box then have
+/// all their neighbours in it.
 const HALF_EDGE_SPACINGS: f64 = 8.0;
 
-/// One in so many of the particles of a source, in their order.
+/// Every n-th particle of a source, in its order.
 #[derive(Debug)]
 pub(crate) struct Sample {
-    /// Finite ones.
+    /// The finite ones.
     pub(crate) particles: Particles,
-    /// One in so many.
+    /// n: one of this many particles is in the sample.
     every: usize,
 }
 
 impl Sample {
-    /// A sample of a source of so many particles: all of them, where they are few.
+    /// Samples a source of `particle_count` particles; takes all of them if they are few.
     ///
     /// # Errors
     /// Those of the source.
     pub(crate) fn of<S: ParticleSource>(source: &S, particle_count: usize) -> Result<Sample, S::Error> {
         let every = particle_count.div_ceil(SAMPLE_MAX).max(1);
         let mut passed = 0;
-        let particles = gathered(source, |_| {
+        let particles = collect_wanted(source, |_| {
             passed += 1;
             (passed - 1) % every == 0
         })?;
         Ok(Sample { particles, every })
     }
 
-    /// The spacing of all particles of the source that the sample is of. `None` as in [`estimate_spacing`].
+    /// Estimates the spacing of all particles of the source that this is a sample of. `None` as in
+    /// [`estimate_spacing`].
     ///
     /// # Errors
     /// Those of the source.
@@ -62,7 +64,7 @@ impl Sample {
                 .iter()
                 .any(|[least, greatest]| position.cmpge(*least).all() && position.cmple(*greatest).all())
         };
-        Ok(estimate_spacing(&gathered(source, in_a_box)?))
+        Ok(estimate_spacing(&collect_wanted(source, in_a_box)?))
     }
 
     /// Cubes around some of the particles.
@@ -74,17 +76,17 @@ impl Sample {
     }
 }
 
-/// The finite particles that are wanted.
-fn gathered<S: ParticleSource>(
+/// The finite particles that `is_wanted` selects.
+fn collect_wanted<S: ParticleSource>(
     source: &S,
     mut is_wanted: impl FnMut(DVec3) -> bool,
 ) -> Result<Particles, S::Error> {
-    let mut gathered: Vec<[f64; 3]> = Vec::new();
+    let mut found: Vec<[f64; 3]> = Vec::new();
     for batch in 0..source.batch_count() {
         let mut take = |position: [f64; 3]| {
             let point = DVec3::from(position);
-            if is_wanted(point) && point.is_finite() && gathered.len() < 2 * SAMPLE_MAX {
-                gathered.push(position);
+            if is_wanted(point) && point.is_finite() && found.len() < 2 * SAMPLE_MAX {
+                found.push(position);
             }
         };
         match source.batch(batch)? {
@@ -94,7 +96,7 @@ fn gathered<S: ParticleSource>(
             Positions::F64(positions) => positions.iter().for_each(|&position| take(position)),
         }
     }
-    Ok(Particles::Double(gathered))
+    Ok(Particles::Double(found))
 }
 
 #[cfg(test)]
@@ -102,14 +104,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn many_particles_have_the_spacing_that_all_of_them_have() {
+    fn bounded_estimate_matches_the_spacing_of_all_particles() {
         let lattice = |counts: [usize; 3], spacing: f64| {
             let [x, y, z] = counts;
             let at =
                 |index: usize| [index % x, index / x % y, index / x / y].map(|step| step as f64 * spacing);
             Particles::Double((0..x * y * z).map(at).collect())
         };
-        // A body, and a sheet: of both every second or third particle is sampled.
+        // A body and a sheet; every second or third particle of each is sampled.
         for counts in [[130, 130, 130], [1700, 1700, 1]] {
             let particles = lattice(counts, 0.25);
             let Ok(sample) = Sample::of(&particles, particles.len());

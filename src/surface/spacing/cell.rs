@@ -1,14 +1,14 @@
-//! The Voronoi cell of a particle: the part of space that is nearer to it than to any of its neighbours.
+//! The Voronoi cell of a particle: the part of space that is closer to it than to any of its neighbours.
 //!
-//! Neighbours are given as offsets from the particle. Each cuts off what is beyond its bisecting plane.
+//! Neighbours are offsets from the particle. Each cuts off everything beyond its bisecting plane.
 
 use glam::DVec3;
 
-/// What is not cut off ends at this many distances of the farthest neighbour: a cell that is open has a radius beyond all of
-/// them.
+/// Limit of an open cell, in units of the distance of the farthest neighbour. The radius of an open cell is
+/// then larger than all these distances.
 const END: f64 = 4.0;
 
-/// The square of the steepest slope to a neighbour beside.
+/// The square of the steepest slope to a neighbour that counts as beside the particle.
 const STEEP: f64 = 0.5;
 
 /// The size of a cell.
@@ -28,10 +28,10 @@ pub(super) struct Section {
 }
 
 impl Volume {
-    /// The cell among these neighbours, the last of which is the farthest.
+    /// The cell among these neighbours, of which the last is the farthest.
     ///
-    /// Each face is a large square on the bisecting plane of a neighbour, cut by those of all others; and the cell a pyramid
-    /// over each.
+    /// Each face starts as a large square on the bisecting plane of a neighbour and is cut by the planes of
+    /// all others. The cell is the union of the pyramids over the faces.
     pub(super) fn among(neighbors: &[DVec3]) -> Volume {
         let mut cell = Volume { volume: 0.0, radius: 0.0 };
         let end = END * neighbors.last().map_or(0.0, |neighbor| neighbor.length());
@@ -49,8 +49,8 @@ impl Volume {
 }
 
 impl Section {
-    /// The cell in the plane normal to a unit vector, among those of these neighbours that are beside the particle rather than
-    /// above or below it, projected to the plane. The last neighbour is the farthest.
+    /// The section by the plane normal to a unit vector. Only neighbours beside the particle count, not those
+    /// above or below it; they are projected to the plane. The last neighbour is the farthest.
     pub(super) fn among(neighbors: &[DVec3], normal: DVec3) -> Section {
         let end = END * neighbors.last().map_or(0.0, |neighbor| neighbor.length());
         let beside = |neighbor: &DVec3| {
@@ -70,12 +70,12 @@ impl Section {
 #[derive(Default)]
 struct Polygon {
     corners: Vec<DVec3>,
-    /// For the next cut.
+    /// Buffer for the next cut.
     spare: Vec<DVec3>,
 }
 
 impl Polygon {
-    /// Makes it a square.
+    /// Resets the polygon to a square.
     fn start(&mut self, middle: DVec3, normal: DVec3, half_diagonal: f64) {
         let (along, across) = normal.any_orthonormal_pair();
         let corners = [along, across, -along, -across].map(|direction| middle + half_diagonal * direction);
@@ -92,7 +92,7 @@ impl Polygon {
         }
     }
 
-    /// Keeps what is nearer to the origin than to `other`.
+    /// Keeps the part that is closer to the origin than to `other`.
     fn cut(&mut self, other: DVec3) {
         let excess = |corner: DVec3| corner.dot(other) - 0.5 * other.length_squared();
         let Some(&last) = self.corners.last() else { return };

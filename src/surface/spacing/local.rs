@@ -1,4 +1,4 @@
-//! How far apart particles are around one of them.
+//! The particle spacing around one particle.
 //!
 //! ```text
 //!    .   .   .   .         in a body: the cube root of the particle's Voronoi cell, which is exact for lattices
@@ -7,52 +7,52 @@
 //!      └───┘               in a sheet or at a surface, where the cell is open: the square root of the cell's
 //!    .   .   .   .         section by the plane of the near particles
 //!
-//!    ●───●───●             in a thread or among few particles, where that is open, too: the length of the edges
-//!                          to the neighbours with which nothing lies between
+//!    ●───●───●             in a thread or among few particles, if the section is open, too: the length of the edges
+//!                          to the neighbours with no particle in between
 //! ```
 //!
-//! Particles of a fluid under pressure have smaller cells than at rest, at nearly the same distances: for those in a body,
-//! edges count a quarter.
+//! Particles of a fluid under pressure have smaller cells than at rest, at nearly the same distances. In a
+//! body, edges therefore have a weight of a quarter.
 
 use glam::{DMat3, DVec3};
 
 use super::cell::{Section, Volume};
 
-/// A corner of a cell is farther than this many of its spacings: the particle is at a surface, or in spray, and the cell
-/// no measure of the particles near it. In a lattice, corners are at 0.87 spacings.
+/// If a corner of a cell is farther away than this many spacings, the particle is at a surface or in spray,
+/// and the cell does not measure the spacing. In a cubic lattice, corners are at 0.87 spacings.
 const BODY_RADIUS_MAX: f64 = 1.25;
 
-/// The same of a section. In a square lattice, corners are at 0.71 spacings.
+/// The same limit for a section. In a square lattice, corners are at 0.71 spacings.
 const SHEET_RADIUS_MAX: f64 = 1.2;
 
-/// The weight of edges, in a body.
+/// The weight of edges in a body.
 const BODY_EDGE_WEIGHT: f64 = 0.25;
 
-/// The β of the lune-based β-skeleton that the edges are of. It has the edges of a square or cubic lattice for any β above
-/// 1, and then no diagonals. The edges of random particles are on average 1 spacing long for β of 1.24, those of a disturbed
-/// lattice for one of 1.7: this is between.
+/// The β of the lune-based β-skeleton that defines the edges. For any β above 1 it has the edges of a square
+/// or cubic lattice, without diagonals. The mean edge of random particles is 1 spacing for a β of 1.24, that
+/// of a disturbed lattice for 1.7: this value is in between.
 const BETA: f64 = 1.35;
 
-/// Edges that are this much longer than the second shortest, by which a thread goes on, are gaps.
+/// Edges longer than this many times the second shortest, which continues a thread, are gaps.
 const GAP: f64 = 2.5;
 
-/// Neighbours that are this much farther than the nearest are left out, for the sake of precision.
+/// Neighbours this many times farther than the nearest are left out, to keep precision.
 const FAR: f64 = 1e6;
 
-/// The distance between particles around one of them, by what they form.
+/// The particle spacing around one particle, by the structure around it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Local {
-    /// They surround it.
+    /// Neighbours surround it.
     Body(f64),
-    /// They surround it in a plane.
+    /// Neighbours surround it in a plane.
     Sheet(f64),
-    /// Anything else.
+    /// Neither.
     Open(f64),
 }
 
 impl Local {
-    /// Measures among the neighbours of a particle: their offsets, the nearest first. `None` where it has no neighbours,
-    /// or distances are beyond the range of a 64-bit real.
+    /// Measures a particle among its neighbours, given as offsets, the nearest first. `None` if it has no
+    /// neighbours, or if distances do not fit into an `f64`.
     pub(super) fn among(neighbors: &[DVec3]) -> Option<Local> {
         let nearest = neighbors.first()?.length();
         let near_count = neighbors.partition_point(|neighbor| neighbor.length() <= FAR * nearest);
@@ -60,7 +60,7 @@ impl Local {
         let far = neighbors.last()?.length();
 
         let mut edges = edges(neighbors);
-        // The next turn of a thread is no neighbour.
+        // The next turn of a thread is not a neighbour.
         let farthest = GAP * edges.get(1).map_or(f64::INFINITY, |second| second.length());
         edges.retain(|edge| edge.length() <= farthest);
         let edge = edges.iter().map(|edge| edge.length()).sum::<f64>() / edges.len() as f64;
@@ -83,7 +83,7 @@ impl Local {
         (local.spacing().is_finite() && local.spacing() > 0.0).then_some(local)
     }
 
-    /// World units.
+    /// The spacing, world units.
     pub(super) fn spacing(self) -> f64 {
         match self {
             Local::Body(spacing) | Local::Sheet(spacing) | Local::Open(spacing) => spacing,
@@ -91,10 +91,10 @@ impl Local {
     }
 }
 
-/// The neighbours, sorted by distance, with which nothing lies between: no other is nearer than β/2 edges to both centres
-/// of the lune.
+/// The neighbours, sorted by distance, with no other particle in the lune in between: no other is closer than
+/// β/2 edges to both centres of the lune.
 ///
-/// Each that could be in a lune is nearer than the end of the edge.
+/// A particle in the lune is closer than the end of the edge.
 fn edges(neighbors: &[DVec3]) -> Vec<DVec3> {
     let is_edge = |&(index, &end): &(usize, &DVec3)| {
         let radius_squared = (0.5 * BETA).powi(2) * end.length_squared();
@@ -106,10 +106,10 @@ fn edges(neighbors: &[DVec3]) -> Vec<DVec3> {
     neighbors.iter().enumerate().filter(is_edge).map(|(_, &end)| end).collect()
 }
 
-/// The direction in which the fewest of the edges go; `None` where they are all on one line.
+/// The direction along which the edges extend least; `None` if all edges are on one line.
 ///
-/// It is the eigenvector of the least eigenvalue of Σ u·uᵀ over their directions u. That of the greatest one of the adjugate
-/// is the same, and powers of that consist of little else.
+/// It is the eigenvector of the smallest eigenvalue of Σ u·uᵀ over the edge directions u. The adjugate has
+/// the same eigenvector for its largest eigenvalue, which dominates its powers.
 fn normal(edges: &[DVec3]) -> Option<DVec3> {
     let moments = edges.iter().map(|edge| edge.normalize_or_zero());
     let moments = moments.fold(DMat3::ZERO, |sum, along| sum + outer(along));

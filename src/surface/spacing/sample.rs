@@ -1,11 +1,11 @@
-//! Which particles are measured: those with the least hashes.
+//! Selects the particles to measure: those with the smallest hashes.
 
 use std::collections::BTreeSet;
 
 use glam::DVec3;
 
-/// Up to `count` distinct points: those with the least hashes, so that neither the order of the
-/// points matters nor, as far as differences are exact, where in the world they are.
+/// Up to `count` distinct points: those with the smallest hashes. The order of the points does not matter,
+/// and neither does their position in the world, as long as differences are exact.
 pub(super) fn sample(points: &[DVec3], count: usize) -> Vec<DVec3> {
     let Some(anchor) = componentwise_median(points) else { return Vec::new() };
     let extent = points.iter().fold(DVec3::ZERO, |extent, &point| extent.max((point - anchor).abs()));
@@ -22,8 +22,8 @@ pub(super) fn sample(points: &[DVec3], count: usize) -> Vec<DVec3> {
     least.into_iter().map(|(_, bits)| DVec3::from(bits.map(f64::from_bits))).collect()
 }
 
-/// A place amid the points. Unlike a corner of their box it does not follow an outlier, from whose
-/// distance all others would look the same.
+/// A position amid the points. Unlike a corner of their box, it does not follow an outlier; from an outlier's
+/// distance all other points would look the same.
 fn componentwise_median(points: &[DVec3]) -> Option<DVec3> {
     let mut values = Vec::with_capacity(points.len());
     let mut median = DVec3::ZERO;
@@ -39,8 +39,8 @@ fn componentwise_median(points: &[DVec3]) -> Option<DVec3> {
     Some(median)
 }
 
-/// A hash of an offset. Exponents count relative to that of `unit`: a power of two does not change
-/// the hash.
+/// A hash of an offset. Exponents are taken relative to that of `unit`, so a power of two does not change the
+/// hash.
 fn hash_without_scale(offset: DVec3, unit: f64) -> u64 {
     const EXPONENT: u64 = 0x7ff0_0000_0000_0000;
     let unit = unit.to_bits() & EXPONENT;

@@ -9,7 +9,7 @@ fn lattice(edge_count: usize, spacing: f64) -> Vec<[f64; 3]> {
         .collect()
 }
 
-/// Uniform in the unit cube, from the hash itself: no dependency, the same everywhere.
+/// Uniform in the unit cube, from the hash function: no dependency, and the same everywhere.
 fn random(count: u64) -> Vec<[f64; 3]> {
     let unit = |seed: u64| (mix(seed) >> 11) as f64 / (1u64 << 53) as f64;
     (0..count).map(|i| [unit(3 * i), unit(3 * i + 1), unit(3 * i + 2)]).collect()
@@ -28,20 +28,20 @@ fn assert_close(found: f64, expected: f64, tolerance: f64) {
 }
 
 #[test]
-fn lattice_has_its_constant() {
+fn lattice_gives_its_constant() {
     assert_close(estimate(lattice(30, 0.05)), 0.05, 1e-12);
     assert_close(estimate(lattice(30, 3e7)), 3e7, 1e-12);
     assert_close(estimate(lattice(2, 0.1)), 0.1, 1e-12);
 }
 
 #[test]
-fn random_particles_have_the_cube_root_of_their_volume() {
+fn random_particles_give_the_cube_root_of_their_volume() {
     assert_close(estimate(random(30_000)), (30_000f64).powf(-1.0 / 3.0), 0.03);
 }
 
-/// The turns of a helix are neighbours of no particle, as far apart as they are.
+/// The turns of a helix are not neighbours, whatever their distance.
 #[test]
-fn threads_have_the_distance_along_them() {
+fn thread_gives_the_distance_along_it() {
     for (radius, rise_per_radian) in [(6.0, 1.0), (3.0, 0.7), (20.0, 2.0)] {
         let step = 1.0 / f64::hypot(radius, rise_per_radian);
         let point = |index: u32| {
@@ -53,13 +53,13 @@ fn threads_have_the_distance_along_them() {
 }
 
 #[test]
-fn order_does_not_matter() {
+fn result_does_not_depend_on_order() {
     let points = random(5000);
     let expected = measured(points.clone());
     let mut reordered: Vec<_> = points.iter().rev().copied().collect();
     reordered.rotate_left(1234);
     assert_eq!(measured(reordered), expected);
-    // Of a lattice, many neighbours are equally far, and not all are looked at.
+    // In a lattice many neighbours are equally far, and not all of them are used.
     let mut points = lattice(9, 0.1);
     let expected = measured(points.clone());
     points.reverse();
@@ -67,12 +67,12 @@ fn order_does_not_matter() {
 }
 
 #[test]
-fn repeated_positions_are_one_particle() {
+fn repeated_positions_count_once() {
     let points = random(5000);
     let mut repeated = points.clone();
     repeated.extend_from_slice(&points[..777]);
     repeated.extend(std::iter::repeat_n(points[5], 30_000));
-    // Where the middle of all is decides the sample.
+    // The median of all positions selects the sample.
     assert_close(estimate(repeated), estimate(points), 0.02);
 }
 
@@ -95,25 +95,25 @@ fn whole_steps_of_a_dyadic_lattice_change_nothing() {
 }
 
 #[test]
-fn far_from_the_origin_nothing_is_lost() {
+fn precision_is_kept_far_from_the_origin() {
     let moved = lattice(20, 0.05).iter().map(|p| p.map(|x| x + 1e9)).collect();
     assert_close(estimate(moved), 0.05, 1e-4);
 }
 
 #[test]
-fn outliers_and_what_is_not_finite_do_not_matter() {
+fn outliers_and_non_finite_positions_are_ignored() {
     let mut points = lattice(20, 0.05);
     points.extend([[1e30, 0.0, 0.0], [0.0, -1e300, 1e300], [f64::NAN; 3], [f64::INFINITY, 0.0, 0.0]]);
     let found = measured(points);
     assert_close(found.spacing, 0.05, 1e-9);
-    // As few as there can be.
+    // The smallest case.
     let mut points = lattice(2, 0.05);
     points.extend([[1e30, 0.0, 0.0], [0.0, -1e300, 1e300]]);
     assert_close(estimate(points), 0.05, 1e-9);
 }
 
 #[test]
-fn cluster_of_most_particles_decides() {
+fn cluster_with_most_particles_determines_the_spacing() {
     let mut clustered = random(20_000);
     for point in &mut clustered[..15_000] {
         *point = point.map(|x| x * 1e-6);
@@ -122,7 +122,7 @@ fn cluster_of_most_particles_decides() {
 }
 
 #[test]
-fn fewer_than_two_distinct_particles_give_none() {
+fn fewer_than_two_distinct_particles_give_no_estimate() {
     let mut points = vec![[0.5; 3]; 1000];
     assert_eq!(estimate_spacing(Particles::Double(points.clone())), None);
     points.push([0.5, 0.5, 1.0]);
@@ -132,7 +132,7 @@ fn fewer_than_two_distinct_particles_give_none() {
 }
 
 #[test]
-fn distances_beyond_the_range_of_reals_give_no_nonsense() {
+fn overflowing_distances_give_no_invalid_estimate() {
     for scale in [1e-320, 1e-200, 1e-160, 1e153, 1e160, 1e300] {
         let points: Vec<_> = lattice(3, 1.0).iter().map(|p| p.map(|x| x * scale)).collect();
         if let Some(found) = estimate_spacing(Particles::Double(points)) {
@@ -142,7 +142,7 @@ fn distances_beyond_the_range_of_reals_give_no_nonsense() {
 }
 
 #[test]
-fn confidence_is_higher_the_more_particles_agree() {
+fn confidence_grows_with_the_number_of_agreeing_particles() {
     let confidence = |points| measured(points).confidence;
     let [two, ten, many] =
         [2, 10, 1000].map(|count| confidence((0..count).map(|x| [f64::from(x); 3]).collect()));
@@ -158,7 +158,7 @@ fn frames(of: &[(f64, f64)]) -> Vec<Estimate> {
 }
 
 #[test]
-fn sequence_has_the_median_of_its_frames_by_confidence() {
+fn sequence_estimate_is_the_confidence_weighted_median() {
     let spacing = |of: &[(f64, f64)]| combine_estimates(&frames(of)).expect("frames").spacing;
     assert_eq!(spacing(&[(0.05, 0.9)]), 0.05);
     assert_eq!(spacing(&[(0.05, 0.5), (0.06, 0.5)]), 0.055);
@@ -169,7 +169,7 @@ fn sequence_has_the_median_of_its_frames_by_confidence() {
 }
 
 #[test]
-fn order_of_frames_does_not_matter() {
+fn sequence_estimate_does_not_depend_on_frame_order() {
     let all = frames(&[(0.05, 0.9), (0.051, 0.7), (0.049, 0.8), (0.051, 0.6)]);
     let expected = combine_estimates(&all);
     for turn in 0..4 {
@@ -202,10 +202,10 @@ fn lengths_are_rounded_to_two_digits() {
 }
 
 #[test]
-fn neighbours_are_those_of_a_plain_search() {
+fn neighbours_match_brute_force() {
     let points: Vec<DVec3> = random(500).into_iter().chain(lattice(6, 0.2)).map(DVec3::from).collect();
     let mut sorted = points.clone();
-    let tree = Node::build(&mut sorted);
+    let tree = KdNode::build(&mut sorted);
     for &from in points.iter().step_by(17) {
         let mut others: Vec<DVec3> = points.iter().filter(|&&point| point != from).copied().collect();
         let order = |a: &DVec3, b: &DVec3| {

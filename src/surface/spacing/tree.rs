@@ -1,32 +1,32 @@
 //! A k-d tree with a tight box at every node, for exact nearest neighbours.
 //!
-//! A tree and not a grid of cells: one particle far away, or one dense cluster, makes cells of any
-//! one size useless, and does not slow a tree down.
+//! Why a tree and not a grid of cells: one particle far away, or one dense cluster, makes cells of any one
+//! size useless, but does not slow a tree down.
 
 use glam::DVec3;
 
-/// Points in a leaf of the tree: few enough that scanning them is cheaper than another box.
+/// Number of points in a leaf: scanning them is cheaper than testing another box.
 const LEAF_COUNT: usize = 16;
 
 /// Subtrees of fewer points are built on the current thread.
 const PARALLEL_COUNT: usize = 1 << 14;
 
-/// A node of the tree: the box of its points, and the two halves of them.
-pub(super) struct Node<'a> {
+/// A node of the tree: the box of its points, and its two halves.
+pub(super) struct KdNode<'a> {
     lower: DVec3,
     upper: DVec3,
     points: &'a [DVec3],
-    /// `None` for a leaf: few points, or one position however often repeated.
-    halves: Option<Box<[Node<'a>; 2]>>,
+    /// `None` for a leaf: few points, or one position, possibly repeated.
+    halves: Option<Box<[KdNode<'a>; 2]>>,
 }
 
-impl<'a> Node<'a> {
-    /// Sorts the points into a tree. Halving by count bounds the depth on any data.
-    pub(super) fn build(points: &'a mut [DVec3]) -> Node<'a> {
+impl<'a> KdNode<'a> {
+    /// Builds the tree by sorting the points in place. Halving by count bounds the depth for any data.
+    pub(super) fn build(points: &'a mut [DVec3]) -> KdNode<'a> {
         let lower = points.iter().copied().fold(DVec3::INFINITY, DVec3::min);
         let upper = points.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
         if points.len() <= LEAF_COUNT || lower == upper {
-            return Node { lower, upper, points, halves: None };
+            return KdNode { lower, upper, points, halves: None };
         }
         let axis = (upper - lower).max_position();
         let middle = points.len() / 2;
@@ -34,16 +34,15 @@ impl<'a> Node<'a> {
         let parallel = points.len() > PARALLEL_COUNT;
         let (left, right) = points.split_at_mut(middle);
         let (left, right) = if parallel {
-            rayon::join(|| Node::build(left), || Node::build(right))
+            rayon::join(|| KdNode::build(left), || KdNode::build(right))
         } else {
-            (Node::build(left), Node::build(right))
+            (KdNode::build(left), KdNode::build(right))
         };
-        Node { lower, upper, points: &[], halves: Some(Box::new([left, right])) }
+        KdNode { lower, upper, points: &[], halves: Some(Box::new([left, right])) }
     }
 
-    /// Up to `count` nearest distinct positions other than `from` itself, as offsets from it, the
-    /// nearest first. Equally near ones are in the order of their coordinates: the order of the
-    /// points does not matter.
+    /// Up to `count` nearest distinct positions other than `from`, as offsets from it, the nearest first.
+    /// Ties are sorted by coordinates, so the order of the points does not matter.
     pub(super) fn neighbors(&self, from: DVec3, count: usize) -> Vec<DVec3> {
         let mut nearest = Nearest { from, count, found: Vec::with_capacity(count + 1) };
         self.search(&mut nearest);
@@ -59,7 +58,7 @@ impl<'a> Node<'a> {
                 let distances = [left, right].map(|half| half.distance_squared(nearest.from));
                 let order = if distances[0] <= distances[1] { [0, 1] } else { [1, 0] };
                 for index in order {
-                    // Of equally near ones, coordinates decide: also a box at the limit counts.
+                    // Coordinates break ties, so a box exactly at the limit counts, too.
                     if distances[index] <= nearest.limit() {
                         halves[index].search(nearest);
                     }
@@ -82,7 +81,7 @@ struct Nearest {
 }
 
 impl Nearest {
-    /// What a further neighbour must not be farther than.
+    /// The largest squared distance that a further neighbour may have.
     fn limit(&self) -> f64 {
         if self.found.len() < self.count { f64::INFINITY } else { self.found[self.count - 1].0 }
     }

@@ -1,15 +1,15 @@
-//! Whether particles are inside the mesh.
+//! Checks that particles are inside the mesh.
 //!
-//! Where all corners of a particle's cell are inside and no triangle passes through the cell, that is plain; signs are
-//! bits, and bits tell of a whole leaf at once in which of its cells that is so:
+//! A particle is inside if all corners of its cell are inside and no triangle passes through the cell. Signs
+//! are stored as bits, so a few operations find these cells for a whole leaf:
 //!
 //! ```text
 //!   signs    ○●●●●●●●│● next leaf        ● inside
-//!   shifted  ●●●●●●●●│                   both: cells with both corners inside, and so on each axis
+//!   shifted  ●●●●●●●●│                   and: cells with both corners inside, on each axis
 //! ```
 //!
-//! Nearly all particles are settled so. For the few others [rays](super::rays) are sent through the mesh, and where φ and the
-//! mesh have nothing to do with each other particles count as outside.
+//! This settles nearly all particles. For the few others, [rays](super::rays) are cast through the mesh.
+//! Where the mesh does not follow φ, particles count as outside.
 
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
@@ -18,45 +18,45 @@ use super::distances::is_inside_one;
 use super::mesh_cells::{corner, with_all_corners};
 use super::particle_checks::Part;
 use super::rays::not_enclosed;
-use super::surfaces::Bodies;
+use super::surfaces::ShapedParticles;
 use crate::surface::grid::{LEAF_EDGE, LeafMask, offset_in_leaf};
 use crate::surface::level_set::NarrowBand;
 use crate::surface::simd::{Kernel, Lanes, dispatch};
 
-/// The particles of a part that the mesh does not enclose, each in voxels relative to the origin of its leaf; and how many are
-/// exempt.
+/// The particles of a part that the mesh does not enclose, in voxels relative to the origin of their leaf,
+/// and the number of exempt particles.
 pub(super) fn particles_outside(part: &Part) -> (Vec<(IVec3, Vec3)>, usize) {
-    let bodies = Bodies::of(part.bins);
-    let bodies = bodies.as_ref();
+    let shaped = ShapedParticles::of(part.bins);
+    let shaped = shaped.as_ref();
     let origins = part.bins.topology.origins().par_iter().enumerate();
     let owned = origins.filter(|(_, origin)| part.owned.contains(**origin));
     let found = owned.map(|(leaf, &origin)| dispatch(LeafParticles { part, leaf, origin }));
-    let found: Vec<Unsettled> = found.collect();
+    let found: Vec<Undecided> = found.collect();
     let exempt_count = found.iter().map(|found| found.exempt_count).sum();
-    let (leaking, others): (Vec<Unsettled>, Vec<Unsettled>) =
+    let (leaking, others): (Vec<Undecided>, Vec<Undecided>) =
         found.into_iter().partition(|found| part.cells.is_leaking(found.origin));
-    let particles = |found: Unsettled| {
+    let particles = |found: Undecided| {
         let origin = found.origin;
         found.particles.into_iter().map(move |local| (origin, local))
     };
     let mut outside: Vec<(IVec3, Vec3)> = leaking.into_iter().flat_map(particles).collect();
     let doubtful: Vec<(IVec3, Vec3)> = others.into_iter().flat_map(particles).collect();
-    outside.extend(not_enclosed(part, bodies, &doubtful));
+    outside.extend(not_enclosed(part, shaped, &doubtful));
     (outside, exempt_count)
 }
 
-/// How far outside of the surface φ says that a place is, in voxels; 0 where it is inside by φ. The place is given relative to the
-/// origin of its leaf, and φ is interpolated between voxels.
+/// How far outside the surface a position is according to φ, in voxels; 0 if it is inside. The position is
+/// relative to the origin of its leaf, and φ is interpolated between voxels.
 pub(super) fn depth_outside(band: &NarrowBand, origin: IVec3, local: Vec3) -> f32 {
     let cell = local.floor().as_ivec3();
     let part = local - cell.as_vec3();
     let depth: f32 = (0..8)
-        .map(|place| {
-            let step = corner(place);
+        .map(|number| {
+            let step = corner(number);
             let weights = Vec3::select(step.cmpeq(IVec3::ONE), part, 1.0 - part);
             let phi = match band.topology.find_voxel(origin + cell + step) {
                 Some((leaf, local)) => band.phi.leaves[leaf].values[offset_in_leaf(local)],
-                // Particles in what is not stored are deep inside, or were left by all of the surface.
+                // A particle in an unstored leaf is deep inside, or far outside the surface.
                 None => band.half_width,
             };
             weights.element_product() * phi
@@ -65,14 +65,14 @@ pub(super) fn depth_outside(band: &NarrowBand, origin: IVec3, local: Vec3) -> f3
     depth.max(0.0)
 }
 
-/// The particles of a leaf of which its masks do not say that they are inside.
-struct Unsettled {
+/// The particles of a leaf that its masks do not show to be inside.
+struct Undecided {
     origin: IVec3,
     particles: Vec<Vec3>,
     exempt_count: usize,
 }
 
-/// Looks for the particles of a leaf that may be outside.
+/// Finds the particles of a leaf that may be outside.
 struct LeafParticles<'a> {
     part: &'a Part<'a>,
     leaf: usize,
@@ -80,25 +80,25 @@ struct LeafParticles<'a> {
 }
 
 impl Kernel for LeafParticles<'_> {
-    type Output = Unsettled;
+    type Output = Undecided;
 
     #[inline(always)]
-    fn run<V: Lanes>(self) -> Unsettled {
+    fn run<V: Lanes>(self) -> Undecided {
         let [known, with_unstored] = match self.part.cells.is_leaking(self.origin) {
             true => [LeafMask::EMPTY; 2],
             false => self.inside_cells(),
         };
         let exempt = self.part.exempt;
-        let mut unsettled = Unsettled { origin: self.origin, particles: Vec::new(), exempt_count: 0 };
+        let mut unsettled = Undecided { origin: self.origin, particles: Vec::new(), exempt_count: 0 };
         let Part { bins, radii, .. } = self.part;
         for (index, &particle) in bins.range(self.leaf).zip(bins.in_leaf(self.leaf)) {
-            // What was taken away is not looked for: where nothing is stored any more, nobody knows what was.
+            // Removed regions are not checked: without stored values, nothing is known about them.
             if !exempt.is_nothing() && exempt.particle(self.origin, particle) {
                 unsettled.exempt_count += 1;
                 continue;
             }
             let cell = particle.floor().as_ivec3();
-            // Rounding may have put a particle on the leaf's far side, into a cell of the next one.
+            // Rounding may have moved a particle to the leaf's far side, into a cell of the next leaf.
             let is_in =
                 |mask: &LeafMask| cell.max_element() < LEAF_EDGE && mask.contains(offset_in_leaf(cell));
             let is_sure = || radii.init * bins.shapes.held(index) > SURE_RADIUS;
@@ -110,19 +110,19 @@ impl Kernel for LeafParticles<'_> {
     }
 }
 
-/// Unstored voxels are inside if they are in a particle. Those at the corners of the cell of one that holds a larger ball are in
-/// that: the diagonal of a cell is √3.
+/// An unstored voxel is inside if it lies in a particle. A ball larger than √3, the diagonal of a cell,
+/// contains all corners of the cell around its centre.
 const SURE_RADIUS: f32 = 1.75;
 
 impl LeafParticles<'_> {
-    /// The leaf's cells that no triangle passes through, and that have all corners inside: as far as that is known, and where voxels
-    /// that are not stored are.
+    /// The cells of the leaf that no triangle passes through and whose corners are all inside: where φ is
+    /// stored, and where it is not.
     #[inline(always)]
     fn inside_cells(&self) -> [LeafMask; 2] {
         let Part { band, cells, bins, .. } = self.part;
         [LeafMask::EMPTY, LeafMask::FULL].map(|unstored| {
-            let masks = std::array::from_fn(|place| {
-                let origin = self.origin + corner(place) * LEAF_EDGE;
+            let masks = std::array::from_fn(|number| {
+                let origin = self.origin + corner(number) * LEAF_EDGE;
                 match band.topology.find(origin) {
                     Some(leaf) => cells.signs[leaf],
                     None if bins.is_deep(origin) => LeafMask::FULL,
@@ -138,13 +138,13 @@ impl LeafParticles<'_> {
     }
 }
 
-/// Whether φ is negative at a voxel. Where it is not stored there is no surface near: it is inside if φ_0 is negative,
-/// and outside otherwise, as around spheres so small that they fall between the voxels.
-pub(super) fn is_voxel_inside(part: &Part, bodies: Option<&Bodies>, voxel: IVec3) -> bool {
+/// Whether φ is negative at a voxel. If φ is not stored, no surface is near: the voxel is inside if φ_0 is
+/// negative, and outside otherwise, as around spheres so small that they fall between voxels.
+pub(super) fn is_voxel_inside(part: &Part, shaped: Option<&ShapedParticles>, voxel: IVec3) -> bool {
     if let Some((leaf, local)) = part.band.topology.find_voxel(voxel) {
         return part.cells.signs[leaf].contains(offset_in_leaf(local));
     }
     let local = voxel & IVec3::splat(LEAF_EDGE - 1);
     part.bins.is_deep(voxel - local)
-        || is_inside_one(part.bins, bodies, voxel - local, local.as_vec3(), part.radii.init)
+        || is_inside_one(part.bins, shaped, voxel - local, local.as_vec3(), part.radii.init)
 }

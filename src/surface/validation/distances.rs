@@ -1,56 +1,57 @@
-//! How far the nearest particle is.
+//! Distances from vertices to the nearest particle.
 //!
-//! Vertices come leaf by leaf, and neighbours in a leaf come together. So the leaves around one are looked up
-//! once for all of its vertices, and a few vertices at a time meet the particles of a leaf, one vertex in each lane
-//! of the processor's vectors. Leaves come the nearest first: most are then farther from all of these vertices than
-//! the particles that are already known, and are not opened.
+//! Vertices come leaf by leaf, so the leaves around a leaf are looked up once for all of its vertices. A few
+//! vertices at a time are compared with the particles of a leaf, one vertex per SIMD lane. The nearest leaves
+//! come first: most later leaves are farther from all of these vertices than the particles found so far, and
+//! are skipped.
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::DistanceLimits;
 use super::particle_checks::{Part, ParticleChecks};
-use super::strays::{MOVE_MAX, Stray, returned};
-use super::surfaces::{Bodies, Sides};
+use super::strays::{MOVE_MAX, Stray, corrected_position};
+use super::surfaces::{ShapedParticles, Sides};
 use crate::surface::grid::{LEAF_EDGE, leaf_steps_within};
 use crate::surface::rasterize::ParticleBins;
 use crate::surface::simd::{Kernel, Lanes, dispatch};
 
-/// What a cell may hide, in voxels.
+/// How far interpolation inside a cell may move the surface, in voxels.
 pub(super) const CELL_MARGIN: f32 = 0.5;
 
-/// Vertices in a piece of work.
-const PIECE: usize = 4096;
+/// Number of vertices per task.
+const CHUNK: usize = 4096;
 
-/// Vertices that meet particles at once.
+/// Number of vertices that are compared with particles at once.
 pub(super) const LANES: usize = 8;
 
-/// One coordinate of each of these vertices.
+/// One coordinate of these vertices.
 pub(super) type Column = [f32; LANES];
 
-/// Checks how far the vertices of a part are from its particles; and where those belong that are out of their bounds.
+/// Checks how far the vertices of a part are from its particles. Returns the checks, and corrected positions
+/// for vertices that are out of bounds.
 pub(super) fn check_vertices(part: &Part) -> (ParticleChecks, Vec<Stray>) {
-    let bodies = Bodies::of(part.bins);
-    let longest = bodies.as_ref().map_or(1.0, Bodies::longest);
+    let shaped = ShapedParticles::of(part.bins);
+    let longest = shaped.as_ref().map_or(1.0, ShapedParticles::longest);
     let reach = part.radii.max * longest + part.radii.outward();
     let steps = leaf_steps_within(reach + CELL_MARGIN + 2.0 * MOVE_MAX);
-    let pieces = part.mesh.positions.par_chunks(PIECE).enumerate();
+    let pieces = part.mesh.positions.par_chunks(CHUNK).enumerate();
     let check = |(piece, positions)| {
-        let first = piece * PIECE;
-        dispatch(PieceChecks { part, bodies: bodies.as_ref(), steps: &steps, first, positions })
+        let first = piece * CHUNK;
+        dispatch(PieceChecks { part, shaped: shaped.as_ref(), steps: &steps, first, positions })
     };
     let pieces: Vec<(ParticleChecks, Vec<Stray>)> = pieces.map(check).collect();
     let checks = pieces.iter().fold(ParticleChecks::NOTHING, |checks, (piece, _)| checks.and(*piece));
     (checks, pieces.into_iter().flat_map(|(_, strays)| strays).collect())
 }
 
-/// Checks some vertices.
+/// The kernel that checks some vertices.
 struct PieceChecks<'a> {
     part: &'a Part<'a>,
-    /// The particles, where they have shapes of their own.
-    bodies: Option<&'a Bodies<'a>>,
+    /// The particles, if they differ in shape.
+    shaped: Option<&'a ShapedParticles<'a>>,
     steps: &'a [IVec3],
-    /// The number of the first of them.
+    /// The index of the first of them.
     first: usize,
     positions: &'a [Vec3],
 }
@@ -69,7 +70,7 @@ impl Kernel for PieceChecks<'_> {
             let (origin, _) = place_of(self.part, first);
             let mut locals = [[0.0; LANES]; 3];
             let mut count = 0;
-            // The last vertex repeats in lanes that would be empty.
+            // The last vertex repeats in unused lanes.
             for lane in 0..LANES {
                 if let Some(&position) = rest.get(count) {
                     let (leaf, local) = place_of(self.part, position);
@@ -91,12 +92,12 @@ impl Kernel for PieceChecks<'_> {
             }
             near.find_around(self.part.bins, origin, self.steps);
             let distances = near.distances(self.part.bins, &locals);
-            let Sides { is_inside_min, is_within_max } = match self.bodies {
+            let Sides { is_inside_min, is_within_max } = match self.shaped {
                 None => Sides {
                     is_inside_min: distances.map(|distance| distance < least),
                     is_within_max: distances.map(|distance| distance <= greatest),
                 },
-                Some(bodies) => bodies.sides(&near, &locals, &limits),
+                Some(shaped) => shaped.sides(&near, &locals, &limits),
             };
             for (lane, &position) in positions.iter().enumerate() {
                 if is_exempt(self.part, position) {
@@ -117,16 +118,16 @@ impl Kernel for PieceChecks<'_> {
 }
 
 impl PieceChecks<'_> {
-    /// A vertex that is out of its bounds: there are few.
+    /// The corrected position of a vertex that is out of bounds: these are few.
     #[cold]
     fn stray(&self, near: &NearLeaves, vertex: usize, origin: IVec3, local: Vec3) -> Option<Stray> {
-        let place = origin.as_dvec3() + returned(self.part, near, local)?.as_dvec3();
+        let corrected = origin.as_dvec3() + corrected_position(self.part, near, local)?.as_dvec3();
         let Part { mesh, lattice, .. } = self.part;
-        Some(Stray { vertex, position: (place * lattice.voxel_size - mesh.origin).as_vec3() })
+        Some(Stray { vertex, position: (corrected * lattice.voxel_size - mesh.origin).as_vec3() })
     }
 }
 
-/// The origin of the leaf that a vertex lies in, and its place relative to that, in voxels.
+/// The origin of the leaf of a vertex, and its position relative to that, in voxels.
 #[inline(always)]
 fn place_of(part: &Part, position: Vec3) -> (IVec3, Vec3) {
     let index = (part.mesh.origin + position.as_dvec3()) / part.lattice.voxel_size;
@@ -135,27 +136,27 @@ fn place_of(part: &Part, position: Vec3) -> (IVec3, Vec3) {
     (origin.as_ivec3(), (index - origin).as_vec3())
 }
 
-/// Whether a vertex need not be between the spheres.
+/// Whether a vertex is exempt from the distance limits.
 #[inline(always)]
 fn is_exempt(part: &Part, position: Vec3) -> bool {
     let Part { exempt, mesh, lattice, .. } = part;
     !exempt.is_nothing() && exempt.vertex((mesh.origin + position.as_dvec3()) / lattice.voxel_size)
 }
 
-/// The leaves around one that hold particles, the nearest first.
+/// The leaves around a leaf that hold particles, the nearest first.
 pub(super) struct NearLeaves {
     origin: IVec3,
-    /// The step to each, in voxels, and its place in the bins.
+    /// The step to each leaf, in voxels, and its index in the bins.
     pub(super) leaves: Vec<(Vec3, usize)>,
 }
 
 impl NearLeaves {
-    /// Around no leaf.
+    /// No leaves.
     pub(super) fn nowhere() -> NearLeaves {
         NearLeaves { origin: IVec3::MAX, leaves: Vec::new() }
     }
 
-    /// Those that hold particles, of the leaves so many steps from one.
+    /// Finds the leaves with particles among those at these steps from a leaf.
     #[inline(always)]
     pub(super) fn find_around(&mut self, bins: &ParticleBins, origin: IVec3, steps: &[IVec3]) {
         if self.origin == origin {
@@ -168,7 +169,7 @@ impl NearLeaves {
         self.leaves.extend(found);
     }
 
-    /// The distances from points, given relative to the leaf, to the nearest particle in these leaves.
+    /// The distances from points, relative to the leaf, to the nearest particle in these leaves.
     #[inline(always)]
     fn distances(&self, bins: &ParticleBins, points: &[Column; 3]) -> Column {
         let mut nearest = [f32::INFINITY; LANES];
@@ -196,8 +197,8 @@ impl NearLeaves {
     }
 }
 
-/// The square of the distance between a leaf and a box around points given relative to it. No less than that is
-/// what is computed for any of the points and any particle of the leaf: rounding keeps the order of numbers.
+/// The squared distance between a leaf and the box around points given relative to it. It is a lower bound
+/// for every computed distance between a point and a particle of the leaf, because rounding is monotonic.
 #[inline(always)]
 pub(super) fn squared_gap(points: &[Column; 3]) -> f32 {
     let gap = |axis: usize| {
@@ -212,24 +213,24 @@ pub(super) fn squared_gap(points: &[Column; 3]) -> f32 {
     Vec3::new(gap(0), gap(1), gap(2)).length_squared()
 }
 
-/// Whether a point, given relative to the leaf at `origin`, is inside a particle's sphere of this radius, or what
-/// takes its place.
+/// Whether a point, relative to the leaf at `origin`, is inside the sphere of this radius of any particle, or
+/// inside its ellipsoid.
 pub(super) fn is_inside_one(
     bins: &ParticleBins,
-    bodies: Option<&Bodies>,
+    shaped: Option<&ShapedParticles>,
     origin: IVec3,
     point: Vec3,
     radius: f32,
 ) -> bool {
-    let longest = bodies.map_or(1.0, Bodies::longest);
+    let longest = shaped.map_or(1.0, ShapedParticles::longest);
     let mut near = NearLeaves::nowhere();
     near.find_around(bins, origin, &leaf_steps_within(radius * longest));
     let points = point.to_array().map(|axis| [axis; LANES]);
-    match bodies {
+    match shaped {
         None => near.distances(bins, &points)[0] < radius,
-        Some(bodies) => {
+        Some(shaped) => {
             let limits = DistanceLimits { radii: [radius; 2], from_spheres: [0.0; 2] };
-            bodies.sides(&near, &points, &limits).is_inside_min[0]
+            shaped.sides(&near, &points, &limits).is_inside_min[0]
         }
     }
 }

@@ -1,15 +1,15 @@
-//! Particles as they were given, where the surface is one of particles that were moved.
+//! Checks the input positions of particles that position smoothing moved.
 //!
 //! ```text
-//!   ● given                 φ > 0: outside, by φ. It is no deeper outside than it was moved: the particle itself
-//!    ╲      surface         is inside
+//!   ● input               φ > 0: outside, by φ. It is no deeper outside than the particle was moved, because
+//!    ╲      surface         the moved particle is inside
 //!   ──╲──────────
 //!      ○ moved
 //! ```
 //!
-//! The certificate asks moved particles to be inside, and counts how many of them were given outside. It is φ that tells,
-//! interpolated between voxels. Where it is not stored no surface is near: there the way to the moved particle tells, by the
-//! first voxel on it that is stored, and where none is no surface lies between.
+//! The certificate requires moved particles to be inside, and counts how many input positions are outside. φ,
+//! interpolated between voxels, decides. Where φ is not stored, no surface is near: then the first stored
+//! voxel on the way to the moved particle decides, and if there is none, no surface lies in between.
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
@@ -21,18 +21,18 @@ use crate::surface::level_set::NarrowBand;
 use crate::surface::particles::ParticleSource;
 use crate::surface::space::Lattice;
 
-/// Where a particle was given that is elsewhere now. In voxels.
+/// A moved particle: its input position. In voxels.
 #[derive(Clone, Copy, Debug)]
 pub struct GivenPlace {
-    /// The origin of the leaf that it was given in.
+    /// The origin of the leaf of the input position.
     origin: IVec3,
-    /// Where in that leaf.
+    /// The input position, relative to that leaf.
     local: Vec3,
-    /// The way from there to where it is now.
+    /// From the input position to the current one.
     moved: Vec3,
 }
 
-/// The places where particles of a batch were given that are elsewhere now, as far as the grid reaches.
+/// The moved particles of a batch whose input position is within the range of the grid.
 ///
 /// # Errors
 /// Those of the source.
@@ -51,8 +51,8 @@ fn places_of<S: ParticleSource>(
     Ok(source.given_of(batch)?.into_iter().filter_map(place))
 }
 
-/// Of the places where particles were given those that may be outside of the surface, batch by batch: smoothing keeps φ below
-/// `upper`, a field on this topology, and so many voxels of an offset are taken from φ then.
+/// The moved particles whose input position may be outside the surface, batch by batch. Smoothing keeps φ
+/// below `upper`, a field on this topology; an offset, in voxels, is then subtracted from φ.
 ///
 /// # Errors
 /// Those of the source.
@@ -65,7 +65,7 @@ pub fn doubtful_places<S: ParticleSource>(
         return Ok(Vec::new());
     }
     let is_doubtful = |place: &GivenPlace| match place.corner_values(topology, upper) {
-        // Rounding is monotonic: of values that are no larger, what is interpolated is no larger either.
+        // Rounding is monotonic: interpolating smaller values gives a smaller result.
         Some(corners) if offset == 0.0 => place.interpolated(corners) > 0.0,
         Some(corners) => corners.iter().any(|value| *value >= offset.min(0.0)),
         None => place.first_stored(topology, upper).is_some(),
@@ -78,23 +78,23 @@ pub fn doubtful_places<S: ParticleSource>(
     (0..source.batch_count()).into_par_iter().map(of_batch).collect()
 }
 
-/// How many of these places are outside of a surface that was moved outward by so many voxels, and how far.
+/// How many of these input positions are outside a surface with this offset in voxels, and how far.
 pub fn given_outside(
     places: &[Vec<GivenPlace>],
     band: &NarrowBand,
     (lattice, offset): (&Lattice, f32),
     exempt: &dyn Exempt,
 ) -> ParticlesOutside {
-    let count = |tally: Tally, place: &GivenPlace| tally.and(place.tally((band, offset), exempt));
+    let count = |sum: OutsideCount, place: &GivenPlace| sum.and(place.count_outside((band, offset), exempt));
     places
         .par_iter()
         .flatten()
-        .fold(Tally::default, count)
-        .reduce(Tally::default, Tally::and)
+        .fold(OutsideCount::default, count)
+        .reduce(OutsideCount::default, OutsideCount::and)
         .in_world(lattice)
 }
 
-/// The same of all particles of a source that were moved.
+/// The same for all moved particles of a source.
 ///
 /// # Errors
 /// Those of the source.
@@ -106,23 +106,24 @@ pub fn given_outside_of<S: ParticleSource>(
 ) -> Result<ParticlesOutside, S::Error> {
     let of_batch = |batch| {
         let places = places_of(source, batch, lattice)?;
-        Ok(places.fold(Tally::default(), |tally, place| tally.and(place.tally((band, offset), exempt))))
+        Ok(places
+            .fold(OutsideCount::default(), |sum, place| sum.and(place.count_outside((band, offset), exempt))))
     };
     let batches = (0..source.batch_count()).into_par_iter().map(of_batch);
-    let tally = batches.try_reduce(Tally::default, |one, other| Ok(one.and(other)))?;
-    Ok(tally.in_world(lattice))
+    let sum = batches.try_reduce(OutsideCount::default, |one, other| Ok(one.and(other)))?;
+    Ok(sum.in_world(lattice))
 }
 
-/// Places outside, and how far from the surface the farthest is, in voxels.
+/// Number of positions outside, and the distance of the farthest one from the surface, in voxels.
 #[derive(Clone, Copy, Default)]
-struct Tally {
+struct OutsideCount {
     count: usize,
     deepest: f32,
 }
 
-impl Tally {
-    fn and(self, other: Tally) -> Tally {
-        Tally { count: self.count + other.count, deepest: self.deepest.max(other.deepest) }
+impl OutsideCount {
+    fn and(self, other: OutsideCount) -> OutsideCount {
+        OutsideCount { count: self.count + other.count, deepest: self.deepest.max(other.deepest) }
     }
 
     fn in_world(self, lattice: &Lattice) -> ParticlesOutside {
@@ -131,7 +132,7 @@ impl Tally {
 }
 
 impl GivenPlace {
-    fn tally(&self, (band, offset): (&NarrowBand, f32), exempt: &dyn Exempt) -> Tally {
+    fn count_outside(&self, (band, offset): (&NarrowBand, f32), exempt: &dyn Exempt) -> OutsideCount {
         let phi = match self.corner_values(&band.topology, &band.phi) {
             Some(corners) => self.interpolated(corners),
             None => match self.first_stored(&band.topology, &band.phi) {
@@ -140,34 +141,34 @@ impl GivenPlace {
             },
         };
         if phi > 0.0 && (exempt.is_nothing() || !exempt.particle(self.origin, self.local)) {
-            // Where it is now it was inside before the offset.
-            return Tally { count: 1, deepest: phi.min(self.moved.length() - offset.min(0.0)) };
+            // Before the offset, the moved particle was inside.
+            return OutsideCount { count: 1, deepest: phi.min(self.moved.length() - offset.min(0.0)) };
         }
-        Tally::default()
+        OutsideCount::default()
     }
 
-    /// The values at the corners of its cell, if all are stored.
+    /// The values at the corners of its cell; `None` unless all are stored.
     fn corner_values(&self, topology: &Topology, field: &Field) -> Option<[f32; 8]> {
         let cell = self.origin + self.local.floor().as_ivec3();
         let mut values = [0.0; 8];
-        for (place, value) in values.iter_mut().enumerate() {
-            *value = value_at(topology, field, cell + corner(place))?;
+        for (number, value) in values.iter_mut().enumerate() {
+            *value = value_at(topology, field, cell + corner(number))?;
         }
         Some(values)
     }
 
     fn interpolated(&self, corners: [f32; 8]) -> f32 {
         let part = self.local - self.local.floor();
-        let weight = |place: usize| {
-            let step = corner(place).as_vec3();
+        let weight = |number: usize| {
+            let step = corner(number).as_vec3();
             (step * part + (1.0 - step) * (1.0 - part)).element_product()
         };
-        (0..8).map(|place| weight(place) * corners[place]).sum()
+        (0..8).map(|number| weight(number) * corners[number]).sum()
     }
 
-    /// The value of the first voxel that is stored on the way to where the particle is now.
+    /// The value of the first stored voxel on the way to the moved particle.
     fn first_stored(&self, topology: &Topology, field: &Field) -> Option<f32> {
-        // No more than a band is wide passes between two of them.
+        // The steps are shorter than the width of a band, so none of the steps jumps over one.
         let step_count = self.moved.length().ceil().min(STEPS_MAX) as u32;
         (0..=step_count).find_map(|step| {
             let part = step as f32 / step_count.max(1) as f32;
@@ -177,7 +178,7 @@ impl GivenPlace {
     }
 }
 
-/// Particles are not moved farther: neighbours count within 200 voxels.
+/// Upper limit of the steps: neighbours are within 200 voxels, so no particle moves farther.
 const STEPS_MAX: f32 = 1024.0;
 
 fn value_at(topology: &Topology, field: &Field, voxel: IVec3) -> Option<f32> {

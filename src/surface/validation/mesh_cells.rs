@@ -1,19 +1,20 @@
-//! Which cells the triangles of a mesh pass through.
+//! Finds the cells that the triangles of a mesh pass through.
 //!
 //! ```text
-//!   ┌───┬───┬───┬───┐       ▒  a triangle passes through: what is inside there, rays decide
+//!   ┌───┬───┬───┬───┐       ▒  a triangle passes through: rays decide what is inside
 //!   │   │   │▒▒▒│▒▒▒│
-//!   ├───┼───┼─╱─┼───┤          the others are *clear*: a closed mesh does not tell apart the points of a clear cell,
-//!   │   │▒▒▒│▒▒▒│   │          nor those of two clear cells with a common face
+//!   ├───┼───┼─╱─┼───┤          the others are *clear*: a closed mesh has all points of a clear cell on one side,
+//!   │   │▒▒▒│▒▒▒│   │          and those of two clear cells with a common face, too
 //!   ├───┼─╱─┼───┼───┤
 //!   │   │▒▒▒│   │   │
 //!   └───┴───┴───┴───┘
 //! ```
 //!
-//! In a clear cell φ has one sign at all corners, or the mesh has moved a little: by decimation, or by rounding. Where φ
-//! changes its sign and there is no triangle within two cells, the mesh may lack a part of the surface. If the clear cells
-//! within these two cells have both signs, the mesh *leaks*: φ does not describe it there. If they have one sign, it lacks a
-//! drop, a hole or a sheet that is thinner than two cells; then all clear cells around are on the same side of the mesh, too.
+//! In a clear cell φ has one sign at all corners, unless decimation or rounding moved the mesh a little. If φ
+//! changes its sign and no triangle is within two cells, the mesh may lack a part of the surface. If the
+//! clear cells within these two cells have both signs, the mesh *leaks*: φ does not describe it there. If
+//! they have one sign, the mesh lacks a drop, a hole or a sheet thinner than two cells; then all clear cells
+//! around are on the same side of the mesh, too.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -26,32 +27,33 @@ use crate::surface::level_set::NarrowBand;
 use crate::surface::mesh::Mesh;
 use crate::surface::space::Lattice;
 
-/// The cells that a mesh passes through, and what φ says of those around them. A cell is named by its least voxel.
+/// The cells that a mesh passes through, and the signs of φ around them. A cell is identified by its lowest
+/// voxel.
 #[derive(Debug)]
 pub struct MeshCells {
-    /// For each leaf of the band the cells that a triangle passes through.
+    /// For each leaf of the band, the cells that a triangle passes through.
     touched: Vec<LeafMask>,
-    /// For each leaf of the band the voxels inside.
+    /// For each leaf of the band, the voxels inside.
     pub(super) signs: Vec<LeafMask>,
-    /// The leaves where the mesh leaks, and those around them.
+    /// The leaves where the mesh leaks, and their neighbours.
     leaking: FxHashSet<IVec3>,
 }
 
-/// Triangles in a piece of work.
-const PIECE: usize = 4096;
+/// Number of triangles per task.
+const CHUNK: usize = 4096;
 
-/// What is so near to a face of a cell, in voxels, is in the cells on both sides.
+/// A point this close to a face of a cell, in voxels, belongs to the cells on both sides.
 const FACE_MARGIN: f64 = 1e-6;
 
-/// How far the mesh may be from where φ changes its sign, in cells.
+/// Upper limit of the distance between the mesh and a sign change of φ, in cells.
 const LEAK_CELLS: i32 = 2;
 
 impl MeshCells {
-    /// Those of a mesh that was made of a band.
+    /// Finds the cells of a mesh that was contoured from a band.
     pub fn new(mesh: &Mesh, band: &NarrowBand, lattice: &Lattice) -> MeshCells {
         let topology = &*band.topology;
         let masks: Vec<[AtomicU64; 8]> = (0..topology.len()).map(|_| Default::default()).collect();
-        mesh.triangles.par_chunks(PIECE).for_each(|triangles| {
+        mesh.triangles.par_chunks(CHUNK).for_each(|triangles| {
             let mut marker = Marker { topology, masks: &masks, found: None };
             for &triangle in triangles {
                 passed_cells(&corners(mesh, triangle, lattice), |cell| marker.mark(cell));
@@ -65,7 +67,7 @@ impl MeshCells {
         let leaks: Vec<IVec3> = leaks.copied().collect();
         let around = |origin: &IVec3| {
             let origin = *origin;
-            (0..27).map(move |place| origin + LEAF_EDGE * step_of(place, 3))
+            (0..27).map(move |number| origin + LEAF_EDGE * step_of(number, 3))
         };
         cells.leaking = leaks.iter().flat_map(around).collect();
         cells
@@ -82,14 +84,14 @@ impl MeshCells {
         found.is_some_and(|(leaf, local)| self.touched[leaf].contains(offset_in_leaf(local)))
     }
 
-    /// Whether the mesh leaks in a leaf, or in one around it.
+    /// Whether the mesh leaks in a leaf or in one of its neighbours.
     pub(super) fn is_leaking(&self, origin: IVec3) -> bool {
         self.leaking.contains(&origin)
     }
 
     fn leaks(&self, topology: &Topology, origin: IVec3) -> bool {
         let leaves: [Option<usize>; 8] =
-            std::array::from_fn(|place| topology.find(origin + corner(place) * LEAF_EDGE));
+            std::array::from_fn(|number| topology.find(origin + corner(number) * LEAF_EDGE));
         let Some(leaf) = leaves[0] else { return false };
         let all_corners = |of_leaf: &dyn Fn(usize) -> LeafMask| {
             with_all_corners(leaves.map(|leaf| leaf.map_or(LeafMask::EMPTY, of_leaf)))
@@ -101,32 +103,33 @@ impl MeshCells {
         let leaks_around = |offset: usize| {
             let cell = origin + voxel_in_leaf(offset);
             let width = 2 * LEAK_CELLS + 1;
-            let around = || (0..width.pow(3)).map(|place| cell + step_of(place, width));
+            let around = || (0..width.pow(3)).map(|number| cell + step_of(number, width));
             if around().any(|cell| self.contains(topology, cell)) {
                 return false;
             }
             let mut sides: Vec<bool> = around().filter_map(|cell| self.clear_side(topology, cell)).collect();
             sides.dedup();
-            // Where no cell is clear, nothing says that what the mesh lacks is small.
+            // Without clear cells, the missing part may be large.
             sides.len() != 1
         };
         doubtful.iter().any(leaks_around)
     }
 
-    /// Whether a cell is inside by φ; `None` if φ is not stored at all of its corners, or has both signs there.
+    /// Whether a cell is inside according to φ; `None` if φ is not stored at all of its corners, or changes
+    /// its sign.
     fn clear_side(&self, topology: &Topology, cell: IVec3) -> Option<bool> {
-        let is_inside = |place: usize| {
-            let (leaf, local) = topology.find_voxel(cell + corner(place))?;
+        let is_inside = |number: usize| {
+            let (leaf, local) = topology.find_voxel(cell + corner(number))?;
             Some(self.signs[leaf].contains(offset_in_leaf(local)))
         };
         let first = is_inside(0)?;
-        (1..8).all(|place| is_inside(place) == Some(first)).then_some(first)
+        (1..8).all(|number| is_inside(number) == Some(first)).then_some(first)
     }
 }
 
-/// The place of a cube of so many cells along an edge, as a step from its middle.
-fn step_of(place: i32, width: i32) -> IVec3 {
-    IVec3::new(place / (width * width), place / width % width, place % width) - width / 2
+/// Converts an index in a cube of `width`³ cells to a step from its middle.
+fn step_of(number: i32, width: i32) -> IVec3 {
+    IVec3::new(number / (width * width), number / width % width, number % width) - width / 2
 }
 
 /// The corners of a triangle, in voxels.
@@ -135,7 +138,7 @@ pub(super) fn corners(mesh: &Mesh, triangle: [u32; 3], lattice: &Lattice) -> [DV
     triangle.map(|vertex| (mesh.origin + mesh.positions[vertex as usize].as_dvec3()) / lattice.voxel_size)
 }
 
-/// The cells from the first to the last that hold something of a triangle's box.
+/// The first and the last cell of a triangle's bounding box.
 pub(super) fn cells_of_box(corners: &[DVec3; 3]) -> [IVec3; 2] {
     let [a, b, c] = *corners;
     let (low, high) = (a.min(b).min(c) - FACE_MARGIN, a.max(b).max(c) + FACE_MARGIN);
@@ -163,7 +166,7 @@ impl Marker<'_> {
                 leaf
             }
         };
-        // Beyond the band there is nothing that could be asked.
+        // Cells beyond the band are never queried.
         let Some(leaf) = leaf else { return };
         let (word, bit) = (&self.masks[leaf][local.x as usize], 1 << (local.y * LEAF_EDGE + local.z));
         if word.load(Ordering::Relaxed) & bit == 0 {
@@ -172,7 +175,7 @@ impl Marker<'_> {
     }
 }
 
-/// Calls `each` for each cell that a triangle passes through, and for some beside these.
+/// Calls `each` for each cell that a triangle passes through, and for some cells beside these.
 fn passed_cells(corners: &[DVec3; 3], mut each: impl FnMut(IVec3)) {
     let [a, b, c] = *corners;
     let [first, last] = cells_of_box(corners);
@@ -189,7 +192,7 @@ fn passed_cells(corners: &[DVec3; 3], mut each: impl FnMut(IVec3)) {
         }
         return;
     }
-    // Seen along the axis that it faces most, a triangle covers columns of cells; in each it is at most three deep.
+    // Projected along its dominant axis, a triangle covers columns of cells, and at most three cells in each.
     let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
     let [slope_u, slope_v] = [u, v].map(|along| normal[along] / normal[axis]);
     let side = normal[axis].signum();
@@ -218,7 +221,7 @@ fn passed_cells(corners: &[DVec3; 3], mut each: impl FnMut(IVec3)) {
     }
 }
 
-/// In each row of a word the voxel that is last along z.
+/// The last voxel along z of each row in a word.
 const LAST_Z: u64 = 0x8080_8080_8080_8080;
 
 /// Corner `4x + 2y + z` of a cell.
@@ -226,19 +229,20 @@ pub(super) fn corner(number: usize) -> IVec3 {
     IVec3::new((number >> 2) as i32, (number >> 1 & 1) as i32, (number & 1) as i32)
 }
 
-/// The cells of a leaf of which all corners are in a mask, given for the leaf and for those after it, by [`corner`].
+/// The cells of a leaf whose corners are all in a mask. The masks are those of the leaf and of the leaves
+/// after it, by [`corner`].
 #[inline(always)]
 pub(super) fn with_all_corners(mut masks: [LeafMask; 8]) -> LeafMask {
-    // Along z, then y, then x; of the leaves after, just their nearest voxels count.
-    for place in [0, 2, 4, 6] {
-        let after = masks[place + 1].words;
-        masks[place].words.iter_mut().zip(after).for_each(|(word, after)| {
+    // Along z, then y, then x. Of the leaves after it, only the nearest voxels count.
+    for number in [0, 2, 4, 6] {
+        let after = masks[number + 1].words;
+        masks[number].words.iter_mut().zip(after).for_each(|(word, after)| {
             *word &= *word >> 1 & !LAST_Z | after << 7 & LAST_Z;
         });
     }
-    for place in [0, 4] {
-        let after = masks[place + 2].words;
-        masks[place].words.iter_mut().zip(after).for_each(|(word, after)| *word &= *word >> 8 | after << 56);
+    for number in [0, 4] {
+        let after = masks[number + 2].words;
+        masks[number].words.iter_mut().zip(after).for_each(|(word, after)| *word &= *word >> 8 | after << 56);
     }
     let [mut cells, .., after, _, _, _] = masks;
     for x in 0..8 {
@@ -252,10 +256,11 @@ mod tests {
     use super::*;
     use crate::surface::grid::{Field, Leaf};
 
-    /// Whether an empty mesh leaks somewhere around voxels that are inside as `is_inside` says.
+    /// Whether an empty mesh leaks anywhere if the voxels inside are those of `is_inside`.
     fn leaks(is_inside: impl Fn(IVec3) -> bool) -> bool {
-        let places = (0..64).map(|place| LEAF_EDGE * (IVec3::new(place / 16, place / 4 % 4, place % 4) - 2));
-        let topology = Topology::new(places.collect());
+        let leaf_origins =
+            (0..64).map(|number| LEAF_EDGE * (IVec3::new(number / 16, number / 4 % 4, number % 4) - 2));
+        let topology = Topology::new(leaf_origins.collect());
         let leaf =
             |origin: &IVec3| Leaf {
                 values: std::array::from_fn(|offset| {
@@ -280,7 +285,7 @@ mod tests {
         assert!(leaks(|voxel| voxel.element_sum() & 1 == 0), "no clear cell at all");
     }
 
-    /// Points all over large and small triangles, which lie in cells that were called.
+    /// Random points on large and small triangles lie in cells that were passed to the callback.
     #[test]
     fn every_point_of_a_triangle_is_in_a_passed_cell() {
         let mut seed = 7u32;
@@ -292,7 +297,7 @@ mod tests {
             let range = [0.5, 3.0, 40.0][round % 3];
             let mut corners = [0; 3].map(|_| DVec3::new(random(range), random(range), random(range)));
             if round % 5 == 0 {
-                // In a plane between cells.
+                // A triangle in a plane between cells.
                 corners.iter_mut().for_each(|corner| corner[round % 3] = 2.0);
             }
             let mut cells = FxHashSet::default();

@@ -1,27 +1,28 @@
-//! What is checked of every result before it leaves: a certificate that ships with the frame.
+//! Checks every result before it is written: the certificate that ships with the frame.
 //!
 //! ```text
 //!   φ within its bounds at every voxel                    (Eq. 6), before the surface is moved by an offset
 //!   no vertex deeper inside S_min than h/2                the surface stays outside of it
-//!   none farther outside of S_max than h/2                and inside of this, but for what a cell hides
+//!   none farther outside of S_max than h/2                and inside S_max, except for what a cell hides
 //!   every particle inside
 //!   the mesh closed and 2-manifold
 //! ```
 //!
-//! What is said of vertices, of particles and of the mesh is said of the mesh as a file has it: with the triangles that are
-//! left, at the positions that a reader gets.
+//! Vertices, particles and the mesh are checked as a file has them: with the remaining triangles, at the
+//! positions that a reader gets.
 //!
-//! A surface that is moved outward by an offset is that much farther from S_min, and so much farther from S_max at most. One that is
-//! moved inward is that much nearer to S_min, and no less near to S_max:
+//! A surface with an outward offset is that much farther from S_min, and at most that much farther from
+//! S_max. A surface with an inward offset is that much closer to S_min, but may be as close to
+//! S_max as before:
 //!
 //! ```text
-//!    S_max ╲   ╱ S_max       Where two spheres meet, what is b deep in their union is less deep in each of them.
+//!    S_max ╲   ╱ S_max       Where two spheres meet, a point b deep inside their union is less deep in each.
 //!           ╲ ╱
 //!    moved ──×── inward by b
 //! ```
 //!
-//! The half voxel is what interpolation inside a cell may hide: the bounds hold at voxels, and a sphere bends between
-//! them.
+//! The tolerance of half a voxel is what interpolation inside a cell may hide: the bounds hold at voxels, and
+//! a sphere is curved between them.
 
 mod containment;
 mod distances;
@@ -44,48 +45,52 @@ use crate::surface::mesh::{Mesh, MeshMeasures};
 use crate::surface::rasterize::Radii;
 use crate::surface::space::Lattice;
 
-/// What was checked of the finished surface: [`holds`](Self::holds) says whether all of it is as guaranteed, and
-/// [`fault`](Self::fault) what is not. Distances are in voxels unless a field says world units, to the nearest particle's centre. For
-/// particles with shapes of their own, r_min and r_max mean their surfaces.
+/// The checks of the finished surface. [`holds`](Self::holds) says whether all guarantees hold, and
+/// [`fault`](Self::fault) which do not. Distances are in voxels unless a field says world units, to the
+/// centre of the nearest particle. For particles with their own shapes, r_min and r_max mean their inner and
+/// outer ellipsoids.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Certificate {
-    /// Voxels where φ leaves its bounds (Eq. 6), before the surface is moved by an offset. Always 0.
+    /// Voxels where φ violates its bounds (Eq. 6), before the surface is offset. Always 0.
     pub bound_violation_count: usize,
-    /// Particles that were left out of the surface: not finite, or too far from the others.
+    /// Particles that are not part of the surface: not finite, or too far from the others.
     pub particles_left_out: usize,
-    /// Least distance from a mesh vertex to a particle; infinite for an empty mesh.
+    /// Smallest distance from a mesh vertex to a particle; infinite for an empty mesh.
     pub vertex_distance_min: f64,
     /// Largest distance from a mesh vertex to its nearest particle; 0 for an empty mesh.
     pub vertex_distance_max: f64,
-    /// How far the surface was moved outward after its bounds were checked, world units; negative inward.
+    /// How far the surface was moved outward after its bounds were checked, world units; negative values mean
+    /// inward.
     pub offset: f64,
-    /// How near to a particle vertices may be, and how far from all of them, world units: r_min and r_max, moved by the offset.
-    /// `None` for surfaces of level sets.
+    /// The smallest and the largest allowed distance from a vertex to its nearest particle, world units:
+    /// r_min and r_max plus the offset. `None` for surfaces of level sets.
     pub distance_limits: Option<[f64; 2]>,
-    /// Mesh vertices nearer to a particle than the first limit by more than h/2.
+    /// Mesh vertices closer to a particle than the first limit by more than h/2.
     pub vertices_inside_min: usize,
     /// Mesh vertices farther from all particles than the second limit by more than h/2.
     pub vertices_outside_max: usize,
-    /// Particles outside the mesh, but for those that are exempt.
+    /// Particles outside the mesh, except exempt ones.
     pub particles_outside: ParticlesOutside,
-    /// Whether the surface was moved inward so far that particles may be outside of it: they are counted, and break no guarantee.
+    /// Whether the inward offset is so large that particles may end up outside: these are counted, but
+    /// violate no guarantee.
     pub may_leave_particles_outside: bool,
-    /// Where the particles that were checked are not those that were given, but moved toward their neighbours: the particles
-    /// that were given outside the surface. They break no guarantee. `None` where particles are where they were given.
+    /// If position smoothing moved the particles before they were checked: the particles whose input position
+    /// is outside the surface. They violate no guarantee. `None` if particles were not moved.
     pub given_outside: Option<ParticlesOutside>,
-    /// Particles that were not asked: in an island that was dropped, beyond a box or beside its faces, in an obstacle or
-    /// beside it. Only those near a surface are known.
+    /// Exempt particles: in a dropped island, outside a clip box or next to its faces, inside an obstacle or
+    /// next to it. Only those near a surface are counted.
     pub particles_exempt: usize,
-    /// Whether every edge is in two triangles, every vertex in one ring of them, and none degenerate.
+    /// Whether every edge is in two triangles, the triangles around every vertex form one ring, and no
+    /// triangle is degenerate.
     pub mesh_is_closed_manifold: bool,
-    /// How far 32-bit positions may be off, in voxels: much only where part of a frame is tens of
-    /// thousands of voxels from the rest.
+    /// Rounding error of 32-bit positions, in voxels: large only if part of a frame is tens of thousands of
+    /// voxels from the rest.
     pub position_rounding: f64,
 }
 
 impl Certificate {
-    /// Whether everything that was checked holds.
+    /// Whether all guarantees hold.
     pub fn holds(&self) -> bool {
         self.bound_violation_count == 0
             && self.vertices_inside_min == 0
@@ -94,12 +99,12 @@ impl Certificate {
             && self.mesh_is_closed_manifold
     }
 
-    /// Particles that are outside though all were to be inside.
+    /// Particles outside that violate a guarantee.
     pub fn particle_violation_count(&self) -> usize {
         if self.may_leave_particles_outside { 0 } else { self.particles_outside.count }
     }
 
-    /// What of it does not hold, in words; nothing where all does.
+    /// The violated guarantees as text; empty if all hold.
     pub fn fault(&self) -> String {
         let counts = [
             (self.bound_violation_count, "voxels out of bounds"),
@@ -116,31 +121,31 @@ impl Certificate {
     }
 }
 
-/// How many particles are outside of a surface, and how far.
+/// The number of particles outside a surface, and how far.
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct ParticlesOutside {
-    /// How many.
+    /// Number of particles.
     pub count: usize,
-    /// How far from the surface the farthest is, world units; 0 if none is outside. It is told by φ, which knows no more than
-    /// the half width of its band: five voxels and more.
+    /// Distance of the farthest one from the surface, world units; 0 if all are inside. It comes from φ,
+    /// which is limited to the half width of its band: five voxels and more.
     pub deepest: f64,
 }
 
-/// What is not asked of a result: it was taken away on purpose.
+/// Regions of a result that are not checked because they were removed on purpose.
 pub trait Exempt: Sync {
-    /// Whether nothing is exempt.
+    /// Whether everything is checked.
     fn is_nothing(&self) -> bool;
 
-    /// Whether a particle, in voxels relative to the origin of its leaf, need not be inside.
+    /// Whether a particle, in voxels relative to the origin of its leaf, may be outside.
     fn particle(&self, leaf_origin: IVec3, local: Vec3) -> bool;
 
-    /// Whether a vertex, in voxels, need not be between the spheres.
+    /// Whether a vertex, in voxels, may violate the distance limits.
     fn vertex(&self, index: DVec3) -> bool;
 }
 
-/// Everything is asked.
+/// Checks everything.
 #[derive(Clone, Copy, Debug)]
 pub struct NothingExempt;
 
@@ -158,8 +163,8 @@ impl Exempt for NothingExempt {
     }
 }
 
-/// The certificate of a result whose particles, if it has any, and bounds were checked, in parts or whole. `radii` are those of
-/// the particles, and `None` for surfaces of level sets.
+/// Assembles the certificate of a result. `radii` are those of the particles, and `None` for surfaces of
+/// level sets.
 pub fn certificate(
     checks: ParticleChecks,
     (bound_violation_count, particles_left_out): (usize, usize),
@@ -191,21 +196,22 @@ pub fn certificate(
     }
 }
 
-/// Whether the offset is so far inward that a particle may end up outside: the corners of its cell need not be inside.
+/// Whether the inward offset is so large that a particle may end up outside: the corners of its cell need not
+/// be inside.
 fn may_leave_particles_outside(radii: &Radii) -> bool {
     radii.offset < 0.0 && radii.min * radii.shortest + radii.offset <= SURE_DEPTH
 }
 
-/// A ball of this radius, in voxels, holds all corners of the cell that its centre is in: √3. In the middle of smaller balls φ is not
-/// known well enough to say more.
+/// A ball of this radius, in voxels, contains all corners of the cell around its centre: √3. Inside smaller
+/// balls φ is not known well enough.
 const SURE_DEPTH: f32 = 1.732_051;
 
-/// Where vertices may be.
+/// The limits of a vertex's distance from particles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct DistanceLimits {
     /// The radii of the inner and the outer spheres, in voxels: the units of half axes.
     radii: [f32; 2],
-    /// How far outward from the inner spheres vertices are at least, and from the outer ones at most, in voxels.
+    /// The smallest offset from the inner spheres and the largest from the outer ones, outward, in voxels.
     from_spheres: [f32; 2],
 }
 
@@ -214,21 +220,21 @@ impl DistanceLimits {
         DistanceLimits { radii: [radii.min, radii.max], from_spheres: [radii.offset, radii.outward()] }
     }
 
-    /// How near to a particle's centre vertices may be, and how far from all of them, where all half axes are 1.
+    /// The distance limits from particle centres, if all half axes are 1.
     fn limits(&self) -> [f32; 2] {
         let [min, max] = self.radii;
         let [from_min, from_max] = self.from_spheres;
         [(min + from_min).max(0.0), max + from_max]
     }
 
-    /// The same limits with a margin that a vertex may be beyond them, in voxels.
+    /// The same limits, relaxed by `margin` voxels.
     fn with_margin(self, margin: f32) -> DistanceLimits {
         let [from_min, from_max] = self.from_spheres;
         DistanceLimits { from_spheres: [from_min - margin, from_max + margin], ..self }
     }
 }
 
-/// Half the distance between the 32-bit numbers at the farthest position, in voxels.
+/// Half the distance between adjacent 32-bit numbers at the farthest position, in voxels.
 fn position_rounding(mesh: &Mesh, lattice: &Lattice) -> f64 {
     let farthest =
         mesh.positions.par_iter().map(|position| position.abs().max_element()).reduce(|| 0.0, f32::max);

@@ -1,4 +1,4 @@
-//! What is checked of particles and surface against each other, leaf by leaf.
+//! Checks particles and surface against each other, leaf by leaf.
 //!
 //! ```text
 //!   part A ──▶ checks ─┐
@@ -6,8 +6,8 @@
 //!   part C ──▶ checks ─┘
 //! ```
 //!
-//! A vertex belongs to the leaf that it lies in, a particle to the leaf of its bin. So a frame can be checked in
-//! parts, each with the particles that lie in it and around it, and every vertex and particle is counted once.
+//! A vertex belongs to the leaf that it lies in, a particle to the leaf of its bin. So a frame can be checked
+//! in parts, each with the particles in and around it, and every vertex and particle is counted once.
 
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
@@ -18,51 +18,51 @@ use crate::surface::mesh::Mesh;
 use crate::surface::rasterize::{ParticleBins, Radii};
 use crate::surface::space::{CoordBox, Lattice};
 
-/// A part of a frame: what is in the leaves whose origins are in a box.
+/// A part of a frame: the leaves whose origins are in a box.
 #[derive(Clone, Copy)]
 pub struct Part<'a> {
-    /// The particles in these leaves, and in those as far around them as r_max, an outward offset and two voxels reach. Particles so
-    /// deep inside that no voxel near them is stored may be missing.
+    /// The particles in these leaves, and around them as far as r_max, an outward offset and two voxels
+    /// reach. Particles so deep inside that no voxel near them is stored may be missing.
     pub bins: &'a ParticleBins,
     /// The radii and the offset in voxels.
     pub radii: Radii,
-    /// The band that was contoured, in these leaves and those next to them.
+    /// The contoured band, in these leaves and their neighbours.
     pub band: &'a NarrowBand,
-    /// The mesh: of its vertices those in these leaves are checked.
+    /// The mesh; its vertices in these leaves are checked.
     pub mesh: &'a Mesh,
-    /// The cells that it passes through.
+    /// The cells that the mesh passes through.
     pub cells: &'a MeshCells,
-    /// How far vertices that are moved back may be rounded from where they belong, in voxels.
+    /// Rounding error of the positions of vertices that are moved back, in voxels.
     pub rounding: f32,
-    /// What the mesh's positions are in voxels.
+    /// Converts the mesh's positions to voxels.
     pub lattice: &'a Lattice,
     /// The voxels whose leaves are checked.
     pub owned: CoordBox,
-    /// What is not asked.
+    /// The regions that are not checked.
     pub exempt: &'a dyn Exempt,
 }
 
-/// What is checked of vertices and particles. Distances are in voxels, to the nearest particle's centre.
+/// The checks of vertices and particles. Distances are in voxels, to the centre of the nearest particle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ParticleChecks {
-    /// Least distance from a vertex to a particle; infinite where there is no vertex.
+    /// Smallest distance from a vertex to a particle; infinite without vertices.
     pub vertex_distance_min: f32,
-    /// Largest distance from a vertex to its nearest particle; 0 where there is no vertex.
+    /// Largest distance from a vertex to its nearest particle; 0 without vertices.
     pub vertex_distance_max: f32,
-    /// Vertices nearer to a particle than r_min + offset − h/2.
+    /// Vertices closer to a particle than r_min + offset − h/2.
     pub vertices_inside_min: usize,
-    /// Vertices farther from all particles than r_max + h/2, and an outward offset.
+    /// Vertices farther from all particles than r_max + h/2, plus an outward offset.
     pub vertices_outside_max: usize,
-    /// Particles outside the mesh, but for those that are exempt.
+    /// Particles outside the mesh, except exempt ones.
     pub particles_outside: usize,
-    /// How far from the surface the farthest of them is, in voxels, by φ; 0 where none is outside.
+    /// Distance of the farthest one from the surface, in voxels, according to φ; 0 if all are inside.
     pub deepest_outside: f32,
-    /// Particles that are exempt.
+    /// Number of exempt particles.
     pub particles_exempt: usize,
 }
 
 impl ParticleChecks {
-    /// The checks of no vertex and no particle.
+    /// The checks of an empty part.
     pub const NOTHING: ParticleChecks = ParticleChecks {
         vertex_distance_min: f32::INFINITY,
         vertex_distance_max: 0.0,
@@ -73,7 +73,7 @@ impl ParticleChecks {
         particles_exempt: 0,
     };
 
-    /// Of two files the worse in each way.
+    /// The worse of each value, of two files.
     pub fn or_worse(self, other: ParticleChecks) -> ParticleChecks {
         ParticleChecks {
             vertex_distance_min: self.vertex_distance_min.min(other.vertex_distance_min),
@@ -86,7 +86,7 @@ impl ParticleChecks {
         }
     }
 
-    /// The checks of two parts that have no leaf in common, together.
+    /// The combined checks of two parts without common leaves.
     pub fn and(self, other: ParticleChecks) -> ParticleChecks {
         ParticleChecks {
             vertex_distance_min: self.vertex_distance_min.min(other.vertex_distance_min),
@@ -100,8 +100,8 @@ impl ParticleChecks {
     }
 }
 
-/// Checks a part of a frame; and says where those vertices belong that are out of their bounds, if there is a place for
-/// them within a voxel.
+/// Checks a part of a frame. Returns the checks, and corrected positions for vertices that are out of bounds,
+/// if one exists within a voxel.
 pub fn check(part: &Part) -> (ParticleChecks, Vec<Stray>) {
     let (vertices, strays) = distances::check_vertices(part);
     let (outside, particles_exempt) = containment::particles_outside(part);
@@ -120,7 +120,7 @@ mod tests {
     use crate::surface::rasterize::{Rasterized, Scene, rasterize};
     use crate::surface::validation::NothingExempt;
 
-    /// Particles in a wavy sheet and a few beside it.
+    /// Particles in a wavy sheet, and a few beside it.
     fn particles(spacing: f64) -> Particles {
         let place = |index: usize| {
             let (x, y, z) = (index / 60, index / 3 % 20, index % 3);
@@ -135,7 +135,7 @@ mod tests {
         let made = Radii::of_balls(1.7, 2.6, 3.4);
         let Ok(Rasterized { bins, band, .. }) = rasterize(&particles(1.9), &Scene::open(lattice, made));
         let mesh = contour(&band, &lattice, Contouring::Dual);
-        // What was made from these particles holds; from others, and with other radii, nothing does.
+        // The surface of these particles passes; with other particles or radii, every check fails.
         let Ok(Rasterized { bins: others, .. }) = rasterize(&particles(2.3), &Scene::open(lattice, made));
         let other_radii = Radii::of_balls(3.0, 1.0, 2.2);
         for (bins, radii, holds) in [(&bins, made, true), (&others, other_radii, false)] {
@@ -160,8 +160,8 @@ mod tests {
         }
     }
 
-    /// So deep inside a body nothing is stored, and small particles do not reach the corners of their cells: that they are
-    /// inside is known from the large ones, some of which were left out.
+    /// So deep inside a body nothing is stored, and small particles do not reach the corners of their cells.
+    /// The large particles, some of which were left out, show that the small ones are inside.
     #[test]
     fn small_particles_deep_in_a_body_are_inside() {
         let along = |index: usize| 2.0 * index as f64 - 64.0;

@@ -1,14 +1,14 @@
-//! Whether a closed mesh encloses points near it, by rays to cells of which that is known.
+//! Casts rays from points to classified cells, to find whether a closed mesh encloses the points.
 //!
 //! ```text
 //!            ╲                          a ray along an axis, from a particle to the nearest cell that no triangle
-//!        ●────╲──────▶ clear, outside   passes through. Each triangle on the way counts, by the side that it is
-//!              ╲                        met from: +1 on the way out, −1 on the way in
+//!        ●────╲──────▶ clear, outside   passes through. Each triangle on the way counts by the side from which
+//!              ╲                        the ray hits it: +1 on the way out, −1 on the way in
 //! ```
 //!
-//! A triangle meets a ray in a slice: the plane that holds the ray cuts the edges of triangles in points, and two triangles
-//! with a common edge have the same point, to the last bit. So a ray that passes through an edge or a vertex meets exactly
-//! one of the triangles there, or one for each sheet.
+//! A triangle is intersected in a slice: the plane that contains the ray cuts the edges of triangles in
+//! points, and two triangles with a common edge get the same point, to the last bit. So a ray through an edge
+//! or a vertex hits exactly one of the triangles there, or one for each sheet.
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
@@ -17,10 +17,10 @@ use rustc_hash::FxHashMap;
 use super::containment::is_voxel_inside;
 use super::mesh_cells::{cells_of_box, corner, corners};
 use super::particle_checks::Part;
-use super::surfaces::Bodies;
+use super::surfaces::ShapedParticles;
 use crate::surface::grid::LEAF_EDGE;
 
-/// Rays end within so many cells, or the particle counts as outside.
+/// Maximum length of a ray in cells; if it finds no clear cell, the particle counts as outside.
 const REACH: i32 = 32;
 
 /// A ray from a particle along an axis.
@@ -28,22 +28,22 @@ const REACH: i32 = 32;
 struct Ray {
     from: DVec3,
     axis: usize,
-    /// Where it ends on the axis: in the middle of a clear cell.
+    /// Its end on the axis: the middle of a clear cell.
     to: f64,
     /// Whether that cell is inside.
     is_end_inside: bool,
 }
 
-/// Those of the particles, each relative to the origin of a leaf, in voxels, that the mesh does not enclose.
+/// The particles, relative to the origin of a leaf and in voxels, that the mesh does not enclose.
 pub(super) fn not_enclosed(
     part: &Part,
-    bodies: Option<&Bodies>,
+    shaped: Option<&ShapedParticles>,
     particles: &[(IVec3, Vec3)],
 ) -> Vec<(IVec3, Vec3)> {
     if particles.is_empty() {
         return Vec::new();
     }
-    let ray = |&(origin, local): &(IVec3, Vec3)| Ray::new(part, bodies, origin, local);
+    let ray = |&(origin, local): &(IVec3, Vec3)| Ray::new(part, shaped, origin, local);
     let rays: Vec<Option<Ray>> = particles.par_iter().map(ray).collect();
     let mut leaves: Vec<IVec3> = rays.iter().flatten().flat_map(Ray::leaves).collect();
     leaves.par_sort_unstable_by_key(|leaf| leaf.to_array());
@@ -55,11 +55,11 @@ pub(super) fn not_enclosed(
 }
 
 impl Ray {
-    /// The shortest that ends in a clear cell.
-    fn new(part: &Part, bodies: Option<&Bodies>, origin: IVec3, local: Vec3) -> Option<Ray> {
+    /// The shortest ray that ends in a clear cell.
+    fn new(part: &Part, shaped: Option<&ShapedParticles>, origin: IVec3, local: Vec3) -> Option<Ray> {
         let from = origin.as_dvec3() + local.as_dvec3();
         let cell = from.floor().as_ivec3();
-        let is_inside = |voxel| is_voxel_inside(part, bodies, voxel);
+        let is_inside = |voxel| is_voxel_inside(part, shaped, voxel);
         let clear_side = |cell: IVec3| {
             let leaf = cell & !(LEAF_EDGE - 1);
             if part.cells.contains(&part.band.topology, cell) || part.cells.is_leaking(leaf) {
@@ -78,7 +78,7 @@ impl Ray {
         })
     }
 
-    /// From where to where it goes on its axis, the lesser first.
+    /// Its interval on the axis, in ascending order.
     fn range(&self) -> [f64; 2] {
         let from = self.from[self.axis];
         [from.min(self.to), from.max(self.to)]
@@ -100,13 +100,13 @@ impl Ray {
         let [low, high] = self.range();
         let mut winding = i32::from(self.is_end_inside);
         for leaf in self.leaves() {
-            // A triangle is with each leaf that it is in: it counts in the one where it is met.
+            // A triangle is listed in each leaf that it touches; count it in the leaf of the intersection.
             let (first, last) = (f64::from(leaf[self.axis]), f64::from(leaf[self.axis] + LEAF_EDGE));
             for &triangle in triangles.of(leaf) {
                 let corners = corners(part.mesh, part.mesh.triangles[triangle as usize], part.lattice);
                 let Some((at, facing)) = crossing(&corners, self.axis, self.from) else { continue };
                 if (low..high).contains(&at) && (first..last).contains(&at) {
-                    // On the way out of the mesh a ray goes the way that the triangle faces.
+                    // Where the ray leaves the mesh, it has the direction of the triangle's normal.
                     winding += if self.to > self.from[self.axis] { facing } else { -facing };
                 }
             }
@@ -115,20 +115,21 @@ impl Ray {
     }
 }
 
-/// Where a triangle meets the line through a point along an axis, and whether it faces along the axis (1) or against it (−1).
+/// Where a triangle intersects the line through a point along an axis, and whether it faces along the axis
+/// (1) or against it (−1).
 fn crossing(corners: &[DVec3; 3], axis: usize, point: DVec3) -> Option<(f64, i32)> {
     let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
     let is_above = corners.map(|corner| corner[u] > point[u]);
     let (mut up, mut down) = (None, None);
-    for place in 0..3 {
-        let next = (place + 1) % 3;
-        if is_above[place] == is_above[next] {
+    for index in 0..3 {
+        let next = (index + 1) % 3;
+        if is_above[index] == is_above[next] {
             continue;
         }
-        // The same ends in the same order, whichever triangle asks.
+        // Use the same ends in the same order for both triangles of the edge.
         let (below, above) = match is_above[next] {
-            true => (corners[place], corners[next]),
-            false => (corners[next], corners[place]),
+            true => (corners[index], corners[next]),
+            false => (corners[next], corners[index]),
         };
         let part = (point[u] - below[u]) / (above[u] - below[u]);
         let cut = [v, axis].map(|along| below[along] + part * (above[along] - below[along]));
@@ -144,28 +145,32 @@ fn crossing(corners: &[DVec3; 3], axis: usize, point: DVec3) -> Option<(f64, i32
 
 /// The triangles in some leaves.
 struct TrianglesByLeaf {
-    places: FxHashMap<IVec3, u32>,
-    /// By place of the leaf.
+    leaf_indices: FxHashMap<IVec3, u32>,
+    /// Pairs of leaf index and triangle.
     triangles: Vec<(u32, u32)>,
 }
 
-/// Triangles in a piece of work.
-const PIECE: usize = 4096;
+/// Number of triangles per task.
+const CHUNK: usize = 4096;
 
 impl TrianglesByLeaf {
     fn new(part: &Part, leaves: &[IVec3]) -> TrianglesByLeaf {
-        let places: FxHashMap<IVec3, u32> = leaves.iter().copied().zip(0..).collect();
-        let pieces = part.mesh.triangles.par_chunks(PIECE).enumerate();
+        let leaf_indices: FxHashMap<IVec3, u32> = leaves.iter().copied().zip(0..).collect();
+        let pieces = part.mesh.triangles.par_chunks(CHUNK).enumerate();
         let mut triangles: Vec<(u32, u32)> = pieces
             .flat_map_iter(|(piece, triangles)| {
                 let mut found = Vec::new();
-                for (&triangle, index) in triangles.iter().zip((piece * PIECE) as u32..) {
+                for (&triangle, index) in triangles.iter().zip((piece * CHUNK) as u32..) {
                     let [first, last] = cells_of_box(&corners(part.mesh, triangle, part.lattice));
                     let (first, last) = (first & !(LEAF_EDGE - 1), last & !(LEAF_EDGE - 1));
                     for x in (first.x..=last.x).step_by(LEAF_EDGE as usize) {
                         for y in (first.y..=last.y).step_by(LEAF_EDGE as usize) {
                             for z in (first.z..=last.z).step_by(LEAF_EDGE as usize) {
-                                found.extend(places.get(&IVec3::new(x, y, z)).map(|&place| (place, index)));
+                                found.extend(
+                                    leaf_indices
+                                        .get(&IVec3::new(x, y, z))
+                                        .map(|&leaf_index| (leaf_index, index)),
+                                );
                             }
                         }
                     }
@@ -174,15 +179,15 @@ impl TrianglesByLeaf {
             })
             .collect();
         triangles.par_sort_unstable();
-        TrianglesByLeaf { places, triangles }
+        TrianglesByLeaf { leaf_indices, triangles }
     }
 
     fn of(&self, leaf: IVec3) -> impl Iterator<Item = &u32> {
-        let place = self.places.get(&leaf).copied().unwrap_or(u32::MAX);
-        let start = self.triangles.partition_point(|&(other, _)| other < place);
+        let leaf_index = self.leaf_indices.get(&leaf).copied().unwrap_or(u32::MAX);
+        let start = self.triangles.partition_point(|&(other, _)| other < leaf_index);
         self.triangles[start..]
             .iter()
-            .take_while(move |&&(other, _)| other == place)
+            .take_while(move |&&(other, _)| other == leaf_index)
             .map(|(_, triangle)| triangle)
     }
 }
@@ -191,7 +196,7 @@ impl TrianglesByLeaf {
 mod tests {
     use super::*;
 
-    /// Rays through the vertices and edges of a closed mesh meet it as often on the way in as on the way out.
+    /// Rays through the vertices and edges of a closed mesh enter it as often as they leave it.
     #[test]
     fn rays_through_edges_and_vertices_count_each_sheet_once() {
         let c = [DVec3::X, -DVec3::X, DVec3::Y, -DVec3::Y, DVec3::Z, -DVec3::Z];

@@ -1,4 +1,4 @@
-//! Vertices that are out of their bounds by more than a cell may hide, and where they belong.
+//! Moves vertices back that are out of bounds by more than a cell may hide.
 //!
 //! ```text
 //!        voxel  ∙───────∙     Bounds hold at voxels. Between them a gap of less than a voxel between two
@@ -13,43 +13,43 @@ use super::distances::{CELL_MARGIN, NearLeaves};
 use super::particle_checks::Part;
 use super::surfaces::distances_and_outward;
 
-/// A vertex that is out of its bounds, and the nearest place in them.
+/// A vertex that is out of bounds, and the nearest position within them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stray {
-    /// Which vertex of the mesh.
+    /// Index of the vertex.
     pub vertex: usize,
-    /// Where it belongs, as the mesh has its positions.
+    /// Its corrected position, in the coordinates of the mesh.
     pub position: Vec3,
 }
 
-/// Where a vertex that is out of its bounds belongs, given relative to the leaf that the leaves are near to; `None` if
-/// there is no place for it within a voxel.
-pub(super) fn returned(part: &Part, near: &NearLeaves, local: Vec3) -> Option<Vec3> {
-    let mut place = local;
+/// The corrected position of a vertex that is out of bounds, relative to the leaf around which `near` was
+/// collected; `None` if no position within a voxel is valid.
+pub(super) fn corrected_position(part: &Part, near: &NearLeaves, local: Vec3) -> Option<Vec3> {
+    let mut point = local;
     for _ in 0..STEPS_MAX {
-        match step(part, near, place) {
-            None => return Some(place),
-            Some(step) => place += step,
+        match step(part, near, point) {
+            None => return Some(point),
+            Some(step) => point += step,
         }
-        if place.distance(local) > MOVE_MAX {
+        if point.distance(local) > MOVE_MAX {
             return None;
         }
     }
     None
 }
 
-/// No vertex is moved farther than this, in voxels.
+/// Upper limit of the movement of a vertex, in voxels.
 pub(super) const MOVE_MAX: f32 = 1.0;
 
-/// Steps after which a vertex is left where it is.
+/// Maximum number of correction steps; then the vertex stays where it is.
 const STEPS_MAX: usize = 8;
 
-/// How much farther than to its bound a vertex is moved, in voxels: more than 32 bits round its position. What a file
-/// rounds comes on top.
+/// How far past its bound a vertex is moved, in voxels: more than the rounding error of a 32-bit position.
+/// The rounding error of the file is added.
 const SLACK: f32 = 2e-3;
 
-/// The way to the bound that a place is beyond; `None` where it is beyond neither.
-fn step(part: &Part, near: &NearLeaves, place: Vec3) -> Option<Vec3> {
+/// The step from a position to the bound that it violates; `None` if it violates none.
+fn step(part: &Part, near: &NearLeaves, point: Vec3) -> Option<Vec3> {
     let Part { bins, radii, rounding, .. } = *part;
     let DistanceLimits { radii: [min, max], from_spheres: [from_min, from_max] } =
         DistanceLimits::new(&radii).with_margin(CELL_MARGIN);
@@ -57,9 +57,9 @@ fn step(part: &Part, near: &NearLeaves, place: Vec3) -> Option<Vec3> {
     let (mut deepest, mut nearest) = ((f32::INFINITY, Vec3::ZERO), (f32::INFINITY, Vec3::ZERO));
     for &(from_leaf, leaf) in &near.leaves {
         for (index, &center) in bins.range(leaf).zip(bins.in_leaf(leaf)) {
-            let apart = place - from_leaf - center;
-            // What is said of an ellipsoid far away is less than its distance; and who is near must not depend on
-            // which leaves were looked at.
+            let apart = point - from_leaf - center;
+            // The first-order distance to an ellipsoid far away is too small. And the result must not depend
+            // on which leaves were searched.
             if apart.length() > max * bins.shapes.longest(index) + from_max + MOVE_MAX {
                 continue;
             }
@@ -72,7 +72,7 @@ fn step(part: &Part, near: &NearLeaves, place: Vec3) -> Option<Vec3> {
             }
         }
     }
-    // Whoever is asked for has been found out of bounds, if by rounding only.
+    // Every vertex that comes here was found out of bounds, if only by a rounding error.
     if deepest.0 < from_min + slack / 2.0 {
         Some(deepest.1 * (from_min + slack - deepest.0))
     } else if nearest.0 > from_max - slack / 2.0 && nearest.0.is_finite() {
@@ -91,7 +91,7 @@ mod tests {
     use crate::surface::space::{CoordBox, Lattice};
     use crate::surface::validation::{MeshCells, NothingExempt, check};
 
-    /// Vertices that are pushed out of their bounds come back to them, and the others stay.
+    /// Vertices that are pushed out of bounds come back, and the others stay.
     #[test]
     fn strays_come_back() {
         let lattice = Lattice { voxel_size: 0.5 };
@@ -103,7 +103,7 @@ mod tests {
             let cloud = Cloud { positions, shapes, attributes: Vec::new() };
             let Ok(Rasterized { bins, band, .. }) = rasterize(&cloud, &Scene::open(lattice, radii));
             let mut mesh = contour(&band, &lattice, Contouring::Dual);
-            // The bounds are 1.5 voxels away, and half a voxel, at half axes of 1; 0.7 is that along y.
+            // The bounds are at 1.5 and 0.5 voxels for half axes of 1; the half axis along y is 0.7.
             let by_height =
                 |one: &usize, other: &usize| mesh.positions[*one].y.total_cmp(&mesh.positions[*other].y);
             let highest = (0..mesh.positions.len()).max_by(by_height).expect("a vertex");

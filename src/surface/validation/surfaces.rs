@@ -1,7 +1,7 @@
-//! How far the surfaces of particles with shapes of their own are.
+//! Distances to the surfaces of particles with their own shapes.
 //!
-//! The nearest centre tells nothing there: a long particle may be the one that holds a point. So every particle that
-//! reaches a point is asked.
+//! The nearest centre is not enough here: a long particle farther away may contain the point. So all
+//! particles that reach a point are tested.
 
 use glam::{DMat3, DVec3, Vec3};
 
@@ -10,34 +10,34 @@ use super::distances::{Column, LANES, NearLeaves};
 use crate::surface::particles::{Ellipsoid, Shapes};
 use crate::surface::rasterize::ParticleBins;
 
-/// Particles with shapes of their own, and how far they reach.
-pub(super) struct Bodies<'a> {
+/// Particles with their own shapes, and their extents.
+pub(super) struct ShapedParticles<'a> {
     bins: &'a ParticleBins,
     /// The longest half axis in each leaf, in units of the radii.
     longest: Vec<f32>,
 }
 
-impl<'a> Bodies<'a> {
-    /// `None` where all particles are alike.
-    pub(super) fn of(bins: &'a ParticleBins) -> Option<Bodies<'a>> {
+impl<'a> ShapedParticles<'a> {
+    /// `None` if all particles have the same shape.
+    pub(super) fn of(bins: &'a ParticleBins) -> Option<ShapedParticles<'a>> {
         if bins.shapes.are_balls() {
             return None;
         }
         let longest = |leaf| bins.range(leaf).map(|index| bins.shapes.longest(index)).fold(0.0, f32::max);
-        Some(Bodies { bins, longest: (0..bins.topology.len()).map(longest).collect() })
+        Some(ShapedParticles { bins, longest: (0..bins.topology.len()).map(longest).collect() })
     }
 
-    /// The longest half axis of all, in units of the radii.
+    /// The longest half axis of all particles, in units of the radii.
     pub(super) fn longest(&self) -> f32 {
         self.longest.iter().copied().fold(0.0, f32::max)
     }
 
-    /// Which of the points, given relative to a leaf, are nearer to a particle's inner surface than the limits allow,
-    /// and which are as near to an outer one as they have to be.
+    /// Which of the points, relative to a leaf, are closer to the inner surface of a particle than the limits
+    /// allow, and which are close enough to an outer one.
     #[inline(always)]
     pub(super) fn sides(&self, near: &NearLeaves, points: &[Column; 3], limits: &DistanceLimits) -> Sides {
         let DistanceLimits { radii: [min, max], from_spheres: [from_min, from_max] } = *limits;
-        // Nothing that is farther beyond a surface matters.
+        // Distances beyond these do not matter.
         let beyond = [from_max, from_min.max(0.0)];
         let mut sides = Sides { is_inside_min: [false; LANES], is_within_max: [false; LANES] };
         for &(step, leaf) in &near.leaves {
@@ -47,7 +47,7 @@ impl<'a> Bodies<'a> {
                     locals[axis][lane] = points[axis][lane] - step[axis];
                 }
             }
-            // Once all points are within the outer spheres, what matters is who is in the inner ones.
+            // Once all points are within the outer spheres, only the inner ones matter.
             let is_all_within = sides.is_within_max == [true; LANES];
             let [radius, beyond_leaf] =
                 if is_all_within { [min, beyond[1]] } else { [max, beyond[0].max(beyond[1])] };
@@ -76,14 +76,14 @@ impl<'a> Bodies<'a> {
     }
 }
 
-/// On which sides of the surfaces points are.
+/// The sides of the surfaces on which points are.
 pub(super) struct Sides {
     pub(super) is_inside_min: [bool; LANES],
     pub(super) is_within_max: [bool; LANES],
 }
 
-/// Whether a point outside of a particle's inner surface, given relative to its centre, is nearer to that than a distance, exactly: to
-/// first order, all ellipsoids seem nearer than they are.
+/// Whether a point outside of a particle's inner surface, relative to its centre, is closer to that surface
+/// than a distance. The test is exact: the first-order distance to an ellipsoid is too small.
 #[cold]
 fn is_nearer(shapes: &Shapes, index: usize, apart: Vec3, (radius, distance): (f32, f32)) -> bool {
     match shapes {
@@ -95,21 +95,22 @@ fn is_nearer(shapes: &Shapes, index: usize, apart: Vec3, (radius, distance): (f3
     }
 }
 
-/// The distance from a point, relative to the centre, to the surface |T y| = radius of an ellipsoid; 0 within.
+/// The distance from a point, relative to the centre, to the surface |T y| = radius of an ellipsoid; 0
+/// inside.
 ///
-/// The nearest place y on it is where x − y is along the normal T²y: y = (1 + λT²)⁻¹ x, with the λ ≥ 0 for which that is on the
-/// surface. |T y| falls as λ grows.
+/// At the nearest point y, x − y is along the normal T²y: y = (1 + λT²)⁻¹ x, with the λ ≥ 0 that puts y on
+/// the surface. |T y| decreases as λ grows.
 fn distance_to_ellipsoid(ellipsoid: &Ellipsoid, radius: f64, x: DVec3) -> f64 {
     let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball.map(f64::from);
     let to_ball = DMat3::from_cols(DVec3::new(xx, xy, xz), DVec3::new(xy, yy, yz), DVec3::new(xz, yz, zz));
     let squared = to_ball * to_ball;
-    let place = |lambda: f64| (DMat3::IDENTITY + lambda * squared).inverse() * x;
-    let is_beyond = |lambda: f64| (to_ball * place(lambda)).length() > radius;
+    let point_at = |lambda: f64| (DMat3::IDENTITY + lambda * squared).inverse() * x;
+    let is_beyond = |lambda: f64| (to_ball * point_at(lambda)).length() > radius;
     if !is_beyond(0.0) {
         return 0.0;
     }
     let longest = f64::from(ellipsoid.longest);
-    // Along the longest half axis T² is least, and λ the greatest that it may be.
+    // Along the longest half axis T² is smallest, which gives the upper bound of λ.
     let (mut low, mut high) = (0.0, longest * x.length() / radius * longest);
     for _ in 0..BISECTIONS {
         let middle = 0.5 * (low + high);
@@ -119,13 +120,14 @@ fn distance_to_ellipsoid(ellipsoid: &Ellipsoid, radius: f64, x: DVec3) -> f64 {
             high = middle;
         }
     }
-    x.distance(place(high))
+    x.distance(point_at(high))
 }
 
-/// After so many halvings λ is known to a millionth of what it may be.
+/// Number of bisections after which λ is known to a millionth of its upper bound.
 const BISECTIONS: usize = 40;
 
-/// The signed distances to a particle's surfaces, of a point relative to its centre: of an ellipsoid to first order.
+/// The signed distances from a point, relative to the centre, to a particle's surfaces; for an ellipsoid to
+/// first order.
 #[inline(always)]
 fn distances(shapes: &Shapes, index: usize, apart: Vec3, radii: [f32; 2]) -> [f32; 2] {
     match shapes {
@@ -135,14 +137,14 @@ fn distances(shapes: &Shapes, index: usize, apart: Vec3, radii: [f32; 2]) -> [f3
             let ellipsoid = &ellipsoids[index];
             let on_ball = ellipsoid.apply(apart);
             let (q, slope) = (on_ball.length(), ellipsoid.apply(on_ball).length());
-            // In the very centre any direction is as good.
+            // At the centre any direction will do.
             let scale = if slope > 0.0 { q / slope } else { ellipsoid.longest };
             radii.map(|radius| (q - radius) * scale)
         }
     }
 }
 
-/// The same, and the direction in which they grow.
+/// The same distances, and the direction in which they grow.
 pub(super) fn distances_and_outward(
     shapes: &Shapes,
     index: usize,
@@ -160,9 +162,9 @@ pub(super) fn distances_and_outward(
 mod tests {
     use super::*;
 
-    /// Against the nearest of many places on the ellipsoid.
+    /// Compares with the nearest of many points on the ellipsoid.
     #[test]
-    fn distance_to_an_ellipsoid_is_that_to_its_nearest_place() {
+    fn distance_to_an_ellipsoid_matches_its_nearest_point() {
         let turned = [Vec3::new(0.6, 0.8, 0.0), Vec3::new(-0.8, 0.6, 0.0), Vec3::Z];
         let (half_axes, radius) = ([4.0f32, 0.7, 1.3], 1.9f32);
         let ellipsoid = Ellipsoid::new(half_axes, turned);
@@ -174,7 +176,7 @@ mod tests {
                 |axis: usize| turned[axis].as_dvec3() * f64::from(half_axes[axis] * radius) * ball[axis];
             along(0) + along(1) + along(2)
         };
-        let places: Vec<DVec3> =
+        let points: Vec<DVec3> =
             (0..600).flat_map(|u| (0..=300).map(move |v| (u, v))).map(|(u, v)| on_surface(u, v)).collect();
         let shapes = Shapes::Ellipsoids(vec![ellipsoid]);
         for x in [
@@ -183,12 +185,12 @@ mod tests {
             DVec3::new(0.5, 0.1, 3.1),
             DVec3::new(4.6, 6.2, 0.3),
         ] {
-            let nearest = places.iter().map(|place| place.distance(x)).fold(f64::INFINITY, f64::min);
+            let nearest = points.iter().map(|point| point.distance(x)).fold(f64::INFINITY, f64::min);
             let found = distance_to_ellipsoid(&ellipsoid, f64::from(radius), x);
             assert!((found - nearest).abs() < 2e-3, "{x}: {found} {nearest}");
-            // What is told to first order is never more.
-            let [told, _] = distances(&shapes, 0, x.as_vec3(), [radius; 2]);
-            assert!(f64::from(told) <= found + 1e-4, "{x}: {told} {found}");
+            // The first-order distance is never larger.
+            let [first_order, _] = distances(&shapes, 0, x.as_vec3(), [radius; 2]);
+            assert!(f64::from(first_order) <= found + 1e-4, "{x}: {first_order} {found}");
         }
         assert_eq!(distance_to_ellipsoid(&ellipsoid, f64::from(radius), DVec3::new(1.0, 1.0, 0.5)), 0.0);
     }

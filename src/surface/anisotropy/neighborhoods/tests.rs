@@ -1,4 +1,4 @@
-//! Known neighbourhoods, brute force, and what must not matter.
+//! Tests with known neighbourhoods, brute force, and invariances.
 
 use glam::{DMat3, DQuat, DVec3};
 use rayon::ThreadPoolBuilder;
@@ -6,7 +6,7 @@ use rayon::ThreadPoolBuilder;
 use super::*;
 use crate::surface::anisotropy::longest_bound;
 
-/// How all particles of a frame are shaped and moved.
+/// The shape and position settings of a test frame.
 #[derive(Clone, Copy)]
 struct Config {
     radius_world: f64,
@@ -15,10 +15,10 @@ struct Config {
     floor: f32,
 }
 
-/// Spacing 1, and no floor that would be met.
+/// Spacing 1, and a floor too low to matter.
 const CONFIG: Config = Config { radius_world: 2.6, max_stretch: 4.0, position_smoothing: 0.0, floor: 1e-3 };
 
-/// All particles of a frame; those without a place are where they were, and balls.
+/// The results for all particles of a frame; particles outside the grid keep their position and are balls.
 #[derive(Debug, PartialEq)]
 struct Whole {
     positions: Vec<DVec3>,
@@ -36,7 +36,7 @@ fn shaped(particles: &Particles, scales: Option<&[f32]>, config: &Config, level:
     let stretch = Stretch { max_stretch, floor, lone: 1.0, lone_floor: floor };
     let config = NeighborConfig { radius_world, stretch: Some(stretch) };
     let found = by_neighbors(particles, |_| true, scales, &config, level);
-    // Means are the same where nothing else is wanted.
+    // Means are the same without shapes.
     let means = by_neighbors(particles, |_| true, scales, &NeighborConfig { stretch: None, ..config }, level);
     assert_eq!((&means.means, &means.indices), (&found.means, &found.indices));
     let ball = |index| Ellipsoid::ball(scale_of(scales, index).max(floor));
@@ -57,7 +57,7 @@ fn shaped(particles: &Particles, scales: Option<&[f32]>, config: &Config, level:
 struct Random(u32);
 
 impl Random {
-    /// From −½ to ½.
+    /// A number from −½ to ½.
     fn next(&mut self) -> f64 {
         self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         f64::from(self.0 >> 8) / f64::from(1 << 24) - 0.5
@@ -68,7 +68,8 @@ impl Random {
     }
 }
 
-/// Points of the lattice with spacing 1 from −`half` to `half`, each moved by up to half of `jitter` along each axis.
+/// The lattice points with spacing 1 from −`half` to `half`, each displaced by up to half of `jitter` along
+/// each axis.
 fn lattice(half: [i32; 3], jitter: f64) -> Vec<DVec3> {
     let mut random = Random(3);
     let mut points = Vec::new();
@@ -90,7 +91,7 @@ fn shapes_of(points: &[DVec3], config: &Config) -> Vec<Ellipsoid> {
     from_neighbors(&double(points), None, config).shapes
 }
 
-/// Those within `margin` of the origin along each axis, where nothing ends.
+/// The particles within `margin` of the origin along each axis, away from the boundary.
 fn inner<'a>(
     points: &'a [DVec3],
     shapes: &'a [Ellipsoid],
@@ -105,7 +106,7 @@ fn matrix(shape: &Ellipsoid) -> DMat3 {
     DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz])
 }
 
-/// Half axes from the shortest on, and the direction of the shortest.
+/// Half axes in ascending order, and the direction of the shortest.
 fn half_axes(shape: &Ellipsoid) -> ([f64; 3], DVec3) {
     let matrix = matrix(shape);
     let greatest = |matrix: DMat3, mut vector: DVec3| {
@@ -124,7 +125,7 @@ fn difference(one: &DMat3, other: &DMat3) -> f64 {
     (*one - *other).to_cols_array().into_iter().fold(0.0, |most, entry| f64::max(most, entry.abs()))
 }
 
-/// Weighted mean and covariance by the definition, relative to the particle.
+/// Weighted mean and covariance by definition, relative to the particle.
 fn expected_moments(points: &[DVec3], at: DVec3, radius: f64) -> (DVec3, DMat3) {
     let weighted = |&point: &DVec3| {
         let apart = (point - at) / radius;
@@ -140,7 +141,7 @@ fn expected_moments(points: &[DVec3], at: DVec3, radius: f64) -> (DVec3, DMat3) 
 }
 
 #[test]
-fn shapes_are_those_of_the_weighted_covariance() {
+fn shapes_match_the_weighted_covariance() {
     for (radius_world, around) in [(2.6, DVec3::ZERO), (3.3, DVec3::new(3e6, -2e5, 70.0))] {
         let mut points = lattice([4, 3, 2], 0.9);
         points.iter_mut().for_each(|point| *point = *point * DVec3::new(1.0, 0.8, 0.6) + around);
@@ -149,7 +150,7 @@ fn shapes_are_those_of_the_weighted_covariance() {
         for ((&point, shape), moved) in points.iter().zip(&shaped.shapes).zip(shaped.positions) {
             let (mean, covariance) = expected_moments(&points, point, radius_world);
             assert!((point + mean).distance(moved) < 2e-6, "{mean} from {point} to {moved:?}");
-            // (T⁻¹)² is the covariance, but for a factor and what is added to each eigenvalue.
+            // (T⁻¹)² is the covariance, up to a factor and the constant added to each eigenvalue.
             let spread = covariance * (1.0 / radius_world.powi(2)) + DMat3::from_diagonal(DVec3::splat(1e-4));
             let inverse = matrix(shape).inverse();
             let factor = spread.determinant().cbrt();
@@ -161,7 +162,7 @@ fn shapes_are_those_of_the_weighted_covariance() {
 }
 
 #[test]
-fn a_sheet_is_flat() {
+fn particles_of_a_sheet_are_flat() {
     let points = lattice([9, 9, 0], 0.2);
     let turn = DQuat::from_euler(glam::EulerRot::XYZ, 0.3, -0.7, 1.1);
     let turned: Vec<DVec3> = points.iter().map(|&point| turn * point).collect();
@@ -176,28 +177,28 @@ fn a_sheet_is_flat() {
 }
 
 #[test]
-fn a_line_is_of_cigars() {
+fn particles_of_a_line_are_elongated() {
     let points: Vec<DVec3> = (-10..=10).map(|x| DVec3::new(0.6, 0.0, 0.8) * f64::from(x)).collect();
     for (index, shape) in shapes_of(&points, &CONFIG).iter().enumerate() {
         let along = glam::Vec3::new(0.6, 0.0, 0.8);
         let [on, across, aside] =
             [along, glam::Vec3::Y, glam::Vec3::new(-0.8, 0.0, 0.6)].map(|v| 1.0 / shape.apply(v).length());
         assert!((across / aside - 1.0).abs() < 1e-3, "{shape:?}");
-        // At an end there are too few to tell a line from chance.
+        // At an end there are too few neighbours for a clear direction.
         let least = if (2..19).contains(&index) { 2.2 } else { 1.1 };
         assert!(on / across > least && on / across < 4.0, "{} at {index}", on / across);
     }
 }
 
 #[test]
-fn inside_there_are_balls_and_a_plane_surface_is_flattened() {
+fn particles_inside_are_balls_and_at_a_plane_surface_flat() {
     let points = lattice([9, 9, 9], 0.4);
     let shapes = shapes_of(&points, &CONFIG);
     for shape in inner(&points, &shapes, 6.0) {
         let ([shortest, _, longest], _) = half_axes(shape);
         assert!(longest / shortest < 1.3, "{shape:?}");
     }
-    // Half a ball full of weight: what spreads by √0.15 along the surface spreads by √0.047 outward.
+    // For half a ball with full weight: a spread of √0.15 along the surface and √0.047 outward.
     let fine: Vec<DVec3> = lattice([16, 16, 8], 0.0).iter().map(|point| point - DVec3::Z * 8.0).collect();
     let shapes = shapes_of(&fine, &Config { radius_world: 7.9, ..CONFIG });
     let middle = fine.iter().position(|&point| point == DVec3::ZERO).unwrap();
@@ -207,7 +208,7 @@ fn inside_there_are_balls_and_a_plane_surface_is_flattened() {
 }
 
 #[test]
-fn a_turned_copy_has_turned_shapes() {
+fn rotated_particles_have_rotated_shapes() {
     let points = lattice([4, 4, 1], 0.7);
     let turn = DQuat::from_euler(glam::EulerRot::XYZ, -1.2, 0.4, 2.0);
     let turned: Vec<DVec3> = points.iter().map(|&point| turn * point + DVec3::new(5.0, -70.0, 0.3)).collect();
@@ -221,9 +222,9 @@ fn a_turned_copy_has_turned_shapes() {
 }
 
 #[test]
-fn stretch_volume_and_length_are_kept() {
+fn stretch_volume_and_length_stay_in_bounds() {
     let mut random = Random(9);
-    // Heaps of all kinds: clumps, sheets, threads and what lies between.
+    // All kinds of clusters: clumps, sheets, threads and mixtures.
     let points: Vec<DVec3> = (0..4000)
         .map(|index| {
             let heap = DVec3::new(f64::from(index % 50) * 9.0, 0.0, 0.0);
@@ -245,7 +246,7 @@ fn stretch_volume_and_length_are_kept() {
 }
 
 #[test]
-fn what_is_thinner_than_the_floor_is_raised_and_counted() {
+fn half_axes_below_the_floor_are_raised_and_counted() {
     let points = lattice([6, 6, 0], 0.1);
     let mut scales = vec![1.0; points.len()];
     scales[0] = 9.0;
@@ -262,11 +263,11 @@ fn what_is_thinner_than_the_floor_is_raised_and_counted() {
 }
 
 #[test]
-fn few_neighbors_make_a_ball_and_more_change_it_little_by_little() {
+fn shape_changes_continuously_as_neighbors_approach() {
     let pair = [DVec3::ZERO, DVec3::X * 0.01];
     let shaped = from_neighbors(&double(&pair), None, &CONFIG);
     assert_eq!((shaped.shapes, shaped.ball_count), (vec![Ellipsoid::ball(1.0); 2], 2));
-    // Three come nearer, from beyond the radius to the particle in the middle.
+    // Three particles approach, from beyond the radius to the particle in the middle.
     let mut before = None;
     let mut stretch = 1.0;
     for step in (0..=270).rev() {
@@ -283,11 +284,11 @@ fn few_neighbors_make_a_ball_and_more_change_it_little_by_little() {
 }
 
 #[test]
-fn what_is_beyond_the_radius_does_not_matter() {
+fn particles_beyond_the_radius_do_not_matter() {
     let points = lattice([6, 6, 1], 0.8);
     let config = Config { position_smoothing: 0.5, ..CONFIG };
     let alone = from_neighbors(&double(&points), None, &config);
-    // All around one particle, and far away. They come first, so that every place and index changes.
+    // Around one particle, and far away. They come first, so that every position and index changes.
     let mut random = Random(77);
     let center = points[points.len() / 2];
     let mut more: Vec<DVec3> = (0..300)
@@ -329,7 +330,7 @@ fn threads_and_levels_give_the_same_bits() {
 }
 
 #[test]
-fn particles_are_the_same_whichever_are_wanted() {
+fn results_do_not_depend_on_which_particles_are_wanted() {
     let particles = double(&lattice([8, 7, 6], 0.9));
     let config = NeighborConfig {
         radius_world: 2.6,
@@ -347,14 +348,14 @@ fn particles_are_the_same_whichever_are_wanted() {
 }
 
 #[test]
-fn corners_are_drawn_in() {
+fn corners_move_inward() {
     let points = lattice([3, 3, 3], 0.5);
     let moved = from_neighbors(&double(&points), None, &Config { position_smoothing: 1.0, ..CONFIG });
     assert!(moved.positions[0].length() < points[0].length() - 0.3);
 }
 
 #[test]
-fn hostile_particles_are_balls() {
+fn invalid_particles_are_balls() {
     let config = Config { position_smoothing: 1.0, ..CONFIG };
     for particles in [Particles::Single(Vec::new()), Particles::Double(Vec::new())] {
         let shaped = from_neighbors(&particles, None, &config);
@@ -365,13 +366,13 @@ fn hostile_particles_are_balls() {
     let scales = [1.0, 2.0, 1e-9, f32::NAN];
     let shaped = from_neighbors(&Particles::Double(positions.clone()), Some(&scales), &config);
     let expected = [1.0, 2.0, CONFIG.floor, CONFIG.floor].map(Ellipsoid::ball);
-    // Of these only the last has a place.
+    // Only the last of these is inside the grid.
     assert_eq!((shaped.shapes, shaped.ball_count, shaped.raised_count), (expected.to_vec(), 1, 1));
     assert!(shaped.positions[0].is_nan());
     for (found, expected) in shaped.positions.iter().zip(&positions).skip(1) {
         assert_eq!(found.to_array(), *expected);
     }
-    // Nothing lies along any direction.
+    // All particles at one point: no direction is preferred.
     let heap = Particles::Single(vec![[0.1, 0.7, -0.3]; 20_000]);
     let shaped = from_neighbors(&heap, None, &CONFIG);
     for shape in &shaped.shapes {

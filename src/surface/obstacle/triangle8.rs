@@ -1,6 +1,6 @@
 //! Distances from the voxels of a leaf to triangles, eight at a time.
 //!
-//! Each edge of a triangle has a frame of its own: along the edge, out of the triangle, and along the normal.
+//! Each edge of a triangle has its own frame: along the edge, out of the triangle, and along the normal.
 //!
 //! ```text
 //!         c                      along u: where p is between the ends, and how far beyond     t
@@ -10,11 +10,12 @@
 //!        u₀ →                    inside all edges: h²;  else the least of h² + s² + beyond²
 //! ```
 //!
-//! What is kept of a triangle are directions, and the places of its edges along them relative to the centre of
-//! the leaf: computed in 64 bits, they are small numbers wherever the triangle is near, however large it is or
-//! far from the world's origin.
+//! For each triangle, directions are stored, and the offsets of its edges along these directions relative to
+//! the centre of the leaf. They are computed in 64 bits. For a nearby triangle they are small numbers,
+//! however large the triangle is or far from the world's origin.
 //!
-//! Only the triangles that may be the nearest to something are asked, which is told block by block:
+//! Distances are computed only to triangles that may be the nearest to a voxel. The candidates are culled
+//! block by block:
 //!
 //! ```text
 //!   8³ ──▶ eight blocks of 4³ ──▶ eight of 2³ each ──▶ eight voxels: a row of values
@@ -24,39 +25,40 @@
 
 use glam::DVec3;
 
-use super::tree::EIGHT;
+use super::tree::LEAF_TRIANGLES;
 use crate::surface::grid::{LEAF_VOXELS, Leaf};
 use crate::surface::simd::{Kernel, Lanes};
 
-/// Numbers that are kept of a triangle.
-const NUMBER_COUNT: usize = 31;
+/// Number of values per triangle.
+const VALUE_COUNT: usize = 31;
 
-/// Eight triangles, number by number.
+/// Triangle8 triangles, one array per value.
 #[derive(Clone, Debug)]
-pub(super) struct Eight {
-    rows: [[f32; EIGHT]; NUMBER_COUNT],
-    /// Which of the eight there are.
-    live: u8,
+pub(super) struct Triangle8 {
+    rows: [[f32; LEAF_TRIANGLES]; VALUE_COUNT],
+    /// Mask of the lanes that hold a triangle.
+    lanes: u8,
 }
 
-impl Eight {
-    /// At most eight triangles; positions are `(world − center) · scale`.
-    pub(super) fn new(triangles: &[[DVec3; 3]], center: DVec3, scale: f64) -> Eight {
-        let mut eight = Eight { rows: [[0.0; EIGHT]; NUMBER_COUNT], live: 0 };
-        for (lane, triangle) in triangles.iter().take(EIGHT).enumerate() {
-            let numbers = numbers_of(triangle.map(|corner| (corner - center) * scale));
+impl Triangle8 {
+    /// At most eight triangles; positions become `(world − center) · scale`.
+    pub(super) fn new(triangles: &[[DVec3; 3]], center: DVec3, scale: f64) -> Triangle8 {
+        let mut eight = Triangle8 { rows: [[0.0; LEAF_TRIANGLES]; VALUE_COUNT], lanes: 0 };
+        for (lane, triangle) in triangles.iter().take(LEAF_TRIANGLES).enumerate() {
+            let numbers = values_of(triangle.map(|corner| (corner - center) * scale));
             for (row, number) in eight.rows.iter_mut().zip(numbers) {
                 row[lane] = number;
             }
-            eight.live |= 1 << lane;
+            eight.lanes |= 1 << lane;
         }
         eight
     }
 }
 
-/// Normal and place of the plane; for each edge: out and its place, along and the places of both ends.
-fn numbers_of(corners: [DVec3; 3]) -> [f32; NUMBER_COUNT] {
-    let mut numbers = [0.0; NUMBER_COUNT];
+/// Normal and offset of the plane; for each edge: outward direction and its offset, edge direction and the
+/// offsets of both ends.
+fn values_of(corners: [DVec3; 3]) -> [f32; VALUE_COUNT] {
+    let mut numbers = [0.0; VALUE_COUNT];
     let [a, b, c] = corners;
     let normal = (b - a).cross(c - a).normalize_or_zero();
     put(&mut numbers, 0, normal, normal.dot(a));
@@ -71,21 +73,21 @@ fn numbers_of(corners: [DVec3; 3]) -> [f32; NUMBER_COUNT] {
     numbers
 }
 
-fn put(numbers: &mut [f32; NUMBER_COUNT], at: usize, direction: DVec3, place: f64) {
+fn put(numbers: &mut [f32; VALUE_COUNT], at: usize, direction: DVec3, offset: f64) {
     let [x, y, z] = direction.to_array();
-    for (number, value) in numbers[at..at + 4].iter_mut().zip([x, y, z, place]) {
+    for (number, value) in numbers[at..at + 4].iter_mut().zip([x, y, z, offset]) {
         *number = value as f32;
     }
 }
 
-/// Finds the distances from the voxels of a leaf, in voxels; none is more than `most`.
+/// Computes the distances from the voxels of a leaf, in voxels, limited to `most`.
 pub(super) struct Distances<'a> {
     /// The triangles, relative to the centre of the leaf and in voxels.
-    pub(super) eights: &'a [Eight],
+    pub(super) packets: &'a [Triangle8],
     pub(super) most: f32,
 }
 
-/// Added to distances that are compared with each other: more than rounding makes of them.
+/// Added when distances are compared: more than their rounding error.
 const ROUNDING: f32 = 1e-3;
 
 impl Kernel for Distances<'_> {
@@ -93,23 +95,24 @@ impl Kernel for Distances<'_> {
 
     #[inline(always)]
     fn run<V: Lanes>(self) -> Leaf {
-        let Distances { eights, most } = self;
-        let all: Vec<(u32, u8)> = eights.iter().zip(0..).map(|(eight, index)| (index, eight.live)).collect();
+        let Distances { packets, most } = self;
+        let all: Vec<(u32, u8)> =
+            packets.iter().zip(0..).map(|(eight, index)| (index, eight.lanes)).collect();
         let (mut near_four, mut near_two) = (Vec::with_capacity(all.len()), Vec::with_capacity(all.len()));
         let mut squares = vec![[0.0f32; 8]; all.len()];
         let mut leaf = Leaf::splat(most);
         for four in 0..8 {
             let center = step(four).map(|c| 4.0 * c - 2.0);
-            narrow::<V>(eights, &all, center, 1.5, most, &mut squares, &mut near_four);
+            cull::<V>(packets, &all, center, 1.5, most, &mut squares, &mut near_four);
             if near_four.is_empty() {
                 continue;
             }
             for two in 0..8 {
                 let within = step(two);
                 let center = [0, 1, 2].map(|axis| center[axis] + 2.0 * within[axis] - 1.0);
-                narrow::<V>(eights, &near_four, center, 0.5, most, &mut squares, &mut near_two);
+                cull::<V>(packets, &near_four, center, 0.5, most, &mut squares, &mut near_two);
                 if !near_two.is_empty() {
-                    let distances = of_block::<V>(eights, &near_two, center, most);
+                    let distances = block_distances::<V>(packets, &near_two, center, most);
                     scatter(&distances, four, two, &mut leaf);
                 }
             }
@@ -118,17 +121,17 @@ impl Kernel for Distances<'_> {
     }
 }
 
-/// The place of one of eight: 0 or 1 on each axis.
+/// The position of one of eight: 0 or 1 on each axis.
 #[inline(always)]
-fn step(place: usize) -> [f32; 3] {
-    [(place >> 2) as f32, (place >> 1 & 1) as f32, (place & 1) as f32]
+fn step(index: usize) -> [f32; 3] {
+    [(index >> 2) as f32, (index >> 1 & 1) as f32, (index & 1) as f32]
 }
 
-/// Finds the triangles that may be the nearest to a voxel of a block, unless these are farther than `most`. Voxels
-/// are up to `half_edge` from the centre on each axis.
+/// Culls the triangles that cannot be the nearest to a voxel of a block, and those farther than `most`.
+/// Voxels are up to `half_edge` from the centre on each axis.
 #[inline(always)]
-fn narrow<V: Lanes>(
-    eights: &[Eight],
+fn cull<V: Lanes>(
+    packets: &[Triangle8],
     from: &[(u32, u8)],
     center: [f32; 3],
     half_edge: f32,
@@ -141,9 +144,9 @@ fn narrow<V: Lanes>(
     let point = [V::splat(center[0]), V::splat(center[1]), V::splat(center[2])];
     let infinite = V::splat(f32::INFINITY);
     let mut least = infinite;
-    for (&(index, live), squares) in from.iter().zip(&mut *squares) {
-        let distance = squared(&Frame::<V>::of_eight(&eights[index as usize]), point);
-        let distance = V::select(V::mask(live), distance, infinite);
+    for (&(index, lanes), squares) in from.iter().zip(&mut *squares) {
+        let distance = squared(&EdgeFrames::<V>::of_packet(&packets[index as usize]), point);
+        let distance = V::select(V::mask(lanes), distance, infinite);
         least = least.min(distance);
         distance.store(squares);
     }
@@ -156,28 +159,33 @@ fn narrow<V: Lanes>(
     let farthest = (nearest.sqrt() + 2.0 * radius).min(most + radius) + ROUNDING;
     let limit = V::splat(farthest * farthest);
     for (&(index, _), squares) in from.iter().zip(&*squares) {
-        let live = V::bits(V::load(squares).lt(limit));
-        if live != 0 {
-            to.push((index, live));
+        let lanes = V::bits(V::load(squares).lt(limit));
+        if lanes != 0 {
+            to.push((index, lanes));
         }
     }
 }
 
-/// The distances from the eight voxels around a point, in the order of their places.
+/// The distances from the eight voxels around a point.
 #[inline(always)]
-fn of_block<V: Lanes>(eights: &[Eight], near: &[(u32, u8)], center: [f32; 3], most: f32) -> [f32; 8] {
+fn block_distances<V: Lanes>(
+    packets: &[Triangle8],
+    near: &[(u32, u8)],
+    center: [f32; 3],
+    most: f32,
+) -> [f32; 8] {
     let point = [
         V::load(&[-0.5, -0.5, -0.5, -0.5, 0.5, 0.5, 0.5, 0.5]).add(V::splat(center[0])),
         V::load(&[-0.5, -0.5, 0.5, 0.5, -0.5, -0.5, 0.5, 0.5]).add(V::splat(center[1])),
         V::load(&[-0.5, 0.5, -0.5, 0.5, -0.5, 0.5, -0.5, 0.5]).add(V::splat(center[2])),
     ];
     let mut least = V::splat(most * most);
-    for &(index, live) in near {
-        let mut live = live;
-        while live != 0 {
-            let lane = live.trailing_zeros() as usize;
-            live &= live - 1;
-            least = least.min(squared(&Frame::<V>::of_triangle(&eights[index as usize], lane), point));
+    for &(index, lanes) in near {
+        let mut lanes = lanes;
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros() as usize;
+            lanes &= lanes - 1;
+            least = least.min(squared(&EdgeFrames::<V>::of_triangle(&packets[index as usize], lane), point));
         }
     }
     let mut distances = [0.0; 8];
@@ -185,52 +193,52 @@ fn of_block<V: Lanes>(eights: &[Eight], near: &[(u32, u8)], center: [f32; 3], mo
     distances
 }
 
-/// Puts the distances of a block of 2³ voxels where they belong.
+/// Writes the distances of a block of 2³ voxels to their voxels.
 #[inline(always)]
 fn scatter(distances: &[f32; 8], four: usize, two: usize, leaf: &mut Leaf) {
-    let bit = |place: usize, axis: usize| place >> (2 - axis) & 1;
-    for (place, distance) in distances.iter().enumerate() {
-        let coord = |axis: usize| 4 * bit(four, axis) + 2 * bit(two, axis) + bit(place, axis);
+    let bit = |index: usize, axis: usize| index >> (2 - axis) & 1;
+    for (index, distance) in distances.iter().enumerate() {
+        let coord = |axis: usize| 4 * bit(four, axis) + 2 * bit(two, axis) + bit(index, axis);
         let offset = coord(0) << 6 | coord(1) << 3 | coord(2);
         debug_assert!(offset < LEAF_VOXELS);
         leaf.values[offset] = *distance;
     }
 }
 
-/// A triangle against eight points, or eight triangles against one.
-struct Frame<V> {
-    numbers: [V; NUMBER_COUNT],
+/// One triangle against eight points, or eight triangles against one.
+struct EdgeFrames<V> {
+    numbers: [V; VALUE_COUNT],
 }
 
-impl<V: Lanes> Frame<V> {
+impl<V: Lanes> EdgeFrames<V> {
     #[inline(always)]
-    fn of_eight(eight: &Eight) -> Frame<V> {
-        let mut numbers = [V::splat(0.0); NUMBER_COUNT];
+    fn of_packet(eight: &Triangle8) -> EdgeFrames<V> {
+        let mut numbers = [V::splat(0.0); VALUE_COUNT];
         for (number, row) in numbers.iter_mut().zip(&eight.rows) {
             *number = V::load(row);
         }
-        Frame { numbers }
+        EdgeFrames { numbers }
     }
 
     #[inline(always)]
-    fn of_triangle(eight: &Eight, lane: usize) -> Frame<V> {
-        let mut numbers = [V::splat(0.0); NUMBER_COUNT];
+    fn of_triangle(eight: &Triangle8, lane: usize) -> EdgeFrames<V> {
+        let mut numbers = [V::splat(0.0); VALUE_COUNT];
         for (number, row) in numbers.iter_mut().zip(&eight.rows) {
             *number = V::splat(row[lane]);
         }
-        Frame { numbers }
+        EdgeFrames { numbers }
     }
 
-    /// How far a point is along the direction kept at `at`.
+    /// The coordinate of a point along the direction stored at `at`.
     #[inline(always)]
     fn along(&self, at: usize, [x, y, z]: [V; 3]) -> V {
         self.numbers[at].mul(x).add(self.numbers[at + 1].mul(y)).add(self.numbers[at + 2].mul(z))
     }
 }
 
-/// The distance, squared.
+/// The squared distance.
 #[inline(always)]
-fn squared<V: Lanes>(frame: &Frame<V>, point: [V; 3]) -> V {
+fn squared<V: Lanes>(frame: &EdgeFrames<V>, point: [V; 3]) -> V {
     let zero = V::splat(0.0);
     let off_plane = frame.along(0, point).sub(frame.numbers[3]);
     let mut off_edges = V::splat(f32::INFINITY);

@@ -1,14 +1,14 @@
-//! Which voxels of a leaf are inside, with few winding numbers.
+//! Decides which voxels of a leaf are inside, with few winding numbers.
 //!
 //! ```text
-//!    a ●───────────● b       the balls around a and b that reach the nearest triangle cover the line between
-//!     ( d(a) )( d(b)  )      them: no triangle is in the way, and b is on the side of a
+//!    a ●───────────● b       the balls around a and b up to their nearest triangles cover the line between
+//!     ( d(a) )( d(b)  )      them: no triangle crosses it, so b is on the same side as a
 //! ```
 //!
-//! Around a closed surface that is all: the winding number is whole, and constant where no triangle is. Near
-//! the rim of a hole it changes gradually, by no more than `slope` a voxel. So each voxel that is reached carries
-//! how far the winding number is from ½, at least; where that is no more than `slope` times its distance, the patch
-//! over the hole may be nearer than any triangle, and it is asked itself:
+//! For a closed surface this suffices: the winding number is an integer, and constant between triangles. Near
+//! the boundary of a hole it changes gradually, by at most `slope` per voxel. Each classified voxel therefore
+//! carries a lower bound of |w − ½|. If it is at most `slope` times the voxel's distance, the patch
+//! over the hole may be closer than any triangle, and the winding number is evaluated at the voxel:
 //!
 //! ```text
 //!   distance to the patch ≈ |w − ½| / |∇w|
@@ -19,31 +19,31 @@ use glam::IVec3;
 
 use super::winding::WINDING_ERROR;
 
-/// What can be asked of a surface at a voxel of the leaf.
-pub(super) trait Winds {
+/// The winding number at the voxels of a leaf.
+pub(super) trait WindingField {
     /// The winding number.
     fn winding(&self, voxel: IVec3) -> f64;
 
-    /// How fast it changes, a voxel.
+    /// The magnitude of its gradient, per voxel.
     fn slope(&self, voxel: IVec3) -> f64;
 }
 
-/// Gives distances their signs, negative inside. `slope` bounds that of the winding number in the leaf.
-pub(super) fn sign(distances: &mut Leaf, surface: &impl Winds, slope: f64) {
-    let mut reached = Reached { distances, margins: [None; LEAF_VOXELS], slope, pending: Vec::new() };
+/// Gives distances their signs, negative inside. `slope` bounds the change of the winding number in the leaf.
+pub(super) fn sign(distances: &mut Leaf, surface: &impl WindingField, slope: f64) {
+    let mut reached = Classification { distances, margins: [None; LEAF_VOXELS], slope, pending: Vec::new() };
     for offset in 0..LEAF_VOXELS {
-        if reached.margins[offset].is_none() && !reached.reach_from_afar(offset) {
-            reached.ask(surface, offset);
+        if reached.margins[offset].is_none() && !reached.classify_from_afar(offset) {
+            reached.evaluate(surface, offset);
         }
         reached.spread();
     }
 }
 
-/// Steps to voxels that may be asked in place of those beside: the more directions, the nearer to one of them is
-/// the way straight off the surface.
+/// Steps to voxels that can replace direct neighbours. With more directions, one of them is closer to the
+/// normal of the surface.
 const FAR_STEPS: [[i32; 3]; 6] = [[1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 1, 1], [2, 1, 0], [2, 1, 1]];
 
-/// The steps through the faces, and what they add to a place in the leaf.
+/// The steps through the faces, and the index offset of each.
 const STEPS: [(IVec3, isize); 6] = [
     (IVec3::NEG_X, -64),
     (IVec3::X, 64),
@@ -53,25 +53,25 @@ const STEPS: [(IVec3, isize); 6] = [
     (IVec3::Z, 1),
 ];
 
-struct Reached<'a> {
-    /// With the sign of those that were reached.
+struct Classification<'a> {
+    /// Signed at the voxels that are classified.
     distances: &'a mut Leaf,
-    /// How far the winding number is from ½ at least; none where it is not known.
+    /// Lower bounds of |w − ½|; `None` if the voxel is not classified.
     margins: [Option<f64>; LEAF_VOXELS],
     slope: f64,
     pending: Vec<usize>,
 }
 
-impl Reached<'_> {
-    /// Asks the surface itself.
-    fn ask(&mut self, surface: &impl Winds, offset: usize) {
+impl Classification<'_> {
+    /// Evaluates the winding number at a voxel.
+    fn evaluate(&mut self, surface: &impl WindingField, offset: usize) {
         let voxel = voxel_in_leaf(offset);
         let beyond = surface.winding(voxel) - 0.5;
         let margin = beyond.abs() - WINDING_ERROR;
         let distance = &mut self.distances.values[offset];
         if self.slope > 0.0 && margin < self.slope * f64::from(*distance) {
             let patch = (beyond.abs() / surface.slope(voxel)) as f32;
-            // What is not a number is no patch.
+            // `min` ignores a patch distance that is NaN.
             *distance = distance.min(patch);
         }
         if beyond > 0.0 {
@@ -81,8 +81,8 @@ impl Reached<'_> {
         self.pending.push(offset);
     }
 
-    /// Takes the side of a voxel that is not beside this one, if one can be seen from it.
-    fn reach_from_afar(&mut self, offset: usize) -> bool {
+    /// Takes the side of a voxel that is not a direct neighbour, if the line to it is free.
+    fn classify_from_afar(&mut self, offset: usize) -> bool {
         let voxel = voxel_in_leaf(offset);
         for step in FAR_STEPS {
             for [x, y, z] in [step, [step[1], step[2], step[0]], [step[2], step[0], step[1]]] {
@@ -91,7 +91,7 @@ impl Reached<'_> {
                     let from = voxel + IVec3::new(signed(x, 0), signed(y, 1), signed(z, 2));
                     let is_inside = from.min_element() >= 0 && from.max_element() < LEAF_EDGE;
                     if is_inside
-                        && self.reach(
+                        && self.classify_from(
                             crate::surface::grid::offset_in_leaf(from),
                             offset,
                             (from - voxel).length_squared(),
@@ -105,8 +105,8 @@ impl Reached<'_> {
         false
     }
 
-    /// Gives one voxel the side of another, where that is certain.
-    fn reach(&mut self, from: usize, to: usize, step_squared: i32) -> bool {
+    /// Gives one voxel the side of another, if the line between them is free.
+    fn classify_from(&mut self, from: usize, to: usize, step_squared: i32) -> bool {
         let Some(margin) = self.margins[from] else { return false };
         let step = (step_squared as f32).sqrt();
         let (near, far) = (self.distances.values[from], self.distances.values[to]);
@@ -124,23 +124,23 @@ impl Reached<'_> {
         true
     }
 
-    /// Goes on from the voxels that were reached, through faces.
+    /// Continues from the classified voxels, through faces.
     fn spread(&mut self) {
         while let Some(from) = self.pending.pop() {
             let voxel = voxel_in_leaf(from);
-            for (step, places) in STEPS {
+            for (step, offset_step) in STEPS {
                 let next = voxel + step;
                 if next.min_element() < 0 || next.max_element() >= LEAF_EDGE {
                     continue;
                 }
-                let to = from.wrapping_add_signed(places);
+                let to = from.wrapping_add_signed(offset_step);
                 if self.margins[to].is_none() {
-                    self.reach(from, to, 1);
+                    self.classify_from(from, to, 1);
                 }
             }
         }
     }
 }
 
-/// What rounding may make of distances.
+/// More than the rounding error of distances.
 const ROUNDING: f32 = 1e-4;

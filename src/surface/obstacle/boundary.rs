@@ -1,44 +1,46 @@
-//! Where a surface ends, in a tree of boxes: how fast the winding number may change near a place.
+//! The boundary edges of a surface in a tree of boxes: bounds how fast the winding number can change near a
+//! point.
 //!
 //! ```text
-//!   |∇w| ≤ 1/4π · Σ length / distance²        over the edges of the rim
+//!   |∇w| ≤ 1/4π · Σ length / distance²        over the boundary edges
 //! ```
 //!
-//! Edges that are far off for the size of their box are counted with its distance, which is no more than theirs. So a
-//! mesh of which no triangle shares an edge with another one takes little longer to ask than a hole.
+//! A box of edges that is far away for its size is counted with the distance of the box, which is at most
+//! that of its edges. So even a mesh whose triangles share no edges takes little longer than a hole.
 
 use std::f64::consts::PI;
 
 use glam::DVec3;
 
-/// The edges at which a surface ends.
-pub(super) struct Rim {
-    nodes: Vec<Node>,
+/// The boundary edges of a surface.
+pub(super) struct BoundaryEdges {
+    nodes: Vec<EdgeNode>,
     edges: Vec<[DVec3; 2]>,
 }
 
-/// The edges of a range.
-struct Node {
+/// A range of edges.
+struct EdgeNode {
     /// The box around them.
     min: DVec3,
     max: DVec3,
-    /// Their lengths together.
+    /// The sum of their lengths.
     length: f64,
-    /// The first edge, and how many there are.
+    /// The first edge, and the number of edges.
     first: u32,
     count: u32,
-    /// The second branch; the first follows this node. 0 for a leaf.
+    /// The second child; the first child is the next node. 0 for a leaf.
     second: u32,
 }
 
-/// Edges of a leaf.
+/// Number of edges in a leaf.
 const LEAF_EDGES: usize = 8;
 
-/// A box is far off at so many times its diagonal: then no distance is taken for less than 3/4 of what it is.
+/// A box is far away at this many times its diagonal. The distance is then underestimated by at most a
+/// quarter.
 const FAR: f64 = 3.0;
 
-impl Rim {
-    pub(super) fn new(edges: Vec<[DVec3; 2]>) -> Rim {
+impl BoundaryEdges {
+    pub(super) fn new(edges: Vec<[DVec3; 2]>) -> BoundaryEdges {
         let mut order: Vec<(DVec3, u32)> =
             edges.iter().zip(0..).map(|([from, to], index)| (0.5 * (from + to), index)).collect();
         let mut nodes = Vec::with_capacity(4 * edges.len().div_ceil(LEAF_EDGES));
@@ -46,10 +48,10 @@ impl Rim {
             split(&mut order, 0, &edges, &mut nodes);
         }
         let edges = order.iter().map(|&(_, index)| edges[index as usize]).collect();
-        Rim { nodes, edges }
+        BoundaryEdges { nodes, edges }
     }
 
-    /// How many edges there are.
+    /// The number of edges.
     pub(super) fn len(&self) -> usize {
         self.edges.len()
     }
@@ -58,12 +60,12 @@ impl Rim {
         self.edges.is_empty()
     }
 
-    /// The bytes that it takes.
+    /// Its memory, in bytes.
     pub(super) fn size_bytes(&self) -> usize {
         size_of_val(&*self.nodes) + size_of_val(&*self.edges)
     }
 
-    /// No slope of the winding number is more than this within `radius` of a point, where there is no triangle.
+    /// Upper bound of the gradient of the winding number within `radius` of a point, between triangles.
     pub(super) fn slope_bound(&self, center: DVec3, radius: f64) -> f64 {
         let mut sum = 0.0;
         let mut pending: Vec<u32> = self.nodes.first().map(|_| 0).into_iter().collect();
@@ -73,13 +75,13 @@ impl Rim {
             if distance > FAR * (node.max - node.min).length() {
                 sum += node.length / (distance * distance);
             } else if node.second != 0 {
-                // What comes last is looked at first: the nearer one, which may end it.
+                // The nearer child is pushed last, so it is visited first and may end the search.
                 let both = [index + 1, node.second];
                 let [one, other] = both.map(|node| self.nodes[node as usize].distance(center));
                 pending.extend(if one < other { [both[1], both[0]] } else { both });
             } else {
                 let edges = &self.edges[node.first as usize..][..node.count as usize];
-                sum += edges.iter().map(|edge| of_edge(edge, center, radius)).sum::<f64>();
+                sum += edges.iter().map(|edge| edge_slope(edge, center, radius)).sum::<f64>();
                 if sum == f64::INFINITY {
                     break;
                 }
@@ -89,30 +91,30 @@ impl Rim {
     }
 }
 
-impl Node {
-    /// From a point to the box.
+impl EdgeNode {
+    /// The distance from a point to the box.
     fn distance(&self, point: DVec3) -> f64 {
         (self.min - point).max(point - self.max).max(DVec3::ZERO).length()
     }
 }
 
-/// What an edge adds.
-fn of_edge(&[from, to]: &[DVec3; 2], center: DVec3, radius: f64) -> f64 {
+/// The contribution of one edge.
+fn edge_slope(&[from, to]: &[DVec3; 2], center: DVec3, radius: f64) -> f64 {
     let along = to - from;
-    let place = ((center - from).dot(along) / along.length_squared()).clamp(0.0, 1.0);
-    let distance = (from + along * place - center).length() - radius;
+    let t = ((center - from).dot(along) / along.length_squared()).clamp(0.0, 1.0);
+    let distance = (from + along * t - center).length() - radius;
     if distance <= 0.0 { f64::INFINITY } else { along.length() / (distance * distance) }
 }
 
-/// Makes the node of a run of edges, given by their middles and numbers, and those below it.
-fn split(order: &mut [(DVec3, u32)], first: u32, edges: &[[DVec3; 2]], nodes: &mut Vec<Node>) {
+/// Builds the node of a range of edges, given by their midpoints and indices, and the nodes below it.
+fn split(order: &mut [(DVec3, u32)], first: u32, edges: &[[DVec3; 2]], nodes: &mut Vec<EdgeNode>) {
     let index = nodes.len();
     let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     for &(_, edge) in &*order {
         let [from, to] = edges[edge as usize];
         (min, max) = (min.min(from).min(to), max.max(from).max(to));
     }
-    nodes.push(Node { min, max, length: 0.0, first, count: order.len() as u32, second: 0 });
+    nodes.push(EdgeNode { min, max, length: 0.0, first, count: order.len() as u32, second: 0 });
     if order.len() <= LEAF_EDGES {
         order.sort_unstable_by_key(|&(_, edge)| edge);
         let lengths =
@@ -137,25 +139,25 @@ fn split(order: &mut [(DVec3, u32)], first: u32, edges: &[[DVec3; 2]], nodes: &m
 mod tests {
     use super::*;
 
-    /// Never less than the sum over all edges, and not much more.
+    /// The bound is at least the sum over all edges, and not much more.
     #[test]
-    fn the_bound_is_that_of_all_edges() {
+    fn slope_bound_is_tight_against_the_sum_over_all_edges() {
         let random = |seed: usize| (seed as f64 * 12.9898).sin().mul_add(43758.5453, 0.0).rem_euclid(1.0);
-        let place = |seed: usize| DVec3::new(random(seed), random(seed + 1), random(seed + 2));
+        let random_point = |seed: usize| DVec3::new(random(seed), random(seed + 1), random(seed + 2));
         for count in [0, 1, 8, 9, 100, 5000] {
             let edge = |index: usize| {
-                let from = 10.0 * place(9 * index);
-                [from, from + 0.2 * (place(9 * index + 3) - 0.5)]
+                let from = 10.0 * random_point(9 * index);
+                [from, from + 0.2 * (random_point(9 * index + 3) - 0.5)]
             };
             let edges: Vec<[DVec3; 2]> = (0..count).map(edge).collect();
-            let rim = Rim::new(edges.clone());
-            assert_eq!(rim.len(), count);
-            for asked in 0..60 {
-                let center = 60.0 * (place(7 * asked + 5) - 0.5);
-                let radius = random(asked + 100);
+            let boundary = BoundaryEdges::new(edges.clone());
+            assert_eq!(boundary.len(), count);
+            for query in 0..60 {
+                let center = 60.0 * (random_point(7 * query + 5) - 0.5);
+                let radius = random(query + 100);
                 let all: f64 =
-                    edges.iter().map(|edge| of_edge(edge, center, radius)).sum::<f64>() / (4.0 * PI);
-                let bound = rim.slope_bound(center, radius);
+                    edges.iter().map(|edge| edge_slope(edge, center, radius)).sum::<f64>() / (4.0 * PI);
+                let bound = boundary.slope_bound(center, radius);
                 let slack = (4.0f64 / 3.0).powi(2) + 1e-9;
                 let is_tight = all * (1.0 - 1e-9) <= bound && (bound <= all * slack || all == f64::INFINITY);
                 assert!(is_tight, "{count} edges at {center}: {bound} for {all}");
@@ -163,12 +165,12 @@ mod tests {
         }
     }
 
-    /// Of many edges few are looked at: those of a box that is far off are one.
+    /// Few of many edges are visited: a box that is far away counts as one.
     #[test]
-    fn what_is_far_off_is_one() {
+    fn distant_box_counts_as_one_edge() {
         let edges =
             (0..1000).map(|x| [DVec3::new(f64::from(x), 0.0, 0.0), DVec3::new(f64::from(x), 1.0, 0.0)]);
-        let rim = Rim::new(edges.collect());
-        assert_eq!(rim.slope_bound(DVec3::new(0.0, 0.0, 4000.0), 0.0), 1000.0 / 16e6 / (4.0 * PI));
+        let boundary = BoundaryEdges::new(edges.collect());
+        assert_eq!(boundary.slope_bound(DVec3::new(0.0, 0.0, 4000.0), 0.0), 1000.0 / 16e6 / (4.0 * PI));
     }
 }

@@ -1,4 +1,4 @@
-//! How many particles are inside obstacles, where a simulation had better not left them.
+//! Counts particles inside obstacles, where a simulation should have none.
 
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
@@ -20,7 +20,7 @@ impl Obstacles {
         half_width: f32,
     ) -> Result<usize, S::Error> {
         let of_batch = |batch: usize| {
-            let mut known = Known { obstacles: self, lattice, half_width, last: None };
+            let mut known = LastLeaf { obstacles: self, lattice, half_width, last: None };
             Ok(match source.batch(batch)? {
                 Positions::F32(positions) => positions
                     .iter()
@@ -35,24 +35,25 @@ impl Obstacles {
     }
 }
 
-/// The nearest voxel is up to √3/2 away: farther from the surface, a particle is on its side.
+/// The nearest voxel is up to √3/2 voxels away: a particle is on its side if the voxel is farther from the
+/// surface.
 const NEAR: f32 = 0.9;
 
-/// The leaf that was asked for last: the next particle is often in the same.
-struct Known<'a> {
+/// The last leaf: the next particle is often in the same one.
+struct LastLeaf<'a> {
     obstacles: &'a Obstacles,
     lattice: &'a Lattice,
     half_width: f32,
     last: Option<(IVec3, ObstacleLeaf)>,
 }
 
-impl Known<'_> {
+impl LastLeaf<'_> {
     fn is_inside(&mut self, position: DVec3) -> bool {
         let Some(index) = self.lattice.index_from_world(position) else { return false };
         let voxel = index.round().as_ivec3();
         let local = voxel & IVec3::splat(LEAF_EDGE - 1);
         let origin = voxel - local;
-        let Known { obstacles, lattice, half_width, last } = self;
+        let LastLeaf { obstacles, lattice, half_width, last } = self;
         if last.as_ref().is_none_or(|(known, _)| *known != origin) {
             *last = Some((origin, obstacles.leaf(origin, lattice, *half_width)));
         }
