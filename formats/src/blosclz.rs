@@ -2,8 +2,7 @@
 //!
 //! ```text
 //!   000nnnnn                    n + 1 bytes follow as they are
-//!   lllddddd [255 ..] d         repeat l + 2 bytes, l = 7 continuing in the next bytes, from d + 1 bytes
-//! back,
+//!   lllddddd [255 ..] d         repeat l + 2 bytes (l = 7 continues in the next bytes) from d + 1 bytes back;
 //!                               13 bits; if all are set, add the next 16 bits
 //! ```
 //!

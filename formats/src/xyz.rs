@@ -2,8 +2,7 @@
 //! programs.
 //!
 //! ```text
-//!   f32 x  f32 y  f32 z   f32 x  f32 y  f32 z   ..      12 bytes each, in the byte order of the writing
-//! machine
+//!   f32 x  f32 y  f32 z   f32 x  f32 y  f32 z   ..      12 bytes each, in the writer's byte order
 //! ```
 //!
 //! The format has no signature, so the name decides, but only if the content is not text: the `.xyz` files of

@@ -3,8 +3,7 @@
 //!
 //! ```text
 //!   3                                                     number of atoms
-//!   Properties=species:S:1:pos:R:3:velo:R:3 Time=0.5      a comment; in extended XYZ it describes the
-//! columns
+//!   Properties=species:S:1:pos:R:3:velo:R:3 Time=0.5      a comment; in extended XYZ it describes the columns
 //!   O 0.0 0.0 0.0   0 0 -1                                an element, its position, and further columns
 //!   H 0.757 0.586 0 0 0 -1
 //!   H -0.757 0.586 0 0 0 -1

@@ -6,8 +6,7 @@
 //!   NPointGroups 0 NPrimGroups 0
 //!   NPointAttrib 2 NVertexAttrib 0 NPrimAttrib 1 NAttrib 0
 //!   PointAttrib
-//!   life 2 float 0 0                          name, size, type, defaults; for `index`: the number of
-//! strings, and the strings
+//!   life 2 float 0 0                          name, size, type, defaults; for `index` the count and the strings
 //!   id 1 int 0
 //!   0 0.1 0.2 1 (-1.2 10    0)                x y z w, then the values of all attributes in brackets
 //!   ..                                        primitives and everything else: not read

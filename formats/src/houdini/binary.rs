@@ -3,7 +3,7 @@
 //! ```text
 //!   7f  4e 53 4a 62                     the signature; the last four in the writer's byte order
 //!   00 null   30 31 false true   10 bool u8   11..14 int8..64   18 19 1a real16..64   21 22 uint8 16
-//!   27 string: length, bytes              5b 5d array   7b 7d map
+//!   27 string: length, bytes            5b 5d array   7b 7d map
 //!   2b a word: id, length, bytes        26 the word of an id     2d releases an id
 //!   40 uniform array: the type of its items, length, items
 //! ```

@@ -127,8 +127,8 @@ fn long_name(kind: &str) -> &str {
     }
 }
 
-/// Refuses points that are no particles.
 /// Fails if the points are not particles.
+fn check_primitives(primitives: &BTreeMap<String, u64>, point_count: usize) -> Result<()> {
     let is_particles = |kind: &str| matches!(kind, "Part" | "ParticleSystem");
     let Some(kind) = primitives.keys().find(|kind| !is_particles(kind)) else { return Ok(()) };
     let lower = kind.to_ascii_lowercase();

@@ -3,12 +3,10 @@
 //! ```text
 //!   "tuples", [[x, y, z], [x, y, z], ..]             point by point
 //!   "arrays", [[a, a, a, ..], ..]                    component by component
-//!   "rawpagedata", [..]                              page by page, see below; the only layout of the binary
-//! form
+//!   "rawpagedata", [..]                              page by page, see below; the only layout of the binary form
 //!
 //!   pages of 1024 points, "packing" [3, 1]:          x y z  x y z ..  w w w ..  │  x y z  x y z ..  w w w ..
-//!   of "constantpageflags" [[0, 1], []]:             the second page stores its x y z once, for all of its
-//! points
+//!   of "constantpageflags" [[0, 1], []]:             the second page stores its x y z once for all of its points
 //! ```
 
 use crate::bytes::Endian;

@@ -88,8 +88,7 @@ fn directory(bytes: &[u8]) -> Result<(u64, u64)> {
     Ok((count, u64::from_le_bytes(end.array("the offset of the central directory").map_err(as_invalid)?)))
 }
 
-/// The offset just after the signature of the end record, which is the last thing in the archive except for a
-/// comment.
+/// The offset of the end record of the central directory. Only a comment can follow that record.
 fn end_of_directory(bytes: &[u8]) -> Result<usize> {
     let tail_start = bytes.len().saturating_sub(END_BYTES + COMMENT_BYTES_MAX);
     let end_of = |at: usize| {

@@ -2,16 +2,17 @@
 //!
 //! ```text
 //!   batch 0: head │ batch 1: points .. │ batch 2: points .. normals .. │ .. last line
-//!                            └───┴ a task each
+//!                            └───┴ one task each
 //! ```
 //!
-//! As of other text, any batch can be had by itself, so that whoever writes need not hold the text of all. Where the
-//! mesh lies is said by a translation of 64 bits, and which axis is up by the layer: vertices are written as they are.
+//! As in other text formats, each batch can be encoded independently, so the writer need not hold the whole
+//! text. A 64-bit translation stores the mesh's origin, and the layer stores the up axis; vertices are
+//! written unchanged.
 //!
 //! ```text
-//!   velocity   velocities, by which renderers blur motion     colour     primvars:displayColor, displayOpacity
-//!   others     primvars:name, vectors of up to four           integers   int, or int64 where one needs it
-//!   strings    primvars:name, a string for each distinct one, and primvars:name:indices
+//!   velocity   velocities, for motion blur     colour     primvars:displayColor, displayOpacity
+//!   others     primvars:name, vectors of up to four           integers   int, or int64 if a value needs it
+//!   strings    primvars:name, the distinct strings, and primvars:name:indices
 //! ```
 
 use rayon::prelude::*;
@@ -27,13 +28,13 @@ use super::arrays::Elements;
 use super::head::{LAST_LINE, LayerInfo, head, quoted};
 use super::numbers::triple;
 
-/// Tasks whose text is held at once.
+/// Number of tasks whose text is held at a time.
 const TASKS_AT_ONCE: usize = 64;
 
-/// The widest vector that has a type.
+/// The widest vector type.
 const TUPLE_MAX: usize = 4;
 
-/// The number of batches of the text of a layer with one mesh.
+/// The number of batches for a layer with one mesh.
 pub(super) fn batch_count(mesh: &MeshView, options: &MeshOptions) -> usize {
     1 + tasks(&sections(mesh, options)).len().div_ceil(TASKS_AT_ONCE)
 }
@@ -42,8 +43,8 @@ pub(super) fn batch_count(mesh: &MeshView, options: &MeshOptions) -> usize {
 ///
 /// # Errors
 ///
-/// [`crate::Error::Invalid`], for the first batch, if the mesh is inconsistent or not finite, or if what should be a quad
-/// is none.
+/// [`crate::Error::Invalid`], for the first batch, if the mesh is inconsistent or not finite, or if two
+/// triangles marked as a quad do not form one.
 pub(super) fn encode_batch(
     mesh: &MeshView,
     options: &MeshOptions,
@@ -79,12 +80,12 @@ struct Section<'a> {
 }
 
 impl<'a> Section<'a> {
-    /// A property that is one line.
+    /// A single-line property.
     fn line(text: String) -> Section<'a> {
         Section { open: format!("        {text}\n"), elements: None, close: String::new() }
     }
 
-    /// A property with a value for each vertex or face.
+    /// A property with a value per vertex or face.
     fn array(name: &str, elements: Elements<'a>, about: &str) -> Section<'a> {
         let about = if about.is_empty() { String::new() } else { format!(" (\n{about}        )") };
         Section {
@@ -95,7 +96,7 @@ impl<'a> Section<'a> {
     }
 }
 
-/// A run of elements of a section.
+/// A range of elements of a section.
 struct Task {
     section: usize,
     run: usize,
@@ -150,7 +151,7 @@ fn sections<'a>(mesh: &MeshView<'a>, options: &'a MeshOptions) -> Vec<Section<'a
     sections
 }
 
-/// Least and greatest corner; `None` where there are no vertices.
+/// The minimum and maximum corner; `None` without vertices.
 fn extent(mesh: &MeshView) -> Option<[[f32; 3]; 2]> {
     let first = *mesh.positions.first()?;
     Some(mesh.positions.iter().fold([first, first], |[low, high], position| {
@@ -161,17 +162,17 @@ fn extent(mesh: &MeshView) -> Option<[[f32; 3]; 2]> {
     }))
 }
 
-/// Where an attribute goes.
+/// The property that an attribute is written to.
 enum Place {
     Velocities,
     Color,
     Primvar(String),
 }
 
-/// Names that mean something to whoever renders.
+/// Names with a meaning for renderers.
 pub(super) const RESERVED: [&str; 3] = ["displayColor", "displayOpacity", "normals"];
 
-/// The place of each attribute.
+/// The property of each attribute.
 fn places(attributes: &[VertexAttribute]) -> Vec<Place> {
     let mut taken = NamesTaken::new(&RESERVED);
     let place = |(attribute, purpose): (&VertexAttribute, Purpose)| match purpose {
@@ -184,17 +185,17 @@ fn places(attributes: &[VertexAttribute]) -> Vec<Place> {
     attributes.iter().zip(purposes(attributes)).map(place).collect()
 }
 
-/// A name as the format takes it.
+/// A valid USD identifier for a name.
 pub(super) fn identifier(name: &str) -> String {
     let plain = plain_name(name);
     if plain.starts_with(|c: char| c.is_ascii_digit()) { format!("_{plain}") } else { plain }
 }
 
-/// What becomes of vertex attributes that a .usda does not hold under their own name; nothing where all do.
+/// Notes on vertex attributes that are renamed in a .usda file.
 pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
     let renamed = attributes.iter().zip(places(attributes)).filter_map(|(attribute, place)| match place {
         Place::Primvar(name) if name != attribute.name => {
-            Some(format!("{} is called primvars:{name} in the .usda", attribute.name))
+            Some(format!("{} is named primvars:{name} in the .usda", attribute.name))
         }
         _ => None,
     });
@@ -229,7 +230,7 @@ fn of_attribute<'a>(attribute: &VertexAttribute<'a>, place: &Place) -> Vec<Secti
             let width = if arity <= TUPLE_MAX { arity } else { 1 };
             vec![primvar(&vector("float", width), name, Elements::reals(values, width), arity / width)]
         }
-        // Velocities and colours are numbers: that is how they are told.
+        // Velocities and colours are always numbers, so strings never get here.
         (Place::Velocities | Place::Color, _) => Vec::new(),
     }
 }
@@ -238,7 +239,7 @@ fn vector(kind: &str, width: usize) -> String {
     if width == 1 { kind.to_owned() } else { format!("{kind}{width}") }
 }
 
-/// A value for each vertex that is `element_size` of the array's.
+/// A primvar; each vertex has `element_size` values of the array.
 fn primvar<'a>(kind: &str, name: &str, elements: Elements<'a>, element_size: usize) -> Section<'a> {
     Section::array(&format!("{kind}[] primvars:{name}"), elements, &about(element_size))
 }
@@ -250,7 +251,7 @@ fn about(element_size: usize) -> String {
     }
 }
 
-/// Each distinct string once, the empty one behind them for none; and the index of each value.
+/// The distinct strings, with an empty one at the end for missing strings, and the index of each value.
 fn strings<'a>(name: &str, arity: usize, table: &'a [String], indices: &'a [i32]) -> Vec<Section<'a>> {
     let distinct: Vec<String> = table.iter().map(|text| quoted(text)).chain([quoted("")]).collect();
     let (values, about) = (distinct.join(", "), about(arity));

@@ -1,8 +1,8 @@
-//! Grids beside a level set, with its active voxels and values of their own.
+//! Additional grids with the same active voxels as the level set.
 //!
 //! ```text
 //!   leaf of the level set   − − − + + + +      active: |φ| < half width
-//!   leaf of the grid        ∙ v v v v v ∙      the same voxels; 0 elsewhere, also beyond all leaves
+//!   leaf of the grid        ∙ v v v v v ∙      the same voxels; 0 elsewhere, including outside all leaves
 //! ```
 
 use rayon::prelude::*;
@@ -15,8 +15,8 @@ use crate::blosc::Encoder;
 use crate::data::BandGrid;
 use crate::error::{Error, Place, Result};
 
-/// Encodes the leaves that are stored, which come in the order of the tree with their places in the level set.
-/// Returns the greatest absolute value, too.
+/// Encodes the stored leaves, given in tree order with their indices in the level set. Also returns the
+/// largest absolute value.
 pub(super) fn encode_grid(
     grid: &BandGrid,
     (order, leaves): (&[u32], &[Leaf]),
@@ -25,7 +25,7 @@ pub(super) fn encode_grid(
     let BandGrid { name, arity, .. } = grid;
     let invalid = |what: String| Err(Error::invalid(FORMAT, Place::File, what));
     if *arity != 1 && *arity != 3 {
-        return invalid(format!("{arity} values per voxel of {name}; a grid has 1 or 3"));
+        return invalid(format!("attribute {name} has {arity} values per voxel; a grid must have 1 or 3"));
     }
     let in_tree = order.par_chunks(LEAVES_PER_BATCH).zip(leaves.par_chunks(LEAVES_PER_BATCH));
     let batches: Vec<(Packed, f32)> = in_tree
@@ -44,20 +44,20 @@ pub(super) fn encode_grid(
         .collect();
     let greatest = batches.iter().fold(0.0f32, |greatest, (_, other)| greatest.max(*other));
     if greatest == f32::INFINITY {
-        return invalid(format!("a value of {name} that is not finite"));
+        return invalid(format!("attribute {name} has a value that is not finite"));
     }
     Ok((batches.into_iter().map(|(packed, _)| packed).collect(), greatest))
 }
 
-/// Encodes one leaf after the other, with memory of its own.
+/// Encodes leaves one at a time, reusing its buffers.
 struct LeafEncoder {
     encoding: Encoding,
-    /// Those of all voxels of a leaf.
+    /// The values of all voxels of a leaf.
     values: Vec<f32>,
     active: Vec<f32>,
     chunk: Vec<u8>,
     blosc: Encoder,
-    /// The greatest absolute value that was met; infinite if one was not finite.
+    /// The largest absolute value so far; infinite if a value was not finite.
     greatest: f32,
 }
 
@@ -68,7 +68,7 @@ impl LeafEncoder {
         LeafEncoder { encoding, values, active: Vec::new(), chunk: Vec::new(), blosc, greatest: 0.0 }
     }
 
-    /// Appends the buffer of the leaf whose values are there.
+    /// Appends the buffer of the leaf whose values have been filled in.
     fn append(&mut self, active: &[u64; 8], out: &mut Vec<u8>) {
         for word in active {
             out.extend_from_slice(&word.to_le_bytes());

@@ -1,7 +1,7 @@
-//! Reads what grids an OpenVDB file holds, and finds the one to read.
+//! Lists the grids of an OpenVDB file, and finds the one to read.
 //!
-//! Grids of any type are listed, as long as their place in the file is known: a file with offsets
-//! tells where each ends; a stream without offsets does not, and only grids of floats and of vectors can be read past.
+//! Grids of any type are listed if their location in the file is known. A file with offsets records where
+//! each grid ends. A stream without offsets does not, and only float and vector grids can be skipped there.
 
 use super::FORMAT;
 use super::cursor::Cursor;
@@ -14,33 +14,33 @@ use crate::error::{Error, Place, Result};
 use crate::excerpt::excerpt;
 use crate::limits::Limits;
 
-/// What a file says of one of its grids.
+/// A grid of a file.
 #[derive(Clone, Debug)]
 pub struct GridInfo {
-    /// The name that users see.
+    /// The name shown to users.
     pub name: String,
-    /// The name with `[n]` after it where several grids have the same: it finds this one alone.
+    /// The name, followed by `[n]` if several grids have the same one: this identifies the grid.
     pub unique_name: String,
     /// The type of the tree, such as `Tree_float_5_4_3`.
     pub type_name: String,
-    /// Whether reals are stored in 16 bits.
+    /// Whether floats are stored in 16 bits.
     pub half: bool,
-    /// `level set`, `fog volume`, `staggered`, or whatever the file says; empty if nothing.
+    /// `level set`, `fog volume`, `staggered` or another class from the file; empty if the file has none.
     pub class: String,
-    /// From voxels to the world; none if the map is of a kind that is not read.
+    /// From voxels to the world; `None` for unsupported kinds of maps.
     pub transform: Option<Transform>,
-    /// The least and the greatest active voxel, if the file says and any is active.
+    /// The minimum and maximum active voxel, if the file has them and any voxel is active.
     pub active_bounds: Option<([i32; 3], [i32; 3])>,
-    /// How many voxels are active, if the file says.
+    /// The number of active voxels, if the file has it.
     pub active_voxel_count: Option<u64>,
-    /// Everything else that the file says of the grid, and what the above was taken from.
+    /// All metadata of the grid, including the source of the above.
     pub metadata: Vec<(String, MetaValue)>,
 }
 
 /// An affine map: voxel (i, j, k) is centred on `translation + i·axes[0] + j·axes[1] + k·axes[2]`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Transform {
-    /// Steps from a voxel to the next one along each index, world units.
+    /// Steps from a voxel to the next along each index, world units.
     pub axes: [[f64; 3]; 3],
     /// World position of voxel (0, 0, 0).
     pub translation: [f64; 3],
@@ -53,23 +53,24 @@ impl Transform {
     }
 }
 
-/// The grids of a file, in its order.
+/// The grids of a file, in file order.
 ///
 /// # Errors
 ///
-/// [`Error::Invalid`] if the file is none or is damaged; [`Error::Unsupported`] for file versions
+/// [`Error::Invalid`] if the file is not OpenVDB or is damaged; [`Error::Unsupported`] for file versions
 /// outside 222 ..= 225, and for streams with a grid that cannot be skipped.
 pub fn grids(bytes: &[u8], limits: &Limits) -> Result<Vec<GridInfo>> {
     Ok(entries(bytes, limits)?.into_iter().map(|entry| entry.info).collect())
 }
 
-/// Reads one float grid: the one called `name` (or so by its unique name), or else the first level set, or the first float grid.
+/// Reads a float grid: the one with the given name or unique name, or else the first level set, or else the
+/// first float grid.
 ///
 /// # Errors
 ///
-/// As [`grids`]; [`Error::Unsupported`] also if there is no such grid, or its type or codec is not
-/// read; [`Error::TooLarge`] if it takes more memory than `limits` allow. That is known before any of its leaves and tiles is
-/// kept: they are counted first.
+/// Those of [`grids`]; [`Error::Unsupported`] also if there is no such grid, or if its type or codec is not
+/// supported; [`Error::TooLarge`] if it needs more memory than `limits` allow. The reader counts the leaves
+/// and tiles first, so it fails before it allocates memory for them.
 pub fn read_level_set(bytes: &[u8], name: Option<&str>, limits: &Limits) -> Result<LevelSetData> {
     let entries = entries(bytes, limits)?;
     let entry = find_level_set(&entries, name)?;
@@ -93,21 +94,21 @@ fn find_level_set<'a>(entries: &'a [Entry], name: Option<&str>) -> Result<&'a En
         }
     };
     let Some(entry) = found.filter(|entry| entry.info.type_name == TYPE_FLOAT) else {
-        let wanted = name.map_or("no float grid".into(), |name| format!("no float grid called \"{name}\""));
+        let wanted = name.map_or("no float grid".into(), |name| format!("no float grid named \"{name}\""));
         let mut names: Vec<String> = (entries.iter().take(8))
             .map(|e| format!("\"{}\" of type {}", excerpt(&e.info.unique_name), excerpt(&e.info.type_name)))
             .collect();
         names.extend(entries.get(8).map(|_| "…".to_owned()));
-        return Err(Error::unsupported(FORMAT, format!("{wanted}; there is {}", names.join(", "))));
+        return Err(Error::unsupported(FORMAT, format!("the file has {wanted}; it contains {}", names.join(", "))));
     };
     Ok(entry)
 }
 
-/// Reads the first grid of vectors of three floats whose name is one of these; `None` if there is none.
+/// Reads the first grid of three-component float vectors with one of these names; `None` if there is none.
 ///
 /// # Errors
 ///
-/// As [`read_level_set`].
+/// Those of [`read_level_set`].
 pub fn read_vectors(bytes: &[u8], names: &[&str], limits: &Limits) -> Result<Option<VectorGridData>> {
     let entries = entries(bytes, limits)?;
     let is_meant =
@@ -127,7 +128,7 @@ fn read_grid<V: Value>(
     Ok(GridData { name: info.name, class: info.class, transform, metadata: info.metadata, ..tree })
 }
 
-/// A cursor at the start of a grid's tree, how its values are stored, and its transform.
+/// A cursor at the start of a grid's tree, the storage of its values, and its transform.
 fn tree_cursor<'a>(
     bytes: &'a [u8],
     entries: &[Entry],
@@ -135,7 +136,7 @@ fn tree_cursor<'a>(
 ) -> Result<(Cursor<'a>, Storage, Transform)> {
     let (Some(tree), Some(transform)) = (entry.tree_of(entries), entry.info.transform) else {
         let what = format!(
-            "grid \"{}\" has a map, or is an instance of a grid, that is not read",
+            "grid \"{}\" has an unsupported map, or is an instance of an unsupported grid",
             excerpt(&entry.info.name)
         );
         return Err(Error::unsupported(FORMAT, what));
@@ -160,9 +161,9 @@ pub(crate) fn first_grid_metadata(head: &[u8]) -> Result<Vec<(String, MetaValue)
     read_metadata(&mut cursor)
 }
 
-/// Where the last grid of a file ends, from its first bytes and from the bytes at each grid's end, which
-/// `read_at` returns: a descriptor is there, but for the last. `None` if there is no grid, if a stream does not
-/// say, or if a grid ends before it starts.
+/// The offset of the end of a file's last grid. `read_at` returns the bytes at the end of each grid, where
+/// the next descriptor starts, except after the last grid. `None` if there are no grids, if a stream has no
+/// offsets, or if a grid ends before it starts.
 pub(crate) fn last_grid_end(
     head: &[u8],
     mut read_at: impl FnMut(u64) -> Result<Vec<u8>>,
@@ -183,11 +184,11 @@ pub(crate) fn last_grid_end(
     Ok(Some(end))
 }
 
-/// Where a tree begins and how its values are stored.
+/// The location of a tree and the storage of its values.
 #[derive(Clone, Copy)]
 struct TreePlace {
     position: usize,
-    /// The end of the grid, or of the file if that is not known.
+    /// The end of the grid, or of the file if unknown.
     end: usize,
     storage: Storage,
 }
@@ -233,18 +234,18 @@ fn entries(bytes: &[u8], limits: &Limits) -> Result<Vec<Entry>> {
     Ok(entries)
 }
 
-/// A cursor at the start of a grid that cannot pass the end of it, which is returned, too.
+/// A cursor at the start of a grid, limited to the grid's bytes, and the offset of the grid's end.
 ///
-/// Descriptors and grids alternate. Grids that overlapped could each claim the bytes of all others,
-/// and a small file would take the memory of a large one.
+/// Descriptors and grids must alternate. If grids could overlap, each could claim the bytes of all others,
+/// and a small file would use the memory of a large one.
 fn grid_cursor<'a>(after: &Cursor, descriptor: &Descriptor, bytes: &'a [u8]) -> Result<(Cursor<'a>, u64)> {
     let Descriptor { grid_start, end, .. } = *descriptor;
     let within = usize::try_from(end).ok().and_then(|end| bytes.get(..end));
     let Some(within) = within.filter(|_| after.position() as u64 <= grid_start && grid_start <= end) else {
         let length = bytes.len();
         let what = match end > length as u64 {
-            true => format!("the file is cut off: a grid ends at byte {end}, and the file at {length}"),
-            false => format!("a grid from byte {grid_start} to byte {end} of {length}"),
+            true => format!("the file is truncated: a grid ends at byte {end}, but the file at {length}"),
+            false => format!("a grid has the invalid range from byte {grid_start} to byte {end} of {length}"),
         };
         return Err(after.error(what));
     };
@@ -262,12 +263,12 @@ fn read_header(cursor: &mut Cursor) -> Result<Header> {
     const DESCRIPTOR_BYTES_MIN: usize = 36;
     const GRID_COUNT_MAX: usize = 1 << 16; // real files have a dozen
     if cursor.array::<8>("the magic number")? != MAGIC {
-        return Err(Error::invalid(FORMAT, Place::Offset(0), "no OpenVDB magic number"));
+        return Err(Error::invalid(FORMAT, Place::Offset(0), "expected the OpenVDB magic number"));
     }
     let version = cursor.u32("the file version")?;
     if !VERSIONS_READ.contains(&version) {
         let (from, to) = (VERSIONS_READ.start(), VERSIONS_READ.end());
-        let what = format!("file version {version}; {from} to {to} are read");
+        let what = format!("the file version is {version}; only {from} to {to} are supported");
         return Err(Error::unsupported(FORMAT, what));
     }
     cursor.take(8, "the library version")?;
@@ -276,10 +277,10 @@ fn read_header(cursor: &mut Cursor) -> Result<Header> {
     read_metadata(cursor)?;
     let grid_count = cursor.u32("the number of grids")? as usize;
     if grid_count > cursor.remaining() / DESCRIPTOR_BYTES_MIN {
-        return Err(cursor.error(format!("{grid_count} grids, more than the file has bytes for")));
+        return Err(cursor.error(format!("the file declares {grid_count} grids, more than fit into it")));
     }
     if grid_count > GRID_COUNT_MAX {
-        return Err(Error::too_large(FORMAT, format!("{grid_count} grids, more than {GRID_COUNT_MAX}")));
+        return Err(Error::too_large(FORMAT, format!("the file has {grid_count} grids, more than the limit of {GRID_COUNT_MAX}")));
     }
     Ok(Header { has_offsets, grid_count })
 }
@@ -319,9 +320,9 @@ fn read_entry(cursor: &mut Cursor, descriptor: Descriptor) -> Result<Entry> {
         None => (type_name, false),
     };
     if half != has_suffix && [TYPE_FLOAT, TYPE_VEC3S].contains(&type_name.as_str()) {
-        return Err(cursor.error("a grid whose type and metadata disagree on half floats"));
+        return Err(cursor.error("the type and metadata of a grid disagree on half floats"));
     }
-    // Programs add a separator and a number to names that occur twice.
+    // Programs append a separator and a number to duplicate names.
     let (stem, number) = match descriptor_name.split_once('\x1e') {
         Some((stem, number)) => (stem, Some(number)),
         None => (descriptor_name.as_str(), None),
@@ -355,7 +356,7 @@ fn find<'a>(metadata: &'a [(String, MetaValue)], name: &str) -> Option<&'a MetaV
     metadata.iter().find(|(key, _)| key == name).map(|(_, value)| value)
 }
 
-/// None if the kind of map is unknown; then its size is, too.
+/// `None` if the kind of map is unknown; then its size is unknown as well.
 fn read_transform(cursor: &mut Cursor) -> Result<Option<Transform>> {
     let kind = cursor.string("the map of a grid")?;
     let mut numbers =
@@ -383,7 +384,7 @@ fn read_transform(cursor: &mut Cursor) -> Result<Option<Transform>> {
     })
 }
 
-/// Reads past the tree of a grid in a stream, where nothing says where it ends.
+/// Skips the tree of a grid in a stream, which does not record where the grid ends.
 fn skip_tree(cursor: &mut Cursor, entry: &Entry, limits: &Limits) -> Result<()> {
     let mut budget = Budget::new(cursor.position() + cursor.remaining(), limits);
     match (entry.tree, entry.info.type_name.as_str()) {
@@ -392,7 +393,7 @@ fn skip_tree(cursor: &mut Cursor, entry: &Entry, limits: &Limits) -> Result<()> 
         (_, type_name) => {
             let name = &entry.info.name;
             let what = format!(
-                "a stream without offsets, in which grid \"{name}\" of type {type_name} hides the next"
+                "the file is a stream without offsets, and grid \"{name}\" of type {type_name} cannot be skipped"
             );
             Err(Error::unsupported(FORMAT, what))
         }

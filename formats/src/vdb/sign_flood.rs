@@ -1,7 +1,7 @@
-//! Which of the empty regions are inside.
+//! Determines which of the empty regions are inside.
 //!
-//! A narrow band stores leaves near the surface only. What lies between them is all outside or all
-//! inside, and a file must say which, in as few tiles as possible.
+//! A narrow band stores leaves only near the surface. The regions between them are entirely outside or
+//! inside, and a file must record which, in as few tiles as possible.
 //!
 //! ```text
 //!   one row of leaves along z          . . [+-] = = = [-+] . . [+-][-+] . .
@@ -10,28 +10,28 @@
 //!                                    is negative     is negative
 //! ```
 //!
-//! A gap between two leaves of a row is inside if both faces that look into it are. A surface
-//! cannot cross a gap without leaving leaves there, so for a closed surface the two agree; for a
-//! torn one a gap stays outside, and the error stays within one row instead of flooding the world.
+//! A gap between two leaves of a row is inside if both faces next to it are. A surface cannot cross a gap
+//! without leaves there, so for a closed surface the two faces agree. For a surface with holes, a gap where
+//! they disagree stays outside, so the error stays within one row instead of flooding the world.
 //!
-//! The same rule serves all levels of the tree. A row that passes out of a parent counts as one
-//! vote for that parent's face; then parents are the cells of the next level. No level looks at
-//! voxels or cells that are not stored, so the time depends on the leaves and not on the volume.
+//! The same rule applies at all levels of the tree. A row that leaves a parent counts as one vote for that
+//! parent's face; then the parents are the cells of the next level. No level visits voxels or cells that are
+//! not stored, so the time depends on the number of leaves and not on the volume.
 
 use super::layout::slot_of;
 
-/// A stored part of the grid: a leaf, or a node that holds some.
+/// A stored part of the grid: a leaf, or a node that contains some.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Cell {
     /// Position, in cells of this level.
     pub(super) coord: [i32; 3],
-    /// Whether what lies just before it along z is inside.
+    /// Whether the region just before it along z is inside.
     pub(super) low_inside: bool,
-    /// Whether what lies just behind it along z is inside.
+    /// Whether the region just after it along z is inside.
     pub(super) high_inside: bool,
 }
 
-/// An inside gap in a row along z: between two cells, exclusive of both.
+/// An inside gap in a row along z: between two cells, excluding both.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Gap {
     pub(super) xy: [i32; 2],
@@ -66,7 +66,7 @@ impl Parent {
         self.inside[slot >> 6] |= 1 << (slot & 63);
     }
 
-    /// Marks a run of slots along z; it lies in one word, for rows have 16 or 32 slots.
+    /// Marks a run of slots along z. It lies in a single word, because rows have 16 or 32 slots.
     fn insert_row(&mut self, first_slot: usize, count: i32) {
         self.inside[first_slot >> 6] |= ((1 << count) - 1) << (first_slot & 63);
     }
@@ -102,7 +102,7 @@ pub(super) fn parents(cells: &[Cell], log2: u32) -> Vec<Parent> {
     parents
 }
 
-/// The inside gaps between cells that are sorted by x, then y, then z.
+/// The inside gaps between cells, which must be sorted by x, then y, then z.
 pub(super) fn inside_gaps(cells: &[Cell]) -> impl Iterator<Item = Gap> + '_ {
     cells.windows(2).filter_map(|pair| {
         let ([ax, ay, az], [bx, by, bz]) = (pair[0].coord, pair[1].coord);

@@ -1,8 +1,8 @@
-//! The nodes above the leaves, as a file lists them.
+//! The nodes above the leaves, in file order.
 //!
 //! ```text
 //!   root ─▶ nodes of 32³ ─▶ nodes of 16³ ─▶ leaves        children of each in the order of their slots
-//!     └ tiles └ tiles         └ tiles                     what is all inside or all outside
+//!     └ tiles └ tiles         └ tiles                     entirely inside or outside regions
 //! ```
 
 use std::iter::repeat_n;
@@ -16,17 +16,17 @@ use super::layout::{
 };
 use super::sign_flood::{Cell, Parent, inside_gaps, parents};
 
-/// A leaf in the order of the tree.
+/// A leaf, in tree order.
 pub(super) struct Leaf {
     pub(super) origin: [i32; 3],
     pub(super) summary: LeafSummary,
 }
 
-/// A node of the tree above the leaves.
+/// An internal node of the tree.
 struct Node {
-    /// Position, in nodes of its level; and its inside slots.
+    /// Position, in nodes of its level, and its inside slots.
     parent: Parent,
-    /// One bit per slot: whether there is a child.
+    /// One bit per slot: whether it has a child.
     children: Vec<u64>,
 }
 
@@ -35,7 +35,8 @@ impl Node {
         Node { children: vec![0; parent.inside.len()], parent }
     }
 
-    /// A node without children that is all inside or all outside is a tile of its parent.
+    /// If the node has no children and is entirely inside or outside, it is a tile of its parent: returns
+    /// whether it is inside.
     fn tile(&self) -> Option<bool> {
         let inside = &self.parent.inside;
         let uniform = inside.iter().all(|&word| word == 0) || inside.iter().all(|&word| word == u64::MAX);
@@ -43,7 +44,7 @@ impl Node {
     }
 }
 
-/// Everything above the leaves.
+/// All nodes above the leaves.
 pub(super) struct Tree {
     /// Lower nodes that are children, sorted by x, y, z.
     nodes4: Vec<Node>,
@@ -54,7 +55,7 @@ pub(super) struct Tree {
 }
 
 impl Tree {
-    /// The tree of a level set: what has no leaf is inside or outside.
+    /// The tree of a level set: regions without leaves are inside or outside.
     pub(super) fn new(leaves: &[Leaf]) -> Tree {
         let cell_of = |Leaf { origin, summary }: &Leaf| {
             let &LeafSummary { low_inside, high_inside, inside, .. } = summary;
@@ -64,7 +65,7 @@ impl Tree {
         Tree::of(leaves.iter().map(cell_of).collect())
     }
 
-    /// The tree of a grid with the same leaves that has no inside.
+    /// The tree of a grid with the same leaves but without inside regions.
     pub(super) fn without_sides(leaves: &[Leaf]) -> Tree {
         let cell_of = |Leaf { origin, summary }: &Leaf| {
             let cell = Cell { coord: origin.map(|c| c >> 3), low_inside: false, high_inside: false };
@@ -73,7 +74,8 @@ impl Tree {
         Tree::of(leaves.iter().map(cell_of).collect())
     }
 
-    /// Cells of leaves, each with whether it is stored, and if not, whether it is inside.
+    /// Builds a tree from the cells of leaves, each with whether it is stored and, if not, whether it is
+    /// inside.
     fn of(mut cells: Vec<(Cell, bool, bool)>) -> Tree {
         cells.par_sort_unstable_by_key(|(cell, ..)| cell.coord);
         let (cells4, mut nodes4) = level(cells, NODE4_LOG2);
@@ -91,12 +93,12 @@ impl Tree {
         Tree { nodes4, nodes5, tiles }
     }
 
-    /// What OpenVDB says that the tree takes in memory, in bytes.
+    /// The tree's memory according to OpenVDB's own accounting, in bytes.
     pub(super) fn memory_bytes(&self, leaf_count: usize, arity: usize) -> usize {
         270_360 * self.nodes5.len() + 33_816 * self.nodes4.len() + (2_048 * arity + 116) * leaf_count
     }
 
-    /// The topology: background, tiles and children of the root, and the nodes depth first.
+    /// Appends the topology: background, tiles and children of the root, then the nodes depth first.
     pub(super) fn append_topology(&self, leaves: &[Leaf], encoding: Encoding, out: &mut Vec<u8>) {
         let mut leaves = leaves.iter().filter(|leaf| leaf.summary.is_stored());
         out.extend_from_slice(&1u32.to_le_bytes()); // buffers per leaf
@@ -132,8 +134,8 @@ impl Tree {
 
 /// The nodes above some cells, and those nodes as cells of the next level.
 ///
-/// A cell comes with whether it is a child, and if not, whether it is an inside tile. Both results
-/// are sorted by x, y, z, as the cells must be.
+/// Each cell comes with whether it is a child and, if not, whether it is an inside tile. Both results are
+/// sorted by x, y, z, as the cells must be.
 fn level(cells: Vec<(Cell, bool, bool)>, log2: u32) -> (Vec<(Cell, bool, bool)>, Vec<Node>) {
     let bare: Vec<Cell> = cells.iter().map(|&(cell, ..)| cell).collect();
     let mut nodes: Vec<Node> = parents(&bare, log2).into_iter().map(Node::new).collect();
@@ -176,7 +178,8 @@ fn append_node(node: &Node, encoding: Encoding, out: &mut Vec<u8>) {
         return;
     }
     append_inactive(children, &parent.inside, out);
-    // No value is active. An empty chunk of 32-bit values still has a size; of 16-bit ones, none.
+    // No value is active. An empty chunk of 32-bit values still has a size field; one of 16-bit values does
+    // not.
     if encoding.compression == Compression::Blosc && !encoding.half {
         out.extend_from_slice(&0i64.to_le_bytes());
     }
@@ -186,7 +189,7 @@ fn push_coord(coord: [i32; 3], out: &mut Vec<u8>) {
     out.extend_from_slice(coord.map(i32::to_le_bytes).as_flattened());
 }
 
-/// A count that is below 2³² because the leaves are.
+/// Converts a count that is below 2³² because the number of leaves is.
 pub(super) fn count_u32(count: usize) -> u32 {
     u32::try_from(count).unwrap_or(u32::MAX)
 }
@@ -200,8 +203,8 @@ mod tests {
         Leaf { origin, summary }
     }
 
-    /// The bottom and the top of a block, 4096 × 4096 voxels wide and `top − bottom` high: leaves
-    /// without values, for with them this would take a gigabyte.
+    /// The bottom and top layers of a block, 4096 × 4096 voxels wide and `top − bottom` high: leaves without
+    /// values, because with values the test would need a gigabyte.
     fn block(bottom: i32, top: i32) -> Vec<Leaf> {
         let columns = (0..512).flat_map(|x| (0..512).map(move |y| [8 * x - 4096, 8 * y]));
         let pair = |[x, y]: [i32; 2]| [leaf([x, y, bottom], false, true), leaf([x, y, top], true, false)];
@@ -211,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn solids_larger_than_a_root_child_are_flooded() {
+    fn inside_of_a_solid_larger_than_a_root_child_is_filled() {
         let leaves = block(-800, 8192 + 1600);
         let tree = Tree::new(&leaves);
         assert_eq!(tree.tiles, [[-4096, 0, 0], [-4096, 0, 4096]]);
@@ -231,14 +234,14 @@ mod tests {
     }
 
     #[test]
-    fn a_torn_surface_floods_its_rows_only() {
-        // One pair of leaves that look at each other over a great distance: no closed surface.
+    fn surface_with_holes_only_fills_its_own_rows() {
+        // A pair of leaves that face each other over a large distance, not a closed surface.
         let leaves = [leaf([0, 0, -1 << 20], false, true), leaf([0, 0, 1 << 20], true, false)];
         let tree = Tree::new(&leaves);
         assert!(tree.tiles.is_empty());
         let inside: usize = tree.nodes4.iter().map(|node| count_ones(&node.parent.inside)).sum();
         assert_eq!(inside, 15);
-        // And leaves that look at each other from outside leave the gap outside.
+        // Leaves that face each other from outside leave the gap outside.
         let leaves = [leaf([0, 0, 0], true, false), leaf([0, 0, 64], false, true)];
         assert_eq!(count_ones(&Tree::new(&leaves).nodes4[0].parent.inside), 0);
     }

@@ -1,13 +1,14 @@
-//! Writes a mesh as VTK's XML PolyData, `.vtp`: what ParaView opens.
+//! Writes a mesh as VTK's XML PolyData, `.vtp`, for ParaView.
 //!
 //! ```text
-//!   <PointData> Normals, and all that is known of the vertices, under its own name
+//!   <PointData> Normals, and all vertex attributes under their own names
 //!   <Points>
-//!   <Polys>     connectivity and offsets: triangles, or quads where the mesh has them
+//!   <Polys>     connectivity and offsets: triangles, and quads if the mesh has them
 //! ```
 //!
-//! Reals have 32 bits; integers 32 where all fit and else 64. Positions are reals of 64 bits if the mesh has an origin. Axes
-//! are left as they are, for VTK has no word for up. The document around that is [`super::appended`].
+//! Floats have 32 bits; integers have 32 bits if all fit, else 64. Positions are 64-bit floats if the mesh
+//! has an origin. Axes are not converted, because VTK has no notion of up. See [`super::appended`] for the
+//! document around the data.
 
 use std::io::Write;
 
@@ -27,8 +28,8 @@ use super::appended::{
 ///
 /// # Errors
 ///
-/// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if the mesh is inconsistent or not finite, or if what
-/// should be a quad is none.
+/// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if the mesh is inconsistent or not finite,
+/// or if two triangles marked as a quad do not form one.
 pub fn write_mesh(
     mesh: &MeshView,
     options: &MeshOptions,
@@ -40,11 +41,11 @@ pub fn write_mesh(
     document(mesh, &options.quads).write(provenance, out)
 }
 
-/// What becomes of vertex attributes that a .vtp does not hold as they are; nothing where all come through.
+/// Notes on vertex attributes that are renamed in a .vtp file.
 pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
     let renamed =
         attributes.iter().zip(names_in_file(attributes)).filter(|(attribute, name)| attribute.name != *name);
-    renamed.map(|(attribute, name)| format!("{} is called {name} in the .vtp", attribute.name)).collect()
+    renamed.map(|(attribute, name)| format!("{} is named {name} in the .vtp", attribute.name)).collect()
 }
 
 fn names_in_file(attributes: &[VertexAttribute]) -> Vec<String> {
@@ -59,10 +60,10 @@ fn document<'a>(mesh: &MeshView<'a>, quads: &'a [bool]) -> Document<Values<'a>> 
     for (attribute, name) in attributes.iter().zip(names_in_file(attributes)) {
         of_points.push(Array::new(name, attribute.arity, values_of(attribute)));
     }
-    // Each quad has six corners as two triangles, and four as one face.
+    // A quad has six corners as two triangles, and four as one face.
     let quad_count = quad_count(quads);
     let (face_count, corner_count) = (triangles.len() - quad_count, 3 * triangles.len() - 2 * quad_count);
-    // Either all of it has 32 bits or nothing: VTK takes no mixture.
+    // Both index arrays have either 32 or 64 bits, because VTK does not support a mixture.
     let is_wide = i32::try_from(corner_count.max(positions.len())).is_err();
     let of_faces = |what, count| Values::Faces { what, count, triangles, quads, is_wide };
     Document {
@@ -80,7 +81,7 @@ fn document<'a>(mesh: &MeshView<'a>, quads: &'a [bool]) -> Document<Values<'a>> 
     }
 }
 
-/// What is written, and where it comes from.
+/// The stored type and the source of the values.
 enum Values<'a> {
     FarPositions {
         positions: &'a [[f32; 3]],
@@ -92,7 +93,7 @@ enum Values<'a> {
     Strings(&'a [String], &'a [i32]),
     Faces {
         what: OfFaces,
-        /// So many numbers.
+        /// Number of values.
         count: usize,
         triangles: &'a [[u32; 3]],
         quads: &'a [bool],
@@ -100,11 +101,11 @@ enum Values<'a> {
     },
 }
 
-/// What is written of faces.
+/// The arrays that describe faces.
 #[derive(Clone, Copy)]
 enum OfFaces {
     Corners,
-    /// How many corners there are, up to the end of each.
+    /// The end of each face in the list of corners.
     Ends,
 }
 
@@ -157,7 +158,7 @@ impl Numbers for Values<'_> {
                 write_pieces(piece.as_flattened(), f64::to_le_bytes, out)
             }),
             Values::Floats(values) => write_f32s(values, out),
-            #[expect(clippy::cast_possible_truncation, reason = "all of them were seen to fit")]
+            #[expect(clippy::cast_possible_truncation, reason = "all values were checked to fit")]
             Values::Ints(values) => write_pieces(values, |value| (value as i32).to_le_bytes(), out),
             Values::Longs(values) => write_pieces(values, i64::to_le_bytes, out),
             Values::Strings(table, indices) => {
@@ -180,10 +181,10 @@ impl Numbers for Values<'_> {
     }
 }
 
-/// Elements that are made at once.
+/// Number of elements encoded at a time.
 const PIECE: usize = 4096;
 
-/// Writes the numbers that `append` makes of each face.
+/// Writes the numbers that `append` returns for each face.
 fn write_faces(
     triangles: &[[u32; 3]],
     quads: &[bool],
@@ -198,7 +199,7 @@ fn write_faces(
         faces(triangles, quads, range).for_each(|face| append(face, &mut numbers));
         match is_wide {
             true => write_pieces(&numbers, u64::to_le_bytes, out)?,
-            #[expect(clippy::cast_possible_truncation, reason = "all of them were seen to fit")]
+            #[expect(clippy::cast_possible_truncation, reason = "all values were checked to fit")]
             false => write_pieces(&numbers, |number| (number as u32).to_le_bytes(), out)?,
         }
     }

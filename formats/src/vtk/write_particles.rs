@@ -1,12 +1,12 @@
-//! Writes particles as VTK's XML PolyData, `.vtp`: points, each of them a cell by itself, so that ParaView shows them.
+//! Writes particles as VTK's XML PolyData, `.vtp`: each point is also a cell, so that ParaView displays it.
 //!
 //! ```text
-//!   <PointData> every attribute under its own name, in its own type
-//!   <Points>    reals of 32 or 64 bits, as the particles have them
+//!   <PointData> every attribute under its own name, with its own type
+//!   <Points>    floats of 32 or 64 bits, as in the particles
 //!   <Verts>     connectivity 0 1 2 .., offsets 1 2 3 ..
 //! ```
 //!
-//! The document around that is [`super::appended`].
+//! See [`super::appended`] for the document around the data.
 
 use std::borrow::Cow;
 use std::io::Write;
@@ -26,21 +26,22 @@ use super::appended::{
 ///
 /// # Errors
 ///
-/// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if an attribute has not its values for each particle.
+/// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if an attribute has the wrong number of
+/// values.
 pub fn write_particles(frame: &ParticleFrame, provenance: &Provenance, out: &mut impl Write) -> Result<()> {
     check(frame, XML)?;
     document(frame).write(provenance, out)
 }
 
-/// What becomes of attributes that a .vtp does not hold as they are; nothing where all come through.
+/// Notes on attributes that a .vtp file cannot store exactly.
 pub fn particle_notes(frame: &ParticleFrame) -> Vec<String> {
     let mut notes = Vec::new();
     for (attribute, name) in frame.attributes.iter().zip(names_in_file(frame)) {
         if attribute.name != name {
-            notes.push(format!("{} is called {name} in the .vtp", attribute.name));
+            notes.push(format!("{} is named {name} in the .vtp", attribute.name));
         }
         if matches!(attribute.values, Values::Strings { .. }) {
-            notes.push(format!("{name} is numbers in the .vtp: which strings they are is in its field data"));
+            notes.push(format!("{name} is stored as indices in the .vtp; the strings are in its field data"));
         }
     }
     notes
@@ -67,11 +68,11 @@ fn document(frame: &ParticleFrame) -> Document<Data<'_>> {
     }
 }
 
-/// What is written.
+/// The data of an array.
 enum Data<'a> {
     Values(Cow<'a, Values>),
     Positions(&'a Positions),
-    /// So many numbers, from this one on.
+    /// Consecutive integers: the first, and their number.
     Counted(i64, usize),
 }
 
@@ -136,5 +137,5 @@ impl Numbers for Data<'_> {
     }
 }
 
-/// Numbers that are made at once.
+/// Number of values encoded at a time.
 const PIECE: usize = 4096;
