@@ -90,7 +90,7 @@ formats! {
         Vtp => crate::vtk::ROW,
         /// USD as text.
         Usda => crate::usda::ROW,
-        /// USD as text.
+        /// Binary STL.
         Stl => crate::stl::ROW,
         /// A picture: colours only.
         Png => crate::png::ROW,

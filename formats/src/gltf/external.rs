@@ -69,7 +69,7 @@ pub(super) fn is_data(uri: &str) -> bool {
 pub(super) struct ReadBeside<'a> {
     beside: Option<&'a Beside<'a>>,
     read: BTreeMap<String, Rc<Vec<u8>>>,
-    /// Contents by path.
+    /// Their total size in bytes.
     pub(super) size_bytes: u64,
 }
 

@@ -7,8 +7,8 @@
 //!   2b a word: id, length, bytes        26 the word of an id     2d releases an id
 //!   40 uniform array: the type of its items, length, items
 //! ```
+//!
 //! A length or an id is a byte up to 0xf0, or 0xf2, 0xf4 or 0xf8 followed by 2, 4 or 8 bytes.
-//! A length or an id is a byte up to 0xf0, or 0xf2, 0xf4, 0xf8 and then 2, 4 or 8 bytes.
 
 use std::borrow::Cow;
 use std::collections::HashMap;

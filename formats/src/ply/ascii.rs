@@ -7,7 +7,6 @@
 //! Since each record is a line, a long body is split at line ends. First the records before each part are
 //! counted; then all parts are read in parallel, each into its own range of the vectors. If there are errors,
 //! that of the first part that has one is returned, which is the first in the file.
-//! if there is one, is that of the first part that has one: the first of the file.
 
 use fast_float2::FastFloat;
 use rayon::prelude::*;
