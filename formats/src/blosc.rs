@@ -38,7 +38,7 @@ const SPLIT_TYPESIZE_MAX: usize = 16;
 
 /// Why a frame could not be decoded; the caller adds its location in the file.
 #[derive(Debug)]
-pub(crate) enum FrameError {
+pub(crate) enum BloscError {
     Invalid(String),
     Unsupported(String),
 }
@@ -110,8 +110,8 @@ impl Encoder {
 }
 
 /// Decodes a frame that must fill `out` exactly.
-pub(crate) fn decode_frame(frame: &[u8], out: &mut [u8]) -> Result<(), FrameError> {
-    let invalid = |what: String| Err(FrameError::Invalid(what));
+pub(crate) fn decode_frame(frame: &[u8], out: &mut [u8]) -> Result<(), BloscError> {
+    let invalid = |what: String| Err(BloscError::Invalid(what));
     if frame.len() < HEADER_BYTES {
         return invalid(format!("the Blosc frame has {} bytes, fewer than its header", frame.len()));
     }
@@ -120,7 +120,9 @@ pub(crate) fn decode_frame(frame: &[u8], out: &mut [u8]) -> Result<(), FrameErro
     let block_bytes = u32_at(frame, 8) as usize;
     let frame_bytes = u32_at(frame, 12) as usize;
     if version != 2 {
-        return Err(FrameError::Unsupported(format!("the Blosc frame has version {version}; only version 2 is supported")));
+        return Err(BloscError::Unsupported(format!(
+            "the Blosc frame has version {version}; only version 2 is supported"
+        )));
     }
     if byte_count != out.len() || frame_bytes > frame.len() {
         return invalid(format!(
@@ -137,7 +139,7 @@ pub(crate) fn decode_frame(frame: &[u8], out: &mut [u8]) -> Result<(), FrameErro
         return Ok(());
     }
     if flags & BITS_SHUFFLED != 0 {
-        return Err(FrameError::Unsupported(
+        return Err(BloscError::Unsupported(
             "Blosc bit shuffle is not supported; rewrite the file with byte shuffle".into(),
         ));
     }
@@ -176,8 +178,8 @@ pub(crate) fn decode_frame(frame: &[u8], out: &mut [u8]) -> Result<(), FrameErro
 }
 
 /// Decodes a block that must fill `out`, and returns its compressed size in bytes.
-fn decode_block(block: &[u8], codec: u8, stream_count: usize, out: &mut [u8]) -> Result<usize, FrameError> {
-    let invalid = |what: &str| Err(FrameError::Invalid(what.into()));
+fn decode_block(block: &[u8], codec: u8, stream_count: usize, out: &mut [u8]) -> Result<usize, BloscError> {
+    let invalid = |what: &str| Err(BloscError::Invalid(what.into()));
     if !out.len().is_multiple_of(stream_count) {
         return invalid("the size of a Blosc block is not a multiple of its number of streams");
     }
@@ -201,7 +203,7 @@ fn decode_block(block: &[u8], codec: u8, stream_count: usize, out: &mut [u8]) ->
             CODEC_LZ4 => lz4_flex::block::decompress_into(packed, stream).ok(),
             CODEC_BLOSCLZ => blosclz::decompress_into(packed, stream),
             CODEC_ZLIB => inflate_into(packed, stream),
-            other => return Err(FrameError::Unsupported(unsupported_codec(other))),
+            other => return Err(BloscError::Unsupported(unsupported_codec(other))),
         };
         if unpacked != Some(stream.len()) {
             return invalid("a Blosc stream does not decompress to the expected size");
@@ -325,7 +327,7 @@ mod tests {
         let mut out = vec![0; 3 * 256];
         decode_frame(&frame(starts, &stream.repeat(3)), &mut out).expect("one after the other");
         assert_eq!(out, distances(64).repeat(3));
-        let Err(FrameError::Invalid(what)) = decode_frame(&frame([28; 3], &stream), &mut out) else {
+        let Err(BloscError::Invalid(what)) = decode_frame(&frame([28; 3], &stream), &mut out) else {
             panic!("blocks of the same bytes");
         };
         assert!(what.contains("overlap"), "{what}");

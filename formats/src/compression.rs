@@ -53,19 +53,19 @@ impl Codec {
     }
 
     /// Decompresses the whole file.
-    pub(crate) fn unpack(self, bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
+    pub(crate) fn decompress(self, bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
         match self {
             Codec::Gzip => gzip::inflate(bytes, limits),
-            Codec::Zstd => zstd::unpack(bytes, limits),
+            Codec::Zstd => zstd::decompress(bytes, limits),
         }
     }
 
     /// Decompresses the first bytes of the content: at most `length`, or fewer if the input ends or is
     /// damaged.
-    pub(crate) fn unpack_head(self, bytes: &[u8], length: usize) -> Vec<u8> {
+    pub(crate) fn decompress_head(self, bytes: &[u8], length: usize) -> Vec<u8> {
         match self {
             Codec::Gzip => gzip::inflate_head(bytes, length),
-            Codec::Zstd => zstd::unpack_head(bytes, length),
+            Codec::Zstd => zstd::decompress_head(bytes, length),
         }
     }
 
@@ -86,7 +86,7 @@ impl Codec {
 /// the offset in the compressed file; [`crate::Error::TooLarge`] beyond the limits on decompression.
 pub fn unpacked<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Cow<'a, [u8]>> {
     match Codec::of(bytes) {
-        Some(codec) => codec.unpack(bytes, limits).map(Cow::Owned),
+        Some(codec) => codec.decompress(bytes, limits).map(Cow::Owned),
         None => Ok(Cow::Borrowed(bytes)),
     }
 }

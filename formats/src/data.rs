@@ -159,7 +159,9 @@ impl MeshView<'_> {
             return invalid(format!("the mesh has {normals} normals for {vertices} vertices"));
         }
         if let Some(index) = self.triangles.as_flattened().iter().find(|index| **index as usize >= vertices) {
-            return invalid(format!("a triangle has vertex index {index}, but the mesh has {vertices} vertices"));
+            return invalid(format!(
+                "a triangle has vertex index {index}, but the mesh has {vertices} vertices"
+            ));
         }
         if !all_finite(self.positions.as_flattened()) || !all_finite(self.normals.as_flattened()) {
             return invalid("the position or normal of a vertex is not finite".into());
@@ -211,7 +213,9 @@ impl<'a> VertexAttribute<'a> {
         };
         let invalid = |what: String| Err(Error::invalid(format, Place::File, what));
         if *arity == 0 || vertex_count.checked_mul(*arity) != Some(found) {
-            return invalid(format!("attribute {name} has {found} values for {vertex_count} vertices with {arity} values each"));
+            return invalid(format!(
+                "attribute {name} has {found} values for {vertex_count} vertices with {arity} values each"
+            ));
         }
         if let VertexValues::Numbers(values) = values
             && !all_finite(values)

@@ -57,7 +57,8 @@ fn failed(error: ExrError) -> Error {
 }
 
 fn text(plain: &str) -> Result<Text> {
-    let refused = || Error::invalid(FORMAT, Place::File, format!("the name \"{plain}\" cannot be stored in OpenEXR"));
+    let refused =
+        || Error::invalid(FORMAT, Place::File, format!("the name \"{plain}\" cannot be stored in OpenEXR"));
     Text::new_or_none(plain).ok_or_else(refused)
 }
 
@@ -133,7 +134,7 @@ pub(crate) fn provenance_text(head: &[u8]) -> Result<Vec<u8>> {
 /// # Errors
 ///
 /// [`Error::Invalid`] if this is not the head of a file of this crate; the errors of `read_at`.
-pub(crate) fn bytes_claimed(
+pub(crate) fn bytes_declared(
     head: &[u8],
     read_at: impl FnOnce(u64) -> Result<Vec<u8>>,
 ) -> Result<Option<u64>> {
@@ -213,7 +214,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
     has_attributes: true,
     options: &[WriteOption::Up, WriteOption::Size, WriteOption::Camera],
     read_provenance: |head| Ok(from_comments(&provenance_text(head)?, "")),
-    integrity: Integrity::Length(|head, read| bytes_claimed(head, |start| read(start, BLOCK_HEAD_BYTES))),
+    integrity: Integrity::Length(|head, read| bytes_declared(head, |start| read(start, BLOCK_HEAD_BYTES))),
 };
 
 #[cfg(test)]

@@ -59,7 +59,7 @@ fn inflate_member<'a>(
         let before = inflated.len();
         let outcome = decoder.by_ref().take(PIECE_BYTES as u64).read_to_end(inflated);
         let consumed = total - decoder.get_ref().len();
-        limits.check_unpacked(FORMAT, inflated.len() as u64, consumed as u64)?;
+        limits.check_decompressed(FORMAT, inflated.len() as u64, consumed as u64)?;
         if let Err(source) = outcome {
             return Err(damage(&source, consumed));
         }
@@ -72,7 +72,9 @@ fn inflate_member<'a>(
 fn damage(source: &std::io::Error, consumed: usize) -> Error {
     let place = Place::Offset(consumed as u64);
     match source.kind() {
-        std::io::ErrorKind::UnexpectedEof => Error::short(FORMAT, place, "the compressed data ends too early"),
+        std::io::ErrorKind::UnexpectedEof => {
+            Error::short(FORMAT, place, "the compressed data ends too early")
+        }
         _ => Error::invalid(FORMAT, place, format!("the compressed data is damaged: {source}")),
     }
 }

@@ -74,31 +74,31 @@ fn piece(file: &mut (impl Read + Seek), start: u64, length: u64) -> Result<Vec<u
 ///
 /// [`crate::Error::Io`] if reading fails.
 pub fn completeness(file: &mut (impl Read + Seek), file_name: &str) -> Result<Completeness> {
-    let mut found = HeadCheck::ByMoreOfTheHead;
+    let mut found = HeadCheck::NeedsMoreHead;
     for head_bytes in HEADS_BYTES {
         let head = piece(file, 0, head_bytes)?;
         // Measured last: a file that grows meanwhile can only look larger than the head says, never smaller.
         let file_bytes = file.seek(SeekFrom::End(0))?;
         found = check_head(&head, file_bytes, file_name);
-        if !matches!(found, HeadCheck::ByMoreOfTheHead) {
+        if !matches!(found, HeadCheck::NeedsMoreHead) {
             break;
         }
     }
     match found {
         HeadCheck::Known(completeness) => Ok(completeness),
-        HeadCheck::ByTheLastByte => Ok(match ends_a_word(file)? {
+        HeadCheck::NeedsLastByte => Ok(match ends_with_whitespace(file)? {
             true => Completeness::ByReading,
             false => Completeness::Unproven,
         }),
         // No reader accepts a longer header.
-        HeadCheck::ByMoreOfTheHead => Ok(Completeness::Unproven),
+        HeadCheck::NeedsMoreHead => Ok(Completeness::Unproven),
     }
 }
 
 fn check_head(head: &[u8], file_bytes: u64, file_name: &str) -> HeadCheck {
     let Probe { kind, codec } = probe(head, file_name);
     let by_reading = |expected| HeadCheck::Known(at_least(expected, file_bytes, Completeness::ByReading));
-    if let Some(beginning) = beginning_cut_off(head) {
+    if let Some(beginning) = truncated_signature(head) {
         return by_reading(beginning.len() as u64);
     }
     if let Some(codec) = codec {
@@ -108,21 +108,21 @@ fn check_head(head: &[u8], file_bytes: u64, file_name: &str) -> HeadCheck {
     let Kind::Format(format) = kind else { return unproven };
     let Some(particles) = &format.row().particles else { return unproven };
     (particles.completeness)(head, file_bytes).unwrap_or_else(|error| match error.is_short() {
-        true if (head.len() as u64) < file_bytes => HeadCheck::ByMoreOfTheHead,
+        true if (head.len() as u64) < file_bytes => HeadCheck::NeedsMoreHead,
         true => HeadCheck::Known(Completeness::Incomplete { expected: file_bytes + 1, found: file_bytes }),
         false => unproven,
     })
 }
 
 /// The signature that these bytes are a proper prefix of, if the file consists only of such a prefix.
-pub(crate) fn beginning_cut_off(head: &[u8]) -> Option<&'static [u8]> {
+pub(crate) fn truncated_signature(head: &[u8]) -> Option<&'static [u8]> {
     let of_formats = Format::ALL.into_iter().flat_map(|format| format.row().beginnings).copied();
     let mut all = of_formats.chain(Codec::ALL.map(Codec::beginning));
     all.find(|beginning| beginning.starts_with(head) && head.len() < beginning.len())
 }
 
 /// Whether the file ends with white space. Otherwise a number at the end may lack its last digits.
-fn ends_a_word(file: &mut (impl Read + Seek)) -> Result<bool> {
+fn ends_with_whitespace(file: &mut (impl Read + Seek)) -> Result<bool> {
     let mut last = [0];
     file.seek(SeekFrom::End(-1))?;
     file.read_exact(&mut last)?;

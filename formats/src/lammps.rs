@@ -90,7 +90,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 /// [`Error::Short`] if the dump ends within a step, [`Error::Invalid`] for an unexpected line,
 /// [`Error::Unsupported`] for dumps of anything but atoms, [`Error::TooLarge`] beyond `limits`.
 pub fn steps(bytes: &[u8], limits: &Limits) -> Result<Vec<Step>> {
-    let mut lines = Lines { bytes, at: 0, number: 0 };
+    let mut lines = DumpLines { bytes, at: 0, number: 0 };
     let mut steps = Vec::new();
     // Skips blank lines at the end once, instead of before each step: no step starts with one.
     while lines.bytes[lines.at..].iter().any(|byte| !byte.is_ascii_whitespace()) {
@@ -120,15 +120,25 @@ pub fn read_step(bytes: &[u8], step: &Step, limits: &Limits) -> Result<ParticleF
         return Err(Error::too_large(FORMAT, what));
     }
     let found = excerpts(&names);
-    let no_position =
-        || Error::invalid(FORMAT, place, format!("no position columns, such as x y z or xs ys zs; found: {found}"));
+    let no_position = || {
+        Error::invalid(
+            FORMAT,
+            place,
+            format!("no position columns, such as x y z or xs ys zs; found: {found}"),
+        )
+    };
     let (position, is_scaled) = position(&names).ok_or_else(no_position)?;
     for (name, &column) in ["x", "y", "z"].into_iter().zip(&position) {
         name.clone_into(&mut names[column]);
     }
     let table = bytes.get(..step.range.end).unwrap_or_default();
-    let rows =
-        csv::Rows { names, position, offset: step.rows_at, line: step.rows_line, count: step.particle_count };
+    let rows = csv::CountedRows {
+        names,
+        position,
+        offset: step.rows_at,
+        line: step.rows_line,
+        count: step.particle_count,
+    };
     let mut frame = match step.particle_count {
         0 => ParticleFrame::default(),
         _ => csv::read_rows(table, rows, limits)
@@ -139,8 +149,13 @@ pub fn read_step(bytes: &[u8], step: &Step, limits: &Limits) -> Result<ParticleF
         frame.notes.extend(csv::open_end_note(table));
     }
     if is_scaled {
-        let no_box =
-            || Error::invalid(FORMAT, place, "positions are fractions of the box, but ITEM: BOX BOUNDS is missing");
+        let no_box = || {
+            Error::invalid(
+                FORMAT,
+                place,
+                "positions are fractions of the box, but ITEM: BOX BOUNDS is missing",
+            )
+        };
         frame.positions = unscaled(&frame.positions, step.space.ok_or_else(no_box)?);
         frame.notes.push("positions are fractions of the box: converted to lengths".into());
     }
@@ -177,25 +192,26 @@ fn unscaled(fractions: &Positions, space: Space) -> Positions {
 }
 
 /// Parses the step that starts at the next line.
-fn step(lines: &mut Lines, limits: &Limits) -> Result<Step> {
+fn step(lines: &mut DumpLines, limits: &Limits) -> Result<Step> {
     let start = lines.at;
     let (mut timestep, mut count, mut time) = (None, None, None);
     let mut space = None;
     loop {
         let item_at = lines.at;
-        let item = lines.telling("an ITEM")?;
+        let item = lines.text_line("an ITEM")?;
         let item = item.strip_prefix("ITEM:").map(str::trim).ok_or_else(|| lines.expected("ITEM:", item))?;
         match item {
             "TIMESTEP" => timestep = Some(lines.number("the number of the time step")?),
             "TIME" => time = Some(lines.reals::<1>("the time")?[0]),
-            "UNITS" => drop(lines.telling("the units")?),
+            "UNITS" => drop(lines.text_line("the units")?),
             "NUMBER OF ATOMS" => count = Some(lines.number("the number of atoms")?),
             _ if item.starts_with("BOX BOUNDS") => space = Some(box_bounds(item, lines)?),
             _ if item.starts_with("ATOMS") => {
                 let missing = |what: &str| lines.invalid(format!("ITEM: ATOMS before {what}"));
                 let timestep = timestep.ok_or_else(|| missing("ITEM: TIMESTEP"))?;
                 let count = count.ok_or_else(|| missing("ITEM: NUMBER OF ATOMS"))?;
-                let count = u64::try_from(count).map_err(|_| lines.invalid(format!("the number of atoms is {count}")))?;
+                let count = u64::try_from(count)
+                    .map_err(|_| lines.invalid(format!("the number of atoms is {count}")))?;
                 return rows(
                     lines,
                     start,
@@ -213,8 +229,10 @@ fn step(lines: &mut Lines, limits: &Limits) -> Result<Step> {
                 );
             }
             _ => {
-                let what =
-                    format!("this dump contains `{}`, not atoms: dump atoms or custom columns", excerpt(item));
+                let what = format!(
+                    "this dump contains `{}`, not atoms: dump atoms or custom columns",
+                    excerpt(item)
+                );
                 return Err(Error::unsupported(FORMAT, what));
             }
         }
@@ -222,7 +240,7 @@ fn step(lines: &mut Lines, limits: &Limits) -> Result<Step> {
 }
 
 /// Skips the rows of the step.
-fn rows(lines: &mut Lines, start: usize, step: Step, limits: &Limits) -> Result<Step> {
+fn rows(lines: &mut DumpLines, start: usize, step: Step, limits: &Limits) -> Result<Step> {
     let count = step.particle_count;
     if count > limits.particle_count {
         let what = format!("{count} particles, more than the limit of {}", limits.particle_count);
@@ -239,7 +257,7 @@ fn rows(lines: &mut Lines, start: usize, step: Step, limits: &Limits) -> Result<
 }
 
 /// Parses the three lines of box bounds, which have one of three forms.
-fn box_bounds(item: &str, lines: &mut Lines) -> Result<Space> {
+fn box_bounds(item: &str, lines: &mut DumpLines) -> Result<Space> {
     let words: Vec<&str> = item.split_ascii_whitespace().skip(2).collect();
     match words[..] {
         ["abc", "origin", ..] => {
@@ -272,14 +290,14 @@ fn box_bounds(item: &str, lines: &mut Lines) -> Result<Space> {
 }
 
 /// The lines of the dump.
-struct Lines<'a> {
+struct DumpLines<'a> {
     bytes: &'a [u8],
     at: usize,
     /// The number of the last returned line, starting at 1.
     number: u64,
 }
 
-impl<'a> Lines<'a> {
+impl<'a> DumpLines<'a> {
     /// The next line without its line end.
     fn next(&mut self) -> Option<&'a [u8]> {
         let rest = self.bytes.get(self.at..).filter(|rest| !rest.is_empty())?;
@@ -291,7 +309,7 @@ impl<'a> Lines<'a> {
     }
 
     /// The next line as text; `what` is named in the error if the line is missing or truncated.
-    fn telling(&mut self, what: &str) -> Result<&'a str> {
+    fn text_line(&mut self, what: &str) -> Result<&'a str> {
         let Some(line) = self.next() else { return Err(self.short(format!("expected {what}"))) };
         if !self.bytes[..self.at].ends_with(b"\n") {
             return Err(self.short(format!("the file ends within {what}: the line end is missing")));
@@ -300,13 +318,13 @@ impl<'a> Lines<'a> {
     }
 
     fn number(&mut self, what: &str) -> Result<i64> {
-        let text = self.telling(what)?;
+        let text = self.text_line(what)?;
         text.parse().map_err(|_| self.expected(what, text))
     }
 
     /// The first floats of the next line.
     fn reals<const N: usize>(&mut self, what: &str) -> Result<[f64; N]> {
-        let text = self.telling(what)?;
+        let text = self.text_line(what)?;
         let mut reals = [0.0; N];
         let mut words = text.split_ascii_whitespace();
         for real in &mut reals {

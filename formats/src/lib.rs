@@ -94,7 +94,7 @@ pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<
     if let Some(codec) = codec.filter(|_| is_vague) {
         codec.check_start(bytes)?;
     }
-    if !bytes.is_empty() && integrity::beginning_cut_off(bytes).is_some() {
+    if !bytes.is_empty() && integrity::truncated_signature(bytes).is_some() {
         return Err(Error::short("", Place::File, "the file ends within its signature"));
     }
     let read = reader_of(kind)?;
@@ -114,11 +114,11 @@ pub fn refuse_foreign(head: &[u8], file_name: &str) -> Result<()> {
 }
 
 /// Turns the decompressed bytes of a file into a frame.
-type Reader = fn(&[u8], &Limits) -> Result<ParticleFrame>;
+type ParticleReader = fn(&[u8], &Limits) -> Result<ParticleFrame>;
 
 /// The particle reader for files of this kind. If there is none, the error says what the file is and what to
 /// do instead.
-fn reader_of(kind: Kind) -> Result<Reader> {
+fn reader_of(kind: Kind) -> Result<ParticleReader> {
     if kind == Kind::Empty {
         return Err(Error::short("", Place::File, "the file is empty"));
     }

@@ -49,7 +49,10 @@ impl Limits {
         if found < self.step_count {
             return Ok(());
         }
-        let what = format!("the file has more steps than the limit of {}: split it into several files", self.step_count);
+        let what = format!(
+            "the file has more steps than the limit of {}: split it into several files",
+            self.step_count
+        );
         Err(Error::too_large(format, what))
     }
 
@@ -78,10 +81,18 @@ impl Limits {
 
     /// Fails if `unpacked` decompressed bytes from `consumed` compressed bytes exceed a limit. `format` is
     /// the compression format.
-    pub(crate) fn check_unpacked(&self, format: &'static str, unpacked: u64, consumed: u64) -> Result<()> {
+    pub(crate) fn check_decompressed(
+        &self,
+        format: &'static str,
+        unpacked: u64,
+        consumed: u64,
+    ) -> Result<()> {
         if unpacked > self.decompressed_bytes {
             let most = self.decompressed_bytes;
-            return Err(Error::too_large(format, format!("the decompressed data exceeds the limit of {most} bytes")));
+            return Err(Error::too_large(
+                format,
+                format!("the decompressed data exceeds the limit of {most} bytes"),
+            ));
         }
         if unpacked > self.decompressed_bytes_of(consumed) {
             let most = self.decompression_ratio;

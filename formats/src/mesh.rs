@@ -26,7 +26,7 @@ pub fn read_mesh(bytes: &[u8], file_name: &str, limits: &Limits, beside: &Beside
         };
     };
     match codec {
-        Some(codec) => read(&codec.unpack(bytes, limits)?, limits, beside),
+        Some(codec) => read(&codec.decompress(bytes, limits)?, limits, beside),
         None => read(bytes, limits, beside),
     }
 }
@@ -51,9 +51,9 @@ pub(crate) fn probe_mesh(bytes: &[u8], file_name: &str) -> Probe {
 }
 
 /// Turns the decompressed bytes of a file into a mesh.
-type Reader = fn(&[u8], &Limits, &Beside) -> Result<MeshData>;
+type MeshFileReader = fn(&[u8], &Limits, &Beside) -> Result<MeshData>;
 
 /// The mesh reader for files of this kind.
-pub(crate) fn reader_of(kind: Kind) -> Option<Reader> {
+pub(crate) fn reader_of(kind: Kind) -> Option<MeshFileReader> {
     kind.format()?.row().read_mesh
 }

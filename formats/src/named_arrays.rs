@@ -41,7 +41,7 @@ pub(crate) fn frame_of(positions: Option<Positions>, mut arrays: Vec<NamedArray>
         Some(positions) => positions,
         None => take_column_position(&mut arrays)?,
     };
-    let mut notes = without_misfits(&mut arrays, positions.len());
+    let mut notes = take_mismatched(&mut arrays, positions.len());
     let mut attributes = joined(arrays);
     let named: Vec<(&str, usize)> =
         attributes.iter().map(|array| (array.name.as_str(), array.arity)).collect();
@@ -53,7 +53,7 @@ pub(crate) fn frame_of(positions: Option<Positions>, mut arrays: Vec<NamedArray>
 }
 
 /// Removes arrays whose length does not match the number of particles, and returns a note for each.
-fn without_misfits(arrays: &mut Vec<NamedArray>, particle_count: usize) -> Vec<String> {
+fn take_mismatched(arrays: &mut Vec<NamedArray>, particle_count: usize) -> Vec<String> {
     let fits = |array: &NamedArray| {
         array.arity != 0 && array.arity.checked_mul(particle_count) == Some(number::length(&array.values))
     };
@@ -218,10 +218,8 @@ mod tests {
         let frame = frame_of(Some(positions), vec![array("v", 3), fits, none]).unwrap();
         let names: Vec<&str> = frame.attributes.iter().map(|array| array.name.as_str()).collect();
         assert_eq!(names, ["id"]);
-        let expected = [
-            "skipped `v`: it has 2 rows for 3 particles",
-            "skipped `none`: it has 0 rows for 3 particles",
-        ];
+        let expected =
+            ["skipped `v`: it has 2 rows for 3 particles", "skipped `none`: it has 0 rows for 3 particles"];
         assert_eq!(frame.notes, expected);
     }
 

@@ -51,7 +51,7 @@ impl Number {
         offset: usize,
         arity: usize,
     ) -> Values {
-        let records = Records { bytes, endian, stride, offset, arity };
+        let records = StridedNumbers { bytes, endian, stride, offset, arity };
         match self {
             Number::Bool => Values::U8(records.map(|[byte]: [u8; 1]| u8::from(byte != 0))),
             Number::U8 => Values::U8(records.map(|[byte]: [u8; 1]| byte)),
@@ -69,7 +69,7 @@ impl Number {
     }
 }
 
-fn unsigned(records: &Records) -> Values {
+fn unsigned(records: &StridedNumbers) -> Values {
     let is_signed = |value: &i64| *value >= 0;
     let signed = records.map(i64::from_le_bytes);
     match signed.iter().all(is_signed) {
@@ -79,7 +79,7 @@ fn unsigned(records: &Records) -> Values {
 }
 
 /// Locations of numbers in an array of records.
-struct Records<'a> {
+struct StridedNumbers<'a> {
     bytes: &'a [u8],
     endian: Endian,
     stride: usize,
@@ -87,7 +87,7 @@ struct Records<'a> {
     arity: usize,
 }
 
-impl Records<'_> {
+impl StridedNumbers<'_> {
     /// Applies `decode` to the bytes of each number, least significant byte first.
     fn map<const N: usize, T>(&self, decode: impl Fn([u8; N]) -> T) -> Vec<T> {
         let decode = |mut number: [u8; N]| {

@@ -34,7 +34,7 @@ pub fn read_obstacle(
     let Probe { kind, codec } = probe_mesh(bytes, file_name);
     if kind == Kind::Format(Format::Vdb) {
         return match codec {
-            Some(codec) => level_set(&codec.unpack(bytes, limits)?, limits),
+            Some(codec) => level_set(&codec.decompress(bytes, limits)?, limits),
             None => level_set(bytes, limits),
         };
     }

@@ -16,7 +16,8 @@ pub(crate) fn check(frame: &ParticleFrame, format: &'static str) -> Result<()> {
     for Attribute { name, arity, values, .. } in &frame.attributes {
         let found = crate::number::length(values);
         if *arity == 0 || count.checked_mul(*arity) != Some(found) {
-            let what = format!("attribute {name} has {found} values for {count} particles with {arity} values each");
+            let what =
+                format!("attribute {name} has {found} values for {count} particles with {arity} values each");
             return Err(Error::invalid(format, Place::File, what));
         }
     }

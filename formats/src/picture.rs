@@ -68,7 +68,8 @@ impl PictureView<'_> {
         let [width, height] = self.size;
         let is_possible = |edge: usize| (1..=EDGE_MAX).contains(&edge);
         if !is_possible(width) || !is_possible(height) {
-            let what = format!("the picture has {width} × {height} pixels; each edge must have 1 to {EDGE_MAX}");
+            let what =
+                format!("the picture has {width} × {height} pixels; each edge must have 1 to {EDGE_MAX}");
             return Err(Error::invalid(format, Place::File, what));
         }
         let counts = self.layers.iter().map(|layer| (layer.name, layer.samples.len()));

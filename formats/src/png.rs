@@ -29,7 +29,8 @@ const FORMAT: &str = "PNG";
 pub fn write(picture: &PictureView, out: &mut impl Write) -> Result<()> {
     picture.check(FORMAT)?;
     let edge = |pixels: usize| {
-        u32::try_from(pixels).map_err(|_| Error::invalid(FORMAT, Place::File, "the picture is too large for PNG"))
+        u32::try_from(pixels)
+            .map_err(|_| Error::invalid(FORMAT, Place::File, "the picture is too large for PNG"))
     };
     let mut encoder = Encoder::new(out, edge(picture.size[0])?, edge(picture.size[1])?);
     encoder.set_color(ColorType::Rgb);
@@ -88,7 +89,11 @@ pub fn read(bytes: &[u8]) -> Result<ColorPicture> {
     })?;
     // Do not allocate memory for pixels that the file cannot contain.
     if reader.info().raw_bytes() > bytes.len().saturating_mul(DEFLATE_RATIO_MAX) {
-        return Err(Error::short(FORMAT, Place::File, "the file has less data than its size in pixels needs"));
+        return Err(Error::short(
+            FORMAT,
+            Place::File,
+            "the file has less data than its size in pixels needs",
+        ));
     }
     let mut samples = vec![0; length];
     let info = reader.next_frame(&mut samples).map_err(unreadable)?;

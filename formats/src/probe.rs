@@ -87,7 +87,7 @@ pub fn probe(bytes: &[u8], file_name: &str) -> Probe {
     let Some(outer) = codec else {
         return Probe { kind: kind_of(&bytes[..bytes.len().min(HEAD_BYTES)], &name), codec };
     };
-    let head = outer.unpack_head(bytes, HEAD_BYTES);
+    let head = outer.decompress_head(bytes, HEAD_BYTES);
     let kind = match (outer, Codec::of(&head)) {
         (_, None) => kind_of(&head, unpacked_name(&name)),
         (Codec::Gzip, Some(Codec::Gzip)) => Kind::Foreign("gzip within gzip"),
@@ -105,7 +105,7 @@ pub fn probe(bytes: &[u8], file_name: &str) -> Probe {
 pub fn looks_like_particles(head: &[u8], file_name: &str) -> bool {
     match probe(head, file_name).kind {
         Kind::Format(Format::Delimited) => match Codec::of(head) {
-            Some(codec) => csv::looks_like_particles(&codec.unpack_head(head, HEAD_BYTES)),
+            Some(codec) => csv::looks_like_particles(&codec.decompress_head(head, HEAD_BYTES)),
             None => csv::looks_like_particles(head),
         },
         kind => kind.format().is_some_and(Format::has_particles),
@@ -203,7 +203,7 @@ fn looks_like_lammps_data(text: &[u8]) -> bool {
 fn looks_like_obj(text: &[u8], name: &str) -> bool {
     let mut vertex_seen = false;
     let mut line_count = 0;
-    for line in telling_lines(text) {
+    for line in content_lines(text) {
         let mut words = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
         let keyword = words.next().unwrap_or_default();
         if !OBJ_KEYWORDS.contains(&keyword) {
@@ -218,7 +218,7 @@ fn looks_like_obj(text: &[u8], name: &str) -> bool {
 
 /// Whether the first lines contain delimited numbers, or a header with one name per column.
 fn looks_like_table(text: &[u8]) -> bool {
-    let mut lines = telling_lines(text);
+    let mut lines = content_lines(text);
     let Some(header) = lines.next() else { return false };
     // At least half of the cells must be numbers: the others may be names.
     let is_numeric = |line: &[u8]| {
@@ -236,7 +236,7 @@ fn looks_like_table(text: &[u8]) -> bool {
 
 /// Lines that are neither empty nor comments. Skips the last line, which may be truncated, unless it is the
 /// only one.
-fn telling_lines(text: &[u8]) -> impl Iterator<Item = &[u8]> {
+fn content_lines(text: &[u8]) -> impl Iterator<Item = &[u8]> {
     let whole = match text.iter().rposition(|byte| matches!(byte, b'\n' | b'\r')) {
         Some(end) if text.len() + 16 > HEAD_BYTES => &text[..end],
         _ => text,

@@ -68,7 +68,7 @@ pub(crate) struct Records {
     /// Number of records; the file contains all of them.
     pub(crate) count: usize,
     /// Extracts positions from records with this stride.
-    pub(crate) gather: Arc<Gather>,
+    pub(crate) gather: Arc<GatherPositions>,
     /// Notes for the user.
     pub(crate) notes: Vec<String>,
     /// The name of the velocity attribute.
@@ -76,7 +76,7 @@ pub(crate) struct Records {
 }
 
 /// Extracts positions from records. Arguments: bytes, stride, number of records, output.
-pub(crate) type Gather = dyn Fn(&[u8], usize, usize, &mut Positions) + Send + Sync;
+pub(crate) type GatherPositions = dyn Fn(&[u8], usize, usize, &mut Positions) + Send + Sync;
 
 impl fmt::Debug for Records {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -239,9 +239,9 @@ pub enum Completeness {
 pub(crate) enum HeadCheck {
     Known(Completeness),
     /// The header is longer than the head.
-    ByMoreOfTheHead,
+    NeedsMoreHead,
     /// Depends on whether the last number of a text is complete.
-    ByTheLastByte,
+    NeedsLastByte,
 }
 
 /// For a format that declares the exact file size.

@@ -176,12 +176,12 @@ fn short(bytes: &[u8]) -> Error {
 }
 
 /// The size of a file with this header.
-fn bytes_claimed(head: &[u8]) -> Option<u64> {
-    Some(bytes_with(triangles_claimed(head)?))
+fn bytes_declared(head: &[u8]) -> Option<u64> {
+    Some(bytes_with(triangles_declared(head)?))
 }
 
 /// The number of triangles of a file with this header.
-fn triangles_claimed(head: &[u8]) -> Option<u32> {
+fn triangles_declared(head: &[u8]) -> Option<u32> {
     Some(u32::from_le_bytes(*head.get(TITLE_BYTES..)?.first_chunk()?))
 }
 
@@ -197,7 +197,7 @@ fn bytes_with(triangle_count: u32) -> u64 {
 /// [`Error::Short`] if triangles are missing, [`Error::TooLarge`] beyond `limits`, [`Error::Unsupported`] for
 /// text STL.
 pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
-    let triangle_count = triangles_claimed(bytes).ok_or_else(|| short(bytes))?;
+    let triangle_count = triangles_declared(bytes).ok_or_else(|| short(bytes))?;
     let claimed = bytes_with(triangle_count);
     let is_whole = claimed == bytes.len() as u64;
     if !is_whole && bytes.starts_with(b"solid") {
@@ -248,7 +248,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
     has_attributes: false,
     options: &[],
     read_provenance,
-    integrity: Integrity::Length(|head, _| Ok(bytes_claimed(head))),
+    integrity: Integrity::Length(|head, _| Ok(bytes_declared(head))),
 };
 
 static ROUNDING: Rounding = Rounding {

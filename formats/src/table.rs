@@ -217,7 +217,9 @@ impl OutputFormat {
         provenance: &Provenance,
         out: &mut dyn Write,
     ) -> Result<()> {
-        let writer = self.mesh().ok_or_else(|| Error::unsupported(self.row().format.name, "this format cannot store meshes"))?;
+        let writer = self
+            .mesh()
+            .ok_or_else(|| Error::unsupported(self.row().format.name, "this format cannot store meshes"))?;
         writer.write(mesh, options, provenance, out)
     }
 }

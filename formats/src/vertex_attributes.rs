@@ -49,7 +49,7 @@ pub(crate) fn purposes<'a>(attributes: &[VertexAttribute<'a>]) -> Vec<Purpose<'a
 }
 
 /// A note on a colour with values outside 0 to 1, for a file that can only store this range.
-pub(crate) fn cut_note<'a>(
+pub(crate) fn clamp_note<'a>(
     name: &str,
     values: impl IntoIterator<Item = &'a f32>,
     file: &str,

@@ -66,8 +66,7 @@ fn endian(bytes: &[u8]) -> Result<Endian> {
         (true, _) if little <= big || !is_good(big) => Ok(Endian::Little),
         (_, true) => Ok(Endian::Big),
         _ => {
-            let what =
-                "expected three 32-bit floats per particle; these bytes are not plausible positions in either byte order";
+            let what = "expected three 32-bit floats per particle; these bytes are not plausible positions in either byte order";
             Err(Error::invalid(FORMAT, Place::Offset(0), what))
         }
     }

@@ -47,7 +47,7 @@ fn is_skippable(bytes: &[u8]) -> bool {
 /// # Errors
 /// `Short` if the file ends too early and `Invalid` if it is damaged, with the offset in the compressed file;
 /// `TooLarge` beyond `decompressed_bytes` or `decompression_ratio`, or if the window is too large.
-pub(crate) fn unpack(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
+pub(crate) fn decompress(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     let mut unpacked = Vec::new();
     let mut rest = bytes;
     while !rest.is_empty() {
@@ -55,7 +55,7 @@ pub(crate) fn unpack(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
         if is_skippable(rest) {
             rest = after_skippable(rest, at)?;
         } else if rest.starts_with(&MAGIC) {
-            rest = unpack_frame(bytes, at, limits, &mut unpacked)?;
+            rest = decompress_frame(bytes, at, limits, &mut unpacked)?;
         } else {
             let place = Place::Offset(at as u64);
             let what = "the compressed data is followed by other bytes";
@@ -78,13 +78,18 @@ fn after_skippable(rest: &[u8], at: usize) -> Result<&[u8]> {
 }
 
 /// Decompresses the frame at byte `at`, and returns the bytes after it.
-fn unpack_frame<'a>(bytes: &'a [u8], at: usize, limits: &Limits, unpacked: &mut Vec<u8>) -> Result<&'a [u8]> {
+fn decompress_frame<'a>(
+    bytes: &'a [u8],
+    at: usize,
+    limits: &Limits,
+    unpacked: &mut Vec<u8>,
+) -> Result<&'a [u8]> {
     let mut decoder = decoder_of(bytes, at)?;
     loop {
         let before = unpacked.len();
         let outcome = decoder.by_ref().take(PIECE_BYTES as u64).read_to_end(unpacked);
         let consumed = bytes.len() - decoder.get_ref().len();
-        limits.check_unpacked(FORMAT, unpacked.len() as u64, consumed as u64)?;
+        limits.check_decompressed(FORMAT, unpacked.len() as u64, consumed as u64)?;
         if let Err(source) = outcome {
             return Err(damage(&source, consumed));
         }
@@ -147,7 +152,7 @@ fn is_end(error: &std::io::Error) -> bool {
 /// Checks the first bytes for damage without keeping the decompressed data.
 ///
 /// # Errors
-/// `Short`, `Invalid` and `TooLarge`, as from [`unpack`].
+/// `Short`, `Invalid` and `TooLarge`, as from [`decompress`].
 pub(crate) fn check_start(bytes: &[u8]) -> Result<()> {
     let at = frame_start(bytes)?;
     let mut start = decoder_of(bytes, at)?.take(crate::limits::RATIO_FREE_BYTES);
@@ -179,7 +184,7 @@ fn after_empty(bytes: &[u8], at: usize) -> Option<&[u8]> {
 }
 
 /// Decompresses the first bytes of the content: at most `length`, or fewer if the input ends or is damaged.
-pub(crate) fn unpack_head(bytes: &[u8], length: usize) -> Vec<u8> {
+pub(crate) fn decompress_head(bytes: &[u8], length: usize) -> Vec<u8> {
     let mut head = Vec::new();
     if let Ok(decoder) = frame_start(bytes).and_then(|at| decoder_of(bytes, at)) {
         // On an error, `head` keeps the bytes decompressed before it, which is all that the caller needs.
@@ -202,13 +207,13 @@ mod tests {
         let skipped = [&[0x5a, 0x2a, 0x4d, 0x18, 3, 0, 0, 0][..], b"abc"].concat();
         let file = [&skipped[..], &packed(b"one "), &skipped, &packed(b"two")].concat();
         assert!(is_zstd(&file));
-        assert_eq!(unpack(&file, &Limits::default()).unwrap(), b"one two");
-        assert_eq!(unpack_head(&file, 2), b"on");
+        assert_eq!(decompress(&file, &Limits::default()).unwrap(), b"one two");
+        assert_eq!(decompress_head(&file, 2), b"on");
         check_start(&file).unwrap();
         let behind_empty = [&packed(b"")[..], &skipped, &packed(b""), &packed(b"one ")].concat();
-        assert_eq!(unpack_head(&behind_empty, 9), b"one ");
-        assert_eq!(unpack_head(&packed(b""), 9), b"");
-        let error = unpack(&[&file[..], b"more"].concat(), &Limits::default()).unwrap_err();
+        assert_eq!(decompress_head(&behind_empty, 9), b"one ");
+        assert_eq!(decompress_head(&packed(b""), 9), b"");
+        let error = decompress(&[&file[..], b"more"].concat(), &Limits::default()).unwrap_err();
         assert!(!error.is_short() && error.to_string().contains("followed by other bytes"), "{error}");
     }
 
@@ -219,23 +224,23 @@ mod tests {
             if length < MAGIC.len() {
                 continue;
             }
-            let error = unpack(&file[..length], &Limits::default()).unwrap_err();
+            let error = decompress(&file[..length], &Limits::default()).unwrap_err();
             assert!(error.is_short(), "{length} of {}: {error}", file.len());
         }
         let mut damaged = file.clone();
         let last = damaged.len() - 1;
         damaged[last] ^= 1;
-        let error = unpack(&damaged, &Limits::default()).unwrap_err().to_string();
+        let error = decompress(&damaged, &Limits::default()).unwrap_err().to_string();
         assert!(error.contains("damaged: checksum"), "{error}");
     }
 
     #[test]
     fn decompression_bombs_are_stopped_early() {
         let bomb = packed(&vec![0; 64 << 20]);
-        assert!(matches!(unpack(&bomb, &Limits::default()), Err(Error::TooLarge { .. })));
+        assert!(matches!(decompress(&bomb, &Limits::default()), Err(Error::TooLarge { .. })));
         // A frame with one empty block and a declared window of 2 GiB.
         let window = [&MAGIC[..], &[0x00, 21 << 3, 1, 0, 0]].concat();
-        let error = unpack(&window, &Limits::default()).unwrap_err().to_string();
+        let error = decompress(&window, &Limits::default()).unwrap_err().to_string();
         assert!(error.contains("the window of 2147483648 bytes"), "{error}");
     }
 }

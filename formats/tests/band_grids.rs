@@ -174,7 +174,10 @@ fn grids_get_unique_names_and_are_found_by_name() {
     let data = read_vectors(&bytes, &["Cd", "v"], &limits).expect("readable").expect("there");
     let stored = read_level_set(&bytes, Some("surface"), &limits).expect("the level set").leaves.len();
     assert_eq!((&*data.name, data.leaves.len()), ("Cd", stored));
-    assert!(read_vectors(&bytes, &["surface"], &limits).expect("readable").is_none(), "not a grid of vectors");
+    assert!(
+        read_vectors(&bytes, &["surface"], &limits).expect("readable").is_none(),
+        "not a grid of vectors"
+    );
     assert_eq!(
         grid_notes(&list, "surface"),
         [

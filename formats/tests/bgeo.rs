@@ -140,7 +140,11 @@ fn unusual_files_are_read_with_notes() {
     let no_values = Layout::new(1, 1).entry("empty", 0, 0).reals(&[0.0; 4]).end();
     let strings = Layout::new(1, 1).text("name").short(1).int(4).int(1).text("a");
     let strings = strings.reals(&[0.0; 4]).int(7).end();
-    let table = [(no_trailer, "end of the file is invalid"), (no_values, "no values"), (strings, "1 indices are outside")];
+    let table = [
+        (no_trailer, "end of the file is invalid"),
+        (no_values, "no values"),
+        (strings, "1 indices are outside"),
+    ];
     for (bytes, expected) in table {
         let frame = read(&bytes).unwrap();
         assert!(frame.notes.iter().any(|note| note.contains(expected)), "{expected}: {:?}", frame.notes);

@@ -98,7 +98,10 @@ fn invalid_documents_are_errors_with_their_location() {
         (PAGES.replace("[3,1]", "[3,2]"), "the packing [3, 2] does not match 4 values"),
         (PAGES.replace("[3,1]", "[3,0,1]"), "the packing [3, 0, 1] does not match 4 values"),
         (PAGES.replace("true,false]", "true,false,true]"), "more flags than the 3 pages"),
-        (PAGES.replace("12, 1]", "12, 1],\"packing\",[1,3]"), "`packing` comes after the values that it describes"),
+        (
+            PAGES.replace("12, 1]", "12, 1],\"packing\",[1,3]"),
+            "`packing` comes after the values that it describes",
+        ),
         (TUPLES.replace("\"vertexcount\",0", "\"pointcount\",2"), "the document has a second pointcount"),
         (PAGES.replace("1,0,", "1,"), "the pages have the wrong number of values"),
         (PAGES.replace("\"pointcount\",5", "\"pointcount\",5000000000"), "more than the limit"),

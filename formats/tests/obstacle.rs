@@ -76,7 +76,11 @@ fn obj_errors_have_the_line_number() {
     for (text, line, what) in [
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9", 4, "vertex 9, but the file has 3"),
         ("f 1 2 3\nf 1 2 4\nf 1 2 9\nv 0 0 0\nv 1 0 0\nv 0 1 0\n", 2, "vertex 4, but the file has 3"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1//2 2//1 3//1\nf 1 2 8\nvn 0 0 1\n", 4, "normal 2, but the file has 1"),
+        (
+            "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1//2 2//1 3//1\nf 1 2 8\nvn 0 0 1\n",
+            4,
+            "normal 2, but the file has 1",
+        ),
     ] {
         let error = read(text.as_bytes(), "a.obj").expect_err(text).to_string();
         assert!(error.contains(&format!("at line {line}: ")) && error.contains(what), "{error}");

@@ -362,7 +362,10 @@ fn vertex_indices_out_of_range_are_an_error() {
         let mut broken = whole.clone();
         broken[at + place..][..2].copy_from_slice(&corner.to_le_bytes());
         let error = usda_of(&broken).expect_err("no such vertex");
-        assert!(error.to_string().contains(&format!("vertex index {corner}, but the mesh has 3 vertices")), "{error}");
+        assert!(
+            error.to_string().contains(&format!("vertex index {corner}, but the mesh has 3 vertices")),
+            "{error}"
+        );
     }
     // An attribute with fewer values than vertices.
     let values = VertexValues::Numbers(&[1.0, 2.0, 3.0]);

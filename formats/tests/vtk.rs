@@ -203,7 +203,11 @@ fn polygons_add_a_single_note() {
     ];
     for (text, count) in table {
         let notes = read(text.as_bytes(), "a").notes;
-        assert_eq!(notes, vec!["the file also has polygons, which are ignored: only its points are read"; count], "{text}");
+        assert_eq!(
+            notes,
+            vec!["the file also has polygons, which are ignored: only its points are read"; count],
+            "{text}"
+        );
     }
 }
 

@@ -77,7 +77,10 @@ pub(crate) fn header_within(bytes: &[u8], limits: &Limits) -> Result<Header> {
     }
     let version = i32::from_le_bytes(cursor.array("the version")?);
     if version != VERSION {
-        return Err(Error::unsupported(FORMAT, format!("the file has version {version}; only version 5 is supported")));
+        return Err(Error::unsupported(
+            FORMAT,
+            format!("the file has version {version}; only version 5 is supported"),
+        ));
     }
     let point_count = count(&mut cursor, "points")?;
     let primitive_count = count(&mut cursor, "primitives")?;
@@ -168,7 +171,8 @@ fn require(cursor: &Cursor, byte_count: usize, what: &str) -> Result<()> {
     if byte_count <= cursor.remaining() {
         return Ok(());
     }
-    Err(cursor.short(format!("expected at least {byte_count} bytes of {what}, but {} remain", cursor.remaining())))
+    Err(cursor
+        .short(format!("expected at least {byte_count} bytes of {what}, but {} remain", cursor.remaining())))
 }
 
 /// Reads a count of `things`, which must not be negative.

@@ -88,23 +88,23 @@ fn notes(header: &Header, rest: &[u8]) -> Vec<String> {
 }
 
 /// An attribute under construction: 32-bit words, already in native byte order.
-enum Column {
+enum WordColumn {
     Reals(Vec<f32>),
     Integers(Vec<i32>),
 }
 
-fn gather(records: &[u8], header: &Header) -> (Vec<[f32; 3]>, Vec<Column>) {
+fn gather(records: &[u8], header: &Header) -> (Vec<[f32; 3]>, Vec<WordColumn>) {
     let stride = header.record_bytes;
     let mut positions = Vec::with_capacity(header.point_count);
-    let mut columns: Vec<Column> = header
+    let mut columns: Vec<WordColumn> = header
         .attributes
         .iter()
         .map(|attribute| match attribute.kind {
             AttributeKind::Float | AttributeKind::Vector => {
-                Column::Reals(Vec::with_capacity(header.point_count * attribute.arity))
+                WordColumn::Reals(Vec::with_capacity(header.point_count * attribute.arity))
             }
             AttributeKind::Int | AttributeKind::Strings(_) => {
-                Column::Integers(Vec::with_capacity(header.point_count * attribute.arity))
+                WordColumn::Integers(Vec::with_capacity(header.point_count * attribute.arity))
             }
         })
         .collect();
@@ -115,10 +115,10 @@ fn gather(records: &[u8], header: &Header) -> (Vec<[f32; 3]>, Vec<Column>) {
         let mut offset = 4 * POSITION_WORDS;
         for (column, attribute) in columns.iter_mut().zip(&header.attributes) {
             match column {
-                Column::Reals(values) => {
+                WordColumn::Reals(values) => {
                     gather_words(block, stride, offset, attribute.arity, f32::from_be_bytes, values);
                 }
-                Column::Integers(values) => {
+                WordColumn::Integers(values) => {
                     gather_words(block, stride, offset, attribute.arity, i32::from_be_bytes, values);
                 }
             }
@@ -179,8 +179,8 @@ fn words<const N: usize, T: Copy + Default>(record: &[u8], decode: impl Fn([u8; 
 
 /// Replaces string indices outside the table by −1. The usual mark for "no string" is replaced silently;
 /// others add a note.
-fn clear_strings_outside(column: &mut Column, attribute: &AttributeHeader, notes: &mut Vec<String>) {
-    let (Column::Integers(indices), AttributeKind::Strings(table)) = (column, &attribute.kind) else {
+fn clear_strings_outside(column: &mut WordColumn, attribute: &AttributeHeader, notes: &mut Vec<String>) {
+    let (WordColumn::Integers(indices), AttributeKind::Strings(table)) = (column, &attribute.kind) else {
         return;
     };
     let mut outside_count = 0usize;
@@ -198,7 +198,7 @@ fn clear_strings_outside(column: &mut Column, attribute: &AttributeHeader, notes
     }
 }
 
-fn attributes(headers: Vec<AttributeHeader>, columns: Vec<Column>) -> Vec<Attribute> {
+fn attributes(headers: Vec<AttributeHeader>, columns: Vec<WordColumn>) -> Vec<Attribute> {
     let named: Vec<(&str, usize)> =
         headers.iter().map(|header| (header.name.as_str(), header.arity)).collect();
     let roles = roles_of(&named);
@@ -208,12 +208,12 @@ fn attributes(headers: Vec<AttributeHeader>, columns: Vec<Column>) -> Vec<Attrib
             continue;
         }
         let (values, role) = match (header.kind, column) {
-            (AttributeKind::Strings(table), Column::Integers(indices)) => {
+            (AttributeKind::Strings(table), WordColumn::Integers(indices)) => {
                 // A phase can be identified by strings; a velocity or a number cannot.
                 (Values::Strings { table, indices }, role.filter(|&role| role == Role::Kind))
             }
-            (_, Column::Integers(values)) => (Values::I32(values), role),
-            (_, Column::Reals(values)) => (Values::F32(values), role),
+            (_, WordColumn::Integers(values)) => (Values::I32(values), role),
+            (_, WordColumn::Reals(values)) => (Values::F32(values), role),
         };
         let (name, arity) = (header.name, header.arity);
         let mut attribute = Attribute { name, arity, role, values };

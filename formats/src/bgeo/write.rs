@@ -58,13 +58,15 @@ fn check(attribute: &Attribute, point_count: usize) -> Result<()> {
         return Err(Error::invalid(FORMAT, Place::File, what));
     }
     if u16::try_from(arity).is_err() {
-        let what = format!("the attribute {name:?} has {arity} values per point; the format's limit is 65535");
+        let what =
+            format!("the attribute {name:?} has {arity} values per point; the format's limit is 65535");
         return Err(Error::too_large(FORMAT, what));
     }
     if let Values::I64(values) = &attribute.values
         && let Some(value) = values.iter().find(|&&value| i32::try_from(value).is_err())
     {
-        let what = format!("the attribute {name:?} has the value {value}, which exceeds the format's 32 bits");
+        let what =
+            format!("the attribute {name:?} has the value {value}, which exceeds the format's 32 bits");
         return Err(Error::too_large(FORMAT, what));
     }
     Ok(())
@@ -106,8 +108,12 @@ fn write_string(string: &str, out: &mut impl Write) -> Result<()> {
 }
 
 fn count_i32(count: usize, things: &str) -> Result<i32> {
-    i32::try_from(count)
-        .map_err(|_| Error::too_large(FORMAT, format!("the frame has {count} {things}; the format's limit is {}", i32::MAX)))
+    i32::try_from(count).map_err(|_| {
+        Error::too_large(
+            FORMAT,
+            format!("the frame has {count} {things}; the format's limit is {}", i32::MAX),
+        )
+    })
 }
 
 fn encode_position(positions: &Positions, point: usize, record: &mut Vec<u8>) {

@@ -24,7 +24,7 @@ pub(super) const DELIMITERS: [Delimiter; 5] = [
 
 /// The content of a cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Meaning {
+pub(super) enum CellValue {
     /// A number, possibly not finite.
     Number(f64),
     /// Empty, or a word for a missing value.
@@ -100,33 +100,33 @@ pub(super) fn unquoted(cell: &[u8]) -> Cow<'_, [u8]> {
 }
 
 /// Classifies an unquoted cell. Accepts Fortran exponents such as `1.5D-3`.
-pub(super) fn meaning(text: &[u8]) -> Meaning {
+pub(super) fn meaning(text: &[u8]) -> CellValue {
     let text = text.trim_ascii();
     if let Some((value, length)) = parse_number::<f64>(text)
         && length == text.len()
     {
-        return Meaning::Number(value);
+        return CellValue::Number(value);
     }
     let lower = text.to_ascii_lowercase();
     if MISSING.contains(&lower.as_slice()) {
-        return Meaning::Missing;
+        return CellValue::Missing;
     }
     let is_exponent = |byte: &u8| *byte == b'd';
     if let Some(at) = lower.iter().position(is_exponent) {
         let mut number = lower;
         number[at] = b'e';
         if let Ok(value) = fast_float2::parse::<f64, _>(&number) {
-            return Meaning::Number(value);
+            return CellValue::Number(value);
         }
     }
-    Meaning::Text
+    CellValue::Text
 }
 
 /// Whether a cell looks like a number with a decimal comma.
 pub(super) fn has_decimal_comma(text: &[u8]) -> bool {
     let commas = text.iter().filter(|&&byte| byte == b',').count();
     let with_point: Vec<u8> = text.iter().map(|&byte| if byte == b',' { b'.' } else { byte }).collect();
-    commas == 1 && matches!(meaning(&with_point), Meaning::Number(_))
+    commas == 1 && matches!(meaning(&with_point), CellValue::Number(_))
 }
 
 /// Whether `text` is an integer that a 64-bit float cannot represent.

@@ -1,13 +1,13 @@
 //! Turns columns into the position and attributes.
 
 use super::column::{Column, ColumnValues};
-use super::layout::{self, Layout};
+use super::layout::{self, TableLayout};
 use super::rows::Table;
 use crate::columns::{self, Group};
 use crate::{Attribute, ParticleFrame, Positions, Role, Values};
 
 /// Groups the columns by their names.
-pub(super) fn frame(layout: Layout, mut table: Table) -> ParticleFrame {
+pub(super) fn frame(layout: TableLayout, mut table: Table) -> ParticleFrame {
     let mut notes = layout.notes;
     if table.dropped_row_count != 0 {
         let (dropped, all) = (table.dropped_row_count, table.dropped_row_count + table.row_count as u64);
@@ -37,9 +37,7 @@ pub(super) fn frame(layout: Layout, mut table: Table) -> ParticleFrame {
     }
     for (name, column) in layout.names.iter().zip(&table.columns) {
         notes.extend(column.has_rounded_integer.then(|| {
-            format!(
-                "integers of {name:?} are rounded: some exceed 64 bits, so all become 64-bit floats"
-            )
+            format!("integers of {name:?} are rounded: some exceed 64 bits, so all become 64-bit floats")
         }));
     }
     ParticleFrame { positions, attributes, notes }

@@ -2,7 +2,7 @@
 
 use super::FORMAT;
 use super::cell::{
-    DELIMITERS, Delimiter, Meaning, cells, has_cells, has_decimal_comma, meaning, shown, unquoted,
+    CellValue, DELIMITERS, Delimiter, cells, has_cells, has_decimal_comma, meaning, shown, unquoted,
 };
 use crate::columns::{self, Columns};
 use crate::excerpt::excerpts;
@@ -11,7 +11,7 @@ use crate::{Error, Limits, Place, Result};
 
 /// The layout of the rows.
 #[derive(Clone, Debug)]
-pub(super) struct Layout {
+pub(super) struct TableLayout {
     pub(super) delimiter: Delimiter,
     /// One name per column.
     pub(super) names: Vec<String>,
@@ -25,9 +25,9 @@ pub(super) struct Layout {
 }
 
 /// Finds the header and the delimiter.
-pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<Layout> {
-    let mut head = Head::default();
-    let mut lines = Lines::new(bytes, limits);
+pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<TableLayout> {
+    let mut head = TableHead::default();
+    let mut lines = HeadLines::new(bytes, limits);
     while let Some(line) = lines.next_line()? {
         if line.text.starts_with(b"ITEM:") {
             let what = "this LAMMPS dump is not supported: write it as CSV or VTK instead";
@@ -60,7 +60,7 @@ pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<Layout> {
 /// by chance.
 pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
     let limits = Limits::default();
-    let mut lines = Lines::new(head, &limits);
+    let mut lines = HeadLines::new(head, &limits);
     let mut has_header = false;
     let mut has_text = false;
     while let Ok(Some(line)) = lines.next_line() {
@@ -72,7 +72,7 @@ pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
             return true;
         }
         let Ok(next) = lines.peek_row() else { return false };
-        let is_above = |(delimiter, header): (Delimiter, Header)| {
+        let is_above = |(delimiter, header): (Delimiter, ColumnNames)| {
             next.is_none_or(|next| header.names_positions_of(next, delimiter))
         };
         if headers(line.text, &limits).any(is_above) {
@@ -89,7 +89,7 @@ pub(crate) fn names_position(line: &[u8]) -> bool {
 }
 
 /// The line as a header, with each delimiter for which it names a position.
-fn headers(line: &[u8], limits: &Limits) -> impl Iterator<Item = (Delimiter, Header)> {
+fn headers(line: &[u8], limits: &Limits) -> impl Iterator<Item = (Delimiter, ColumnNames)> {
     DELIMITERS.into_iter().filter_map(move |delimiter| {
         header(line, delimiter, limits).ok().flatten().map(|header| (delimiter, header))
     })
@@ -97,19 +97,19 @@ fn headers(line: &[u8], limits: &Limits) -> impl Iterator<Item = (Delimiter, Hea
 
 /// The lines seen so far above the rows.
 #[derive(Default)]
-struct Head<'a> {
+struct TableHead<'a> {
     /// Number of lines that are neither comment nor header.
     text_line_count: u64,
     /// The first and the last of them.
-    text_first: Option<Line<'a>>,
-    text_last: Option<Line<'a>>,
+    text_first: Option<HeadLine<'a>>,
+    text_last: Option<HeadLine<'a>>,
     /// The last comment that names a position.
     comment: Option<&'a [u8]>,
     /// The first line that names a position, although the next line has a different number of cells.
-    doubtful: Option<(Header, Delimiter, usize, u64)>,
+    doubtful: Option<(ColumnNames, Delimiter, usize, u64)>,
 }
 
-impl<'a> Head<'a> {
+impl<'a> TableHead<'a> {
     fn take_comment(&mut self, comment: &'a [u8], limits: &Limits) {
         // A comment with too many words is prose or numbers: not an error, but not a header either.
         if headers(comment, limits).next().is_some() {
@@ -117,7 +117,7 @@ impl<'a> Head<'a> {
         }
     }
 
-    fn take_text(&mut self, line: Line<'a>) -> Result<()> {
+    fn take_text(&mut self, line: HeadLine<'a>) -> Result<()> {
         if DELIMITERS[1..].iter().any(|&delimiter| begins_with_numbers(line.text, delimiter)) {
             return Err(decimal_commas(line.number));
         }
@@ -128,7 +128,13 @@ impl<'a> Head<'a> {
     }
 
     /// Called when the first row comes before any header.
-    fn above_row(self, delimiter: Delimiter, count: usize, row: Line, limits: &Limits) -> Result<Layout> {
+    fn above_row(
+        self,
+        delimiter: Delimiter,
+        count: usize,
+        row: HeadLine,
+        limits: &Limits,
+    ) -> Result<TableLayout> {
         if let Some((header, header_delimiter, rows_offset, rows_line)) = self.doubtful {
             // Names may be delimited differently from numbers. If that was not the problem, the reader will
             // report the row that does not fit.
@@ -152,12 +158,12 @@ impl<'a> Head<'a> {
         }
         let names = (0..count)
             .map(|index| ["x", "y", "z"].get(index).map_or(column_name(index), ToString::to_string));
-        let header = Header { names: names.collect(), position: [0, 1, 2] };
+        let header = ColumnNames { names: names.collect(), position: [0, 1, 2] };
         Ok(header.into_layout(delimiter, row.offset, row.number, notes))
     }
 
     /// Called when the file ends before any row.
-    fn above_nothing(self, bytes: &[u8], line: u64, limits: &Limits) -> Result<Layout> {
+    fn above_nothing(self, bytes: &[u8], line: u64, limits: &Limits) -> Result<TableLayout> {
         if let Some((header, delimiter, rows_offset, rows_line)) = self.doubtful {
             return Ok(header.into_layout(delimiter, rows_offset, rows_line, Vec::new()));
         }
@@ -192,18 +198,18 @@ impl<'a> Head<'a> {
 }
 
 /// Column names that include a position.
-struct Header {
+struct ColumnNames {
     names: Vec<String>,
     position: [usize; 3],
 }
 
-impl Header {
+impl ColumnNames {
     /// Whether a row has the same number of cells, and numbers or missing values in the position columns.
     fn names_positions_of(&self, row: &[u8], delimiter: Delimiter) -> bool {
         let is_coordinate = |&column: &usize| {
             let cell = cells(row, delimiter).nth(column).unwrap_or_default();
             let cell = unquoted(cell);
-            has_decimal_comma(&cell) || meaning(&cell) != Meaning::Text
+            has_decimal_comma(&cell) || meaning(&cell) != CellValue::Text
         };
         has_cells(row, delimiter, self.names.len()) && self.position.iter().all(is_coordinate)
     }
@@ -214,13 +220,13 @@ impl Header {
         rows_offset: usize,
         rows_line: u64,
         notes: Vec<String>,
-    ) -> Layout {
-        Layout { delimiter, names: self.names, position: self.position, rows_offset, rows_line, notes }
+    ) -> TableLayout {
+        TableLayout { delimiter, names: self.names, position: self.position, rows_offset, rows_line, notes }
     }
 }
 
 /// Parses the line as a header, if it names a position with this delimiter.
-fn header(line: &[u8], delimiter: Delimiter, limits: &Limits) -> Result<Option<Header>> {
+fn header(line: &[u8], delimiter: Delimiter, limits: &Limits) -> Result<Option<ColumnNames>> {
     if !has_enough_cells(line, delimiter) {
         return Ok(None);
     }
@@ -248,7 +254,7 @@ fn header(line: &[u8], delimiter: Delimiter, limits: &Limits) -> Result<Option<H
         }
     }
     let Columns { position, .. } = group(&names, |_| false);
-    Ok(position.map(|position| Header { names, position }))
+    Ok(position.map(|position| ColumnNames { names, position }))
 }
 
 /// Groups the columns by their names. Text columns do not form vectors with numeric ones.
@@ -266,7 +272,7 @@ fn column_name(index: usize) -> String {
 /// The delimiter and the number of cells of a line that starts with three numbers.
 fn row_shape(line: &[u8]) -> Option<(Delimiter, usize)> {
     DELIMITERS.into_iter().find_map(|delimiter| {
-        let is_number = |cell| matches!(meaning(&unquoted(cell)), Meaning::Number(_));
+        let is_number = |cell| matches!(meaning(&unquoted(cell)), CellValue::Number(_));
         if !has_enough_cells(line, delimiter) || !cells(line, delimiter).take(3).all(is_number) {
             return None;
         }
@@ -280,7 +286,7 @@ fn row_shape(line: &[u8]) -> Option<(Delimiter, usize)> {
 fn begins_with_numbers(line: &[u8], delimiter: Delimiter) -> bool {
     let is_number = |cell| {
         let cell = unquoted(cell);
-        has_decimal_comma(&cell) || matches!(meaning(&cell), Meaning::Number(_))
+        has_decimal_comma(&cell) || matches!(meaning(&cell), CellValue::Number(_))
     };
     has_enough_cells(line, delimiter) && cells(line, delimiter).take(3).all(is_number)
 }
@@ -291,7 +297,7 @@ fn has_enough_cells(line: &[u8], delimiter: Delimiter) -> bool {
 
 /// Whether the line must be a header: the same number of cells as the row below it, and no numbers.
 fn is_header_like(line: &[u8], delimiter: Delimiter, count: usize) -> bool {
-    let is_text = |cell| matches!(meaning(&unquoted(cell)), Meaning::Text);
+    let is_text = |cell| matches!(meaning(&unquoted(cell)), CellValue::Text);
     has_cells(line, delimiter, count) && cells(line, delimiter).take(count).all(is_text)
 }
 
@@ -303,7 +309,7 @@ fn check_column_count(count: usize, limits: &Limits) -> Result<()> {
     Err(Error::too_large(FORMAT, what))
 }
 
-fn no_position(header: Line, delimiter: Delimiter) -> Error {
+fn no_position(header: HeadLine, delimiter: Delimiter) -> Error {
     let names = excerpts(cells(header.text, delimiter).map(unquoted));
     let what = format!("expected a header with position columns, such as x,y,z; found {names}");
     Error::invalid(FORMAT, Place::Line(header.number), what)
@@ -311,7 +317,8 @@ fn no_position(header: Line, delimiter: Delimiter) -> Error {
 
 /// The error for numbers with decimal commas, as in French and German.
 pub(super) fn decimal_commas(line: u64) -> Error {
-    let what = format!("line {line} has numbers with a decimal comma, which is not supported: use a decimal point");
+    let what =
+        format!("line {line} has numbers with a decimal comma, which is not supported: use a decimal point");
     Error::unsupported(FORMAT, what)
 }
 
@@ -325,7 +332,7 @@ pub(super) fn comment(line: &[u8]) -> Option<&[u8]> {
 
 /// A line without its line end.
 #[derive(Clone, Copy)]
-struct Line<'a> {
+struct HeadLine<'a> {
     text: &'a [u8],
     offset: usize,
     /// Line number, starting at 1.
@@ -333,7 +340,7 @@ struct Line<'a> {
 }
 
 /// The nonblank lines above the rows. They end in LF, CR LF or CR.
-struct Lines<'a> {
+struct HeadLines<'a> {
     bytes: &'a [u8],
     at: usize,
     number: u64,
@@ -341,14 +348,14 @@ struct Lines<'a> {
     end: usize,
 }
 
-impl<'a> Lines<'a> {
-    fn new(bytes: &'a [u8], limits: &Limits) -> Lines<'a> {
+impl<'a> HeadLines<'a> {
+    fn new(bytes: &'a [u8], limits: &Limits) -> HeadLines<'a> {
         let at = if bytes.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 };
         let end = usize::try_from(limits.header_bytes).unwrap_or(usize::MAX).min(bytes.len());
-        Lines { bytes, at, number: 0, end }
+        HeadLines { bytes, at, number: 0, end }
     }
 
-    fn next_line(&mut self) -> Result<Option<Line<'a>>> {
+    fn next_line(&mut self) -> Result<Option<HeadLine<'a>>> {
         while self.at < self.bytes.len() {
             let offset = self.at;
             let rest = self.bytes.get(offset..self.end).unwrap_or_default();
@@ -370,7 +377,7 @@ impl<'a> Lines<'a> {
             };
             self.number += 1;
             if !text.trim_ascii().is_empty() {
-                return Ok(Some(Line { text, offset, number: self.number }));
+                return Ok(Some(HeadLine { text, offset, number: self.number }));
             }
         }
         Ok(None)
@@ -378,7 +385,7 @@ impl<'a> Lines<'a> {
 
     /// The next line that is not a comment, without advancing.
     fn peek_row(&self) -> Result<Option<&'a [u8]>> {
-        let mut ahead = Lines { ..*self };
+        let mut ahead = HeadLines { ..*self };
         while let Some(line) = ahead.next_line()? {
             if comment(line.text).is_none() {
                 return Ok(Some(line.text));

@@ -64,7 +64,7 @@ pub(crate) fn open_end_note(rows: &[u8]) -> Option<String> {
 }
 
 /// The rows of a table whose header belongs to another format; separated by blanks.
-pub(crate) struct Rows {
+pub(crate) struct CountedRows {
     /// One name per column.
     pub(crate) names: Vec<String>,
     /// The position columns, which must agree with the names.
@@ -82,12 +82,12 @@ pub(crate) struct Rows {
 /// # Errors
 ///
 /// Those of [`read`]; [`Error::Invalid`] if the number of rows differs from the header's.
-pub(crate) fn read_rows(bytes: &[u8], rows: Rows, limits: &Limits) -> Result<Option<ParticleFrame>> {
-    let Rows { names, position, offset, line, count } = rows;
+pub(crate) fn read_rows(bytes: &[u8], rows: CountedRows, limits: &Limits) -> Result<Option<ParticleFrame>> {
+    let CountedRows { names, position, offset, line, count } = rows;
     if layout::group(&names, |_| false).position != Some(position) {
         return Ok(None);
     }
-    let layout = layout::Layout {
+    let layout = layout::TableLayout {
         delimiter: cell::Delimiter::Blanks,
         names,
         position,

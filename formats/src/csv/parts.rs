@@ -15,7 +15,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use super::column::Column;
-use super::layout::Layout;
+use super::layout::TableLayout;
 use super::rows::Table;
 use crate::{Limits, Result};
 
@@ -26,28 +26,33 @@ const PART_BYTES: usize = 1 << 20;
 const PARTS_PER_THREAD: usize = 4;
 
 /// Reads all rows in the caller's thread pool.
-pub(super) fn read_rows(bytes: &[u8], layout: &Layout, limits: &Limits) -> Result<Table> {
+pub(super) fn read_rows(bytes: &[u8], layout: &TableLayout, limits: &Limits) -> Result<Table> {
     read_rows_in_parts(bytes, layout, limits, PART_BYTES)
 }
 
-fn read_rows_in_parts(bytes: &[u8], layout: &Layout, limits: &Limits, part_bytes: usize) -> Result<Table> {
+fn read_rows_in_parts(
+    bytes: &[u8],
+    layout: &TableLayout,
+    limits: &Limits,
+    part_bytes: usize,
+) -> Result<Table> {
     let mut table = Table::with_room_for(&bytes[layout.rows_offset..], layout.names.len());
     let thread_count = rayon::current_num_threads();
     if thread_count == 1 || bytes.len() < 2 * part_bytes {
-        table.read_on(bytes, layout.rows_offset, layout, limits)?;
+        table.read_more(bytes, layout.rows_offset, layout, limits)?;
         return Ok(table);
     }
     let parts = parts(bytes, layout.rows_offset, part_bytes);
     for parts in parts.chunks(PARTS_PER_THREAD * thread_count) {
         let read_alone = |part: &Range<usize>| {
             let mut alone = Table::with_room_for(&bytes[part.clone()], layout.names.len());
-            alone.read_on(&bytes[..part.end], part.start, layout, limits).is_ok().then_some(alone)
+            alone.read_more(&bytes[..part.end], part.start, layout, limits).is_ok().then_some(alone)
         };
         let tables: Vec<Option<Table>> = parts.par_iter().map(read_alone).collect();
         for (part, alone) in parts.iter().zip(tables) {
             match alone {
                 Some(alone) if can_append(&table, &alone, limits) => append(&mut table, alone),
-                _ => table.read_on(&bytes[..part.end], part.start, layout, limits)?,
+                _ => table.read_more(&bytes[..part.end], part.start, layout, limits)?,
             }
         }
     }

@@ -6,9 +6,9 @@
 //! Large tables are read in parts, see [`super::parts`]; each part is such a pass.
 
 use super::FORMAT;
-use super::cell::{Delimiter, Meaning, cells, has_decimal_comma, meaning, quoted_length, shown, unquoted};
+use super::cell::{CellValue, Delimiter, cells, has_decimal_comma, meaning, quoted_length, shown, unquoted};
 use super::column::{Column, ColumnValues};
-use super::layout::{Layout, comment, decimal_commas};
+use super::layout::{TableLayout, comment, decimal_commas};
 use crate::{Error, Limits, Place, Result};
 
 /// All columns, in file order.
@@ -37,15 +37,15 @@ impl Table {
 
     /// Reads the rows from offset `start` to the end of `bytes`. The table's line count must cover exactly
     /// the lines before `start`.
-    pub(super) fn read_on(
+    pub(super) fn read_more(
         &mut self,
         bytes: &[u8],
         start: usize,
-        layout: &Layout,
+        layout: &TableLayout,
         limits: &Limits,
     ) -> Result<()> {
         let first_line = layout.rows_line + self.line_count;
-        let mut rows = Rows {
+        let mut rows = RowReader {
             bytes,
             at: start,
             line: first_line,
@@ -84,7 +84,7 @@ fn row_count_estimate(rows: &[u8], column_count: usize) -> usize {
 }
 
 /// The position in the rows.
-struct Rows<'a> {
+struct RowReader<'a> {
     bytes: &'a [u8],
     at: usize,
     /// Number of the line that contains `at`, starting at 1.
@@ -94,7 +94,7 @@ struct Rows<'a> {
     names: &'a [String],
 }
 
-impl<'a> Rows<'a> {
+impl<'a> RowReader<'a> {
     /// Advances to the next line that is neither blank nor a comment.
     fn next_row(&mut self) -> bool {
         loop {
@@ -120,14 +120,14 @@ impl<'a> Rows<'a> {
         for (index, column) in columns.iter_mut().enumerate() {
             self.at += blanks(&self.bytes[self.at..], self.delimiter);
             if self.delimiter.is_none() && self.is_at_line_end() {
-                return Err(self.ragged(start)); // with blanks as delimiter, there are no empty cells
+                return Err(self.wrong_cell_count(start)); // with blanks as delimiter, there are no empty cells
             }
             if !self.take_number(column) {
                 self.take_other(column, index, position.contains(&index))?;
             }
             if index + 1 < column_count && self.delimiter.is_some() {
                 if self.is_at_line_end() {
-                    return Err(self.ragged(start));
+                    return Err(self.wrong_cell_count(start));
                 }
                 self.at += 1; // a cell ends at a delimiter or a line end
             }
@@ -136,7 +136,7 @@ impl<'a> Rows<'a> {
             self.at += usize::from(self.delimiter.is_some());
             self.at += blanks(&self.bytes[self.at..], self.delimiter);
             if !self.is_at_line_end() {
-                return Err(self.ragged(start));
+                return Err(self.wrong_cell_count(start));
             }
         }
         self.end_line();
@@ -186,11 +186,11 @@ impl<'a> Rows<'a> {
         let text = unquoted(cell);
         match meaning(&text) {
             // More likely a truncated number than a mark for a missing value.
-            Meaning::Missing if is_position && &*text == b"-" && self.at + length == self.bytes.len() => {
+            CellValue::Missing if is_position && &*text == b"-" && self.at + length == self.bytes.len() => {
                 return Err(self.not_a_number(&text, index));
             }
-            Meaning::Missing => column.push_missing(),
-            Meaning::Number(value) if !column.is_text() => match integer(&text) {
+            CellValue::Missing => column.push_missing(),
+            CellValue::Number(value) if !column.is_text() => match integer(&text) {
                 Some((value, length)) if length == text.len() => column.push_integer(value, &text),
                 _ => column.push_real(value, &text),
             },
@@ -224,7 +224,7 @@ impl<'a> Rows<'a> {
         &rest[..length.unwrap_or(rest.len())]
     }
 
-    fn ragged(&mut self, start: usize) -> Error {
+    fn wrong_cell_count(&mut self, start: usize) -> Error {
         self.at = start;
         let delimiter = self.delimiter.map_or(Delimiter::Blanks, Delimiter::Byte);
         let found: Vec<&[u8]> = cells(self.line_text(), delimiter).collect();
@@ -254,7 +254,11 @@ impl<'a> Rows<'a> {
         let place = Place::Line(self.line);
         match self.at + self.line_text().len() < self.bytes.len() {
             true => Error::invalid(FORMAT, place, what),
-            false => Error::short(FORMAT, place, format!("{what}; the file ends in this line, which has no line end")),
+            false => Error::short(
+                FORMAT,
+                place,
+                format!("{what}; the file ends in this line, which has no line end"),
+            ),
         }
     }
 }

@@ -20,7 +20,10 @@ impl Buffers {
     /// The elements of an accessor of vectors; converts normalized integers to −1 ..= 1.
     pub(super) fn vectors(&self, accessor: &Accessor, semantic: &Semantic) -> Result<Vec<[f64; 3]>> {
         if accessor.dimensions() != Dimensions::Vec3 {
-            return Err(invalid(format!("{semantic:?} has the type {:?}; expected Vec3", accessor.dimensions())));
+            return Err(invalid(format!(
+                "{semantic:?} has the type {:?}; expected Vec3",
+                accessor.dimensions()
+            )));
         }
         let scale = match accessor.data_type() {
             // The flag has no meaning for floats, but some exporters set it.
@@ -52,7 +55,9 @@ impl Buffers {
                 Ok(self.elements::<u16>(accessor)?.into_iter().map(u32::from).collect())
             }
             (Dimensions::Scalar, DataType::U32) => self.elements::<u32>(accessor),
-            (dimensions, data) => Err(invalid(format!("the indices have the invalid type {dimensions:?} of {data:?}"))),
+            (dimensions, data) => {
+                Err(invalid(format!("the indices have the invalid type {dimensions:?} of {data:?}")))
+            }
         }
     }
 
@@ -63,7 +68,9 @@ impl Buffers {
             Dimensions::Vec2 => self.elements::<[T; 2]>(accessor)?.into_flattened(),
             Dimensions::Vec3 => self.elements::<[T; 3]>(accessor)?.into_flattened(),
             Dimensions::Vec4 => self.elements::<[T; 4]>(accessor)?.into_flattened(),
-            dimensions => return Err(invalid(format!("a vertex attribute has the unsupported type {dimensions:?}"))),
+            dimensions => {
+                return Err(invalid(format!("a vertex attribute has the unsupported type {dimensions:?}")));
+            }
         })
     }
 
@@ -109,7 +116,9 @@ impl Buffers {
     fn check_sparse(&self, sparse: &sparse::Sparse, count: usize, size: usize) -> Result<()> {
         let sparse_count = sparse.count();
         if sparse_count == 0 || sparse_count > count {
-            return Err(invalid(format!("an accessor has {sparse_count} sparse elements, but only {count} elements")));
+            return Err(invalid(format!(
+                "an accessor has {sparse_count} sparse elements, but only {count} elements"
+            )));
         }
         let (indices, values) = (sparse.indices(), sparse.values());
         self.part(&values.view(), values.offset(), sparse_count, size)?;

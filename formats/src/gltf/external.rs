@@ -89,8 +89,9 @@ impl<'a> ReadBeside<'a> {
             return Ok(Rc::clone(bytes));
         }
         let read = beside(&path);
-        let bytes =
-            read.map_err(|error| std::io::Error::new(error.kind(), format!("cannot read the buffer {path}: {error}")))?;
+        let bytes = read.map_err(|error| {
+            std::io::Error::new(error.kind(), format!("cannot read the buffer {path}: {error}"))
+        })?;
         let bytes = Rc::new(bytes);
         self.size_bytes = self.size_bytes.saturating_add(bytes.len() as u64);
         self.read.insert(path, Rc::clone(&bytes));

@@ -25,7 +25,7 @@ const JSON_BYTES_MAX: u64 = 64 << 20;
 
 /// Location and type of numbers that belong to the vertices of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Column {
+pub(crate) struct VertexColumn {
     component: u32,
     pub(crate) arity: usize,
     pub(crate) count: usize,
@@ -152,12 +152,12 @@ impl FrameFile {
     }
 
     /// Whether the values of this attribute are indices into strings.
-    pub(crate) fn is_of_strings(&self, semantic: &str) -> bool {
+    pub(crate) fn has_string_indices(&self, semantic: &str) -> bool {
         !self.document["meshes"][0]["extras"]["strings"][semantic].is_null()
     }
 
     /// The numbers of the named attribute, if the vertices have it.
-    pub(crate) fn column(&self, semantic: &str) -> Result<Option<Column>> {
+    pub(crate) fn column(&self, semantic: &str) -> Result<Option<VertexColumn>> {
         if !self.has_mesh() {
             return Ok(None);
         }
@@ -165,11 +165,11 @@ impl FrameFile {
         self.accessor(index).map(Some)
     }
 
-    fn indices(&self) -> Result<Column> {
+    fn indices(&self) -> Result<VertexColumn> {
         self.accessor(&self.document["meshes"][0]["primitives"][0]["indices"])
     }
 
-    fn accessor(&self, index: &Value) -> Result<Column> {
+    fn accessor(&self, index: &Value) -> Result<VertexColumn> {
         let missing = || invalid(format!("the accessor {index} is not one that this program writes"));
         let at = |array: &'static str, index: &Value| {
             let index = usize::try_from(index.as_u64()?).ok()?;
@@ -197,7 +197,7 @@ impl FrameFile {
         if !is_there || needed > length || stride_bytes < arity * number_bytes {
             return Err(invalid(format!("the accessor {index} exceeds the data")));
         }
-        Ok(Column { component, arity, count, start: self.bin_at + offset, stride_bytes })
+        Ok(VertexColumn { component, arity, count, start: self.bin_at + offset, stride_bytes })
     }
 
     /// The placement of the frame.
@@ -239,7 +239,7 @@ impl FrameFile {
     /// Reads vertex data. Converts normalized integers to −1 ..= 1 and multiplies them by `scale`.
     pub(crate) fn read_column(
         &self,
-        column: &Column,
+        column: &VertexColumn,
         scale: f64,
         file: &mut (impl Read + Seek),
     ) -> Result<Vec<f32>> {
@@ -283,19 +283,23 @@ impl FrameFile {
         };
         let vertex_count = self.vertex_count();
         if let Some(index) = indices.iter().find(|&&index| index as usize >= vertex_count) {
-            return Err(invalid(format!("a triangle has vertex index {index}, but the mesh has {vertex_count} vertices")));
+            return Err(invalid(format!(
+                "a triangle has vertex index {index}, but the mesh has {vertex_count} vertices"
+            )));
         }
         Ok(indices.as_chunks::<3>().0.to_vec())
     }
 
-    fn bytes_of(&self, column: &Column, file: &mut (impl Read + Seek)) -> Result<Vec<u8>> {
+    fn bytes_of(&self, column: &VertexColumn, file: &mut (impl Read + Seek)) -> Result<Vec<u8>> {
         let byte_count = column.count as u64 * column.stride_bytes as u64; // checked against the file size
         let mut bytes = Vec::new();
         file.seek(SeekFrom::Start(column.start))?;
         file.take(byte_count).read_to_end(&mut bytes)?;
         match bytes.len() as u64 == byte_count {
             true => Ok(bytes),
-            false => Err(Error::short(FORMAT, Place::File, "the file became shorter while it was being read")),
+            false => {
+                Err(Error::short(FORMAT, Place::File, "the file became shorter while it was being read"))
+            }
         }
     }
 }

@@ -44,9 +44,9 @@ pub use sequence::{SHOT_FRAMES, ShotFrame, ShotInfo, read_shot_info, write_seque
 pub use vertex_data::attribute_notes;
 pub use write::{write_glb, write_gltf};
 
-pub(crate) use frame_file::{Column, FramePlace};
+pub(crate) use frame_file::{FramePlace, VertexColumn};
 
-use read_provenance::{glb_bytes_claimed, json_of_glb_head, read_provenance};
+use read_provenance::{glb_bytes_declared, json_of_glb_head, read_provenance};
 
 /// The format's name in errors.
 const FORMAT: &str = "glTF";
@@ -83,7 +83,7 @@ pub(crate) static GLB: OutputRow = OutputRow {
     has_attributes: true,
     options: &[WriteOption::Up, WriteOption::Quantize],
     read_provenance: |head| read_provenance(json_of_glb_head(head)?),
-    integrity: Integrity::Length(|head, _| glb_bytes_claimed(head)),
+    integrity: Integrity::Length(|head, _| glb_bytes_declared(head)),
 };
 
 /// The row of the text form in the table of formats.

@@ -91,7 +91,10 @@ pub fn quantized_positions(positions: &[[f32; 3]]) -> Vec<[f32; 3]> {
         let steps = cube.quantized(position);
         std::array::from_fn(|axis| {
             let part = f64::from(steps[axis]) / STEPS;
-            #[expect(clippy::cast_possible_truncation, reason = "unquantized positions have the same precision")]
+            #[expect(
+                clippy::cast_possible_truncation,
+                reason = "unquantized positions have the same precision"
+            )]
             let position = (f64::from(cube.low[axis]) + f64::from(cube.size) * part) as f32;
             position
         })

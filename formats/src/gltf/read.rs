@@ -44,7 +44,7 @@ pub fn read_mesh_with(bytes: &[u8], limits: &Limits, beside: &Beside) -> Result<
 }
 
 fn read(bytes: &[u8], limits: &Limits, beside: Option<&Beside>) -> Result<MeshData> {
-    let Opened { document, places, buffers, budget } = open(bytes, limits, beside)?;
+    let OpenDocument { document, places, buffers, budget } = open(bytes, limits, beside)?;
     let mut collector = Collector { buffers, budget, mesh: MeshData::default(), has_normals: true };
     for (mesh, placement) in placed_meshes(&document, &places)? {
         for primitive in mesh.primitives() {
@@ -55,18 +55,18 @@ fn read(bytes: &[u8], limits: &Limits, beside: Option<&Beside>) -> Result<MeshDa
 }
 
 /// A document and its buffers.
-pub(super) struct Opened {
+pub(super) struct OpenDocument {
     pub(super) document: Document,
-    places: Places,
+    places: NodeTransforms,
     pub(super) buffers: Buffers,
     /// Remaining memory for the content, in bytes.
     pub(super) budget: u64,
 }
 
-pub(super) fn open(bytes: &[u8], limits: &Limits, beside: Option<&Beside>) -> Result<Opened> {
+pub(super) fn open(bytes: &[u8], limits: &Limits, beside: Option<&Beside>) -> Result<OpenDocument> {
     let (json, bin) = chunks(bytes)?;
     let document = document(json)?;
-    let places: Places = parse(json)?;
+    let places: NodeTransforms = parse(json)?;
     let mut files = ReadBeside::new(beside);
     let buffers = document.buffers().map(|buffer| match buffer.source() {
         Source::Bin => bin
@@ -78,14 +78,17 @@ pub(super) fn open(bytes: &[u8], limits: &Limits, beside: Option<&Beside>) -> Re
     });
     let buffers = Buffers { bytes: buffers.collect::<Result<_>>()? };
     let budget = limits.decompressed_bytes_of((bytes.len() as u64).saturating_add(files.size_bytes));
-    Ok(Opened { document, places, buffers, budget })
+    Ok(OpenDocument { document, places, buffers, budget })
 }
 
 /// Parses the document and checks that all references are valid.
 pub(super) fn document(json: &[u8]) -> Result<Document> {
     let root: json::Root = parse(json).or_else(|error| with_nodes_in_scenes(json).ok_or(error))?;
     if let Some(extension) = root.extensions_required.iter().find(|name| *name != "KHR_mesh_quantization") {
-        return Err(Error::unsupported(FORMAT, format!("the file requires the extension {extension}: export without it")));
+        return Err(Error::unsupported(
+            FORMAT,
+            format!("the file requires the extension {extension}: export without it"),
+        ));
     }
     // The crate's own check panics on such an index.
     let attributes = root.meshes.iter().flat_map(|mesh| &mesh.primitives).flat_map(|part| &part.attributes);
@@ -136,7 +139,10 @@ pub(super) fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>)> {
     };
     let number = |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
     if number(4) != GLB_VERSION {
-        return Err(Error::unsupported(FORMAT, format!("the GLB version is {}; only 2 is supported", number(4))));
+        return Err(Error::unsupported(
+            FORMAT,
+            format!("the GLB version is {}; only 2 is supported", number(4)),
+        ));
     }
     let Some(bytes) = bytes.get(..number(8) as usize) else {
         return error(8, "the file is shorter than its GLB header declares");
@@ -163,7 +169,7 @@ pub(super) fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>)> {
 
 /// The transforms of the nodes.
 #[derive(Deserialize)]
-pub(super) struct Places {
+pub(super) struct NodeTransforms {
     #[serde(default)]
     nodes: Vec<Node>,
 }
@@ -177,9 +183,12 @@ struct Node {
 }
 
 /// Every use of a mesh in the scene, with its world transform.
-fn placed_meshes<'a>(document: &'a Document, places: &Places) -> Result<Vec<(::gltf::Mesh<'a>, Placement)>> {
+fn placed_meshes<'a>(
+    document: &'a Document,
+    places: &NodeTransforms,
+) -> Result<Vec<(::gltf::Mesh<'a>, NodeTransform)>> {
     let Some(scene) = document.default_scene().or_else(|| document.scenes().next()) else {
-        return Ok(document.meshes().map(|mesh| (mesh, Placement::IDENTITY)).collect());
+        return Ok(document.meshes().map(|mesh| (mesh, NodeTransform::IDENTITY)).collect());
     };
     placed(&scene, places, |node| node.mesh())
 }
@@ -187,13 +196,13 @@ fn placed_meshes<'a>(document: &'a Document, places: &Places) -> Result<Vec<(::g
 /// Everything that `pick` returns for the nodes of a scene, with its world transform.
 pub(super) fn placed<'a, T>(
     scene: &::gltf::Scene<'a>,
-    places: &Places,
+    places: &NodeTransforms,
     pick: impl Fn(&::gltf::Node<'a>) -> Option<T>,
-) -> Result<Vec<(T, Placement)>> {
+) -> Result<Vec<(T, NodeTransform)>> {
     let mut placed = Vec::new();
     let mut visited = vec![false; places.nodes.len()];
-    let mut pending: Vec<(::gltf::Node<'a>, Placement)> =
-        scene.nodes().map(|node| (node, Placement::IDENTITY)).collect();
+    let mut pending: Vec<(::gltf::Node<'a>, NodeTransform)> =
+        scene.nodes().map(|node| (node, NodeTransform::IDENTITY)).collect();
     pending.reverse();
     while let Some((node, parent)) = pending.pop() {
         let index = node.index();
@@ -214,14 +223,14 @@ pub(super) fn placed<'a, T>(
 
 /// An affine transform: the columns of the linear part, and the translation.
 #[derive(Clone, Copy)]
-pub(super) struct Placement {
+pub(super) struct NodeTransform {
     pub(super) axes: [[f64; 3]; 3],
     pub(super) translation: [f64; 3],
 }
 
-impl Placement {
-    const IDENTITY: Placement =
-        Placement { axes: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], translation: [0.0; 3] };
+impl NodeTransform {
+    const IDENTITY: NodeTransform =
+        NodeTransform { axes: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], translation: [0.0; 3] };
 
     fn vector(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|row| self.axes[0][row] * x + self.axes[1][row] * y + self.axes[2][row] * z)
@@ -236,15 +245,16 @@ impl Placement {
     /// surface.
     fn normal(&self, normal: [f64; 3]) -> [f64; 3] {
         let [a, b, c] = self.axes;
-        let cofactors = Placement { axes: [cross(b, c), cross(c, a), cross(a, b)], translation: [0.0; 3] };
+        let cofactors =
+            NodeTransform { axes: [cross(b, c), cross(c, a), cross(a, b)], translation: [0.0; 3] };
         let [x, y, z] = cofactors.vector(normal);
         let length = (x * x + y * y + z * z).sqrt();
         if 0.0 < length { [x / length, y / length, z / length] } else { [x, y, z] }
     }
 
     /// The transform that applies `inner` first, then this one.
-    fn then_inner(&self, inner: &Placement) -> Placement {
-        Placement {
+    fn then_inner(&self, inner: &NodeTransform) -> NodeTransform {
+        NodeTransform {
             axes: inner.axes.map(|axis| self.vector(axis)),
             translation: self.point(inner.translation),
         }
@@ -256,10 +266,10 @@ fn cross([ax, ay, az]: [f64; 3], [bx, by, bz]: [f64; 3]) -> [f64; 3] {
 }
 
 impl Node {
-    fn placement(&self) -> Placement {
+    fn placement(&self) -> NodeTransform {
         if let Some(m) = self.matrix {
             let column = |c: usize| [m[4 * c], m[4 * c + 1], m[4 * c + 2]];
-            return Placement { axes: [column(0), column(1), column(2)], translation: column(3) };
+            return NodeTransform { axes: [column(0), column(1), column(2)], translation: column(3) };
         }
         let [x, y, z, w] = self.rotation.unwrap_or([0.0, 0.0, 0.0, 1.0]);
         let scale = self.scale.unwrap_or([1.0; 3]);
@@ -269,7 +279,7 @@ impl Node {
             [2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x * x + y * y)],
         ];
         let axes = std::array::from_fn(|axis| rotation[axis].map(|c| c * scale[axis]));
-        Placement { axes, translation: self.translation.unwrap_or([0.0; 3]) }
+        NodeTransform { axes, translation: self.translation.unwrap_or([0.0; 3]) }
     }
 }
 
@@ -281,14 +291,15 @@ struct Collector {
 }
 
 impl Collector {
-    fn add(&mut self, primitive: &Primitive, placement: &Placement) -> Result<()> {
+    fn add(&mut self, primitive: &Primitive, placement: &NodeTransform) -> Result<()> {
         let Some(positions) = primitive.get(&Semantic::Positions) else { return Ok(()) };
         if matches!(primitive.mode(), Mode::Points | Mode::Lines | Mode::LineLoop | Mode::LineStrip) {
             return Ok(());
         }
         let index_count = primitive.indices().map_or(positions.count(), |indices| indices.count());
         self.spend(positions.count(), index_count)?;
-        let vertex_count = u32::try_from(positions.count()).map_err(|_| invalid("a mesh has 2³² or more vertices"))?;
+        let vertex_count =
+            u32::try_from(positions.count()).map_err(|_| invalid("a mesh has 2³² or more vertices"))?;
         let positions = self.buffers.vectors(&positions, &Semantic::Positions)?;
         let normals = primitive.get(&Semantic::Normals);
         let normals = normals.filter(|normals| normals.count() == positions.len());
@@ -299,7 +310,9 @@ impl Collector {
             Some(accessor) => self.buffers.indices(&accessor)?,
         };
         if let Some(index) = indices.iter().find(|index| **index >= vertex_count) {
-            return Err(invalid(format!("a triangle has vertex index {index}, but the mesh has {vertex_count} vertices")));
+            return Err(invalid(format!(
+                "a triangle has vertex index {index}, but the mesh has {vertex_count} vertices"
+            )));
         }
         let first = u32::try_from(self.mesh.positions.len()).ok();
         let Some(first) = first.filter(|first| first.checked_add(vertex_count).is_some()) else {

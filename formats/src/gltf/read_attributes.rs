@@ -3,7 +3,7 @@
 use ::gltf::Semantic;
 
 use super::buffer::Buffers;
-use super::read::{Opened, open};
+use super::read::{OpenDocument, open};
 use crate::data::{Attribute, Role, Values};
 use crate::error::{Error, Result};
 use crate::limits::Limits;
@@ -17,7 +17,7 @@ use super::FORMAT;
 ///
 /// Those of [`super::read_mesh`].
 pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<Attribute>> {
-    let Opened { document, buffers, mut budget, .. } = open(bytes, limits, None)?;
+    let OpenDocument { document, buffers, mut budget, .. } = open(bytes, limits, None)?;
     let mut found: Vec<Attribute> = Vec::new();
     for (semantic, accessor) in document.meshes().flat_map(|mesh| {
         mesh.primitives().flat_map(|primitive| primitive.attributes().collect::<Vec<_>>()).collect::<Vec<_>>()

@@ -33,7 +33,10 @@ pub fn read_camera(bytes: &[u8]) -> Result<CameraData> {
     let places = parse(json)?;
     let Cameras { cameras: cameras_of } = parse(json)?;
     let Some(scene) = document.default_scene().or_else(|| document.scenes().next()) else {
-        return Err(Error::unsupported(FORMAT, "the file has no scene and no camera: export the scene with its camera"));
+        return Err(Error::unsupported(
+            FORMAT,
+            "the file has no scene and no camera: export the scene with its camera",
+        ));
     };
     let cameras = placed(&scene, &places, |node| node.camera())?;
     let Some((camera, placement)) = cameras.first() else {
@@ -43,10 +46,7 @@ pub fn read_camera(bytes: &[u8]) -> Result<CameraData> {
         return Err(Error::invalid(FORMAT, Place::File, "a camera lacks the parameters of its type"));
     }
     let Projection::Perspective(perspective) = camera.projection() else {
-        return Err(Error::unsupported(
-            FORMAT,
-            "the camera is orthographic: use a perspective camera",
-        ));
+        return Err(Error::unsupported(FORMAT, "the camera is orthographic: use a perspective camera"));
     };
     let [_, up, backward] = placement.axes;
     Ok(CameraData {

@@ -24,7 +24,7 @@ pub(crate) fn json_of_glb_head(head: &[u8]) -> Result<&[u8]> {
 }
 
 /// The file size that the header of a `.glb` declares; `None` if the header is truncated.
-pub(crate) fn glb_bytes_claimed(head: &[u8]) -> Result<Option<u64>> {
+pub(crate) fn glb_bytes_declared(head: &[u8]) -> Result<Option<u64>> {
     const LENGTH_AT: usize = 8;
     if !head.starts_with(&GLB_MAGIC) {
         return Err(Error::invalid(FORMAT, Place::Offset(0), "expected a GLB header"));

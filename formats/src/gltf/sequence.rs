@@ -61,7 +61,9 @@ pub fn read_shot_info(bytes: &[u8]) -> Result<Option<ShotInfo>> {
     let (json, _) = chunks(bytes)?;
     let provenance = read_provenance(json)?;
     let Some((_, frames)) = provenance.iter().find(|(name, _)| name == SHOT_FRAMES) else { return Ok(None) };
-    let frames = frames.parse().map_err(|_| invalid(format!("the sequence has an invalid number of frames `{frames}`")))?;
+    let frames = frames
+        .parse()
+        .map_err(|_| invalid(format!("the sequence has an invalid number of frames `{frames}`")))?;
     let document: Value = parse(json)?;
     let count = |accessor: &Value| {
         let index = usize::try_from(accessor.as_u64()?).ok()?;
@@ -102,7 +104,7 @@ pub fn write_sequence<R: Read + Seek>(
     open: impl Fn(usize) -> io::Result<R>,
     out: &mut impl Write,
 ) -> Result<()> {
-    let mut shot = Shot::default();
+    let mut shot = SequenceDocument::default();
     let keys = keys(frames, fps)?;
     // The keys come first; then the data of each frame, which is a multiple of four bytes.
     let key_bytes = keys.iter().map(|keys| keys.len() as u64 * KEY_BYTES).sum();
@@ -150,13 +152,13 @@ fn too_large(frame_count: usize, bin_bytes: u64) -> Error {
 }
 
 /// A key of a node's scale: seconds, and the factor.
-type Key = (f32, f32);
+type ScaleKey = (f32, f32);
 
 /// A time, and a scale along three axes.
 const KEY_BYTES: u64 = 16;
 
 /// The keys of each frame; empty for a frame without a mesh.
-fn keys(frames: &[ShotFrame], fps: f64) -> Result<Vec<Vec<Key>>> {
+fn keys(frames: &[ShotFrame], fps: f64) -> Result<Vec<Vec<ScaleKey>>> {
     let first = frames.first().map_or(0, |frame| frame.code);
     // A frame starts half a frame before its own time; the first frame has number 1.
     #[expect(clippy::cast_possible_truncation, reason = "times have 32 bits")]
@@ -184,7 +186,7 @@ fn keys(frames: &[ShotFrame], fps: f64) -> Result<Vec<Vec<Key>>> {
 }
 
 /// Writes the times of all keys, then the scales of all.
-fn write_keys(keys: &[Vec<Key>], out: &mut impl Write) -> Result<()> {
+fn write_keys(keys: &[Vec<ScaleKey>], out: &mut impl Write) -> Result<()> {
     for (time, _) in keys.iter().flatten() {
         out.write_all(&time.to_le_bytes())?;
     }
@@ -196,7 +198,7 @@ fn write_keys(keys: &[Vec<Key>], out: &mut impl Write) -> Result<()> {
 
 /// The document under construction.
 #[derive(Default)]
-struct Shot {
+struct SequenceDocument {
     extensions: Vec<Value>,
     nodes: Vec<Value>,
     meshes: Vec<Value>,
@@ -206,9 +208,9 @@ struct Shot {
     channels: Vec<Value>,
 }
 
-impl Shot {
+impl SequenceDocument {
     /// Adds the keys of all frames: two views, and two accessors for each frame.
-    fn add_animation(&mut self, frames: &[ShotFrame], keys: &[Vec<Key>], key_bytes: u64) -> Result<()> {
+    fn add_animation(&mut self, frames: &[ShotFrame], keys: &[Vec<ScaleKey>], key_bytes: u64) -> Result<()> {
         if key_bytes == 0 {
             return Ok(());
         }
@@ -218,7 +220,7 @@ impl Shot {
         self.buffer_views.push(json!({"buffer": 0, "byteOffset": time_bytes, "byteLength": scale_bytes}));
         let mut start = 0;
         for (_, keys) in frames.iter().zip(keys).filter(|(_, keys)| !keys.is_empty()) {
-            let times = |key: Option<&Key>| key.map(|(time, _)| [*time]);
+            let times = |key: Option<&ScaleKey>| key.map(|(time, _)| [*time]);
             let (input, count) = (self.accessors.len(), keys.len());
             self.accessors.push(json!({
                 "bufferView": 0, "byteOffset": 4 * start, "componentType": component::F32, "count": count,
@@ -237,7 +239,7 @@ impl Shot {
     }
 
     /// Adds a frame whose data starts at offset `data_at` of the buffer.
-    fn add_frame(&mut self, frame: &ShotFrame, keys: &[Key], data_at: u64) -> Result<()> {
+    fn add_frame(&mut self, frame: &ShotFrame, keys: &[ScaleKey], data_at: u64) -> Result<()> {
         let document = &frame.file.document;
         let list = |name: &str| document[name].as_array().cloned().unwrap_or_default();
         for extension in list("extensionsRequired") {
@@ -256,7 +258,8 @@ impl Shot {
             shift(accessor.get_mut("bufferView"), first_view)?;
             self.accessors.push(accessor);
         }
-        let mut mesh = list("meshes").into_iter().next().ok_or_else(|| invalid("the document has no mesh"))?;
+        let mut mesh =
+            list("meshes").into_iter().next().ok_or_else(|| invalid("the document has no mesh"))?;
         let primitive =
             mesh.pointer_mut("/primitives/0").ok_or_else(|| invalid("the mesh has no primitive"))?;
         shift(primitive.get_mut("indices"), first_accessor)?;

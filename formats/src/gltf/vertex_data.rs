@@ -24,7 +24,7 @@ const EXACT_INTEGER_MAX: u64 = 1 << 24;
 const ARITY_MAX: usize = 4;
 
 /// An attribute that can be stored.
-pub(super) struct Placed<'a> {
+pub(super) struct GltfAttribute<'a> {
     /// Its glTF name.
     pub(super) semantic: String,
     /// Number of values per vertex, one to four.
@@ -50,11 +50,11 @@ pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
 }
 
 /// The attributes of a mesh that can be stored, in order.
-pub(super) fn placed<'a>(mesh: &MeshView<'a>) -> Vec<Placed<'a>> {
+pub(super) fn placed<'a>(mesh: &MeshView<'a>) -> Vec<GltfAttribute<'a>> {
     place(mesh.attributes, &mut Vec::new())
 }
 
-fn place<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>) -> Vec<Placed<'a>> {
+fn place<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>) -> Vec<GltfAttribute<'a>> {
     let mut taken = NamesTaken::new(&[]);
     let mut placed = Vec::new();
     for (attribute, purpose) in attributes.iter().zip(purposes(attributes)) {
@@ -72,7 +72,7 @@ fn place<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>) -> Vec
         if semantic != usual.to_ascii_uppercase() {
             notes.push(format!("{name} is named {semantic} in the glTF file"));
         }
-        placed.push(Placed { semantic, arity, values });
+        placed.push(GltfAttribute { semantic, arity, values });
     }
     placed
 }
@@ -91,7 +91,7 @@ fn obstacle(attribute: &VertexAttribute) -> Option<String> {
     })
 }
 
-impl<'a> Placed<'a> {
+impl<'a> GltfAttribute<'a> {
     /// The strings that its values are indices into.
     pub(super) fn table(&self) -> Option<&'a [String]> {
         match self.values {

@@ -11,7 +11,7 @@ use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 
 use super::quantized::{Cube, EXTENSION, write_normals};
-use super::vertex_data::{Placed, placed};
+use super::vertex_data::{GltfAttribute, placed};
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component};
 use crate::data::{MeshView, Provenance};
 use crate::error::{Error, Place, Result};
@@ -32,7 +32,7 @@ pub fn write_glb(
     out: &mut impl Write,
 ) -> Result<()> {
     mesh.check(FORMAT)?;
-    let layout = Layout::of(mesh, options.quantize);
+    let layout = BufferLayout::of(mesh, options.quantize);
     let mut json = to_json(&Document::new(mesh, &layout, options, provenance, None))?;
     json.resize(json.len().next_multiple_of(4), b' ');
     let bin_bytes = layout.byte_count().next_multiple_of(4);
@@ -68,7 +68,7 @@ pub fn write_gltf(
 ) -> Result<()> {
     const URI: &str = "data:application/octet-stream;base64,";
     mesh.check(FORMAT)?;
-    let layout = Layout::of(mesh, options.quantize);
+    let layout = BufferLayout::of(mesh, options.quantize);
     if u32::try_from(layout.byte_count()).is_err() {
         return Err(too_large(mesh));
     }
@@ -121,27 +121,27 @@ fn to_json(document: &Document) -> Result<Vec<u8>> {
 }
 
 /// The parts of the buffer: positions, normals, attributes, indices.
-struct Layout<'a> {
+struct BufferLayout<'a> {
     vertex_count: usize,
     /// The bounding cube, if positions and normals are quantized.
     cube: Option<Cube>,
-    attributes: Vec<Placed<'a>>,
+    attributes: Vec<GltfAttribute<'a>>,
     index_bytes: u64,
     index_component: u32,
 }
 
 /// The layout of data with one element per vertex.
 #[derive(Clone, Copy)]
-struct Column {
+struct ColumnLayout {
     arity: usize,
     component: u32,
     /// Bytes from one vertex to the next.
     stride_bytes: u64,
 }
 
-impl Column {
-    fn reals(arity: usize) -> Column {
-        Column { arity, component: component::F32, stride_bytes: 4 * arity as u64 }
+impl ColumnLayout {
+    fn reals(arity: usize) -> ColumnLayout {
+        ColumnLayout { arity, component: component::F32, stride_bytes: 4 * arity as u64 }
     }
 
     /// Whether integers represent −1 ..= 1.
@@ -150,18 +150,19 @@ impl Column {
     }
 }
 
-const QUANTIZED_POSITIONS: Column = Column { arity: 3, component: component::U16, stride_bytes: 8 };
-const QUANTIZED_NORMALS: Column = Column { arity: 3, component: component::I8, stride_bytes: 4 };
+const QUANTIZED_POSITIONS: ColumnLayout =
+    ColumnLayout { arity: 3, component: component::U16, stride_bytes: 8 };
+const QUANTIZED_NORMALS: ColumnLayout = ColumnLayout { arity: 3, component: component::I8, stride_bytes: 4 };
 
-impl<'a> Layout<'a> {
-    fn of(mesh: &MeshView<'a>, quantize: bool) -> Layout<'a> {
+impl<'a> BufferLayout<'a> {
+    fn of(mesh: &MeshView<'a>, quantize: bool) -> BufferLayout<'a> {
         if mesh.triangles.is_empty() {
             let (attributes, index_component) = (Vec::new(), component::U16);
-            return Layout { vertex_count: 0, cube: None, attributes, index_bytes: 0, index_component };
+            return BufferLayout { vertex_count: 0, cube: None, attributes, index_bytes: 0, index_component };
         }
         // The index 65535 itself is forbidden, so 16-bit indices allow at most 65535 vertices.
         let narrow = mesh.positions.len() <= usize::from(u16::MAX);
-        Layout {
+        BufferLayout {
             vertex_count: mesh.positions.len(),
             cube: quantize.then(|| Cube::around(mesh.positions)),
             attributes: placed(mesh),
@@ -171,15 +172,15 @@ impl<'a> Layout<'a> {
     }
 
     /// The columns with vertex data, in order.
-    fn columns(&self) -> impl Iterator<Item = Column> {
+    fn columns(&self) -> impl Iterator<Item = ColumnLayout> {
         let first = match self.cube {
             Some(_) => [QUANTIZED_POSITIONS, QUANTIZED_NORMALS],
-            None => [Column::reals(3); 2],
+            None => [ColumnLayout::reals(3); 2],
         };
-        first.into_iter().chain(self.attributes.iter().map(|attribute| Column::reals(attribute.arity)))
+        first.into_iter().chain(self.attributes.iter().map(|attribute| ColumnLayout::reals(attribute.arity)))
     }
 
-    fn column_bytes(&self, column: Column) -> u64 {
+    fn column_bytes(&self, column: ColumnLayout) -> u64 {
         column.stride_bytes * self.vertex_count as u64
     }
 
@@ -364,7 +365,7 @@ fn provenance_entries(provenance: &Provenance) -> Entries<&str, &str> {
 impl<'a> Document<'a> {
     fn new(
         mesh: &MeshView,
-        layout: &'a Layout,
+        layout: &'a BufferLayout,
         options: &'a MeshOptions,
         provenance: &'a Provenance,
         uri: Option<&'static str>,
@@ -392,7 +393,7 @@ impl<'a> Document<'a> {
             ["POSITION", "NORMAL"].into_iter().chain(semantics).zip(0..).collect();
         let indices = attributes.len();
         let primitive = Primitive { attributes: Entries(attributes), indices, mode: MODE_TRIANGLES };
-        let strings = |attribute: &'a Placed| Some((attribute.semantic.as_str(), attribute.table()?));
+        let strings = |attribute: &'a GltfAttribute| Some((attribute.semantic.as_str(), attribute.table()?));
         let strings = Entries(layout.attributes.iter().filter_map(strings).collect());
         let extras = MeshExtras { meniscus: provenance_entries(provenance), strings };
         let extras = Some(extras).filter(|extras| !extras.meniscus.is_empty() || !extras.strings.is_empty());
@@ -420,7 +421,7 @@ fn node<'a>(name: &'a str, origin: [f64; 3], up: UpAxis, cube: Option<&Cube>) ->
     Node { name, mesh: 0, translation, rotation, scale: cube.map(|cube| [f64::from(cube.size); 3]) }
 }
 
-fn accessors(mesh: &MeshView, layout: &Layout) -> Vec<Accessor> {
+fn accessors(mesh: &MeshView, layout: &BufferLayout) -> Vec<Accessor> {
     let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
     for position in mesh.positions {
         for axis in 0..3 {
@@ -428,7 +429,7 @@ fn accessors(mesh: &MeshView, layout: &Layout) -> Vec<Accessor> {
             max[axis] = max[axis].max(position[axis]);
         }
     }
-    let of_vertices = |(buffer_view, column): (usize, Column)| Accessor {
+    let of_vertices = |(buffer_view, column): (usize, ColumnLayout)| Accessor {
         buffer_view,
         component_type: column.component,
         normalized: column.is_normalized(),
@@ -455,7 +456,7 @@ fn accessors(mesh: &MeshView, layout: &Layout) -> Vec<Accessor> {
     accessors
 }
 
-impl Layout<'_> {
+impl BufferLayout<'_> {
     fn views(&self) -> Vec<BufferView> {
         let mut end = 0;
         let mut view = |byte_length, byte_stride, target| {
@@ -463,7 +464,7 @@ impl Layout<'_> {
             end += byte_length;
             BufferView { buffer: 0, byte_offset, byte_length, byte_stride, target }
         };
-        let of_vertices = |column: Column| {
+        let of_vertices = |column: ColumnLayout| {
             // Floats are tightly packed; quantized values have padding.
             let stride = column.is_normalized().then_some(column.stride_bytes);
             view(self.column_bytes(column), stride, TARGET_VERTICES)

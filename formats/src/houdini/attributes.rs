@@ -52,7 +52,9 @@ fn short_text(walk: &mut Walk) -> Result<String> {
     let text = walk.text()?;
     match text.len() <= NAME_BYTES_MAX {
         true => Ok(text.into_owned()),
-        false => Err(Error::too_large(FORMAT, format!("a name has {} bytes, more than the limit", text.len()))),
+        false => {
+            Err(Error::too_large(FORMAT, format!("a name has {} bytes, more than the limit", text.len())))
+        }
     }
 }
 
@@ -107,7 +109,10 @@ fn texts(walk: &mut Walk) -> Result<Vec<String>> {
     }
     loop {
         if texts.len() > text_count_max(walk.file_bytes()) {
-            return Err(Error::too_large(FORMAT, format!("a list has {} or more strings, more than the limit", texts.len())));
+            return Err(Error::too_large(
+                FORMAT,
+                format!("a list has {} or more strings, more than the limit", texts.len()),
+            ));
         }
         match walk.next()? {
             Token::Close => return Ok(texts),

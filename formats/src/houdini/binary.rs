@@ -86,7 +86,10 @@ impl<'a> Binary<'a> {
         let word = self.bytes("a word")?;
         self.words.insert(id, word);
         match self.words.len() > WORD_COUNT_MAX {
-            true => Err(Error::too_large(FORMAT, format!("the file has more words than the limit of {WORD_COUNT_MAX}"))),
+            true => Err(Error::too_large(
+                FORMAT,
+                format!("the file has more words than the limit of {WORD_COUNT_MAX}"),
+            )),
             false => Ok(()),
         }
     }
@@ -134,13 +137,17 @@ impl<'a> Binary<'a> {
         let at = self.cursor.at();
         let count = self.length()?;
         let too_many = |cursor: &Cursor| {
-            cursor.short(format!("expected {count} items of an array, but {} bytes remain", cursor.remaining()))
+            cursor
+                .short(format!("expected {count} items of an array, but {} bytes remain", cursor.remaining()))
         };
         let length = usize::try_from(count).ok().filter(|&count| count / 8 <= self.cursor.remaining());
         let length = length.ok_or_else(|| too_many(&self.cursor))?;
         let check_kept = |most: usize, what: &str| match length <= most {
             true => Ok(()),
-            false => Err(Error::too_large(FORMAT, format!("an array has {length} {what}, more than the limit of {most}"))),
+            false => Err(Error::too_large(
+                FORMAT,
+                format!("an array has {length} {what}, more than the limit of {most}"),
+            )),
         };
         match code {
             0x10 | 0x30 | 0x31 => {
@@ -169,7 +176,9 @@ impl<'a> Binary<'a> {
                     if text_bytes > widened_bytes_max(self.file_bytes) {
                         return Err(Error::too_large(
                             FORMAT,
-                            format!("the strings of an array have {text_bytes} bytes or more, more than the limit"),
+                            format!(
+                                "the strings of an array have {text_bytes} bytes or more, more than the limit"
+                            ),
                         ));
                     }
                     texts.push(text);

@@ -12,7 +12,7 @@
 
 use rayon::prelude::*;
 
-use crate::blosc::{FrameError, decode_frame};
+use crate::blosc::{BloscError, decode_frame};
 use crate::bytes::{Cursor, Endian};
 use crate::error::{Error, Place, Result};
 use crate::limits::Limits;
@@ -30,20 +30,20 @@ const FRAME_BYTES_MIN: usize = 16;
 ///
 /// [`Error::Short`] if the end is missing, [`Error::Invalid`] if the index or a frame is invalid,
 /// [`Error::TooLarge`] beyond `limits`.
-pub(super) fn unpack(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
+pub(super) fn decompress(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     if !bytes.ends_with(END) {
         let place = Place::Offset(bytes.len() as u64);
         return Err(Error::short(FORMAT, place, "the file ends without its index"));
     }
     let Index { frames, block_bytes, bytes: unpacked_bytes } = index(bytes)?;
     let packed_bytes: usize = frames.iter().map(|(_, frame)| frame.len()).sum();
-    limits.check_unpacked(FORMAT, unpacked_bytes as u64, packed_bytes as u64)?;
+    limits.check_decompressed(FORMAT, unpacked_bytes as u64, packed_bytes as u64)?;
     let mut unpacked = vec![0; unpacked_bytes];
     let blocks = unpacked.par_chunks_mut(block_bytes.max(1)).zip(&frames);
     blocks.try_for_each(|(block, &(at, frame))| {
         decode_frame(frame, block).map_err(|error| match error {
-            FrameError::Invalid(what) => Error::invalid(FORMAT, Place::Offset(at as u64), what),
-            FrameError::Unsupported(what) => Error::unsupported(FORMAT, what),
+            BloscError::Invalid(what) => Error::invalid(FORMAT, Place::Offset(at as u64), what),
+            BloscError::Unsupported(what) => Error::unsupported(FORMAT, what),
         })
     })?;
     Ok(unpacked)
@@ -107,7 +107,10 @@ fn index(bytes: &[u8]) -> Result<Index<'_>> {
     let bytes =
         before.and_then(|before| before.checked_add(last_bytes)).filter(|_| last_bytes <= block_bytes);
     let bytes = bytes.ok_or_else(|| {
-        invalid(index_at, format!("invalid block sizes: {block_bytes} bytes, and {last_bytes} for the last block"))
+        invalid(
+            index_at,
+            format!("invalid block sizes: {block_bytes} bytes, and {last_bytes} for the last block"),
+        )
     })?;
     Ok(Index { frames, block_bytes, bytes })
 }

@@ -13,7 +13,7 @@ use super::tokens::{Token, Walk};
 
 /// The content found so far.
 #[derive(Default)]
-struct Found {
+struct FoundGeometry {
     point_count: Option<usize>,
     positions: Option<Positions>,
     arrays: Vec<NamedArray>,
@@ -27,9 +27,11 @@ const PRIMITIVE_TYPE_COUNT_MAX: usize = 1024;
 
 /// Reads the points.
 pub(super) fn read(mut walk: Walk, limits: &Limits) -> Result<ParticleFrame> {
-    let mut found = Found::default();
+    let mut found = FoundGeometry::default();
     walk.object("", |walk, key| match key {
-        "pointcount" if found.point_count.is_some() => Err(walk.invalid("the document has a second pointcount")),
+        "pointcount" if found.point_count.is_some() => {
+            Err(walk.invalid("the document has a second pointcount"))
+        }
         "pointcount" => {
             found.point_count = Some(point_count(walk, limits)?);
             Ok(())
@@ -63,7 +65,7 @@ fn point_count(walk: &mut Walk, limits: &Limits) -> Result<usize> {
     usize::try_from(count).ok().filter(|_| count <= limits.particle_count).ok_or_else(too_large)
 }
 
-fn point_attributes(walk: &mut Walk, found: &mut Found, limits: &Limits) -> Result<()> {
+fn point_attributes(walk: &mut Walk, found: &mut FoundGeometry, limits: &Limits) -> Result<()> {
     let count = found.point_count.ok_or_else(|| walk.invalid("the attributes come before the pointcount"))?;
     walk.items("pointattributes", |walk, token| {
         if token != Token::Open {
@@ -80,13 +82,13 @@ fn point_attributes(walk: &mut Walk, found: &mut Found, limits: &Limits) -> Resu
                 found.positions = Some(positions(array).ok_or_else(no_positions)?);
             }
             PointAttribute::Read(array) if array.arity == 0 => {
-                found
-                    .notes
-                    .push(format!("skipped the point attribute {:?}: it has no values", array.name));
+                found.notes.push(format!("skipped the point attribute {:?}: it has no values", array.name));
             }
             PointAttribute::Read(array) => found.arrays.push(array),
             PointAttribute::LeftOut { name, kind } => {
-                found.notes.push(format!("skipped the point attribute {name:?}: its type {kind:?} is not supported"));
+                found.notes.push(format!(
+                    "skipped the point attribute {name:?}: its type {kind:?} is not supported"
+                ));
             }
         }
         Ok(())

@@ -68,7 +68,7 @@ pub fn read_text(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 ///
 /// Those of [`read_binary`], with offsets into the decompressed data, and those of the container.
 pub fn read_container(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
-    let unpacked = container::unpack(bytes, limits)?;
+    let unpacked = container::decompress(bytes, limits)?;
     match is_binary(&unpacked) {
         true => read_binary(&unpacked, limits),
         false => read_text(&unpacked, limits),

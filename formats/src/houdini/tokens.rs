@@ -104,7 +104,7 @@ impl<'a> Walk<'a> {
     /// are a form of compression.
     pub(super) fn check_spread(&mut self, bytes: u64, limits: &Limits) -> Result<()> {
         self.spread_bytes = self.spread_bytes.saturating_add(bytes);
-        limits.check_unpacked(FORMAT, self.spread_bytes, self.lexer.file_bytes() as u64)
+        limits.check_decompressed(FORMAT, self.spread_bytes, self.lexer.file_bytes() as u64)
     }
 
     /// Fails if this and all previous items that are smaller in the file take too much memory for the file:
@@ -114,7 +114,10 @@ impl<'a> Walk<'a> {
         let most = widened_bytes_max(self.lexer.file_bytes());
         match self.widened_bytes <= most {
             true => Ok(()),
-            false => Err(Error::too_large(FORMAT, format!("the arrays expand to more than the limit of {most} bytes"))),
+            false => Err(Error::too_large(
+                FORMAT,
+                format!("the arrays expand to more than the limit of {most} bytes"),
+            )),
         }
     }
 

@@ -21,7 +21,7 @@ use super::tokens::{Token, Walk};
 
 /// The storage type of numbers, which determines their type in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Storage {
+pub(super) enum StorageType {
     F32,
     F64,
     U8,
@@ -29,33 +29,33 @@ pub(super) enum Storage {
     I64,
 }
 
-impl Storage {
-    pub(super) fn of(name: &str) -> Option<Storage> {
+impl StorageType {
+    pub(super) fn of(name: &str) -> Option<StorageType> {
         Some(match name {
-            "fpreal16" | "fpreal32" => Storage::F32,
-            "fpreal64" => Storage::F64,
-            "uint8" | "bool" => Storage::U8,
-            "int8" | "int16" | "int32" => Storage::I32,
-            "int64" => Storage::I64,
+            "fpreal16" | "fpreal32" => StorageType::F32,
+            "fpreal64" => StorageType::F64,
+            "uint8" | "bool" => StorageType::U8,
+            "int8" | "int16" | "int32" => StorageType::I32,
+            "int64" => StorageType::I64,
             _ => return None,
         })
     }
 
     fn empty(self) -> Values {
         match self {
-            Storage::F32 => Values::F32(Vec::new()),
-            Storage::F64 => Values::F64(Vec::new()),
-            Storage::U8 => Values::U8(Vec::new()),
-            Storage::I32 => Values::I32(Vec::new()),
-            Storage::I64 => Values::I64(Vec::new()),
+            StorageType::F32 => Values::F32(Vec::new()),
+            StorageType::F64 => Values::F64(Vec::new()),
+            StorageType::U8 => Values::U8(Vec::new()),
+            StorageType::I32 => Values::I32(Vec::new()),
+            StorageType::I64 => Values::I64(Vec::new()),
         }
     }
 
     fn value_bytes(self) -> usize {
         match self {
-            Storage::U8 => 1,
-            Storage::F32 | Storage::I32 => 4,
-            Storage::F64 | Storage::I64 => 8,
+            StorageType::U8 => 1,
+            StorageType::F32 | StorageType::I32 => 4,
+            StorageType::F64 | StorageType::I64 => 8,
         }
     }
 }
@@ -76,7 +76,7 @@ struct Pages {
 
 /// Reads the value of the key `values` or `indices`, for `count` points.
 pub(super) fn tuples(walk: &mut Walk, key: &str, count: usize, limits: &Limits) -> Result<Tuples> {
-    let (mut size, mut storage) = (1, Storage::F32);
+    let (mut size, mut storage) = (1, StorageType::F32);
     let mut pages = Pages { page_points: 1024, packing: Vec::new(), constant: Vec::new() };
     let mut values = None;
     walk.object(key, |walk, key| {
@@ -88,7 +88,7 @@ pub(super) fn tuples(walk: &mut Walk, key: &str, count: usize, limits: &Limits) 
             "storage" => storage = storage_of(walk)?,
             "pagesize" => pages.page_points = usize::try_from(walk.count()?).unwrap_or(usize::MAX).max(1),
             "packing" => {
-                let packing = numbers(walk, key, Storage::I64, limits.attribute_count)?;
+                let packing = numbers(walk, key, StorageType::I64, limits.attribute_count)?;
                 pages.packing = widths(walk, packing, size)?;
             }
             "constantpageflags" => {
@@ -128,18 +128,21 @@ fn small(walk: &mut Walk, limits: &Limits) -> Result<usize> {
     usize::try_from(size).ok().filter(|&size| size <= limits.attribute_count).ok_or_else(|| {
         Error::too_large(
             FORMAT,
-            format!("an attribute has {size} values per point, more than the limit of {}", limits.attribute_count),
+            format!(
+                "an attribute has {size} values per point, more than the limit of {}",
+                limits.attribute_count
+            ),
         )
     })
 }
 
-fn storage_of(walk: &mut Walk) -> Result<Storage> {
+fn storage_of(walk: &mut Walk) -> Result<StorageType> {
     let name = walk.text()?;
-    Storage::of(&name).ok_or_else(|| walk.invalid(format!("unknown storage \"{}\"", excerpt(&*name))))
+    StorageType::of(&name).ok_or_else(|| walk.invalid(format!("unknown storage \"{}\"", excerpt(&*name))))
 }
 
 /// Reads the next value, an array of at most `most` numbers, or of arrays of numbers, and flattens it.
-fn numbers(walk: &mut Walk, name: &str, storage: Storage, most: usize) -> Result<Values> {
+fn numbers(walk: &mut Walk, name: &str, storage: StorageType, most: usize) -> Result<Values> {
     walk.within(name, |walk| {
         // In text, each number takes at least two bytes; in binary form, only uniform arrays take fewer.
         let room = most.min(walk.remaining() / 2);
@@ -311,7 +314,7 @@ fn unpaged(
     count: usize,
     size: usize,
     pages: &Pages,
-    storage: Storage,
+    storage: StorageType,
     limits: &Limits,
 ) -> Result<Values> {
     let is_plain = pages.packing.len() <= 1 && pages.constant.iter().all(Vec::is_empty);

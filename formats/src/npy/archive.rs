@@ -35,7 +35,7 @@ const STORED: u16 = 0;
 const DEFLATED: u16 = 8;
 
 /// A file in the archive.
-pub(super) struct Member {
+pub(super) struct ArchiveMember {
     pub(super) name: String,
     method: u16,
     checksum: u32,
@@ -46,13 +46,13 @@ pub(super) struct Member {
 
 /// Total sizes of the members decompressed so far.
 #[derive(Default)]
-pub(super) struct Account {
+pub(super) struct ArchiveTotals {
     packed_bytes: u64,
     bytes: u64,
 }
 
 /// The members, as listed by the central directory.
-pub(super) fn members(bytes: &[u8], limits: &Limits) -> Result<Vec<Member>> {
+pub(super) fn members(bytes: &[u8], limits: &Limits) -> Result<Vec<ArchiveMember>> {
     let (count, offset) = directory(bytes)?;
     if count > limits.attribute_count as u64 {
         let what = format!("{count} arrays, more than the limit of {}", limits.attribute_count);
@@ -114,7 +114,7 @@ fn as_invalid(error: Error) -> Error {
     }
 }
 
-fn member(cursor: &mut Cursor) -> Result<Member> {
+fn member(cursor: &mut Cursor) -> Result<ArchiveMember> {
     if cursor.take(4, "an entry of the central directory")? != ENTRY {
         return Err(cursor.invalid("expected an entry of the central directory"));
     }
@@ -139,7 +139,7 @@ fn member(cursor: &mut Cursor) -> Result<Member> {
         return Err(Error::unsupported(ARCHIVE, format!("`{}` is encrypted", excerpt(&name))));
     }
     let [bytes, packed_bytes, local_offset] = widened([bytes, packed_bytes, local_offset], extra);
-    Ok(Member { name, method, checksum, packed_bytes, bytes, local_offset })
+    Ok(ArchiveMember { name, method, checksum, packed_bytes, bytes, local_offset })
 }
 
 /// Values beyond 32 bits are in the extra field, in this order.
@@ -162,21 +162,25 @@ fn widened(numbers: [u32; 3], mut extra: &[u8]) -> [u64; 3] {
     })
 }
 
-impl Member {
+impl ArchiveMember {
     /// The member's content, decompressed and verified. `account` tracks the total output of the archive.
     pub(super) fn content<'a>(
         &self,
         archive: &'a [u8],
         limits: &Limits,
-        account: &mut Account,
+        account: &mut ArchiveTotals,
     ) -> Result<Cow<'a, [u8]>> {
         let packed = self.packed(archive).map_err(as_invalid)?;
         account.packed_bytes = account.packed_bytes.saturating_add(self.packed_bytes);
         account.bytes = account.bytes.saturating_add(self.bytes);
         if account.packed_bytes > archive.len() as u64 {
-            return Err(Error::invalid(ARCHIVE, Place::File, "the members have more bytes in total than the archive"));
+            return Err(Error::invalid(
+                ARCHIVE,
+                Place::File,
+                "the members have more bytes in total than the archive",
+            ));
         }
-        limits.check_unpacked(ARCHIVE, account.bytes, account.packed_bytes)?;
+        limits.check_decompressed(ARCHIVE, account.bytes, account.packed_bytes)?;
         let content = match self.method {
             STORED => Cow::Borrowed(packed),
             DEFLATED => Cow::Owned(self.inflated(packed)?),

@@ -17,8 +17,8 @@ const HEADER_BYTES_MAX: u64 = 256 << 10;
 
 /// The header of an array.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Header {
-    pub(super) layout: Layout,
+pub(super) struct ArrayHeader {
+    pub(super) layout: ElementLayout,
     /// Whether the first index varies fastest.
     pub(super) is_fortran: bool,
     pub(super) shape: Vec<u64>,
@@ -28,7 +28,7 @@ pub(super) struct Header {
 
 /// The type of the elements.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Layout {
+pub(super) enum ElementLayout {
     Plain {
         number: Number,
         endian: Endian,
@@ -54,7 +54,7 @@ pub(super) struct Field {
     pub(super) number: Option<(Number, Endian)>,
 }
 
-impl Header {
+impl ArrayHeader {
     /// The bytes of all elements.
     pub(super) fn data<'a>(&self, bytes: &'a [u8]) -> Result<&'a [u8]> {
         let length = self.data_bytes()?;
@@ -68,9 +68,9 @@ impl Header {
 
     fn data_bytes(&self) -> Result<u64> {
         let element_bytes = match &self.layout {
-            Layout::Plain { number, .. } => number.size(),
-            Layout::Fields { stride, .. } => *stride,
-            Layout::Unread(_) => 0,
+            ElementLayout::Plain { number, .. } => number.size(),
+            ElementLayout::Fields { stride, .. } => *stride,
+            ElementLayout::Unread(_) => 0,
         };
         let bytes = self.element_count()?.checked_mul(element_bytes as u64);
         bytes.filter(|bytes| *bytes <= i64::MAX as u64).ok_or_else(|| self.too_many())
@@ -112,14 +112,14 @@ impl Header {
 }
 
 /// The size of a whole file with this header; `None` if it has no readable data.
-pub(crate) fn bytes_claimed(head: &[u8], limits: &Limits) -> Result<Option<u64>> {
+pub(crate) fn bytes_declared(head: &[u8], limits: &Limits) -> Result<Option<u64>> {
     let header = read(head, limits)?;
     let data_bytes = header.data_bytes()?;
     Ok((data_bytes != 0).then_some(header.data_offset as u64 + data_bytes))
 }
 
 /// Reads the header. The data may be missing.
-pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<Header> {
+pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<ArrayHeader> {
     let mut cursor = Cursor::new(FORMAT, Endian::Little, bytes, 0);
     if cursor.take(MAGIC.len(), "the signature")? != MAGIC {
         return Err(Error::invalid(FORMAT, Place::Offset(0), "expected the signature \\x93NUMPY"));
@@ -143,7 +143,12 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<Header> {
     header_of(&literal, text_offset, cursor.at(), limits)
 }
 
-fn header_of(literal: &Literal, text_offset: usize, data_offset: usize, limits: &Limits) -> Result<Header> {
+fn header_of(
+    literal: &Literal,
+    text_offset: usize,
+    data_offset: usize,
+    limits: &Limits,
+) -> Result<ArrayHeader> {
     let invalid = |what: &str| Error::invalid(FORMAT, Place::Offset(text_offset as u64), what);
     let Literal::Dictionary(entries) = literal else { return Err(invalid("the header is not a dictionary")) };
     let value_of = |key: &str| {
@@ -166,7 +171,7 @@ fn header_of(literal: &Literal, text_offset: usize, data_offset: usize, limits: 
         Refusal::Invalid(what) => invalid(&what),
         Refusal::TooLarge(what) => Error::too_large(FORMAT, what),
     })?;
-    Ok(Header { layout, is_fortran, shape, data_offset })
+    Ok(ArrayHeader { layout, is_fortran, shape, data_offset })
 }
 
 /// Why a type is rejected.
@@ -175,16 +180,16 @@ enum Refusal {
     TooLarge(String),
 }
 
-fn layout_of(descr: &Literal, limits: &Limits) -> std::result::Result<Layout, Refusal> {
+fn layout_of(descr: &Literal, limits: &Limits) -> std::result::Result<ElementLayout, Refusal> {
     match descr {
         Literal::Text(code) => Ok(match element(code)? {
-            Element { number: Some((number, endian)), .. } => Layout::Plain { number, endian },
-            _ => Layout::Unread(format!("elements of the type \"{}\"", excerpt(code))),
+            ElementType { number: Some((number, endian)), .. } => ElementLayout::Plain { number, endian },
+            _ => ElementLayout::Unread(format!("elements of the type \"{}\"", excerpt(code))),
         }),
         Literal::List(_) => {
             let mut fields = Vec::new();
             let stride = add_fields(descr, "", 0, &mut fields, limits)?;
-            Ok(Layout::Fields { fields, stride })
+            Ok(ElementLayout::Fields { fields, stride })
         }
         _ => Err(Refusal::Invalid("`descr` is neither a string nor a list".into())),
     }
@@ -219,7 +224,7 @@ fn add_fields(
         let full = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
         let end = match kind {
             Literal::Text(code) => {
-                let Element { bytes, number } = element(code)?;
+                let ElementType { bytes, number } = element(code)?;
                 let is_padding = name.is_empty() || code.contains('V');
                 if !is_padding && repeats != 0 && bytes != 0 {
                     fields.push(Field { name: full, offset: at, arity: repeats, number });
@@ -234,8 +239,9 @@ fn add_fields(
                 (end - at).checked_mul(repeats).and_then(|bytes| at.checked_add(bytes))
             }
         };
-        at =
-            end.filter(|end| *end <= u32::MAX as usize).ok_or_else(|| invalid("a type has too many bytes"))?;
+        at = end
+            .filter(|end| *end <= u32::MAX as usize)
+            .ok_or_else(|| invalid("a type has too many bytes"))?;
         if fields.len() > limits.attribute_count {
             let what = format!("more fields than the limit of {}", limits.attribute_count);
             return Err(Refusal::TooLarge(what));
@@ -259,13 +265,13 @@ fn repeats_of(shape: &Literal) -> std::result::Result<usize, Refusal> {
 }
 
 /// The meaning of a type code for one element.
-struct Element {
+struct ElementType {
     bytes: usize,
     number: Option<(Number, Endian)>,
 }
 
 /// Parses a byte order, a letter and a size: `<f4`.
-fn element(code: &str) -> std::result::Result<Element, Refusal> {
+fn element(code: &str) -> std::result::Result<ElementType, Refusal> {
     let invalid = || Refusal::Invalid(format!("unknown type \"{}\"", excerpt(code)));
     let (endian, rest) = match code.split_at_checked(1) {
         Some((">", rest)) => (Endian::Big, rest),
@@ -297,5 +303,5 @@ fn element(code: &str) -> std::result::Result<Element, Refusal> {
         "O" => 8, // a reference; the pickled objects follow
         _ => size,
     };
-    Ok(Element { bytes, number: number.map(|number| (number, endian)) })
+    Ok(ElementType { bytes, number: number.map(|number| (number, endian)) })
 }

@@ -26,7 +26,7 @@ use crate::row::{Completeness, HeadCheck, exactly};
 use crate::row::{FormatRow, ParticleInput};
 use crate::scalar::Scalar;
 
-use header::{Field, Header, Layout};
+use header::{ArrayHeader, ElementLayout, Field};
 
 /// The format's name in errors.
 const FORMAT: &str = "NumPy array";
@@ -42,7 +42,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let header = header::read(bytes, limits)?;
     let data = header.data(bytes)?;
     let (arrays, mut notes) = arrays_of(&header, data, limits)?;
-    let is_structured = matches!(header.layout, Layout::Fields { .. });
+    let is_structured = matches!(header.layout, ElementLayout::Fields { .. });
     let mut frame = match is_structured {
         true => frame_of(None, arrays).ok_or_else(|| no_position(&header))?,
         false => {
@@ -63,13 +63,13 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let mut arrays = Vec::new();
     let mut notes = Vec::new();
-    let mut account = archive::Account::default();
+    let mut account = archive::ArchiveTotals::default();
     for member in archive::members(bytes, limits)? {
         let Some(name) = member.name.strip_suffix(".npy") else { continue };
         let content = member.content(bytes, limits, &mut account)?;
         let within = |error| within_member(error, name);
         let header = header::read(&content, limits).map_err(within)?;
-        if let Layout::Unread(what) = &header.layout {
+        if let ElementLayout::Unread(what) = &header.layout {
             notes.push(format!("skipped `{}`: it contains {what}", excerpt(name)));
             continue;
         }
@@ -101,10 +101,10 @@ fn within_member(error: Error, name: &str) -> Error {
 }
 
 /// The fields of a structured array, or the array itself without a name.
-fn arrays_of(header: &Header, data: &[u8], limits: &Limits) -> Result<(Vec<NamedArray>, Vec<String>)> {
+fn arrays_of(header: &ArrayHeader, data: &[u8], limits: &Limits) -> Result<(Vec<NamedArray>, Vec<String>)> {
     let mut notes = Vec::new();
     match &header.layout {
-        Layout::Plain { number, endian } => {
+        ElementLayout::Plain { number, endian } => {
             check_count(header.row_count(), limits)?;
             let columns = header.column_count();
             if columns > limits.attribute_count {
@@ -122,7 +122,7 @@ fn arrays_of(header: &Header, data: &[u8], limits: &Limits) -> Result<(Vec<Named
             };
             Ok((vec![NamedArray { name: String::new(), arity: columns, values }], notes))
         }
-        Layout::Fields { fields, stride } => {
+        ElementLayout::Fields { fields, stride } => {
             check_count(header.element_count()?, limits)?;
             let mut arrays = Vec::new();
             for Field { name, offset, arity, number } in fields {
@@ -132,15 +132,15 @@ fn arrays_of(header: &Header, data: &[u8], limits: &Limits) -> Result<(Vec<Named
                         arity: *arity,
                         values: number.decode_strided(data, *endian, *stride, *offset, *arity),
                     }),
-                    None => notes
-                        .push(format!("skipped the field `{}`: it is not numeric", excerpt(name))),
+                    None => notes.push(format!("skipped the field `{}`: it is not numeric", excerpt(name))),
                 }
             }
             Ok((arrays, notes))
         }
-        Layout::Unread(what) => {
-            Err(Error::unsupported(FORMAT, format!("the array contains {what}: save numbers, such as float32")))
-        }
+        ElementLayout::Unread(what) => Err(Error::unsupported(
+            FORMAT,
+            format!("the array contains {what}: save numbers, such as float32"),
+        )),
     }
 }
 
@@ -218,17 +218,25 @@ fn check_count(count: u64, limits: &Limits) -> Result<()> {
     Ok(())
 }
 
-fn no_position(header: &Header) -> Error {
+fn no_position(header: &ArrayHeader) -> Error {
     let names: Vec<&str> = match &header.layout {
-        Layout::Fields { fields, .. } => fields.iter().take(12).map(|field| field.name.as_str()).collect(),
+        ElementLayout::Fields { fields, .. } => {
+            fields.iter().take(12).map(|field| field.name.as_str()).collect()
+        }
         _ => Vec::new(),
     };
     let what = match names.is_empty() {
         true => {
-            format!("expected positions as an array of shape (N, 3) or with more columns, found {}", header.shown())
+            format!(
+                "expected positions as an array of shape (N, 3) or with more columns, found {}",
+                header.shown()
+            )
         }
         false => {
-            format!("expected a field `pos` with three numbers, or fields x, y and z; found: {}", names.join(", "))
+            format!(
+                "expected a field `pos` with three numbers, or fields x, y and z; found: {}",
+                names.join(", ")
+            )
         }
     };
     Error::invalid(FORMAT, Place::File, what)
@@ -250,7 +258,7 @@ pub(crate) static ROW: FormatRow = FormatRow {
     beginnings: &[b"\x93NUMPY"],
     particles: Some(ParticleInput {
         completeness: |head, file_bytes| {
-            let declared = header::bytes_claimed(head, &Limits::default())?;
+            let declared = header::bytes_declared(head, &Limits::default())?;
             let known = declared.map_or(Completeness::Unproven, |declared| exactly(declared, file_bytes));
             Ok(HeadCheck::Known(known))
         },

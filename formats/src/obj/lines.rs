@@ -16,7 +16,7 @@ use crate::excerpt::excerpt;
 use std::io::{self, BufRead, Read};
 
 /// The normalised lines, as the parser sees them.
-pub(super) struct Lines<'a> {
+pub(super) struct MeshLines<'a> {
     rest: &'a [u8],
     /// The current line, and how much of it has been consumed.
     line: Vec<u8>,
@@ -32,9 +32,9 @@ pub(super) struct Lines<'a> {
     error: Option<String>,
 }
 
-impl<'a> Lines<'a> {
-    pub(super) fn new(text: &'a [u8]) -> Lines<'a> {
-        Lines {
+impl<'a> MeshLines<'a> {
+    pub(super) fn new(text: &'a [u8]) -> MeshLines<'a> {
+        MeshLines {
             rest: text,
             line: Vec::new(),
             read: 0,
@@ -56,8 +56,9 @@ impl<'a> Lines<'a> {
         let [vertices, normals] = &self.awaited;
         let first = |awaited: &[(u64, u64)], count: u64, kind: &'static str| {
             let beyond = awaited.iter().find(|(_, number)| *number > count);
-            beyond
-                .map(|(line, number)| (*line, format!("a face has {kind} {number}, but the file has {count}")))
+            beyond.map(|(line, number)| {
+                (*line, format!("a face has {kind} {number}, but the file has {count}"))
+            })
         };
         let vertex = first(vertices, self.vertex_count, "vertex");
         let normal = first(normals, self.normal_count, "normal");
@@ -174,7 +175,7 @@ fn index(text: &[u8], count: u64, corner: &[u8]) -> Result<u64, String> {
     index.filter(|index| (1..=u64::from(u32::MAX)).contains(index)).ok_or_else(wrong)
 }
 
-impl Read for Lines<'_> {
+impl Read for MeshLines<'_> {
     fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
         let mut line = self.fill_buf()?;
         let count = line.read(out)?;
@@ -183,7 +184,7 @@ impl Read for Lines<'_> {
     }
 }
 
-impl BufRead for Lines<'_> {
+impl BufRead for MeshLines<'_> {
     fn fill_buf(&mut self) -> io::Result<&[u8]> {
         if self.read == self.line.len() {
             self.advance()?;

@@ -1,7 +1,7 @@
 //! Reads the triangles of an OBJ file, using the crate tobj on normalised lines.
 
 use super::FORMAT;
-use super::lines::Lines;
+use super::lines::MeshLines;
 use crate::data::MeshData;
 use crate::error::{Error, Place, Result};
 
@@ -17,7 +17,7 @@ pub fn read_mesh(bytes: &[u8]) -> Result<MeshData> {
     let invalid = |what: String| Error::invalid(FORMAT, Place::File, what);
     // tobj drops vertices that no face uses, so the mesh consists of its faces.
     let no_materials = |_: &std::path::Path| Ok(Default::default());
-    let mut lines = Lines::new(bytes);
+    let mut lines = MeshLines::new(bytes);
     let (models, _) = tobj::load_obj_buf(&mut lines, &options, no_materials).map_err(|error| {
         let (line, what) = lines.place();
         Error::invalid(FORMAT, Place::Line(line), what.unwrap_or_else(|| error.to_string()))

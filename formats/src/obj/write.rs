@@ -23,7 +23,7 @@ use crate::error::Result;
 use crate::mesh_options::MeshOptions;
 use crate::provenance::{GENERATOR, comments};
 use crate::quads::{Face, check_quads, faces, quad_count};
-use crate::vertex_attributes::{Purpose, cut_note, purposes};
+use crate::vertex_attributes::{Purpose, clamp_note, purposes};
 
 /// Elements formatted per task, and tasks whose text is held at a time.
 const ELEMENTS_PER_TASK: usize = 1 << 13;
@@ -139,7 +139,7 @@ pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
                     notes.push(format!("the alpha of {name} is missing in the .obj"));
                 }
                 let opaque = values.chunks_exact(*arity).flat_map(|color| &color[..3]);
-                notes.extend(cut_note(name, opaque, "the .obj"));
+                notes.extend(clamp_note(name, opaque, "the .obj"));
             }
             Purpose::Velocity | Purpose::Other => {
                 notes.push(format!("{name} is missing in the .obj, which can only store colours"));
@@ -174,13 +174,13 @@ pub(crate) fn ends_as_written(tail: &[u8]) -> bool {
 }
 
 /// Text under construction, with a buffer for formatting numbers.
-struct Lines {
+struct LineWriter {
     text: Vec<u8>,
     real: zmij::Buffer,
     integer: itoa::Buffer,
 }
 
-impl Lines {
+impl LineWriter {
     /// Appends a line, or the rest of one.
     fn reals<T: zmij::Float>(&mut self, keyword: &str, numbers: [T; 3]) {
         self.reals_open(keyword, numbers);
@@ -212,10 +212,10 @@ impl Lines {
 }
 
 /// One line per element.
-fn lines_of<T>(elements: &[T], format: impl Fn(&mut Lines, &T)) -> Vec<u8> {
+fn lines_of<T>(elements: &[T], format: impl Fn(&mut LineWriter, &T)) -> Vec<u8> {
     const LINE_BYTES: usize = 48; // few lines are longer
     let text = Vec::with_capacity(elements.len() * LINE_BYTES);
-    let mut lines = Lines { text, real: zmij::Buffer::new(), integer: itoa::Buffer::new() };
+    let mut lines = LineWriter { text, real: zmij::Buffer::new(), integer: itoa::Buffer::new() };
     elements.iter().for_each(|element| format(&mut lines, element));
     lines.text
 }

@@ -18,22 +18,22 @@ use crate::text::{line_number, parse_number};
 use super::FORMAT;
 use super::header::{Element, PropertyType};
 use super::read::{Slots, Target};
-use super::rows::Rows;
+use super::rows::RecordReader;
 
 /// Large enough to make the cost of starting a part negligible, small enough to share the work.
 const PART_BYTES: usize = 1 << 20;
 
 /// Reads the next `count` records into the targets, in the caller's thread pool.
 pub(super) fn read(
-    lines: Lines<'_>,
+    lines: BodyLines<'_>,
     element: &Element,
     count: usize,
     targets: Vec<Target<'_>>,
 ) -> Result<()> {
     let places = places(element, &targets);
-    let read_part = |part: Part<'_, '_>| part.read(element, &places);
+    let read_part = |part: RecordPart<'_, '_>| part.read(element, &places);
     let parts = match rayon::current_num_threads() {
-        1 => vec![Part { lines, count, targets }],
+        1 => vec![RecordPart { lines, count, targets }],
         _ => parts(lines, count, targets, PART_BYTES),
     };
     let outcomes: Vec<Result<()>> = parts.into_par_iter().map(read_part).collect();
@@ -41,8 +41,8 @@ pub(super) fn read(
 }
 
 /// Records read by one thread.
-struct Part<'a, 't> {
-    lines: Lines<'a>,
+struct RecordPart<'a, 't> {
+    lines: BodyLines<'a>,
     /// Number of records.
     count: usize,
     /// Destinations of the values.
@@ -52,12 +52,12 @@ struct Part<'a, 't> {
 /// Splits records into parts of about `part_bytes` bytes. The last part gets all declared records that the
 /// file lacks.
 fn parts<'a, 't>(
-    lines: Lines<'a>,
+    lines: BodyLines<'a>,
     count: usize,
     targets: Vec<Target<'t>>,
     part_bytes: usize,
-) -> Vec<Part<'a, 't>> {
-    let Lines { bytes, mut at } = lines;
+) -> Vec<RecordPart<'a, 't>> {
+    let BodyLines { bytes, mut at } = lines;
     let mut ranges = Vec::new();
     while bytes.len() - at > 2 * part_bytes {
         let rest = &bytes[at + part_bytes..];
@@ -67,14 +67,14 @@ fn parts<'a, 't>(
         at = end;
     }
     let counts: Vec<usize> = ranges.par_iter().map(|range| record_count(&bytes[range.clone()])).collect();
-    let mut left = Part { lines, count, targets };
+    let mut left = RecordPart { lines, count, targets };
     let mut parts = Vec::with_capacity(ranges.len() + 1);
     for (range, count) in ranges.into_iter().zip(counts) {
         if left.count <= count {
             break; // the rest belongs to another element
         }
         let targets = left.targets.iter_mut().map(|target| target.take_front(count)).collect();
-        parts.push(Part { lines: Lines { bytes, at: range.start }, count, targets });
+        parts.push(RecordPart { lines: BodyLines { bytes, at: range.start }, count, targets });
         left.lines.at = range.end;
         left.count -= count;
     }
@@ -88,14 +88,14 @@ fn record_count(text: &[u8]) -> usize {
     lines.filter(|line| line.iter().any(|byte| !matches!(byte, b' ' | b'\t'))).count()
 }
 
-impl Part<'_, '_> {
+impl RecordPart<'_, '_> {
     /// Reads the records into the targets.
     fn read(mut self, element: &Element, places: &[Option<(usize, usize)>]) -> Result<()> {
-        let mut rows = Rows::Ascii(self.lines);
+        let mut rows = RecordReader::Ascii(self.lines);
         for record in 0..self.count {
             rows.start()?;
             for (property, place) in element.properties.iter().zip(places) {
-                let (&Some((target, component)), Rows::Ascii(lines)) = (place, &mut rows) else {
+                let (&Some((target, component)), RecordReader::Ascii(lines)) = (place, &mut rows) else {
                     rows.skip(property)?;
                     continue;
                 };
@@ -135,14 +135,14 @@ fn places(element: &Element, targets: &[Target<'_>]) -> Vec<Option<(usize, usize
 
 /// A position in the body.
 #[derive(Clone, Copy)]
-pub(super) struct Lines<'a> {
+pub(super) struct BodyLines<'a> {
     bytes: &'a [u8],
     at: usize,
 }
 
-impl<'a> Lines<'a> {
-    pub(super) fn new(bytes: &'a [u8], at: usize) -> Lines<'a> {
-        Lines { bytes, at: at.min(bytes.len()) }
+impl<'a> BodyLines<'a> {
+    pub(super) fn new(bytes: &'a [u8], at: usize) -> BodyLines<'a> {
+        BodyLines { bytes, at: at.min(bytes.len()) }
     }
 
     pub(super) fn at(&self) -> usize {
@@ -283,11 +283,11 @@ mod tests {
             Target { columns: vec![(0, F32)], slots: Slots::F32(&mut x) },
             Target { columns: vec![(1, I32)], slots: Slots::I32(&mut y) },
         ];
-        let lines = Lines::new(file.as_bytes(), header.body_offset);
+        let lines = BodyLines::new(file.as_bytes(), header.body_offset);
         let places = places(element, &targets);
         let parts = match part_bytes {
             Some(part_bytes) => parts(lines, 60, targets, part_bytes),
-            None => vec![Part { lines, count: 60, targets }],
+            None => vec![RecordPart { lines, count: 60, targets }],
         };
         for part in parts {
             part.read(element, &places).map_err(|error| format!("{error:?}"))?;

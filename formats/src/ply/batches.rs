@@ -12,7 +12,7 @@ use crate::scalar::Scalar;
 use super::FORMAT;
 use super::binary::{gather_part, scalar_offsets};
 use super::header::{Element, Header};
-use super::read::{Slots, Target, Vertices, fits_f32, note_on_faces, notes, scalar_of, vertices};
+use super::read::{Slots, Target, VertexElement, fits_f32, note_on_faces, notes, scalar_of, vertices};
 use super::rows::{check_limit, checked_binary_count};
 
 /// Locates the vertices of a file of `file_bytes`; `None` if their offsets cannot be computed: in text, and
@@ -21,7 +21,7 @@ use super::rows::{check_limit, checked_binary_count};
 /// # Errors
 /// Those of [`super::read`], after the header.
 pub(super) fn records(header: &Header, file_bytes: u64, limits: &Limits) -> Result<Option<Records>> {
-    let Vertices { element, columns, position } = vertices(header)?;
+    let VertexElement { element, columns, position } = vertices(header)?;
     let Some(endian) = header.encoding.endian() else { return Ok(None) };
     let earlier = || header.elements.iter().take_while(|earlier| !std::ptr::eq(*earlier, element));
     if element.has_list() || earlier().any(Element::has_list) {

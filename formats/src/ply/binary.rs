@@ -16,7 +16,7 @@ use crate::scalar::Scalar;
 
 use super::header::{Element, PropertyType};
 use super::read::{Slots, Target};
-use super::rows::Rows;
+use super::rows::RecordReader;
 
 /// Bytes of records per block: they fit into the second-level cache along with the targets.
 const BLOCK_BYTES: usize = 128 << 10;
@@ -56,7 +56,7 @@ pub(super) fn gather_part(
 ) {
     let block_records = (BLOCK_BYTES / stride).max(1);
     for (index, records) in records.chunks(block_records * stride).enumerate() {
-        let block = Block { records, stride, first: index * block_records };
+        let block = RecordBlock { records, stride, first: index * block_records };
         for target in targets.iter_mut() {
             match endian {
                 Endian::Little => block.fill::<false>(offsets, target),
@@ -81,14 +81,14 @@ pub(super) fn scalar_offsets(element: &Element) -> (Vec<usize>, usize) {
 }
 
 /// Copies records without their lists.
-pub(super) fn without_lists(rows: &mut Rows<'_>, element: &Element, count: usize) -> Result<Vec<u8>> {
+pub(super) fn without_lists(rows: &mut RecordReader<'_>, element: &Element, count: usize) -> Result<Vec<u8>> {
     let (_, stride) = scalar_offsets(element);
     // The caller has checked that the file has `count` times `stride` bytes.
     let mut packed = Vec::with_capacity(count * stride);
     for _ in 0..count {
         for property in &element.properties {
             match (property.kind, &mut *rows) {
-                (PropertyType::Scalar(scalar), Rows::Binary(cursor)) => {
+                (PropertyType::Scalar(scalar), RecordReader::Binary(cursor)) => {
                     packed.extend_from_slice(cursor.take(scalar.size(), &property.name)?);
                 }
                 _ => rows.skip(property)?,
@@ -99,14 +99,14 @@ pub(super) fn without_lists(rows: &mut Rows<'_>, element: &Element, count: usize
 }
 
 /// A range of the records.
-struct Block<'a> {
+struct RecordBlock<'a> {
     records: &'a [u8],
     stride: usize,
     /// Index of the first record.
     first: usize,
 }
 
-impl Block<'_> {
+impl RecordBlock<'_> {
     /// Fills one target.
     fn fill<const BIG: bool>(&self, offsets: &[usize], target: &mut Target<'_>) {
         let scalar = target.columns[0].1;

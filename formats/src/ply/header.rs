@@ -159,7 +159,7 @@ pub fn read_header(bytes: &[u8], limits: &Limits) -> Result<Header> {
     if lines.next().map(<[u8]>::trim_ascii) != Some(b"ply") {
         return Err(Error::invalid(FORMAT, Place::Line(1), "expected `ply`"));
     }
-    let mut parsed = Parsed { encoding: None, elements: Vec::new(), comments: Vec::new() };
+    let mut parsed = PartialHeader { encoding: None, elements: Vec::new(), comments: Vec::new() };
     while let Some(line) = lines.next() {
         let line = String::from_utf8_lossy(line);
         let (keyword, rest) = first_word(&line);
@@ -171,7 +171,7 @@ pub fn read_header(bytes: &[u8], limits: &Limits) -> Result<Header> {
             let encoding = parsed.encoding.ok_or_else(|| {
                 Error::invalid(FORMAT, Place::Line(lines.number()), "the header has no `format` line")
             })?;
-            let Parsed { elements, comments, .. } = parsed;
+            let PartialHeader { elements, comments, .. } = parsed;
             return Ok(Header { encoding, elements, comments, body_offset: lines.at() });
         }
         parsed
@@ -188,13 +188,13 @@ pub fn read_header(bytes: &[u8], limits: &Limits) -> Result<Header> {
 }
 
 /// The header parsed so far.
-struct Parsed {
+struct PartialHeader {
     encoding: Option<Encoding>,
     elements: Vec<Element>,
     comments: Vec<String>,
 }
 
-impl Parsed {
+impl PartialHeader {
     /// Parses one line. The inner result is the error in the line itself.
     fn line(
         &mut self,
@@ -214,8 +214,10 @@ impl Parsed {
                 None => Err("the header has a property before any element".into()),
                 Some(element) if element.properties.len() >= limits.attribute_count => {
                     let most = limits.attribute_count;
-                    let what =
-                        format!("element `{}` has more properties than the limit of {most}", excerpt(&element.name));
+                    let what = format!(
+                        "element `{}` has more properties than the limit of {most}",
+                        excerpt(&element.name)
+                    );
                     return Err(Error::too_large(FORMAT, what));
                 }
                 Some(element) => parse_property(rest).map(|property| element.properties.push(property)),

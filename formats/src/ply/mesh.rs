@@ -8,7 +8,7 @@ use crate::scalar::Scalar;
 use super::FORMAT;
 use super::header::{Element, Property, PropertyType, read_header};
 use super::read::read_vertices;
-use super::rows::{Rows, checked_count, rows_of};
+use super::rows::{RecordReader, checked_count, rows_of};
 
 /// Reads vertices, normals and faces. Polygons with more than three corners become triangle fans.
 ///
@@ -36,7 +36,10 @@ pub fn read_mesh_and_vertices(bytes: &[u8], limits: &Limits) -> Result<(MeshData
 
     let named = |name: &str| header.elements.iter().find(|element| element.name.eq_ignore_ascii_case(name));
     if named("tristrips").is_some_and(|strips| strips.count > 0) {
-        return Err(Error::unsupported(FORMAT, "triangle strips are not supported: save the mesh with faces"));
+        return Err(Error::unsupported(
+            FORMAT,
+            "triangle strips are not supported: save the mesh with faces",
+        ));
     }
     if let Some(faces) = named("face") {
         let rows = rows_of(bytes, &header, faces)?;
@@ -47,7 +50,7 @@ pub fn read_mesh_and_vertices(bytes: &[u8], limits: &Limits) -> Result<(MeshData
 
 /// The size of a binary file whose header is in `head` and whose lists are all triangles, as in every file of
 /// [`super::write::write_mesh`]; `None` for text, or beyond 2⁶⁴.
-pub(crate) fn mesh_bytes_claimed(head: &[u8], limits: &Limits) -> Result<Option<u64>> {
+pub(crate) fn mesh_bytes_declared(head: &[u8], limits: &Limits) -> Result<Option<u64>> {
     let header = read_header(head, limits)?;
     let mut size = Some(header.body_offset as u64);
     for element in &header.elements {
@@ -73,7 +76,7 @@ fn normals(values: &Values) -> Vec<[f32; 3]> {
     }
 }
 
-fn triangles(mut rows: Rows<'_>, faces: &Element, vertex_count: usize) -> Result<Vec<[u32; 3]>> {
+fn triangles(mut rows: RecordReader<'_>, faces: &Element, vertex_count: usize) -> Result<Vec<[u32; 3]>> {
     let count = checked_count(&rows, faces)?;
     let is_list = |property: &&Property| matches!(property.kind, PropertyType::List { .. });
     let is_named =
@@ -101,7 +104,7 @@ fn triangles(mut rows: Rows<'_>, faces: &Element, vertex_count: usize) -> Result
 
 /// Reads a polygon and cuts it into triangles that share its first corner.
 fn fan(
-    rows: &mut Rows<'_>,
+    rows: &mut RecordReader<'_>,
     item: Scalar,
     length: usize,
     vertex_count: usize,
@@ -112,7 +115,9 @@ fn fan(
         let index = rows.integer(item, "vertex_indices")?;
         let index =
             u32::try_from(index).ok().filter(|&index| (index as usize) < vertex_count).ok_or_else(|| {
-                rows.invalid(format!("a face has vertex index {index}, but the file has {vertex_count} vertices"))
+                rows.invalid(format!(
+                    "a face has vertex index {index}, but the file has {vertex_count} vertices"
+                ))
             })?;
         match corner {
             0 => first = index,

@@ -41,7 +41,7 @@ pub use vertex_data::attribute_notes;
 pub use write_particles::{particle_notes, write_particles};
 
 use batches::records;
-use mesh::mesh_bytes_claimed;
+use mesh::mesh_bytes_declared;
 
 /// The format's name in errors.
 const FORMAT: &str = "PLY";
@@ -76,7 +76,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
     has_attributes: true,
     options: &[],
     read_provenance: |head| Ok(from_comments(head, "comment ")),
-    integrity: Integrity::Length(|head, _| mesh_bytes_claimed(head, &Limits::default())),
+    integrity: Integrity::Length(|head, _| mesh_bytes_declared(head, &Limits::default())),
 };
 
 /// The completeness of a file according to its header.
@@ -85,7 +85,7 @@ fn completeness(head: &[u8], file_bytes: u64) -> Result<HeadCheck> {
     let Some(declared) = header.file_size_min() else { return Ok(HeadCheck::Known(Completeness::Unproven)) };
     Ok(HeadCheck::Known(match header.encoding {
         _ if declared == header.body_offset as u64 => Completeness::Unproven,
-        Encoding::Ascii if declared <= file_bytes => return Ok(HeadCheck::ByTheLastByte),
+        Encoding::Ascii if declared <= file_bytes => return Ok(HeadCheck::NeedsLastByte),
         Encoding::Ascii => at_least(declared, file_bytes, Completeness::ByReading),
         _ if header.elements.iter().any(Element::has_list) => {
             at_least(declared, file_bytes, Completeness::ByReading)

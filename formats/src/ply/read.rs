@@ -8,7 +8,7 @@ use crate::limits::Limits;
 use crate::scalar::Scalar;
 
 use super::header::{Element, Header, PropertyType, read_header};
-use super::rows::{Rows, check_limit, checked_count, rows_of};
+use super::rows::{RecordReader, check_limit, checked_count, rows_of};
 use super::{FORMAT, ascii, binary};
 
 /// Reads the vertices of a PLY file as particles, with all their scalar properties.
@@ -25,7 +25,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 
 /// Reads the vertices of the file with this header.
 pub(super) fn read_vertices(bytes: &[u8], header: &Header, limits: &Limits) -> Result<ParticleFrame> {
-    let Vertices { element, columns, position } = vertices(header)?;
+    let VertexElement { element, columns, position } = vertices(header)?;
     let rows = rows_of(bytes, header, element)?;
     let count = checked_count(&rows, element)?;
     check_limit(count, limits)?;
@@ -34,13 +34,13 @@ pub(super) fn read_vertices(bytes: &[u8], header: &Header, limits: &Limits) -> R
     let targets = targets(element, &columns, position, &mut frame);
     let (offsets, stride) = binary::scalar_offsets(element);
     match rows {
-        Rows::Ascii(lines) => ascii::read(lines, element, count, targets)?,
-        Rows::Binary(cursor) if element.has_list() => {
+        RecordReader::Ascii(lines) => ascii::read(lines, element, count, targets)?,
+        RecordReader::Binary(cursor) if element.has_list() => {
             let endian = cursor.endian();
-            let records = binary::without_lists(&mut Rows::Binary(cursor), element, count)?;
+            let records = binary::without_lists(&mut RecordReader::Binary(cursor), element, count)?;
             binary::gather(&records, stride, &offsets, endian, targets);
         }
-        Rows::Binary(mut cursor) => {
+        RecordReader::Binary(mut cursor) => {
             let records = cursor.take(count * stride, &element.name)?;
             binary::gather(records, stride, &offsets, cursor.endian(), targets);
         }
@@ -53,7 +53,7 @@ pub(super) fn read_vertices(bytes: &[u8], header: &Header, limits: &Limits) -> R
 }
 
 /// The element with the particles.
-pub(super) struct Vertices<'a> {
+pub(super) struct VertexElement<'a> {
     pub(super) element: &'a Element,
     pub(super) columns: Columns,
     /// The properties of the position.
@@ -61,13 +61,13 @@ pub(super) struct Vertices<'a> {
 }
 
 /// Finds the particles in the header.
-pub(super) fn vertices(header: &Header) -> Result<Vertices<'_>> {
+pub(super) fn vertices(header: &Header) -> Result<VertexElement<'_>> {
     let element = header.vertex_element().ok_or_else(|| {
         Error::invalid(FORMAT, Place::File, "no element is named `vertex` or has properties x, y and z")
     })?;
     let columns = element.columns();
     let position = columns.position.ok_or_else(|| no_position(element))?;
-    Ok(Vertices { element, columns, position })
+    Ok(VertexElement { element, columns, position })
 }
 
 /// The destination of values.

@@ -8,53 +8,53 @@ use crate::limits::Limits;
 use crate::scalar::Scalar;
 
 use super::FORMAT;
-use super::ascii::Lines;
+use super::ascii::BodyLines;
 use super::header::{Element, Header, Property, PropertyType};
 
 /// A position in the body.
-pub(super) enum Rows<'a> {
+pub(super) enum RecordReader<'a> {
     Binary(Cursor<'a>),
-    Ascii(Lines<'a>),
+    Ascii(BodyLines<'a>),
 }
 
-impl<'a> Rows<'a> {
+impl<'a> RecordReader<'a> {
     /// Starts at offset `at` of the file.
-    pub(super) fn new(bytes: &'a [u8], header: &Header, at: usize) -> Rows<'a> {
+    pub(super) fn new(bytes: &'a [u8], header: &Header, at: usize) -> RecordReader<'a> {
         match header.encoding.endian() {
-            Some(endian) => Rows::Binary(Cursor::new(FORMAT, endian, bytes, at)),
-            None => Rows::Ascii(Lines::new(bytes, at)),
+            Some(endian) => RecordReader::Binary(Cursor::new(FORMAT, endian, bytes, at)),
+            None => RecordReader::Ascii(BodyLines::new(bytes, at)),
         }
     }
 
     /// Offset in bytes from the start of the file.
     pub(super) fn at(&self) -> usize {
         match self {
-            Rows::Binary(cursor) => cursor.at(),
-            Rows::Ascii(lines) => lines.at(),
+            RecordReader::Binary(cursor) => cursor.at(),
+            RecordReader::Ascii(lines) => lines.at(),
         }
     }
 
     /// Starts the next record.
     pub(super) fn start(&mut self) -> Result<()> {
         match self {
-            Rows::Binary(_) => Ok(()),
-            Rows::Ascii(lines) => lines.start(),
+            RecordReader::Binary(_) => Ok(()),
+            RecordReader::Ascii(lines) => lines.start(),
         }
     }
 
     /// Ends the record, all of whose values must have been read.
     pub(super) fn finish(&mut self) -> Result<()> {
         match self {
-            Rows::Binary(_) => Ok(()),
-            Rows::Ascii(lines) => lines.finish(),
+            RecordReader::Binary(_) => Ok(()),
+            RecordReader::Ascii(lines) => lines.finish(),
         }
     }
 
     /// Reads the next value as an integer.
     pub(super) fn integer(&mut self, scalar: Scalar, what: &str) -> Result<i64> {
         match self {
-            Rows::Binary(cursor) => cursor.integer(scalar, what),
-            Rows::Ascii(lines) => lines.integer(scalar, what),
+            RecordReader::Binary(cursor) => cursor.integer(scalar, what),
+            RecordReader::Ascii(lines) => lines.integer(scalar, what),
         }
     }
 
@@ -62,14 +62,16 @@ impl<'a> Rows<'a> {
     pub(super) fn list_length(&mut self, scalar: Scalar, property: &Property) -> Result<usize> {
         let count = self.integer(scalar, &property.name)?;
         let most = match self {
-            Rows::Binary(cursor) => cursor.remaining(),
-            Rows::Ascii(lines) => lines.remaining(),
+            RecordReader::Binary(cursor) => cursor.remaining(),
+            RecordReader::Ascii(lines) => lines.remaining(),
         };
         usize::try_from(count).ok().filter(|&count| count <= most).ok_or_else(|| {
             let name = &property.name;
             match count < 0 {
                 true => self.invalid(format!("list `{name}` has a negative count, {count}")),
-                false => self.short(format!("list `{name}` has a count of {count}, beyond the end of the file")),
+                false => {
+                    self.short(format!("list `{name}` has a count of {count}, beyond the end of the file"))
+                }
             }
         })
     }
@@ -81,18 +83,18 @@ impl<'a> Rows<'a> {
             PropertyType::List { count, item } => (item, self.list_length(count, property)?),
         };
         match self {
-            Rows::Binary(cursor) => {
+            RecordReader::Binary(cursor) => {
                 let length = count.saturating_mul(item.size());
                 cursor.take(length, &property.name).map(|_| ())
             }
-            Rows::Ascii(lines) => (0..count).try_for_each(|_| lines.skip(&property.name)),
+            RecordReader::Ascii(lines) => (0..count).try_for_each(|_| lines.skip(&property.name)),
         }
     }
 
     /// Skips all records of an element.
     pub(super) fn skip_element(&mut self, element: &Element) -> Result<()> {
         let count = checked_count(self, element)?;
-        if let (Rows::Binary(cursor), false) = (&mut *self, element.has_list()) {
+        if let (RecordReader::Binary(cursor), false) = (&mut *self, element.has_list()) {
             // The product was compared with the remaining bytes.
             cursor.take(count * element.record_size_min(), &element.name)?;
             return Ok(());
@@ -109,25 +111,25 @@ impl<'a> Rows<'a> {
 
     fn short(&self, what: String) -> Error {
         match self {
-            Rows::Binary(cursor) => cursor.short(what),
-            Rows::Ascii(lines) => lines.short(what),
+            RecordReader::Binary(cursor) => cursor.short(what),
+            RecordReader::Ascii(lines) => lines.short(what),
         }
     }
 
     pub(super) fn invalid(&self, what: String) -> Error {
         match self {
-            Rows::Binary(cursor) => cursor.invalid(what),
-            Rows::Ascii(lines) => lines.invalid(what),
+            RecordReader::Binary(cursor) => cursor.invalid(what),
+            RecordReader::Ascii(lines) => lines.invalid(what),
         }
     }
 }
 
 /// The number of records of the element at the current position, checked against the remaining bytes.
-pub(super) fn checked_count(rows: &Rows<'_>, element: &Element) -> Result<usize> {
+pub(super) fn checked_count(rows: &RecordReader<'_>, element: &Element) -> Result<usize> {
     let at = rows.at() as u64;
     match rows {
-        Rows::Binary(cursor) => checked_binary_count(element, at, cursor.remaining() as u64),
-        Rows::Ascii(lines) => {
+        RecordReader::Binary(cursor) => checked_binary_count(element, at, cursor.remaining() as u64),
+        RecordReader::Ascii(lines) => {
             // Each value needs a digit and a separator, but the last line needs no line end.
             let (remaining, record) = (lines.remaining() as u64, 2 * element.properties.len());
             checked(element, at, remaining, remaining + 1, record, "bytes of text")
@@ -168,8 +170,8 @@ fn checked(
 }
 
 /// Positions a reader at the records of `element`, which belongs to the header.
-pub(super) fn rows_of<'a>(bytes: &'a [u8], header: &Header, element: &Element) -> Result<Rows<'a>> {
-    let mut rows = Rows::new(bytes, header, header.body_offset);
+pub(super) fn rows_of<'a>(bytes: &'a [u8], header: &Header, element: &Element) -> Result<RecordReader<'a>> {
+    let mut rows = RecordReader::new(bytes, header, header.body_offset);
     for earlier in header.elements.iter().take_while(|earlier| !std::ptr::eq(*earlier, element)) {
         rows.skip_element(earlier)?;
     }

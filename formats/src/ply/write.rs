@@ -2,7 +2,7 @@
 
 use std::io::Write;
 
-use super::vertex_data::{Placed, placed};
+use super::vertex_data::{PlyAttribute, placed};
 use crate::data::{MeshView, Provenance};
 use crate::error::{Error, Result};
 use crate::provenance::{GENERATOR, comments};
@@ -45,7 +45,7 @@ pub fn write_mesh(mesh: &MeshView, provenance: &Provenance, out: &mut impl Write
     })
 }
 
-fn header(mesh: &MeshView, attributes: &[Placed], far: bool, provenance: &Provenance) -> String {
+fn header(mesh: &MeshView, attributes: &[PlyAttribute], far: bool, provenance: &Provenance) -> String {
     let real = if far { "double" } else { "float" };
     let mut header = format!("ply\nformat binary_little_endian 1.0\ncomment {GENERATOR}\n");
     header += &comments(provenance, "comment ");

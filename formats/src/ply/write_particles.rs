@@ -67,7 +67,7 @@ pub fn particle_notes(frame: &ParticleFrame) -> Vec<String> {
                     "{name} is stored as indices in the .ply; the strings are in its comments"
                 ));
             }
-            Values::I64(values) if column.kind == Kind::Double => {
+            Values::I64(values) if column.kind == PlyType::Double => {
                 let rounded = values.iter().filter(|value| value.unsigned_abs() > EXACT_INTEGER_MAX).count();
                 if rounded > 0 {
                     notes
@@ -80,7 +80,7 @@ pub fn particle_notes(frame: &ParticleFrame) -> Vec<String> {
     notes
 }
 
-fn header(frame: &ParticleFrame, columns: &[Column], provenance: &Provenance) -> String {
+fn header(frame: &ParticleFrame, columns: &[PlyColumn], provenance: &Provenance) -> String {
     let real = match frame.positions {
         Positions::F32(_) => "float",
         Positions::F64(_) => "double",
@@ -96,22 +96,22 @@ fn header(frame: &ParticleFrame, columns: &[Column], provenance: &Provenance) ->
     for name in ["x", "y", "z"] {
         header += &format!("property {real} {name}\n");
     }
-    for Column { names, kind, .. } in columns {
+    for PlyColumn { names, kind, .. } in columns {
         names.iter().for_each(|name| header += &format!("property {} {name}\n", kind.name()));
     }
     header + "end_header\n"
 }
 
 /// The columns of an attribute.
-struct Column<'a> {
+struct PlyColumn<'a> {
     names: Vec<String>,
     values: Cow<'a, Values>,
-    kind: Kind,
+    kind: PlyType,
 }
 
 /// A PLY type.
 #[derive(Clone, Copy, PartialEq)]
-enum Kind {
+enum PlyType {
     Uchar,
     Int,
     Uint,
@@ -119,38 +119,38 @@ enum Kind {
     Double,
 }
 
-impl Kind {
+impl PlyType {
     fn name(self) -> &'static str {
         match self {
-            Kind::Uchar => "uchar",
-            Kind::Int => "int",
-            Kind::Uint => "uint",
-            Kind::Float => "float",
-            Kind::Double => "double",
+            PlyType::Uchar => "uchar",
+            PlyType::Int => "int",
+            PlyType::Uint => "uint",
+            PlyType::Float => "float",
+            PlyType::Double => "double",
         }
     }
 
     /// The narrowest type that represents the values and that readers support.
-    fn of(values: &Values) -> Kind {
+    fn of(values: &Values) -> PlyType {
         match values {
-            Values::F32(_) => Kind::Float,
-            Values::F64(_) => Kind::Double,
-            Values::U8(_) => Kind::Uchar,
-            Values::I32(_) | Values::Strings { .. } => Kind::Int,
-            Values::I64(values) if values.iter().all(|&value| u32::try_from(value).is_ok()) => Kind::Uint,
-            Values::I64(values) if values.iter().all(|&value| i32::try_from(value).is_ok()) => Kind::Int,
-            Values::I64(_) => Kind::Double,
+            Values::F32(_) => PlyType::Float,
+            Values::F64(_) => PlyType::Double,
+            Values::U8(_) => PlyType::Uchar,
+            Values::I32(_) | Values::Strings { .. } => PlyType::Int,
+            Values::I64(values) if values.iter().all(|&value| u32::try_from(value).is_ok()) => PlyType::Uint,
+            Values::I64(values) if values.iter().all(|&value| i32::try_from(value).is_ok()) => PlyType::Int,
+            Values::I64(_) => PlyType::Double,
         }
     }
 }
 
-fn columns_of(frame: &ParticleFrame) -> Vec<Column<'_>> {
+fn columns_of(frame: &ParticleFrame) -> Vec<PlyColumn<'_>> {
     let mut taken = NamesTaken::new(&["x", "y", "z"]);
     let column = |attribute| {
         let values = written(attribute);
         let stem = word(&attribute.name);
         let names = taken.take(&stem, |stem| names_of(attribute, stem));
-        Column { names, kind: Kind::of(&values), values }
+        PlyColumn { names, kind: PlyType::of(&values), values }
     };
     frame.attributes.iter().map(column).collect()
 }
@@ -174,7 +174,7 @@ fn names_of(attribute: &Attribute, stem: &str) -> Vec<String> {
 const COLOR: &str = "color";
 const COLORS: [&str; 4] = ["red", "green", "blue", "alpha"];
 
-impl Column<'_> {
+impl PlyColumn<'_> {
     /// Appends the values of a particle.
     fn append(&self, particle: usize, bytes: &mut Vec<u8>) {
         let arity = self.names.len();
@@ -184,7 +184,7 @@ impl Column<'_> {
             Values::F64(values) => bytes.extend(values[range].iter().flat_map(|value| value.to_le_bytes())),
             Values::U8(values) => bytes.extend_from_slice(&values[range]),
             Values::I32(values) => bytes.extend(values[range].iter().flat_map(|value| value.to_le_bytes())),
-            Values::I64(values) if self.kind == Kind::Double => {
+            Values::I64(values) if self.kind == PlyType::Double => {
                 bytes.extend(values[range].iter().flat_map(|&value| (value as f64).to_le_bytes()));
             }
             #[expect(clippy::cast_possible_truncation, reason = "all values were checked to fit")]

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use crate::quads::faces;
 use crate::vertex_attributes::string_index;
 
-use super::numbers::Numbers;
+use super::numbers::NumberWriter;
 
 /// Number of elements formatted per task.
 const ELEMENTS_PER_TASK: usize = 1 << 13;
@@ -75,7 +75,7 @@ impl<'a> Elements<'a> {
         const ELEMENT_BYTES: usize = 40; // few are longer
         let start = (task * ELEMENTS_PER_TASK).min(self.count());
         let range = start..(start + ELEMENTS_PER_TASK).min(self.count());
-        let mut numbers = Numbers::with_capacity(range.len() * ELEMENT_BYTES);
+        let mut numbers = NumberWriter::with_capacity(range.len() * ELEMENT_BYTES);
         self.append(range, &mut numbers);
         // Each element but the very first is preceded by its separator.
         match task {
@@ -84,18 +84,18 @@ impl<'a> Elements<'a> {
         }
     }
 
-    fn append(&self, range: Range<usize>, numbers: &mut Numbers) {
+    fn append(&self, range: Range<usize>, numbers: &mut NumberWriter) {
         match *self {
             Elements::Reals { values, stride, first, arity } => {
                 for element in values[range.start * stride..range.end * stride].chunks_exact(stride) {
                     numbers.separate();
-                    numbers.tuple(&element[first..first + arity], Numbers::real);
+                    numbers.tuple(&element[first..first + arity], NumberWriter::real);
                 }
             }
             Elements::Integers { values, arity } => {
                 for element in values[range.start * arity..range.end * arity].chunks_exact(arity) {
                     numbers.separate();
-                    numbers.tuple(element, Numbers::integer);
+                    numbers.tuple(element, NumberWriter::integer);
                 }
             }
             Elements::Strings { table, indices } => {
@@ -123,5 +123,5 @@ impl<'a> Elements<'a> {
     }
 }
 
-/// Length in bytes of the text that [`Numbers::separate`] writes.
+/// Length in bytes of the text that [`NumberWriter::separate`] writes.
 const SEPARATOR_BYTES: usize = 2;

@@ -1,16 +1,16 @@
 //! Formats numbers as array values.
 
 /// Text under construction, with a buffer for formatting numbers.
-pub(super) struct Numbers {
+pub(super) struct NumberWriter {
     pub(super) text: Vec<u8>,
     real: zmij::Buffer,
     integer: itoa::Buffer,
 }
 
-impl Numbers {
+impl NumberWriter {
     /// An empty text with capacity for `byte_count` bytes.
-    pub(super) fn with_capacity(byte_count: usize) -> Numbers {
-        Numbers {
+    pub(super) fn with_capacity(byte_count: usize) -> NumberWriter {
+        NumberWriter {
             text: Vec::with_capacity(byte_count),
             real: zmij::Buffer::new(),
             integer: itoa::Buffer::new(),
@@ -28,7 +28,7 @@ impl Numbers {
     }
 
     /// Appends one number, or several in parentheses.
-    pub(super) fn tuple<T: Copy>(&mut self, values: &[T], mut number: impl FnMut(&mut Numbers, T)) {
+    pub(super) fn tuple<T: Copy>(&mut self, values: &[T], mut number: impl FnMut(&mut NumberWriter, T)) {
         if let [value] = values {
             return number(self, *value);
         }
@@ -50,7 +50,7 @@ impl Numbers {
 
 /// Formats three numbers as a tuple.
 pub(super) fn triple<T: zmij::Float + Copy>(values: [T; 3]) -> String {
-    let mut numbers = Numbers::with_capacity(48);
-    numbers.tuple(&values, Numbers::real);
+    let mut numbers = NumberWriter::with_capacity(48);
+    numbers.tuple(&values, NumberWriter::real);
     String::from_utf8(numbers.text).unwrap_or_default() // digits and signs
 }

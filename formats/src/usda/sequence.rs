@@ -19,7 +19,7 @@ use std::io::{self, Read, Seek, Write};
 
 use crate::data::Provenance;
 use crate::error::{Error, Place, Result};
-use crate::gltf::{Column, FramePlace, ShotFrame};
+use crate::gltf::{FramePlace, ShotFrame, VertexColumn};
 use crate::mesh_options::UpAxis;
 use crate::vertex_attributes::NamesTaken;
 
@@ -48,7 +48,7 @@ pub fn write_sequence<R: Read + Seek>(
     open: impl Fn(usize) -> io::Result<R>,
     out: &mut impl Write,
 ) -> Result<Vec<String>> {
-    let shot = Shot::of(frames)?;
+    let shot = UsdaSequence::of(frames)?;
     let (mut vertices, mut faces) = (0, 0);
     for frame in frames {
         vertices += frame.file.vertex_count() as u64;
@@ -74,7 +74,7 @@ pub fn write_sequence<R: Read + Seek>(
     })?;
     out.write_all(b"        uniform token orientation = \"rightHanded\"\n")?;
     for attribute in &attributes {
-        let Attribute { semantic, name, first, arity, about } = attribute;
+        let SequenceAttribute { semantic, name, first, arity, about } = attribute;
         shot.write_samples(name, about, out, |index, place| {
             let frame = &frames[index].file;
             let Some(column) = frame.column(semantic)? else { return Ok(Vec::new()) };
@@ -94,14 +94,14 @@ pub fn write_sequence<R: Read + Seek>(
 const POSITION: &str = "POSITION";
 
 /// The frames and their placements, `None` for frames without a mesh.
-struct Shot<'a> {
+struct UsdaSequence<'a> {
     frames: &'a [ShotFrame],
     places: Vec<Option<FramePlace>>,
     up: UpAxis,
 }
 
 /// A vertex attribute to write.
-struct Attribute {
+struct SequenceAttribute {
     /// Its name in the frames.
     semantic: String,
     /// Its type and name in USD.
@@ -114,15 +114,16 @@ struct Attribute {
 
 const OF_VERTICES: &str = "            interpolation = \"vertex\"\n";
 
-impl<'a> Shot<'a> {
-    fn of(frames: &'a [ShotFrame]) -> Result<Shot<'a>> {
+impl<'a> UsdaSequence<'a> {
+    fn of(frames: &'a [ShotFrame]) -> Result<UsdaSequence<'a>> {
         let invalid = |what: String| Error::invalid(FORMAT, Place::File, what);
         if let Some(pair) = frames.windows(2).find(|pair| pair[1].code <= pair[0].code) {
             let [a, b] = [0, 1].map(|index| (&pair[index].name, pair[index].code));
             return Err(invalid(format!("{} and {} have the time codes {} and {}", a.0, b.0, a.1, b.1)));
         }
         if let Some(ShotFrame { name, code, .. }) = frames.last().filter(|frame| frame.code > CODE_MAX) {
-            let what = format!("the frame number {code} of {name} exceeds the limit for time codes, {CODE_MAX}");
+            let what =
+                format!("the frame number {code} of {name} exceeds the limit for time codes, {CODE_MAX}");
             return Err(Error::unsupported(FORMAT, what));
         }
         let place = |frame: &ShotFrame| frame.file.has_mesh().then(|| frame.file.place()).transpose();
@@ -130,15 +131,15 @@ impl<'a> Shot<'a> {
         let mut ups = places.iter().flatten().map(|place| place.up);
         let up = ups.next().unwrap_or_default();
         match ups.all(|other| other == up) {
-            true => Ok(Shot { frames, places, up }),
+            true => Ok(UsdaSequence { frames, places, up }),
             false => Err(invalid("some frames have y up and others z up".to_owned())),
         }
     }
 
     /// The attributes that all frames with a mesh have, and notes on the others.
-    fn attributes(&self) -> Result<(Vec<Attribute>, Vec<String>)> {
+    fn attributes(&self) -> Result<(Vec<SequenceAttribute>, Vec<String>)> {
         let files = || self.frames.iter().map(|frame| &frame.file).filter(|file| file.has_mesh());
-        let attribute = |semantic: &str, name: &str, first, arity, about: &str| Attribute {
+        let attribute = |semantic: &str, name: &str, first, arity, about: &str| SequenceAttribute {
             semantic: semantic.to_owned(),
             name: name.to_owned(),
             first,
@@ -158,13 +159,13 @@ impl<'a> Shot<'a> {
         names.retain(|name| !["NORMAL", POSITION].contains(&name.as_str()));
         let (mut notes, mut taken) = (Vec::new(), NamesTaken::new(&RESERVED));
         for name in names {
-            if files().any(|file| file.is_of_strings(name)) {
+            if files().any(|file| file.has_string_indices(name)) {
                 notes.push(format!(
                     "{name} is missing in the sequence: its values are strings, and each frame has its own table"
                 ));
                 continue;
             }
-            let columns: Vec<Option<Column>> =
+            let columns: Vec<Option<VertexColumn>> =
                 files().map(|file| file.column(name)).collect::<Result<_>>()?;
             let arities: Option<Vec<usize>> = columns.iter().map(|column| Some((*column)?.arity)).collect();
             let arity =

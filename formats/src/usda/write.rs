@@ -73,22 +73,22 @@ pub(super) fn encode_batch(
 }
 
 /// A property of the prim.
-struct Section<'a> {
+struct PropertyText<'a> {
     open: String,
     elements: Option<Elements<'a>>,
     close: String,
 }
 
-impl<'a> Section<'a> {
+impl<'a> PropertyText<'a> {
     /// A single-line property.
-    fn line(text: String) -> Section<'a> {
-        Section { open: format!("        {text}\n"), elements: None, close: String::new() }
+    fn line(text: String) -> PropertyText<'a> {
+        PropertyText { open: format!("        {text}\n"), elements: None, close: String::new() }
     }
 
     /// A property with a value per vertex or face.
-    fn array(name: &str, elements: Elements<'a>, about: &str) -> Section<'a> {
+    fn array(name: &str, elements: Elements<'a>, about: &str) -> PropertyText<'a> {
         let about = if about.is_empty() { String::new() } else { format!(" (\n{about}        )") };
-        Section {
+        PropertyText {
             open: format!("        {name} = ["),
             elements: Some(elements),
             close: format!("]{about}\n"),
@@ -97,15 +97,15 @@ impl<'a> Section<'a> {
 }
 
 /// A range of elements of a section.
-struct Task {
+struct TextTask {
     section: usize,
     run: usize,
     is_last: bool,
 }
 
-impl Task {
-    fn text(&self, sections: &[Section]) -> Vec<u8> {
-        let Section { open, elements, close } = &sections[self.section];
+impl TextTask {
+    fn text(&self, sections: &[PropertyText]) -> Vec<u8> {
+        let PropertyText { open, elements, close } = &sections[self.section];
         let mut text = if self.run == 0 { open.clone().into_bytes() } else { Vec::new() };
         if let Some(elements) = elements {
             text.append(&mut elements.text_of(self.run));
@@ -117,36 +117,41 @@ impl Task {
     }
 }
 
-fn tasks(sections: &[Section]) -> Vec<Task> {
-    let runs_of = |(section, Section { elements, .. }): (usize, &Section)| {
+fn tasks(sections: &[PropertyText]) -> Vec<TextTask> {
+    let runs_of = |(section, PropertyText { elements, .. }): (usize, &PropertyText)| {
         let count = elements.map_or(1, |elements| elements.task_count().max(1));
-        (0..count).map(move |run| Task { section, run, is_last: run + 1 == count })
+        (0..count).map(move |run| TextTask { section, run, is_last: run + 1 == count })
     };
     sections.iter().enumerate().flat_map(runs_of).collect()
 }
 
 const OF_VERTICES: &str = "            interpolation = \"vertex\"\n";
 
-fn sections<'a>(mesh: &MeshView<'a>, options: &'a MeshOptions) -> Vec<Section<'a>> {
+fn sections<'a>(mesh: &MeshView<'a>, options: &'a MeshOptions) -> Vec<PropertyText<'a>> {
     let (triangles, quads) = (mesh.triangles, &*options.quads);
     let mut sections = Vec::new();
     if let Some([low, high]) = extent(mesh) {
-        sections.push(Section::line(format!("float3[] extent = [{}, {}]", triple(low), triple(high))));
+        sections.push(PropertyText::line(format!("float3[] extent = [{}, {}]", triple(low), triple(high))));
     }
     sections.extend([
-        Section::array("int[] faceVertexCounts", Elements::FaceCounts { triangles, quads }, ""),
-        Section::array("int[] faceVertexIndices", Elements::FaceCorners { triangles, quads }, ""),
-        Section::array("normal3f[] normals", Elements::reals(mesh.normals.as_flattened(), 3), OF_VERTICES),
-        Section::line("uniform token orientation = \"rightHanded\"".to_owned()),
-        Section::array("point3f[] points", Elements::reals(mesh.positions.as_flattened(), 3), ""),
+        PropertyText::array("int[] faceVertexCounts", Elements::FaceCounts { triangles, quads }, ""),
+        PropertyText::array("int[] faceVertexIndices", Elements::FaceCorners { triangles, quads }, ""),
+        PropertyText::array(
+            "normal3f[] normals",
+            Elements::reals(mesh.normals.as_flattened(), 3),
+            OF_VERTICES,
+        ),
+        PropertyText::line("uniform token orientation = \"rightHanded\"".to_owned()),
+        PropertyText::array("point3f[] points", Elements::reals(mesh.positions.as_flattened(), 3), ""),
     ]);
     for (attribute, place) in mesh.attributes.iter().zip(places(mesh.attributes)) {
         sections.extend(of_attribute(attribute, &place));
     }
-    sections.push(Section::line("uniform token subdivisionScheme = \"none\"".to_owned()));
+    sections.push(PropertyText::line("uniform token subdivisionScheme = \"none\"".to_owned()));
     if mesh.origin != [0.0; 3] {
-        sections.push(Section::line(format!("double3 xformOp:translate = {}", triple(mesh.origin))));
-        sections.push(Section::line("uniform token[] xformOpOrder = [\"xformOp:translate\"]".to_owned()));
+        sections.push(PropertyText::line(format!("double3 xformOp:translate = {}", triple(mesh.origin))));
+        sections
+            .push(PropertyText::line("uniform token[] xformOpOrder = [\"xformOp:translate\"]".to_owned()));
     }
     sections
 }
@@ -163,7 +168,7 @@ fn extent(mesh: &MeshView) -> Option<[[f32; 3]; 2]> {
 }
 
 /// The property that an attribute is written to.
-enum Place {
+enum UsdProperty {
     Velocities,
     Color,
     Primvar(String),
@@ -173,14 +178,14 @@ enum Place {
 pub(super) const RESERVED: [&str; 3] = ["displayColor", "displayOpacity", "normals"];
 
 /// The property of each attribute.
-fn places(attributes: &[VertexAttribute]) -> Vec<Place> {
+fn places(attributes: &[VertexAttribute]) -> Vec<UsdProperty> {
     let mut taken = NamesTaken::new(&RESERVED);
     let place = |(attribute, purpose): (&VertexAttribute, Purpose)| match purpose {
-        Purpose::Velocity => Place::Velocities,
-        Purpose::Color(_) => Place::Color,
-        Purpose::Other => {
-            Place::Primvar(taken.take(&identifier(attribute.name), |stem| vec![stem.to_owned()]).concat())
-        }
+        Purpose::Velocity => UsdProperty::Velocities,
+        Purpose::Color(_) => UsdProperty::Color,
+        Purpose::Other => UsdProperty::Primvar(
+            taken.take(&identifier(attribute.name), |stem| vec![stem.to_owned()]).concat(),
+        ),
     };
     attributes.iter().zip(purposes(attributes)).map(place).collect()
 }
@@ -194,7 +199,7 @@ pub(super) fn identifier(name: &str) -> String {
 /// Notes on vertex attributes that are renamed in a .usda file.
 pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
     let renamed = attributes.iter().zip(places(attributes)).filter_map(|(attribute, place)| match place {
-        Place::Primvar(name) if name != attribute.name => {
+        UsdProperty::Primvar(name) if name != attribute.name => {
             Some(format!("{} is named primvars:{name} in the .usda", attribute.name))
         }
         _ => None,
@@ -202,36 +207,40 @@ pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
     renamed.collect()
 }
 
-fn of_attribute<'a>(attribute: &VertexAttribute<'a>, place: &Place) -> Vec<Section<'a>> {
+fn of_attribute<'a>(attribute: &VertexAttribute<'a>, place: &UsdProperty) -> Vec<PropertyText<'a>> {
     let arity = attribute.arity;
     match (place, attribute.values) {
-        (Place::Velocities, VertexValues::Numbers(values)) => {
-            vec![Section::array("vector3f[] velocities", Elements::reals(values, 3), "")]
+        (UsdProperty::Velocities, VertexValues::Numbers(values)) => {
+            vec![PropertyText::array("vector3f[] velocities", Elements::reals(values, 3), "")]
         }
-        (Place::Color, VertexValues::Numbers(values)) => {
+        (UsdProperty::Color, VertexValues::Numbers(values)) => {
             let part = |first, arity| Elements::Reals { values, stride: attribute.arity, first, arity };
             let mut sections =
-                vec![Section::array("color3f[] primvars:displayColor", part(0, 3), OF_VERTICES)];
+                vec![PropertyText::array("color3f[] primvars:displayColor", part(0, 3), OF_VERTICES)];
             if arity == 4 {
-                sections.push(Section::array("float[] primvars:displayOpacity", part(3, 1), OF_VERTICES));
+                sections.push(PropertyText::array(
+                    "float[] primvars:displayOpacity",
+                    part(3, 1),
+                    OF_VERTICES,
+                ));
             }
             sections
         }
-        (Place::Primvar(name), VertexValues::Strings { table, indices }) => {
+        (UsdProperty::Primvar(name), VertexValues::Strings { table, indices }) => {
             strings(name, arity, table, indices)
         }
-        (Place::Primvar(name), VertexValues::Integers(values)) => {
+        (UsdProperty::Primvar(name), VertexValues::Integers(values)) => {
             let is_narrow = values.iter().all(|&value| i32::try_from(value).is_ok());
             let width = if is_narrow && arity <= TUPLE_MAX { arity } else { 1 };
             let kind = if is_narrow { vector("int", width) } else { "int64".to_owned() };
             vec![primvar(&kind, name, Elements::Integers { values, arity: width }, arity / width)]
         }
-        (Place::Primvar(name), VertexValues::Numbers(values)) => {
+        (UsdProperty::Primvar(name), VertexValues::Numbers(values)) => {
             let width = if arity <= TUPLE_MAX { arity } else { 1 };
             vec![primvar(&vector("float", width), name, Elements::reals(values, width), arity / width)]
         }
         // Velocities and colours are always numbers, so strings never get here.
-        (Place::Velocities | Place::Color, _) => Vec::new(),
+        (UsdProperty::Velocities | UsdProperty::Color, _) => Vec::new(),
     }
 }
 
@@ -240,8 +249,8 @@ fn vector(kind: &str, width: usize) -> String {
 }
 
 /// A primvar; each vertex has `element_size` values of the array.
-fn primvar<'a>(kind: &str, name: &str, elements: Elements<'a>, element_size: usize) -> Section<'a> {
-    Section::array(&format!("{kind}[] primvars:{name}"), elements, &about(element_size))
+fn primvar<'a>(kind: &str, name: &str, elements: Elements<'a>, element_size: usize) -> PropertyText<'a> {
+    PropertyText::array(&format!("{kind}[] primvars:{name}"), elements, &about(element_size))
 }
 
 fn about(element_size: usize) -> String {
@@ -252,11 +261,15 @@ fn about(element_size: usize) -> String {
 }
 
 /// The distinct strings, with an empty one at the end for missing strings, and the index of each value.
-fn strings<'a>(name: &str, arity: usize, table: &'a [String], indices: &'a [i32]) -> Vec<Section<'a>> {
+fn strings<'a>(name: &str, arity: usize, table: &'a [String], indices: &'a [i32]) -> Vec<PropertyText<'a>> {
     let distinct: Vec<String> = table.iter().map(|text| quoted(text)).chain([quoted("")]).collect();
     let (values, about) = (distinct.join(", "), about(arity));
     vec![
-        Section::line(format!("string[] primvars:{name} = [{values}] (\n{about}        )")),
-        Section::array(&format!("int[] primvars:{name}:indices"), Elements::Strings { table, indices }, ""),
+        PropertyText::line(format!("string[] primvars:{name} = [{values}] (\n{about}        )")),
+        PropertyText::array(
+            &format!("int[] primvars:{name}:indices"),
+            Elements::Strings { table, indices },
+            "",
+        ),
     ]
 }

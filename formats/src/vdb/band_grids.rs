@@ -7,9 +7,9 @@
 
 use rayon::prelude::*;
 
-use super::encode_leaves::{Encoding, LEAVES_PER_BATCH, Packed, append_chunk, push_values};
+use super::encode_leaves::{LEAVES_PER_BATCH, LeafEncoding, Packed, append_chunk, push_values};
 use super::layout::{inactive, ones};
-use super::tree::Leaf;
+use super::tree::TreeLeaf;
 use super::{Compression, FORMAT};
 use crate::blosc::Encoder;
 use crate::data::BandGrid;
@@ -19,8 +19,8 @@ use crate::error::{Error, Place, Result};
 /// largest absolute value.
 pub(super) fn encode_grid(
     grid: &BandGrid,
-    (order, leaves): (&[u32], &[Leaf]),
-    encoding: Encoding,
+    (order, leaves): (&[u32], &[TreeLeaf]),
+    encoding: LeafEncoding,
 ) -> Result<(Vec<Packed>, f32)> {
     let BandGrid { name, arity, .. } = grid;
     let invalid = |what: String| Err(Error::invalid(FORMAT, Place::File, what));
@@ -30,7 +30,7 @@ pub(super) fn encode_grid(
     let in_tree = order.par_chunks(LEAVES_PER_BATCH).zip(leaves.par_chunks(LEAVES_PER_BATCH));
     let batches: Vec<(Packed, f32)> = in_tree
         .map_init(
-            || (LeafEncoder::new(encoding), Vec::new()),
+            || (BandLeafEncoder::new(encoding), Vec::new()),
             |(encoder, bytes), (order, leaves)| {
                 bytes.clear();
                 encoder.greatest = 0.0;
@@ -50,8 +50,8 @@ pub(super) fn encode_grid(
 }
 
 /// Encodes leaves one at a time, reusing its buffers.
-struct LeafEncoder {
-    encoding: Encoding,
+struct BandLeafEncoder {
+    encoding: LeafEncoding,
     /// The values of all voxels of a leaf.
     values: Vec<f32>,
     active: Vec<f32>,
@@ -61,11 +61,11 @@ struct LeafEncoder {
     greatest: f32,
 }
 
-impl LeafEncoder {
-    fn new(encoding: Encoding) -> LeafEncoder {
+impl BandLeafEncoder {
+    fn new(encoding: LeafEncoding) -> BandLeafEncoder {
         let values = vec![0.0; 512 * encoding.arity];
         let blosc = Encoder::new();
-        LeafEncoder { encoding, values, active: Vec::new(), chunk: Vec::new(), blosc, greatest: 0.0 }
+        BandLeafEncoder { encoding, values, active: Vec::new(), chunk: Vec::new(), blosc, greatest: 0.0 }
     }
 
     /// Appends the buffer of the leaf whose values have been filled in.

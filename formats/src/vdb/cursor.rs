@@ -30,7 +30,10 @@ impl<'a> Cursor<'a> {
                 self.position = position;
                 Ok(())
             }
-            _ => Err(self.error(format!("{what} is at byte {position}, beyond the end of the file at {}", self.bytes.len()))),
+            _ => Err(self.error(format!(
+                "{what} is at byte {position}, beyond the end of the file at {}",
+                self.bytes.len()
+            ))),
         }
     }
 

@@ -22,7 +22,7 @@ const HIGH_FACE: u64 = LOW_FACE << 7;
 
 /// The encoding of values.
 #[derive(Clone, Copy)]
-pub(super) struct Encoding {
+pub(super) struct LeafEncoding {
     /// World units per unit of the values.
     pub(super) scale: f64,
     /// The background in world units, rounded to 16 bits if `half`. With several components it is 0.
@@ -53,7 +53,7 @@ impl LeafSummary {
 }
 
 /// Leaves that were encoded together.
-pub(super) struct Batch {
+pub(super) struct LeafBatch {
     pub(super) summaries: Vec<LeafSummary>,
     pub(super) packed: Packed,
 }
@@ -72,7 +72,7 @@ impl Packed {
 }
 
 /// Encodes the leaves in the order of the indices.
-pub(super) fn encode_leaves(leaves: &[[f32; 512]], order: &[u32], encoding: Encoding) -> Vec<Batch> {
+pub(super) fn encode_leaves(leaves: &[[f32; 512]], order: &[u32], encoding: LeafEncoding) -> Vec<LeafBatch> {
     order
         .par_chunks(LEAVES_PER_BATCH)
         .map_init(
@@ -81,7 +81,7 @@ pub(super) fn encode_leaves(leaves: &[[f32; 512]], order: &[u32], encoding: Enco
                 bytes.clear();
                 let summaries =
                     indices.iter().map(|&index| encoder.append(&leaves[index as usize], bytes)).collect();
-                Batch { summaries, packed: Packed::new(bytes) }
+                LeafBatch { summaries, packed: Packed::new(bytes) }
             },
         )
         .collect()
@@ -89,14 +89,14 @@ pub(super) fn encode_leaves(leaves: &[[f32; 512]], order: &[u32], encoding: Enco
 
 /// Encodes leaves one at a time, reusing its buffers.
 struct LeafEncoder {
-    encoding: Encoding,
+    encoding: LeafEncoding,
     world: [f32; 512],
     chunk: Vec<u8>,
     blosc: Encoder,
 }
 
 impl LeafEncoder {
-    fn new(encoding: Encoding) -> LeafEncoder {
+    fn new(encoding: LeafEncoding) -> LeafEncoder {
         LeafEncoder { encoding, world: [0.0; 512], chunk: Vec::with_capacity(2048), blosc: Encoder::new() }
     }
 
@@ -139,7 +139,7 @@ impl LeafEncoder {
     }
 
     fn append_values(&mut self, active: &[u64; 8], negative: &[u64; 8], out: &mut Vec<u8>) {
-        let Encoding { background, half, compression, .. } = self.encoding;
+        let LeafEncoding { background, half, compression, .. } = self.encoding;
         if compression == Compression::None {
             out.push(inactive::ALL_VALUES);
             for value in &mut self.world {
@@ -180,7 +180,7 @@ impl LeafEncoder {
 }
 
 /// Appends a chunk of bytes, compressed as the encoding says; not for [`Compression::None`].
-pub(super) fn append_chunk(chunk: &[u8], encoding: Encoding, blosc: &mut Encoder, out: &mut Vec<u8>) {
+pub(super) fn append_chunk(chunk: &[u8], encoding: LeafEncoding, blosc: &mut Encoder, out: &mut Vec<u8>) {
     if encoding.compression == Compression::ActiveMask {
         out.extend_from_slice(chunk);
         return;

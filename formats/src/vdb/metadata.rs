@@ -70,7 +70,9 @@ pub(super) fn read_metadata(cursor: &mut Cursor) -> Result<Vec<(String, MetaValu
     const ENTRY_COUNT_MAX: usize = 1 << 16; // real files have a few dozen
     let count = cursor.u32("the number of metadata entries")? as usize;
     if count > cursor.remaining() / ENTRY_BYTES_MIN {
-        return Err(cursor.error(format!("the file declares {count} metadata entries, more than fit into it")));
+        return Err(
+            cursor.error(format!("the file declares {count} metadata entries, more than fit into it"))
+        );
     }
     if count > ENTRY_COUNT_MAX {
         return Err(Error::too_large(

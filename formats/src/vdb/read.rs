@@ -8,7 +8,8 @@ use super::cursor::Cursor;
 use super::layout::{HALF_SUFFIX, MAGIC, META_HALF, TYPE_FLOAT, TYPE_VEC3S, UUID_BYTES, VERSIONS_READ};
 use super::metadata::{MetaValue, read_metadata};
 use super::read_tree::{
-    Budget, GridData, LevelSetData, Storage, Value, VectorGridData, count_tree, pass_tree, read_tree,
+    GridData, LevelSetData, TreeBudget, ValueStorage, VectorGridData, VoxelValue, count_tree, pass_tree,
+    read_tree,
 };
 use crate::error::{Error, Place, Result};
 use crate::excerpt::excerpt;
@@ -75,21 +76,21 @@ pub fn read_level_set(bytes: &[u8], name: Option<&str>, limits: &Limits) -> Resu
     let entries = entries(bytes, limits)?;
     let entry = find_level_set(&entries, name)?;
     let (mut cursor, storage, _) = tree_cursor(bytes, &entries, entry)?;
-    let size = count_tree::<f32>(&mut cursor, storage, &mut Budget::new(bytes.len(), limits))?;
+    let size = count_tree::<f32>(&mut cursor, storage, &mut TreeBudget::new(bytes.len(), limits))?;
     let content = format!(", with {} leaves and {} tiles,", size.leaf_count, size.tile_count);
     limits.check_level_set(bytes.len() as u64 + size.memory_bytes(), &content)?;
     read_grid(bytes, &entries, entry, limits)
 }
 
-fn find_level_set<'a>(entries: &'a [Entry], name: Option<&str>) -> Result<&'a Entry> {
+fn find_level_set<'a>(entries: &'a [GridEntry], name: Option<&str>) -> Result<&'a GridEntry> {
     let found = match name {
         Some(name) => {
             let unique = entries.iter().find(|entry| entry.info.unique_name == name);
             unique.or_else(|| entries.iter().find(|entry| entry.info.name == name))
         }
         None => {
-            let float = |entry: &&Entry| entry.info.type_name == TYPE_FLOAT;
-            let level_set = |entry: &&Entry| float(entry) && entry.info.class == "level set";
+            let float = |entry: &&GridEntry| entry.info.type_name == TYPE_FLOAT;
+            let level_set = |entry: &&GridEntry| float(entry) && entry.info.class == "level set";
             entries.iter().find(level_set).or_else(|| entries.iter().find(float))
         }
     };
@@ -99,7 +100,10 @@ fn find_level_set<'a>(entries: &'a [Entry], name: Option<&str>) -> Result<&'a En
             .map(|e| format!("\"{}\" of type {}", excerpt(&e.info.unique_name), excerpt(&e.info.type_name)))
             .collect();
         names.extend(entries.get(8).map(|_| "…".to_owned()));
-        return Err(Error::unsupported(FORMAT, format!("the file has {wanted}; it contains {}", names.join(", "))));
+        return Err(Error::unsupported(
+            FORMAT,
+            format!("the file has {wanted}; it contains {}", names.join(", ")),
+        ));
     };
     Ok(entry)
 }
@@ -112,28 +116,28 @@ fn find_level_set<'a>(entries: &'a [Entry], name: Option<&str>) -> Result<&'a En
 pub fn read_vectors(bytes: &[u8], names: &[&str], limits: &Limits) -> Result<Option<VectorGridData>> {
     let entries = entries(bytes, limits)?;
     let is_meant =
-        |entry: &&Entry| entry.info.type_name == TYPE_VEC3S && names.contains(&entry.info.name.as_str());
+        |entry: &&GridEntry| entry.info.type_name == TYPE_VEC3S && names.contains(&entry.info.name.as_str());
     entries.iter().find(is_meant).map(|entry| read_grid(bytes, &entries, entry, limits)).transpose()
 }
 
-fn read_grid<V: Value>(
+fn read_grid<V: VoxelValue>(
     bytes: &[u8],
-    entries: &[Entry],
-    entry: &Entry,
+    entries: &[GridEntry],
+    entry: &GridEntry,
     limits: &Limits,
 ) -> Result<GridData<V>> {
     let (mut cursor, storage, transform) = tree_cursor(bytes, entries, entry)?;
     let info = entry.info.clone();
-    let tree = read_tree(&mut cursor, storage, &mut Budget::new(bytes.len(), limits))?;
+    let tree = read_tree(&mut cursor, storage, &mut TreeBudget::new(bytes.len(), limits))?;
     Ok(GridData { name: info.name, class: info.class, transform, metadata: info.metadata, ..tree })
 }
 
 /// A cursor at the start of a grid's tree, the storage of its values, and its transform.
 fn tree_cursor<'a>(
     bytes: &'a [u8],
-    entries: &[Entry],
-    entry: &Entry,
-) -> Result<(Cursor<'a>, Storage, Transform)> {
+    entries: &[GridEntry],
+    entry: &GridEntry,
+) -> Result<(Cursor<'a>, ValueStorage, Transform)> {
     let (Some(tree), Some(transform)) = (entry.tree_of(entries), entry.info.transform) else {
         let what = format!(
             "grid \"{}\" has an unsupported map, or is an instance of an unsupported grid",
@@ -190,10 +194,10 @@ struct TreePlace {
     position: usize,
     /// The end of the grid, or of the file if unknown.
     end: usize,
-    storage: Storage,
+    storage: ValueStorage,
 }
 
-struct Entry {
+struct GridEntry {
     info: GridInfo,
     /// The name in the descriptor, which instances refer to.
     descriptor_name: String,
@@ -202,8 +206,8 @@ struct Entry {
     tree: Option<TreePlace>,
 }
 
-impl Entry {
-    fn tree_of(&self, entries: &[Entry]) -> Option<TreePlace> {
+impl GridEntry {
+    fn tree_of(&self, entries: &[GridEntry]) -> Option<TreePlace> {
         if self.instance_parent.is_empty() {
             return self.tree;
         }
@@ -212,7 +216,7 @@ impl Entry {
     }
 }
 
-fn entries(bytes: &[u8], limits: &Limits) -> Result<Vec<Entry>> {
+fn entries(bytes: &[u8], limits: &Limits) -> Result<Vec<GridEntry>> {
     let mut cursor = Cursor::new(bytes);
     let header = read_header(&mut cursor)?;
     let mut entries = Vec::new();
@@ -254,12 +258,12 @@ fn grid_cursor<'a>(after: &Cursor, descriptor: &Descriptor, bytes: &'a [u8]) -> 
     Ok((grid, end))
 }
 
-struct Header {
+struct FileHeader {
     has_offsets: bool,
     grid_count: usize,
 }
 
-fn read_header(cursor: &mut Cursor) -> Result<Header> {
+fn read_header(cursor: &mut Cursor) -> Result<FileHeader> {
     const DESCRIPTOR_BYTES_MIN: usize = 36;
     const GRID_COUNT_MAX: usize = 1 << 16; // real files have a dozen
     if cursor.array::<8>("the magic number")? != MAGIC {
@@ -280,9 +284,12 @@ fn read_header(cursor: &mut Cursor) -> Result<Header> {
         return Err(cursor.error(format!("the file declares {grid_count} grids, more than fit into it")));
     }
     if grid_count > GRID_COUNT_MAX {
-        return Err(Error::too_large(FORMAT, format!("the file has {grid_count} grids, more than the limit of {GRID_COUNT_MAX}")));
+        return Err(Error::too_large(
+            FORMAT,
+            format!("the file has {grid_count} grids, more than the limit of {GRID_COUNT_MAX}"),
+        ));
     }
-    Ok(Header { has_offsets, grid_count })
+    Ok(FileHeader { has_offsets, grid_count })
 }
 
 struct Descriptor {
@@ -302,7 +309,7 @@ fn read_descriptor(cursor: &mut Cursor) -> Result<Descriptor> {
     Ok(Descriptor { name, type_name, instance_parent, grid_start, end })
 }
 
-fn read_entry(cursor: &mut Cursor, descriptor: Descriptor) -> Result<Entry> {
+fn read_entry(cursor: &mut Cursor, descriptor: Descriptor) -> Result<GridEntry> {
     let Descriptor { name: descriptor_name, type_name, instance_parent, .. } = descriptor;
     let compression = cursor.u32("the compression of a grid")?;
     let metadata = read_metadata(cursor)?;
@@ -346,10 +353,10 @@ fn read_entry(cursor: &mut Cursor, descriptor: Descriptor) -> Result<Entry> {
         active_voxel_count,
         metadata,
     };
-    let storage = Storage { compression, half };
+    let storage = ValueStorage { compression, half };
     let (position, end) = (cursor.position(), cursor.position() + cursor.remaining());
     let tree = transform.map(|_| TreePlace { position, end, storage });
-    Ok(Entry { info, descriptor_name, instance_parent, tree })
+    Ok(GridEntry { info, descriptor_name, instance_parent, tree })
 }
 
 fn find<'a>(metadata: &'a [(String, MetaValue)], name: &str) -> Option<&'a MetaValue> {
@@ -385,8 +392,8 @@ fn read_transform(cursor: &mut Cursor) -> Result<Option<Transform>> {
 }
 
 /// Skips the tree of a grid in a stream, which does not record where the grid ends.
-fn skip_tree(cursor: &mut Cursor, entry: &Entry, limits: &Limits) -> Result<()> {
-    let mut budget = Budget::new(cursor.position() + cursor.remaining(), limits);
+fn skip_tree(cursor: &mut Cursor, entry: &GridEntry, limits: &Limits) -> Result<()> {
+    let mut budget = TreeBudget::new(cursor.position() + cursor.remaining(), limits);
     match (entry.tree, entry.info.type_name.as_str()) {
         (Some(tree), TYPE_FLOAT) => pass_tree::<f32>(cursor, tree.storage, &mut budget),
         (Some(tree), TYPE_VEC3S) => pass_tree::<[f32; 3]>(cursor, tree.storage, &mut budget),

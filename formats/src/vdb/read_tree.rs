@@ -13,7 +13,7 @@ use super::layout::{
 };
 use super::metadata::MetaValue;
 use super::read::Transform;
-use crate::blosc::{FrameError, decode_frame, inflate_into};
+use crate::blosc::{BloscError, decode_frame, inflate_into};
 use crate::error::{Error, Place, Result};
 use crate::limits::Limits;
 
@@ -89,7 +89,7 @@ pub struct Tile<V> {
 }
 
 /// The value of a voxel, with `COUNT` floats.
-pub(super) trait Value: Copy + PartialEq {
+pub(super) trait VoxelValue: Copy + PartialEq {
     const COUNT: usize;
     const ZERO: Self;
     /// The floats of all values, flattened.
@@ -110,7 +110,7 @@ pub(super) trait Value: Copy + PartialEq {
     }
 }
 
-impl Value for f32 {
+impl VoxelValue for f32 {
     const COUNT: usize = 1;
     const ZERO: f32 = 0.0;
 
@@ -119,7 +119,7 @@ impl Value for f32 {
     }
 }
 
-impl Value for [f32; 3] {
+impl VoxelValue for [f32; 3] {
     const COUNT: usize = 3;
     const ZERO: [f32; 3] = [0.0; 3];
 
@@ -130,19 +130,19 @@ impl Value for [f32; 3] {
 
 /// The storage of a grid's values.
 #[derive(Clone, Copy)]
-pub(super) struct Storage {
+pub(super) struct ValueStorage {
     pub(super) compression: u32,
     pub(super) half: bool,
 }
 
 /// The memory that a file can still use.
-pub(super) struct Budget {
+pub(super) struct TreeBudget {
     bytes: u64,
 }
 
-impl Budget {
-    pub(super) fn new(file_bytes: usize, limits: &Limits) -> Budget {
-        Budget { bytes: limits.decompressed_bytes_of(file_bytes as u64) }
+impl TreeBudget {
+    pub(super) fn new(file_bytes: usize, limits: &Limits) -> TreeBudget {
+        TreeBudget { bytes: limits.decompressed_bytes_of(file_bytes as u64) }
     }
 
     fn spend(&mut self, bytes: usize) -> Result<()> {
@@ -154,10 +154,10 @@ impl Budget {
 }
 
 /// Reads a tree; the caller sets name, class, transform and metadata.
-pub(super) fn read_tree<V: Value>(
+pub(super) fn read_tree<V: VoxelValue>(
     cursor: &mut Cursor,
-    storage: Storage,
-    budget: &mut Budget,
+    storage: ValueStorage,
+    budget: &mut TreeBudget,
 ) -> Result<GridData<V>> {
     let mut reader = TreeReader::of_topology(cursor, storage, budget, Keep::All)?;
     reader.read_leaves(cursor)?;
@@ -165,29 +165,34 @@ pub(super) fn read_tree<V: Value>(
 }
 
 /// Skips a tree.
-pub(super) fn pass_tree<V: Value>(cursor: &mut Cursor, storage: Storage, budget: &mut Budget) -> Result<()> {
+pub(super) fn pass_tree<V: VoxelValue>(
+    cursor: &mut Cursor,
+    storage: ValueStorage,
+    budget: &mut TreeBudget,
+) -> Result<()> {
     TreeReader::<V>::of_topology(cursor, storage, budget, Keep::Counts)?.read_leaves(cursor)
 }
 
 /// Counts the leaves and tiles of a tree without storing them.
-pub(super) fn count_tree<V: Value>(
+pub(super) fn count_tree<V: VoxelValue>(
     cursor: &mut Cursor,
-    storage: Storage,
-    budget: &mut Budget,
+    storage: ValueStorage,
+    budget: &mut TreeBudget,
 ) -> Result<TreeSize> {
     Ok(TreeReader::<V>::of_topology(cursor, storage, budget, Keep::Counts)?.size)
 }
 
 /// Reads the topology of a tree, but not the values of its leaves, which follow.
-fn read_topology<V: Value>(reader: &mut TreeReader<V>, cursor: &mut Cursor) -> Result<()> {
+fn read_topology<V: VoxelValue>(reader: &mut TreeReader<V>, cursor: &mut Cursor) -> Result<()> {
     const CHILD_BYTES_MIN: usize = 12 + 2 * 4096 + 1;
     let tile_bytes = 12 + 4 * V::COUNT + 1;
     let tile_count = cursor.u32("the number of root tiles")? as usize;
     let child_count = cursor.u32("the number of root children")? as usize;
     let fits = tile_count.checked_mul(tile_bytes).zip(child_count.checked_mul(CHILD_BYTES_MIN));
     if fits.and_then(|(tiles, children)| tiles.checked_add(children)).is_none_or(|n| n > cursor.remaining()) {
-        let what =
-            format!("the grid declares {tile_count} root tiles and {child_count} children, more than fit into the file");
+        let what = format!(
+            "the grid declares {tile_count} root tiles and {child_count} children, more than fit into the file"
+        );
         return Err(cursor.error(what));
     }
     for _ in 0..tile_count {
@@ -200,9 +205,9 @@ fn read_topology<V: Value>(reader: &mut TreeReader<V>, cursor: &mut Cursor) -> R
     for _ in 0..child_count {
         let origin = cursor.coord("a root child")?;
         if origin.iter().any(|c| c & 4095 != 0) || last.is_some_and(|last| origin <= last) {
-            return Err(
-                cursor.error(format!("root child {origin:?} follows {last:?}; origins must be ascending multiples of 4096"))
-            );
+            return Err(cursor.error(format!(
+                "root child {origin:?} follows {last:?}; origins must be ascending multiples of 4096"
+            )));
         }
         last = Some(origin);
         reader.read_node(cursor, origin, NODE5_LOG2, NODE4_VOXELS_LOG2)?;
@@ -233,20 +238,20 @@ enum Keep {
 
 struct TreeReader<'a, V> {
     background: V,
-    storage: Storage,
-    budget: &'a mut Budget,
+    storage: ValueStorage,
+    budget: &'a mut TreeBudget,
     keep: Keep,
     size: TreeSize,
     data: GridData<V>,
     scratch: Vec<u8>,
 }
 
-impl<'a, V: Value> TreeReader<'a, V> {
+impl<'a, V: VoxelValue> TreeReader<'a, V> {
     /// A reader that has read the topology and is at the values of the leaves.
     fn of_topology(
         cursor: &mut Cursor,
-        storage: Storage,
-        budget: &'a mut Budget,
+        storage: ValueStorage,
+        budget: &'a mut TreeBudget,
         keep: Keep,
     ) -> Result<TreeReader<'a, V>> {
         let buffers_per_leaf = cursor.i32("the number of buffers per leaf")?;
@@ -330,7 +335,11 @@ impl<'a, V: Value> TreeReader<'a, V> {
                 off = V::read(cursor, "an inactive value")?;
                 on = V::read(cursor, "an inactive value")?;
             }
-            _ => return Err(cursor.error(format!("a block of values has the unknown kind {case}; expected 0 to 6"))),
+            _ => {
+                return Err(
+                    cursor.error(format!("a block of values has the unknown kind {case}; expected 0 to 6"))
+                );
+            }
         }
         let has_mask = matches!(
             case,
@@ -366,7 +375,7 @@ impl<'a, V: Value> TreeReader<'a, V> {
 
     /// Fills `out` with floats.
     fn read_chunk(&mut self, cursor: &mut Cursor, out: &mut [f32]) -> Result<()> {
-        let Storage { compression, half } = self.storage;
+        let ValueStorage { compression, half } = self.storage;
         if half && out.is_empty() {
             return Ok(()); // the only chunk without a size
         }
@@ -375,7 +384,7 @@ impl<'a, V: Value> TreeReader<'a, V> {
         if compression & (COMPRESS_ZIP | COMPRESS_BLOSC) == 0 {
             self.scratch.copy_from_slice(cursor.take(byte_count, "values")?);
         } else {
-            self.unpack(cursor)?;
+            self.decompress(cursor)?;
         }
         if half {
             for (value, &bytes) in out.iter_mut().zip(self.scratch.as_chunks::<2>().0) {
@@ -390,7 +399,7 @@ impl<'a, V: Value> TreeReader<'a, V> {
     }
 
     /// Fills the scratch buffer from a chunk with a size: positive if compressed, negative if raw.
-    fn unpack(&mut self, cursor: &mut Cursor) -> Result<()> {
+    fn decompress(&mut self, cursor: &mut Cursor) -> Result<()> {
         let out = &mut self.scratch[..];
         let size = cursor.i64("the size of packed values")?;
         let start = cursor.position() as u64;
@@ -402,13 +411,17 @@ impl<'a, V: Value> TreeReader<'a, V> {
         }
         if size <= 0 {
             if bytes.len() != out.len() {
-                return Err(invalid(format!("expected {} bytes of raw values, found {}", out.len(), bytes.len())));
+                return Err(invalid(format!(
+                    "expected {} bytes of raw values, found {}",
+                    out.len(),
+                    bytes.len()
+                )));
             }
             out.copy_from_slice(bytes);
         } else if self.storage.compression & COMPRESS_BLOSC != 0 {
             decode_frame(bytes, out).map_err(|error| match error {
-                FrameError::Invalid(what) => invalid(what),
-                FrameError::Unsupported(what) => Error::unsupported(FORMAT, what),
+                BloscError::Invalid(what) => invalid(what),
+                BloscError::Unsupported(what) => Error::unsupported(FORMAT, what),
             })?;
         } else if inflate_into(bytes, out) != Some(out.len()) {
             return Err(invalid(format!("the zlib data does not decompress to {} bytes", out.len())));

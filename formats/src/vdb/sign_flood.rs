@@ -22,7 +22,7 @@ use super::layout::slot_of;
 
 /// A stored part of the grid: a leaf, or a node that contains some.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Cell {
+pub(super) struct FloodCell {
     /// Position, in cells of this level.
     pub(super) coord: [i32; 3],
     /// Whether the region just before it along z is inside.
@@ -33,7 +33,7 @@ pub(super) struct Cell {
 
 /// An inside gap in a row along z: between two cells, excluding both.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Gap {
+pub(super) struct InsideGap {
     pub(super) xy: [i32; 2],
     pub(super) after: i32,
     pub(super) before: i32,
@@ -52,9 +52,9 @@ pub(super) struct Parent {
 
 impl Parent {
     /// The node as a cell of the next level: a face is inside if most rows through it are.
-    pub(super) fn as_cell(&self, log2: u32) -> Cell {
+    pub(super) fn as_cell(&self, log2: u32) -> FloodCell {
         let rows = 1 << (2 * log2);
-        Cell {
+        FloodCell {
             coord: self.coord,
             low_inside: 2 * self.low_votes > rows,
             high_inside: 2 * self.high_votes > rows,
@@ -73,7 +73,7 @@ impl Parent {
 }
 
 /// The parents of `cells`, with their inside gaps; both sorted by x, then y, then z.
-pub(super) fn parents(cells: &[Cell], log2: u32) -> Vec<Parent> {
+pub(super) fn parents(cells: &[FloodCell], log2: u32) -> Vec<Parent> {
     let edge = 1 << log2;
     let mut coords: Vec<[i32; 3]> = cells.iter().map(|cell| cell.coord.map(|c| c >> log2)).collect();
     coords.sort_unstable();
@@ -83,7 +83,7 @@ pub(super) fn parents(cells: &[Cell], log2: u32) -> Vec<Parent> {
         .into_iter()
         .map(|coord| Parent { coord, inside: vec![0; words], low_votes: 0, high_votes: 0 })
         .collect();
-    for Gap { xy: [x, y], after, before } in inside_gaps(cells) {
+    for InsideGap { xy: [x, y], after, before } in inside_gaps(cells) {
         let index_at = |parents: &[Parent], z: i32| {
             let coord = [x >> log2, y >> log2, z >> log2];
             parents.partition_point(|parent| parent.coord < coord)
@@ -103,10 +103,10 @@ pub(super) fn parents(cells: &[Cell], log2: u32) -> Vec<Parent> {
 }
 
 /// The inside gaps between cells, which must be sorted by x, then y, then z.
-pub(super) fn inside_gaps(cells: &[Cell]) -> impl Iterator<Item = Gap> + '_ {
+pub(super) fn inside_gaps(cells: &[FloodCell]) -> impl Iterator<Item = InsideGap> + '_ {
     cells.windows(2).filter_map(|pair| {
         let ([ax, ay, az], [bx, by, bz]) = (pair[0].coord, pair[1].coord);
         let inside = ax == bx && ay == by && bz - az > 1 && pair[0].high_inside && pair[1].low_inside;
-        inside.then_some(Gap { xy: [ax, ay], after: az, before: bz })
+        inside.then_some(InsideGap { xy: [ax, ay], after: az, before: bz })
     })
 }

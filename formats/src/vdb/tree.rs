@@ -10,29 +10,29 @@ use std::iter::repeat_n;
 use rayon::prelude::*;
 
 use super::Compression;
-use super::encode_leaves::{Encoding, LeafSummary, append_inactive, push_values};
+use super::encode_leaves::{LeafEncoding, LeafSummary, append_inactive, push_values};
 use super::layout::{
     NODE4_LOG2, NODE5_LOG2, NODE5_VOXELS_LOG2, count_ones, inactive, is_on, ones, slot_coord, slot_of,
 };
-use super::sign_flood::{Cell, Parent, inside_gaps, parents};
+use super::sign_flood::{FloodCell, Parent, inside_gaps, parents};
 
 /// A leaf, in tree order.
-pub(super) struct Leaf {
+pub(super) struct TreeLeaf {
     pub(super) origin: [i32; 3],
     pub(super) summary: LeafSummary,
 }
 
 /// An internal node of the tree.
-struct Node {
+struct InternalNode {
     /// Position, in nodes of its level, and its inside slots.
     parent: Parent,
     /// One bit per slot: whether it has a child.
     children: Vec<u64>,
 }
 
-impl Node {
-    fn new(parent: Parent) -> Node {
-        Node { children: vec![0; parent.inside.len()], parent }
+impl InternalNode {
+    fn new(parent: Parent) -> InternalNode {
+        InternalNode { children: vec![0; parent.inside.len()], parent }
     }
 
     /// If the node has no children and is entirely inside or outside, it is a tile of its parent: returns
@@ -45,44 +45,44 @@ impl Node {
 }
 
 /// All nodes above the leaves.
-pub(super) struct Tree {
+pub(super) struct GridTree {
     /// Lower nodes that are children, sorted by x, y, z.
-    nodes4: Vec<Node>,
+    nodes4: Vec<InternalNode>,
     /// Upper nodes that are children, sorted by x, y, z.
-    nodes5: Vec<Node>,
+    nodes5: Vec<InternalNode>,
     /// Origins, in voxels, of the root's inside tiles, sorted by x, y, z.
     tiles: Vec<[i32; 3]>,
 }
 
-impl Tree {
+impl GridTree {
     /// The tree of a level set: regions without leaves are inside or outside.
-    pub(super) fn new(leaves: &[Leaf]) -> Tree {
-        let cell_of = |Leaf { origin, summary }: &Leaf| {
+    pub(super) fn new(leaves: &[TreeLeaf]) -> GridTree {
+        let cell_of = |TreeLeaf { origin, summary }: &TreeLeaf| {
             let &LeafSummary { low_inside, high_inside, inside, .. } = summary;
-            let cell = Cell { coord: origin.map(|c| c >> 3), low_inside, high_inside };
+            let cell = FloodCell { coord: origin.map(|c| c >> 3), low_inside, high_inside };
             (cell, summary.is_stored(), inside)
         };
-        Tree::of(leaves.iter().map(cell_of).collect())
+        GridTree::of(leaves.iter().map(cell_of).collect())
     }
 
     /// The tree of a grid with the same leaves but without inside regions.
-    pub(super) fn without_sides(leaves: &[Leaf]) -> Tree {
-        let cell_of = |Leaf { origin, summary }: &Leaf| {
-            let cell = Cell { coord: origin.map(|c| c >> 3), low_inside: false, high_inside: false };
+    pub(super) fn without_sides(leaves: &[TreeLeaf]) -> GridTree {
+        let cell_of = |TreeLeaf { origin, summary }: &TreeLeaf| {
+            let cell = FloodCell { coord: origin.map(|c| c >> 3), low_inside: false, high_inside: false };
             (cell, summary.is_stored(), false)
         };
-        Tree::of(leaves.iter().map(cell_of).collect())
+        GridTree::of(leaves.iter().map(cell_of).collect())
     }
 
     /// Builds a tree from the cells of leaves, each with whether it is stored and, if not, whether it is
     /// inside.
-    fn of(mut cells: Vec<(Cell, bool, bool)>) -> Tree {
+    fn of(mut cells: Vec<(FloodCell, bool, bool)>) -> GridTree {
         cells.par_sort_unstable_by_key(|(cell, ..)| cell.coord);
         let (cells4, mut nodes4) = level(cells, NODE4_LOG2);
         let (cells5, nodes5) = level(cells4, NODE5_LOG2);
         nodes4.retain(|node| node.tile().is_none());
 
-        let bare: Vec<Cell> = cells5.iter().map(|&(cell, ..)| cell).collect();
+        let bare: Vec<FloodCell> = cells5.iter().map(|&(cell, ..)| cell).collect();
         let gaps = inside_gaps(&bare)
             .flat_map(|gap| (gap.after + 1..gap.before).map(move |z| [gap.xy[0], gap.xy[1], z]));
         let tiles = nodes5.iter().filter(|node| node.tile() == Some(true)).map(|node| node.parent.coord);
@@ -90,7 +90,7 @@ impl Tree {
             gaps.chain(tiles).map(|coord| coord.map(|c| c << NODE5_VOXELS_LOG2)).collect();
         tiles.sort_unstable();
         let nodes5 = nodes5.into_iter().filter(|node| node.tile().is_none()).collect();
-        Tree { nodes4, nodes5, tiles }
+        GridTree { nodes4, nodes5, tiles }
     }
 
     /// The tree's memory according to OpenVDB's own accounting, in bytes.
@@ -99,7 +99,7 @@ impl Tree {
     }
 
     /// Appends the topology: background, tiles and children of the root, then the nodes depth first.
-    pub(super) fn append_topology(&self, leaves: &[Leaf], encoding: Encoding, out: &mut Vec<u8>) {
+    pub(super) fn append_topology(&self, leaves: &[TreeLeaf], encoding: LeafEncoding, out: &mut Vec<u8>) {
         let mut leaves = leaves.iter().filter(|leaf| leaf.summary.is_stored());
         out.extend_from_slice(&1u32.to_le_bytes()); // buffers per leaf
         for _ in 0..encoding.arity {
@@ -136,9 +136,12 @@ impl Tree {
 ///
 /// Each cell comes with whether it is a child and, if not, whether it is an inside tile. Both results are
 /// sorted by x, y, z, as the cells must be.
-fn level(cells: Vec<(Cell, bool, bool)>, log2: u32) -> (Vec<(Cell, bool, bool)>, Vec<Node>) {
-    let bare: Vec<Cell> = cells.iter().map(|&(cell, ..)| cell).collect();
-    let mut nodes: Vec<Node> = parents(&bare, log2).into_iter().map(Node::new).collect();
+fn level(
+    cells: Vec<(FloodCell, bool, bool)>,
+    log2: u32,
+) -> (Vec<(FloodCell, bool, bool)>, Vec<InternalNode>) {
+    let bare: Vec<FloodCell> = cells.iter().map(|&(cell, ..)| cell).collect();
+    let mut nodes: Vec<InternalNode> = parents(&bare, log2).into_iter().map(InternalNode::new).collect();
     for (cell, is_child, inside) in cells {
         let coord = cell.coord.map(|c| c >> log2);
         let index = nodes.partition_point(|node| node.parent.coord < coord);
@@ -159,8 +162,8 @@ fn level(cells: Vec<(Cell, bool, bool)>, log2: u32) -> (Vec<(Cell, bool, bool)>,
     (cells, nodes)
 }
 
-fn append_node(node: &Node, encoding: Encoding, out: &mut Vec<u8>) {
-    let Node { parent, children } = node;
+fn append_node(node: &InternalNode, encoding: LeafEncoding, out: &mut Vec<u8>) {
+    let InternalNode { parent, children } = node;
     for word in children {
         out.extend_from_slice(&word.to_le_bytes());
     }
@@ -198,17 +201,17 @@ pub(super) fn count_u32(count: usize) -> u32 {
 mod tests {
     use super::*;
 
-    fn leaf(origin: [i32; 3], low_inside: bool, high_inside: bool) -> Leaf {
+    fn leaf(origin: [i32; 3], low_inside: bool, high_inside: bool) -> TreeLeaf {
         let summary = LeafSummary { active: [1; 8], inside: false, low_inside, high_inside, has_nan: false };
-        Leaf { origin, summary }
+        TreeLeaf { origin, summary }
     }
 
     /// The bottom and top layers of a block, 4096 × 4096 voxels wide and `top − bottom` high: leaves without
     /// values, because with values the test would need a gigabyte.
-    fn block(bottom: i32, top: i32) -> Vec<Leaf> {
+    fn block(bottom: i32, top: i32) -> Vec<TreeLeaf> {
         let columns = (0..512).flat_map(|x| (0..512).map(move |y| [8 * x - 4096, 8 * y]));
         let pair = |[x, y]: [i32; 2]| [leaf([x, y, bottom], false, true), leaf([x, y, top], true, false)];
-        let mut leaves: Vec<Leaf> = columns.flat_map(pair).collect();
+        let mut leaves: Vec<TreeLeaf> = columns.flat_map(pair).collect();
         leaves.sort_by_key(|leaf| [12, 7, 3].map(|log2| leaf.origin.map(|c| c >> log2)));
         leaves
     }
@@ -216,7 +219,7 @@ mod tests {
     #[test]
     fn inside_of_a_solid_larger_than_a_root_child_is_filled() {
         let leaves = block(-800, 8192 + 1600);
-        let tree = Tree::new(&leaves);
+        let tree = GridTree::new(&leaves);
         assert_eq!(tree.tiles, [[-4096, 0, 0], [-4096, 0, 4096]]);
         let coords: Vec<[i32; 3]> = tree.nodes5.iter().map(|node| node.parent.coord).collect();
         assert_eq!(coords, [[-1, 0, -1], [-1, 0, 2]]);
@@ -237,12 +240,12 @@ mod tests {
     fn surface_with_holes_only_fills_its_own_rows() {
         // A pair of leaves that face each other over a large distance, not a closed surface.
         let leaves = [leaf([0, 0, -1 << 20], false, true), leaf([0, 0, 1 << 20], true, false)];
-        let tree = Tree::new(&leaves);
+        let tree = GridTree::new(&leaves);
         assert!(tree.tiles.is_empty());
         let inside: usize = tree.nodes4.iter().map(|node| count_ones(&node.parent.inside)).sum();
         assert_eq!(inside, 15);
         // Leaves that face each other from outside leave the gap outside.
         let leaves = [leaf([0, 0, 0], true, false), leaf([0, 0, 64], false, true)];
-        assert_eq!(count_ones(&Tree::new(&leaves).nodes4[0].parent.inside), 0);
+        assert_eq!(count_ones(&GridTree::new(&leaves).nodes4[0].parent.inside), 0);
     }
 }

@@ -22,13 +22,13 @@ use half::f16;
 use rayon::prelude::*;
 
 use super::band_grids::encode_grid;
-use super::encode_leaves::{Batch, Encoding, Packed, encode_leaves, to_world};
+use super::encode_leaves::{LeafBatch, LeafEncoding, Packed, encode_leaves, to_world};
 use super::layout::{
     COMPRESS_ACTIVE_MASK, COMPRESS_BLOSC, HALF_SUFFIX, LIBRARY_VERSION, MAGIC, META_HALF, NODE4_VOXELS_LOG2,
     NODE5_VOXELS_LOG2, TYPE_FLOAT, TYPE_VEC3S, VERSION_WRITTEN, count_ones,
 };
 use super::metadata::{MetaWriter, push_string};
-use super::tree::{Leaf, Tree, count_u32};
+use super::tree::{GridTree, TreeLeaf, count_u32};
 use super::uuid::{self, Digest, digest};
 use super::{Compression, FORMAT};
 use crate::data::{BandGrid, LevelSetView, Provenance, Role};
@@ -122,14 +122,14 @@ pub fn encode(levels: &LevelSetView, options: &WriteOptions, provenance: &Proven
     let batches = encode_leaves(levels.leaves, &order, encoding);
     let leaves = leaves_of(levels, &order, &batches)?;
     let buffers = batches.into_iter().map(|batch| batch.packed).collect();
-    let tree = Tree::new(&leaves);
+    let tree = GridTree::new(&leaves);
     let mut metadata = metadata(&leaves, &tree, "level set", &options.name, encoding);
     for (key, value) in provenance {
         metadata.string(&prefixed(key), value);
     }
-    let surface = Grid { name: &options.name, encoding, metadata, buffers };
+    let surface = GridParts { name: &options.name, encoding, metadata, buffers };
     let mut grids = vec![surface.finish(levels, options, &tree, &leaves)];
-    let tree = Tree::without_sides(&leaves);
+    let tree = GridTree::without_sides(&leaves);
     for (grid, name) in levels.grids.iter().zip(grid_names(levels.grids, &options.name)) {
         let (encoding, buffers) = encoded_leaves(grid, (&order, &leaves), options)?;
         let mut metadata = self::metadata(&leaves, &tree, "unknown", &name, encoding);
@@ -138,7 +138,7 @@ pub fn encode(levels: &LevelSetView, options: &WriteOptions, provenance: &Proven
             let kind = if is_velocity { "contravariant relative" } else { "invariant" };
             metadata.string("vector_type", kind);
         }
-        let grid = Grid { name: &name, encoding, metadata, buffers };
+        let grid = GridParts { name: &name, encoding, metadata, buffers };
         grids.push(grid.finish(levels, options, &tree, &leaves));
     }
     Ok(assembled(grids))
@@ -147,12 +147,12 @@ pub fn encode(levels: &LevelSetView, options: &WriteOptions, provenance: &Proven
 /// Encodes the leaves of an additional grid, in 16 bits if requested and if the values fit.
 fn encoded_leaves(
     grid: &BandGrid,
-    leaves: (&[u32], &[Leaf]),
+    leaves: (&[u32], &[TreeLeaf]),
     options: &WriteOptions,
-) -> Result<(Encoding, Vec<Packed>)> {
+) -> Result<(LeafEncoding, Vec<Packed>)> {
     let (arity, compression) = (grid.arity, options.compression);
-    let full = Encoding { scale: 1.0, background: 0.0, arity, half: false, compression };
-    let encoding = Encoding { half: options.half, ..full };
+    let full = LeafEncoding { scale: 1.0, background: 0.0, arity, half: false, compression };
+    let encoding = LeafEncoding { half: options.half, ..full };
     let (packed, greatest) = encode_grid(grid, leaves, encoding)?;
     if encoding.half && greatest > f16::MAX.to_f32() {
         let (packed, _) = encode_grid(grid, leaves, full)?;
@@ -185,23 +185,23 @@ fn grid_names(grids: &[BandGrid], surface: &str) -> Vec<String> {
 }
 
 /// A grid under construction.
-struct Grid<'a> {
+struct GridParts<'a> {
     name: &'a str,
-    encoding: Encoding,
+    encoding: LeafEncoding,
     metadata: MetaWriter,
     buffers: Vec<Packed>,
 }
 
-impl Grid<'_> {
+impl GridParts<'_> {
     /// Encodes the grid; its descriptor still lacks the offsets at its end.
     fn finish(
         self,
         levels: &LevelSetView,
         options: &WriteOptions,
-        tree: &Tree,
-        leaves: &[Leaf],
+        tree: &GridTree,
+        leaves: &[TreeLeaf],
     ) -> EncodedGrid {
-        let Grid { name, encoding, metadata, buffers } = self;
+        let GridParts { name, encoding, metadata, buffers } = self;
         let mut descriptor = Vec::new();
         push_string(&mut descriptor, name.as_bytes());
         let type_name = if encoding.arity == 3 { TYPE_VEC3S } else { TYPE_FLOAT };
@@ -250,7 +250,10 @@ fn tree_order(levels: &LevelSetView) -> Result<Vec<u32>> {
         return invalid(format!("there are {} leaf origins for {} leaves", origins.len(), leaves.len()));
     }
     let Ok(count) = u32::try_from(leaves.len()) else {
-        return Err(Error::too_large(FORMAT, format!("the level set has {} leaves; the limit is 2³² − 1", leaves.len())));
+        return Err(Error::too_large(
+            FORMAT,
+            format!("the level set has {} leaves; the limit is 2³² − 1", leaves.len()),
+        ));
     };
     if let Some(origin) = origins.iter().find(|origin| origin.iter().any(|c| c & 7 != 0)) {
         return invalid(format!("the leaf origin {origin:?} is not a multiple of 8"));
@@ -267,7 +270,7 @@ fn tree_order(levels: &LevelSetView) -> Result<Vec<u32>> {
     Ok(order)
 }
 
-fn encoding(levels: &LevelSetView, options: &WriteOptions) -> Result<Encoding> {
+fn encoding(levels: &LevelSetView, options: &WriteOptions) -> Result<LeafEncoding> {
     let scale = levels.voxel_size;
     let mut background = to_world(levels.half_width_voxels, scale);
     if options.half {
@@ -283,15 +286,15 @@ fn encoding(levels: &LevelSetView, options: &WriteOptions) -> Result<Encoding> {
         );
         return Err(Error::invalid(FORMAT, Place::File, what));
     }
-    Ok(Encoding { scale, background, arity: 1, half: options.half, compression: options.compression })
+    Ok(LeafEncoding { scale, background, arity: 1, half: options.half, compression: options.compression })
 }
 
-fn leaves_of(levels: &LevelSetView, order: &[u32], batches: &[Batch]) -> Result<Vec<Leaf>> {
+fn leaves_of(levels: &LevelSetView, order: &[u32], batches: &[LeafBatch]) -> Result<Vec<TreeLeaf>> {
     let summaries = batches.iter().flat_map(|batch| &batch.summaries);
-    let leaves: Vec<Leaf> = order
+    let leaves: Vec<TreeLeaf> = order
         .iter()
         .zip(summaries)
-        .map(|(&index, &summary)| Leaf { origin: levels.origins[index as usize], summary })
+        .map(|(&index, &summary)| TreeLeaf { origin: levels.origins[index as usize], summary })
         .collect();
     match leaves.iter().find(|leaf| leaf.summary.has_nan) {
         None => Ok(leaves),
@@ -303,7 +306,13 @@ fn leaves_of(levels: &LevelSetView, order: &[u32], batches: &[Batch]) -> Result<
 }
 
 /// The metadata of every grid.
-fn metadata(leaves: &[Leaf], tree: &Tree, class: &str, name: &str, encoding: Encoding) -> MetaWriter {
+fn metadata(
+    leaves: &[TreeLeaf],
+    tree: &GridTree,
+    class: &str,
+    name: &str,
+    encoding: LeafEncoding,
+) -> MetaWriter {
     let (mut min, mut max) = ([i32::MAX; 3], [i32::MIN; 3]); // what OpenVDB writes if nothing is active
     let (mut leaf_count, mut voxel_count) = (0, 0);
     for leaf in leaves.iter().filter(|leaf| leaf.summary.is_stored()) {

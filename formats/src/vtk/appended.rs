@@ -30,7 +30,7 @@ pub(crate) fn ends_as_written(tail: &[u8]) -> bool {
 }
 
 /// The data of an array.
-pub(super) trait Numbers {
+pub(super) trait ArrayData {
     /// The type of a number.
     fn kind(&self) -> NumberKind;
 
@@ -60,7 +60,7 @@ pub(super) struct Array<N> {
     numbers: N,
 }
 
-impl<N: Numbers> Array<N> {
+impl<N: ArrayData> Array<N> {
     pub(super) fn new(name: impl Into<String>, arity: usize, numbers: N) -> Array<N> {
         Array { name: name.into(), arity, numbers }
     }
@@ -72,20 +72,20 @@ impl<N: Numbers> Array<N> {
 }
 
 /// The type of the cells.
-pub(super) enum Cells {
+pub(super) enum CellKind {
     Verts,
     Polys,
 }
 
 /// The content of a file.
-pub(super) struct Document<N> {
+pub(super) struct VtpDocument<N> {
     /// The name of the array with normals, if any.
     pub(super) normals: Option<&'static str>,
     /// Arrays with values for each point.
     pub(super) of_points: Vec<Array<N>>,
     pub(super) point_count: usize,
     pub(super) points: N,
-    pub(super) cells: Cells,
+    pub(super) cells: CellKind,
     pub(super) cell_count: usize,
     /// The points of all cells, concatenated.
     pub(super) connectivity: N,
@@ -96,7 +96,7 @@ pub(super) struct Document<N> {
 /// Size of the length field before each array.
 const WORD_BYTES: u64 = 8;
 
-impl<N: Numbers> Document<N> {
+impl<N: ArrayData> VtpDocument<N> {
     pub(super) fn write(self, provenance: &Provenance, out: &mut impl Write) -> Result<()> {
         let parts = self.into_parts();
         out.write_all(parts.head(provenance).as_bytes())?;
@@ -108,44 +108,44 @@ impl<N: Numbers> Document<N> {
         Ok(())
     }
 
-    fn into_parts(self) -> Parts<N> {
+    fn into_parts(self) -> DocumentParts<N> {
         let mut arrays = self.of_points;
         let normals = self.normals.map(|name| format!(" Normals=\"{name}\"")).unwrap_or_default();
         let (cells, vert_count, poly_count) = match self.cells {
-            Cells::Verts => ("Verts", self.cell_count, 0),
-            Cells::Polys => ("Polys", 0, self.cell_count),
+            CellKind::Verts => ("Verts", self.cell_count, 0),
+            CellKind::Polys => ("Polys", 0, self.cell_count),
         };
         let sections = [
-            Section { name: "PointData", about: normals, array_count: arrays.len() },
-            Section { name: "Points", about: String::new(), array_count: 1 },
-            Section { name: cells, about: String::new(), array_count: 2 },
+            XmlSection { name: "PointData", about: normals, array_count: arrays.len() },
+            XmlSection { name: "Points", about: String::new(), array_count: 1 },
+            XmlSection { name: cells, about: String::new(), array_count: 2 },
         ];
         arrays.extend([
             Array::new("Points", 3, self.points),
             Array::new("connectivity", 1, self.connectivity),
             Array::new("offsets", 1, self.offsets),
         ]);
-        Parts { counts: [self.point_count, vert_count, poly_count], sections, arrays }
+        DocumentParts { counts: [self.point_count, vert_count, poly_count], sections, arrays }
     }
 }
 
 /// A file in its final layout.
-struct Parts<N> {
+struct DocumentParts<N> {
     /// The numbers of points, of vertex cells, and of polygons.
     counts: [usize; 3],
     /// XML sections; each contains the next `array_count` arrays.
-    sections: [Section; 3],
+    sections: [XmlSection; 3],
     arrays: Vec<Array<N>>,
 }
 
-struct Section {
+struct XmlSection {
     name: &'static str,
     /// Further attributes of its tag.
     about: String,
     array_count: usize,
 }
 
-impl<N: Numbers> Parts<N> {
+impl<N: ArrayData> DocumentParts<N> {
     /// The text before the data.
     fn head(&self, provenance: &Provenance) -> String {
         let [points, verts, polys] = self.counts;
@@ -157,7 +157,7 @@ impl<N: Numbers> Parts<N> {
             self.field_data(provenance)
         );
         let (mut offset, mut arrays) = (0, self.arrays.iter());
-        for Section { name, about, array_count } in &self.sections {
+        for XmlSection { name, about, array_count } in &self.sections {
             text += &format!("      <{name}{about}>\n");
             for array in arrays.by_ref().take(*array_count) {
                 let (NumberKind(kind, _), of, arity) =

@@ -25,16 +25,16 @@ use super::XML;
 
 /// The encoding of all arrays of a file.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Encoding {
+pub(super) struct ArrayEncoding {
     pub(super) endian: Endian,
     /// Size of the numbers in headers, in bytes.
     pub(super) header_word_bytes: usize,
-    pub(super) packing: Option<Packing>,
+    pub(super) compression: Option<BlockCompression>,
 }
 
 /// The compression of blocks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Packing {
+pub(super) enum BlockCompression {
     Zlib,
     Lz4,
     Lzma,
@@ -42,7 +42,7 @@ pub(super) enum Packing {
 
 /// The encoded bytes of an array.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Encoded<'a> {
+pub(super) struct EncodedArray<'a> {
     /// All bytes from the start of the array, including those of later arrays.
     pub(super) bytes: &'a [u8],
     pub(super) is_base64: bool,
@@ -53,16 +53,16 @@ pub(super) struct Encoded<'a> {
 /// Total sizes of the arrays decoded so far. Limits overlapping arrays, which could turn a small file into
 /// large data.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Account {
+pub(super) struct ArrayTotals {
     encoded_bytes: u64,
     bytes: u64,
     file_bytes: u64,
 }
 
-impl Account {
+impl ArrayTotals {
     /// An empty account for a file of `file_bytes`.
-    pub(super) fn of(file_bytes: u64) -> Account {
-        Account { encoded_bytes: 0, bytes: 0, file_bytes }
+    pub(super) fn of(file_bytes: u64) -> ArrayTotals {
+        ArrayTotals { encoded_bytes: 0, bytes: 0, file_bytes }
     }
 
     /// Adds an array before it is decoded.
@@ -73,7 +73,7 @@ impl Account {
             let what = format!("`{name}`: the arrays up to this one have more bytes in total than the file");
             return Err(Error::invalid(XML, Place::File, what));
         }
-        limits.check_unpacked(XML, self.bytes, self.encoded_bytes)
+        limits.check_decompressed(XML, self.bytes, self.encoded_bytes)
     }
 }
 
@@ -85,23 +85,25 @@ const LZ4_RATIO_MAX: u64 = 255;
 
 /// The decoded bytes of the array `name`.
 pub(super) fn decode<'a>(
-    encoded: Encoded<'a>,
-    encoding: Encoding,
+    encoded: EncodedArray<'a>,
+    encoding: ArrayEncoding,
     name: &str,
-    account: &mut Account,
+    account: &mut ArrayTotals,
     limits: &Limits,
 ) -> Result<Cow<'a, [u8]>> {
-    match encoding.packing {
+    match encoding.compression {
         None => decode_plain(encoded, encoding, name, account, limits),
-        Some(packing) => decode_blocks(encoded, encoding, packing, name, account, limits).map(Cow::Owned),
+        Some(compression) => {
+            decode_blocks(encoded, encoding, compression, name, account, limits).map(Cow::Owned)
+        }
     }
 }
 
 fn decode_plain<'a>(
-    encoded: Encoded<'a>,
-    encoding: Encoding,
+    encoded: EncodedArray<'a>,
+    encoding: ArrayEncoding,
     name: &str,
-    account: &mut Account,
+    account: &mut ArrayTotals,
     limits: &Limits,
 ) -> Result<Cow<'a, [u8]>> {
     let word_bytes = encoding.header_word_bytes;
@@ -126,11 +128,11 @@ fn decode_plain<'a>(
 }
 
 fn decode_blocks(
-    encoded: Encoded,
-    encoding: Encoding,
-    packing: Packing,
+    encoded: EncodedArray,
+    encoding: ArrayEncoding,
+    compression: BlockCompression,
     name: &str,
-    account: &mut Account,
+    account: &mut ArrayTotals,
     limits: &Limits,
 ) -> Result<Vec<u8>> {
     let word_bytes = encoding.header_word_bytes;
@@ -163,9 +165,10 @@ fn decode_blocks(
             rest.split_at_checked(usize::try_from(size).unwrap_or(usize::MAX)).unwrap_or_default();
         rest = after;
         let before = unpacked.len();
-        let is_good = unpack(packing, block, length, &mut unpacked);
+        let is_good = decompress(compression, block, length, &mut unpacked);
         if !is_good || (unpacked.len() - before) as u64 != length {
-            let what = format!("`{name}`: block {index} of {block_count} does not decompress to {length} bytes");
+            let what =
+                format!("`{name}`: block {index} of {block_count} does not decompress to {length} bytes");
             return Err(Error::invalid(XML, Place::Offset(encoded.offset), what));
         }
     }
@@ -174,14 +177,16 @@ fn decode_blocks(
 
 /// Appends the `length` decompressed bytes of a block; returns false if it is invalid. Memory grows with the
 /// output.
-fn unpack(packing: Packing, block: &[u8], length: u64, out: &mut Vec<u8>) -> bool {
-    match packing {
-        Packing::Zlib => flate2::bufread::ZlibDecoder::new(block).take(length).read_to_end(out).is_ok(),
-        Packing::Lzma => lzma_rust2::XzReader::new_mem_limit(block, true, LZMA_MEMORY_KB)
+fn decompress(compression: BlockCompression, block: &[u8], length: u64, out: &mut Vec<u8>) -> bool {
+    match compression {
+        BlockCompression::Zlib => {
+            flate2::bufread::ZlibDecoder::new(block).take(length).read_to_end(out).is_ok()
+        }
+        BlockCompression::Lzma => lzma_rust2::XzReader::new_mem_limit(block, true, LZMA_MEMORY_KB)
             .take(length)
             .read_to_end(out)
             .is_ok(),
-        Packing::Lz4 => {
+        BlockCompression::Lz4 => {
             let most = (block.len() as u64).saturating_mul(LZ4_RATIO_MAX).saturating_add(64);
             let Some(length) = usize::try_from(length).ok().filter(|_| length <= most) else { return false };
             let start = out.len();
@@ -191,7 +196,7 @@ fn unpack(packing: Packing, block: &[u8], length: u64, out: &mut Vec<u8>) -> boo
     }
 }
 
-impl<'a> Encoded<'a> {
+impl<'a> EncodedArray<'a> {
     /// Decodes `length` bytes, starting at byte or base64 character `at`.
     fn take(&self, at: usize, length: usize, name: &str) -> Result<Cow<'a, [u8]>> {
         let rest = self.bytes.get(at..).unwrap_or_default();
@@ -230,7 +235,7 @@ fn letters_of(bytes: usize) -> usize {
 }
 
 /// The numbers of a header.
-fn words(header: &[u8], encoding: Encoding) -> Vec<u64> {
+fn words(header: &[u8], encoding: ArrayEncoding) -> Vec<u64> {
     let mut cursor = Cursor::new(XML, encoding.endian, header, 0);
     let word = || match encoding.header_word_bytes {
         8 => cursor.array("a header").ok().map(u64::from_le_bytes),

@@ -52,8 +52,9 @@ pub(super) fn add_cells(
     let mut start = 0;
     for (index, &end) in ends.iter().enumerate() {
         let cell = usize::try_from(end).ok().and_then(|end| Some((corners.get(start..end)?, end)));
-        let (cell, end) =
-            cell.ok_or_else(|| invalid(format!("a cell ends at corner {end}, but there are only {} corners", corners.len())))?;
+        let (cell, end) = cell.ok_or_else(|| {
+            invalid(format!("a cell ends at corner {end}, but there are only {} corners", corners.len()))
+        })?;
         start = end;
         let mut add = |triangle: [i64; 3]| {
             let [Some(a), Some(b), Some(c)] = triangle.map(vertex) else {
@@ -77,15 +78,12 @@ pub(super) fn add_cells(
             // The corners of a pixel are stored row by row.
             (8, &[a, b, c, d]) => [[a, b, d], [a, d, c]].into_iter().try_for_each(add)?,
             (5 | POLYGON | 8 | 9, _) => {
-                return Err(invalid(format!(
-                    "a cell of type {} has {} corners",
-                    type_of(index),
-                    cell.len()
-                )));
+                return Err(invalid(format!("a cell of type {} has {} corners", type_of(index), cell.len())));
             }
             (other, _) => {
-                let what =
-                    format!("the file has a cell of type {other}, which is not a flat polygon: save only the surface");
+                let what = format!(
+                    "the file has a cell of type {other}, which is not a flat polygon: save only the surface"
+                );
                 return Err(Error::unsupported(format, what));
             }
         }

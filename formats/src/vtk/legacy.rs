@@ -44,7 +44,7 @@ const LINE_BYTES_MAX: usize = 64 << 10;
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let mut file = File { bytes, at: 0, is_binary: false, limits };
     file.head()?;
-    let mut found = Found::default();
+    let mut found = LegacyData::default();
     while let Some(line) = file.line()? {
         file.section(&line, &mut found)?;
     }
@@ -65,7 +65,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     let mut file = File { bytes, at: 0, is_binary: false, limits };
     file.head()?;
-    let mut found = Found { keeps_cells: true, ..Found::default() };
+    let mut found = LegacyData { keeps_cells: true, ..LegacyData::default() };
     while let Some(line) = file.line()? {
         file.section(&line, &mut found)?;
     }
@@ -100,7 +100,7 @@ struct CellList {
 
 /// The content read so far.
 #[derive(Default)]
-struct Found {
+struct LegacyData {
     positions: Option<Positions>,
     arrays: Vec<NamedArray>,
     notes: Vec<String>,
@@ -122,12 +122,12 @@ struct File<'a> {
 }
 
 /// The words of a line, and its offset.
-struct Line<'a> {
+struct LegacyLine<'a> {
     words: Vec<&'a str>,
     at: usize,
 }
 
-impl<'a> Line<'a> {
+impl<'a> LegacyLine<'a> {
     /// The word at `index`; empty if there are fewer.
     fn word(&self, index: usize) -> &'a str {
         self.words.get(index).copied().unwrap_or_default()
@@ -178,7 +178,7 @@ impl<'a> File<'a> {
     }
 
     /// Reads the section that starts with this line.
-    fn section(&mut self, line: &Line, found: &mut Found) -> Result<()> {
+    fn section(&mut self, line: &LegacyLine, found: &mut LegacyData) -> Result<()> {
         let three = |name_at: usize| (line.word(name_at).to_string(), line.word(name_at + 1));
         match line.keyword().as_str() {
             "DATASET" => check_data_set(line),
@@ -195,7 +195,8 @@ impl<'a> File<'a> {
                 found.is_of_points = true;
                 match found.positions.as_ref().map(|positions| positions.len() as u64) {
                     Some(expected) if expected == count => Ok(()),
-                    Some(expected) => Err(line.invalid(&format!("POINT_DATA is for {count} points, but the file has {expected}"))),
+                    Some(expected) => Err(line
+                        .invalid(&format!("POINT_DATA is for {count} points, but the file has {expected}"))),
                     None => Err(line.invalid("POINT_DATA comes before POINTS")),
                 }
             }
@@ -206,7 +207,7 @@ impl<'a> File<'a> {
             "SCALARS" => {
                 let (name, kind) = three(1);
                 let arity = if line.words.len() > 3 { line.count(3, "the number of components")? } else { 1 };
-                self.pass_table_name()?;
+                self.skip_table_name()?;
                 self.array(line, name, kind, arity, found)
             }
             "VECTORS" | "NORMALS" => self.array_of(line, 3, found),
@@ -228,7 +229,7 @@ impl<'a> File<'a> {
                 self.pass(line, number, count.saturating_mul(4))
             }
             "FIELD" => self.field(line, found),
-            "METADATA" => self.pass_metadata(),
+            "METADATA" => self.skip_metadata(),
             other => {
                 Err(line
                     .invalid(&format!("expected a keyword such as POINT_DATA, found `{}`", excerpt(other))))
@@ -236,14 +237,17 @@ impl<'a> File<'a> {
         }
     }
 
-    fn points(&mut self, line: &Line, found: &mut Found) -> Result<()> {
+    fn points(&mut self, line: &LegacyLine, found: &mut LegacyData) -> Result<()> {
         if found.positions.is_some() {
             return Err(line.invalid("the file has POINTS twice"));
         }
         let count = checked_count(LEGACY, line.count(1, "the number of points")?, self.limits)?;
         let number = match type_of(line.word(2)) {
             Some(Type::Of(number)) => number,
-            _ => return Err(line.invalid(&format!("the points have the unsupported type `{}`", excerpt(line.word(2))))),
+            _ => {
+                return Err(line
+                    .invalid(&format!("the points have the unsupported type `{}`", excerpt(line.word(2)))));
+            }
         };
         let values = self.values(line, number, (count as u64).saturating_mul(3))?;
         found.positions = Some(positions_of(LEGACY, values)?);
@@ -251,7 +255,7 @@ impl<'a> File<'a> {
     }
 
     /// Reads the cells of a section, or skips them unless a mesh is read.
-    fn cell_section(&mut self, line: &Line, found: &mut Found) -> Result<()> {
+    fn cell_section(&mut self, line: &LegacyLine, found: &mut LegacyData) -> Result<()> {
         let (count, size) = (line.count(1, "the number of cells")?, line.count(2, "the size of the cells")?);
         // If OFFSETS follow, the count is one more than the number of cells.
         let has_offsets = self.bytes[self.at..].trim_ascii_start().starts_with(b"OFFSETS");
@@ -288,15 +292,23 @@ impl<'a> File<'a> {
         Ok(())
     }
 
-    fn typed_cell_numbers(&mut self, line: &Line, count: u64, found: &Found) -> Result<Vec<i64>> {
+    fn typed_cell_numbers(&mut self, line: &LegacyLine, count: u64, found: &LegacyData) -> Result<Vec<i64>> {
         match type_of(line.word(1)) {
             Some(Type::Of(number)) => self.cell_numbers(line, number, count, found),
-            _ => Err(line.invalid(&format!("the cells have the unsupported type `{}`", excerpt(line.word(1))))),
+            _ => {
+                Err(line.invalid(&format!("the cells have the unsupported type `{}`", excerpt(line.word(1)))))
+            }
         }
     }
 
     /// Reads the next `count` integers if a mesh is read; otherwise skips them.
-    fn cell_numbers(&mut self, line: &Line, number: Number, count: u64, found: &Found) -> Result<Vec<i64>> {
+    fn cell_numbers(
+        &mut self,
+        line: &LegacyLine,
+        number: Number,
+        count: u64,
+        found: &LegacyData,
+    ) -> Result<Vec<i64>> {
         if !found.keeps_cells {
             return self.pass(line, number, count).map(|()| Vec::new());
         }
@@ -305,7 +317,7 @@ impl<'a> File<'a> {
     }
 
     /// Skips the data of cells. It comes after the points, so unreadable data there can be ignored.
-    fn cells(&mut self, line: &Line) -> Result<()> {
+    fn cells(&mut self, line: &LegacyLine) -> Result<()> {
         line.count(1, "the number of cells")?;
         let rest = &self.bytes[self.at..];
         // Point data can follow cell data.
@@ -315,25 +327,32 @@ impl<'a> File<'a> {
     }
 
     /// Reads an array declared by `VECTORS name type` or a similar line.
-    fn array_of(&mut self, line: &Line, arity: u64, found: &mut Found) -> Result<()> {
+    fn array_of(&mut self, line: &LegacyLine, arity: u64, found: &mut LegacyData) -> Result<()> {
         self.array(line, line.word(1).to_string(), line.word(2), arity, found)
     }
 
     /// Reads an array with values for each point.
-    fn array(&mut self, line: &Line, name: String, kind: &str, arity: u64, found: &mut Found) -> Result<()> {
+    fn array(
+        &mut self,
+        line: &LegacyLine,
+        name: String,
+        kind: &str,
+        arity: u64,
+        found: &mut LegacyData,
+    ) -> Result<()> {
         let points = found.positions.as_ref().filter(|_| found.is_of_points);
         let count = points.ok_or_else(|| line.invalid("a point array is outside POINT_DATA"))?.len() as u64;
         self.take_array(line, &name, kind, arity, count, Some(found))
     }
 
     /// Reads arrays that declare their own sizes.
-    fn field(&mut self, line: &Line, found: &mut Found) -> Result<()> {
+    fn field(&mut self, line: &LegacyLine, found: &mut LegacyData) -> Result<()> {
         let count = line.count(2, "the number of arrays")?;
         for index in 0..count {
             let mut next = self.line()?;
             // An array can also have the name METADATA.
             while next.as_ref().is_some_and(|next| next.words.len() == 1 && next.keyword() == "METADATA") {
-                self.pass_metadata()?;
+                self.skip_metadata()?;
                 next = self.line()?;
             }
             let what = || {
@@ -363,12 +382,12 @@ impl<'a> File<'a> {
     /// Reads an array, and adds it to `found` if it belongs to points.
     fn take_array(
         &mut self,
-        line: &Line,
+        line: &LegacyLine,
         name: &str,
         kind: &str,
         arity: u64,
         count: u64,
-        found: Option<&mut Found>,
+        found: Option<&mut LegacyData>,
     ) -> Result<()> {
         let size = arity.checked_mul(count).ok_or_else(|| line.invalid("the array has too many values"))?;
         let name = percent_decoded(name);
@@ -384,7 +403,10 @@ impl<'a> File<'a> {
             (Some(Type::Bits), found) => {
                 if let Some(found) = found {
                     self.check_array_count(found)?;
-                    found.notes.push(format!("skipped the array `{}`: arrays of bits are not supported", excerpt(name)));
+                    found.notes.push(format!(
+                        "skipped the array `{}`: arrays of bits are not supported",
+                        excerpt(name)
+                    ));
                 }
                 let size = if self.is_binary { size.div_ceil(8) } else { size };
                 self.pass(line, Number::U8, size)
@@ -401,7 +423,7 @@ impl<'a> File<'a> {
     }
 
     /// Checks that there can be one more array, whether it is read or skipped with a note.
-    fn check_array_count(&self, found: &Found) -> Result<()> {
+    fn check_array_count(&self, found: &LegacyData) -> Result<()> {
         if found.arrays.len() + found.notes.len() >= self.limits.attribute_count {
             let what = format!("the file has more arrays than the limit of {}", self.limits.attribute_count);
             return Err(Error::too_large(LEGACY, what));
@@ -410,7 +432,7 @@ impl<'a> File<'a> {
     }
 
     /// Reads the next `count` numbers.
-    fn values(&mut self, line: &Line, number: Number, count: u64) -> Result<Values> {
+    fn values(&mut self, line: &LegacyLine, number: Number, count: u64) -> Result<Values> {
         if self.is_binary {
             let data = self.data(line, number, count)?;
             return Ok(number.decode(data, Endian::Big));
@@ -419,7 +441,7 @@ impl<'a> File<'a> {
         let count = self.fitting(line, count, rest.len().div_ceil(2))?;
         let mut end = 0;
         let words =
-            Words { bytes: rest, at: 0 }.inspect(|(_, word_end)| end = *word_end).map(|(word, _)| word);
+            WordSpans { bytes: rest, at: 0 }.inspect(|(_, word_end)| end = *word_end).map(|(word, _)| word);
         let values = decimals(words, number, count).map_err(|word| {
             let what = format!("expected a number of {}, found `{}`", line.word(0), excerpt(word));
             Error::invalid(LEGACY, Place::Offset(self.at as u64), what)
@@ -433,13 +455,13 @@ impl<'a> File<'a> {
     }
 
     /// Skips the next `count` numbers.
-    fn pass(&mut self, line: &Line, number: Number, count: u64) -> Result<()> {
+    fn pass(&mut self, line: &LegacyLine, number: Number, count: u64) -> Result<()> {
         if self.is_binary {
             return self.data(line, number, count).map(drop);
         }
         let rest = &self.bytes[self.at..];
         let count = self.fitting(line, count, rest.len().div_ceil(2))?;
-        let mut words = Words { bytes: rest, at: 0 };
+        let mut words = WordSpans { bytes: rest, at: 0 };
         let found = words.by_ref().take(count).count();
         let end = words.at;
         self.at += end;
@@ -450,7 +472,7 @@ impl<'a> File<'a> {
     }
 
     /// The bytes of the next `count` numbers.
-    fn data(&mut self, line: &Line, number: Number, count: u64) -> Result<&'a [u8]> {
+    fn data(&mut self, line: &LegacyLine, number: Number, count: u64) -> Result<&'a [u8]> {
         let rest = &self.bytes[self.at..];
         let count = self.fitting(line, count, rest.len() / number.size())?;
         let data = &rest[..count * number.size()];
@@ -459,14 +481,14 @@ impl<'a> File<'a> {
     }
 
     /// The count as a length, if at most `most` remain.
-    fn fitting(&self, line: &Line, count: u64, most: usize) -> Result<usize> {
+    fn fitting(&self, line: &LegacyLine, count: u64, most: usize) -> Result<usize> {
         usize::try_from(count).ok().filter(|&count| count <= most).ok_or_else(|| {
             self.short(format!("expected {count} numbers of {}, but at most {most} remain", line.word(0)))
         })
     }
 
     /// Skips `LOOKUP_TABLE default`, which can precede the values of `SCALARS`.
-    fn pass_table_name(&mut self) -> Result<()> {
+    fn skip_table_name(&mut self) -> Result<()> {
         let before = self.at;
         if !self.bytes[self.at..].trim_ascii_start().starts_with(b"LOOKUP_TABLE") {
             return Ok(());
@@ -478,7 +500,7 @@ impl<'a> File<'a> {
         Ok(())
     }
 
-    fn pass_metadata(&mut self) -> Result<()> {
+    fn skip_metadata(&mut self) -> Result<()> {
         while let Some(line) = self.raw_line()? {
             if line.trim_ascii().is_empty() {
                 break;
@@ -488,7 +510,7 @@ impl<'a> File<'a> {
     }
 
     /// The next nonblank line.
-    fn line(&mut self) -> Result<Option<Line<'a>>> {
+    fn line(&mut self) -> Result<Option<LegacyLine<'a>>> {
         loop {
             let at = self.at;
             let Some(line) = self.raw_line()? else { return Ok(None) };
@@ -499,7 +521,7 @@ impl<'a> File<'a> {
             })?;
             let words: Vec<&str> = text.split_ascii_whitespace().collect();
             if !words.is_empty() {
-                return Ok(Some(Line { words, at }));
+                return Ok(Some(LegacyLine { words, at }));
             }
         }
     }
@@ -528,12 +550,12 @@ impl<'a> File<'a> {
 }
 
 /// The words of a text, each with the offset of its end.
-struct Words<'a> {
+struct WordSpans<'a> {
     bytes: &'a [u8],
     at: usize,
 }
 
-impl<'a> Iterator for Words<'a> {
+impl<'a> Iterator for WordSpans<'a> {
     type Item = (&'a [u8], usize);
 
     fn next(&mut self) -> Option<(&'a [u8], usize)> {
@@ -547,7 +569,7 @@ impl<'a> Iterator for Words<'a> {
 }
 
 /// Parses cells in the layout before version 5: each starts with its number of corners.
-fn counted_cells(kind: Option<i64>, mut numbers: &[i64], line: &Line) -> Result<CellList> {
+fn counted_cells(kind: Option<i64>, mut numbers: &[i64], line: &LegacyLine) -> Result<CellList> {
     let mut list = CellList { kind, ends: Vec::new(), corners: Vec::new() };
     while let Some((&count, rest)) = numbers.split_first() {
         let cell = usize::try_from(count).ok().and_then(|count| rest.split_at_checked(count));
@@ -561,12 +583,14 @@ fn counted_cells(kind: Option<i64>, mut numbers: &[i64], line: &Line) -> Result<
     Ok(list)
 }
 
-fn check_data_set(line: &Line) -> Result<()> {
+fn check_data_set(line: &LegacyLine) -> Result<()> {
     match line.word(1).to_ascii_uppercase().as_str() {
         "POLYDATA" | "UNSTRUCTURED_GRID" => Ok(()),
         other => {
-            let what =
-                format!("the data set has the type {}, which is not supported: save it as POLYDATA", excerpt(other));
+            let what = format!(
+                "the data set has the type {}, which is not supported: save it as POLYDATA",
+                excerpt(other)
+            );
             Err(Error::unsupported(LEGACY, what))
         }
     }

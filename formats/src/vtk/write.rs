@@ -21,7 +21,7 @@ use crate::vertex_attributes::string_index;
 
 use super::XML;
 use super::appended::{
-    Array, Cells, Document, FLOAT_32, FLOAT_64, INT_32, INT_64, NumberKind, Numbers, names_of,
+    Array, ArrayData, CellKind, FLOAT_32, FLOAT_64, INT_32, INT_64, NumberKind, VtpDocument, names_of,
 };
 
 /// Writes positions, normals, attributes and faces.
@@ -54,9 +54,9 @@ fn names_in_file(attributes: &[VertexAttribute]) -> Vec<String> {
 
 const NORMALS: &str = "Normals";
 
-fn document<'a>(mesh: &MeshView<'a>, quads: &'a [bool]) -> Document<Values<'a>> {
+fn document<'a>(mesh: &MeshView<'a>, quads: &'a [bool]) -> VtpDocument<MeshArray<'a>> {
     let MeshView { positions, normals, triangles, origin, attributes } = *mesh;
-    let mut of_points = vec![Array::new(NORMALS, 3, Values::Floats(normals.as_flattened()))];
+    let mut of_points = vec![Array::new(NORMALS, 3, MeshArray::Floats(normals.as_flattened()))];
     for (attribute, name) in attributes.iter().zip(names_in_file(attributes)) {
         of_points.push(Array::new(name, attribute.arity, values_of(attribute)));
     }
@@ -65,16 +65,16 @@ fn document<'a>(mesh: &MeshView<'a>, quads: &'a [bool]) -> Document<Values<'a>> 
     let (face_count, corner_count) = (triangles.len() - quad_count, 3 * triangles.len() - 2 * quad_count);
     // Both index arrays have either 32 or 64 bits, because VTK does not support a mixture.
     let is_wide = i32::try_from(corner_count.max(positions.len())).is_err();
-    let of_faces = |what, count| Values::Faces { what, count, triangles, quads, is_wide };
-    Document {
+    let of_faces = |what, count| MeshArray::Faces { what, count, triangles, quads, is_wide };
+    VtpDocument {
         normals: Some(NORMALS),
         of_points,
         point_count: positions.len(),
         points: match origin {
-            [0.0, 0.0, 0.0] => Values::Floats(positions.as_flattened()),
-            origin => Values::FarPositions { positions, origin },
+            [0.0, 0.0, 0.0] => MeshArray::Floats(positions.as_flattened()),
+            origin => MeshArray::FarPositions { positions, origin },
         },
-        cells: Cells::Polys,
+        cells: CellKind::Polys,
         cell_count: face_count,
         connectivity: of_faces(OfFaces::Corners, corner_count),
         offsets: of_faces(OfFaces::Ends, face_count),
@@ -82,7 +82,7 @@ fn document<'a>(mesh: &MeshView<'a>, quads: &'a [bool]) -> Document<Values<'a>> 
 }
 
 /// The stored type and the source of the values.
-enum Values<'a> {
+enum MeshArray<'a> {
     FarPositions {
         positions: &'a [[f32; 3]],
         origin: [f64; 3],
@@ -109,62 +109,62 @@ enum OfFaces {
     Ends,
 }
 
-fn values_of<'a>(attribute: &VertexAttribute<'a>) -> Values<'a> {
+fn values_of<'a>(attribute: &VertexAttribute<'a>) -> MeshArray<'a> {
     match attribute.values {
-        VertexValues::Numbers(values) => Values::Floats(values),
+        VertexValues::Numbers(values) => MeshArray::Floats(values),
         VertexValues::Integers(values) if values.iter().all(|&value| i32::try_from(value).is_ok()) => {
-            Values::Ints(values)
+            MeshArray::Ints(values)
         }
-        VertexValues::Integers(values) => Values::Longs(values),
-        VertexValues::Strings { table, indices } => Values::Strings(table, indices),
+        VertexValues::Integers(values) => MeshArray::Longs(values),
+        VertexValues::Strings { table, indices } => MeshArray::Strings(table, indices),
     }
 }
 
-impl Numbers for Values<'_> {
+impl ArrayData for MeshArray<'_> {
     fn kind(&self) -> NumberKind {
         match self {
-            Values::Floats(_) => FLOAT_32,
-            Values::FarPositions { .. } => FLOAT_64,
-            Values::Ints(_) | Values::Strings(..) | Values::Faces { is_wide: false, .. } => INT_32,
-            Values::Longs(_) | Values::Faces { is_wide: true, .. } => INT_64,
+            MeshArray::Floats(_) => FLOAT_32,
+            MeshArray::FarPositions { .. } => FLOAT_64,
+            MeshArray::Ints(_) | MeshArray::Strings(..) | MeshArray::Faces { is_wide: false, .. } => INT_32,
+            MeshArray::Longs(_) | MeshArray::Faces { is_wide: true, .. } => INT_64,
         }
     }
 
     fn count(&self) -> u64 {
         let count = match self {
-            Values::FarPositions { positions, .. } => positions.as_flattened().len(),
-            Values::Floats(values) => values.len(),
-            Values::Ints(values) | Values::Longs(values) => values.len(),
-            Values::Strings(_, indices) => indices.len(),
-            Values::Faces { count, .. } => *count,
+            MeshArray::FarPositions { positions, .. } => positions.as_flattened().len(),
+            MeshArray::Floats(values) => values.len(),
+            MeshArray::Ints(values) | MeshArray::Longs(values) => values.len(),
+            MeshArray::Strings(_, indices) => indices.len(),
+            MeshArray::Faces { count, .. } => *count,
         };
         count as u64
     }
 
     fn table(&self) -> Option<&[String]> {
         match self {
-            Values::Strings(table, _) => Some(table),
+            MeshArray::Strings(table, _) => Some(table),
             _ => None,
         }
     }
 
     fn write(&self, out: &mut impl Write) -> Result<()> {
         match *self {
-            Values::FarPositions { positions, origin } => positions.chunks(PIECE).try_for_each(|piece| {
+            MeshArray::FarPositions { positions, origin } => positions.chunks(PIECE).try_for_each(|piece| {
                 let world = |p: &[f32; 3]| -> [f64; 3] {
                     std::array::from_fn(|axis| origin[axis] + f64::from(p[axis]))
                 };
                 let piece: Vec<[f64; 3]> = piece.iter().map(world).collect();
                 write_pieces(piece.as_flattened(), f64::to_le_bytes, out)
             }),
-            Values::Floats(values) => write_f32s(values, out),
+            MeshArray::Floats(values) => write_f32s(values, out),
             #[expect(clippy::cast_possible_truncation, reason = "all values were checked to fit")]
-            Values::Ints(values) => write_pieces(values, |value| (value as i32).to_le_bytes(), out),
-            Values::Longs(values) => write_pieces(values, i64::to_le_bytes, out),
-            Values::Strings(table, indices) => {
+            MeshArray::Ints(values) => write_pieces(values, |value| (value as i32).to_le_bytes(), out),
+            MeshArray::Longs(values) => write_pieces(values, i64::to_le_bytes, out),
+            MeshArray::Strings(table, indices) => {
                 write_pieces(indices, |index| string_index(index, table).to_le_bytes(), out)
             }
-            Values::Faces { what, triangles, quads, is_wide, .. } => {
+            MeshArray::Faces { what, triangles, quads, is_wide, .. } => {
                 let mut end = 0;
                 let append = |face: Face, numbers: &mut Vec<u64>| match what {
                     OfFaces::Corners => {

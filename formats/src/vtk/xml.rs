@@ -27,9 +27,9 @@ use crate::named_arrays::NamedArray;
 use crate::number::Number;
 
 use super::XML;
-use super::blocks::{Account, Encoding, Packing};
+use super::blocks::{ArrayEncoding, ArrayTotals, BlockCompression};
 use super::pieces::{POLYGONS_NOTE, Piece, checked_count, joined, positions_of};
-use super::xml_arrays::{Appended, DataArray, Form};
+use super::xml_arrays::{Appended, ArrayForm, DataArray};
 
 /// Reads the points of all pieces.
 ///
@@ -64,7 +64,7 @@ pub(super) fn open<'a>(
         Error::invalid(XML, Place::Offset(error.valid_up_to() as u64), "expected UTF-8 text")
     })?;
     let document = document(text, limits)?;
-    let account = Account::of(bytes.len() as u64);
+    let account = ArrayTotals::of(bytes.len() as u64);
     let decoder = Decoder { encoding: document.encoding, appended, account, limits };
     Ok((decoder, document.pieces, document.notes))
 }
@@ -94,8 +94,8 @@ fn split_appended(bytes: &[u8]) -> Result<(&[u8], Option<Appended<'_>>)> {
 const PART_COUNT_MAX: usize = 1 << 16;
 
 /// The parsed elements.
-struct Document<'a> {
-    encoding: Encoding,
+struct XmlDocument<'a> {
+    encoding: ArrayEncoding,
     pieces: Vec<Described<'a>>,
     /// The number of arrays in all pieces.
     array_count: usize,
@@ -125,19 +125,19 @@ pub(super) struct CellArrays<'a> {
 
 impl<'a> Described<'a> {
     /// The cells of a section; `None` for the other sections.
-    fn cells_of(&mut self, section: Section) -> Option<&mut CellArrays<'a>> {
+    fn cells_of(&mut self, section: PieceSection) -> Option<&mut CellArrays<'a>> {
         match section {
-            Section::Polys => Some(&mut self.polys),
-            Section::Strips => Some(&mut self.strips),
-            Section::Cells => Some(&mut self.cells),
-            Section::Points | Section::PointData | Section::Other => None,
+            PieceSection::Polys => Some(&mut self.polys),
+            PieceSection::Strips => Some(&mut self.strips),
+            PieceSection::Cells => Some(&mut self.cells),
+            PieceSection::Points | PieceSection::PointData | PieceSection::Other => None,
         }
     }
 }
 
 /// The part of a piece that contains an array.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Section {
+enum PieceSection {
     Points,
     PointData,
     Polys,
@@ -146,12 +146,12 @@ enum Section {
     Other,
 }
 
-fn document<'a>(text: &'a str, limits: &Limits) -> Result<Document<'a>> {
+fn document<'a>(text: &'a str, limits: &Limits) -> Result<XmlDocument<'a>> {
     let mut reader = Reader::from_str(text);
     // The parser would store the names of all open elements, which nothing needs.
     reader.config_mut().check_end_names = false;
-    let mut document: Option<Document<'a>> = None;
-    let mut section = Section::Other;
+    let mut document: Option<XmlDocument<'a>> = None;
+    let mut section = PieceSection::Other;
     let mut is_in_array = false;
     loop {
         let at = reader.buffer_position();
@@ -167,25 +167,25 @@ fn document<'a>(text: &'a str, limits: &Limits) -> Result<Document<'a>> {
                     return Err(Error::too_large(XML, what));
                 }
                 ("Piece", Some(document)) => document.pieces.push(described(&tag, at, limits)?),
-                ("Points", _) if !is_empty => section = Section::Points,
-                ("PointData", _) if !is_empty => section = Section::PointData,
-                ("Polys", _) if !is_empty => section = Section::Polys,
-                ("Strips", _) if !is_empty => section = Section::Strips,
-                ("Cells", _) if !is_empty => section = Section::Cells,
-                ("DataArray", Some(document)) if section != Section::Other => {
+                ("Points", _) if !is_empty => section = PieceSection::Points,
+                ("PointData", _) if !is_empty => section = PieceSection::PointData,
+                ("Polys", _) if !is_empty => section = PieceSection::Polys,
+                ("Strips", _) if !is_empty => section = PieceSection::Strips,
+                ("Cells", _) if !is_empty => section = PieceSection::Cells,
+                ("DataArray", Some(document)) if section != PieceSection::Other => {
                     take_array(&tag, at, section, document, limits)?;
                     is_in_array = !is_empty;
                 }
                 _ => {}
             },
-            Event::Text(text) if is_in_array && section != Section::Other => {
+            Event::Text(text) if is_in_array && section != PieceSection::Other => {
                 if let (Some(document), std::borrow::Cow::Borrowed(text)) = (&mut document, text.into_inner())
                 {
                     set_content(document, section, text.as_bytes(), at);
                 }
             }
             Event::End(tag) => match tag.local_name().as_ref() {
-                "Points" | "PointData" | "Polys" | "Strips" | "Cells" => section = Section::Other,
+                "Points" | "PointData" | "Polys" | "Strips" | "Cells" => section = PieceSection::Other,
                 "DataArray" => is_in_array = false,
                 _ => {}
             },
@@ -205,7 +205,7 @@ pub(super) fn malformed(at: u64, what: &str) -> Error {
 }
 
 /// Parses the first element, which describes the encoding of all data.
-fn opened<'a>(tag: &BytesStart, at: u64) -> Result<Document<'a>> {
+fn opened<'a>(tag: &BytesStart, at: u64) -> Result<XmlDocument<'a>> {
     let kind = attribute(tag, "type", at)?.unwrap_or_default();
     match kind.as_str() {
         "PolyData" | "UnstructuredGrid" => {}
@@ -231,18 +231,21 @@ fn opened<'a>(tag: &BytesStart, at: u64) -> Result<Document<'a>> {
         Some("UInt64") => 8,
         Some(other) => return Err(malformed(at, &format!("unknown header type \"{}\"", excerpt(other)))),
     };
-    let packing = match attribute(tag, "compressor", at)?.as_deref() {
+    let compression = match attribute(tag, "compressor", at)?.as_deref() {
         None | Some("") => None,
-        Some("vtkZLibDataCompressor") => Some(Packing::Zlib),
-        Some("vtkLZ4DataCompressor") => Some(Packing::Lz4),
-        Some("vtkLZMADataCompressor") => Some(Packing::Lzma),
+        Some("vtkZLibDataCompressor") => Some(BlockCompression::Zlib),
+        Some("vtkLZ4DataCompressor") => Some(BlockCompression::Lz4),
+        Some("vtkLZMADataCompressor") => Some(BlockCompression::Lzma),
         Some(other) => {
-            let what = format!("the data is compressed with {}: save it with zlib, LZ4 or LZMA, or uncompressed", excerpt(other));
+            let what = format!(
+                "the data is compressed with {}: save it with zlib, LZ4 or LZMA, or uncompressed",
+                excerpt(other)
+            );
             return Err(Error::unsupported(XML, what));
         }
     };
-    let encoding = Encoding { endian, header_word_bytes, packing };
-    Ok(Document { encoding, pieces: Vec::new(), array_count: 0, notes: Vec::new() })
+    let encoding = ArrayEncoding { endian, header_word_bytes, compression };
+    Ok(XmlDocument { encoding, pieces: Vec::new(), array_count: 0, notes: Vec::new() })
 }
 
 fn described<'a>(tag: &BytesStart, at: u64, limits: &Limits) -> Result<Described<'a>> {
@@ -271,8 +274,8 @@ fn described<'a>(tag: &BytesStart, at: u64, limits: &Limits) -> Result<Described
 fn take_array<'a>(
     tag: &BytesStart<'a>,
     at: u64,
-    section: Section,
-    document: &mut Document<'a>,
+    section: PieceSection,
+    document: &mut XmlDocument<'a>,
     limits: &Limits,
 ) -> Result<()> {
     let Some(piece) = document.pieces.last_mut() else {
@@ -281,13 +284,16 @@ fn take_array<'a>(
     document.array_count += 1;
     let known_count = piece.cells_of(section).map_or(0, |cells| cells.arrays.len()).max(piece.arrays.len());
     if known_count >= limits.attribute_count || document.array_count > PART_COUNT_MAX {
-        let what = format!("the file has more arrays than the limit of {}", limits.attribute_count.min(PART_COUNT_MAX));
+        let what = format!(
+            "the file has more arrays than the limit of {}",
+            limits.attribute_count.min(PART_COUNT_MAX)
+        );
         return Err(Error::too_large(XML, what));
     }
     let array = data_array(tag, at)?;
     match section {
-        Section::Points => piece.points = Some(array),
-        Section::PointData => piece.arrays.push(array),
+        PieceSection::Points => piece.points = Some(array),
+        PieceSection::PointData => piece.arrays.push(array),
         other => {
             if let Some(cells) = piece.cells_of(other) {
                 cells.arrays.push(array);
@@ -313,11 +319,11 @@ fn data_array<'a>(tag: &BytesStart, at: u64) -> Result<DataArray<'a>> {
         })?,
     };
     let form = match attribute(tag, "format", at)?.as_deref() {
-        None | Some("ascii") => Form::Ascii,
-        Some("binary") => Form::Binary,
+        None | Some("ascii") => ArrayForm::Ascii,
+        Some("binary") => ArrayForm::Binary,
         Some("appended") => {
             let offset = attribute(tag, "offset", at)?.unwrap_or_default();
-            Form::Appended(offset.trim().parse().map_err(|_| {
+            ArrayForm::Appended(offset.trim().parse().map_err(|_| {
                 malformed(
                     at,
                     &format!(
@@ -356,11 +362,11 @@ fn number_of(kind: &str) -> Option<Number> {
 }
 
 /// Stores the text of an array. Texts between its other children are blank.
-fn set_content<'a>(document: &mut Document<'a>, section: Section, text: &'a [u8], at: u64) {
+fn set_content<'a>(document: &mut XmlDocument<'a>, section: PieceSection, text: &'a [u8], at: u64) {
     let Some(piece) = document.pieces.last_mut() else { return };
     let array = match section {
-        Section::Points => piece.points.as_mut(),
-        Section::PointData => piece.arrays.last_mut(),
+        PieceSection::Points => piece.points.as_mut(),
+        PieceSection::PointData => piece.arrays.last_mut(),
         other => piece.cells_of(other).and_then(|cells| cells.arrays.last_mut()),
     };
     if let Some(array) =
@@ -381,9 +387,9 @@ fn attribute(tag: &BytesStart, name: &str, at: u64) -> Result<Option<String>> {
 
 /// Decodes described arrays.
 pub(super) struct Decoder<'a> {
-    encoding: Encoding,
+    encoding: ArrayEncoding,
     appended: Option<Appended<'a>>,
-    account: Account,
+    account: ArrayTotals,
     limits: &'a Limits,
 }
 

@@ -9,7 +9,7 @@ use crate::number::{self, Number};
 use crate::text::parse_number;
 
 use super::XML;
-use super::blocks::{Account, Encoded, Encoding, decode};
+use super::blocks::{ArrayEncoding, ArrayTotals, EncodedArray, decode};
 
 /// An array as described by its element.
 #[derive(Debug)]
@@ -18,7 +18,7 @@ pub(super) struct DataArray<'a> {
     /// `None` if not numeric.
     pub(super) number: Option<Number>,
     pub(super) arity: usize,
-    pub(super) form: Form,
+    pub(super) form: ArrayForm,
     /// The content between the tags, and its offset; empty for appended data.
     pub(super) content: &'a [u8],
     pub(super) offset: u64,
@@ -26,7 +26,7 @@ pub(super) struct DataArray<'a> {
 
 /// The location and form of the values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Form {
+pub(super) enum ArrayForm {
     /// Decimals between the tags.
     Ascii,
     /// Base64 between the tags.
@@ -49,27 +49,27 @@ impl DataArray<'_> {
         &self,
         number: Number,
         count: usize,
-        encoding: Encoding,
+        encoding: ArrayEncoding,
         appended: Option<Appended>,
-        account: &mut Account,
+        account: &mut ArrayTotals,
         limits: &Limits,
     ) -> Result<Values> {
         let expected = count.checked_mul(self.arity).ok_or_else(|| self.invalid("it has too many values"))?;
         let encoded = match self.form {
-            Form::Ascii => return self.decimals(number, expected),
-            Form::Binary => {
+            ArrayForm::Ascii => return self.decimals(number, expected),
+            ArrayForm::Binary => {
                 let start = self.content.iter().take_while(|byte| byte.is_ascii_whitespace()).count();
                 let bytes = self.content[start..].trim_ascii_end();
-                Encoded { bytes, is_base64: true, offset: self.offset + start as u64 }
+                EncodedArray { bytes, is_base64: true, offset: self.offset + start as u64 }
             }
-            Form::Appended(start) => self.appended(start, appended)?,
+            ArrayForm::Appended(start) => self.appended(start, appended)?,
         };
         // Remove line breaks from the base64 text.
         let unbroken: Vec<u8>;
-        let is_broken = self.form == Form::Binary && encoded.bytes.iter().any(u8::is_ascii_whitespace);
+        let is_broken = self.form == ArrayForm::Binary && encoded.bytes.iter().any(u8::is_ascii_whitespace);
         let encoded = if is_broken {
             unbroken = encoded.bytes.iter().copied().filter(|byte| !byte.is_ascii_whitespace()).collect();
-            Encoded { bytes: &unbroken, ..encoded }
+            EncodedArray { bytes: &unbroken, ..encoded }
         } else {
             encoded
         };
@@ -82,15 +82,18 @@ impl DataArray<'_> {
         Ok(number.decode(&bytes, encoding.endian))
     }
 
-    fn appended<'a>(&self, start: u64, appended: Option<Appended<'a>>) -> Result<Encoded<'a>> {
+    fn appended<'a>(&self, start: u64, appended: Option<Appended<'a>>) -> Result<EncodedArray<'a>> {
         let Some(Appended { bytes, is_base64, offset }) = appended else {
             return Err(self.invalid("its data should be appended, but the file has no appended data"));
         };
         let rest = usize::try_from(start).ok().and_then(|start| bytes.get(start..));
         let bytes = rest.ok_or_else(|| {
-            self.invalid(&format!("its data starts at byte {start}, but the appended data has only {} bytes", bytes.len()))
+            self.invalid(&format!(
+                "its data starts at byte {start}, but the appended data has only {} bytes",
+                bytes.len()
+            ))
         })?;
-        Ok(Encoded { bytes, is_base64, offset: offset + start })
+        Ok(EncodedArray { bytes, is_base64, offset: offset + start })
     }
 
     fn decimals(&self, number: Number, expected: usize) -> Result<Values> {

@@ -51,8 +51,9 @@ fn add(
 ) -> Result<()> {
     let ends = integers(cells, "offsets", cells.count, decoder)?;
     let corner_count = ends.last().copied().unwrap_or_default();
-    let count = usize::try_from(corner_count)
-        .map_err(|_| Error::invalid(XML, Place::File, format!("the cells have {corner_count} corners, too many")))?;
+    let count = usize::try_from(corner_count).map_err(|_| {
+        Error::invalid(XML, Place::File, format!("the cells have {corner_count} corners, too many"))
+    })?;
     let corners = integers(cells, "connectivity", count, decoder)?;
     let types = match kind {
         Some(_) => Vec::new(),
