@@ -92,7 +92,7 @@ impl Error {
     }
 
     /// The same error with another format name: that of the container format.
-    pub(crate) fn of_format(self, format: &'static str) -> Error {
+    pub(crate) fn with_format(self, format: &'static str) -> Error {
         match self {
             Error::Short { place, what, .. } => Error::Short { format, place, what },
             Error::Invalid { place, what, .. } => Error::Invalid { format, place, what },

@@ -142,7 +142,7 @@ pub fn read_step(bytes: &[u8], step: &Step, limits: &Limits) -> Result<ParticleF
     let mut frame = match step.particle_count {
         0 => ParticleFrame::default(),
         _ => csv::read_rows(table, rows, limits)
-            .map_err(|error| error.of_format(FORMAT))?
+            .map_err(|error| error.with_format(FORMAT))?
             .ok_or_else(no_position)?,
     };
     if step.particle_count != 0 {

@@ -120,7 +120,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let position = position(&names).ok_or_else(|| invalid(2, "Properties does not contain pos:R:3"))?;
     let rows = csv::CountedRows { names, position, offset, line, count };
     let table = bytes.get(..end).unwrap_or_default();
-    let frame = csv::read_rows(table, rows, limits).map_err(|error| error.of_format(FORMAT))?;
+    let frame = csv::read_rows(table, rows, limits).map_err(|error| error.with_format(FORMAT))?;
     let mut frame = frame.ok_or_else(|| invalid(2, "Properties contains a second position besides pos"))?;
     frame.notes.extend(csv::open_end_note(table));
     Ok(frame)

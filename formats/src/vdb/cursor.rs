@@ -5,14 +5,14 @@ use crate::error::{Error, Place, Result};
 
 /// A read position in a file. Reading past the end is an error that names what was being read.
 #[derive(Clone, Copy)]
-pub(super) struct Cursor<'a> {
+pub(super) struct VdbCursor<'a> {
     bytes: &'a [u8],
     position: usize,
 }
 
-impl<'a> Cursor<'a> {
-    pub(super) fn new(bytes: &'a [u8]) -> Cursor<'a> {
-        Cursor { bytes, position: 0 }
+impl<'a> VdbCursor<'a> {
+    pub(super) fn new(bytes: &'a [u8]) -> VdbCursor<'a> {
+        VdbCursor { bytes, position: 0 }
     }
 
     pub(super) fn position(&self) -> usize {

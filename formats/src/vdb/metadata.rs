@@ -1,7 +1,7 @@
 //! Typed metadata entries of a file or a grid.
 
 use super::FORMAT;
-use super::cursor::Cursor;
+use super::cursor::VdbCursor;
 use crate::error::{Error, Result};
 
 /// A value of OpenVDB metadata.
@@ -65,7 +65,7 @@ pub(super) fn push_string(out: &mut Vec<u8>, bytes: &[u8]) {
 }
 
 /// Reads the entries of a file or a grid.
-pub(super) fn read_metadata(cursor: &mut Cursor) -> Result<Vec<(String, MetaValue)>> {
+pub(super) fn read_metadata(cursor: &mut VdbCursor) -> Result<Vec<(String, MetaValue)>> {
     const ENTRY_BYTES_MIN: usize = 12;
     const ENTRY_COUNT_MAX: usize = 1 << 16; // real files have a few dozen
     let count = cursor.u32("the number of metadata entries")? as usize;
@@ -94,7 +94,7 @@ pub(super) fn read_metadata(cursor: &mut Cursor) -> Result<Vec<(String, MetaValu
 }
 
 fn read_value(type_name: &str, bytes: &[u8]) -> MetaValue {
-    let mut cursor = Cursor::new(bytes);
+    let mut cursor = VdbCursor::new(bytes);
     let value = match (type_name, bytes.len()) {
         ("string", _) => Ok(MetaValue::String(String::from_utf8_lossy(bytes).into_owned())),
         ("bool", 1) => Ok(MetaValue::Bool(bytes[0] != 0)),

@@ -4,7 +4,7 @@
 //! each grid ends. A stream without offsets does not, and only float and vector grids can be skipped there.
 
 use super::FORMAT;
-use super::cursor::Cursor;
+use super::cursor::VdbCursor;
 use super::layout::{HALF_SUFFIX, MAGIC, META_HALF, TYPE_FLOAT, TYPE_VEC3S, UUID_BYTES, VERSIONS_READ};
 use super::metadata::{MetaValue, read_metadata};
 use super::read_tree::{
@@ -137,7 +137,7 @@ fn tree_cursor<'a>(
     bytes: &'a [u8],
     entries: &[GridEntry],
     entry: &GridEntry,
-) -> Result<(Cursor<'a>, ValueStorage, Transform)> {
+) -> Result<(VdbCursor<'a>, ValueStorage, Transform)> {
     let (Some(tree), Some(transform)) = (entry.tree_of(entries), entry.info.transform) else {
         let what = format!(
             "grid \"{}\" has an unsupported map, or is an instance of an unsupported grid",
@@ -145,14 +145,14 @@ fn tree_cursor<'a>(
         );
         return Err(Error::unsupported(FORMAT, what));
     };
-    let mut cursor = Cursor::new(&bytes[..tree.end]);
+    let mut cursor = VdbCursor::new(&bytes[..tree.end]);
     cursor.seek(tree.position as u64, "a grid")?;
     Ok((cursor, tree.storage, transform))
 }
 
 /// The metadata of the file's first grid, from the first bytes of the file.
 pub(crate) fn first_grid_metadata(head: &[u8]) -> Result<Vec<(String, MetaValue)>> {
-    let mut cursor = Cursor::new(head);
+    let mut cursor = VdbCursor::new(head);
     let header = read_header(&mut cursor)?;
     if header.grid_count == 0 {
         return Ok(Vec::new());
@@ -172,14 +172,14 @@ pub(crate) fn last_grid_end(
     head: &[u8],
     mut read_at: impl FnMut(u64) -> Result<Vec<u8>>,
 ) -> Result<Option<u64>> {
-    let mut cursor = Cursor::new(head);
+    let mut cursor = VdbCursor::new(head);
     let header = read_header(&mut cursor)?;
     if header.grid_count == 0 || !header.has_offsets {
         return Ok(None);
     }
     let mut end = read_descriptor(&mut cursor)?.end;
     for _ in 1..header.grid_count {
-        let next = read_descriptor(&mut Cursor::new(&read_at(end)?))?;
+        let next = read_descriptor(&mut VdbCursor::new(&read_at(end)?))?;
         if next.grid_start <= end || next.end < next.grid_start {
             return Ok(None);
         }
@@ -217,7 +217,7 @@ impl GridEntry {
 }
 
 fn entries(bytes: &[u8], limits: &Limits) -> Result<Vec<GridEntry>> {
-    let mut cursor = Cursor::new(bytes);
+    let mut cursor = VdbCursor::new(bytes);
     let header = read_header(&mut cursor)?;
     let mut entries = Vec::new();
     for index in 0..header.grid_count {
@@ -242,7 +242,11 @@ fn entries(bytes: &[u8], limits: &Limits) -> Result<Vec<GridEntry>> {
 ///
 /// Descriptors and grids must alternate. If grids could overlap, each could claim the bytes of all others,
 /// and a small file would use the memory of a large one.
-fn grid_cursor<'a>(after: &Cursor, descriptor: &Descriptor, bytes: &'a [u8]) -> Result<(Cursor<'a>, u64)> {
+fn grid_cursor<'a>(
+    after: &VdbCursor,
+    descriptor: &Descriptor,
+    bytes: &'a [u8],
+) -> Result<(VdbCursor<'a>, u64)> {
     let Descriptor { grid_start, end, .. } = *descriptor;
     let within = usize::try_from(end).ok().and_then(|end| bytes.get(..end));
     let Some(within) = within.filter(|_| after.position() as u64 <= grid_start && grid_start <= end) else {
@@ -253,7 +257,7 @@ fn grid_cursor<'a>(after: &Cursor, descriptor: &Descriptor, bytes: &'a [u8]) -> 
         };
         return Err(after.error(what));
     };
-    let mut grid = Cursor::new(within);
+    let mut grid = VdbCursor::new(within);
     grid.seek(grid_start, "a grid")?;
     Ok((grid, end))
 }
@@ -263,7 +267,7 @@ struct FileHeader {
     grid_count: usize,
 }
 
-fn read_header(cursor: &mut Cursor) -> Result<FileHeader> {
+fn read_header(cursor: &mut VdbCursor) -> Result<FileHeader> {
     const DESCRIPTOR_BYTES_MIN: usize = 36;
     const GRID_COUNT_MAX: usize = 1 << 16; // real files have a dozen
     if cursor.array::<8>("the magic number")? != MAGIC {
@@ -300,7 +304,7 @@ struct Descriptor {
     end: u64,
 }
 
-fn read_descriptor(cursor: &mut Cursor) -> Result<Descriptor> {
+fn read_descriptor(cursor: &mut VdbCursor) -> Result<Descriptor> {
     let name = cursor.string("the name of a grid")?;
     let type_name = cursor.string("the type of a grid")?;
     let instance_parent = cursor.string("the instance parent of a grid")?;
@@ -309,7 +313,7 @@ fn read_descriptor(cursor: &mut Cursor) -> Result<Descriptor> {
     Ok(Descriptor { name, type_name, instance_parent, grid_start, end })
 }
 
-fn read_entry(cursor: &mut Cursor, descriptor: Descriptor) -> Result<GridEntry> {
+fn read_entry(cursor: &mut VdbCursor, descriptor: Descriptor) -> Result<GridEntry> {
     let Descriptor { name: descriptor_name, type_name, instance_parent, .. } = descriptor;
     let compression = cursor.u32("the compression of a grid")?;
     let metadata = read_metadata(cursor)?;
@@ -364,7 +368,7 @@ fn find<'a>(metadata: &'a [(String, MetaValue)], name: &str) -> Option<&'a MetaV
 }
 
 /// `None` if the kind of map is unknown; then its size is unknown as well.
-fn read_transform(cursor: &mut Cursor) -> Result<Option<Transform>> {
+fn read_transform(cursor: &mut VdbCursor) -> Result<Option<Transform>> {
     let kind = cursor.string("the map of a grid")?;
     let mut numbers =
         |count: usize| -> Result<Vec<f64>> { (0..count).map(|_| cursor.f64("the map of a grid")).collect() };
@@ -392,7 +396,7 @@ fn read_transform(cursor: &mut Cursor) -> Result<Option<Transform>> {
 }
 
 /// Skips the tree of a grid in a stream, which does not record where the grid ends.
-fn skip_tree(cursor: &mut Cursor, entry: &GridEntry, limits: &Limits) -> Result<()> {
+fn skip_tree(cursor: &mut VdbCursor, entry: &GridEntry, limits: &Limits) -> Result<()> {
     let mut budget = TreeBudget::new(cursor.position() + cursor.remaining(), limits);
     match (entry.tree, entry.info.type_name.as_str()) {
         (Some(tree), TYPE_FLOAT) => pass_tree::<f32>(cursor, tree.storage, &mut budget),

@@ -6,7 +6,7 @@
 use half::f16;
 
 use super::FORMAT;
-use super::cursor::Cursor;
+use super::cursor::VdbCursor;
 use super::layout::{
     COMPRESS_ACTIVE_MASK, COMPRESS_BLOSC, COMPRESS_ZIP, LEAF_LOG2, NODE4_LOG2, NODE4_VOXELS_LOG2, NODE5_LOG2,
     NODE5_VOXELS_LOG2, count_ones, inactive, is_on, ones, slot_coord,
@@ -95,7 +95,7 @@ pub(super) trait VoxelValue: Copy + PartialEq {
     /// The floats of all values, flattened.
     fn flat(values: &mut [Self]) -> &mut [f32];
 
-    fn read(cursor: &mut Cursor, what: &str) -> Result<Self> {
+    fn read(cursor: &mut VdbCursor, what: &str) -> Result<Self> {
         let mut value = [Self::ZERO];
         for number in Self::flat(&mut value) {
             *number = cursor.f32(what)?;
@@ -155,7 +155,7 @@ impl TreeBudget {
 
 /// Reads a tree; the caller sets name, class, transform and metadata.
 pub(super) fn read_tree<V: VoxelValue>(
-    cursor: &mut Cursor,
+    cursor: &mut VdbCursor,
     storage: ValueStorage,
     budget: &mut TreeBudget,
 ) -> Result<GridData<V>> {
@@ -166,7 +166,7 @@ pub(super) fn read_tree<V: VoxelValue>(
 
 /// Skips a tree.
 pub(super) fn pass_tree<V: VoxelValue>(
-    cursor: &mut Cursor,
+    cursor: &mut VdbCursor,
     storage: ValueStorage,
     budget: &mut TreeBudget,
 ) -> Result<()> {
@@ -175,7 +175,7 @@ pub(super) fn pass_tree<V: VoxelValue>(
 
 /// Counts the leaves and tiles of a tree without storing them.
 pub(super) fn count_tree<V: VoxelValue>(
-    cursor: &mut Cursor,
+    cursor: &mut VdbCursor,
     storage: ValueStorage,
     budget: &mut TreeBudget,
 ) -> Result<TreeSize> {
@@ -183,7 +183,7 @@ pub(super) fn count_tree<V: VoxelValue>(
 }
 
 /// Reads the topology of a tree, but not the values of its leaves, which follow.
-fn read_topology<V: VoxelValue>(reader: &mut TreeReader<V>, cursor: &mut Cursor) -> Result<()> {
+fn read_topology<V: VoxelValue>(reader: &mut TreeReader<V>, cursor: &mut VdbCursor) -> Result<()> {
     const CHILD_BYTES_MIN: usize = 12 + 2 * 4096 + 1;
     let tile_bytes = 12 + 4 * V::COUNT + 1;
     let tile_count = cursor.u32("the number of root tiles")? as usize;
@@ -249,7 +249,7 @@ struct TreeReader<'a, V> {
 impl<'a, V: VoxelValue> TreeReader<'a, V> {
     /// A reader that has read the topology and is at the values of the leaves.
     fn of_topology(
-        cursor: &mut Cursor,
+        cursor: &mut VdbCursor,
         storage: ValueStorage,
         budget: &'a mut TreeBudget,
         keep: Keep,
@@ -269,7 +269,13 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
     }
 
     /// Reads an internal node and its descendants, down to the masks of the leaves.
-    fn read_node(&mut self, cursor: &mut Cursor, origin: [i32; 3], log2: u32, child_log2: u32) -> Result<()> {
+    fn read_node(
+        &mut self,
+        cursor: &mut VdbCursor,
+        origin: [i32; 3],
+        log2: u32,
+        child_log2: u32,
+    ) -> Result<()> {
         let slot_count = 1 << (3 * log2);
         let children = cursor.mask(slot_count / 64, "the children of a node")?;
         let active = cursor.mask(slot_count / 64, "the active tiles of a node")?;
@@ -299,7 +305,7 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
     }
 
     /// Reads the values of the leaves.
-    fn read_leaves(&mut self, cursor: &mut Cursor) -> Result<()> {
+    fn read_leaves(&mut self, cursor: &mut VdbCursor) -> Result<()> {
         for _ in 0..self.size.leaf_count {
             let words = cursor.mask(8, "the mask of a leaf")?;
             let mut leaf = [V::ZERO; 512];
@@ -324,7 +330,7 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
     }
 
     /// Reads a block of values and restores the inactive ones that it omits.
-    fn read_values(&mut self, cursor: &mut Cursor, active: &[u64], out: &mut [V]) -> Result<()> {
+    fn read_values(&mut self, cursor: &mut VdbCursor, active: &[u64], out: &mut [V]) -> Result<()> {
         let case = cursor.u8("the kind of a block of values")?;
         let (mut off, mut on) = (self.background, self.background);
         match case {
@@ -374,7 +380,7 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
     }
 
     /// Fills `out` with floats.
-    fn read_chunk(&mut self, cursor: &mut Cursor, out: &mut [f32]) -> Result<()> {
+    fn read_chunk(&mut self, cursor: &mut VdbCursor, out: &mut [f32]) -> Result<()> {
         let ValueStorage { compression, half } = self.storage;
         if half && out.is_empty() {
             return Ok(()); // the only chunk without a size
@@ -399,7 +405,7 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
     }
 
     /// Fills the scratch buffer from a chunk with a size: positive if compressed, negative if raw.
-    fn decompress(&mut self, cursor: &mut Cursor) -> Result<()> {
+    fn decompress(&mut self, cursor: &mut VdbCursor) -> Result<()> {
         let out = &mut self.scratch[..];
         let size = cursor.i64("the size of packed values")?;
         let start = cursor.position() as u64;
