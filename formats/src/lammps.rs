@@ -116,7 +116,7 @@ pub fn read_step(bytes: &[u8], step: &Step, limits: &Limits) -> Result<ParticleF
         names.take(limits.attribute_count.saturating_add(1)).map(String::from).collect();
     let place = Place::Line(step.rows_line.saturating_sub(1));
     if names.len() > limits.attribute_count {
-        let what = format!("more columns than the limit of {}", limits.attribute_count);
+        let what = format!("the file has more columns than the limit of {}", limits.attribute_count);
         return Err(Error::too_large(FORMAT, what));
     }
     let found = excerpts(&names);
@@ -243,7 +243,8 @@ fn step(lines: &mut DumpLines, limits: &Limits) -> Result<Step> {
 fn rows(lines: &mut DumpLines, start: usize, step: Step, limits: &Limits) -> Result<Step> {
     let count = step.particle_count;
     if count > limits.particle_count {
-        let what = format!("{count} particles, more than the limit of {}", limits.particle_count);
+        let what =
+            format!("the file has {count} particles, more than the limit of {}", limits.particle_count);
         return Err(Error::too_large(FORMAT, what));
     }
     for found in 0..count {

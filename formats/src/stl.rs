@@ -209,7 +209,8 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     }
     let corner_count = 3 * u64::from(triangle_count);
     if corner_count > limits.particle_count.min(u64::from(u32::MAX)) {
-        let what = format!("{corner_count} corners, more than the limit of {}", limits.particle_count);
+        let what =
+            format!("the file has {corner_count} corners, more than the limit of {}", limits.particle_count);
         return Err(Error::too_large(FORMAT, what));
     }
     let mut mesh = MeshData::default();

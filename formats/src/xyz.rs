@@ -36,7 +36,8 @@ const SAMPLE_COUNT: usize = 4096;
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let count = bytes.len() / RECORD_BYTES;
     if count as u64 > limits.particle_count {
-        let what = format!("{count} particles, more than the limit of {}", limits.particle_count);
+        let what =
+            format!("the file has {count} particles, more than the limit of {}", limits.particle_count);
         return Err(Error::too_large(FORMAT, what));
     }
     let endian = endian(bytes)?;

@@ -92,7 +92,8 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
         .and_then(|count| count.parse().ok())
         .ok_or_else(|| invalid(1, "expected the number of atoms"))?;
     if count > limits.particle_count {
-        let what = format!("{count} particles, more than the limit of {}", limits.particle_count);
+        let what =
+            format!("the file has {count} particles, more than the limit of {}", limits.particle_count);
         return Err(Error::too_large(FORMAT, what));
     }
     let comment = lines.next().ok_or_else(|| short(1, "expected a comment"))?;
@@ -131,7 +132,7 @@ fn names(comment: &[u8], column_count: usize, limits: &Limits) -> Result<Vec<Str
     let properties = std::str::from_utf8(comment).ok().and_then(properties);
     let count = properties.as_ref().map_or(column_count, |names| names.iter().map(|(_, count)| count).sum());
     if count > limits.attribute_count {
-        let what = format!("more columns than the limit of {}", limits.attribute_count);
+        let what = format!("the file has more columns than the limit of {}", limits.attribute_count);
         return Err(Error::too_large(FORMAT, what));
     }
     let Some(properties) = properties else {

@@ -91,7 +91,8 @@ pub(crate) fn header_within(bytes: &[u8], limits: &Limits) -> Result<Header> {
     let primitive_attribute_count = count(&mut cursor, "primitive attributes")?;
     let detail_attribute_count = count(&mut cursor, "detail attributes")?;
     if point_count as u64 > limits.particle_count {
-        let what = format!("{point_count} points, more than the limit of {}", limits.particle_count);
+        let what =
+            format!("the file has {point_count} points, more than the limit of {}", limits.particle_count);
         return Err(Error::too_large(FORMAT, what));
     }
     let attributes = dictionary(&mut cursor, attribute_count, limits)?;
@@ -121,7 +122,10 @@ pub(crate) fn header_within(bytes: &[u8], limits: &Limits) -> Result<Header> {
 fn dictionary(cursor: &mut Cursor, count: usize, limits: &Limits) -> Result<Vec<AttributeHeader>> {
     const ENTRY_BYTES_MIN: usize = 8; // length of an empty name, size, type
     if count > limits.attribute_count {
-        let what = format!("{count} point attributes, more than the limit of {}", limits.attribute_count);
+        let what = format!(
+            "the file has {count} point attributes, more than the limit of {}",
+            limits.attribute_count
+        );
         return Err(Error::too_large(FORMAT, what));
     }
     require(cursor, count * ENTRY_BYTES_MIN, "the point attribute dictionary")?;

@@ -305,7 +305,7 @@ fn check_column_count(count: usize, limits: &Limits) -> Result<()> {
     if count <= limits.attribute_count {
         return Ok(());
     }
-    let what = format!("more columns than the limit of {}", limits.attribute_count);
+    let what = format!("the file has more columns than the limit of {}", limits.attribute_count);
     Err(Error::too_large(FORMAT, what))
 }
 

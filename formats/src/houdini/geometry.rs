@@ -60,7 +60,10 @@ pub(super) fn read(mut walk: Walk, limits: &Limits) -> Result<ParticleFrame> {
 fn point_count(walk: &mut Walk, limits: &Limits) -> Result<usize> {
     let count = walk.count()?;
     let too_large = || {
-        Error::too_large(FORMAT, format!("{count} points, more than the limit of {}", limits.particle_count))
+        Error::too_large(
+            FORMAT,
+            format!("the file has {count} points, more than the limit of {}", limits.particle_count),
+        )
     };
     usize::try_from(count).ok().filter(|_| count <= limits.particle_count).ok_or_else(too_large)
 }

@@ -55,7 +55,7 @@ pub(super) struct ArchiveTotals {
 pub(super) fn members(bytes: &[u8], limits: &Limits) -> Result<Vec<ArchiveMember>> {
     let (count, offset) = directory(bytes)?;
     if count > limits.attribute_count as u64 {
-        let what = format!("{count} arrays, more than the limit of {}", limits.attribute_count);
+        let what = format!("the file has {count} arrays, more than the limit of {}", limits.attribute_count);
         return Err(Error::too_large(ARCHIVE, what));
     }
     let start = usize::try_from(offset).unwrap_or(usize::MAX).min(bytes.len());

@@ -243,7 +243,7 @@ fn add_fields(
             .filter(|end| *end <= u32::MAX as usize)
             .ok_or_else(|| invalid("a type has too many bytes"))?;
         if fields.len() > limits.attribute_count {
-            let what = format!("more fields than the limit of {}", limits.attribute_count);
+            let what = format!("the array has more fields than the limit of {}", limits.attribute_count);
             return Err(Refusal::TooLarge(what));
         }
     }

@@ -108,7 +108,10 @@ fn arrays_of(header: &ArrayHeader, data: &[u8], limits: &Limits) -> Result<(Vec<
             check_count(header.row_count(), limits)?;
             let columns = header.column_count();
             if columns > limits.attribute_count {
-                let what = format!("{columns} columns, more than the limit of {}", limits.attribute_count);
+                let what = format!(
+                    "the array has {columns} columns, more than the limit of {}",
+                    limits.attribute_count
+                );
                 return Err(Error::too_large(FORMAT, what));
             }
             let values = match header.is_fortran && columns > 1 {
@@ -212,7 +215,8 @@ fn columns_count(arrays: &[NamedArray]) -> Option<usize> {
 
 fn check_count(count: u64, limits: &Limits) -> Result<()> {
     if count > limits.particle_count {
-        let what = format!("{count} particles, more than the limit of {}", limits.particle_count);
+        let what =
+            format!("the file has {count} particles, more than the limit of {}", limits.particle_count);
         return Err(Error::too_large(FORMAT, what));
     }
     Ok(())

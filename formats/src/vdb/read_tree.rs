@@ -407,11 +407,11 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
     /// Fills the scratch buffer from a chunk with a size: positive if compressed, negative if raw.
     fn decompress(&mut self, cursor: &mut VdbCursor) -> Result<()> {
         let out = &mut self.scratch[..];
-        let size = cursor.i64("the size of packed values")?;
+        let size = cursor.i64("the size of compressed values")?;
         let start = cursor.position() as u64;
         let invalid = |what: String| Error::invalid(FORMAT, Place::Offset(start), what);
         let length = usize::try_from(size.unsigned_abs()).unwrap_or(usize::MAX);
-        let bytes = cursor.take(length, "packed values")?;
+        let bytes = cursor.take(length, "compressed values")?;
         if out.is_empty() {
             return Ok(()); // some writers write an empty frame here
         }

@@ -20,10 +20,11 @@ pub(super) struct Piece {
 /// Converts the number of points to a length, within the limits.
 pub(super) fn checked_count(format: &'static str, count: u64, limits: &Limits) -> Result<usize> {
     if count > limits.particle_count {
-        let what = format!("{count} points, more than the limit of {}", limits.particle_count);
+        let what = format!("the file has {count} points, more than the limit of {}", limits.particle_count);
         return Err(Error::too_large(format, what));
     }
-    usize::try_from(count).map_err(|_| Error::too_large(format, format!("{count} points")))
+    usize::try_from(count)
+        .map_err(|_| Error::too_large(format, format!("the file has {count} points, too many")))
 }
 
 /// Converts values to positions.
