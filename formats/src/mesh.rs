@@ -9,12 +9,12 @@ use crate::probe::{Kind, Probe, probe};
 use crate::table::{Format, listed};
 
 /// Reads the triangles of a file in any supported mesh format, compressed or not. The content decides the
-/// format. `beside` reads the external buffers of a .gltf file. The mesh can be empty.
+/// format. `read_external` reads the external buffers of a .gltf file. The mesh can be empty.
 ///
 /// # Errors
 /// The errors of the format's reader; [`Error::Unsupported`] if the file is not a mesh, or contains several
 /// frames.
-pub fn read_mesh(bytes: &[u8], file_name: &str, limits: &Limits, beside: &Beside) -> Result<MeshData> {
+pub fn read_mesh(bytes: &[u8], file_name: &str, limits: &Limits, read_external: &Beside) -> Result<MeshData> {
     let Probe { kind, codec } = probe_mesh(bytes, file_name);
     let Some(read) = reader_of(kind) else {
         return match kind {
@@ -26,8 +26,8 @@ pub fn read_mesh(bytes: &[u8], file_name: &str, limits: &Limits, beside: &Beside
         };
     };
     match codec {
-        Some(codec) => read(&codec.decompress(bytes, limits)?, limits, beside),
-        None => read(bytes, limits, beside),
+        Some(codec) => read(&codec.decompress(bytes, limits)?, limits, read_external),
+        None => read(bytes, limits, read_external),
     }
 }
 

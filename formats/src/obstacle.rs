@@ -20,7 +20,7 @@ pub enum ObstacleData {
 }
 
 /// Reads an obstacle from a file in any supported format, compressed or not: those of [`read_mesh`], or
-/// OpenVDB. The content decides the format. `beside` reads the external buffers of a .gltf file.
+/// OpenVDB. The content decides the format. `read_external` reads the external buffers of a .gltf file.
 ///
 /// # Errors
 /// The errors of the format's reader; [`Error::Invalid`] for a mesh without triangles; [`Error::Unsupported`]
@@ -29,7 +29,7 @@ pub fn read_obstacle(
     bytes: &[u8],
     file_name: &str,
     limits: &Limits,
-    beside: &Beside,
+    read_external: &Beside,
 ) -> Result<ObstacleData> {
     let Probe { kind, codec } = probe_mesh(bytes, file_name);
     if kind == Kind::Format(Format::Vdb) {
@@ -42,7 +42,7 @@ pub fn read_obstacle(
         let what = format!("not a supported obstacle format: use {}", readable(&[Format::Vdb]));
         return Err(Error::unsupported(kind.name(), what));
     }
-    let mesh = read_mesh(bytes, file_name, limits, beside)?;
+    let mesh = read_mesh(bytes, file_name, limits, read_external)?;
     if mesh.triangles.is_empty() {
         return Err(Error::invalid(kind.name(), Place::File, "the obstacle mesh has no triangles"));
     }

@@ -107,8 +107,8 @@ fn invalid_files_are_errors_with_a_reason() {
 /// Sequences are too large for this repository; they are read if they are found next to it.
 #[test]
 fn shared_sequences_are_read() {
-    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared");
-    let shared = std::env::var_os("MENISCUS_SHARED").map_or_else(beside, PathBuf::from);
+    let default_folder = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared");
+    let shared = std::env::var_os("MENISCUS_SHARED").map_or_else(default_folder, PathBuf::from);
     let sequences = [("splash_ply", 32, 12_000..=12_000, 4), ("dam_break_bgeo", 61, 1..=4_732, 3)];
     for (name, frames, counts, arity_sum) in sequences {
         let folder = shared.join("data/ours/sequences").join(name);

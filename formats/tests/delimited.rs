@@ -159,7 +159,7 @@ fn integers_are_exact_or_rounded_with_a_note() {
     let all = [i64::MIN, i64::MIN + 1, -1, i64::MAX - 1, i64::MAX];
     let (values, notes) = read(&all.map(|id| id.to_string()).each_ref().map(String::as_str));
     assert_eq!((values, notes), (Values::I64(all.into()), vec![]));
-    let told = ["integers of \"id\" are rounded: some exceed 64 bits, so all become 64-bit floats"];
+    let expected_notes = ["integers of \"id\" are rounded: some exceed 64 bits, so all become 64-bit floats"];
     let power = 2f64.powi(63);
     for (ids, expected) in [
         (["9223372036854775807", "9223372036854775809"], [power, power]),
@@ -171,7 +171,7 @@ fn integers_are_exact_or_rounded_with_a_note() {
     ] {
         let (values, notes) = read(&ids);
         assert_eq!(format!("{values:?}"), format!("{:?}", Values::F64(expected.into())), "{ids:?}");
-        assert_eq!(notes, told, "{ids:?}");
+        assert_eq!(notes, expected_notes, "{ids:?}");
     }
     // Integers that floats represent exactly are not reported as rounded.
     for ids in [["9007199254740992", "0.5"], ["36893488147419103232", "1"], ["0", "12345678901234567.5"]] {

@@ -308,9 +308,9 @@ fn damaged_meshes_do_not_panic() {
 #[test]
 fn damaged_obstacles_do_not_panic() {
     let _alone = alone();
-    let beside = |_: &str| Ok(vec![7; 96]);
+    let read_external = |_: &str| Ok(vec![7; 96]);
     let read = |name: &'static str| {
-        move |bytes: &[u8]| read_obstacle(bytes, name, &Limits::default(), &beside).map(|_| ())
+        move |bytes: &[u8]| read_obstacle(bytes, name, &Limits::default(), &read_external).map(|_| ())
     };
     let text =
         b"# two objects\nmtllib a.mtl\no one\nv 0 0 0 1 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\n\
@@ -328,7 +328,9 @@ fn damaged_obstacles_do_not_panic() {
     assert!(read("sparse.gltf")(sparse).is_ok());
     sweep("sparse.gltf", sparse, read("sparse.gltf"));
     for (name, bytes) in corpus(&["mesh"]) {
-        sweep(&name, &bytes, |bytes| read_obstacle(bytes, &name, &Limits::default(), &beside).map(|_| ()));
+        sweep(&name, &bytes, |bytes| {
+            read_obstacle(bytes, &name, &Limits::default(), &read_external).map(|_| ())
+        });
     }
 }
 

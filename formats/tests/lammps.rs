@@ -111,8 +111,8 @@ fn missing_last_line_end_adds_a_note() {
     let ended = read_particles(DUMP.as_bytes(), "a", &Limits::default()).expect("whole");
     let frame = read_particles(DUMP.trim_end().as_bytes(), "a", &Limits::default()).expect("whole");
     assert_eq!((&frame.positions, &frame.attributes), (&ended.positions, &ended.attributes));
-    let told = |frame: &ParticleFrame| frame.notes.iter().any(|note| note.contains("without a line end"));
-    assert!(told(&frame) && !told(&ended), "{:?}", frame.notes);
+    let has_note = |frame: &ParticleFrame| frame.notes.iter().any(|note| note.contains("without a line end"));
+    assert!(has_note(&frame) && !has_note(&ended), "{:?}", frame.notes);
 }
 
 #[test]

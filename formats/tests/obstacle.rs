@@ -171,11 +171,12 @@ fn buffers_can_be_external_files() {
         "accessors":[{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"}]"#;
     let text = |uri: &str| gltf(&[&bytes_of(&STRIP)], rest, |_| uri.to_owned());
     let (document, buffer) = text("part%20one/a.bin");
-    let beside = |path: &str| {
+    let read_external = |path: &str| {
         assert_eq!(path, "part one/a.bin");
         Ok(buffer.clone())
     };
-    let found = read_obstacle(document.as_bytes(), "a.gltf", &Limits::default(), &beside).expect("two files");
+    let found =
+        read_obstacle(document.as_bytes(), "a.gltf", &Limits::default(), &read_external).expect("two files");
     assert!(matches!(found, ObstacleData::Mesh(mesh) if mesh.triangles.len() == 1));
     let missing = read(document.as_bytes(), "a.gltf").expect_err("no such file");
     assert!(matches!(&missing, Error::Io(error) if error.kind() == io::ErrorKind::NotFound));
@@ -214,17 +215,17 @@ fn external_files_are_listed_once() {
         "bufferViews":[{"buffer":1,"byteLength":36},{"buffer":3,"byteLength":36}],
         "buffers":[{"byteLength":3,"uri":"data:;base64,AAAA"},{"byteLength":36,"uri":"./b/a.bin"},
         {"byteLength":5,"uri":"a.bin"},{"byteLength":60,"uri":"b//a%2ebin"}]}"#;
-    let told = gltf::files_beside(document).expect("a document");
-    let told: Vec<_> = told.iter().map(|file| (file.path.as_str(), file.byte_count)).collect();
-    assert_eq!(told, [("b/a.bin", 60), ("a.bin", 5)]);
-    let asked = RefCell::new(Vec::new());
-    let beside = |path: &str| {
-        asked.borrow_mut().push(path.to_owned());
+    let files = gltf::files_beside(document).expect("a document");
+    let files: Vec<_> = files.iter().map(|file| (file.path.as_str(), file.byte_count)).collect();
+    assert_eq!(files, [("b/a.bin", 60), ("a.bin", 5)]);
+    let requested = RefCell::new(Vec::new());
+    let read_external = |path: &str| {
+        requested.borrow_mut().push(path.to_owned());
         Ok(bytes_of(&STRIP))
     };
-    let found = read_obstacle(document, "a.gltf", &Limits::default(), &beside).expect("three files");
+    let found = read_obstacle(document, "a.gltf", &Limits::default(), &read_external).expect("three files");
     assert!(matches!(found, ObstacleData::Mesh(mesh) if mesh.triangles.len() == 2));
-    assert_eq!(asked.into_inner(), ["b/a.bin", "a.bin"]);
+    assert_eq!(requested.into_inner(), ["b/a.bin", "a.bin"]);
     assert!(gltf::files_beside(b"v 0 0 0").is_err());
 }
 

@@ -8,8 +8,8 @@ use meniscus_formats::{Limits, ParticleFrame, Positions, looks_like_particles, r
 
 /// The folder of the files; prints a message if it is missing.
 fn data() -> Option<PathBuf> {
-    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared");
-    let data = std::env::var_os("MENISCUS_SHARED").map_or_else(beside, PathBuf::from).join("data");
+    let default_folder = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared");
+    let data = std::env::var_os("MENISCUS_SHARED").map_or_else(default_folder, PathBuf::from).join("data");
     if !data.is_dir() {
         let _ = writeln!(std::io::stderr(), "not tested, absent: {}", data.display());
         return None;

@@ -332,8 +332,8 @@ fn usda_properties_have_unique_names() {
     );
     names.dedup();
     assert_eq!(names.len(), properties.len());
-    for told in ["primvars:_2nd_2 ", "primvars:displaycolor_2 ", "primvars:normals_2 "] {
-        assert!(notes.iter().any(|note| note.contains(told)), "{told}: {notes:?}");
+    for note_start in ["primvars:_2nd_2 ", "primvars:displaycolor_2 ", "primvars:normals_2 "] {
+        assert!(notes.iter().any(|note| note.contains(note_start)), "{note_start}: {notes:?}");
     }
     assert_eq!(notes.len(), 3, "{notes:?}");
 }

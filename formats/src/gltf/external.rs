@@ -67,20 +67,20 @@ pub(super) fn is_data(uri: &str) -> bool {
 
 /// Reads external files, each only once even if it has several buffers.
 pub(super) struct ReadBeside<'a> {
-    beside: Option<&'a Beside<'a>>,
+    read_external: Option<&'a Beside<'a>>,
     read: BTreeMap<String, Rc<Vec<u8>>>,
     /// Their total size in bytes.
     pub(super) size_bytes: u64,
 }
 
 impl<'a> ReadBeside<'a> {
-    pub(super) fn new(beside: Option<&'a Beside<'a>>) -> ReadBeside<'a> {
-        ReadBeside { beside, read: BTreeMap::new(), size_bytes: 0 }
+    pub(super) fn new(read_external: Option<&'a Beside<'a>>) -> ReadBeside<'a> {
+        ReadBeside { read_external, read: BTreeMap::new(), size_bytes: 0 }
     }
 
     /// The content of the file at a URI.
     pub(super) fn bytes(&mut self, uri: &str) -> Result<Rc<Vec<u8>>> {
-        let Some(beside) = self.beside else {
+        let Some(read_external) = self.read_external else {
             let what = "a buffer is in a separate file: export as .glb, or embed the buffer";
             return Err(Error::unsupported(FORMAT, what));
         };
@@ -88,7 +88,7 @@ impl<'a> ReadBeside<'a> {
         if let Some(bytes) = self.read.get(&path) {
             return Ok(Rc::clone(bytes));
         }
-        let read = beside(&path);
+        let read = read_external(&path);
         let bytes = read.map_err(|error| {
             std::io::Error::new(error.kind(), format!("cannot read the buffer {path}: {error}"))
         })?;

@@ -111,7 +111,7 @@ static QUANTIZED: Rounding = Rounding {
 };
 
 /// Rejects sequences: they have a mesh per frame, and which one to use is unknown.
-fn read_one_mesh(bytes: &[u8], limits: &Limits, beside: &Beside) -> Result<MeshData> {
+fn read_one_mesh(bytes: &[u8], limits: &Limits, read_external: &Beside) -> Result<MeshData> {
     if let Some(shot) = read_shot_info(bytes)? {
         let what = format!(
             "this file is a sequence of {} frames, and a single mesh is needed: use the .glb of one frame, or of each frame, as in body.####.glb",
@@ -119,5 +119,5 @@ fn read_one_mesh(bytes: &[u8], limits: &Limits, beside: &Beside) -> Result<MeshD
         );
         return Err(Error::unsupported(GLB.format.name, what));
     }
-    read_mesh_with(bytes, limits, beside)
+    read_mesh_with(bytes, limits, read_external)
 }

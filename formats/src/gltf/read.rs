@@ -39,12 +39,12 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
 /// # Errors
 ///
 /// Those of [`read_mesh`]; [`Error::Io`] if a buffer cannot be read.
-pub fn read_mesh_with(bytes: &[u8], limits: &Limits, beside: &Beside) -> Result<MeshData> {
-    read(bytes, limits, Some(beside))
+pub fn read_mesh_with(bytes: &[u8], limits: &Limits, read_external: &Beside) -> Result<MeshData> {
+    read(bytes, limits, Some(read_external))
 }
 
-fn read(bytes: &[u8], limits: &Limits, beside: Option<&Beside>) -> Result<MeshData> {
-    let OpenDocument { document, places, buffers, budget } = open(bytes, limits, beside)?;
+fn read(bytes: &[u8], limits: &Limits, read_external: Option<&Beside>) -> Result<MeshData> {
+    let OpenDocument { document, places, buffers, budget } = open(bytes, limits, read_external)?;
     let mut collector = Collector { buffers, budget, mesh: MeshData::default(), has_normals: true };
     for (mesh, placement) in placed_meshes(&document, &places)? {
         for primitive in mesh.primitives() {
@@ -63,11 +63,11 @@ pub(super) struct OpenDocument {
     pub(super) budget: u64,
 }
 
-pub(super) fn open(bytes: &[u8], limits: &Limits, beside: Option<&Beside>) -> Result<OpenDocument> {
+pub(super) fn open(bytes: &[u8], limits: &Limits, read_external: Option<&Beside>) -> Result<OpenDocument> {
     let (json, bin) = chunks(bytes)?;
     let document = document(json)?;
     let places: NodeTransforms = parse(json)?;
-    let mut files = ReadBeside::new(beside);
+    let mut files = ReadBeside::new(read_external);
     let buffers = document.buffers().map(|buffer| match buffer.source() {
         Source::Bin => bin
             .filter(|_| buffer.index() == 0)

@@ -122,9 +122,9 @@ mod tests {
             let error = read_camera(text.as_bytes()).expect_err(&text).to_string();
             assert!(error.contains("lacks the parameters of its type"), "{error}");
         }
-        for (text, told) in [(&*orthographic, "orthographic"), (none, "no camera"), ("{}", "")] {
+        for (text, words) in [(&*orthographic, "orthographic"), (none, "no camera"), ("{}", "")] {
             let error = read_camera(text.as_bytes()).expect_err(text).to_string();
-            assert!(error.contains(told), "{error}");
+            assert!(error.contains(words), "{error}");
         }
     }
 }
