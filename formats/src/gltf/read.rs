@@ -90,7 +90,7 @@ pub(super) fn document(json: &[u8]) -> Result<Document> {
             format!("the file requires the extension {extension}: export without it"),
         ));
     }
-    // The crate's own check panics on such an index.
+    // Checked first, because the crate's validation goes on to use such an index.
     let attributes = root.meshes.iter().flat_map(|mesh| &mesh.primitives).flat_map(|part| &part.attributes);
     if let Some((_, index)) = attributes.into_iter().find(|(_, index)| root.get(**index).is_none()) {
         return Err(invalid(format!("there is no accessor {}", index.value())));

@@ -62,7 +62,7 @@ pub(crate) fn mesh_bytes_declared(head: &[u8], limits: &Limits) -> Result<Option
         let table = element.count.checked_mul(record);
         size = size.zip(table).and_then(|(size, table)| size.checked_add(table));
     }
-    // In an empty file, the header's line end may be missing.
+    // If the body is empty, a truncated file may lack the header's line end.
     let is_ended = head.get(..header.body_offset).is_some_and(|header| header.ends_with(b"\n"));
     Ok(size.filter(|_| is_ended && header.encoding.endian().is_some()))
 }

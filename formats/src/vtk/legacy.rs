@@ -316,7 +316,8 @@ impl<'a> File<'a> {
         integers(self.values(line, number, count)?).ok_or_else(no_integers)
     }
 
-    /// Skips the data of cells. It comes after the points, so unreadable data there can be ignored.
+    /// Skips the data of cells, up to POINT_DATA or the end of the file. It comes after the points, so it need not
+    /// be valid.
     fn cells(&mut self, line: &LegacyLine) -> Result<()> {
         line.count(1, "the number of cells")?;
         let rest = &self.bytes[self.at..];
