@@ -90,7 +90,7 @@ fn normal_of(corners: [[f32; 3]; 3]) -> [f32; 3] {
 }
 
 /// The positions that a reader gets for a mesh, relative to the mesh's origin.
-#[expect(clippy::cast_possible_truncation, reason = "what is left of 32 bits has a place in as many")]
+#[expect(clippy::cast_possible_truncation, reason = "the difference fits into 32 bits")]
 pub fn rounded_positions(positions: &[[f32; 3]], origin: [f64; 3]) -> Vec<[f32; 3]> {
     if origin == [0.0; 3] {
         return positions.to_vec();
@@ -107,7 +107,7 @@ pub fn rounding(positions: &[[f32; 3]], origin: [f64; 3]) -> f64 {
     let corner = |position: &[f32; 3]| -> f64 {
         let moved = (0..3).map(|axis| {
             let exact = origin[axis] + f64::from(position[axis]);
-            #[expect(clippy::cast_possible_truncation, reason = "that is what is measured")]
+            #[expect(clippy::cast_possible_truncation, reason = "the rounding error is measured")]
             let rounded = exact as f32;
             (exact - f64::from(rounded)).abs()
         });

@@ -3,7 +3,7 @@
 //! To add a case, add a file. Run once with `MENISCUS_BLESS=1` to write its description, and review that
 //! before committing it.
 
-#![expect(clippy::cast_possible_truncation, reason = "narrowing is what is tested")]
+#![expect(clippy::cast_possible_truncation, reason = "the tests check narrowing")]
 
 use meniscus_formats::{Attribute, Error, Limits, ParticleFrame, Positions, Values, csv};
 use std::fmt::{Debug, Write};

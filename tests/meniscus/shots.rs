@@ -398,11 +398,7 @@ fn a_shot_replaces_no_frame_but_an_older_shot() {
     }
     assert!(made.iter().all(|shot| *shot == made[0]));
     for output in ["t.glb", "out/dam.4.glb"] {
-        refused(
-            path,
-            &["sequence", "out/dam.4.glb", "-o", output],
-            &["dam.4.glb: ", "already"],
-        );
+        refused(path, &["sequence", "out/dam.4.glb", "-o", output], &["dam.4.glb: ", "already"]);
     }
 }
 

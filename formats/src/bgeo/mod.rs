@@ -55,7 +55,7 @@ const TRAILER: [u8; 2] = [0x00, 0xff];
 const POSITION_WORDS: usize = 4;
 
 /// The nearest 32-bit float; values beyond the range become infinite.
-#[expect(clippy::cast_possible_truncation, reason = "the format holds 32-bit reals")]
+#[expect(clippy::cast_possible_truncation, reason = "the format has 32-bit floats")]
 fn narrow(value: f64) -> f32 {
     value as f32
 }
