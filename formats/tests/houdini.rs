@@ -92,7 +92,7 @@ fn invalid_documents_are_errors_with_their_location() {
         ),
         (TUPLES.replace("\"pointcount\",3", "\"pointcount\",-3"), "expected a count, found -3"),
         (TUPLES.replace("\"pointcount\"", "\"points\""), "the attributes come before the pointcount"),
-        (TUPLES.replace("\"P\"", "\"Q\""), "the document has no point attribute P"),
+        (TUPLES.replace("\"P\"", "\"Q\""), "the point attribute P is missing"),
         (TUPLES.replace("fpreal32", "fpreal8"), "unknown storage \"fpreal8\""),
         (TUPLES.replace("[0.125]", "[0.125,1]"), "the pages have the wrong number of values"),
         (PAGES.replace("[3,1]", "[3,2]"), "the packing [3, 2] does not match 4 values"),
@@ -102,7 +102,7 @@ fn invalid_documents_are_errors_with_their_location() {
             PAGES.replace("12, 1]", "12, 1],\"packing\",[1,3]"),
             "`packing` comes after the values that it describes",
         ),
-        (TUPLES.replace("\"vertexcount\",0", "\"pointcount\",2"), "the document has a second pointcount"),
+        (TUPLES.replace("\"vertexcount\",0", "\"pointcount\",2"), "pointcount occurs twice"),
         (PAGES.replace("1,0,", "1,"), "the pages have the wrong number of values"),
         (PAGES.replace("\"pointcount\",5", "\"pointcount\",5000000000"), "more than the limit"),
     ];

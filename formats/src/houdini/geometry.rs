@@ -30,7 +30,7 @@ pub(super) fn read(mut walk: Walk, limits: &Limits) -> Result<ParticleFrame> {
     let mut found = FoundGeometry::default();
     walk.object("", |walk, key| match key {
         "pointcount" if found.point_count.is_some() => {
-            Err(walk.invalid("the document has a second pointcount"))
+            Err(walk.invalid("pointcount occurs twice"))
         }
         "pointcount" => {
             found.point_count = Some(point_count(walk, limits)?);
@@ -44,12 +44,12 @@ pub(super) fn read(mut walk: Walk, limits: &Limits) -> Result<ParticleFrame> {
         _ => walk.skip(),
     })?;
     walk.finish()?;
-    let count = found.point_count.ok_or_else(|| walk.invalid("the document has no pointcount"))?;
+    let count = found.point_count.ok_or_else(|| walk.invalid("pointcount is missing"))?;
     check_primitives(&found.primitives, count)?;
     let positions = match found.positions {
         Some(positions) => positions,
         None if count == 0 => Positions::default(),
-        None => return Err(walk.invalid("the document has no point attribute P")),
+        None => return Err(walk.invalid("the point attribute P is missing")),
     };
     // With positions given, a frame is always returned.
     let mut frame = frame_of(Some(positions), found.arrays).unwrap_or_default();
