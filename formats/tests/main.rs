@@ -16,10 +16,10 @@ mod npy; // NumPy arrays
 mod obstacle; // obstacles in all supported formats
 mod particle_write; // particles as .ply and .vtp
 mod ply; // all dialects of PLY
+mod sequences; // sequences assembled from the .glb files of frames
 mod shared; // files of other programs, if found next to the repository
-mod short; // truncated files
-mod shots; // sequences assembled from the .glb files of frames
 mod solids; // narrow-band level sets of solids
+mod truncated; // truncated files
 mod vdb_read; // .vdb files written by other programs
 mod vdb_write; // level sets written as .vdb
 mod vertex_attributes; // vertex attributes
