@@ -36,7 +36,7 @@ fn read_rows_in_parts(
     limits: &Limits,
     part_bytes: usize,
 ) -> Result<Table> {
-    let mut table = Table::with_room_for(&bytes[layout.rows_offset..], layout.names.len());
+    let mut table = Table::with_capacity_for(&bytes[layout.rows_offset..], layout.names.len());
     let thread_count = rayon::current_num_threads();
     if thread_count == 1 || bytes.len() < 2 * part_bytes {
         table.read_more(bytes, layout.rows_offset, layout, limits)?;
@@ -45,7 +45,7 @@ fn read_rows_in_parts(
     let parts = parts(bytes, layout.rows_offset, part_bytes);
     for parts in parts.chunks(PARTS_PER_THREAD * thread_count) {
         let read_alone = |part: &Range<usize>| {
-            let mut alone = Table::with_room_for(&bytes[part.clone()], layout.names.len());
+            let mut alone = Table::with_capacity_for(&bytes[part.clone()], layout.names.len());
             alone.read_more(&bytes[..part.end], part.start, layout, limits).is_ok().then_some(alone)
         };
         let tables: Vec<Option<Table>> = parts.par_iter().map(read_alone).collect();

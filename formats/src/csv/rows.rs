@@ -25,7 +25,7 @@ pub(super) struct Table {
 
 impl Table {
     /// An empty table with capacity for the estimated rows of the text `rows`.
-    pub(super) fn with_room_for(rows: &[u8], column_count: usize) -> Table {
+    pub(super) fn with_capacity_for(rows: &[u8], column_count: usize) -> Table {
         let capacity = row_count_estimate(rows, column_count);
         Table {
             columns: (0..column_count).map(|_| Column::with_capacity(capacity)).collect(),

@@ -29,9 +29,7 @@ const PRIMITIVE_TYPE_COUNT_MAX: usize = 1024;
 pub(super) fn read(mut walk: Walk, limits: &Limits) -> Result<ParticleFrame> {
     let mut found = FoundGeometry::default();
     walk.object("", |walk, key| match key {
-        "pointcount" if found.point_count.is_some() => {
-            Err(walk.invalid("pointcount occurs twice"))
-        }
+        "pointcount" if found.point_count.is_some() => Err(walk.invalid("pointcount occurs twice")),
         "pointcount" => {
             found.point_count = Some(point_count(walk, limits)?);
             Ok(())

@@ -163,24 +163,24 @@ fn widened(numbers: [u32; 3], mut extra: &[u8]) -> [u64; 3] {
 }
 
 impl ArchiveMember {
-    /// The member's content, decompressed and verified. `account` tracks the total output of the archive.
+    /// The member's content, decompressed and verified. `totals` tracks the total output of the archive.
     pub(super) fn content<'a>(
         &self,
         archive: &'a [u8],
         limits: &Limits,
-        account: &mut ArchiveTotals,
+        totals: &mut ArchiveTotals,
     ) -> Result<Cow<'a, [u8]>> {
         let packed = self.packed(archive).map_err(as_invalid)?;
-        account.packed_bytes = account.packed_bytes.saturating_add(self.packed_bytes);
-        account.bytes = account.bytes.saturating_add(self.bytes);
-        if account.packed_bytes > archive.len() as u64 {
+        totals.packed_bytes = totals.packed_bytes.saturating_add(self.packed_bytes);
+        totals.bytes = totals.bytes.saturating_add(self.bytes);
+        if totals.packed_bytes > archive.len() as u64 {
             return Err(Error::invalid(
                 ARCHIVE,
                 Place::File,
                 "the members have more bytes in total than the archive",
             ));
         }
-        limits.check_decompressed(ARCHIVE, account.bytes, account.packed_bytes)?;
+        limits.check_decompressed(ARCHIVE, totals.bytes, totals.packed_bytes)?;
         let content = match self.method {
             STORED => Cow::Borrowed(packed),
             DEFLATED => Cow::Owned(self.inflated(packed)?),

@@ -63,10 +63,10 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let mut arrays = Vec::new();
     let mut notes = Vec::new();
-    let mut account = archive::ArchiveTotals::default();
+    let mut totals = archive::ArchiveTotals::default();
     for member in archive::members(bytes, limits)? {
         let Some(name) = member.name.strip_suffix(".npy") else { continue };
-        let content = member.content(bytes, limits, &mut account)?;
+        let content = member.content(bytes, limits, &mut totals)?;
         let within = |error| within_member(error, name);
         let header = header::read(&content, limits).map_err(within)?;
         if let ElementLayout::Unread(what) = &header.layout {

@@ -60,7 +60,7 @@ pub(super) struct ArrayTotals {
 }
 
 impl ArrayTotals {
-    /// An empty account for a file of `file_bytes`.
+    /// Zero totals for a file of `file_bytes`.
     pub(super) fn of(file_bytes: u64) -> ArrayTotals {
         ArrayTotals { encoded_bytes: 0, bytes: 0, file_bytes }
     }
@@ -88,13 +88,13 @@ pub(super) fn decode<'a>(
     encoded: EncodedArray<'a>,
     encoding: ArrayEncoding,
     name: &str,
-    account: &mut ArrayTotals,
+    totals: &mut ArrayTotals,
     limits: &Limits,
 ) -> Result<Cow<'a, [u8]>> {
     match encoding.compression {
-        None => decode_plain(encoded, encoding, name, account, limits),
+        None => decode_plain(encoded, encoding, name, totals, limits),
         Some(compression) => {
-            decode_blocks(encoded, encoding, compression, name, account, limits).map(Cow::Owned)
+            decode_blocks(encoded, encoding, compression, name, totals, limits).map(Cow::Owned)
         }
     }
 }
@@ -103,13 +103,13 @@ fn decode_plain<'a>(
     encoded: EncodedArray<'a>,
     encoding: ArrayEncoding,
     name: &str,
-    account: &mut ArrayTotals,
+    totals: &mut ArrayTotals,
     limits: &Limits,
 ) -> Result<Cow<'a, [u8]>> {
     let word_bytes = encoding.header_word_bytes;
     let header = encoded.take(0, word_bytes, name)?;
     let length = words(&header, encoding)[0];
-    account.take(length, length, name, limits)?;
+    totals.take(length, length, name, limits)?;
     if !encoded.is_base64 {
         let data = usize::try_from(length).ok().and_then(|length| encoded.bytes[word_bytes..].get(..length));
         let remain = encoded.bytes.len() - word_bytes;
@@ -132,7 +132,7 @@ fn decode_blocks(
     encoding: ArrayEncoding,
     compression: BlockCompression,
     name: &str,
-    account: &mut ArrayTotals,
+    totals: &mut ArrayTotals,
     limits: &Limits,
 ) -> Result<Vec<u8>> {
     let word_bytes = encoding.header_word_bytes;
@@ -154,7 +154,7 @@ fn decode_blocks(
     let data = encoded.take(data_at, usize::try_from(packed_bytes).unwrap_or(usize::MAX), name)?;
     let missing_bytes = if last_bytes == 0 { 0 } else { block_bytes.saturating_sub(last_bytes) };
     let bytes = block_count.saturating_mul(block_bytes).saturating_sub(missing_bytes);
-    account.take(packed_bytes, bytes, name, limits)?;
+    totals.take(packed_bytes, bytes, name, limits)?;
 
     let mut unpacked = Vec::new();
     let mut rest = &data[..];

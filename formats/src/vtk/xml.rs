@@ -64,8 +64,8 @@ pub(super) fn open<'a>(
         Error::invalid(XML, Place::Offset(error.valid_up_to() as u64), "expected UTF-8 text")
     })?;
     let document = document(text, limits)?;
-    let account = ArrayTotals::of(bytes.len() as u64);
-    let decoder = Decoder { encoding: document.encoding, appended, account, limits };
+    let totals = ArrayTotals::of(bytes.len() as u64);
+    let decoder = Decoder { encoding: document.encoding, appended, totals, limits };
     Ok((decoder, document.pieces, document.notes))
 }
 
@@ -389,13 +389,13 @@ fn attribute(tag: &BytesStart, name: &str, at: u64) -> Result<Option<String>> {
 pub(super) struct Decoder<'a> {
     encoding: ArrayEncoding,
     appended: Option<Appended<'a>>,
-    account: ArrayTotals,
+    totals: ArrayTotals,
     limits: &'a Limits,
 }
 
 impl Decoder<'_> {
     pub(super) fn values(&mut self, array: &DataArray, number: Number, count: usize) -> Result<Values> {
-        array.values(number, count, self.encoding, self.appended, &mut self.account, self.limits)
+        array.values(number, count, self.encoding, self.appended, &mut self.totals, self.limits)
     }
 }
 

@@ -51,7 +51,7 @@ impl DataArray<'_> {
         count: usize,
         encoding: ArrayEncoding,
         appended: Option<Appended>,
-        account: &mut ArrayTotals,
+        totals: &mut ArrayTotals,
         limits: &Limits,
     ) -> Result<Values> {
         let expected = count.checked_mul(self.arity).ok_or_else(|| self.invalid("it has too many values"))?;
@@ -73,7 +73,7 @@ impl DataArray<'_> {
         } else {
             encoded
         };
-        let bytes = decode(encoded, encoding, &self.name, account, limits)?;
+        let bytes = decode(encoded, encoding, &self.name, totals, limits)?;
         if bytes.len() != expected.saturating_mul(number.size()) {
             let what =
                 format!("expected {expected} values of {} bytes, found {} bytes", number.size(), bytes.len());
