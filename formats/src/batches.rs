@@ -1,14 +1,14 @@
-//! Particles of a file that is never in memory whole.
+//! Reads particles in batches from a file that does not fit into memory.
 //!
 //! ```text
-//!   header │ record record record ‥ │ record record ‥ │ ‥ │ whatever follows
+//!   header │ record record record ‥ │ record record ‥ │ ‥ │ other data
 //!          └──────── batch 0 ───────┴──── batch 1 ────┴───┘
 //! ```
 //!
-//! Where records are of one length, each is where it can be computed to be. So any batch of them can be read at
-//! any time, again and again, and by several threads at once: each reads into memory of its own. Binary PLY
-//! without lists up to the vertices is such a file, and classic BGEO; text and what is packed must be read whole.
-//! The positions are those of [`crate::read_particles`], bit by bit, and so are the errors.
+//! If records have a fixed length, their offsets can be computed. Any batch can then be read at any time,
+//! repeatedly, and by several threads at once, each into its own buffer. This works for binary PLY without
+//! lists before the end of the vertices, and for classic BGEO. Text and compressed files must be read whole.
+//! Positions and errors are exactly those of [`crate::read_particles`].
 
 use std::io;
 use std::ops::Range;
@@ -21,7 +21,7 @@ use crate::records::{Records, read};
 
 pub use crate::records::ReadAt;
 
-/// The particles of an open file, batch by batch.
+/// The particles of an open file, read batch by batch.
 #[derive(Debug)]
 pub struct ParticleBatches<F> {
     file: F,
@@ -29,21 +29,22 @@ pub struct ParticleBatches<F> {
     batch_particle_count: usize,
 }
 
-/// One batch, and the memory in which it was read. It can be used again for another.
+/// One batch and its buffer, which can be reused for another batch.
 #[derive(Debug, Default)]
 pub struct ParticleBatch {
-    /// Where the particles are, in the precision of the file. Not yet checked for being finite.
+    /// Particle positions in the precision of the file, not yet checked for being finite.
     pub positions: Positions,
     records: Vec<u8>,
 }
 
 impl<F: ReadAt> ParticleBatches<F> {
-    /// Opens a file whose records can be read one by one; `None` for any other, which has to be
-    /// [read whole](crate::read_particles). A batch has about `batch_bytes` bytes of the file, at least one record.
+    /// Opens a file with fixed-length records; `None` for any other file, which must be [read
+    /// whole](crate::read_particles). A batch covers about `batch_bytes` bytes of the file, and at least one
+    /// record.
     ///
     /// # Errors
-    /// [`Error::Io`] if reading fails; else those of the format's reader. That all records are there is checked
-    /// here, so later only a file that has changed is short.
+    /// [`Error::Io`] if reading fails, otherwise the errors of the format's reader. This also checks that the
+    /// file contains all records, so a later [`Error::Short`] means that the file has changed.
     pub fn open(
         file: F,
         file_name: &str,
@@ -58,17 +59,17 @@ impl<F: ReadAt> ParticleBatches<F> {
         Ok(Some(ParticleBatches { file, records, batch_particle_count }))
     }
 
-    /// All particles.
+    /// The number of particles.
     pub fn particle_count(&self) -> usize {
         self.records.count
     }
 
-    /// The batches: none if there is no particle.
+    /// The number of batches, 0 if there are no particles.
     pub fn batch_count(&self) -> usize {
         self.records.count.div_ceil(self.batch_particle_count)
     }
 
-    /// Which particles are in a batch; none in one that does not exist.
+    /// The particle indices of a batch; empty if the batch does not exist.
     pub fn particles_of(&self, batch: usize) -> Range<usize> {
         let at = |batch: usize| batch.saturating_mul(self.batch_particle_count).min(self.records.count);
         at(batch)..at(batch.saturating_add(1))
@@ -87,7 +88,7 @@ impl<F: ReadAt> ParticleBatches<F> {
         self.file.read_exact_at(records, start).map_err(|error| match error.kind() {
             io::ErrorKind::UnexpectedEof => {
                 let what =
-                    format!("expected {} bytes of records, which are not there any more", records.len());
+                    format!("expected {} bytes of records, but the file has become shorter", records.len());
                 Error::short(format, Place::Offset(start), what)
             }
             _ => error.into(),
@@ -96,21 +97,23 @@ impl<F: ReadAt> ParticleBatches<F> {
         Ok(())
     }
 
-    /// What a user should know though the file can be read. What is wrong with attributes is not known here.
+    /// Notes for the user on a file that was read successfully. They do not cover attributes, which are not
+    /// read here.
     pub fn notes(&self) -> &[String] {
         &self.records.notes
     }
 
-    /// The name of the attribute that is the particles' velocity, if there is one.
+    /// The name of the velocity attribute, if there is one.
     pub fn velocity(&self) -> Option<&str> {
         self.records.velocity.as_deref()
     }
 }
 
-/// Finds the records, if the format has such.
+/// Locates the records, if the format has fixed-length ones.
 fn records(file: &impl ReadAt, file_name: &str, limits: &Limits) -> Result<Option<Records>> {
     let file_bytes = file.size_bytes()?;
-    // A byte more than a header may have, so that the reader of headers can tell that it has too many.
+    // One byte more than the longest allowed header, so that the header's reader can report one that is too
+    // long.
     for head_bytes in [HEAD_BYTES, limits.header_bytes.saturating_add(1)] {
         let head = read(&file, 0..head_bytes.min(file_bytes))?;
         let may_go_on = |error: &Error| error.is_short() && (head.len() as u64) < file_bytes;
@@ -128,8 +131,8 @@ fn records(file: &impl ReadAt, file_name: &str, limits: &Limits) -> Result<Optio
     Ok(None)
 }
 
-/// Bytes of a head that has most headers.
+/// Bytes that contain most headers.
 const HEAD_BYTES: u64 = 64 << 10;
 
-/// Larger records are not read in batches.
+/// Files with longer records are not read in batches.
 const STRIDE_MAX: usize = 1 << 20;

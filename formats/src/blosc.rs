@@ -1,19 +1,19 @@
-//! Blosc 1 frames: how OpenVDB packs the values of a node, and Houdini its geometry.
+//! Blosc 1 frames: OpenVDB compresses the values of a node with them, and Houdini its geometry.
 //!
-//! Byte k of all elements is put side by side (the shuffle), since sign and exponent bytes repeat
-//! where mantissa bytes do not; each such stream is then compressed with LZ4 by itself.
+//! The shuffle places byte k of all elements side by side, because sign and exponent bytes repeat while
+//! mantissa bytes do not. Each of these streams is then compressed separately with LZ4.
 //!
 //! ```text
 //!   0        1        2        3         4        8           12
 //!   version  version  flags    typesize  bytes    block size  frame size   16-byte header
 //!            of codec                    u32      u32         u32
 //!   u32 start of each block, from the start of the frame
-//!   per block: per stream: i32 size, then that many bytes (size = the stream's own: stored raw)
+//!   per block: per stream: i32 size, then that many bytes (size = the uncompressed size: stored raw)
 //! ```
 //!
-//! A block is split in `typesize` streams only if the flag "not split" is clear, `typesize` ≤ 16,
-//! a block has at least 128 elements, and it is not the short last block. A decoder that follows
-//! these rules cannot read what an encoder splits against them, so both sides ask [`is_split`].
+//! A block is split into `typesize` streams only if the flag "not split" is clear, `typesize` ≤ 16, the block
+//! has at least 128 elements, and it is not a shorter last block. A decoder that follows these rules cannot
+//! read frames split differently, so both sides use [`is_split`].
 //!
 //! This work is based on:
 //! the header description in c-blosc's README_HEADER
@@ -31,19 +31,19 @@ const CODEC_LZ4: u8 = 1;
 const CODEC_ZLIB: u8 = 3;
 
 const HEADER_BYTES: usize = 16;
-/// Below this many bytes OpenVDB's own frames are stored too: headers would eat the gain.
+/// OpenVDB also stores frames of fewer bytes uncompressed: headers would cancel the gain.
 const BYTES_MIN: usize = 128;
 const SPLIT_ELEMENTS_MIN: usize = 128;
 const SPLIT_TYPESIZE_MAX: usize = 16;
 
-/// Why a frame was not decoded; the caller knows where in the file it lies.
+/// Why a frame could not be decoded; the caller adds its location in the file.
 #[derive(Debug)]
-pub(crate) enum FrameError {
+pub(crate) enum BloscError {
     Invalid(String),
     Unsupported(String),
 }
 
-/// Memory that is kept from one frame to the next.
+/// Buffers reused from frame to frame.
 pub(crate) struct Encoder {
     shuffled: Vec<u8>,
     table: lz4_flex::block::CompressTable,
@@ -54,8 +54,8 @@ impl Encoder {
         Encoder { shuffled: Vec::new(), table: lz4_flex::block::CompressTable::small() }
     }
 
-    /// Appends `bytes`, elements of `typesize` bytes, as one frame of one block. Returns whether
-    /// that saves anything; if not, `out` is as before and the bytes are better stored raw.
+    /// Appends `bytes`, elements of `typesize` bytes, as one frame with one block. Returns whether this saves
+    /// space; if not, `out` is unchanged and the caller should store the bytes raw.
     pub(crate) fn append_frame(&mut self, bytes: &[u8], typesize: u8, out: &mut Vec<u8>) -> bool {
         let Ok(byte_count) = u32::try_from(bytes.len()) else { return false };
         if bytes.len() < BYTES_MIN {
@@ -68,7 +68,7 @@ impl Encoder {
         out.extend_from_slice(&[2, 1, flags, typesize]);
         out.extend_from_slice(&byte_count.to_le_bytes());
         out.extend_from_slice(&byte_count.to_le_bytes());
-        out.extend_from_slice(&[0; 4]); // the frame's size, known at the end
+        out.extend_from_slice(&[0; 4]); // placeholder for the frame's size
         out.extend_from_slice(&20u32.to_le_bytes());
 
         let mut shuffled = std::mem::take(&mut self.shuffled);
@@ -104,41 +104,43 @@ impl Encoder {
             }
         };
         out.truncate(body + size);
-        let size = i32::try_from(size).unwrap_or(i32::MAX); // streams are parts of a node: a few KiB
+        let size = i32::try_from(size).unwrap_or(i32::MAX); // a stream is part of a node: a few KiB
         out[start..body].copy_from_slice(&size.to_le_bytes());
     }
 }
 
 /// Decodes a frame that must fill `out` exactly.
-pub(crate) fn decode_frame(frame: &[u8], out: &mut [u8]) -> Result<(), FrameError> {
-    let invalid = |what: String| Err(FrameError::Invalid(what));
+pub(crate) fn decode_frame(frame: &[u8], out: &mut [u8]) -> Result<(), BloscError> {
+    let invalid = |what: String| Err(BloscError::Invalid(what));
     if frame.len() < HEADER_BYTES {
-        return invalid(format!("a Blosc frame of {} bytes, shorter than its header", frame.len()));
+        return invalid(format!("the Blosc frame has {} bytes, fewer than its header", frame.len()));
     }
     let (version, flags, typesize) = (frame[0], frame[2], usize::from(frame[3]));
     let byte_count = u32_at(frame, 4) as usize;
     let block_bytes = u32_at(frame, 8) as usize;
     let frame_bytes = u32_at(frame, 12) as usize;
     if version != 2 {
-        return Err(FrameError::Unsupported(format!("Blosc frame version {version}; only 2 is read")));
+        return Err(BloscError::Unsupported(format!(
+            "the Blosc frame has version {version}; only version 2 is supported"
+        )));
     }
     if byte_count != out.len() || frame_bytes > frame.len() {
         return invalid(format!(
-            "a Blosc frame of {frame_bytes} bytes for {byte_count} values' bytes; {} and {} are expected",
+            "the Blosc frame declares {frame_bytes} bytes that decompress to {byte_count}; expected {} and {}",
             frame.len(),
             out.len()
         ));
     }
     if flags & STORED != 0 {
         let Some(stored) = frame.get(HEADER_BYTES..HEADER_BYTES + byte_count) else {
-            return invalid("a stored Blosc frame that ends too soon".into());
+            return invalid("the stored Blosc frame ends too early".into());
         };
         out.copy_from_slice(stored);
         return Ok(());
     }
     if flags & BITS_SHUFFLED != 0 {
-        return Err(FrameError::Unsupported(
-            "Blosc with bit shuffle; rewrite the file with byte shuffle".into(),
+        return Err(BloscError::Unsupported(
+            "Blosc bit shuffle is not supported; rewrite the file with byte shuffle".into(),
         ));
     }
     if out.is_empty() {
@@ -149,7 +151,7 @@ pub(crate) fn decode_frame(frame: &[u8], out: &mut [u8]) -> Result<(), FrameErro
         || byte_count.div_ceil(block_bytes) > (frame.len() - HEADER_BYTES) / 4
     {
         return invalid(format!(
-            "a Blosc frame with elements of {typesize} and blocks of {block_bytes} bytes"
+            "the Blosc frame has an invalid element size of {typesize} or block size of {block_bytes} bytes"
         ));
     }
     let mut block = Vec::new();
@@ -158,13 +160,13 @@ pub(crate) fn decode_frame(frame: &[u8], out: &mut [u8]) -> Result<(), FrameErro
         let start = u32_at(frame, HEADER_BYTES + 4 * index) as usize;
         let split = flags & NOT_SPLIT == 0 && part.len() == block_bytes && is_split(typesize, block_bytes);
         let Some(bytes) = frame.get(start..) else {
-            return invalid(format!("a Blosc block starting at byte {start} of its frame"));
+            return invalid(format!("a Blosc block starts at byte {start}, outside its frame"));
         };
         block.resize(part.len(), 0);
         packed_bytes +=
             decode_block(bytes, flags >> CODEC_SHIFT, if split { typesize } else { 1 }, &mut block)?;
         if packed_bytes > frame.len() {
-            return invalid("a Blosc frame whose blocks lie over each other".into());
+            return invalid("the blocks of a Blosc frame overlap".into());
         }
         if flags & SHUFFLED != 0 && typesize > 1 {
             unshuffle(&block, typesize, part);
@@ -175,21 +177,21 @@ pub(crate) fn decode_frame(frame: &[u8], out: &mut [u8]) -> Result<(), FrameErro
     Ok(())
 }
 
-/// Decodes a block that must fill `out`, and returns how many bytes it has.
-fn decode_block(block: &[u8], codec: u8, stream_count: usize, out: &mut [u8]) -> Result<usize, FrameError> {
-    let invalid = |what: &str| Err(FrameError::Invalid(what.into()));
+/// Decodes a block that must fill `out`, and returns its compressed size in bytes.
+fn decode_block(block: &[u8], codec: u8, stream_count: usize, out: &mut [u8]) -> Result<usize, BloscError> {
+    let invalid = |what: &str| Err(BloscError::Invalid(what.into()));
     if !out.len().is_multiple_of(stream_count) {
-        return invalid("a Blosc block that does not divide into its streams");
+        return invalid("the size of a Blosc block is not a multiple of its number of streams");
     }
     let stream_bytes = out.len() / stream_count;
     let mut bytes = block;
     for stream in out.chunks_mut(stream_bytes) {
         let Some((size, rest)) = bytes.split_first_chunk::<4>() else {
-            return invalid("a Blosc block that ends before the size of a stream");
+            return invalid("a Blosc block ends before the size of a stream");
         };
         let size = u32::from_le_bytes(*size) as usize;
         if size > rest.len() {
-            return invalid("a Blosc stream that ends after its frame");
+            return invalid("a Blosc stream extends beyond its frame");
         }
         let (packed, rest) = rest.split_at(size);
         bytes = rest;
@@ -201,21 +203,22 @@ fn decode_block(block: &[u8], codec: u8, stream_count: usize, out: &mut [u8]) ->
             CODEC_LZ4 => lz4_flex::block::decompress_into(packed, stream).ok(),
             CODEC_BLOSCLZ => blosclz::decompress_into(packed, stream),
             CODEC_ZLIB => inflate_into(packed, stream),
-            other => return Err(FrameError::Unsupported(unsupported_codec(other))),
+            other => return Err(BloscError::Unsupported(unsupported_codec(other))),
         };
         if unpacked != Some(stream.len()) {
-            return invalid("a Blosc stream that does not decompress to its size");
+            return invalid("a Blosc stream does not decompress to the expected size");
         }
     }
     Ok(block.len() - bytes.len())
 }
 
-/// Whether a full block is cut into one stream per byte of its elements.
+/// Whether a full block is split into one stream per byte of its elements.
 fn is_split(typesize: usize, block_bytes: usize) -> bool {
     typesize <= SPLIT_TYPESIZE_MAX && block_bytes / typesize >= SPLIT_ELEMENTS_MIN
 }
 
-/// Decompresses a zlib stream into `out`; the number of bytes, or none if it is broken or larger.
+/// Decompresses a zlib stream into `out`. Returns the number of bytes, or `None` if it is invalid or too
+/// long.
 pub(crate) fn inflate_into(packed: &[u8], out: &mut [u8]) -> Option<usize> {
     let mut inflater = flate2::Decompress::new(true);
     match inflater.decompress(packed, out, flate2::FlushDecompress::Finish) {
@@ -230,7 +233,7 @@ fn unsupported_codec(codec: u8) -> String {
         4 => "Zstandard",
         _ => "unknown",
     };
-    format!("Blosc with the {name} codec; rewrite the file with LZ4, as OpenVDB itself does")
+    format!("the Blosc codec {name} is not supported; rewrite the file with LZ4, as OpenVDB does")
 }
 
 fn shuffle(bytes: &[u8], typesize: usize, out: &mut Vec<u8>) {
@@ -251,7 +254,7 @@ fn shuffle(bytes: &[u8], typesize: usize, out: &mut Vec<u8>) {
     out[whole..].copy_from_slice(&bytes[whole..]);
 }
 
-/// The sizes that we write, with the size known to the compiler: several times faster.
+/// The element sizes that we write, as compile-time constants: several times faster.
 fn shuffle_elements<const N: usize>(bytes: &[u8], count: usize, out: &mut [u8]) {
     let (elements, _) = bytes.as_chunks::<N>();
     for (k, stream) in out.chunks_exact_mut(count).take(N).enumerate() {
@@ -281,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn every_length_comes_back() {
+    fn frames_of_any_length_round_trip() {
         let mut encoder = Encoder::new();
         for count in 1..2000 {
             for typesize in [2, 4] {
@@ -299,7 +302,7 @@ mod tests {
     }
 
     #[test]
-    fn split_follows_the_length() {
+    fn long_blocks_are_split_into_streams() {
         let mut encoder = Encoder::new();
         for (count, flags) in [(64, 0x31), (127, 0x31), (128, 0x21), (512, 0x21)] {
             let mut frame = Vec::new();
@@ -309,9 +312,9 @@ mod tests {
         assert!(!encoder.append_frame(&[1; 124], 4, &mut Vec::new()));
     }
 
-    /// Many blocks of the same bytes would take time for bytes that are not there.
+    /// Overlapping blocks would make a small frame expensive to decode.
     #[test]
-    fn blocks_do_not_lie_over_each_other() {
+    fn overlapping_blocks_are_an_error() {
         let length = |bytes: &[u8]| u32::try_from(bytes.len()).expect("short");
         let packed = lz4_flex::block::compress(&distances(64));
         let stream = [&length(&packed).to_le_bytes(), &packed[..]].concat();
@@ -324,14 +327,14 @@ mod tests {
         let mut out = vec![0; 3 * 256];
         decode_frame(&frame(starts, &stream.repeat(3)), &mut out).expect("one after the other");
         assert_eq!(out, distances(64).repeat(3));
-        let Err(FrameError::Invalid(what)) = decode_frame(&frame([28; 3], &stream), &mut out) else {
+        let Err(BloscError::Invalid(what)) = decode_frame(&frame([28; 3], &stream), &mut out) else {
             panic!("blocks of the same bytes");
         };
-        assert!(what.contains("lie over each other"), "{what}");
+        assert!(what.contains("overlap"), "{what}");
     }
 
     #[test]
-    fn broken_frames_are_errors() {
+    fn invalid_frames_are_errors() {
         let bytes = distances(300);
         let mut frame = Vec::new();
         assert!(Encoder::new().append_frame(&bytes, 4, &mut frame));

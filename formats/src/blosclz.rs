@@ -1,20 +1,20 @@
-//! BloscLZ, the codec that is Blosc's own: FastLZ with longer distances.
+//! BloscLZ, Blosc's own codec: FastLZ with longer distances.
 //!
 //! ```text
 //!   000nnnnn                    n + 1 bytes follow as they are
-//!   lllddddd [255 ..] d         repeat l + 2 bytes, 7 going on in the bytes that follow, from d + 1 bytes back,
-//!                               13 bits; all of them set: 16 more bits say how much farther
+//!   lllddddd [255 ..] d         repeat l + 2 bytes (l = 7 continues in the next bytes) from d + 1 bytes back;
+//!                               13 bits; if all are set, add the next 16 bits
 //! ```
 //!
-//! The first instruction is always a literal one, so the three highest of its bits mean nothing.
+//! The first instruction is always a literal, so its three highest bits are ignored.
 //!
 //! This work is based on:
 //! the description of FastLZ level 2 by A. Hidayat, and streams made by c-blosc 1.21
 
-/// The greatest distance that 13 bits stand for.
+/// The largest distance that fits into 13 bits.
 const DISTANCE_MAX: usize = 8191;
 
-/// Decompresses into `out`; the number of bytes, or none if the stream is broken or longer.
+/// Decompresses into `out`. Returns the number of bytes, or `None` if the stream is invalid or too long.
 pub(crate) fn decompress_into(packed: &[u8], out: &mut [u8]) -> Option<usize> {
     let mut input = packed.iter().copied();
     let mut at = 0;
@@ -44,7 +44,7 @@ pub(crate) fn decompress_into(packed: &[u8], out: &mut [u8]) -> Option<usize> {
             }
             let start = at.checked_sub(distance)?;
             let end = at.checked_add(length).filter(|&end| end <= out.len())?;
-            // Byte by byte: what is repeated may reach into what it makes.
+            // Copied byte by byte, because the source can overlap the destination.
             for index in at..end {
                 out[index] = out[start + index - at];
             }
@@ -61,7 +61,7 @@ pub(crate) fn decompress_into(packed: &[u8], out: &mut [u8]) -> Option<usize> {
 mod tests {
     use super::*;
 
-    /// Made by c-blosc 1.21 from ten letters, repeated, around forty times `x`; twice.
+    /// Output of c-blosc 1.21 for ten letters, repeated, around forty times `x`; twice.
     const PACKED: [u8; 40] = [
         0x29, 0x61, 0x62, 0x63, 0x64, 0x65, 0x66, 0x67, 0x68, 0x69, 0x6a, 0xe0, 0x0a, 0x09, 0x01, 0x6a, 0x78,
         0xe0, 0x1d, 0x00, 0x00, 0x78, 0xe0, 0x0a, 0x3b, 0xe0, 0x0b, 0x4f, 0xe0, 0xff, 0x1a, 0x13, 0xe1, 0xff,
@@ -74,14 +74,14 @@ mod tests {
     }
 
     #[test]
-    fn streams_of_blosc_are_read() {
+    fn c_blosc_streams_are_decoded() {
         let mut out = vec![0; 740];
         assert_eq!(decompress_into(&PACKED, &mut out), Some(740));
         assert_eq!(out, unpacked());
     }
 
     #[test]
-    fn far_repeats_are_read() {
+    fn far_repeats_are_decoded() {
         let mut packed = vec![31];
         let start: Vec<u8> = (0..32).collect();
         packed.extend(&start);
@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn damage_is_survived() {
+    fn damaged_streams_do_not_panic() {
         let mut out = vec![0; 740];
         for length in 0..PACKED.len() {
             let _ = decompress_into(&PACKED[..length], &mut out);

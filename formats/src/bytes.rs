@@ -1,9 +1,9 @@
-//! A checked walk over the bytes of a binary file.
+//! A bounds-checked cursor over the bytes of a binary file.
 
 use crate::error::{Error, Place, Result};
 use crate::scalar::Scalar;
 
-/// The order of the bytes of a number.
+/// The byte order of numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Endian {
     /// Least significant byte first.
@@ -12,7 +12,7 @@ pub enum Endian {
     Big,
 }
 
-/// A position in a file, with reads that fail instead of passing the end.
+/// A position in a file whose reads fail instead of passing the end.
 #[derive(Clone, Debug)]
 pub(crate) struct Cursor<'a> {
     format: &'static str,
@@ -22,27 +22,27 @@ pub(crate) struct Cursor<'a> {
 }
 
 impl<'a> Cursor<'a> {
-    /// Starts at byte `at` of a file of the named format.
+    /// Starts at offset `at` of a file in the named format.
     pub(crate) fn new(format: &'static str, endian: Endian, bytes: &'a [u8], at: usize) -> Cursor<'a> {
         Cursor { format, endian, bytes, at: at.min(bytes.len()) }
     }
 
-    /// The order of the bytes of numbers.
+    /// The byte order of numbers.
     pub(crate) fn endian(&self) -> Endian {
         self.endian
     }
 
-    /// Bytes from the start of the file.
+    /// Offset in bytes from the start of the file.
     pub(crate) fn at(&self) -> usize {
         self.at
     }
 
-    /// Bytes up to the end of the file.
+    /// Number of bytes up to the end of the file.
     pub(crate) fn remaining(&self) -> usize {
         self.bytes.len() - self.at
     }
 
-    /// The next bytes; `what` names them in the error.
+    /// Takes the next bytes; `what` names them in the error.
     pub(crate) fn take(&mut self, length: usize, what: &str) -> Result<&'a [u8]> {
         match self.bytes[self.at..].get(..length) {
             Some(taken) => {
@@ -56,7 +56,7 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// The next bytes as an array.
+    /// Takes the next bytes as an array.
     pub(crate) fn array<const N: usize>(&mut self, what: &str) -> Result<[u8; N]> {
         let mut array = [0; N];
         array.copy_from_slice(self.take(N, what)?);
@@ -66,7 +66,7 @@ impl<'a> Cursor<'a> {
         Ok(array)
     }
 
-    /// The next number, which must be of an integer type.
+    /// Takes the next number, which must have an integer type.
     pub(crate) fn integer(&mut self, scalar: Scalar, what: &str) -> Result<i64> {
         Ok(match scalar {
             Scalar::I8 => i8::from_le_bytes(self.array(what)?).into(),
@@ -76,23 +76,23 @@ impl<'a> Cursor<'a> {
             Scalar::I32 => i32::from_le_bytes(self.array(what)?).into(),
             Scalar::U32 => u32::from_le_bytes(self.array(what)?).into(),
             Scalar::F32 | Scalar::F64 => {
-                return Err(self.invalid(format!("{what} must be of an integer type")));
+                return Err(self.invalid(format!("{what} must have an integer type")));
             }
         })
     }
 
-    /// The error that the file ends too soon, told at the present position.
+    /// Creates an error at the current position: the file ends too early.
     pub(crate) fn short(&self, what: impl Into<String>) -> Error {
         Error::short(self.format, Place::Offset(self.at as u64), what)
     }
 
-    /// An error at the present position.
+    /// Creates an error at the current position: the file is invalid.
     pub(crate) fn invalid(&self, what: impl Into<String>) -> Error {
         Error::invalid(self.format, Place::Offset(self.at as u64), what)
     }
 }
 
-/// The little-endian u32 at a position that is known to be there.
+/// The little-endian u32 at `position`, which must be in bounds.
 pub(crate) fn u32_at(bytes: &[u8], position: usize) -> u32 {
     u32::from_le_bytes([bytes[position], bytes[position + 1], bytes[position + 2], bytes[position + 3]])
 }
@@ -102,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_come_in_both_orders() {
+    fn integers_are_read_in_both_byte_orders() {
         let bytes = [0x01, 0x02, 0xff, 0xfe];
         let mut little = Cursor::new("test", Endian::Little, &bytes, 0);
         assert_eq!(little.integer(Scalar::U16, "n").unwrap(), 0x0201);
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn the_end_is_an_error_with_its_offset() {
+    fn reading_past_the_end_is_an_error_with_offset() {
         let mut cursor = Cursor::new("test", Endian::Little, &[1, 2, 3], 0);
         cursor.take(2, "x").unwrap();
         let error = cursor.take(usize::MAX, "the table").unwrap_err();

@@ -1,8 +1,8 @@
-//! Which columns make up which attribute, and what it means.
+//! Groups columns into attributes and recognises what they mean.
 //!
-//! PLY and delimited text know scalars only: a velocity arrives as three columns, and every
-//! producer has its own way to spell them. Here the spellings are taken apart and put together
-//! again; formats whose attributes are vectors already ask for the roles alone.
+//! PLY and delimited text only have scalars: a velocity arrives as three columns, and every program spells
+//! them differently. This module splits the spellings and joins the columns. Formats with vector attributes
+//! use only the roles.
 //!
 //! ```text
 //!   "Points:0" "Points:1" "Points:2"       ->  the position
@@ -13,45 +13,45 @@
 //!   temperature                            ->  temperature, arity 1, no role
 //! ```
 //!
-//! A name is matched without quotes, the prefix `scalar_` (CloudCompare), a unit in brackets, and
-//! case; what is kept as the attribute's name has the case of the file. Each role is given at most
-//! once: where two columns could have it, the one that stands first in the table below wins and the
-//! other stays an attribute without a role. The same holds for the position.
+//! Names are compared without quotes, the prefix `scalar_` (CloudCompare), a unit in brackets, and case; the
+//! attribute's name keeps the case of the file. Each role is assigned at most once: if two columns match, the
+//! one whose alias comes first in the table below gets the role and the other becomes an attribute without a
+//! role. The same applies to the position.
 
 use crate::data::Role;
 use crate::scalar::Scalar;
 use std::collections::HashMap;
 
-/// What a list of columns was understood as.
+/// The interpretation of a list of columns.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Columns {
-    /// The columns of the x, y and z of the position, or none were recognised. They may differ in type.
+    /// The columns of the position's x, y and z, or `None`. They can have different types.
     pub position: Option<[usize; 3]>,
-    /// Every other column, in exactly one group; ordered by the first column of each.
+    /// All other columns, each in exactly one group; ordered by the first column of each group.
     pub groups: Vec<Group>,
 }
 
-/// The columns that make up one attribute. All have the same type.
+/// The columns of one attribute. All have the same type.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Group {
-    /// The common stem of the columns, or the whole name (without quotes) of a single one.
+    /// The columns' common stem, or the whole name (without quotes) of a single column.
     pub name: String,
-    /// What it was recognised as.
+    /// Its recognised meaning.
     pub role: Option<Role>,
-    /// Indices into the list of columns, in the order of the components; never empty.
+    /// Indices into the list of columns, in component order; never empty.
     pub columns: Vec<usize>,
-    /// What the values must be multiplied by: 0.5 for a diameter, which becomes a radius; else 1.
+    /// Factor for the values: 0.5 for a diameter, which becomes a radius, else 1.
     pub scale: f64,
 }
 
 impl Group {
-    /// Values per particle.
+    /// Number of values per particle.
     pub fn arity(&self) -> usize {
         self.columns.len()
     }
 }
 
-/// Sorts named columns into the position and attributes.
+/// Groups named columns into the position and attributes.
 pub fn group_columns(columns: &[(&str, Scalar)]) -> Columns {
     let names: Vec<&str> = columns.iter().map(|(name, _)| matched_part(name)).collect();
     let mut families = Families::collect(&names);
@@ -81,12 +81,12 @@ pub fn group_columns(columns: &[(&str, Scalar)]) -> Columns {
     Columns { position, groups }
 }
 
-/// What an attribute of this name and arity means.
+/// The role of an attribute with this name and arity.
 pub fn role_of(name: &str, arity: usize) -> Option<Role> {
     ranked_role(name, arity).map(|(role, _)| role)
 }
 
-/// What each of the attributes, given as name and arity, means; no role is given twice.
+/// The roles of attributes, given as name and arity. Each role is assigned at most once.
 pub fn roles_of(attributes: &[(&str, usize)]) -> Vec<Option<Role>> {
     let ranked: Vec<_> = attributes.iter().map(|&(name, arity)| ranked_role(name, arity)).collect();
     let mut roles = vec![None; attributes.len()];
@@ -102,30 +102,30 @@ pub fn roles_of(attributes: &[(&str, usize)]) -> Vec<Option<Role>> {
     roles
 }
 
-/// The names by which an attribute with this role is known, in lower case, the best first.
+/// The known names of attributes with this role, in lower case, best first.
 pub fn aliases(role: Role) -> &'static [&'static str] {
     ROLES.iter().find(|(named, _)| *named == role).map_or(&[], |(_, aliases)| aliases)
 }
 
-/// The rank of a name among those of a position of three values, lower being better; `None` of any other name.
+/// The rank of a name among those of a vector position, lower being better; `None` if it is not one.
 pub(crate) fn position_rank(name: &str) -> Option<usize> {
     let stem = matched_part(name).to_ascii_lowercase();
     let names = POSITIONS.iter().chain(&["x", "xyz", "r"]);
     names.skip(1).position(|&alias| alias == stem)
 }
 
-/// What the values of an attribute with [`Role::Radius`] must be multiplied by to be radii.
+/// The factor that turns values of an attribute with [`Role::Radius`] into radii.
 pub fn radius_scale(name: &str) -> f64 {
     let name = matched_part(name).to_ascii_lowercase();
     if DIAMETERS.contains(&name.as_str()) { 0.5 } else { 1.0 }
 }
 
-/// The unit that a name carries in brackets: `m/s` in `"Vel.x [m/s]"`.
+/// The unit in brackets at the end of a name: `m/s` in `"Vel.x [m/s]"`.
 pub fn unit_of(name: &str) -> Option<&str> {
     split_unit(unquoted(name)).1
 }
 
-/// A name without the quotes and spaces around it.
+/// A name without surrounding quotes and spaces.
 pub fn unquoted(name: &str) -> &str {
     let name = name.trim();
     for quote in ['"', '\''] {
@@ -136,7 +136,7 @@ pub fn unquoted(name: &str) -> &str {
     name
 }
 
-/// The role and its rank among the aliases, lower being better.
+/// The role and the rank of the alias, lower being better.
 fn ranked_role(name: &str, arity: usize) -> Option<(Role, usize)> {
     let stem = matched_part(name);
     if stem == "U" && arity == 3 {
@@ -154,7 +154,7 @@ fn ranked_role(name: &str, arity: usize) -> Option<(Role, usize)> {
     })
 }
 
-/// The part of a name that carries its meaning.
+/// The part of a name that is compared with the aliases.
 fn matched_part(name: &str) -> &str {
     let (name, _) = split_unit(unquoted(name));
     match name.get(..7) {
@@ -163,7 +163,7 @@ fn matched_part(name: &str) -> &str {
     }
 }
 
-/// Cuts ` [unit]` or ` (unit)` off the end. An index such as `[0]` is no unit.
+/// Splits ` [unit]` or ` (unit)` off the end. An index such as `[0]` is not a unit.
 fn split_unit(name: &str) -> (&str, Option<&str>) {
     for (open, close) in [('[', ']'), ('(', ')')] {
         let Some(inside) = name.strip_suffix(close) else { continue };
@@ -176,7 +176,7 @@ fn split_unit(name: &str) -> (&str, Option<&str>) {
     (name, None)
 }
 
-/// How a component is attached to the stem. Columns of one attribute are spelled in one way.
+/// How a component is appended to the stem. All columns of an attribute use the same spelling.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Spelling {
     /// `vx`
@@ -187,11 +187,11 @@ enum Spelling {
     ColorLetter(char),
     /// `v_0`, `v:0`, and `v[0]` with the bracket as separator.
     Digit(char),
-    /// A family whose members have nothing in common, such as red, green, blue: index into `WORDS`.
+    /// Names without a common stem, such as red, green, blue: index into `WORDS`.
     Word(usize),
 }
 
-/// Takes `velocity_x` apart into the stem, the spelling and the number of the component.
+/// Splits `velocity_x` into the stem, the spelling and the component index.
 fn split_component(name: &str) -> Option<(&str, Spelling, usize)> {
     for (family, (_, words)) in WORDS.iter().enumerate() {
         if let Some(component) = words.iter().position(|word| word.eq_ignore_ascii_case(name)) {
@@ -230,7 +230,7 @@ fn letter_index(letters: &str, component: &str) -> Option<usize> {
     letters.find(component.to_ascii_lowercase().as_str()).filter(|_| component.len() == 1)
 }
 
-/// One stem in one spelling, and the column of each component seen.
+/// A stem in one spelling, with the columns of its components.
 struct Family<'a> {
     stem: &'a str,
     spelling: Spelling,
@@ -238,7 +238,7 @@ struct Family<'a> {
 }
 
 impl Family<'_> {
-    /// The columns of components 0, 1, 2 and so on, as far as none is missing.
+    /// The columns of components 0, 1, 2 and so on, up to the first missing one.
     fn contiguous(&mut self) -> Vec<usize> {
         self.components.sort_unstable();
         self.components.dedup_by_key(|(component, _)| *component);
@@ -254,7 +254,7 @@ impl Family<'_> {
     }
 }
 
-/// All families of a list of columns, in order of appearance.
+/// All families in a list of columns, in order of appearance.
 struct Families<'a> {
     list: Vec<Family<'a>>,
 }
@@ -274,7 +274,7 @@ impl<'a> Families<'a> {
         Families { list }
     }
 
-    /// The columns of the position: of all families that spell one, the one named best.
+    /// The columns of the position: of all families that spell one, the family with the best name.
     fn position(&mut self) -> Option<[usize; 3]> {
         let mut best: Option<(usize, [usize; 3])> = None;
         for family in &mut self.list {
@@ -294,7 +294,7 @@ impl<'a> Families<'a> {
         best.map(|(_, position)| position)
     }
 
-    /// The groups of more than one column; marks their columns as taken.
+    /// The groups with more than one column; marks their columns as taken.
     fn vectors(&mut self, columns: &[(&str, Scalar)], taken: &mut [bool]) -> Vec<Group> {
         let mut groups = Vec::new();
         for family in &mut self.list {
@@ -317,7 +317,7 @@ impl<'a> Families<'a> {
     }
 }
 
-/// Stems of the position, best first. The empty one stands for plain `x y z`.
+/// Stems of the position, best first. The empty stem means plain `x y z`.
 const POSITIONS: &[&str] = &[
     "",
     "position",
@@ -333,7 +333,7 @@ const POSITIONS: &[&str] = &[
     "unwrapped",
 ];
 
-/// Families whose members share no stem, under the name that the attribute gets.
+/// Families without a common stem, and the name of the resulting attribute.
 const WORDS: &[(&str, &[&str])] = &[
     ("color", &["red", "green", "blue", "alpha"]),
     ("color", &["r", "g", "b", "a"]),
@@ -368,14 +368,14 @@ const ROLES: &[(Role, &[&str])] = &[
     (Role::Kind, &["type", "phase", "mk", "group", "piece"]),
 ];
 
-/// Aliases of the radius that hold twice the radius.
+/// Aliases of the radius whose values are diameters.
 const DIAMETERS: &[&str] = &["diameter", "particle_diameter", "diam", "width", "widths"];
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// One line per attribute: `name columns role scale`, after one for the position.
+    /// Describes the position on the first line, then one line per attribute: `name columns role scale`.
     fn described(header: &str) -> String {
         let columns: Vec<(&str, Scalar)> = header.split(',').map(|name| (name, Scalar::F32)).collect();
         describe(&group_columns(&columns))
@@ -396,7 +396,7 @@ mod tests {
     }
 
     #[test]
-    fn headers_of_real_producers_are_understood() {
+    fn headers_of_known_programs_are_grouped() {
         let table = [
             ("x,y,z", "[0, 1, 2]"),
             ("z,y,x", "[2, 1, 0]"),
@@ -409,7 +409,7 @@ mod tests {
             ("Points_0,Points_1,Points_2", "[0, 1, 2]"),
             ("Position X (m),Position Y (m),Position Z (m)", "[0, 1, 2]"),
             ("xu,yu,zu", "[0, 1, 2]"),
-            // A family of positions that is not complete is none.
+            // An incomplete family of positions is not a position.
             ("x,y", "[] | x [0] | y [1]"),
             // Taichi.
             (
@@ -454,7 +454,7 @@ mod tests {
     }
 
     #[test]
-    fn one_role_goes_to_one_attribute() {
+    fn each_role_is_assigned_once() {
         let table = [
             ("x,y,z,pscale,radius", "[0, 1, 2] | pscale [3] | radius [4] Radius"),
             ("x,y,z,width,diameter", "[0, 1, 2] | width [3] | diameter [4] Radius *0.5"),
@@ -473,7 +473,7 @@ mod tests {
     }
 
     #[test]
-    fn broken_families_stay_scalars() {
+    fn incomplete_families_stay_scalars() {
         let table = [
             ("x,y,z,vx,vy", "[0, 1, 2] | vx [3] | vy [4]"),
             ("x,y,z,a_1,a_2", "[0, 1, 2] | a_1 [3] | a_2 [4]"),
@@ -496,7 +496,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_of_different_types_make_a_position_but_no_attribute() {
+    fn columns_of_mixed_types_form_a_position_but_no_vector() {
         let columns = [
             ("x", Scalar::F32),
             ("y", Scalar::F64),
@@ -509,7 +509,7 @@ mod tests {
     }
 
     #[test]
-    fn splats_are_grouped() {
+    fn gaussian_splat_columns_are_grouped() {
         let mut header = String::from("x,y,z,nx,ny,nz,f_dc_0,f_dc_1,f_dc_2");
         for index in 0..45 {
             header += &format!(",f_rest_{index}");
@@ -525,7 +525,7 @@ mod tests {
     }
 
     #[test]
-    fn vector_attributes_have_roles() {
+    fn names_and_arities_give_roles() {
         let table = [
             ("v", 3, Some(Role::Velocity)),
             ("velocity", 3, Some(Role::Velocity)),
@@ -556,7 +556,7 @@ mod tests {
     }
 
     #[test]
-    fn units_are_told_from_indices() {
+    fn units_are_distinguished_from_indices() {
         let table = [
             ("Vel.x [m/s]", Some("m/s")),
             ("\"Rhop [kg/m^3]\"", Some("kg/m^3")),

@@ -1,4 +1,4 @@
-//! The compression of whole files: gzip or Zstandard.
+//! Whole-file compression: gzip and Zstandard.
 
 use std::borrow::Cow;
 use std::io::{self, Read};
@@ -7,19 +7,19 @@ use crate::error::Result;
 use crate::limits::Limits;
 use crate::{gzip, zstd};
 
-/// How a file is compressed.
+/// A compression format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Codec {
-    /// gzip, of one member or of several.
+    /// gzip, with one or more members.
     Gzip,
-    /// Zstandard, of one frame or of several.
+    /// Zstandard, with one or more frames.
     Zstd,
 }
 
 impl Codec {
     pub(crate) const ALL: [Codec; 2] = [Codec::Gzip, Codec::Zstd];
 
-    /// The first bytes of a file.
+    /// The signature: the first bytes of a file.
     pub(crate) fn beginning(self) -> &'static [u8] {
         match self {
             Codec::Gzip => b"\x1f\x8b",
@@ -27,7 +27,7 @@ impl Codec {
         }
     }
 
-    /// Bytes of the smallest file: one with nothing in it.
+    /// The size in bytes of a file with empty content.
     pub(crate) fn file_bytes_min(self) -> u64 {
         match self {
             Codec::Gzip => 20, // header, an empty block, checksum and length
@@ -35,15 +35,15 @@ impl Codec {
         }
     }
 
-    /// What has been done to the file: `gzipped`.
+    /// A participle for messages, such as `gzipped`.
     pub fn participle(self) -> &'static str {
         match self {
             Codec::Gzip => "gzipped",
-            Codec::Zstd => "packed by zstd",
+            Codec::Zstd => "compressed with zstd",
         }
     }
 
-    /// Tells by the first bytes.
+    /// Recognises the compression by the first bytes.
     pub(crate) fn of(bytes: &[u8]) -> Option<Codec> {
         match bytes {
             _ if gzip::is_gzip(bytes) => Some(Codec::Gzip),
@@ -52,24 +52,25 @@ impl Codec {
         }
     }
 
-    /// All of the content.
-    pub(crate) fn unpack(self, bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
+    /// Decompresses the whole file.
+    pub(crate) fn decompress(self, bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
         match self {
             Codec::Gzip => gzip::inflate(bytes, limits),
-            Codec::Zstd => zstd::unpack(bytes, limits),
+            Codec::Zstd => zstd::decompress(bytes, limits),
         }
     }
 
-    /// The first bytes of the content, as many as can be had, at most `length`.
-    pub(crate) fn unpack_head(self, bytes: &[u8], length: usize) -> Vec<u8> {
+    /// Decompresses the first bytes of the content: at most `length`, or fewer if the input ends or is
+    /// damaged.
+    pub(crate) fn decompress_head(self, bytes: &[u8], length: usize) -> Vec<u8> {
         match self {
             Codec::Gzip => gzip::inflate_head(bytes, length),
-            Codec::Zstd => zstd::unpack_head(bytes, length),
+            Codec::Zstd => zstd::decompress_head(bytes, length),
         }
     }
 
-    /// Looks for damage in the first bytes without keeping what comes out of them: what little could be
-    /// unpacked of a damaged file may look like anything.
+    /// Checks the first bytes for damage without keeping the decompressed data: the readable part of a
+    /// damaged file could look like any format.
     pub(crate) fn check_start(self, bytes: &[u8]) -> Result<()> {
         match self {
             Codec::Gzip => gzip::check_start(bytes),
@@ -78,22 +79,22 @@ impl Codec {
     }
 }
 
-/// The content of a file, compressed or not.
+/// The content of a file, decompressed if necessary.
 ///
 /// # Errors
-/// [`crate::Error::Short`] if it ends too soon, [`crate::Error::Invalid`] if it is damaged, with the offset in the compressed
-/// file; [`crate::Error::TooLarge`] beyond the limits on decompression.
+/// [`crate::Error::Short`] if the file ends too early, [`crate::Error::Invalid`] if it is damaged, both with
+/// the offset in the compressed file; [`crate::Error::TooLarge`] beyond the limits on decompression.
 pub fn unpacked<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Cow<'a, [u8]>> {
     match Codec::of(bytes) {
-        Some(codec) => codec.unpack(bytes, limits).map(Cow::Owned),
+        Some(codec) => codec.decompress(bytes, limits).map(Cow::Owned),
         None => Ok(Cow::Borrowed(bytes)),
     }
 }
 
-/// The first bytes of a file: `length`, or more where less shows nothing of what is compressed in it.
+/// Reads the first `length` bytes of a file, or more if a compressed file needs them to yield any content.
 ///
 /// # Errors
-/// When the source cannot be read.
+/// Those of the source.
 pub fn read_head(mut source: impl Read, length: u64) -> io::Result<Vec<u8>> {
     let mut head = Vec::new();
     source.by_ref().take(length).read_to_end(&mut head)?;

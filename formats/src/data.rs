@@ -1,6 +1,6 @@
-//! The plain data that readers return and writers take.
+//! The plain data types that readers return and writers take.
 //!
-//! Everything is a public vector or a borrowed slice; there are no invariants beyond equal lengths.
+//! Everything is a public vector or a borrowed slice. The only invariants are equal lengths.
 
 use std::fmt;
 
@@ -24,7 +24,7 @@ impl Positions {
         }
     }
 
-    /// Whether there is no particle.
+    /// Whether there are no particles.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -36,16 +36,16 @@ impl Default for Positions {
     }
 }
 
-/// What an attribute means to a renderer or to the method, whatever the file calls it.
+/// The meaning of an attribute for a renderer or for the reconstruction, independent of its name in the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
     /// World units per second, arity 3.
     Velocity,
     /// Direction, arity 3.
     Normal,
-    /// Red, green, blue and perhaps alpha, arity 3 or 4.
+    /// Red, green, blue and optionally alpha, arity 3 or 4.
     Color,
-    /// World units, arity 1. (A file's diameter or width is halved by the reader.)
+    /// World units, arity 1. (The reader halves a diameter or width.)
     Radius,
     /// Arity 1.
     Density,
@@ -57,12 +57,12 @@ pub enum Role {
     Kind,
 }
 
-/// The values of one attribute, `arity` of them per particle, particle by particle.
+/// The values of one attribute: `arity` values per particle, particle by particle.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Values {
-    /// 32-bit reals.
+    /// 32-bit floats.
     F32(Vec<f32>),
-    /// 64-bit reals.
+    /// 64-bit floats.
     F64(Vec<f64>),
     /// Unsigned bytes (colours in 0..=255, flags).
     U8(Vec<u8>),
@@ -70,7 +70,7 @@ pub enum Values {
     I32(Vec<i32>),
     /// Wider integers, and unsigned 32-bit ones.
     I64(Vec<i64>),
-    /// Indices into a table of strings; an index outside the table means none.
+    /// Indices into a table of strings; an index outside the table means "no string".
     Strings {
         /// The distinct strings.
         table: Vec<String>,
@@ -79,21 +79,21 @@ pub enum Values {
     },
 }
 
-/// One named attribute of all particles.
+/// A named attribute of all particles.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Attribute {
-    /// The name in the file; for a vector that the file splits into columns, the common stem.
+    /// The name in the file; for a vector split into columns, the columns' common stem.
     pub name: String,
-    /// Values per particle.
+    /// Number of values per particle.
     pub arity: usize,
-    /// What it was recognised as.
+    /// Its recognised meaning.
     pub role: Option<Role>,
     /// `arity` values per particle.
     pub values: Values,
 }
 
 impl Attribute {
-    /// Multiplies an attribute; integers become reals.
+    /// Multiplies all values; integers become floats.
     pub(crate) fn scale(&mut self, factor: f64) {
         if factor == 1.0 {
             return;
@@ -110,7 +110,7 @@ impl Attribute {
             Values::I32(values) => {
                 self.values = Values::F64(values.iter().map(|&value| f64::from(value) * factor).collect());
             }
-            // At most 32 bits of a 64-bit integer are in use here: the conversion is exact.
+            // The 64-bit integers here use at most 32 bits, so the conversion is exact.
             Values::I64(values) => {
                 self.values = Values::F64(values.iter().map(|&value| value as f64 * factor).collect());
             }
@@ -122,76 +122,78 @@ impl Attribute {
 /// One frame of particles.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ParticleFrame {
-    /// Where the particles are. Not yet checked for being finite.
+    /// Particle positions, not yet checked for being finite.
     pub positions: Positions,
-    /// Everything else the file says of each particle.
+    /// All other data of the particles.
     pub attributes: Vec<Attribute>,
-    /// What a user should know though the file was read: rows skipped, columns guessed.
+    /// Notes for the user on a file that was read successfully: rows skipped, columns guessed.
     pub notes: Vec<String>,
 }
 
-/// What made a file: name and value pairs, written in this order.
-/// No clock, host, path or random number belongs here: equal inputs make equal bytes.
+/// How a file was made: pairs of name and value, written in this order. Must not contain times, hosts, paths
+/// or random numbers, so that equal inputs give equal bytes.
 pub type Provenance = [(String, String)];
 
-/// A triangle mesh to write: borrowed from whoever made it.
+/// A borrowed triangle mesh to write.
 #[derive(Clone, Copy, Debug)]
 pub struct MeshView<'a> {
     /// Vertex positions relative to `origin`, world units.
     pub positions: &'a [[f32; 3]],
-    /// Unit vertex normals, pointing outward; as many as positions.
+    /// Unit vertex normals, pointing outward; one per position.
     pub normals: &'a [[f32; 3]],
     /// Vertex indices, counter-clockwise seen from outside.
     pub triangles: &'a [[u32; 3]],
     /// World position of the point that `positions` are relative to.
     pub origin: [f64; 3],
-    /// What else is known of the vertices.
+    /// Vertex attributes.
     pub attributes: &'a [VertexAttribute<'a>],
 }
 
 impl MeshView<'_> {
-    /// Refuses a mesh that no file can hold: unequal lengths, indices of no vertex, numbers that
-    /// are not finite. `format` is named in the error.
+    /// Fails if the mesh is invalid: unequal lengths, out-of-range indices, or numbers that are not finite.
+    /// `format` is named in the error.
     pub(crate) fn check(&self, format: &'static str) -> Result<()> {
         let invalid = |what: String| Err(Error::invalid(format, Place::File, what));
         let (vertices, normals) = (self.positions.len(), self.normals.len());
         if vertices != normals {
-            return invalid(format!("{normals} normals for {vertices} vertices"));
+            return invalid(format!("the mesh has {normals} normals for {vertices} vertices"));
         }
         if let Some(index) = self.triangles.as_flattened().iter().find(|index| **index as usize >= vertices) {
-            return invalid(format!("a triangle with vertex {index} of {vertices}"));
+            return invalid(format!(
+                "a triangle has vertex index {index}, but the mesh has {vertices} vertices"
+            ));
         }
         if !all_finite(self.positions.as_flattened()) || !all_finite(self.normals.as_flattened()) {
-            return invalid("a vertex whose position or normal is not finite".into());
+            return invalid("the position or normal of a vertex is not finite".into());
         }
         if !self.origin.iter().all(|c| c.is_finite()) {
-            return invalid(format!("an origin at {:?}", self.origin));
+            return invalid(format!("the origin {:?} is not finite", self.origin));
         }
         self.attributes.iter().try_for_each(|attribute| attribute.check(vertices, format))
     }
 }
 
-/// One named attribute of all vertices: borrowed from whoever made it.
+/// A borrowed, named attribute of all vertices.
 #[derive(Clone, Copy, Debug)]
 pub struct VertexAttribute<'a> {
-    /// Its name among the particles.
+    /// Its name, as in the particle file.
     pub name: &'a str,
-    /// What it was recognised as.
+    /// Its recognised meaning.
     pub role: Option<Role>,
-    /// Values per vertex, at least 1.
+    /// Number of values per vertex, at least 1.
     pub arity: usize,
     /// `arity` values per vertex, vertex by vertex.
     pub values: VertexValues<'a>,
 }
 
-/// The values of one attribute.
+/// The values of a vertex attribute.
 #[derive(Clone, Copy, Debug)]
 pub enum VertexValues<'a> {
     /// Finite numbers.
     Numbers(&'a [f32]),
-    /// Numbers that name something.
+    /// Integers that identify something.
     Integers(&'a [i64]),
-    /// Indices into a table of strings; an index outside the table means none.
+    /// Indices into a table of strings; an index outside the table means "no string".
     Strings {
         /// The distinct strings.
         table: &'a [String],
@@ -201,7 +203,7 @@ pub enum VertexValues<'a> {
 }
 
 impl<'a> VertexAttribute<'a> {
-    /// Refuses what no file can hold: lengths that do not fit, numbers that are not finite.
+    /// Fails if the attribute is invalid: lengths that do not match, or numbers that are not finite.
     pub(crate) fn check(&self, vertex_count: usize, format: &'static str) -> Result<()> {
         let VertexAttribute { name, arity, values, .. } = self;
         let found = match values {
@@ -211,18 +213,20 @@ impl<'a> VertexAttribute<'a> {
         };
         let invalid = |what: String| Err(Error::invalid(format, Place::File, what));
         if *arity == 0 || vertex_count.checked_mul(*arity) != Some(found) {
-            return invalid(format!("{found} values of {name} for {vertex_count} vertices of {arity} each"));
+            return invalid(format!(
+                "attribute {name} has {found} values for {vertex_count} vertices with {arity} values each"
+            ));
         }
         if let VertexValues::Numbers(values) = values
             && !all_finite(values)
         {
-            return invalid(format!("a value of {name} that is not finite"));
+            return invalid(format!("attribute {name} has a value that is not finite"));
         }
         Ok(())
     }
 }
 
-/// Whether all numbers are finite. No branch depends on a single one.
+/// Whether all numbers are finite. Branch-free per number, so that it vectorises.
 pub(crate) fn all_finite(numbers: &[f32]) -> bool {
     numbers.iter().fold(true, |all, number| all & number.is_finite())
 }
@@ -232,50 +236,51 @@ pub(crate) fn all_finite(numbers: &[f32]) -> bool {
 pub struct MeshData {
     /// Vertex positions, world units.
     pub positions: Vec<[f64; 3]>,
-    /// Vertex normals, or none.
+    /// Vertex normals, or empty.
     pub normals: Vec<[f32; 3]>,
-    /// Vertex indices; larger polygons are cut into triangle fans.
+    /// Vertex indices; readers cut larger polygons into triangle fans.
     pub triangles: Vec<[u32; 3]>,
 }
 
 /// A narrow-band level set to write, leaf by leaf.
 ///
-/// A leaf holds the 8 × 8 × 8 voxels from its origin on, z fastest: voxel (x, y, z) relative to the
-/// origin is value `x·64 + y·8 + z`. Values are signed distances **in voxels**, negative inside;
-/// the writer multiplies by `voxel_size`. Where there is no leaf, the sign of the nearest leaf
-/// decides between inside and outside.
+/// A leaf holds the 8 × 8 × 8 voxels that start at its origin, z fastest: voxel (x, y, z) relative to the
+/// origin is value `x·64 + y·8 + z`. Values are signed distances **in voxels**, negative inside; the writer
+/// multiplies them by `voxel_size`. Outside all leaves, the sign of the nearest leaf decides between inside
+/// and outside.
 #[derive(Clone, Copy, Debug)]
 pub struct LevelSetView<'a> {
     /// Leaf origins in voxels, multiples of 8, distinct, in any order.
     pub origins: &'a [[i32; 3]],
-    /// Values of each leaf. Values beyond ± `half_width_voxels` are allowed, and written as that.
+    /// Values of each leaf. The writer clamps values beyond ± `half_width_voxels`.
     pub leaves: &'a [[f32; 512]],
     /// Half the thickness of the band, positive; times `voxel_size` it is the background value.
     pub half_width_voxels: f32,
-    /// Edge length of a voxel, world units. Voxel (0, 0, 0) is centred on the world's origin,
-    /// unless the writer is told otherwise.
+    /// Edge length of a voxel, world units. Voxel (0, 0, 0) is centred on the world's origin unless the
+    /// writer is given an offset.
     pub voxel_size: f64,
-    /// What else is known of the voxels of the band.
+    /// Additional grids with the attributes of the band's voxels.
     pub grids: &'a [BandGrid<'a>],
 }
 
-/// Values at the voxels of a level set's band: a grid of its own beside it, active where the level set is.
+/// Values at the voxels of a level set's band: a separate grid, active where the level set is.
 #[derive(Clone, Copy, Debug)]
 pub struct BandGrid<'a> {
-    /// Its name among the particles. A velocity's grid is called `velocity`, whatever its name.
+    /// Its name, as in the particle file. The grid of a velocity is always called `velocity`.
     pub name: &'a str,
-    /// What it was recognised as.
+    /// Its recognised meaning.
     pub role: Option<Role>,
-    /// Values per voxel: 1, or 3 for a vector.
+    /// Number of values per voxel: 1, or 3 for a vector.
     pub arity: usize,
-    /// Where they come from.
+    /// The source of the values.
     pub values: &'a dyn LeafValues,
 }
 
-/// The values of a grid, leaf by leaf as they are asked for: all of them at once would take several times the
+/// Computes the values of a grid on demand, leaf by leaf: all of them at once would take several times the
 /// memory of the level set.
 pub trait LeafValues: fmt::Debug + Sync {
-    /// Fills in the values of the 512 voxels of a leaf, which is counted as in [`LevelSetView::leaves`]; as many for
-    /// each as the grid's arity. What voxels beyond the band get is not looked at; others must be finite.
+    /// Fills in the values of the 512 voxels of a leaf, with the grid's arity for each. `leaf` is an index
+    /// into [`LevelSetView::leaves`]. Values of voxels outside the band are ignored; all others must be
+    /// finite.
     fn fill(&self, leaf: usize, out: &mut [f32]);
 }

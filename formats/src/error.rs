@@ -1,21 +1,21 @@
-//! What can go wrong with a file, told so that its owner can mend it.
+//! Errors of readers and writers, with enough detail for users to fix their files.
 //!
-//! Five kinds, because they call for five different reactions: `Io` may pass by itself, `Short` may
-//! pass when whoever writes the file goes on, `Invalid` needs the file to change, `Unsupported` needs
-//! this program to change, `TooLarge` needs a limit to change. The name of the file is added by
-//! whoever opened it.
+//! There are five kinds because they call for five reactions. `Io` may be temporary. `Short` may disappear
+//! when the program that writes the file continues. `Invalid` means that the file must change, `Unsupported`
+//! that this program must change, and `TooLarge` that a limit must change. The caller, who opened the file,
+//! adds its name.
 
 use std::fmt;
 
-/// A result with this crate's error.
+/// A result with this crate's error type.
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// Where in a file something was found.
+/// A location in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place {
-    /// Bytes from the start of the (decompressed) file.
+    /// Offset in bytes from the start of the (decompressed) file.
     Offset(u64),
-    /// Line number, from 1.
+    /// Line number, starting at 1.
     Line(u64),
     /// The file as a whole.
     File,
@@ -34,65 +34,65 @@ impl fmt::Display for Place {
 /// Why a file could not be read or written.
 #[derive(Debug)]
 pub enum Error {
-    /// The operating system refused.
+    /// The operating system reported an error.
     Io(std::io::Error),
-    /// The file ends too soon. What there is of it may be the beginning of a good one.
+    /// The file ends too early. The bytes so far may be the beginning of a valid file.
     Short {
-        /// The format as users know it, such as `PLY`; nothing where there is too little to tell.
+        /// The format's name, such as `PLY`; empty if the file is too short to recognise.
         format: &'static str,
-        /// Where.
+        /// Location of the error.
         place: Place,
         /// One sentence: what was expected and what was found.
         what: String,
     },
-    /// The file contradicts its own format.
+    /// The file violates its format.
     Invalid {
-        /// The format as users know it, such as `PLY`.
+        /// The format's name, such as `PLY`.
         format: &'static str,
-        /// Where.
+        /// Location of the error.
         place: Place,
         /// One sentence: what was expected and what was found.
         what: String,
     },
-    /// The file is fine as far as can be told; this program does not read it.
+    /// The file seems valid, but this program does not support it.
     Unsupported {
-        /// The format as users know it, such as `Houdini JSON geometry`.
+        /// The format's name, such as `Houdini JSON geometry`.
         format: &'static str,
-        /// One sentence: what it is, and what to do instead.
+        /// One sentence: what the file is, and what to do instead.
         what: String,
     },
-    /// The file asks for more than the given [`crate::Limits`].
+    /// The file exceeds one of the [`crate::Limits`].
     TooLarge {
-        /// The format as users know it.
+        /// The format's name.
         format: &'static str,
-        /// One sentence: what was asked for and what the limit is.
+        /// One sentence: what the file needs and what the limit is.
         what: String,
     },
 }
 
 impl Error {
-    /// An [`Error::Short`].
+    /// Creates an [`Error::Short`].
     pub fn short(format: &'static str, place: Place, what: impl Into<String>) -> Error {
         Error::Short { format, place, what: what.into() }
     }
 
-    /// An [`Error::Invalid`].
+    /// Creates an [`Error::Invalid`].
     pub fn invalid(format: &'static str, place: Place, what: impl Into<String>) -> Error {
         Error::Invalid { format, place, what: what.into() }
     }
 
-    /// An [`Error::Unsupported`].
+    /// Creates an [`Error::Unsupported`].
     pub fn unsupported(format: &'static str, what: impl Into<String>) -> Error {
         Error::Unsupported { format, what: what.into() }
     }
 
-    /// An [`Error::TooLarge`].
+    /// Creates an [`Error::TooLarge`].
     pub fn too_large(format: &'static str, what: impl Into<String>) -> Error {
         Error::TooLarge { format, what: what.into() }
     }
 
-    /// The same error under the name of another format, which holds what was being read.
-    pub(crate) fn of_format(self, format: &'static str) -> Error {
+    /// The same error with another format name: that of the container format.
+    pub(crate) fn with_format(self, format: &'static str) -> Error {
         match self {
             Error::Short { place, what, .. } => Error::Short { format, place, what },
             Error::Invalid { place, what, .. } => Error::Invalid { format, place, what },
@@ -102,7 +102,8 @@ impl Error {
         }
     }
 
-    /// The same error of a file that has so many more lines before those that were read.
+    /// The same error with its line number increased by `count`, for a reader that started `count` lines into
+    /// the file.
     pub fn lines_later(mut self, count: u64) -> Error {
         if let Error::Short { place: Place::Line(line), .. }
         | Error::Invalid { place: Place::Line(line), .. } = &mut self
@@ -112,7 +113,7 @@ impl Error {
         self
     }
 
-    /// Whether the file ends too soon, so that it may still be growing.
+    /// Whether the file ends too early, which can mean that it is still being written.
     pub fn is_short(&self) -> bool {
         matches!(self, Error::Short { .. })
     }
@@ -122,7 +123,7 @@ impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Error::Io(source) => write!(f, "{source}"),
-            // What is wrong with a file that has no format yet is wrong with all of it.
+            // Without a recognised format, the message alone describes the whole file.
             Error::Short { format: "", what, .. } | Error::Invalid { format: "", what, .. } => {
                 f.write_str(what)
             }

@@ -1,8 +1,8 @@
-//! Text from files and file names, made safe to print.
+//! Makes text from files and file names safe to print.
 //!
-//! A file name or an attribute name may hold line breaks, which forge lines in a log, and control
-//! sequences, which a terminal obeys. [`escaped`] makes both visible; [`excerpt`] also shortens, because a
-//! file that is not what it should be may hold secrets.
+//! A file name or an attribute name can contain line breaks, which forge lines in a log, and control
+//! sequences, which a terminal executes. [`escaped`] makes both visible. [`excerpt`] also shortens the text,
+//! because a wrong file may contain secrets.
 
 use std::fmt::{self, Display, Write};
 
@@ -24,7 +24,7 @@ impl<T: Display> Display for Escaped<T> {
     }
 }
 
-/// Escapes what is written to it.
+/// Escapes the text written to it.
 struct Escaper<'a, 'b>(&'a mut fmt::Formatter<'b>);
 
 impl Write for Escaper<'_, '_> {
@@ -39,7 +39,7 @@ impl Write for Escaper<'_, '_> {
     }
 }
 
-/// Whether a terminal or a reader of logs may take this character for something else than text.
+/// Whether a terminal or a log viewer may interpret this character instead of showing it.
 pub fn is_unsafe(char: char) -> bool {
     let is_bidi = matches!(char, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
     let ends_line = matches!(char, '\u{2028}' | '\u{2029}');
@@ -48,10 +48,10 @@ pub fn is_unsafe(char: char) -> bool {
 
 /// The start of a piece of a file, for a message: at most 24 characters, escaped.
 ///
-/// Of `password=…` and `password: …` only the key is shown.
+/// Of `password=…` and `password: …`, only the key is shown.
 pub(crate) fn excerpt(piece: impl AsRef<[u8]>) -> String {
     const CHARS_MAX: usize = 24;
-    const BYTES_MAX: usize = 4 * CHARS_MAX + 4; // of UTF-8; one character more, to see that some are left out
+    const BYTES_MAX: usize = 4 * CHARS_MAX + 4; // UTF-8, with room for one more character, which shows that the text is longer
     let piece = piece.as_ref();
     let text = String::from_utf8_lossy(&piece[..piece.len().min(BYTES_MAX)]);
     let char_end = text.char_indices().nth(CHARS_MAX).map_or(text.len(), |(at, _)| at);
@@ -60,7 +60,7 @@ pub(crate) fn excerpt(piece: impl AsRef<[u8]>) -> String {
     format!("{}{more}", escaped(shown))
 }
 
-/// The end of a key whose value follows.
+/// Where the key of a `key=value` or `key: value` text ends.
 fn key_end(text: &str) -> Option<usize> {
     let is_after_key = |&(at, char): &(usize, char)| match char {
         '=' => true,

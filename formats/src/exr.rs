@@ -1,13 +1,14 @@
-//! OpenEXR: the colours of a picture and all that is known of its pixels, a part of the file for each layer.
+//! OpenEXR: the colours of a picture and its other layers, one part of the file per layer.
 //!
 //! ```text
-//!   beauty      R G B A      16 bits, linear; A is 1, for what is behind the surface is in the picture, too
-//!   depth       Z            and so on: parts by the name of their layer, channels by what programs know
+//!   beauty      R G B A      16 bits, linear; A is 1: the background is part of the picture
+//!   depth       Z            and so on: parts have their layer's name, channels conventional names
 //!   normals     N.X N.Y N.Z
 //! ```
 //!
-//! Values are packed by deflate in blocks of 16 lines. What made the file is in one attribute, `meniscus`, a line for
-//! each name and value: the crate keeps attributes of other names in no order, and one of them has none to lose.
+//! Values are deflated in blocks of 16 lines. All provenance is in one attribute, `meniscus`, with a line per
+//! name and value: the exr crate does not preserve the order of custom attributes, so several could be
+//! reordered.
 
 use std::io::{Cursor, Write};
 
@@ -29,11 +30,11 @@ use crate::row::{Content, FormatRow, OutputRow};
 
 const FORMAT: &str = "OpenEXR";
 
-/// Writes a picture with all its layers. The whole file is in memory once.
+/// Writes a picture with all its layers. Builds the whole file in memory first.
 ///
 /// # Errors
 ///
-/// [`Error::Io`] if writing fails; [`Error::Invalid`] for a picture that is none.
+/// [`Error::Io`] if writing fails; [`Error::Invalid`] if the picture is invalid.
 pub fn write(picture: &PictureView, out: &mut impl Write) -> Result<()> {
     picture.check(FORMAT)?;
     let mut attributes = ImageAttributes::with_size((picture.size[0], picture.size[1]));
@@ -56,7 +57,8 @@ fn failed(error: ExrError) -> Error {
 }
 
 fn text(plain: &str) -> Result<Text> {
-    let refused = || Error::invalid(FORMAT, Place::File, format!("the name \"{plain}\""));
+    let refused =
+        || Error::invalid(FORMAT, Place::File, format!("the name \"{plain}\" cannot be stored in OpenEXR"));
     Text::new_or_none(plain).ok_or_else(refused)
 }
 
@@ -111,11 +113,11 @@ fn halves(values: impl IntoIterator<Item = f32>) -> FlatSamples {
     FlatSamples::F16(values.into_iter().map(f16::from_f32).collect())
 }
 
-/// The attribute with what made a file, from the head of it; nothing if there is none.
+/// The provenance attribute in the head of a file; empty if there is none.
 ///
 /// # Errors
 ///
-/// [`Error::Invalid`] if it is no head of such a file.
+/// [`Error::Invalid`] if this is not the head of an OpenEXR file.
 pub(crate) fn provenance_text(head: &[u8]) -> Result<Vec<u8>> {
     let mut found = Vec::new();
     walk(head, |name, value| {
@@ -126,13 +128,13 @@ pub(crate) fn provenance_text(head: &[u8]) -> Result<Vec<u8>> {
     Ok(found)
 }
 
-/// How long a file is, by what its last block says; `None` where that cannot be told. `read_at` has the first bytes of
-/// a block.
+/// The size of the whole file, computed from the table of blocks and the last block; `None` if unknown.
+/// `read_at` returns the first bytes of a block.
 ///
 /// # Errors
 ///
-/// [`Error::Invalid`] if it is no head of a file of this crate; those of `read_at`.
-pub(crate) fn bytes_claimed(
+/// [`Error::Invalid`] if this is not the head of a file of this crate; the errors of `read_at`.
+pub(crate) fn bytes_declared(
     head: &[u8],
     read_at: impl FnOnce(u64) -> Result<Vec<u8>>,
 ) -> Result<Option<u64>> {
@@ -147,21 +149,21 @@ pub(crate) fn bytes_claimed(
     let mut cursor = bytes::Cursor::new(FORMAT, Endian::Little, head, tables_at);
     let mut last = None;
     for _ in 0..block_count {
-        last = last.max(Some(u64::from_le_bytes(cursor.array("the place of a block")?)));
+        last = last.max(Some(u64::from_le_bytes(cursor.array("the offset of a block")?)));
     }
     let Some(last) = last else { return Ok(None) };
     let block = read_at(last)?;
     let mut cursor = bytes::Cursor::new(FORMAT, Endian::Little, &block, 0);
-    cursor.take(8, "the place of a block")?;
+    cursor.take(8, "the offset of a block")?;
     let data_bytes = u32::from_le_bytes(cursor.array("the size of a block")?);
     Ok(last.checked_add(BLOCK_HEAD_BYTES + u64::from(data_bytes)))
 }
 
-/// Goes through the attributes of all parts; returns where they end.
+/// Visits the attributes of all parts; returns the offset of their end.
 fn walk(head: &[u8], mut attribute: impl FnMut(&[u8], &[u8])) -> Result<usize> {
     let mut cursor = bytes::Cursor::new(FORMAT, Endian::Little, head, 0);
     if cursor.take(4, "the magic number")? != MAGIC {
-        return Err(Error::invalid(FORMAT, Place::Offset(0), "no OpenEXR magic number"));
+        return Err(Error::invalid(FORMAT, Place::Offset(0), "expected the OpenEXR magic number"));
     }
     let has_parts = u32::from_le_bytes(cursor.array("the version")?) & MULTIPLE_PARTS != 0;
     loop {
@@ -172,7 +174,7 @@ fn walk(head: &[u8], mut attribute: impl FnMut(&[u8], &[u8])) -> Result<usize> {
             attribute(name, cursor.take(size, "an attribute")?);
             continue;
         }
-        // An empty header ends those of several parts.
+        // With several parts, an empty header ends the list.
         if !has_parts {
             return Ok(cursor.at());
         }
@@ -183,7 +185,7 @@ fn walk(head: &[u8], mut attribute: impl FnMut(&[u8], &[u8])) -> Result<usize> {
     }
 }
 
-/// Bytes up to a zero, which is passed over.
+/// Takes the bytes up to a zero, and skips the zero.
 fn name<'a>(head: &'a [u8], cursor: &mut bytes::Cursor<'a>) -> Result<&'a [u8]> {
     let rest = head.get(cursor.at()..).unwrap_or_default();
     let length = rest.iter().position(|&byte| byte == 0).unwrap_or(rest.len());
@@ -192,27 +194,27 @@ fn name<'a>(head: &'a [u8], cursor: &mut bytes::Cursor<'a>) -> Result<&'a [u8]> 
     Ok(name)
 }
 
-/// The attribute with what made the file.
+/// The name of the provenance attribute.
 const PROVENANCE: &str = "meniscus";
 
 const MAGIC: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
 
-/// The bit of the version that says that there are several parts.
+/// The bit of the version field for files with several parts.
 const MULTIPLE_PARTS: u32 = 0x1000;
 
-/// Before the data of a block: its part, its first line, the size of its data.
+/// The header of a block: its part, its first line, the size of its data.
 pub(crate) const BLOCK_HEAD_BYTES: u64 = 12;
 
-/// What the table of formats says of it.
+/// The row in the table of formats.
 pub(crate) static ROW: OutputRow = OutputRow {
     format: FormatRow { signatures: &[&MAGIC], ..FormatRow::new("OpenEXR image", &["exr"]) },
-    help: "OpenEXR: colours, depth, normals and more, a layer each",
+    help: "OpenEXR: colours, depth, normals and more, one layer each",
     content: Content::Picture(|picture, mut out| write(picture, &mut out)),
     write_particles: None,
     has_attributes: true,
     options: &[WriteOption::Up, WriteOption::Size, WriteOption::Camera],
     read_provenance: |head| Ok(from_comments(&provenance_text(head)?, "")),
-    integrity: Integrity::Length(|head, read| bytes_claimed(head, |start| read(start, BLOCK_HEAD_BYTES))),
+    integrity: Integrity::Length(|head, read| bytes_declared(head, |start| read(start, BLOCK_HEAD_BYTES))),
 };
 
 #[cfg(test)]
@@ -255,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn every_layer_comes_back() {
+    fn layers_and_camera_round_trip() {
         let image = read()
             .no_deep_data()
             .largest_resolution_level()
@@ -285,19 +287,19 @@ mod tests {
     }
 
     #[test]
-    fn the_same_picture_is_the_same_bytes() {
+    fn equal_pictures_give_equal_bytes() {
         assert!(written() == written());
     }
 
     #[test]
-    fn what_made_it_comes_back_and_a_part_is_not_whole() {
+    fn provenance_round_trips_and_truncated_files_are_incomplete() {
         let bytes = written();
         assert_eq!(read_provenance(OutputFormat::Exr, &*bytes).expect("readable"), provenance());
         assert!(is_whole(OutputFormat::Exr, &mut Cursor::new(&bytes)).expect("readable"));
         for length in (0..bytes.len()).step_by(7) {
             let part = &bytes[..length];
             assert!(!is_whole(OutputFormat::Exr, &mut Cursor::new(part)).unwrap_or(false), "{length}");
-            // It may be there, or be refused; it may not panic.
+            // Reading from a part may succeed or fail, but must not panic.
             let _ = read_provenance(OutputFormat::Exr, part);
         }
     }

@@ -1,7 +1,7 @@
-//! Gunzips a file that another format is packed in.
+//! Decompresses gzip files.
 //!
-//! The result is not believed to be small because the file is: it is produced piece by piece, and
-//! abandoned at the first piece beyond the limits.
+//! A small file can decompress to a huge one, so the output is produced in chunks, and decompression stops at
+//! the first chunk that exceeds the limits.
 
 use std::io::Read;
 
@@ -12,10 +12,10 @@ use crate::limits::{Limits, RATIO_FREE_BYTES};
 
 const FORMAT: &str = "gzip";
 
-/// What every gzip member starts with.
+/// The signature of a gzip member.
 const MAGIC: [u8; 2] = [0x1f, 0x8b];
 
-/// Bytes inflated between two looks at the limits.
+/// Bytes decompressed between checks of the limits.
 const PIECE_BYTES: usize = 256 << 10;
 
 /// Whether the file is gzipped.
@@ -23,10 +23,10 @@ pub(crate) fn is_gzip(bytes: &[u8]) -> bool {
     bytes.starts_with(&MAGIC)
 }
 
-/// Inflates all members of the file, one after the other.
+/// Decompresses all members of the file and concatenates them.
 ///
 /// # Errors
-/// `Short` if it ends too soon and `Invalid` if it is damaged, with the offset in the compressed file;
+/// `Short` if the file ends too early and `Invalid` if it is damaged, with the offset in the compressed file;
 /// `TooLarge` beyond `decompressed_bytes` or `decompression_ratio`.
 pub(crate) fn inflate(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     let mut inflated = Vec::new();
@@ -37,8 +37,8 @@ pub(crate) fn inflate(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     // Tapes and some copying tools pad files with zeros.
     if let Some(at) = rest.iter().position(|&byte| byte != 0) {
         let place = Place::Offset((bytes.len() - rest.len() + at) as u64);
-        let what = "the compressed data is followed by something else";
-        // Unless that is the first byte of another member.
+        let what = "the compressed data is followed by other bytes";
+        // Unless the remaining byte could be the start of a truncated member.
         return Err(match MAGIC.starts_with(rest) {
             true => Error::short(FORMAT, place, what),
             false => Error::invalid(FORMAT, place, what),
@@ -47,7 +47,7 @@ pub(crate) fn inflate(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     Ok(inflated)
 }
 
-/// Inflates the member at the start of `rest`, and returns what follows it.
+/// Decompresses the member at the start of `rest`, and returns the bytes after it.
 fn inflate_member<'a>(
     total: usize,
     rest: &'a [u8],
@@ -59,7 +59,7 @@ fn inflate_member<'a>(
         let before = inflated.len();
         let outcome = decoder.by_ref().take(PIECE_BYTES as u64).read_to_end(inflated);
         let consumed = total - decoder.get_ref().len();
-        limits.check_unpacked(FORMAT, inflated.len() as u64, consumed as u64)?;
+        limits.check_decompressed(FORMAT, inflated.len() as u64, consumed as u64)?;
         if let Err(source) = outcome {
             return Err(damage(&source, consumed));
         }
@@ -72,13 +72,15 @@ fn inflate_member<'a>(
 fn damage(source: &std::io::Error, consumed: usize) -> Error {
     let place = Place::Offset(consumed as u64);
     match source.kind() {
-        std::io::ErrorKind::UnexpectedEof => Error::short(FORMAT, place, "the compressed data ends too soon"),
+        std::io::ErrorKind::UnexpectedEof => {
+            Error::short(FORMAT, place, "the compressed data ends too early")
+        }
         _ => Error::invalid(FORMAT, place, format!("the compressed data is damaged: {source}")),
     }
 }
 
-/// Looks for damage in the first bytes without keeping what comes out of them: what little could be
-/// inflated of a damaged file may look like anything.
+/// Checks the first bytes for damage without keeping the decompressed data: the readable part of a damaged
+/// file could look like any format.
 ///
 /// # Errors
 /// `Short` and `Invalid`, as from [`inflate`].
@@ -88,10 +90,10 @@ pub(crate) fn check_start(bytes: &[u8]) -> Result<()> {
     outcome.map(drop).map_err(|source| damage(&source, bytes.len() - start.get_ref().get_ref().len()))
 }
 
-/// The first bytes of the content, as many as can be had, at most `length`.
+/// Decompresses the first bytes of the content: at most `length`, or fewer if the input ends or is damaged.
 pub(crate) fn inflate_head(bytes: &[u8], length: usize) -> Vec<u8> {
     let mut head = Vec::new();
-    // What was inflated before an error is in `head`, and is all that is asked for.
+    // On an error, `head` keeps the bytes decompressed before it, which is all that the caller needs.
     let _ = GzDecoder::new(bytes).take(length as u64).read_to_end(&mut head);
     head
 }
@@ -108,21 +110,21 @@ mod tests {
     }
 
     #[test]
-    fn members_are_joined_and_padding_is_dropped() {
+    fn gzip_members_are_concatenated_and_padding_is_ignored() {
         let mut file = [gzipped(b"one "), gzipped(b"two")].concat();
         assert_eq!(inflate(&file, &Limits::default()).unwrap(), b"one two");
         file.extend([0; 100]);
         assert_eq!(inflate(&file, &Limits::default()).unwrap(), b"one two");
         file.push(7);
         let error = inflate(&file, &Limits::default()).unwrap_err().to_string();
-        assert!(error.contains("followed by something else"), "{error}");
+        assert!(error.contains("followed by other bytes"), "{error}");
     }
 
     #[test]
-    fn damage_is_told_with_its_offset() {
+    fn damage_is_reported_with_its_offset() {
         let mut file = gzipped(&[7; 5000]);
         let error = inflate(&file[..file.len() - 3], &Limits::default()).unwrap_err();
-        assert!(error.is_short() && error.to_string().contains("ends too soon"), "{error}");
+        assert!(error.is_short() && error.to_string().contains("ends too early"), "{error}");
         let middle = file.len() - 7; // within the checksum
         file[middle] ^= 1;
         let error = inflate(&file, &Limits::default()).unwrap_err();
@@ -130,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bomb_is_abandoned_early() {
+    fn decompression_bomb_is_stopped_early() {
         let bomb = gzipped(&vec![0; 64 << 20]);
         assert!(matches!(inflate(&bomb, &Limits::default()), Err(Error::TooLarge { .. })));
         let limits = Limits { decompressed_bytes: 5 << 20, ..Limits::default() };

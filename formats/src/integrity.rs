@@ -1,6 +1,7 @@
-//! Whether a file is all there: one that somebody else may still be writing, and one that this crate wrote.
+//! Checks whether a file is complete: an input that may still be being written, or an output of this crate.
 //!
-//! Of a file of particles its own format tells, as far as it can ([`completeness`]):
+//! For a particle file, [`completeness`] compares its size with the one that its header declares, if the
+//! format allows:
 //!
 //! ```text
 //!   what the header declares      declared │      binary PLY, classic BGEO that ends with its points
@@ -9,14 +10,14 @@
 //!             ▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏│▏▏▏▏  Unproven: the header may yet be corrected
 //! ```
 //!
-//! Some writers do not know the number of particles when they begin: they write a number, often 0,
-//! append the records, and go back to the header in the end. So a file that has more than it declares,
-//! or that declares nothing at all, proves nothing. Nor does a length show bytes that were reserved
-//! and are still to be filled: the caller should also see that the file is left alone.
+//! Some writers do not know the number of particles when they start: they write a number, often 0, append the
+//! records, and correct the header at the end. So a file with more data than it declares, or that declares no
+//! data, proves nothing. The size also cannot reveal bytes that were reserved and not yet filled: the caller
+//! should also check that the file no longer changes.
 //!
-//! Of an output its end tells ([`is_whole`]): a copy that was broken off, or a disk that was full, leaves the beginning of
-//! a file, which is also where its provenance is. Each format names its own way in the table of formats. Bytes that were
-//! overwritten are not looked for: a file of the right length may still be damaged inside.
+//! For an output, [`is_whole`] checks the end of the file: an interrupted copy or a full disk leaves the
+//! beginning of a file, which includes its provenance. Each format defines its own check in the table of
+//! formats. Overwritten bytes are not detected: a file of the right length may still be damaged inside.
 
 use std::io::{Read, Seek, SeekFrom};
 
@@ -29,11 +30,11 @@ use crate::provenance::HEAD_BYTES_MAX;
 use crate::row::{Completeness, HeadCheck, Integrity, at_least};
 use crate::table::{Format, OutputFormat};
 
-/// More bytes than the last line of an output has.
+/// Longer than the last line of any output.
 const TAIL_BYTES: u64 = 256;
 
-/// Whether an output of this crate has neither lost its end nor grown. The files of other programs may be whole and not
-/// be recognised as such.
+/// Whether an output of this crate is neither truncated nor extended. May return false for complete files of
+/// other programs.
 ///
 /// # Errors
 ///
@@ -51,13 +52,13 @@ pub fn is_whole(format: OutputFormat, file: &mut (impl Read + Seek)) -> Result<b
         }
         Integrity::Json => {
             let text = read(0, u64::MAX)?;
-            // The line end is the writer's last byte.
+            // The writer ends the file with a line feed.
             Ok(text.ends_with(b"\n") && serde_json::from_slice::<IgnoredAny>(&text).is_ok())
         }
     }
 }
 
-/// The bytes from `start` on, `length` of them or up to the end.
+/// Reads `length` bytes from `start`, or fewer if the file ends earlier.
 fn piece(file: &mut (impl Read + Seek), start: u64, length: u64) -> Result<Vec<u8>> {
     let mut piece = Vec::new();
     file.seek(SeekFrom::Start(start))?;
@@ -65,39 +66,39 @@ fn piece(file: &mut (impl Read + Seek), start: u64, length: u64) -> Result<Vec<u
     Ok(piece)
 }
 
-/// Looks at the head of a file, a mebibyte at most, and at its length. `file_name` has the same part in
-/// it as in [`probe()`]. What no reader takes, or what is malformed, is `Unproven`: the reader will say
-/// what it is.
+/// Checks a file's size against its head, of which it reads at most 1 MiB. `file_name` matters only where it
+/// does for [`probe()`]. Unsupported and malformed files are `Unproven`: the reader reports what is wrong
+/// with them.
 ///
 /// # Errors
 ///
 /// [`crate::Error::Io`] if reading fails.
 pub fn completeness(file: &mut (impl Read + Seek), file_name: &str) -> Result<Completeness> {
-    let mut found = HeadCheck::ByMoreOfTheHead;
+    let mut found = HeadCheck::NeedsMoreHead;
     for head_bytes in HEADS_BYTES {
         let head = piece(file, 0, head_bytes)?;
-        // Asked for last: a file that grows meanwhile has more than was seen, never less.
+        // Measured last: a file that grows meanwhile can only look larger than the head says, never smaller.
         let file_bytes = file.seek(SeekFrom::End(0))?;
         found = check_head(&head, file_bytes, file_name);
-        if !matches!(found, HeadCheck::ByMoreOfTheHead) {
+        if !matches!(found, HeadCheck::NeedsMoreHead) {
             break;
         }
     }
     match found {
         HeadCheck::Known(completeness) => Ok(completeness),
-        HeadCheck::ByTheLastByte => Ok(match ends_a_word(file)? {
+        HeadCheck::NeedsLastByte => Ok(match ends_with_whitespace(file)? {
             true => Completeness::ByReading,
             false => Completeness::Unproven,
         }),
-        // No header that is read is longer.
-        HeadCheck::ByMoreOfTheHead => Ok(Completeness::Unproven),
+        // No reader accepts a longer header.
+        HeadCheck::NeedsMoreHead => Ok(Completeness::Unproven),
     }
 }
 
 fn check_head(head: &[u8], file_bytes: u64, file_name: &str) -> HeadCheck {
     let Probe { kind, codec } = probe(head, file_name);
     let by_reading = |expected| HeadCheck::Known(at_least(expected, file_bytes, Completeness::ByReading));
-    if let Some(beginning) = beginning_cut_off(head) {
+    if let Some(beginning) = truncated_signature(head) {
         return by_reading(beginning.len() as u64);
     }
     if let Some(codec) = codec {
@@ -107,28 +108,28 @@ fn check_head(head: &[u8], file_bytes: u64, file_name: &str) -> HeadCheck {
     let Kind::Format(format) = kind else { return unproven };
     let Some(particles) = &format.row().particles else { return unproven };
     (particles.completeness)(head, file_bytes).unwrap_or_else(|error| match error.is_short() {
-        true if (head.len() as u64) < file_bytes => HeadCheck::ByMoreOfTheHead,
+        true if (head.len() as u64) < file_bytes => HeadCheck::NeedsMoreHead,
         true => HeadCheck::Known(Completeness::Incomplete { expected: file_bytes + 1, found: file_bytes }),
         false => unproven,
     })
 }
 
-/// The beginning of every file of some format that these bytes are a part of, if they are no more than that.
-pub(crate) fn beginning_cut_off(head: &[u8]) -> Option<&'static [u8]> {
+/// The signature that these bytes are a proper prefix of, if the file consists only of such a prefix.
+pub(crate) fn truncated_signature(head: &[u8]) -> Option<&'static [u8]> {
     let of_formats = Format::ALL.into_iter().flat_map(|format| format.row().beginnings).copied();
     let mut all = of_formats.chain(Codec::ALL.map(Codec::beginning));
     all.find(|beginning| beginning.starts_with(head) && head.len() < beginning.len())
 }
 
-/// Whether the file ends behind a word: a number that is the last thing in it may lack its last digits.
-fn ends_a_word(file: &mut (impl Read + Seek)) -> Result<bool> {
+/// Whether the file ends with white space. Otherwise a number at the end may lack its last digits.
+fn ends_with_whitespace(file: &mut (impl Read + Seek)) -> Result<bool> {
     let mut last = [0];
     file.seek(SeekFrom::End(-1))?;
     file.read_exact(&mut last)?;
     Ok(last[0].is_ascii_whitespace())
 }
 
-/// Bytes of the head that are looked at: enough for nearly every header, then for any.
+/// Bytes of the head to read: first enough for nearly every header, then enough for any.
 const HEADS_BYTES: [u64; 2] = [16 << 10, 1 << 20];
 
 #[cfg(test)]
@@ -157,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn declared_lengths_decide() {
+    fn size_is_compared_with_the_declared_one() {
         use Completeness::{ByReading, Complete, Incomplete, Unproven};
         let binary = |body: usize| ply("binary_little_endian", TWO_POINTS, &vec![0; body]);
         let lists = "element face 2\nproperty list uchar int vertex_indices\n";
@@ -210,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn a_header_that_is_cut_off_is_incomplete() {
+    fn truncated_header_is_incomplete() {
         let file = ply("binary_little_endian", TWO_POINTS, &[0; 24]);
         let geometry = bgeo(3, 0);
         for file in [&file, &geometry] {
@@ -224,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn gzip_is_told_by_reading() {
+    fn gzip_needs_reading() {
         let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
         encoder.write_all(&bgeo(100, 0)).unwrap();
         let bytes = encoder.finish().unwrap();
@@ -238,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn long_headers_are_read_on() {
+    fn long_header_is_read_further() {
         let comments = "comment as long as can be\n".repeat(4000);
         let file = ply("binary_little_endian", &format!("{comments}{TWO_POINTS}"), &[0; 24]);
         assert_eq!(of(&file, "a"), Completeness::Complete);

@@ -1,12 +1,12 @@
-//! Text dumps of LAMMPS and LIGGGHTS: tables of particles, one for each time step, in one file.
+//! Text dumps of LAMMPS and LIGGGHTS: a table of particles for each time step, all in one file.
 //!
 //! ```text
 //!   ITEM: TIMESTEP
 //!   1000
 //!   ITEM: NUMBER OF ATOMS
 //!   2
-//!   ITEM: BOX BOUNDS pp pp ff             or  xy xz yz pp pp ff: with the tilts of a box that is not straight,
-//!   0 10                                  or  abc origin pp pp ff: with its three edges and its corner
+//!   ITEM: BOX BOUNDS pp pp ff             or  xy xz yz pp pp ff: with the tilt factors of a triclinic box,
+//!   0 10                                  or  abc origin pp pp ff: with its three edges and its origin
 //!   0 10
 //!   -0.5 20
 //!   ITEM: ATOMS id type x y z vx vy vz radius
@@ -15,9 +15,10 @@
 //!   ITEM: TIMESTEP                        and so on
 //! ```
 //!
-//! `UNITS` and `TIME` may stand between. Positions are `x y z`, else `xu yu zu`, which were not folded back into the
-//! box, else `xs ys zs` or `xsu ysu zsu`, which are fractions of it. The rows are read as all tables are. Where the last
-//! has no line end, that is told: the last number of a dump that is still being written may lack digits.
+//! `UNITS` and `TIME` sections can occur as well. The position is `x y z`; else `xu yu zu`, which are not
+//! wrapped into the periodic box; else `xs ys zs` or `xsu ysu zsu`, which are fractions of the box. The rows
+//! are read like those of any other table. If the last row has no line end, a note says so: the last number
+//! of a dump that is still being written may lack digits.
 
 use std::ops::Range;
 
@@ -29,35 +30,35 @@ use crate::limits::Limits;
 use crate::row::{FormatRow, ParticleInput};
 use crate::step_finders::steps_of_dump;
 
-/// The format as users know it, for errors.
+/// The format's name in errors.
 pub(crate) const FORMAT: &str = "LAMMPS dump";
 
 /// One time step of a dump.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Step {
-    /// Its number, as the simulation counts.
+    /// The step number.
     pub timestep: i64,
-    /// Its particles.
+    /// Number of particles.
     pub particle_count: u64,
-    /// The simulated time, where the dump tells it, in its units.
+    /// The simulated time, if the dump has it, in the dump's units.
     pub time: Option<f64>,
-    /// What of the dump is this step, bytes.
+    /// The byte range of this step in the dump.
     pub range: Range<usize>,
-    /// Where the rows begin.
+    /// Offset of the first row.
     rows_at: usize,
-    /// The line of the first row, from 1.
+    /// Line number of the first row, starting at 1.
     rows_line: u64,
-    /// The line with the names of the columns, bytes of the dump.
+    /// The line with the column names, as a byte range of the dump.
     header: Range<usize>,
-    /// The box, where the dump tells it.
+    /// The box, if the dump has it.
     space: Option<Space>,
 }
 
-/// From fractions of the box to positions.
+/// Maps fractions of the box to positions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Space {
     corner: [f64; 3],
-    /// Three edges.
+    /// The three edges.
     edges: [[f64; 3]; 3],
 }
 
@@ -65,15 +66,16 @@ struct Space {
 ///
 /// # Errors
 ///
-/// Those of [`steps`] and [`read_step`]; [`Error::Unsupported`] for a dump of several steps, which are several frames.
+/// Those of [`steps`] and [`read_step`]; [`Error::Unsupported`] for a dump with several steps, which are
+/// several frames.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     match &steps(bytes, limits)?[..] {
         [only] => read_step(bytes, only, limits),
         all => {
             let [first, last] = [all.first(), all.last()].map(|step| step.map_or(0, |step| step.timestep));
             let what = format!(
-                "the dump has {} time steps, {first} to {last}, and a frame is one: \
-                 each is to be read by itself",
+                "the dump has {} time steps, {first} to {last}: \
+                 read each step separately",
                 all.len()
             );
             Err(Error::unsupported(FORMAT, what))
@@ -81,16 +83,16 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     }
 }
 
-/// The steps of a dump, at least one. Their rows are not looked at.
+/// The steps of a dump, at least one. Does not check their rows.
 ///
 /// # Errors
 ///
-/// [`Error::Short`] where the dump ends within a step, [`Error::Invalid`] for a line that is not understood,
-/// [`Error::Unsupported`] for dumps of other things than atoms, [`Error::TooLarge`] beyond `limits`.
+/// [`Error::Short`] if the dump ends within a step, [`Error::Invalid`] for an unexpected line,
+/// [`Error::Unsupported`] for dumps of anything but atoms, [`Error::TooLarge`] beyond `limits`.
 pub fn steps(bytes: &[u8], limits: &Limits) -> Result<Vec<Step>> {
-    let mut lines = Lines { bytes, at: 0, number: 0 };
+    let mut lines = DumpLines { bytes, at: 0, number: 0 };
     let mut steps = Vec::new();
-    // Blanks are looked through once: no step begins with one.
+    // Skips blank lines at the end once, instead of before each step: no step starts with one.
     while lines.bytes[lines.at..].iter().any(|byte| !byte.is_ascii_whitespace()) {
         limits.check_step(FORMAT, steps.len())?;
         steps.push(step(&mut lines, limits)?);
@@ -101,12 +103,12 @@ pub fn steps(bytes: &[u8], limits: &Limits) -> Result<Vec<Step>> {
     }
 }
 
-/// Reads one step of the dump that it was found in.
+/// Reads one step of the dump in which it was found.
 ///
 /// # Errors
 ///
-/// [`Error::Invalid`] with the line where a row has too many or too few cells or where text stands in a column of
-/// numbers, and for rows without a position.
+/// [`Error::Invalid`], with the line, if a row has the wrong number of cells or text in a numeric column, or
+/// if the columns have no position.
 pub fn read_step(bytes: &[u8], step: &Step, limits: &Limits) -> Result<ParticleFrame> {
     let header = String::from_utf8_lossy(bytes.get(step.header.clone()).unwrap_or_default());
     let names = header.split_ascii_whitespace().skip(2); // ITEM: ATOMS
@@ -114,38 +116,53 @@ pub fn read_step(bytes: &[u8], step: &Step, limits: &Limits) -> Result<ParticleF
         names.take(limits.attribute_count.saturating_add(1)).map(String::from).collect();
     let place = Place::Line(step.rows_line.saturating_sub(1));
     if names.len() > limits.attribute_count {
-        let what = format!("more columns than the limit of {}", limits.attribute_count);
+        let what = format!("the file has more columns than the limit of {}", limits.attribute_count);
         return Err(Error::too_large(FORMAT, what));
     }
     let found = excerpts(&names);
-    let no_position =
-        || Error::invalid(FORMAT, place, format!("no position, such as x y z or xs ys zs; found: {found}"));
+    let no_position = || {
+        Error::invalid(
+            FORMAT,
+            place,
+            format!("no position columns, such as x y z or xs ys zs; found: {found}"),
+        )
+    };
     let (position, is_scaled) = position(&names).ok_or_else(no_position)?;
     for (name, &column) in ["x", "y", "z"].into_iter().zip(&position) {
         name.clone_into(&mut names[column]);
     }
     let table = bytes.get(..step.range.end).unwrap_or_default();
-    let rows =
-        csv::Rows { names, position, offset: step.rows_at, line: step.rows_line, count: step.particle_count };
+    let rows = csv::CountedRows {
+        names,
+        position,
+        offset: step.rows_at,
+        line: step.rows_line,
+        count: step.particle_count,
+    };
     let mut frame = match step.particle_count {
         0 => ParticleFrame::default(),
         _ => csv::read_rows(table, rows, limits)
-            .map_err(|error| error.of_format(FORMAT))?
+            .map_err(|error| error.with_format(FORMAT))?
             .ok_or_else(no_position)?,
     };
     if step.particle_count != 0 {
         frame.notes.extend(csv::open_end_note(table));
     }
     if is_scaled {
-        let no_box =
-            || Error::invalid(FORMAT, place, "positions are fractions of a box, and no ITEM: BOX BOUNDS");
+        let no_box = || {
+            Error::invalid(
+                FORMAT,
+                place,
+                "positions are fractions of the box, but ITEM: BOX BOUNDS is missing",
+            )
+        };
         frame.positions = unscaled(&frame.positions, step.space.ok_or_else(no_box)?);
-        frame.notes.push("Positions were fractions of the box, and were multiplied by it.".into());
+        frame.notes.push("positions are fractions of the box: converted to lengths".into());
     }
     Ok(frame)
 }
 
-/// The columns of the best position there is, and whether they are fractions of the box.
+/// The columns of the best position, and whether they are fractions of the box.
 fn position(names: &[String]) -> Option<([usize; 3], bool)> {
     const POSITIONS: [([&str; 3], bool); 4] = [
         (["x", "y", "z"], false),
@@ -159,7 +176,7 @@ fn position(names: &[String]) -> Option<([usize; 3], bool)> {
         .find_map(|([x, y, z], is_scaled)| Some(([column_of(x)?, column_of(y)?, column_of(z)?], *is_scaled)))
 }
 
-/// Six digits of a fraction are fewer digits of a position in a large box, so these are kept in 64 bits.
+/// Returns 64-bit positions: six digits of a fraction become fewer digits of a position in a large box.
 fn unscaled(fractions: &Positions, space: Space) -> Positions {
     let position = |fraction: [f64; 3]| {
         let along = |axis: usize| {
@@ -174,26 +191,27 @@ fn unscaled(fractions: &Positions, space: Space) -> Positions {
     })
 }
 
-/// The step that begins at the next line.
-fn step(lines: &mut Lines, limits: &Limits) -> Result<Step> {
+/// Parses the step that starts at the next line.
+fn step(lines: &mut DumpLines, limits: &Limits) -> Result<Step> {
     let start = lines.at;
     let (mut timestep, mut count, mut time) = (None, None, None);
     let mut space = None;
     loop {
         let item_at = lines.at;
-        let item = lines.telling("an ITEM")?;
+        let item = lines.text_line("an ITEM")?;
         let item = item.strip_prefix("ITEM:").map(str::trim).ok_or_else(|| lines.expected("ITEM:", item))?;
         match item {
             "TIMESTEP" => timestep = Some(lines.number("the number of the time step")?),
             "TIME" => time = Some(lines.reals::<1>("the time")?[0]),
-            "UNITS" => drop(lines.telling("the units")?),
+            "UNITS" => drop(lines.text_line("the units")?),
             "NUMBER OF ATOMS" => count = Some(lines.number("the number of atoms")?),
             _ if item.starts_with("BOX BOUNDS") => space = Some(box_bounds(item, lines)?),
             _ if item.starts_with("ATOMS") => {
                 let missing = |what: &str| lines.invalid(format!("ITEM: ATOMS before {what}"));
                 let timestep = timestep.ok_or_else(|| missing("ITEM: TIMESTEP"))?;
                 let count = count.ok_or_else(|| missing("ITEM: NUMBER OF ATOMS"))?;
-                let count = u64::try_from(count).map_err(|_| lines.invalid(format!("{count} atoms")))?;
+                let count = u64::try_from(count)
+                    .map_err(|_| lines.invalid(format!("the number of atoms is {count}")))?;
                 return rows(
                     lines,
                     start,
@@ -211,19 +229,22 @@ fn step(lines: &mut Lines, limits: &Limits) -> Result<Step> {
                 );
             }
             _ => {
-                let what =
-                    format!("a dump of `{}`, not of atoms: dump atoms or custom columns", excerpt(item));
+                let what = format!(
+                    "this dump contains `{}`, not atoms: dump atoms or custom columns",
+                    excerpt(item)
+                );
                 return Err(Error::unsupported(FORMAT, what));
             }
         }
     }
 }
 
-/// Goes behind the rows of the step.
-fn rows(lines: &mut Lines, start: usize, step: Step, limits: &Limits) -> Result<Step> {
+/// Skips the rows of the step.
+fn rows(lines: &mut DumpLines, start: usize, step: Step, limits: &Limits) -> Result<Step> {
     let count = step.particle_count;
     if count > limits.particle_count {
-        let what = format!("{count} particles, more than the limit of {}", limits.particle_count);
+        let what =
+            format!("the file has {count} particles, more than the limit of {}", limits.particle_count);
         return Err(Error::too_large(FORMAT, what));
     }
     for found in 0..count {
@@ -236,8 +257,8 @@ fn rows(lines: &mut Lines, start: usize, step: Step, limits: &Limits) -> Result<
     Ok(Step { range: start..lines.at, ..step })
 }
 
-/// Three lines of bounds, in one of three forms.
-fn box_bounds(item: &str, lines: &mut Lines) -> Result<Space> {
+/// Parses the three lines of box bounds, which have one of three forms.
+fn box_bounds(item: &str, lines: &mut DumpLines) -> Result<Space> {
     let words: Vec<&str> = item.split_ascii_whitespace().skip(2).collect();
     match words[..] {
         ["abc", "origin", ..] => {
@@ -251,7 +272,7 @@ fn box_bounds(item: &str, lines: &mut Lines) -> Result<Space> {
             let rows = [(); 3].map(|()| lines.reals::<3>("bounds of the box and a tilt"));
             let [x, y, z] = rows;
             let ([x_low, x_high, xy], [y_low, y_high, xz], [z_low, z_high, yz]) = (x?, y?, z?);
-            // The bounds are those of a straight box around the tilted one.
+            // The bounds are those of the axis-aligned box around the tilted one.
             let x_low = x_low - 0f64.min(xy).min(xz).min(xy + xz);
             let x_high = x_high - 0f64.max(xy).max(xz).max(xy + xz);
             let (y_low, y_high) = (y_low - 0f64.min(yz), y_high - 0f64.max(yz));
@@ -270,15 +291,15 @@ fn box_bounds(item: &str, lines: &mut Lines) -> Result<Space> {
 }
 
 /// The lines of the dump.
-struct Lines<'a> {
+struct DumpLines<'a> {
     bytes: &'a [u8],
     at: usize,
-    /// That of the line returned last, from 1.
+    /// The number of the last returned line, starting at 1.
     number: u64,
 }
 
-impl<'a> Lines<'a> {
-    /// The next line without its end.
+impl<'a> DumpLines<'a> {
+    /// The next line without its line end.
     fn next(&mut self) -> Option<&'a [u8]> {
         let rest = self.bytes.get(self.at..).filter(|rest| !rest.is_empty())?;
         let length = rest.iter().position(|&byte| byte == b'\n');
@@ -288,23 +309,23 @@ impl<'a> Lines<'a> {
         Some(line)
     }
 
-    /// The next line as text; `what` is missing if there is none, or not all of it.
-    fn telling(&mut self, what: &str) -> Result<&'a str> {
+    /// The next line as text; `what` is named in the error if the line is missing or truncated.
+    fn text_line(&mut self, what: &str) -> Result<&'a str> {
         let Some(line) = self.next() else { return Err(self.short(format!("expected {what}"))) };
         if !self.bytes[..self.at].ends_with(b"\n") {
-            return Err(self.short(format!("the file ends within {what}: its line end is missing")));
+            return Err(self.short(format!("the file ends within {what}: the line end is missing")));
         }
         std::str::from_utf8(line).map(str::trim).map_err(|_| self.invalid("expected text, found binary data"))
     }
 
     fn number(&mut self, what: &str) -> Result<i64> {
-        let text = self.telling(what)?;
+        let text = self.text_line(what)?;
         text.parse().map_err(|_| self.expected(what, text))
     }
 
-    /// The first reals of the next line.
+    /// The first floats of the next line.
     fn reals<const N: usize>(&mut self, what: &str) -> Result<[f64; N]> {
-        let text = self.telling(what)?;
+        let text = self.text_line(what)?;
         let mut reals = [0.0; N];
         let mut words = text.split_ascii_whitespace();
         for real in &mut reals {
@@ -327,7 +348,7 @@ impl<'a> Lines<'a> {
     }
 }
 
-/// What the table of formats says of it.
+/// The row in the table of formats.
 pub(crate) static ROW: FormatRow = FormatRow {
     beginnings: &[b"ITEM: TIMESTEP\n"],
     particles: Some(ParticleInput { find_steps: Some(steps_of_dump), ..ParticleInput::new(read) }),

@@ -1,13 +1,13 @@
-//! Numbers to little-endian bytes, in pieces that fit the cache.
+//! Writes numbers as little-endian bytes, in chunks that fit into the cache.
 
 use std::io::Write;
 
 use crate::error::Result;
 
-/// Numbers that are converted at once.
+/// Numbers converted per chunk.
 const PIECE: usize = 4096;
 
-/// Writes reals.
+/// Writes floats.
 pub(crate) fn write_f32s(numbers: &[f32], out: &mut impl Write) -> Result<()> {
     write_pieces(numbers, f32::to_le_bytes, out)
 }
@@ -17,7 +17,7 @@ pub(crate) fn write_u32s(numbers: &[u32], out: &mut impl Write) -> Result<()> {
     write_pieces(numbers, u32::to_le_bytes, out)
 }
 
-/// Writes indices that are known to fit 16 bits.
+/// Writes indices that must fit into 16 bits.
 pub(crate) fn write_u16s(numbers: &[u32], out: &mut impl Write) -> Result<()> {
     let narrow = |number: u32| {
         let [low, high, _, _] = number.to_le_bytes();
@@ -26,7 +26,7 @@ pub(crate) fn write_u16s(numbers: &[u32], out: &mut impl Write) -> Result<()> {
     write_pieces(numbers, narrow, out)
 }
 
-/// Writes what `to_bytes` makes of each number.
+/// Converts each number with `to_bytes` and writes the results.
 pub(crate) fn write_pieces<T: Copy, const N: usize>(
     numbers: &[T],
     to_bytes: impl Fn(T) -> [u8; N],

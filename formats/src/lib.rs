@@ -1,9 +1,9 @@
-//! Bytes to plain data and back: the files that meniscus reads and writes.
+//! File formats of meniscus: particle, mesh, level-set and picture readers and writers.
 //!
-//! This crate knows nothing of grids, level sets or stages. A reader turns the bytes of one file
-//! into plain vectors ([`data`]); a writer turns borrowed slices into bytes. Every reader treats
-//! its input as hostile: counts are compared with the bytes that remain before anything is
-//! allocated, and every failure is an [`Error`] that names the place and what was expected there.
+//! This crate knows nothing about grids, reconstruction or the pipeline. A reader turns the bytes of one file
+//! into plain vectors ([`data`]); a writer turns borrowed slices into bytes. Every reader treats its input as
+//! hostile: it compares each count with the bytes that remain before it allocates, and every failure is an
+//! [`Error`] that says where in the file it happened and what was expected there.
 
 #![forbid(unsafe_code)]
 
@@ -79,32 +79,33 @@ pub use row::{
 };
 pub use table::{Format, OutputFormat, listed, read_provenance};
 
-/// Reads a frame of particles from a file of any format that can be read, compressed or not.
+/// Reads a frame of particles from a file in any supported format, compressed or not.
 ///
-/// The content decides what the format is; see [`probe()`] for the part that `file_name` has in it.
-/// A mesh in a PLY file is read as the particles at its vertices, and a note says so. A file that may have several
-/// frames, such as a LAMMPS dump, must have one; for the others, see [`steps`].
+/// The content decides the format; [`probe()`] documents when `file_name` matters. A mesh in a PLY file is
+/// read as particles at its vertices, with a note. A file in a multi-frame format, such as a LAMMPS dump,
+/// must contain exactly one frame; see [`steps`] for the others.
 ///
 /// # Errors
-/// Those of the format's reader, with offsets counted after decompression; `Unsupported`, with what
-/// to do instead, for a file that is something else.
+/// The errors of the format's reader, with offsets into the decompressed bytes; `Unsupported`, with what to
+/// do instead, if the file is not a particle file.
 pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<ParticleFrame> {
     let Probe { kind, codec } = probe(bytes, file_name);
     let is_vague = matches!(kind, Kind::Empty | Kind::Unknown | Kind::UnknownText);
     if let Some(codec) = codec.filter(|_| is_vague) {
         codec.check_start(bytes)?;
     }
-    if !bytes.is_empty() && integrity::beginning_cut_off(bytes).is_some() {
+    if !bytes.is_empty() && integrity::truncated_signature(bytes).is_some() {
         return Err(Error::short("", Place::File, "the file ends within its signature"));
     }
     let read = reader_of(kind)?;
     read(&compression::unpacked(bytes, limits)?, limits)
 }
 
-/// Refuses what nothing here reads, by the first bytes of a file: a large one need not be read whole to be told so.
+/// Returns an error if no reader supports the file. Needs only its first bytes, so a large file is rejected
+/// before it is read.
 ///
 /// # Errors
-/// `Unsupported`, as [`read_particles`] would say of the whole.
+/// `Unsupported`, the same error as [`read_particles`] returns for the whole file.
 pub fn refuse_foreign(head: &[u8], file_name: &str) -> Result<()> {
     match probe(head, file_name).kind {
         kind @ (Kind::Foreign(_) | Kind::UnknownText | Kind::Unknown) => reader_of(kind).map(drop),
@@ -113,10 +114,11 @@ pub fn refuse_foreign(head: &[u8], file_name: &str) -> Result<()> {
 }
 
 /// Turns the decompressed bytes of a file into a frame.
-type Reader = fn(&[u8], &Limits) -> Result<ParticleFrame>;
+type ParticleReader = fn(&[u8], &Limits) -> Result<ParticleFrame>;
 
-/// What reads particles from files of this kind; for those that nothing reads, what they are and what to do instead.
-fn reader_of(kind: Kind) -> Result<Reader> {
+/// The particle reader for files of this kind. If there is none, the error says what the file is and what to
+/// do instead.
+fn reader_of(kind: Kind) -> Result<ParticleReader> {
     if kind == Kind::Empty {
         return Err(Error::short("", Place::File, "the file is empty"));
     }
@@ -126,16 +128,16 @@ fn reader_of(kind: Kind) -> Result<Reader> {
     let content = kind.format().and_then(Format::output).map(OutputFormat::content);
     let refusal = match (content, kind) {
         (Some(Content::LevelSet), _) => {
-            "this is a volume, not particles: `meniscus convert` does the level set of a file that is not packed, and whose name ends in .vdb"
+            "this is a volume, not particles: `meniscus convert` reads a level set only from an uncompressed file whose name ends in .vdb"
         }
         (Some(Content::Mesh(_)), _) => {
-            "this is a mesh, not particles: give the particles, or save its vertices as PLY"
+            "this is a mesh, not particles: use the particle file, or save the mesh's vertices as PLY"
         }
         (_, Kind::Foreign(LAMMPS_DATA)) => {
-            "a dump is what is read, and this is a file of write_data: write one with `write_dump all custom FILE id type x y z`"
+            "this is a `write_data` file, and only dumps are supported: write one with `write_dump all custom FILE id type x y z`"
         }
         _ => {
-            "not a particle format that is read: save it as PLY, BGEO or VTK (docs/formats.md has all that are read)"
+            "not a supported particle format: save it as PLY, BGEO or VTK (docs/formats.md lists all supported formats)"
         }
     };
     Err(Error::unsupported(kind.name(), refusal))

@@ -1,26 +1,27 @@
-//! How much a file may ask for.
+//! Limits on the resources that a file can make a reader use.
 //!
-//! What a reader allocates is bounded first by the bytes that the file really has; these limits
-//! bound what is left: text headers, and data that grows when it is decompressed.
+//! The bytes that a file really has bound most of what a reader allocates. These limits bound the rest: text
+//! headers, and data that grows when it is decompressed.
 
 use crate::error::{Error, Result};
 
 /// Upper limits for reading one file.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// Particles in one frame.
+    /// Maximum number of particles in one frame.
     pub particle_count: u64,
-    /// Bytes of a text header.
+    /// Maximum size of a text header, in bytes.
     pub header_bytes: u64,
-    /// Properties or attributes of one element.
+    /// Maximum number of properties or attributes of one element.
     pub attribute_count: usize,
-    /// Frames in one file.
+    /// Maximum number of frames in one file.
     pub step_count: usize,
-    /// Bytes after decompression.
+    /// Maximum size after decompression, in bytes.
     pub decompressed_bytes: u64,
-    /// Decompressed bytes per compressed byte, counted after the first 16 MiB.
+    /// Maximum number of decompressed bytes per compressed byte, ignoring the first 16 MiB.
     pub decompression_ratio: u64,
-    /// Memory for a level set, in bytes: of its file, of what is read from it, and of the tables that find its leaves and tiles.
+    /// Memory for a level set, in bytes: its file, the data read from it, and the tables that locate its
+    /// leaves and tiles.
     pub level_set_bytes: u64,
 }
 
@@ -30,38 +31,42 @@ impl Default for Limits {
             particle_count: u32::MAX as u64,
             header_bytes: 1 << 20,
             attribute_count: 4096,
-            step_count: 1_000_000, // the shortest has three bytes, and each is remembered
-            decompressed_bytes: 1 << 36, // the positions of as many particles as are allowed take 48 GiB
-            decompression_ratio: 200, // particles shrink 2 to 10 times, lattices 50 times, a bomb 1030 times
+            step_count: 1_000_000, // a step can be as short as three bytes, and the reader keeps an entry for each
+            decompressed_bytes: 1 << 36, // `particle_count` positions take 48 GiB
+            decompression_ratio: 200, // particles compress by 2 to 10, lattices by 50, a decompression bomb by 1030
             level_set_bytes: 1 << 36,
         }
     }
 }
 
-/// Decompressed bytes before their ratio counts. A vector that grows to so many never holds more than
-/// 64 MiB, not even while it is moved.
+/// Decompressed bytes that the ratio limit ignores. A vector that grows to this size never holds more than 64
+/// MiB, even while it is reallocated.
 pub(crate) const RATIO_FREE_BYTES: u64 = 16 << 20;
 
 impl Limits {
-    /// Refuses another frame of a file in which so many were found.
+    /// Fails if a file in which `found` frames were found has reached the limit.
     pub(crate) fn check_step(&self, format: &'static str, found: usize) -> Result<()> {
         if found < self.step_count {
             return Ok(());
         }
-        let what = format!("more steps than the limit of {}: cut the file into several", self.step_count);
+        let what = format!(
+            "the file has more steps than the limit of {}: split it into several files",
+            self.step_count
+        );
         Err(Error::too_large(format, what))
     }
 
-    /// How many bytes may come out of `compressed` bytes.
+    /// The maximum decompressed size of `compressed` bytes.
     pub(crate) fn decompressed_bytes_of(&self, compressed: u64) -> u64 {
         let by_ratio = compressed.saturating_mul(self.decompression_ratio).saturating_add(RATIO_FREE_BYTES);
         by_ratio.min(self.decompressed_bytes)
     }
 
-    /// Refuses a level set that needs more memory than it may take. `content` says what needs it, and may be empty.
+    /// Fails if a level set needs more memory than the limit. `content` is inserted after "the level set" in
+    /// the message and may be empty.
     ///
     /// # Errors
-    /// What it needs.
+    /// [`Error::TooLarge`] with the required amount.
     pub fn check_level_set(&self, needed_bytes: u64, content: &str) -> Result<()> {
         const MEBIBYTE: u64 = 1 << 20;
         if needed_bytes <= self.level_set_bytes {
@@ -69,22 +74,31 @@ impl Limits {
         }
         let (needed, allowed) = (needed_bytes.div_ceil(MEBIBYTE), self.level_set_bytes / MEBIBYTE);
         let what = format!(
-            "the level set{content} needs {needed} MiB of memory and may take {allowed} MiB: use --memory {needed}MiB or more"
+            "the level set{content} needs {needed} MiB of memory, and the limit is {allowed} MiB: use --memory {needed}MiB or more"
         );
         Err(Error::too_large("OpenVDB", what))
     }
 
-    /// Refuses `unpacked` bytes that came out of `consumed` ones, if these are too many. `format` is what packed them.
-    pub(crate) fn check_unpacked(&self, format: &'static str, unpacked: u64, consumed: u64) -> Result<()> {
+    /// Fails if `unpacked` decompressed bytes from `consumed` compressed bytes exceed a limit. `format` is
+    /// the compression format.
+    pub(crate) fn check_decompressed(
+        &self,
+        format: &'static str,
+        unpacked: u64,
+        consumed: u64,
+    ) -> Result<()> {
         if unpacked > self.decompressed_bytes {
             let most = self.decompressed_bytes;
-            return Err(Error::too_large(format, format!("more than {most} bytes after decompression")));
+            return Err(Error::too_large(
+                format,
+                format!("the decompressed data exceeds the limit of {most} bytes"),
+            ));
         }
         if unpacked > self.decompressed_bytes_of(consumed) {
             let most = self.decompression_ratio;
             return Err(Error::too_large(
                 format,
-                format!("more than {most} bytes out of each compressed byte"),
+                format!("the data expands to more than {most} times its compressed size, the limit"),
             ));
         }
         Ok(())

@@ -1,4 +1,4 @@
-//! A mesh from a file of any format that has one.
+//! Reads a mesh from a file in any supported format.
 
 use crate::compression::unpacked_name;
 use crate::data::MeshData;
@@ -8,39 +8,40 @@ use crate::limits::Limits;
 use crate::probe::{Kind, Probe, probe};
 use crate::table::{Format, listed};
 
-/// Reads the triangles of a file of any format that has some, compressed or not. The content decides what the format is.
-/// `beside` gives the buffers of a .gltf that are files of their own. A mesh may be empty.
+/// Reads the triangles of a file in any supported mesh format, compressed or not. The content decides the
+/// format. `read_external` reads the external buffers of a .gltf file. The mesh can be empty.
 ///
 /// # Errors
-/// Those of the format's reader; [`Error::Unsupported`] for a file that is something else, or a shot of several frames.
-pub fn read_mesh(bytes: &[u8], file_name: &str, limits: &Limits, beside: &Beside) -> Result<MeshData> {
+/// The errors of the format's reader; [`Error::Unsupported`] if the file is not a mesh, or contains several
+/// frames.
+pub fn read_mesh(bytes: &[u8], file_name: &str, limits: &Limits, read_external: &Beside) -> Result<MeshData> {
     let Probe { kind, codec } = probe_mesh(bytes, file_name);
     let Some(read) = reader_of(kind) else {
         return match kind {
             Kind::Empty => Err(Error::short("", Place::File, "the file is empty")),
             _ => {
-                let what = format!("not a format that meshes are read from: use {}", readable(&[]));
+                let what = format!("not a supported mesh format: use {}", readable(&[]));
                 Err(Error::unsupported(kind.name(), what))
             }
         };
     };
     match codec {
-        Some(codec) => read(&codec.unpack(bytes, limits)?, limits, beside),
-        None => read(bytes, limits, beside),
+        Some(codec) => read(&codec.decompress(bytes, limits)?, limits, read_external),
+        None => read(bytes, limits, read_external),
     }
 }
 
-/// The extensions of the formats that meshes are read from, and `others`, in a sentence.
+/// Lists the extensions of all mesh formats and of `others`, joined as in a sentence.
 pub(crate) fn readable(others: &[Format]) -> String {
     let formats = Format::ALL.iter().filter(|format| format.row().read_mesh.is_some()).chain(others);
     let extensions = formats.flat_map(|format| format.extensions());
     listed(extensions.map(|extension| format!(".{extension}")).collect(), "or")
 }
 
-/// What a file is that may be a mesh.
+/// Recognises a file that may be a mesh.
 pub(crate) fn probe_mesh(bytes: &[u8], file_name: &str) -> Probe {
     let Probe { mut kind, codec } = probe(bytes, file_name);
-    // Some lines of an OBJ file, in an order of their own, look like a table.
+    // Some OBJ files look like a table because of the order of their lines.
     let name = file_name.to_ascii_lowercase();
     let is_vague = matches!(kind, Kind::Format(Format::Delimited) | Kind::UnknownText);
     if is_vague && unpacked_name(&name).ends_with(".obj") {
@@ -50,9 +51,9 @@ pub(crate) fn probe_mesh(bytes: &[u8], file_name: &str) -> Probe {
 }
 
 /// Turns the decompressed bytes of a file into a mesh.
-type Reader = fn(&[u8], &Limits, &Beside) -> Result<MeshData>;
+type MeshFileReader = fn(&[u8], &Limits, &Beside) -> Result<MeshData>;
 
-/// What reads meshes from files of this kind.
-pub(crate) fn reader_of(kind: Kind) -> Option<Reader> {
+/// The mesh reader for files of this kind.
+pub(crate) fn reader_of(kind: Kind) -> Option<MeshFileReader> {
     kind.format()?.row().read_mesh
 }

@@ -1,4 +1,4 @@
-//! How files are written, as far as that can be chosen.
+//! Options of the writers.
 
 use std::sync::Arc;
 
@@ -19,7 +19,7 @@ impl UpAxis {
     /// Both axes.
     pub const ALL: [UpAxis; 2] = [UpAxis::Y, UpAxis::Z];
 
-    /// Its name on the command line and in files.
+    /// The value's name on the command line and in files.
     pub fn name(self) -> &'static str {
         match self {
             UpAxis::Y => "y",
@@ -28,19 +28,19 @@ impl UpAxis {
     }
 }
 
-/// How to write a mesh. Each format uses the options that it has.
+/// How to write a mesh. Each format ignores options that it does not support.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MeshOptions {
-    /// The name that programs show.
+    /// The object name, shown by other programs.
     pub name: String,
     /// Which axis of the mesh points up.
     pub up: UpAxis,
     /// The length of a world unit in metres, positive and finite.
     pub meters_per_unit: f64,
-    /// Whether positions and normals are small integers.
+    /// Whether to quantize positions and normals to small integers.
     pub quantize: bool,
-    /// For each triangle whether it and the next one are the halves of a quad, which is then written as one. Empty: all
-    /// are triangles.
+    /// For each triangle, whether it and the next one form a quad, which is then written as one face. Empty:
+    /// all faces are triangles.
     pub quads: Arc<[bool]>,
 }
 
@@ -56,24 +56,24 @@ impl Default for MeshOptions {
     }
 }
 
-/// An option that changes the files of some formats.
+/// An option that affects the files of some formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WriteOption {
     /// Quads instead of pairs of triangles.
     Quads,
-    /// Which axis points up.
+    /// The up axis.
     Up,
     /// The length of a world unit.
     MetersPerUnit,
-    /// Small integers.
+    /// Quantization to small integers.
     Quantize,
     /// 16-bit values.
     Half,
-    /// How values are compressed.
+    /// The compression of values.
     Compression,
     /// The size of a picture.
     Size,
-    /// Where a picture is taken from.
+    /// The camera of a picture.
     Camera,
 }
 
@@ -90,7 +90,7 @@ impl WriteOption {
         WriteOption::Camera,
     ];
 
-    /// Its name in what a file records of its making, where the format is known.
+    /// Its name in the provenance of a file, where the format is known.
     pub fn name(self) -> &'static str {
         match self {
             WriteOption::Quads => "quads",
@@ -104,7 +104,7 @@ impl WriteOption {
         }
     }
 
-    /// Its key in a file of settings; with `-` for `_` its name on the command line.
+    /// Its key in a settings file; with `-` for `_`, its name on the command line.
     pub fn key(self) -> &'static str {
         match self {
             WriteOption::Half => "vdb_half",

@@ -1,10 +1,10 @@
-//! From arrays with names, whatever file they come from, to a frame.
+//! Turns named arrays into a frame of particles.
 //!
-//! NumPy's archives, VTK's files and Houdini's geometry all say of each particle a list of named
-//! arrays, of one value or of several. What they mean is decided here, once:
+//! NumPy archives, VTK files and Houdini geometry all describe particles by named arrays of one or more
+//! values per particle. This module interprets them for all three:
 //!
 //! ```text
-//!   "pos" (N, 3)                    the position, unless the format itself says where it is
+//!   "pos" (N, 3)                    the position, unless the format itself specifies one
 //!   "x" (N), "y" (N), "z" (N)       the same, in three arrays
 //!   "vel" (N, 3)                    Velocity
 //!   "vx" (N), "vy" (N), "vz" (N)    v, arity 3, Velocity
@@ -18,30 +18,30 @@ use crate::excerpt::excerpt;
 use crate::number::{self, interleaved};
 use crate::scalar::Scalar;
 
-/// One value or several for each particle, particle by particle.
+/// One or more values per particle, particle by particle.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct NamedArray {
     pub(crate) name: String,
-    /// Values per particle, at least 1.
+    /// Number of values per particle, at least 1.
     pub(crate) arity: usize,
     pub(crate) values: Values,
 }
 
 impl NamedArray {
-    /// How many particles it has values of.
+    /// The number of particles that it has values for.
     pub(crate) fn particle_count(&self) -> usize {
         number::length(&self.values) / self.arity.max(1)
     }
 }
 
-/// The particles that the arrays tell of. Without `positions`, these are looked for among the arrays: `None` if they
-/// are not there. Arrays that have not a value for each particle are left out, and told.
+/// Builds a frame. Without `positions`, looks for them among the arrays, and returns `None` if there are
+/// none. Skips arrays whose length does not match the number of particles, with a note.
 pub(crate) fn frame_of(positions: Option<Positions>, mut arrays: Vec<NamedArray>) -> Option<ParticleFrame> {
     let positions = match positions.or_else(|| take_vector_position(&mut arrays)) {
         Some(positions) => positions,
         None => take_column_position(&mut arrays)?,
     };
-    let mut notes = without_misfits(&mut arrays, positions.len());
+    let mut notes = take_mismatched(&mut arrays, positions.len());
     let mut attributes = joined(arrays);
     let named: Vec<(&str, usize)> =
         attributes.iter().map(|array| (array.name.as_str(), array.arity)).collect();
@@ -52,14 +52,14 @@ pub(crate) fn frame_of(positions: Option<Positions>, mut arrays: Vec<NamedArray>
     Some(ParticleFrame { positions, attributes, notes })
 }
 
-/// Removes the arrays that have not a value for each particle, and says which.
-fn without_misfits(arrays: &mut Vec<NamedArray>, particle_count: usize) -> Vec<String> {
+/// Removes arrays whose length does not match the number of particles, and returns a note for each.
+fn take_mismatched(arrays: &mut Vec<NamedArray>, particle_count: usize) -> Vec<String> {
     let fits = |array: &NamedArray| {
         array.arity != 0 && array.arity.checked_mul(particle_count) == Some(number::length(&array.values))
     };
     let note = |array: NamedArray| {
         format!(
-            "`{}` has {} rows, not one for each particle: left out.",
+            "skipped `{}`: it has {} rows for {particle_count} particles",
             excerpt(&array.name),
             array.particle_count()
         )
@@ -67,7 +67,7 @@ fn without_misfits(arrays: &mut Vec<NamedArray>, particle_count: usize) -> Vec<S
     arrays.extract_if(.., |array| !fits(array)).map(note).collect()
 }
 
-/// The best named array of three values that is a position.
+/// Takes the best-named position with three values per particle.
 fn take_vector_position(arrays: &mut Vec<NamedArray>) -> Option<Positions> {
     let is_one = |array: &NamedArray| array.arity == 3 && !matches!(array.values, Values::Strings { .. });
     let ranked = arrays.iter().enumerate().filter(|(_, array)| is_one(array));
@@ -75,7 +75,7 @@ fn take_vector_position(arrays: &mut Vec<NamedArray>) -> Option<Positions> {
     number::positions(arrays.remove(index).values)
 }
 
-/// The three arrays of one value that are the best named position.
+/// Takes the best-named position in three arrays with one value each.
 fn take_column_position(arrays: &mut Vec<NamedArray>) -> Option<Positions> {
     let singles: Vec<usize> = (0..arrays.len()).filter(|&index| is_column(&arrays[index])).collect();
     let columns: Vec<(&str, Scalar)> =
@@ -112,7 +112,7 @@ fn widened(values: &Values) -> Option<Values> {
     }))
 }
 
-/// The arrays, those of one value that are spelled as the components of a vector made one.
+/// Joins scalar arrays that are spelled as the components of a vector.
 fn joined(arrays: Vec<NamedArray>) -> Vec<NamedArray> {
     let singles: Vec<usize> = (0..arrays.len()).filter(|&index| is_column(&arrays[index])).collect();
     let columns: Vec<(&str, Scalar)> =
@@ -133,7 +133,8 @@ fn joined(arrays: Vec<NamedArray>) -> Vec<NamedArray> {
     places.filter_map(|((array, vector), is_joined)| if is_joined { vector } else { Some(array) }).collect()
 }
 
-/// Stands for the type in memory: columns of one type make a vector.
+/// The scalar type that represents the values' type in memory: columns are joined only if their types are
+/// equal.
 fn type_of(values: &Values) -> Scalar {
     match values {
         Values::F32(_) => Scalar::F32,
@@ -146,7 +147,7 @@ fn type_of(values: &Values) -> Scalar {
 }
 
 fn attribute(array: NamedArray, role: Option<Role>) -> Attribute {
-    // A phase may go by its name; a velocity or a number may not.
+    // A phase can be identified by strings; a velocity or a number cannot.
     let is_text = matches!(array.values, Values::Strings { .. });
     let role = role.filter(|&role| !is_text || role == Role::Kind);
     let mut attribute = Attribute { name: array.name, arity: array.arity, role, values: array.values };
@@ -159,7 +160,7 @@ fn attribute(array: NamedArray, role: Option<Role>) -> Attribute {
 fn note_on_diameter(attribute: &Attribute) -> Option<String> {
     let is_halved = attribute.role == Some(Role::Radius) && radius_scale(&attribute.name) != 1.0;
     is_halved
-        .then(|| format!("`{}` is taken for a diameter: the radius is half of it", excerpt(&attribute.name)))
+        .then(|| format!("`{}` looks like a diameter: the radius is half of it", excerpt(&attribute.name)))
 }
 
 #[cfg(test)]
@@ -171,7 +172,7 @@ mod tests {
         NamedArray { name: name.into(), arity, values }
     }
 
-    /// `name arity role` of each attribute, behind the first position.
+    /// Describes the first position, then each attribute as `name arity role`.
     fn described(arrays: Vec<NamedArray>) -> Option<String> {
         let frame = frame_of(None, arrays)?;
         let mut text = match &frame.positions {
@@ -186,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn positions_and_vectors_are_found() {
+    fn positions_and_vectors_are_recognised() {
         let (wide, text) =
             (Values::F64(vec![5.0; 2]), Values::Strings { table: vec![], indices: vec![0; 2] });
         let wide = NamedArray { name: "z".into(), arity: 1, values: wide };
@@ -210,22 +211,20 @@ mod tests {
     }
 
     #[test]
-    fn arrays_that_do_not_fit_are_left_out() {
+    fn arrays_of_wrong_length_are_skipped_with_a_note() {
         let positions = Positions::F32(vec![[0.0; 3]; 3]);
         let fits = NamedArray { name: "id".into(), arity: 1, values: Values::I32(vec![1, 2, 3]) };
         let none = NamedArray { name: "none".into(), arity: 0, values: Values::I32(vec![]) };
         let frame = frame_of(Some(positions), vec![array("v", 3), fits, none]).unwrap();
         let names: Vec<&str> = frame.attributes.iter().map(|array| array.name.as_str()).collect();
         assert_eq!(names, ["id"]);
-        let expected = [
-            "`v` has 2 rows, not one for each particle: left out.",
-            "`none` has 0 rows, not one for each particle: left out.",
-        ];
+        let expected =
+            ["skipped `v`: it has 2 rows for 3 particles", "skipped `none`: it has 0 rows for 3 particles"];
         assert_eq!(frame.notes, expected);
     }
 
     #[test]
-    fn diameters_are_halved_and_told() {
+    fn diameters_are_halved_with_a_note() {
         let frame = frame_of(None, vec![array("pos", 3), array("diameter", 1)]).unwrap();
         assert_eq!(frame.attributes[0].values, Values::F32(vec![0.0, 0.5]));
         assert_eq!(frame.notes.len(), 1, "{:?}", frame.notes);

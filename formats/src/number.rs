@@ -1,16 +1,16 @@
-//! Raw numbers of any type and byte order, as simulators dump them, and the values that they become.
+//! Decodes raw numbers of any type and byte order into [`Values`].
 //!
-//! [`crate::scalar`] knows the types of PLY; arrays of other formats have more: 64-bit integers, which stay such,
-//! and 16-bit reals, which become 32-bit ones. Unsigned 64-bit integers become 64-bit reals where one of them is
-//! beyond the signed ones.
+//! [`crate::scalar`] has the number types of PLY. Arrays of other formats have more: 64-bit integers, which
+//! keep their type, and 16-bit floats, which become 32-bit ones. Unsigned 64-bit integers become 64-bit
+//! floats if one of them exceeds the signed range.
 
 use crate::bytes::Endian;
 use crate::data::{Positions, Values};
 
-/// A number type as a file stores it.
+/// A number type as stored in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Number {
-    /// A byte that is zero or not.
+    /// A byte, zero or nonzero.
     Bool,
     I8,
     U8,
@@ -36,12 +36,13 @@ impl Number {
         }
     }
 
-    /// The numbers that are packed one after the other; bytes behind the last whole one are not looked at.
+    /// Decodes tightly packed numbers; ignores an incomplete number at the end.
     pub(crate) fn decode(self, bytes: &[u8], endian: Endian) -> Values {
         self.decode_strided(bytes, endian, self.size(), 0, 1)
     }
 
-    /// The `arity` numbers at `offset` of each record of `stride` bytes. A record must have room for them.
+    /// Decodes the `arity` numbers at `offset` in each record of `stride` bytes. They must lie within the
+    /// record.
     pub(crate) fn decode_strided(
         self,
         bytes: &[u8],
@@ -50,7 +51,7 @@ impl Number {
         offset: usize,
         arity: usize,
     ) -> Values {
-        let records = Records { bytes, endian, stride, offset, arity };
+        let records = StridedNumbers { bytes, endian, stride, offset, arity };
         match self {
             Number::Bool => Values::U8(records.map(|[byte]: [u8; 1]| u8::from(byte != 0))),
             Number::U8 => Values::U8(records.map(|[byte]: [u8; 1]| byte)),
@@ -68,7 +69,7 @@ impl Number {
     }
 }
 
-fn unsigned(records: &Records) -> Values {
+fn unsigned(records: &StridedNumbers) -> Values {
     let is_signed = |value: &i64| *value >= 0;
     let signed = records.map(i64::from_le_bytes);
     match signed.iter().all(is_signed) {
@@ -77,8 +78,8 @@ fn unsigned(records: &Records) -> Values {
     }
 }
 
-/// Where numbers are.
-struct Records<'a> {
+/// Locations of numbers in an array of records.
+struct StridedNumbers<'a> {
     bytes: &'a [u8],
     endian: Endian,
     stride: usize,
@@ -86,8 +87,8 @@ struct Records<'a> {
     arity: usize,
 }
 
-impl Records<'_> {
-    /// What `decode` makes of the bytes of each number, least significant first.
+impl StridedNumbers<'_> {
+    /// Applies `decode` to the bytes of each number, least significant byte first.
     fn map<const N: usize, T>(&self, decode: impl Fn([u8; N]) -> T) -> Vec<T> {
         let decode = |mut number: [u8; N]| {
             if self.endian == Endian::Big {
@@ -107,7 +108,7 @@ impl Records<'_> {
     }
 }
 
-/// How many values there are.
+/// The number of values.
 pub(crate) fn length(values: &Values) -> usize {
     match values {
         Values::F32(values) => values.len(),
@@ -119,7 +120,8 @@ pub(crate) fn length(values: &Values) -> usize {
     }
 }
 
-/// The values as positions, three for each; in 64 bits where 32-bit reals do not hold them. None of strings.
+/// Values as positions, three for each; in 64 bits if 32-bit floats cannot hold them exactly. `None` for
+/// strings.
 pub(crate) fn positions(values: Values) -> Option<Positions> {
     fn thrice<T: Copy, U>(values: &[T], widen: impl Fn(T) -> U) -> Vec<[U; 3]> {
         values.as_chunks::<3>().0.iter().map(|position| position.map(&widen)).collect()
@@ -134,7 +136,7 @@ pub(crate) fn positions(values: Values) -> Option<Positions> {
     })
 }
 
-/// The position that a point of four values is. A weight of 0 means nothing, and one of 1 changes nothing.
+/// The position of a homogeneous point with weight `w`. Weights 0 and 1 leave it unchanged.
 pub(crate) fn divided<T>([x, y, z, w]: [T; 4]) -> [T; 3]
 where
     T: Copy + PartialEq + From<u8> + std::ops::Div<Output = T>,
@@ -145,7 +147,7 @@ where
     }
 }
 
-/// Some of the `arity` components of each particle.
+/// The given range of each particle's `arity` components.
 pub(crate) fn components(values: &Values, arity: usize, range: std::ops::Range<usize>) -> Values {
     fn some<T: Copy>(values: &[T], arity: usize, range: std::ops::Range<usize>) -> Vec<T> {
         values.chunks_exact(arity).flat_map(|particle| &particle[range.clone()]).copied().collect()
@@ -162,7 +164,7 @@ pub(crate) fn components(values: &Values, arity: usize, range: std::ops::Range<u
     }
 }
 
-/// Some of the values, which are there.
+/// A range of the values, which must be in bounds.
 pub(crate) fn slice(values: &Values, range: std::ops::Range<usize>) -> Values {
     match values {
         Values::F32(values) => Values::F32(values[range].to_vec()),
@@ -176,7 +178,7 @@ pub(crate) fn slice(values: &Values, range: std::ops::Range<usize>) -> Values {
     }
 }
 
-/// Columns of one value per particle as one of several, if they are of one type. None of strings, or of no column.
+/// Interleaves columns of one type into a vector attribute. `None` for strings, mixed types or no columns.
 pub(crate) fn interleaved(columns: &[&Values]) -> Option<Values> {
     fn gather<T: Copy>(columns: &[&Values], of: impl Fn(&Values) -> Option<&[T]>) -> Option<Vec<T>> {
         let columns: Vec<&[T]> = columns.iter().map(|column| of(column)).collect::<Option<_>>()?;
@@ -202,7 +204,7 @@ pub(crate) fn interleaved(columns: &[&Values]) -> Option<Values> {
     }
 }
 
-/// Appends values of the same type, and says whether they were. Tables of strings must be equal.
+/// Appends values of the same type; returns whether the types matched. String tables must be equal.
 pub(crate) fn append(values: &mut Values, more: Values) -> bool {
     match (values, more) {
         (Values::F32(values), Values::F32(more)) => values.extend(more),
@@ -225,7 +227,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_of_both_orders_are_decoded() {
+    fn numbers_are_decoded_in_both_byte_orders() {
         let bytes = [0x3c, 0x00, 0x80, 0x01];
         let table = [
             (Number::F16, Endian::Big, Values::F32(vec![1.0, -5.960_464_5e-8])),
@@ -251,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn values_are_taken_apart_and_put_together() {
+    fn values_are_split_and_joined() {
         let (x, y) = (Values::I32(vec![1, 3]), Values::I32(vec![2, 4]));
         let both = interleaved(&[&x, &y]).unwrap();
         assert_eq!(both, Values::I32(vec![1, 2, 3, 4]));

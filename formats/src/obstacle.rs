@@ -1,4 +1,4 @@
-//! What stands in the way of a fluid: a mesh, or a level set.
+//! Reads an obstacle of the fluid: a mesh or a level set.
 
 use crate::data::MeshData;
 use crate::error::{Error, Place, Result};
@@ -10,51 +10,51 @@ use crate::probe::{Kind, Probe};
 use crate::table::Format;
 use crate::vdb::{self, LevelSetData};
 
-/// An obstacle as its file has it.
+/// An obstacle as read from its file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ObstacleData {
-    /// Triangles, of a mesh that need not be closed.
+    /// A triangle mesh, which need not be closed.
     Mesh(MeshData),
     /// A level set with values in world units.
     LevelSet(Box<LevelSetData>),
 }
 
-/// Reads an obstacle from a file of any format that has one, compressed or not: those of [`read_mesh`], or OpenVDB. The
-/// content decides what the format is. `beside` gives the buffers of a .gltf that are files of their own.
+/// Reads an obstacle from a file in any supported format, compressed or not: those of [`read_mesh`], or
+/// OpenVDB. The content decides the format. `read_external` reads the external buffers of a .gltf file.
 ///
 /// # Errors
-/// Those of the format's reader; [`Error::Invalid`] for a mesh without triangles; [`Error::Unsupported`] for a file
-/// that is something else, a volume that is no level set, or a shot.
+/// The errors of the format's reader; [`Error::Invalid`] for a mesh without triangles; [`Error::Unsupported`]
+/// if the file is neither a mesh nor a level set, or contains several frames.
 pub fn read_obstacle(
     bytes: &[u8],
     file_name: &str,
     limits: &Limits,
-    beside: &Beside,
+    read_external: &Beside,
 ) -> Result<ObstacleData> {
     let Probe { kind, codec } = probe_mesh(bytes, file_name);
     if kind == Kind::Format(Format::Vdb) {
         return match codec {
-            Some(codec) => level_set(&codec.unpack(bytes, limits)?, limits),
+            Some(codec) => level_set(&codec.decompress(bytes, limits)?, limits),
             None => level_set(bytes, limits),
         };
     }
     if reader_of(kind).is_none() && kind != Kind::Empty {
-        let what = format!("not a format that obstacles are read from: use {}", readable(&[Format::Vdb]));
+        let what = format!("not a supported obstacle format: use {}", readable(&[Format::Vdb]));
         return Err(Error::unsupported(kind.name(), what));
     }
-    let mesh = read_mesh(bytes, file_name, limits, beside)?;
+    let mesh = read_mesh(bytes, file_name, limits, read_external)?;
     if mesh.triangles.is_empty() {
-        return Err(Error::invalid(kind.name(), Place::File, "no triangle, so there is nothing in the way"));
+        return Err(Error::invalid(kind.name(), Place::File, "the obstacle mesh has no triangles"));
     }
     Ok(ObstacleData::Mesh(mesh))
 }
 
 fn level_set(bytes: &[u8], limits: &Limits) -> Result<ObstacleData> {
     let data = vdb::read_level_set(bytes, None, limits)?;
-    // Some programs do not say what a grid is; what they write is used as it is.
+    // Some programs do not set the class of a grid; such grids are accepted.
     if !["level set", "unknown", ""].contains(&data.class.as_str()) {
         let what = format!(
-            "the grid \"{}\" is a {}; an obstacle is a level set",
+            "the grid \"{}\" is a {}; an obstacle must be a level set",
             excerpt(&data.name),
             excerpt(&data.class)
         );

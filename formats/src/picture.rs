@@ -1,44 +1,44 @@
-//! A picture to write, as whoever made it lends it; and one that was read.
+//! Picture types: a borrowed picture to write, and one that was read.
 
 use crate::data::Provenance;
 use crate::error::{Error, Place, Result};
 
-/// A picture: values of its pixels, row by row from the top left.
+/// A picture to write: pixel values, row by row from the top left.
 #[derive(Clone, Copy, Debug)]
 pub struct PictureView<'a> {
     /// Width and height in pixels, each at least 1.
     pub size: [usize; 2],
-    /// Linear colour with the primaries of sRGB; 1 is white.
+    /// Linear colour with sRGB primaries; 1 is white.
     pub color: &'a [[f32; 3]],
-    /// What else is known of the pixels. `.png` has no place for it.
+    /// Additional layers. `.png` cannot store them.
     pub layers: &'a [PictureLayer<'a>],
-    /// Where the picture was taken from. `.png` has no place for it.
+    /// The camera. `.png` cannot store it.
     pub camera: Option<PictureCamera>,
-    /// What made it.
+    /// How the picture was made.
     pub provenance: &'a Provenance,
 }
 
-/// The colours of a picture that was read, row by row from the top left.
+/// The colours of a picture read from a file, row by row from the top left.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ColorPicture {
     /// Width and height in pixels.
     pub size: [usize; 2],
-    /// Linear colour with the primaries of sRGB; 1 is white.
+    /// Linear colour with sRGB primaries; 1 is white.
     pub color: Vec<[f32; 3]>,
 }
 
-/// Values of the pixels beside their colour.
+/// Pixel values other than colour.
 #[derive(Clone, Copy, Debug)]
 pub struct PictureLayer<'a> {
-    /// What the layer is called: one that no other has.
+    /// The layer's name, unique within the picture.
     pub name: &'a str,
-    /// What its channels are called; of a vector, `name.X`, `name.Y`, `name.Z`.
+    /// The name of its channels; for vectors, `name.X`, `name.Y` and `name.Z`.
     pub channel: &'a str,
     /// The values.
     pub samples: Samples<'a>,
 }
 
-/// Values of pixels, as they are and as they are stored.
+/// Pixel values and the precision in which they are stored.
 #[derive(Clone, Copy, Debug)]
 pub enum Samples<'a> {
     /// 32 bits each.
@@ -51,24 +51,25 @@ pub enum Samples<'a> {
     HalfVectors(&'a [[f32; 3]]),
 }
 
-/// Where a picture was taken from, as matrices that take row vectors from the left; rows one after the other.
+/// The camera of a picture, as matrices that are multiplied by row vectors from the left; stored row by row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PictureCamera {
-    /// From the world to x right, y up and z into the picture.
+    /// From the world to camera space: x right, y up and z into the picture.
     pub world_to_camera: [f32; 16],
-    /// From the world to the picture, after division by the last coordinate: (0, 0) is its upper left corner, (1, 1)
-    /// its lower right.
+    /// From the world to the picture, after division by the last coordinate: (0, 0) is the upper left corner
+    /// and (1, 1) the lower right one.
     pub world_to_ndc: [f32; 16],
 }
 
 impl PictureView<'_> {
-    /// Refuses a picture that no file can hold: none at all, one of more than 65 535 pixels along an edge, or values
-    /// for another number of pixels. `format` is named in the error.
+    /// Fails if the picture is invalid: empty, more than 65 535 pixels along an edge, or the wrong number of
+    /// values. `format` is named in the error.
     pub(crate) fn check(&self, format: &'static str) -> Result<()> {
         let [width, height] = self.size;
         let is_possible = |edge: usize| (1..=EDGE_MAX).contains(&edge);
         if !is_possible(width) || !is_possible(height) {
-            let what = format!("a picture of {width} × {height} pixels; an edge has 1 to {EDGE_MAX}");
+            let what =
+                format!("the picture has {width} × {height} pixels; each edge must have 1 to {EDGE_MAX}");
             return Err(Error::invalid(format, Place::File, what));
         }
         let counts = self.layers.iter().map(|layer| (layer.name, layer.samples.len()));
@@ -78,7 +79,7 @@ impl PictureView<'_> {
             .find(|(_, count)| *count != pixel_count)
         {
             Some((name, count)) => {
-                let what = format!("{count} values of {name} for {pixel_count} pixels");
+                let what = format!("layer {name} has {count} values for {pixel_count} pixels");
                 Err(Error::invalid(format, Place::File, what))
             }
             None => Ok(()),
@@ -87,7 +88,7 @@ impl PictureView<'_> {
 }
 
 impl Samples<'_> {
-    /// For how many pixels.
+    /// The number of pixels.
     fn len(&self) -> usize {
         match self {
             Samples::Numbers(values) | Samples::HalfNumbers(values) => values.len(),
@@ -96,5 +97,5 @@ impl Samples<'_> {
     }
 }
 
-/// Pixels along an edge, at most.
+/// Maximum number of pixels along an edge.
 const EDGE_MAX: usize = 65_535;

@@ -1,4 +1,4 @@
-//! Portable Network Graphics: the colours of a picture, 8 bits each, as screens show them, out and in.
+//! Portable Network Graphics: reads and writes the colours of a picture as 8-bit sRGB.
 //!
 //! ```text
 //!   signature   IHDR   sRGB   tEXt meniscus_radius 0.025 …   IDAT …   IEND
@@ -25,11 +25,12 @@ const FORMAT: &str = "PNG";
 ///
 /// # Errors
 ///
-/// [`Error::Io`] if writing fails; [`Error::Invalid`] for a picture that is none.
+/// [`Error::Io`] if writing fails; [`Error::Invalid`] if the picture is invalid.
 pub fn write(picture: &PictureView, out: &mut impl Write) -> Result<()> {
     picture.check(FORMAT)?;
     let edge = |pixels: usize| {
-        u32::try_from(pixels).map_err(|_| Error::invalid(FORMAT, Place::File, "a picture that is too large"))
+        u32::try_from(pixels)
+            .map_err(|_| Error::invalid(FORMAT, Place::File, "the picture is too large for PNG"))
     };
     let mut encoder = Encoder::new(out, edge(picture.size[0])?, edge(picture.size[1])?);
     encoder.set_color(ColorType::Rgb);
@@ -38,7 +39,7 @@ pub fn write(picture: &PictureView, out: &mut impl Write) -> Result<()> {
     encoder.set_source_srgb(SrgbRenderingIntent::Perceptual);
     encoder.add_text_chunk("Software".to_owned(), GENERATOR.to_owned()).map_err(failed)?;
     for (name, value) in picture.provenance {
-        // Of other characters it is not known how readers take them.
+        // tEXt is Latin-1, and readers treat other characters differently.
         encoder.add_text_chunk(prefixed(&escape(name)), escape(value)).map_err(failed)?;
     }
     let mut writer = encoder.write_header().map_err(failed)?;
@@ -53,26 +54,27 @@ fn failed(error: EncodingError) -> Error {
     }
 }
 
-/// Linear colours as bytes of sRGB.
+/// Converts linear colours to sRGB bytes.
 fn encoded(color: &[[f32; 3]]) -> Vec<u8> {
     let thresholds: Vec<f32> = (0..255u8).map(|byte| linear((f32::from(byte) + 0.5) / 255.0)).collect();
-    // There are 255 thresholds: no more than that many are passed. What is not a number passes none.
+    // There are 255 thresholds, so the result is at most 255. NaN exceeds none of them.
     let byte = |value: &f32| {
         u8::try_from(thresholds.partition_point(|threshold| threshold <= value)).unwrap_or(u8::MAX)
     };
     color.as_flattened().iter().map(byte).collect()
 }
 
-/// How bright a value of sRGB is.
+/// The linear value of an sRGB value.
 fn linear(value: f32) -> f32 {
     if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
 }
 
-/// Reads the colours of a picture of at most 67 million pixels. Transparency is left out.
+/// Reads the colours of a picture of at most 67 million pixels. Ignores transparency.
 ///
 /// # Errors
 ///
-/// [`Error::Invalid`] if it is no such file or is damaged; [`Error::TooLarge`] if it says that it is larger.
+/// [`Error::Invalid`] if the file is not a PNG or is damaged; [`Error::TooLarge`] if its declared size is too
+/// large.
 pub fn read(bytes: &[u8]) -> Result<ColorPicture> {
     let limits = Limits { bytes: PIXELS_MAX * CHANNELS_MAX };
     let mut decoder = Decoder::new_with_limits(io::Cursor::new(bytes), limits);
@@ -82,12 +84,16 @@ pub fn read(bytes: &[u8]) -> Result<ColorPicture> {
     let is_small = size[0].checked_mul(size[1]).is_some_and(|count| count <= PIXELS_MAX);
     let length = reader.output_buffer_size().filter(|_| is_small);
     let length = length.ok_or_else(|| {
-        let what = format!("{} x {} pixels; at most {PIXELS_MAX} are read", size[0], size[1]);
+        let what = format!("the picture has {} x {} pixels; the limit is {PIXELS_MAX}", size[0], size[1]);
         Error::too_large(FORMAT, what)
     })?;
-    // What is not there is not waited for with so much memory.
+    // Do not allocate memory for pixels that the file cannot contain.
     if reader.info().raw_bytes() > bytes.len().saturating_mul(DEFLATE_RATIO_MAX) {
-        return Err(Error::short(FORMAT, Place::File, "it has less data than its size in pixels needs"));
+        return Err(Error::short(
+            FORMAT,
+            Place::File,
+            "the file has less data than its size in pixels needs",
+        ));
     }
     let mut samples = vec![0; length];
     let info = reader.next_frame(&mut samples).map_err(unreadable)?;
@@ -100,7 +106,7 @@ pub fn read(bytes: &[u8]) -> Result<ColorPicture> {
         ColorType::Grayscale => samples.iter().map(|&p| [at(p); 3]).collect(),
         ColorType::GrayscaleAlpha => samples.chunks_exact(2).map(|p| [at(p[0]); 3]).collect(),
         ColorType::Indexed => {
-            return Err(Error::unsupported(FORMAT, "its colours are indices of a palette that is not there"));
+            return Err(Error::unsupported(FORMAT, "the picture uses a palette, and the palette is missing"));
         }
     };
     Ok(ColorPicture { size, color })
@@ -109,34 +115,34 @@ pub fn read(bytes: &[u8]) -> Result<ColorPicture> {
 fn unreadable(error: DecodingError) -> Error {
     match error {
         DecodingError::IoError(source) if source.kind() == io::ErrorKind::UnexpectedEof => {
-            Error::short(FORMAT, Place::File, "it ends too soon")
+            Error::short(FORMAT, Place::File, "the file ends too early")
         }
         DecodingError::IoError(source) => Error::Io(source),
         DecodingError::LimitsExceeded => {
-            Error::too_large(FORMAT, "it asks for more memory than a picture may")
+            Error::too_large(FORMAT, "the picture needs more memory than the limit")
         }
         other => Error::invalid(FORMAT, Place::File, other.to_string()),
     }
 }
 
-/// The largest picture that is read.
+/// The largest supported number of pixels.
 const PIXELS_MAX: usize = 8192 * 8192;
 
-/// Bytes that a byte of deflated data may stand for, at most.
+/// The largest ratio by which deflate can expand data.
 const DEFLATE_RATIO_MAX: usize = 1032;
 
-/// Samples of a pixel.
+/// Maximum number of samples per pixel.
 const CHANNELS_MAX: usize = 4;
 
-/// Names and values of the texts in the head of a file.
+/// Names and values of the text chunks in the head of a file.
 ///
 /// # Errors
 ///
-/// [`Error::Invalid`] if it is no head of such a file.
+/// [`Error::Invalid`] if this is not the head of a PNG file.
 pub(crate) fn texts(head: &[u8]) -> Result<Vec<(String, String)>> {
     let mut cursor = Cursor::new(FORMAT, Endian::Big, head, 0);
     if cursor.take(SIGNATURE.len(), "the signature")? != SIGNATURE {
-        return Err(Error::invalid(FORMAT, Place::Offset(0), "no PNG signature"));
+        return Err(Error::invalid(FORMAT, Place::Offset(0), "expected the PNG signature"));
     }
     let mut texts = Vec::new();
     loop {
@@ -156,7 +162,7 @@ pub(crate) fn texts(head: &[u8]) -> Result<Vec<(String, String)>> {
     }
 }
 
-/// Whether these are the last bytes of a whole file.
+/// Whether these are the last bytes of a complete file.
 pub(crate) fn ends_as_written(tail: &[u8]) -> bool {
     tail.ends_with(&LAST_CHUNK)
 }
@@ -165,7 +171,7 @@ const SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
 
 const LAST_CHUNK: [u8; 12] = [0, 0, 0, 0, b'I', b'E', b'N', b'D', 0xae, 0x42, 0x60, 0x82];
 
-/// What the table of formats says of it.
+/// The row in the table of formats.
 pub(crate) static ROW: OutputRow = OutputRow {
     format: FormatRow { signatures: &[b"\x89PNG"], ..FormatRow::new("PNG image", &["png"]) },
     help: "Colours, for any viewer",
@@ -192,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn colors_come_back_as_screens_show_them() {
+    fn linear_colors_are_written_as_srgb() {
         let color = [[0.0, 1.0, 0.5], [7.0, -1.0, f32::NAN], [0.2159, 0.002, 0.9]];
         let bytes = written([3, 1], &color, &[]);
         let mut reader = ::png::Decoder::new(io::Cursor::new(&bytes)).read_info().expect("a picture");
@@ -203,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn what_made_it_comes_back_and_a_part_is_not_whole() {
+    fn provenance_round_trips_and_truncated_files_are_incomplete() {
         let provenance = [("radius", "0.025"), ("input", "größe ∞.ply"), ("empty", "")]
             .map(|(name, value)| (name.to_owned(), value.to_owned()));
         let bytes = written([2, 2], &[[0.5; 3]; 4], &provenance);
@@ -212,13 +218,13 @@ mod tests {
         for length in 0..bytes.len() {
             let part = &bytes[..length];
             assert!(!is_whole(OutputFormat::Png, &mut io::Cursor::new(part)).unwrap_or(false), "{length}");
-            // It may be there, or be refused; it may not panic.
+            // Reading from a part may succeed or fail, but must not panic.
             let _ = read_provenance(OutputFormat::Png, part);
         }
     }
 
     #[test]
-    fn what_is_no_picture_is_refused() {
+    fn invalid_pictures_are_an_error() {
         for (size, count) in [([0, 1], 0), ([2, 2], 3), ([65_536, 1], 65_536)] {
             let color = vec![[0.0; 3]; count];
             let picture = PictureView { size, color: &color, layers: &[], camera: None, provenance: &[] };
@@ -227,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_come_back_as_they_were_written() {
+    fn written_pictures_are_read_back() {
         let color = [[0.0, 1.0, 0.5], [0.2159, 0.002, 0.9], [0.7, 0.1, 0.04], [1.0; 3]];
         let bytes = written([2, 2], &color, &[]);
         let picture = read(&bytes).expect("a picture");
@@ -241,17 +247,18 @@ mod tests {
     }
 
     #[test]
-    fn what_says_that_it_is_huge_is_refused_before_there_is_room_for_it() {
+    fn huge_declared_size_is_rejected_before_allocation() {
         assert!(matches!(read(&of_size([0xffff, 0xffff])), Err(Error::TooLarge { .. })));
-        // As large as may be, in a hundred bytes.
-        let error = read(&of_size([8192, 8192])).expect_err("nothing of it is there").to_string();
+        // The largest allowed size, in a file of a hundred bytes.
+        let error = read(&of_size([8192, 8192])).expect_err("the data is missing").to_string();
         assert!(error.contains("less data than its size in pixels needs"), "{error}");
     }
 
-    /// One pixel that says that it is more.
+    /// A file with one pixel that declares another size.
     fn of_size(size: [u32; 2]) -> Vec<u8> {
         let mut bytes = written([1, 1], &[[0.5; 3]], &[]);
-        // Width and height are behind the signature and the head of the first chunk, and before its checksum.
+        // Width and height follow the signature and the header of the first chunk; its checksum comes after
+        // them.
         bytes[16..24].copy_from_slice(size.map(u32::to_be_bytes).as_flattened());
         let checksum = crc32(&bytes[12..29]);
         bytes[29..33].copy_from_slice(&checksum.to_be_bytes());

@@ -1,9 +1,9 @@
-//! What a file is, by its content.
+//! Recognises the format of a file by its content.
 //!
-//! Names lie: `.bgeo` alone stands for three unrelated formats, any of them compressed or not. So the
-//! content decides, from the surest sign to the vaguest: a signature in the first bytes, then what
-//! a text starts with, then whether its lines look like a table. The name has a say only where the
-//! content has none.
+//! File names are unreliable: `.bgeo` alone is used for three unrelated formats, each compressed or not. So
+//! the content decides, from the most to the least reliable evidence: a signature in the first bytes, then
+//! the beginning of a text, then whether its lines look like a table. The name matters only where the content
+//! is ambiguous.
 
 use std::fmt;
 
@@ -16,15 +16,15 @@ use crate::xyz_ext::looks_like_atoms;
 /// What a file was recognised as.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// A format of the table.
+    /// A format in the table of formats.
     Format(Format),
-    /// A format that is recognised only to name it.
+    /// A format without a reader, recognised only for error messages.
     Foreign(&'static str),
-    /// No bytes at all.
+    /// An empty file.
     Empty,
-    /// Text that is none of the above.
+    /// Text in an unknown format.
     UnknownText,
-    /// Anything else.
+    /// Any other file.
     Unknown,
 }
 
@@ -35,18 +35,18 @@ impl fmt::Display for Kind {
 }
 
 impl Kind {
-    /// The name that users know.
+    /// The name shown to users.
     pub fn name(self) -> &'static str {
         match self {
             Kind::Format(format) => format.name(),
             Kind::Foreign(name) => name,
             Kind::Empty => "empty file",
-            Kind::UnknownText => "text of an unknown kind",
+            Kind::UnknownText => "text in an unknown format",
             Kind::Unknown => "unknown binary file",
         }
     }
 
-    /// The format of the table that this is, if it is one.
+    /// The entry in the table of formats, if there is one.
     pub fn format(self) -> Option<Format> {
         match self {
             Kind::Format(format) => Some(format),
@@ -55,12 +55,12 @@ impl Kind {
     }
 }
 
-/// What a file is, and how it is compressed.
+/// A file's format and compression.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Probe {
-    /// What it is, or what is compressed in it.
+    /// The format of the (decompressed) content.
     pub kind: Kind,
-    /// How it is compressed.
+    /// The compression, if any.
     pub codec: Option<Codec>,
 }
 
@@ -73,39 +73,39 @@ impl fmt::Display for Probe {
     }
 }
 
-/// What LAMMPS writes by `write_data`.
+/// The output of LAMMPS's `write_data` command.
 pub(crate) const LAMMPS_DATA: &str = "LAMMPS data";
 
-/// Bytes that are looked at.
+/// Number of bytes to examine.
 const HEAD_BYTES: usize = 8 << 10;
 
-/// Tells what the file is from its first bytes; `file_name` decides only between texts that could be
-/// either of two things. The file need not be whole: a few kilobytes are enough.
+/// Recognises a file by its first bytes; a few kilobytes are enough. `file_name` only resolves ambiguities
+/// between formats.
 pub fn probe(bytes: &[u8], file_name: &str) -> Probe {
     let name = file_name.to_ascii_lowercase();
     let codec = Codec::of(bytes);
     let Some(outer) = codec else {
         return Probe { kind: kind_of(&bytes[..bytes.len().min(HEAD_BYTES)], &name), codec };
     };
-    let head = outer.unpack_head(bytes, HEAD_BYTES);
+    let head = outer.decompress_head(bytes, HEAD_BYTES);
     let kind = match (outer, Codec::of(&head)) {
         (_, None) => kind_of(&head, unpacked_name(&name)),
         (Codec::Gzip, Some(Codec::Gzip)) => Kind::Foreign("gzip within gzip"),
-        (_, Some(_)) => Kind::Foreign("a packed file that is packed again"),
+        (_, Some(_)) => Kind::Foreign("a compressed file that is compressed again"),
     };
     Probe { kind, codec }
 }
 
-/// Whether a file is worth reading for its particles, told from its first bytes: for the listing of
-/// a folder, in which notes, logs and scripts lie beside the frames.
+/// Whether a file probably contains particles, judged by its first bytes. Used to list a folder in which
+/// notes, logs and scripts lie next to the frames.
 ///
-/// Formats of particles are told by [`probe()`], be they read or not. A text must be a table: a
-/// header that names a position and fits the row below it, or a row of three numbers or more. `head`
-/// should have 8 KiB, unless the file is shorter; it may be packed.
+/// [`probe()`] recognises particle formats, whether or not they can be read. A text must be a table: a header
+/// that names a position and fits the row below it, or a row of at least three numbers. `head` should have 8
+/// KiB unless the file is shorter; it may be compressed.
 pub fn looks_like_particles(head: &[u8], file_name: &str) -> bool {
     match probe(head, file_name).kind {
         Kind::Format(Format::Delimited) => match Codec::of(head) {
-            Some(codec) => csv::looks_like_particles(&codec.unpack_head(head, HEAD_BYTES)),
+            Some(codec) => csv::looks_like_particles(&codec.decompress_head(head, HEAD_BYTES)),
             None => csv::looks_like_particles(head),
         },
         kind => kind.format().is_some_and(Format::has_particles),
@@ -128,14 +128,14 @@ fn kind_of(head: &[u8], name: &str) -> Kind {
         return if is_npz { Kind::Format(Format::Npz) } else { Kind::Foreign("ZIP archive") };
     }
     let text = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head).trim_ascii_start();
-    // Before the question whether this is text: VTK appends raw bytes to its XML.
+    // Comes before the check for text, because VTK appends raw bytes to its XML.
     let is_named_vtk = || name.ends_with(".vtp") || name.ends_with(".vtu");
     if text.starts_with(b"<") && (contains(text, b"<VTKFile") || is_named_vtk() && !contains(text, b"<html"))
     {
         return Kind::Format(Format::Vtp);
     }
     if !is_text(head) {
-        // Nothing tells a binary STL file but its name, or this program's.
+        // A binary STL file has no signature: only its name, or this program's own header, identifies it.
         if name.ends_with(".stl") || head.starts_with(b"meniscus ") {
             return Kind::Format(Format::Stl);
         }
@@ -174,13 +174,13 @@ fn json_kind(text: &[u8], name: &str) -> Kind {
     Kind::Foreign("JSON")
 }
 
-/// Text holds no control characters but those that lay it out. Bytes above 127 may be any encoding.
+/// Text contains no control characters except white space. Bytes above 127 can belong to any encoding.
 fn is_text(head: &[u8]) -> bool {
     head.iter().all(|&byte| byte >= b' ' || matches!(byte, b'\t' | b'\n' | b'\r' | 0x0b | 0x0c | 0x1a))
 }
 
-/// Whether a text has what stands above the sections of a file by `write_data`, in any order: so many atoms, and their
-/// types or a side of their box. Its first line may say anything.
+/// Whether a text has the header of a `write_data` file, with its lines in any order: an atom count, and atom
+/// types or a side of the box. The first line can contain anything.
 fn looks_like_lammps_data(text: &[u8]) -> bool {
     let (mut has_count, mut has_more) = (false, false);
     for line in Lines::new(text).skip(1) {
@@ -199,11 +199,11 @@ fn looks_like_lammps_data(text: &[u8]) -> bool {
     has_count && has_more
 }
 
-/// Whether every line that says something starts with a word of the OBJ format, and one has a vertex.
+/// Whether every non-comment line starts with an OBJ keyword, and at least one is a vertex.
 fn looks_like_obj(text: &[u8], name: &str) -> bool {
     let mut vertex_seen = false;
     let mut line_count = 0;
-    for line in telling_lines(text) {
+    for line in content_lines(text) {
         let mut words = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
         let keyword = words.next().unwrap_or_default();
         if !OBJ_KEYWORDS.contains(&keyword) {
@@ -216,11 +216,11 @@ fn looks_like_obj(text: &[u8], name: &str) -> bool {
     vertex_seen || (name.ends_with(".obj") && line_count > 0)
 }
 
-/// Whether the first lines hold numbers between delimiters, or a name over every column of them.
+/// Whether the first lines contain delimited numbers, or a header with one name per column.
 fn looks_like_table(text: &[u8]) -> bool {
-    let mut lines = telling_lines(text);
+    let mut lines = content_lines(text);
     let Some(header) = lines.next() else { return false };
-    // At least half of the cells are numbers: names may stand among them.
+    // At least half of the cells must be numbers: the others may be names.
     let is_numeric = |line: &[u8]| {
         let cells = line.split(|byte| b",;|\t ".contains(byte)).map(<[u8]>::trim_ascii);
         let (mut cell_count, mut number_count) = (0, 0);
@@ -234,8 +234,9 @@ fn looks_like_table(text: &[u8]) -> bool {
     is_numeric(header) || lines.any(is_numeric) || header.iter().any(|byte| b",;\t".contains(byte))
 }
 
-/// The lines that are neither empty nor comments; the last, which may be cut off, only if it is alone.
-fn telling_lines(text: &[u8]) -> impl Iterator<Item = &[u8]> {
+/// Lines that are neither empty nor comments. Skips the last line, which may be truncated, unless it is the
+/// only one.
+fn content_lines(text: &[u8]) -> impl Iterator<Item = &[u8]> {
     let whole = match text.iter().rposition(|byte| matches!(byte, b'\n' | b'\r')) {
         Some(end) if text.len() + 16 > HEAD_BYTES => &text[..end],
         _ => text,
@@ -247,11 +248,11 @@ fn contains(text: &[u8], word: &[u8]) -> bool {
     text.windows(word.len()).any(|window| window == word)
 }
 
-/// Words that lines of an OBJ file start with.
+/// Keywords at the start of lines in OBJ files.
 const OBJ_KEYWORDS: &[&[u8]] =
     &[b"v", b"vn", b"vt", b"vp", b"f", b"l", b"p", b"o", b"g", b"s", b"mtllib", b"usemtl"];
 
-/// First bytes of formats that are recognised only to name them.
+/// Signatures of formats that are recognised only for error messages.
 const FOREIGN_SIGNATURES: &[(&[u8], &str)] = &[
     (b"\x89HDF\r\n\x1a\n", "HDF5"),
     (b"Ogawa", "Alembic"),
@@ -269,7 +270,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn content_decides() {
+    fn content_and_name_give_the_format() {
         let table: &[(&[u8], &str, Kind)] = &[
             (b"", "a.ply", Kind::Empty),
             (b"ply\nformat ascii 1.0\n", "a.txt", Kind::Format(Format::Ply)),
@@ -313,14 +314,14 @@ mod tests {
                 Kind::Format(Format::XyzAtoms),
             ),
             (b"3\nwater\n8 0 0 0\n1 1 0", "a.xyz", Kind::Format(Format::XyzAtoms)),
-            (b"1\nwater\n8 0 0 0\n1 1 0 0\n", "a.xyz", Kind::Format(Format::Delimited)), // another count
+            (b"1\nwater\n8 0 0 0\n1 1 0 0\n", "a.xyz", Kind::Format(Format::Delimited)), // the count does not match
             (b"2\nx y z r\n8 0 0 1\n1 1 0 1\n", "a.xyz", Kind::Format(Format::Delimited)),
             (b"2\nwater\n8 0 0\n1 1 0\n", "a.xyz", Kind::Format(Format::Delimited)),
             (b"2\nwater\n8 0 0 0\n1.5 1 0 0\n", "a.xyz", Kind::Format(Format::Delimited)),
             (b"2\nwater\n8 0 0 0\n119 1 0 0\n", "a.xyz", Kind::Format(Format::Delimited)),
             (b"2\n\nH1 0 0 0 1 1", "a.txt", Kind::Format(Format::XyzAtoms)),
             (b"2\n1 2 3\n4 5 6\n", "a.xyz", Kind::Format(Format::Delimited)),
-            (b"Dear reader,\nthere is nothing here\n", "a", Kind::Format(Format::Delimited)), // has a comma: told by the reader
+            (b"Dear reader,\nthere is nothing here\n", "a", Kind::Format(Format::Delimited)), // has a comma; the reader reports the error
             (b"plyx\nformat ascii 1.0\nelement vertex 0\nend_header\n", "a.ply", Kind::UnknownText),
             (b"Dear reader\n", "a", Kind::UnknownText),
             (b"\x93NUMPY\x01\0", "a.npy", Kind::Format(Format::Npy)),
@@ -344,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn only_tables_of_particles_are_listed() {
+    fn only_particle_tables_look_like_particles() {
         let table: &[(&[u8], &str, bool)] = &[
             (b"Things to do, in this order:\n1. eat\n2. sleep, or x, y and z\n", "notes.txt", false),
             (b"the x y z positions are wrong\nsee below\n", "notes.txt", false),
@@ -359,7 +360,7 @@ mod tests {
             (b"", "empty.csv", false),
             (b"x,y,z\n", "a.csv", true),
             (b"# x y z", "a.xyz", true),
-            (b"type;x;y;z\nwater;1,5;2,5;3,5\n", "a.csv", true), // told by the reader what is wrong
+            (b"type;x;y;z\nwater;1,5;2,5;3,5\n", "a.csv", true), // the reader reports what is wrong
             (b"made by hand\n\n\"x\",\"y\",\"z\",\r\n1,2,nan,\r\n", "a.txt", true),
             (b"1 2 3\n", "a", true),
             (b"1\t2\t3", "a.log", true),

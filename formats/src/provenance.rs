@@ -1,6 +1,6 @@
-//! What made a file, written into it and read back from its head.
+//! Writes provenance (the settings and inputs a file was made with) into files, and reads it back.
 //!
-//! Every format has a place for names and values that other programs keep or skip:
+//! Every format can store names and values that other programs keep or skip:
 //!
 //! ```text
 //!   .vdb          metadata of the grid     meniscus_radius = 0.025
@@ -8,32 +8,32 @@
 //!   .obj          comment                  # meniscus_radius: 0.025
 //!   .ply          comment                  comment meniscus_radius: 0.025
 //!   .vtp          a string of the field data  meniscus_radius: 48 46 48 50 53 0
-//!   .stl          title                i=9f3c…, and what else fits into 80 bytes
+//!   .stl          title                i=9f3c…, and further entries up to 80 bytes
 //!   .usda         customLayerData      dictionary meniscus = { string radius = "0.025" }
 //!   .png          text                     meniscus_radius\0 0.025
 //!   .exr          attribute of the file    meniscus = "meniscus_radius: 0.025 …"
 //! ```
 //!
-//! Comments are one line of ASCII, for readers of these formats disagree about anything else; what
-//! does not fit is escaped.
+//! Comments are single lines of ASCII, because readers of these formats disagree about anything else. All
+//! other characters are escaped.
 
 use crate::data::Provenance;
 
-/// The program and its version, for the place where formats name their maker.
+/// The program and its version, for the generator field of a format.
 pub(crate) const GENERATOR: &str = concat!("meniscus ", env!("CARGO_PKG_VERSION"));
 
-/// What recognises our entries among those of others.
+/// Distinguishes our entries from those of other programs.
 const PREFIX: &str = "meniscus_";
 
-/// A head longer than this is not ours.
+/// A longer head was not written by this program.
 pub(crate) const HEAD_BYTES_MAX: u64 = 1 << 20;
 
-/// A key as it stands among the entries of other programs.
+/// A key with the prefix, as stored next to the entries of other programs.
 pub(crate) fn prefixed(key: &str) -> String {
     format!("{PREFIX}{key}")
 }
 
-/// One line per entry, each after `lead`, that [`from_comments`] finds again.
+/// Formats one line per entry, each starting with `lead`. [`from_comments`] reads them back.
 pub(crate) fn comments(provenance: &Provenance, lead: &str) -> String {
     provenance
         .iter()
@@ -56,20 +56,21 @@ pub(crate) fn from_comments(head: &[u8], lead: &str) -> Vec<(String, String)> {
         .collect()
 }
 
-/// Those of our own among names and escaped values.
+/// Our own entries among names and escaped values.
 pub(crate) fn from_entries(entries: Vec<(String, String)>) -> Vec<(String, String)> {
     let ours =
         |(key, value): (String, String)| Some((key.strip_prefix(PREFIX)?.to_string(), unescape(&value)?));
     entries.into_iter().filter_map(ours).collect()
 }
 
-/// Those of our own among names and values.
+/// Our own entries among names and unescaped values.
 pub(crate) fn from_strings(strings: Vec<(String, String)>) -> Vec<(String, String)> {
     let ours = |(key, value): (String, String)| Some((key.strip_prefix(PREFIX)?.to_string(), value));
     strings.into_iter().filter_map(ours).collect()
 }
 
-/// One line of printable ASCII: backslash, control characters and what is not ASCII as `\u{hex}`.
+/// Escapes text as one line of printable ASCII: backslashes, control characters and non-ASCII become
+/// `\u{hex}`.
 pub(crate) fn escape(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for c in text.chars() {
@@ -78,7 +79,7 @@ pub(crate) fn escape(text: &str) -> String {
             _ => escaped.extend(c.escape_unicode()),
         }
     }
-    // A space at an end would not survive programs that trim.
+    // Some programs trim lines, so spaces at either end are escaped as well.
     let inner = escaped.trim_matches(' ').len();
     if inner == escaped.len() { escaped } else { escaped.replace(' ', "\\u{20}") }
 }
@@ -106,7 +107,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn comments_come_back() {
+    fn provenance_comments_round_trip() {
         let pair = |key: &str, value: &str| (key.to_string(), value.to_string());
         let provenance = [
             pair("radius", "0.025"),

@@ -1,4 +1,4 @@
-//! Triangles of which some, two in a row, are the halves of a quad: as formats with polygons write them.
+//! Merges pairs of triangles into quads, for formats with polygons.
 //!
 //! ```text
 //!    d ─── c
@@ -28,8 +28,8 @@ impl Face {
     }
 }
 
-/// The faces that these triangles make: `quads` says of each whether it and the next one are the halves of a quad; empty, it
-/// says that none is. A quad belongs where its first half is.
+/// The faces of these triangles. `quads` says for each triangle whether it and the next one form a quad; if
+/// empty, there are no quads. A quad takes the position of its first triangle.
 pub(crate) fn faces<'a>(
     triangles: &'a [[u32; 3]],
     quads: &'a [bool],
@@ -42,16 +42,16 @@ pub(crate) fn faces<'a>(
     })
 }
 
-/// How many of the faces are quads.
+/// The number of quads among the faces.
 pub(crate) fn quad_count(quads: &[bool]) -> usize {
     quads.iter().filter(|&&is_quad| is_quad).count()
 }
 
-/// Refuses quads that are none: two triangles that have no edge in common, or one that is in two quads.
+/// Fails if two triangles marked as a quad share no edge, or a triangle belongs to two quads.
 pub(crate) fn check_quads(format: &'static str, triangles: &[[u32; 3]], quads: &[bool]) -> Result<()> {
     let invalid = |what: String| Err(Error::invalid(format, Place::File, what));
     if !quads.is_empty() && quads.len() != triangles.len() {
-        return invalid(format!("{} marks of quads for {} triangles", quads.len(), triangles.len()));
+        return invalid(format!("there are {} quad flags for {} triangles", quads.len(), triangles.len()));
     }
     let is_none = |&index: &usize| {
         quads[index]
@@ -59,13 +59,13 @@ pub(crate) fn check_quads(format: &'static str, triangles: &[[u32; 3]], quads: &
                 || quad_of(triangles[index], triangles[index + 1]).is_none())
     };
     match (0..quads.len()).find(is_none) {
-        Some(index) => invalid(format!("triangle {index} and the next are no quad")),
+        Some(index) => invalid(format!("triangle {index} and the next one do not form a quad")),
         None => Ok(()),
     }
 }
 
-/// The quad of two triangles, counter-clockwise as they are; `None` if no edge of the one is an edge of the other the
-/// other way round.
+/// The quad formed by two triangles, counter-clockwise like them; `None` unless they share an edge with
+/// opposite directions.
 fn quad_of(one: [u32; 3], other: [u32; 3]) -> Option<[u32; 4]> {
     let turns = |[a, b, c]: [u32; 3]| [[a, b, c], [b, c, a], [c, a, b]];
     turns(one).into_iter().find_map(|[a, b, c]| {

@@ -1,4 +1,4 @@
-//! Files whose particles are records of one length: where they are, and how a piece of a file is read.
+//! Random access to files whose particles are fixed-size records.
 
 use std::fmt;
 use std::io;
@@ -8,18 +8,18 @@ use std::sync::Arc;
 use crate::data::Positions;
 use crate::error::Result;
 
-/// What can be read at any position, by several threads at once: a file, or bytes in memory.
+/// Random access from several threads at once: a file, or bytes in memory.
 pub trait ReadAt: Sync {
-    /// Bytes.
+    /// The size in bytes.
     ///
     /// # Errors
-    /// When the system refuses.
+    /// Those of the operating system.
     fn size_bytes(&self) -> io::Result<u64>;
 
     /// Fills `out` with the bytes from `offset` on.
     ///
     /// # Errors
-    /// When the system refuses; `UnexpectedEof` where the file ends before.
+    /// Those of the operating system; `UnexpectedEof` if the file ends too early.
     fn read_exact_at(&self, out: &mut [u8], offset: u64) -> io::Result<()>;
 }
 
@@ -56,27 +56,27 @@ impl<T: ReadAt + Send + ?Sized> ReadAt for Arc<T> {
     }
 }
 
-/// Where the particles of a file are.
+/// The location and layout of a file's particle records.
 #[derive(Clone)]
 pub(crate) struct Records {
     /// The format's name in errors.
     pub(crate) format: &'static str,
-    /// Where the first record begins, bytes from the start of the file.
+    /// Offset of the first record, in bytes from the start of the file.
     pub(crate) offset: u64,
     /// Bytes from one record to the next; never 0.
     pub(crate) stride: usize,
-    /// Records, all of which are there.
+    /// Number of records; the file contains all of them.
     pub(crate) count: usize,
-    /// Takes the positions from records of this stride.
-    pub(crate) gather: Arc<Gather>,
-    /// What a user should know.
+    /// Extracts positions from records with this stride.
+    pub(crate) gather: Arc<GatherPositions>,
+    /// Notes for the user.
     pub(crate) notes: Vec<String>,
-    /// The name of the attribute that is the velocity.
+    /// The name of the velocity attribute.
     pub(crate) velocity: Option<String>,
 }
 
-/// Takes positions from so many records of this stride.
-pub(crate) type Gather = dyn Fn(&[u8], usize, usize, &mut Positions) + Send + Sync;
+/// Extracts positions from records. Arguments: bytes, stride, number of records, output.
+pub(crate) type GatherPositions = dyn Fn(&[u8], usize, usize, &mut Positions) + Send + Sync;
 
 impl fmt::Debug for Records {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -85,7 +85,7 @@ impl fmt::Debug for Records {
     }
 }
 
-/// A piece of the file, which is not long.
+/// Reads a short piece of the file.
 pub(crate) fn read(file: &dyn ReadAt, range: Range<u64>) -> Result<Vec<u8>> {
     let length =
         usize::try_from(range.end - range.start).map_err(|_| io::Error::from(io::ErrorKind::OutOfMemory))?;

@@ -1,4 +1,4 @@
-//! What a format says of itself: the types of the rows of the table of formats.
+//! Row types of the table of formats: how a format describes itself.
 
 use std::io::Write;
 
@@ -10,53 +10,54 @@ use crate::picture::PictureView;
 use crate::records::{ReadAt, Records};
 use crate::step_finders::FindSteps;
 
-/// What is known of a format whose files are read or recognised.
+/// A format that files are read in or recognised as.
 pub(crate) struct FormatRow {
-    /// The name that users know.
+    /// The name shown to users.
     pub(crate) name: &'static str,
-    /// The extensions of its files, in lower case and without the dot. Results have the first.
+    /// File extensions, in lower case and without the dot. Outputs use the first.
     pub(crate) extensions: &'static [&'static str],
-    /// First bytes, each of which is enough to recognise a file. A format without signatures is recognised by `probe`.
+    /// Signatures, any of which identifies the format. `probe` recognises formats without signatures.
     pub(crate) signatures: &'static [&'static [u8]],
-    /// First bytes that every file has one of: a shorter beginning of one is a file that still grows.
+    /// Every valid file starts with one of these. A file that is a proper prefix of one is still being
+    /// written.
     pub(crate) beginnings: &'static [&'static [u8]],
-    /// How particles are read.
+    /// The particle reader.
     pub(crate) particles: Option<ParticleInput>,
-    /// How a mesh is read.
+    /// The mesh reader.
     pub(crate) read_mesh: Option<MeshReader>,
 }
 
 impl FormatRow {
-    /// A format of which only its name and extensions are known.
+    /// A format without a reader: only its name and extensions.
     pub(crate) const fn new(name: &'static str, extensions: &'static [&'static str]) -> FormatRow {
         FormatRow { name, extensions, signatures: &[], beginnings: &[], particles: None, read_mesh: None }
     }
 }
 
-/// Reads a mesh from a whole file, and from those beside it that it names.
+/// Reads a mesh from a whole file and the external files that it references.
 pub(crate) type MeshReader = fn(&[u8], &Limits, &Beside) -> Result<MeshData>;
 
-/// Reads from the first bytes of a file the names and values that its writer recorded there.
+/// Reads provenance, as names and values, from the first bytes of a file.
 pub(crate) type ProvenanceReader = fn(&[u8]) -> Result<Vec<(String, String)>>;
 
-/// Finds the records of a file in its first bytes and its size: the outer error is that of the header, which may only
-/// be longer than these bytes.
+/// Locates the records of a file from its first bytes and its size. An outer error concerns the header and
+/// can mean that more bytes are needed.
 pub(crate) type FindRecords = fn(&[u8], u64, &dyn ReadAt, &Limits) -> Result<Result<Option<Records>>>;
 
 /// How particles are read from a format.
 pub(crate) struct ParticleInput {
-    /// Reads the whole file, decompressed.
+    /// Reads the whole decompressed file.
     pub(crate) read: fn(&[u8], &Limits) -> Result<ParticleFrame>,
-    /// What the first bytes of a file and its size say of whether it is complete.
+    /// Checks the file's size against its first bytes.
     pub(crate) completeness: fn(&[u8], u64) -> Result<HeadCheck>,
-    /// Where particles are, if they can be read in batches.
+    /// Locates the records of a file that can be read in batches.
     pub(crate) find_records: Option<FindRecords>,
-    /// Where frames begin, if a file may have several.
+    /// Finds the frames of a file that can have several.
     pub(crate) find_steps: Option<FindSteps>,
 }
 
 impl ParticleInput {
-    /// Read whole; one frame; its completeness is unknown.
+    /// A single-frame format that must be read whole and whose completeness is unknown.
     pub(crate) const fn new(read: fn(&[u8], &Limits) -> Result<ParticleFrame>) -> ParticleInput {
         ParticleInput {
             read,
@@ -66,7 +67,7 @@ impl ParticleInput {
         }
     }
 
-    /// Read whole; one frame; its reader notices a missing end.
+    /// A single-frame format that must be read whole and whose reader notices a missing end.
     pub(crate) const fn complete_by_reading(
         read: fn(&[u8], &Limits) -> Result<ParticleFrame>,
     ) -> ParticleInput {
@@ -77,26 +78,26 @@ impl ParticleInput {
     }
 }
 
-/// What is known of a format that is written.
+/// A format that files are written in.
 pub(crate) struct OutputRow {
     pub(crate) format: FormatRow,
-    /// The help of its value of `--format` or `--preview`.
+    /// Help text of its value of `--format` or `--preview`.
     pub(crate) help: &'static str,
-    /// What its files hold.
+    /// What its files contain.
     pub(crate) content: Content,
-    /// How particles are written, if they are.
+    /// The particle writer.
     pub(crate) write_particles: Option<ParticleWriter>,
     /// Whether its files have attributes such as velocities.
     pub(crate) has_attributes: bool,
-    /// The options that change its files.
+    /// The options that affect its files.
     pub(crate) options: &'static [WriteOption],
-    /// Reads from the first bytes of a file what its writer recorded there.
+    /// Reads the provenance from the first bytes of a file.
     pub(crate) read_provenance: ProvenanceReader,
-    /// How a file is checked for being whole.
+    /// How the completeness of a file is checked.
     pub(crate) integrity: Integrity,
 }
 
-/// What the files of a format hold, and what writes them.
+/// What the files of a format contain, and their writer.
 #[derive(Clone, Copy, Debug)]
 pub enum Content {
     /// A mesh.
@@ -110,9 +111,9 @@ pub enum Content {
 /// How a format writes particles.
 #[derive(Clone, Copy, Debug)]
 pub struct ParticleWriter {
-    /// Writes all of them.
+    /// Writes all particles.
     pub write: fn(&ParticleFrame, &Provenance, &mut dyn Write) -> Result<()>,
-    /// Notes on what its files do not hold as it is.
+    /// Notes on data that its files cannot represent exactly.
     pub notes: fn(&ParticleFrame) -> Vec<String>,
 }
 
@@ -122,53 +123,54 @@ pub type PictureWriter = fn(&PictureView, &mut dyn Write) -> Result<()>;
 /// Writes a mesh to a stream.
 pub type StreamWriter = fn(&MeshView, &MeshOptions, &Provenance, &mut dyn Write) -> Result<()>;
 
-/// Encodes one of several batches of a mesh.
+/// Encodes one batch of a mesh, chosen by its index.
 pub type BatchEncoder = fn(&MeshView, &MeshOptions, &Provenance, usize) -> Result<Vec<Vec<u8>>>;
 
 /// How a format writes meshes.
 #[derive(Clone, Copy, Debug)]
 pub struct MeshWriter {
-    /// Its code.
+    /// The encoder.
     pub encoder: MeshEncoder,
-    /// Notes on vertex attributes that its files do not hold as they are.
+    /// Notes on vertex attributes that its files cannot represent exactly.
     pub attribute_notes: fn(&[VertexAttribute]) -> Vec<String>,
-    /// How its files round positions, if they do with these options.
+    /// How its files round positions with these options; `None` if they do not.
     pub rounding: fn(&MeshOptions) -> Option<&'static Rounding>,
 }
 
-/// How a mesh becomes bytes.
+/// How a mesh is encoded.
 #[derive(Clone, Copy, Debug)]
 pub enum MeshEncoder {
-    /// By copying: writing takes longer than encoding.
+    /// By copying numbers: writing takes longer than encoding.
     Stream(StreamWriter),
-    /// By formatting text, which takes longer than writing it, in batches of some 20 MB.
+    /// By formatting text, which takes longer than writing it, in batches of about 20 MB.
     Batches {
         /// The number of batches.
         count: fn(&MeshView, &MeshOptions) -> usize,
-        /// The texts of a batch, to be written one after the other. They are made in the caller's pool. The first
-        /// batch also checks the mesh: after an error there the others are of no use.
+        /// Encodes a batch as pieces of text, to be written in order. Runs in the caller's thread pool. The
+        /// first batch also checks the mesh: if it fails, discard the others.
         encode: BatchEncoder,
     },
 }
 
-/// Positions relative to an origin, world units, as a reader of a file gets them.
+/// Rounds positions relative to an origin, in world units, to the values that a reader of the file gets.
 pub type RoundPositions = fn(&[[f32; 3]], [f64; 3]) -> Vec<[f32; 3]>;
 
-/// How a format rounds the positions of a mesh. Its functions take positions relative to an origin, in world units.
+/// How a format rounds the positions of a mesh. The functions take positions relative to an origin, in world
+/// units.
 #[derive(Debug)]
 pub struct Rounding {
     /// The positions that a reader gets, relative to the same origin.
     pub positions: RoundPositions,
-    /// The largest distance along an axis by which a position is moved.
+    /// The largest rounding error along an axis.
     pub error: fn(&[[f32; 3]], [f64; 3]) -> f64,
-    /// What of such a file a certificate is about.
+    /// What a certificate of such a file describes.
     pub certified_as: &'static str,
-    /// Which file it is, and why it moves vertices: the end of a sentence.
+    /// Which files are rounded, and why: the end of a sentence.
     pub reason: &'static str,
 }
 
 impl MeshWriter {
-    /// A writer that keeps all attributes under their names, and positions as they are.
+    /// A writer that keeps all attributes under their names and does not round positions.
     pub(crate) const fn new(encoder: MeshEncoder) -> MeshWriter {
         MeshWriter { encoder, attribute_notes: |_| Vec::new(), rounding: |_| None }
     }
@@ -176,9 +178,9 @@ impl MeshWriter {
     /// Writes a mesh.
     ///
     /// # Errors
-    /// [`crate::Error::Io`] if `out` fails; [`crate::Error::TooLarge`] if the format cannot hold so much;
-    /// [`crate::Error::Invalid`] if the
-    /// mesh is inconsistent or not finite, or if what should be a quad is none.
+    /// [`crate::Error::Io`] if `out` fails; [`crate::Error::TooLarge`] if the mesh exceeds the format's
+    /// limits; [`crate::Error::Invalid`] if the mesh is inconsistent or not finite, or if two triangles
+    /// marked as a quad do not form one.
     pub fn write(
         &self,
         mesh: &MeshView,
@@ -203,56 +205,55 @@ impl MeshWriter {
 /// How the end of an output is checked.
 #[derive(Clone, Copy)]
 pub(crate) enum Integrity {
-    /// By its last 256 bytes, or all if there are fewer.
+    /// By its last 256 bytes, or the whole file if it is shorter.
     Tail(fn(&[u8]) -> bool),
-    /// By the length that its head claims; `None` where that is unknown. The second argument reads more of the file: so
-    /// many bytes from a place on, or fewer where it ends.
+    /// By the file size that its head declares; `None` if unknown. The second argument reads another piece of
+    /// the file, by offset and length; the piece is shorter if the file ends.
     Length(fn(&[u8], &mut ReadPiece) -> Result<Option<u64>>),
-    /// By parsing it as JSON that ends with a line.
+    /// By parsing it as JSON with a final line feed.
     Json,
 }
 
-/// Reads a piece of a file, by where it starts and its length.
+/// Reads a piece of a file by offset and length.
 pub(crate) type ReadPiece<'a> = dyn FnMut(u64, u64) -> Result<Vec<u8>> + 'a;
 
-/// What the format says of a file that may still be growing.
+/// What a file's head and size say about its completeness.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Completeness {
-    /// It has all that it declares.
+    /// The file has all the data that it declares.
     Complete,
-    /// It declares more than there is.
+    /// The file declares more data than it has.
     Incomplete {
-        /// Bytes that it declares, at least.
+        /// The declared size in bytes, at least.
         expected: u64,
-        /// Bytes that there are.
+        /// The size of the file, in bytes.
         found: u64,
     },
-    /// A cheap look does not show it, but reading it does: text with a count, and what is compressed.
+    /// Only reading the whole file can tell: text with a count, and compressed files.
     ByReading,
-    /// The format has no way of telling: a table may always have another row.
+    /// The format cannot tell: a table may always get another row.
     Unproven,
 }
 
-/// What the head of a file shows.
+/// The result of checking a file's head.
 pub(crate) enum HeadCheck {
     Known(Completeness),
-    /// The header does not end within the head, but the file goes on.
-    ByMoreOfTheHead,
-    /// Whether the last number of a text is whole.
-    ByTheLastByte,
+    /// The header is longer than the head.
+    NeedsMoreHead,
+    /// Depends on whether the last number of a text is complete.
+    NeedsLastByte,
 }
 
-/// Of a file whose format says exactly how long it is.
+/// For a format that declares the exact file size.
 pub(crate) fn exactly(expected: u64, found: u64) -> Completeness {
     let beyond = if expected < found { Completeness::Unproven } else { Completeness::Complete };
     at_least(expected, found, beyond)
 }
 
-/// Of a file that has at least so many bytes; `then` where it has.
+/// For a format that declares a minimum file size; returns `then` if the file has it.
 pub(crate) fn at_least(expected: u64, found: u64, then: Completeness) -> Completeness {
     if found < expected { Completeness::Incomplete { expected, found } } else { then }
 }
 
-/// Gives the bytes of a file beside the one that is read, by its relative path: one of those that
-/// [`crate::gltf::files_beside`] tells.
+/// Reads an external file by its relative path, one of those that [`crate::gltf::files_beside`] returns.
 pub type Beside<'a> = dyn Fn(&str) -> std::io::Result<Vec<u8>> + 'a;

@@ -1,4 +1,4 @@
-//! Where frames begin in files with several, line by line.
+//! Finds the frames of multi-frame text files, line by line.
 
 use std::io::{self, BufRead};
 use std::ops::Range;
@@ -6,22 +6,22 @@ use std::ops::Range;
 use crate::error::Result;
 use crate::limits::Limits;
 
-/// A part of a file that is a frame, or should be one.
+/// A part of a file that contains one frame, or should.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FoundStep {
-    /// Its number: that which the file gives it, or else its place among the others, from 0. `None` where the file should
-    /// say it and does not.
+    /// The step number from the file, or else its index, starting at 0. `None` if the file should state the
+    /// number and does not.
     pub number: Option<i64>,
-    /// Which bytes of the file, unpacked, are this step. By themselves they are a file of one frame.
+    /// The byte range of this step in the uncompressed file. On its own it is a valid single-frame file.
     pub range: Range<u64>,
-    /// So many lines of the file, unpacked, come before it.
+    /// Number of lines before it in the uncompressed file.
     pub lines_before: u64,
 }
 
-/// Finds the steps in the lines of a file, behind those that are known.
+/// Finds the steps in the lines of a file and appends them to the known ones.
 pub(crate) type FindSteps = fn(LineHeads, &mut Vec<FoundStep>, &Limits) -> Result<()>;
 
-/// A step begins at the first `ITEM:` behind rows; one that is cut off ends where the next has its number.
+/// A step starts at the first `ITEM:` after rows. A truncated step ends where the next one states its number.
 pub(crate) fn steps_of_dump(mut lines: LineHeads, steps: &mut Vec<FoundStep>, limits: &Limits) -> Result<()> {
     let known_count = steps.len();
     let (mut is_numbered, mut is_in_rows, mut is_number_next) = (false, false, false);
@@ -51,8 +51,8 @@ pub(crate) fn steps_of_dump(mut lines: LineHeads, steps: &mut Vec<FoundStep>, li
     Ok(())
 }
 
-/// A count, a comment, and so many lines. Where no count is, all the rest is one step, for nobody knows where the next
-/// begins.
+/// A step is a count, a comment line, and that number of lines. If the count is missing, the rest of the file
+/// is one step, because the start of the next one is unknown.
 pub(crate) fn steps_of_atoms(
     mut lines: LineHeads,
     steps: &mut Vec<FoundStep>,
@@ -68,7 +68,7 @@ pub(crate) fn steps_of_atoms(
         let count: Option<u64> = std::str::from_utf8(line).ok().and_then(|count| count.parse().ok());
         let number = i64::try_from(steps.len()).ok();
         steps.push(FoundStep { number, range: start..start, lines_before: lines.count - 1 });
-        // The comment is a line, too.
+        // The comment is also a line.
         for _ in 0..count.map_or(u64::MAX, |count| count.saturating_add(1)) {
             if lines.next()?.is_none() {
                 break;
@@ -85,27 +85,27 @@ fn end_at(steps: &mut [FoundStep], end: u64) {
     }
 }
 
-/// The lines of a source: of each as much as tells what it is.
+/// The lines of a source; stores only the first bytes of each.
 pub(crate) struct LineHeads<'a> {
     source: &'a mut dyn BufRead,
-    /// The beginning of the line that was read last.
+    /// The first bytes of the last line read.
     head: Vec<u8>,
-    /// Where that line ends.
+    /// Offset of the end of that line.
     end: u64,
-    /// So many lines were read.
+    /// Number of lines read.
     count: u64,
 }
 
-/// Longer than all that is looked for.
+/// Longer than any text that the search looks for.
 const HEAD_BYTES: usize = 64;
 
 impl<'a> LineHeads<'a> {
-    /// The lines of a source, before which the file has so many bytes and lines.
+    /// The lines of a source that starts `end` bytes and `count` lines into the file.
     pub(crate) fn new(source: &'a mut dyn BufRead, end: u64, count: u64) -> LineHeads<'a> {
         LineHeads { source, head: Vec::new(), end, count }
     }
 
-    /// Reads the next line; where it begins.
+    /// Reads the next line and returns its offset.
     fn next(&mut self) -> io::Result<Option<u64>> {
         let start = self.end;
         self.head.clear();

@@ -1,9 +1,9 @@
-//! Files with several frames, one after the other: where each begins and ends.
+//! Locates the frames of multi-frame files.
 //!
 //! ```text
 //!   LAMMPS dump                       XYZ atoms
-//!   ITEM: TIMESTEP  ┐                 3        ┐ so many atoms
-//!   1000            │ a step          water    │ anything
+//!   ITEM: TIMESTEP  ┐                 3        ┐ number of atoms
+//!   1000            │ a step          water    │ free text
 //!   ITEM: ATOMS ..  │                 O 0 0 0  │
 //!   1 0.5 0.25 1    ┘                 ..       ┘
 //!   ITEM: TIMESTEP  ┐                 3        ┐
@@ -11,9 +11,9 @@
 //!   ..              ┘
 //! ```
 //!
-//! Only what tells where a step ends is looked at, line by line, so that a file of any size is gone through in no memory
-//! but what the steps take that are found, of which there may be as many as the limits say.
-//! What is wrong within a step is found by whoever reads it: the steps around it are not touched by that.
+//! The search reads line by line and looks only at what marks the end of a step, so it handles files of any
+//! size. It stores only the steps it finds, at most as many as the limits allow. It does not validate the
+//! content of a step: the reader reports errors there, and they do not affect other steps.
 
 use std::io::BufRead;
 
@@ -24,16 +24,16 @@ use crate::step_finders::{FindSteps, LineHeads};
 
 pub use crate::step_finders::FoundStep;
 
-/// Whether files of this kind may hold several frames.
+/// Whether files of this kind can contain several frames.
 pub fn may_have_steps(kind: Kind) -> bool {
     finder_of(kind).is_some()
 }
 
-/// The steps of an unpacked file of this kind, in their order; none for kinds that hold one frame.
+/// The steps of an uncompressed file of this kind, in file order; empty for kinds with one frame per file.
 ///
 /// # Errors
 ///
-/// [`Error::Io`](crate::Error::Io) when the source cannot be read, [`Error::TooLarge`](crate::Error::TooLarge) beyond
+/// [`Error::Io`](crate::Error::Io) if reading fails, [`Error::TooLarge`](crate::Error::TooLarge) beyond
 /// `limits`.
 pub fn find_steps(kind: Kind, source: impl BufRead, limits: &Limits) -> Result<Vec<FoundStep>> {
     let mut steps = Vec::new();
@@ -41,8 +41,8 @@ pub fn find_steps(kind: Kind, source: impl BufRead, limits: &Limits) -> Result<V
     Ok(steps)
 }
 
-/// The same of a file of which some `steps` are known. The last of them may have been cut off: the source begins where that
-/// does, and it is found once more.
+/// Continues [`find_steps`] after some `steps` are known. The last known step may have been truncated, so the
+/// source must start at its beginning, and it is found again.
 ///
 /// # Errors
 ///
@@ -71,7 +71,7 @@ mod tests {
     use std::ops::Range;
 
     fn found(kind: Kind, text: &str) -> Vec<(Option<i64>, String)> {
-        // A buffer that ends within lines changes nothing.
+        // A buffer that ends in the middle of lines must not change the result.
         let steps = find_steps(kind, text.as_bytes(), &Limits::default()).expect("readable");
         let by_pieces = BufReader::with_capacity(3, text.as_bytes());
         assert_eq!(find_steps(kind, by_pieces, &Limits::default()).expect("readable"), steps);
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn dumps_are_cut_before_their_items() {
+    fn dump_steps_start_at_header_items() {
         let step = |number: i64, rows: &str| {
             format!("ITEM: TIMESTEP\n{number}\nITEM: NUMBER OF ATOMS\n1\nITEM: ATOMS x y z\n{rows}")
         };
@@ -95,7 +95,7 @@ mod tests {
         let text = [first.clone(), second.clone(), third.clone()].concat();
         let expected = [(Some(10), first.clone()), (Some(-20), second.clone()), (Some(30), third)];
         assert_eq!(found(Kind::Format(Format::LammpsDump), &text), expected);
-        // Cut off within its header, and without a number.
+        // One truncated in its header, and one without a number.
         let cut = "ITEM: TIMESTEP\n15\nITEM: NUMBER OF ATOMS\n".to_owned();
         let nameless = "ITEM: TIMESTEP\nten\nITEM: ATOMS x y z\n1 2 3\n".to_owned();
         let text = [cut.clone(), nameless.clone(), second.clone()].concat();
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn atoms_are_cut_by_their_counts() {
+    fn xyz_steps_follow_atom_counts() {
         let text = "2\nwater\nO 0 0 0\nH 1 0 0\n\n 0 \n\n1\n3\nO 0 0 0\nwhat\nfollows\n";
         let expected = [
             (Some(0), "2\nwater\nO 0 0 0\nH 1 0 0\n\n".into()),
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn steps_beyond_the_limit_are_refused() {
+    fn steps_beyond_the_limit_are_an_error() {
         let limits = Limits { step_count: 3, ..Limits::default() };
         let dump = "ITEM: TIMESTEP\n1\nITEM: NUMBER OF ATOMS\n0\nITEM: ATOMS x y z\n";
         for (kind, step) in

@@ -1,13 +1,14 @@
-//! STL, binary: triangles and nothing else, for printers and for engineers' programs.
+//! Binary STL: triangles and nothing else, for 3D printing and CAD programs.
 //!
 //! ```text
-//!   meniscus 0.1.0 i=9f3c.. s=02d1..      80 bytes for anybody, padded with spaces
+//!   meniscus 0.1.0 i=9f3c.. s=02d1..      80 free bytes, padded with spaces
 //!   count                                  of triangles, 32 bits
-//!   normal, a, b, c, 0                     12 reals of 32 bits, and 16 bits for nobody; 50 bytes for each triangle
+//!   normal, a, b, c, 0                     12 floats of 32 bits, and 16 unused bits; 50 bytes per triangle
 //! ```
 //!
-//! Text begins with the word `solid`, so the head of a binary file must not. There are no units, no axes and no
-//! vertices: corners are repeated. Positions have 32 bits, also of a mesh that is far from the origin.
+//! Text STL starts with the word `solid`, so the header of a binary file must not. The format has no units,
+//! axes or shared vertices: corners are repeated. Positions have 32 bits, even if the mesh is far from the
+//! origin.
 
 use std::io::Write;
 
@@ -24,11 +25,11 @@ const TITLE_BYTES: usize = 80;
 const HEAD_BYTES: usize = TITLE_BYTES + 4;
 const TRIANGLE_BYTES: usize = 50;
 
-/// Triangles whose bytes are made at once.
+/// Number of triangles encoded at a time.
 const PIECE: usize = 4096;
 
-/// Writes triangles, each with the normal of its plane. Of the provenance `input_hash`, `settings` and `obstacles`
-/// are in the title, each if it fits.
+/// Writes triangles, each with its face normal. Of the provenance, the title stores `input_hash`, `settings`
+/// and `obstacles`, as far as they fit.
 ///
 /// # Errors
 ///
@@ -59,13 +60,13 @@ pub fn write(mesh: &MeshView, provenance: &Provenance, out: &mut impl Write) -> 
 fn count_of(triangle_count: usize) -> Result<u32> {
     u32::try_from(triangle_count).map_err(|_| {
         let what = format!(
-            "{triangle_count} triangles; 2³² − 1 can be counted: write .ply, or choose a larger voxel size"
+            "the mesh has {triangle_count} triangles; the limit is 2³² − 1: write .ply, or use a larger voxel size"
         );
         Error::too_large(FORMAT, what)
     })
 }
 
-/// A vertex in the world, rounded once.
+/// The world position of a vertex, rounded once.
 fn world(mesh: &MeshView, corner: u32) -> [f32; 3] {
     at(mesh.origin, mesh.positions[corner as usize])
 }
@@ -78,7 +79,7 @@ fn at(origin: [f64; 3], position: [f32; 3]) -> [f32; 3] {
     }
 }
 
-/// The unit normal of a triangle; zero of one without an area, as the format asks for.
+/// The unit normal of a triangle; zero for a degenerate one, as the format specifies.
 #[expect(clippy::cast_possible_truncation, reason = "directions need no more than 24 bits")]
 fn normal_of(corners: [[f32; 3]; 3]) -> [f32; 3] {
     let [a, b, c] = corners.map(|corner| corner.map(f64::from));
@@ -88,8 +89,8 @@ fn normal_of(corners: [[f32; 3]; 3]) -> [f32; 3] {
     if length > 0.0 { normal.map(|x| (x / length) as f32) } else { [0.0; 3] }
 }
 
-/// The positions that a reader gets of a mesh, relative to the mesh's origin.
-#[expect(clippy::cast_possible_truncation, reason = "what is left of 32 bits has a place in as many")]
+/// The positions that a reader gets for a mesh, relative to the mesh's origin.
+#[expect(clippy::cast_possible_truncation, reason = "the difference fits into 32 bits")]
 pub fn rounded_positions(positions: &[[f32; 3]], origin: [f64; 3]) -> Vec<[f32; 3]> {
     if origin == [0.0; 3] {
         return positions.to_vec();
@@ -101,13 +102,12 @@ pub fn rounded_positions(positions: &[[f32; 3]], origin: [f64; 3]) -> Vec<[f32; 
     positions.iter().map(read).collect()
 }
 
-/// How far the positions of a mesh are moved by being rounded to 32 bits, along an axis, at most; 0 of a mesh that is
-/// where it is in 32 bits.
+/// The largest error along an axis from rounding a mesh's positions to 32 bits; 0 if they are exact.
 pub fn rounding(positions: &[[f32; 3]], origin: [f64; 3]) -> f64 {
     let corner = |position: &[f32; 3]| -> f64 {
         let moved = (0..3).map(|axis| {
             let exact = origin[axis] + f64::from(position[axis]);
-            #[expect(clippy::cast_possible_truncation, reason = "that is what is measured")]
+            #[expect(clippy::cast_possible_truncation, reason = "the rounding error is measured")]
             let rounded = exact as f32;
             (exact - f64::from(rounded)).abs()
         });
@@ -116,11 +116,11 @@ pub fn rounding(positions: &[[f32; 3]], origin: [f64; 3]) -> f64 {
     if origin == [0.0; 3] { 0.0 } else { positions.iter().map(corner).fold(0.0, f64::max) }
 }
 
-/// A name of the provenance that has a letter here, for there is little room; those without one are left out.
+/// A provenance name with a one-letter abbreviation, because the title is short; others are omitted.
 struct Short {
     name: &'static str,
     letter: &'static str,
-    /// What every value begins with: it is not written.
+    /// The common prefix of all values, which is not written.
     lead: &'static str,
 }
 
@@ -130,7 +130,7 @@ const SHORT_NAMES: [Short; 3] = [
     Short { name: "obstacles", letter: "o", lead: "" },
 ];
 
-/// What stands before the values: the generator is what the title begins with.
+/// The provenance name of the generator, which starts the title.
 const GENERATOR_NAME: &str = "generator";
 
 fn title(provenance: &Provenance) -> [u8; TITLE_BYTES] {
@@ -153,7 +153,7 @@ fn title(provenance: &Provenance) -> [u8; TITLE_BYTES] {
     title
 }
 
-/// What [`write()`] put into the title.
+/// Reads the provenance that [`write()`] stored in the title.
 fn read_provenance(head: &[u8]) -> Result<Vec<(String, String)>> {
     let title = head.get(..TITLE_BYTES).ok_or_else(|| short(head))?;
     let text = std::str::from_utf8(title).unwrap_or_default();
@@ -171,17 +171,17 @@ fn read_provenance(head: &[u8]) -> Result<Vec<(String, String)>> {
 }
 
 fn short(bytes: &[u8]) -> Error {
-    let what = format!("{} bytes, and the head alone has {HEAD_BYTES}", bytes.len());
+    let what = format!("the file has {} bytes, fewer than its header of {HEAD_BYTES}", bytes.len());
     Error::short(FORMAT, Place::File, what)
 }
 
-/// How long a file with this head is.
-fn bytes_claimed(head: &[u8]) -> Option<u64> {
-    Some(bytes_with(triangles_claimed(head)?))
+/// The size of a file with this header.
+fn bytes_declared(head: &[u8]) -> Option<u64> {
+    Some(bytes_with(triangles_declared(head)?))
 }
 
-/// How many triangles a file with this head has.
-fn triangles_claimed(head: &[u8]) -> Option<u32> {
+/// The number of triangles of a file with this header.
+fn triangles_declared(head: &[u8]) -> Option<u32> {
     Some(u32::from_le_bytes(*head.get(TITLE_BYTES..)?.first_chunk()?))
 }
 
@@ -189,19 +189,19 @@ fn bytes_with(triangle_count: u32) -> u64 {
     HEAD_BYTES as u64 + u64::from(triangle_count) * TRIANGLE_BYTES as u64
 }
 
-/// Reads the triangles of a binary file, as many as its head says; what may follow them is left alone, as some programs
-/// append their own. Each has corners of its own; normals, which are those of the planes, are not kept.
+/// Reads the number of triangles that the header declares, and ignores any bytes after them, which some
+/// programs append. Triangles do not share vertices. The stored normals, which are face normals, are dropped.
 ///
 /// # Errors
 ///
-/// [`Error::Short`] for a file without all its triangles, [`Error::TooLarge`] beyond `limits`, [`Error::Unsupported`] for
-/// text.
+/// [`Error::Short`] if triangles are missing, [`Error::TooLarge`] beyond `limits`, [`Error::Unsupported`] for
+/// text STL.
 pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
-    let triangle_count = triangles_claimed(bytes).ok_or_else(|| short(bytes))?;
+    let triangle_count = triangles_declared(bytes).ok_or_else(|| short(bytes))?;
     let claimed = bytes_with(triangle_count);
     let is_whole = claimed == bytes.len() as u64;
     if !is_whole && bytes.starts_with(b"solid") {
-        return Err(Error::unsupported(FORMAT, "this is text: save it as binary STL"));
+        return Err(Error::unsupported(FORMAT, "this is text STL: save it as binary STL"));
     }
     if claimed > bytes.len() as u64 {
         let what = format!("expected {claimed} bytes, found {}", bytes.len());
@@ -209,7 +209,8 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     }
     let corner_count = 3 * u64::from(triangle_count);
     if corner_count > limits.particle_count.min(u64::from(u32::MAX)) {
-        let what = format!("{corner_count} corners, more than the limit of {}", limits.particle_count);
+        let what =
+            format!("the file has {corner_count} corners, more than the limit of {}", limits.particle_count);
         return Err(Error::too_large(FORMAT, what));
     }
     let mut mesh = MeshData::default();
@@ -227,7 +228,7 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     Ok(mesh)
 }
 
-/// What the table of formats says of it.
+/// The row in the table of formats.
 pub(crate) static ROW: OutputRow = OutputRow {
     format: FormatRow {
         read_mesh: Some(|bytes, limits, _| read_mesh(bytes, limits)),
@@ -237,7 +238,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
     content: Content::Mesh(MeshWriter {
         attribute_notes: |attributes| match attributes {
             [] => Vec::new(),
-            _ => vec!["the .stl has triangles only, and nothing that is known of the vertices".to_owned()],
+            _ => vec!["vertex attributes are missing in the .stl, which stores triangles only".to_owned()],
         },
         rounding: |_| Some(&ROUNDING),
         ..MeshWriter::new(MeshEncoder::Stream(|mesh, _, provenance, mut out| {
@@ -248,14 +249,14 @@ pub(crate) static ROW: OutputRow = OutputRow {
     has_attributes: false,
     options: &[],
     read_provenance,
-    integrity: Integrity::Length(|head, _| Ok(bytes_claimed(head))),
+    integrity: Integrity::Length(|head, _| Ok(bytes_declared(head))),
 };
 
 static ROUNDING: Rounding = Rounding {
     positions: rounded_positions,
     error: rounding,
-    certified_as: "mesh, at its 32-bit positions in the world",
-    reason: "the .stl, whose numbers have 32 bits: it is far from the origin",
+    certified_as: "mesh, at its 32-bit world positions",
+    reason: "the .stl, which has 32-bit numbers: the mesh is far from the origin",
 };
 
 #[cfg(test)]
@@ -263,13 +264,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn triangles_beyond_32_bits_are_too_many() {
+    fn triangle_count_beyond_32_bits_is_an_error() {
         assert_eq!(count_of(u32::MAX as usize).ok(), Some(u32::MAX));
         assert!(matches!(count_of(u32::MAX as usize + 1), Err(Error::TooLarge { .. })));
     }
 
     #[test]
-    fn as_many_triangles_are_read_as_the_head_says() {
+    fn declared_number_of_triangles_is_read() {
         let record = |x: f32| [x.to_le_bytes().repeat(12), vec![0; 2]].concat();
         let file =
             |count: u32, records: &[u8]| [&[b' '; TITLE_BYTES][..], &count.to_le_bytes(), records].concat();
@@ -284,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn titles_hold_what_fits_and_are_never_taken_for_text() {
+    fn titles_store_what_fits_and_never_start_with_solid() {
         let pair = |name: &str, value: &str| (name.to_owned(), value.to_owned());
         let all = [
             pair("generator", GENERATOR),
@@ -297,7 +298,7 @@ mod tests {
         assert!(title.starts_with(GENERATOR.as_bytes()) && title.is_ascii());
         let kept = [&all[..1], &all[2..]].concat();
         assert_eq!(read_provenance(&title).expect("a title"), kept);
-        // A value that does not fit is not cut.
+        // A value that does not fit is omitted, not truncated.
         let long = [all[2].clone(), pair("settings", &"0".repeat(80)), all[4].clone()];
         let read = read_provenance(&super::title(&long)).expect("a title");
         assert_eq!(read[1..], [long[0].clone(), long[2].clone()]);

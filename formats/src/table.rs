@@ -1,8 +1,8 @@
-//! The table of formats: one row for each, and no other list of them anywhere.
+//! The table of formats: one row per format, and the only list of formats in the code.
 //!
-//! A format describes itself in its own module, in a static row; this file names the rows. Everything else follows:
-//! which files are recognised and read, `--format` and its help, which options have an effect, what is recorded in an
-//! output, how an output is checked for being whole, and which notes its user gets.
+//! Each format describes itself in its own module, in a static row; this file lists the rows. The rest of the
+//! program derives from them which files it recognises and reads, `--format` and its help, which options have
+//! an effect, what an output records, how an output is checked for completeness, and which notes users get.
 //!
 //! ```text
 //!   FormatRow    name, extensions, signatures │ reads particles? │ reads a mesh?
@@ -21,7 +21,7 @@ use crate::mesh_options::{MeshOptions, WriteOption};
 use crate::provenance::HEAD_BYTES_MAX;
 use crate::row::{Content, FormatRow, MeshWriter, OutputRow, ParticleWriter};
 
-/// Defines the two enums of formats from the rows.
+/// Generates the two format enums from the rows.
 macro_rules! formats {
     (
         written { $($(#[$written_doc:meta])* $written:ident => $output_row:path,)+ }
@@ -34,14 +34,14 @@ macro_rules! formats {
             $($(#[$read_doc])* $read,)+
         }
 
-        /// A format that is written.
+        /// A format that files are written in.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         pub enum OutputFormat {
             $($(#[$written_doc])* $written,)+
         }
 
         impl Format {
-            /// All formats: first those that are written.
+            /// All formats; the writable ones come first.
             pub const ALL: [Format; [$(stringify!($written),)+ $(stringify!($read),)+].len()] =
                 [$(Format::$written,)+ $(Format::$read,)+];
 
@@ -52,7 +52,7 @@ macro_rules! formats {
                 }
             }
 
-            /// The same format as one that is written, if it is.
+            /// The corresponding output format, if this format is written.
             pub fn output(self) -> Option<OutputFormat> {
                 match self {
                     $(Format::$written => Some(OutputFormat::$written),)+
@@ -62,7 +62,7 @@ macro_rules! formats {
         }
 
         impl OutputFormat {
-            /// All formats that are written, in the order of the table.
+            /// All output formats, in the order of the table.
             pub const ALL: [OutputFormat; [$(stringify!($written)),+].len()] = [$(OutputFormat::$written,)+];
 
             pub(crate) fn row(self) -> &'static OutputRow {
@@ -78,7 +78,7 @@ formats! {
     written {
         /// Binary glTF.
         Glb => crate::gltf::GLB,
-        /// glTF as text, with its buffer inside.
+        /// glTF as text, with its buffer embedded.
         Gltf => crate::gltf::GLTF,
         /// OpenVDB: sparse volumes.
         Vdb => crate::vdb::ROW,
@@ -92,83 +92,83 @@ formats! {
         Usda => crate::usda::ROW,
         /// Binary STL.
         Stl => crate::stl::ROW,
-        /// A picture: colours.
+        /// A picture: colours only.
         Png => crate::png::ROW,
         /// A picture: colours, depth, normals and more.
         Exr => crate::exr::ROW,
     }
     read_only {
-        /// Houdini's geometry before version 12, binary; what simulators write.
+        /// Houdini's binary geometry format before version 12, which many simulators still write.
         ClassicBgeo => crate::bgeo::BINARY,
-        /// The same as text.
+        /// The text variant of classic Houdini geometry.
         ClassicGeo => crate::bgeo::TEXT,
-        /// Houdini's geometry from version 12 on, binary.
+        /// Houdini's binary geometry format since version 12.
         HoudiniJsonBinary => crate::houdini::BINARY,
-        /// The same as text.
+        /// The text variant of Houdini JSON geometry.
         HoudiniJsonText => crate::houdini::TEXT,
-        /// The same, compressed with Blosc.
+        /// Houdini JSON geometry compressed with Blosc.
         HoudiniSc => crate::houdini::CONTAINER,
-        /// VTK's old format, text or binary.
+        /// VTK's legacy format, text or binary.
         VtkLegacy => crate::vtk::LEGACY_ROW,
-        /// A table as text: CSV, tab- or space-separated.
+        /// A text table: CSV, tab- or space-separated.
         Delimited => crate::csv::ROW,
-        /// Tables of particles by LAMMPS, one for each time step.
+        /// LAMMPS dump: a table of particles for each time step.
         LammpsDump => crate::lammps::ROW,
-        /// Atoms as text, after their count and a comment; frames may follow each other.
+        /// XYZ atoms as text: a count, a comment, then one atom per line; frames can follow one another.
         XyzAtoms => crate::xyz_ext::ROW,
-        /// Positions as raw 32-bit reals.
+        /// Positions as raw 32-bit floats.
         RawXyz => crate::xyz::ROW,
         /// One NumPy array.
         Npy => crate::npy::ROW,
-        /// NumPy arrays with names, in a ZIP archive.
+        /// Named NumPy arrays in a ZIP archive.
         Npz => crate::npy::ARCHIVE_ROW,
     }
 }
 
 impl Format {
-    /// The name that users know.
+    /// The name shown to users.
     pub fn name(self) -> &'static str {
         self.row().name
     }
 
-    /// The extensions of its files, in lower case and without the dot.
+    /// File extensions, in lower case and without the dot.
     pub fn extensions(self) -> &'static [&'static str] {
         self.row().extensions
     }
 
-    /// Whether meshes are read from its files.
+    /// Whether its files can be read as meshes.
     pub fn has_mesh(self) -> bool {
         self.row().read_mesh.is_some()
     }
 
-    /// Whether particles are read from its files.
+    /// Whether its files can be read as particles.
     pub fn has_particles(self) -> bool {
         self.row().particles.is_some()
     }
 }
 
 impl OutputFormat {
-    /// The format whose results have this extension, in lower case and without the dot.
+    /// The output format with this extension, given in lower case and without the dot.
     pub fn from_extension(extension: &str) -> Option<OutputFormat> {
         OutputFormat::ALL.into_iter().find(|format| format.extension() == extension)
     }
 
-    /// The extension of its files, without the dot.
+    /// The file extension, without the dot.
     pub fn extension(self) -> &'static str {
         self.row().format.extensions.first().copied().unwrap_or_default()
     }
 
-    /// One line that explains it in help.
+    /// A one-line description for `--help`.
     pub fn help(self) -> &'static str {
         self.row().help
     }
 
-    /// What its files hold.
+    /// What its files contain.
     pub fn content(self) -> &'static Content {
         &self.row().content
     }
 
-    /// How it writes meshes, if it does.
+    /// The mesh writer, if the format has one.
     pub fn mesh(self) -> Option<&'static MeshWriter> {
         match self.content() {
             Content::Mesh(writer) => Some(writer),
@@ -176,12 +176,12 @@ impl OutputFormat {
         }
     }
 
-    /// How it writes particles, if it does.
+    /// The particle writer, if the format has one.
     pub fn particles(self) -> Option<&'static ParticleWriter> {
         self.row().write_particles.as_ref()
     }
 
-    /// Whether its files hold a mesh.
+    /// Whether its files contain a mesh.
     pub fn is_mesh(self) -> bool {
         self.mesh().is_some()
     }
@@ -196,12 +196,12 @@ impl OutputFormat {
         self.row().has_attributes
     }
 
-    /// Whether this option changes its files.
+    /// Whether this option affects its files.
     pub fn has_option(self, option: WriteOption) -> bool {
         self.row().options.contains(&option)
     }
 
-    /// The options that change its files.
+    /// The options that affect its files.
     pub fn options(self) -> &'static [WriteOption] {
         self.row().options
     }
@@ -209,7 +209,7 @@ impl OutputFormat {
     /// Writes a mesh.
     ///
     /// # Errors
-    /// Those of [`MeshWriter::write`]; [`Error::Unsupported`] if the format has no meshes.
+    /// The errors of [`MeshWriter::write`]; [`Error::Unsupported`] if the format cannot store meshes.
     pub fn write_mesh(
         self,
         mesh: &MeshView,
@@ -217,7 +217,9 @@ impl OutputFormat {
         provenance: &Provenance,
         out: &mut dyn Write,
     ) -> Result<()> {
-        let writer = self.mesh().ok_or_else(|| Error::unsupported(self.row().format.name, "no meshes"))?;
+        let writer = self
+            .mesh()
+            .ok_or_else(|| Error::unsupported(self.row().format.name, "this format cannot store meshes"))?;
         writer.write(mesh, options, provenance, out)
     }
 }
@@ -233,7 +235,7 @@ impl FromStr for OutputFormat {
 
     /// The format with this extension.
     fn from_str(extension: &str) -> std::result::Result<OutputFormat, String> {
-        OutputFormat::from_extension(extension).ok_or_else(|| format!("`{extension}` is not a format"))
+        OutputFormat::from_extension(extension).ok_or_else(|| format!("unknown format `{extension}`"))
     }
 }
 
@@ -249,8 +251,8 @@ impl<'de> Deserialize<'de> for OutputFormat {
     }
 }
 
-/// Reads back the provenance that a writer of this crate put into a file, from its first mebibyte.
-/// A file that another program made has none: the result is empty.
+/// Reads the provenance that a writer of this crate stored in a file, from the first mebibyte. Returns an
+/// empty list for files of other programs.
 ///
 /// # Errors
 ///
@@ -261,7 +263,7 @@ pub fn read_provenance(format: OutputFormat, file: impl Read) -> Result<Vec<(Str
     (format.row().read_provenance)(&head)
 }
 
-/// Words in a sentence, with `last` before the last one: `.obj, .vtp and .usda`.
+/// Joins words with commas, and the last two with `last`: `.obj, .vtp and .usda`.
 pub fn listed(words: Vec<String>, last: &str) -> String {
     match words.split_last() {
         Some((end, [])) => end.clone(),

@@ -2,10 +2,10 @@
 
 use fast_float2::FastFloat;
 
-/// The lines of a text, without what ends them: LF, CR LF or CR.
+/// The lines of a text, without their terminators: LF, CR LF or CR.
 ///
-/// The end of the first line decides whether a lone CR ends lines, so that what follows a text
-/// header in a binary file is never touched.
+/// The first line decides whether a lone CR terminates lines, so the binary data after a text header is never
+/// split at CRs.
 #[derive(Clone, Debug)]
 pub(crate) struct Lines<'a> {
     bytes: &'a [u8],
@@ -19,17 +19,17 @@ impl<'a> Lines<'a> {
         Lines { bytes, at: 0, number: 0, end: line_end(bytes) }
     }
 
-    /// Where the next line starts.
+    /// Offset of the next line.
     pub(crate) fn at(&self) -> usize {
         self.at
     }
 
-    /// Whether the line returned last has an end, rather than being cut off with the text.
+    /// Whether the last returned line had a terminator, and was not cut off by the end of the text.
     pub(crate) fn was_ended(&self) -> bool {
         self.bytes[..self.at].last() == Some(&self.end)
     }
 
-    /// The number of the line returned last, from 1.
+    /// The number of the last returned line, starting at 1.
     pub(crate) fn number(&self) -> u64 {
         self.number
     }
@@ -48,7 +48,7 @@ impl<'a> Iterator for Lines<'a> {
     }
 }
 
-/// The byte that ends lines: CR if the first line ends in a lone CR, else LF.
+/// The byte that terminates lines: CR if the first line ends in a lone CR, else LF.
 fn line_end(bytes: &[u8]) -> u8 {
     let first = bytes.iter().position(|byte| matches!(byte, b'\n' | b'\r'));
     match first {
@@ -57,16 +57,15 @@ fn line_end(bytes: &[u8]) -> u8 {
     }
 }
 
-/// The number, from 1, of the line that holds the byte at `offset`.
+/// The number, starting at 1, of the line that contains the byte at `offset`.
 pub(crate) fn line_number(bytes: &[u8], offset: usize) -> u64 {
     let end = line_end(bytes);
     1 + bytes[..offset.min(bytes.len())].iter().filter(|&&byte| byte == end).count() as u64
 }
 
-/// The number at the start of `bytes` and its length, or `None`.
+/// Parses the number at the start of `bytes`. Returns it and its length, or `None`.
 ///
-/// Besides what C prints, `nan(ind)` and `1.#QNAN`, `1.#INF` are understood: older Windows
-/// programs write these.
+/// Also accepts `nan(ind)`, `1.#QNAN` and `1.#INF`, which older Windows programs write.
 pub(crate) fn parse_number<T: FastFloat>(bytes: &[u8]) -> Option<(T, usize)> {
     let (value, length) = fast_float2::parse_partial::<T, _>(bytes).ok()?;
     match bytes.get(length) {
@@ -100,7 +99,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn all_line_ends_are_understood() {
+    fn lf_crlf_and_cr_terminate_lines() {
         for text in ["a\nb\n\nc", "a\r\nb\r\n\r\nc\r\n", "a\rb\r\rc\r"] {
             let lines: Vec<&[u8]> = Lines::new(text.as_bytes()).collect();
             assert_eq!(lines, [b"a" as &[u8], b"b", b"", b"c"], "of {text:?}");
@@ -112,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_are_parsed_as_far_as_they_go() {
+    fn numbers_are_parsed_up_to_a_delimiter() {
         let table = [
             ("1.5 2", Some((1.5, 3))),
             ("-2e3,", Some((-2000.0, 4))),

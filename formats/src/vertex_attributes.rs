@@ -1,38 +1,38 @@
-//! What is known of each vertex beside where it is, and the names under which files can hold it.
+//! Where files store vertex attributes, and under which names.
 //!
-//! Formats differ in what they have room for. Each writer decides by itself where an attribute goes, and
-//! tells in notes what became of those that do not come through as they are:
+//! Formats differ in the attributes that they can store. Each writer decides where an attribute goes, and
+//! adds a note for each attribute that it cannot store exactly:
 //!
 //! ```text
 //!            velocity    colour            other numbers      integers               strings
-//!   .glb     _VELOCITY   COLOR_0           _NAME, up to 4     reals, where exact     index, table in extras
+//!   .glb     _VELOCITY   COLOR_0           _NAME, up to 4     floats, if exact       index, table in extras
 //!   .ply     vx vy vz    red green blue    name, name_x ..    int, or double         index, table in comments
 //!   .obj     –           v x y z r g b     –                  –                      –
-//!   .vtp     its name    its name          its name               32 or 64 bits          index, table in field data
+//!   .vtp     its name    its name          its name           32 or 64 bits          index, table in field data
 //!   .usda    velocities  displayColor      primvars:name, up to 4 int, or int64          indexed primvars
 //!   .stl     –           –                 –                      –                      –
 //!   .vdb     velocity    a vector grid     1 or 3 a voxel     –                      –
 //! ```
 //!
-//! Colours are written with the numbers that the particles have; no curve is applied. So glTF, whose colours
-//! are linear, shows what was meant if the particles' colours are linear, as those of simulations are.
+//! Writers store colours exactly as the particles have them, without a transfer curve. glTF defines colours
+//! as linear, so they look right if the particles' colours are linear, as those of simulations are.
 
 use std::collections::HashSet;
 
 use crate::data::{Role, VertexAttribute, VertexValues};
 
-/// What formats have places of their own for.
+/// Attributes that formats treat specially.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Purpose<'a> {
     /// Three numbers per vertex.
     Velocity,
-    /// Three or four numbers per vertex: these.
+    /// Three or four numbers per vertex, with the values.
     Color(&'a [f32]),
-    /// Anything else.
+    /// Any other attribute.
     Other,
 }
 
-/// The purpose of each attribute. Where several have one in common, the first gets the place.
+/// The purpose of each attribute. If several have the same one, only the first gets it.
 pub(crate) fn purposes<'a>(attributes: &[VertexAttribute<'a>]) -> Vec<Purpose<'a>> {
     let mut found: Vec<Purpose> = Vec::with_capacity(attributes.len());
     for VertexAttribute { role, arity, values, .. } in attributes {
@@ -48,30 +48,30 @@ pub(crate) fn purposes<'a>(attributes: &[VertexAttribute<'a>]) -> Vec<Purpose<'a
     found
 }
 
-/// What to say of a colour where a file has places for numbers from 0 to 1 only, and some are not.
-pub(crate) fn cut_note<'a>(
+/// A note on a colour with values outside 0 to 1, for a file that can only store this range.
+pub(crate) fn clamp_note<'a>(
     name: &str,
     values: impl IntoIterator<Item = &'a f32>,
     file: &str,
 ) -> Option<String> {
     let cut = values.into_iter().filter(|value| !(0.0..=1.0).contains(*value)).count();
-    (cut != 0).then(|| format!("{cut} values of {name} are beyond 0 to 1, and cut to it in {file}"))
+    (cut != 0).then(|| format!("{cut} values of {name} are outside 0 to 1; they are clamped in {file}"))
 }
 
-/// The index that stands for a string: −1 for none, whichever index says so.
+/// The index of a string, or −1 if it is outside the table.
 pub(crate) fn string_index(index: i32, table: &[String]) -> i32 {
     let is_one = usize::try_from(index).is_ok_and(|index| index < table.len());
     if is_one { index } else { -1 }
 }
 
-/// A name in which every character that is not a letter, a digit or an underscore of ASCII became one.
+/// A name in which `_` replaces every character that is not an ASCII letter, digit or underscore.
 pub(crate) fn plain_name(name: &str) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
     let plain: String = name.trim().chars().map(plain).collect();
     if plain.is_empty() { "attribute".into() } else { plain }
 }
 
-/// The names that a file has so far. Upper and lower case are the same to some readers.
+/// The names used so far in a file. Compared without case, as some readers do.
 pub(crate) struct NamesTaken(HashSet<String>);
 
 impl NamesTaken {
@@ -79,7 +79,8 @@ impl NamesTaken {
         NamesTaken(reserved.iter().map(|name| name.to_ascii_lowercase()).collect())
     }
 
-    /// Takes all names that belong to a stem, or to the first of `stem_2`, `stem_3`, … whose names are free.
+    /// Reserves all names derived from a stem, or from the first of `stem_2`, `stem_3`, … whose names are
+    /// free.
     pub(crate) fn take(&mut self, stem: &str, names_of: impl Fn(&str) -> Vec<String>) -> Vec<String> {
         let mut names = names_of(stem);
         let mut number = 2u64;
@@ -97,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_are_plain_and_taken_once() {
+    fn names_are_sanitised_and_unique() {
         for (name, plain) in [("Cd", "Cd"), ("a b/ü", "a_b__"), ("", "attribute"), (" \n", "attribute")] {
             assert_eq!(plain_name(name), plain);
         }
@@ -112,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn strings_outside_the_table_are_none() {
+    fn string_indices_outside_the_table_become_minus_one() {
         let table = ["a".to_string(), "b".to_string()];
         let indices = [0, 1, 2, -1, i32::MIN, i32::MAX].map(|index| string_index(index, &table));
         assert_eq!(indices, [0, 1, -1, -1, -1, -1]);

@@ -1,13 +1,15 @@
-//! Raw `.xyz`: three 32-bit reals for each particle and nothing else, as splashsurf and its kin write them.
+//! Raw `.xyz`: three 32-bit floats per particle and nothing else, as written by splashsurf and similar
+//! programs.
 //!
 //! ```text
-//!   f32 x  f32 y  f32 z   f32 x  f32 y  f32 z   ..      12 bytes each, in the order of the machine that wrote them
+//!   f32 x  f32 y  f32 z   f32 x  f32 y  f32 z   ..      12 bytes each, in the writer's byte order
 //! ```
 //!
-//! There is no signature, so the name decides, and only where the content is no text: the `.xyz` of other programs is
-//! a table of blanks, which [`crate::csv`] reads. Nor is there an order of bytes. Nearly every machine is
-//! little-endian; a file whose numbers are then absurd and are not in the other order is taken to be big-endian, and
-//! one whose numbers are absurd in both is not raw positions.
+//! The format has no signature, so the name decides, but only if the content is not text: the `.xyz` files of
+//! other programs are space-separated tables, which [`crate::csv`] reads. The byte order is not recorded
+//! either. Nearly all machines are little-endian. If the numbers are absurd as little-endian and plausible as
+//! big-endian, the file is read as big-endian; if they are absurd in both, the file does not contain raw
+//! positions.
 
 use crate::bytes::Endian;
 use crate::data::ParticleFrame;
@@ -16,25 +18,26 @@ use crate::limits::Limits;
 use crate::number::{self, Number};
 use crate::row::{FormatRow, ParticleInput};
 
-/// The format as users know it, for errors.
+/// The format's name in errors.
 const FORMAT: &str = "raw XYZ";
 
-/// Bytes of a position.
+/// Bytes per position.
 const RECORD_BYTES: usize = 12;
 
-/// Numbers that are looked at to tell their order.
+/// Number of values examined to determine the byte order.
 const SAMPLE_COUNT: usize = 4096;
 
 /// Reads raw positions.
 ///
 /// # Errors
 ///
-/// [`Error::Short`] where the last position is cut off, [`Error::Invalid`] for bytes that are no positions,
+/// [`Error::Short`] if the last position is truncated, [`Error::Invalid`] if the bytes are not positions,
 /// [`Error::TooLarge`] beyond `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let count = bytes.len() / RECORD_BYTES;
     if count as u64 > limits.particle_count {
-        let what = format!("{count} particles, more than the limit of {}", limits.particle_count);
+        let what =
+            format!("the file has {count} particles, more than the limit of {}", limits.particle_count);
         return Err(Error::too_large(FORMAT, what));
     }
     let endian = endian(bytes)?;
@@ -46,37 +49,37 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let positions = number::positions(Number::F32.decode(bytes, endian)).unwrap_or_default();
     let notes = match endian {
         Endian::Little => Vec::new(),
-        Endian::Big => vec!["The numbers were taken to be big-endian.".into()],
+        Endian::Big => vec!["the numbers are absurd as little-endian: read as big-endian".into()],
     };
     Ok(ParticleFrame { positions, attributes: Vec::new(), notes })
 }
 
-/// The order in which the first numbers are not absurd.
+/// The byte order in which the first numbers are not absurd.
 fn endian(bytes: &[u8]) -> Result<Endian> {
     let (words, _) = bytes.as_chunks::<4>();
     let words = &words[..words.len().min(SAMPLE_COUNT)];
     let absurd_count =
         |decode: fn([u8; 4]) -> f32| words.iter().filter(|&&word| is_absurd(decode(word))).count();
     let (little, big) = (absurd_count(f32::from_le_bytes), absurd_count(f32::from_be_bytes));
-    // Some particles may well be lost to infinity.
+    // Some particles may have diverged to infinity.
     let is_good = |absurd: usize| 4 * absurd <= words.len();
     match (is_good(little), is_good(big)) {
         (true, _) if little <= big || !is_good(big) => Ok(Endian::Little),
         (_, true) => Ok(Endian::Big),
         _ => {
-            let what =
-                "expected 32-bit reals, three for each particle; these bytes are none that a position has";
+            let what = "expected three 32-bit floats per particle; these bytes are not plausible positions in either byte order";
             Err(Error::invalid(FORMAT, Place::Offset(0), what))
         }
     }
 }
 
-/// Whether no position is like this: not finite, or nearer to zero or farther from it than any scene.
+/// Whether a number is implausible in a position: not finite, or closer to or farther from zero than any
+/// scene.
 fn is_absurd(value: f32) -> bool {
     !(value == 0.0 || (1e-20..1e12).contains(&value.abs()))
 }
 
-/// What the table of formats says of it.
+/// The row in the table of formats.
 pub(crate) static ROW: FormatRow =
     FormatRow { particles: Some(ParticleInput::new(read)), ..FormatRow::new(FORMAT, &["xyz"]) };
 
@@ -95,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn both_orders_are_read() {
+    fn both_byte_orders_are_read() {
         let little = read_of(f32::to_le_bytes);
         assert_eq!((little.positions, little.notes.len()), (Positions::F32(positions()), 0));
         let big = read_of(f32::to_be_bytes);
@@ -103,12 +106,12 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_told() {
+    fn truncated_and_implausible_files_are_errors() {
         let bytes: Vec<u8> = [0.5f32; 6].iter().flat_map(|value| value.to_le_bytes()).collect();
         let error = read(&bytes[..23], &Limits::default()).unwrap_err();
         assert!(error.is_short() && error.to_string().contains("at byte 12"), "{error}");
         let error = read(&[0xff; 24], &Limits::default()).unwrap_err().to_string();
-        assert!(error.contains("expected 32-bit reals"), "{error}");
+        assert!(error.contains("expected three 32-bit floats"), "{error}");
         let limits = Limits { particle_count: 1, ..Limits::default() };
         assert!(matches!(read(&bytes, &limits), Err(Error::TooLarge { .. })));
     }

@@ -1,18 +1,20 @@
-//! The `.xyz` of chemists: a count, a comment, and a line for each atom. Many frames may follow each other.
+//! The `.xyz` format of chemistry, plain and extended: a count, a comment, and a line per atom. Many frames
+//! can follow one another.
 //!
 //! ```text
-//!   3                                                     so many atoms
-//!   Properties=species:S:1:pos:R:3:velo:R:3 Time=0.5      a comment; extended XYZ says in it what the columns are
-//!   O 0.0 0.0 0.0   0 0 -1                                an element, its position, and what else there is
+//!   3                                                     number of atoms
+//!   Properties=species:S:1:pos:R:3:velo:R:3 Time=0.5      a comment; in extended XYZ it describes the columns
+//!   O 0.0 0.0 0.0   0 0 -1                                an element, its position, and further columns
 //!   H 0.757 0.586 0 0 0 -1
 //!   H -0.757 0.586 0 0 0 -1
 //! ```
 //!
-//! An atomic number may stand for the element. Without `Properties` the columns behind the position have no names: they are called `column_5` and so on, as they are
-//! counted. Lengths are ångströms as a rule; they are kept as they are. The rows are read as all tables are.
+//! An atomic number can replace the element. Without `Properties`, the columns after the position have no
+//! names; they become `column_5` and so on, by their number. Lengths are usually in ångströms and are not
+//! converted. The rows are read like those of any other table.
 //!
-//! Whoever joins lines writes none behind the last: such a frame is read as a table would be, and it is told, for
-//! the last number of a file that is still being written may lack digits.
+//! Programs that join lines omit the line end after the last one. Such a frame is read like any other table,
+//! with a note, because the last number of a file that is still being written may lack digits.
 
 use crate::csv;
 use crate::data::ParticleFrame;
@@ -22,11 +24,12 @@ use crate::row::{FormatRow, ParticleInput};
 use crate::step_finders::{LineHeads, steps_of_atoms};
 use crate::text::{Lines, parse_number};
 
-/// The format as users know it, for errors.
+/// The format's name in errors.
 pub(crate) const FORMAT: &str = "XYZ atoms";
 
-/// Whether a text begins like a frame of atoms: a count alone in the first line, and in the third a word before three
-/// numbers. A table has no such word, and other text no such count. Where an atomic number stands for the word, more is asked.
+/// Whether a text starts like a frame of atoms: a count alone on the first line, and on the third a word
+/// before three numbers. A table has no such word, and other text has no such count. If an atomic number
+/// replaces the word, stricter conditions apply.
 pub(crate) fn looks_like_atoms(text: &[u8]) -> bool {
     let mut lines = Lines::new(text);
     let Some(count) = lines.next().and_then(count) else { return false };
@@ -40,13 +43,13 @@ pub(crate) fn looks_like_atoms(text: &[u8]) -> bool {
     }
 }
 
-/// Whether these rows are of atoms that go by their numbers: each has one before three numbers or more, as many cells as
-/// the others, and behind so many rows nothing comes but the next frame. A table below the count of its rows has all that, but
-/// no comment: its first row is like the others.
+/// Whether these rows are atoms given by atomic numbers: each starts with one, followed by at least three
+/// numbers; all rows have the same number of cells; and only another frame follows them. A table below the
+/// count of its rows would also match, except that it has no comment: its first row looks like the others.
 fn have_atomic_numbers(comment: &[u8], lines: Lines, text: &[u8], atom_count: u64) -> bool {
     let most = usize::try_from(atom_count).unwrap_or(usize::MAX);
     let mut rows: Vec<&[u8]> = lines.clone().take(most).collect();
-    // The last line may be cut off.
+    // The last line may be truncated.
     if rows.len() > 1 && lines.clone().nth(rows.len()).is_none() && !text.ends_with(b"\n") {
         rows.pop();
     }
@@ -64,10 +67,10 @@ fn have_atomic_numbers(comment: &[u8], lines: Lines, text: &[u8], atom_count: u6
         && behind.next().is_none_or(|line| count(line).is_some())
 }
 
-/// Oganesson's.
+/// The atomic number of oganesson, the heaviest element.
 const ATOMIC_NUMBER_MAX: u64 = 118;
 
-/// The whole number that a line or a word is.
+/// Parses a line or word as a whole number.
 fn count(text: &[u8]) -> Option<u64> {
     let digits = text.trim_ascii();
     let is_count = !digits.is_empty() && digits.iter().all(u8::is_ascii_digit);
@@ -77,10 +80,10 @@ fn count(text: &[u8]) -> Option<u64> {
 /// Reads the only frame of a file.
 ///
 /// # Errors
-///
-/// [`Error::Short`] where atoms are missing, [`Error::Invalid`] with the line where a row has too many or too few
-/// cells, or text in a column of numbers; [`Error::Unsupported`] for a file of several frames, which
-/// [`crate::steps::find_steps`] finds; [`Error::TooLarge`] beyond `limits`, of which one is for the number of frames.
+/// [`Error::Short`] if atoms are missing, [`Error::Invalid`] with the line if a row has the wrong number of
+/// cells, or text in a numeric column; [`Error::Unsupported`] for a file with several frames, which
+/// [`crate::steps::find_steps`] locates; [`Error::TooLarge`] beyond `limits`, which also limit the number of
+/// frames.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let mut lines = Lines::new(bytes);
     let count = lines.next().unwrap_or_default().trim_ascii();
@@ -89,7 +92,8 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
         .and_then(|count| count.parse().ok())
         .ok_or_else(|| invalid(1, "expected the number of atoms"))?;
     if count > limits.particle_count {
-        let what = format!("{count} particles, more than the limit of {}", limits.particle_count);
+        let what =
+            format!("the file has {count} particles, more than the limit of {}", limits.particle_count);
         return Err(Error::too_large(FORMAT, what));
     }
     let comment = lines.next().ok_or_else(|| short(1, "expected a comment"))?;
@@ -105,30 +109,30 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     }
     let end = lines.at();
     if lines.any(|line| !line.trim_ascii().is_empty()) {
-        // Of more than there may be, that is what is to be told.
+        // If there are too many frames, report that instead.
         steps_of_atoms(LineHeads::new(&mut &*bytes, 0, 0), &mut Vec::new(), limits)?;
-        let what = "the file has several frames, and a frame is one: each is to be read by itself";
+        let what = "the file has several frames: read each frame separately";
         return Err(Error::unsupported(FORMAT, what));
     }
     if count == 0 {
         return Ok(ParticleFrame::default());
     }
     let names = names(comment, words(first).count(), limits)?;
-    let position = position(&names).ok_or_else(|| invalid(2, "Properties have no pos:R:3"))?;
-    let rows = csv::Rows { names, position, offset, line, count };
+    let position = position(&names).ok_or_else(|| invalid(2, "Properties does not contain pos:R:3"))?;
+    let rows = csv::CountedRows { names, position, offset, line, count };
     let table = bytes.get(..end).unwrap_or_default();
-    let frame = csv::read_rows(table, rows, limits).map_err(|error| error.of_format(FORMAT))?;
-    let mut frame = frame.ok_or_else(|| invalid(2, "Properties name another position beside pos"))?;
+    let frame = csv::read_rows(table, rows, limits).map_err(|error| error.with_format(FORMAT))?;
+    let mut frame = frame.ok_or_else(|| invalid(2, "Properties contains a second position besides pos"))?;
     frame.notes.extend(csv::open_end_note(table));
     Ok(frame)
 }
 
-/// The names of the columns, of which there are so many in the first row.
+/// The names of the columns; `column_count` is the number of cells in the first row.
 fn names(comment: &[u8], column_count: usize, limits: &Limits) -> Result<Vec<String>> {
     let properties = std::str::from_utf8(comment).ok().and_then(properties);
     let count = properties.as_ref().map_or(column_count, |names| names.iter().map(|(_, count)| count).sum());
     if count > limits.attribute_count {
-        let what = format!("more columns than the limit of {}", limits.attribute_count);
+        let what = format!("the file has more columns than the limit of {}", limits.attribute_count);
         return Err(Error::too_large(FORMAT, what));
     }
     let Some(properties) = properties else {
@@ -146,7 +150,7 @@ fn names(comment: &[u8], column_count: usize, limits: &Limits) -> Result<Vec<Str
     Ok(properties.iter().flat_map(of_property).collect())
 }
 
-/// What the comment of extended XYZ says of the columns: names, and how many columns each has.
+/// The column descriptions in the comment of extended XYZ: names, and the number of columns of each.
 fn properties(comment: &str) -> Option<Vec<(&str, usize)>> {
     const COLUMNS_MAX: usize = 1 << 16;
     let value = comment.split_once("Properties=")?.1.trim_start_matches('"');
@@ -180,7 +184,7 @@ fn short(line: u64, what: impl Into<String>) -> Error {
     Error::short(FORMAT, Place::Line(line), what)
 }
 
-/// What the table of formats says of it.
+/// The row in the table of formats.
 pub(crate) static ROW: FormatRow = FormatRow {
     particles: Some(ParticleInput { find_steps: Some(steps_of_atoms), ..ParticleInput::new(read) }),
     ..FormatRow::new(FORMAT, &["xyz", "txt"])

@@ -1,12 +1,12 @@
-//! Unpacks a file that another format is packed in with Zstandard.
+//! Decompresses Zstandard files.
 //!
-//! As with gzip, the result is produced piece by piece and abandoned at the first piece beyond the
-//! limits. A frame also names its window, which a decoder must hold: one that is much larger than the file
-//! needs is refused before it is allocated.
+//! As with gzip, the output is produced in chunks, and decompression stops at the first chunk that exceeds
+//! the limits. A frame also declares the size of its window, which a decoder must allocate: a window much
+//! larger than the file needs is rejected before allocation.
 //!
 //! ```text
-//!   28 b5 2f fd   a frame: header, blocks, perhaps a checksum         decoded
-//!   5? 2a 4d 18   a skippable frame: u32 length, then as many bytes   skipped
+//!   28 b5 2f fd   a frame: header, blocks, optional checksum          decoded
+//!   5? 2a 4d 18   a skippable frame: u32 length, then its bytes       skipped
 //! ```
 
 use std::io::{ErrorKind, Read};
@@ -20,20 +20,20 @@ const FORMAT: &str = "Zstandard";
 
 const MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
-/// What skippable frames begin with, after a byte from 0x50 to 0x5f.
+/// The first bytes of skippable frames, after a byte from 0x50 to 0x5f.
 const SKIPPABLE: [u8; 3] = [0x2a, 0x4d, 0x18];
 
-/// Nothing comes out of a block before its end. The first ends before here: the head of its frame and its own, 128 KiB,
-/// and room for a frame that is skipped.
+/// A decoder yields nothing before the end of a block. The first block ends within this many bytes: the
+/// headers of its frame and its own, 128 KiB of data, and space for a skippable frame.
 pub(crate) const FIRST_BLOCK_BYTES_MAX: u64 = 132 << 10;
 
-/// Bytes unpacked between two looks at the limits.
+/// Bytes decompressed between checks of the limits.
 const PIECE_BYTES: usize = 256 << 10;
 
-/// The largest window of a small file: more than the levels up to 19 ask for.
+/// The largest window of a small file: more than compression levels up to 19 need.
 const WINDOW_BYTES: u64 = 16 << 20;
 
-/// Whether the file is packed with Zstandard.
+/// Whether the file is compressed with Zstandard.
 pub(crate) fn is_zstd(bytes: &[u8]) -> bool {
     bytes.starts_with(&MAGIC) || is_skippable(bytes)
 }
@@ -42,12 +42,12 @@ fn is_skippable(bytes: &[u8]) -> bool {
     bytes.first().is_some_and(|byte| byte >> 4 == 5) && bytes[1..].starts_with(&SKIPPABLE)
 }
 
-/// Unpacks all frames of the file, one after the other.
+/// Decompresses all frames of the file and concatenates them.
 ///
 /// # Errors
-/// `Short` if it ends too soon and `Invalid` if it is damaged, with the offset in the packed file;
-/// `TooLarge` beyond `decompressed_bytes` or `decompression_ratio`, and for too large a window.
-pub(crate) fn unpack(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
+/// `Short` if the file ends too early and `Invalid` if it is damaged, with the offset in the compressed file;
+/// `TooLarge` beyond `decompressed_bytes` or `decompression_ratio`, or if the window is too large.
+pub(crate) fn decompress(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     let mut unpacked = Vec::new();
     let mut rest = bytes;
     while !rest.is_empty() {
@@ -55,10 +55,10 @@ pub(crate) fn unpack(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
         if is_skippable(rest) {
             rest = after_skippable(rest, at)?;
         } else if rest.starts_with(&MAGIC) {
-            rest = unpack_frame(bytes, at, limits, &mut unpacked)?;
+            rest = decompress_frame(bytes, at, limits, &mut unpacked)?;
         } else {
             let place = Place::Offset(at as u64);
-            let what = "the compressed data is followed by something else";
+            let what = "the compressed data is followed by other bytes";
             return Err(match MAGIC.starts_with(rest) || (rest.len() < 4 && rest[0] >> 4 == 5) {
                 true => Error::short(FORMAT, place, what),
                 false => Error::invalid(FORMAT, place, what),
@@ -68,23 +68,28 @@ pub(crate) fn unpack(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     Ok(unpacked)
 }
 
-/// What follows a skippable frame that begins at byte `at` of the file.
+/// The bytes after a skippable frame that starts at byte `at` of the file.
 fn after_skippable(rest: &[u8], at: usize) -> Result<&[u8]> {
     let length =
         rest.get(4..8).map(|length| u32::from_le_bytes([length[0], length[1], length[2], length[3]]));
     length.and_then(|length| rest.get(8 + length as usize..)).ok_or_else(|| {
-        Error::short(FORMAT, Place::Offset(at as u64), "the file ends within a frame that is skipped")
+        Error::short(FORMAT, Place::Offset(at as u64), "the file ends within a skippable frame")
     })
 }
 
-/// Unpacks the frame at byte `at`, and returns what follows it.
-fn unpack_frame<'a>(bytes: &'a [u8], at: usize, limits: &Limits, unpacked: &mut Vec<u8>) -> Result<&'a [u8]> {
+/// Decompresses the frame at byte `at`, and returns the bytes after it.
+fn decompress_frame<'a>(
+    bytes: &'a [u8],
+    at: usize,
+    limits: &Limits,
+    unpacked: &mut Vec<u8>,
+) -> Result<&'a [u8]> {
     let mut decoder = decoder_of(bytes, at)?;
     loop {
         let before = unpacked.len();
         let outcome = decoder.by_ref().take(PIECE_BYTES as u64).read_to_end(unpacked);
         let consumed = bytes.len() - decoder.get_ref().len();
-        limits.check_unpacked(FORMAT, unpacked.len() as u64, consumed as u64)?;
+        limits.check_decompressed(FORMAT, unpacked.len() as u64, consumed as u64)?;
         if let Err(source) = outcome {
             return Err(damage(&source, consumed));
         }
@@ -102,8 +107,8 @@ fn decoder_of(bytes: &[u8], at: usize) -> Result<StreamingDecoder<&[u8], FrameDe
         WindowSizeTooBig { requested, max } => Error::too_large(
             FORMAT,
             format!(
-                "a window of {requested} bytes, more than the {max} that a file of {} may have: \
-                 pack it at a level of 19 or less",
+                "the window of {requested} bytes exceeds the limit of {max} for a file of {}: \
+                 compress it at level 19 or lower",
                 bytes.len()
             ),
         ),
@@ -124,12 +129,12 @@ fn check_sum(decoder: &FrameDecoder, consumed: usize) -> Result<()> {
 fn damage(source: &std::io::Error, consumed: usize) -> Error {
     let place = Place::Offset(consumed as u64);
     match is_end(source) {
-        true => Error::short(FORMAT, place, "the compressed data ends too soon"),
+        true => Error::short(FORMAT, place, "the compressed data ends too early"),
         false => Error::invalid(FORMAT, place, format!("the compressed data is damaged: {source}")),
     }
 }
 
-/// Whether the end of the file is behind it all.
+/// Whether the cause of an error is the end of the file.
 fn is_end(error: &std::io::Error) -> bool {
     if error.kind() == ErrorKind::UnexpectedEof {
         return true;
@@ -144,10 +149,10 @@ fn is_end(error: &std::io::Error) -> bool {
     false
 }
 
-/// Looks for damage in the first bytes without keeping what comes out of them.
+/// Checks the first bytes for damage without keeping the decompressed data.
 ///
 /// # Errors
-/// `Short`, `Invalid` and `TooLarge`, as from [`unpack`].
+/// `Short`, `Invalid` and `TooLarge`, as from [`decompress`].
 pub(crate) fn check_start(bytes: &[u8]) -> Result<()> {
     let at = frame_start(bytes)?;
     let mut start = decoder_of(bytes, at)?.take(crate::limits::RATIO_FREE_BYTES);
@@ -155,7 +160,7 @@ pub(crate) fn check_start(bytes: &[u8]) -> Result<()> {
     outcome.map(drop).map_err(|source| damage(&source, bytes.len() - start.get_ref().get_ref().len()))
 }
 
-/// Where the first frame that holds anything begins, or the last one, if none does.
+/// The offset of the first frame with content, or of the last one if all are empty.
 fn frame_start(bytes: &[u8]) -> Result<usize> {
     let mut rest = bytes;
     loop {
@@ -171,18 +176,18 @@ fn frame_start(bytes: &[u8]) -> Result<usize> {
     }
 }
 
-/// What follows the frame at byte `at`, if that holds nothing.
+/// The bytes after the frame at byte `at`, if that frame is empty.
 fn after_empty(bytes: &[u8], at: usize) -> Option<&[u8]> {
     let mut decoder = decoder_of(bytes, at).ok()?;
     let is_empty = matches!(decoder.read(&mut [0]), Ok(0));
     is_empty.then(|| decoder.into_inner())
 }
 
-/// The first bytes of the content, as many as can be had, at most `length`.
-pub(crate) fn unpack_head(bytes: &[u8], length: usize) -> Vec<u8> {
+/// Decompresses the first bytes of the content: at most `length`, or fewer if the input ends or is damaged.
+pub(crate) fn decompress_head(bytes: &[u8], length: usize) -> Vec<u8> {
     let mut head = Vec::new();
     if let Ok(decoder) = frame_start(bytes).and_then(|at| decoder_of(bytes, at)) {
-        // What was unpacked before an error is in `head`, and is all that is asked for.
+        // On an error, `head` keeps the bytes decompressed before it, which is all that the caller needs.
         let _ = decoder.take(length as u64).read_to_end(&mut head);
     }
     head
@@ -198,44 +203,44 @@ mod tests {
     }
 
     #[test]
-    fn frames_are_joined_and_others_skipped() {
+    fn zstd_frames_are_concatenated_and_skippable_ones_ignored() {
         let skipped = [&[0x5a, 0x2a, 0x4d, 0x18, 3, 0, 0, 0][..], b"abc"].concat();
         let file = [&skipped[..], &packed(b"one "), &skipped, &packed(b"two")].concat();
         assert!(is_zstd(&file));
-        assert_eq!(unpack(&file, &Limits::default()).unwrap(), b"one two");
-        assert_eq!(unpack_head(&file, 2), b"on");
+        assert_eq!(decompress(&file, &Limits::default()).unwrap(), b"one two");
+        assert_eq!(decompress_head(&file, 2), b"on");
         check_start(&file).unwrap();
         let behind_empty = [&packed(b"")[..], &skipped, &packed(b""), &packed(b"one ")].concat();
-        assert_eq!(unpack_head(&behind_empty, 9), b"one ");
-        assert_eq!(unpack_head(&packed(b""), 9), b"");
-        let error = unpack(&[&file[..], b"more"].concat(), &Limits::default()).unwrap_err();
-        assert!(!error.is_short() && error.to_string().contains("followed by something else"), "{error}");
+        assert_eq!(decompress_head(&behind_empty, 9), b"one ");
+        assert_eq!(decompress_head(&packed(b""), 9), b"");
+        let error = decompress(&[&file[..], b"more"].concat(), &Limits::default()).unwrap_err();
+        assert!(!error.is_short() && error.to_string().contains("followed by other bytes"), "{error}");
     }
 
     #[test]
-    fn damage_is_told() {
+    fn damage_is_reported() {
         let file = packed(&(0..5000).flat_map(|n: u32| n.to_le_bytes()).collect::<Vec<u8>>());
         for length in 1..file.len() {
             if length < MAGIC.len() {
                 continue;
             }
-            let error = unpack(&file[..length], &Limits::default()).unwrap_err();
+            let error = decompress(&file[..length], &Limits::default()).unwrap_err();
             assert!(error.is_short(), "{length} of {}: {error}", file.len());
         }
         let mut damaged = file.clone();
         let last = damaged.len() - 1;
         damaged[last] ^= 1;
-        let error = unpack(&damaged, &Limits::default()).unwrap_err().to_string();
+        let error = decompress(&damaged, &Limits::default()).unwrap_err().to_string();
         assert!(error.contains("damaged: checksum"), "{error}");
     }
 
     #[test]
-    fn bombs_are_abandoned_early() {
+    fn decompression_bombs_are_stopped_early() {
         let bomb = packed(&vec![0; 64 << 20]);
-        assert!(matches!(unpack(&bomb, &Limits::default()), Err(Error::TooLarge { .. })));
-        // A frame of one empty block that asks for a window of 2 GiB.
+        assert!(matches!(decompress(&bomb, &Limits::default()), Err(Error::TooLarge { .. })));
+        // A frame with one empty block and a declared window of 2 GiB.
         let window = [&MAGIC[..], &[0x00, 21 << 3, 1, 0, 0]].concat();
-        let error = unpack(&window, &Limits::default()).unwrap_err().to_string();
-        assert!(error.contains("a window of 2147483648 bytes"), "{error}");
+        let error = decompress(&window, &Limits::default()).unwrap_err().to_string();
+        assert!(error.contains("the window of 2147483648 bytes"), "{error}");
     }
 }

@@ -1,4 +1,4 @@
-//! Grids beside a level set in a .vdb: what our own reader and another find in them.
+//! Additional grids in a .vdb, read by our own reader and by another one.
 
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
 
@@ -23,7 +23,7 @@ fn to_bytes(view: &LevelSetView, compression: Compression, half: bool) -> Vec<u8
     bytes
 }
 
-/// What a voxel's value is: exact in 16 bits.
+/// The value of a voxel, exact in 16 bits.
 fn value_at(voxel: [i32; 3], component: usize) -> f32 {
     let [x, y, z] = voxel.map(|c| (c & 63) as f32);
     [x + y / 8.0, y - 2.0 * z, -1.5][component]
@@ -42,7 +42,7 @@ fn voxels(solid: &Solid) -> Vec<[i32; 3]> {
     voxels
 }
 
-/// The values of all voxels of all leaves, but no numbers where the band is not.
+/// The values of all voxels of all leaves; NaN outside the band.
 #[derive(Clone, Debug)]
 struct Values {
     arity: usize,
@@ -68,18 +68,18 @@ fn values(solid: &Solid, arity: usize) -> Values {
     Values { arity, leaves: leaves.collect() }
 }
 
-/// The place of a voxel of the band: leaf and index.
+/// The leaf and index of a voxel in the band.
 fn place(solid: &Solid, number: usize) -> (usize, usize) {
     let in_band = |leaf: usize| {
         (0..512)
             .filter(move |&i| solid.leaves[leaf][i].abs() < solid.half_width_voxels)
             .map(move |i| (leaf, i))
     };
-    (0..solid.leaves.len()).flat_map(in_band).nth(number).expect("so many voxels")
+    (0..solid.leaves.len()).flat_map(in_band).nth(number).expect("enough voxels")
 }
 
 #[test]
-fn openvdb_rs_finds_the_values_where_the_level_set_is_active() {
+fn openvdb_rs_reads_values_at_the_active_voxels() {
     for (name, solid) in solids::all() {
         let (vectors, scalars) = (values(&solid, 3), values(&solid, 1));
         let velocity = BandGrid { name: "v", role: Some(Role::Velocity), arity: 3, values: &vectors };
@@ -132,7 +132,7 @@ fn openvdb_rs_finds_the_values_where_the_level_set_is_active() {
 }
 
 #[test]
-fn grids_are_listed_and_the_level_set_is_found() {
+fn grids_get_unique_names_and_are_found_by_name() {
     let solid = solids::sphere([0.5; 3], 30.0);
     let (vectors, scalars) = (values(&solid, 3), values(&solid, 1));
     fn grid<'a>(name: &'a str, role: Option<Role>, arity: usize, values: &'a Values) -> BandGrid<'a> {
@@ -174,20 +174,23 @@ fn grids_are_listed_and_the_level_set_is_found() {
     let data = read_vectors(&bytes, &["Cd", "v"], &limits).expect("readable").expect("there");
     let stored = read_level_set(&bytes, Some("surface"), &limits).expect("the level set").leaves.len();
     assert_eq!((&*data.name, data.leaves.len()), ("Cd", stored));
-    assert!(read_vectors(&bytes, &["surface"], &limits).expect("readable").is_none(), "no grid of vectors");
+    assert!(
+        read_vectors(&bytes, &["surface"], &limits).expect("readable").is_none(),
+        "not a grid of vectors"
+    );
     assert_eq!(
         grid_notes(&list, "surface"),
         [
-            "surface is called surface_2 in the .vdb",
-            "Velocity is called Velocity_2 in the .vdb",
-            " is called attribute in the .vdb",
-            "odd\n\u{1e}name is called odd__name in the .vdb",
+            "surface is named surface_2 in the .vdb",
+            "Velocity is named Velocity_2 in the .vdb",
+            " is named attribute in the .vdb",
+            "odd\n\u{1e}name is named odd__name in the .vdb",
         ]
     );
 }
 
 #[test]
-fn the_same_bytes_on_any_number_of_threads_and_whole_to_the_end() {
+fn bytes_do_not_depend_on_threads_and_truncation_is_detected() {
     let solid = solids::shell(60.0, 30.0);
     let (vectors, scalars) = (values(&solid, 3), values(&solid, 1));
     let list = [
@@ -208,7 +211,7 @@ fn the_same_bytes_on_any_number_of_threads_and_whole_to_the_end() {
 }
 
 #[test]
-fn values_beyond_a_half_keep_their_grid_whole() {
+fn grid_with_values_beyond_half_range_keeps_32_bits() {
     let solid = solids::sphere([0.5; 3], 20.0);
     let mut scalars = values(&solid, 1);
     let (leaf, voxel) = place(&solid, 5);
@@ -228,7 +231,7 @@ fn values_beyond_a_half_keep_their_grid_whole() {
 }
 
 #[test]
-fn grids_that_do_not_fit_are_refused() {
+fn invalid_grids_are_an_error() {
     let solid = solids::sphere([0.5; 3], 20.0);
     let good = values(&solid, 3);
     let (leaf, voxel) = place(&solid, 100);
@@ -243,7 +246,7 @@ fn grids_that_do_not_fit_are_refused() {
         let view = LevelSetView { grids: &list, ..solid.view() };
         for half in [false, true] {
             let options = WriteOptions { half, ..WriteOptions::default() };
-            let error = write(&view, &options, &[], &mut Vec::new()).expect_err("refused");
+            let error = write(&view, &options, &[], &mut Vec::new()).expect_err("an invalid grid");
             assert!(error.to_string().contains("odd"), "{error}");
         }
     }

@@ -1,4 +1,4 @@
-//! Reading in batches gives the positions, the notes and the errors of reading whole.
+//! Reading in batches gives the same positions, notes and errors as reading the whole file.
 
 use std::path::Path;
 
@@ -8,7 +8,8 @@ use meniscus_formats::{
 
 const BATCH_BYTES: [usize; 4] = [1, 100, 5000, 1 << 22];
 
-/// The positions of all batches, read last to first into the same memory; `None` if it cannot be done.
+/// The positions of all batches, read from last to first into the same buffer; `None` if the file cannot be
+/// read in batches.
 fn read_in_batches(
     bytes: &[u8],
     limits: &Limits,
@@ -32,7 +33,7 @@ fn read_in_batches(
     Ok(Some(frame))
 }
 
-/// Compares both ways; returns whether the file can be read in batches.
+/// Compares both ways of reading; returns whether the file can be read in batches.
 fn check(name: &str, bytes: &[u8], limits: &Limits) -> bool {
     let whole = read_particles(bytes, "f", limits);
     let mut is_streamed = false;
@@ -41,7 +42,7 @@ fn check(name: &str, bytes: &[u8], limits: &Limits) -> bool {
             (Ok(None), _) => {}
             (Ok(Some(frame)), Ok(whole)) => {
                 is_streamed = true;
-                // As bits, for not every position is equal to itself.
+                // Compared as bits, because NaN is not equal to itself.
                 assert!(bits(&frame.positions) == bits(&whole.positions), "{name}: {batch_bytes} bytes");
                 assert_eq!(frame.notes, whole.notes, "{name}");
             }
@@ -75,7 +76,7 @@ fn written_bgeo() -> Vec<u8> {
 }
 
 #[test]
-fn batches_are_the_whole() {
+fn batches_match_reading_whole_files() {
     let mut streamed_count = 0;
     for (name, bytes) in corpus("valid").into_iter().chain(corpus("invalid")) {
         streamed_count += usize::from(check(&name, &bytes, &Limits::default()));
@@ -85,7 +86,7 @@ fn batches_are_the_whole() {
 }
 
 #[test]
-fn both_orders_and_all_types_are_read() {
+fn both_byte_orders_and_all_types_are_read_in_batches() {
     for encoding in ["binary_little_endian", "binary_big_endian"] {
         for types in ["float double uchar", "char short ushort", "int uint double", "float float float"] {
             let properties = types.split(' ').zip(["y", "x", "z"]);
@@ -105,14 +106,14 @@ fn both_orders_and_all_types_are_read() {
             assert!(check(types, &file(two, 150, faces), &limits));
             assert!(check(types, &file("", 0, faces), &limits));
             assert!(!check(types, &file(faces, 10, ""), &limits));
-            assert!(!check(types, &file("", 4000, ""), &limits), "there are not so many");
+            assert!(!check(types, &file("", 4000, ""), &limits), "the file has too few records");
             assert!(!check(types, &file(two, 10, ""), &Limits { particle_count: 9, ..limits }));
         }
     }
 }
 
 #[test]
-fn headers_of_every_length_are_read() {
+fn headers_of_any_length_are_read_in_batches() {
     for line_count in [10, 3000, 30_000] {
         let comments = "comment nothing that matters here\n".repeat(line_count);
         let file = format!(
@@ -128,7 +129,7 @@ fn headers_of_every_length_are_read() {
 }
 
 #[test]
-fn damage_is_found_as_by_reading_whole() {
+fn damage_gives_the_same_error_as_reading_whole() {
     let mut state = 1_u32;
     let mut below = |bound: usize| {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -151,7 +152,7 @@ fn damage_is_found_as_by_reading_whole() {
 }
 
 #[test]
-fn a_file_that_shrinks_is_short() {
+fn file_that_becomes_shorter_is_a_short_error() {
     let bytes = written_bgeo();
     let shrinking = Shrinking { bytes: &bytes, length: std::sync::atomic::AtomicUsize::new(bytes.len()) };
     let batches = ParticleBatches::open(&shrinking, "f", &Limits::default(), 1000).unwrap().unwrap();

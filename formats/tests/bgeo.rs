@@ -1,11 +1,11 @@
-//! Classic BGEO: files laid out by hand, what we write ourselves, and the files of real producers.
+//! Classic BGEO: files built by hand, our own output, and files of other programs.
 
 use meniscus_formats::bgeo::{self, AttributeKind};
 use meniscus_formats::{Attribute, Error, Limits, ParticleFrame, Positions, Role, Values};
 use std::io::Read;
 use std::path::PathBuf;
 
-/// Lays out a file word by word.
+/// Builds a file word by word.
 struct Layout(Vec<u8>);
 
 impl Layout {
@@ -88,7 +88,7 @@ fn every_attribute_type() -> Vec<u8> {
 }
 
 #[test]
-fn every_attribute_type_is_read() {
+fn all_attribute_types_are_read() {
     let bytes = every_attribute_type();
     let frame = read(&bytes).unwrap();
     assert_eq!(frame.notes, Vec::<String>::new());
@@ -114,11 +114,11 @@ fn every_attribute_type_is_read() {
     assert_eq!(header.expected_bytes, bytes.len() as u64);
     assert!(header.expected_bytes_is_exact);
     assert_eq!(header.attributes[2].kind, AttributeKind::Vector);
-    assert_eq!(bgeo::header(&bytes[..header.points_offset]).unwrap(), header, "no point is needed");
+    assert_eq!(bgeo::header(&bytes[..header.points_offset]).unwrap(), header, "the points are not needed");
 }
 
 #[test]
-fn weights_divide_unless_zero() {
+fn positions_are_divided_by_nonzero_weights() {
     let table = [(0.0, [4.0, 6.0, 8.0]), (1.0, [4.0, 6.0, 8.0]), (2.0, [2.0, 3.0, 4.0])];
     for (weight, expected) in table {
         let bytes = Layout::new(1, 0).reals(&[4.0, 6.0, 8.0, weight]).end();
@@ -135,12 +135,16 @@ fn diameters_become_radii() {
 }
 
 #[test]
-fn oddities_are_told() {
+fn unusual_files_are_read_with_notes() {
     let no_trailer = Layout::new(1, 0).reals(&[0.0; 4]).0;
     let no_values = Layout::new(1, 1).entry("empty", 0, 0).reals(&[0.0; 4]).end();
     let strings = Layout::new(1, 1).text("name").short(1).int(4).int(1).text("a");
     let strings = strings.reals(&[0.0; 4]).int(7).end();
-    let table = [(no_trailer, "does not end"), (no_values, "no values"), (strings, "1 values point outside")];
+    let table = [
+        (no_trailer, "end of the file is invalid"),
+        (no_values, "no values"),
+        (strings, "1 indices are outside"),
+    ];
     for (bytes, expected) in table {
         let frame = read(&bytes).unwrap();
         assert!(frame.notes.iter().any(|note| note.contains(expected)), "{expected}: {:?}", frame.notes);
@@ -148,7 +152,7 @@ fn oddities_are_told() {
 }
 
 #[test]
-fn an_empty_file_of_points_is_valid() {
+fn file_without_points_is_read() {
     let bytes = Layout::new(0, 1).entry("v", 3, 5).end();
     let frame = read(&bytes).unwrap();
     assert!(frame.positions.is_empty());
@@ -156,20 +160,20 @@ fn an_empty_file_of_points_is_valid() {
 }
 
 #[test]
-fn errors_say_what_was_expected() {
+fn invalid_files_are_errors_that_say_what_was_expected() {
     let mut version_6 = Layout::new(0, 0).end();
     version_6[8] = 6;
     let table: Vec<(&str, Vec<u8>, &str)> = vec![
         ("nothing", Vec::new(), "expected 5 bytes of the signature, found 0"),
         ("another file", b"\x7fNSJb.....".to_vec(), "expected the signature BgeoV"),
-        ("version", version_6, "version 6; only version 5 is read"),
+        ("version", version_6, "version 6; only version 5 is supported"),
         ("negative count", Layout::new(-1, 0).end(), "at byte 9: expected the number of points, found -1"),
         (
             "points missing",
             Layout::new(1000, 0).end(),
-            "expected 1000 points of 16 bytes each, 16000 in all, 2",
+            "expected 1000 points of 16 bytes each, 16000 bytes in all, but 2",
         ),
-        ("dictionary missing", Layout::new(0, 1000).end(), "at byte 41: expected 8000 bytes"),
+        ("dictionary missing", Layout::new(0, 1000).end(), "at byte 41: expected at least 8000 bytes"),
         ("attributes without end", Layout::new(0, i32::MAX).end(), "more than the limit of 4096"),
         ("fixed string", Layout::new(0, 1).entry("name", 4, 2).end(), "fixed-length string"),
         ("mixed", Layout::new(0, 1).entry("name", 4, 3).end(), "mixed"),
@@ -200,7 +204,7 @@ fn errors_say_what_was_expected() {
 }
 
 #[test]
-fn what_is_written_is_read_back() {
+fn written_files_are_read_back() {
     let read_once = read(&every_attribute_type()).unwrap();
     let mut bytes = Vec::new();
     bgeo::write(&read_once, &mut bytes).unwrap();
@@ -232,7 +236,7 @@ fn what_is_written_is_read_back() {
 }
 
 #[test]
-fn what_the_format_cannot_hold_is_not_written() {
+fn values_beyond_the_format_are_an_error() {
     let attribute = |arity, values| ParticleFrame {
         positions: Positions::F32(vec![[0.0; 3]]),
         attributes: vec![Attribute { name: "a".into(), arity, role: None, values }],
@@ -241,7 +245,7 @@ fn what_the_format_cannot_hold_is_not_written() {
     let table = [
         (attribute(1, Values::I64(vec![1 << 40])), "32 bits"),
         (attribute(3, Values::F32(vec![0.0])), "1 values, expected 3 for each of 1 points"),
-        (attribute(70_000, Values::F32(vec![0.0; 70_000])), "the format holds 65535"),
+        (attribute(70_000, Values::F32(vec![0.0; 70_000])), "the format's limit is 65535"),
     ];
     for (frame, expected) in table {
         let error = bgeo::write(&frame, &mut Vec::new()).unwrap_err().to_string();
@@ -249,7 +253,7 @@ fn what_the_format_cannot_hold_is_not_written() {
     }
 }
 
-/// Files of real producers, which are not part of this repository.
+/// Files of other programs, which are not part of this repository.
 fn shared(path: &str) -> Option<PathBuf> {
     let root = std::env::var_os("MENISCUS_SHARED")
         .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared")), PathBuf::from);
@@ -257,7 +261,7 @@ fn shared(path: &str) -> Option<PathBuf> {
     path.exists().then_some(path)
 }
 
-/// The file's bytes without gzip, which most producers put around them.
+/// Decompresses a file if it is gzipped, as most programs write them.
 fn inflated(path: &PathBuf) -> Vec<u8> {
     let bytes = std::fs::read(path).unwrap();
     if !bytes.starts_with(&[0x1f, 0x8b]) {
@@ -270,7 +274,7 @@ fn inflated(path: &PathBuf) -> Vec<u8> {
 
 #[test]
 #[expect(clippy::print_stderr, reason = "a test that did not run must say so")]
-fn files_of_real_producers_are_read() {
+fn files_of_other_programs_are_read() {
     let table = [
         ("third-party/splashsurf/dam_break_frame_23_24389_particles.bgeo", 24_389, ""),
         ("third-party/splashsurf/dam_break_frame_9_6859_particles.bgeo", 6_859, "id density velocity"),
@@ -290,7 +294,7 @@ fn files_of_real_producers_are_read() {
     ];
     for (path, count, names) in table {
         let Some(found) = shared(path) else {
-            eprintln!("not tested, for want of the file: {path}");
+            eprintln!("not tested, file missing: {path}");
             continue;
         };
         let bytes = inflated(&found);

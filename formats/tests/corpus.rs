@@ -1,6 +1,6 @@
-//! Files as programs wrote them are read as what they are; broken ones are refused with a reason.
+//! Reads files written by other programs, and checks that invalid files are rejected with a reason.
 //!
-//! A new case is a new file in `corpus/` and a line in the table beside it.
+//! To add a case, add a file to `corpus/` and a line to the table next to it.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -11,14 +11,14 @@ fn corpus() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus")
 }
 
-/// The lines of a table, cut at bars.
+/// The lines of a table, split at `|`.
 fn table(name: &str) -> Vec<Vec<String>> {
     let text = std::fs::read_to_string(corpus().join(name)).unwrap();
     let fields = |line: &str| line.split('|').map(|field| field.trim().to_string()).collect();
     text.lines().filter(|line| !line.trim().is_empty()).map(fields).collect()
 }
 
-/// Every file of a folder of the corpus has a line in the table, and every line a file.
+/// Checks that every file in a folder of the corpus has a line in the table, and vice versa.
 fn check_complete(folder: &str, table: &[Vec<String>]) {
     let mut files: Vec<String> = std::fs::read_dir(corpus().join(folder))
         .unwrap()
@@ -31,7 +31,7 @@ fn check_complete(folder: &str, table: &[Vec<String>]) {
 }
 
 #[test]
-fn valid_files_are_read_as_what_they_are() {
+fn valid_files_match_their_table() {
     let table = table("valid.txt");
     check_complete("valid", &table);
     for line in &table {
@@ -55,7 +55,7 @@ fn check_position(frame: &ParticleFrame, index: usize, expected: &str, bits: &st
         Positions::F32(positions) => {
             assert_eq!(bits, "32", "of {name}");
             #[expect(clippy::cast_possible_truncation, reason = "written from 32 bits")]
-            // Nine digits tell one 32-bit number from all others.
+            // Nine digits identify a 32-bit number uniquely.
             let expected: Vec<f32> = expected.iter().map(|&x| x as f32).collect();
             assert_eq!(positions[index][..], expected, "of {name}");
         }
@@ -68,7 +68,7 @@ fn check_position(frame: &ParticleFrame, index: usize, expected: &str, bits: &st
     }
 }
 
-/// `name:arity:type:role` of each attribute; checks the lengths on the way.
+/// `name:arity:type:role` of each attribute; also checks the lengths.
 fn described(frame: &ParticleFrame) -> String {
     let mut text = String::new();
     for attribute in &frame.attributes {
@@ -88,7 +88,7 @@ fn described(frame: &ParticleFrame) -> String {
 }
 
 #[test]
-fn invalid_files_are_refused_with_a_reason() {
+fn invalid_files_are_errors_with_a_reason() {
     let table = table("invalid.txt");
     check_complete("invalid", &table);
     let mut surprises = String::new();
@@ -104,11 +104,11 @@ fn invalid_files_are_refused_with_a_reason() {
     assert!(surprises.is_empty(), "{surprises}");
 }
 
-/// Sequences are too large to be kept here; where they lie beside the sources, they are read.
+/// Sequences are too large for this repository; they are read if they are found next to it.
 #[test]
 fn shared_sequences_are_read() {
-    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared");
-    let shared = std::env::var_os("MENISCUS_SHARED").map_or_else(beside, PathBuf::from);
+    let default_folder = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared");
+    let shared = std::env::var_os("MENISCUS_SHARED").map_or_else(default_folder, PathBuf::from);
     let sequences = [("splash_ply", 32, 12_000..=12_000, 4), ("dam_break_bgeo", 61, 1..=4_732, 3)];
     for (name, frames, counts, arity_sum) in sequences {
         let folder = shared.join("data/ours/sequences").join(name);

@@ -1,16 +1,16 @@
-//! Delimited text: every file of `corpus/delimited/{valid,invalid}` against the description beside it.
+//! Delimited text: compares every file in `corpus/delimited/{valid,invalid}` with the description next to it.
 //!
-//! A new case is a new file. Run once with `MENISCUS_BLESS=1` to write its description, and read
-//! that before committing it.
+//! To add a case, add a file. Run once with `MENISCUS_BLESS=1` to write its description, and review that
+//! before committing it.
 
-#![expect(clippy::cast_possible_truncation, reason = "narrowing is what is tested")]
+#![expect(clippy::cast_possible_truncation, reason = "the tests check narrowing")]
 
 use meniscus_formats::{Attribute, Error, Limits, ParticleFrame, Positions, Values, csv};
 use std::fmt::{Debug, Write};
 use std::path::{Path, PathBuf};
 
 #[test]
-fn valid_files_mean_what_is_written_beside_them() {
+fn valid_files_match_their_descriptions() {
     for path in corpus("valid") {
         let bytes = std::fs::read(&path).unwrap();
         let frame = csv::read(&bytes, &Limits::default()).unwrap_or_else(|error| panic!("{path:?}: {error}"));
@@ -19,7 +19,7 @@ fn valid_files_mean_what_is_written_beside_them() {
 }
 
 #[test]
-fn invalid_files_fail_as_is_written_beside_them() {
+fn invalid_files_match_their_error_messages() {
     for path in corpus("invalid") {
         let bytes = std::fs::read(&path).unwrap();
         match csv::read(&bytes, &Limits::default()) {
@@ -43,10 +43,10 @@ fn compare(path: &Path, found: &str) {
         std::fs::write(&expected_path, found).unwrap();
     }
     let expected = std::fs::read_to_string(&expected_path).unwrap_or_default();
-    assert_eq!(found, expected, "{path:?}; MENISCUS_BLESS=1 accepts what was found");
+    assert_eq!(found, expected, "{path:?}; MENISCUS_BLESS=1 accepts the result");
 }
 
-/// A frame in a few lines that a reviewer can read.
+/// Describes a frame in a few lines for review.
 fn describe(frame: &ParticleFrame) -> String {
     let mut text = match &frame.positions {
         Positions::F32(positions) => format!("F32 {positions:?}\n"),
@@ -77,7 +77,7 @@ fn describe_values(values: &Values) -> String {
 }
 
 #[test]
-fn a_comment_of_many_words_is_no_header() {
+fn comment_with_too_many_words_is_not_a_header() {
     for words in ["word ", "word,", "x y z "] {
         let text = format!("# {}\n# x y z mass\n1 2 3 4\n", words.repeat(5000));
         let frame = csv::read(text.as_bytes(), &Limits::default()).unwrap();
@@ -88,7 +88,7 @@ fn a_comment_of_many_words_is_no_header() {
 }
 
 #[test]
-fn limits_bound_rows_columns_and_head() {
+fn rows_columns_and_head_beyond_limits_are_an_error() {
     let mut wide = String::from("x,y,z");
     wide += &",a".repeat(5000);
     let long_head = "no table\n".repeat(200_000);
@@ -109,7 +109,7 @@ fn limits_bound_rows_columns_and_head() {
 }
 
 #[test]
-fn reals_have_64_bits_however_few_digits_are_written() {
+fn floats_have_64_bits_for_any_number_of_digits() {
     let value = |index: i32| f64::from(index).sin() * 10f64.powi(index % 7 - 3);
     type Print = fn(f64) -> String;
     let cases: [(&str, Print); 4] = [
@@ -135,7 +135,7 @@ fn reals_have_64_bits_however_few_digits_are_written() {
 }
 
 #[test]
-fn digits_of_one_particle_do_not_change_how_others_are_read() {
+fn digits_of_one_particle_do_not_change_other_particles() {
     let read = |last: &str| {
         let text = format!("x,y,z,radius,id\n0.1,0.2,0.3,0.05,1\n0.7,0.11,0.13,0.025,2\n{last}\n");
         let frame = csv::read(text.as_bytes(), &Limits::default()).expect("a table");
@@ -149,7 +149,7 @@ fn digits_of_one_particle_do_not_change_how_others_are_read() {
 }
 
 #[test]
-fn integers_are_exact_or_told_to_be_rounded() {
+fn integers_are_exact_or_rounded_with_a_note() {
     let read = |ids: &[&str]| {
         let rows: String = ids.iter().map(|id| format!("0,0,0,{id}\n")).collect();
         let text = format!("x,y,z,id\n{rows}");
@@ -159,7 +159,7 @@ fn integers_are_exact_or_told_to_be_rounded() {
     let all = [i64::MIN, i64::MIN + 1, -1, i64::MAX - 1, i64::MAX];
     let (values, notes) = read(&all.map(|id| id.to_string()).each_ref().map(String::as_str));
     assert_eq!((values, notes), (Values::I64(all.into()), vec![]));
-    let told = ["Integers of \"id\" were rounded: some do not fit in 64 bits, so all became 64-bit reals."];
+    let expected_notes = ["integers of \"id\" are rounded: some exceed 64 bits, so all become 64-bit floats"];
     let power = 2f64.powi(63);
     for (ids, expected) in [
         (["9223372036854775807", "9223372036854775809"], [power, power]),
@@ -171,9 +171,9 @@ fn integers_are_exact_or_told_to_be_rounded() {
     ] {
         let (values, notes) = read(&ids);
         assert_eq!(format!("{values:?}"), format!("{:?}", Values::F64(expected.into())), "{ids:?}");
-        assert_eq!(notes, told, "{ids:?}");
+        assert_eq!(notes, expected_notes, "{ids:?}");
     }
-    // What reals can stand for is none that was rounded.
+    // Integers that floats represent exactly are not reported as rounded.
     for ids in [["9007199254740992", "0.5"], ["36893488147419103232", "1"], ["0", "12345678901234567.5"]] {
         assert_eq!(read(&ids).1, [""; 0], "{ids:?}");
     }
@@ -181,7 +181,7 @@ fn integers_are_exact_or_told_to_be_rounded() {
 
 #[test]
 #[expect(clippy::print_stderr, reason = "a test that did not run must say so")]
-fn files_of_real_producers_are_read() {
+fn files_of_other_programs_are_read() {
     let root = std::env::var_os("MENISCUS_SHARED")
         .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared")), PathBuf::from);
     let table = [
@@ -190,7 +190,7 @@ fn files_of_real_producers_are_read() {
     ];
     for (path, count, names) in table {
         let Ok(bytes) = std::fs::read(root.join("data").join(path)) else {
-            eprintln!("not tested, for want of the file: {path}");
+            eprintln!("not tested, file missing: {path}");
             continue;
         };
         let frame = csv::read(&bytes, &Limits::default()).unwrap_or_else(|error| panic!("{path}: {error}"));

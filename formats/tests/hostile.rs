@@ -1,8 +1,9 @@
-//! Damaged files are read or refused; no reader panics, and none takes memory for what is not there.
+//! Readers survive damaged files: they return a result or an error, never panic, and never allocate memory
+//! for data that is not in the file.
 //!
-//! Every file of the corpus is cut at many places and has bits of it flipped. A reader may return
-//! anything, as long as it returns, and as long as it never holds more than 64 MiB beyond the size
-//! of its input: with files of a few kilobytes, more means that a count was believed.
+//! Every file of the corpus is truncated at many places and gets random bit flips. A reader may return
+//! anything, but it must return, and it must never use more than 64 MiB in addition to the size of its input:
+//! the files have a few kilobytes, so more memory means that it trusted a count.
 
 #![allow(clippy::cast_possible_truncation, reason = "sizes and small random numbers")]
 
@@ -22,15 +23,15 @@ use peak_alloc::PeakAlloc;
 #[global_allocator]
 static MEMORY: PeakAlloc = PeakAlloc;
 
-/// Bytes that a reader may hold besides as many as its input has.
+/// Bytes that a reader may use in addition to the size of its input.
 const ALLOWED_BYTES: usize = 64 << 20;
-/// Places at which each file is cut off.
+/// Number of lengths to which each file is truncated.
 const CUT_COUNT: usize = 200;
-/// Files made from each by flipping bits.
+/// Number of variants of each file with flipped bits.
 const FLIP_COUNT: u64 = 2000;
 
 #[test]
-fn damaged_ply_files_are_survived() {
+fn damaged_ply_files_do_not_panic() {
     let _alone = alone();
     for (name, bytes) in corpus(&[".ply"]) {
         sweep(&name, &bytes, |bytes| ply::read(bytes, &Limits::default()));
@@ -39,7 +40,7 @@ fn damaged_ply_files_are_survived() {
 }
 
 #[test]
-fn damaged_bgeo_files_are_survived() {
+fn damaged_bgeo_files_do_not_panic() {
     let _alone = alone();
     let source = corpus(&["taichi_000007.ply"]).remove(0).1;
     let mut frame = ply::read(&source, &Limits::default()).unwrap();
@@ -58,7 +59,7 @@ fn damaged_bgeo_files_are_survived() {
 }
 
 #[test]
-fn damaged_delimited_text_is_survived() {
+fn damaged_delimited_text_does_not_panic() {
     let _alone = alone();
     for (name, bytes) in corpus(&[".csv", ".txt", ".dat", ".xyz", ".pts", ".tsv", ".dump"]) {
         sweep(&name, &bytes, |bytes| csv::read(bytes, &Limits::default()));
@@ -66,7 +67,7 @@ fn damaged_delimited_text_is_survived() {
 }
 
 #[test]
-fn damaged_files_are_survived_in_batches() {
+fn damaged_files_do_not_panic_in_batches() {
     let _alone = alone();
     let read = |bytes: &[u8]| {
         let Some(batches) = ParticleBatches::open(bytes, "f", &Limits::default(), 1 << 16)? else {
@@ -85,7 +86,7 @@ fn damaged_files_are_survived_in_batches() {
 }
 
 #[test]
-fn damaged_files_of_any_kind_are_survived() {
+fn damaged_files_of_any_kind_do_not_panic() {
     let _alone = alone();
     for (name, bytes) in corpus(&[""]) {
         sweep(&name, &bytes, |bytes| read_particles(bytes, &name, &Limits::default()));
@@ -97,15 +98,15 @@ fn damaged_files_of_any_kind_are_survived() {
 }
 
 #[test]
-fn damaged_files_of_other_formats_are_survived() {
+fn damaged_files_of_other_formats_do_not_panic() {
     let _alone = alone();
     for (name, bytes) in fixtures::all() {
         sweep(&name, &bytes, |bytes| read_particles(bytes, &name, &Limits::default()));
     }
 }
 
-/// Files of some megabytes in which a few bytes ask for as much memory or time as they can: for each, what it is and the
-/// words that it is refused with.
+/// Files of some megabytes in which a few bytes cause the largest possible use of memory or time:
+/// description, content and expected words of the error.
 fn worst_files() -> Vec<(&'static str, Vec<u8>, &'static str)> {
     let bytes_of =
         |numbers: &[u64]| numbers.iter().flat_map(|number| number.to_le_bytes()).collect::<Vec<u8>>();
@@ -150,14 +151,14 @@ fn worst_files() -> Vec<(&'static str, Vec<u8>, &'static str)> {
             "more arrays than",
         ),
         ("notes of Houdini", geometry(1, &b"[[]\x00]".repeat(6 << 20)), "more attributes than"),
-        ("narrow numbers of Houdini", geometry(8 << 20, &narrow), "arrays that become more than"),
-        ("flags of Houdini", geometry(u32::MAX, &flags), "arrays that become more than"),
-        ("words of Houdini", geometry(1, &texts), "texts of"),
+        ("narrow numbers of Houdini", geometry(8 << 20, &narrow), "the arrays expand to more than"),
+        ("flags of Houdini", geometry(u32::MAX, &flags), "the arrays expand to more than"),
+        ("words of Houdini", geometry(1, &texts), "the strings of an array have"),
     ]
 }
 
 #[test]
-fn the_worst_files_are_refused_in_little_memory() {
+fn worst_case_files_are_errors_with_little_memory() {
     let _alone = alone();
     for (name, bytes, words) in worst_files() {
         let read = |bytes: &[u8]| read_particles(bytes, "worst", &Limits::default());
@@ -167,9 +168,9 @@ fn the_worst_files_are_refused_in_little_memory() {
     }
 }
 
-/// Whether anything follows a step is not asked of all blanks at the end, again for each step.
+/// Blank space at the end must not be scanned again for each step.
 #[test]
-fn blanks_behind_many_steps_are_looked_at_once() {
+fn blanks_after_many_steps_are_scanned_once() {
     let _alone = alone();
     let steps = "ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n0\nITEM: ATOMS x y z\n".repeat(100_000);
     let text = steps + &" ".repeat(8 << 20);
@@ -178,9 +179,9 @@ fn blanks_behind_many_steps_are_looked_at_once() {
     check("blank.dump", text.as_bytes(), &count);
 }
 
-/// A bomb is refused while it is small, whatever it says that it is.
+/// A decompression bomb must be rejected early, whatever format its content has.
 #[test]
-fn bombs_are_refused() {
+fn decompression_bombs_are_errors() {
     let _alone = alone();
     let starts: [&[u8]; 4] = [
         b"",
@@ -201,7 +202,7 @@ fn bombs_are_refused() {
 }
 
 #[test]
-fn damaged_level_sets_are_survived() {
+fn damaged_level_sets_do_not_panic() {
     let _alone = alone();
     let origins: Vec<[i32; 3]> =
         (0..8).map(|n| [n >> 2, n >> 1 & 1, n & 1].map(|side| (side - 1) * 8)).collect();
@@ -238,9 +239,9 @@ impl LeafValues for OneVelocity {
     }
 }
 
-/// Thousands of grids of a few bytes, each of which claims the rest of the file as its metadata.
+/// Thousands of small grids, each of which declares the rest of the file as its metadata.
 #[test]
-fn grids_of_a_volume_do_not_overlap() {
+fn overlapping_grids_are_an_error() {
     let _alone = alone();
     let bytes = overlapping_grids(3000);
     assert!(bytes.len() < 400 << 10, "{}", bytes.len());
@@ -278,7 +279,7 @@ fn overlapping_grids(count: usize) -> Vec<u8> {
 }
 
 #[test]
-fn damaged_meshes_are_survived() {
+fn damaged_meshes_do_not_panic() {
     let _alone = alone();
     let positions = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     let normals = [[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
@@ -305,11 +306,11 @@ fn damaged_meshes_are_survived() {
 }
 
 #[test]
-fn damaged_obstacles_are_survived() {
+fn damaged_obstacles_do_not_panic() {
     let _alone = alone();
-    let beside = |_: &str| Ok(vec![7; 96]);
+    let read_external = |_: &str| Ok(vec![7; 96]);
     let read = |name: &'static str| {
-        move |bytes: &[u8]| read_obstacle(bytes, name, &Limits::default(), &beside).map(|_| ())
+        move |bytes: &[u8]| read_obstacle(bytes, name, &Limits::default(), &read_external).map(|_| ())
     };
     let text =
         b"# two objects\nmtllib a.mtl\no one\nv 0 0 0 1 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\n\
@@ -327,17 +328,19 @@ fn damaged_obstacles_are_survived() {
     assert!(read("sparse.gltf")(sparse).is_ok());
     sweep("sparse.gltf", sparse, read("sparse.gltf"));
     for (name, bytes) in corpus(&["mesh"]) {
-        sweep(&name, &bytes, |bytes| read_obstacle(bytes, &name, &Limits::default(), &beside).map(|_| ()));
+        sweep(&name, &bytes, |bytes| {
+            read_obstacle(bytes, &name, &Limits::default(), &read_external).map(|_| ())
+        });
     }
 }
 
-/// Memory is counted for the whole program: one test at a time.
+/// Memory is measured for the whole process, so only one test runs at a time.
 fn alone() -> MutexGuard<'static, ()> {
     static TURN: Mutex<()> = Mutex::new(());
     TURN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The files of the corpus, valid and invalid, whose name ends in or contains one of the parts.
+/// The valid and invalid files of the corpus whose names contain one of the parts.
 fn corpus(parts: &[&str]) -> Vec<(String, Vec<u8>)> {
     let mut files = Vec::new();
     for folder in ["valid", "invalid", "delimited/valid", "delimited/invalid"] {
@@ -355,7 +358,7 @@ fn corpus(parts: &[&str]) -> Vec<(String, Vec<u8>)> {
     files
 }
 
-/// Reads the file damaged in many ways.
+/// Reads many damaged variants of the file.
 fn sweep<T>(name: &str, bytes: &[u8], read: impl Fn(&[u8]) -> Result<T>) {
     check(name, bytes, &read);
     for cut in 0..CUT_COUNT {
@@ -367,7 +370,7 @@ fn sweep<T>(name: &str, bytes: &[u8], read: impl Fn(&[u8]) -> Result<T>) {
     let mut random = Random(name.bytes().fold(1, |seed, byte| seed * 31 % 1_000_003 + u64::from(byte)));
     for _ in 0..FLIP_COUNT {
         let mut damaged = bytes.to_vec();
-        // Headers decide the most, so every other flip is there.
+        // Every other flip is in the header, where it has the largest effect.
         let ranges = [damaged.len(), damaged.len().min(512)];
         for _ in 0..=random.below(3) {
             let range = ranges[random.below(2)];
@@ -378,7 +381,7 @@ fn sweep<T>(name: &str, bytes: &[u8], read: impl Fn(&[u8]) -> Result<T>) {
     }
 }
 
-/// Reads once, and fails on a panic or on too much memory.
+/// Reads once; fails on a panic or if too much memory is used.
 fn check<T>(name: &str, bytes: &[u8], read: &impl Fn(&[u8]) -> Result<T>) {
     check_within(name, bytes, bytes.len() + ALLOWED_BYTES, read);
 }
@@ -393,7 +396,7 @@ fn check_within<T>(name: &str, bytes: &[u8], allowed_bytes: usize, read: &impl F
     assert!(held <= allowed_bytes, "{name}: held {held} for {length} bytes: {:?}", shown(bytes));
 }
 
-/// The start of a file, to find the case again.
+/// The start of a file, to identify the case.
 fn shown(bytes: &[u8]) -> String {
     bytes[..bytes.len().min(600)].escape_ascii().to_string()
 }
@@ -409,7 +412,7 @@ fn zstd_packed(bytes: &[u8]) -> Vec<u8> {
     ruzstd::encoding::compress_to_vec(bytes, ruzstd::encoding::CompressionLevel::Fastest)
 }
 
-/// A small generator, the same on every machine.
+/// A small generator that gives the same numbers on every machine.
 /// Steele, Lea, Flood. Fast splittable pseudorandom number generators. 2014
 struct Random(u64);
 

@@ -1,4 +1,4 @@
-//! Houdini's geometry: the same document in all its forms, and what is refused.
+//! Houdini geometry: the same document in all its forms, and errors.
 
 use crate::fixtures;
 
@@ -11,7 +11,7 @@ fn read(bytes: &[u8], name: &str) -> ParticleFrame {
     read_particles(bytes, name, &Limits::default()).unwrap_or_else(|error| panic!("{name}: {error}"))
 }
 
-/// The document as text, as binary in both orders, and in the container.
+/// The document as text, as binary in both byte orders, and in the container.
 fn forms(text: &str) -> Vec<(&'static str, Vec<u8>)> {
     vec![
         ("a.geo", text.into()),
@@ -25,7 +25,7 @@ fn forms(text: &str) -> Vec<(&'static str, Vec<u8>)> {
 }
 
 #[test]
-fn every_form_says_the_same() {
+fn all_forms_give_the_same_frame() {
     let attribute = |name: &str, arity, role, values| Attribute { name: name.into(), arity, role, values };
     let table = ["a", "bé"].map(String::from).to_vec();
     for (name, bytes) in forms(TUPLES) {
@@ -42,13 +42,13 @@ fn every_form_says_the_same() {
         assert_eq!(frame.attributes, expected, "{name}");
         assert_eq!(
             frame.notes,
-            ["The point attribute \"neighbours\" of the type \"arraydata\" was left out."]
+            ["skipped the point attribute \"neighbours\": its type \"arraydata\" is not supported"]
         );
     }
 }
 
 #[test]
-fn pages_are_laid_out() {
+fn paged_values_are_decoded() {
     for (name, bytes) in forms(PAGES) {
         let page = [7.0, 8.0, 9.0];
         let positions = vec![[1.0, 2.0, 3.0], [2.0, 2.5, 3.0], page, page, [10.0, 11.0, 12.0]];
@@ -57,10 +57,10 @@ fn pages_are_laid_out() {
 }
 
 #[test]
-fn points_of_other_things_are_refused() {
+fn points_of_other_primitives_are_an_error() {
     let table = [
         ("PackedGeometry", "packed primitives (PackedGeometry): its 3 points are their pivots"),
-        ("VDB", "volumes (VDB): its 3 points are where they stand"),
+        ("VDB", "volumes (VDB): its 3 points are their locations"),
         ("Volume", "volumes (Volume)"),
         ("PolySoup", "surfaces or curves (PolySoup): its 3 points belong to them"),
         ("p_r", "surfaces or curves (Poly)"),
@@ -78,7 +78,7 @@ fn points_of_other_things_are_refused() {
 }
 
 #[test]
-fn what_is_wrong_is_told_with_its_place() {
+fn invalid_documents_are_errors_with_their_location() {
     let table = [
         (TUPLES.replace("[3,4,5]", "[3,4]"), "expected 3 values for each of 3 points, found 8"),
         (
@@ -91,16 +91,19 @@ fn what_is_wrong_is_told_with_its_place() {
             "for each of 4000000000 points, found 9",
         ),
         (TUPLES.replace("\"pointcount\",3", "\"pointcount\",-3"), "expected a count, found -3"),
-        (TUPLES.replace("\"pointcount\"", "\"points\""), "attributes before the pointcount"),
-        (TUPLES.replace("\"P\"", "\"Q\""), "no point attribute P"),
+        (TUPLES.replace("\"pointcount\"", "\"points\""), "the attributes come before the pointcount"),
+        (TUPLES.replace("\"P\"", "\"Q\""), "the point attribute P is missing"),
         (TUPLES.replace("fpreal32", "fpreal8"), "unknown storage \"fpreal8\""),
-        (TUPLES.replace("[0.125]", "[0.125,1]"), "pages that hold more or fewer values"),
-        (PAGES.replace("[3,1]", "[3,2]"), "a packing of [3, 2] for 4 values"),
-        (PAGES.replace("[3,1]", "[3,0,1]"), "a packing of [3, 0, 1] for 4 values"),
+        (TUPLES.replace("[0.125]", "[0.125,1]"), "the pages have the wrong number of values"),
+        (PAGES.replace("[3,1]", "[3,2]"), "the packing [3, 2] does not match 4 values"),
+        (PAGES.replace("[3,1]", "[3,0,1]"), "the packing [3, 0, 1] does not match 4 values"),
         (PAGES.replace("true,false]", "true,false,true]"), "more flags than the 3 pages"),
-        (PAGES.replace("12, 1]", "12, 1],\"packing\",[1,3]"), "`packing` behind the values that it tells of"),
-        (TUPLES.replace("\"vertexcount\",0", "\"pointcount\",2"), "pointcount a second time"),
-        (PAGES.replace("1,0,", "1,"), "pages that hold more or fewer values"),
+        (
+            PAGES.replace("12, 1]", "12, 1],\"packing\",[1,3]"),
+            "`packing` comes after the values that it describes",
+        ),
+        (TUPLES.replace("\"vertexcount\",0", "\"pointcount\",2"), "pointcount occurs twice"),
+        (PAGES.replace("1,0,", "1,"), "the pages have the wrong number of values"),
         (PAGES.replace("\"pointcount\",5", "\"pointcount\",5000000000"), "more than the limit"),
     ];
     for (text, words) in &table {
@@ -116,7 +119,7 @@ fn what_is_wrong_is_told_with_its_place() {
     assert!(error.contains("expected the end of the file"), "{error}");
 }
 
-/// Constant pages are a compression, so they can be a bomb.
+/// Constant pages are a form of compression, so a small file could expand enormously.
 #[test]
 fn constant_pages_are_limited() {
     let pages = "1,".repeat(100_000);
@@ -129,9 +132,9 @@ fn constant_pages_are_limited() {
     assert!(matches!(error, Error::TooLarge { .. }), "{error}");
 }
 
-/// Arrays within arrays cost no stack and no memory.
+/// Nested arrays must not use stack or memory.
 #[test]
-fn depth_is_no_matter() {
+fn deeply_nested_arrays_are_skipped() {
     let deep = |bytes: &[u8], signature: &[u8]| [signature, &b"[".repeat(4 << 20), bytes].concat();
     for (bytes, name) in [(deep(b"", b""), "a.geo"), (deep(b"", b"\x7fNSJb"), "a.bgeo")] {
         let error = read_particles(&bytes, name, &Limits::default()).unwrap_err();

@@ -20,7 +20,7 @@ fn dump(bounds: &str, columns: &str, row: &str) -> String {
 }
 
 #[test]
-fn a_step_is_a_frame() {
+fn single_step_is_read_as_a_frame() {
     let frame = read(DUMP);
     assert_eq!(frame.positions, Positions::F64(vec![[0.5, 0.25, 1.0], [0.75, 0.25, 1.0]]));
     let found: Vec<_> = frame.attributes.iter().map(|a| (a.name.as_str(), a.arity, a.role)).collect();
@@ -36,14 +36,14 @@ fn a_step_is_a_frame() {
 }
 
 #[test]
-fn diameters_are_halved_and_told() {
+fn diameters_are_halved_with_a_note() {
     let frame = read(&dump("pp pp pp\n0 1\n0 1\n0 1\n", "x y z diameter", "0 0 0 0.5"));
     assert_eq!(frame.attributes[0].values, Values::F64(vec![0.25]));
-    assert_eq!(frame.notes, ["`diameter` is taken for a diameter: the radius is half of it."]);
+    assert_eq!(frame.notes, ["`diameter` looks like a diameter: the radius is half of it"]);
 }
 
 #[test]
-fn fractions_are_multiplied_by_the_box() {
+fn scaled_positions_are_multiplied_by_the_box() {
     let straight = "pp pp pp\n0 10\n-1 1\n2 22\n";
     // A box from (0, 0, 0) with the edges (4, 0, 0), (1, 2, 0), (-2, 0.5, 8).
     let tilted = "xy xz yz pp pp pp\n-2 5 1\n0 2.5 -2\n0 8 0.5\n";
@@ -66,7 +66,7 @@ fn fractions_are_multiplied_by_the_box() {
 }
 
 #[test]
-fn columns_of_any_name_are_kept() {
+fn columns_with_any_name_become_attributes() {
     let frame =
         read(&dump("pp pp pp\n0 1\n0 1\n0 1\n", "element c_s[1] c_s[2] x y z diameter", "Ar 1 2 3 4 5 0.5"));
     let found: Vec<_> = frame.attributes.iter().map(|a| (a.name.as_str(), a.arity, a.role)).collect();
@@ -78,7 +78,7 @@ fn columns_of_any_name_are_kept() {
 }
 
 #[test]
-fn several_steps_are_told_apart() {
+fn several_steps_are_read_separately() {
     let empty = "ITEM: TIMESTEP\n3000\nITEM: NUMBER OF ATOMS\n0\nITEM: BOX BOUNDS pp pp pp\n0 1\n0 1\n0 1\nITEM: ATOMS id x y z\n";
     let text = [DUMP, &DUMP.replace("1000", "2000").replace("0.75", "0.875"), empty, "\n"].concat();
     let steps = lammps::steps(text.as_bytes(), &Limits::default()).unwrap();
@@ -96,7 +96,7 @@ fn several_steps_are_told_apart() {
     let found = find_steps(Kind::Format(Format::LammpsDump), text.as_bytes(), &Limits::default()).unwrap();
     let found: Vec<_> =
         found.iter().map(|step| (step.number.unwrap(), usize::try_from(step.range.end).unwrap())).collect();
-    // The last has what follows it.
+    // The last step includes everything after it.
     let mut expected: Vec<_> = steps.iter().map(|step| (step.timestep, step.range.end)).collect();
     expected[2].1 += 1;
     assert_eq!(found, expected);
@@ -107,36 +107,36 @@ fn several_steps_are_told_apart() {
 }
 
 #[test]
-fn the_last_line_needs_no_end_but_that_is_told() {
+fn missing_last_line_end_adds_a_note() {
     let ended = read_particles(DUMP.as_bytes(), "a", &Limits::default()).expect("whole");
     let frame = read_particles(DUMP.trim_end().as_bytes(), "a", &Limits::default()).expect("whole");
     assert_eq!((&frame.positions, &frame.attributes), (&ended.positions, &ended.attributes));
-    let told = |frame: &ParticleFrame| frame.notes.iter().any(|note| note.contains("without a line end"));
-    assert!(told(&frame) && !told(&ended), "{:?}", frame.notes);
+    let has_note = |frame: &ParticleFrame| frame.notes.iter().any(|note| note.contains("without a line end"));
+    assert!(has_note(&frame) && !has_note(&ended), "{:?}", frame.notes);
 }
 
 #[test]
-fn what_is_wrong_is_told_with_its_line() {
+fn invalid_dumps_are_errors_with_their_line() {
     let table = [
         (
             DUMP.replace("OF ATOMS\n2", "OF ATOMS\n4000000000"),
             "at line 11: expected 4000000000 atoms, found 2",
         ),
-        (DUMP.replace("OF ATOMS\n2", "OF ATOMS\n-2"), "-2 atoms"),
+        (DUMP.replace("OF ATOMS\n2", "OF ATOMS\n-2"), "the number of atoms is -2"),
         (DUMP.replace("OF ATOMS\n2", "OF ATOMS\n1"), "at line 11: expected ITEM:, found `2 1 0.75"),
         (DUMP.replace("OF ATOMS\n2", "OF ATOMS\ntwo"), "expected the number of atoms, found `two`"),
         ([&DUMP.replace("OF ATOMS\n2", "OF ATOMS\n3"), DUMP].concat(), "expected 3 atoms, found 2"),
-        (DUMP.replace("ATOMS id", "ENTRIES id"), "not of atoms"),
-        (DUMP.replace("x y z", "a b c"), "at line 9: no position"),
+        (DUMP.replace("ATOMS id", "ENTRIES id"), "not atoms"),
+        (DUMP.replace("x y z", "a b c"), "at line 9: no position columns"),
         (DUMP.replace("0.75", "three"), "LAMMPS dump, at line 11"),
         (DUMP.replace("0.75", "1 0.75"), "LAMMPS dump, at line 11"),
         (DUMP.replace("\n-1 1", "\n-1"), "expected bounds of the box"),
         (
             DUMP.trim_end().trim_end_matches("0.01").trim_end().into(),
             "at line 11: expected 9 cells, as in the first line of the table, found 8; \
-             the file ends there, without a line end",
+             the file ends in this line, which has no line end",
         ),
-        (DUMP[..30].into(), "its line end is missing"),
+        (DUMP[..30].into(), "the line end is missing"),
         (
             DUMP.replace("\n2 1 0.75", "\n\n2 1 0.75").replace("ATOMS\n2", "ATOMS\n3"),
             "expected 3 rows, found 2",
@@ -146,11 +146,11 @@ fn what_is_wrong_is_told_with_its_line() {
             DUMP.replace("x y z", "xs ys zs")
                 .replace("ITEM: BOX BOUNDS pp pp ff\n", "ITEM: UNITS\n")
                 .replace("0.0000000000000000e+00 1.0000000000000000e+01\n-1 1\n2 22\n", "lj\n"),
-            "at line 7: positions are fractions of a box, and no ITEM: BOX BOUNDS",
+            "at line 7: positions are fractions of the box, but ITEM: BOX BOUNDS is missing",
         ),
         (
             "by hand\n\n1 atoms\n1 atom types\n\nAtoms # atomic\n\n1 1 0 0 0\n".into(),
-            "LAMMPS data: a dump is what is read",
+            "LAMMPS data: this is a `write_data` file",
         ),
         (DUMP.replace("ITEM: NUMBER OF ATOMS\n2\n", ""), "ITEM: ATOMS before ITEM: NUMBER OF ATOMS"),
     ];

@@ -1,34 +1,34 @@
-//! The tests of the file formats, in one program: each of its own would link everything again. `hostile` alone is another one,
-//! because it counts the memory of the whole process.
+//! The tests of the file formats as a single program: separate ones would each link everything again. Only
+//! `hostile` is separate, because it measures the memory of the whole process.
 
-mod band_grids; // grids beside a level set
-mod batches; // reading in batches is reading whole
+mod band_grids; // additional grids in .vdb files
+mod batches; // reading in batches matches reading whole files
 mod bgeo; // classic BGEO
-mod corpus; // files as programs wrote them, and broken ones
-mod delimited; // tables of text
-mod fixtures; // small good files, built byte by byte
-mod houdini; // Houdini's geometry
+mod corpus; // files of other programs, and invalid ones
+mod delimited; // text tables
+mod fixtures; // small valid files, built byte by byte
+mod houdini; // Houdini geometry
 mod lammps; // LAMMPS dumps
 mod mesh_formats; // .vtp, .stl, .usda and quantized .glb
-mod mesh_read; // meshes of other programs
+mod mesh_read; // meshes written by other programs
 mod mesh_write; // .glb, .gltf, .obj and .ply
 mod npy; // NumPy arrays
-mod obstacle; // obstacles as programs write them
+mod obstacle; // obstacles in all supported formats
 mod particle_write; // particles as .ply and .vtp
-mod ply; // PLY in all its dialects
-mod shared; // files of real programs, where they lie beside the sources
-mod short; // files that are cut off
-mod shots; // shots gathered from the .glb of their frames
-mod solids; // solids as narrow bands
-mod vdb_read; // .vdb files of other programs
+mod ply; // all dialects of PLY
+mod sequences; // sequences assembled from the .glb files of frames
+mod shared; // files of other programs, if found next to the repository
+mod solids; // narrow-band level sets of solids
+mod truncated; // truncated files
+mod vdb_read; // .vdb files written by other programs
 mod vdb_write; // level sets written as .vdb
-mod vertex_attributes; // what is known of vertices
-mod vtk; // VTK's files
-mod xyz_ext; // the .xyz of chemists
+mod vertex_attributes; // vertex attributes
+mod vtk; // VTK files
+mod xyz_ext; // extended XYZ
 
-/// A file that is not a module here would be compiled by nobody, and its tests lost.
+/// A file that is missing here would not be compiled, and its tests would not run.
 #[test]
-fn every_file_of_tests_is_part_of_a_program() {
+fn every_test_file_is_listed_in_main() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests");
     let modules = include_str!("main.rs");
     for entry in std::fs::read_dir(folder).expect("the folder is there") {

@@ -1,5 +1,5 @@
-//! Meshes written as .vtp, .stl, .usda and quantized .glb: what our own and other readers find in them, to the last bit
-//! where the format has room for it.
+//! Meshes written as .vtp, .stl, .usda and quantized .glb, read by our own and other readers: exact to the
+//! last bit where the format allows it.
 
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
 
@@ -23,8 +23,8 @@ fn provenance() -> Vec<(String, String)> {
     .to_vec()
 }
 
-/// A torus of quads, each written as two triangles, the first vertex of the one being the last of the other; and after
-/// them a triangle by itself.
+/// A torus of quads, each written as two triangles, where the first vertex of one is the last of the other;
+/// followed by a single triangle.
 struct Mesh {
     positions: Vec<[f32; 3]>,
     normals: Vec<[f32; 3]>,
@@ -159,16 +159,16 @@ fn quantized_glb(mesh: &Mesh, up: gltf::UpAxis) -> Vec<u8> {
     bytes
 }
 
-/// The triangles that fans of the faces are.
+/// The triangle fans of the faces.
 fn fans(mesh: &Mesh) -> Vec<[u32; 3]> {
     let quads = mesh.triangles[..mesh.triangles.len().saturating_sub(1)].as_chunks::<2>().0;
-    // A quad begins at the corner from which its diagonal is seen first: (a b d) (b c d) is the quad b c d a.
+    // A quad starts at the first corner of its diagonal: (a b d) (b c d) is the quad b c d a.
     let fan = |&[[a, b, d], [_, c, _]]: &[[u32; 3]; 2]| [[b, c, d], [b, d, a]];
     quads.iter().flat_map(fan).chain(mesh.triangles.last().copied()).collect()
 }
 
 #[test]
-fn vtp_comes_back_exactly() {
+fn vtp_round_trips_exactly() {
     for mesh in [torus(20, 12, [0.0; 3]), torus(20, 12, FAR), torus(130, 70, [0.0; 3]), nothing()] {
         for has_quads in [false, true] {
             let bytes = vtp(&mesh, has_quads);
@@ -196,18 +196,18 @@ fn vtp_comes_back_exactly() {
         }
     }
     let attributes = torus(3, 3, FAR);
-    assert_eq!(vtk::attribute_notes(&attributes.attributes()), ["heat \u{1}2 is called heat _2 in the .vtp"]);
+    assert_eq!(vtk::attribute_notes(&attributes.attributes()), ["heat \u{1}2 is named heat _2 in the .vtp"]);
 }
 
 #[test]
-fn quads_of_vtp_are_polygons_of_four() {
+fn vtp_quads_are_polygons_with_four_corners() {
     let mesh = torus(20, 12, [0.0; 3]);
     let text = String::from_utf8_lossy(&vtp(&mesh, true)).into_owned();
     assert!(text.contains(&format!("NumberOfPolys=\"{}\"", mesh.triangles.len() / 2 + 1)), "{text:.900}");
 }
 
 #[test]
-fn stl_comes_back_in_32_bits() {
+fn stl_round_trips_in_32_bits() {
     for mesh in [torus(20, 12, [0.0; 3]), torus(20, 12, FAR), nothing()] {
         let bytes = stl_bytes(&mesh);
         assert!(bytes.len() == 84 + 50 * mesh.triangles.len() && !bytes.starts_with(b"solid"));
@@ -217,7 +217,7 @@ fn stl_comes_back_in_32_bits() {
         let corners: Vec<[f64; 3]> =
             mesh.triangles.as_flattened().iter().map(|&i| world[i as usize]).collect();
         assert_eq!(found.positions, corners);
-        // The normal of each is that of its plane, and outward.
+        // Each normal is that of the triangle's plane, pointing outward.
         for (record, triangle) in bytes[84..].as_chunks::<50>().0.iter().zip(&mesh.triangles) {
             let normal =
                 |at: usize| f32::from_le_bytes(record[4 * at..4 * at + 4].try_into().expect("four bytes"));
@@ -237,7 +237,7 @@ fn stl_comes_back_in_32_bits() {
 }
 
 #[test]
-fn a_triangle_without_an_area_has_no_normal_in_stl() {
+fn degenerate_triangle_has_zero_normal_in_stl() {
     let view = MeshView {
         positions: &[[1.0, 2.0, 3.0]; 3],
         normals: &[[1.0, 0.0, 0.0]; 3],
@@ -250,20 +250,20 @@ fn a_triangle_without_an_area_has_no_normal_in_stl() {
     assert_eq!(bytes[84..96], [0; 12]);
 }
 
-/// The text of a property between its brackets.
+/// The text of an array property between its brackets.
 fn array<'a>(text: &'a str, name: &str) -> &'a str {
     let start =
-        text.find(&format!(" {name} = [")).unwrap_or_else(|| panic!("{name} is not there")) + name.len() + 5;
+        text.find(&format!(" {name} = [")).unwrap_or_else(|| panic!("{name} is missing")) + name.len() + 5;
     &text[start..start + text[start..].find(']').expect("an end")]
 }
 
 fn numbers<T: std::str::FromStr>(text: &str) -> Vec<T> {
     let words = text.split([',', ' ', '(', ')']).filter(|word| !word.is_empty());
-    words.map(|word| word.parse().ok().unwrap_or_else(|| panic!("{word} is no number"))).collect()
+    words.map(|word| word.parse().ok().unwrap_or_else(|| panic!("{word} is not a number"))).collect()
 }
 
 #[test]
-fn usda_says_what_the_mesh_is() {
+fn usda_contains_the_mesh() {
     for mesh in [torus(20, 12, [0.0; 3]), torus(20, 12, FAR), torus(130, 70, [0.0; 3]), nothing()] {
         for has_quads in [false, true] {
             let text = usda_text(&mesh, has_quads, gltf::UpAxis::Z);
@@ -311,7 +311,7 @@ fn usda_says_what_the_mesh_is() {
 }
 
 #[test]
-fn usda_is_the_same_on_any_number_of_threads() {
+fn usda_does_not_depend_on_threads() {
     let mesh = torus(300, 200, FAR);
     let on = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
@@ -321,7 +321,7 @@ fn usda_is_the_same_on_any_number_of_threads() {
 }
 
 #[test]
-fn quantized_meshes_are_off_by_half_a_step() {
+fn quantization_error_is_at_most_half_a_step() {
     for mesh in [torus(20, 12, [0.0; 3]), torus(20, 12, FAR), torus(300, 250, [0.0; 3])] {
         for up in [gltf::UpAxis::Y, gltf::UpAxis::Z] {
             let bytes = quantized_glb(&mesh, up);
@@ -335,12 +335,13 @@ fn quantized_meshes_are_off_by_half_a_step() {
                 let world: [f64; 3] =
                     std::array::from_fn(|axis| mesh.origin[axis] + f64::from(promised[axis]));
                 let world = turn(world);
-                // A reader's arithmetic in 64 bits is not that of 32: by half a step of the latter.
+                // A reader computes in 64 bits instead of 32, which can differ by half a step of 32-bit
+                // numbers.
                 assert!((0..3).all(|axis| (found[axis] - world[axis]).abs() < 0.01 * error + 1e-9));
             }
             for (found, expected) in found.positions.iter().zip(mesh.world()) {
                 let expected = turn(expected);
-                // Beyond half a step there is the rounding of far coordinates to 64 bits.
+                // The tolerance includes the rounding of far coordinates to 64 bits.
                 assert!(
                     (0..3).all(|axis| (found[axis] - expected[axis]).abs() <= error * 1.0001 + 1e-9),
                     "{found:?}"
@@ -391,7 +392,7 @@ fn the_gltf_crate_reads_quantized_meshes() {
         assert_eq!(bounds.min[axis], on().fold(f32::MAX, f32::min));
         assert_eq!(bounds.max[axis], on().fold(f32::MIN, f32::max));
     }
-    // The longest axis takes the whole range; the scale is the same for all.
+    // The longest axis uses the whole range; the scale is the same for all axes.
     assert_eq!((bounds.min[0], bounds.max[0]), (0.0, 65535.0));
     let (_, _, scale) = other.nodes().next().expect("a node").transform().decomposed();
     assert!(scale[0] == scale[1] && scale[1] == scale[2] && (scale[0] - 2.6).abs() < 0.02, "{scale:?}");
@@ -408,9 +409,9 @@ fn files() -> [(OutputFormat, Vec<u8>); 3] {
 }
 
 #[test]
-fn what_made_a_file_comes_back_from_its_head() {
+fn provenance_is_read_from_the_head() {
     for (kind, bytes) in files() {
-        // A title of 80 bytes has room for what made it, and for names that are known to be short.
+        // An STL title of 80 bytes only has space for the generator and the abbreviated names.
         let expected = if kind == OutputFormat::Stl { provenance()[..1].to_vec() } else { provenance() };
         assert_eq!(read_provenance(kind, &bytes[..]).expect("our own file"), expected, "{kind:?}");
         assert_eq!(read_provenance(kind, &bytes[..2500]).expect("a head"), expected, "{kind:?}");
@@ -432,7 +433,7 @@ fn what_made_a_file_comes_back_from_its_head() {
 }
 
 #[test]
-fn a_file_that_lost_its_end_or_grew_is_not_whole() {
+fn truncated_or_extended_files_are_incomplete() {
     for (kind, bytes) in files() {
         let whole = |bytes: &[u8]| is_whole(kind, &mut Cursor::new(bytes)).unwrap_or(false);
         assert!(whole(&bytes), "{kind:?}");
@@ -444,7 +445,7 @@ fn a_file_that_lost_its_end_or_grew_is_not_whole() {
 }
 
 #[test]
-fn what_no_file_can_hold_is_refused() {
+fn invalid_meshes_are_an_error() {
     let refused = |mesh: &Mesh| {
         let view = mesh.view(&[]);
         let quads = || mesh.quads.clone().into();
@@ -461,14 +462,14 @@ fn what_no_file_can_hold_is_refused() {
     let mut mesh = torus(5, 4, [0.0; 3]);
     mesh.positions[1][2] = f32::NAN;
     assert!(refused(&mesh).is_err());
-    // Quads that are none concern those formats only that have quads.
+    // Invalid quads only matter to formats that support quads.
     let mut mesh = torus(5, 4, [0.0; 3]);
     mesh.quads.fill(true);
     assert!(refused(&mesh).is_ok());
 }
 
 #[test]
-fn damaged_meshes_are_errors_and_never_panics() {
+fn damaged_meshes_are_errors_without_panics() {
     let mut state = 1u64;
     let mut below = |end: usize| {
         state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
@@ -515,7 +516,7 @@ fn legacy_mesh(rest: &str) -> meniscus_formats::Result<MeshData> {
 }
 
 #[test]
-fn legacy_vtk_meshes_of_any_layout_are_read() {
+fn legacy_vtk_meshes_in_all_layouts_are_read() {
     let quad = [[0, 1, 2], [0, 2, 3]];
     let poly = |cells: &str| legacy_mesh(&format!("DATASET POLYDATA\n{VTK_POINTS}{cells}"));
     let grid = |cells: &str| legacy_mesh(&format!("DATASET UNSTRUCTURED_GRID\n{VTK_POINTS}{cells}"));
@@ -552,21 +553,21 @@ fn legacy_vtk_meshes_of_any_layout_are_read() {
     for (cells, word) in [
         ("CELLS 1 5\n4 0 1 2 4\nCELL_TYPES 1\n10\n", "type 10, which is not a flat polygon"),
         ("CELLS 1 4\n3 0 1 2\n", "0 CELL_TYPES for 1 CELLS"),
-        ("CELLS 1 3\n2 0 1\nCELL_TYPES 1\n8\n", "type 8 with 2 corners"),
-        ("POLYGONS 1 4\n3 0 1 8\n", "not among the 8"),
-        ("POLYGONS 1 4\n3 0 1 -1\n", "not among the 8"),
-        ("POLYGONS 1 4\n4 0 1 2\n", "a cell of 4 corners, and 3 numbers remain"),
-        ("POLYGONS 1 4\n-3 0 1 2\n", "a cell of -3 corners"),
-        ("POLYGONS 1 99999999\n3 0 1 2\n", "no more than"),
+        ("CELLS 1 3\n2 0 1\nCELL_TYPES 1\n8\n", "type 8 has 2 corners"),
+        ("POLYGONS 1 4\n3 0 1 8\n", "beyond the 8 points"),
+        ("POLYGONS 1 4\n3 0 1 -1\n", "beyond the 8 points"),
+        ("POLYGONS 1 4\n4 0 1 2\n", "a cell has 4 corners, but only 3 numbers remain"),
+        ("POLYGONS 1 4\n-3 0 1 2\n", "a cell has -3 corners"),
+        ("POLYGONS 1 99999999\n3 0 1 2\n", "but at most"),
         (
             "POLYGONS 3 6\nOFFSETS vtktypeint64\n0 6 3\nCONNECTIVITY vtktypeint64\n0 1 2 3 4 5\n",
-            "ends at corner 3 of 6",
+            "ends at corner 3, but there are only 6",
         ),
         (
             "POLYGONS 2 3\nOFFSETS vtktypeint64\n0 4\nCONNECTIVITY vtktypeint64\n0 1 2\n",
-            "ends at corner 4 of 3",
+            "ends at corner 4, but there are only 3",
         ),
-        ("POLYGONS 2 3\nOFFSETS float\n0 3\nCONNECTIVITY vtktypeint64\n0 1 2\n", "no integers"),
+        ("POLYGONS 2 3\nOFFSETS float\n0 3\nCONNECTIVITY vtktypeint64\n0 1 2\n", "not integers"),
     ] {
         let error = grid(cells).expect_err(cells).to_string();
         assert!(error.contains(word), "{error}");

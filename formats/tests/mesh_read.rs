@@ -1,6 +1,6 @@
-//! Meshes of other programs.
+//! Meshes written by other programs.
 
-#![allow(clippy::print_stderr, reason = "says which files are not here")]
+#![allow(clippy::print_stderr, reason = "reports missing files")]
 
 use std::path::PathBuf;
 
@@ -12,7 +12,7 @@ fn shared(file: &str) -> Option<Vec<u8>> {
     let root = std::env::var_os("MENISCUS_SHARED").map_or_else(default, PathBuf::from);
     let bytes = std::fs::read(root.join("data/ours/gltf").join(file)).ok();
     if bytes.is_none() {
-        eprintln!("data/ours/gltf/{file} is not here; it is not read");
+        eprintln!("not tested, file missing: data/ours/gltf/{file}");
     }
     bytes
 }
@@ -36,9 +36,9 @@ fn counts_agree_with_the_gltf_crate() {
     }
 }
 
-/// The same mesh twice, but for normals at seams and the decimals of the text.
+/// The same mesh twice, apart from normals at seams and the decimals of the text.
 #[test]
-fn quantized_and_plain_agree() {
+fn quantized_and_plain_glb_agree() {
     let (Some(plain), Some(quantized)) = (shared("hand.glb"), shared("hand_quant.glb")) else { return };
     let [plain, quantized] =
         [plain, quantized].map(|bytes| gltf::read_mesh(&bytes, &Limits::default()).expect("a mesh"));
@@ -49,7 +49,7 @@ fn quantized_and_plain_agree() {
 }
 
 #[test]
-fn obj_and_glb_of_one_scene_agree() {
+fn obj_and_glb_of_the_same_scene_agree() {
     let (Some(text), Some(binary)) = (shared("blender45_sphere.obj"), shared("blender45_sphere.glb")) else {
         return;
     };
@@ -68,7 +68,7 @@ fn obj_and_glb_of_one_scene_agree() {
 }
 
 #[test]
-fn reals_are_not_clamped_by_the_flag_for_integers() {
+fn normalized_flag_does_not_clamp_floats() {
     use base64::Engine;
     let corners: [f32; 9] = [-7.0, -2.0, 0.5, 3.0, 0.0, 0.0, 0.0, 3.0, 0.0];
     let packed = base64::engine::general_purpose::STANDARD.encode(corners.map(f32::to_le_bytes).concat());
@@ -84,7 +84,7 @@ fn reals_are_not_clamped_by_the_flag_for_integers() {
 }
 
 #[test]
-fn what_is_not_read_has_a_name() {
+fn unsupported_and_excessive_documents_are_errors() {
     let limits = Limits::default();
     let external = br#"{"asset":{"version":"2.0"},"buffers":[{"uri":"a.bin","byteLength":4}]}"#;
     assert!(matches!(gltf::read_mesh(external, &limits), Err(Error::Unsupported { .. })));
@@ -93,7 +93,7 @@ fn what_is_not_read_has_a_name() {
     assert!(error.contains("KHR_draco_mesh_compression"), "{error}");
     let circle = br#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],"nodes":[{"children":[1]},{"children":[0]}]}"#;
     assert!(matches!(gltf::read_mesh(circle, &limits), Err(Error::Invalid { .. })));
-    // One small mesh, placed by many nodes, must not become a large one.
+    // A small mesh placed by many nodes must not become a huge one.
     let nodes = vec![r#"{"mesh":0}"#; 20_000].join(",");
     let roots: Vec<String> = (0..20_000).map(|node| node.to_string()).collect();
     let triangles = "AAAA".repeat(3_000); // 9000 zero bytes: 250 triangles at one point

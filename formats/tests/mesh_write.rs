@@ -1,4 +1,4 @@
-//! Meshes written as .glb, .gltf, .obj and .ply: what our own and other readers find in them.
+//! Meshes written as .glb, .gltf, .obj and .ply, read by our own and other readers.
 
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
 
@@ -36,7 +36,7 @@ impl Mesh {
     }
 }
 
-/// A ball of rings × sectors quads; vertices of the poles and the seam are not shared.
+/// A ball of rings × sectors quads. Vertices at the poles and the seam are not shared.
 fn ball(rings: u32, sectors: u32, origin: [f64; 3]) -> Mesh {
     let mut mesh = Mesh { positions: Vec::new(), normals: Vec::new(), triangles: Vec::new(), origin };
     for ring in 0..=rings {
@@ -105,7 +105,7 @@ fn assert_near(found: &MeshData, mesh: &Mesh, up: gltf::UpAxis) {
 const FAR: [f64; 3] = [1e6 + 0.1, -2e6, 0.3];
 
 #[test]
-fn gltf_comes_back() {
+fn gltf_round_trips() {
     for mesh in [ball(20, 30, [0.0; 3]), ball(20, 30, FAR), ball(300, 300, [0.0; 3])] {
         for up in [gltf::UpAxis::Y, gltf::UpAxis::Z] {
             for bytes in [glb(&mesh, up), gltf_text(&mesh, up)] {
@@ -146,17 +146,17 @@ fn the_gltf_crate_reads_glb() {
 }
 
 #[test]
-fn obj_comes_back_exactly() {
+fn obj_round_trips_exactly() {
     for mesh in [ball(150, 200, [0.0; 3]), ball(20, 30, FAR)] {
         let bytes = obj_text(&mesh);
         let found = obj::read_mesh(&bytes).expect("our own file");
-        // The reader numbers vertices in the order of use.
+        // The reader numbers vertices in order of use.
         let corners = |triangles: &[[u32; 3]], positions: &[[f64; 3]], normals: &[[f32; 3]]| -> Vec<_> {
             let corner =
                 |&i: &u32| (positions[i as usize].map(f64::to_bits), normals[i as usize].map(f32::to_bits));
             triangles.as_flattened().iter().map(corner).collect()
         };
-        // Without an origin the text is that of 32-bit numbers, the shortest that come back as such.
+        // Without an origin, numbers are the shortest text that parses back to the same 32-bit value.
         let narrow = mesh.origin == [0.0; 3];
         let positions =
             found.positions.iter().map(|p| if narrow { p.map(|c| f64::from(c as f32)) } else { *p });
@@ -172,7 +172,7 @@ fn obj_comes_back_exactly() {
 }
 
 #[test]
-fn ply_is_as_long_as_its_header_says() {
+fn ply_has_the_size_declared_by_its_header() {
     for (mesh, vertex_bytes) in [(ball(90, 90, [0.0; 3]), 24), (ball(20, 30, FAR), 36), (nothing(), 36)] {
         let bytes = ply_bytes(&mesh);
         let end = bytes.windows(11).position(|part| part == b"end_header\n").expect("an end") + 11;
@@ -203,7 +203,7 @@ fn ply_is_as_long_as_its_header_says() {
 }
 
 #[test]
-fn provenance_comes_back_from_the_head() {
+fn provenance_is_read_from_the_head() {
     let mesh = ball(20, 30, FAR);
     let leaf = [0.25; 512];
     let levels = meniscus_formats::LevelSetView {
@@ -248,7 +248,7 @@ fn provenance_comes_back_from_the_head() {
 }
 
 #[test]
-fn what_no_file_can_hold_is_refused() {
+fn invalid_meshes_are_an_error() {
     let mut mesh = ball(3, 4, [0.0; 3]);
     mesh.triangles[2][1] = mesh.positions.len() as u32;
     let refused = |mesh: &Mesh| {
@@ -267,7 +267,7 @@ fn what_no_file_can_hold_is_refused() {
 }
 
 #[test]
-fn damaged_meshes_are_errors_and_never_panics() {
+fn damaged_meshes_are_errors_without_panics() {
     let mesh = ball(4, 5, FAR);
     let mut state = 1u64;
     let mut below = |end: usize| {
@@ -307,8 +307,8 @@ fn faces(text: &[u8]) -> Vec<Vec<u32>> {
 }
 
 #[test]
-fn quads_are_written_as_quads() {
-    // So many that quads lie across the ends of what is written at once, because of one triangle before them.
+fn obj_quads_are_written_as_quads() {
+    // Enough quads that, after a single triangle, some lie across the boundaries of tasks.
     let mut mesh = ball(60, 150, [0.0; 3]);
     mesh.triangles.insert(0, mesh.triangles[0]);
     let count = mesh.triangles.len();
@@ -321,7 +321,7 @@ fn quads_are_written_as_quads() {
     assert_eq!(faces.len(), 1 + count / 2);
     assert_eq!(faces[0].len(), 3);
     for (face, halves) in faces[1..].iter().zip(mesh.triangles[1..].chunks(2)) {
-        // Both halves are in it, each edge but the diagonal once, in its direction.
+        // The quad contains both triangles: all edges but the diagonal once, in their direction.
         let edges = |corners: &[u32]| -> Vec<[u32; 2]> {
             (0..corners.len()).map(|k| [corners[k], corners[(k + 1) % corners.len()]]).collect()
         };
@@ -334,7 +334,7 @@ fn quads_are_written_as_quads() {
     let read = obj::read_mesh(&bytes).expect("our own file");
     assert_eq!(read.triangles.len(), count);
     assert!(std::str::from_utf8(&bytes).unwrap().ends_with(" 1 triangles, 9000 quads\n"));
-    // Marks that make no sense are refused.
+    // Inconsistent quad flags are an error.
     let marked = |marks: Vec<bool>| MeshOptions { quads: marks.into(), ..MeshOptions::default() };
     let mut at_end = quads.to_vec();
     at_end[count - 2..].fill(false);

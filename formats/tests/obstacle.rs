@@ -1,4 +1,4 @@
-//! Obstacles as programs write them.
+//! Obstacles in all supported formats.
 
 use std::cell::RefCell;
 use std::io;
@@ -19,7 +19,7 @@ fn read(bytes: &[u8], name: &str) -> Result<ObstacleData> {
 fn mesh(bytes: &[u8], name: &str) -> MeshData {
     match read(bytes, name).expect(name) {
         ObstacleData::Mesh(mesh) => mesh,
-        ObstacleData::LevelSet(_) => panic!("{name} is no mesh"),
+        ObstacleData::LevelSet(_) => panic!("{name} is not a mesh"),
     }
 }
 
@@ -29,7 +29,7 @@ fn corners(mesh: &MeshData) -> Vec<[[f64; 3]; 3]> {
 }
 
 #[test]
-fn obj_files_of_any_dialect_are_read() {
+fn obj_files_of_all_dialects_are_read() {
     let square = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]];
     let fan = [[square[0], square[1], square[2]], [square[0], square[2], square[3]]];
     let vertices = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n";
@@ -54,10 +54,10 @@ fn obj_files_of_any_dialect_are_read() {
 }
 
 #[test]
-fn obj_errors_name_the_line() {
+fn obj_errors_have_the_line_number() {
     let vertices = "v 0 0 0\nv 1 0 0\n# comment\nv 1 1 0\n";
     for (text, line, word) in [
-        ("f 1 2 4\n", 5, "vertex 4, and there are 3"),
+        ("f 1 2 4\n", 5, "vertex 4, but the file has 3"),
         ("f 1 2 -4\n", 5, "`-4`"),
         ("f 0 1 2\n", 5, "`0`"),
         ("f 1 2 x\n", 5, "`x`"),
@@ -72,20 +72,24 @@ fn obj_errors_name_the_line() {
             "{text}: {error}"
         );
     }
-    // What is counted from the start may come later: whether it does is known at the end.
+    // Absolute indices can refer to later vertices, so they are checked at the end.
     for (text, line, what) in [
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9", 4, "vertex 9, and there are 3"),
-        ("f 1 2 3\nf 1 2 4\nf 1 2 9\nv 0 0 0\nv 1 0 0\nv 0 1 0\n", 2, "vertex 4, and there are 3"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1//2 2//1 3//1\nf 1 2 8\nvn 0 0 1\n", 4, "normal 2, and there are 1"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9", 4, "vertex 9, but the file has 3"),
+        ("f 1 2 3\nf 1 2 4\nf 1 2 9\nv 0 0 0\nv 1 0 0\nv 0 1 0\n", 2, "vertex 4, but the file has 3"),
+        (
+            "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1//2 2//1 3//1\nf 1 2 8\nvn 0 0 1\n",
+            4,
+            "normal 2, but the file has 1",
+        ),
     ] {
         let error = read(text.as_bytes(), "a.obj").expect_err(text).to_string();
         assert!(error.contains(&format!("at line {line}: ")) && error.contains(what), "{error}");
     }
     let nothing = read(vertices.as_bytes(), "a.obj").expect_err("no faces").to_string();
-    assert!(nothing.contains("no triangle"), "{nothing}");
+    assert!(nothing.contains("no triangles"), "{nothing}");
 }
 
-/// A document with one buffer of these parts, each with a view of its own.
+/// A document with one buffer that consists of these parts, each with its own view.
 fn gltf(parts: &[&[u8]], rest: &str, uri: impl Fn(&[u8]) -> String) -> (String, Vec<u8>) {
     let (mut buffer, mut views) = (Vec::new(), Vec::new());
     for part in parts {
@@ -114,7 +118,7 @@ fn bytes_of(numbers: &[f32]) -> Vec<u8> {
 const STRIP: [f32; 15] = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 2.0, 0.0];
 
 #[test]
-fn strips_and_fans_are_triangles_that_face_the_same_way() {
+fn strips_and_fans_become_consistently_oriented_triangles() {
     for (mode, count) in [(5, 3), (6, 3), (4, 1), (0, 0), (3, 0)] {
         let rest = format!(
             r#""scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0}}],
@@ -125,7 +129,7 @@ fn strips_and_fans_are_triangles_that_face_the_same_way() {
         let (text, _) = gltf(&[&bytes_of(&STRIP)], &rest, embedded);
         let found = read(text.as_bytes(), "a.gltf");
         if count == 0 {
-            assert!(found.expect_err("points and lines").to_string().contains("no triangle"));
+            assert!(found.expect_err("points and lines").to_string().contains("no triangles"));
             continue;
         }
         let Ok(ObstacleData::Mesh(mesh)) = found else { panic!("mode {mode}: {found:?}") };
@@ -139,9 +143,9 @@ fn strips_and_fans_are_triangles_that_face_the_same_way() {
 }
 
 #[test]
-fn sparse_elements_and_nodes_in_nodes_are_in_their_places() {
+fn sparse_elements_and_nested_nodes_are_placed() {
     let values = bytes_of(&[5.0, 5.0, 5.0, 7.0, 7.0, 7.0]);
-    // Far away, where 32 bits would round to 64.
+    // Far from the origin, where 32-bit numbers have steps of 64.
     let rest = |indices: &str| {
         format!(
             r#""scene":0,"scenes":[{{"nodes":[1]}}],
@@ -157,21 +161,22 @@ fn sparse_elements_and_nodes_in_nodes_are_in_their_places() {
     let far = |x: f64| 1e9 + 0.25 + 2.0 * x;
     assert_eq!(found.positions, [[far(5.0), 10.0, 10.0], [far(1.0), 0.0, 0.0], [far(7.0), 14.0, 14.0]]);
     let error = read(document("2").as_bytes(), "a.gltf").expect_err("out of order").to_string();
-    assert!(error.contains("out of its place"), "{error}");
+    assert!(error.contains("out of order"), "{error}");
 }
 
 #[test]
-fn buffers_may_be_files_beside() {
+fn buffers_can_be_external_files() {
     let rest = r#""scenes":[{"nodes":[0]}],"nodes":[{"mesh":0}],
         "meshes":[{"primitives":[{"attributes":{"POSITION":0,"_NAME":0}}]}],
         "accessors":[{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"}]"#;
     let text = |uri: &str| gltf(&[&bytes_of(&STRIP)], rest, |_| uri.to_owned());
     let (document, buffer) = text("part%20one/a.bin");
-    let beside = |path: &str| {
+    let read_external = |path: &str| {
         assert_eq!(path, "part one/a.bin");
         Ok(buffer.clone())
     };
-    let found = read_obstacle(document.as_bytes(), "a.gltf", &Limits::default(), &beside).expect("two files");
+    let found =
+        read_obstacle(document.as_bytes(), "a.gltf", &Limits::default(), &read_external).expect("two files");
     assert!(matches!(found, ObstacleData::Mesh(mesh) if mesh.triangles.len() == 1));
     let missing = read(document.as_bytes(), "a.gltf").expect_err("no such file");
     assert!(matches!(&missing, Error::Io(error) if error.kind() == io::ErrorKind::NotFound));
@@ -180,29 +185,29 @@ fn buffers_may_be_files_beside() {
     let error = read_obstacle(document.as_bytes(), "a.gltf", &Limits::default(), &short).expect_err("short");
     assert!(error.to_string().contains("exceeds its buffer"), "{error}");
     for (uri, word) in [
-        ("https://example.org/a.bin", "not beside"),
-        ("/etc/a.bin", "not beside"),
-        ("%2fetc/a.bin", "not beside"),
-        ("../a.bin", "not beside"),
-        ("b/%2e%2E/../a.bin", "not beside"),
-        ("b\\\\..\\\\a.bin", "not beside"),
-        ("\\\\a.bin", "not beside"),
-        ("a%00.bin", "not beside"),
-        ("./", "not beside"),
-        ("", "not beside"),
-        ("a%zz", "the URI a%zz"),
+        ("https://example.org/a.bin", "outside the folder"),
+        ("/etc/a.bin", "outside the folder"),
+        ("%2fetc/a.bin", "outside the folder"),
+        ("../a.bin", "outside the folder"),
+        ("b/%2e%2E/../a.bin", "outside the folder"),
+        ("b\\\\..\\\\a.bin", "outside the folder"),
+        ("\\\\a.bin", "outside the folder"),
+        ("a%00.bin", "outside the folder"),
+        ("./", "outside the folder"),
+        ("", "outside the folder"),
+        ("a%zz", "the URI a%zz is invalid"),
     ] {
         let document = text(uri).0;
-        let unasked = |path: &str| panic!("{path} was asked for");
+        let unasked = |path: &str| panic!("{path} was requested");
         let error = read_obstacle(document.as_bytes(), "a.gltf", &Limits::default(), &unasked);
         let errors = [error.expect_err(uri), gltf::files_beside(document.as_bytes()).expect_err(uri)];
         assert!(errors.iter().all(|error| error.to_string().contains(word)), "{errors:?}");
     }
 }
 
-/// A file is read once, as far as the longest buffer in it goes.
+/// Each file is read once, up to the end of its longest buffer.
 #[test]
-fn files_beside_are_told_once() {
+fn external_files_are_listed_once() {
     let document = br#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],"nodes":[{"mesh":0}],
         "meshes":[{"primitives":[{"attributes":{"POSITION":0}},{"attributes":{"POSITION":1}}]}],
         "accessors":[{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"},
@@ -210,22 +215,22 @@ fn files_beside_are_told_once() {
         "bufferViews":[{"buffer":1,"byteLength":36},{"buffer":3,"byteLength":36}],
         "buffers":[{"byteLength":3,"uri":"data:;base64,AAAA"},{"byteLength":36,"uri":"./b/a.bin"},
         {"byteLength":5,"uri":"a.bin"},{"byteLength":60,"uri":"b//a%2ebin"}]}"#;
-    let told = gltf::files_beside(document).expect("a document");
-    let told: Vec<_> = told.iter().map(|file| (file.path.as_str(), file.byte_count)).collect();
-    assert_eq!(told, [("b/a.bin", 60), ("a.bin", 5)]);
-    let asked = RefCell::new(Vec::new());
-    let beside = |path: &str| {
-        asked.borrow_mut().push(path.to_owned());
+    let files = gltf::files_beside(document).expect("a document");
+    let files: Vec<_> = files.iter().map(|file| (file.path.as_str(), file.byte_count)).collect();
+    assert_eq!(files, [("b/a.bin", 60), ("a.bin", 5)]);
+    let requested = RefCell::new(Vec::new());
+    let read_external = |path: &str| {
+        requested.borrow_mut().push(path.to_owned());
         Ok(bytes_of(&STRIP))
     };
-    let found = read_obstacle(document, "a.gltf", &Limits::default(), &beside).expect("three files");
+    let found = read_obstacle(document, "a.gltf", &Limits::default(), &read_external).expect("three files");
     assert!(matches!(found, ObstacleData::Mesh(mesh) if mesh.triangles.len() == 2));
-    assert_eq!(asked.into_inner(), ["b/a.bin", "a.bin"]);
+    assert_eq!(requested.into_inner(), ["b/a.bin", "a.bin"]);
     assert!(gltf::files_beside(b"v 0 0 0").is_err());
 }
 
 #[test]
-fn level_sets_are_obstacles_and_clouds_are_not() {
+fn level_sets_are_obstacles_and_fog_volumes_are_errors() {
     let phi = |offset: usize| ((offset >> 6) as f32 - 3.5).clamp(-3.0, 3.0);
     let leaves = [std::array::from_fn(phi)];
     let view = LevelSetView {
@@ -248,13 +253,13 @@ fn level_sets_are_obstacles_and_clouds_are_not() {
 }
 
 #[test]
-fn what_is_no_obstacle_is_told() {
+fn other_files_are_not_obstacles() {
     for (bytes, name, word) in [
-        (b"x,y,z\n1,2,3\n4,5,6\n".as_slice(), "points.csv", "not a format that obstacles are read from"),
+        (b"x,y,z\n1,2,3\n4,5,6\n".as_slice(), "points.csv", "not a supported obstacle format"),
         (b"", "empty.obj", "empty"),
-        (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n", "points.ply", "no triangle"),
-        (b"solid cube\n", "cube.stl", "not a format that obstacles"),
-        (b"# vtk DataFile Version 3.0\na\nASCII\nDATASET POLYDATA\nPOINTS 1 float\n1 2 3\n", "a.vtk", "no triangle"),
+        (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n", "points.ply", "no triangles"),
+        (b"solid cube\n", "cube.stl", "not a supported obstacle format"),
+        (b"# vtk DataFile Version 3.0\na\nASCII\nDATASET POLYDATA\nPOINTS 1 float\n1 2 3\n", "a.vtk", "no triangles"),
     ] {
         let error = read(bytes, name).expect_err(name).to_string();
         assert!(error.contains(word), "{name}: {error}");

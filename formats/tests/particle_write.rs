@@ -1,4 +1,4 @@
-//! Particles of every format, written as .ply and .vtp: what is read back is what was read.
+//! Particles of all formats, written as .ply and .vtp and read back.
 
 use crate::fixtures;
 
@@ -19,7 +19,7 @@ fn read(bytes: &[u8], name: &str) -> ParticleFrame {
     read_particles(bytes, name, &Limits::default()).unwrap_or_else(|error| panic!("{name}: {error}"))
 }
 
-/// The files of the corpus and of the other tests that are read.
+/// All valid frames of the corpus and of the other tests.
 fn frames() -> Vec<(String, ParticleFrame)> {
     let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus");
     let mut files: Vec<(String, Vec<u8>)> = fixtures::all();
@@ -38,7 +38,8 @@ fn frames() -> Vec<(String, ParticleFrame)> {
     frames.collect()
 }
 
-/// What becomes of an attribute for want of a type: strings become their indices, wide integers reals.
+/// The values that are read back: strings become indices, wide integers become floats if the format lacks
+/// their type.
 fn narrowed(attribute: &Attribute, is_ply: bool) -> Values {
     match &attribute.values {
         Values::Strings { table, indices } => Values::I32(
@@ -58,7 +59,7 @@ fn narrowed(attribute: &Attribute, is_ply: bool) -> Values {
     }
 }
 
-/// Equal to the last bit, also where there are numbers that are none.
+/// The values as bits, so that NaN equals itself.
 fn bits(values: &Values) -> Vec<u64> {
     match values {
         Values::F32(values) => values.iter().map(|value| u64::from(value.to_bits())).collect(),
@@ -78,7 +79,7 @@ fn position_bits(positions: &Positions) -> Vec<u64> {
 }
 
 #[test]
-fn what_is_read_back_is_what_was_read() {
+fn written_particles_are_read_back_exactly() {
     let frames = frames();
     assert!(frames.len() > 40, "{}", frames.len());
     let provenance = [("generator".to_string(), "meniscus x".to_string()), ("a".into(), "b: c".into())];
@@ -108,7 +109,7 @@ fn check_attributes(frame: &ParticleFrame, found: &ParticleFrame, is_ply: bool, 
     };
     let mut expected = named(frame);
     if is_ply {
-        // Blanks end names there.
+        // PLY names cannot contain blanks.
         expected.iter_mut().for_each(|(name, ..)| *name = name.replace(' ', "_"));
     }
     assert_eq!(named(found), expected, "{shown}");
@@ -129,7 +130,7 @@ fn attribute(name: &str, arity: usize, role: Option<Role>, values: Values) -> At
 }
 
 #[test]
-fn odd_attributes_come_through_or_are_told() {
+fn unusual_attributes_round_trip_or_get_a_note() {
     let attributes = vec![
         attribute("Cd", 4, Some(Role::Color), Values::U8((0..8).collect())),
         attribute("width", 1, Some(Role::Radius), Values::F32(vec![0.125, 0.25])),
@@ -148,16 +149,16 @@ fn odd_attributes_come_through_or_are_told() {
     let expected: [(&str, &[&str], Writer); 2] = [
         (
             "a.vtp",
-            &["part is numbers in the .vtp: which strings they are is in its field data"],
+            &["part is stored as indices in the .vtp; the strings are in its field data"],
             vtk::write_particles,
         ),
         (
             "a.ply",
             &[
-                "1 values of id are beyond ±2⁵³, and rounded in the .ply; a .vtp has them as they are",
-                "a b is called a_b in the .ply",
-                "x is called x_2 in the .ply",
-                "part is numbers in the .ply: which strings they are is in its comments",
+                "1 values of id are beyond ±2⁵³ and are rounded in the .ply; .vtp stores them exactly",
+                "a b is named a_b in the .ply",
+                "x is named x_2 in the .ply",
+                "part is stored as indices in the .ply; the strings are in its comments",
             ],
             ply::write_particles,
         ),
@@ -178,6 +179,6 @@ fn odd_attributes_come_through_or_are_told() {
         ParticleFrame { attributes: vec![attribute("v", 3, None, Values::F32(vec![0.0; 5]))], ..frame };
     for (_, _, write) in WRITERS {
         let error = write(&short, &[], &mut Vec::new()).unwrap_err().to_string();
-        assert!(error.contains("5 values of v for 2 particles of 3 each"), "{error}");
+        assert!(error.contains("attribute v has 5 values for 2 particles with 3 values each"), "{error}");
     }
 }

@@ -1,4 +1,4 @@
-//! PLY in all its dialects: what is written comes back, and another reader agrees.
+//! PLY in all its dialects: files round-trip, and another reader agrees.
 
 use std::path::Path;
 
@@ -18,7 +18,7 @@ fn positions(frame: &ParticleFrame) -> Vec<[f64; 3]> {
     }
 }
 
-/// Values of an attribute, all of which have less than 53 bits.
+/// The values of an attribute, which must need fewer than 53 bits.
 fn values(frame: &ParticleFrame, name: &str) -> Vec<f64> {
     let attribute = frame.attributes.iter().find(|attribute| attribute.name == name);
     match &attribute.unwrap_or_else(|| panic!("no attribute {name}")).values {
@@ -32,7 +32,7 @@ fn values(frame: &ParticleFrame, name: &str) -> Vec<f64> {
 }
 
 #[test]
-fn a_header_with_cr_lf_may_precede_a_binary_body() {
+fn headers_with_any_line_end_precede_a_binary_body() {
     for end in ["\n", "\r\n", "\r"] {
         let lines = "ply;format binary_little_endian 1.0;comment by hand;element vertex 2;\
                      property float x;property float y;property float z;property uchar k;end_header;";
@@ -52,7 +52,7 @@ fn a_header_with_cr_lf_may_precede_a_binary_body() {
 }
 
 #[test]
-fn other_elements_and_lists_are_passed_over() {
+fn other_elements_and_lists_are_skipped() {
     let text = "ply\nformat ascii 1.0\nelement empty 7\nelement material 2\nproperty list uchar float shine\n\
                 property int k\nelement Vertex 2\nproperty double z\nproperty list uchar int near\n\
                 property double y\nproperty double x\nproperty float diameter\nelement face 1\n\
@@ -66,12 +66,12 @@ fn other_elements_and_lists_are_passed_over() {
 }
 
 #[test]
-fn an_element_of_another_name_may_hold_the_particles() {
+fn particles_are_read_from_an_element_with_another_name() {
     let text = "ply\nformat ascii 1.0\nelement particle 1\nproperty float px\nproperty float py\n\
                 property float pz\nend_header\n1 2 nan\n";
     let frame = read_text(text);
-    assert!(positions(&frame)[0][2].is_nan(), "it is for others to judge positions");
-    assert_eq!(frame.notes, ["no element is called `vertex`: particles are taken from `particle`"]);
+    assert!(positions(&frame)[0][2].is_nan(), "readers do not validate positions");
+    assert_eq!(frame.notes, ["no element is named `vertex`: the particles are read from `particle`"]);
 }
 
 #[test]
@@ -96,7 +96,7 @@ fn positions_keep_their_precision() {
 }
 
 #[test]
-fn no_particles_are_a_frame_too() {
+fn file_without_particles_is_an_empty_frame() {
     let properties = "property float x\nproperty float y\nproperty float z\n";
     for encoding in ["ascii", "binary_little_endian"] {
         let frame =
@@ -106,14 +106,14 @@ fn no_particles_are_a_frame_too() {
 }
 
 #[test]
-fn limits_are_kept() {
+fn files_beyond_limits_are_errors() {
     let header =
         "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n";
     let text = format!("{header}end_header\n1 2 3\n1 2 3\n1 2 3\n");
     let cases = [
-        (Limits { particle_count: 2, ..Limits::default() }, "3 vertices, and the limit is 2"),
+        (Limits { particle_count: 2, ..Limits::default() }, "3 vertices; the limit is 2"),
         (Limits { header_bytes: 60, ..Limits::default() }, "no `end_header` within the 60 bytes"),
-        (Limits { attribute_count: 2, ..Limits::default() }, "more than 2 properties"),
+        (Limits { attribute_count: 2, ..Limits::default() }, "more properties than the limit of 2"),
     ];
     for (limits, expected) in cases {
         let error = read(text.as_bytes(), &limits).unwrap_err();
@@ -123,7 +123,7 @@ fn limits_are_kept() {
 }
 
 #[test]
-fn meshes_are_read_with_their_faces() {
+fn faces_are_read_as_triangles() {
     let text = "ply\nformat ascii 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\n\
                 property float nx\nproperty float ny\nproperty float nz\nelement face 3\nproperty uchar k\n\
                 property list uchar int vertex_index\nend_header\n\
@@ -136,7 +136,7 @@ fn meshes_are_read_with_their_faces() {
 
     let beyond = text.replace("9 2 0 1\n", "9 3 0 1 5\n");
     let error = read_mesh(beyond.as_bytes(), &Limits::default()).unwrap_err().to_string();
-    assert!(error.contains("at line 21: a face has vertex 5, and there are 5"), "{error}");
+    assert!(error.contains("at line 21: a face has vertex index 5, but the file has 5 vertices"), "{error}");
 
     let file = std::fs::read(corpus().join("meshlab_mesh.ply")).unwrap();
     let mesh = read_mesh(&file, &Limits::default()).unwrap();
@@ -147,9 +147,9 @@ fn corpus() -> std::path::PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus/valid")
 }
 
-/// Every scalar of every vertex of the corpus, as `ply-rs-bw` reads it.
+/// Compares every scalar of every vertex in the corpus with `ply-rs-bw`.
 #[test]
-fn another_reader_agrees() {
+fn ply_rs_bw_reads_the_same_values() {
     use ply_rs_bw::{parser::Parser, ply::DefaultElement, ply::Property};
     let mut value_count = 0;
     for entry in std::fs::read_dir(corpus()).unwrap() {
@@ -193,12 +193,12 @@ fn another_reader_agrees() {
     assert!(value_count > 5000);
 }
 
-/// A table of vertices to write: names, types, and rows of numbers that the types can hold.
+/// A table of vertices to write: names, types, and rows of numbers that fit the types.
 #[derive(Clone, Debug)]
 struct Vertices {
     columns: Vec<(String, Scalar)>,
     rows: Vec<Vec<f64>>,
-    /// Whether a list stands between the properties, and an element with a list before the vertices.
+    /// Whether there is a list between the properties, and an element with a list before the vertices.
     lists: bool,
     line_end: &'static str,
 }
@@ -329,7 +329,7 @@ fn any_vertices() -> impl Strategy<Value = Vertices> {
 
 proptest! {
     #[test]
-    fn what_is_written_comes_back(vertices in any_vertices()) {
+    fn written_vertices_are_read_back(vertices in any_vertices()) {
         for encoding in [Encoding::Ascii, Encoding::BinaryLittleEndian, Encoding::BinaryBigEndian] {
             let file = vertices.write(encoding);
             let frame = read(&file, &Limits::default()).unwrap();

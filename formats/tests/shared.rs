@@ -1,15 +1,15 @@
-//! Files of real programs, too many and too large to be kept here: where they lie beside the sources, every one
-//! that holds points is read, or refused for the reason that is told here.
+//! Files of other programs, too many and too large for this repository. If they are found next to it, every
+//! file with points must be read, or rejected for the reason listed here.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use meniscus_formats::{Limits, ParticleFrame, Positions, looks_like_particles, read_particles};
 
-/// The folder of the files, or the word that they were not tested.
+/// The folder of the files; prints a message if it is missing.
 fn data() -> Option<PathBuf> {
-    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared");
-    let data = std::env::var_os("MENISCUS_SHARED").map_or_else(beside, PathBuf::from).join("data");
+    let default_folder = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared");
+    let data = std::env::var_os("MENISCUS_SHARED").map_or_else(default_folder, PathBuf::from).join("data");
     if !data.is_dir() {
         let _ = writeln!(std::io::stderr(), "not tested, absent: {}", data.display());
         return None;
@@ -34,7 +34,7 @@ fn read(path: &Path) -> Result<ParticleFrame, String> {
     read_particles(&bytes, &name, &Limits::default()).map_err(|error| error.to_string())
 }
 
-/// The least and the greatest coordinate along each axis.
+/// The minimum and maximum coordinate along each axis.
 fn bounds(frame: &ParticleFrame) -> [[f64; 3]; 2] {
     let positions: Vec<[f64; 3]> = match &frame.positions {
         Positions::F32(positions) => positions.iter().map(|position| position.map(f64::from)).collect(),
@@ -48,7 +48,7 @@ fn bounds(frame: &ParticleFrame) -> [[f64; 3]; 2] {
 }
 
 #[test]
-fn every_file_of_points_is_read_or_refused_for_a_reason() {
+fn point_files_are_read_or_rejected_with_the_listed_reason() {
     let Some(data) = data() else { return };
     let mut files = Vec::new();
     for folder in ["ours", "third-party"] {
@@ -66,19 +66,19 @@ fn every_file_of_points_is_read_or_refused_for_a_reason() {
         match (read(path), refusal) {
             (Ok(_), None) => read_count += 1,
             (Err(error), Some(words)) if error.contains(words) => refused_count += 1,
-            (Ok(_), Some(words)) => surprises.push(format!("{shown} was read, not refused for `{words}`")),
+            (Ok(_), Some(words)) => surprises.push(format!("{shown} was read, not rejected for `{words}`")),
             (Err(error), _) => surprises.push(format!("{shown}: {error}")),
         }
     }
     assert!(surprises.is_empty(), "{}", surprises.join("\n"));
     assert!(
         read_count >= 100 && refused_count == REFUSED_COUNT,
-        "{read_count} read, {refused_count} refused"
+        "{read_count} read, {refused_count} rejected"
     );
 }
 
 #[test]
-fn counts_and_bounds_are_those_that_other_programs_tell() {
+fn counts_and_bounds_match_other_programs() {
     let Some(data) = data() else { return };
     for &(path, count, lowest, highest) in BOUNDS {
         let frame = read(&data.join(path)).unwrap_or_else(|error| panic!("{path}: {error}"));
@@ -95,9 +95,9 @@ fn counts_and_bounds_are_those_that_other_programs_tell() {
     }
 }
 
-/// Geometry as bytes and the same as text.
+/// The same geometry in binary and text form.
 #[test]
-fn twins_are_equal() {
+fn binary_and_text_forms_are_equal() {
     let Some(data) = data() else { return };
     for name in [
         "empty_16_5",
@@ -118,7 +118,7 @@ fn twins_are_equal() {
     }
 }
 
-/// Parts of paths, and words of the reason.
+/// Parts of paths, and words of the expected error.
 const REFUSED: &[(&str, &str)] = &[
     ("laika/packed_points_simple_16_5", "packed primitives (PackedGeometry): its 2 points are their pivots"),
     ("laika/psoup_simple_16", "surfaces or curves (PolySoup): its 8 points belong to them"),
@@ -126,10 +126,10 @@ const REFUSED: &[(&str, &str)] = &[
     ("sidefxlabs/delete_small_parts", "surfaces or curves (Poly): its 464 points belong to them"),
 ];
 
-/// Files that these are.
+/// Number of files that match.
 const REFUSED_COUNT: usize = 6;
 
-/// Points, and their bounds as VTK's own readers and the text of Houdini's files tell them.
+/// Number of points and their bounds, as reported by VTK's own readers and by the text form of Houdini files.
 type Bounds = (&'static str, usize, [f64; 3], [f64; 3]);
 const BOUNDS: &[Bounds] = &[
     ("third-party/partio/test.geo", 5, [0.0, 0.1, 0.2], [0.4, 0.5, 0.6]),

@@ -1,7 +1,7 @@
-//! .vdb files of other programs, and damaged ones.
+//! .vdb files written by other programs, and damaged ones.
 
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
-#![allow(clippy::print_stderr, reason = "says which files are not here")]
+#![allow(clippy::print_stderr, reason = "reports missing files")]
 
 use crate::solids;
 
@@ -16,7 +16,7 @@ fn shared(folder: &str) -> Vec<(String, Vec<u8>)> {
     let default = || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared"));
     let root = std::env::var_os("MENISCUS_SHARED").map_or_else(default, PathBuf::from);
     let Ok(entries) = std::fs::read_dir(root.join("data").join(folder)) else {
-        eprintln!("data/{folder} is not here; its files are not read");
+        eprintln!("not tested, folder missing: data/{folder}");
         return Vec::new();
     };
     let mut files: Vec<_> = entries
@@ -34,7 +34,7 @@ fn shared(folder: &str) -> Vec<(String, Vec<u8>)> {
 }
 
 #[test]
-fn other_programs_files_agree_with_openvdb_rs() {
+fn files_of_other_programs_match_openvdb_rs() {
     for folder in ["ours/vdb", "third-party/openvdb-rs"] {
         for (file, bytes) in shared(folder) {
             let infos = match grids(&bytes, &Limits::default()) {
@@ -57,7 +57,7 @@ fn other_programs_files_agree_with_openvdb_rs() {
                 let Some(vdb::AnyGrid::Float(other)) =
                     others.get(index).filter(|_| others.len() == infos.len())
                 else {
-                    panic!("{file}: grid {index} is not where it should be");
+                    panic!("{file}: grid {index} is missing");
                 };
                 assert_same(&format!("{file} {}", info.name), &bytes, &info.unique_name, other);
             }
@@ -99,7 +99,7 @@ fn assert_same(name: &str, bytes: &[u8], grid: &str, other: &vdb::FloatGrid) {
 }
 
 #[test]
-fn damage_is_an_error_and_never_a_panic() {
+fn damaged_files_are_errors_without_panics() {
     let solid = solids::sphere([40.5, 30.5, 44.0], 12.0);
     for compression in [Compression::None, Compression::ActiveMask, Compression::Blosc] {
         for half in [false, true] {
@@ -113,7 +113,7 @@ fn damage_is_an_error_and_never_a_panic() {
             }
             for round in 0..3000 {
                 let mut broken = bytes.clone();
-                // Half of the flips in the head, where the counts are.
+                // Half of the flips are in the head, where the counts are.
                 let range = if round % 2 == 0 { 1200 } else { broken.len() };
                 for _ in 0..1 + dice.below(3) {
                     let at = dice.below(range);
@@ -126,7 +126,7 @@ fn damage_is_an_error_and_never_a_panic() {
 }
 
 #[test]
-fn small_limits_hold() {
+fn limits_and_missing_grids_are_errors() {
     let solid = solids::sphere([0.0; 3], 40.0);
     let mut bytes = Vec::new();
     write(&solid.view(), &WriteOptions::default(), &[], &mut bytes).expect("writing to memory");

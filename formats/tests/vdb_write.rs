@@ -1,5 +1,5 @@
-//! Level sets written as .vdb: what our own reader and two others find in them, and the rules of the
-//! format that readers do not check.
+//! Level sets written as .vdb, read by our own and two other readers, and rules of the format that readers do
+//! not check.
 
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
 
@@ -33,7 +33,7 @@ fn read(bytes: &[u8]) -> LevelSetData {
     read_level_set(bytes, None, &Limits::default()).expect("reading our own file")
 }
 
-/// Finds values by voxel as a renderer does: leaf, tile, background.
+/// Looks up values by voxel as a renderer does: in leaves, then tiles, then the background.
 struct Lookup<'a> {
     data: &'a LevelSetData,
     leaves: HashMap<[i32; 3], usize>,
@@ -58,7 +58,7 @@ impl<'a> Lookup<'a> {
     }
 }
 
-/// What a file should say of a voxel.
+/// The expected value of a voxel.
 fn expected(solid: &Solid, voxel: [i32; 3], half: bool) -> f32 {
     let round = |value: f32| if half { half_round(value) } else { value };
     let background = round((f64::from(solid.half_width_voxels) * solid.voxel_size) as f32);
@@ -66,7 +66,7 @@ fn expected(solid: &Solid, voxel: [i32; 3], half: bool) -> f32 {
     world.clamp(-background, background)
 }
 
-/// To 11 significant bits, ties to even: a half without its limits.
+/// Rounds to 11 significant bits, ties to even: a half float without its range limits.
 fn half_round(value: f32) -> f32 {
     let bits = value.to_bits();
     if value.abs() < 6.2e-5 {
@@ -77,7 +77,7 @@ fn half_round(value: f32) -> f32 {
 }
 
 #[test]
-fn own_reader_finds_every_value() {
+fn own_reader_reads_every_value() {
     for (name, solid) in solids::all() {
         for compression in COMPRESSIONS {
             for half in [false, true] {
@@ -121,7 +121,7 @@ fn voxel(origin: [i32; 3], i: usize) -> [i32; 3] {
     [origin[0] + (i >> 6), origin[1] + (i >> 3 & 7), origin[2] + (i & 7)]
 }
 
-/// The leaves' bounds, and a leaf more on each side.
+/// The bounds of the leaves, extended by a leaf on each side.
 fn bounds(solid: &Solid) -> ([i32; 3], [i32; 3]) {
     let on = |axis: usize| solid.origins.iter().map(move |origin| origin[axis]);
     (
@@ -132,7 +132,7 @@ fn bounds(solid: &Solid) -> ([i32; 3], [i32; 3]) {
 
 /// A ball so large that whole nodes of 128 voxels lie inside.
 #[test]
-fn inner_nodes_are_tiles() {
+fn fully_inside_nodes_are_tiles() {
     let solid = solids::sphere([3.0, 5.0, -4.0], 300.0);
     let data = read(&to_bytes(&solid.view(), &options(Compression::Blosc, false)));
     let lookup = Lookup::new(&data);
@@ -145,7 +145,7 @@ fn inner_nodes_are_tiles() {
 }
 
 #[test]
-fn vdb_rs_finds_the_active_values() {
+fn vdb_rs_reads_the_active_values() {
     for (name, solid) in solids::all() {
         for compression in COMPRESSIONS {
             let bytes = to_bytes(&solid.view(), &options(compression, false));
@@ -171,7 +171,7 @@ fn vdb_rs_finds_the_active_values() {
 }
 
 #[test]
-fn openvdb_rs_finds_a_sound_level_set() {
+fn openvdb_rs_accepts_the_level_set() {
     for (name, solid) in solids::all() {
         for compression in COMPRESSIONS {
             for half in [false, true] {
@@ -187,7 +187,7 @@ fn openvdb_rs_finds_a_sound_level_set() {
 
 fn assert_openvdb_rs(name: &str, solid: &Solid, grid: &vdb::FloatGrid, data: &LevelSetData) {
     if !data.origins.is_empty() {
-        // Rounding the background to a half may leave it a trifle below three voxels.
+        // The background, rounded to a half, may be slightly below three voxels.
         let checks = if grid.save_float_as_half() { [4..4, 5..9] } else { [1..9, 0..0] };
         let mut check = vdb::tools::diagnostics::CheckLevelSet::new(grid);
         for n in checks.into_iter().flatten() {
@@ -230,7 +230,7 @@ fn assert_openvdb_rs(name: &str, solid: &Solid, grid: &vdb::FloatGrid, data: &Le
 }
 
 #[test]
-fn threads_and_order_do_not_change_the_bytes() {
+fn bytes_do_not_depend_on_threads_or_leaf_order() {
     let solid = solids::shell(60.0, 30.0);
     let reference = to_bytes(&solid.view(), &WriteOptions::default());
     let pool = rayon::ThreadPoolBuilder::new().num_threads(7).build().expect("threads");
@@ -243,7 +243,7 @@ fn threads_and_order_do_not_change_the_bytes() {
 }
 
 #[test]
-fn identity_follows_content() {
+fn uuid_depends_on_content() {
     let uuid = |bytes: &[u8]| String::from_utf8(bytes[21..57].to_vec()).expect("ASCII");
     let solid = solids::sphere([0.0; 3], 20.0);
     let reference = to_bytes(&solid.view(), &WriteOptions::default());
@@ -257,7 +257,7 @@ fn identity_follows_content() {
     assert_eq!(read(&moved).transform.voxel_size(), [0.05; 3]);
 }
 
-/// A walk over the bytes that knows the format's layout and nothing of our reader.
+/// Walks through the bytes with knowledge of the format but independent of our reader.
 struct Walk<'a>(&'a [u8]);
 
 impl Walk<'_> {
@@ -289,7 +289,7 @@ impl Walk<'_> {
         assert!(self.take(slots / 8).iter().all(|byte| *byte == 0), "an active tile");
         children
     }
-    /// An internal node's values when only active ones are stored: none are.
+    /// Skips the values of an internal node when only active ones are stored: it has none.
     fn values(&mut self, slots: usize, prefix: usize) {
         match self.take(1)[0] {
             0 | 1 => {}
@@ -301,8 +301,8 @@ impl Walk<'_> {
 }
 
 #[test]
-fn rules_that_readers_do_not_check() {
-    // Eight root children around the origin, of both signs.
+fn output_follows_rules_that_readers_do_not_check() {
+    // Eight root children around the origin, with negative and positive coordinates.
     let solid = solids::sphere([0.5, 0.5, 0.5], 30.0);
     for compression in [Compression::ActiveMask, Compression::Blosc] {
         for half in [false, true] {
@@ -359,7 +359,7 @@ fn rules_that_readers_do_not_check() {
 }
 
 #[test]
-fn what_is_no_level_set_is_refused() {
+fn invalid_level_sets_are_an_error() {
     let leaf = [0.5f32; 512];
     let view = LevelSetView {
         origins: &[[0, 8, 16]],

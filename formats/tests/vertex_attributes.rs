@@ -1,4 +1,4 @@
-//! What is known of vertices, in .glb, .ply and .obj: what readers find of it, and what users are told.
+//! Vertex attributes in .glb, .ply and .obj: what readers find, and the notes for users.
 
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
 
@@ -7,7 +7,7 @@ use meniscus_formats::{
     VertexValues, gltf, is_whole, obj, ply, read_provenance,
 };
 
-const VERTEX_COUNT: usize = 5000; // more than is formatted or converted at once
+const VERTEX_COUNT: usize = 5000; // more than one chunk of formatting or conversion
 
 fn positions() -> Vec<[f32; 3]> {
     (0..VERTEX_COUNT).map(|v| [v as f32 * 0.125, (v % 7) as f32, -(v as f32)]).collect()
@@ -31,7 +31,7 @@ fn attribute<'a>(
     VertexAttribute { name, role, arity, values }
 }
 
-/// Gives a mesh with these attributes to a writer.
+/// Passes a mesh with these attributes to a writer.
 fn written(attributes: &[VertexAttribute], write: impl Fn(&MeshView, &mut Vec<u8>)) -> Vec<u8> {
     let (positions, triangles) = (positions(), triangles());
     let normals = vec![[0.0, 0.0, 1.0]; VERTEX_COUNT];
@@ -71,7 +71,7 @@ fn named<'a>(frame: &'a ParticleFrame, name: &str) -> &'a Attribute {
 }
 
 #[test]
-fn ply_comes_back() {
+fn ply_attributes_round_trip() {
     let (color, velocity) = (numbers(3, 1.0), numbers(3, -7.5));
     let (age, uv, nine) = (numbers(1, 3.0), numbers(2, 1.0), numbers(9, 2.0));
     let ids: Vec<i64> = (0..VERTEX_COUNT as i64).map(|v| v * 1_000_003 % 4096 - 2048).collect();
@@ -112,7 +112,7 @@ fn ply_comes_back() {
 }
 
 #[test]
-fn the_gltf_crate_finds_all_that_has_a_place() {
+fn gltf_crate_reads_all_stored_attributes() {
     let (color, velocity, age, uv) = (numbers(4, 1.0), numbers(3, -7.5), numbers(1, 3.0), numbers(2, 1.0));
     let ids: Vec<i64> = (0..VERTEX_COUNT as i64).map(|v| v * 3355).collect();
     let table = ["water".to_string(), "größe".to_string()];
@@ -126,8 +126,8 @@ fn the_gltf_crate_finds_all_that_has_a_place() {
         attribute("material", None, 1, VertexValues::Strings { table: &table, indices: &kinds }),
     ];
     let notes = gltf::attribute_notes(&attributes);
-    assert!(notes.len() == 1 && notes[0].contains("vectors beside single numbers"), "{notes:?}");
-    assert_eq!(gltf::attribute_notes(&attributes[..2]), [""; 0], "a colour is none of those");
+    assert!(notes.len() == 1 && notes[0].contains("both vector and scalar attributes"), "{notes:?}");
+    assert_eq!(gltf::attribute_notes(&attributes[..2]), [""; 0], "a colour does not count");
     let bytes = glb(&attributes);
     let document = ::gltf::Gltf::from_slice(&bytes).expect("a document");
     let blob = document.blob.as_ref().expect("a binary chunk");
@@ -165,7 +165,7 @@ fn the_gltf_crate_finds_all_that_has_a_place() {
 }
 
 #[test]
-fn obj_has_colours_behind_positions() {
+fn obj_stores_colours_after_positions() {
     let (color, velocity) = (numbers(4, 1.0), numbers(3, 1.0));
     let attributes = [
         attribute("v", Some(Role::Velocity), 3, VertexValues::Numbers(&velocity)),
@@ -183,7 +183,7 @@ fn obj_has_colours_behind_positions() {
         let mesh = &models[0].mesh;
         assert_eq!(mesh.positions.len(), 3 * VERTEX_COUNT);
         let rgb: Vec<f32> = color.as_chunks::<4>().0.iter().flat_map(|c| [c[0], c[1], c[2]]).collect();
-        // The reader numbers vertices in the order of use; the triangles use them in order.
+        // The reader numbers vertices in order of use; the triangles use them in order.
         assert_eq!(mesh.vertex_color.iter().map(|&c| c as f32).collect::<Vec<_>>(), rgb);
         let own = obj::read_mesh(&text).expect("our own file");
         assert_eq!(own.triangles.len(), triangles().len());
@@ -191,11 +191,11 @@ fn obj_has_colours_behind_positions() {
     }
     let notes = obj::attribute_notes(&attributes);
     assert_eq!(notes.len(), 2, "{notes:?}");
-    assert!(notes[0].starts_with("v is not in the .obj") && notes[1].contains("alpha"), "{notes:?}");
+    assert!(notes[0].starts_with("v is missing in the .obj") && notes[1].contains("alpha"), "{notes:?}");
 }
 
 #[test]
-fn odd_names_are_made_legal_and_told() {
+fn invalid_names_are_replaced_with_a_note() {
     let values = numbers(1, 1.0);
     let vectors = numbers(3, 1.0);
     let scalar = |name| attribute(name, None, 1, VertexValues::Numbers(&values));
@@ -235,7 +235,7 @@ fn odd_names_are_made_legal_and_told() {
     assert_eq!(named(&frame, "x_2").values, Values::F32(values.clone()));
     let notes = ply::attribute_notes(&attributes);
     assert_eq!(notes.len(), 7, "{notes:?}");
-    assert!(notes.iter().all(|note| note.contains("is called")), "{notes:?}");
+    assert!(notes.iter().all(|note| note.contains("is named")), "{notes:?}");
 
     let bytes = glb(&attributes);
     let document = ::gltf::Gltf::from_slice(&bytes).expect("a document");
@@ -259,11 +259,11 @@ fn odd_names_are_made_legal_and_told() {
     expected.sort_unstable();
     assert_eq!(names, expected);
     let notes = gltf::attribute_notes(&attributes);
-    assert_eq!(notes.iter().filter(|note| note.contains("is called")).count(), 6, "{notes:?}");
+    assert_eq!(notes.iter().filter(|note| note.contains("is named")).count(), 6, "{notes:?}");
 }
 
 #[test]
-fn what_does_not_come_through_is_told() {
+fn attributes_that_cannot_be_stored_get_a_note() {
     let nine = numbers(9, 2.0);
     let wide: Vec<i64> = (0..VERTEX_COUNT as i64).map(|v| v + (1 << 24) - 3).collect();
     let huge: Vec<i64> = (0..VERTEX_COUNT as i64).map(|v| i64::MIN + v).collect();
@@ -281,21 +281,21 @@ fn what_does_not_come_through_is_told() {
     assert_eq!(
         gltf::attribute_notes(&attributes),
         [
-            "nine is not in the glTF file: it has 9 values per vertex; 4 is the most".to_string(),
+            "nine is missing in the glTF file: it has 9 values per vertex; the limit is 4".to_string(),
             format!(
-                "id is not in the glTF file: {beyond} of its values are beyond ±16777216, where its numbers are not \
-                 exact; .ply holds them"
+                "id is missing in the glTF file: {beyond} of its values are beyond ±16777216, where 32-bit floats are not \
+                 exact; use .ply"
             ),
             format!(
-                "huge is not in the glTF file: {VERTEX_COUNT} of its values are beyond ±16777216, where its numbers \
-                 are not exact; .ply holds them"
+                "huge is missing in the glTF file: {VERTEX_COUNT} of its values are beyond ±16777216, where 32-bit floats \
+                 are not exact; use .ply"
             ),
         ]
     );
     let cut = bright.iter().filter(|&&value| value > 1.0).count();
     assert!(
         obj::attribute_notes(&attributes)
-            .contains(&format!("{cut} values of Cd are beyond 0 to 1, and cut to it in the .obj"))
+            .contains(&format!("{cut} values of Cd are outside 0 to 1; they are clamped in the .obj"))
     );
     let text = written(&attributes, |mesh, out| {
         OutputFormat::Obj.write_mesh(mesh, &MeshOptions::default(), &[], out).expect("writing to memory");
@@ -308,10 +308,10 @@ fn what_does_not_come_through_is_told() {
         ply::attribute_notes(&attributes),
         [
             format!(
-                "{VERTEX_COUNT} values of huge are beyond ±2⁵³, and rounded in the .ply; a .vtp has them as they are"
+                "{VERTEX_COUNT} values of huge are beyond ±2⁵³ and are rounded in the .ply; .vtp stores them exactly"
             ),
-            format!("{cut} values of Cd are beyond 0 to 1, and cut to it in the .ply"),
-            "long is not in the .ply: its strings are too long for a header".to_string(),
+            format!("{cut} values of Cd are outside 0 to 1; they are clamped in the .ply"),
+            "long is missing in the .ply: its strings are too long for the header".to_string(),
         ]
     );
     let (frame, _) = ply_frame(&attributes);
@@ -320,7 +320,7 @@ fn what_does_not_come_through_is_told() {
 }
 
 #[test]
-fn attributes_that_do_not_fit_are_refused() {
+fn invalid_attributes_are_an_error() {
     let good = numbers(3, 1.0);
     let mut broken = good.clone();
     broken[77] = f32::NAN;
@@ -352,7 +352,7 @@ fn attributes_that_do_not_fit_are_refused() {
 }
 
 #[test]
-fn a_mesh_without_vertices_has_no_attributes_to_speak_of() {
+fn mesh_without_vertices_is_written_with_attributes() {
     let attributes = [
         attribute("v", Some(Role::Velocity), 3, VertexValues::Numbers(&[])),
         attribute("id", Some(Role::Id), 1, VertexValues::Integers(&[])),

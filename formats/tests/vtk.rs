@@ -1,4 +1,4 @@
-//! VTK's files: every encoding of XML against the same frame, and the old format line by line.
+//! VTK files: every XML encoding against the same frame, and the legacy format section by section.
 
 use crate::fixtures;
 
@@ -10,7 +10,7 @@ fn read(bytes: &[u8], name: &str) -> ParticleFrame {
 }
 
 #[test]
-fn every_encoding_of_xml_says_the_same() {
+fn all_xml_encodings_give_the_same_frame() {
     for mode in [Mode::Ascii, Mode::Inline, Mode::AppendedRaw, Mode::AppendedBase64] {
         for compressor in [Compressor::None, Compressor::Zlib, Compressor::Lz4, Compressor::Lzma] {
             for (wide, big_endian) in [(false, false), (false, true), (true, false), (true, true)] {
@@ -30,9 +30,9 @@ fn every_encoding_of_xml_says_the_same() {
     }
 }
 
-/// Broken lines, a header that is encoded by itself, an empty piece, arrays that differ between pieces.
+/// Line breaks in data, a separately encoded header, an empty piece, and arrays that differ between pieces.
 #[test]
-fn odd_xml_is_read() {
+fn unusual_xml_is_read() {
     let file = |pieces: &str| {
         format!(
             "<VTKFile type=\"UnstructuredGrid\"><UnstructuredGrid>{pieces}</UnstructuredGrid></VTKFile>\r\n"
@@ -65,7 +65,8 @@ fn odd_xml_is_read() {
             "{letters}"
         );
     }
-    // One value of one byte: header and data in one run, which ends in less padding than the header would.
+    // A single value of one byte: header and data in one run, which ends with less padding than the header
+    // alone.
     let points = "<Points><DataArray type=\"UInt8\" NumberOfComponents=\"3\" format=\"ascii\">1 2 3</DataArray></Points>";
     let data =
         "<PointData><DataArray type=\"UInt8\" Name=\"a\" format=\"binary\">AQAAAAc=</DataArray></PointData>";
@@ -74,7 +75,7 @@ fn odd_xml_is_read() {
 }
 
 #[test]
-fn wrong_xml_is_told() {
+fn invalid_xml_is_an_error() {
     let good = String::from_utf8(vtk_xml(Encoding {
         mode: Mode::Inline,
         compressor: Compressor::Zlib,
@@ -93,21 +94,21 @@ fn wrong_xml_is_told() {
             "expected 12000000000 values",
         ),
         (good.replace("NumberOfPoints=\"3\"", "NumberOfPoints=\"x\""), "found \"x\""),
-        (good.replace("type=\"PolyData\"", "type=\"ImageData\""), "\"ImageData\" is no list of points"),
-        (good.replace("type=\"PolyData\"", "type=\"PPolyData\""), "give those (.vtp or .vtu)"),
-        (good.replace("ZLib", "Zstd"), "packed by vtkZstdDataCompressor"),
-        (good.replace("UInt32\"", "UInt16\""), "unknown type of headers"),
-        (good.replace("<Points>", "<Pts>"), "a piece has no array of its points"),
+        (good.replace("type=\"PolyData\"", "type=\"ImageData\""), "\"ImageData\", which is not supported"),
+        (good.replace("type=\"PolyData\"", "type=\"PPolyData\""), "use those (.vtp or .vtu)"),
+        (good.replace("ZLib", "Zstd"), "compressed with vtkZstdDataCompressor"),
+        (good.replace("UInt32\"", "UInt16\""), "unknown header type"),
+        (good.replace("<Points>", "<Pts>"), "a piece has no array of points"),
         (
             good.replace("\"Points\" NumberOfComponents=\"3\"", "\"Points\" NumberOfComponents=\"2\""),
             "the points are not three numbers",
         ),
         (
             good.replace("format=\"binary\"", "format=\"appended\" offset=\"7\""),
-            "said to be appended, but none is",
+            "should be appended, but the file has no appended data",
         ),
-        (good.replace("format=\"binary\"", "format=\"ascii\""), "expected a value of the type, found `"),
-        (good.replace("eJ", "!!"), "is no base64"),
+        (good.replace("format=\"binary\"", "format=\"ascii\""), "expected a value of its type, found `"),
+        (good.replace("eJ", "!!"), "is not valid base64"),
         (good[..cut].to_string(), "the file ends without </VTKFile>"),
     ];
     for (text, words) in table {
@@ -118,9 +119,9 @@ fn wrong_xml_is_told() {
     assert!(vtk::read_xml(deep.as_bytes(), &Limits::default()).is_err());
 }
 
-/// Arrays over arrays would make gigabytes of a file of some megabytes.
+/// Overlapping arrays would turn a file of some megabytes into gigabytes.
 #[test]
-fn arrays_do_not_overlap() {
+fn overlapping_arrays_are_an_error() {
     let array = |name: usize| {
         format!("<DataArray type=\"UInt8\" Name=\"a{name}\" format=\"appended\" offset=\"0\"/>")
     };
@@ -135,12 +136,12 @@ fn arrays_do_not_overlap() {
     bytes.extend(vec![1; 3_000_000]);
     bytes.extend(b"</AppendedData></VTKFile>");
     let error = vtk::read_xml(&bytes, &Limits::default()).unwrap_err().to_string();
-    assert!(error.contains("have more bytes than the file"), "{error}");
+    assert!(error.contains("have more bytes in total than the file"), "{error}");
 }
 
-/// A last block that is larger than the others would be counted for less than it is.
+/// If the last block were larger than the others, the account would be too small.
 #[test]
-fn the_last_block_is_no_larger_than_the_others() {
+fn last_block_larger_than_the_others_is_an_error() {
     for (compressor, packed) in
         [("ZLib", zlib_packed(&vec![0; 64 << 20])), ("LZMA", xz_packed(&vec![0; 64 << 20]))]
     {
@@ -161,7 +162,7 @@ fn the_last_block_is_no_larger_than_the_others() {
 const HEAD: &str = "# vtk DataFile Version 3.0\na title\nASCII\nDATASET POLYDATA\n";
 
 #[test]
-fn the_old_format_is_read_section_by_section() {
+fn all_sections_of_legacy_files_are_read() {
     let text = format!(
         "{HEAD}FIELD meta 1\nTIME 1 1 double\n0.5\nPOINTS 2 double\n1 2 3 4\n5 6\nVERTICES 2 4\n1 0 1 1\n\
          CELL_DATA 2\nSCALARS c float\nLOOKUP_TABLE default\n9 9\nPOINT_DATA 2\nSCALARS id unsigned_int 1\n\
@@ -183,7 +184,7 @@ fn the_old_format_is_read_section_by_section() {
 }
 
 #[test]
-fn a_mesh_is_told_once() {
+fn polygons_add_a_single_note() {
     let points = format!("{HEAD}POINTS 3 float\n1 2 3 4 5 6 7 8 9\n");
     let xml = |polys: usize| {
         format!(
@@ -202,13 +203,17 @@ fn a_mesh_is_told_once() {
     ];
     for (text, count) in table {
         let notes = read(text.as_bytes(), "a").notes;
-        assert_eq!(notes, vec!["The file also has polygons: only its points are read."; count], "{text}");
+        assert_eq!(
+            notes,
+            vec!["the file also has polygons, which are ignored: only its points are read"; count],
+            "{text}"
+        );
     }
 }
 
-/// A line of one word is the beginning of what is passed over.
+/// A line with only this word would start a section to skip.
 #[test]
-fn an_array_may_be_called_metadata() {
+fn array_can_be_named_metadata() {
     let text = format!(
         "{HEAD}POINTS 1 float\n1 2 3\nPOINT_DATA 1\nFIELD f 2\nMETADATA\nINFORMATION 0\n\nmetadata 1 1 int\n7\nb 1 1 int\n8\n"
     );
@@ -218,19 +223,19 @@ fn an_array_may_be_called_metadata() {
 }
 
 #[test]
-fn wrong_lines_of_the_old_format_are_told() {
+fn invalid_legacy_lines_are_errors() {
     let points = format!("{HEAD}POINTS 1 float\n1 2 3\n");
     let table = [
         (format!("{HEAD}POINTS 4000000000 float\n1 2 3\n"), "expected 12000000000 numbers of POINTS"),
         (format!("{HEAD}POINTS -1 float\n"), "expected the number of points, found `-1`"),
         (format!("{HEAD}POINTS 1 float\n1 two 3\n"), "found `two`"),
-        (format!("{HEAD}POINTS 1 string\n1 2 3\n"), "points of the type `string`"),
-        (format!("{points}POINT_DATA 2\n"), "data of 2 points for 1"),
+        (format!("{HEAD}POINTS 1 string\n1 2 3\n"), "the points have the unsupported type `string`"),
+        (format!("{points}POINT_DATA 2\n"), "POINT_DATA is for 2 points, but the file has 1"),
         (format!("{points}SCALARS a float\n1\n"), "outside POINT_DATA"),
-        (format!("{points}POINT_DATA 1\nFIELD f 1\nnames 1 1 string\nx\n"), "is of the type `string`"),
-        (format!("{points}POINT_DATA 1\nPOINTS 2 float\n1 2 3 4 5 6\n"), "POINTS a second time"),
+        (format!("{points}POINT_DATA 1\nFIELD f 1\nnames 1 1 string\nx\n"), "has the unknown type `string`"),
+        (format!("{points}POINT_DATA 1\nPOINTS 2 float\n1 2 3 4 5 6\n"), "the file has POINTS twice"),
         (format!("{points}WHAT 1\n"), "found `WHAT`"),
-        (points.replace("POLYDATA", "STRUCTURED_POINTS"), "STRUCTURED_POINTS is no list of points"),
+        (points.replace("POLYDATA", "STRUCTURED_POINTS"), "STRUCTURED_POINTS, which is not supported"),
         (points.replace("3.0", "9.0"), "version \"9.0\""),
         (points.replace("ASCII", "TEXT"), "expected ASCII or BINARY, found `TEXT`"),
         (points.replace("POINTS 1", "POINTS 5000000000"), "more than the limit"),

@@ -1,4 +1,4 @@
-//! The `.xyz` of chemists.
+//! Plain and extended XYZ.
 
 use meniscus_formats::{Format, Kind, Limits, ParticleFrame, Positions, Role, Values, probe, read_particles};
 
@@ -9,7 +9,7 @@ fn read(text: &str) -> ParticleFrame {
 }
 
 #[test]
-fn atoms_have_elements_and_positions() {
+fn elements_and_positions_are_read() {
     let frame = read("3\nwater\nO 0.0 0.0 0.5\n H  0.75 0.5 0\r\nH\t-0.75 0.5 0\n");
     assert_eq!(frame.positions, Positions::F64(vec![[0.0, 0.0, 0.5], [0.75, 0.5, 0.0], [-0.75, 0.5, 0.0]]));
     assert_eq!(frame.attributes.len(), 1);
@@ -18,16 +18,16 @@ fn atoms_have_elements_and_positions() {
 }
 
 #[test]
-fn atomic_numbers_stand_for_elements() {
+fn atomic_numbers_are_read_as_elements() {
     let frame = read("2\n\n8 0.5 0.25 1\n 1 1 2 3\n");
     assert_eq!(frame.positions, Positions::F64(vec![[0.5, 0.25, 1.0], [1.0, 2.0, 3.0]]));
     assert_eq!(frame.attributes[0].name, "element");
     assert_eq!(frame.attributes[0].values, Values::I32(vec![8, 1]));
 }
 
-/// Its head may end anywhere, in its last atom as well.
+/// The head can end anywhere, even within the last atom.
 #[test]
-fn a_frame_is_known_by_its_head() {
+fn frame_is_recognised_by_its_head() {
     for (count, row) in [(2, "8 0.5 0.25 1\n"), (700, "1 0.5 0.25 1\n"), (3, "O 0.5 0.25 1\n")] {
         let frame = format!("{count}\n\n{}", row.repeat(count));
         let text = frame.repeat(2);
@@ -43,9 +43,9 @@ fn a_frame_is_known_by_its_head() {
     }
 }
 
-/// What stands where the comment would is a row like the others.
+/// In a table, the line in place of the comment is a row like the others.
 #[test]
-fn a_count_above_a_table_makes_no_atoms_of_it() {
+fn table_below_a_count_is_not_xyz() {
     let tables = ["1\n1 2 3 4\n5 6 7 8\n", "1\n1 2 3 4\n5 6 7 8", "4\n1 0 0 1\n2 1 0 0\n3 0 1 0\n4 1 1 0\n"];
     for text in tables {
         assert_ne!(probe(text.as_bytes(), "a.xyz").kind, Kind::Format(Format::XyzAtoms), "{text}");
@@ -53,7 +53,7 @@ fn a_count_above_a_table_makes_no_atoms_of_it() {
 }
 
 #[test]
-fn columns_behind_the_position_are_kept() {
+fn columns_after_the_position_are_kept() {
     let frame = read("1\n\nO 0 0 0.5 1 2\n");
     let names: Vec<_> = frame.attributes.iter().map(|attribute| attribute.name.as_str()).collect();
     assert_eq!(names, ["element", "column_5", "column_6"]);
@@ -65,9 +65,9 @@ fn columns_behind_the_position_are_kept() {
     assert_eq!(frame.attributes[2].values, Values::F64(vec![1.0, 2.5, 3.0]));
 }
 
-/// As `"\n".join` writes them; but so ends a file as well that is still being written.
+/// `"\n".join` writes files like this; but a file that is still being written can end in the same way.
 #[test]
-fn the_last_line_needs_no_end_but_that_is_told() {
+fn missing_last_line_end_adds_a_note() {
     let ended = read("2\nwater\nO 0 0 0\nH 1 0 0.25\n");
     assert!(ended.notes.is_empty(), "{:?}", ended.notes);
     let frame = read("2\nwater\nO 0 0 0\nH 1 0 0.25");
@@ -80,7 +80,7 @@ fn the_last_line_needs_no_end_but_that_is_told() {
 }
 
 #[test]
-fn more_frames_than_there_may_be_are_told() {
+fn too_many_frames_are_an_error() {
     let limits = Limits { step_count: 3, ..Limits::default() };
     let error = |count: usize| {
         let text = "1\n\nO 0 0 0\n".repeat(count);
@@ -91,18 +91,18 @@ fn more_frames_than_there_may_be_are_told() {
 }
 
 #[test]
-fn what_is_wrong_is_told_with_its_line() {
+fn invalid_files_are_errors_with_their_line() {
     let table = [
         ("3\nwater\nO 0 0 0\nH 1 0 0\n", "XYZ atoms, at line 4: expected 3 atoms, found 2"),
         ("2\nwater\nO 0 0 0\n\n", "at line 4: expected an atom, found an empty line"),
         ("2\nwater\nO 0 0 0\nH 1 0\n", "XYZ atoms, at line 4"),
         ("2\nwater\nO 0 0 0\nH 1 0 x\n", "XYZ atoms, at line 4"),
-        ("1\nProperties=species:S:1:r:R:3\nO 0 0 0\n", "no pos:R:3"),
+        ("1\nProperties=species:S:1:r:R:3\nO 0 0 0\n", "does not contain pos:R:3"),
         ("2\nwater\nO 0 0 0\nH 1 0", "at line 4: expected 4 cells"),
-        ("2\nwater\nO 0 0 0\nH 1 0", "found 3; the file ends there, without a line end"),
+        ("2\nwater\nO 0 0 0\nH 1 0", "found 3; the file ends in this line, which has no line end"),
         ("99999999999\n\nO 0 0 0\n", "more than the limit"),
         ("1\n\nO 0 0 0\n1\n\nO 0 0 0\n", "several frames"),
-        ("2\nwater\nO 0 0 0\nH 1 0 -", "found \"-\"; the file ends there, without a line end"),
+        ("2\nwater\nO 0 0 0\nH 1 0 -", "found \"-\"; the file ends in this line, which has no line end"),
         ("3\nwater\n8 0 0 0\n1 1 0 0\n", "XYZ atoms, at line 4: expected 3 atoms, found 2"),
     ];
     for (text, words) in table {

@@ -17,7 +17,7 @@ fn piece_count() -> usize {
 /// The program itself, the good frames, and what may come out of a file before its ratio counts, while it grows.
 const MOST_BYTES: u64 = 256 << 20;
 
-const RATIO: &str = "more than 200 bytes out of each compressed byte";
+const RATIO: &str = "more than 200 times its compressed size";
 
 /// Zeros, packed.
 fn zeros<W: Write>(mut encoder: W, finish: impl Fn(W) -> Vec<u8>) -> Vec<u8> {

@@ -70,7 +70,7 @@ fn all_formats_have_what_they_have_places_for() {
         "1 value of particles not finite",
         "id is not in the .vdb",
         "fluid is not in the .vdb",
-        "v is not in the .obj",
+        "v is missing in the .obj",
     ] {
         assert!(ran.err.contains(note), "{note}: {}", ran.err);
     }

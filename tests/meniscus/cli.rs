@@ -303,7 +303,7 @@ fn where_nothing_can_be_read_the_reason_leads() {
     let err = |inputs: &[&str]| meniscus(path, &[&["convert", "--out", "o"], inputs].concat()).err;
     for inputs in [&["f.1.vtk"][..], &["f.1.vtk", "f.2.vtk"]] {
         let err = err(inputs);
-        assert!(err.contains("f.1.vtk: legacy VTK: a data set of the type STRUCTURED_POINTS"), "{err}");
+        assert!(err.contains("f.1.vtk: legacy VTK: the data set has the type STRUCTURED_POINTS"), "{err}");
         assert!(!err.contains("--spacing") && !err.contains("different places"), "{err}");
     }
     // Readable, but sparse: a spacing would help.

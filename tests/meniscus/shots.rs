@@ -301,7 +301,7 @@ fn a_shot_is_told_as_one_and_is_no_mesh() {
     }
     let in_the_way = [&convert[..], &["--obstacle", "shot.glb"]].concat();
     let ran = meniscus(path, &in_the_way);
-    assert!(ran.status == 2 && ran.err.contains("this is a shot of 3 frames"), "{}", ran.err);
+    assert!(ran.status == 2 && ran.err.contains("this file is a sequence of 3 frames"), "{}", ran.err);
     fs::copy(path.join("out/dam.1.glb"), path.join("rock.glb")).expect("copied");
     succeeded(&meniscus(path, &[&convert[..], &["--obstacle", "rock.glb"]].concat()));
     // Nor is it of particles, which is told with its name once.
@@ -333,7 +333,7 @@ fn shots_that_cannot_be_are_refused_before_anything_is_done() {
     refused(
         path,
         &["sequence", "in/dam.1.ply", "-o", "s.glb"],
-        &["in/dam.1.ply: this is no .glb", "no frame"],
+        &["in/dam.1.ply: this is not a .glb", "no frame"],
     );
     refused(
         path,
@@ -369,7 +369,7 @@ fn a_frame_that_is_damaged_is_left_out_and_told() {
     fs::copy(path.join("s.glb"), &frame).expect("copied");
     let frames = ["out/dam.1.glb", "out/dam.2.glb"];
     let ran = meniscus(path, &[&["sequence", "-o", "t.glb"][..], &frames].concat());
-    assert!(ran.err.contains("a shot already"), "{}", ran.err);
+    assert!(ran.err.contains("already a sequence"), "{}", ran.err);
     let ran = meniscus(path, &["sequence", "out", "-o", "t.glb"]);
     assert!(ran.out.contains("a shot of 2 frames"), "in a folder it is passed over: {}{}", ran.out, ran.err);
 }
@@ -398,11 +398,7 @@ fn a_shot_replaces_no_frame_but_an_older_shot() {
     }
     assert!(made.iter().all(|shot| *shot == made[0]));
     for output in ["t.glb", "out/dam.4.glb"] {
-        refused(
-            path,
-            &["sequence", "out/dam.4.glb", "-o", output],
-            &["dam.4.glb: ", "this is a shot already"],
-        );
+        refused(path, &["sequence", "out/dam.4.glb", "-o", output], &["dam.4.glb: ", "already"]);
     }
 }
 

@@ -179,7 +179,7 @@ fn a_last_line_without_an_end_is_told() {
     fs::write(folder.join("a.xyz"), [atoms(0), atoms(5)].concat().trim_end()).expect("written");
     let ran = convert(folder, &["a.xyz"]);
     assert_eq!((ran.status, names_in(&folder.join("out"))), (0, vec!["a.0.obj".into(), "a.1.obj".into()]));
-    assert_eq!(ran.err.matches("a.xyz/step=1: The file ends without a line end").count(), 1, "{}", ran.err);
+    assert_eq!(ran.err.matches("a.xyz/step=1: the file ends without a line end").count(), 1, "{}", ran.err);
     assert_eq!(ran.err.lines().count(), 1, "{}", ran.err);
 }
 

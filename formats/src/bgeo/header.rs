@@ -1,76 +1,75 @@
-//! The counts and the dictionary of point attributes, up to the first point.
+//! The header of classic BGEO: counts and the dictionary of point attributes, up to the first point.
 
 use super::{FORMAT, MAGIC, POSITION_WORDS, TRAILER, VERSION};
 use crate::bytes::{Cursor, Endian};
 use crate::{Error, Limits, Place, Result};
 
-/// What the file says before its first point.
+/// Everything before the first point.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Header {
-    /// Points, each of which is taken as a particle.
+    /// Number of points, each of which is read as a particle.
     pub point_count: usize,
-    /// Primitives, which are not read. A particle system is one.
+    /// Number of primitives, which are not read. A particle system is a primitive.
     pub primitive_count: usize,
-    /// The point attributes in the order of the file.
+    /// The point attributes in file order.
     pub attributes: Vec<AttributeHeader>,
-    /// Where the first point begins, bytes from the start of the file.
+    /// Offset of the first point, in bytes from the start of the file.
     pub points_offset: usize,
     /// Bytes from one point to the next.
     pub record_bytes: usize,
-    /// Bytes that a complete file has at least, uncompressed.
+    /// The minimum size in bytes of a complete, uncompressed file.
     pub expected_bytes: u64,
-    /// Whether a complete file has exactly `expected_bytes`: true where only points follow.
+    /// Whether a complete file has exactly `expected_bytes`: true if only points follow the header.
     pub expected_bytes_is_exact: bool,
 }
 
 impl Header {
-    /// Where the points end in a file that has all of them, bytes from the start.
+    /// Offset of the end of the points in a complete file, in bytes.
     pub(crate) fn points_end(&self) -> u64 {
         self.points_offset as u64 + self.points_bytes()
     }
 
-    /// Bytes of all points.
+    /// Size of all points, in bytes.
     pub(super) fn points_bytes(&self) -> u64 {
-        self.point_count as u64 * self.record_bytes as u64 // 31 bits times 30 bits
+        self.point_count as u64 * self.record_bytes as u64 // 31 bits × 30 bits cannot overflow
     }
 }
 
-/// One point attribute.
+/// A point attribute.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AttributeHeader {
     /// The name in the file.
     pub name: String,
-    /// Values per point.
+    /// Number of values per point.
     pub arity: usize,
-    /// What the values are.
+    /// The type of the values.
     pub kind: AttributeKind,
 }
 
 /// The type of an attribute; every value takes four bytes.
 #[derive(Clone, Debug, PartialEq)]
 pub enum AttributeKind {
-    /// 32-bit reals.
+    /// 32-bit floats.
     Float,
     /// 32-bit integers.
     Int,
-    /// 32-bit reals that turn with the object, such as a velocity.
+    /// 32-bit floats that rotate with the object, such as a velocity.
     Vector,
     /// Indices into these strings.
     Strings(Vec<String>),
 }
 
-/// Reads what precedes the points. The points themselves need not be there yet.
+/// Reads the header. The points themselves may be missing.
 ///
 /// # Errors
 ///
-/// [`Error::Unsupported`] for another version or an attribute type that this program does not
-/// know, [`Error::Short`] where the header ends too soon, [`Error::Invalid`] where it contradicts
-/// itself.
+/// [`Error::Unsupported`] for another version or an unsupported attribute type, [`Error::Short`] if the
+/// header ends too early, [`Error::Invalid`] if it is inconsistent.
 pub fn header(bytes: &[u8]) -> Result<Header> {
     header_within(bytes, &Limits::default())
 }
 
-/// [`header`], with limits on what it may ask for.
+/// [`header`], with limits.
 pub(crate) fn header_within(bytes: &[u8], limits: &Limits) -> Result<Header> {
     let mut cursor = Cursor::new(FORMAT, Endian::Big, bytes, 0);
     if cursor.take(MAGIC.len(), "the signature")? != MAGIC {
@@ -78,7 +77,10 @@ pub(crate) fn header_within(bytes: &[u8], limits: &Limits) -> Result<Header> {
     }
     let version = i32::from_le_bytes(cursor.array("the version")?);
     if version != VERSION {
-        return Err(Error::unsupported(FORMAT, format!("version {version}; only version 5 is read")));
+        return Err(Error::unsupported(
+            FORMAT,
+            format!("the file has version {version}; only version 5 is supported"),
+        ));
     }
     let point_count = count(&mut cursor, "points")?;
     let primitive_count = count(&mut cursor, "primitives")?;
@@ -89,14 +91,15 @@ pub(crate) fn header_within(bytes: &[u8], limits: &Limits) -> Result<Header> {
     let primitive_attribute_count = count(&mut cursor, "primitive attributes")?;
     let detail_attribute_count = count(&mut cursor, "detail attributes")?;
     if point_count as u64 > limits.particle_count {
-        let what = format!("{point_count} points, more than the limit of {}", limits.particle_count);
+        let what =
+            format!("the file has {point_count} points, more than the limit of {}", limits.particle_count);
         return Err(Error::too_large(FORMAT, what));
     }
     let attributes = dictionary(&mut cursor, attribute_count, limits)?;
 
     let words: usize = POSITION_WORDS + attributes.iter().map(|attribute| attribute.arity).sum::<usize>();
     let record_bytes = 4 * words;
-    let points_bytes = point_count as u64 * record_bytes as u64; // 31 bits times 30 bits
+    let points_bytes = point_count as u64 * record_bytes as u64; // 31 bits × 30 bits cannot overflow
     let counts_after = [
         primitive_count,
         point_group_count,
@@ -119,7 +122,10 @@ pub(crate) fn header_within(bytes: &[u8], limits: &Limits) -> Result<Header> {
 fn dictionary(cursor: &mut Cursor, count: usize, limits: &Limits) -> Result<Vec<AttributeHeader>> {
     const ENTRY_BYTES_MIN: usize = 8; // length of an empty name, size, type
     if count > limits.attribute_count {
-        let what = format!("{count} point attributes, more than the limit of {}", limits.attribute_count);
+        let what = format!(
+            "the file has {count} point attributes, more than the limit of {}",
+            limits.attribute_count
+        );
         return Err(Error::too_large(FORMAT, what));
     }
     require(cursor, count * ENTRY_BYTES_MIN, "the point attribute dictionary")?;
@@ -138,7 +144,7 @@ fn dictionary_entry(cursor: &mut Cursor) -> Result<AttributeHeader> {
         kind @ (2 | 3) => {
             let word = if kind == 2 { "fixed-length string" } else { "mixed" };
             let what = format!(
-                "the point attribute {name:?} has the type {word}, whose values cannot be read: \
+                "the point attribute {name:?} has the unsupported type {word}: \
                  remove it before exporting"
             );
             return Err(Error::unsupported(FORMAT, what));
@@ -164,15 +170,16 @@ fn string_table(cursor: &mut Cursor) -> Result<Vec<String>> {
     (0..count).map(|_| string(cursor, "a string")).collect()
 }
 
-/// Fails unless `byte_count` more bytes are there.
+/// Fails unless at least `byte_count` bytes remain.
 fn require(cursor: &Cursor, byte_count: usize, what: &str) -> Result<()> {
     if byte_count <= cursor.remaining() {
         return Ok(());
     }
-    Err(cursor.short(format!("expected {byte_count} bytes of {what} or more, {} remain", cursor.remaining())))
+    Err(cursor
+        .short(format!("expected at least {byte_count} bytes of {what}, but {} remain", cursor.remaining())))
 }
 
-/// A number of `things`, which cannot be negative.
+/// Reads a count of `things`, which must not be negative.
 fn count(cursor: &mut Cursor, things: &str) -> Result<usize> {
     let offset = cursor.at() as u64;
     let count = i32::from_le_bytes(cursor.array(things)?);
@@ -182,7 +189,7 @@ fn count(cursor: &mut Cursor, things: &str) -> Result<usize> {
     })
 }
 
-/// A length of 16 bits, or 0xffff and one of 32 bits, then as many bytes.
+/// Reads a string: a 16-bit length, or 0xffff and a 32-bit length, then the bytes.
 fn string(cursor: &mut Cursor, what: &str) -> Result<String> {
     let length = match u16::from_le_bytes(cursor.array(what)?) {
         0xffff => count(cursor, "characters")?,

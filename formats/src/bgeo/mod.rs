@@ -1,7 +1,7 @@
-//! Classic BGEO, version 5: the geometry file of Houdini before 12, which SPlisHSPlasH, partio and
+//! Classic BGEO, version 5: the geometry format of Houdini before 12, which SPlisHSPlasH, partio and
 //! splashsurf still write.
 //!
-//! Big-endian throughout, nothing is padded:
+//! Big-endian throughout, without padding:
 //!
 //! ```text
 //!   0   "Bgeo" 'V' i32 5
@@ -15,12 +15,12 @@
 //!       00 ff
 //! ```
 //!
-//! Everything that particles need comes before the first primitive, so reading stops after the
-//! points. Houdini 12 and later write another format under the same extension; it begins with
-//! `7f 4e 53 4a 62` or `[`. Files are often compressed by gzip as a whole, even when the name does
-//! not say so: whoever opens the file has to remove that first.
+//! All particle data comes before the first primitive, so reading stops after the points. Houdini 12 and
+//! later write another format with the same extension, which starts with `7f 4e 53 4a 62` or `[`. Files are
+//! often gzip-compressed as a whole, even if their name does not show it; the caller must decompress them
+//! first.
 //!
-//! The layout was established from files of the named programs and from partio's own reader.
+//! The layout was derived from files of the named programs and from partio's own reader.
 
 mod header;
 mod read;
@@ -39,7 +39,7 @@ use crate::error::Result;
 use crate::row::{Completeness, HeadCheck, at_least, exactly};
 use crate::row::{FormatRow, ParticleInput};
 
-/// The format as users know it, for errors.
+/// The format's name in errors.
 const FORMAT: &str = "classic BGEO";
 
 /// The first five bytes.
@@ -48,19 +48,19 @@ const MAGIC: &[u8; 5] = b"BgeoV";
 /// The only version of the classic format found in use.
 const VERSION: i32 = 5;
 
-/// What closes a file: no further section, end.
+/// The end of a file: no further section, end.
 const TRAILER: [u8; 2] = [0x00, 0xff];
 
 /// Words of a point record before its attributes: x, y, z, w.
 const POSITION_WORDS: usize = 4;
 
-/// The nearest 32-bit real; what is beyond them becomes infinite.
-#[expect(clippy::cast_possible_truncation, reason = "the format holds 32-bit reals")]
+/// The nearest 32-bit float; values beyond the range become infinite.
+#[expect(clippy::cast_possible_truncation, reason = "the format has 32-bit floats")]
 fn narrow(value: f64) -> f32 {
     value as f32
 }
 
-/// What the table of formats says of the binary form.
+/// The row of the binary form in the table of formats.
 pub(crate) static BINARY: FormatRow = FormatRow {
     signatures: &[b"Bgeo"],
     beginnings: &[MAGIC],
@@ -79,7 +79,7 @@ pub(crate) static BINARY: FormatRow = FormatRow {
     ..FormatRow::new(FORMAT, &["bgeo", "bhclassic"])
 };
 
-/// What the table of formats says of the text.
+/// The row of the text form in the table of formats.
 pub(crate) static TEXT: FormatRow = FormatRow {
     signatures: &[b"PGEOMETRY"],
     beginnings: &[b"PGEOMETRY"],
@@ -87,7 +87,7 @@ pub(crate) static TEXT: FormatRow = FormatRow {
     ..FormatRow::new("classic Houdini GEO (text)", &["geo", "hclassic"])
 };
 
-/// What the header says of whether a file is complete.
+/// The completeness of a file according to its header.
 fn completeness(head: &[u8], file_bytes: u64) -> Result<HeadCheck> {
     let header = header(head)?;
     Ok(HeadCheck::Known(match header.point_count {

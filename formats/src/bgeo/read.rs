@@ -1,7 +1,7 @@
-//! From the point records to one vector per attribute.
+//! Gathers point records into one vector per attribute.
 //!
-//! The length of a record is known, so each attribute is gathered with its own stride. That is done
-//! for a block of records at a time, while the block is in the nearest cache.
+//! Records have a fixed length, so each attribute is gathered with its own stride. This is done for a block
+//! of records at a time, while the block is in the first-level cache.
 
 use std::sync::Arc;
 
@@ -12,18 +12,18 @@ use crate::columns::{radius_scale, roles_of};
 use crate::records::Records;
 use crate::{Attribute, Error, Limits, ParticleFrame, Place, Positions, Result, Role, Values};
 
-/// Bytes of records that all attributes are gathered from before the next ones are touched: less
-/// than a first-level cache, so that only the first attribute waits for memory.
+/// Bytes per block of records, from which all attributes are gathered: less than a first-level cache, so that
+/// only the first attribute waits for memory.
 const BLOCK_BYTES: usize = 16 << 10;
 
 /// Reads the points of an uncompressed classic BGEO file.
 ///
-/// A position is divided by its weight w, unless that is 0. What follows the points is not read.
+/// Divides positions by their weight w unless it is 0. Ignores everything after the points.
 ///
 /// # Errors
 ///
-/// Those of [`super::header`], [`Error::TooLarge`] beyond `limits`, and [`Error::Short`] where points
-/// are missing.
+/// Those of [`super::header`], [`Error::TooLarge`] beyond `limits`, and [`Error::Short`] if points are
+/// missing.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let header = header_within(bytes, limits)?;
     let points_bytes = checked_points_bytes(&header, bytes.len() as u64)?;
@@ -37,8 +37,8 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     Ok(ParticleFrame { positions: Positions::F32(positions), attributes, notes })
 }
 
-/// Where the points of a file of `file_bytes` are, for reading them in batches. `rest` is what follows them, where
-/// it is as long as it should be; of anything else nothing need be known.
+/// Locates the points of a file of `file_bytes`, so that they can be read in batches. `rest` is the data
+/// after them; it only matters if it has the length of a trailer.
 ///
 /// # Errors
 ///
@@ -63,13 +63,13 @@ fn velocity_name(header: &Header) -> Option<String> {
     Some(header.attributes[place].name.clone())
 }
 
-/// Bytes of all points, which the file has.
+/// Size of all points in bytes, after checking that the file has them.
 fn checked_points_bytes(header: &Header, file_bytes: u64) -> Result<usize> {
     let remaining = file_bytes.saturating_sub(header.points_offset as u64);
     let points_bytes = header.points_bytes();
     usize::try_from(points_bytes).ok().filter(|_| points_bytes <= remaining).ok_or_else(|| {
         let what = format!(
-            "expected {} points of {} bytes each, {points_bytes} in all, {remaining} remain",
+            "expected {} points of {} bytes each, {points_bytes} bytes in all, but {remaining} remain",
             header.point_count, header.record_bytes,
         );
         Error::short(FORMAT, Place::Offset(header.points_offset as u64), what)
@@ -79,32 +79,32 @@ fn checked_points_bytes(header: &Header, file_bytes: u64) -> Result<usize> {
 fn notes(header: &Header, rest: &[u8]) -> Vec<String> {
     let mut notes = Vec::new();
     if header.expected_bytes_is_exact && rest != TRAILER {
-        notes.push("The file does not end as it should, though all points are there.".into());
+        notes.push("the end of the file is invalid, but all points are complete".into());
     }
     for attribute in header.attributes.iter().filter(|attribute| attribute.arity == 0) {
-        notes.push(format!("The point attribute {:?} has no values and was left out.", attribute.name));
+        notes.push(format!("skipped the point attribute {:?}: it has no values", attribute.name));
     }
     notes
 }
 
-/// One attribute on its way: 32-bit words, already in the order of this machine.
-enum Column {
+/// An attribute under construction: 32-bit words, already in native byte order.
+enum WordColumn {
     Reals(Vec<f32>),
     Integers(Vec<i32>),
 }
 
-fn gather(records: &[u8], header: &Header) -> (Vec<[f32; 3]>, Vec<Column>) {
+fn gather(records: &[u8], header: &Header) -> (Vec<[f32; 3]>, Vec<WordColumn>) {
     let stride = header.record_bytes;
     let mut positions = Vec::with_capacity(header.point_count);
-    let mut columns: Vec<Column> = header
+    let mut columns: Vec<WordColumn> = header
         .attributes
         .iter()
         .map(|attribute| match attribute.kind {
             AttributeKind::Float | AttributeKind::Vector => {
-                Column::Reals(Vec::with_capacity(header.point_count * attribute.arity))
+                WordColumn::Reals(Vec::with_capacity(header.point_count * attribute.arity))
             }
             AttributeKind::Int | AttributeKind::Strings(_) => {
-                Column::Integers(Vec::with_capacity(header.point_count * attribute.arity))
+                WordColumn::Integers(Vec::with_capacity(header.point_count * attribute.arity))
             }
         })
         .collect();
@@ -115,10 +115,10 @@ fn gather(records: &[u8], header: &Header) -> (Vec<[f32; 3]>, Vec<Column>) {
         let mut offset = 4 * POSITION_WORDS;
         for (column, attribute) in columns.iter_mut().zip(&header.attributes) {
             match column {
-                Column::Reals(values) => {
+                WordColumn::Reals(values) => {
                     gather_words(block, stride, offset, attribute.arity, f32::from_be_bytes, values);
                 }
-                Column::Integers(values) => {
+                WordColumn::Integers(values) => {
                     gather_words(block, stride, offset, attribute.arity, i32::from_be_bytes, values);
                 }
             }
@@ -128,7 +128,7 @@ fn gather(records: &[u8], header: &Header) -> (Vec<[f32; 3]>, Vec<Column>) {
     (positions, columns)
 }
 
-/// The positions of a batch of records.
+/// Reads the positions of a batch of records.
 fn gather_batch(records: &[u8], stride: usize, positions: &mut Positions) {
     let mut gathered = match std::mem::take(positions) {
         Positions::F32(gathered) => gathered,
@@ -177,9 +177,10 @@ fn words<const N: usize, T: Copy + Default>(record: &[u8], decode: impl Fn([u8; 
     std::array::from_fn(|index| decode(quads[index]))
 }
 
-/// Makes string indices that point nowhere -1. That none is meant is usual; any other is told.
-fn clear_strings_outside(column: &mut Column, attribute: &AttributeHeader, notes: &mut Vec<String>) {
-    let (Column::Integers(indices), AttributeKind::Strings(table)) = (column, &attribute.kind) else {
+/// Replaces string indices outside the table by −1. The usual mark for "no string" is replaced silently;
+/// others add a note.
+fn clear_strings_outside(column: &mut WordColumn, attribute: &AttributeHeader, notes: &mut Vec<String>) {
+    let (WordColumn::Integers(indices), AttributeKind::Strings(table)) = (column, &attribute.kind) else {
         return;
     };
     let mut outside_count = 0usize;
@@ -192,12 +193,12 @@ fn clear_strings_outside(column: &mut Column, attribute: &AttributeHeader, notes
     if outside_count != 0 {
         let (name, count) = (&attribute.name, table.len());
         notes.push(format!(
-            "The point attribute {name:?} has {count} strings; {outside_count} values point outside them."
+            "the point attribute {name:?} has {count} strings; {outside_count} indices are outside this range and are ignored"
         ));
     }
 }
 
-fn attributes(headers: Vec<AttributeHeader>, columns: Vec<Column>) -> Vec<Attribute> {
+fn attributes(headers: Vec<AttributeHeader>, columns: Vec<WordColumn>) -> Vec<Attribute> {
     let named: Vec<(&str, usize)> =
         headers.iter().map(|header| (header.name.as_str(), header.arity)).collect();
     let roles = roles_of(&named);
@@ -207,12 +208,12 @@ fn attributes(headers: Vec<AttributeHeader>, columns: Vec<Column>) -> Vec<Attrib
             continue;
         }
         let (values, role) = match (header.kind, column) {
-            (AttributeKind::Strings(table), Column::Integers(indices)) => {
-                // A phase may go by its name; a velocity or a number may not.
+            (AttributeKind::Strings(table), WordColumn::Integers(indices)) => {
+                // A phase can be identified by strings; a velocity or a number cannot.
                 (Values::Strings { table, indices }, role.filter(|&role| role == Role::Kind))
             }
-            (_, Column::Integers(values)) => (Values::I32(values), role),
-            (_, Column::Reals(values)) => (Values::F32(values), role),
+            (_, WordColumn::Integers(values)) => (Values::I32(values), role),
+            (_, WordColumn::Reals(values)) => (Values::F32(values), role),
         };
         let (name, arity) = (header.name, header.arity);
         let mut attribute = Attribute { name, arity, role, values };

@@ -1,4 +1,4 @@
-//! The text form of classic geometry, `.geo`: the same in words.
+//! The text form of classic geometry, `.geo`: the same content as words.
 //!
 //! ```text
 //!   PGEOMETRY V5
@@ -6,10 +6,10 @@
 //!   NPointGroups 0 NPrimGroups 0
 //!   NPointAttrib 2 NVertexAttrib 0 NPrimAttrib 1 NAttrib 0
 //!   PointAttrib
-//!   life 2 float 0 0                          name, size, type, defaults; for `index`: how many strings, and these
+//!   life 2 float 0 0                          name, size, type, defaults; for `index` the count and the strings
 //!   id 1 int 0
 //!   0 0.1 0.2 1 (-1.2 10    0)                x y z w, then the values of all attributes in brackets
-//!   ..                                        primitives and the rest: not read
+//!   ..                                        primitives and everything else: not read
 //! ```
 
 use crate::excerpt::excerpt;
@@ -18,21 +18,24 @@ use crate::number::divided;
 use crate::text::line_number;
 use crate::{Error, Limits, ParticleFrame, Place, Positions, Result, Values};
 
-/// The format as users know it, for errors.
+/// The format's name in errors.
 const FORMAT: &str = "classic Houdini GEO (text)";
 
-/// Reads the points of classic geometry as text.
+/// Reads the points of classic geometry in text form.
 ///
 /// # Errors
 ///
-/// [`Error::Invalid`] with the line where a word is not what it should be, [`Error::Short`] where points are missing,
+/// [`Error::Invalid`] with the line for an unexpected word, [`Error::Short`] if points are missing,
 /// [`Error::Unsupported`] for another version, [`Error::TooLarge`] beyond `limits`.
 pub fn read_text(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
-    let mut words = Words { bytes, at: 0 };
+    let mut words = WordReader { bytes, at: 0 };
     let head = (words.next("PGEOMETRY")?, words.next("the version")?);
     if head != (b"PGEOMETRY", b"V5") {
         let found = [head.0, b" ", head.1].concat();
-        return Err(Error::unsupported(FORMAT, format!("`{}`; only PGEOMETRY V5 is read", excerpt(found))));
+        return Err(Error::unsupported(
+            FORMAT,
+            format!("found `{}`; only PGEOMETRY V5 is supported", excerpt(found)),
+        ));
     }
     let (mut point_count, mut attribute_count) = (0, 0);
     for name in COUNTS {
@@ -50,17 +53,19 @@ pub fn read_text(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     if point_count as u64 > limits.particle_count || attribute_count > limits.attribute_count {
         return Err(Error::too_large(
             FORMAT,
-            format!("{point_count} points with {attribute_count} attributes"),
+            format!(
+                "the file has {point_count} points with {attribute_count} attributes, more than the limit"
+            ),
         ));
     }
     let mut columns = dictionary(&mut words, attribute_count, limits)?;
     let positions = points(&mut words, point_count, &mut columns)?;
-    let arrays = columns.into_iter().map(Column::into_array).collect();
-    // The positions are given, so there is a frame.
+    let arrays = columns.into_iter().map(TextColumn::into_array).collect();
+    // With positions given, a frame is always returned.
     Ok(frame_of(Some(Positions::F32(positions)), arrays).unwrap_or_default())
 }
 
-/// The counts, in the order of the file.
+/// The counts, in file order.
 const COUNTS: &[&str] = &[
     "NPoints",
     "NPrims",
@@ -72,32 +77,32 @@ const COUNTS: &[&str] = &[
     "NAttrib",
 ];
 
-/// An attribute on its way.
-struct Column {
+/// An attribute under construction.
+struct TextColumn {
     name: String,
     arity: usize,
     table: Vec<String>,
-    values: ColumnValues,
+    values: TextValues,
 }
 
-enum ColumnValues {
+enum TextValues {
     Reals(Vec<f32>),
     Integers(Vec<i32>),
     Indices(Vec<i32>),
 }
 
-impl Column {
+impl TextColumn {
     fn into_array(self) -> NamedArray {
         let values = match self.values {
-            ColumnValues::Reals(values) => Values::F32(values),
-            ColumnValues::Integers(values) => Values::I32(values),
-            ColumnValues::Indices(indices) => Values::Strings { table: self.table, indices },
+            TextValues::Reals(values) => Values::F32(values),
+            TextValues::Integers(values) => Values::I32(values),
+            TextValues::Indices(indices) => Values::Strings { table: self.table, indices },
         };
         NamedArray { name: self.name, arity: self.arity, values }
     }
 }
 
-fn dictionary(words: &mut Words, count: usize, limits: &Limits) -> Result<Vec<Column>> {
+fn dictionary(words: &mut WordReader, count: usize, limits: &Limits) -> Result<Vec<TextColumn>> {
     if count == 0 {
         return Ok(Vec::new());
     }
@@ -108,7 +113,7 @@ fn dictionary(words: &mut Words, count: usize, limits: &Limits) -> Result<Vec<Co
     (0..count).map(|_| column(words, limits)).collect()
 }
 
-fn column(words: &mut Words, limits: &Limits) -> Result<Column> {
+fn column(words: &mut WordReader, limits: &Limits) -> Result<TextColumn> {
     let name = String::from_utf8_lossy(words.next("the name of an attribute")?).into_owned();
     let arity: u16 = words.number("the size of an attribute")?;
     let arity = usize::from(arity);
@@ -118,20 +123,23 @@ fn column(words: &mut Words, limits: &Limits) -> Result<Column> {
     let kind = words.next("the type of an attribute")?;
     let mut table = Vec::new();
     let values = match kind {
-        b"float" | b"vector" => ColumnValues::Reals(Vec::new()),
-        b"int" => ColumnValues::Integers(Vec::new()),
+        b"float" | b"vector" => TextValues::Reals(Vec::new()),
+        b"int" => TextValues::Integers(Vec::new()),
         b"index" => {
             let count: u32 = words.number("the number of strings")?;
-            // Each takes some dozens of bytes of memory, though it may have two in the file.
+            // Each string needs some dozens of bytes of memory, but as little as two in the file.
             let most = (1 << 16) + words.bytes.len() / 16;
             if count as usize > most {
-                return Err(Error::too_large(FORMAT, format!("{count} strings, more than {most}")));
+                return Err(Error::too_large(
+                    FORMAT,
+                    format!("the file has {count} strings, more than the limit of {most}"),
+                ));
             }
             for _ in 0..count {
                 let text = words.next("a string")?;
                 table.push(String::from_utf8_lossy(text.trim_ascii()).trim_matches('"').to_owned());
             }
-            ColumnValues::Indices(Vec::new())
+            TextValues::Indices(Vec::new())
         }
         other => return Err(words.expected("float, int, vector or index", other)),
     };
@@ -140,24 +148,24 @@ fn column(words: &mut Words, limits: &Limits) -> Result<Column> {
             words.number::<f64>("a default")?;
         }
     }
-    Ok(Column { name, arity, table, values })
+    Ok(TextColumn { name, arity, table, values })
 }
 
-fn points(words: &mut Words, count: usize, columns: &mut [Column]) -> Result<Vec<[f32; 3]>> {
-    const POINT_BYTES_MIN: usize = 8; // four numbers, and something between them
+fn points(words: &mut WordReader, count: usize, columns: &mut [TextColumn]) -> Result<Vec<[f32; 3]>> {
+    const POINT_BYTES_MIN: usize = 8; // four numbers and their separators
     let remaining = words.bytes.len() - words.at;
     if count.saturating_mul(POINT_BYTES_MIN) > remaining + 1 {
-        return Err(words.short(format!("expected {count} points, {remaining} bytes remain")));
+        return Err(words.short(format!("expected {count} points, but only {remaining} bytes remain")));
     }
     let mut positions = Vec::with_capacity(count);
     for _ in 0..count {
         let mut coordinate = || words.number::<f32>("a coordinate of a point");
         positions.push(divided([coordinate()?, coordinate()?, coordinate()?, coordinate()?]));
-        for Column { name, arity, values, .. } in &mut *columns {
+        for TextColumn { name, arity, values, .. } in &mut *columns {
             for _ in 0..*arity {
                 match values {
-                    ColumnValues::Reals(values) => values.push(words.number(name)?),
-                    ColumnValues::Integers(values) | ColumnValues::Indices(values) => {
+                    TextValues::Reals(values) => values.push(words.number(name)?),
+                    TextValues::Integers(values) | TextValues::Indices(values) => {
                         values.push(words.number(name)?);
                     }
                 }
@@ -167,14 +175,14 @@ fn points(words: &mut Words, count: usize, columns: &mut [Column]) -> Result<Vec
     Ok(positions)
 }
 
-/// The words, whatever blanks and brackets are between them.
-struct Words<'a> {
+/// The words of the file, separated by any blanks and brackets.
+struct WordReader<'a> {
     bytes: &'a [u8],
     at: usize,
 }
 
-impl<'a> Words<'a> {
-    /// The next word; `what` is missing if there is none.
+impl<'a> WordReader<'a> {
+    /// The next word; `what` is named in the error if there is none.
     fn next(&mut self, what: &str) -> Result<&'a [u8]> {
         let is_between = |byte: &u8| byte.is_ascii_whitespace() || matches!(byte, b'(' | b')');
         let rest = &self.bytes[self.at..];
@@ -225,7 +233,7 @@ mod tests {
          2 4 6 2 (-0.2 10\t1\t0)\nPrimitiveAttrib\n";
 
     #[test]
-    fn points_are_read() {
+    fn text_points_are_read() {
         let frame = read_text(TEXT.as_bytes(), &Limits::default()).unwrap();
         assert_eq!(frame.positions, Positions::F32(vec![[0.0, 0.1, 0.2], [1.0, 2.0, 3.0]]));
         let attribute =
@@ -240,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_told() {
+    fn invalid_text_is_an_error_with_its_line() {
         let table = [
             (TEXT.replace("V5", "V4"), "only PGEOMETRY V5"),
             (TEXT.replace("NPoints 2", "NPoints 4000000000"), "expected 4000000000 points"),

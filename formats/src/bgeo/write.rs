@@ -1,18 +1,18 @@
-//! Particles as a classic BGEO file, uncompressed and without primitives.
+//! Writes particles as a classic BGEO file, uncompressed and without primitives.
 
 use super::{FORMAT, MAGIC, TRAILER, VERSION, narrow};
 use crate::{Attribute, Error, ParticleFrame, Place, Positions, Result, Role, Values};
 use std::io::Write;
 
-/// Writes `frame` in the narrower types that the format knows: 64-bit reals become 32-bit ones,
-/// bytes become 32-bit integers.
+/// Writes `frame` in the format's narrower types: 64-bit floats become 32-bit ones, and bytes become 32-bit
+/// integers.
 ///
-/// Houdini takes `.bgeo` for its newer format; `.bhclassic` makes it choose the right reader.
+/// Houdini reads `.bgeo` as its newer format; the extension `.bhclassic` selects the right reader.
 ///
 /// # Errors
 ///
-/// [`Error::Io`] from `out`; [`Error::Invalid`] for an attribute that has not `arity` values per
-/// particle; [`Error::TooLarge`] for what the format cannot hold, such as an integer beyond 32 bits.
+/// [`Error::Io`] from `out`; [`Error::Invalid`] for an attribute without `arity` values per particle;
+/// [`Error::TooLarge`] for data beyond the format's limits, such as an integer beyond 32 bits.
 pub fn write(frame: &ParticleFrame, out: &mut impl Write) -> Result<()> {
     let point_count = frame.positions.len();
     for attribute in &frame.attributes {
@@ -40,7 +40,7 @@ pub fn write(frame: &ParticleFrame, out: &mut impl Write) -> Result<()> {
     Ok(())
 }
 
-/// Refuses what would make a wrong file.
+/// Fails if the file would be invalid.
 fn check(attribute: &Attribute, point_count: usize) -> Result<()> {
     let (name, arity) = (&attribute.name, attribute.arity);
     let value_count = match &attribute.values {
@@ -58,13 +58,15 @@ fn check(attribute: &Attribute, point_count: usize) -> Result<()> {
         return Err(Error::invalid(FORMAT, Place::File, what));
     }
     if u16::try_from(arity).is_err() {
-        let what = format!("the attribute {name:?} has {arity} values per point, the format holds 65535");
+        let what =
+            format!("the attribute {name:?} has {arity} values per point; the format's limit is 65535");
         return Err(Error::too_large(FORMAT, what));
     }
     if let Values::I64(values) = &attribute.values
         && let Some(value) = values.iter().find(|&&value| i32::try_from(value).is_err())
     {
-        let what = format!("the attribute {name:?} has the value {value}, the format holds 32 bits");
+        let what =
+            format!("the attribute {name:?} has the value {value}, which exceeds the format's 32 bits");
         return Err(Error::too_large(FORMAT, what));
     }
     Ok(())
@@ -106,8 +108,12 @@ fn write_string(string: &str, out: &mut impl Write) -> Result<()> {
 }
 
 fn count_i32(count: usize, things: &str) -> Result<i32> {
-    i32::try_from(count)
-        .map_err(|_| Error::too_large(FORMAT, format!("{count} {things}, the format holds {}", i32::MAX)))
+    i32::try_from(count).map_err(|_| {
+        Error::too_large(
+            FORMAT,
+            format!("the frame has {count} {things}; the format's limit is {}", i32::MAX),
+        )
+    })
 }
 
 fn encode_position(positions: &Positions, point: usize, record: &mut Vec<u8>) {
@@ -134,7 +140,7 @@ fn encode_values(attribute: &Attribute, point: usize, record: &mut Vec<u8>) {
             record.extend(values[range].iter().flat_map(|value| value.to_be_bytes()));
         }
         Values::I64(values) => {
-            // That all fit was checked before.
+            // All values were checked to fit.
             let narrow = |&value: &i64| i32::try_from(value).unwrap_or(i32::MAX).to_be_bytes();
             record.extend(values[range].iter().flat_map(narrow));
         }

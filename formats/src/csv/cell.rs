@@ -1,19 +1,19 @@
-//! The grammar of one line: cells, quotes, and what counts as a number.
+//! The grammar of a line: cells, quotes, and numbers.
 
 use crate::excerpt::excerpt;
 use crate::text::parse_number;
 use std::borrow::Cow;
 
-/// What stands between two cells.
+/// What separates two cells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Delimiter {
-    /// Exactly one of this byte; blanks around it do not matter.
+    /// Exactly one of this byte; spaces around it are ignored.
     Byte(u8),
     /// Any number of spaces and tabs.
     Blanks,
 }
 
-/// Delimiters in the order in which they are tried: a line with commas and spaces is one of commas.
+/// Delimiters in the order in which they are tried: in a line with commas and spaces, commas delimit.
 pub(super) const DELIMITERS: [Delimiter; 5] = [
     Delimiter::Byte(b','),
     Delimiter::Byte(b';'),
@@ -22,18 +22,18 @@ pub(super) const DELIMITERS: [Delimiter; 5] = [
     Delimiter::Blanks,
 ];
 
-/// What a cell says.
+/// The content of a cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Meaning {
-    /// A number, perhaps not finite.
+pub(super) enum CellValue {
+    /// A number, possibly not finite.
     Number(f64),
-    /// Nothing, or a word for nothing.
+    /// Empty, or a word for a missing value.
     Missing,
     /// Anything else.
     Text,
 }
 
-/// The cells of a line, without the blanks around them but with their quotes.
+/// The cells of a line, without surrounding blanks but with their quotes.
 pub(super) fn cells(line: &[u8], delimiter: Delimiter) -> impl Iterator<Item = &[u8]> {
     let mut rest = Some(line);
     std::iter::from_fn(move || {
@@ -52,20 +52,20 @@ pub(super) fn cells(line: &[u8], delimiter: Delimiter) -> impl Iterator<Item = &
     })
 }
 
-/// Whether a line has `count` cells, or one more that is empty because of a delimiter at its end.
+/// Whether a line has `count` cells, or one more empty cell because of a delimiter at its end.
 pub(super) fn has_cells(line: &[u8], delimiter: Delimiter, count: usize) -> bool {
     let mut cells = cells(line, delimiter).skip(count.saturating_sub(1));
     cells.next().is_some() && cells.next().is_none_or(|cell| cell.is_empty() && cells.next().is_none())
 }
 
-/// What follows the blanks at the start. A tab that delimits is none.
+/// Skips blanks at the start. A tab that is the delimiter is not a blank.
 fn skip_blanks(text: &[u8], delimiter: Delimiter) -> &[u8] {
     let is_blank = |byte: &u8| *byte == b' ' || (*byte == b'\t' && delimiter != Delimiter::Byte(b'\t'));
     let length = text.iter().take_while(|byte| is_blank(byte)).count();
     &text[length..]
 }
 
-/// Bytes of a quoted cell with its quotes, if there is one. A quote inside is written twice.
+/// The length in bytes of a quoted cell, including its quotes. A quote within a cell is doubled.
 pub(super) fn quoted_length(text: &[u8]) -> Option<usize> {
     if text.first() != Some(&b'"') {
         return None;
@@ -99,37 +99,37 @@ pub(super) fn unquoted(cell: &[u8]) -> Cow<'_, [u8]> {
     Cow::Owned(text)
 }
 
-/// What a cell without quotes says. Fortran's exponents, `1.5D-3`, are numbers too.
-pub(super) fn meaning(text: &[u8]) -> Meaning {
+/// Classifies an unquoted cell. Accepts Fortran exponents such as `1.5D-3`.
+pub(super) fn meaning(text: &[u8]) -> CellValue {
     let text = text.trim_ascii();
     if let Some((value, length)) = parse_number::<f64>(text)
         && length == text.len()
     {
-        return Meaning::Number(value);
+        return CellValue::Number(value);
     }
     let lower = text.to_ascii_lowercase();
     if MISSING.contains(&lower.as_slice()) {
-        return Meaning::Missing;
+        return CellValue::Missing;
     }
     let is_exponent = |byte: &u8| *byte == b'd';
     if let Some(at) = lower.iter().position(is_exponent) {
         let mut number = lower;
         number[at] = b'e';
         if let Ok(value) = fast_float2::parse::<f64, _>(&number) {
-            return Meaning::Number(value);
+            return CellValue::Number(value);
         }
     }
-    Meaning::Text
+    CellValue::Text
 }
 
-/// Whether a cell looks like a number whose decimals follow a comma.
+/// Whether a cell looks like a number with a decimal comma.
 pub(super) fn has_decimal_comma(text: &[u8]) -> bool {
     let commas = text.iter().filter(|&&byte| byte == b',').count();
     let with_point: Vec<u8> = text.iter().map(|&byte| if byte == b',' { b'.' } else { byte }).collect();
-    commas == 1 && matches!(meaning(&with_point), Meaning::Number(_))
+    commas == 1 && matches!(meaning(&with_point), CellValue::Number(_))
 }
 
-/// Whether `text` is an integer that a 64-bit real cannot stand for.
+/// Whether `text` is an integer that a 64-bit float cannot represent.
 #[inline]
 pub(super) fn is_rounded_integer(text: &[u8]) -> bool {
     const DIGITS_ALWAYS_HELD: usize = 15;
@@ -141,11 +141,11 @@ fn is_rounded_long_integer(text: &[u8]) -> bool {
     let text = text.trim_ascii();
     let digits = text.strip_prefix(b"-").or(text.strip_prefix(b"+")).unwrap_or(text);
     let magnitude = std::str::from_utf8(digits).ok().filter(|_| digits.iter().all(u8::is_ascii_digit));
-    // What even 128 bits do not hold is rounded nearly always.
+    // An integer beyond 128 bits is almost certainly not representable.
     magnitude.is_some_and(|digits| digits.parse().map_or(!digits.is_empty(), is_rounded))
 }
 
-/// Whether an integer so far from zero has more bits than a 64-bit real.
+/// Whether an integer of this magnitude needs more bits than a 64-bit float has.
 pub(super) fn is_rounded(magnitude: u128) -> bool {
     let bit_count = u128::BITS.saturating_sub(magnitude.leading_zeros() + magnitude.trailing_zeros());
     f64::MANTISSA_DIGITS < bit_count
@@ -156,5 +156,5 @@ pub(super) fn shown(text: &[u8]) -> String {
     format!("\"{}\"", excerpt(text))
 }
 
-/// Words for a number that is not there, in lower case. (`nan` is a number.)
+/// Words for a missing number, in lower case. (`nan` is a number.)
 const MISSING: [&[u8]; 7] = [b"", b"na", b"n/a", b"#n/a", b"null", b"none", b"-"];

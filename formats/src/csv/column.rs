@@ -1,38 +1,39 @@
-//! One column while it grows: its type is what its values so far allow.
+//! A column under construction: its type depends on its values so far.
 //!
 //! ```text
-//!   nothing seen yet ──text──▶ texts
+//!   no value yet ──text──▶ texts
 //!        │ integer
 //!        ▼
-//!     integers ──any other number, or none──▶ reals          text in one of these is an error
+//!     integers ──another number or a missing value──▶ floats     text in one of these is an error
 //! ```
 //!
-//! Columns of parts that were read side by side are joined where that makes what reading on would have made.
+//! Columns of parts that were read in parallel are joined if the result equals that of reading sequentially.
 
 use super::cell::{is_rounded, is_rounded_integer};
 use std::collections::HashMap;
 
-/// The values of one column, one per row.
+/// The values of a column, one per row.
 #[derive(Debug)]
 pub(super) struct Column {
     pub(super) values: ColumnValues,
-    /// Whether any cell held a value; until then it may still become a column of texts.
+    /// Whether any cell had a value; until then the column may still become text.
     has_value: bool,
-    /// Whether an integer was written that may read differently among reals: −0, +5, or one of many digits.
+    /// Whether the column has an integer that may be read differently as a float: −0, +5, or one with many
+    /// digits.
     has_odd_integer: bool,
-    /// Whether an integer was written that is another one as a 64-bit real.
+    /// Whether the column has an integer that a 64-bit float cannot represent.
     pub(super) has_rounded_integer: bool,
 }
 
 #[derive(Debug)]
 pub(super) enum ColumnValues {
     Integers(Vec<i64>),
-    /// Not a number where the cell is empty.
+    /// NaN where the cell is empty.
     Reals(Vec<f64>),
     Texts(Texts),
 }
 
-/// Distinct texts and which of them each row has, or [`NO_TEXT`].
+/// Distinct texts, and the index of the text of each row, or [`NO_TEXT`].
 #[derive(Debug, Default)]
 pub(super) struct Texts {
     pub(super) table: Vec<String>,
@@ -41,13 +42,13 @@ pub(super) struct Texts {
 }
 
 impl Column {
-    /// An empty column with room for `row_count` numbers.
+    /// An empty column with capacity for `row_count` numbers.
     pub(super) fn with_capacity(row_count: usize) -> Column {
         let values = ColumnValues::Integers(Vec::with_capacity(row_count));
         Column { values, has_value: false, has_odd_integer: false, has_rounded_integer: false }
     }
 
-    /// Appends a number other than an integer; `text` is how it was written.
+    /// Appends a number that is not an integer; `text` is its spelling.
     #[inline]
     pub(super) fn push_real(&mut self, value: f64, text: &[u8]) {
         self.has_value = true;
@@ -57,7 +58,7 @@ impl Column {
         }
     }
 
-    /// Appends an integer to a column of integers.
+    /// Appends an integer to an integer column.
     #[inline]
     pub(super) fn push_integer(&mut self, value: i64, text: &[u8]) {
         self.has_value = true;
@@ -83,7 +84,7 @@ impl Column {
         }
     }
 
-    /// Appends a text, unless this is a column of numbers.
+    /// Appends a text, unless the column is numeric.
     pub(super) fn push_text(&mut self, text: &[u8]) -> Result<(), NotAText> {
         if !self.has_value {
             let texts = Texts { indices: vec![NO_TEXT; self.len()], ..Texts::default() };
@@ -96,7 +97,7 @@ impl Column {
         Ok(())
     }
 
-    /// Whether every cell is text, even one that looks like a number.
+    /// Whether every cell is text, even those that look like numbers.
     pub(super) fn is_text(&self) -> bool {
         matches!(self.values, ColumnValues::Texts(_))
     }
@@ -119,7 +120,7 @@ impl Column {
         }
     }
 
-    /// Takes the last value back.
+    /// Removes the last value.
     pub(super) fn pop(&mut self) {
         match &mut self.values {
             ColumnValues::Integers(integers) => drop(integers.pop()),
@@ -128,8 +129,8 @@ impl Column {
         }
     }
 
-    /// Whether a column that was read by itself, from what follows this one, can be appended, and makes what
-    /// reading on would have made.
+    /// Whether `next`, which was parsed separately from the rows after this column, can be appended with the
+    /// same result as sequential parsing.
     pub(super) fn can_append(&self, next: &Column) -> bool {
         match (&self.values, &next.values) {
             (ColumnValues::Texts(texts), ColumnValues::Texts(more)) => {
@@ -141,7 +142,7 @@ impl Column {
         }
     }
 
-    /// Appends a column that [can be](Column::can_append).
+    /// Appends a column for which [`can_append`](Column::can_append) is true.
     pub(super) fn append(&mut self, mut next: Column) {
         match (&mut self.values, &mut next.values) {
             (ColumnValues::Texts(texts), ColumnValues::Texts(more)) => texts.append(more),
@@ -157,12 +158,12 @@ impl Column {
         self.has_rounded_integer |= next.has_rounded_integer;
     }
 
-    /// The column as reals; integers become such. None if it holds texts.
+    /// The column as floats, converting integers. `None` for text.
     pub(super) fn reals(&mut self) -> Option<&mut Vec<f64>> {
         if let ColumnValues::Integers(integers) = &mut self.values {
             let integers = std::mem::take(integers);
             self.has_rounded_integer |= integers.iter().any(|value| is_rounded(value.unsigned_abs().into()));
-            // Of one size: the allocation stays.
+            // Both types have the same size, so the allocation is reused.
             self.values = ColumnValues::Reals(integers.into_iter().map(integer_as_real).collect());
         }
         match &mut self.values {
@@ -173,7 +174,7 @@ impl Column {
 }
 
 impl Texts {
-    /// The index of a text, which is the next one where it is new.
+    /// The index of a text; a new text gets the next index.
     fn index_of(&mut self, text: &[u8]) -> Result<i32, NotAText> {
         if let Some(&index) = self.index_of.get(text) {
             return Ok(index);
@@ -184,9 +185,10 @@ impl Texts {
         Ok(index)
     }
 
-    /// Appends texts, of which there are not too many.
+    /// Appends texts whose total number is within the limit.
     fn append(&mut self, next: &Texts) {
-        // In the order in which they came: as bytes, since different ones can be shown alike.
+        // Added in order of appearance and compared as bytes, because different bytes can have the same lossy
+        // string.
         let mut texts: Vec<(i32, &[u8])> = next.index_of.iter().map(|(text, &i)| (i, &text[..])).collect();
         texts.sort_unstable();
         let places: Vec<i32> = texts.into_iter().flat_map(|(_, text)| self.index_of(text)).collect();
@@ -197,17 +199,17 @@ impl Texts {
     }
 }
 
-/// That a text stands in a column of numbers, or is one too many.
+/// Error: a text in a numeric column, or too many different texts.
 #[derive(Debug)]
 pub(super) struct NotAText;
 
-/// Exact up to 2⁵³; what is rounded beyond is [told](Column::has_rounded_integer).
+/// Exact up to 2⁵³; [`has_rounded_integer`](Column::has_rounded_integer) records rounding beyond.
 fn integer_as_real(value: i64) -> f64 {
     value as f64
 }
 
-/// The index of none.
+/// The index of a missing text.
 const NO_TEXT: i32 = -1;
 
-/// Integers up to here are 64-bit reals, too.
+/// Integers up to this are exact as 64-bit floats.
 const PLAIN_INTEGER_MAX: u64 = 1 << f64::MANTISSA_DIGITS;

@@ -1,21 +1,21 @@
-//! From columns to the position and attributes.
+//! Turns columns into the position and attributes.
 
 use super::column::{Column, ColumnValues};
-use super::layout::{self, Layout};
+use super::layout::{self, TableLayout};
 use super::rows::Table;
 use crate::columns::{self, Group};
 use crate::{Attribute, ParticleFrame, Positions, Role, Values};
 
-/// Puts the columns together as their names say.
-pub(super) fn frame(layout: Layout, mut table: Table) -> ParticleFrame {
+/// Groups the columns by their names.
+pub(super) fn frame(layout: TableLayout, mut table: Table) -> ParticleFrame {
     let mut notes = layout.notes;
     if table.dropped_row_count != 0 {
         let (dropped, all) = (table.dropped_row_count, table.dropped_row_count + table.row_count as u64);
-        notes.push(format!("{dropped} of {all} rows have no finite position and were left out."));
+        notes.push(format!("skipped {dropped} of {all} rows without a finite position"));
     }
     let [x, ..] = layout.position;
     if let Some(unit) = columns::unit_of(&layout.names[x]).filter(|&unit| unit != "m") {
-        notes.push(format!("Positions are in {unit:?}, and were taken as they are."));
+        notes.push(format!("positions are in {unit:?} and are not converted"));
     }
 
     let is_text = |index: usize| table.columns[index].is_text();
@@ -25,7 +25,7 @@ pub(super) fn frame(layout: Layout, mut table: Table) -> ParticleFrame {
     for group in groups {
         if group.scale != 1.0 && !table.columns[group.columns[0]].is_text() {
             let name = without_unit(&group.name);
-            notes.push(format!("`{name}` is taken for a diameter: the radius is half of it."));
+            notes.push(format!("`{name}` looks like a diameter: the radius is half of it"));
         }
         if table.columns[group.columns[0]].is_text() {
             take_texts(&group, &layout.names, &mut table.columns, &mut attributes);
@@ -37,9 +37,7 @@ pub(super) fn frame(layout: Layout, mut table: Table) -> ParticleFrame {
     }
     for (name, column) in layout.names.iter().zip(&table.columns) {
         notes.extend(column.has_rounded_integer.then(|| {
-            format!(
-                "Integers of {name:?} were rounded: some do not fit in 64 bits, so all became 64-bit reals."
-            )
+            format!("integers of {name:?} are rounded: some exceed 64 bits, so all become 64-bit floats")
         }));
     }
     ParticleFrame { positions, attributes, notes }
@@ -50,24 +48,24 @@ fn positions(columns: &mut [Column], position: [usize; 3], row_count: usize) -> 
     Positions::F64((0..row_count).map(|row| [x[row], y[row], z[row]]).collect())
 }
 
-/// Each column of text is an attribute of its own: their tables differ.
+/// Makes a separate attribute of each text column, because their tables differ.
 fn take_texts(group: &Group, names: &[String], columns: &mut [Column], attributes: &mut Vec<Attribute>) {
     for &index in &group.columns {
         let empty = ColumnValues::Reals(Vec::new());
         if let ColumnValues::Texts(texts) = std::mem::replace(&mut columns[index].values, empty) {
             let values = Values::Strings { table: texts.table, indices: texts.indices };
-            // A phase may go by its name; a velocity or a number may not.
+            // A phase can be identified by strings; a velocity or a number cannot.
             let role = group.role.filter(|&role| role == Role::Kind);
             attributes.push(Attribute { name: without_unit(&names[index]), arity: 1, role, values });
         }
     }
 }
 
-/// The values of a group, row by row: 64-bit reals, or integers in the narrowest type that holds them all.
+/// The values of a group, row by row: 64-bit floats, or integers in the narrowest type that fits all.
 fn numbers(group: &Group, columns: &mut [Column], row_count: usize) -> Values {
     if let Some(range) = integer_range(group, columns) {
         let all = |low: i64, high: i64| range.is_none_or(|(min, max)| low <= min && max <= high);
-        // A colour of 0 and 1 only is one of reals that were printed short.
+        // A colour with only 0 and 1 consists of floats printed without decimals.
         let are_reals = match group.role {
             Some(Role::Velocity | Role::Normal | Role::Radius | Role::Density | Role::Mass) => true,
             Some(Role::Color) => all(0, 1),
@@ -91,7 +89,8 @@ fn numbers(group: &Group, columns: &mut [Column], row_count: usize) -> Values {
     Values::F64(reals)
 }
 
-/// The least and the greatest value of a group, if all its columns hold integers. None of none.
+/// The smallest and largest value of a group, if all its columns are integers. The inner option is `None` if
+/// it has no values.
 fn integer_range(group: &Group, columns: &[Column]) -> Option<Option<(i64, i64)>> {
     let mut range: Option<(i64, i64)> = None;
     for &index in &group.columns {
@@ -104,7 +103,7 @@ fn integer_range(group: &Group, columns: &[Column]) -> Option<Option<(i64, i64)>
     Some(range)
 }
 
-/// The columns of a group, value by value in turn.
+/// Interleaves the columns of a group.
 fn interleaved<T: Copy>(group: &Group, row_count: usize, mut take: impl FnMut(usize) -> Vec<T>) -> Vec<T> {
     if let [single] = group.columns[..] {
         return take(single);
@@ -128,7 +127,7 @@ fn take_integers(column: &mut Column) -> Vec<i64> {
     }
 }
 
-/// A name as an attribute carries it.
+/// A name without its unit, as used for the attribute.
 fn without_unit(name: &str) -> String {
     let name = columns::unquoted(name);
     match columns::unit_of(name) {

@@ -1,36 +1,36 @@
-//! What precedes the rows: where the header is, what delimits the cells, what the columns are called.
+//! Detects the layout of a table: the header, the delimiter and the column names.
 
 use super::FORMAT;
 use super::cell::{
-    DELIMITERS, Delimiter, Meaning, cells, has_cells, has_decimal_comma, meaning, shown, unquoted,
+    CellValue, DELIMITERS, Delimiter, cells, has_cells, has_decimal_comma, meaning, shown, unquoted,
 };
 use crate::columns::{self, Columns};
 use crate::excerpt::excerpts;
 use crate::scalar::Scalar;
 use crate::{Error, Limits, Place, Result};
 
-/// How the rows are to be read.
+/// The layout of the rows.
 #[derive(Clone, Debug)]
-pub(super) struct Layout {
+pub(super) struct TableLayout {
     pub(super) delimiter: Delimiter,
     /// One name per column.
     pub(super) names: Vec<String>,
     /// The columns of the position.
     pub(super) position: [usize; 3],
-    /// Where the first row begins, in bytes from the start.
+    /// Offset of the first row, in bytes from the start.
     pub(super) rows_offset: usize,
-    /// The line of the first row, from 1.
+    /// Line number of the first row, starting at 1.
     pub(super) rows_line: u64,
     pub(super) notes: Vec<String>,
 }
 
 /// Finds the header and the delimiter.
-pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<Layout> {
-    let mut head = Head::default();
-    let mut lines = Lines::new(bytes, limits);
+pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<TableLayout> {
+    let mut head = TableHead::default();
+    let mut lines = HeadLines::new(bytes, limits);
     while let Some(line) = lines.next_line()? {
         if line.text.starts_with(b"ITEM:") {
-            let what = "this is a LAMMPS dump, which is not read: write it as CSV or VTK instead";
+            let what = "this LAMMPS dump is not supported: write it as CSV or VTK instead";
             return Err(Error::unsupported(FORMAT, what));
         }
         if let Some(comment) = comment(line.text) {
@@ -54,13 +54,13 @@ pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<Layout> {
     head.above_nothing(bytes, lines.number, limits)
 }
 
-/// Whether the first lines of a text are those of a table: a header that fits what is below it, or a row.
+/// Whether a text starts like a table: with a header that fits the line below it, or with a row.
 ///
-/// This is stricter than [`layout()`], which is asked about files that must be tables: words in a row
-/// can happen to name a position.
+/// Stricter than [`layout()`], which gets files that must be tables: a sequence of words can name a position
+/// by chance.
 pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
     let limits = Limits::default();
-    let mut lines = Lines::new(head, &limits);
+    let mut lines = HeadLines::new(head, &limits);
     let mut has_header = false;
     let mut has_text = false;
     while let Ok(Some(line)) = lines.next_line() {
@@ -72,7 +72,7 @@ pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
             return true;
         }
         let Ok(next) = lines.peek_row() else { return false };
-        let is_above = |(delimiter, header): (Delimiter, Header)| {
+        let is_above = |(delimiter, header): (Delimiter, ColumnNames)| {
             next.is_none_or(|next| header.names_positions_of(next, delimiter))
         };
         if headers(line.text, &limits).any(is_above) {
@@ -83,41 +83,41 @@ pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
     has_header && !has_text
 }
 
-/// Whether a line names a position, and so may be a header.
+/// Whether a line names a position, and so can be a header.
 pub(crate) fn names_position(line: &[u8]) -> bool {
     headers(line, &Limits::default()).next().is_some()
 }
 
-/// The line as a header with each delimiter by which it names a position.
-fn headers(line: &[u8], limits: &Limits) -> impl Iterator<Item = (Delimiter, Header)> {
+/// The line as a header, with each delimiter for which it names a position.
+fn headers(line: &[u8], limits: &Limits) -> impl Iterator<Item = (Delimiter, ColumnNames)> {
     DELIMITERS.into_iter().filter_map(move |delimiter| {
         header(line, delimiter, limits).ok().flatten().map(|header| (delimiter, header))
     })
 }
 
-/// What was seen so far above the rows.
+/// The lines seen so far above the rows.
 #[derive(Default)]
-struct Head<'a> {
-    /// Lines that are neither comment nor header.
+struct TableHead<'a> {
+    /// Number of lines that are neither comment nor header.
     text_line_count: u64,
     /// The first and the last of them.
-    text_first: Option<Line<'a>>,
-    text_last: Option<Line<'a>>,
+    text_first: Option<HeadLine<'a>>,
+    text_last: Option<HeadLine<'a>>,
     /// The last comment that names a position.
     comment: Option<&'a [u8]>,
-    /// The first line that names a position though the next one has another number of cells.
-    doubtful: Option<(Header, Delimiter, usize, u64)>,
+    /// The first line that names a position, although the next line has a different number of cells.
+    doubtful: Option<(ColumnNames, Delimiter, usize, u64)>,
 }
 
-impl<'a> Head<'a> {
+impl<'a> TableHead<'a> {
     fn take_comment(&mut self, comment: &'a [u8], limits: &Limits) {
-        // One of too many words is prose, or numbers: no error, but no header either.
+        // A comment with too many words is prose or numbers: not an error, but not a header either.
         if headers(comment, limits).next().is_some() {
             self.comment = Some(comment);
         }
     }
 
-    fn take_text(&mut self, line: Line<'a>) -> Result<()> {
+    fn take_text(&mut self, line: HeadLine<'a>) -> Result<()> {
         if DELIMITERS[1..].iter().any(|&delimiter| begins_with_numbers(line.text, delimiter)) {
             return Err(decimal_commas(line.number));
         }
@@ -127,11 +127,17 @@ impl<'a> Head<'a> {
         Ok(())
     }
 
-    /// The first row was found before a header.
-    fn above_row(self, delimiter: Delimiter, count: usize, row: Line, limits: &Limits) -> Result<Layout> {
+    /// Called when the first row comes before any header.
+    fn above_row(
+        self,
+        delimiter: Delimiter,
+        count: usize,
+        row: HeadLine,
+        limits: &Limits,
+    ) -> Result<TableLayout> {
         if let Some((header, header_delimiter, rows_offset, rows_line)) = self.doubtful {
-            // Names may stand apart in another way than numbers. If that was not the doubt, the row
-            // that does not fit will be complained about.
+            // Names may be delimited differently from numbers. If that was not the problem, the reader will
+            // report the row that does not fit.
             let delimiter = if header.names.len() == count { delimiter } else { header_delimiter };
             return Ok(header.into_layout(delimiter, rows_offset, rows_line, Vec::new()));
         }
@@ -146,18 +152,18 @@ impl<'a> Head<'a> {
         let mut notes = self.notes();
         if 3 < count {
             notes.push(format!(
-                "The file has no header: the first 3 of {count} columns were taken for the position, \
-                 the others are called column_4 and so on."
+                "the file has no header: the first 3 of {count} columns are used as the position, \
+                 the others are named column_4 and so on"
             ));
         }
         let names = (0..count)
             .map(|index| ["x", "y", "z"].get(index).map_or(column_name(index), ToString::to_string));
-        let header = Header { names: names.collect(), position: [0, 1, 2] };
+        let header = ColumnNames { names: names.collect(), position: [0, 1, 2] };
         Ok(header.into_layout(delimiter, row.offset, row.number, notes))
     }
 
-    /// The file has ended before any row.
-    fn above_nothing(self, bytes: &[u8], line: u64, limits: &Limits) -> Result<Layout> {
+    /// Called when the file ends before any row.
+    fn above_nothing(self, bytes: &[u8], line: u64, limits: &Limits) -> Result<TableLayout> {
         if let Some((header, delimiter, rows_offset, rows_line)) = self.doubtful {
             return Ok(header.into_layout(delimiter, rows_offset, rows_line, Vec::new()));
         }
@@ -166,44 +172,44 @@ impl<'a> Head<'a> {
             return Ok(header.into_layout(delimiter, bytes.len(), line + 1, self.notes()));
         }
         let expected =
-            "expected a header that names a position, such as x,y,z, or rows of three numbers or more";
+            "expected a header with position columns, such as x,y,z, or rows of at least three numbers";
         Err(match self.text_first {
             Some(text) => {
                 let what = format!("{expected}, found {}", shown(text.text));
                 let place = Place::Line(text.number);
                 match bytes.ends_with(b"\n") || bytes.ends_with(b"\r") {
                     true => Error::invalid(FORMAT, place, what),
-                    false => Error::short(FORMAT, place, what), // the line may be cut off
+                    false => Error::short(FORMAT, place, what), // the line may be truncated
                 }
             }
-            None => Error::short(FORMAT, Place::File, format!("{expected}, found nothing but comments")),
+            None => Error::short(FORMAT, Place::File, format!("{expected}, found only comments")),
         })
     }
 
     fn notes(&self) -> Vec<String> {
         match (self.text_line_count, self.text_first) {
-            (1, Some(first)) => vec![format!("A line above the table was skipped: {}.", shown(first.text))],
+            (1, Some(first)) => vec![format!("skipped a line above the table: {}", shown(first.text))],
             (count, Some(first)) => {
-                vec![format!("{count} lines above the table were skipped, the first: {}.", shown(first.text))]
+                vec![format!("skipped {count} lines above the table; the first is {}", shown(first.text))]
             }
             (_, None) => Vec::new(),
         }
     }
 }
 
-/// Names of columns among which there is a position.
-struct Header {
+/// Column names that include a position.
+struct ColumnNames {
     names: Vec<String>,
     position: [usize; 3],
 }
 
-impl Header {
-    /// Whether a row has as many cells, and a number or nothing in those of the position.
+impl ColumnNames {
+    /// Whether a row has the same number of cells, and numbers or missing values in the position columns.
     fn names_positions_of(&self, row: &[u8], delimiter: Delimiter) -> bool {
         let is_coordinate = |&column: &usize| {
             let cell = cells(row, delimiter).nth(column).unwrap_or_default();
             let cell = unquoted(cell);
-            has_decimal_comma(&cell) || meaning(&cell) != Meaning::Text
+            has_decimal_comma(&cell) || meaning(&cell) != CellValue::Text
         };
         has_cells(row, delimiter, self.names.len()) && self.position.iter().all(is_coordinate)
     }
@@ -214,13 +220,13 @@ impl Header {
         rows_offset: usize,
         rows_line: u64,
         notes: Vec<String>,
-    ) -> Layout {
-        Layout { delimiter, names: self.names, position: self.position, rows_offset, rows_line, notes }
+    ) -> TableLayout {
+        TableLayout { delimiter, names: self.names, position: self.position, rows_offset, rows_line, notes }
     }
 }
 
-/// The line as a header, if it names a position with this delimiter.
-fn header(line: &[u8], delimiter: Delimiter, limits: &Limits) -> Result<Option<Header>> {
+/// Parses the line as a header, if it names a position with this delimiter.
+fn header(line: &[u8], delimiter: Delimiter, limits: &Limits) -> Result<Option<ColumnNames>> {
     if !has_enough_cells(line, delimiter) {
         return Ok(None);
     }
@@ -229,7 +235,7 @@ fn header(line: &[u8], delimiter: Delimiter, limits: &Limits) -> Result<Option<H
         check_column_count(names.len(), limits)?;
         let name = String::from_utf8_lossy(&unquoted(cell)).trim().to_string();
         match names.last_mut() {
-            // A unit that stands apart belongs to the name before it.
+            // A separate unit belongs to the name before it.
             Some(last) if delimiter == Delimiter::Blanks && name.starts_with('[') && name.ends_with(']') => {
                 *last = format!("{last} {name}");
             }
@@ -248,10 +254,10 @@ fn header(line: &[u8], delimiter: Delimiter, limits: &Limits) -> Result<Option<H
         }
     }
     let Columns { position, .. } = group(&names, |_| false);
-    Ok(position.map(|position| Header { names, position }))
+    Ok(position.map(|position| ColumnNames { names, position }))
 }
 
-/// Sorts the columns by their names. Columns of text make no vectors with columns of numbers.
+/// Groups the columns by their names. Text columns do not form vectors with numeric ones.
 pub(super) fn group(names: &[String], is_text: impl Fn(usize) -> bool) -> Columns {
     let scalar = |index| if is_text(index) { Scalar::U8 } else { Scalar::F64 };
     let columns: Vec<(&str, Scalar)> =
@@ -263,10 +269,10 @@ fn column_name(index: usize) -> String {
     format!("column_{}", index + 1)
 }
 
-/// The delimiter and the number of cells of a line that begins with three numbers.
+/// The delimiter and the number of cells of a line that starts with three numbers.
 fn row_shape(line: &[u8]) -> Option<(Delimiter, usize)> {
     DELIMITERS.into_iter().find_map(|delimiter| {
-        let is_number = |cell| matches!(meaning(&unquoted(cell)), Meaning::Number(_));
+        let is_number = |cell| matches!(meaning(&unquoted(cell)), CellValue::Number(_));
         if !has_enough_cells(line, delimiter) || !cells(line, delimiter).take(3).all(is_number) {
             return None;
         }
@@ -276,11 +282,11 @@ fn row_shape(line: &[u8]) -> Option<(Delimiter, usize)> {
     })
 }
 
-/// Whether a line begins with three numbers, be it with decimal commas.
+/// Whether a line starts with three numbers, possibly with decimal commas.
 fn begins_with_numbers(line: &[u8], delimiter: Delimiter) -> bool {
     let is_number = |cell| {
         let cell = unquoted(cell);
-        has_decimal_comma(&cell) || matches!(meaning(&cell), Meaning::Number(_))
+        has_decimal_comma(&cell) || matches!(meaning(&cell), CellValue::Number(_))
     };
     has_enough_cells(line, delimiter) && cells(line, delimiter).take(3).all(is_number)
 }
@@ -289,9 +295,9 @@ fn has_enough_cells(line: &[u8], delimiter: Delimiter) -> bool {
     cells(line, delimiter).nth(2).is_some()
 }
 
-/// Whether the line must be meant as a header: as many cells as the row below it, and none a number.
+/// Whether the line must be a header: the same number of cells as the row below it, and no numbers.
 fn is_header_like(line: &[u8], delimiter: Delimiter, count: usize) -> bool {
-    let is_text = |cell| matches!(meaning(&unquoted(cell)), Meaning::Text);
+    let is_text = |cell| matches!(meaning(&unquoted(cell)), CellValue::Text);
     has_cells(line, delimiter, count) && cells(line, delimiter).take(count).all(is_text)
 }
 
@@ -299,23 +305,24 @@ fn check_column_count(count: usize, limits: &Limits) -> Result<()> {
     if count <= limits.attribute_count {
         return Ok(());
     }
-    let what = format!("more columns than the limit of {}", limits.attribute_count);
+    let what = format!("the file has more columns than the limit of {}", limits.attribute_count);
     Err(Error::too_large(FORMAT, what))
 }
 
-fn no_position(header: Line, delimiter: Delimiter) -> Error {
+fn no_position(header: HeadLine, delimiter: Delimiter) -> Error {
     let names = excerpts(cells(header.text, delimiter).map(unquoted));
-    let what = format!("expected a header that names a position, such as x,y,z, found {names}");
+    let what = format!("expected a header with position columns, such as x,y,z; found {names}");
     Error::invalid(FORMAT, Place::Line(header.number), what)
 }
 
-/// The error for numbers that are written in the French or German way.
+/// The error for numbers with decimal commas, as in French and German.
 pub(super) fn decimal_commas(line: u64) -> Error {
-    let what = format!("line {line} has numbers with a decimal comma, which are not read: use a point");
+    let what =
+        format!("line {line} has numbers with a decimal comma, which is not supported: use a decimal point");
     Error::unsupported(FORMAT, what)
 }
 
-/// The text behind a comment mark.
+/// The text after a comment mark.
 pub(super) fn comment(line: &[u8]) -> Option<&[u8]> {
     let line = line.trim_ascii_start();
     let text = line.strip_prefix(b"#").or(line.strip_prefix(b"%")).or(line.strip_prefix(b"//"))?;
@@ -323,32 +330,32 @@ pub(super) fn comment(line: &[u8]) -> Option<&[u8]> {
     Some(text[marks..].trim_ascii())
 }
 
-/// One line without its end.
+/// A line without its line end.
 #[derive(Clone, Copy)]
-struct Line<'a> {
+struct HeadLine<'a> {
     text: &'a [u8],
     offset: usize,
-    /// From 1.
+    /// Line number, starting at 1.
     number: u64,
 }
 
-/// The lines above the rows, none of them blank. They end in LF, CR LF or CR.
-struct Lines<'a> {
+/// The nonblank lines above the rows. They end in LF, CR LF or CR.
+struct HeadLines<'a> {
     bytes: &'a [u8],
     at: usize,
     number: u64,
-    /// No line may reach beyond this.
+    /// Lines must end before this offset.
     end: usize,
 }
 
-impl<'a> Lines<'a> {
-    fn new(bytes: &'a [u8], limits: &Limits) -> Lines<'a> {
+impl<'a> HeadLines<'a> {
+    fn new(bytes: &'a [u8], limits: &Limits) -> HeadLines<'a> {
         let at = if bytes.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 };
         let end = usize::try_from(limits.header_bytes).unwrap_or(usize::MAX).min(bytes.len());
-        Lines { bytes, at, number: 0, end }
+        HeadLines { bytes, at, number: 0, end }
     }
 
-    fn next_line(&mut self) -> Result<Option<Line<'a>>> {
+    fn next_line(&mut self) -> Result<Option<HeadLine<'a>>> {
         while self.at < self.bytes.len() {
             let offset = self.at;
             let rest = self.bytes.get(offset..self.end).unwrap_or_default();
@@ -370,15 +377,15 @@ impl<'a> Lines<'a> {
             };
             self.number += 1;
             if !text.trim_ascii().is_empty() {
-                return Ok(Some(Line { text, offset, number: self.number }));
+                return Ok(Some(HeadLine { text, offset, number: self.number }));
             }
         }
         Ok(None)
     }
 
-    /// The next line that is no comment, without going there.
+    /// The next line that is not a comment, without advancing.
     fn peek_row(&self) -> Result<Option<&'a [u8]>> {
-        let mut ahead = Lines { ..*self };
+        let mut ahead = HeadLines { ..*self };
         while let Some(line) = ahead.next_line()? {
             if comment(line.text).is_none() {
                 return Ok(Some(line.text));

@@ -1,66 +1,71 @@
-//! Large tables in parts, side by side.
+//! Reads large tables in parts, in parallel.
 //!
 //! ```text
-//!   x,y,z,id\n │ 0.1,0.2,0.3,1\n ..  │ ..  │ ..  │ ..      parts end where a line does
-//!              └ each read as a table of its own, by whoever is free; then joined in order
+//!   x,y,z,id\n │ 0.1,0.2,0.3,1\n ..  │ ..  │ ..  │ ..      parts end at line ends
+//!              └ each read as a separate table by any free thread, then joined in order
 //! ```
 //!
-//! What a cell means depends on the cells above it: whether `-0` is an integer, whether `7` is a text. So a part
-//! that was read by itself is taken only where that made no difference, and where nothing in it was wrong. Any
-//! other is read again behind what is there already. Thus the table, and the error with its line, are those of
-//! a reader that never heard of parts.
+//! The meaning of a cell depends on the cells above it: whether `-0` is an integer, whether `7` is text. So a
+//! part that was read separately is used only if that made no difference and it contains no error. Otherwise
+//! the part is read again, following the rows already joined. Thus the table, and any error with its line,
+//! are the same as those of a sequential reader.
 
 use std::ops::Range;
 
 use rayon::prelude::*;
 
 use super::column::Column;
-use super::layout::Layout;
+use super::layout::TableLayout;
 use super::rows::Table;
 use crate::{Limits, Result};
 
-/// Large enough that a part costs nothing to begin, small enough to share.
+/// Large enough to make the cost of starting a part negligible, small enough to share the work.
 const PART_BYTES: usize = 1 << 20;
 
-/// Parts for each thread that are held at once.
+/// Parts per thread held in memory at a time.
 const PARTS_PER_THREAD: usize = 4;
 
-/// Reads all rows, in the pool of the caller.
-pub(super) fn read_rows(bytes: &[u8], layout: &Layout, limits: &Limits) -> Result<Table> {
+/// Reads all rows in the caller's thread pool.
+pub(super) fn read_rows(bytes: &[u8], layout: &TableLayout, limits: &Limits) -> Result<Table> {
     read_rows_in_parts(bytes, layout, limits, PART_BYTES)
 }
 
-fn read_rows_in_parts(bytes: &[u8], layout: &Layout, limits: &Limits, part_bytes: usize) -> Result<Table> {
-    let mut table = Table::with_room_for(&bytes[layout.rows_offset..], layout.names.len());
+fn read_rows_in_parts(
+    bytes: &[u8],
+    layout: &TableLayout,
+    limits: &Limits,
+    part_bytes: usize,
+) -> Result<Table> {
+    let mut table = Table::with_capacity_for(&bytes[layout.rows_offset..], layout.names.len());
     let thread_count = rayon::current_num_threads();
     if thread_count == 1 || bytes.len() < 2 * part_bytes {
-        table.read_on(bytes, layout.rows_offset, layout, limits)?;
+        table.read_more(bytes, layout.rows_offset, layout, limits)?;
         return Ok(table);
     }
     let parts = parts(bytes, layout.rows_offset, part_bytes);
     for parts in parts.chunks(PARTS_PER_THREAD * thread_count) {
         let read_alone = |part: &Range<usize>| {
-            let mut alone = Table::with_room_for(&bytes[part.clone()], layout.names.len());
-            alone.read_on(&bytes[..part.end], part.start, layout, limits).is_ok().then_some(alone)
+            let mut alone = Table::with_capacity_for(&bytes[part.clone()], layout.names.len());
+            alone.read_more(&bytes[..part.end], part.start, layout, limits).is_ok().then_some(alone)
         };
         let tables: Vec<Option<Table>> = parts.par_iter().map(read_alone).collect();
         for (part, alone) in parts.iter().zip(tables) {
             match alone {
                 Some(alone) if can_append(&table, &alone, limits) => append(&mut table, alone),
-                _ => table.read_on(&bytes[..part.end], part.start, layout, limits)?,
+                _ => table.read_more(&bytes[..part.end], part.start, layout, limits)?,
             }
         }
     }
     Ok(table)
 }
 
-/// The bytes from `start` on, divided behind the ends of lines. A part is longer where a line is.
+/// Splits the bytes from `start` on at line ends. A part can be longer to include a whole line.
 fn parts(bytes: &[u8], start: usize, part_bytes: usize) -> Vec<Range<usize>> {
     let mut parts = Vec::new();
     let mut at = start;
     while at < bytes.len() {
         let rest = bytes.get(at + part_bytes..).unwrap_or_default();
-        // Only LF ends every line that it is in: CR may be followed by it.
+        // Only LF is certain to end a line: an LF may follow a CR.
         let end = rest
             .iter()
             .position(|&byte| byte == b'\n')
@@ -89,7 +94,7 @@ mod tests {
     use super::*;
     use crate::csv::{frame, layout};
 
-    /// What comes of a text that is read in parts of so many bytes, the error as it is told.
+    /// The result of reading a text in parts of `part_bytes` bytes, formatted as text.
     fn outcome(text: &[u8], limits: &Limits, part_bytes: usize) -> std::result::Result<String, String> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
         let read = || {
@@ -97,13 +102,13 @@ mod tests {
             let table = read_rows_in_parts(text, &layout, limits, part_bytes)?;
             Ok(frame::frame(layout, table))
         };
-        // Debug tells -0 from 0, and has all digits.
+        // Debug output distinguishes -0 from 0 and has all digits.
         pool.install(read)
             .map(|frame| format!("{frame:?}"))
             .map_err(|error: crate::Error| format!("{error:?}"))
     }
 
-    /// Lines in which something changes, among lines in which nothing does.
+    /// Lines that affect how other lines are read, inserted among lines that do not.
     const CHANGES: [&str; 22] = [
         "1,2,3,4,5,a",
         "0.5,2,3,4,5,a",
@@ -130,7 +135,7 @@ mod tests {
     ];
 
     #[test]
-    fn parts_make_what_one_pass_makes() {
+    fn parts_give_the_same_result_as_one_pass() {
         let mut error_count = 0;
         for (first, second) in (0..22).flat_map(|first| (0..22).map(move |second| (first, second))) {
             for (usual, line_end) in [("1,2,3,4,5,a", "\n"), ("0.5,2,3,4.5,5,", "\r\n")] {
@@ -150,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn limits_and_odd_texts_are_those_of_one_pass() {
+    fn parts_respect_limits_and_invalid_utf8_like_one_pass() {
         let header = b"x,y,z,kind\n".as_slice();
         let rows = [b"1,2,3,\xff\n".as_slice(), b"1,2,3,\xfe\n", b"1,2,3,w\n"].concat().repeat(20);
         let text = [header, &rows].concat();

@@ -1,32 +1,31 @@
-//! The rows, in one pass over the bytes.
+//! Reads the rows in a single pass over the bytes.
 //!
-//! A number is taken where it stands; only if what follows it is not the end of its cell is the cell
-//! looked at as a whole: quotes, words for missing values, texts. Neither lines nor cells are
-//! searched for beforehand.
+//! A number is parsed in place. Only if its cell does not end right after it is the whole cell examined:
+//! quotes, words for missing values, text. Lines and cells are not located beforehand.
 //!
 //! Large tables are read in parts, see [`super::parts`]; each part is such a pass.
 
 use super::FORMAT;
-use super::cell::{Delimiter, Meaning, cells, has_decimal_comma, meaning, quoted_length, shown, unquoted};
+use super::cell::{CellValue, Delimiter, cells, has_decimal_comma, meaning, quoted_length, shown, unquoted};
 use super::column::{Column, ColumnValues};
-use super::layout::{Layout, comment, decimal_commas};
+use super::layout::{TableLayout, comment, decimal_commas};
 use crate::{Error, Limits, Place, Result};
 
-/// All columns, in the order of the file.
+/// All columns, in file order.
 #[derive(Debug)]
 pub(super) struct Table {
     pub(super) columns: Vec<Column>,
-    /// Rows in every column.
+    /// Number of rows in every column.
     pub(super) row_count: usize,
-    /// Rows that were left out for want of a position.
+    /// Number of rows skipped because they have no finite position.
     pub(super) dropped_row_count: u64,
-    /// Lines that were passed, the rows and all others.
+    /// Number of lines read: rows and all others.
     pub(super) line_count: u64,
 }
 
 impl Table {
-    /// No rows yet, and room for those of a text as long as `rows`.
-    pub(super) fn with_room_for(rows: &[u8], column_count: usize) -> Table {
+    /// An empty table with capacity for the estimated rows of the text `rows`.
+    pub(super) fn with_capacity_for(rows: &[u8], column_count: usize) -> Table {
         let capacity = row_count_estimate(rows, column_count);
         Table {
             columns: (0..column_count).map(|_| Column::with_capacity(capacity)).collect(),
@@ -36,17 +35,17 @@ impl Table {
         }
     }
 
-    /// Reads the rows from byte `start` to the end of `bytes`. The lines of the table, so far, are those
-    /// before `start`.
-    pub(super) fn read_on(
+    /// Reads the rows from offset `start` to the end of `bytes`. The table's line count must cover exactly
+    /// the lines before `start`.
+    pub(super) fn read_more(
         &mut self,
         bytes: &[u8],
         start: usize,
-        layout: &Layout,
+        layout: &TableLayout,
         limits: &Limits,
     ) -> Result<()> {
         let first_line = layout.rows_line + self.line_count;
-        let mut rows = Rows {
+        let mut rows = RowReader {
             bytes,
             at: start,
             line: first_line,
@@ -61,7 +60,7 @@ impl Table {
             if layout.position.iter().all(|&index| self.columns[index].ends_finite()) {
                 self.row_count += 1;
                 if limits.particle_count < self.row_count as u64 {
-                    let what = format!("more rows than the limit of {}", limits.particle_count);
+                    let what = format!("the table has more rows than the limit of {}", limits.particle_count);
                     return Err(Error::too_large(FORMAT, what));
                 }
             } else {
@@ -74,29 +73,29 @@ impl Table {
     }
 }
 
-/// How many rows there probably are, judged by the first ones and never more than there can be.
+/// Estimates the number of rows from the first ones; never more than the size allows.
 fn row_count_estimate(rows: &[u8], column_count: usize) -> usize {
     const SAMPLE_BYTES: usize = 64 << 10;
     let sample = &rows[..rows.len().min(SAMPLE_BYTES)];
     let line_count = 1 + sample.iter().filter(|&&byte| byte == b'\n').count();
     let probable = rows.len() / (sample.len() / line_count).max(1);
-    let possible = rows.len() / (2 * column_count).max(1); // a byte for each cell, and one behind it
+    let possible = rows.len() / (2 * column_count).max(1); // each cell has a byte and a delimiter
     (probable + probable / 32).min(possible)
 }
 
-/// The walk through the rows.
-struct Rows<'a> {
+/// The position in the rows.
+struct RowReader<'a> {
     bytes: &'a [u8],
     at: usize,
-    /// The line that `at` is in, from 1.
+    /// Number of the line that contains `at`, starting at 1.
     line: u64,
-    /// None stands for blanks.
+    /// `None` means blanks.
     delimiter: Option<u8>,
     names: &'a [String],
 }
 
-impl<'a> Rows<'a> {
-    /// Goes to the next line that is neither blank nor a comment.
+impl<'a> RowReader<'a> {
+    /// Advances to the next line that is neither blank nor a comment.
     fn next_row(&mut self) -> bool {
         loop {
             match self.bytes.get(self.at) {
@@ -113,7 +112,7 @@ impl<'a> Rows<'a> {
         }
     }
 
-    /// Takes a row into `columns`; `at` is then behind its line.
+    /// Reads a row into `columns`; afterwards `at` is after its line.
     #[inline]
     fn take_row(&mut self, columns: &mut [Column], position: [usize; 3]) -> Result<()> {
         let start = self.at;
@@ -121,30 +120,30 @@ impl<'a> Rows<'a> {
         for (index, column) in columns.iter_mut().enumerate() {
             self.at += blanks(&self.bytes[self.at..], self.delimiter);
             if self.delimiter.is_none() && self.is_at_line_end() {
-                return Err(self.ragged(start)); // blanks make no empty cells
+                return Err(self.wrong_cell_count(start)); // with blanks as delimiter, there are no empty cells
             }
             if !self.take_number(column) {
                 self.take_other(column, index, position.contains(&index))?;
             }
             if index + 1 < column_count && self.delimiter.is_some() {
                 if self.is_at_line_end() {
-                    return Err(self.ragged(start));
+                    return Err(self.wrong_cell_count(start));
                 }
-                self.at += 1; // cells end at a delimiter or with the line
+                self.at += 1; // a cell ends at a delimiter or a line end
             }
         }
         if !self.is_at_line_end() {
             self.at += usize::from(self.delimiter.is_some());
             self.at += blanks(&self.bytes[self.at..], self.delimiter);
             if !self.is_at_line_end() {
-                return Err(self.ragged(start));
+                return Err(self.wrong_cell_count(start));
             }
         }
         self.end_line();
         Ok(())
     }
 
-    /// Takes a cell that is a plain number, and the blanks behind it.
+    /// Reads a cell that is a plain number, and the blanks after it.
     #[inline]
     fn take_number(&mut self, column: &mut Column) -> bool {
         let text = &self.bytes[self.at..];
@@ -169,7 +168,7 @@ impl<'a> Rows<'a> {
         false
     }
 
-    /// Takes a cell that is anything else: in quotes, missing, or text.
+    /// Reads any other cell: quoted, missing, or text.
     fn take_other(&mut self, column: &mut Column, index: usize, is_position: bool) -> Result<()> {
         let rest = &self.bytes[self.at..];
         let quoted = quoted_length(rest).unwrap_or(0);
@@ -186,12 +185,12 @@ impl<'a> Rows<'a> {
         }
         let text = unquoted(cell);
         match meaning(&text) {
-            // All there is of a number so far, more likely than what stands for none.
-            Meaning::Missing if is_position && &*text == b"-" && self.at + length == self.bytes.len() => {
+            // More likely a truncated number than a mark for a missing value.
+            CellValue::Missing if is_position && &*text == b"-" && self.at + length == self.bytes.len() => {
                 return Err(self.not_a_number(&text, index));
             }
-            Meaning::Missing => column.push_missing(),
-            Meaning::Number(value) if !column.is_text() => match integer(&text) {
+            CellValue::Missing => column.push_missing(),
+            CellValue::Number(value) if !column.is_text() => match integer(&text) {
                 Some((value, length)) if length == text.len() => column.push_integer(value, &text),
                 _ => column.push_real(value, &text),
             },
@@ -207,7 +206,7 @@ impl<'a> Rows<'a> {
         matches!(self.bytes.get(self.at), None | Some(b'\n' | b'\r'))
     }
 
-    /// Steps over LF, CR LF or CR.
+    /// Skips LF, CR LF or CR.
     #[inline]
     fn end_line(&mut self) {
         self.line += 1;
@@ -218,14 +217,14 @@ impl<'a> Rows<'a> {
         };
     }
 
-    /// What remains of the line.
+    /// The rest of the line.
     fn line_text(&self) -> &'a [u8] {
         let rest = &self.bytes[self.at..];
         let length = rest.iter().position(|byte| matches!(byte, b'\n' | b'\r'));
         &rest[..length.unwrap_or(rest.len())]
     }
 
-    fn ragged(&mut self, start: usize) -> Error {
+    fn wrong_cell_count(&mut self, start: usize) -> Error {
         self.at = start;
         let delimiter = self.delimiter.map_or(Delimiter::Blanks, Delimiter::Byte);
         let found: Vec<&[u8]> = cells(self.line_text(), delimiter).collect();
@@ -243,29 +242,33 @@ impl<'a> Rows<'a> {
             return decimal_commas(self.line);
         }
         let what = format!(
-            "expected a number in the column {}, found {}",
+            "expected a number in column {}, found {}",
             shown(self.names[index].as_bytes()),
             shown(text)
         );
         self.wrong(what)
     }
 
-    /// An error at the present position. A line that the file ends in may be cut off.
+    /// An error at the current position. A line without a line end at the end of the file may be truncated.
     fn wrong(&self, what: String) -> Error {
         let place = Place::Line(self.line);
         match self.at + self.line_text().len() < self.bytes.len() {
             true => Error::invalid(FORMAT, place, what),
-            false => Error::short(FORMAT, place, format!("{what}; the file ends there, without a line end")),
+            false => Error::short(
+                FORMAT,
+                place,
+                format!("{what}; the file ends in this line, which has no line end"),
+            ),
         }
     }
 }
 
-/// An integer at the start of `text` that fits 64 bits, and its length.
+/// Parses an integer at the start of `text` that fits 64 bits; returns it and its length.
 #[inline]
 fn integer(text: &[u8]) -> Option<(i64, usize)> {
-    const DIGITS_MAX: usize = 18; // always fit
+    const DIGITS_MAX: usize = 18; // always fits
     let sign = usize::from(matches!(text.first(), Some(b'-' | b'+')));
-    // Below zero, where there is one more than above.
+    // Accumulates negative values, because their range has one more.
     let mut value = 0i64;
     let mut length = sign;
     while let Some(digit @ b'0'..=b'9') = text.get(length) {
@@ -283,7 +286,7 @@ fn integer(text: &[u8]) -> Option<(i64, usize)> {
     Some((if is_negative { value } else { value.checked_neg()? }, length))
 }
 
-/// The length of the blanks between a number and the end of its cell; none if something else follows.
+/// The number of blanks between a number and the end of its cell; `None` if anything else follows.
 #[inline]
 fn end_of_cell(text: &[u8], delimiter: Option<u8>) -> Option<usize> {
     let blank_count = blanks(text, delimiter);
@@ -294,7 +297,7 @@ fn end_of_cell(text: &[u8], delimiter: Option<u8>) -> Option<usize> {
     }
 }
 
-/// The length of the blanks at the start of `text`. A tab that delimits is none.
+/// The number of blanks at the start of `text`. A tab that is the delimiter is not a blank.
 #[inline]
 fn blanks(text: &[u8], delimiter: Option<u8>) -> usize {
     let is_blank = |byte: &u8| *byte == b' ' || (*byte == b'\t' && delimiter != Some(b'\t'));

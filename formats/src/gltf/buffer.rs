@@ -1,8 +1,7 @@
-//! Typed numbers out of the buffers of a glTF document, with every bound checked.
+//! Reads typed numbers from the buffers of a glTF document, with all bounds checked.
 //!
-//! The crate gltf goes through the elements, sparse ones too; but it believes what the document says of them. So
-//! all that is said is compared with the bytes that are there, before it is asked.
-
+//! The crate gltf iterates over the elements, including sparse ones, but trusts what the document declares.
+//! So every declaration is compared with the available bytes first.
 use std::rc::Rc;
 
 use ::gltf::accessor::{DataType, Dimensions, Item, Iter, sparse};
@@ -12,19 +11,22 @@ use ::gltf::{Accessor, Semantic};
 use super::FORMAT;
 use crate::error::{Error, Place, Result};
 
-/// The bytes of the document's buffers. Some share a file.
+/// The bytes of the document's buffers. Several buffers can share a file.
 pub(super) struct Buffers {
     pub(super) bytes: Vec<Rc<Vec<u8>>>,
 }
 
 impl Buffers {
-    /// The elements of an accessor of vectors; integers that stand for −1 ..= 1 are converted.
+    /// The elements of an accessor of vectors; converts normalized integers to −1 ..= 1.
     pub(super) fn vectors(&self, accessor: &Accessor, semantic: &Semantic) -> Result<Vec<[f64; 3]>> {
         if accessor.dimensions() != Dimensions::Vec3 {
-            return Err(invalid(format!("{semantic:?} of {:?}; expected Vec3", accessor.dimensions())));
+            return Err(invalid(format!(
+                "{semantic:?} has the type {:?}; expected Vec3",
+                accessor.dimensions()
+            )));
         }
         let scale = match accessor.data_type() {
-            // The flag means nothing for reals; some exporters set it all the same.
+            // The flag has no meaning for floats, but some exporters set it.
             DataType::F32 => None,
             _ if !accessor.normalized() => None,
             DataType::I8 => Some(f64::from(i8::MAX)),
@@ -53,18 +55,22 @@ impl Buffers {
                 Ok(self.elements::<u16>(accessor)?.into_iter().map(u32::from).collect())
             }
             (Dimensions::Scalar, DataType::U32) => self.elements::<u32>(accessor),
-            (dimensions, data) => Err(invalid(format!("indices that are {dimensions:?} of {data:?}"))),
+            (dimensions, data) => {
+                Err(invalid(format!("the indices have the invalid type {dimensions:?} of {data:?}")))
+            }
         }
     }
 
-    /// The numbers of an accessor of anything but matrices, element by element, as they are stored.
+    /// The stored numbers of an accessor, element by element. Matrices are not supported.
     pub(super) fn components<T: Item + Copy>(&self, accessor: &Accessor) -> Result<Vec<T>> {
         Ok(match accessor.dimensions() {
             Dimensions::Scalar => self.elements::<T>(accessor)?,
             Dimensions::Vec2 => self.elements::<[T; 2]>(accessor)?.into_flattened(),
             Dimensions::Vec3 => self.elements::<[T; 3]>(accessor)?.into_flattened(),
             Dimensions::Vec4 => self.elements::<[T; 4]>(accessor)?.into_flattened(),
-            dimensions => return Err(invalid(format!("{dimensions:?} of a vertex"))),
+            dimensions => {
+                return Err(invalid(format!("a vertex attribute has the unsupported type {dimensions:?}")));
+            }
         })
     }
 
@@ -80,7 +86,7 @@ impl Buffers {
         Ok(self.elements::<[T; 3]>(accessor)?.into_iter().map(|element| element.map(real)).collect())
     }
 
-    /// The elements as they are stored.
+    /// The stored elements.
     fn elements<T: Item>(&self, accessor: &Accessor) -> Result<Vec<T>> {
         if accessor.count() == 0 {
             return Ok(Vec::new());
@@ -91,7 +97,7 @@ impl Buffers {
         Ok(elements.take(accessor.count()).collect())
     }
 
-    /// Whether all that an accessor speaks of is there.
+    /// Checks that all data of an accessor exists.
     fn check(&self, accessor: &Accessor) -> Result<()> {
         let (count, size) = (accessor.count(), accessor.size());
         if let Some(view) = accessor.view() {
@@ -100,17 +106,19 @@ impl Buffers {
         match accessor.sparse() {
             Some(sparse) => self.check_sparse(&sparse, count, size),
             None if accessor.view().is_none() => {
-                Err(Error::unsupported(FORMAT, "an accessor without a buffer view"))
+                Err(Error::unsupported(FORMAT, "an accessor without a buffer view is not supported"))
             }
             None => Ok(()),
         }
     }
 
-    /// Sparse elements must come in order, each once: that is how they are gone through.
+    /// Sparse elements must be in ascending order without repetition, as the iterator requires.
     fn check_sparse(&self, sparse: &sparse::Sparse, count: usize, size: usize) -> Result<()> {
         let sparse_count = sparse.count();
         if sparse_count == 0 || sparse_count > count {
-            return Err(invalid(format!("{sparse_count} sparse elements of {count}")));
+            return Err(invalid(format!(
+                "an accessor has {sparse_count} sparse elements, but only {count} elements"
+            )));
         }
         let (indices, values) = (sparse.indices(), sparse.values());
         self.part(&values.view(), values.offset(), sparse_count, size)?;
@@ -121,14 +129,14 @@ impl Buffers {
             let index =
                 bytes[place..place + width].iter().rfold(0, |index, byte| index << 8 | usize::from(*byte));
             if index >= count || last.is_some_and(|last| index <= last) {
-                return Err(invalid(format!("a sparse element {index} of {count} out of its place")));
+                return Err(invalid(format!("the sparse element {index} of {count} is out of order")));
             }
             last = Some(index);
         }
         Ok(())
     }
 
-    /// The bytes from the first element on, and the step to the next, if all elements are there.
+    /// The bytes from the first element on, and the stride, after checking that all elements exist.
     fn part(&self, view: &View, offset: usize, count: usize, size: usize) -> Result<(&[u8], usize)> {
         let buffer = self.bytes.get(view.buffer().index());
         let end = view.offset().checked_add(view.length());
@@ -147,7 +155,7 @@ impl Buffers {
 }
 
 fn beyond(count: usize) -> Error {
-    invalid(format!("an accessor of {count} elements that exceeds its buffer"))
+    invalid(format!("an accessor of {count} elements exceeds its buffer"))
 }
 
 pub(super) fn invalid(what: impl Into<String>) -> Error {

@@ -1,12 +1,12 @@
-//! Buffers in files of their own, beside the document.
+//! Buffers in external files next to the document.
 //!
 //! ```text
-//!   scene.gltf    "uri":"parts/a%20b.bin", "byteLength":96   ──▶   parts/a b.bin, 96 bytes of it
+//!   scene.gltf    "uri":"parts/a%20b.bin", "byteLength":96   ──▶   parts/a b.bin, its first 96 bytes
 //!   parts/
 //!     a b.bin
 //! ```
 //!
-//! A document is not trusted with paths: what it names lies in its own folder, or below.
+//! Paths in a document are not trusted: they must lie in the document's folder or below it.
 
 use std::collections::BTreeMap;
 use std::rc::Rc;
@@ -19,19 +19,20 @@ use super::read::{chunks, parse};
 use crate::error::{Error, Result};
 use crate::row::Beside;
 
-/// A file that has buffers of a document.
+/// An external file with buffers of a document.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FileBeside {
-    /// Where it is, from the folder of the document on: names with `/` between them, and no `..`.
+    /// Its path relative to the document's folder: names separated by `/`, without `..`.
     pub path: String,
-    /// How many of its first bytes are read.
+    /// Number of bytes to read from its start.
     pub byte_count: u64,
 }
 
-/// The files beside a document that have buffers of it, each once, in the order in which they are named.
+/// The external files of a document, each once, in the order of their first use.
 ///
 /// # Errors
-/// [`Error::Invalid`] if this is no glTF; [`Error::Unsupported`] for a buffer that is not beside the document.
+/// [`Error::Invalid`] if the file is not glTF; [`Error::Unsupported`] for a buffer outside the document's
+/// folder.
 pub fn files_beside(bytes: &[u8]) -> Result<Vec<FileBeside>> {
     #[derive(Deserialize)]
     struct Document {
@@ -59,37 +60,38 @@ pub fn files_beside(bytes: &[u8]) -> Result<Vec<FileBeside>> {
     Ok(files)
 }
 
-/// Whether a URI is the data itself.
+/// Whether a URI contains the data itself.
 pub(super) fn is_data(uri: &str) -> bool {
     uri.starts_with("data:")
 }
 
-/// What is read of files beside: each once, however many buffers are in it.
+/// Reads external files, each only once even if it has several buffers.
 pub(super) struct ReadBeside<'a> {
-    beside: Option<&'a Beside<'a>>,
+    read_external: Option<&'a Beside<'a>>,
     read: BTreeMap<String, Rc<Vec<u8>>>,
-    /// Their bytes.
+    /// Their total size in bytes.
     pub(super) size_bytes: u64,
 }
 
 impl<'a> ReadBeside<'a> {
-    pub(super) fn new(beside: Option<&'a Beside<'a>>) -> ReadBeside<'a> {
-        ReadBeside { beside, read: BTreeMap::new(), size_bytes: 0 }
+    pub(super) fn new(read_external: Option<&'a Beside<'a>>) -> ReadBeside<'a> {
+        ReadBeside { read_external, read: BTreeMap::new(), size_bytes: 0 }
     }
 
-    /// The bytes of the file at a URI.
+    /// The content of the file at a URI.
     pub(super) fn bytes(&mut self, uri: &str) -> Result<Rc<Vec<u8>>> {
-        let Some(beside) = self.beside else {
-            let what = "a buffer in a file of its own; export as .glb, or embed it";
+        let Some(read_external) = self.read_external else {
+            let what = "a buffer is in a separate file: export as .glb, or embed the buffer";
             return Err(Error::unsupported(FORMAT, what));
         };
         let path = path_of(uri)?;
         if let Some(bytes) = self.read.get(&path) {
             return Ok(Rc::clone(bytes));
         }
-        let read = beside(&path);
-        let bytes =
-            read.map_err(|error| std::io::Error::new(error.kind(), format!("its buffer {path}: {error}")))?;
+        let read = read_external(&path);
+        let bytes = read.map_err(|error| {
+            std::io::Error::new(error.kind(), format!("cannot read the buffer {path}: {error}"))
+        })?;
         let bytes = Rc::new(bytes);
         self.size_bytes = self.size_bytes.saturating_add(bytes.len() as u64);
         self.read.insert(path, Rc::clone(&bytes));
@@ -97,20 +99,20 @@ impl<'a> ReadBeside<'a> {
     }
 }
 
-/// The relative path that a URI is.
+/// Converts a URI to a relative path.
 fn path_of(uri: &str) -> Result<String> {
-    let path = percent_decoded(uri).ok_or_else(|| invalid(format!("the URI {uri}")))?;
-    // Some exporters write paths as their system has them.
+    let path = percent_decoded(uri).ok_or_else(|| invalid(format!("the URI {uri} is invalid")))?;
+    // Some exporters write paths with the separators of their system.
     let is_absolute = path.starts_with(['/', '\\']);
     let names: Vec<&str> = path.split(['/', '\\']).filter(|name| !name.is_empty() && *name != ".").collect();
     if is_absolute || path.contains([':', '\0']) || names.contains(&"..") || names.is_empty() {
-        let what = format!("a buffer that is not beside the file, but at {uri}");
+        let what = format!("the buffer {uri} is outside the folder of the file");
         return Err(Error::unsupported(FORMAT, what));
     }
     Ok(names.join("/"))
 }
 
-/// A path as it was before it became part of a URI.
+/// Decodes the percent escapes of a URI.
 fn percent_decoded(uri: &str) -> Option<String> {
     let mut parts = uri.split('%');
     let mut bytes = parts.next()?.as_bytes().to_vec();

@@ -1,5 +1,5 @@
-//! A `.glb` of one frame as this crate writes it, so that frames can be gathered without reading all of them at once: the
-//! document, and where its data are in the file.
+//! Opens a single-frame `.glb` of this crate: parses the document and locates the data. A sequence can thus
+//! be assembled without holding all frames in memory.
 
 use std::io::{Read, Seek, SeekFrom};
 
@@ -10,47 +10,47 @@ use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, component};
 use crate::error::{Error, Place, Result};
 use crate::mesh_options::UpAxis;
 
-/// A frame of a shot.
+/// A frame of a sequence.
 #[derive(Clone, Debug)]
 pub struct FrameFile {
-    /// What is said of the frame; small beside its data.
+    /// The document, which is small compared to the data.
     pub(crate) document: Value,
-    /// Where the data begin in the file, and how many bytes there are.
+    /// Offset and size of the data in the file.
     pub(crate) bin_at: u64,
     pub(crate) bin_bytes: u64,
 }
 
-/// More bytes of text than this are no frame of ours.
+/// Limit for the JSON text of our frames, in bytes.
 const JSON_BYTES_MAX: u64 = 64 << 20;
 
-/// Numbers that belong to the vertices of a frame.
+/// Location and type of numbers that belong to the vertices of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Column {
+pub(crate) struct VertexColumn {
     component: u32,
     pub(crate) arity: usize,
     pub(crate) count: usize,
-    /// From the start of the file.
+    /// Offset from the start of the file.
     start: u64,
     stride_bytes: usize,
 }
 
-/// Where a frame lies.
+/// The placement of a frame in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct FramePlace {
     pub(crate) up: UpAxis,
-    /// The point that positions are relative to, along the axes of the particles.
+    /// The point that positions are relative to, in the axes of the particles.
     pub(crate) origin: [f64; 3],
-    /// What quantized positions are multiplied by.
+    /// The scale of quantized positions.
     pub(crate) scale: f64,
 }
 
 impl FrameFile {
-    /// Reads the document of a frame, and checks that the file is a whole one of this program's.
+    /// Reads the document of a frame, and checks that the file is complete and was written by this program.
     ///
     /// # Errors
     ///
-    /// [`Error::Io`] if reading fails; [`Error::Short`] for a file that lost its end; [`Error::Unsupported`] for a file of
-    /// another program, or one that is a shot itself; [`Error::Invalid`] for a damaged one.
+    /// [`Error::Io`] if reading fails; [`Error::Short`] if the file is truncated; [`Error::Unsupported`] if
+    /// another program wrote the file, or if it is already a sequence; [`Error::Invalid`] if it is damaged.
     pub fn read(file: &mut (impl Read + Seek)) -> Result<FrameFile> {
         let file_bytes = file.seek(SeekFrom::End(0))?;
         file.seek(SeekFrom::Start(0))?;
@@ -62,14 +62,14 @@ impl FrameFile {
             return Err(Error::unsupported("", NO_GLB));
         }
         if head_bytes < head.len() {
-            return Err(Error::short(FORMAT, Place::File, "no GLB header"));
+            return Err(Error::short(FORMAT, Place::File, "expected a GLB header"));
         }
         let word = |at: usize| u32::from_le_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]);
         if head[16..] != CHUNK_JSON {
-            return Err(Error::invalid(FORMAT, Place::Offset(0), "no GLB header"));
+            return Err(Error::invalid(FORMAT, Place::Offset(0), "expected a GLB header"));
         }
         if u64::from(word(8)) != file_bytes {
-            let what = format!("{file_bytes} bytes, and the header says {}", word(8));
+            let what = format!("the file has {file_bytes} bytes, but its header declares {}", word(8));
             return Err(Error::short(FORMAT, Place::File, what));
         }
         let json_bytes = u64::from(word(12));
@@ -83,7 +83,7 @@ impl FrameFile {
             0 => (file_bytes, 0),
             _ => {
                 let mut head = [0; 8];
-                file.read_exact(&mut head).map_err(|_| invalid("a chunk without a head"))?;
+                file.read_exact(&mut head).map_err(|_| invalid("the header of a chunk is missing"))?;
                 let [a, b, c, d, kind @ ..] = head;
                 let (at, length) = (HEAD_BYTES + json_bytes + 8, u64::from(u32::from_le_bytes([a, b, c, d])));
                 if kind != CHUNK_BIN || at + length != file_bytes {
@@ -104,41 +104,41 @@ impl FrameFile {
             return Err(Error::unsupported(FORMAT, NOT_OURS));
         }
         if count("animations") > 0 || count("nodes") > 1 || count("meshes") > 1 {
-            return Err(Error::unsupported(FORMAT, "this is a shot already, not a frame of one"));
+            return Err(Error::unsupported(FORMAT, "this file is already a sequence, not a single frame"));
         }
         if self.has_mesh() {
             self.place()?;
             self.triangle_count()?;
-            let position = self.column("POSITION")?.ok_or_else(|| invalid("a mesh without positions"))?;
-            let normal = self.column("NORMAL")?.ok_or_else(|| invalid("a mesh without normals"))?;
+            let position = self.column("POSITION")?.ok_or_else(|| invalid("the mesh has no positions"))?;
+            let normal = self.column("NORMAL")?.ok_or_else(|| invalid("the mesh has no normals"))?;
             if (position.arity, normal.arity) != (3, 3) || position.count != normal.count {
-                return Err(invalid("positions and normals that do not fit"));
+                return Err(invalid("the positions and normals do not match"));
             }
             let names = self.attributes()?.keys();
             for name in names {
                 if self.column(name)?.is_some_and(|column| column.count != position.count) {
-                    return Err(invalid(format!("positions and {name} that do not fit")));
+                    return Err(invalid(format!("the positions and {name} do not match")));
                 }
             }
         }
         Ok(())
     }
 
-    /// Whether there is anything to see.
+    /// Whether the frame has a mesh.
     pub fn has_mesh(&self) -> bool {
         self.document["meshes"].as_array().is_some_and(|meshes| !meshes.is_empty())
     }
 
-    /// How many vertices there are.
+    /// The number of vertices.
     pub fn vertex_count(&self) -> usize {
         self.column("POSITION").ok().flatten().map_or(0, |column| column.count)
     }
 
-    /// How many triangles there are.
+    /// The number of triangles.
     ///
     /// # Errors
     ///
-    /// [`Error::Invalid`] for a damaged document.
+    /// [`Error::Invalid`] if the document is damaged.
     pub fn triangle_count(&self) -> Result<usize> {
         if !self.has_mesh() {
             return Ok(0);
@@ -148,16 +148,16 @@ impl FrameFile {
 
     pub(crate) fn attributes(&self) -> Result<&Map<String, Value>> {
         let attributes = self.document["meshes"][0]["primitives"][0]["attributes"].as_object();
-        attributes.ok_or_else(|| invalid("a mesh without attributes"))
+        attributes.ok_or_else(|| invalid("the mesh has no attributes"))
     }
 
-    /// Names of attributes whose values are indices into strings.
-    pub(crate) fn is_of_strings(&self, semantic: &str) -> bool {
+    /// Whether the values of this attribute are indices into strings.
+    pub(crate) fn has_string_indices(&self, semantic: &str) -> bool {
         !self.document["meshes"][0]["extras"]["strings"][semantic].is_null()
     }
 
-    /// The numbers of this name, if the vertices have such.
-    pub(crate) fn column(&self, semantic: &str) -> Result<Option<Column>> {
+    /// The numbers of the named attribute, if the vertices have it.
+    pub(crate) fn column(&self, semantic: &str) -> Result<Option<VertexColumn>> {
         if !self.has_mesh() {
             return Ok(None);
         }
@@ -165,12 +165,12 @@ impl FrameFile {
         self.accessor(index).map(Some)
     }
 
-    fn indices(&self) -> Result<Column> {
+    fn indices(&self) -> Result<VertexColumn> {
         self.accessor(&self.document["meshes"][0]["primitives"][0]["indices"])
     }
 
-    fn accessor(&self, index: &Value) -> Result<Column> {
-        let missing = || invalid(format!("the accessor {index} is not as it is written"));
+    fn accessor(&self, index: &Value) -> Result<VertexColumn> {
+        let missing = || invalid(format!("the accessor {index} is not one that this program writes"));
         let at = |array: &'static str, index: &Value| {
             let index = usize::try_from(index.as_u64()?).ok()?;
             self.document[array].as_array()?.get(index)
@@ -197,10 +197,10 @@ impl FrameFile {
         if !is_there || needed > length || stride_bytes < arity * number_bytes {
             return Err(invalid(format!("the accessor {index} exceeds the data")));
         }
-        Ok(Column { component, arity, count, start: self.bin_at + offset, stride_bytes })
+        Ok(VertexColumn { component, arity, count, start: self.bin_at + offset, stride_bytes })
     }
 
-    /// Where the frame lies.
+    /// The placement of the frame.
     pub(crate) fn place(&self) -> Result<FramePlace> {
         let node = &self.document["nodes"][0];
         let vector =
@@ -208,12 +208,12 @@ impl FrameFile {
         let up = match vector("rotation").as_deref() {
             None => UpAxis::Y,
             Some([x, y, z, w]) if *y == 0.0 && *z == 0.0 && *w > 0.0 && (x + w).abs() < 1e-9 => UpAxis::Z,
-            Some(_) => return Err(invalid("a node that is turned in another way than for its axis up")),
+            Some(_) => return Err(invalid("the node has a rotation that does not belong to its up axis")),
         };
         let translation = vector("translation").unwrap_or_else(|| vec![0.0; 3]);
         let scale = vector("scale").unwrap_or_else(|| vec![1.0; 3]);
         let (&[x, y, z], &[scale, ..]) = (&*translation, &*scale) else {
-            return Err(invalid("a node that is not as it is written"));
+            return Err(invalid("the node is not one that this program writes"));
         };
         let origin = match up {
             UpAxis::Y => [x, y, z],
@@ -222,7 +222,7 @@ impl FrameFile {
         Ok(FramePlace { up, origin, scale })
     }
 
-    /// Least and greatest position, integers as 0 to 1; nothing of a frame without a mesh.
+    /// The smallest and largest position, with integers scaled to 0 to 1; zeros for a frame without a mesh.
     pub(crate) fn bounds(&self) -> Result<[[f64; 3]; 2]> {
         let Some(column) = self.column("POSITION")? else { return Ok([[0.0; 3]; 2]) };
         let greatest = if column.component == component::F32 { 1.0 } else { f64::from(u16::MAX) };
@@ -233,13 +233,13 @@ impl FrameFile {
             Some(<[f64; 3]>::try_from(numbers?).ok()?.map(|number| number / greatest))
         };
         let corners = corner("min").zip(corner("max"));
-        corners.map(|(min, max)| [min, max]).ok_or_else(|| invalid("positions without their bounds"))
+        corners.map(|(min, max)| [min, max]).ok_or_else(|| invalid("the positions have no bounds"))
     }
 
-    /// Reads numbers of the vertices; integers that stand for −1 ..= 1 are converted, and then multiplied by `scale`.
+    /// Reads vertex data. Converts normalized integers to −1 ..= 1 and multiplies them by `scale`.
     pub(crate) fn read_column(
         &self,
-        column: &Column,
+        column: &VertexColumn,
         scale: f64,
         file: &mut (impl Read + Seek),
     ) -> Result<Vec<f32>> {
@@ -264,11 +264,11 @@ impl FrameFile {
                 .flat_map(|record| record[..2 * column.arity].as_chunks::<2>().0)
                 .map(|bytes| real(f64::from(u16::from_le_bytes(*bytes))))
                 .collect(),
-            _ => return Err(invalid("vertices with 32-bit integers")),
+            _ => return Err(invalid("the vertices have 32-bit integers, which are not supported")),
         })
     }
 
-    /// Reads the triangles, whose corners are vertices.
+    /// Reads the triangles and checks their indices.
     pub(crate) fn read_triangles(&self, file: &mut (impl Read + Seek)) -> Result<Vec<[u32; 3]>> {
         let column = self.indices()?;
         let bytes = self.bytes_of(&column, file)?;
@@ -279,32 +279,36 @@ impl FrameFile {
             (component::U32, 4) => {
                 bytes.as_chunks().0.iter().map(|bytes| u32::from_le_bytes(*bytes)).collect()
             }
-            _ => return Err(invalid("indices of another type than are written")),
+            _ => return Err(invalid("the indices have an unexpected type")),
         };
         let vertex_count = self.vertex_count();
         if let Some(index) = indices.iter().find(|&&index| index as usize >= vertex_count) {
-            return Err(invalid(format!("the vertex {index} of {vertex_count}")));
+            return Err(invalid(format!(
+                "a triangle has vertex index {index}, but the mesh has {vertex_count} vertices"
+            )));
         }
         Ok(indices.as_chunks::<3>().0.to_vec())
     }
 
-    fn bytes_of(&self, column: &Column, file: &mut (impl Read + Seek)) -> Result<Vec<u8>> {
-        let byte_count = column.count as u64 * column.stride_bytes as u64; // compared with the file
+    fn bytes_of(&self, column: &VertexColumn, file: &mut (impl Read + Seek)) -> Result<Vec<u8>> {
+        let byte_count = column.count as u64 * column.stride_bytes as u64; // checked against the file size
         let mut bytes = Vec::new();
         file.seek(SeekFrom::Start(column.start))?;
         file.take(byte_count).read_to_end(&mut bytes)?;
         match bytes.len() as u64 == byte_count {
             true => Ok(bytes),
-            false => Err(Error::short(FORMAT, Place::File, "the file was cut while it was read")),
+            false => {
+                Err(Error::short(FORMAT, Place::File, "the file became shorter while it was being read"))
+            }
         }
     }
 }
 
 const HEAD_BYTES: u64 = 20;
 
-const NO_GLB: &str = "this is no .glb: a shot is gathered from the .glb files of its frames";
+const NO_GLB: &str = "this is not a .glb: use the .glb files of the frames";
 
-const NOT_OURS: &str = "this is no frame that this program wrote: give the .glb files of its frames";
+const NOT_OURS: &str = "this .glb was not written by meniscus: use the .glb files of the frames";
 
-/// What vectors of one to four components are called.
+/// The names of vectors with one to four components.
 const TYPES: [&str; 4] = ["SCALAR", "VEC2", "VEC3", "VEC4"];

@@ -1,13 +1,14 @@
-//! glTF 2.0: meshes out, as `.glb` or as `.gltf` with its buffer inside; meshes in.
+//! glTF 2.0: writes meshes as `.glb`, or as `.gltf` with an embedded buffer; reads meshes.
 //!
 //! ```text
 //!   .glb    header │ JSON chunk, padded with spaces │ BIN chunk: positions, normals, attributes, indices
 //!   .gltf   JSON with the same buffer as a base64 data URI
 //! ```
 //!
-//! A `.gltf` beside a `.bin` would be two files, and two files cannot appear at once; hence the
-//! data URI, a third larger. The document that is written is a handful of structs given to serde_json: what is
-//! written can be read off them, and node translations keep their 64 bits, in which far-off scenes stay exact.
+//! A `.gltf` with a separate `.bin` would be two files, and two files cannot be replaced atomically. Hence
+//! the data URI, which is a third larger. The written document is a few structs serialised by serde_json:
+//! they show exactly what is written, and node translations keep 64 bits, so that scenes far from the origin
+//! stay exact.
 //!
 //! This work is based on:
 //! The Khronos 3D Formats Working Group. glTF 2.0 Specification. 2021
@@ -43,9 +44,9 @@ pub use sequence::{SHOT_FRAMES, ShotFrame, ShotInfo, read_shot_info, write_seque
 pub use vertex_data::attribute_notes;
 pub use write::{write_glb, write_gltf};
 
-pub(crate) use frame_file::{Column, FramePlace};
+pub(crate) use frame_file::{FramePlace, VertexColumn};
 
-use read_provenance::{glb_bytes_claimed, json_of_glb_head, read_provenance};
+use read_provenance::{glb_bytes_declared, json_of_glb_head, read_provenance};
 
 /// The format's name in errors.
 const FORMAT: &str = "glTF";
@@ -55,7 +56,7 @@ const GLB_VERSION: u32 = 2;
 const CHUNK_JSON: [u8; 4] = *b"JSON";
 const CHUNK_BIN: [u8; 4] = *b"BIN\0";
 
-/// The codes of component types that are written.
+/// The codes of the component types that the writer uses.
 mod component {
     pub(super) const I8: u32 = 5120;
     pub(super) const U16: u32 = 5123;
@@ -63,7 +64,7 @@ mod component {
     pub(super) const F32: u32 = 5126;
 }
 
-/// What the table of formats says of the binary form.
+/// The row of the binary form in the table of formats.
 pub(crate) static GLB: OutputRow = OutputRow {
     format: FormatRow {
         signatures: &[b"glTF"],
@@ -82,10 +83,10 @@ pub(crate) static GLB: OutputRow = OutputRow {
     has_attributes: true,
     options: &[WriteOption::Up, WriteOption::Quantize],
     read_provenance: |head| read_provenance(json_of_glb_head(head)?),
-    integrity: Integrity::Length(|head, _| glb_bytes_claimed(head)),
+    integrity: Integrity::Length(|head, _| glb_bytes_declared(head)),
 };
 
-/// What the table of formats says of the text.
+/// The row of the text form in the table of formats.
 pub(crate) static GLTF: OutputRow = OutputRow {
     format: FormatRow { read_mesh: Some(read_mesh_with), ..FormatRow::new(FORMAT, &["gltf"]) },
     help: "Text glTF",
@@ -106,17 +107,17 @@ static QUANTIZED: Rounding = Rounding {
     positions: |positions, _| quantized_positions(positions),
     error: |positions, _| quantization_error(positions),
     certified_as: "mesh, at its 16-bit positions",
-    reason: "the quantized .glb: the frame is wide for its 65536 steps",
+    reason: "the quantized .glb: the frame is too wide for 65536 steps",
 };
 
-/// A shot has a mesh for each of its frames, and which one is wanted is unknown.
-fn read_one_mesh(bytes: &[u8], limits: &Limits, beside: &Beside) -> Result<MeshData> {
+/// Rejects sequences: they have a mesh per frame, and which one to use is unknown.
+fn read_one_mesh(bytes: &[u8], limits: &Limits, read_external: &Beside) -> Result<MeshData> {
     if let Some(shot) = read_shot_info(bytes)? {
         let what = format!(
-            "this is a shot of {} frames, and one mesh is needed: give the .glb of a frame, or of each as in body.####.glb",
+            "this file is a sequence of {} frames, and a single mesh is needed: use the .glb of one frame, or of each frame, as in body.####.glb",
             shot.frames
         );
         return Err(Error::unsupported(GLB.format.name, what));
     }
-    read_mesh_with(bytes, limits, beside)
+    read_mesh_with(bytes, limits, read_external)
 }

@@ -1,36 +1,36 @@
-//! Meshes in small integers, by the extension KHR_mesh_quantization.
+//! Meshes with small integers, using the extension KHR_mesh_quantization.
 //!
 //! ```text
 //!   position   3 × u16, 2 bytes of padding     low + size · q / 65535: low is in the node's translation, size is its scale
 //!   normal     3 × i8, 1 byte of padding       q / 127
 //! ```
 //!
-//! Half the bytes of a vertex. All axes have one step, a 65535th of the largest extent: so normals need no correction for
-//! a scale that differs from axis to axis. A position is off by half a step along each axis, at most. What else is known
-//! of the vertices is left as it is.
+//! This halves the size of a vertex. All axes have the same step, 1/65535 of the largest extent, so normals
+//! need no correction for nonuniform scale. The error of a position is at most half a step along each axis.
+//! Other vertex attributes are not quantized.
 
 use std::io::Write;
 
 use crate::error::Result;
 use crate::le_bytes::write_pieces;
 
-/// The extension's name.
+/// The name of the extension.
 pub(super) const EXTENSION: &str = "KHR_mesh_quantization";
 
-/// The greatest integer that a coordinate becomes.
+/// The largest integer of a quantized coordinate.
 const STEPS: f64 = u16::MAX as f64;
 
-/// The cube that positions are in.
+/// The cube that contains the positions.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cube {
-    /// Its least corner.
+    /// Its minimum corner.
     pub(super) low: [f32; 3],
-    /// The length of its edges: positive.
+    /// The positive length of its edges.
     pub(super) size: f32,
 }
 
 impl Cube {
-    /// The smallest one around these positions, which are finite.
+    /// The smallest cube around these finite positions.
     pub(super) fn around(positions: &[[f32; 3]]) -> Cube {
         let Some(&first) = positions.first() else { return Cube { low: [0.0; 3], size: 1.0 } };
         let (mut low, mut high) = (first, first);
@@ -44,11 +44,11 @@ impl Cube {
         let largest = (0..3).map(extent).fold(0.0, f64::max);
         #[expect(
             clippy::cast_possible_truncation,
-            reason = "rounded up below, where it is rounded down here"
+            reason = "where this rounds down, the code below rounds up"
         )]
         let size = largest as f32;
         let size = if f64::from(size) < largest { size.next_up() } else { size };
-        // A point has no extent, and a scale of zero no inverse.
+        // A single point has no extent, and a scale of zero is not invertible.
         Cube { low, size: if size > 0.0 { size } else { 1.0 } }
     }
 
@@ -69,7 +69,7 @@ impl Cube {
         write_pieces(positions, to_bytes, out)
     }
 
-    /// Least and greatest integer of each axis.
+    /// The smallest and largest integer of each axis.
     pub(super) fn bounds(&self, [low, high]: [[f32; 3]; 2]) -> [[u16; 3]; 2] {
         [self.quantized(low), self.quantized(high)]
     }
@@ -84,14 +84,17 @@ pub(super) fn write_normals(normals: &[[f32; 3]], out: &mut impl Write) -> Resul
     write_pieces(normals, to_bytes, out)
 }
 
-/// The positions that a reader gets of a mesh that is quantized, relative to the mesh's origin.
+/// The positions that a reader gets for a quantized mesh, relative to the mesh's origin.
 pub fn quantized_positions(positions: &[[f32; 3]]) -> Vec<[f32; 3]> {
     let cube = Cube::around(positions);
     let read = |&position: &[f32; 3]| {
         let steps = cube.quantized(position);
         std::array::from_fn(|axis| {
             let part = f64::from(steps[axis]) / STEPS;
-            #[expect(clippy::cast_possible_truncation, reason = "as positions are that are not quantized")]
+            #[expect(
+                clippy::cast_possible_truncation,
+                reason = "unquantized positions have the same precision"
+            )]
             let position = (f64::from(cube.low[axis]) + f64::from(cube.size) * part) as f32;
             position
         })
@@ -99,7 +102,7 @@ pub fn quantized_positions(positions: &[[f32; 3]]) -> Vec<[f32; 3]> {
     positions.iter().map(read).collect()
 }
 
-/// How far a position of a mesh is moved along an axis by being quantized, at most, in world units.
+/// The largest quantization error of a position along an axis, in world units.
 pub fn quantization_error(positions: &[[f32; 3]]) -> f64 {
     f64::from(Cube::around(positions).size) / STEPS / 2.0
 }

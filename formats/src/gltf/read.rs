@@ -1,10 +1,10 @@
 //! Reads the triangles of a glTF file, as placed by its default scene.
 //!
-//! The crate gltf knows the document: scenes, nodes, meshes, accessors, and whether each refers to something that
-//! is there. What it does not do is done here: the bytes of the file, and the places of nodes, of which it keeps 32
-//! bits; a scene far from the origin needs 64.
+//! The crate gltf parses the document: scenes, nodes, meshes, accessors, and whether their references are
+//! valid. This module adds the bytes of the file, and the transforms of nodes in 64 bits: the crate keeps
+//! only 32, too few for a scene far from the origin.
 //!
-//! Materials, skins, morphs and animations are not looked at. Quantized meshes are read.
+//! Materials, skins, morphs and animations are ignored. Quantized meshes are supported.
 
 use std::rc::Rc;
 
@@ -23,29 +23,28 @@ use crate::data::MeshData;
 use crate::error::{Error, Place, Result};
 use crate::limits::Limits;
 
-/// Reads all triangles of the default scene (or of the first, or of all meshes if there is no scene)
-/// as one mesh in world space. Normals are kept if every part has them.
+/// Reads all triangles of the default scene (or of the first scene, or of all meshes if there is no scene) as
+/// one mesh in world space. Normals are kept if every part has them.
 ///
 /// # Errors
 ///
-/// [`Error::Invalid`] for a damaged file; [`Error::Unsupported`] for buffers outside the file,
-/// and extensions that the file requires, such as compression; [`Error::TooLarge`]
-/// if instances of meshes multiply beyond `limits`.
+/// [`Error::Invalid`] for a damaged file; [`Error::Unsupported`] for buffers outside the file and for
+/// required extensions such as compression; [`Error::TooLarge`] if instances multiply meshes beyond `limits`.
 pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     read(bytes, limits, None)
 }
 
-/// The same of a file whose buffers may be files beside it.
+/// Like [`read_mesh`], but also reads external buffers.
 ///
 /// # Errors
 ///
-/// As [`read_mesh`]; [`Error::Io`] if a buffer cannot be had.
-pub fn read_mesh_with(bytes: &[u8], limits: &Limits, beside: &Beside) -> Result<MeshData> {
-    read(bytes, limits, Some(beside))
+/// Those of [`read_mesh`]; [`Error::Io`] if a buffer cannot be read.
+pub fn read_mesh_with(bytes: &[u8], limits: &Limits, read_external: &Beside) -> Result<MeshData> {
+    read(bytes, limits, Some(read_external))
 }
 
-fn read(bytes: &[u8], limits: &Limits, beside: Option<&Beside>) -> Result<MeshData> {
-    let Opened { document, places, buffers, budget } = open(bytes, limits, beside)?;
+fn read(bytes: &[u8], limits: &Limits, read_external: Option<&Beside>) -> Result<MeshData> {
+    let OpenDocument { document, places, buffers, budget } = open(bytes, limits, read_external)?;
     let mut collector = Collector { buffers, budget, mesh: MeshData::default(), has_normals: true };
     for (mesh, placement) in placed_meshes(&document, &places)? {
         for primitive in mesh.primitives() {
@@ -55,47 +54,50 @@ fn read(bytes: &[u8], limits: &Limits, beside: Option<&Beside>) -> Result<MeshDa
     Ok(collector.finish())
 }
 
-/// A document, and the bytes that it speaks of.
-pub(super) struct Opened {
+/// A document and its buffers.
+pub(super) struct OpenDocument {
     pub(super) document: Document,
-    places: Places,
+    places: NodeTransforms,
     pub(super) buffers: Buffers,
-    /// Memory that may be taken for what is in it, in bytes.
+    /// Remaining memory for the content, in bytes.
     pub(super) budget: u64,
 }
 
-pub(super) fn open(bytes: &[u8], limits: &Limits, beside: Option<&Beside>) -> Result<Opened> {
+pub(super) fn open(bytes: &[u8], limits: &Limits, read_external: Option<&Beside>) -> Result<OpenDocument> {
     let (json, bin) = chunks(bytes)?;
     let document = document(json)?;
-    let places: Places = parse(json)?;
-    let mut files = ReadBeside::new(beside);
+    let places: NodeTransforms = parse(json)?;
+    let mut files = ReadBeside::new(read_external);
     let buffers = document.buffers().map(|buffer| match buffer.source() {
         Source::Bin => bin
             .filter(|_| buffer.index() == 0)
             .map(|bin| Rc::new(bin.to_vec()))
-            .ok_or_else(|| invalid("a buffer without data")),
+            .ok_or_else(|| invalid("a buffer has no data")),
         Source::Uri(uri) if is_data(uri) => embedded(uri).map(Rc::new),
         Source::Uri(uri) => files.bytes(uri),
     });
     let buffers = Buffers { bytes: buffers.collect::<Result<_>>()? };
     let budget = limits.decompressed_bytes_of((bytes.len() as u64).saturating_add(files.size_bytes));
-    Ok(Opened { document, places, buffers, budget })
+    Ok(OpenDocument { document, places, buffers, budget })
 }
 
-/// Parses the document and checks that whatever it refers to is there.
+/// Parses the document and checks that all references are valid.
 pub(super) fn document(json: &[u8]) -> Result<Document> {
     let root: json::Root = parse(json).or_else(|error| with_nodes_in_scenes(json).ok_or(error))?;
     if let Some(extension) = root.extensions_required.iter().find(|name| *name != "KHR_mesh_quantization") {
-        return Err(Error::unsupported(FORMAT, format!("the extension {extension}; export without it")));
+        return Err(Error::unsupported(
+            FORMAT,
+            format!("the file requires the extension {extension}: export without it"),
+        ));
     }
-    // The crate would go on from such an index while it checks.
+    // Checked first, because the crate's validation goes on to use such an index.
     let attributes = root.meshes.iter().flat_map(|mesh| &mesh.primitives).flat_map(|part| &part.attributes);
     if let Some((_, index)) = attributes.into_iter().find(|(_, index)| root.get(**index).is_none()) {
-        return Err(invalid(format!("no accessor {}", index.value())));
+        return Err(invalid(format!("there is no accessor {}", index.value())));
     }
     let mut wrong = None;
     validation::Validate::validate(&root, &root, json::Path::new, &mut |path, error| {
-        // What is missing, such as the bounds of positions, is not needed here.
+        // Missing items, such as the bounds of positions, are not needed here.
         if !matches!(error, validation::Error::Missing | validation::Error::Unsupported) && wrong.is_none() {
             wrong = Some(format!("{}: {error}", path()));
         }
@@ -106,7 +108,7 @@ pub(super) fn document(json: &[u8]) -> Result<Document> {
     }
 }
 
-/// The document of a file with a scene that names no nodes: an empty one, which the crate does not know.
+/// Adds an empty node list to scenes without one, which are valid but which the crate rejects.
 fn with_nodes_in_scenes(json: &[u8]) -> Option<json::Root> {
     let mut document: serde_json::Value = serde_json::from_slice(json).ok()?;
     for scene in document.get_mut("scenes")?.as_array_mut()? {
@@ -120,51 +122,54 @@ pub(super) fn parse<'a, T: Deserialize<'a>>(json: &'a [u8]) -> Result<T> {
         .map_err(|error| Error::invalid(FORMAT, Place::Line(error.line() as u64), error.to_string()))
 }
 
-/// The bytes in a URI.
+/// The bytes in a data URI.
 fn embedded(uri: &str) -> Result<Vec<u8>> {
-    let (_, base64) = uri.split_once(";base64,").ok_or_else(|| invalid("a data URI that is not base64"))?;
-    STANDARD.decode(base64).map_err(|error| invalid(format!("a data URI: {error}")))
+    let (_, base64) = uri.split_once(";base64,").ok_or_else(|| invalid("a data URI is not base64"))?;
+    STANDARD.decode(base64).map_err(|error| invalid(format!("a data URI is invalid: {error}")))
 }
 
-/// The JSON and, if there is one, the binary chunk.
+/// The JSON chunk and, if present, the binary chunk.
 pub(super) fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>)> {
     let error = |offset: u64, what: &str| Err(Error::invalid(FORMAT, Place::Offset(offset), what));
     if !bytes.starts_with(&GLB_MAGIC) {
         return Ok((bytes, None));
     }
     let Some((header, _)) = bytes.split_first_chunk::<12>() else {
-        return error(0, "a GLB header that ends too soon");
+        return error(0, "the GLB header is truncated");
     };
     let number = |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
     if number(4) != GLB_VERSION {
-        return Err(Error::unsupported(FORMAT, format!("GLB version {}; 2 is read", number(4))));
+        return Err(Error::unsupported(
+            FORMAT,
+            format!("the GLB version is {}; only 2 is supported", number(4)),
+        ));
     }
     let Some(bytes) = bytes.get(..number(8) as usize) else {
-        return error(8, "a file shorter than its GLB header says");
+        return error(8, "the file is shorter than its GLB header declares");
     };
     let (mut json, mut bin, mut at) = (None, None, 12);
     while let Some(([a, b, c, d, kind @ ..], rest)) = bytes.get(at..).and_then(|b| b.split_first_chunk::<8>())
     {
         let length = u32::from_le_bytes([*a, *b, *c, *d]) as usize;
         let Some(chunk) = rest.get(..length) else {
-            return error(at as u64, "a GLB chunk that ends after the file");
+            return error(at as u64, "a GLB chunk extends beyond the end of the file");
         };
         match *kind {
             CHUNK_JSON if json.is_none() => json = Some(chunk),
             CHUNK_BIN if bin.is_none() => bin = Some(chunk),
-            _ => {} // readers must skip chunks that they do not know
+            _ => {} // readers must skip unknown chunks
         }
         at += 8 + length;
     }
     match json {
         Some(json) => Ok((json, bin)),
-        None => error(12, "a GLB file without a JSON chunk"),
+        None => error(12, "the GLB file has no JSON chunk"),
     }
 }
 
-/// Where the nodes are.
+/// The transforms of the nodes.
 #[derive(Deserialize)]
-pub(super) struct Places {
+pub(super) struct NodeTransforms {
     #[serde(default)]
     nodes: Vec<Node>,
 }
@@ -177,29 +182,32 @@ struct Node {
     scale: Option<[f64; 3]>,
 }
 
-/// Every use of a mesh by the scene, with its place in the world.
-fn placed_meshes<'a>(document: &'a Document, places: &Places) -> Result<Vec<(::gltf::Mesh<'a>, Placement)>> {
+/// Every use of a mesh in the scene, with its world transform.
+fn placed_meshes<'a>(
+    document: &'a Document,
+    places: &NodeTransforms,
+) -> Result<Vec<(::gltf::Mesh<'a>, NodeTransform)>> {
     let Some(scene) = document.default_scene().or_else(|| document.scenes().next()) else {
-        return Ok(document.meshes().map(|mesh| (mesh, Placement::IDENTITY)).collect());
+        return Ok(document.meshes().map(|mesh| (mesh, NodeTransform::IDENTITY)).collect());
     };
     placed(&scene, places, |node| node.mesh())
 }
 
-/// What `pick` finds at the nodes of a scene, with its place in the world.
+/// Everything that `pick` returns for the nodes of a scene, with its world transform.
 pub(super) fn placed<'a, T>(
     scene: &::gltf::Scene<'a>,
-    places: &Places,
+    places: &NodeTransforms,
     pick: impl Fn(&::gltf::Node<'a>) -> Option<T>,
-) -> Result<Vec<(T, Placement)>> {
+) -> Result<Vec<(T, NodeTransform)>> {
     let mut placed = Vec::new();
     let mut visited = vec![false; places.nodes.len()];
-    let mut pending: Vec<(::gltf::Node<'a>, Placement)> =
-        scene.nodes().map(|node| (node, Placement::IDENTITY)).collect();
+    let mut pending: Vec<(::gltf::Node<'a>, NodeTransform)> =
+        scene.nodes().map(|node| (node, NodeTransform::IDENTITY)).collect();
     pending.reverse();
     while let Some((node, parent)) = pending.pop() {
         let index = node.index();
         let (Some(place), Some(visited)) = (places.nodes.get(index), visited.get_mut(index)) else {
-            return Err(invalid(format!("no node {index}")));
+            return Err(invalid(format!("there is no node {index}")));
         };
         if std::mem::replace(visited, true) {
             return Err(invalid(format!("node {index} has two parents")));
@@ -213,16 +221,16 @@ pub(super) fn placed<'a, T>(
     Ok(placed)
 }
 
-/// An affine map: columns of the linear part, and the translation.
+/// An affine transform: the columns of the linear part, and the translation.
 #[derive(Clone, Copy)]
-pub(super) struct Placement {
+pub(super) struct NodeTransform {
     pub(super) axes: [[f64; 3]; 3],
     pub(super) translation: [f64; 3],
 }
 
-impl Placement {
-    const IDENTITY: Placement =
-        Placement { axes: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], translation: [0.0; 3] };
+impl NodeTransform {
+    const IDENTITY: NodeTransform =
+        NodeTransform { axes: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], translation: [0.0; 3] };
 
     fn vector(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|row| self.axes[0][row] * x + self.axes[1][row] * y + self.axes[2][row] * z)
@@ -233,18 +241,20 @@ impl Placement {
         std::array::from_fn(|row| vector[row] + self.translation[row])
     }
 
-    /// A normal keeps at right angles to its surface: the cofactors of the linear part move it.
+    /// Transforms a normal by the cofactors of the linear part, so that it stays perpendicular to its
+    /// surface.
     fn normal(&self, normal: [f64; 3]) -> [f64; 3] {
         let [a, b, c] = self.axes;
-        let cofactors = Placement { axes: [cross(b, c), cross(c, a), cross(a, b)], translation: [0.0; 3] };
+        let cofactors =
+            NodeTransform { axes: [cross(b, c), cross(c, a), cross(a, b)], translation: [0.0; 3] };
         let [x, y, z] = cofactors.vector(normal);
         let length = (x * x + y * y + z * z).sqrt();
         if 0.0 < length { [x / length, y / length, z / length] } else { [x, y, z] }
     }
 
-    /// First `inner`, then this.
-    fn then_inner(&self, inner: &Placement) -> Placement {
-        Placement {
+    /// The transform that applies `inner` first, then this one.
+    fn then_inner(&self, inner: &NodeTransform) -> NodeTransform {
+        NodeTransform {
             axes: inner.axes.map(|axis| self.vector(axis)),
             translation: self.point(inner.translation),
         }
@@ -256,10 +266,10 @@ fn cross([ax, ay, az]: [f64; 3], [bx, by, bz]: [f64; 3]) -> [f64; 3] {
 }
 
 impl Node {
-    fn placement(&self) -> Placement {
+    fn placement(&self) -> NodeTransform {
         if let Some(m) = self.matrix {
             let column = |c: usize| [m[4 * c], m[4 * c + 1], m[4 * c + 2]];
-            return Placement { axes: [column(0), column(1), column(2)], translation: column(3) };
+            return NodeTransform { axes: [column(0), column(1), column(2)], translation: column(3) };
         }
         let [x, y, z, w] = self.rotation.unwrap_or([0.0, 0.0, 0.0, 1.0]);
         let scale = self.scale.unwrap_or([1.0; 3]);
@@ -269,7 +279,7 @@ impl Node {
             [2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x * x + y * y)],
         ];
         let axes = std::array::from_fn(|axis| rotation[axis].map(|c| c * scale[axis]));
-        Placement { axes, translation: self.translation.unwrap_or([0.0; 3]) }
+        NodeTransform { axes, translation: self.translation.unwrap_or([0.0; 3]) }
     }
 }
 
@@ -281,14 +291,15 @@ struct Collector {
 }
 
 impl Collector {
-    fn add(&mut self, primitive: &Primitive, placement: &Placement) -> Result<()> {
+    fn add(&mut self, primitive: &Primitive, placement: &NodeTransform) -> Result<()> {
         let Some(positions) = primitive.get(&Semantic::Positions) else { return Ok(()) };
         if matches!(primitive.mode(), Mode::Points | Mode::Lines | Mode::LineLoop | Mode::LineStrip) {
             return Ok(());
         }
         let index_count = primitive.indices().map_or(positions.count(), |indices| indices.count());
         self.spend(positions.count(), index_count)?;
-        let vertex_count = u32::try_from(positions.count()).map_err(|_| invalid("2³² vertices or more"))?;
+        let vertex_count =
+            u32::try_from(positions.count()).map_err(|_| invalid("a mesh has 2³² or more vertices"))?;
         let positions = self.buffers.vectors(&positions, &Semantic::Positions)?;
         let normals = primitive.get(&Semantic::Normals);
         let normals = normals.filter(|normals| normals.count() == positions.len());
@@ -299,11 +310,13 @@ impl Collector {
             Some(accessor) => self.buffers.indices(&accessor)?,
         };
         if let Some(index) = indices.iter().find(|index| **index >= vertex_count) {
-            return Err(invalid(format!("index {index} of {vertex_count} vertices")));
+            return Err(invalid(format!(
+                "a triangle has vertex index {index}, but the mesh has {vertex_count} vertices"
+            )));
         }
         let first = u32::try_from(self.mesh.positions.len()).ok();
         let Some(first) = first.filter(|first| first.checked_add(vertex_count).is_some()) else {
-            return Err(Error::too_large(FORMAT, "more than 2³² vertices in all"));
+            return Err(Error::too_large(FORMAT, "the meshes have more than 2³² vertices in total"));
         };
         self.mesh.positions.extend(positions.iter().map(|&position| placement.point(position)));
         let triangles = triangles(&indices, primitive.mode()).into_iter();
@@ -319,7 +332,7 @@ impl Collector {
         Ok(())
     }
 
-    /// Takes the memory of a part from the budget, before there is anything of it.
+    /// Reserves memory for a part in the budget before allocating it.
     fn spend(&mut self, vertex_count: usize, index_count: usize) -> Result<()> {
         let cost = (vertex_count as u64).checked_mul(36).zip((index_count as u64).checked_mul(12));
         let cost = cost.and_then(|(vertices, indices)| vertices.checked_add(indices));

@@ -1,23 +1,23 @@
-//! What a glTF file says of its vertices beside where they are and which way they face.
+//! Reads the vertex attributes of a glTF file, except positions and normals.
 
 use ::gltf::Semantic;
 
 use super::buffer::Buffers;
-use super::read::{Opened, open};
+use super::read::{OpenDocument, open};
 use crate::data::{Attribute, Role, Values};
 use crate::error::{Error, Result};
 use crate::limits::Limits;
 
 use super::FORMAT;
 
-/// Reads the attributes of all meshes, under their names in the file, without positions and normals. Parts whose
-/// attributes have one name and type make one of them. Integers are as they are stored.
+/// Reads the attributes of all meshes, with their names in the file, except positions and normals. Attributes
+/// with the same name and type in several parts are joined. Integers are not normalized.
 ///
 /// # Errors
 ///
-/// As [`super::read_mesh`].
+/// Those of [`super::read_mesh`].
 pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<Attribute>> {
-    let Opened { document, buffers, mut budget, .. } = open(bytes, limits, None)?;
+    let OpenDocument { document, buffers, mut budget, .. } = open(bytes, limits, None)?;
     let mut found: Vec<Attribute> = Vec::new();
     for (semantic, accessor) in document.meshes().flat_map(|mesh| {
         mesh.primitives().flat_map(|primitive| primitive.attributes().collect::<Vec<_>>()).collect::<Vec<_>>()
@@ -29,7 +29,7 @@ pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<Attribute>> 
         let bytes = (accessor.count() as u64).checked_mul(VALUE_BYTES * arity as u64);
         let left = bytes.and_then(|bytes| budget.checked_sub(bytes));
         budget =
-            left.ok_or_else(|| Error::too_large(FORMAT, "attributes take more memory than the limit"))?;
+            left.ok_or_else(|| Error::too_large(FORMAT, "the attributes take more memory than the limit"))?;
         let values = values_of(&buffers, &accessor)?;
         let name = semantic.to_string();
         let is_it = |other: &&mut Attribute| other.name == name && other.arity == arity;
@@ -42,10 +42,10 @@ pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<Attribute>> 
     Ok(found)
 }
 
-/// Matrices are no attributes of vertices.
+/// The largest supported arity: matrices are not vertex attributes.
 const ARITY_MAX: usize = 4;
 
-/// Memory for a value, in bytes, at most.
+/// Maximum memory per value, in bytes.
 const VALUE_BYTES: u64 = 8;
 
 fn role_of(name: &str, arity: usize) -> Option<Role> {

@@ -8,44 +8,45 @@ use super::FORMAT;
 use super::read::{chunks, document, parse, placed};
 use crate::error::{Error, Place, Result};
 
-/// A camera with perspective. Directions are not of length 1.
+/// A perspective camera. The directions are not normalized.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraData {
-    /// Where it is, world units.
+    /// Position, world units.
     pub eye: [f64; 3],
-    /// Where it looks.
+    /// Viewing direction.
     pub forward: [f64; 3],
-    /// What is up in its pictures.
+    /// Up direction of its pictures.
     pub up: [f64; 3],
-    /// The vertical angle of view, in radians.
+    /// Vertical field of view, in radians.
     pub view_radians: f64,
 }
 
-/// Reads the first camera of the default scene, or of the first.
+/// Reads the first camera of the default scene, or of the first scene.
 ///
 /// # Errors
 ///
-/// [`Error::Invalid`] for a damaged file; [`Error::Unsupported`] if there is no camera, or one without perspective.
+/// [`Error::Invalid`] for a damaged file; [`Error::Unsupported`] if there is no camera, or only an
+/// orthographic one.
 pub fn read_camera(bytes: &[u8]) -> Result<CameraData> {
     let (json, _) = chunks(bytes)?;
     let document = document(json)?;
     let places = parse(json)?;
     let Cameras { cameras: cameras_of } = parse(json)?;
     let Some(scene) = document.default_scene().or_else(|| document.scenes().next()) else {
-        return Err(Error::unsupported(FORMAT, "there is no scene, and so no camera: export one with it"));
+        return Err(Error::unsupported(
+            FORMAT,
+            "the file has no scene and no camera: export the scene with its camera",
+        ));
     };
     let cameras = placed(&scene, &places, |node| node.camera())?;
     let Some((camera, placement)) = cameras.first() else {
-        return Err(Error::unsupported(FORMAT, "there is no camera: export it with the scene"));
+        return Err(Error::unsupported(FORMAT, "the file has no camera: export it with the scene"));
     };
     if !cameras_of.iter().all(CameraEntry::has_its_kind) {
-        return Err(Error::invalid(FORMAT, Place::File, "a camera without the numbers of its kind"));
+        return Err(Error::invalid(FORMAT, Place::File, "a camera lacks the parameters of its type"));
     }
     let Projection::Perspective(perspective) = camera.projection() else {
-        return Err(Error::unsupported(
-            FORMAT,
-            "the camera is an orthographic one: take one with perspective",
-        ));
+        return Err(Error::unsupported(FORMAT, "the camera is orthographic: use a perspective camera"));
     };
     let [_, up, backward] = placement.axes;
     Ok(CameraData {
@@ -56,7 +57,7 @@ pub fn read_camera(bytes: &[u8]) -> Result<CameraData> {
     })
 }
 
-/// What the crate believes of cameras without having looked.
+/// The parts of cameras that the crate does not validate.
 #[derive(Deserialize)]
 struct Cameras {
     #[serde(default)]
@@ -94,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_is_where_its_nodes_put_it() {
+    fn camera_is_placed_by_its_nodes() {
         let text = scene(r#"{"type":"perspective","perspective":{"yfov":0.5,"znear":0.1}}"#);
         let camera = read_camera(text.as_bytes()).expect("a camera");
         assert_eq!((camera.eye, camera.view_radians), ([1.0, 2.0, 3.0], 0.5));
@@ -107,11 +108,11 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_camera_is_told() {
+    fn missing_and_invalid_cameras_are_errors() {
         let orthographic =
             scene(r#"{"type":"orthographic","orthographic":{"xmag":1,"ymag":1,"znear":0.1,"zfar":9}}"#);
         let none = r#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],"nodes":[{}]}"#;
-        // One kind is said, and the numbers are those of the other.
+        // The type of one kind, with the parameters of the other.
         let crossed = [
             scene(r#"{"type":"perspective","orthographic":{"xmag":1,"ymag":1,"znear":0.1,"zfar":9}}"#),
             scene(r#"{"type":"orthographic","perspective":{"yfov":0.5,"znear":0.1}}"#),
@@ -119,11 +120,11 @@ mod tests {
         ];
         for text in crossed {
             let error = read_camera(text.as_bytes()).expect_err(&text).to_string();
-            assert!(error.contains("without the numbers of its kind"), "{error}");
+            assert!(error.contains("lacks the parameters of its type"), "{error}");
         }
-        for (text, told) in [(&*orthographic, "orthographic"), (none, "no camera"), ("{}", "")] {
+        for (text, words) in [(&*orthographic, "orthographic"), (none, "no camera"), ("{}", "")] {
             let error = read_camera(text.as_bytes()).expect_err(text).to_string();
-            assert!(error.contains(told), "{error}");
+            assert!(error.contains(words), "{error}");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Finds what made a file in the head of a glTF document, without reading the rest.
+//! Reads the provenance in the head of a glTF document, without reading the rest.
 
 use std::fmt;
 
@@ -8,11 +8,11 @@ use serde::de::{DeserializeSeed, Deserializer, IgnoredAny, MapAccess, Visitor};
 use super::{CHUNK_JSON, FORMAT, GLB_MAGIC};
 use crate::error::{Error, Place, Result};
 
-/// The JSON chunk of a `.glb`, or as much of it as the head has.
+/// The JSON chunk of a `.glb`, or the part of it that the head contains.
 pub(crate) fn json_of_glb_head(head: &[u8]) -> Result<&[u8]> {
     const HEADER_BYTES: usize = 12;
     if !head.starts_with(&GLB_MAGIC) {
-        return Err(Error::invalid(FORMAT, Place::Offset(0), "no GLB header"));
+        return Err(Error::invalid(FORMAT, Place::Offset(0), "expected a GLB header"));
     }
     match head.get(HEADER_BYTES..).and_then(|chunk| chunk.split_first_chunk::<8>()) {
         Some(([a, b, c, d, kind @ ..], json)) if *kind == CHUNK_JSON => {
@@ -23,23 +23,23 @@ pub(crate) fn json_of_glb_head(head: &[u8]) -> Result<&[u8]> {
     }
 }
 
-/// How long the header of a `.glb` says that the file is; `None` if the header is cut off.
-pub(crate) fn glb_bytes_claimed(head: &[u8]) -> Result<Option<u64>> {
+/// The file size that the header of a `.glb` declares; `None` if the header is truncated.
+pub(crate) fn glb_bytes_declared(head: &[u8]) -> Result<Option<u64>> {
     const LENGTH_AT: usize = 8;
     if !head.starts_with(&GLB_MAGIC) {
-        return Err(Error::invalid(FORMAT, Place::Offset(0), "no GLB header"));
+        return Err(Error::invalid(FORMAT, Place::Offset(0), "expected a GLB header"));
     }
     let length = head.get(LENGTH_AT..).and_then(|rest| rest.first_chunk::<4>());
     Ok(length.map(|&length| u64::from(u32::from_le_bytes(length))))
 }
 
-/// What our writer put into `asset.extras`. `json` may be cut anywhere after that.
+/// The entries that our writer stores in `asset.extras`. `json` can be truncated anywhere after them.
 pub(crate) fn read_provenance(json: &[u8]) -> Result<Vec<(String, String)>> {
     let mut asset = None;
     let mut deserializer = serde_json::Deserializer::from_slice(json);
     let outcome = AssetOf(&mut asset).deserialize(&mut deserializer);
     match (asset, outcome) {
-        // The document was left at its `asset`, which the deserializer takes for an error.
+        // Parsing stops after `asset`, which the deserializer reports as an error.
         (Some(Asset { extras: Some(Extras::Ours { meniscus }) }), _) => Ok(meniscus.0),
         (Some(_), _) => Ok(Vec::new()),
         (None, Err(error)) if !error.is_eof() => {
@@ -62,7 +62,7 @@ enum Extras {
     Others(IgnoredAny),
 }
 
-/// Names and values in the order of the file.
+/// Names and values in file order.
 struct Entries(Vec<(String, String)>);
 
 impl<'de> Deserialize<'de> for Entries {
@@ -85,7 +85,7 @@ impl<'de> Deserialize<'de> for Entries {
     }
 }
 
-/// Reads a document up to its `asset` and leaves that in the option.
+/// Deserializes a document up to its `asset`, and stores that in the option.
 struct AssetOf<'a>(&'a mut Option<Asset>);
 
 impl<'de> DeserializeSeed<'de> for AssetOf<'_> {

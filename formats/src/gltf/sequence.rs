@@ -1,4 +1,4 @@
-//! A whole shot in one `.glb`: a node for each frame, and an animation that shows one after the other.
+//! Writes a sequence as a single `.glb`: a node per frame, and an animation that shows one after the other.
 //!
 //! ```text
 //!   node      scale          0   1.5  2.5  3.5           frames; STEP: each value holds until the next key
@@ -7,17 +7,19 @@
 //!   frame 3   0 → 1          0         1    1
 //! ```
 //!
-//! A program that shows whole frames, as Blender does, counts them from 1 and shows what is there at n / fps seconds. So
-//! that frame n of its scene shows frame n of the shot, frame n lasts from n − ½ to n + ½, and rounding cannot show a
-//! neighbour. The first frame also fills the time before it.
+//! A program that shows whole frames, as Blender does, counts them from 1 and evaluates the animation at n /
+//! fps seconds. For its frame n to show frame n of the sequence, frame n lasts from n − ½ to n + ½, so
+//! rounding cannot select a neighbour. The first frame also fills the time before it.
 //!
-//! What is scaled by zero is not seen. There are extensions for visibility, but Blender and three.js do not read them
-//! yet, and every program that plays glTF scales. At rest the first frame is shown.
+//! A node scaled to zero is invisible. There are extensions for visibility, but Blender and three.js do not
+//! read them yet, while every program that plays glTF supports scaling. Without animation, the first frame is
+//! shown.
 //!
-//! Frames are copied from their own files, byte for byte, one after the other; only the numbers by which a document refers to
-//! its parts change. So nothing is lost, nothing is computed, and no more than a buffer of data is in memory.
+//! The data of each frame is copied from its own file, byte for byte; only the indices by which a document
+//! refers to its parts change. So nothing is lost or computed, and only one copy buffer of data is in memory.
 //!
-//! What made a shot is recorded with how many [frames](SHOT_FRAMES) it has, which tells it from a mesh.
+//! The provenance of a sequence includes its [number of frames](SHOT_FRAMES), which distinguishes it from a
+//! single mesh.
 
 use std::io::{self, Read, Seek, SeekFrom, Write};
 
@@ -33,25 +35,25 @@ use crate::data::Provenance;
 use crate::error::{Error, Result};
 use crate::provenance::GENERATOR;
 
-/// The name under which what made a shot says how many frames it has.
+/// The provenance name of the number of frames in a sequence.
 pub const SHOT_FRAMES: &str = "frames";
 
-/// What a shot holds.
+/// The content of a sequence.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ShotInfo {
-    /// Frames, those without a mesh among them.
+    /// Number of frames, including those without a mesh.
     pub frames: u64,
-    /// Vertices, in all frames.
+    /// Number of vertices, in all frames.
     pub vertices: u64,
-    /// Triangles, in all frames.
+    /// Number of triangles, in all frames.
     pub triangles: u64,
 }
 
-/// What a `.glb` holds that is a shot of this crate, from the whole file; `None` of any other file.
+/// The content of a `.glb` sequence of this crate, from the whole file; `None` for any other file.
 ///
 /// # Errors
 ///
-/// [`Error::Invalid`] if it is a damaged one.
+/// [`Error::Invalid`] if the sequence is damaged.
 pub fn read_shot_info(bytes: &[u8]) -> Result<Option<ShotInfo>> {
     if !bytes.starts_with(&GLB_MAGIC) {
         return Ok(None);
@@ -59,7 +61,9 @@ pub fn read_shot_info(bytes: &[u8]) -> Result<Option<ShotInfo>> {
     let (json, _) = chunks(bytes)?;
     let provenance = read_provenance(json)?;
     let Some((_, frames)) = provenance.iter().find(|(name, _)| name == SHOT_FRAMES) else { return Ok(None) };
-    let frames = frames.parse().map_err(|_| invalid(format!("a shot of `{frames}` frames")))?;
+    let frames = frames
+        .parse()
+        .map_err(|_| invalid(format!("the sequence has an invalid number of frames `{frames}`")))?;
     let document: Value = parse(json)?;
     let count = |accessor: &Value| {
         let index = usize::try_from(accessor.as_u64()?).ok()?;
@@ -69,30 +73,30 @@ pub fn read_shot_info(bytes: &[u8]) -> Result<Option<ShotInfo>> {
     for mesh in document["meshes"].as_array().into_iter().flatten() {
         let primitive = &mesh["primitives"][0];
         let counts = count(&primitive["attributes"]["POSITION"]).zip(count(&primitive["indices"]));
-        let (vertices, corners) = counts.ok_or_else(|| invalid("a frame without its counts"))?;
+        let (vertices, corners) = counts.ok_or_else(|| invalid("a frame has no counts"))?;
         info.vertices = info.vertices.saturating_add(vertices);
         info.triangles = info.triangles.saturating_add(corners / 3);
     }
     Ok(Some(info))
 }
 
-/// A frame, and when it is shown.
+/// A frame and its time.
 #[derive(Clone, Debug)]
 pub struct ShotFrame {
-    /// What to call it.
+    /// Its name.
     pub name: String,
-    /// Which frame of the shot it is. The first is at rest; a frame is shown until the next one that there is.
+    /// The frame number. The first frame is visible at rest; a frame is shown until the next existing one.
     pub code: u64,
     /// Its file.
     pub file: FrameFile,
 }
 
-/// Writes a shot of frames, whose codes must increase. `open` opens the file of a frame, by its index.
+/// Writes a sequence of frames, whose numbers must increase. `open` opens the file of a frame, by its index.
 ///
 /// # Errors
 ///
-/// [`Error::Io`] if a file cannot be read or `out` fails; [`Error::TooLarge`], before anything is written, if the file would
-/// reach 4 GiB; [`Error::Invalid`] for documents that are damaged, and codes that do not increase.
+/// [`Error::Io`] if a file cannot be read or `out` fails; [`Error::TooLarge`], before anything is written, if
+/// the file would reach 4 GiB; [`Error::Invalid`] if a document is damaged or the numbers do not increase.
 pub fn write_sequence<R: Read + Seek>(
     frames: &[ShotFrame],
     fps: f64,
@@ -100,9 +104,9 @@ pub fn write_sequence<R: Read + Seek>(
     open: impl Fn(usize) -> io::Result<R>,
     out: &mut impl Write,
 ) -> Result<()> {
-    let mut shot = Shot::default();
+    let mut shot = SequenceDocument::default();
     let keys = keys(frames, fps)?;
-    // The keys come first; the data of each frame, which are a multiple of four bytes, behind them.
+    // The keys come first; then the data of each frame, which is a multiple of four bytes.
     let key_bytes = keys.iter().map(|keys| keys.len() as u64 * KEY_BYTES).sum();
     shot.add_animation(frames, &keys, key_bytes)?;
     let mut bin_bytes: u64 = key_bytes;
@@ -131,7 +135,7 @@ pub fn write_sequence<R: Read + Seek>(
         file.seek(SeekFrom::Start(frame.file.bin_at))?;
         let copied = io::copy(&mut file.take(frame.file.bin_bytes), out)?;
         if copied != frame.file.bin_bytes {
-            return Err(invalid(format!("{} was cut while it was read", frame.name)));
+            return Err(invalid(format!("{} became shorter while it was being read", frame.name)));
         }
         io::copy(&mut io::repeat(0).take(copied.next_multiple_of(4) - copied), out)?;
     }
@@ -141,22 +145,22 @@ pub fn write_sequence<R: Read + Seek>(
 fn too_large(frame_count: usize, bin_bytes: u64) -> Error {
     let gibibytes = bin_bytes as f64 / f64::from(1 << 30);
     let what = format!(
-        "{frame_count} frames take {gibibytes:.1} GiB, and the format holds less than 4: gather fewer frames, write them \
-         with --quantize, --decimate or a larger voxel size, or make a .usda"
+        "{frame_count} frames take {gibibytes:.1} GiB, and the format's limit is 4 GiB: use fewer frames, write them \
+         with --quantize, --decimate or a larger voxel size, or write a .usda"
     );
     Error::too_large(FORMAT, what)
 }
 
-/// When a node has which scale: seconds, and the factor.
-type Key = (f32, f32);
+/// A key of a node's scale: seconds, and the factor.
+type ScaleKey = (f32, f32);
 
 /// A time, and a scale along three axes.
 const KEY_BYTES: u64 = 16;
 
-/// The keys of each frame; none of a frame without a mesh.
-fn keys(frames: &[ShotFrame], fps: f64) -> Result<Vec<Vec<Key>>> {
+/// The keys of each frame; empty for a frame without a mesh.
+fn keys(frames: &[ShotFrame], fps: f64) -> Result<Vec<Vec<ScaleKey>>> {
     let first = frames.first().map_or(0, |frame| frame.code);
-    // Half a frame before the frame's own time; the first frame is number 1.
+    // A frame starts half a frame before its own time; the first frame has number 1.
     #[expect(clippy::cast_possible_truncation, reason = "times have 32 bits")]
     let seconds = |code: u64| ((code.saturating_sub(first) as f64 + 0.5) / fps) as f32;
     let mut all = Vec::with_capacity(frames.len());
@@ -174,15 +178,15 @@ fn keys(frames: &[ShotFrame], fps: f64) -> Result<Vec<Vec<Key>>> {
         #[expect(clippy::cast_possible_truncation, reason = "scales are written in 32 bits")]
         let scale = frame.file.place()?.scale as f32;
         let hidden = (index > 0).then_some((0.0, 0.0));
-        // The last is shown for as long as any.
+        // The last frame is shown for the length of one frame.
         let last = if next.is_some() { (end, 0.0) } else { (end, scale) };
         all.push(hidden.into_iter().chain([(start, scale), last]).collect());
     }
     Ok(all)
 }
 
-/// The times of all, then the scales of all.
-fn write_keys(keys: &[Vec<Key>], out: &mut impl Write) -> Result<()> {
+/// Writes the times of all keys, then the scales of all.
+fn write_keys(keys: &[Vec<ScaleKey>], out: &mut impl Write) -> Result<()> {
     for (time, _) in keys.iter().flatten() {
         out.write_all(&time.to_le_bytes())?;
     }
@@ -192,9 +196,9 @@ fn write_keys(keys: &[Vec<Key>], out: &mut impl Write) -> Result<()> {
     Ok(())
 }
 
-/// The document in the making.
+/// The document under construction.
 #[derive(Default)]
-struct Shot {
+struct SequenceDocument {
     extensions: Vec<Value>,
     nodes: Vec<Value>,
     meshes: Vec<Value>,
@@ -204,9 +208,9 @@ struct Shot {
     channels: Vec<Value>,
 }
 
-impl Shot {
-    /// The keys of all frames: two views, and two accessors for each frame.
-    fn add_animation(&mut self, frames: &[ShotFrame], keys: &[Vec<Key>], key_bytes: u64) -> Result<()> {
+impl SequenceDocument {
+    /// Adds the keys of all frames: two views, and two accessors for each frame.
+    fn add_animation(&mut self, frames: &[ShotFrame], keys: &[Vec<ScaleKey>], key_bytes: u64) -> Result<()> {
         if key_bytes == 0 {
             return Ok(());
         }
@@ -216,7 +220,7 @@ impl Shot {
         self.buffer_views.push(json!({"buffer": 0, "byteOffset": time_bytes, "byteLength": scale_bytes}));
         let mut start = 0;
         for (_, keys) in frames.iter().zip(keys).filter(|(_, keys)| !keys.is_empty()) {
-            let times = |key: Option<&Key>| key.map(|(time, _)| [*time]);
+            let times = |key: Option<&ScaleKey>| key.map(|(time, _)| [*time]);
             let (input, count) = (self.accessors.len(), keys.len());
             self.accessors.push(json!({
                 "bufferView": 0, "byteOffset": 4 * start, "componentType": component::F32, "count": count,
@@ -234,8 +238,8 @@ impl Shot {
         Ok(())
     }
 
-    /// A frame, whose data begin at this byte of the buffer.
-    fn add_frame(&mut self, frame: &ShotFrame, keys: &[Key], data_at: u64) -> Result<()> {
+    /// Adds a frame whose data starts at offset `data_at` of the buffer.
+    fn add_frame(&mut self, frame: &ShotFrame, keys: &[ScaleKey], data_at: u64) -> Result<()> {
         let document = &frame.file.document;
         let list = |name: &str| document[name].as_array().cloned().unwrap_or_default();
         for extension in list("extensionsRequired") {
@@ -254,9 +258,10 @@ impl Shot {
             shift(accessor.get_mut("bufferView"), first_view)?;
             self.accessors.push(accessor);
         }
-        let mut mesh = list("meshes").into_iter().next().ok_or_else(|| invalid("no mesh"))?;
+        let mut mesh =
+            list("meshes").into_iter().next().ok_or_else(|| invalid("the document has no mesh"))?;
         let primitive =
-            mesh.pointer_mut("/primitives/0").ok_or_else(|| invalid("a mesh without a primitive"))?;
+            mesh.pointer_mut("/primitives/0").ok_or_else(|| invalid("the mesh has no primitive"))?;
         shift(primitive.get_mut("indices"), first_accessor)?;
         for index in
             primitive.get_mut("attributes").map(object).transpose()?.into_iter().flat_map(Map::values_mut)
@@ -264,7 +269,7 @@ impl Shot {
             shift(Some(index), first_accessor)?;
         }
         object(&mut mesh)?.insert("name".into(), frame.name.as_str().into());
-        let mut node = list("nodes").into_iter().next().ok_or_else(|| invalid("no node"))?;
+        let mut node = list("nodes").into_iter().next().ok_or_else(|| invalid("the document has no node"))?;
         let entries = object(&mut node)?;
         entries.insert("name".into(), frame.name.as_str().into());
         entries.insert("mesh".into(), self.meshes.len().into());
@@ -295,7 +300,7 @@ impl Shot {
             ("accessors", self.accessors),
             ("bufferViews", self.buffer_views),
         ];
-        // Lists may not be empty.
+        // glTF does not allow empty lists.
         for (name, list) in lists.into_iter().filter(|(_, list)| !list.is_empty()) {
             document.insert(name.to_owned(), list.into());
         }
@@ -304,13 +309,13 @@ impl Shot {
 }
 
 fn object(value: &mut Value) -> Result<&mut Map<String, Value>> {
-    value.as_object_mut().ok_or_else(|| invalid("a part of the document that is no object"))
+    value.as_object_mut().ok_or_else(|| invalid("a part of the document is not an object"))
 }
 
-/// Makes the index of a part that of the same part behind so many others.
+/// Increases an index by the number of items that precede it in the combined document.
 fn shift(index: Option<&mut Value>, by: usize) -> Result<()> {
-    let index = index.ok_or_else(|| invalid("a part of the document without an index"))?;
-    let number = index.as_u64().ok_or_else(|| invalid("an index that is none"))?;
+    let index = index.ok_or_else(|| invalid("a part of the document has no index"))?;
+    let number = index.as_u64().ok_or_else(|| invalid("an index is not a number"))?;
     *index = (number + by as u64).into();
     Ok(())
 }

@@ -1,15 +1,15 @@
-//! Where glTF puts what is known of the vertices.
+//! How glTF stores vertex attributes.
 //!
 //! ```text
-//!   colour     COLOR_0      three or four reals, taken to be linear as the specification says
-//!   velocity   _VELOCITY    three reals, along the axes of the positions
-//!   others     _NAME        one to four reals; integers of up to 24 bits are exact as such
+//!   colour     COLOR_0      three or four floats, linear according to the specification
+//!   velocity   _VELOCITY    three floats, in the axes of the positions
+//!   others     _NAME        one to four floats; integers of up to 24 bits are exact
 //!   strings    _NAME        the index of each in `extras.strings._NAME` of the mesh; −1 for none
 //! ```
 //!
-//! Reals of 32 bits everywhere: the bytes of elements must be multiples of four, and nothing is rounded. The
-//! format has no 32-bit integers for vertices. A wrong identity is worse than none, so what is not exact is
-//! left out, and told.
+//! All values are 32-bit floats: the size of an element must be a multiple of four bytes, and nothing is
+//! rounded. The format has no 32-bit integers for vertices. A wrong identity is worse than a missing one, so
+//! attributes that would be inexact are omitted with a note.
 
 use std::io::Write;
 
@@ -18,21 +18,21 @@ use crate::error::Result;
 use crate::le_bytes::{write_f32s, write_pieces};
 use crate::vertex_attributes::{NamesTaken, Purpose, plain_name, purposes, string_index};
 
-/// Integers of at most this size are exact as 32-bit reals.
+/// Integers up to this magnitude are exact as 32-bit floats.
 const EXACT_INTEGER_MAX: u64 = 1 << 24;
-/// Components of the widest vector.
+/// Number of components of the widest vector.
 const ARITY_MAX: usize = 4;
 
-/// An attribute that has a place.
-pub(super) struct Placed<'a> {
-    /// The name that glTF knows it by.
+/// An attribute that can be stored.
+pub(super) struct GltfAttribute<'a> {
+    /// Its glTF name.
     pub(super) semantic: String,
-    /// One to four.
+    /// Number of values per vertex, one to four.
     pub(super) arity: usize,
     values: VertexValues<'a>,
 }
 
-/// What becomes of vertex attributes that a glTF file does not hold as they are; nothing where all come through.
+/// Notes on vertex attributes that a glTF file cannot store exactly.
 pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
     let mut notes = Vec::new();
     let placed = place(attributes, &mut notes);
@@ -41,26 +41,26 @@ pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
     let first = arities.next();
     if arities.any(|arity| Some(arity) != first) {
         notes.push(
-            "the glTF file has vectors beside single numbers, on which Blender's importer fails before 5.1: for that, name \
-             attributes of one kind, or take the .ply"
+            "the glTF file has both vector and scalar attributes, on which Blender's importer fails before 5.1: select \
+             attributes of one kind, or use .ply"
                 .into(),
         );
     }
     notes
 }
 
-/// The attributes of a mesh that have a place, in order.
-pub(super) fn placed<'a>(mesh: &MeshView<'a>) -> Vec<Placed<'a>> {
+/// The attributes of a mesh that can be stored, in order.
+pub(super) fn placed<'a>(mesh: &MeshView<'a>) -> Vec<GltfAttribute<'a>> {
     place(mesh.attributes, &mut Vec::new())
 }
 
-fn place<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>) -> Vec<Placed<'a>> {
+fn place<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>) -> Vec<GltfAttribute<'a>> {
     let mut taken = NamesTaken::new(&[]);
     let mut placed = Vec::new();
     for (attribute, purpose) in attributes.iter().zip(purposes(attributes)) {
         let VertexAttribute { name, arity, values, .. } = *attribute;
         if let Some(why) = obstacle(attribute) {
-            notes.push(format!("{name} is not in the glTF file: {why}"));
+            notes.push(format!("{name} is missing in the glTF file: {why}"));
             continue;
         }
         let (stem, usual) = match purpose {
@@ -70,28 +70,28 @@ fn place<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>) -> Vec
         };
         let semantic = taken.take(&stem, |stem| vec![stem.to_ascii_uppercase()]).concat();
         if semantic != usual.to_ascii_uppercase() {
-            notes.push(format!("{name} is called {semantic} in the glTF file"));
+            notes.push(format!("{name} is named {semantic} in the glTF file"));
         }
-        placed.push(Placed { semantic, arity, values });
+        placed.push(GltfAttribute { semantic, arity, values });
     }
     placed
 }
 
-/// Why an attribute has no place.
+/// Why an attribute cannot be stored; `None` if it can.
 fn obstacle(attribute: &VertexAttribute) -> Option<String> {
     if attribute.arity > ARITY_MAX {
-        return Some(format!("it has {} values per vertex; {ARITY_MAX} is the most", attribute.arity));
+        return Some(format!("it has {} values per vertex; the limit is {ARITY_MAX}", attribute.arity));
     }
     let VertexValues::Integers(values) = attribute.values else { return None };
     let beyond = values.iter().filter(|value| value.unsigned_abs() > EXACT_INTEGER_MAX).count();
     (beyond != 0).then(|| {
         format!(
-            "{beyond} of its values are beyond ±{EXACT_INTEGER_MAX}, where its numbers are not exact; .ply holds them"
+            "{beyond} of its values are beyond ±{EXACT_INTEGER_MAX}, where 32-bit floats are not exact; use .ply"
         )
     })
 }
 
-impl<'a> Placed<'a> {
+impl<'a> GltfAttribute<'a> {
     /// The strings that its values are indices into.
     pub(super) fn table(&self) -> Option<&'a [String]> {
         match self.values {

@@ -1,7 +1,7 @@
 //! Writes a triangle mesh as glTF.
 //!
-//! The vertices are written as they are. Where the scene lies, and which axis is up, is said in the
-//! node: its translation is the mesh's origin in 64 bits, its rotation turns Z up into glTF's Y up.
+//! Vertices are written unchanged. The node stores the placement: its translation is the mesh's origin in 64
+//! bits, and its rotation turns Z up into glTF's Y up.
 
 use std::io::Write;
 
@@ -11,7 +11,7 @@ use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 
 use super::quantized::{Cube, EXTENSION, write_normals};
-use super::vertex_data::{Placed, placed};
+use super::vertex_data::{GltfAttribute, placed};
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component};
 use crate::data::{MeshView, Provenance};
 use crate::error::{Error, Place, Result};
@@ -32,7 +32,7 @@ pub fn write_glb(
     out: &mut impl Write,
 ) -> Result<()> {
     mesh.check(FORMAT)?;
-    let layout = Layout::of(mesh, options.quantize);
+    let layout = BufferLayout::of(mesh, options.quantize);
     let mut json = to_json(&Document::new(mesh, &layout, options, provenance, None))?;
     json.resize(json.len().next_multiple_of(4), b' ');
     let bin_bytes = layout.byte_count().next_multiple_of(4);
@@ -54,11 +54,12 @@ pub fn write_glb(
     Ok(())
 }
 
-/// Writes a `.gltf` file, its buffer as a data URI inside it.
+/// Writes a `.gltf` file with its buffer as an embedded data URI.
 ///
 /// # Errors
 ///
-/// As [`write_glb`], whose limit of 4 GiB for the buffer holds here too: nothing reads longer strings.
+/// Those of [`write_glb`]. The limit of 4 GiB for the buffer applies here too: no reader supports longer
+/// strings.
 pub fn write_gltf(
     mesh: &MeshView,
     options: &MeshOptions,
@@ -67,12 +68,12 @@ pub fn write_gltf(
 ) -> Result<()> {
     const URI: &str = "data:application/octet-stream;base64,";
     mesh.check(FORMAT)?;
-    let layout = Layout::of(mesh, options.quantize);
+    let layout = BufferLayout::of(mesh, options.quantize);
     if u32::try_from(layout.byte_count()).is_err() {
         return Err(too_large(mesh));
     }
     let json = to_json(&Document::new(mesh, &layout, options, provenance, Some(URI)))?;
-    // The URI is the document's last string, and still without its data: that goes in between.
+    // The URI is the document's last string and still has no data, which is inserted here.
     let end = match layout.byte_count() {
         0 => json.len(),
         _ => json
@@ -91,7 +92,7 @@ pub fn write_gltf(
     Ok(())
 }
 
-/// The size of a `.glb` with chunks of these sizes, if 32 bits hold it.
+/// The size of a `.glb` with chunks of these sizes, if it fits into 32 bits.
 pub(super) fn glb_bytes(json_bytes: u64, bin_bytes: u64) -> Option<u32> {
     const HEADER_BYTES: u64 = 12;
     const CHUNK_HEAD_BYTES: u64 = 8;
@@ -102,14 +103,14 @@ pub(super) fn glb_bytes(json_bytes: u64, bin_bytes: u64) -> Option<u32> {
 fn too_large(mesh: &MeshView) -> Error {
     let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
     let what = format!(
-        "{vertices} vertices and {triangles} triangles take 4 GiB or more, which the format cannot hold; \
-         write .ply, or choose a larger voxel size"
+        "{vertices} vertices and {triangles} triangles take 4 GiB or more, the limit of the format: \
+         write .ply, or use a larger voxel size"
     );
     Error::too_large(FORMAT, what)
 }
 
 pub(super) fn write_chunk_head(byte_count: u64, kind: [u8; 4], out: &mut impl Write) -> Result<()> {
-    let length = u32::try_from(byte_count).unwrap_or(u32::MAX); // below the file's size, which fits
+    let length = u32::try_from(byte_count).unwrap_or(u32::MAX); // smaller than the file, whose size fits
     out.write_all(&length.to_le_bytes())?;
     out.write_all(&kind)?;
     Ok(())
@@ -120,47 +121,48 @@ fn to_json(document: &Document) -> Result<Vec<u8>> {
 }
 
 /// The parts of the buffer: positions, normals, attributes, indices.
-struct Layout<'a> {
+struct BufferLayout<'a> {
     vertex_count: usize,
-    /// Where positions and normals are small integers.
+    /// The bounding cube, if positions and normals are quantized.
     cube: Option<Cube>,
-    attributes: Vec<Placed<'a>>,
+    attributes: Vec<GltfAttribute<'a>>,
     index_bytes: u64,
     index_component: u32,
 }
 
-/// A part that has a value for each vertex.
+/// The layout of data with one element per vertex.
 #[derive(Clone, Copy)]
-struct Column {
+struct ColumnLayout {
     arity: usize,
     component: u32,
-    /// From one vertex to the next.
+    /// Bytes from one vertex to the next.
     stride_bytes: u64,
 }
 
-impl Column {
-    fn reals(arity: usize) -> Column {
-        Column { arity, component: component::F32, stride_bytes: 4 * arity as u64 }
+impl ColumnLayout {
+    fn reals(arity: usize) -> ColumnLayout {
+        ColumnLayout { arity, component: component::F32, stride_bytes: 4 * arity as u64 }
     }
 
-    /// Integers stand for −1 ..= 1.
+    /// Whether integers represent −1 ..= 1.
     fn is_normalized(self) -> bool {
         self.component != component::F32
     }
 }
 
-const QUANTIZED_POSITIONS: Column = Column { arity: 3, component: component::U16, stride_bytes: 8 };
-const QUANTIZED_NORMALS: Column = Column { arity: 3, component: component::I8, stride_bytes: 4 };
+const QUANTIZED_POSITIONS: ColumnLayout =
+    ColumnLayout { arity: 3, component: component::U16, stride_bytes: 8 };
+const QUANTIZED_NORMALS: ColumnLayout = ColumnLayout { arity: 3, component: component::I8, stride_bytes: 4 };
 
-impl<'a> Layout<'a> {
-    fn of(mesh: &MeshView<'a>, quantize: bool) -> Layout<'a> {
+impl<'a> BufferLayout<'a> {
+    fn of(mesh: &MeshView<'a>, quantize: bool) -> BufferLayout<'a> {
         if mesh.triangles.is_empty() {
             let (attributes, index_component) = (Vec::new(), component::U16);
-            return Layout { vertex_count: 0, cube: None, attributes, index_bytes: 0, index_component };
+            return BufferLayout { vertex_count: 0, cube: None, attributes, index_bytes: 0, index_component };
         }
-        // 65535 itself is forbidden as an index, so 65535 vertices are the most for 16 bits.
+        // The index 65535 itself is forbidden, so 16-bit indices allow at most 65535 vertices.
         let narrow = mesh.positions.len() <= usize::from(u16::MAX);
-        Layout {
+        BufferLayout {
             vertex_count: mesh.positions.len(),
             cube: quantize.then(|| Cube::around(mesh.positions)),
             attributes: placed(mesh),
@@ -169,16 +171,16 @@ impl<'a> Layout<'a> {
         }
     }
 
-    /// The parts that have values for the vertices, in order.
-    fn columns(&self) -> impl Iterator<Item = Column> {
+    /// The columns with vertex data, in order.
+    fn columns(&self) -> impl Iterator<Item = ColumnLayout> {
         let first = match self.cube {
             Some(_) => [QUANTIZED_POSITIONS, QUANTIZED_NORMALS],
-            None => [Column::reals(3); 2],
+            None => [ColumnLayout::reals(3); 2],
         };
-        first.into_iter().chain(self.attributes.iter().map(|attribute| Column::reals(attribute.arity)))
+        first.into_iter().chain(self.attributes.iter().map(|attribute| ColumnLayout::reals(attribute.arity)))
     }
 
-    fn column_bytes(&self, column: Column) -> u64 {
+    fn column_bytes(&self, column: ColumnLayout) -> u64 {
         column.stride_bytes * self.vertex_count as u64
     }
 
@@ -209,8 +211,8 @@ impl<'a> Layout<'a> {
     }
 }
 
-/// The document, in the order in which it is written: `asset` first, so that what made a file is
-/// found in its head, and `buffers` last, so that the data of a `.gltf` follow everything else.
+/// The document, in the order of writing: `asset` first, so that the provenance is in the head of the file,
+/// and `buffers` last, so that the data of a `.gltf` comes after everything else.
 #[derive(Serialize)]
 #[serde(rename_all = "camelCase")]
 struct Document<'a> {
@@ -290,7 +292,7 @@ struct Accessor {
     max: Option<Corner>,
 }
 
-/// Least or greatest numbers of an accessor, as they are stored.
+/// The minimum or maximum of an accessor, as stored.
 #[derive(Serialize)]
 #[serde(untagged)]
 enum Corner {
@@ -298,7 +300,7 @@ enum Corner {
     Integers([u16; 3]),
 }
 
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it so")]
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde requires this signature")]
 fn is_false(flag: &bool) -> bool {
     !flag
 }
@@ -322,7 +324,7 @@ struct Buffer {
     uri: Option<&'static str>,
 }
 
-/// Our entries, under a name of their own among those of other programs.
+/// Our own entries, under a separate name among those of other programs.
 #[derive(Serialize)]
 struct Extras<'a> {
     meniscus: Entries<&'a str, &'a str>,
@@ -332,12 +334,12 @@ struct Extras<'a> {
 struct MeshExtras<'a> {
     #[serde(skip_serializing_if = "Entries::is_empty")]
     meniscus: Entries<&'a str, &'a str>,
-    /// The strings that the values of attributes are indices into.
+    /// The strings that attribute values are indices into.
     #[serde(skip_serializing_if = "Entries::is_empty")]
     strings: Entries<&'a str, &'a [String]>,
 }
 
-/// Names and values that are written in this order.
+/// Names and values, serialized in this order.
 struct Entries<K, V>(Vec<(K, V)>);
 
 impl<K, V> Entries<K, V> {
@@ -363,7 +365,7 @@ fn provenance_entries(provenance: &Provenance) -> Entries<&str, &str> {
 impl<'a> Document<'a> {
     fn new(
         mesh: &MeshView,
-        layout: &'a Layout,
+        layout: &'a BufferLayout,
         options: &'a MeshOptions,
         provenance: &'a Provenance,
         uri: Option<&'static str>,
@@ -384,14 +386,14 @@ impl<'a> Document<'a> {
             buffers: Vec::new(),
         };
         if mesh.triangles.is_empty() {
-            return document; // neither accessors nor buffers may be empty, and an empty node is no use
+            return document; // glTF does not allow empty accessors and buffers, and an empty node is useless
         }
         let semantics = layout.attributes.iter().map(|attribute| attribute.semantic.as_str());
         let attributes: Vec<(&str, usize)> =
             ["POSITION", "NORMAL"].into_iter().chain(semantics).zip(0..).collect();
         let indices = attributes.len();
         let primitive = Primitive { attributes: Entries(attributes), indices, mode: MODE_TRIANGLES };
-        let strings = |attribute: &'a Placed| Some((attribute.semantic.as_str(), attribute.table()?));
+        let strings = |attribute: &'a GltfAttribute| Some((attribute.semantic.as_str(), attribute.table()?));
         let strings = Entries(layout.attributes.iter().filter_map(strings).collect());
         let extras = MeshExtras { meniscus: provenance_entries(provenance), strings };
         let extras = Some(extras).filter(|extras| !extras.meniscus.is_empty() || !extras.strings.is_empty());
@@ -405,8 +407,8 @@ impl<'a> Document<'a> {
     }
 }
 
-/// The node places the mesh: first the mesh's origin is added, then Z up becomes Y up. glTF rotates
-/// before it translates, so the translation is the rotated origin. Small integers are scaled before all that.
+/// The node places the mesh: it adds the mesh's origin, then turns Z up into Y up. glTF rotates before it
+/// translates, so the translation is the rotated origin. Quantized positions are scaled first.
 fn node<'a>(name: &'a str, origin: [f64; 3], up: UpAxis, cube: Option<&Cube>) -> Node<'a> {
     const HALF_SQRT: f64 = std::f64::consts::FRAC_1_SQRT_2;
     let low = cube.map_or([0.0; 3], |cube| cube.low);
@@ -419,7 +421,7 @@ fn node<'a>(name: &'a str, origin: [f64; 3], up: UpAxis, cube: Option<&Cube>) ->
     Node { name, mesh: 0, translation, rotation, scale: cube.map(|cube| [f64::from(cube.size); 3]) }
 }
 
-fn accessors(mesh: &MeshView, layout: &Layout) -> Vec<Accessor> {
+fn accessors(mesh: &MeshView, layout: &BufferLayout) -> Vec<Accessor> {
     let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
     for position in mesh.positions {
         for axis in 0..3 {
@@ -427,7 +429,7 @@ fn accessors(mesh: &MeshView, layout: &Layout) -> Vec<Accessor> {
             max[axis] = max[axis].max(position[axis]);
         }
     }
-    let of_vertices = |(buffer_view, column): (usize, Column)| Accessor {
+    let of_vertices = |(buffer_view, column): (usize, ColumnLayout)| Accessor {
         buffer_view,
         component_type: column.component,
         normalized: column.is_normalized(),
@@ -454,7 +456,7 @@ fn accessors(mesh: &MeshView, layout: &Layout) -> Vec<Accessor> {
     accessors
 }
 
-impl Layout<'_> {
+impl BufferLayout<'_> {
     fn views(&self) -> Vec<BufferView> {
         let mut end = 0;
         let mut view = |byte_length, byte_stride, target| {
@@ -462,8 +464,8 @@ impl Layout<'_> {
             end += byte_length;
             BufferView { buffer: 0, byte_offset, byte_length, byte_stride, target }
         };
-        let of_vertices = |column: Column| {
-            // Reals follow each other; between small integers there is padding.
+        let of_vertices = |column: ColumnLayout| {
+            // Floats are tightly packed; quantized values have padding.
             let stride = column.is_normalized().then_some(column.stride_bytes);
             view(self.column_bytes(column), stride, TARGET_VERTICES)
         };
@@ -473,7 +475,7 @@ impl Layout<'_> {
     }
 }
 
-/// What vectors of one to four components are called.
+/// The names of vectors with one to four components.
 const TYPE_OF_ARITY: [&str; 4] = ["SCALAR", "VEC2", "VEC3", "VEC4"];
 
 const MODE_TRIANGLES: u32 = 4;
@@ -485,7 +487,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn four_gibibytes_are_too_large() {
+    fn glb_of_four_gibibytes_is_too_large() {
         assert_eq!(glb_bytes(1000, 0), Some(1020));
         assert_eq!(glb_bytes(1000, u64::from(u32::MAX) - 1031), Some(u32::MAX - 3));
         assert_eq!(glb_bytes(1000, u64::from(u32::MAX) - 1027), None);

@@ -1,4 +1,4 @@
-//! One point attribute: what it is called, and its values.
+//! Reads a point attribute: its name and its values.
 
 use std::borrow::Cow;
 
@@ -12,13 +12,13 @@ use super::FORMAT;
 use super::tokens::{Token, Walk, text_count_max};
 use super::values::tuples;
 
-/// A point attribute, or why it is none that is read.
+/// A point attribute, or the reason for skipping it.
 pub(super) enum PointAttribute {
     Read(NamedArray),
     LeftOut { name: String, kind: String },
 }
 
-/// Reads the definition and the body of an attribute, the rest of a list that was entered.
+/// Reads the definition and the body of an attribute: the rest of a list whose start was consumed.
 pub(super) fn point_attribute(walk: &mut Walk, count: usize, limits: &Limits) -> Result<PointAttribute> {
     let (mut name, mut kind) = (String::new(), String::new());
     walk.object("definition", |walk, key| {
@@ -45,14 +45,16 @@ pub(super) fn point_attribute(walk: &mut Walk, count: usize, limits: &Limits) ->
     }
 }
 
-/// The longest name of an attribute. One word of a file may name any number of them.
+/// The longest name of an attribute. Any number of attributes can refer to a single word of the file.
 const NAME_BYTES_MAX: usize = 1024;
 
 fn short_text(walk: &mut Walk) -> Result<String> {
     let text = walk.text()?;
     match text.len() <= NAME_BYTES_MAX {
         true => Ok(text.into_owned()),
-        false => Err(Error::too_large(FORMAT, format!("a name of {} bytes", text.len()))),
+        false => {
+            Err(Error::too_large(FORMAT, format!("a name has {} bytes, more than the limit", text.len())))
+        }
     }
 }
 
@@ -85,7 +87,7 @@ fn strings(walk: &mut Walk, name: String, count: usize, limits: &Limits) -> Resu
         Values::I32(indices) => indices,
         Values::I64(indices) => indices.into_iter().map(|index| i32::try_from(index).unwrap_or(-1)).collect(),
         Values::U8(indices) => indices.into_iter().map(i32::from).collect(),
-        _ => return Err(walk.invalid("indices that are no integers")),
+        _ => return Err(walk.invalid("the indices are not integers")),
     };
     Ok(PointAttribute::Read(NamedArray {
         name,
@@ -94,7 +96,7 @@ fn strings(walk: &mut Walk, name: String, count: usize, limits: &Limits) -> Resu
     }))
 }
 
-/// The next value, a list of texts.
+/// Reads the next value as a list of strings.
 fn texts(walk: &mut Walk) -> Result<Vec<String>> {
     let mut texts = Vec::new();
     let token = walk.next()?;
@@ -103,11 +105,14 @@ fn texts(walk: &mut Walk) -> Result<Vec<String>> {
         return Ok(found.into_iter().map(|text| text.into_owned()).collect());
     }
     if token != Token::Open {
-        return Err(walk.unexpected("a list of texts", &token));
+        return Err(walk.unexpected("a list of strings", &token));
     }
     loop {
         if texts.len() > text_count_max(walk.file_bytes()) {
-            return Err(Error::too_large(FORMAT, format!("a list of {} texts and more", texts.len())));
+            return Err(Error::too_large(
+                FORMAT,
+                format!("a list has {} or more strings, more than the limit", texts.len()),
+            ));
         }
         match walk.next()? {
             Token::Close => return Ok(texts),
@@ -119,17 +124,17 @@ fn texts(walk: &mut Walk) -> Result<Vec<String>> {
                 check_texts(walk, &found)?;
                 texts.extend(found.into_iter().map(|text| text.into_owned()));
             }
-            other => return Err(walk.unexpected("a text", &other)),
+            other => return Err(walk.unexpected("a string", &other)),
         }
     }
 }
 
-/// Refuses texts that take too much memory: one word of a file may stand for any number of them.
+/// Fails if the strings need too much memory: any number of them can refer to a single word of the file.
 fn check_texts(walk: &mut Walk, texts: &[Cow<str>]) -> Result<()> {
     walk.check_widened(texts.iter().map(|text| size_of::<String>() + text.len()).sum())
 }
 
-/// The attribute `P` as positions: three values, or four of which the last divides the others.
+/// Converts the attribute `P` to positions: three values, or four, of which the last divides the others.
 pub(super) fn positions(array: NamedArray) -> Option<Positions> {
     match (array.arity, array.values) {
         (3, values) => number::positions(values),

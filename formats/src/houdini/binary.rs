@@ -1,14 +1,14 @@
 //! Tokens of the binary form.
 //!
 //! ```text
-//!   7f  4e 53 4a 62                     the signature; the last four in the order of the writer's bytes
+//!   7f  4e 53 4a 62                     the signature; the last four in the writer's byte order
 //!   00 null   30 31 false true   10 bool u8   11..14 int8..64   18 19 1a real16..64   21 22 uint8 16
-//!   27 text: length, bytes              5b 5d array   7b 7d map
-//!   2b a word: id, length, bytes        26 the word of an id     2d an id is free again
-//!   40 array in one piece: the type of its items, length, items
+//!   27 string: length, bytes            5b 5d array   7b 7d map
+//!   2b a word: id, length, bytes        26 the word of an id     2d releases an id
+//!   40 uniform array: the type of its items, length, items
 //! ```
 //!
-//! A length or an id is a byte up to 0xf0, or 0xf2, 0xf4, 0xf8 and then 2, 4 or 8 bytes.
+//! A length or an id is a byte up to 0xf0, or 0xf2, 0xf4 or 0xf8 followed by 2, 4 or 8 bytes.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -21,23 +21,24 @@ use crate::number::Number;
 use super::FORMAT;
 use super::tokens::{Token, text_count_max, widened_bytes_max};
 
-/// What files of little-endian machines begin with, which are nearly all.
+/// The signature of files from little-endian machines, which are almost all.
 const SIGNATURE: [u8; 5] = *b"\x7fNSJb";
 
 const SIGNATURE_BIG: [u8; 5] = *b"\x7fbJSN";
 
-/// Words that may be defined: geometry has some dozens.
+/// Limit on defined words; geometry has a few dozen.
 const WORD_COUNT_MAX: usize = 1 << 16;
 
-/// Truths take eight times the memory that they have in the file: that much is free.
+/// Number of booleans exempt from the limit on widened arrays: in memory they take eight times their size in
+/// the file.
 const BOOL_COUNT_FREE: usize = 1 << 22;
 
-/// Whether these are the tokens of either order.
+/// Whether the file is in binary form, in either byte order.
 pub(super) fn is_binary(bytes: &[u8]) -> bool {
     bytes.starts_with(&SIGNATURE) || bytes.starts_with(&SIGNATURE_BIG)
 }
 
-/// What makes tokens of the binary form.
+/// The lexer of the binary form.
 pub(super) struct Binary<'a> {
     cursor: Cursor<'a>,
     endian: Endian,
@@ -85,7 +86,10 @@ impl<'a> Binary<'a> {
         let word = self.bytes("a word")?;
         self.words.insert(id, word);
         match self.words.len() > WORD_COUNT_MAX {
-            true => Err(Error::too_large(FORMAT, format!("more words than the limit of {WORD_COUNT_MAX}"))),
+            true => Err(Error::too_large(
+                FORMAT,
+                format!("the file has more words than the limit of {WORD_COUNT_MAX}"),
+            )),
             false => Ok(()),
         }
     }
@@ -95,11 +99,11 @@ impl<'a> Binary<'a> {
             0x00 => Token::Null,
             0x5b | 0x7b => Token::Open,
             0x5d | 0x7d => Token::Close,
-            0x10 => Token::Bool(self.cursor.array::<1>("a truth")? != [0]),
+            0x10 => Token::Bool(self.cursor.array::<1>("a boolean")? != [0]),
             0x30 => Token::Bool(false),
             0x31 => Token::Bool(true),
             0x26 => Token::Text(self.word()?),
-            0x27 => Token::Text(String::from_utf8_lossy(self.bytes("a text")?)),
+            0x27 => Token::Text(String::from_utf8_lossy(self.bytes("a string")?)),
             0x40 => self.uniform()?,
             code => match number_of(code) {
                 Some(number) => self.number(number)?,
@@ -123,28 +127,32 @@ impl<'a> Binary<'a> {
             Values::U8(values) => Token::Integer(values.first().copied().unwrap_or_default().into()),
             Values::I32(values) => Token::Integer(values.first().copied().unwrap_or_default().into()),
             Values::I64(values) => Token::Integer(values.first().copied().unwrap_or_default()),
-            Values::Strings { .. } => Token::Null, // no number is one
+            Values::Strings { .. } => Token::Null, // numbers never decode to strings
         })
     }
 
-    /// An array in one piece.
+    /// Reads a uniform array.
     fn uniform(&mut self) -> Result<Token<'a>> {
         let [code] = self.cursor.array("the type of an array")?;
         let at = self.cursor.at();
         let count = self.length()?;
         let too_many = |cursor: &Cursor| {
-            cursor.short(format!("expected {count} items of an array, {} bytes remain", cursor.remaining()))
+            cursor
+                .short(format!("expected {count} items of an array, but {} bytes remain", cursor.remaining()))
         };
         let length = usize::try_from(count).ok().filter(|&count| count / 8 <= self.cursor.remaining());
         let length = length.ok_or_else(|| too_many(&self.cursor))?;
         let check_kept = |most: usize, what: &str| match length <= most {
             true => Ok(()),
-            false => Err(Error::too_large(FORMAT, format!("an array of {length} {what}, more than {most}"))),
+            false => Err(Error::too_large(
+                FORMAT,
+                format!("an array has {length} {what}, more than the limit of {most}"),
+            )),
         };
         match code {
             0x10 | 0x30 | 0x31 => {
-                check_kept(self.file_bytes.saturating_add(BOOL_COUNT_FREE), "truths")?;
-                let words = self.cursor.take(length.div_ceil(32) * 4, "an array of truths")?;
+                check_kept(self.file_bytes.saturating_add(BOOL_COUNT_FREE), "booleans")?;
+                let words = self.cursor.take(length.div_ceil(32) * 4, "an array of booleans")?;
                 let word = |bytes: &[u8; 4]| match self.endian {
                     Endian::Little => u32::from_le_bytes(*bytes),
                     Endian::Big => u32::from_be_bytes(*bytes),
@@ -153,22 +161,24 @@ impl<'a> Binary<'a> {
                 let bit = |index: usize| words[index / 32] >> (index % 32) & 1 == 1;
                 Ok(Token::Bools((0..length).map(bit).collect()))
             }
-            // Each text has a byte at least.
+            // Each string has at least one byte.
             0x26 | 0x27 if length <= self.cursor.remaining() => {
-                check_kept(text_count_max(self.file_bytes), "texts")?;
+                check_kept(text_count_max(self.file_bytes), "strings")?;
                 let mut texts = Vec::new();
                 let mut text_bytes = 0;
                 for _ in 0..length {
                     let text = match code {
                         0x26 => self.word()?,
-                        _ => String::from_utf8_lossy(self.bytes("a text")?),
+                        _ => String::from_utf8_lossy(self.bytes("a string")?),
                     };
-                    // A word may be in the array any number of times.
+                    // The array can contain the same word any number of times.
                     text_bytes += text.len();
                     if text_bytes > widened_bytes_max(self.file_bytes) {
                         return Err(Error::too_large(
                             FORMAT,
-                            format!("texts of {text_bytes} bytes and more"),
+                            format!(
+                                "the strings of an array have {text_bytes} bytes or more, more than the limit"
+                            ),
                         ));
                     }
                     texts.push(text);
@@ -211,7 +221,7 @@ impl<'a> Binary<'a> {
     }
 }
 
-/// The number that a token, or the items of an array, are.
+/// The number type of a token, or of the items of an array.
 fn number_of(code: u8) -> Option<Number> {
     Some(match code {
         0x11 => Number::I8,

@@ -1,17 +1,18 @@
-//! The container of `.sc` files: Blosc frames with an index, so that readers may seek.
+//! The container of `.sc` files: Blosc frames with an index for seeking.
 //!
 //! ```text
 //!   scf1 │ u64 M │ M bytes of metadata │ frame frame frame .. │ index │ u64 its bytes │ 1fcs
 //!
-//!   index   u64 × (frames − 1): where each but the first begins, from the first on
-//!           u64 bytes of a block, unpacked │ u64 bytes of the last one
+//!   index   u64 × (frames − 1): offset of each frame but the first, relative to the first
+//!           u64 decompressed bytes of a block │ u64 bytes of the last one
 //! ```
 //!
-//! Integers are big-endian, those in frames little-endian. The last four bytes prove that the file is whole.
+//! Integers are big-endian, except within frames, where they are little-endian. The last four bytes show that
+//! the file is complete.
 
 use rayon::prelude::*;
 
-use crate::blosc::{FrameError, decode_frame};
+use crate::blosc::{BloscError, decode_frame};
 use crate::bytes::{Cursor, Endian};
 use crate::error::{Error, Place, Result};
 use crate::limits::Limits;
@@ -20,40 +21,40 @@ const FORMAT: &str = "Houdini geometry (.sc)";
 const START: &[u8; 4] = b"scf1";
 const END: &[u8; 4] = b"1fcs";
 
-/// Bytes of a frame without any data.
+/// Size of a frame without data.
 const FRAME_BYTES_MIN: usize = 16;
 
-/// The content, in one piece.
+/// Decompresses the content into one buffer.
 ///
 /// # Errors
 ///
-/// [`Error::Short`] where the end is missing, [`Error::Invalid`] where the index or a frame is wrong,
+/// [`Error::Short`] if the end is missing, [`Error::Invalid`] if the index or a frame is invalid,
 /// [`Error::TooLarge`] beyond `limits`.
-pub(super) fn unpack(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
+pub(super) fn decompress(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     if !bytes.ends_with(END) {
         let place = Place::Offset(bytes.len() as u64);
         return Err(Error::short(FORMAT, place, "the file ends without its index"));
     }
     let Index { frames, block_bytes, bytes: unpacked_bytes } = index(bytes)?;
     let packed_bytes: usize = frames.iter().map(|(_, frame)| frame.len()).sum();
-    limits.check_unpacked(FORMAT, unpacked_bytes as u64, packed_bytes as u64)?;
+    limits.check_decompressed(FORMAT, unpacked_bytes as u64, packed_bytes as u64)?;
     let mut unpacked = vec![0; unpacked_bytes];
     let blocks = unpacked.par_chunks_mut(block_bytes.max(1)).zip(&frames);
     blocks.try_for_each(|(block, &(at, frame))| {
         decode_frame(frame, block).map_err(|error| match error {
-            FrameError::Invalid(what) => Error::invalid(FORMAT, Place::Offset(at as u64), what),
-            FrameError::Unsupported(what) => Error::unsupported(FORMAT, what),
+            BloscError::Invalid(what) => Error::invalid(FORMAT, Place::Offset(at as u64), what),
+            BloscError::Unsupported(what) => Error::unsupported(FORMAT, what),
         })
     })?;
     Ok(unpacked)
 }
 
-/// What the index says.
+/// The parsed index.
 struct Index<'a> {
-    /// Where each frame begins, and its bytes.
+    /// Offset and bytes of each frame.
     frames: Vec<(usize, &'a [u8])>,
     block_bytes: usize,
-    /// Bytes of all blocks.
+    /// Decompressed size of all blocks.
     bytes: usize,
 }
 
@@ -66,7 +67,7 @@ fn index(bytes: &[u8]) -> Result<Index<'_>> {
     let metadata_bytes = length(&mut cursor)?;
     let metadata_at = cursor.at();
     let footer_at = bytes.len().checked_sub(12).filter(|&at| at >= metadata_at);
-    let footer_at = footer_at.ok_or_else(|| invalid(metadata_at, "a file without an index".into()))?;
+    let footer_at = footer_at.ok_or_else(|| invalid(metadata_at, "the file has no index".into()))?;
     let index_bytes = length(&mut Cursor::new(FORMAT, Endian::Big, bytes, footer_at))?;
     let first = metadata_at.checked_add(metadata_bytes);
     let index_at = footer_at.checked_sub(index_bytes);
@@ -74,13 +75,13 @@ fn index(bytes: &[u8]) -> Result<Index<'_>> {
         (first, index_at.filter(|at| first.is_some_and(|first| first <= *at)))
     else {
         let what = format!(
-            "{metadata_bytes} bytes of metadata and an index of {index_bytes} in a file of {}",
+            "the file declares {metadata_bytes} bytes of metadata and an index of {index_bytes} bytes, but has only {} bytes",
             bytes.len()
         );
         return Err(invalid(footer_at, what));
     };
     if index_bytes < 16 || !index_bytes.is_multiple_of(8) {
-        return Err(invalid(footer_at, format!("an index of {index_bytes} bytes")));
+        return Err(invalid(footer_at, format!("the index has an invalid size of {index_bytes} bytes")));
     }
     let frame_count = index_bytes / 8 - 1;
     let mut entries = Cursor::new(FORMAT, Endian::Big, bytes, index_at);
@@ -97,7 +98,7 @@ fn index(bytes: &[u8]) -> Result<Index<'_>> {
             _ => {
                 return Err(invalid(
                     index_at,
-                    format!("frame {index} of {frame_count} is not among the frames"),
+                    format!("frame {index} of {frame_count} lies outside the frame data"),
                 ));
             }
         }
@@ -106,12 +107,15 @@ fn index(bytes: &[u8]) -> Result<Index<'_>> {
     let bytes =
         before.and_then(|before| before.checked_add(last_bytes)).filter(|_| last_bytes <= block_bytes);
     let bytes = bytes.ok_or_else(|| {
-        invalid(index_at, format!("blocks of {block_bytes} bytes, the last one of {last_bytes}"))
+        invalid(
+            index_at,
+            format!("invalid block sizes: {block_bytes} bytes, and {last_bytes} for the last block"),
+        )
     })?;
     Ok(Index { frames, block_bytes, bytes })
 }
 
-/// A number of bytes. What is more than memory has is as wrong as anything.
+/// Reads a number of bytes. Saturates: a size beyond the address space is invalid anyway.
 fn length(cursor: &mut Cursor) -> Result<usize> {
     let length = u64::from_le_bytes(cursor.array("a length")?);
     Ok(usize::try_from(length).unwrap_or(usize::MAX))

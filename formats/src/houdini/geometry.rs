@@ -1,4 +1,4 @@
-//! The document: counts, point attributes, and what the primitives are.
+//! Reads the document: counts, point attributes and the types of the primitives.
 
 use std::collections::BTreeMap;
 
@@ -11,25 +11,25 @@ use super::FORMAT;
 use super::attributes::{PointAttribute, point_attribute, positions};
 use super::tokens::{Token, Walk};
 
-/// What was found so far.
+/// The content found so far.
 #[derive(Default)]
-struct Found {
+struct FoundGeometry {
     point_count: Option<usize>,
     positions: Option<Positions>,
     arrays: Vec<NamedArray>,
     notes: Vec<String>,
-    /// How many primitives there are of each type.
+    /// Number of primitives of each type.
     primitives: BTreeMap<String, u64>,
 }
 
-/// Types of primitives that are told apart; geometry has a few.
+/// Limit on the number of primitive types; geometry has a few.
 const PRIMITIVE_TYPE_COUNT_MAX: usize = 1024;
 
 /// Reads the points.
 pub(super) fn read(mut walk: Walk, limits: &Limits) -> Result<ParticleFrame> {
-    let mut found = Found::default();
+    let mut found = FoundGeometry::default();
     walk.object("", |walk, key| match key {
-        "pointcount" if found.point_count.is_some() => Err(walk.invalid("pointcount a second time")),
+        "pointcount" if found.point_count.is_some() => Err(walk.invalid("pointcount occurs twice")),
         "pointcount" => {
             found.point_count = Some(point_count(walk, limits)?);
             Ok(())
@@ -42,14 +42,14 @@ pub(super) fn read(mut walk: Walk, limits: &Limits) -> Result<ParticleFrame> {
         _ => walk.skip(),
     })?;
     walk.finish()?;
-    let count = found.point_count.ok_or_else(|| walk.invalid("no pointcount"))?;
+    let count = found.point_count.ok_or_else(|| walk.invalid("pointcount is missing"))?;
     check_primitives(&found.primitives, count)?;
     let positions = match found.positions {
         Some(positions) => positions,
         None if count == 0 => Positions::default(),
-        None => return Err(walk.invalid("no point attribute P")),
+        None => return Err(walk.invalid("the point attribute P is missing")),
     };
-    // The positions are given, so there is a frame.
+    // With positions given, a frame is always returned.
     let mut frame = frame_of(Some(positions), found.arrays).unwrap_or_default();
     frame.notes.append(&mut found.notes);
     Ok(frame)
@@ -58,19 +58,22 @@ pub(super) fn read(mut walk: Walk, limits: &Limits) -> Result<ParticleFrame> {
 fn point_count(walk: &mut Walk, limits: &Limits) -> Result<usize> {
     let count = walk.count()?;
     let too_large = || {
-        Error::too_large(FORMAT, format!("{count} points, more than the limit of {}", limits.particle_count))
+        Error::too_large(
+            FORMAT,
+            format!("the file has {count} points, more than the limit of {}", limits.particle_count),
+        )
     };
     usize::try_from(count).ok().filter(|_| count <= limits.particle_count).ok_or_else(too_large)
 }
 
-fn point_attributes(walk: &mut Walk, found: &mut Found, limits: &Limits) -> Result<()> {
-    let count = found.point_count.ok_or_else(|| walk.invalid("attributes before the pointcount"))?;
+fn point_attributes(walk: &mut Walk, found: &mut FoundGeometry, limits: &Limits) -> Result<()> {
+    let count = found.point_count.ok_or_else(|| walk.invalid("the attributes come before the pointcount"))?;
     walk.items("pointattributes", |walk, token| {
         if token != Token::Open {
             return Err(walk.unexpected("an attribute", &token));
         }
         if found.arrays.len() + found.notes.len() >= limits.attribute_count {
-            let what = format!("more attributes than the limit of {}", limits.attribute_count);
+            let what = format!("the file has more attributes than the limit of {}", limits.attribute_count);
             return Err(Error::too_large(FORMAT, what));
         }
         match point_attribute(walk, count, limits)? {
@@ -80,20 +83,20 @@ fn point_attributes(walk: &mut Walk, found: &mut Found, limits: &Limits) -> Resu
                 found.positions = Some(positions(array).ok_or_else(no_positions)?);
             }
             PointAttribute::Read(array) if array.arity == 0 => {
-                found
-                    .notes
-                    .push(format!("The point attribute {:?} has no values and was left out.", array.name));
+                found.notes.push(format!("skipped the point attribute {:?}: it has no values", array.name));
             }
             PointAttribute::Read(array) => found.arrays.push(array),
             PointAttribute::LeftOut { name, kind } => {
-                found.notes.push(format!("The point attribute {name:?} of the type {kind:?} was left out."));
+                found.notes.push(format!(
+                    "skipped the point attribute {name:?}: its type {kind:?} is not supported"
+                ));
             }
         }
         Ok(())
     })
 }
 
-/// Counts a primitive, or a run of them, by its type.
+/// Counts a primitive, or a run of primitives, by type.
 fn primitive(walk: &mut Walk, token: &Token, primitives: &mut BTreeMap<String, u64>) -> Result<()> {
     if *token != Token::Open {
         return Err(walk.unexpected("a primitive", token));
@@ -101,7 +104,7 @@ fn primitive(walk: &mut Walk, token: &Token, primitives: &mut BTreeMap<String, u
     let mut kind = String::new();
     walk.object("primitive", |walk, key| {
         match key {
-            // A run names what it is a run of.
+            // A run states the type of its primitives.
             "type" if kind.is_empty() => kind = long_name(&walk.text()?).to_owned(),
             "runtype" => kind = long_name(&walk.text()?).to_owned(),
             _ => walk.skip()?,
@@ -119,7 +122,7 @@ fn primitive(walk: &mut Walk, token: &Token, primitives: &mut BTreeMap<String, u
     }
 }
 
-/// What a type is called where it is not cut short.
+/// The full name of an abbreviated type.
 fn long_name(kind: &str) -> &str {
     match kind {
         "p_r" => "Poly", // a run of polygons
@@ -127,7 +130,7 @@ fn long_name(kind: &str) -> &str {
     }
 }
 
-/// Refuses points that are no particles.
+/// Fails if the points are not particles.
 fn check_primitives(primitives: &BTreeMap<String, u64>, point_count: usize) -> Result<()> {
     let is_particles = |kind: &str| matches!(kind, "Part" | "ParticleSystem");
     let Some(kind) = primitives.keys().find(|kind| !is_particles(kind)) else { return Ok(()) };
@@ -139,13 +142,13 @@ fn check_primitives(primitives: &BTreeMap<String, u64>, point_count: usize) -> R
         )
     } else if lower.contains("vdb") || lower.contains("volume") {
         format!(
-            "the file contains volumes ({kind}): its {point_count} points are where they stand, not particles; give \
-             the particles that they were made of"
+            "the file contains volumes ({kind}): its {point_count} points are their locations, not particles; use \
+             the particles from which the volumes were made"
         )
     } else {
         format!(
             "the file contains surfaces or curves ({kind}): its {point_count} points belong to them and are not \
-             particles; delete the primitives and keep the points, or give the particles"
+             particles; delete the primitives and keep the points, or use the original particles"
         )
     };
     Err(Error::unsupported(FORMAT, what))

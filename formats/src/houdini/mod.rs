@@ -1,14 +1,14 @@
-//! Houdini's geometry from version 12 on: `.bgeo`, `.geo` and `.bgeo.sc`.
+//! Houdini's geometry since version 12: `.bgeo`, `.geo` and `.bgeo.sc`.
 //!
-//! One document in JSON, as text or in a binary form of Houdini's own, which may be packed in blocks:
+//! A JSON document, as text or in Houdini's own binary encoding, which can be compressed in blocks:
 //!
 //! ```text
 //!   .geo        [ "fileversion", "19.5", "pointcount", 10, .. ]          text
-//!   .bgeo       7f 4e 53 4a 62 5b ..                                     tokens of a byte and what belongs to it
+//!   .bgeo       7f 4e 53 4a 62 5b ..                                     tokens: a byte and its payload
 //!   .bgeo.sc    scf1 .. (the above, in Blosc frames) .. index 1fcs       see `container`
 //! ```
 //!
-//! Most of its objects are flat lists of keys and values. Of all that, particles are the point attributes:
+//! Most of its objects are flat lists of keys and values. Particles only need the point attributes:
 //!
 //! ```text
 //!   ["pointcount", 10, "attributes", ["pointattributes", [
@@ -17,10 +17,10 @@
 //!    "primitives", [[["type", "Part"], ..]]]
 //! ```
 //!
-//! Points without primitives are particles, and so are those of particle systems. The points of anything else are
-//! corners of polygons, or mark where packed geometry or a volume stands: such files are refused.
+//! Points without primitives are particles, and so are those of particle systems. All other points are
+//! corners of polygons, or locations of packed geometry or volumes: the reader rejects such files.
 //!
-//! The layout was established from files of Houdini 13 to 18.5 and their text twins.
+//! The layout was derived from files of Houdini 13 to 18.5 and their text versions.
 
 mod attributes;
 mod binary;
@@ -39,21 +39,21 @@ use binary::{Binary, is_binary};
 use text::Text;
 use tokens::{Lexer, Walk};
 
-/// The format as users know it, for errors.
+/// The format's name in errors.
 const FORMAT: &str = "Houdini geometry";
 
 /// Reads the points of binary geometry.
 ///
 /// # Errors
 ///
-/// [`crate::Error::Short`] where the document ends too soon, [`crate::Error::Invalid`] where it is malformed or
-/// contradicts itself, [`crate::Error::Unsupported`] where the points are no particles,
-/// [`crate::Error::TooLarge`] beyond `limits`.
+/// [`crate::Error::Short`] if the document ends too early, [`crate::Error::Invalid`] if it is malformed or
+/// inconsistent, [`crate::Error::Unsupported`] if the points are not particles, [`crate::Error::TooLarge`]
+/// beyond `limits`.
 pub fn read_binary(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     geometry::read(Walk::new(Lexer::Binary(Binary::new(bytes)?)), limits)
 }
 
-/// Reads the points of geometry as text.
+/// Reads the points of geometry in text form.
 ///
 /// # Errors
 ///
@@ -62,20 +62,20 @@ pub fn read_text(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     geometry::read(Walk::new(Lexer::Text(Text::new(bytes))), limits)
 }
 
-/// Reads the points of geometry that is packed in blocks.
+/// Reads the points of geometry compressed in blocks.
 ///
 /// # Errors
 ///
-/// Those of [`read_binary`], with offsets counted after decompression, and those of the container.
+/// Those of [`read_binary`], with offsets into the decompressed data, and those of the container.
 pub fn read_container(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
-    let unpacked = container::unpack(bytes, limits)?;
+    let unpacked = container::decompress(bytes, limits)?;
     match is_binary(&unpacked) {
         true => read_binary(&unpacked, limits),
         false => read_text(&unpacked, limits),
     }
 }
 
-/// What the table of formats says of binary files. The second signature is that of big-endian machines.
+/// The row of binary files in the table of formats. The second signature is that of big-endian machines.
 pub(crate) static BINARY: FormatRow = FormatRow {
     signatures: &[b"\x7fNSJb", b"\x7fbJSN"],
     beginnings: &[b"\x7fNSJb", b"\x7fbJSN"],
@@ -83,13 +83,13 @@ pub(crate) static BINARY: FormatRow = FormatRow {
     ..FormatRow::new("Houdini geometry (binary JSON)", &["bgeo"])
 };
 
-/// What the table of formats says of text.
+/// The row of text files in the table of formats.
 pub(crate) static TEXT: FormatRow = FormatRow {
     particles: Some(ParticleInput::complete_by_reading(read_text)),
     ..FormatRow::new("Houdini geometry (JSON text)", &["geo"])
 };
 
-/// What the table of formats says of compressed files.
+/// The row of compressed files in the table of formats.
 pub(crate) static CONTAINER: FormatRow = FormatRow {
     signatures: &[b"scf1"],
     beginnings: &[b"scf1"],

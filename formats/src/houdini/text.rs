@@ -8,7 +8,7 @@ use crate::text::line_number;
 use super::FORMAT;
 use super::tokens::Token;
 
-/// What makes tokens of text.
+/// The lexer of the text form.
 pub(super) struct Text<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -56,7 +56,7 @@ impl<'a> Text<'a> {
                     length += 2;
                 }
                 Some(_) => length += 1,
-                None => return Err(Error::short(FORMAT, self.place(), "the file ends within a text")),
+                None => return Err(Error::short(FORMAT, self.place(), "the file ends within a string")),
             }
         }
         let start = self.at;
@@ -65,13 +65,13 @@ impl<'a> Text<'a> {
             return Ok(Token::Text(String::from_utf8_lossy(&rest[..length])));
         }
         let text: String = serde_json::from_slice(&self.bytes[start..self.at]).map_err(|_| {
-            let what = "a text with an escape that is none of JSON";
+            let what = "a string has an escape that JSON does not define";
             Error::invalid(FORMAT, Place::Line(line_number(self.bytes, start)), what)
         })?;
         Ok(Token::Text(Cow::Owned(text)))
     }
 
-    /// A number or one of the few words.
+    /// Parses a number, `null`, `true` or `false`.
     fn word(&mut self) -> Result<Token<'a>> {
         let rest = &self.bytes[self.at..];
         let is_part = |byte: &&u8| byte.is_ascii_alphanumeric() || matches!(byte, b'+' | b'-' | b'.');
@@ -90,7 +90,7 @@ impl<'a> Text<'a> {
         let found = rest[..length.clamp(1, 24)].escape_ascii();
         let what = format!("expected a value, found `{found}`");
         Err(match length == rest.len() {
-            true => Error::short(FORMAT, self.place(), what), // the word may be cut off
+            true => Error::short(FORMAT, self.place(), what), // the word may be truncated
             false => Error::invalid(FORMAT, self.place(), what),
         })
     }

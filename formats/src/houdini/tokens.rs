@@ -1,6 +1,7 @@
-//! Tokens, whichever form they are written in, and a walk through them.
+//! Tokens of either form, and a walk through them.
 //!
-//! Nothing is kept of what was passed: neither depth nor length of what is not asked for costs memory.
+//! The walk keeps nothing that it has passed: skipped data costs no memory, regardless of its depth and
+//! length.
 
 use std::borrow::Cow;
 
@@ -14,10 +15,10 @@ use super::FORMAT;
 use super::binary::Binary;
 use super::text::Text;
 
-/// One token of JSON. Commas and colons say nothing and are none.
+/// A token of JSON. Commas and colons carry no information and are not tokens.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Token<'a> {
-    /// The beginning of an array or of a map.
+    /// The start of an array or map.
     Open,
     Close,
     Null,
@@ -25,29 +26,30 @@ pub(super) enum Token<'a> {
     Integer(i64),
     Real(f64),
     Text(Cow<'a, str>),
-    /// An array of numbers in one piece. Only the binary form has it, and the next ones.
+    /// A uniform array of numbers. This and the following tokens occur only in the binary form.
     Numbers {
         number: Number,
         endian: Endian,
         payload: &'a [u8],
     },
-    /// An array of truths in one piece.
+    /// A uniform array of booleans.
     Bools(Vec<bool>),
-    /// An array of texts in one piece.
+    /// A uniform array of strings.
     Texts(Vec<Cow<'a, str>>),
 }
 
-/// Texts of one list in a file of so many bytes. Each takes some dozens of bytes of memory, though it may be empty.
+/// The maximum number of strings in a list, for a file of this size. Even an empty string takes some dozens
+/// of bytes of memory.
 pub(super) fn text_count_max(file_bytes: usize) -> usize {
     (1 << 16) + file_bytes / 16
 }
 
-/// Bytes that items which have fewer in the file may become, in a file of so many.
+/// The maximum size in memory of items that are smaller in the file, for a file of this size.
 pub(super) fn widened_bytes_max(file_bytes: usize) -> usize {
     (16 << 20) + 2 * file_bytes
 }
 
-/// What makes tokens of bytes.
+/// A tokenizer of either form.
 pub(super) enum Lexer<'a> {
     Binary(Binary<'a>),
     Text(Text<'a>),
@@ -62,7 +64,7 @@ impl<'a> Lexer<'a> {
         }
     }
 
-    /// Where the next token begins, bytes from the start of the file.
+    /// Offset of the next token, in bytes from the start of the file.
     fn at(&self) -> usize {
         match self {
             Lexer::Binary(lexer) => lexer.at(),
@@ -70,7 +72,7 @@ impl<'a> Lexer<'a> {
         }
     }
 
-    /// Bytes of the file.
+    /// Size of the file in bytes.
     fn file_bytes(&self) -> usize {
         match self {
             Lexer::Binary(lexer) => lexer.file_bytes(),
@@ -79,13 +81,13 @@ impl<'a> Lexer<'a> {
     }
 }
 
-/// The walk: it knows where it is, by offset and by the keys that led there.
+/// A cursor over the tokens. It tracks its location: the offset, and the keys on the path to it.
 pub(super) struct Walk<'a> {
     lexer: Lexer<'a>,
     path: Vec<String>,
-    /// Bytes that constant pages became so far.
+    /// Total size that constant pages have been expanded to, in bytes.
     spread_bytes: u64,
-    /// Bytes that items became so far which have fewer in the file.
+    /// Total size in memory of items that are smaller in the file, in bytes.
     widened_bytes: usize,
 }
 
@@ -98,30 +100,33 @@ impl<'a> Walk<'a> {
         self.lexer.file_bytes()
     }
 
-    /// Refuses constant pages that become so many bytes, if all of them are too many for the file: they are a
-    /// compression.
+    /// Fails if this and all previous constant pages expand to too many bytes for the file: constant pages
+    /// are a form of compression.
     pub(super) fn check_spread(&mut self, bytes: u64, limits: &Limits) -> Result<()> {
         self.spread_bytes = self.spread_bytes.saturating_add(bytes);
-        limits.check_unpacked(FORMAT, self.spread_bytes, self.lexer.file_bytes() as u64)
+        limits.check_decompressed(FORMAT, self.spread_bytes, self.lexer.file_bytes() as u64)
     }
 
-    /// Refuses items that become so many bytes, if there are fewer in the file for each and all of them are too many for
-    /// it: few things are written narrower than they are stored.
+    /// Fails if this and all previous items that are smaller in the file take too much memory for the file:
+    /// writers rarely store numbers narrower than declared.
     pub(super) fn check_widened(&mut self, bytes: usize) -> Result<()> {
         self.widened_bytes = self.widened_bytes.saturating_add(bytes);
         let most = widened_bytes_max(self.lexer.file_bytes());
         match self.widened_bytes <= most {
             true => Ok(()),
-            false => Err(Error::too_large(FORMAT, format!("arrays that become more than {most} bytes"))),
+            false => Err(Error::too_large(
+                FORMAT,
+                format!("the arrays expand to more than the limit of {most} bytes"),
+            )),
         }
     }
 
-    /// Bytes that are still to come.
+    /// Number of bytes that remain.
     pub(super) fn remaining(&self) -> usize {
         self.lexer.file_bytes() - self.lexer.at().min(self.lexer.file_bytes())
     }
 
-    /// The next token, which must be there.
+    /// The next token; the end of the file is an error.
     pub(super) fn next(&mut self) -> Result<Token<'a>> {
         match self.lexer.next()? {
             Some(token) => Ok(token),
@@ -132,8 +137,8 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// Goes into the next value, an array or a map, and comes out behind it. `inside` must pass each value that
-    /// follows a key, and is called with each key.
+    /// Enters the next value, an array or a map, and leaves it at its end. Calls `inside` with each key; it
+    /// must consume the value that follows.
     pub(super) fn object(
         &mut self,
         name: &str,
@@ -151,8 +156,8 @@ impl<'a> Walk<'a> {
         })
     }
 
-    /// Goes through the items of the next value, an array. `inside` gets the first token of each and must pass the
-    /// rest of it.
+    /// Iterates over the items of the next value, an array. Calls `inside` with the first token of each item;
+    /// it must consume the rest of the item.
     pub(super) fn items(
         &mut self,
         name: &str,
@@ -169,7 +174,7 @@ impl<'a> Walk<'a> {
         })
     }
 
-    /// The same with a longer path.
+    /// Calls `inside` with `key` appended to the path.
     pub(super) fn within<T>(
         &mut self,
         name: &str,
@@ -188,13 +193,13 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// Passes the next value.
+    /// Skips the next value.
     pub(super) fn skip(&mut self) -> Result<()> {
         let token = self.next()?;
         self.skip_rest(&token)
     }
 
-    /// Passes the rest of the value that begins with `token`.
+    /// Skips the rest of the value that starts with `token`.
     pub(super) fn skip_rest(&mut self, token: &Token) -> Result<()> {
         let mut depth = usize::from(*token == Token::Open);
         if *token == Token::Close {
@@ -210,15 +215,15 @@ impl<'a> Walk<'a> {
         Ok(())
     }
 
-    /// The next value, a text.
+    /// Reads the next value as a string.
     pub(super) fn text(&mut self) -> Result<Cow<'a, str>> {
         match self.next()? {
             Token::Text(text) => Ok(text),
-            other => Err(self.unexpected("a text", &other)),
+            other => Err(self.unexpected("a string", &other)),
         }
     }
 
-    /// The next value, a number of things.
+    /// Reads the next value as a count.
     pub(super) fn count(&mut self) -> Result<u64> {
         match self.next()? {
             Token::Integer(count) if count >= 0 => Ok(count.unsigned_abs()),
@@ -226,7 +231,7 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// That nothing but blanks follows the document.
+    /// Checks that nothing but blanks follows the document.
     pub(super) fn finish(&mut self) -> Result<()> {
         match self.lexer.next()? {
             None => Ok(()),
@@ -244,8 +249,8 @@ impl<'a> Walk<'a> {
             Token::Real(value) => value.to_string(),
             Token::Text(text) => format!("\"{}\"", excerpt(&**text)),
             Token::Numbers { .. } => "an array of numbers".into(),
-            Token::Bools(_) => "an array of truths".into(),
-            Token::Texts(_) => "an array of texts".into(),
+            Token::Bools(_) => "an array of booleans".into(),
+            Token::Texts(_) => "an array of strings".into(),
         };
         self.invalid(format!("expected {expected}, found {found}"))
     }

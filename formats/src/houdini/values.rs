@@ -1,12 +1,12 @@
-//! The values of an attribute, in one of the three ways in which they are laid out.
+//! Reads the values of an attribute in one of their three layouts.
 //!
 //! ```text
 //!   "tuples", [[x, y, z], [x, y, z], ..]             point by point
 //!   "arrays", [[a, a, a, ..], ..]                    component by component
-//!   "rawpagedata", [..]                              page by page, see below; the binary form has this only
+//!   "rawpagedata", [..]                              page by page, see below; the only layout of the binary form
 //!
 //!   pages of 1024 points, "packing" [3, 1]:          x y z  x y z ..  w w w ..  │  x y z  x y z ..  w w w ..
-//!   of "constantpageflags" [[0, 1], []]:             the second page has its x y z once, for all of its points
+//!   of "constantpageflags" [[0, 1], []]:             the second page stores its x y z once for all of its points
 //! ```
 
 use crate::bytes::Endian;
@@ -19,9 +19,9 @@ use crate::number::{self, Number, interleaved};
 use super::FORMAT;
 use super::tokens::{Token, Walk};
 
-/// How numbers are stored, which tells what they become.
+/// The storage type of numbers, which determines their type in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Storage {
+pub(super) enum StorageType {
     F32,
     F64,
     U8,
@@ -29,66 +29,66 @@ pub(super) enum Storage {
     I64,
 }
 
-impl Storage {
-    pub(super) fn of(name: &str) -> Option<Storage> {
+impl StorageType {
+    pub(super) fn of(name: &str) -> Option<StorageType> {
         Some(match name {
-            "fpreal16" | "fpreal32" => Storage::F32,
-            "fpreal64" => Storage::F64,
-            "uint8" | "bool" => Storage::U8,
-            "int8" | "int16" | "int32" => Storage::I32,
-            "int64" => Storage::I64,
+            "fpreal16" | "fpreal32" => StorageType::F32,
+            "fpreal64" => StorageType::F64,
+            "uint8" | "bool" => StorageType::U8,
+            "int8" | "int16" | "int32" => StorageType::I32,
+            "int64" => StorageType::I64,
             _ => return None,
         })
     }
 
     fn empty(self) -> Values {
         match self {
-            Storage::F32 => Values::F32(Vec::new()),
-            Storage::F64 => Values::F64(Vec::new()),
-            Storage::U8 => Values::U8(Vec::new()),
-            Storage::I32 => Values::I32(Vec::new()),
-            Storage::I64 => Values::I64(Vec::new()),
+            StorageType::F32 => Values::F32(Vec::new()),
+            StorageType::F64 => Values::F64(Vec::new()),
+            StorageType::U8 => Values::U8(Vec::new()),
+            StorageType::I32 => Values::I32(Vec::new()),
+            StorageType::I64 => Values::I64(Vec::new()),
         }
     }
 
     fn value_bytes(self) -> usize {
         match self {
-            Storage::U8 => 1,
-            Storage::F32 | Storage::I32 => 4,
-            Storage::F64 | Storage::I64 => 8,
+            StorageType::U8 => 1,
+            StorageType::F32 | StorageType::I32 => 4,
+            StorageType::F64 | StorageType::I64 => 8,
         }
     }
 }
 
-/// Values for each point, and how many.
+/// The values of all points, and the number per point.
 pub(super) struct Tuples {
     pub(super) size: usize,
     pub(super) values: Values,
 }
 
-/// How pages are laid out.
+/// The layout of pages.
 struct Pages {
     page_points: usize,
     packing: Vec<usize>,
-    /// Of each part of the packing, which pages are constant; empty if none is.
+    /// For each part of the packing, the flags of constant pages; empty if no page is constant.
     constant: Vec<Vec<bool>>,
 }
 
 /// Reads the value of the key `values` or `indices`, for `count` points.
 pub(super) fn tuples(walk: &mut Walk, key: &str, count: usize, limits: &Limits) -> Result<Tuples> {
-    let (mut size, mut storage) = (1, Storage::F32);
+    let (mut size, mut storage) = (1, StorageType::F32);
     let mut pages = Pages { page_points: 1024, packing: Vec::new(), constant: Vec::new() };
     let mut values = None;
     walk.object(key, |walk, key| {
         if values.is_some() && LAYOUT_KEYS.contains(&key) {
-            return Err(walk.invalid(format!("`{key}` behind the values that it tells of")));
+            return Err(walk.invalid(format!("`{key}` comes after the values that it describes")));
         }
         match key {
             "size" => size = small(walk, limits)?,
             "storage" => storage = storage_of(walk)?,
             "pagesize" => pages.page_points = usize::try_from(walk.count()?).unwrap_or(usize::MAX).max(1),
             "packing" => {
-                let packing = numbers(walk, key, Storage::I64, limits.attribute_count)?;
+                let packing = numbers(walk, key, StorageType::I64, limits.attribute_count)?;
                 pages.packing = widths(walk, packing, size)?;
             }
             "constantpageflags" => {
@@ -119,29 +119,32 @@ pub(super) fn tuples(walk: &mut Walk, key: &str, count: usize, limits: &Limits) 
     }
 }
 
-/// Keys that tell how values are laid out.
+/// Keys that describe the layout of the values.
 const LAYOUT_KEYS: [&str; 5] = ["size", "storage", "pagesize", "packing", "constantpageflags"];
 
-/// The next value, a number of components.
+/// Reads the next value as a number of components.
 fn small(walk: &mut Walk, limits: &Limits) -> Result<usize> {
     let size = walk.count()?;
     usize::try_from(size).ok().filter(|&size| size <= limits.attribute_count).ok_or_else(|| {
         Error::too_large(
             FORMAT,
-            format!("{size} values in a point, more than the limit of {}", limits.attribute_count),
+            format!(
+                "an attribute has {size} values per point, more than the limit of {}",
+                limits.attribute_count
+            ),
         )
     })
 }
 
-fn storage_of(walk: &mut Walk) -> Result<Storage> {
+fn storage_of(walk: &mut Walk) -> Result<StorageType> {
     let name = walk.text()?;
-    Storage::of(&name).ok_or_else(|| walk.invalid(format!("unknown storage \"{}\"", excerpt(&*name))))
+    StorageType::of(&name).ok_or_else(|| walk.invalid(format!("unknown storage \"{}\"", excerpt(&*name))))
 }
 
-/// The next value, an array of numbers or of arrays of them, one after the other: at most `most`.
-fn numbers(walk: &mut Walk, name: &str, storage: Storage, most: usize) -> Result<Values> {
+/// Reads the next value, an array of at most `most` numbers, or of arrays of numbers, and flattens it.
+fn numbers(walk: &mut Walk, name: &str, storage: StorageType, most: usize) -> Result<Values> {
     walk.within(name, |walk| {
-        // In text, each number has two bytes; in the other form, only those in one piece have fewer.
+        // In text, each number takes at least two bytes; in binary form, only uniform arrays take fewer.
         let room = most.min(walk.remaining() / 2);
         let mut list = List(storage.empty());
         let mut depth = 0usize;
@@ -179,10 +182,10 @@ fn numbers(walk: &mut Walk, name: &str, storage: Storage, most: usize) -> Result
     })
 }
 
-/// Numbers on their way into one type.
+/// Collects numbers as values of one type.
 struct List(Values);
 
-#[expect(clippy::cast_possible_truncation, reason = "the storage that the file declares decides")]
+#[expect(clippy::cast_possible_truncation, reason = "the file declares the storage type")]
 impl List {
     fn reserve(&mut self, count: usize) {
         match &mut self.0 {
@@ -214,8 +217,7 @@ impl List {
         }
     }
 
-    /// Appends an array in one piece. What is not of the list's type is changed bit by bit, so that there is never more
-    /// than that beside the list.
+    /// Appends a uniform array. Converts other types in chunks, to limit the additional memory.
     fn append(&mut self, number: Number, endian: Endian, payload: &[u8]) {
         const PART_COUNT: usize = 4096;
         let is_same = std::mem::discriminant(&self.0) == std::mem::discriminant(&number.decode(&[], endian));
@@ -241,26 +243,26 @@ impl List {
     }
 }
 
-/// The widths of the parts of a point, which are all of it.
+/// The widths of the parts of a point, which must add up to `size`.
 fn widths(walk: &Walk, packing: Values, size: usize) -> Result<Vec<usize>> {
     let Values::I64(packing) = packing else { return Ok(Vec::new()) };
     let widths: Vec<usize> = packing.iter().filter_map(|&width| usize::try_from(width).ok()).collect();
     let sum = widths.iter().try_fold(0usize, |sum, &width| sum.checked_add(width));
-    // A part of no width would cost time for each page, and hold nothing.
+    // A part of zero width would cost time for each page without holding data.
     let is_wide = size == 0 || widths.iter().all(|&width| width != 0);
     match sum == Some(size) && widths.len() == packing.len() && is_wide {
         true => Ok(widths),
-        false => Err(walk.invalid(format!("a packing of {packing:?} for {size} values"))),
+        false => Err(walk.invalid(format!("the packing {packing:?} does not match {size} values"))),
     }
 }
 
-/// Which pages are constant, for each part of the packing.
+/// Reads the flags of constant pages for each part of the packing.
 fn flags(walk: &mut Walk, page_count: usize, limits: &Limits) -> Result<Vec<Vec<bool>>> {
     let mut all = Vec::new();
-    let too_many = |walk: &Walk| walk.invalid(format!("more flags than the {page_count} pages"));
+    let too_many = |walk: &Walk| walk.invalid(format!("there are more flags than the {page_count} pages"));
     walk.items("constantpageflags", |walk, token| {
         if all.len() > limits.attribute_count {
-            return Err(walk.invalid("more flags than any attribute has"));
+            return Err(walk.invalid("there are too many lists of flags"));
         }
         let mut part = Vec::new();
         match token {
@@ -270,7 +272,7 @@ fn flags(walk: &mut Walk, page_count: usize, limits: &Limits) -> Result<Vec<Vec<
                 part = match values {
                     Values::U8(values) => values.iter().map(|&value| value != 0).collect(),
                     Values::I32(values) => values.iter().map(|&value| value != 0).collect(),
-                    _ => return Err(walk.invalid("flags that are no truths")),
+                    _ => return Err(walk.invalid("the flags are not booleans")),
                 };
             }
             Token::Open => loop {
@@ -279,11 +281,11 @@ fn flags(walk: &mut Walk, page_count: usize, limits: &Limits) -> Result<Vec<Vec<
                     _ if part.len() >= page_count => return Err(too_many(walk)),
                     Token::Bool(flag) => part.push(flag),
                     Token::Integer(flag) => part.push(flag != 0),
-                    other => return Err(walk.unexpected("a truth", &other)),
+                    other => return Err(walk.unexpected("a boolean", &other)),
                 }
             },
             Token::Numbers { .. } => return Err(too_many(walk)),
-            other => return Err(walk.unexpected("an array of truths", &other)),
+            other => return Err(walk.unexpected("an array of booleans", &other)),
         }
         if part.len() > page_count {
             return Err(too_many(walk));
@@ -295,7 +297,7 @@ fn flags(walk: &mut Walk, page_count: usize, limits: &Limits) -> Result<Vec<Vec<
     Ok(all)
 }
 
-/// Arrays of each component, as tuples.
+/// Converts component arrays to tuples.
 fn by_points(all: Values, count: usize, size: usize) -> Values {
     if size == 1 || number::length(&all) != count * size {
         return all;
@@ -305,14 +307,14 @@ fn by_points(all: Values, count: usize, size: usize) -> Values {
     interleaved(&columns.iter().collect::<Vec<_>>()).unwrap_or(all)
 }
 
-/// Pages, as tuples.
+/// Converts pages to tuples.
 fn unpaged(
     walk: &mut Walk,
     raw: Values,
     count: usize,
     size: usize,
     pages: &Pages,
-    storage: Storage,
+    storage: StorageType,
     limits: &Limits,
 ) -> Result<Values> {
     let is_plain = pages.packing.len() <= 1 && pages.constant.iter().all(Vec::is_empty);
@@ -331,10 +333,10 @@ fn unpaged(
         Values::I64(raw) => spread(&raw, count, pages, packing).map(Values::I64),
         Values::Strings { .. } => None,
     };
-    spread.ok_or_else(|| walk.invalid("pages that hold more or fewer values than they should"))
+    spread.ok_or_else(|| walk.invalid("the pages have the wrong number of values"))
 }
 
-/// The values of all points; `None` if there are not exactly as many as the pages need.
+/// The values of all points; `None` if their number does not match the pages.
 fn spread<T: Copy + Default>(raw: &[T], count: usize, pages: &Pages, packing: &[usize]) -> Option<Vec<T>> {
     let size: usize = packing.iter().sum();
     let mut out = vec![T::default(); count * size];

@@ -1,14 +1,14 @@
-//! The members of a `.npz`, which is a ZIP archive, stored or deflated.
+//! The members of a `.npz` file, a ZIP archive with stored or deflated members.
 //!
 //! ```text
 //!   local header, name, bytes   ×  members
-//!   central directory: sizes, checksum and place of each member
-//!   (the same again in 64 bits)
-//!   end of the central directory: where it is
+//!   central directory: sizes, checksum and offset of each member
+//!   (the next record in 64 bits)
+//!   end of the central directory: the directory's offset
 //! ```
 //!
-//! Only the central directory is believed. Members may overlap in a hostile archive: so what all of them
-//! together have, and what comes out of them, is limited by the bytes of the archive.
+//! Only the central directory is used. Members of a hostile archive can overlap, so the total size of all
+//! members, and of what they decompress to, is limited by the size of the archive.
 
 use std::borrow::Cow;
 use std::io::Read;
@@ -28,14 +28,14 @@ const END_64: &[u8; 4] = b"PK\x06\x06";
 const ENTRY: &[u8; 4] = b"PK\x01\x02";
 const ENTRY_BYTES: u64 = 46;
 const LOCAL: &[u8; 4] = b"PK\x03\x04";
-/// The longest comment behind the end of the central directory.
+/// The longest comment after the end of the central directory.
 const COMMENT_BYTES_MAX: usize = u16::MAX as usize;
 
 const STORED: u16 = 0;
 const DEFLATED: u16 = 8;
 
-/// One file in the archive.
-pub(super) struct Member {
+/// A file in the archive.
+pub(super) struct ArchiveMember {
     pub(super) name: String,
     method: u16,
     checksum: u32,
@@ -44,39 +44,39 @@ pub(super) struct Member {
     local_offset: u64,
 }
 
-/// What the members that were unpacked so far have taken.
+/// Total sizes of the members decompressed so far.
 #[derive(Default)]
-pub(super) struct Account {
+pub(super) struct ArchiveTotals {
     packed_bytes: u64,
     bytes: u64,
 }
 
-/// The members, as the central directory lists them.
-pub(super) fn members(bytes: &[u8], limits: &Limits) -> Result<Vec<Member>> {
+/// The members, as listed by the central directory.
+pub(super) fn members(bytes: &[u8], limits: &Limits) -> Result<Vec<ArchiveMember>> {
     let (count, offset) = directory(bytes)?;
     if count > limits.attribute_count as u64 {
-        let what = format!("{count} arrays, more than the limit of {}", limits.attribute_count);
+        let what = format!("the file has {count} arrays, more than the limit of {}", limits.attribute_count);
         return Err(Error::too_large(ARCHIVE, what));
     }
     let start = usize::try_from(offset).unwrap_or(usize::MAX).min(bytes.len());
     let mut cursor = Cursor::new(ARCHIVE, Endian::Little, bytes, start);
     if (cursor.remaining() as u64) < count * ENTRY_BYTES {
-        return Err(cursor.invalid(format!("expected {count} entries of the central directory")));
+        return Err(cursor.invalid(format!("expected {count} entries in the central directory")));
     }
     (0..count).map(|_| member(&mut cursor)).collect::<Result<_>>().map_err(as_invalid)
 }
 
-/// The number of members, and where the central directory begins.
+/// The number of members, and the offset of the central directory.
 fn directory(bytes: &[u8]) -> Result<(u64, u64)> {
     let at = end_of_directory(bytes)?;
     let mut end = Cursor::new(ARCHIVE, Endian::Little, bytes, at + 10);
     let count = u64::from(u16::from_le_bytes(end.array("the number of members")?));
     end.take(4, "the size of the central directory")?;
-    let offset = u64::from(u32::from_le_bytes(end.array("the place of the central directory")?));
+    let offset = u64::from(u32::from_le_bytes(end.array("the offset of the central directory")?));
     let locator = at.checked_sub(END_64_LOCATOR_BYTES).filter(|&at| bytes[at..].starts_with(END_64_LOCATOR));
     let Some(locator) = locator else { return Ok((count, offset)) };
     let mut locator = Cursor::new(ARCHIVE, Endian::Little, bytes, locator + 8);
-    let at = u64::from_le_bytes(locator.array("the place of the end")?);
+    let at = u64::from_le_bytes(locator.array("the offset of the end")?);
     let at = usize::try_from(at).unwrap_or(usize::MAX).min(bytes.len());
     let mut end = Cursor::new(ARCHIVE, Endian::Little, bytes, at);
     if end.take(4, "the end of the central directory").map_err(as_invalid)? != END_64 {
@@ -85,17 +85,18 @@ fn directory(bytes: &[u8]) -> Result<(u64, u64)> {
     end.take(28, "the end of the central directory").map_err(as_invalid)?;
     let count = u64::from_le_bytes(end.array("the number of members").map_err(as_invalid)?);
     end.take(8, "the size of the central directory").map_err(as_invalid)?;
-    Ok((count, u64::from_le_bytes(end.array("the place of the central directory").map_err(as_invalid)?)))
+    Ok((count, u64::from_le_bytes(end.array("the offset of the central directory").map_err(as_invalid)?)))
 }
 
-/// Where the end of the central directory is: the last thing in the archive but a comment.
+/// The offset of the end record of the central directory. Only a comment can follow that record.
 fn end_of_directory(bytes: &[u8]) -> Result<usize> {
     let tail_start = bytes.len().saturating_sub(END_BYTES + COMMENT_BYTES_MAX);
     let end_of = |at: usize| {
         let comment = bytes.get(at + 20..at + END_BYTES)?;
         Some(at + END_BYTES + usize::from(u16::from_le_bytes([comment[0], comment[1]])))
     };
-    // The comment may look like another end. The right one is that behind which nothing is.
+    // The comment may contain the signature, too. The right record is the one whose comment ends with the
+    // file.
     let places = (tail_start..bytes.len()).rev().filter(|&at| bytes[at..].starts_with(END));
     let exact = places.clone().find(|&at| end_of(at) == Some(bytes.len()));
     let found = exact.or_else(|| places.clone().find(|&at| end_of(at).is_some_and(|end| end <= bytes.len())));
@@ -105,7 +106,7 @@ fn end_of_directory(bytes: &[u8]) -> Result<usize> {
     })
 }
 
-/// The archive has its end, so what is missing is not still to come.
+/// Turns `Short` into `Invalid`: the archive's end is present, so nothing more will be appended.
 fn as_invalid(error: Error) -> Error {
     match error {
         Error::Short { format, place, what } => Error::Invalid { format, place, what },
@@ -113,7 +114,7 @@ fn as_invalid(error: Error) -> Error {
     }
 }
 
-fn member(cursor: &mut Cursor) -> Result<Member> {
+fn member(cursor: &mut Cursor) -> Result<ArchiveMember> {
     if cursor.take(4, "an entry of the central directory")? != ENTRY {
         return Err(cursor.invalid("expected an entry of the central directory"));
     }
@@ -122,7 +123,7 @@ fn member(cursor: &mut Cursor) -> Result<Member> {
     let method = u16::from_le_bytes(cursor.array("the method")?);
     cursor.take(4, "the time")?;
     let checksum = u32::from_le_bytes(cursor.array("the checksum")?);
-    let packed_bytes = u32::from_le_bytes(cursor.array("the packed size")?);
+    let packed_bytes = u32::from_le_bytes(cursor.array("the compressed size")?);
     let bytes = u32::from_le_bytes(cursor.array("the size")?);
     let [name, extra, comment] = [
         u16::from_le_bytes(cursor.array("the length of the name")?),
@@ -130,7 +131,7 @@ fn member(cursor: &mut Cursor) -> Result<Member> {
         u16::from_le_bytes(cursor.array("the length of the comment")?),
     ];
     cursor.take(8, "the attributes")?;
-    let local_offset = u32::from_le_bytes(cursor.array("the place")?);
+    let local_offset = u32::from_le_bytes(cursor.array("the offset")?);
     let name = String::from_utf8_lossy(cursor.take(name.into(), "the name")?).into_owned();
     let extra = cursor.take(extra.into(), "the extra field")?;
     cursor.take(comment.into(), "the comment")?;
@@ -138,10 +139,10 @@ fn member(cursor: &mut Cursor) -> Result<Member> {
         return Err(Error::unsupported(ARCHIVE, format!("`{}` is encrypted", excerpt(&name))));
     }
     let [bytes, packed_bytes, local_offset] = widened([bytes, packed_bytes, local_offset], extra);
-    Ok(Member { name, method, checksum, packed_bytes, bytes, local_offset })
+    Ok(ArchiveMember { name, method, checksum, packed_bytes, bytes, local_offset })
 }
 
-/// Numbers beyond 32 bits are in the extra field, in this order.
+/// Values beyond 32 bits are in the extra field, in this order.
 fn widened(numbers: [u32; 3], mut extra: &[u8]) -> [u64; 3] {
     let mut wide: &[u8] = &[];
     while let [a, b, c, d, rest @ ..] = extra {
@@ -161,27 +162,31 @@ fn widened(numbers: [u32; 3], mut extra: &[u8]) -> [u64; 3] {
     })
 }
 
-impl Member {
-    /// The bytes of the member, unpacked and verified. `account` counts what came out of the archive so far.
+impl ArchiveMember {
+    /// The member's content, decompressed and verified. `totals` tracks the total output of the archive.
     pub(super) fn content<'a>(
         &self,
         archive: &'a [u8],
         limits: &Limits,
-        account: &mut Account,
+        totals: &mut ArchiveTotals,
     ) -> Result<Cow<'a, [u8]>> {
         let packed = self.packed(archive).map_err(as_invalid)?;
-        account.packed_bytes = account.packed_bytes.saturating_add(self.packed_bytes);
-        account.bytes = account.bytes.saturating_add(self.bytes);
-        if account.packed_bytes > archive.len() as u64 {
-            return Err(Error::invalid(ARCHIVE, Place::File, "the members have more bytes than the archive"));
+        totals.packed_bytes = totals.packed_bytes.saturating_add(self.packed_bytes);
+        totals.bytes = totals.bytes.saturating_add(self.bytes);
+        if totals.packed_bytes > archive.len() as u64 {
+            return Err(Error::invalid(
+                ARCHIVE,
+                Place::File,
+                "the members have more bytes in total than the archive",
+            ));
         }
-        limits.check_unpacked(ARCHIVE, account.bytes, account.packed_bytes)?;
+        limits.check_decompressed(ARCHIVE, totals.bytes, totals.packed_bytes)?;
         let content = match self.method {
             STORED => Cow::Borrowed(packed),
             DEFLATED => Cow::Owned(self.inflated(packed)?),
             other => {
                 let what = format!(
-                    "`{}` is packed by method {other}: save it stored or deflated",
+                    "`{}` uses compression method {other}, which is not supported: save it stored or deflated",
                     excerpt(&self.name)
                 );
                 return Err(Error::unsupported(ARCHIVE, what));

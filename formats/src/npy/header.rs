@@ -1,4 +1,4 @@
-//! What a `.npy` file says before its numbers.
+//! The header of a `.npy` file.
 
 use crate::bytes::{Cursor, Endian};
 use crate::error::{Error, Place, Result};
@@ -12,33 +12,33 @@ use super::literal::{Literal, parse};
 /// The signature.
 const MAGIC: &[u8; 6] = b"\x93NUMPY";
 
-/// NumPy itself reads 10 000 bytes unless it is told otherwise.
+/// NumPy itself allows 10 000 bytes by default.
 const HEADER_BYTES_MAX: u64 = 256 << 10;
 
 /// The header of an array.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Header {
-    pub(super) layout: Layout,
-    /// Whether the first index runs fastest.
+pub(super) struct ArrayHeader {
+    pub(super) layout: ElementLayout,
+    /// Whether the first index varies fastest.
     pub(super) is_fortran: bool,
     pub(super) shape: Vec<u64>,
-    /// Where the numbers begin.
+    /// Offset of the data.
     data_offset: usize,
 }
 
-/// What each element is.
+/// The type of the elements.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Layout {
+pub(super) enum ElementLayout {
     Plain {
         number: Number,
         endian: Endian,
     },
     Fields {
         fields: Vec<Field>,
-        /// Bytes of an element.
+        /// Bytes per element.
         stride: usize,
     },
-    /// Nothing that particles are made of: what, in words.
+    /// An unsupported type, described in words.
     Unread(String),
 }
 
@@ -46,16 +46,16 @@ pub(super) enum Layout {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Field {
     pub(super) name: String,
-    /// Bytes from the start of an element.
+    /// Offset in bytes from the start of an element.
     pub(super) offset: usize,
-    /// Numbers in it.
+    /// Number of values.
     pub(super) arity: usize,
-    /// Their type; `None` of what is no number.
+    /// Their type; `None` if not numeric.
     pub(super) number: Option<(Number, Endian)>,
 }
 
-impl Header {
-    /// The bytes of all elements, which are there.
+impl ArrayHeader {
+    /// The bytes of all elements.
     pub(super) fn data<'a>(&self, bytes: &'a [u8]) -> Result<&'a [u8]> {
         let length = self.data_bytes()?;
         let rest = &bytes[self.data_offset..];
@@ -68,25 +68,25 @@ impl Header {
 
     fn data_bytes(&self) -> Result<u64> {
         let element_bytes = match &self.layout {
-            Layout::Plain { number, .. } => number.size(),
-            Layout::Fields { stride, .. } => *stride,
-            Layout::Unread(_) => 0,
+            ElementLayout::Plain { number, .. } => number.size(),
+            ElementLayout::Fields { stride, .. } => *stride,
+            ElementLayout::Unread(_) => 0,
         };
         let bytes = self.element_count()?.checked_mul(element_bytes as u64);
         bytes.filter(|bytes| *bytes <= i64::MAX as u64).ok_or_else(|| self.too_many())
     }
 
-    /// The elements, which are rows for a structured array.
+    /// The number of elements; for a structured array, of rows.
     pub(super) fn element_count(&self) -> Result<u64> {
         let count = self.shape.iter().try_fold(1u64, |count, &length| count.checked_mul(length));
         count.ok_or_else(|| self.too_many())
     }
 
     fn too_many(&self) -> Error {
-        Error::invalid(FORMAT, Place::Offset(0), format!("more elements than any file has: {}", self.shown()))
+        Error::invalid(FORMAT, Place::Offset(0), format!("the array has too many elements: {}", self.shown()))
     }
 
-    /// Numbers in a row: the last length, or 1.
+    /// Values per row: the last dimension, or 1.
     pub(super) fn column_count(&self) -> usize {
         match self.shape[..] {
             [] | [_] => 1,
@@ -94,13 +94,14 @@ impl Header {
         }
     }
 
-    /// The rows: all lengths but the last. At most as many as there are elements, which were counted.
+    /// The number of rows: the product of all dimensions but the last. Not more than the number of elements,
+    /// which was checked.
     pub(super) fn row_count(&self) -> u64 {
         let rows = if self.shape.len() < 2 { &self.shape[..] } else { &self.shape[..self.shape.len() - 1] };
         rows.iter().fold(1, |count: u64, &length| count.saturating_mul(length))
     }
 
-    /// The shape as Python shows it.
+    /// The shape in Python notation.
     pub(super) fn shown(&self) -> String {
         let lengths: Vec<String> = self.shape.iter().take(8).map(u64::to_string).collect();
         match &lengths[..] {
@@ -110,15 +111,15 @@ impl Header {
     }
 }
 
-/// Bytes of a whole file with this head; `None` where nothing in it is to be read.
-pub(crate) fn bytes_claimed(head: &[u8], limits: &Limits) -> Result<Option<u64>> {
+/// The size of a whole file with this header; `None` if it has no readable data.
+pub(crate) fn bytes_declared(head: &[u8], limits: &Limits) -> Result<Option<u64>> {
     let header = read(head, limits)?;
     let data_bytes = header.data_bytes()?;
     Ok((data_bytes != 0).then_some(header.data_offset as u64 + data_bytes))
 }
 
-/// Reads the header. The numbers need not be there.
-pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<Header> {
+/// Reads the header. The data may be missing.
+pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<ArrayHeader> {
     let mut cursor = Cursor::new(FORMAT, Endian::Little, bytes, 0);
     if cursor.take(MAGIC.len(), "the signature")? != MAGIC {
         return Err(Error::invalid(FORMAT, Place::Offset(0), "expected the signature \\x93NUMPY"));
@@ -128,13 +129,13 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<Header> {
         (1, 0) => u32::from(u16::from_le_bytes(cursor.array("the header's length")?)),
         (2 | 3, 0) => u32::from_le_bytes(cursor.array("the header's length")?),
         _ => {
-            let what = format!("version {major}.{minor} of the format; 1.0 to 3.0 are read");
+            let what = format!("the format version is {major}.{minor}; only 1.0 to 3.0 are supported");
             return Err(Error::unsupported(FORMAT, what));
         }
     };
     let most = limits.header_bytes.min(HEADER_BYTES_MAX);
     if u64::from(length) > most {
-        let what = format!("a header of {length} bytes, more than the limit of {most}");
+        let what = format!("the header has {length} bytes, more than the limit of {most}");
         return Err(Error::too_large(FORMAT, what));
     }
     let text_offset = cursor.at();
@@ -142,20 +143,25 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<Header> {
     header_of(&literal, text_offset, cursor.at(), limits)
 }
 
-fn header_of(literal: &Literal, text_offset: usize, data_offset: usize, limits: &Limits) -> Result<Header> {
+fn header_of(
+    literal: &Literal,
+    text_offset: usize,
+    data_offset: usize,
+    limits: &Limits,
+) -> Result<ArrayHeader> {
     let invalid = |what: &str| Error::invalid(FORMAT, Place::Offset(text_offset as u64), what);
-    let Literal::Dictionary(entries) = literal else { return Err(invalid("the header is no dictionary")) };
+    let Literal::Dictionary(entries) = literal else { return Err(invalid("the header is not a dictionary")) };
     let value_of = |key: &str| {
         let found = entries.iter().find(|(name, _)| *name == Literal::Text(key.into()));
         found.map(|(_, value)| value).ok_or_else(|| invalid(&format!("the header has no `{key}`")))
     };
-    let Literal::List(lengths) = value_of("shape")? else { return Err(invalid("`shape` is no tuple")) };
+    let Literal::List(lengths) = value_of("shape")? else { return Err(invalid("`shape` is not a tuple")) };
     let length = |literal: &Literal| match literal {
         Literal::Integer(length) => Ok(*length),
-        _ => Err(invalid("a length in `shape` is no integer")),
+        _ => Err(invalid("a dimension in `shape` is not an integer")),
     };
     if lengths.len() > 64 {
-        return Err(invalid("`shape` has more than 64 lengths"));
+        return Err(invalid("`shape` has more than 64 dimensions"));
     }
     let Literal::Bool(is_fortran) = *value_of("fortran_order")? else {
         return Err(invalid("`fortran_order` is neither True nor False"));
@@ -165,31 +171,31 @@ fn header_of(literal: &Literal, text_offset: usize, data_offset: usize, limits: 
         Refusal::Invalid(what) => invalid(&what),
         Refusal::TooLarge(what) => Error::too_large(FORMAT, what),
     })?;
-    Ok(Header { layout, is_fortran, shape, data_offset })
+    Ok(ArrayHeader { layout, is_fortran, shape, data_offset })
 }
 
-/// Why a type is refused.
+/// Why a type is rejected.
 enum Refusal {
     Invalid(String),
     TooLarge(String),
 }
 
-fn layout_of(descr: &Literal, limits: &Limits) -> std::result::Result<Layout, Refusal> {
+fn layout_of(descr: &Literal, limits: &Limits) -> std::result::Result<ElementLayout, Refusal> {
     match descr {
         Literal::Text(code) => Ok(match element(code)? {
-            Element { number: Some((number, endian)), .. } => Layout::Plain { number, endian },
-            _ => Layout::Unread(format!("elements of the type \"{}\"", excerpt(code))),
+            ElementType { number: Some((number, endian)), .. } => ElementLayout::Plain { number, endian },
+            _ => ElementLayout::Unread(format!("elements of the type \"{}\"", excerpt(code))),
         }),
         Literal::List(_) => {
             let mut fields = Vec::new();
             let stride = add_fields(descr, "", 0, &mut fields, limits)?;
-            Ok(Layout::Fields { fields, stride })
+            Ok(ElementLayout::Fields { fields, stride })
         }
-        _ => Err(Refusal::Invalid("`descr` is neither a text nor a list".into())),
+        _ => Err(Refusal::Invalid("`descr` is neither a string nor a list".into())),
     }
 }
 
-/// Adds the fields of a structure at `offset`, and returns where it ends. Names are put behind `prefix`.
+/// Adds the fields of a structure at `offset`, with names after `prefix`. Returns the offset of its end.
 fn add_fields(
     descr: &Literal,
     prefix: &str,
@@ -198,27 +204,27 @@ fn add_fields(
     limits: &Limits,
 ) -> std::result::Result<usize, Refusal> {
     let invalid = |what: &str| Refusal::Invalid(what.into());
-    let Literal::List(entries) = descr else { return Err(invalid("a structured type is no list")) };
+    let Literal::List(entries) = descr else { return Err(invalid("a structured type is not a list")) };
     let mut at = offset;
     for entry in entries {
-        let Literal::List(parts) = entry else { return Err(invalid("a field is no tuple")) };
+        let Literal::List(parts) = entry else { return Err(invalid("a field is not a tuple")) };
         let (name, kind, repeats) = match &parts[..] {
             [name, kind] => (name, kind, 1),
             [name, kind, shape] => (name, kind, repeats_of(shape)?),
-            _ => return Err(invalid("a field has neither two nor three parts")),
+            _ => return Err(invalid("a field does not have two or three parts")),
         };
         let name = match name {
             Literal::Text(name) => name.clone(),
             Literal::List(titled) => match titled.last() {
                 Some(Literal::Text(name)) => name.clone(),
-                _ => return Err(invalid("the name of a field is no text")),
+                _ => return Err(invalid("the name of a field is not a string")),
             },
-            _ => return Err(invalid("the name of a field is no text")),
+            _ => return Err(invalid("the name of a field is not a string")),
         };
         let full = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
         let end = match kind {
             Literal::Text(code) => {
-                let Element { bytes, number } = element(code)?;
+                let ElementType { bytes, number } = element(code)?;
                 let is_padding = name.is_empty() || code.contains('V');
                 if !is_padding && repeats != 0 && bytes != 0 {
                     fields.push(Field { name: full, offset: at, arity: repeats, number });
@@ -228,15 +234,16 @@ fn add_fields(
             nested => {
                 let before = fields.len();
                 let end = add_fields(nested, &full, at, fields, limits)?;
-                // Of a structure that is repeated, only the first is told apart.
+                // Of a repeated structure, only the first gets fields.
                 fields.truncate(if repeats == 0 { before } else { fields.len() });
                 (end - at).checked_mul(repeats).and_then(|bytes| at.checked_add(bytes))
             }
         };
-        at =
-            end.filter(|end| *end <= u32::MAX as usize).ok_or_else(|| invalid("a type of too many bytes"))?;
+        at = end
+            .filter(|end| *end <= u32::MAX as usize)
+            .ok_or_else(|| invalid("a type has too many bytes"))?;
         if fields.len() > limits.attribute_count {
-            let what = format!("more fields than the limit of {}", limits.attribute_count);
+            let what = format!("the array has more fields than the limit of {}", limits.attribute_count);
             return Err(Refusal::TooLarge(what));
         }
     }
@@ -254,25 +261,25 @@ fn repeats_of(shape: &Literal) -> std::result::Result<usize, Refusal> {
         }
         single => length(single),
     };
-    repeats.ok_or_else(|| Refusal::Invalid("the shape of a field is no shape".into()))
+    repeats.ok_or_else(|| Refusal::Invalid("the shape of a field is invalid".into()))
 }
 
-/// What a type code says of one element.
-struct Element {
+/// The meaning of a type code for one element.
+struct ElementType {
     bytes: usize,
     number: Option<(Number, Endian)>,
 }
 
-/// A byte order, a letter and a size: `<f4`.
-fn element(code: &str) -> std::result::Result<Element, Refusal> {
-    let invalid = || Refusal::Invalid(format!("the type \"{}\" is none that is known", excerpt(code)));
+/// Parses a byte order, a letter and a size: `<f4`.
+fn element(code: &str) -> std::result::Result<ElementType, Refusal> {
+    let invalid = || Refusal::Invalid(format!("unknown type \"{}\"", excerpt(code)));
     let (endian, rest) = match code.split_at_checked(1) {
         Some((">", rest)) => (Endian::Big, rest),
-        Some(("<" | "|" | "=", rest)) => (Endian::Little, rest), // what is native, today
+        Some(("<" | "|" | "=", rest)) => (Endian::Little, rest), // `=` means native, which is little-endian in practice
         _ => (Endian::Little, code),
     };
     let (letter, size) = rest.split_at_checked(1).ok_or_else(invalid)?;
-    let digits = size.split('[').next().unwrap_or_default(); // datetime64 has its unit in brackets
+    let digits = size.split('[').next().unwrap_or_default(); // datetime64 has a unit in brackets
     let size: usize = if digits.is_empty() { 0 } else { digits.parse().map_err(|_| invalid())? };
     let number = match (letter, size) {
         ("?", 0) | ("b", 1) => Some(Number::Bool),
@@ -293,8 +300,8 @@ fn element(code: &str) -> std::result::Result<Element, Refusal> {
     let bytes = match letter {
         "?" => 1,
         "U" => size.checked_mul(4).ok_or_else(invalid)?,
-        "O" => 8, // a reference: the objects follow in a form of Python's own
+        "O" => 8, // a reference; the pickled objects follow
         _ => size,
     };
-    Ok(Element { bytes, number: number.map(|number| (number, endian)) })
+    Ok(ElementType { bytes, number: number.map(|number| (number, endian)) })
 }

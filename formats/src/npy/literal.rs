@@ -1,10 +1,10 @@
-//! The few Python literals that a header is made of.
+//! The Python literals that can occur in a header.
 
 use crate::error::{Error, Place, Result};
 
 use super::FORMAT;
 
-/// A literal of Python.
+/// A Python literal.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Literal {
     Text(String),
@@ -16,10 +16,10 @@ pub(super) enum Literal {
     Dictionary(Vec<(Literal, Literal)>),
 }
 
-/// Lists within lists: a structured type has four, one more for each structure in it.
+/// Nesting limit for lists: a structured type has four levels, plus one per nested structure.
 const DEPTH_MAX: usize = 32;
 
-/// The literal that is all of `text`, which begins at byte `offset` of the file.
+/// Parses all of `text`, which starts at offset `offset` of the file, as one literal.
 pub(super) fn parse(text: &[u8], offset: usize) -> Result<Literal> {
     let mut parser = Parser { text, at: 0, offset };
     let literal = parser.literal(0)?;
@@ -36,7 +36,7 @@ struct Parser<'a> {
 }
 
 impl Parser<'_> {
-    /// The next byte that is no blank, which stays.
+    /// The next nonblank byte, without consuming it.
     fn peek(&mut self) -> Option<u8> {
         let rest = &self.text[self.at..];
         self.at += rest.iter().take_while(|byte| byte.is_ascii_whitespace()).count();
@@ -51,7 +51,7 @@ impl Parser<'_> {
 
     fn literal(&mut self, depth: usize) -> Result<Literal> {
         if depth > DEPTH_MAX {
-            return Err(self.unexpected(&format!("no more than {DEPTH_MAX} lists within lists")));
+            return Err(self.unexpected(&format!("at most {DEPTH_MAX} nested lists")));
         }
         match self.peek() {
             Some(b'{') => self.dictionary(depth),
@@ -85,13 +85,13 @@ impl Parser<'_> {
         while !self.take(close) {
             items.push(self.literal(depth + 1)?);
             if !self.take(b',') && self.peek() != Some(close) {
-                return Err(self.unexpected("`,` or the end of a list"));
+                return Err(self.unexpected("`,` or the end of the list"));
             }
         }
         Ok(Literal::List(items))
     }
 
-    /// Names of fields with quotes or escapes in them are kept as they are spelled.
+    /// Quotes and escapes in field names are kept as spelled.
     fn text(&mut self, quote: u8) -> Result<Literal> {
         let rest = &self.text[self.at + 1..];
         let mut is_escaped = false;
@@ -102,13 +102,13 @@ impl Parser<'_> {
             }
             is_escaped = byte == b'\\' && !is_escaped;
         }
-        Err(self.unexpected("the end of a text"))
+        Err(self.unexpected("the end of a string"))
     }
 
     fn integer(&mut self) -> Result<Literal> {
         let digits = self.text[self.at..].iter().take_while(|byte| byte.is_ascii_digit()).count();
         let text = std::str::from_utf8(&self.text[self.at..self.at + digits]).unwrap_or_default();
-        let Ok(integer) = text.parse() else { return Err(self.unexpected("an integer of 64 bits")) };
+        let Ok(integer) = text.parse() else { return Err(self.unexpected("a 64-bit integer")) };
         self.at += digits;
         self.at += usize::from(self.text.get(self.at) == Some(&b'L')); // Python 2
         Ok(Literal::Integer(integer))
@@ -140,7 +140,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn headers_are_parsed() {
+    fn python_dictionaries_are_parsed() {
         let text = b"{'descr': [('pos', '<f4', (3L,)), (\"it's\", '|b1')], 'fortran_order': False, }  \n";
         let found = format!("{:?}", parse(text, 10).unwrap());
         assert_eq!(
@@ -151,16 +151,16 @@ mod tests {
     }
 
     #[test]
-    fn malformed_ones_are_refused_with_the_place() {
+    fn malformed_headers_are_errors_with_offset() {
         let deep = "[".repeat(100_000);
         let table = [
             ("{'a' 1}", "at byte 15: the header: expected `:`, found `1}`"),
             ("{'a': 1", "expected `,` or `}`, found the end"),
             ("{} x", "expected the end of the header, found `x`"),
-            ("'a", "expected the end of a text"),
-            ("99999999999999999999", "an integer of 64 bits"),
+            ("'a", "expected the end of a string"),
+            ("99999999999999999999", "a 64-bit integer"),
             ("None", "expected a literal, found `None`"),
-            (&deep, "no more than 32 lists"),
+            (&deep, "at most 32 nested lists"),
         ];
         for (text, expected) in table {
             let error = parse(text.as_bytes(), 10).unwrap_err().to_string();

@@ -1,15 +1,15 @@
-//! NumPy's arrays: one in a `.npy`, several with names in a `.npz`.
+//! NumPy arrays: one array in a `.npy` file, several named ones in a `.npz` file.
 //!
 //! ```text
 //!   93 N U M P Y  1 0  u16        signature, version 1.0 to 3.0, length of the header (u32 from 2.0 on)
 //!   {'descr': '<f4', 'fortran_order': False, 'shape': (1000, 3), }     a Python dictionary, padded with blanks
-//!   numbers                       row by row, or column by column in Fortran's order
+//!   numbers                       row by row, or column by column in Fortran order
 //! ```
 //!
-//! An array of (N, 3) is the positions; of more columns, the first three are. A structured array has a name
-//! for each field, and an archive one for each array: these are understood as everywhere, `pos` or `x`, `y`, `z`
-//! for the position, `vel`, `radius` and so on. What has not a value for each particle, such as a time step that
-//! was saved with the rest, is left out and told.
+//! An array of shape (N, 3) contains the positions; if it has more columns, the first three do. A structured
+//! array has a name per field, and an archive one per array. The names are interpreted as in all formats:
+//! `pos` or `x`, `y`, `z` for the position, `vel`, `radius` and so on. Arrays without a value per particle,
+//! such as a time step saved along with the rest, are skipped with a note.
 
 mod archive;
 mod header;
@@ -26,9 +26,9 @@ use crate::row::{Completeness, HeadCheck, exactly};
 use crate::row::{FormatRow, ParticleInput};
 use crate::scalar::Scalar;
 
-use header::{Field, Header, Layout};
+use header::{ArrayHeader, ElementLayout, Field};
 
-/// The format as users know it, for errors.
+/// The format's name in errors.
 const FORMAT: &str = "NumPy array";
 const ARCHIVE: &str = "NumPy archive";
 
@@ -36,13 +36,13 @@ const ARCHIVE: &str = "NumPy archive";
 ///
 /// # Errors
 ///
-/// [`Error::Invalid`] for a malformed header or an array that is no list of positions, [`Error::Short`] where
-/// numbers are missing, [`Error::Unsupported`] for types that are no numbers, [`Error::TooLarge`] beyond `limits`.
+/// [`Error::Invalid`] for a malformed header or an array that is not a list of positions, [`Error::Short`] if
+/// data is missing, [`Error::Unsupported`] for non-numeric types, [`Error::TooLarge`] beyond `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let header = header::read(bytes, limits)?;
     let data = header.data(bytes)?;
     let (arrays, mut notes) = arrays_of(&header, data, limits)?;
-    let is_structured = matches!(header.layout, Layout::Fields { .. });
+    let is_structured = matches!(header.layout, ElementLayout::Fields { .. });
     let mut frame = match is_structured {
         true => frame_of(None, arrays).ok_or_else(|| no_position(&header))?,
         false => {
@@ -59,18 +59,18 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 ///
 /// # Errors
 ///
-/// Those of [`read`], for each array, and [`Error::Invalid`] for a damaged archive.
+/// The errors of [`read`] for each array, and [`Error::Invalid`] for a damaged archive.
 pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let mut arrays = Vec::new();
     let mut notes = Vec::new();
-    let mut account = archive::Account::default();
+    let mut totals = archive::ArchiveTotals::default();
     for member in archive::members(bytes, limits)? {
         let Some(name) = member.name.strip_suffix(".npy") else { continue };
-        let content = member.content(bytes, limits, &mut account)?;
+        let content = member.content(bytes, limits, &mut totals)?;
         let within = |error| within_member(error, name);
         let header = header::read(&content, limits).map_err(within)?;
-        if let Layout::Unread(what) = &header.layout {
-            notes.push(format!("`{}` holds {what} and was left out.", excerpt(name)));
+        if let ElementLayout::Unread(what) = &header.layout {
+            notes.push(format!("skipped `{}`: it contains {what}", excerpt(name)));
             continue;
         }
         let data = header.data(&content).map_err(within)?;
@@ -86,10 +86,10 @@ pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     Ok(frame)
 }
 
-/// An error in an array of an archive: offsets are those in the array.
+/// An error in an array of an archive, with offsets within the array.
 fn within_member(error: Error, name: &str) -> Error {
     match error {
-        // All of the array is there: the archive's checksum said so.
+        // The array is complete: the archive's checksum confirmed it.
         Error::Short { place, what, .. } | Error::Invalid { place, what, .. } => {
             Error::invalid(ARCHIVE, Place::File, format!("the array `{}`, {place}: {what}", excerpt(name)))
         }
@@ -100,15 +100,18 @@ fn within_member(error: Error, name: &str) -> Error {
     }
 }
 
-/// The fields of a structured array, or the one array under no name.
-fn arrays_of(header: &Header, data: &[u8], limits: &Limits) -> Result<(Vec<NamedArray>, Vec<String>)> {
+/// The fields of a structured array, or the array itself without a name.
+fn arrays_of(header: &ArrayHeader, data: &[u8], limits: &Limits) -> Result<(Vec<NamedArray>, Vec<String>)> {
     let mut notes = Vec::new();
     match &header.layout {
-        Layout::Plain { number, endian } => {
+        ElementLayout::Plain { number, endian } => {
             check_count(header.row_count(), limits)?;
             let columns = header.column_count();
             if columns > limits.attribute_count {
-                let what = format!("{columns} columns, more than the limit of {}", limits.attribute_count);
+                let what = format!(
+                    "the array has {columns} columns, more than the limit of {}",
+                    limits.attribute_count
+                );
                 return Err(Error::too_large(FORMAT, what));
             }
             let values = match header.is_fortran && columns > 1 {
@@ -122,7 +125,7 @@ fn arrays_of(header: &Header, data: &[u8], limits: &Limits) -> Result<(Vec<Named
             };
             Ok((vec![NamedArray { name: String::new(), arity: columns, values }], notes))
         }
-        Layout::Fields { fields, stride } => {
+        ElementLayout::Fields { fields, stride } => {
             check_count(header.element_count()?, limits)?;
             let mut arrays = Vec::new();
             for Field { name, offset, arity, number } in fields {
@@ -132,19 +135,19 @@ fn arrays_of(header: &Header, data: &[u8], limits: &Limits) -> Result<(Vec<Named
                         arity: *arity,
                         values: number.decode_strided(data, *endian, *stride, *offset, *arity),
                     }),
-                    None => notes
-                        .push(format!("The field `{}` holds no numbers and was left out.", excerpt(name))),
+                    None => notes.push(format!("skipped the field `{}`: it is not numeric", excerpt(name))),
                 }
             }
             Ok((arrays, notes))
         }
-        Layout::Unread(what) => {
-            Err(Error::unsupported(FORMAT, format!("the array holds {what}: save numbers, such as float32")))
-        }
+        ElementLayout::Unread(what) => Err(Error::unsupported(
+            FORMAT,
+            format!("the array contains {what}: save numbers, such as float32"),
+        )),
     }
 }
 
-/// Positions, and whatever more columns there are: three at least.
+/// A frame from an array without names: the positions in the first three columns, and any further columns.
 fn unnamed_frame(array: NamedArray) -> ParticleFrame {
     let NamedArray { arity, values, .. } = array;
     if arity == 3 {
@@ -159,13 +162,13 @@ fn unnamed_frame(array: NamedArray) -> ParticleFrame {
     };
     let mut frame = frame_of(Some(positions), (3..arity).map(column).collect()).unwrap_or_default();
     frame.notes.push(format!(
-        "The array has no names: the first 3 of {arity} columns were taken for the position, the others are called \
-         column_4 and so on."
+        "the array has no names: the first 3 of {arity} columns are used as the position, the others are named \
+         column_4 and so on"
     ));
     frame
 }
 
-/// The frame of those arrays that have a value for each particle.
+/// The frame of the arrays that have a value for each particle.
 fn frame_of_archive(mut arrays: Vec<NamedArray>, notes: &mut Vec<String>) -> Result<ParticleFrame> {
     let is_vector = |array: &&NamedArray| array.arity == 3 && position_rank(&array.name).is_some();
     let named = arrays.iter().filter(is_vector).min_by_key(|array| position_rank(&array.name));
@@ -178,7 +181,7 @@ fn frame_of_archive(mut arrays: Vec<NamedArray>, notes: &mut Vec<String>) -> Res
         if !is_kept {
             let found = array.particle_count();
             notes.push(format!(
-                "`{}` has {found} rows, not one for each particle: left out.",
+                "skipped `{}`: it has {found} rows for {count} particles",
                 excerpt(&array.name)
             ));
         }
@@ -188,7 +191,7 @@ fn frame_of_archive(mut arrays: Vec<NamedArray>, notes: &mut Vec<String>) -> Res
     frame_of(None, arrays).ok_or(no_position)
 }
 
-/// The frame of an archive's only array, which says enough without a name.
+/// The frame of an archive with a single array, which is used whatever its name.
 fn frame_of_only(mut arrays: Vec<NamedArray>, notes: &mut Vec<String>) -> Result<ParticleFrame> {
     let array = match arrays.pop() {
         Some(array) if arrays.is_empty() && array.arity >= 3 => array,
@@ -197,11 +200,11 @@ fn frame_of_only(mut arrays: Vec<NamedArray>, notes: &mut Vec<String>) -> Result
             return Err(no_position_among(&arrays));
         }
     };
-    notes.push(format!("`{}` is the only array: it was taken for the position.", excerpt(&array.name)));
+    notes.push(format!("`{}` is the only array: it is used as the position", excerpt(&array.name)));
     Ok(unnamed_frame(array))
 }
 
-/// The number of rows of the arrays of one value that are the position.
+/// The number of rows of the position if it consists of scalar arrays.
 fn columns_count(arrays: &[NamedArray]) -> Option<usize> {
     let singles = arrays.iter().filter(|array| array.arity == 1);
     let columns: Vec<(&str, Scalar)> =
@@ -212,23 +215,32 @@ fn columns_count(arrays: &[NamedArray]) -> Option<usize> {
 
 fn check_count(count: u64, limits: &Limits) -> Result<()> {
     if count > limits.particle_count {
-        let what = format!("{count} particles, more than the limit of {}", limits.particle_count);
+        let what =
+            format!("the file has {count} particles, more than the limit of {}", limits.particle_count);
         return Err(Error::too_large(FORMAT, what));
     }
     Ok(())
 }
 
-fn no_position(header: &Header) -> Error {
+fn no_position(header: &ArrayHeader) -> Error {
     let names: Vec<&str> = match &header.layout {
-        Layout::Fields { fields, .. } => fields.iter().take(12).map(|field| field.name.as_str()).collect(),
+        ElementLayout::Fields { fields, .. } => {
+            fields.iter().take(12).map(|field| field.name.as_str()).collect()
+        }
         _ => Vec::new(),
     };
     let what = match names.is_empty() {
         true => {
-            format!("expected positions, an array of shape (N, 3) or more columns, found {}", header.shown())
+            format!(
+                "expected positions as an array of shape (N, 3) or with more columns, found {}",
+                header.shown()
+            )
         }
         false => {
-            format!("expected a field `pos` of three numbers, or x, y and z; found: {}", names.join(", "))
+            format!(
+                "expected a field `pos` with three numbers, or fields x, y and z; found: {}",
+                names.join(", ")
+            )
         }
     };
     Error::invalid(FORMAT, Place::File, what)
@@ -238,19 +250,19 @@ fn no_position_among(arrays: &[NamedArray]) -> Error {
     let shown = |array: &NamedArray| format!("{} ({}, {})", array.name, array.particle_count(), array.arity);
     let found: Vec<String> = arrays.iter().take(12).map(shown).collect();
     let what = format!(
-        "expected an array `pos` of shape (N, 3), or x, y and z of (N); found: {}",
-        if found.is_empty() { "no array of numbers".into() } else { found.join(", ") }
+        "expected an array `pos` of shape (N, 3), or x, y and z of shape (N); found: {}",
+        if found.is_empty() { "no numeric array".into() } else { found.join(", ") }
     );
     Error::invalid(ARCHIVE, Place::File, what)
 }
 
-/// What the table of formats says of one array.
+/// The row of single arrays in the table of formats.
 pub(crate) static ROW: FormatRow = FormatRow {
     signatures: &[b"\x93NUMPY"],
     beginnings: &[b"\x93NUMPY"],
     particles: Some(ParticleInput {
         completeness: |head, file_bytes| {
-            let declared = header::bytes_claimed(head, &Limits::default())?;
+            let declared = header::bytes_declared(head, &Limits::default())?;
             let known = declared.map_or(Completeness::Unproven, |declared| exactly(declared, file_bytes));
             Ok(HeadCheck::Known(known))
         },
@@ -259,7 +271,7 @@ pub(crate) static ROW: FormatRow = FormatRow {
     ..FormatRow::new(FORMAT, &["npy"])
 };
 
-/// What the table of formats says of an archive.
+/// The row of archives in the table of formats.
 pub(crate) static ARCHIVE_ROW: FormatRow = FormatRow {
     beginnings: &[b"PK\x03\x04"],
     particles: Some(ParticleInput::complete_by_reading(read_archive)),

@@ -1,40 +1,40 @@
-//! The lines of an OBJ file that make a mesh, put in such a way that nothing in them can be misunderstood.
+//! Extracts the lines of an OBJ file that define a mesh, and normalises them.
 //!
-//! The crate tobj reads them, and this stands between it and the file:
+//! This adapter sits between the file and the tobj crate, which parses the result:
 //!
 //! ```text
-//!   v 1 2 3 0.5 0.5 0.5       v 1 2 3              colours some vertices have
-//!   vt 0 1                                         textures, materials, objects, groups, comments
-//!   f 1/1/1 2/2/2 \           f 1//1 2//2 3//3     a line that goes on in the next
+//!   v 1 2 3 0.5 0.5 0.5       v 1 2 3              vertex colours are dropped
+//!   vt 0 1                                         also textures, materials, objects, groups, comments
+//!   f 1/1/1 2/2/2 \           f 1//1 2//2 3//3     a continued line is joined
 //!   3/3/3
 //! ```
 //!
-//! Indices are checked here, since what is relative can only be told on its line, and then the error names it.
-//! Text that is not Unicode, as old programs wrote into names, does no harm.
+//! Indices are checked here, because relative ones can only be resolved at their line, and so that the error
+//! can name the line. Text that is not valid UTF-8, which old programs write into names, is ignored.
 
 use crate::excerpt::excerpt;
 use std::io::{self, BufRead, Read};
 
-/// The lines, as whoever reads them is to see them.
-pub(super) struct Lines<'a> {
+/// The normalised lines, as the parser sees them.
+pub(super) struct MeshLines<'a> {
     rest: &'a [u8],
-    /// The line that is being read, and how much of it was.
+    /// The current line, and how much of it has been consumed.
     line: Vec<u8>,
     read: usize,
     line_number: u64,
     vertex_count: u64,
     normal_count: u64,
-    /// Corners whose vertex, or normal, has not come yet: of each kind the line and the number, wherever that is more
-    /// than before. So the first that is beyond all there are is among them.
+    /// Forward references to vertices and normals: for each kind, the line and the index of each reference
+    /// that is larger than all before. So they include the first one that exceeds the final count.
     awaited: [Vec<(u64, u64)>; 2],
     is_at_end: bool,
-    /// What is wrong with the line.
+    /// The error in the current line.
     error: Option<String>,
 }
 
-impl<'a> Lines<'a> {
-    pub(super) fn new(text: &'a [u8]) -> Lines<'a> {
-        Lines {
+impl<'a> MeshLines<'a> {
+    pub(super) fn new(text: &'a [u8]) -> MeshLines<'a> {
+        MeshLines {
             rest: text,
             line: Vec::new(),
             read: 0,
@@ -47,8 +47,8 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// The line that something is wrong with, counted from 1, and what, if that was found here: the line that was read
-    /// last, or, at the end, the first with a corner that never came.
+    /// The line number of an error, starting at 1, and its message if it was found here: the last line read
+    /// or, at the end of the file, the first with an unresolved forward reference.
     pub(super) fn place(&mut self) -> (u64, Option<String>) {
         if !self.is_at_end {
             return (self.line_number, self.error.take());
@@ -56,8 +56,9 @@ impl<'a> Lines<'a> {
         let [vertices, normals] = &self.awaited;
         let first = |awaited: &[(u64, u64)], count: u64, kind: &'static str| {
             let beyond = awaited.iter().find(|(_, number)| *number > count);
-            beyond
-                .map(|(line, number)| (*line, format!("a face with {kind} {number}, and there are {count}")))
+            beyond.map(|(line, number)| {
+                (*line, format!("a face has {kind} {number}, but the file has {count}"))
+            })
         };
         let vertex = first(vertices, self.vertex_count, "vertex");
         let normal = first(normals, self.normal_count, "normal");
@@ -83,7 +84,7 @@ impl<'a> Lines<'a> {
         Ok(true)
     }
 
-    /// The next line, with those that it goes on in.
+    /// Takes the next line, including its continuation lines.
     fn take_line(&mut self) -> Vec<u8> {
         let mut text = Vec::new();
         loop {
@@ -125,12 +126,12 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// Three numbers; a weight or a colour may follow.
+    /// Three numbers, optionally followed by a weight or a colour.
     fn numbers<'t>(&mut self, keyword: &str, words: impl Iterator<Item = &'t [u8]>) -> Result<(), String> {
         self.line.extend_from_slice(keyword.as_bytes());
         for word in words.take(3) {
             if !word.is_ascii() {
-                return Err(format!("`{}` is no number", excerpt(word)));
+                return Err(format!("`{}` is not a number", excerpt(word)));
             }
             self.line.push(b' ');
             self.line.extend_from_slice(word);
@@ -138,7 +139,7 @@ impl<'a> Lines<'a> {
         Ok(())
     }
 
-    /// The corner of a face: its vertex and, if it has one, its normal.
+    /// The corner of a face: its vertex and, optionally, its normal.
     fn corner(&mut self, corner: &[u8]) -> Result<(), String> {
         let mut parts = corner.split(|&byte| byte == b'/');
         let vertex = index(parts.next().unwrap_or_default(), self.vertex_count, corner)?;
@@ -155,17 +156,17 @@ impl<'a> Lines<'a> {
     }
 }
 
-/// Keeps in mind a number that is more than there are so far, and more than was awaited before.
+/// Records a forward reference if it is larger than all recorded ones.
 fn await_element(awaited: &mut Vec<(u64, u64)>, line: u64, number: u64, count: u64) {
     if number > count && awaited.last().is_none_or(|(_, most)| number > *most) {
         awaited.push((line, number));
     }
 }
 
-/// An index from 1 on, of one that may count back from the last element before the line. Whether an element of that
-/// number comes is seen at the end.
+/// Converts an index, which can be relative to the last element before the line, to one that starts at 1.
+/// Whether that element exists is checked at the end of the file.
 fn index(text: &[u8], count: u64, corner: &[u8]) -> Result<u64, String> {
-    let wrong = || format!("a face with the corner `{}`", excerpt(corner));
+    let wrong = || format!("a face has an invalid corner `{}`", excerpt(corner));
     let number: i64 = std::str::from_utf8(text).ok().and_then(|text| text.parse().ok()).ok_or_else(wrong)?;
     let index = match number {
         ..0 => count.checked_sub(number.unsigned_abs()).map(|before| before + 1),
@@ -174,7 +175,7 @@ fn index(text: &[u8], count: u64, corner: &[u8]) -> Result<u64, String> {
     index.filter(|index| (1..=u64::from(u32::MAX)).contains(index)).ok_or_else(wrong)
 }
 
-impl Read for Lines<'_> {
+impl Read for MeshLines<'_> {
     fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
         let mut line = self.fill_buf()?;
         let count = line.read(out)?;
@@ -183,7 +184,7 @@ impl Read for Lines<'_> {
     }
 }
 
-impl BufRead for Lines<'_> {
+impl BufRead for MeshLines<'_> {
     fn fill_buf(&mut self) -> io::Result<&[u8]> {
         if self.read == self.line.len() {
             self.advance()?;

@@ -1,4 +1,4 @@
-//! Wavefront OBJ: meshes as text, out and in.
+//! Wavefront OBJ: reads and writes meshes as text.
 
 use crate::mesh_options::WriteOption;
 use crate::provenance::from_comments;
@@ -17,7 +17,7 @@ use write::{batch_count, encode_batch, ends_as_written};
 /// The format's name in errors.
 const FORMAT: &str = "OBJ";
 
-/// What the table of formats says of it.
+/// The row in the table of formats.
 pub(crate) static ROW: OutputRow = OutputRow {
     format: FormatRow { read_mesh: Some(|bytes, _, _| read_mesh(bytes)), ..FormatRow::new(FORMAT, &["obj"]) },
     help: "Wavefront OBJ",

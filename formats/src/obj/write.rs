@@ -1,17 +1,17 @@
 //! Writes a triangle mesh as OBJ text.
 //!
-//! Reals are the shortest decimals that read back as the same number. Lines are formatted in
-//! parallel, a run of elements per task, and written in order. The last line is a comment that says
-//! how much there was, for nothing else in the format tells a whole file from a part of one.
-//! Of what is known of the vertices only the colour has a place, behind the position: an old habit that most
-//! readers share.
+//! Numbers are the shortest decimals that parse back to the same value. Lines are formatted in parallel, a
+//! range of elements per task, and written in order. The last line is a comment with the element counts,
+//! because nothing else in the format distinguishes a complete file from a truncated one. Of the vertex
+//! attributes, only the colour can be stored, after the position: an unofficial extension that most readers
+//! support.
 //!
 //! ```text
 //!   batch 0: header │ batch 1: v v ‥ v vn ‥ vn │ batch 2: vn ‥ vn f ‥ f │ f ‥ f, last line
-//!                              └┴ a task each
+//!                              └┴ one task each
 //! ```
 //!
-//! Any batch can be had by itself, so that whoever writes need not hold the text of all.
+//! Each batch can be encoded independently, so the writer need not hold the whole text.
 
 use std::ops::Range;
 
@@ -23,27 +23,27 @@ use crate::error::Result;
 use crate::mesh_options::MeshOptions;
 use crate::provenance::{GENERATOR, comments};
 use crate::quads::{Face, check_quads, faces, quad_count};
-use crate::vertex_attributes::{Purpose, cut_note, purposes};
+use crate::vertex_attributes::{Purpose, clamp_note, purposes};
 
-/// Elements that are formatted as one task, and tasks whose text is held at once.
+/// Elements formatted per task, and tasks whose text is held at a time.
 const ELEMENTS_PER_TASK: usize = 1 << 13;
 const TASKS_AT_ONCE: usize = 64;
 
-/// What the last line begins with.
+/// The beginning of the last line.
 const LAST_LINE: &str = "# end: ";
 
-/// The number of batches of the text of a mesh.
+/// The number of batches for a mesh.
 pub(super) fn batch_count(mesh: &MeshView, _options: &MeshOptions) -> usize {
     1 + task_counts(mesh).iter().sum::<usize>().div_ceil(TASKS_AT_ONCE).max(1)
 }
 
-/// Encodes a batch: positions, with the colour if there is one, normals and faces. If the mesh has an origin, it is added
-/// in 64 bits and the sums are printed. Axes are left as they are.
+/// Encodes a batch: positions, with colours if there are any, normals and faces. If the mesh has an origin,
+/// it is added in 64 bits and the sums are printed. Axes are not converted.
 ///
 /// # Errors
 ///
-/// [`crate::Error::Invalid`], for the first batch, if the mesh is inconsistent or not finite, or if what should be a quad
-/// is none.
+/// [`crate::Error::Invalid`], for the first batch, if the mesh is inconsistent or not finite, or if two
+/// triangles marked as a quad do not form one.
 pub(super) fn encode_batch(
     mesh: &MeshView,
     options: &MeshOptions,
@@ -71,7 +71,7 @@ pub(super) fn encode_batch(
     Ok(texts)
 }
 
-/// The tasks for positions, normals and triangles.
+/// The number of tasks for positions, normals and triangles.
 fn task_counts(mesh: &MeshView) -> [usize; 3] {
     [mesh.positions.len(), mesh.normals.len(), mesh.triangles.len()]
         .map(|count| count.div_ceil(ELEMENTS_PER_TASK))
@@ -114,7 +114,8 @@ fn world(origin: [f64; 3], position: &[f32; 3]) -> [f64; 3] {
     std::array::from_fn(|axis| origin[axis] + f64::from(position[axis]))
 }
 
-/// Red, green and blue of a vertex, from 0 to 1, if the vertices have a colour: readers take no others.
+/// Red, green and blue of a vertex, clamped to 0 to 1, the only range that readers support; `None` if there
+/// is no colour.
 fn colors_of<'a>(mesh: &MeshView<'a>) -> Option<impl Fn(usize) -> [f32; 3] + 'a> {
     let found =
         purposes(mesh.attributes).into_iter().zip(mesh.attributes).find_map(|(purpose, attribute)| {
@@ -128,20 +129,20 @@ fn colors_of<'a>(mesh: &MeshView<'a>) -> Option<impl Fn(usize) -> [f32; 3] + 'a>
     Some(move |vertex| std::array::from_fn(|channel| channel_of(vertex, channel).clamp(0.0, 1.0)))
 }
 
-/// What becomes of vertex attributes that an OBJ file does not hold; nothing where all come through.
+/// Notes on vertex attributes that an OBJ file cannot store exactly.
 pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
     let mut notes = Vec::new();
     for (VertexAttribute { name, arity, .. }, purpose) in attributes.iter().zip(purposes(attributes)) {
         match purpose {
             Purpose::Color(values) => {
                 if *arity == 4 {
-                    notes.push(format!("{name} is without its alpha in the .obj"));
+                    notes.push(format!("the alpha of {name} is missing in the .obj"));
                 }
                 let opaque = values.chunks_exact(*arity).flat_map(|color| &color[..3]);
-                notes.extend(cut_note(name, opaque, "the .obj"));
+                notes.extend(clamp_note(name, opaque, "the .obj"));
             }
             Purpose::Velocity | Purpose::Other => {
-                notes.push(format!("{name} is not in the .obj, which has a place for colours only"));
+                notes.push(format!("{name} is missing in the .obj, which can only store colours"));
             }
         }
     }
@@ -153,40 +154,40 @@ fn run_of<T>(elements: &[T], task: usize) -> &[T] {
     &elements[range_of(elements.len(), task)]
 }
 
-/// Which of so many elements are those of one task.
+/// The index range of one task.
 fn range_of(count: usize, task: usize) -> Range<usize> {
     let start = (task * ELEMENTS_PER_TASK).min(count);
     start..(start + ELEMENTS_PER_TASK).min(count)
 }
 
-/// The lines of one task of triangles, some of which are halves of quads.
+/// The face lines of one task, including quads.
 fn faces_of(triangles: &[[u32; 3]], quads: &[bool], task: usize) -> Vec<u8> {
     let faces: Vec<Face> = faces(triangles, quads, range_of(triangles.len(), task)).collect();
     lines_of(&faces, |line, face| line.face(face.corners()))
 }
 
-/// Whether the last bytes of a file are those of a whole one of this writer.
+/// Whether the last bytes of a file are those of a complete file of this writer.
 pub(crate) fn ends_as_written(tail: &[u8]) -> bool {
     let Some(lines) = tail.strip_suffix(b"\n") else { return false };
     let start = lines.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);
     lines[start..].starts_with(LAST_LINE.as_bytes())
 }
 
-/// Text in the making, with memory for one number.
-struct Lines {
+/// Text under construction, with a buffer for formatting numbers.
+struct LineWriter {
     text: Vec<u8>,
     real: zmij::Buffer,
     integer: itoa::Buffer,
 }
 
-impl Lines {
-    /// A line, or the rest of one.
+impl LineWriter {
+    /// Appends a line, or the rest of one.
     fn reals<T: zmij::Float>(&mut self, keyword: &str, numbers: [T; 3]) {
         self.reals_open(keyword, numbers);
         self.text.push(b'\n');
     }
 
-    /// A line that goes on.
+    /// Appends numbers without ending the line.
     fn reals_open<T: zmij::Float>(&mut self, keyword: &str, numbers: [T; 3]) {
         self.text.extend_from_slice(keyword.as_bytes());
         for number in numbers {
@@ -196,7 +197,7 @@ impl Lines {
         }
     }
 
-    /// Vertices count from one; each has the normal of the same number.
+    /// Appends a face. Vertex numbers start at one; each vertex has the normal with the same number.
     fn face(&mut self, corners: &[u32]) {
         self.text.push(b'f');
         for &index in corners {
@@ -211,10 +212,10 @@ impl Lines {
 }
 
 /// One line per element.
-fn lines_of<T>(elements: &[T], format: impl Fn(&mut Lines, &T)) -> Vec<u8> {
+fn lines_of<T>(elements: &[T], format: impl Fn(&mut LineWriter, &T)) -> Vec<u8> {
     const LINE_BYTES: usize = 48; // few lines are longer
     let text = Vec::with_capacity(elements.len() * LINE_BYTES);
-    let mut lines = Lines { text, real: zmij::Buffer::new(), integer: itoa::Buffer::new() };
+    let mut lines = LineWriter { text, real: zmij::Buffer::new(), integer: itoa::Buffer::new() };
     elements.iter().for_each(|element| format(&mut lines, element));
     lines.text
 }

@@ -1,12 +1,12 @@
-//! The body of an ascii PLY file: one record per line, values between spaces.
+//! The body of an ASCII PLY file: one record per line, with values separated by spaces.
 //!
-//! A line that holds fewer or more values than the header declares is an error: taking values from
-//! the next line instead would shift all that follow without anybody noticing. Whatever is wrong with
-//! the last value of the file is told as the file being short: the value may be cut off.
+//! A line with fewer or more values than the header declares is an error: taking values from the next line
+//! instead would silently shift all that follow. An error in the last value of the file is reported as
+//! `Short`, because the value may be truncated.
 //!
-//! A record being a line, a long body is divided at line ends. How many records are above a part is
-//! counted first; then all parts are read side by side, each into its own stretch of the vectors. The error,
-//! if there is one, is that of the first part that has one: the first of the file.
+//! Since each record is a line, a long body is split at line ends. First the records before each part are
+//! counted; then all parts are read in parallel, each into its own range of the vectors. If there are errors,
+//! that of the first part that has one is returned, which is the first in the file.
 
 use fast_float2::FastFloat;
 use rayon::prelude::*;
@@ -18,45 +18,46 @@ use crate::text::{line_number, parse_number};
 use super::FORMAT;
 use super::header::{Element, PropertyType};
 use super::read::{Slots, Target};
-use super::rows::Rows;
+use super::rows::RecordReader;
 
-/// Large enough that a part costs nothing to begin, small enough to share.
+/// Large enough to make the cost of starting a part negligible, small enough to share the work.
 const PART_BYTES: usize = 1 << 20;
 
-/// Reads `count` records, of which the first is the next, into the targets, in the pool of the caller.
+/// Reads the next `count` records into the targets, in the caller's thread pool.
 pub(super) fn read(
-    lines: Lines<'_>,
+    lines: BodyLines<'_>,
     element: &Element,
     count: usize,
     targets: Vec<Target<'_>>,
 ) -> Result<()> {
     let places = places(element, &targets);
-    let read_part = |part: Part<'_, '_>| part.read(element, &places);
+    let read_part = |part: RecordPart<'_, '_>| part.read(element, &places);
     let parts = match rayon::current_num_threads() {
-        1 => vec![Part { lines, count, targets }],
+        1 => vec![RecordPart { lines, count, targets }],
         _ => parts(lines, count, targets, PART_BYTES),
     };
     let outcomes: Vec<Result<()>> = parts.into_par_iter().map(read_part).collect();
     outcomes.into_iter().collect()
 }
 
-/// Records that are read by one thread.
-struct Part<'a, 't> {
-    lines: Lines<'a>,
-    /// As many records.
+/// Records read by one thread.
+struct RecordPart<'a, 't> {
+    lines: BodyLines<'a>,
+    /// Number of records.
     count: usize,
-    /// Room for them.
+    /// Destinations of the values.
     targets: Vec<Target<'t>>,
 }
 
-/// Divides records into parts of about as many bytes. The last one has all that are claimed and not there.
+/// Splits records into parts of about `part_bytes` bytes. The last part gets all declared records that the
+/// file lacks.
 fn parts<'a, 't>(
-    lines: Lines<'a>,
+    lines: BodyLines<'a>,
     count: usize,
     targets: Vec<Target<'t>>,
     part_bytes: usize,
-) -> Vec<Part<'a, 't>> {
-    let Lines { bytes, mut at } = lines;
+) -> Vec<RecordPart<'a, 't>> {
+    let BodyLines { bytes, mut at } = lines;
     let mut ranges = Vec::new();
     while bytes.len() - at > 2 * part_bytes {
         let rest = &bytes[at + part_bytes..];
@@ -66,14 +67,14 @@ fn parts<'a, 't>(
         at = end;
     }
     let counts: Vec<usize> = ranges.par_iter().map(|range| record_count(&bytes[range.clone()])).collect();
-    let mut left = Part { lines, count, targets };
+    let mut left = RecordPart { lines, count, targets };
     let mut parts = Vec::with_capacity(ranges.len() + 1);
     for (range, count) in ranges.into_iter().zip(counts) {
         if left.count <= count {
-            break; // what follows is of another element
+            break; // the rest belongs to another element
         }
         let targets = left.targets.iter_mut().map(|target| target.take_front(count)).collect();
-        parts.push(Part { lines: Lines { bytes, at: range.start }, count, targets });
+        parts.push(RecordPart { lines: BodyLines { bytes, at: range.start }, count, targets });
         left.lines.at = range.end;
         left.count -= count;
     }
@@ -81,20 +82,20 @@ fn parts<'a, 't>(
     parts
 }
 
-/// The number of lines that are not blank.
+/// The number of nonblank lines.
 fn record_count(text: &[u8]) -> usize {
     let lines = text.split(|byte| matches!(byte, b'\n' | b'\r'));
     lines.filter(|line| line.iter().any(|byte| !matches!(byte, b' ' | b'\t'))).count()
 }
 
-impl Part<'_, '_> {
+impl RecordPart<'_, '_> {
     /// Reads the records into the targets.
     fn read(mut self, element: &Element, places: &[Option<(usize, usize)>]) -> Result<()> {
-        let mut rows = Rows::Ascii(self.lines);
+        let mut rows = RecordReader::Ascii(self.lines);
         for record in 0..self.count {
             rows.start()?;
             for (property, place) in element.properties.iter().zip(places) {
-                let (&Some((target, component)), Rows::Ascii(lines)) = (place, &mut rows) else {
+                let (&Some((target, component)), RecordReader::Ascii(lines)) = (place, &mut rows) else {
                     rows.skip(property)?;
                     continue;
                 };
@@ -103,7 +104,7 @@ impl Part<'_, '_> {
                 let scalar = columns[component].1;
                 match slots {
                     Slots::F32(out) => out[slot] = lines.float(scalar, &property.name)?,
-                    // What is declared as 32 bits is no more precise for being written in digits.
+                    // A value declared as 32 bits is read as such, even if it has more digits.
                     Slots::F64(out) if scalar == Scalar::F32 => {
                         out[slot] = f64::from(lines.float::<f32>(scalar, &property.name)?);
                     }
@@ -119,7 +120,7 @@ impl Part<'_, '_> {
     }
 }
 
-/// For each property, the target and the component that it goes to.
+/// For each property, the target and the component that it is written to.
 fn places(element: &Element, targets: &[Target<'_>]) -> Vec<Option<(usize, usize)>> {
     let mut places = vec![None; element.properties.len()];
     for (target, Target { columns, .. }) in targets.iter().enumerate() {
@@ -134,14 +135,14 @@ fn places(element: &Element, targets: &[Target<'_>]) -> Vec<Option<(usize, usize
 
 /// A position in the body.
 #[derive(Clone, Copy)]
-pub(super) struct Lines<'a> {
+pub(super) struct BodyLines<'a> {
     bytes: &'a [u8],
     at: usize,
 }
 
-impl<'a> Lines<'a> {
-    pub(super) fn new(bytes: &'a [u8], at: usize) -> Lines<'a> {
-        Lines { bytes, at: at.min(bytes.len()) }
+impl<'a> BodyLines<'a> {
+    pub(super) fn new(bytes: &'a [u8], at: usize) -> BodyLines<'a> {
+        BodyLines { bytes, at: at.min(bytes.len()) }
     }
 
     pub(super) fn at(&self) -> usize {
@@ -152,13 +153,13 @@ impl<'a> Lines<'a> {
         self.bytes.len() - self.at
     }
 
-    /// Passes over empty lines and the spaces before the first value.
+    /// Skips empty lines and the spaces before the first value.
     pub(super) fn start(&mut self) -> Result<()> {
         self.skip_while(|byte| matches!(byte, b' ' | b'\t' | b'\r' | b'\n'));
         Ok(())
     }
 
-    /// Passes over the spaces after the last value, and checks that the line ends there.
+    /// Skips the spaces after the last value, and checks that the line ends there.
     pub(super) fn finish(&mut self) -> Result<()> {
         match self.peek() {
             None | Some(b'\n' | b'\r') => Ok(()),
@@ -166,7 +167,7 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// Passes over one value.
+    /// Skips one value.
     pub(super) fn skip(&mut self, what: &str) -> Result<()> {
         match self.peek() {
             None | Some(b'\n' | b'\r') => Err(self.missing(what)),
@@ -177,12 +178,12 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// The next value, an integer of the given type.
+    /// Parses the next value as an integer of the given type.
     pub(super) fn integer(&mut self, scalar: Scalar, what: &str) -> Result<i64> {
         self.bounded(scalar, what)
     }
 
-    /// The next value, checked against the range of the type that the header declares.
+    /// Parses the next value and checks the range of the declared type.
     fn bounded<T: TryFrom<i64>>(&mut self, scalar: Scalar, what: &str) -> Result<T> {
         let start = self.at;
         let value: f64 = self.number(what)?;
@@ -205,7 +206,7 @@ impl<'a> Lines<'a> {
         Err(self.wrong_value(format!("`{what}` must be an integer from {least} to {most}, found {value}")))
     }
 
-    /// The next value, a real; or an integer that is stored as one.
+    /// Parses the next value as a float, or as an integer that is stored as a float.
     fn float<T: FastFloat>(&mut self, scalar: Scalar, what: &str) -> Result<T> {
         if !matches!(scalar, Scalar::F32 | Scalar::F64) {
             let start = self.at;
@@ -228,7 +229,7 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// The first byte after spaces.
+    /// The next byte that is not a space, without consuming it.
     fn peek(&mut self) -> Option<u8> {
         self.skip_while(|byte| matches!(byte, b' ' | b'\t'));
         self.bytes.get(self.at).copied()
@@ -247,7 +248,7 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// What is wrong with the value at the present position, which may be all there is of it so far.
+    /// An error in the value at the current position, which may be truncated.
     fn wrong_value(&self, what: String) -> Error {
         match self.bytes[self.at..].iter().any(u8::is_ascii_whitespace) {
             true => self.invalid(what),
@@ -272,7 +273,7 @@ mod tests {
     const HEADER: &str = "ply\nformat ascii 1.0\nelement vertex 60\nproperty float x\nproperty int y\n\
                           property list uchar int list\nend_header\n";
 
-    /// The numbers that are read from a body in parts of so many bytes, or the error as it is told.
+    /// The numbers read from a body in parts of `part_bytes` bytes, or the error as text.
     fn outcome(body: &str, part_bytes: Option<usize>) -> std::result::Result<(Vec<f32>, Vec<i32>), String> {
         let file = format!("{HEADER}{body}");
         let header = super::super::read_header(file.as_bytes(), &crate::Limits::default()).expect("a header");
@@ -282,11 +283,11 @@ mod tests {
             Target { columns: vec![(0, F32)], slots: Slots::F32(&mut x) },
             Target { columns: vec![(1, I32)], slots: Slots::I32(&mut y) },
         ];
-        let lines = Lines::new(file.as_bytes(), header.body_offset);
+        let lines = BodyLines::new(file.as_bytes(), header.body_offset);
         let places = places(element, &targets);
         let parts = match part_bytes {
             Some(part_bytes) => parts(lines, 60, targets, part_bytes),
-            None => vec![Part { lines, count: 60, targets }],
+            None => vec![RecordPart { lines, count: 60, targets }],
         };
         for part in parts {
             part.read(element, &places).map_err(|error| format!("{error:?}"))?;
@@ -295,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn parts_make_what_one_pass_makes() {
+    fn parts_give_the_same_result_as_one_pass() {
         let usual: Vec<String> = (0..60).map(|n| format!("{n}.5 {} 2 7 8", n * n)).collect();
         let changes = ["", " \t", "\r", "1 2 0\r3 4 0", "1 2", "1 2 0 9", "1 2.5 0", "x 2 0", "1 2 9999"];
         for line_end in ["\n", "\r\n"] {

@@ -1,4 +1,4 @@
-//! The vertices of a binary PLY file as records that can be read in batches.
+//! Locates the vertices of a binary PLY file, so that they can be read in batches.
 
 use std::sync::Arc;
 
@@ -12,15 +12,16 @@ use crate::scalar::Scalar;
 use super::FORMAT;
 use super::binary::{gather_part, scalar_offsets};
 use super::header::{Element, Header};
-use super::read::{Slots, Target, Vertices, fits_f32, note_on_faces, notes, scalar_of, vertices};
+use super::read::{Slots, Target, VertexElement, fits_f32, note_on_faces, notes, scalar_of, vertices};
 use super::rows::{check_limit, checked_binary_count};
 
-/// Where the vertices of a file of `file_bytes` are; `None` if that cannot be computed: in text, and behind lists.
+/// Locates the vertices of a file of `file_bytes`; `None` if their offsets cannot be computed: in text, and
+/// after lists.
 ///
 /// # Errors
 /// Those of [`super::read`], after the header.
 pub(super) fn records(header: &Header, file_bytes: u64, limits: &Limits) -> Result<Option<Records>> {
-    let Vertices { element, columns, position } = vertices(header)?;
+    let VertexElement { element, columns, position } = vertices(header)?;
     let Some(endian) = header.encoding.endian() else { return Ok(None) };
     let earlier = || header.elements.iter().take_while(|earlier| !std::ptr::eq(*earlier, element));
     if element.has_list() || earlier().any(Element::has_list) {
@@ -46,14 +47,14 @@ pub(super) fn records(header: &Header, file_bytes: u64, limits: &Limits) -> Resu
     Ok(Some(Records { format: FORMAT, offset: at, stride, count, gather, notes, velocity }))
 }
 
-/// Where a position is in a record: bytes from its start, and types.
+/// The location of a position in a record: offsets in bytes, and types.
 struct PositionColumns {
     offsets: [usize; 3],
     scalars: [Scalar; 3],
 }
 
 impl PositionColumns {
-    /// The positions of `count` records.
+    /// Appends the positions of `count` records.
     fn gather(&self, records: &[u8], stride: usize, endian: Endian, count: usize, positions: &mut Positions) {
         match (fits_f32(self.scalars), &mut *positions) {
             (true, Positions::F32(positions)) => positions.resize(count, [0.0; 3]),

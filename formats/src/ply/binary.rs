@@ -1,12 +1,12 @@
-//! Columns out of packed binary records.
+//! Copies columns out of packed binary records.
 //!
 //! ```text
 //!   records   x y z vx vy vz id | x y z vx vy vz id | ..       stride apart
 //!   targets   [x y z] [x y z] ..    [vx vy vz] ..    [id] ..
 //! ```
 //!
-//! The records are divided among the threads, and taken in blocks that fit the cache; within a block each
-//! target is filled by a loop whose type, byte order and arity are known when it is compiled.
+//! The records are divided among the threads and processed in blocks that fit into the cache. Within a block,
+//! each target is filled by a loop specialised at compile time for type, byte order and arity.
 
 use rayon::prelude::*;
 
@@ -16,16 +16,16 @@ use crate::scalar::Scalar;
 
 use super::header::{Element, PropertyType};
 use super::read::{Slots, Target};
-use super::rows::Rows;
+use super::rows::RecordReader;
 
-/// Bytes of records per block: small enough for the second-level cache, with the targets beside it.
+/// Bytes of records per block: they fit into the second-level cache along with the targets.
 const BLOCK_BYTES: usize = 128 << 10;
 
-/// Bytes of records that one thread takes at once: most of the time goes into memory that is touched first here.
+/// Bytes of records per task: most of the time is spent on the first access to the destination memory.
 const PART_BYTES: usize = 2 << 20;
 
-/// Fills the targets from records of `stride` bytes, in the pool of the caller; `offsets` tells where each
-/// property starts.
+/// Fills the targets from records of `stride` bytes, in the caller's thread pool. `offsets` are those of the
+/// properties within a record.
 pub(super) fn gather(
     records: &[u8],
     stride: usize,
@@ -46,7 +46,7 @@ pub(super) fn gather(
     parts.into_par_iter().for_each(gather_part);
 }
 
-/// [`gather`] by the present thread.
+/// [`gather`] on the current thread.
 pub(super) fn gather_part(
     records: &[u8],
     stride: usize,
@@ -56,7 +56,7 @@ pub(super) fn gather_part(
 ) {
     let block_records = (BLOCK_BYTES / stride).max(1);
     for (index, records) in records.chunks(block_records * stride).enumerate() {
-        let block = Block { records, stride, first: index * block_records };
+        let block = RecordBlock { records, stride, first: index * block_records };
         for target in targets.iter_mut() {
             match endian {
                 Endian::Little => block.fill::<false>(offsets, target),
@@ -66,8 +66,8 @@ pub(super) fn gather_part(
     }
 }
 
-/// The offset of each property in a record that holds the scalar ones only, and the record's length.
-/// Properties that are lists have the offset of what follows.
+/// The offset of each property in a record with only the scalar properties, and that record's length. A list
+/// has the offset of the property after it.
 pub(super) fn scalar_offsets(element: &Element) -> (Vec<usize>, usize) {
     let mut at = 0;
     let mut offsets = Vec::with_capacity(element.properties.len());
@@ -80,15 +80,15 @@ pub(super) fn scalar_offsets(element: &Element) -> (Vec<usize>, usize) {
     (offsets, at)
 }
 
-/// Copies records that hold lists, without the lists.
-pub(super) fn without_lists(rows: &mut Rows<'_>, element: &Element, count: usize) -> Result<Vec<u8>> {
+/// Copies records without their lists.
+pub(super) fn without_lists(rows: &mut RecordReader<'_>, element: &Element, count: usize) -> Result<Vec<u8>> {
     let (_, stride) = scalar_offsets(element);
-    // The caller has compared `count` with the remaining bytes, at `stride` or more for each.
+    // The caller has checked that the file has `count` times `stride` bytes.
     let mut packed = Vec::with_capacity(count * stride);
     for _ in 0..count {
         for property in &element.properties {
             match (property.kind, &mut *rows) {
-                (PropertyType::Scalar(scalar), Rows::Binary(cursor)) => {
+                (PropertyType::Scalar(scalar), RecordReader::Binary(cursor)) => {
                     packed.extend_from_slice(cursor.take(scalar.size(), &property.name)?);
                 }
                 _ => rows.skip(property)?,
@@ -98,16 +98,16 @@ pub(super) fn without_lists(rows: &mut Rows<'_>, element: &Element, count: usize
     Ok(packed)
 }
 
-/// Some of the records.
-struct Block<'a> {
+/// A range of the records.
+struct RecordBlock<'a> {
     records: &'a [u8],
     stride: usize,
     /// Index of the first record.
     first: usize,
 }
 
-impl Block<'_> {
-    /// Reads the columns of one target.
+impl RecordBlock<'_> {
+    /// Fills one target.
     fn fill<const BIG: bool>(&self, offsets: &[usize], target: &mut Target<'_>) {
         let scalar = target.columns[0].1;
         let arity = target.columns.len();
@@ -129,7 +129,7 @@ impl Block<'_> {
         }
     }
 
-    /// Picks the conversion from the type in the file to the one of the slots.
+    /// Selects the conversion from the type in the file to the type of the slots.
     fn convert<const BIG: bool, const A: usize>(
         &self,
         offsets: [usize; A],
@@ -165,11 +165,11 @@ impl Block<'_> {
             (Slots::I32(out), Scalar::U16) => copy!(out, u16),
             (Slots::I32(out), Scalar::I32) => copy!(out, i32),
             (Slots::I64(out), Scalar::U32) => copy!(out, u32),
-            _ => unreachable!("slots are chosen to hold every value of their scalars"),
+            _ => unreachable!("slots can hold every value of their scalar type"),
         }
     }
 
-    /// The loop itself. With `A` components at once, `A` is the arity and `component` is 0.
+    /// The copy loop. With `A` components at a time, `A` is the arity and `component` is 0.
     fn copy<T, const N: usize, const A: usize>(
         &self,
         offsets: [usize; A],

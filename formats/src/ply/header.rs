@@ -1,8 +1,8 @@
-//! The text header of a PLY file: how the body is encoded, and what its records hold.
+//! The text header of a PLY file: the encoding of the body and the layout of its records.
 //!
-//! Lines may end in LF, CR LF or CR, also where the body is binary: a program that opens its file
-//! in text mode for the header and appends the body writes CR LF on Windows. The body starts
-//! exactly one line end after `end_header`, of the kind that ended the first line.
+//! Lines can end in LF, CR LF or CR, even if the body is binary: a program that opens its file in text mode
+//! for the header and appends the body writes CR LF on Windows. The body starts exactly one line end after
+//! `end_header`, of the same kind as that of the first line.
 
 use crate::bytes::Endian;
 use crate::columns::{Columns, group_columns};
@@ -14,7 +14,7 @@ use crate::text::Lines;
 
 use super::FORMAT;
 
-/// How the records after the header are stored.
+/// The encoding of the records after the header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Encoding {
     /// One record per line.
@@ -26,7 +26,7 @@ pub enum Encoding {
 }
 
 impl Encoding {
-    /// The byte order of a binary body.
+    /// The byte order of a binary body, `None` for text.
     pub fn endian(self) -> Option<Endian> {
         match self {
             Encoding::Ascii => None,
@@ -36,12 +36,12 @@ impl Encoding {
     }
 }
 
-/// What a property holds.
+/// The type of a property.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PropertyType {
     /// One number.
     Scalar(Scalar),
-    /// A count of the first type, then as many numbers of the second.
+    /// A count, then that many numbers.
     List {
         /// Type of the count, an integer.
         count: Scalar,
@@ -51,7 +51,7 @@ pub enum PropertyType {
 }
 
 impl PropertyType {
-    /// The fewest bytes that the property takes in a record of a binary file.
+    /// The minimum number of bytes of the property in a binary record.
     fn size_min(self) -> usize {
         match self {
             PropertyType::Scalar(scalar) => scalar.size(),
@@ -60,38 +60,38 @@ impl PropertyType {
     }
 }
 
-/// One named part of each record of an element.
+/// A named property of each record of an element.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Property {
-    /// As in the file.
+    /// The name in the file.
     pub name: String,
-    /// What it holds.
+    /// Its type.
     pub kind: PropertyType,
 }
 
-/// A table of records, such as the vertices.
+/// An element: a table of records, such as the vertices.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Element {
-    /// As in the file.
+    /// The name in the file.
     pub name: String,
-    /// Number of records, as the header claims.
+    /// Number of records declared by the header.
     pub count: u64,
-    /// The parts of each record.
+    /// The properties of each record.
     pub properties: Vec<Property>,
 }
 
 impl Element {
-    /// Whether any property is a list, so that records differ in length.
+    /// Whether any property is a list, so that the length of records varies.
     pub fn has_list(&self) -> bool {
         self.properties.iter().any(|property| matches!(property.kind, PropertyType::List { .. }))
     }
 
-    /// Bytes of a record in a binary file: exact without lists, else the fewest.
+    /// Bytes per binary record: exact without lists, else the minimum.
     pub fn record_size_min(&self) -> usize {
         self.properties.iter().map(|property| property.kind.size_min()).sum()
     }
 
-    /// The scalar properties as position and attributes. Columns are indices into `properties`.
+    /// Groups the scalar properties into position and attributes. Columns are indices into `properties`.
     pub fn columns(&self) -> Columns {
         let mut indices = Vec::new();
         let mut columns = Vec::new();
@@ -110,47 +110,48 @@ impl Element {
     }
 }
 
-/// What the header of a PLY file says.
+/// The content of a PLY header.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Header {
-    /// How the body is stored.
+    /// The encoding of the body.
     pub encoding: Encoding,
-    /// The tables, in the order of the body.
+    /// The elements, in the order of the body.
     pub elements: Vec<Element>,
-    /// Texts of the `comment` and `obj_info` lines.
+    /// The texts of the `comment` and `obj_info` lines.
     pub comments: Vec<String>,
-    /// Where the body starts, bytes from the start of the file.
+    /// Offset of the body, in bytes from the start of the file.
     pub body_offset: usize,
 }
 
 impl Header {
-    /// The element that holds the particles: the one called `vertex`, else the first with a position.
+    /// The element with the particles: the one named `vertex`, else the first with a position.
     pub fn vertex_element(&self) -> Option<&Element> {
         let named = self.elements.iter().find(|element| element.name.eq_ignore_ascii_case("vertex"));
         named.or_else(|| self.elements.iter().find(|element| element.columns().position.is_some()))
     }
 
-    /// The fewest bytes that a complete file with this header has; exact for a binary file without
-    /// lists. `None` if the header claims more than 2⁶⁴.
+    /// The minimum size in bytes of a complete file with this header; exact for a binary file without lists.
+    /// `None` if it exceeds 2⁶⁴.
     pub fn file_size_min(&self) -> Option<u64> {
         let mut size = self.body_offset as u64;
         for element in &self.elements {
             let record = match self.encoding {
-                Encoding::Ascii => 2 * element.properties.len(), // a digit and what ends it
+                Encoding::Ascii => 2 * element.properties.len(), // a digit and a separator
                 _ => element.record_size_min(),
             };
             size = size.checked_add(element.count.checked_mul(record as u64)?)?;
         }
-        // The last line of a text need not be ended.
+        // The last line of a text needs no line end.
         let unended = self.encoding == Encoding::Ascii && size > self.body_offset as u64;
         Some(size - u64::from(unended))
     }
 }
 
-/// Reads the header alone.
+/// Reads only the header.
 ///
 /// # Errors
-/// `Short` if it ends before `end_header`; `Invalid` if it is malformed; `TooLarge` beyond `header_bytes` or
+/// `Short` if the file ends before `end_header`; `Invalid` if the header is malformed; `TooLarge` beyond
+/// `header_bytes` or
 /// `attribute_count`.
 pub fn read_header(bytes: &[u8], limits: &Limits) -> Result<Header> {
     let capped = usize::try_from(limits.header_bytes).map_or(bytes, |most| &bytes[..bytes.len().min(most)]);
@@ -158,19 +159,19 @@ pub fn read_header(bytes: &[u8], limits: &Limits) -> Result<Header> {
     if lines.next().map(<[u8]>::trim_ascii) != Some(b"ply") {
         return Err(Error::invalid(FORMAT, Place::Line(1), "expected `ply`"));
     }
-    let mut parsed = Parsed { encoding: None, elements: Vec::new(), comments: Vec::new() };
+    let mut parsed = PartialHeader { encoding: None, elements: Vec::new(), comments: Vec::new() };
     while let Some(line) = lines.next() {
         let line = String::from_utf8_lossy(line);
         let (keyword, rest) = first_word(&line);
         let is_last = keyword == "end_header";
         if !lines.was_ended() && (!is_last || capped.len() < bytes.len()) {
-            break; // a line that is cut off says nothing
+            break; // the last line may be truncated
         }
         if is_last {
             let encoding = parsed.encoding.ok_or_else(|| {
                 Error::invalid(FORMAT, Place::Line(lines.number()), "the header has no `format` line")
             })?;
-            let Parsed { elements, comments, .. } = parsed;
+            let PartialHeader { elements, comments, .. } = parsed;
             return Ok(Header { encoding, elements, comments, body_offset: lines.at() });
         }
         parsed
@@ -186,15 +187,15 @@ pub fn read_header(bytes: &[u8], limits: &Limits) -> Result<Header> {
     Err(Error::short(FORMAT, Place::Offset(bytes.len() as u64), "the file ends before `end_header`"))
 }
 
-/// What was understood so far.
-struct Parsed {
+/// The header parsed so far.
+struct PartialHeader {
     encoding: Option<Encoding>,
     elements: Vec<Element>,
     comments: Vec<String>,
 }
 
-impl Parsed {
-    /// Takes one line in. The inner result tells what is wrong with the line itself.
+impl PartialHeader {
+    /// Parses one line. The inner result is the error in the line itself.
     fn line(
         &mut self,
         keyword: &str,
@@ -210,11 +211,13 @@ impl Parsed {
             "format" => parse_format(rest).map(|encoding| self.encoding = Some(encoding)),
             "element" => parse_element(rest).map(|element| self.elements.push(element)),
             "property" => match self.elements.last_mut() {
-                None => Err("a property before any element".into()),
+                None => Err("the header has a property before any element".into()),
                 Some(element) if element.properties.len() >= limits.attribute_count => {
                     let most = limits.attribute_count;
-                    let what =
-                        format!("element `{}` has more than {most} properties", excerpt(&element.name));
+                    let what = format!(
+                        "element `{}` has more properties than the limit of {most}",
+                        excerpt(&element.name)
+                    );
                     return Err(Error::too_large(FORMAT, what));
                 }
                 Some(element) => parse_property(rest).map(|property| element.properties.push(property)),
@@ -253,14 +256,14 @@ fn parse_property(rest: &str) -> std::result::Result<Property, String> {
         let (item, name) = first_word(rest);
         let count = parse_scalar(count)?;
         if matches!(count, Scalar::F32 | Scalar::F64) {
-            return Err("the count of a list must be of an integer type".into());
+            return Err("the count of a list must have an integer type".into());
         }
         (PropertyType::List { count, item: parse_scalar(item)? }, name)
     } else {
         (PropertyType::Scalar(parse_scalar(first)?), rest)
     };
     if name.is_empty() {
-        return Err("a property without a name".into());
+        return Err("the header has a property without a name".into());
     }
     Ok(Property { name: name.into(), kind })
 }
@@ -270,13 +273,13 @@ fn parse_scalar(name: &str) -> std::result::Result<Scalar, String> {
     named.map(|&(_, scalar)| scalar).ok_or_else(|| format!("unknown type `{}`", excerpt(name)))
 }
 
-/// The first word, and the rest without spaces around it.
+/// Splits off the first word; trims spaces from the rest.
 fn first_word(text: &str) -> (&str, &str) {
     let text = text.trim();
     text.split_once(char::is_whitespace).map_or((text, ""), |(word, rest)| (word, rest.trim_start()))
 }
 
-/// The names of the types, in the first definition and in the one with sizes.
+/// The names of the types: the original ones and those with sizes.
 const SCALARS: &[([&str; 2], Scalar)] = &[
     (["char", "int8"], Scalar::I8),
     (["uchar", "uint8"], Scalar::U8),
@@ -293,12 +296,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_body_starts_one_line_end_after_the_header() {
+    fn body_starts_one_line_end_after_the_header() {
         for end in ["\n", "\r\n", "\r"] {
             let lines =
                 ["ply", " format binary_little_endian 1.0", "comment a", "element vertex 0", "end_header"];
             let header = lines.map(|line| format!("{line}{end}")).concat();
-            // A body that starts with bytes that look like a line end.
+            // A body whose first bytes look like a line end.
             let file = format!("{header}\n\r\n");
             let read = read_header(file.as_bytes(), &Limits::default()).unwrap();
             assert_eq!(read.body_offset, header.len(), "after {end:?}");
@@ -307,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn the_size_of_a_binary_file_is_known_from_its_header() {
+    fn header_gives_the_size_of_a_binary_file() {
         let header = "ply\nformat binary_big_endian 1.0\nelement a 2\nproperty list uchar int v\n\
                       element Vertex 3\nproperty double x\nproperty short k\nend_header\n";
         let read = read_header(header.as_bytes(), &Limits::default()).unwrap();

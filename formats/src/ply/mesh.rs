@@ -1,4 +1,4 @@
-//! A PLY file as a mesh: its vertices and faces.
+//! Reads the vertices and faces of a PLY file as a mesh.
 
 use crate::data::{MeshData, ParticleFrame, Positions, Role, Values};
 use crate::error::{Error, Result};
@@ -8,20 +8,20 @@ use crate::scalar::Scalar;
 use super::FORMAT;
 use super::header::{Element, Property, PropertyType, read_header};
 use super::read::read_vertices;
-use super::rows::{Rows, checked_count, rows_of};
+use super::rows::{RecordReader, checked_count, rows_of};
 
-/// Reads vertices, normals and faces; a polygon of more than three corners becomes a fan.
+/// Reads vertices, normals and faces. Polygons with more than three corners become triangle fans.
 ///
 /// # Errors
-/// As [`super::read`]; and `Unsupported` for triangle strips.
+/// Those of [`super::read`]; `Unsupported` for triangle strips.
 pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     Ok(read_mesh_and_vertices(bytes, limits)?.0)
 }
 
-/// Reads the mesh, and its vertices with all their scalar properties as a frame.
+/// Reads the mesh, and its vertices with all scalar properties as a frame.
 ///
 /// # Errors
-/// As [`read_mesh`].
+/// Those of [`read_mesh`].
 pub fn read_mesh_and_vertices(bytes: &[u8], limits: &Limits) -> Result<(MeshData, ParticleFrame)> {
     let header = read_header(bytes, limits)?;
     let frame = read_vertices(bytes, &header, limits)?;
@@ -36,7 +36,10 @@ pub fn read_mesh_and_vertices(bytes: &[u8], limits: &Limits) -> Result<(MeshData
 
     let named = |name: &str| header.elements.iter().find(|element| element.name.eq_ignore_ascii_case(name));
     if named("tristrips").is_some_and(|strips| strips.count > 0) {
-        return Err(Error::unsupported(FORMAT, "triangle strips are not read: save the mesh with faces"));
+        return Err(Error::unsupported(
+            FORMAT,
+            "triangle strips are not supported: save the mesh with faces",
+        ));
     }
     if let Some(faces) = named("face") {
         let rows = rows_of(bytes, &header, faces)?;
@@ -45,9 +48,9 @@ pub fn read_mesh_and_vertices(bytes: &[u8], limits: &Limits) -> Result<(MeshData
     Ok((mesh, frame))
 }
 
-/// How long a binary file is whose header is in `head` and whose lists are all triangles, as in
-/// every file of [`super::write::write_mesh`]; `None` for text, or beyond 2⁶⁴.
-pub(crate) fn mesh_bytes_claimed(head: &[u8], limits: &Limits) -> Result<Option<u64>> {
+/// The size of a binary file whose header is in `head` and whose lists are all triangles, as in every file of
+/// [`super::write::write_mesh`]; `None` for text, or beyond 2⁶⁴.
+pub(crate) fn mesh_bytes_declared(head: &[u8], limits: &Limits) -> Result<Option<u64>> {
     let header = read_header(head, limits)?;
     let mut size = Some(header.body_offset as u64);
     for element in &header.elements {
@@ -59,7 +62,7 @@ pub(crate) fn mesh_bytes_claimed(head: &[u8], limits: &Limits) -> Result<Option<
         let table = element.count.checked_mul(record);
         size = size.zip(table).and_then(|(size, table)| size.checked_add(table));
     }
-    // A header may lose its line end, where nothing follows it.
+    // If the body is empty, a truncated file may lack the header's line end.
     let is_ended = head.get(..header.body_offset).is_some_and(|header| header.ends_with(b"\n"));
     Ok(size.filter(|_| is_ended && header.encoding.endian().is_some()))
 }
@@ -73,7 +76,7 @@ fn normals(values: &Values) -> Vec<[f32; 3]> {
     }
 }
 
-fn triangles(mut rows: Rows<'_>, faces: &Element, vertex_count: usize) -> Result<Vec<[u32; 3]>> {
+fn triangles(mut rows: RecordReader<'_>, faces: &Element, vertex_count: usize) -> Result<Vec<[u32; 3]>> {
     let count = checked_count(&rows, faces)?;
     let is_list = |property: &&Property| matches!(property.kind, PropertyType::List { .. });
     let is_named =
@@ -99,9 +102,9 @@ fn triangles(mut rows: Rows<'_>, faces: &Element, vertex_count: usize) -> Result
     Ok(triangles)
 }
 
-/// Reads one polygon and cuts it into triangles that share its first corner.
+/// Reads a polygon and cuts it into triangles that share its first corner.
 fn fan(
-    rows: &mut Rows<'_>,
+    rows: &mut RecordReader<'_>,
     item: Scalar,
     length: usize,
     vertex_count: usize,
@@ -112,7 +115,9 @@ fn fan(
         let index = rows.integer(item, "vertex_indices")?;
         let index =
             u32::try_from(index).ok().filter(|&index| (index as usize) < vertex_count).ok_or_else(|| {
-                rows.invalid(format!("a face has vertex {index}, and there are {vertex_count}"))
+                rows.invalid(format!(
+                    "a face has vertex index {index}, but the file has {vertex_count} vertices"
+                ))
             })?;
         match corner {
             0 => first = index,

@@ -1,18 +1,18 @@
-//! PLY, the Stanford polygon file: a text header that declares tables, then the tables.
+//! PLY, the Stanford polygon format: a text header that declares tables, then the tables.
 //!
 //! ```text
 //!   ply
 //!   format binary_little_endian 1.0       or ascii, or binary_big_endian
-//!   element vertex 12000                  the particles; what stands before is skipped,
-//!   property float x                      what comes after is not looked at
+//!   element vertex 12000                  the particles; elements before are skipped,
+//!   property float x                      elements after are ignored
 //!   ...
 //!   end_header
-//!   x y z vx vy vz id | x y z vx ..       records without gaps, or a line for each
+//!   x y z vx vy vz id | x y z vx ..       packed records, or one line each
 //! ```
 //!
-//! The format says nothing of what a property means: [`crate::columns`] does. Positions keep the
-//! precision of the file, and so do attributes; integers become the next wider type of
-//! [`crate::Values`]. A colour of 16-bit integers is in 0..=65535.
+//! The format does not define the meaning of properties; [`crate::columns`] recognises it. Positions and
+//! attributes keep the precision of the file; integers become the next wider type of [`crate::Values`]. A
+//! colour of 16-bit integers has the range 0..=65535.
 //!
 //! This work is based on:
 //! Greg Turk. The PLY polygon file format. 1994
@@ -41,12 +41,12 @@ pub use vertex_data::attribute_notes;
 pub use write_particles::{particle_notes, write_particles};
 
 use batches::records;
-use mesh::mesh_bytes_claimed;
+use mesh::mesh_bytes_declared;
 
-/// The name of the format in errors.
+/// The format's name in errors.
 const FORMAT: &str = "PLY";
 
-/// What the table of formats says of it.
+/// The row in the table of formats.
 pub(crate) static ROW: OutputRow = OutputRow {
     format: FormatRow {
         signatures: &[b"ply\n", b"ply\r", b"ply ", b"ply\t", b"ply\x0c"],
@@ -76,16 +76,16 @@ pub(crate) static ROW: OutputRow = OutputRow {
     has_attributes: true,
     options: &[],
     read_provenance: |head| Ok(from_comments(head, "comment ")),
-    integrity: Integrity::Length(|head, _| mesh_bytes_claimed(head, &Limits::default())),
+    integrity: Integrity::Length(|head, _| mesh_bytes_declared(head, &Limits::default())),
 };
 
-/// What the header says of whether a file is complete.
+/// The completeness of a file according to its header.
 fn completeness(head: &[u8], file_bytes: u64) -> Result<HeadCheck> {
     let header = read_header(head, &Limits::default())?;
     let Some(declared) = header.file_size_min() else { return Ok(HeadCheck::Known(Completeness::Unproven)) };
     Ok(HeadCheck::Known(match header.encoding {
         _ if declared == header.body_offset as u64 => Completeness::Unproven,
-        Encoding::Ascii if declared <= file_bytes => return Ok(HeadCheck::ByTheLastByte),
+        Encoding::Ascii if declared <= file_bytes => return Ok(HeadCheck::NeedsLastByte),
         Encoding::Ascii => at_least(declared, file_bytes, Completeness::ByReading),
         _ if header.elements.iter().any(Element::has_list) => {
             at_least(declared, file_bytes, Completeness::ByReading)

@@ -1,4 +1,4 @@
-//! A PLY file as a frame of particles.
+//! Reads a PLY file as a frame of particles.
 
 use crate::columns::{Columns, Group};
 use crate::data::{Attribute, ParticleFrame, Positions, Values};
@@ -8,14 +8,14 @@ use crate::limits::Limits;
 use crate::scalar::Scalar;
 
 use super::header::{Element, Header, PropertyType, read_header};
-use super::rows::{Rows, check_limit, checked_count, rows_of};
+use super::rows::{RecordReader, check_limit, checked_count, rows_of};
 use super::{FORMAT, ascii, binary};
 
 /// Reads the vertices of a PLY file as particles, with all their scalar properties.
 ///
 /// # Errors
-/// `Short` for a file that ends too soon; `Invalid` for a malformed one and for one without positions;
-/// `TooLarge` beyond the limits.
+/// `Short` if the file ends too early; `Invalid` if it is malformed or has no positions; `TooLarge` beyond
+/// the limits.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let header = read_header(bytes, limits)?;
     let mut frame = read_vertices(bytes, &header, limits)?;
@@ -23,9 +23,9 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     Ok(frame)
 }
 
-/// The vertices of the file with this header.
+/// Reads the vertices of the file with this header.
 pub(super) fn read_vertices(bytes: &[u8], header: &Header, limits: &Limits) -> Result<ParticleFrame> {
-    let Vertices { element, columns, position } = vertices(header)?;
+    let VertexElement { element, columns, position } = vertices(header)?;
     let rows = rows_of(bytes, header, element)?;
     let count = checked_count(&rows, element)?;
     check_limit(count, limits)?;
@@ -34,13 +34,13 @@ pub(super) fn read_vertices(bytes: &[u8], header: &Header, limits: &Limits) -> R
     let targets = targets(element, &columns, position, &mut frame);
     let (offsets, stride) = binary::scalar_offsets(element);
     match rows {
-        Rows::Ascii(lines) => ascii::read(lines, element, count, targets)?,
-        Rows::Binary(cursor) if element.has_list() => {
+        RecordReader::Ascii(lines) => ascii::read(lines, element, count, targets)?,
+        RecordReader::Binary(cursor) if element.has_list() => {
             let endian = cursor.endian();
-            let records = binary::without_lists(&mut Rows::Binary(cursor), element, count)?;
+            let records = binary::without_lists(&mut RecordReader::Binary(cursor), element, count)?;
             binary::gather(&records, stride, &offsets, endian, targets);
         }
-        Rows::Binary(mut cursor) => {
+        RecordReader::Binary(mut cursor) => {
             let records = cursor.take(count * stride, &element.name)?;
             binary::gather(records, stride, &offsets, cursor.endian(), targets);
         }
@@ -52,25 +52,25 @@ pub(super) fn read_vertices(bytes: &[u8], header: &Header, limits: &Limits) -> R
     Ok(frame)
 }
 
-/// The element that holds the particles.
-pub(super) struct Vertices<'a> {
+/// The element with the particles.
+pub(super) struct VertexElement<'a> {
     pub(super) element: &'a Element,
     pub(super) columns: Columns,
-    /// The properties that are the position.
+    /// The properties of the position.
     pub(super) position: [usize; 3],
 }
 
 /// Finds the particles in the header.
-pub(super) fn vertices(header: &Header) -> Result<Vertices<'_>> {
+pub(super) fn vertices(header: &Header) -> Result<VertexElement<'_>> {
     let element = header.vertex_element().ok_or_else(|| {
-        Error::invalid(FORMAT, Place::File, "no element is called `vertex` or has properties x, y and z")
+        Error::invalid(FORMAT, Place::File, "no element is named `vertex` or has properties x, y and z")
     })?;
     let columns = element.columns();
     let position = columns.position.ok_or_else(|| no_position(element))?;
-    Ok(Vertices { element, columns, position })
+    Ok(VertexElement { element, columns, position })
 }
 
-/// Where values go.
+/// The destination of values.
 pub(super) struct Target<'a> {
     /// Index and type of the property of each component; never empty.
     pub(super) columns: Vec<(usize, Scalar)>,
@@ -78,7 +78,7 @@ pub(super) struct Target<'a> {
     pub(super) slots: Slots<'a>,
 }
 
-/// The vector that a target fills. Its type holds every value of the scalars of the columns.
+/// The vector that a target fills. Its type can hold every value of the columns' scalar types.
 pub(super) enum Slots<'a> {
     F32(&'a mut [f32]),
     F64(&'a mut [f64]),
@@ -88,7 +88,7 @@ pub(super) enum Slots<'a> {
 }
 
 impl<'a> Target<'a> {
-    /// Cuts off the room for the first `count` records.
+    /// Splits off the slots of the first `count` records.
     pub(super) fn take_front(&mut self, count: usize) -> Target<'a> {
         fn take<'a, T>(slots: &mut &'a mut [T], count: usize) -> &'a mut [T] {
             let (front, rest) = std::mem::take(slots).split_at_mut(count);
@@ -116,7 +116,7 @@ fn no_position(element: &Element) -> Error {
     Error::invalid(FORMAT, Place::File, what)
 }
 
-/// A frame with room for all values. `count` was compared with the bytes that remain.
+/// A frame with space for all values. The caller has compared `count` with the remaining bytes.
 fn empty_frame(element: &Element, columns: &Columns, position: [usize; 3], count: usize) -> ParticleFrame {
     let positions = match fits_f32(position.map(|column| scalar_of(element, column))) {
         true => Positions::F32(vec![[0.0; 3]; count]),
@@ -131,7 +131,7 @@ fn empty_frame(element: &Element, columns: &Columns, position: [usize; 3], count
     ParticleFrame { positions, attributes: attributes.collect(), notes: Vec::new() }
 }
 
-/// Whether 32-bit reals hold all values of these types.
+/// Whether 32-bit floats can hold all values of these types.
 pub(super) fn fits_f32(scalars: [Scalar; 3]) -> bool {
     use Scalar::{F32, I8, I16, U8, U16};
     scalars.iter().all(|scalar| matches!(scalar, F32 | I8 | U8 | I16 | U16))
@@ -147,7 +147,7 @@ fn empty_values(scalar: Scalar, length: usize) -> Values {
     }
 }
 
-/// The type of a property that is known to be no list.
+/// The type of a property that is not a list.
 pub(super) fn scalar_of(element: &Element, property: usize) -> Scalar {
     match element.properties[property].kind {
         PropertyType::Scalar(scalar) => scalar,
@@ -155,7 +155,7 @@ pub(super) fn scalar_of(element: &Element, property: usize) -> Scalar {
     }
 }
 
-/// The position and all attributes of the frame, as what there is to fill.
+/// The position and attributes of the frame as targets.
 fn targets<'a>(
     element: &Element,
     columns: &Columns,
@@ -178,36 +178,36 @@ fn targets<'a>(
             Values::U8(values) => Slots::U8(values),
             Values::I32(values) => Slots::I32(values),
             Values::I64(values) => Slots::I64(values),
-            Values::Strings { .. } => continue, // PLY has none
+            Values::Strings { .. } => continue, // PLY has no strings
         };
         targets.push(Target { columns: typed(&group.columns), slots });
     }
     targets
 }
 
-/// That a mesh is taken for particles.
+/// A note if the file is a mesh that is read as particles.
 pub(super) fn note_on_faces(header: &Header) -> Option<String> {
     let mut faces = header.elements.iter().filter(|element| element.name.eq_ignore_ascii_case("face"));
     let faces = faces.next().filter(|faces| faces.count > 0)?;
-    Some(format!("the file also has {} faces: only its vertices are read", faces.count))
+    Some(format!("the file also has {} faces, which are ignored: only the vertices are read", faces.count))
 }
 
-/// What a user should know of how the vertices are read.
+/// Notes on how the vertices are read.
 pub(super) fn notes(element: &Element, columns: &Columns) -> Vec<String> {
     let mut notes = Vec::new();
     if !element.name.eq_ignore_ascii_case("vertex") {
         notes.push(format!(
-            "no element is called `vertex`: particles are taken from `{}`",
+            "no element is named `vertex`: the particles are read from `{}`",
             excerpt(&element.name)
         ));
     }
     let halved = |group: &&Group| group.scale != 1.0;
     for group in columns.groups.iter().filter(halved) {
-        notes.push(format!("`{}` is taken for a diameter: the radius is half of it", excerpt(&group.name)));
+        notes.push(format!("`{}` looks like a diameter: the radius is half of it", excerpt(&group.name)));
     }
     for property in &element.properties {
         if matches!(property.kind, PropertyType::List { .. }) {
-            notes.push(format!("the list `{}` of each vertex is not read", excerpt(&property.name)));
+            notes.push(format!("skipped the list `{}` of each vertex", excerpt(&property.name)));
         }
     }
     notes

@@ -1,6 +1,6 @@
-//! A walk over the records of a body, value by value, whatever its encoding.
+//! Reads the records of a body value by value, in any encoding.
 //!
-//! This is the slow way: for faces, for elements that are skipped, for records with lists.
+//! This is the slow path: for faces, skipped elements and records with lists.
 
 use crate::bytes::Cursor;
 use crate::error::{Error, Place, Result};
@@ -8,92 +8,94 @@ use crate::limits::Limits;
 use crate::scalar::Scalar;
 
 use super::FORMAT;
-use super::ascii::Lines;
+use super::ascii::BodyLines;
 use super::header::{Element, Header, Property, PropertyType};
 
 /// A position in the body.
-pub(super) enum Rows<'a> {
+pub(super) enum RecordReader<'a> {
     Binary(Cursor<'a>),
-    Ascii(Lines<'a>),
+    Ascii(BodyLines<'a>),
 }
 
-impl<'a> Rows<'a> {
-    /// Starts at byte `at` of the file.
-    pub(super) fn new(bytes: &'a [u8], header: &Header, at: usize) -> Rows<'a> {
+impl<'a> RecordReader<'a> {
+    /// Starts at offset `at` of the file.
+    pub(super) fn new(bytes: &'a [u8], header: &Header, at: usize) -> RecordReader<'a> {
         match header.encoding.endian() {
-            Some(endian) => Rows::Binary(Cursor::new(FORMAT, endian, bytes, at)),
-            None => Rows::Ascii(Lines::new(bytes, at)),
+            Some(endian) => RecordReader::Binary(Cursor::new(FORMAT, endian, bytes, at)),
+            None => RecordReader::Ascii(BodyLines::new(bytes, at)),
         }
     }
 
-    /// Bytes from the start of the file.
+    /// Offset in bytes from the start of the file.
     pub(super) fn at(&self) -> usize {
         match self {
-            Rows::Binary(cursor) => cursor.at(),
-            Rows::Ascii(lines) => lines.at(),
+            RecordReader::Binary(cursor) => cursor.at(),
+            RecordReader::Ascii(lines) => lines.at(),
         }
     }
 
-    /// Goes to the next record.
+    /// Starts the next record.
     pub(super) fn start(&mut self) -> Result<()> {
         match self {
-            Rows::Binary(_) => Ok(()),
-            Rows::Ascii(lines) => lines.start(),
+            RecordReader::Binary(_) => Ok(()),
+            RecordReader::Ascii(lines) => lines.start(),
         }
     }
 
-    /// Leaves the record, of which nothing may be left.
+    /// Ends the record, all of whose values must have been read.
     pub(super) fn finish(&mut self) -> Result<()> {
         match self {
-            Rows::Binary(_) => Ok(()),
-            Rows::Ascii(lines) => lines.finish(),
+            RecordReader::Binary(_) => Ok(()),
+            RecordReader::Ascii(lines) => lines.finish(),
         }
     }
 
-    /// The next value, an integer.
+    /// Reads the next value as an integer.
     pub(super) fn integer(&mut self, scalar: Scalar, what: &str) -> Result<i64> {
         match self {
-            Rows::Binary(cursor) => cursor.integer(scalar, what),
-            Rows::Ascii(lines) => lines.integer(scalar, what),
+            RecordReader::Binary(cursor) => cursor.integer(scalar, what),
+            RecordReader::Ascii(lines) => lines.integer(scalar, what),
         }
     }
 
-    /// The count of a list, which is at least 0 and less than the bytes that remain.
+    /// Reads the count of a list, which must not be negative or exceed the remaining bytes.
     pub(super) fn list_length(&mut self, scalar: Scalar, property: &Property) -> Result<usize> {
         let count = self.integer(scalar, &property.name)?;
         let most = match self {
-            Rows::Binary(cursor) => cursor.remaining(),
-            Rows::Ascii(lines) => lines.remaining(),
+            RecordReader::Binary(cursor) => cursor.remaining(),
+            RecordReader::Ascii(lines) => lines.remaining(),
         };
         usize::try_from(count).ok().filter(|&count| count <= most).ok_or_else(|| {
             let name = &property.name;
             match count < 0 {
                 true => self.invalid(format!("list `{name}` has a negative count, {count}")),
-                false => self.short(format!("list `{name}` has a count beyond the end of the file, {count}")),
+                false => {
+                    self.short(format!("list `{name}` has a count of {count}, beyond the end of the file"))
+                }
             }
         })
     }
 
-    /// Passes over one property.
+    /// Skips one property.
     pub(super) fn skip(&mut self, property: &Property) -> Result<()> {
         let (item, count) = match property.kind {
             PropertyType::Scalar(scalar) => (scalar, 1),
             PropertyType::List { count, item } => (item, self.list_length(count, property)?),
         };
         match self {
-            Rows::Binary(cursor) => {
+            RecordReader::Binary(cursor) => {
                 let length = count.saturating_mul(item.size());
                 cursor.take(length, &property.name).map(|_| ())
             }
-            Rows::Ascii(lines) => (0..count).try_for_each(|_| lines.skip(&property.name)),
+            RecordReader::Ascii(lines) => (0..count).try_for_each(|_| lines.skip(&property.name)),
         }
     }
 
-    /// Passes over all records of an element.
+    /// Skips all records of an element.
     pub(super) fn skip_element(&mut self, element: &Element) -> Result<()> {
         let count = checked_count(self, element)?;
-        if let (Rows::Binary(cursor), false) = (&mut *self, element.has_list()) {
-            // The product was compared with the bytes that remain.
+        if let (RecordReader::Binary(cursor), false) = (&mut *self, element.has_list()) {
+            // The product was compared with the remaining bytes.
             cursor.take(count * element.record_size_min(), &element.name)?;
             return Ok(());
         }
@@ -109,38 +111,38 @@ impl<'a> Rows<'a> {
 
     fn short(&self, what: String) -> Error {
         match self {
-            Rows::Binary(cursor) => cursor.short(what),
-            Rows::Ascii(lines) => lines.short(what),
+            RecordReader::Binary(cursor) => cursor.short(what),
+            RecordReader::Ascii(lines) => lines.short(what),
         }
     }
 
     pub(super) fn invalid(&self, what: String) -> Error {
         match self {
-            Rows::Binary(cursor) => cursor.invalid(what),
-            Rows::Ascii(lines) => lines.invalid(what),
+            RecordReader::Binary(cursor) => cursor.invalid(what),
+            RecordReader::Ascii(lines) => lines.invalid(what),
         }
     }
 }
 
-/// The number of records of the element at the present position, which the remaining bytes can hold.
-pub(super) fn checked_count(rows: &Rows<'_>, element: &Element) -> Result<usize> {
+/// The number of records of the element at the current position, checked against the remaining bytes.
+pub(super) fn checked_count(rows: &RecordReader<'_>, element: &Element) -> Result<usize> {
     let at = rows.at() as u64;
     match rows {
-        Rows::Binary(cursor) => checked_binary_count(element, at, cursor.remaining() as u64),
-        Rows::Ascii(lines) => {
-            // A digit and a separator each, but the last line need not be ended.
+        RecordReader::Binary(cursor) => checked_binary_count(element, at, cursor.remaining() as u64),
+        RecordReader::Ascii(lines) => {
+            // Each value needs a digit and a separator, but the last line needs no line end.
             let (remaining, record) = (lines.remaining() as u64, 2 * element.properties.len());
             checked(element, at, remaining, remaining + 1, record, "bytes of text")
         }
     }
 }
 
-/// [`checked_count`] of a binary element at byte `at`, behind which there are `remaining` bytes.
+/// [`checked_count`] for a binary element at offset `at` with `remaining` bytes after it.
 pub(super) fn checked_binary_count(element: &Element, at: u64, remaining: u64) -> Result<usize> {
     checked(element, at, remaining, remaining, element.record_size_min(), "bytes")
 }
 
-/// The number of records that the header claims, if they fit in `room` at `record` bytes or more each.
+/// The declared number of records, if they fit into `room` bytes with at least `record` bytes each.
 fn checked(
     element: &Element,
     at: u64,
@@ -150,16 +152,16 @@ fn checked(
     kind: &str,
 ) -> Result<usize> {
     if element.properties.is_empty() {
-        return Ok(0); // whatever the count, there is nothing to read
+        return Ok(0); // records without properties need no reading
     }
     let most = room / record as u64;
     usize::try_from(element.count).ok().filter(|&count| count as u64 <= most).ok_or_else(|| {
         let Element { name, count, .. } = element;
         let what = format!(
-            "the header claims {count} `{name}` records of at least {record} {kind}, but only {remaining} bytes follow",
+            "the header declares {count} `{name}` records of at least {record} {kind}, but only {remaining} bytes follow",
         );
         let place = Place::Offset(at);
-        // No file ever grows so long.
+        // No file ever grows to such a size.
         match count.checked_mul(record as u64) {
             None => Error::invalid(FORMAT, place, what),
             Some(_) => Error::short(FORMAT, place, what),
@@ -167,20 +169,20 @@ fn checked(
     })
 }
 
-/// Walks from the start of the body to the records of `element`, which is one of the header's.
-pub(super) fn rows_of<'a>(bytes: &'a [u8], header: &Header, element: &Element) -> Result<Rows<'a>> {
-    let mut rows = Rows::new(bytes, header, header.body_offset);
+/// Positions a reader at the records of `element`, which belongs to the header.
+pub(super) fn rows_of<'a>(bytes: &'a [u8], header: &Header, element: &Element) -> Result<RecordReader<'a>> {
+    let mut rows = RecordReader::new(bytes, header, header.body_offset);
     for earlier in header.elements.iter().take_while(|earlier| !std::ptr::eq(*earlier, element)) {
         rows.skip_element(earlier)?;
     }
     Ok(rows)
 }
 
-/// Compares the number of particles with what is allowed.
+/// Checks the number of particles against the limit.
 pub(super) fn check_limit(count: usize, limits: &Limits) -> Result<()> {
     if count as u64 <= limits.particle_count {
         return Ok(());
     }
     let most = limits.particle_count;
-    Err(Error::too_large(FORMAT, format!("{count} vertices, and the limit is {most}")))
+    Err(Error::too_large(FORMAT, format!("the file has {count} vertices; the limit is {most}")))
 }

@@ -1,51 +1,52 @@
-//! The properties that hold what is known of the vertices.
+//! The PLY properties that store vertex attributes.
 //!
 //! ```text
-//!   colour     red green blue [alpha]   bytes: what every reader of coloured PLY takes
+//!   colour     red green blue [alpha]   bytes: supported by all readers of coloured PLY
 //!   velocity   vx vy vz                 floats
 //!   others     name, or name_x name_y ..  or name_0 name_1 ..: floats
 //!   integers   the same: int where all fit, else double
-//!   strings    the same: int, the index of a string that a comment tells; −1 for none
+//!   strings    the same: int, the index of a string listed in a comment; −1 for none
 //! ```
 
 use crate::data::{VertexAttribute, VertexValues};
 use crate::provenance::escape;
-use crate::vertex_attributes::{NamesTaken, Purpose, cut_note, plain_name, purposes, string_index};
+use crate::vertex_attributes::{NamesTaken, Purpose, clamp_note, plain_name, purposes, string_index};
 
-/// Integers of at most this size are exact as 64-bit reals.
+/// Integers up to this magnitude are exact as 64-bit floats.
 const EXACT_INTEGER_MAX: u64 = 1 << 53;
-/// Bytes of the comments that tell the strings of one attribute: some readers bound their headers.
+/// Maximum size in bytes of the comments with the strings of an attribute: some readers limit the header's
+/// size.
 const STRINGS_BYTES_MAX: usize = 64 << 10;
 
-/// An attribute that has a place: some columns of one type.
-pub(super) struct Placed<'a> {
+/// An attribute that can be stored, as columns of one type.
+pub(super) struct PlyAttribute<'a> {
     names: Vec<String>,
-    values: Values<'a>,
+    values: StoredValues<'a>,
 }
 
-/// What is written, and where it comes from.
-enum Values<'a> {
+/// The stored type and the source of the values.
+enum StoredValues<'a> {
     Floats(&'a [f32]),
-    /// Numbers from 0 to 1 as 0 to 255.
+    /// Numbers from 0 to 1, stored as 0 to 255.
     Bytes(&'a [f32]),
     Ints(&'a [i64]),
     Doubles(&'a [i64]),
     Strings(&'a [String], &'a [i32]),
 }
 
-/// What becomes of vertex attributes that a PLY file does not hold as they are; nothing where all come through.
+/// Notes on vertex attributes that a PLY file cannot store exactly.
 pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
     let mut notes = Vec::new();
     place(attributes, &mut notes);
     notes
 }
 
-/// The attributes that have a place, in order.
-pub(super) fn placed<'a>(attributes: &[VertexAttribute<'a>]) -> Vec<Placed<'a>> {
+/// The attributes that can be stored, in order.
+pub(super) fn placed<'a>(attributes: &[VertexAttribute<'a>]) -> Vec<PlyAttribute<'a>> {
     place(attributes, &mut Vec::new())
 }
 
-fn place<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>) -> Vec<Placed<'a>> {
+fn place<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>) -> Vec<PlyAttribute<'a>> {
     let mut taken = NamesTaken::new(&["x", "y", "z", "nx", "ny", "nz"]);
     let mut placed = Vec::new();
     for (attribute, purpose) in attributes.iter().zip(purposes(attributes)) {
@@ -58,13 +59,13 @@ fn place<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>) -> Vec
                 (taken.take(&stem, |stem| component_names(stem, arity)), component_names(name, arity))
             }
         };
-        let column = Placed { values: values_of(attribute, purpose, notes), names };
+        let column = PlyAttribute { values: values_of(attribute, purpose, notes), names };
         if column.comments().len() > STRINGS_BYTES_MAX {
-            notes.push(format!("{name} is not in the .ply: its strings are too long for a header"));
+            notes.push(format!("{name} is missing in the .ply: its strings are too long for the header"));
             continue;
         }
         if column.names != usual {
-            notes.push(format!("{name} is called {} in the .ply", column.names.join(", ")));
+            notes.push(format!("{name} is named {} in the .ply", column.names.join(", ")));
         }
         placed.push(column);
     }
@@ -91,50 +92,50 @@ fn values_of<'a>(
     attribute: &VertexAttribute<'a>,
     purpose: Purpose<'a>,
     notes: &mut Vec<String>,
-) -> Values<'a> {
+) -> StoredValues<'a> {
     let name = attribute.name;
     match (attribute.values, purpose) {
         (_, Purpose::Color(values)) => {
-            notes.extend(cut_note(name, values, "the .ply"));
-            Values::Bytes(values)
+            notes.extend(clamp_note(name, values, "the .ply"));
+            StoredValues::Bytes(values)
         }
-        (VertexValues::Numbers(values), _) => Values::Floats(values),
-        (VertexValues::Strings { table, indices }, _) => Values::Strings(table, indices),
+        (VertexValues::Numbers(values), _) => StoredValues::Floats(values),
+        (VertexValues::Strings { table, indices }, _) => StoredValues::Strings(table, indices),
         (VertexValues::Integers(values), _) => {
             if values.iter().all(|&value| i32::try_from(value).is_ok()) {
-                return Values::Ints(values);
+                return StoredValues::Ints(values);
             }
             let rounded = values.iter().filter(|value| value.unsigned_abs() > EXACT_INTEGER_MAX).count();
             if rounded != 0 {
-                notes.push(format!("{rounded} values of {name} are beyond ±2⁵³, and rounded in the .ply; a .vtp has them as they are"));
+                notes.push(format!("{rounded} values of {name} are beyond ±2⁵³ and are rounded in the .ply; .vtp stores them exactly"));
             }
-            Values::Doubles(values)
+            StoredValues::Doubles(values)
         }
     }
 }
 
-/// The lines of the header that tell which strings the numbers in a column stand for.
+/// The header lines that map the indices in a column to strings.
 pub(super) fn string_comments(name: &str, table: &[String]) -> String {
     let line =
         |(index, text): (usize, &String)| format!("comment string {index} of {name}: {}\n", escape(text));
     table.iter().enumerate().map(line).collect()
 }
 
-impl Placed<'_> {
-    /// The lines of the header that declare the columns.
+impl PlyAttribute<'_> {
+    /// The header lines that declare the columns.
     pub(super) fn properties(&self) -> String {
         let kind = match self.values {
-            Values::Floats(_) => "float",
-            Values::Bytes(_) => "uchar",
-            Values::Ints(_) | Values::Strings(..) => "int",
-            Values::Doubles(_) => "double",
+            StoredValues::Floats(_) => "float",
+            StoredValues::Bytes(_) => "uchar",
+            StoredValues::Ints(_) | StoredValues::Strings(..) => "int",
+            StoredValues::Doubles(_) => "double",
         };
         self.names.iter().map(|name| format!("property {kind} {name}\n")).collect()
     }
 
-    /// The lines of the header that tell what indices mean.
+    /// The header lines with the meaning of indices.
     pub(super) fn comments(&self) -> String {
-        let Values::Strings(table, _) = self.values else { return String::new() };
+        let StoredValues::Strings(table, _) = self.values else { return String::new() };
         string_comments(&self.names[0], table)
     }
 
@@ -143,18 +144,18 @@ impl Placed<'_> {
         let arity = self.names.len();
         let range = vertex * arity..(vertex + 1) * arity;
         match self.values {
-            Values::Floats(values) => {
+            StoredValues::Floats(values) => {
                 bytes.extend(values[range].iter().flat_map(|value| value.to_le_bytes()))
             }
-            Values::Bytes(values) => bytes.extend(values[range].iter().map(|&value| byte_of(value))),
-            Values::Ints(values) => {
-                #[expect(clippy::cast_possible_truncation, reason = "all of them were seen to fit")]
+            StoredValues::Bytes(values) => bytes.extend(values[range].iter().map(|&value| byte_of(value))),
+            StoredValues::Ints(values) => {
+                #[expect(clippy::cast_possible_truncation, reason = "all values were checked to fit")]
                 bytes.extend(values[range].iter().flat_map(|&value| (value as i32).to_le_bytes()));
             }
-            Values::Doubles(values) => {
+            StoredValues::Doubles(values) => {
                 bytes.extend(values[range].iter().flat_map(|&value| (value as f64).to_le_bytes()));
             }
-            Values::Strings(table, indices) => {
+            StoredValues::Strings(table, indices) => {
                 bytes.extend(
                     indices[range].iter().flat_map(|&index| string_index(index, table).to_le_bytes()),
                 );
@@ -164,7 +165,7 @@ impl Placed<'_> {
 }
 
 fn byte_of(value: f32) -> u8 {
-    #[expect(clippy::cast_possible_truncation, reason = "cut to the range of a byte")]
+    #[expect(clippy::cast_possible_truncation, reason = "clamped to the range of a byte")]
     let byte = (value.clamp(0.0, 1.0) * 255.0).round_ties_even() as u8;
     byte
 }

@@ -2,27 +2,27 @@
 
 use std::io::Write;
 
-use super::vertex_data::{Placed, placed};
+use super::vertex_data::{PlyAttribute, placed};
 use crate::data::{MeshView, Provenance};
 use crate::error::{Error, Result};
 use crate::provenance::{GENERATOR, comments};
 
 const FORMAT: &str = "PLY";
 
-/// Vertices or faces whose bytes are made at once.
+/// Number of vertices or faces encoded at a time.
 const PIECE: usize = 4096;
 
 /// Writes positions, normals, attributes and faces. Positions are floats; if the mesh has an origin, it is
-/// added and they are doubles. Axes are left as they are.
+/// added and they are doubles. Axes are not converted.
 ///
 /// # Errors
 ///
-/// [`Error::Io`] if `out` fails; [`Error::TooLarge`] if vertices cannot be numbered in the signed
-/// 32 bits that readers expect; [`Error::Invalid`] if the mesh is inconsistent or not finite.
+/// [`Error::Io`] if `out` fails; [`Error::TooLarge`] if the vertex indices exceed the signed 32 bits that
+/// readers expect; [`Error::Invalid`] if the mesh is inconsistent or not finite.
 pub fn write_mesh(mesh: &MeshView, provenance: &Provenance, out: &mut impl Write) -> Result<()> {
     mesh.check(FORMAT)?;
     if i32::try_from(mesh.positions.len()).is_err() {
-        let what = format!("{} vertices; 2³¹ − 1 can be numbered", mesh.positions.len());
+        let what = format!("the mesh has {} vertices; the limit of PLY is 2³¹ − 1", mesh.positions.len());
         return Err(Error::too_large(FORMAT, what));
     }
     let far = mesh.origin != [0.0; 3];
@@ -45,7 +45,7 @@ pub fn write_mesh(mesh: &MeshView, provenance: &Provenance, out: &mut impl Write
     })
 }
 
-fn header(mesh: &MeshView, attributes: &[Placed], far: bool, provenance: &Provenance) -> String {
+fn header(mesh: &MeshView, attributes: &[PlyAttribute], far: bool, provenance: &Provenance) -> String {
     let real = if far { "double" } else { "float" };
     let mut header = format!("ply\nformat binary_little_endian 1.0\ncomment {GENERATOR}\n");
     header += &comments(provenance, "comment ");
@@ -62,7 +62,7 @@ fn header(mesh: &MeshView, attributes: &[Placed], far: bool, provenance: &Proven
     header + "end_header\n"
 }
 
-/// Writes what `append` makes of each item, many items at a time.
+/// Encodes items with `append` and writes them, many at a time.
 fn write_pieces<T>(
     items: impl Iterator<Item = T>,
     out: &mut impl Write,

@@ -1,12 +1,12 @@
 //! Writes particles as binary little-endian PLY.
 //!
 //! ```text
-//!   positions    x y z                      float, or double where the particles have 64 bits
-//!   scalars      name                       the type they have
+//!   positions    x y z                      float, or double for 64-bit positions
+//!   scalars      name                       their own type
 //!   vectors      name_x name_y name_z ..    the same; with more than four values name_0 name_1 ..
-//!   "color"      red green blue [alpha]     what readers call so if the file does
-//!   integers     int, uint, or double where these are too narrow
-//!   strings      int, the index of a string that a comment tells; −1 for none
+//!   "color"      red green blue [alpha]     readers map this name back to "color"
+//!   integers     int, uint, or double if these are too narrow
+//!   strings      int, the index of a string listed in a comment; −1 for none
 //! ```
 
 use std::borrow::Cow;
@@ -21,17 +21,18 @@ use crate::vertex_attributes::{NamesTaken, string_index};
 
 const FORMAT: &str = "PLY";
 
-/// Particles whose bytes are made at once.
+/// Number of particles encoded at a time.
 const PIECE: usize = 4096;
 
-/// Integers of at most this size are exact as 64-bit reals.
+/// Integers up to this magnitude are exact as 64-bit floats.
 const EXACT_INTEGER_MAX: u64 = 1 << 53;
 
 /// Writes positions and attributes.
 ///
 /// # Errors
 ///
-/// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if an attribute has not its values for each particle.
+/// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if an attribute has the wrong number of
+/// values.
 pub fn write_particles(frame: &ParticleFrame, provenance: &Provenance, out: &mut impl Write) -> Result<()> {
     check(frame, FORMAT)?;
     let columns = columns_of(frame);
@@ -52,25 +53,25 @@ pub fn write_particles(frame: &ParticleFrame, provenance: &Provenance, out: &mut
     Ok(())
 }
 
-/// What becomes of attributes that a PLY file does not hold as they are; nothing where all come through.
+/// Notes on attributes that a PLY file cannot store exactly.
 pub fn particle_notes(frame: &ParticleFrame) -> Vec<String> {
     let mut notes = Vec::new();
     for (attribute, column) in frame.attributes.iter().zip(columns_of(frame)) {
         let name = &attribute.name;
         if column.names != names_of(attribute, name) {
-            notes.push(format!("{name} is called {} in the .ply", column.names.join(", ")));
+            notes.push(format!("{name} is named {} in the .ply", column.names.join(", ")));
         }
         match &*column.values {
             Values::Strings { .. } => {
                 notes.push(format!(
-                    "{name} is numbers in the .ply: which strings they are is in its comments"
+                    "{name} is stored as indices in the .ply; the strings are in its comments"
                 ));
             }
-            Values::I64(values) if column.kind == Kind::Double => {
+            Values::I64(values) if column.kind == PlyType::Double => {
                 let rounded = values.iter().filter(|value| value.unsigned_abs() > EXACT_INTEGER_MAX).count();
                 if rounded > 0 {
                     notes
-                        .push(format!("{rounded} values of {name} are beyond ±2⁵³, and rounded in the .ply; a .vtp has them as they are"));
+                        .push(format!("{rounded} values of {name} are beyond ±2⁵³ and are rounded in the .ply; .vtp stores them exactly"));
                 }
             }
             _ => {}
@@ -79,7 +80,7 @@ pub fn particle_notes(frame: &ParticleFrame) -> Vec<String> {
     notes
 }
 
-fn header(frame: &ParticleFrame, columns: &[Column], provenance: &Provenance) -> String {
+fn header(frame: &ParticleFrame, columns: &[PlyColumn], provenance: &Provenance) -> String {
     let real = match frame.positions {
         Positions::F32(_) => "float",
         Positions::F64(_) => "double",
@@ -95,22 +96,22 @@ fn header(frame: &ParticleFrame, columns: &[Column], provenance: &Provenance) ->
     for name in ["x", "y", "z"] {
         header += &format!("property {real} {name}\n");
     }
-    for Column { names, kind, .. } in columns {
+    for PlyColumn { names, kind, .. } in columns {
         names.iter().for_each(|name| header += &format!("property {} {name}\n", kind.name()));
     }
     header + "end_header\n"
 }
 
 /// The columns of an attribute.
-struct Column<'a> {
+struct PlyColumn<'a> {
     names: Vec<String>,
     values: Cow<'a, Values>,
-    kind: Kind,
+    kind: PlyType,
 }
 
-/// A type of PLY.
+/// A PLY type.
 #[derive(Clone, Copy, PartialEq)]
-enum Kind {
+enum PlyType {
     Uchar,
     Int,
     Uint,
@@ -118,43 +119,43 @@ enum Kind {
     Double,
 }
 
-impl Kind {
+impl PlyType {
     fn name(self) -> &'static str {
         match self {
-            Kind::Uchar => "uchar",
-            Kind::Int => "int",
-            Kind::Uint => "uint",
-            Kind::Float => "float",
-            Kind::Double => "double",
+            PlyType::Uchar => "uchar",
+            PlyType::Int => "int",
+            PlyType::Uint => "uint",
+            PlyType::Float => "float",
+            PlyType::Double => "double",
         }
     }
 
-    /// The narrowest that readers take for what the values are.
-    fn of(values: &Values) -> Kind {
+    /// The narrowest type that represents the values and that readers support.
+    fn of(values: &Values) -> PlyType {
         match values {
-            Values::F32(_) => Kind::Float,
-            Values::F64(_) => Kind::Double,
-            Values::U8(_) => Kind::Uchar,
-            Values::I32(_) | Values::Strings { .. } => Kind::Int,
-            Values::I64(values) if values.iter().all(|&value| u32::try_from(value).is_ok()) => Kind::Uint,
-            Values::I64(values) if values.iter().all(|&value| i32::try_from(value).is_ok()) => Kind::Int,
-            Values::I64(_) => Kind::Double,
+            Values::F32(_) => PlyType::Float,
+            Values::F64(_) => PlyType::Double,
+            Values::U8(_) => PlyType::Uchar,
+            Values::I32(_) | Values::Strings { .. } => PlyType::Int,
+            Values::I64(values) if values.iter().all(|&value| u32::try_from(value).is_ok()) => PlyType::Uint,
+            Values::I64(values) if values.iter().all(|&value| i32::try_from(value).is_ok()) => PlyType::Int,
+            Values::I64(_) => PlyType::Double,
         }
     }
 }
 
-fn columns_of(frame: &ParticleFrame) -> Vec<Column<'_>> {
+fn columns_of(frame: &ParticleFrame) -> Vec<PlyColumn<'_>> {
     let mut taken = NamesTaken::new(&["x", "y", "z"]);
     let column = |attribute| {
         let values = written(attribute);
         let stem = word(&attribute.name);
         let names = taken.take(&stem, |stem| names_of(attribute, stem));
-        Column { names, kind: Kind::of(&values), values }
+        PlyColumn { names, kind: PlyType::of(&values), values }
     };
     frame.attributes.iter().map(column).collect()
 }
 
-/// A name as a header of words holds it.
+/// A name as one word, as the header requires.
 fn word(name: &str) -> String {
     let plain = |c: char| if c.is_ascii_graphic() { c } else { '_' };
     let word: String = name.trim().chars().map(plain).collect();
@@ -169,11 +170,11 @@ fn names_of(attribute: &Attribute, stem: &str) -> Vec<String> {
     }
 }
 
-/// What readers call `red green blue`.
+/// Readers give this name to `red green blue`.
 const COLOR: &str = "color";
 const COLORS: [&str; 4] = ["red", "green", "blue", "alpha"];
 
-impl Column<'_> {
+impl PlyColumn<'_> {
     /// Appends the values of a particle.
     fn append(&self, particle: usize, bytes: &mut Vec<u8>) {
         let arity = self.names.len();
@@ -183,10 +184,10 @@ impl Column<'_> {
             Values::F64(values) => bytes.extend(values[range].iter().flat_map(|value| value.to_le_bytes())),
             Values::U8(values) => bytes.extend_from_slice(&values[range]),
             Values::I32(values) => bytes.extend(values[range].iter().flat_map(|value| value.to_le_bytes())),
-            Values::I64(values) if self.kind == Kind::Double => {
+            Values::I64(values) if self.kind == PlyType::Double => {
                 bytes.extend(values[range].iter().flat_map(|&value| (value as f64).to_le_bytes()));
             }
-            #[expect(clippy::cast_possible_truncation, reason = "all of them were seen to fit")]
+            #[expect(clippy::cast_possible_truncation, reason = "all values were checked to fit")]
             Values::I64(values) => {
                 bytes.extend(values[range].iter().flat_map(|&value| (value as i32).to_le_bytes()));
             }

@@ -1,4 +1,4 @@
-//! Arrays as text, a run of elements at a time: `(0.5, 1, 2), (0.25, 1, 2), ..`.
+//! Formats arrays as text in chunks: `(0.5, 1, 2), (0.25, 1, 2), ..`.
 
 use std::ops::Range;
 
@@ -7,15 +7,15 @@ use rayon::prelude::*;
 use crate::quads::faces;
 use crate::vertex_attributes::string_index;
 
-use super::numbers::Numbers;
+use super::numbers::NumberWriter;
 
-/// Elements that are formatted as one task.
+/// Number of elements formatted per task.
 const ELEMENTS_PER_TASK: usize = 1 << 13;
 
-/// What an array is of.
+/// The elements of an array.
 #[derive(Clone, Copy)]
 pub(super) enum Elements<'a> {
-    /// `arity` numbers from `first` on of each `stride`.
+    /// `arity` numbers starting at `first` in each group of `stride`.
     Reals {
         values: &'a [f32],
         stride: usize,
@@ -26,12 +26,12 @@ pub(super) enum Elements<'a> {
         values: &'a [i64],
         arity: usize,
     },
-    /// Indices into so many strings; where there is none, the index behind the last.
+    /// Indices into a table of strings; a missing string gets the index after the last one.
     Strings {
         table: &'a [String],
         indices: &'a [i32],
     },
-    /// How many corners each face has, and which vertices they are.
+    /// The number of corners of each face, and the vertices of the corners.
     FaceCounts {
         triangles: &'a [[u32; 3]],
         quads: &'a [bool],
@@ -43,12 +43,12 @@ pub(super) enum Elements<'a> {
 }
 
 impl<'a> Elements<'a> {
-    /// Vectors of this many numbers each.
+    /// Vectors of `arity` numbers each.
     pub(super) fn reals(values: &'a [f32], arity: usize) -> Elements<'a> {
         Elements::Reals { values, stride: arity, first: 0, arity }
     }
 
-    /// Elements; of faces, their triangles.
+    /// The number of elements; for faces, of triangles.
     fn count(&self) -> usize {
         match self {
             Elements::Reals { values, stride, .. } => values.len() / stride,
@@ -60,7 +60,7 @@ impl<'a> Elements<'a> {
         }
     }
 
-    /// How many tasks it takes to format all of them.
+    /// The number of tasks for all elements.
     pub(super) fn task_count(&self) -> usize {
         self.count().div_ceil(ELEMENTS_PER_TASK)
     }
@@ -75,27 +75,27 @@ impl<'a> Elements<'a> {
         const ELEMENT_BYTES: usize = 40; // few are longer
         let start = (task * ELEMENTS_PER_TASK).min(self.count());
         let range = start..(start + ELEMENTS_PER_TASK).min(self.count());
-        let mut numbers = Numbers::with_capacity(range.len() * ELEMENT_BYTES);
+        let mut numbers = NumberWriter::with_capacity(range.len() * ELEMENT_BYTES);
         self.append(range, &mut numbers);
-        // What stands between two elements comes with the second, which is never the first of all.
+        // Each element but the very first is preceded by its separator.
         match task {
             0 => numbers.text.split_off(SEPARATOR_BYTES.min(numbers.text.len())),
             _ => numbers.text,
         }
     }
 
-    fn append(&self, range: Range<usize>, numbers: &mut Numbers) {
+    fn append(&self, range: Range<usize>, numbers: &mut NumberWriter) {
         match *self {
             Elements::Reals { values, stride, first, arity } => {
                 for element in values[range.start * stride..range.end * stride].chunks_exact(stride) {
                     numbers.separate();
-                    numbers.tuple(&element[first..first + arity], Numbers::real);
+                    numbers.tuple(&element[first..first + arity], NumberWriter::real);
                 }
             }
             Elements::Integers { values, arity } => {
                 for element in values[range.start * arity..range.end * arity].chunks_exact(arity) {
                     numbers.separate();
-                    numbers.tuple(element, Numbers::integer);
+                    numbers.tuple(element, NumberWriter::integer);
                 }
             }
             Elements::Strings { table, indices } => {
@@ -123,5 +123,5 @@ impl<'a> Elements<'a> {
     }
 }
 
-/// Bytes of what [`Numbers::separate`] writes.
+/// Length in bytes of the text that [`NumberWriter::separate`] writes.
 const SEPARATOR_BYTES: usize = 2;

@@ -1,4 +1,4 @@
-//! The head of a file: what made it and what it is, for other programs and for this one.
+//! The head of a file: its provenance and a summary of its content.
 
 use crate::data::Provenance;
 use crate::error::{Error, Place, Result};
@@ -6,24 +6,25 @@ use crate::mesh_options::UpAxis;
 
 use super::FORMAT;
 
-/// The prim at the root, which a stage that references the layer gets.
+/// The root prim: a stage that references the layer gets this prim.
 pub(super) const ROOT: &str = "root";
 
-/// What the last line of a file begins with.
+/// The beginning of the last line of a file.
 pub(super) const LAST_LINE: &str = "# end: ";
 
-/// What a file of this crate says of what it holds.
+/// The summary of the content in a file of this crate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LayerInfo {
-    /// Vertices, in all frames.
+    /// Number of vertices, in all frames.
     pub vertices: u64,
-    /// Faces, in all frames.
+    /// Number of faces, in all frames.
     pub faces: u64,
-    /// Frames of a shot; `None` where there are no time samples.
+    /// Number of frames in a sequence; `None` without time samples.
     pub frames: Option<u64>,
 }
 
-/// The text before the mesh, with the start of the prim that the mesh is in. `times` is what is said of the time codes of a shot, lines of it.
+/// The text before the mesh, including the start of the prim that contains the mesh. `times` are the lines
+/// with the time codes of a sequence.
 pub(super) fn head(
     provenance: &Provenance,
     info: &LayerInfo,
@@ -50,17 +51,17 @@ pub(super) fn head(
     )
 }
 
-/// What [`head`] said of what made the file.
+/// Reads the provenance that [`head`] wrote.
 pub(crate) fn read_provenance(head: &[u8]) -> Result<Vec<(String, String)>> {
     let text = head_text(head)?;
     Ok(entries(&text, "meniscus").filter_map(string_entry).collect())
 }
 
-/// What a file of this crate says of what it holds, from its head; `None` of another program's.
+/// Reads the summary in the head of a file of this crate; `None` for files of other programs.
 ///
 /// # Errors
 ///
-/// [`Error::Invalid`] if it is no such text.
+/// [`Error::Invalid`] if the file is not USD text.
 pub fn read_layer_info(head: &[u8]) -> Result<Option<LayerInfo>> {
     let text = head_text(head)?;
     let number = |name: &str| {
@@ -73,12 +74,12 @@ pub fn read_layer_info(head: &[u8]) -> Result<Option<LayerInfo>> {
     Ok(info.map(|(vertices, faces)| LayerInfo { vertices, faces, frames: number("frames") }))
 }
 
-/// As much of the head as is text.
+/// The part of the head that is text.
 fn head_text(head: &[u8]) -> Result<String> {
     if !head.starts_with(b"#usda 1.0") {
-        return Err(Error::invalid(FORMAT, Place::Offset(0), "no #usda 1.0"));
+        return Err(Error::invalid(FORMAT, Place::Offset(0), "expected #usda 1.0"));
     }
-    // The prim, which may be long, begins with `def`; the head may end amid a character.
+    // The prim, which can be long, starts with `def`. The head may end in the middle of a character.
     let end = head.windows(5).position(|window| window == b"\ndef ").unwrap_or(head.len());
     Ok(String::from_utf8_lossy(&head[..end]).into_owned())
 }
@@ -100,7 +101,7 @@ fn string_entry(line: &str) -> Option<(String, String)> {
     rest.is_empty().then_some((key, value))
 }
 
-/// Whether the last bytes of a file are those of a whole one that this crate wrote.
+/// Whether these are the last bytes of a complete file of this crate.
 pub(crate) fn ends_as_written(tail: &[u8]) -> bool {
     let Some(lines) = tail.strip_suffix(b"\n") else { return false };
     let start = lines.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);
@@ -114,14 +115,14 @@ fn key_of(key: &str) -> String {
     if is_identifier { key.to_owned() } else { quoted(key) }
 }
 
-/// A string as a value: on one line, whatever is in it.
+/// A quoted string on a single line.
 pub(super) fn quoted(text: &str) -> String {
     let mut quoted = String::with_capacity(text.len() + 2);
     quoted.push('"');
     for c in text.chars() {
         match c {
             '"' | '\\' => quoted.extend(['\\', c]),
-            // The format has two digits for a byte.
+            // The format escapes a byte with two hexadecimal digits.
             '\0'..='\x1f' | '\x7f' => quoted += &format!("\\x{:02x}", u32::from(c)),
             _ => quoted.push(c),
         }
@@ -130,7 +131,7 @@ pub(super) fn quoted(text: &str) -> String {
     quoted
 }
 
-/// The string that a text begins with, as [`quoted`] has it, and the rest of the text.
+/// Parses the string at the start of a text, in the form of [`quoted`], and returns the rest of the text.
 fn unquoted(text: &str) -> Option<(String, &str)> {
     let text = text.strip_prefix('"')?;
     let (mut string, mut chars) = (String::new(), text.char_indices());
@@ -156,7 +157,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn heads_come_back() {
+    fn provenance_and_summary_round_trip() {
         let pair = |key: &str, value: &str| (key.to_owned(), value.to_owned());
         let provenance = [
             pair("generator", "meniscus 0.1.0"),

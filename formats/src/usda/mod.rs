@@ -1,10 +1,10 @@
-//! USD as text, `.usda`: meshes out, of one frame or of a whole shot as time samples.
+//! USD as text, `.usda`: writes meshes, of one frame or of a sequence as time samples.
 //!
 //! ```text
 //!   #usda 1.0
 //!   (
-//!       customLayerData = { dictionary meniscus = { string radius = "0.025" .. } .. }     what made it
-//!       defaultPrim, metersPerUnit, upAxis; of a shot its time codes
+//!       customLayerData = { dictionary meniscus = { string radius = "0.025" .. } .. }     provenance
+//!       defaultPrim, metersPerUnit, upAxis; for a sequence, its time codes
 //!   )
 //!   def Xform "root"
 //!       def Mesh "surface"
@@ -16,11 +16,12 @@
 //!   # end: 642 vertices, 1280 faces
 //! ```
 //!
-//! Whatever reads USD reads its text. The binary form, a third of the size, is known by its implementation alone; `usdcat`
-//! makes it of this. A shot is one mesh whose attributes all have a sample for each frame, not a file for each
-//! frame beside another that lists them: it can be moved, and appears at once.
+//! Every program that reads USD reads its text form. The binary form, a third of the size, is defined only by
+//! its implementation; `usdcat` converts to it. A sequence is a single mesh whose attributes all have a
+//! sample per frame, rather than a file per frame and another that lists them: a single file can be moved,
+//! and can be replaced atomically.
 //!
-//! Nothing of USD is read, but what this crate wrote into the head.
+//! This crate reads nothing from USD files except the head that it wrote itself.
 
 use crate::mesh_options::WriteOption;
 use crate::row::Integrity;
@@ -42,7 +43,7 @@ use write::{batch_count, encode_batch};
 /// The format's name in errors.
 const FORMAT: &str = "USD";
 
-/// What the table of formats says of it.
+/// The row in the table of formats.
 pub(crate) static ROW: OutputRow = OutputRow {
     format: FormatRow { signatures: &[b"#usda"], ..FormatRow::new("USD text", &["usda"]) },
     help: "USD as text",

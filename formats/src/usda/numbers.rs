@@ -1,23 +1,23 @@
-//! Numbers as the values of arrays.
+//! Formats numbers as array values.
 
-/// Text in the making, with memory for one number.
-pub(super) struct Numbers {
+/// Text under construction, with a buffer for formatting numbers.
+pub(super) struct NumberWriter {
     pub(super) text: Vec<u8>,
     real: zmij::Buffer,
     integer: itoa::Buffer,
 }
 
-impl Numbers {
-    /// Nothing yet, with room for so many bytes.
-    pub(super) fn with_capacity(byte_count: usize) -> Numbers {
-        Numbers {
+impl NumberWriter {
+    /// An empty text with capacity for `byte_count` bytes.
+    pub(super) fn with_capacity(byte_count: usize) -> NumberWriter {
+        NumberWriter {
             text: Vec::with_capacity(byte_count),
             real: zmij::Buffer::new(),
             integer: itoa::Buffer::new(),
         }
     }
 
-    /// The shortest decimals that read back as the same number.
+    /// Appends the shortest decimals that parse back to the same number.
     pub(super) fn real<T: zmij::Float>(&mut self, number: T) {
         let digits = self.real.format_finite(number);
         self.text.extend_from_slice(digits.strip_suffix(".0").unwrap_or(digits).as_bytes());
@@ -27,8 +27,8 @@ impl Numbers {
         self.text.extend_from_slice(self.integer.format(number).as_bytes());
     }
 
-    /// One number, or several in parentheses.
-    pub(super) fn tuple<T: Copy>(&mut self, values: &[T], mut number: impl FnMut(&mut Numbers, T)) {
+    /// Appends one number, or several in parentheses.
+    pub(super) fn tuple<T: Copy>(&mut self, values: &[T], mut number: impl FnMut(&mut NumberWriter, T)) {
         if let [value] = values {
             return number(self, *value);
         }
@@ -42,15 +42,15 @@ impl Numbers {
         self.text.push(b')');
     }
 
-    /// What stands between values.
+    /// Appends the separator of values.
     pub(super) fn separate(&mut self) {
         self.text.extend_from_slice(b", ");
     }
 }
 
-/// Three numbers as text.
+/// Formats three numbers as a tuple.
 pub(super) fn triple<T: zmij::Float + Copy>(values: [T; 3]) -> String {
-    let mut numbers = Numbers::with_capacity(48);
-    numbers.tuple(&values, Numbers::real);
+    let mut numbers = NumberWriter::with_capacity(48);
+    numbers.tuple(&values, NumberWriter::real);
     String::from_utf8(numbers.text).unwrap_or_default() // digits and signs
 }

@@ -1,4 +1,4 @@
-//! A whole shot: one mesh, whose attributes have a sample for each frame.
+//! Writes a sequence as one mesh whose attributes have a sample per frame.
 //!
 //! ```text
 //!   point3f[] points.timeSamples = {
@@ -7,19 +7,19 @@
 //!   }
 //! ```
 //!
-//! The samples of an attribute stand together, so the frames are gone through once for each attribute; of their files,
-//! `.glb` as this crate writes them, what is asked for is read and nothing else. No more is in memory than one attribute of one
-//! frame, and its text.
+//! The samples of an attribute are contiguous, so the writer visits all frames once per attribute. It reads
+//! only the required data from their files, which are `.glb` files of this crate. At any time, only one
+//! attribute of one frame and its text are in memory.
 //!
-//! USD takes samples that differ in their number of vertices as they are, and holds each until the next. Programs that ask
-//! for times between frames get blends of those that happen to have as many vertices, so they should not; motion blur
-//! comes of `velocities`.
+//! USD allows samples with different numbers of vertices, and holds each until the next. Programs that
+//! evaluate times between frames get blends of samples that happen to have the same number of vertices, so
+//! they should not do that; for motion blur they can use `velocities`.
 
 use std::io::{self, Read, Seek, Write};
 
 use crate::data::Provenance;
 use crate::error::{Error, Place, Result};
-use crate::gltf::{Column, FramePlace, ShotFrame};
+use crate::gltf::{FramePlace, ShotFrame, VertexColumn};
 use crate::mesh_options::UpAxis;
 use crate::vertex_attributes::NamesTaken;
 
@@ -31,16 +31,16 @@ use super::write::{RESERVED, identifier};
 
 const PRIM: &str = "surface";
 
-/// Time codes are reals of 64 bits: no integers beyond this are told apart.
+/// Time codes are 64-bit floats, which cannot distinguish integers beyond this.
 const CODE_MAX: u64 = 1 << 53;
 
-/// Writes a shot of frames, whose codes must increase: they are the time codes. `open` opens the file of a frame, by its
-/// index. Returns what a user should know of attributes that not all frames have alike, and which are left out.
+/// Writes a sequence of frames, whose numbers become the time codes and must increase. `open` opens the file
+/// of a frame, by its index. Returns notes on attributes that are omitted because the frames differ in them.
 ///
 /// # Errors
 ///
-/// [`Error::Io`] if a file cannot be read or `out` fails; [`Error::Invalid`] for documents that are damaged, codes that do not
-/// increase, and frames that differ in which axis is up; [`Error::Unsupported`] for codes beyond 2⁵³.
+/// [`Error::Io`] if a file cannot be read or `out` fails; [`Error::Invalid`] if a document is damaged,
+/// numbers do not increase, or frames differ in their up axis; [`Error::Unsupported`] for numbers beyond 2⁵³.
 pub fn write_sequence<R: Read + Seek>(
     frames: &[ShotFrame],
     (fps, meters_per_unit): (f64, f64),
@@ -48,7 +48,7 @@ pub fn write_sequence<R: Read + Seek>(
     open: impl Fn(usize) -> io::Result<R>,
     out: &mut impl Write,
 ) -> Result<Vec<String>> {
-    let shot = Shot::of(frames)?;
+    let shot = UsdaSequence::of(frames)?;
     let (mut vertices, mut faces) = (0, 0);
     for frame in frames {
         vertices += frame.file.vertex_count() as u64;
@@ -74,7 +74,7 @@ pub fn write_sequence<R: Read + Seek>(
     })?;
     out.write_all(b"        uniform token orientation = \"rightHanded\"\n")?;
     for attribute in &attributes {
-        let Attribute { semantic, name, first, arity, about } = attribute;
+        let SequenceAttribute { semantic, name, first, arity, about } = attribute;
         shot.write_samples(name, about, out, |index, place| {
             let frame = &frames[index].file;
             let Some(column) = frame.column(semantic)? else { return Ok(Vec::new()) };
@@ -93,20 +93,20 @@ pub fn write_sequence<R: Read + Seek>(
 
 const POSITION: &str = "POSITION";
 
-/// The frames, and where each lies; `None` of those without a mesh.
-struct Shot<'a> {
+/// The frames and their placements, `None` for frames without a mesh.
+struct UsdaSequence<'a> {
     frames: &'a [ShotFrame],
     places: Vec<Option<FramePlace>>,
     up: UpAxis,
 }
 
-/// What is written of the vertices.
-struct Attribute {
+/// A vertex attribute to write.
+struct SequenceAttribute {
     /// Its name in the frames.
     semantic: String,
-    /// Its type and name here.
+    /// Its type and name in USD.
     name: String,
-    /// Which of its numbers: so many from this on.
+    /// The range of its components to write: the first, and their number.
     first: usize,
     arity: usize,
     about: String,
@@ -114,15 +114,16 @@ struct Attribute {
 
 const OF_VERTICES: &str = "            interpolation = \"vertex\"\n";
 
-impl<'a> Shot<'a> {
-    fn of(frames: &'a [ShotFrame]) -> Result<Shot<'a>> {
+impl<'a> UsdaSequence<'a> {
+    fn of(frames: &'a [ShotFrame]) -> Result<UsdaSequence<'a>> {
         let invalid = |what: String| Error::invalid(FORMAT, Place::File, what);
         if let Some(pair) = frames.windows(2).find(|pair| pair[1].code <= pair[0].code) {
             let [a, b] = [0, 1].map(|index| (&pair[index].name, pair[index].code));
             return Err(invalid(format!("{} and {} have the time codes {} and {}", a.0, b.0, a.1, b.1)));
         }
         if let Some(ShotFrame { name, code, .. }) = frames.last().filter(|frame| frame.code > CODE_MAX) {
-            let what = format!("{name} has the number {code}, and time codes end at {CODE_MAX}");
+            let what =
+                format!("the frame number {code} of {name} exceeds the limit for time codes, {CODE_MAX}");
             return Err(Error::unsupported(FORMAT, what));
         }
         let place = |frame: &ShotFrame| frame.file.has_mesh().then(|| frame.file.place()).transpose();
@@ -130,15 +131,15 @@ impl<'a> Shot<'a> {
         let mut ups = places.iter().flatten().map(|place| place.up);
         let up = ups.next().unwrap_or_default();
         match ups.all(|other| other == up) {
-            true => Ok(Shot { frames, places, up }),
-            false => Err(invalid("frames of which some have y up and some z".to_owned())),
+            true => Ok(UsdaSequence { frames, places, up }),
+            false => Err(invalid("some frames have y up and others z up".to_owned())),
         }
     }
 
-    /// What all frames with a mesh have, and what of the rest is left out.
-    fn attributes(&self) -> Result<(Vec<Attribute>, Vec<String>)> {
+    /// The attributes that all frames with a mesh have, and notes on the others.
+    fn attributes(&self) -> Result<(Vec<SequenceAttribute>, Vec<String>)> {
         let files = || self.frames.iter().map(|frame| &frame.file).filter(|file| file.has_mesh());
-        let attribute = |semantic: &str, name: &str, first, arity, about: &str| Attribute {
+        let attribute = |semantic: &str, name: &str, first, arity, about: &str| SequenceAttribute {
             semantic: semantic.to_owned(),
             name: name.to_owned(),
             first,
@@ -158,20 +159,20 @@ impl<'a> Shot<'a> {
         names.retain(|name| !["NORMAL", POSITION].contains(&name.as_str()));
         let (mut notes, mut taken) = (Vec::new(), NamesTaken::new(&RESERVED));
         for name in names {
-            if files().any(|file| file.is_of_strings(name)) {
+            if files().any(|file| file.has_string_indices(name)) {
                 notes.push(format!(
-                    "{name} is not in the shot: its values are strings, of which frames have their own"
+                    "{name} is missing in the sequence: its values are strings, and each frame has its own table"
                 ));
                 continue;
             }
-            let columns: Vec<Option<Column>> =
+            let columns: Vec<Option<VertexColumn>> =
                 files().map(|file| file.column(name)).collect::<Result<_>>()?;
             let arities: Option<Vec<usize>> = columns.iter().map(|column| Some((*column)?.arity)).collect();
             let arity =
                 arities.and_then(|arities| arities.iter().all(|a| *a == arities[0]).then_some(arities[0]));
             let Some(arity) = arity else {
                 notes.push(format!(
-                    "{name} is not in the shot: not all frames have it, with as many numbers to a vertex"
+                    "{name} is missing in the sequence: not all frames have it with the same number of values per vertex"
                 ));
                 continue;
             };
@@ -184,11 +185,11 @@ impl<'a> Shot<'a> {
                 }
                 _ => {
                     let kind = if arity == 1 { "float".to_owned() } else { format!("float{arity}") };
-                    // In the frames names have an underscore before them and are written large.
+                    // In the frames, names start with an underscore and are in upper case.
                     let wanted = identifier(name.strip_prefix('_').unwrap_or(name)).to_ascii_lowercase();
                     let plain = taken.take(&wanted, |stem| vec![stem.to_owned()]).concat();
                     if plain != wanted {
-                        notes.push(format!("{name} is called primvars:{plain} in the shot"));
+                        notes.push(format!("{name} is named primvars:{plain} in the sequence"));
                     }
                     let property = format!("{kind}[] primvars:{plain}");
                     found.push(attribute(name, &property, 0, arity, OF_VERTICES));
@@ -198,7 +199,8 @@ impl<'a> Shot<'a> {
         Ok((found, notes))
     }
 
-    /// An array with a sample for each frame, whose text `texts` makes; nothing of a frame without a mesh.
+    /// Writes an array with a sample per frame, formatted by `texts`; the sample is empty for a frame without
+    /// a mesh.
     fn write_samples(
         &self,
         name: &str,
@@ -223,8 +225,8 @@ impl<'a> Shot<'a> {
         Ok(())
     }
 
-    /// A line for each frame; and one before the next, where some are missing between them, for USD moves what has the same form
-    /// from one sample to the next.
+    /// Writes a line per frame. If frames are missing before the next one, repeats the line just before it,
+    /// because USD interpolates between samples of the same shape.
     fn write_lines(
         &self,
         name: &str,
@@ -253,9 +255,9 @@ impl<'a> Shot<'a> {
         })
     }
 
-    /// Where the frames lie, if any lies elsewhere than at the origin.
+    /// Writes the origins of the frames, unless all are zero.
     fn write_origins(&self, out: &mut impl Write) -> Result<()> {
-        // A frame without a mesh stays where the one before it was.
+        // A frame without a mesh keeps the origin of the previous one.
         let origin = |index: usize| {
             let place = self.places[..=index].iter().rev().flatten().next();
             place.map_or([0.0; 3], |place| place.origin)

@@ -2,16 +2,17 @@
 //!
 //! ```text
 //!   batch 0: head │ batch 1: points .. │ batch 2: points .. normals .. │ .. last line
-//!                            └───┴ a task each
+//!                            └───┴ one task each
 //! ```
 //!
-//! As of other text, any batch can be had by itself, so that whoever writes need not hold the text of all. Where the
-//! mesh lies is said by a translation of 64 bits, and which axis is up by the layer: vertices are written as they are.
+//! As in other text formats, each batch can be encoded independently, so the writer need not hold the whole
+//! text. A 64-bit translation stores the mesh's origin, and the layer stores the up axis; vertices are
+//! written unchanged.
 //!
 //! ```text
-//!   velocity   velocities, by which renderers blur motion     colour     primvars:displayColor, displayOpacity
-//!   others     primvars:name, vectors of up to four           integers   int, or int64 where one needs it
-//!   strings    primvars:name, a string for each distinct one, and primvars:name:indices
+//!   velocity   velocities, for motion blur     colour     primvars:displayColor, displayOpacity
+//!   others     primvars:name, vectors of up to four           integers   int, or int64 if a value needs it
+//!   strings    primvars:name, the distinct strings, and primvars:name:indices
 //! ```
 
 use rayon::prelude::*;
@@ -27,13 +28,13 @@ use super::arrays::Elements;
 use super::head::{LAST_LINE, LayerInfo, head, quoted};
 use super::numbers::triple;
 
-/// Tasks whose text is held at once.
+/// Number of tasks whose text is held at a time.
 const TASKS_AT_ONCE: usize = 64;
 
-/// The widest vector that has a type.
+/// The widest vector type.
 const TUPLE_MAX: usize = 4;
 
-/// The number of batches of the text of a layer with one mesh.
+/// The number of batches for a layer with one mesh.
 pub(super) fn batch_count(mesh: &MeshView, options: &MeshOptions) -> usize {
     1 + tasks(&sections(mesh, options)).len().div_ceil(TASKS_AT_ONCE)
 }
@@ -42,8 +43,8 @@ pub(super) fn batch_count(mesh: &MeshView, options: &MeshOptions) -> usize {
 ///
 /// # Errors
 ///
-/// [`crate::Error::Invalid`], for the first batch, if the mesh is inconsistent or not finite, or if what should be a quad
-/// is none.
+/// [`crate::Error::Invalid`], for the first batch, if the mesh is inconsistent or not finite, or if two
+/// triangles marked as a quad do not form one.
 pub(super) fn encode_batch(
     mesh: &MeshView,
     options: &MeshOptions,
@@ -72,22 +73,22 @@ pub(super) fn encode_batch(
 }
 
 /// A property of the prim.
-struct Section<'a> {
+struct PropertyText<'a> {
     open: String,
     elements: Option<Elements<'a>>,
     close: String,
 }
 
-impl<'a> Section<'a> {
-    /// A property that is one line.
-    fn line(text: String) -> Section<'a> {
-        Section { open: format!("        {text}\n"), elements: None, close: String::new() }
+impl<'a> PropertyText<'a> {
+    /// A single-line property.
+    fn line(text: String) -> PropertyText<'a> {
+        PropertyText { open: format!("        {text}\n"), elements: None, close: String::new() }
     }
 
-    /// A property with a value for each vertex or face.
-    fn array(name: &str, elements: Elements<'a>, about: &str) -> Section<'a> {
+    /// A property with a value per vertex or face.
+    fn array(name: &str, elements: Elements<'a>, about: &str) -> PropertyText<'a> {
         let about = if about.is_empty() { String::new() } else { format!(" (\n{about}        )") };
-        Section {
+        PropertyText {
             open: format!("        {name} = ["),
             elements: Some(elements),
             close: format!("]{about}\n"),
@@ -95,16 +96,16 @@ impl<'a> Section<'a> {
     }
 }
 
-/// A run of elements of a section.
-struct Task {
+/// A range of elements of a section.
+struct TextTask {
     section: usize,
     run: usize,
     is_last: bool,
 }
 
-impl Task {
-    fn text(&self, sections: &[Section]) -> Vec<u8> {
-        let Section { open, elements, close } = &sections[self.section];
+impl TextTask {
+    fn text(&self, sections: &[PropertyText]) -> Vec<u8> {
+        let PropertyText { open, elements, close } = &sections[self.section];
         let mut text = if self.run == 0 { open.clone().into_bytes() } else { Vec::new() };
         if let Some(elements) = elements {
             text.append(&mut elements.text_of(self.run));
@@ -116,41 +117,46 @@ impl Task {
     }
 }
 
-fn tasks(sections: &[Section]) -> Vec<Task> {
-    let runs_of = |(section, Section { elements, .. }): (usize, &Section)| {
+fn tasks(sections: &[PropertyText]) -> Vec<TextTask> {
+    let runs_of = |(section, PropertyText { elements, .. }): (usize, &PropertyText)| {
         let count = elements.map_or(1, |elements| elements.task_count().max(1));
-        (0..count).map(move |run| Task { section, run, is_last: run + 1 == count })
+        (0..count).map(move |run| TextTask { section, run, is_last: run + 1 == count })
     };
     sections.iter().enumerate().flat_map(runs_of).collect()
 }
 
 const OF_VERTICES: &str = "            interpolation = \"vertex\"\n";
 
-fn sections<'a>(mesh: &MeshView<'a>, options: &'a MeshOptions) -> Vec<Section<'a>> {
+fn sections<'a>(mesh: &MeshView<'a>, options: &'a MeshOptions) -> Vec<PropertyText<'a>> {
     let (triangles, quads) = (mesh.triangles, &*options.quads);
     let mut sections = Vec::new();
     if let Some([low, high]) = extent(mesh) {
-        sections.push(Section::line(format!("float3[] extent = [{}, {}]", triple(low), triple(high))));
+        sections.push(PropertyText::line(format!("float3[] extent = [{}, {}]", triple(low), triple(high))));
     }
     sections.extend([
-        Section::array("int[] faceVertexCounts", Elements::FaceCounts { triangles, quads }, ""),
-        Section::array("int[] faceVertexIndices", Elements::FaceCorners { triangles, quads }, ""),
-        Section::array("normal3f[] normals", Elements::reals(mesh.normals.as_flattened(), 3), OF_VERTICES),
-        Section::line("uniform token orientation = \"rightHanded\"".to_owned()),
-        Section::array("point3f[] points", Elements::reals(mesh.positions.as_flattened(), 3), ""),
+        PropertyText::array("int[] faceVertexCounts", Elements::FaceCounts { triangles, quads }, ""),
+        PropertyText::array("int[] faceVertexIndices", Elements::FaceCorners { triangles, quads }, ""),
+        PropertyText::array(
+            "normal3f[] normals",
+            Elements::reals(mesh.normals.as_flattened(), 3),
+            OF_VERTICES,
+        ),
+        PropertyText::line("uniform token orientation = \"rightHanded\"".to_owned()),
+        PropertyText::array("point3f[] points", Elements::reals(mesh.positions.as_flattened(), 3), ""),
     ]);
     for (attribute, place) in mesh.attributes.iter().zip(places(mesh.attributes)) {
         sections.extend(of_attribute(attribute, &place));
     }
-    sections.push(Section::line("uniform token subdivisionScheme = \"none\"".to_owned()));
+    sections.push(PropertyText::line("uniform token subdivisionScheme = \"none\"".to_owned()));
     if mesh.origin != [0.0; 3] {
-        sections.push(Section::line(format!("double3 xformOp:translate = {}", triple(mesh.origin))));
-        sections.push(Section::line("uniform token[] xformOpOrder = [\"xformOp:translate\"]".to_owned()));
+        sections.push(PropertyText::line(format!("double3 xformOp:translate = {}", triple(mesh.origin))));
+        sections
+            .push(PropertyText::line("uniform token[] xformOpOrder = [\"xformOp:translate\"]".to_owned()));
     }
     sections
 }
 
-/// Least and greatest corner; `None` where there are no vertices.
+/// The minimum and maximum corner; `None` without vertices.
 fn extent(mesh: &MeshView) -> Option<[[f32; 3]; 2]> {
     let first = *mesh.positions.first()?;
     Some(mesh.positions.iter().fold([first, first], |[low, high], position| {
@@ -161,76 +167,80 @@ fn extent(mesh: &MeshView) -> Option<[[f32; 3]; 2]> {
     }))
 }
 
-/// Where an attribute goes.
-enum Place {
+/// The property that an attribute is written to.
+enum UsdProperty {
     Velocities,
     Color,
     Primvar(String),
 }
 
-/// Names that mean something to whoever renders.
+/// Names with a meaning for renderers.
 pub(super) const RESERVED: [&str; 3] = ["displayColor", "displayOpacity", "normals"];
 
-/// The place of each attribute.
-fn places(attributes: &[VertexAttribute]) -> Vec<Place> {
+/// The property of each attribute.
+fn places(attributes: &[VertexAttribute]) -> Vec<UsdProperty> {
     let mut taken = NamesTaken::new(&RESERVED);
     let place = |(attribute, purpose): (&VertexAttribute, Purpose)| match purpose {
-        Purpose::Velocity => Place::Velocities,
-        Purpose::Color(_) => Place::Color,
-        Purpose::Other => {
-            Place::Primvar(taken.take(&identifier(attribute.name), |stem| vec![stem.to_owned()]).concat())
-        }
+        Purpose::Velocity => UsdProperty::Velocities,
+        Purpose::Color(_) => UsdProperty::Color,
+        Purpose::Other => UsdProperty::Primvar(
+            taken.take(&identifier(attribute.name), |stem| vec![stem.to_owned()]).concat(),
+        ),
     };
     attributes.iter().zip(purposes(attributes)).map(place).collect()
 }
 
-/// A name as the format takes it.
+/// A valid USD identifier for a name.
 pub(super) fn identifier(name: &str) -> String {
     let plain = plain_name(name);
     if plain.starts_with(|c: char| c.is_ascii_digit()) { format!("_{plain}") } else { plain }
 }
 
-/// What becomes of vertex attributes that a .usda does not hold under their own name; nothing where all do.
+/// Notes on vertex attributes that are renamed in a .usda file.
 pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
     let renamed = attributes.iter().zip(places(attributes)).filter_map(|(attribute, place)| match place {
-        Place::Primvar(name) if name != attribute.name => {
-            Some(format!("{} is called primvars:{name} in the .usda", attribute.name))
+        UsdProperty::Primvar(name) if name != attribute.name => {
+            Some(format!("{} is named primvars:{name} in the .usda", attribute.name))
         }
         _ => None,
     });
     renamed.collect()
 }
 
-fn of_attribute<'a>(attribute: &VertexAttribute<'a>, place: &Place) -> Vec<Section<'a>> {
+fn of_attribute<'a>(attribute: &VertexAttribute<'a>, place: &UsdProperty) -> Vec<PropertyText<'a>> {
     let arity = attribute.arity;
     match (place, attribute.values) {
-        (Place::Velocities, VertexValues::Numbers(values)) => {
-            vec![Section::array("vector3f[] velocities", Elements::reals(values, 3), "")]
+        (UsdProperty::Velocities, VertexValues::Numbers(values)) => {
+            vec![PropertyText::array("vector3f[] velocities", Elements::reals(values, 3), "")]
         }
-        (Place::Color, VertexValues::Numbers(values)) => {
+        (UsdProperty::Color, VertexValues::Numbers(values)) => {
             let part = |first, arity| Elements::Reals { values, stride: attribute.arity, first, arity };
             let mut sections =
-                vec![Section::array("color3f[] primvars:displayColor", part(0, 3), OF_VERTICES)];
+                vec![PropertyText::array("color3f[] primvars:displayColor", part(0, 3), OF_VERTICES)];
             if arity == 4 {
-                sections.push(Section::array("float[] primvars:displayOpacity", part(3, 1), OF_VERTICES));
+                sections.push(PropertyText::array(
+                    "float[] primvars:displayOpacity",
+                    part(3, 1),
+                    OF_VERTICES,
+                ));
             }
             sections
         }
-        (Place::Primvar(name), VertexValues::Strings { table, indices }) => {
+        (UsdProperty::Primvar(name), VertexValues::Strings { table, indices }) => {
             strings(name, arity, table, indices)
         }
-        (Place::Primvar(name), VertexValues::Integers(values)) => {
+        (UsdProperty::Primvar(name), VertexValues::Integers(values)) => {
             let is_narrow = values.iter().all(|&value| i32::try_from(value).is_ok());
             let width = if is_narrow && arity <= TUPLE_MAX { arity } else { 1 };
             let kind = if is_narrow { vector("int", width) } else { "int64".to_owned() };
             vec![primvar(&kind, name, Elements::Integers { values, arity: width }, arity / width)]
         }
-        (Place::Primvar(name), VertexValues::Numbers(values)) => {
+        (UsdProperty::Primvar(name), VertexValues::Numbers(values)) => {
             let width = if arity <= TUPLE_MAX { arity } else { 1 };
             vec![primvar(&vector("float", width), name, Elements::reals(values, width), arity / width)]
         }
-        // Velocities and colours are numbers: that is how they are told.
-        (Place::Velocities | Place::Color, _) => Vec::new(),
+        // Velocities and colours are always numbers, so strings never get here.
+        (UsdProperty::Velocities | UsdProperty::Color, _) => Vec::new(),
     }
 }
 
@@ -238,9 +248,9 @@ fn vector(kind: &str, width: usize) -> String {
     if width == 1 { kind.to_owned() } else { format!("{kind}{width}") }
 }
 
-/// A value for each vertex that is `element_size` of the array's.
-fn primvar<'a>(kind: &str, name: &str, elements: Elements<'a>, element_size: usize) -> Section<'a> {
-    Section::array(&format!("{kind}[] primvars:{name}"), elements, &about(element_size))
+/// A primvar; each vertex has `element_size` values of the array.
+fn primvar<'a>(kind: &str, name: &str, elements: Elements<'a>, element_size: usize) -> PropertyText<'a> {
+    PropertyText::array(&format!("{kind}[] primvars:{name}"), elements, &about(element_size))
 }
 
 fn about(element_size: usize) -> String {
@@ -250,12 +260,16 @@ fn about(element_size: usize) -> String {
     }
 }
 
-/// Each distinct string once, the empty one behind them for none; and the index of each value.
-fn strings<'a>(name: &str, arity: usize, table: &'a [String], indices: &'a [i32]) -> Vec<Section<'a>> {
+/// The distinct strings, with an empty one at the end for missing strings, and the index of each value.
+fn strings<'a>(name: &str, arity: usize, table: &'a [String], indices: &'a [i32]) -> Vec<PropertyText<'a>> {
     let distinct: Vec<String> = table.iter().map(|text| quoted(text)).chain([quoted("")]).collect();
     let (values, about) = (distinct.join(", "), about(arity));
     vec![
-        Section::line(format!("string[] primvars:{name} = [{values}] (\n{about}        )")),
-        Section::array(&format!("int[] primvars:{name}:indices"), Elements::Strings { table, indices }, ""),
+        PropertyText::line(format!("string[] primvars:{name} = [{values}] (\n{about}        )")),
+        PropertyText::array(
+            &format!("int[] primvars:{name}:indices"),
+            Elements::Strings { table, indices },
+            "",
+        ),
     ]
 }

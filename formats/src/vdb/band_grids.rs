@@ -1,36 +1,36 @@
-//! Grids beside a level set, with its active voxels and values of their own.
+//! Additional grids with the same active voxels as the level set.
 //!
 //! ```text
 //!   leaf of the level set   − − − + + + +      active: |φ| < half width
-//!   leaf of the grid        ∙ v v v v v ∙      the same voxels; 0 elsewhere, also beyond all leaves
+//!   leaf of the grid        ∙ v v v v v ∙      the same voxels; 0 elsewhere, including outside all leaves
 //! ```
 
 use rayon::prelude::*;
 
-use super::encode_leaves::{Encoding, LEAVES_PER_BATCH, Packed, append_chunk, push_values};
+use super::encode_leaves::{LEAVES_PER_BATCH, LeafEncoding, Packed, append_chunk, push_values};
 use super::layout::{inactive, ones};
-use super::tree::Leaf;
+use super::tree::TreeLeaf;
 use super::{Compression, FORMAT};
 use crate::blosc::Encoder;
 use crate::data::BandGrid;
 use crate::error::{Error, Place, Result};
 
-/// Encodes the leaves that are stored, which come in the order of the tree with their places in the level set.
-/// Returns the greatest absolute value, too.
+/// Encodes the stored leaves, given in tree order with their indices in the level set. Also returns the
+/// largest absolute value.
 pub(super) fn encode_grid(
     grid: &BandGrid,
-    (order, leaves): (&[u32], &[Leaf]),
-    encoding: Encoding,
+    (order, leaves): (&[u32], &[TreeLeaf]),
+    encoding: LeafEncoding,
 ) -> Result<(Vec<Packed>, f32)> {
     let BandGrid { name, arity, .. } = grid;
     let invalid = |what: String| Err(Error::invalid(FORMAT, Place::File, what));
     if *arity != 1 && *arity != 3 {
-        return invalid(format!("{arity} values per voxel of {name}; a grid has 1 or 3"));
+        return invalid(format!("attribute {name} has {arity} values per voxel; a grid must have 1 or 3"));
     }
     let in_tree = order.par_chunks(LEAVES_PER_BATCH).zip(leaves.par_chunks(LEAVES_PER_BATCH));
     let batches: Vec<(Packed, f32)> = in_tree
         .map_init(
-            || (LeafEncoder::new(encoding), Vec::new()),
+            || (BandLeafEncoder::new(encoding), Vec::new()),
             |(encoder, bytes), (order, leaves)| {
                 bytes.clear();
                 encoder.greatest = 0.0;
@@ -44,31 +44,31 @@ pub(super) fn encode_grid(
         .collect();
     let greatest = batches.iter().fold(0.0f32, |greatest, (_, other)| greatest.max(*other));
     if greatest == f32::INFINITY {
-        return invalid(format!("a value of {name} that is not finite"));
+        return invalid(format!("attribute {name} has a value that is not finite"));
     }
     Ok((batches.into_iter().map(|(packed, _)| packed).collect(), greatest))
 }
 
-/// Encodes one leaf after the other, with memory of its own.
-struct LeafEncoder {
-    encoding: Encoding,
-    /// Those of all voxels of a leaf.
+/// Encodes leaves one at a time, reusing its buffers.
+struct BandLeafEncoder {
+    encoding: LeafEncoding,
+    /// The values of all voxels of a leaf.
     values: Vec<f32>,
     active: Vec<f32>,
     chunk: Vec<u8>,
     blosc: Encoder,
-    /// The greatest absolute value that was met; infinite if one was not finite.
+    /// The largest absolute value so far; infinite if a value was not finite.
     greatest: f32,
 }
 
-impl LeafEncoder {
-    fn new(encoding: Encoding) -> LeafEncoder {
+impl BandLeafEncoder {
+    fn new(encoding: LeafEncoding) -> BandLeafEncoder {
         let values = vec![0.0; 512 * encoding.arity];
         let blosc = Encoder::new();
-        LeafEncoder { encoding, values, active: Vec::new(), chunk: Vec::new(), blosc, greatest: 0.0 }
+        BandLeafEncoder { encoding, values, active: Vec::new(), chunk: Vec::new(), blosc, greatest: 0.0 }
     }
 
-    /// Appends the buffer of the leaf whose values are there.
+    /// Appends the buffer of the leaf whose values have been filled in.
     fn append(&mut self, active: &[u64; 8], out: &mut Vec<u8>) {
         for word in active {
             out.extend_from_slice(&word.to_le_bytes());

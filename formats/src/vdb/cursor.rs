@@ -1,18 +1,18 @@
-//! Little-endian bytes with a position, and errors that name it.
+//! A cursor over little-endian bytes whose errors name the position.
 
 use super::FORMAT;
 use crate::error::{Error, Place, Result};
 
-/// A read position in a file; reading past the end is an error that tells what was being read.
+/// A read position in a file. Reading past the end is an error that names what was being read.
 #[derive(Clone, Copy)]
-pub(super) struct Cursor<'a> {
+pub(super) struct VdbCursor<'a> {
     bytes: &'a [u8],
     position: usize,
 }
 
-impl<'a> Cursor<'a> {
-    pub(super) fn new(bytes: &'a [u8]) -> Cursor<'a> {
-        Cursor { bytes, position: 0 }
+impl<'a> VdbCursor<'a> {
+    pub(super) fn new(bytes: &'a [u8]) -> VdbCursor<'a> {
+        VdbCursor { bytes, position: 0 }
     }
 
     pub(super) fn position(&self) -> usize {
@@ -23,14 +23,17 @@ impl<'a> Cursor<'a> {
         self.bytes.len() - self.position
     }
 
-    /// Jumps to an absolute position.
+    /// Moves to an absolute position.
     pub(super) fn seek(&mut self, position: u64, what: &str) -> Result<()> {
         match usize::try_from(position) {
             Ok(position) if position <= self.bytes.len() => {
                 self.position = position;
                 Ok(())
             }
-            _ => Err(self.error(format!("{what} at byte {position}, beyond the end {}", self.bytes.len()))),
+            _ => Err(self.error(format!(
+                "{what} is at byte {position}, beyond the end of the file at {}",
+                self.bytes.len()
+            ))),
         }
     }
 
@@ -79,13 +82,13 @@ impl<'a> Cursor<'a> {
         Ok([self.i32(what)?, self.i32(what)?, self.i32(what)?])
     }
 
-    /// A u32 length and as many bytes; what is not UTF-8 is replaced, for names are shown only.
+    /// Reads a u32 length and that number of bytes; replaces invalid UTF-8, because names are only displayed.
     pub(super) fn string(&mut self, what: &str) -> Result<String> {
         let length = self.u32(what)? as usize;
         Ok(String::from_utf8_lossy(self.take(length, what)?).into_owned())
     }
 
-    /// A bit mask in words of 64, the least significant bit first.
+    /// Reads a bit mask in 64-bit words, least significant bit first.
     pub(super) fn mask(&mut self, word_count: usize, what: &str) -> Result<Vec<u64>> {
         let bytes = self.take(word_count * 8, what)?;
         Ok(bytes.as_chunks::<8>().0.iter().map(|&word| u64::from_le_bytes(word)).collect())

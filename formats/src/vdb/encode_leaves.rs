@@ -1,8 +1,8 @@
-//! Leaves of distances to the bytes of a file, in parallel.
+//! Encodes leaves of distances as bytes of a file, in parallel.
 //!
-//! Each leaf is scaled to world units, divided into active and inactive voxels, and packed by
-//! itself. A batch of leaves is one task and one allocation; batches are joined in order, so the
-//! bytes do not depend on how many threads there are.
+//! Each leaf is scaled to world units, split into active and inactive voxels, and compressed separately. A
+//! batch of leaves is one task and one allocation. Batches are joined in order, so the bytes do not depend on
+//! the number of threads.
 
 use half::f16;
 use half::slice::HalfFloatSliceExt;
@@ -13,36 +13,36 @@ use super::layout::inactive;
 use super::uuid::{Digest, digest};
 use crate::blosc::Encoder;
 
-/// Leaves that are encoded as one task: large enough to hide its cost, small enough to share.
+/// Leaves encoded per task: large enough to hide the task's overhead, small enough to share the work.
 pub(super) const LEAVES_PER_BATCH: usize = 128;
 
-/// Bit z = 0 and bit z = 7 of every row of a mask word.
+/// The bits with z = 0, or with z = 7, of every row of a mask word.
 const LOW_FACE: u64 = 0x0101_0101_0101_0101;
 const HIGH_FACE: u64 = LOW_FACE << 7;
 
-/// How to encode.
+/// The encoding of values.
 #[derive(Clone, Copy)]
-pub(super) struct Encoding {
+pub(super) struct LeafEncoding {
     /// World units per unit of the values.
     pub(super) scale: f64,
-    /// The background, world units; a half if `half`. Where there are several components, 0.
+    /// The background in world units, rounded to 16 bits if `half`. With several components it is 0.
     pub(super) background: f32,
-    /// Components of a value.
+    /// Number of components per value.
     pub(super) arity: usize,
     pub(super) half: bool,
     pub(super) compression: Compression,
 }
 
-/// What the tree must know of a leaf.
+/// The information about a leaf that the tree needs.
 #[derive(Clone, Copy)]
 pub(super) struct LeafSummary {
-    /// The active voxels. None: the leaf is not written.
+    /// The active voxels. A leaf without active voxels is not written.
     pub(super) active: [u64; 8],
-    /// Whether most of all its voxels, of those at z = 0, and of those at z = 7 are negative.
+    /// Whether most of its voxels, most at z = 0, and most at z = 7 are negative.
     pub(super) inside: bool,
     pub(super) low_inside: bool,
     pub(super) high_inside: bool,
-    /// Whether a value is not a number.
+    /// Whether a value is NaN.
     pub(super) has_nan: bool,
 }
 
@@ -53,26 +53,26 @@ impl LeafSummary {
 }
 
 /// Leaves that were encoded together.
-pub(super) struct Batch {
+pub(super) struct LeafBatch {
     pub(super) summaries: Vec<LeafSummary>,
     pub(super) packed: Packed,
 }
 
-/// The buffers of leaves with active voxels, one after the other.
+/// The concatenated buffers of leaves with active voxels.
 pub(super) struct Packed {
     pub(super) bytes: Box<[u8]>,
     pub(super) digest: Digest,
 }
 
 impl Packed {
-    /// A copy: packed leaves wait for each other, and none of them keeps room that it does not need.
+    /// Copies the bytes: encoded leaves wait in memory for each other, so none should keep excess capacity.
     pub(super) fn new(bytes: &[u8]) -> Packed {
         Packed { bytes: bytes.into(), digest: digest(bytes) }
     }
 }
 
 /// Encodes the leaves in the order of the indices.
-pub(super) fn encode_leaves(leaves: &[[f32; 512]], order: &[u32], encoding: Encoding) -> Vec<Batch> {
+pub(super) fn encode_leaves(leaves: &[[f32; 512]], order: &[u32], encoding: LeafEncoding) -> Vec<LeafBatch> {
     order
         .par_chunks(LEAVES_PER_BATCH)
         .map_init(
@@ -81,22 +81,22 @@ pub(super) fn encode_leaves(leaves: &[[f32; 512]], order: &[u32], encoding: Enco
                 bytes.clear();
                 let summaries =
                     indices.iter().map(|&index| encoder.append(&leaves[index as usize], bytes)).collect();
-                Batch { summaries, packed: Packed::new(bytes) }
+                LeafBatch { summaries, packed: Packed::new(bytes) }
             },
         )
         .collect()
 }
 
-/// Encodes one leaf after the other, with memory of its own.
+/// Encodes leaves one at a time, reusing its buffers.
 struct LeafEncoder {
-    encoding: Encoding,
+    encoding: LeafEncoding,
     world: [f32; 512],
     chunk: Vec<u8>,
     blosc: Encoder,
 }
 
 impl LeafEncoder {
-    fn new(encoding: Encoding) -> LeafEncoder {
+    fn new(encoding: LeafEncoding) -> LeafEncoder {
         LeafEncoder { encoding, world: [0.0; 512], chunk: Vec::with_capacity(2048), blosc: Encoder::new() }
     }
 
@@ -119,7 +119,7 @@ impl LeafEncoder {
         summary
     }
 
-    /// Distances in world units, rounded as they will be stored.
+    /// Converts distances to world units, rounded to the stored precision.
     fn scale(&mut self, leaf: &[f32; 512]) {
         for (world, &value) in self.world.iter_mut().zip(leaf) {
             *world = to_world(value, self.encoding.scale);
@@ -139,7 +139,7 @@ impl LeafEncoder {
     }
 
     fn append_values(&mut self, active: &[u64; 8], negative: &[u64; 8], out: &mut Vec<u8>) {
-        let Encoding { background, half, compression, .. } = self.encoding;
+        let LeafEncoding { background, half, compression, .. } = self.encoding;
         if compression == Compression::None {
             out.push(inactive::ALL_VALUES);
             for value in &mut self.world {
@@ -154,13 +154,13 @@ impl LeafEncoder {
         append_chunk(&self.chunk, self.encoding, &mut self.blosc, out);
     }
 
-    /// The values of the active voxels, packed to the front and written as bytes.
+    /// Compacts the values of the active voxels and converts them to bytes.
     fn gather_active(&mut self, active: &[u64; 8]) {
         let mut packed = [0.0; 512 + 8];
         let mut count = 0;
         let bits = active.iter().flat_map(|word| word.to_le_bytes());
         for (row, bits) in self.world.as_chunks::<8>().0.iter().zip(bits) {
-            // Most rows are all active or not at all.
+            // Most rows are entirely active or entirely inactive.
             match bits {
                 0 => {}
                 u8::MAX => {
@@ -169,7 +169,7 @@ impl LeafEncoder {
                 }
                 _ => {
                     for (bit, &value) in row.iter().enumerate() {
-                        packed[count] = value; // written always, kept if active: no branch to mispredict
+                        packed[count] = value; // always written, kept only if active: no branch to mispredict
                         count += usize::from(bits >> bit & 1);
                     }
                 }
@@ -179,8 +179,8 @@ impl LeafEncoder {
     }
 }
 
-/// Appends a chunk of bytes, packed as the encoding says; not for [`Compression::None`].
-pub(super) fn append_chunk(chunk: &[u8], encoding: Encoding, blosc: &mut Encoder, out: &mut Vec<u8>) {
+/// Appends a chunk of bytes, compressed as the encoding says; not for [`Compression::None`].
+pub(super) fn append_chunk(chunk: &[u8], encoding: LeafEncoding, blosc: &mut Encoder, out: &mut Vec<u8>) {
     if encoding.compression == Compression::ActiveMask {
         out.extend_from_slice(chunk);
         return;
@@ -202,8 +202,8 @@ pub(super) fn leaf_mask(values: &[f32; 512], test: impl Fn(f32) -> bool) -> [u64
     std::array::from_fn(|x| mask_of(&values.as_chunks::<64>().0[x], &test))
 }
 
-/// The bits of the values that satisfy `test`. The tests run side by side in vector registers; then
-/// eight bytes of 0 or 1 become eight bits by one multiplication, which moves byte i to bit 56 + i.
+/// The bits of the values that satisfy `test`. The tests run in vector registers; then a single
+/// multiplication gathers eight bytes of 0 or 1 into eight bits, moving byte i to bit 56 + i.
 fn mask_of(values: &[f32; 64], test: impl Fn(f32) -> bool) -> u64 {
     const GATHER: u64 = 0x0102_0408_1020_4080;
     let bytes = values.map(|value| u8::from(test(value)));
@@ -211,15 +211,15 @@ fn mask_of(values: &[f32; 64], test: impl Fn(f32) -> bool) -> u64 {
     bytes.as_chunks::<8>().0.iter().rev().fold(0, |mask, row| mask << 8 | bits(row))
 }
 
-/// The stored distance of a value in voxels. The background is computed so too: rounding is
-/// monotonic, hence what is beyond the half width cannot come out below the background.
+/// The stored distance of a value in voxels. The background is computed in the same way: rounding is
+/// monotonic, so a value beyond the half width cannot come out below the background.
 pub(super) fn to_world(value: f32, scale: f64) -> f32 {
     #[expect(clippy::cast_possible_truncation, reason = "rounded to the precision of the file")]
     let world = (f64::from(value) * scale) as f32;
     world
 }
 
-/// What the slots that are not `occupied` hold: + background, or − where `negative`.
+/// Appends the values of the slots that are not `occupied`: + background, or − background where `negative`.
 pub(super) fn append_inactive(occupied: &[u64], negative: &[u64], out: &mut Vec<u8>) {
     let words = || occupied.iter().zip(negative);
     if words().all(|(occupied, negative)| !occupied & negative == 0) {
@@ -234,7 +234,7 @@ pub(super) fn append_inactive(occupied: &[u64], negative: &[u64], out: &mut Vec<
     }
 }
 
-/// Values as the file stores them.
+/// Appends values in their stored form.
 pub(super) fn push_values(values: &[f32], half: bool, out: &mut Vec<u8>) {
     if half {
         let mut halves = [f16::ZERO; 512];

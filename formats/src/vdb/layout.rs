@@ -1,12 +1,12 @@
-//! The numbers of the file format that writer and reader share.
+//! Constants and helpers of the file format, shared by writer and reader.
 
 /// The first eight bytes of a file.
 pub(super) const MAGIC: [u8; 8] = *b"\x20BDV\0\0\0\0";
-/// The file version that is written: read silently by every OpenVDB since 4.
+/// The file version that the writer uses: all versions of OpenVDB since 4 read it without warnings.
 pub(super) const VERSION_WRITTEN: u32 = 224;
-/// The file versions that are read.
+/// The file versions that the reader supports.
 pub(super) const VERSIONS_READ: std::ops::RangeInclusive<u32> = 222..=225;
-/// The version of OpenVDB whose layout is written.
+/// The version of OpenVDB whose layout the writer uses.
 pub(super) const LIBRARY_VERSION: [u32; 2] = [10, 0];
 pub(super) const UUID_BYTES: usize = 36;
 
@@ -20,13 +20,13 @@ pub(super) const COMPRESS_ZIP: u32 = 1;
 pub(super) const COMPRESS_ACTIVE_MASK: u32 = 2;
 pub(super) const COMPRESS_BLOSC: u32 = 4;
 
-/// The first byte of a block of values: what its inactive slots hold.
+/// The first byte of a block of values: it encodes the values of inactive slots.
 pub(super) mod inactive {
-    /// + background, or there are none.
+    /// All are + background, or there are none.
     pub(in crate::vdb) const PLUS_BACKGROUND: u8 = 0;
-    /// − background.
+    /// All are − background.
     pub(in crate::vdb) const MINUS_BACKGROUND: u8 = 1;
-    /// One value, which follows.
+    /// All have the value that follows.
     pub(in crate::vdb) const ONE_VALUE: u8 = 2;
     /// A mask follows: on for + background, off for − background.
     pub(in crate::vdb) const MASK_OF_BACKGROUNDS: u8 = 3;
@@ -34,7 +34,7 @@ pub(super) mod inactive {
     pub(in crate::vdb) const MASK_AND_ONE_VALUE: u8 = 4;
     /// Two values and a mask follow: on for the second, off for the first.
     pub(in crate::vdb) const MASK_AND_TWO_VALUES: u8 = 5;
-    /// Every slot's value is stored.
+    /// The value of every slot is stored.
     pub(in crate::vdb) const ALL_VALUES: u8 = 6;
 }
 
@@ -47,7 +47,7 @@ pub(super) const NODE5_LOG2: u32 = 5;
 pub(super) const NODE4_VOXELS_LOG2: u32 = LEAF_LOG2 + NODE4_LOG2;
 pub(super) const NODE5_VOXELS_LOG2: u32 = NODE4_VOXELS_LOG2 + NODE5_LOG2;
 
-/// The slot, z fastest, of a child in its parent; `coord` counts children from the world's origin.
+/// The slot of a child in its parent, z fastest; `coord` counts children from the world's origin.
 pub(super) fn slot_of(coord: [i32; 3], log2: u32) -> usize {
     let mask = (1 << log2) - 1;
     let [x, y, z] = coord.map(|c| (c & mask) as usize);

@@ -1,7 +1,7 @@
-//! Named values with a type, of a file or of a grid.
+//! Typed metadata entries of a file or a grid.
 
 use super::FORMAT;
-use super::cursor::Cursor;
+use super::cursor::VdbCursor;
 use crate::error::{Error, Result};
 
 /// A value of OpenVDB metadata.
@@ -19,11 +19,11 @@ pub enum MetaValue {
     Vec3i([i32; 3]),
     /// `vec3s` and `vec3d`.
     Vec3d([f64; 3]),
-    /// Any other type: its name and how many bytes it has.
+    /// Any other type: its name and its size in bytes.
     Other(String, usize),
 }
 
-/// Metadata to write, in this order.
+/// Metadata to write, in order.
 #[derive(Default)]
 pub(super) struct MetaWriter {
     count: u32,
@@ -56,26 +56,28 @@ impl MetaWriter {
     }
 }
 
-/// A u32 length and the bytes.
+/// Appends a u32 length and the bytes.
 pub(super) fn push_string(out: &mut Vec<u8>, bytes: &[u8]) {
-    // What we write so is names and provenance; a longer one is cut rather than misread.
+    // The writer only stores names and provenance; an overlong string is truncated to keep the file readable.
     let length = u32::try_from(bytes.len()).unwrap_or(u32::MAX);
     out.extend_from_slice(&length.to_le_bytes());
     out.extend_from_slice(&bytes[..length as usize]);
 }
 
 /// Reads the entries of a file or a grid.
-pub(super) fn read_metadata(cursor: &mut Cursor) -> Result<Vec<(String, MetaValue)>> {
+pub(super) fn read_metadata(cursor: &mut VdbCursor) -> Result<Vec<(String, MetaValue)>> {
     const ENTRY_BYTES_MIN: usize = 12;
     const ENTRY_COUNT_MAX: usize = 1 << 16; // real files have a few dozen
     let count = cursor.u32("the number of metadata entries")? as usize;
     if count > cursor.remaining() / ENTRY_BYTES_MIN {
-        return Err(cursor.error(format!("{count} metadata entries, more than the file has bytes for")));
+        return Err(
+            cursor.error(format!("the file declares {count} metadata entries, more than fit into it"))
+        );
     }
     if count > ENTRY_COUNT_MAX {
         return Err(Error::too_large(
             FORMAT,
-            format!("{count} metadata entries, more than {ENTRY_COUNT_MAX}"),
+            format!("the file has {count} metadata entries, more than the limit of {ENTRY_COUNT_MAX}"),
         ));
     }
     let mut entries = Vec::with_capacity(count);
@@ -92,7 +94,7 @@ pub(super) fn read_metadata(cursor: &mut Cursor) -> Result<Vec<(String, MetaValu
 }
 
 fn read_value(type_name: &str, bytes: &[u8]) -> MetaValue {
-    let mut cursor = Cursor::new(bytes);
+    let mut cursor = VdbCursor::new(bytes);
     let value = match (type_name, bytes.len()) {
         ("string", _) => Ok(MetaValue::String(String::from_utf8_lossy(bytes).into_owned())),
         ("bool", 1) => Ok(MetaValue::Bool(bytes[0] != 0)),

@@ -1,4 +1,4 @@
-//! OpenVDB files: level sets and what else is known of their voxels out, grids of floats and of vectors in.
+//! OpenVDB files: writes level sets and attributes of their voxels; reads grids of floats and of vectors.
 //!
 //! ```text
 //!   header      magic, version 224, UUID, metadata of the file, number of grids
@@ -10,13 +10,13 @@
 //!   voxels across:  root child 4096 = 32 · 128,   128 = 16 · 8,   leaf 8
 //! ```
 //!
-//! A node stores one value per slot; where a slot has no child that value, a *tile*, holds for all
-//! voxels under it. A level set is a float grid whose background is the half width of its band,
-//! whose voxels are active exactly where |φ| is less, and whose inactive voxels and tiles are
-//! exactly + background outside and − background inside.
+//! A node stores one value per slot. Where a slot has no child, that value, a *tile*, applies to all its
+//! voxels. A level set is a float grid whose background is the half width of its band, whose voxels are
+//! active exactly where |φ| is less than that, and whose inactive voxels and tiles are exactly + background
+//! outside and − background inside.
 //!
-//! The writer is our own, since no crate writes these files that is more than a first release; the
-//! reader is our own, since the one crate that is older loses the sign of inactive voxels.
+//! The writer is our own, because the only crates that write these files are first releases. The reader is
+//! our own, because the one older crate loses the sign of inactive voxels.
 //!
 //! This work is based on:
 //! the file format of OpenVDB 10, <https://www.openvdb.org>
@@ -50,25 +50,25 @@ use read::{first_grid_metadata, last_grid_end};
 /// The format's name in errors.
 const FORMAT: &str = "OpenVDB";
 
-/// How values are packed.
+/// The compression of values.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Compression {
-    /// All values of each leaf, as they are.
+    /// All values of each leaf, uncompressed.
     None,
     /// Only the values of active voxels.
     #[serde(rename = "active", alias = "active_mask")]
     ActiveMask,
-    /// Only the values of active voxels, in Blosc frames with LZ4: what OpenVDB does by default.
+    /// Only the values of active voxels, in Blosc frames with LZ4: OpenVDB's default.
     #[default]
     Blosc,
 }
 
 impl Compression {
-    /// All of them.
+    /// All compression methods.
     pub const ALL: [Compression; 3] = [Compression::None, Compression::ActiveMask, Compression::Blosc];
 
-    /// Its name on the command line and in files.
+    /// The name on the command line and in files.
     pub fn name(self) -> &'static str {
         match self {
             Compression::None => "none",
@@ -78,7 +78,7 @@ impl Compression {
     }
 }
 
-/// What the table of formats says of it.
+/// The row in the table of formats.
 pub(crate) static ROW: OutputRow = OutputRow {
     format: FormatRow { signatures: &[b" BDV\0\0\0\0"], ..FormatRow::new(FORMAT, &["vdb"]) },
     help: "The level set, for OpenVDB",
@@ -96,5 +96,5 @@ pub(crate) static ROW: OutputRow = OutputRow {
     integrity: Integrity::Length(|head, read| last_grid_end(head, |start| read(start, DESCRIPTOR_BYTES_MAX))),
 };
 
-/// More bytes than the descriptor of a grid has that a writer of this crate made.
+/// Longer than any descriptor of a grid that this crate writes.
 const DESCRIPTOR_BYTES_MAX: u64 = 64 << 10;

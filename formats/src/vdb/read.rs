@@ -1,46 +1,47 @@
-//! Reads what grids an OpenVDB file holds, and finds the one to read.
+//! Lists the grids of an OpenVDB file, and finds the one to read.
 //!
-//! Grids of any type are listed, as long as their place in the file is known: a file with offsets
-//! tells where each ends; a stream without offsets does not, and only grids of floats and of vectors can be read past.
+//! Grids of any type are listed if their location in the file is known. A file with offsets records where
+//! each grid ends. A stream without offsets does not, and only float and vector grids can be skipped there.
 
 use super::FORMAT;
-use super::cursor::Cursor;
+use super::cursor::VdbCursor;
 use super::layout::{HALF_SUFFIX, MAGIC, META_HALF, TYPE_FLOAT, TYPE_VEC3S, UUID_BYTES, VERSIONS_READ};
 use super::metadata::{MetaValue, read_metadata};
 use super::read_tree::{
-    Budget, GridData, LevelSetData, Storage, Value, VectorGridData, count_tree, pass_tree, read_tree,
+    GridData, LevelSetData, TreeBudget, ValueStorage, VectorGridData, VoxelValue, count_tree, pass_tree,
+    read_tree,
 };
 use crate::error::{Error, Place, Result};
 use crate::excerpt::excerpt;
 use crate::limits::Limits;
 
-/// What a file says of one of its grids.
+/// A grid of a file.
 #[derive(Clone, Debug)]
 pub struct GridInfo {
-    /// The name that users see.
+    /// The name shown to users.
     pub name: String,
-    /// The name with `[n]` after it where several grids have the same: it finds this one alone.
+    /// The name, followed by `[n]` if several grids have the same one: this identifies the grid.
     pub unique_name: String,
     /// The type of the tree, such as `Tree_float_5_4_3`.
     pub type_name: String,
-    /// Whether reals are stored in 16 bits.
+    /// Whether floats are stored in 16 bits.
     pub half: bool,
-    /// `level set`, `fog volume`, `staggered`, or whatever the file says; empty if nothing.
+    /// `level set`, `fog volume`, `staggered` or another class from the file; empty if the file has none.
     pub class: String,
-    /// From voxels to the world; none if the map is of a kind that is not read.
+    /// From voxels to the world; `None` for unsupported kinds of maps.
     pub transform: Option<Transform>,
-    /// The least and the greatest active voxel, if the file says and any is active.
+    /// The minimum and maximum active voxel, if the file has them and any voxel is active.
     pub active_bounds: Option<([i32; 3], [i32; 3])>,
-    /// How many voxels are active, if the file says.
+    /// The number of active voxels, if the file has it.
     pub active_voxel_count: Option<u64>,
-    /// Everything else that the file says of the grid, and what the above was taken from.
+    /// All metadata of the grid, including the source of the above.
     pub metadata: Vec<(String, MetaValue)>,
 }
 
 /// An affine map: voxel (i, j, k) is centred on `translation + i·axes[0] + j·axes[1] + k·axes[2]`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Transform {
-    /// Steps from a voxel to the next one along each index, world units.
+    /// Steps from a voxel to the next along each index, world units.
     pub axes: [[f64; 3]; 3],
     /// World position of voxel (0, 0, 0).
     pub translation: [f64; 3],
@@ -53,101 +54,105 @@ impl Transform {
     }
 }
 
-/// The grids of a file, in its order.
+/// The grids of a file, in file order.
 ///
 /// # Errors
 ///
-/// [`Error::Invalid`] if the file is none or is damaged; [`Error::Unsupported`] for file versions
+/// [`Error::Invalid`] if the file is not OpenVDB or is damaged; [`Error::Unsupported`] for file versions
 /// outside 222 ..= 225, and for streams with a grid that cannot be skipped.
 pub fn grids(bytes: &[u8], limits: &Limits) -> Result<Vec<GridInfo>> {
     Ok(entries(bytes, limits)?.into_iter().map(|entry| entry.info).collect())
 }
 
-/// Reads one float grid: the one called `name` (or so by its unique name), or else the first level set, or the first float grid.
+/// Reads a float grid: the one with the given name or unique name, or else the first level set, or else the
+/// first float grid.
 ///
 /// # Errors
 ///
-/// As [`grids`]; [`Error::Unsupported`] also if there is no such grid, or its type or codec is not
-/// read; [`Error::TooLarge`] if it takes more memory than `limits` allow. That is known before any of its leaves and tiles is
-/// kept: they are counted first.
+/// Those of [`grids`]; [`Error::Unsupported`] also if there is no such grid, or if its type or codec is not
+/// supported; [`Error::TooLarge`] if it needs more memory than `limits` allow. The reader counts the leaves
+/// and tiles first, so it fails before it allocates memory for them.
 pub fn read_level_set(bytes: &[u8], name: Option<&str>, limits: &Limits) -> Result<LevelSetData> {
     let entries = entries(bytes, limits)?;
     let entry = find_level_set(&entries, name)?;
     let (mut cursor, storage, _) = tree_cursor(bytes, &entries, entry)?;
-    let size = count_tree::<f32>(&mut cursor, storage, &mut Budget::new(bytes.len(), limits))?;
+    let size = count_tree::<f32>(&mut cursor, storage, &mut TreeBudget::new(bytes.len(), limits))?;
     let content = format!(", with {} leaves and {} tiles,", size.leaf_count, size.tile_count);
     limits.check_level_set(bytes.len() as u64 + size.memory_bytes(), &content)?;
     read_grid(bytes, &entries, entry, limits)
 }
 
-fn find_level_set<'a>(entries: &'a [Entry], name: Option<&str>) -> Result<&'a Entry> {
+fn find_level_set<'a>(entries: &'a [GridEntry], name: Option<&str>) -> Result<&'a GridEntry> {
     let found = match name {
         Some(name) => {
             let unique = entries.iter().find(|entry| entry.info.unique_name == name);
             unique.or_else(|| entries.iter().find(|entry| entry.info.name == name))
         }
         None => {
-            let float = |entry: &&Entry| entry.info.type_name == TYPE_FLOAT;
-            let level_set = |entry: &&Entry| float(entry) && entry.info.class == "level set";
+            let float = |entry: &&GridEntry| entry.info.type_name == TYPE_FLOAT;
+            let level_set = |entry: &&GridEntry| float(entry) && entry.info.class == "level set";
             entries.iter().find(level_set).or_else(|| entries.iter().find(float))
         }
     };
     let Some(entry) = found.filter(|entry| entry.info.type_name == TYPE_FLOAT) else {
-        let wanted = name.map_or("no float grid".into(), |name| format!("no float grid called \"{name}\""));
+        let wanted = name.map_or("no float grid".into(), |name| format!("no float grid named \"{name}\""));
         let mut names: Vec<String> = (entries.iter().take(8))
             .map(|e| format!("\"{}\" of type {}", excerpt(&e.info.unique_name), excerpt(&e.info.type_name)))
             .collect();
         names.extend(entries.get(8).map(|_| "…".to_owned()));
-        return Err(Error::unsupported(FORMAT, format!("{wanted}; there is {}", names.join(", "))));
+        return Err(Error::unsupported(
+            FORMAT,
+            format!("the file has {wanted}; it contains {}", names.join(", ")),
+        ));
     };
     Ok(entry)
 }
 
-/// Reads the first grid of vectors of three floats whose name is one of these; `None` if there is none.
+/// Reads the first grid of three-component float vectors with one of these names; `None` if there is none.
 ///
 /// # Errors
 ///
-/// As [`read_level_set`].
+/// Those of [`read_level_set`].
 pub fn read_vectors(bytes: &[u8], names: &[&str], limits: &Limits) -> Result<Option<VectorGridData>> {
     let entries = entries(bytes, limits)?;
     let is_meant =
-        |entry: &&Entry| entry.info.type_name == TYPE_VEC3S && names.contains(&entry.info.name.as_str());
+        |entry: &&GridEntry| entry.info.type_name == TYPE_VEC3S && names.contains(&entry.info.name.as_str());
     entries.iter().find(is_meant).map(|entry| read_grid(bytes, &entries, entry, limits)).transpose()
 }
 
-fn read_grid<V: Value>(
+fn read_grid<V: VoxelValue>(
     bytes: &[u8],
-    entries: &[Entry],
-    entry: &Entry,
+    entries: &[GridEntry],
+    entry: &GridEntry,
     limits: &Limits,
 ) -> Result<GridData<V>> {
     let (mut cursor, storage, transform) = tree_cursor(bytes, entries, entry)?;
     let info = entry.info.clone();
-    let tree = read_tree(&mut cursor, storage, &mut Budget::new(bytes.len(), limits))?;
+    let tree = read_tree(&mut cursor, storage, &mut TreeBudget::new(bytes.len(), limits))?;
     Ok(GridData { name: info.name, class: info.class, transform, metadata: info.metadata, ..tree })
 }
 
-/// A cursor at the start of a grid's tree, how its values are stored, and its transform.
+/// A cursor at the start of a grid's tree, the storage of its values, and its transform.
 fn tree_cursor<'a>(
     bytes: &'a [u8],
-    entries: &[Entry],
-    entry: &Entry,
-) -> Result<(Cursor<'a>, Storage, Transform)> {
+    entries: &[GridEntry],
+    entry: &GridEntry,
+) -> Result<(VdbCursor<'a>, ValueStorage, Transform)> {
     let (Some(tree), Some(transform)) = (entry.tree_of(entries), entry.info.transform) else {
         let what = format!(
-            "grid \"{}\" has a map, or is an instance of a grid, that is not read",
+            "grid \"{}\" has an unsupported map, or is an instance of an unsupported grid",
             excerpt(&entry.info.name)
         );
         return Err(Error::unsupported(FORMAT, what));
     };
-    let mut cursor = Cursor::new(&bytes[..tree.end]);
+    let mut cursor = VdbCursor::new(&bytes[..tree.end]);
     cursor.seek(tree.position as u64, "a grid")?;
     Ok((cursor, tree.storage, transform))
 }
 
 /// The metadata of the file's first grid, from the first bytes of the file.
 pub(crate) fn first_grid_metadata(head: &[u8]) -> Result<Vec<(String, MetaValue)>> {
-    let mut cursor = Cursor::new(head);
+    let mut cursor = VdbCursor::new(head);
     let header = read_header(&mut cursor)?;
     if header.grid_count == 0 {
         return Ok(Vec::new());
@@ -160,21 +165,21 @@ pub(crate) fn first_grid_metadata(head: &[u8]) -> Result<Vec<(String, MetaValue)
     read_metadata(&mut cursor)
 }
 
-/// Where the last grid of a file ends, from its first bytes and from the bytes at each grid's end, which
-/// `read_at` returns: a descriptor is there, but for the last. `None` if there is no grid, if a stream does not
-/// say, or if a grid ends before it starts.
+/// The offset of the end of a file's last grid. `read_at` returns the bytes at the end of each grid, where
+/// the next descriptor starts, except after the last grid. `None` if there are no grids, if a stream has no
+/// offsets, or if a grid ends before it starts.
 pub(crate) fn last_grid_end(
     head: &[u8],
     mut read_at: impl FnMut(u64) -> Result<Vec<u8>>,
 ) -> Result<Option<u64>> {
-    let mut cursor = Cursor::new(head);
+    let mut cursor = VdbCursor::new(head);
     let header = read_header(&mut cursor)?;
     if header.grid_count == 0 || !header.has_offsets {
         return Ok(None);
     }
     let mut end = read_descriptor(&mut cursor)?.end;
     for _ in 1..header.grid_count {
-        let next = read_descriptor(&mut Cursor::new(&read_at(end)?))?;
+        let next = read_descriptor(&mut VdbCursor::new(&read_at(end)?))?;
         if next.grid_start <= end || next.end < next.grid_start {
             return Ok(None);
         }
@@ -183,16 +188,16 @@ pub(crate) fn last_grid_end(
     Ok(Some(end))
 }
 
-/// Where a tree begins and how its values are stored.
+/// The location of a tree and the storage of its values.
 #[derive(Clone, Copy)]
 struct TreePlace {
     position: usize,
-    /// The end of the grid, or of the file if that is not known.
+    /// The end of the grid, or of the file if unknown.
     end: usize,
-    storage: Storage,
+    storage: ValueStorage,
 }
 
-struct Entry {
+struct GridEntry {
     info: GridInfo,
     /// The name in the descriptor, which instances refer to.
     descriptor_name: String,
@@ -201,8 +206,8 @@ struct Entry {
     tree: Option<TreePlace>,
 }
 
-impl Entry {
-    fn tree_of(&self, entries: &[Entry]) -> Option<TreePlace> {
+impl GridEntry {
+    fn tree_of(&self, entries: &[GridEntry]) -> Option<TreePlace> {
         if self.instance_parent.is_empty() {
             return self.tree;
         }
@@ -211,8 +216,8 @@ impl Entry {
     }
 }
 
-fn entries(bytes: &[u8], limits: &Limits) -> Result<Vec<Entry>> {
-    let mut cursor = Cursor::new(bytes);
+fn entries(bytes: &[u8], limits: &Limits) -> Result<Vec<GridEntry>> {
+    let mut cursor = VdbCursor::new(bytes);
     let header = read_header(&mut cursor)?;
     let mut entries = Vec::new();
     for index in 0..header.grid_count {
@@ -233,41 +238,45 @@ fn entries(bytes: &[u8], limits: &Limits) -> Result<Vec<Entry>> {
     Ok(entries)
 }
 
-/// A cursor at the start of a grid that cannot pass the end of it, which is returned, too.
+/// A cursor at the start of a grid, limited to the grid's bytes, and the offset of the grid's end.
 ///
-/// Descriptors and grids alternate. Grids that overlapped could each claim the bytes of all others,
-/// and a small file would take the memory of a large one.
-fn grid_cursor<'a>(after: &Cursor, descriptor: &Descriptor, bytes: &'a [u8]) -> Result<(Cursor<'a>, u64)> {
+/// Descriptors and grids must alternate. If grids could overlap, each could claim the bytes of all others,
+/// and a small file would use the memory of a large one.
+fn grid_cursor<'a>(
+    after: &VdbCursor,
+    descriptor: &Descriptor,
+    bytes: &'a [u8],
+) -> Result<(VdbCursor<'a>, u64)> {
     let Descriptor { grid_start, end, .. } = *descriptor;
     let within = usize::try_from(end).ok().and_then(|end| bytes.get(..end));
     let Some(within) = within.filter(|_| after.position() as u64 <= grid_start && grid_start <= end) else {
         let length = bytes.len();
         let what = match end > length as u64 {
-            true => format!("the file is cut off: a grid ends at byte {end}, and the file at {length}"),
-            false => format!("a grid from byte {grid_start} to byte {end} of {length}"),
+            true => format!("the file is truncated: a grid ends at byte {end}, but the file at {length}"),
+            false => format!("a grid has the invalid range from byte {grid_start} to byte {end} of {length}"),
         };
         return Err(after.error(what));
     };
-    let mut grid = Cursor::new(within);
+    let mut grid = VdbCursor::new(within);
     grid.seek(grid_start, "a grid")?;
     Ok((grid, end))
 }
 
-struct Header {
+struct FileHeader {
     has_offsets: bool,
     grid_count: usize,
 }
 
-fn read_header(cursor: &mut Cursor) -> Result<Header> {
+fn read_header(cursor: &mut VdbCursor) -> Result<FileHeader> {
     const DESCRIPTOR_BYTES_MIN: usize = 36;
     const GRID_COUNT_MAX: usize = 1 << 16; // real files have a dozen
     if cursor.array::<8>("the magic number")? != MAGIC {
-        return Err(Error::invalid(FORMAT, Place::Offset(0), "no OpenVDB magic number"));
+        return Err(Error::invalid(FORMAT, Place::Offset(0), "expected the OpenVDB magic number"));
     }
     let version = cursor.u32("the file version")?;
     if !VERSIONS_READ.contains(&version) {
         let (from, to) = (VERSIONS_READ.start(), VERSIONS_READ.end());
-        let what = format!("file version {version}; {from} to {to} are read");
+        let what = format!("the file version is {version}; only {from} to {to} are supported");
         return Err(Error::unsupported(FORMAT, what));
     }
     cursor.take(8, "the library version")?;
@@ -276,12 +285,15 @@ fn read_header(cursor: &mut Cursor) -> Result<Header> {
     read_metadata(cursor)?;
     let grid_count = cursor.u32("the number of grids")? as usize;
     if grid_count > cursor.remaining() / DESCRIPTOR_BYTES_MIN {
-        return Err(cursor.error(format!("{grid_count} grids, more than the file has bytes for")));
+        return Err(cursor.error(format!("the file declares {grid_count} grids, more than fit into it")));
     }
     if grid_count > GRID_COUNT_MAX {
-        return Err(Error::too_large(FORMAT, format!("{grid_count} grids, more than {GRID_COUNT_MAX}")));
+        return Err(Error::too_large(
+            FORMAT,
+            format!("the file has {grid_count} grids, more than the limit of {GRID_COUNT_MAX}"),
+        ));
     }
-    Ok(Header { has_offsets, grid_count })
+    Ok(FileHeader { has_offsets, grid_count })
 }
 
 struct Descriptor {
@@ -292,7 +304,7 @@ struct Descriptor {
     end: u64,
 }
 
-fn read_descriptor(cursor: &mut Cursor) -> Result<Descriptor> {
+fn read_descriptor(cursor: &mut VdbCursor) -> Result<Descriptor> {
     let name = cursor.string("the name of a grid")?;
     let type_name = cursor.string("the type of a grid")?;
     let instance_parent = cursor.string("the instance parent of a grid")?;
@@ -301,7 +313,7 @@ fn read_descriptor(cursor: &mut Cursor) -> Result<Descriptor> {
     Ok(Descriptor { name, type_name, instance_parent, grid_start, end })
 }
 
-fn read_entry(cursor: &mut Cursor, descriptor: Descriptor) -> Result<Entry> {
+fn read_entry(cursor: &mut VdbCursor, descriptor: Descriptor) -> Result<GridEntry> {
     let Descriptor { name: descriptor_name, type_name, instance_parent, .. } = descriptor;
     let compression = cursor.u32("the compression of a grid")?;
     let metadata = read_metadata(cursor)?;
@@ -319,9 +331,9 @@ fn read_entry(cursor: &mut Cursor, descriptor: Descriptor) -> Result<Entry> {
         None => (type_name, false),
     };
     if half != has_suffix && [TYPE_FLOAT, TYPE_VEC3S].contains(&type_name.as_str()) {
-        return Err(cursor.error("a grid whose type and metadata disagree on half floats"));
+        return Err(cursor.error("the type and metadata of a grid disagree on half floats"));
     }
-    // Programs add a separator and a number to names that occur twice.
+    // Programs append a separator and a number to duplicate names.
     let (stem, number) = match descriptor_name.split_once('\x1e') {
         Some((stem, number)) => (stem, Some(number)),
         None => (descriptor_name.as_str(), None),
@@ -345,18 +357,18 @@ fn read_entry(cursor: &mut Cursor, descriptor: Descriptor) -> Result<Entry> {
         active_voxel_count,
         metadata,
     };
-    let storage = Storage { compression, half };
+    let storage = ValueStorage { compression, half };
     let (position, end) = (cursor.position(), cursor.position() + cursor.remaining());
     let tree = transform.map(|_| TreePlace { position, end, storage });
-    Ok(Entry { info, descriptor_name, instance_parent, tree })
+    Ok(GridEntry { info, descriptor_name, instance_parent, tree })
 }
 
 fn find<'a>(metadata: &'a [(String, MetaValue)], name: &str) -> Option<&'a MetaValue> {
     metadata.iter().find(|(key, _)| key == name).map(|(_, value)| value)
 }
 
-/// None if the kind of map is unknown; then its size is, too.
-fn read_transform(cursor: &mut Cursor) -> Result<Option<Transform>> {
+/// `None` if the kind of map is unknown; then its size is unknown as well.
+fn read_transform(cursor: &mut VdbCursor) -> Result<Option<Transform>> {
     let kind = cursor.string("the map of a grid")?;
     let mut numbers =
         |count: usize| -> Result<Vec<f64>> { (0..count).map(|_| cursor.f64("the map of a grid")).collect() };
@@ -383,16 +395,16 @@ fn read_transform(cursor: &mut Cursor) -> Result<Option<Transform>> {
     })
 }
 
-/// Reads past the tree of a grid in a stream, where nothing says where it ends.
-fn skip_tree(cursor: &mut Cursor, entry: &Entry, limits: &Limits) -> Result<()> {
-    let mut budget = Budget::new(cursor.position() + cursor.remaining(), limits);
+/// Skips the tree of a grid in a stream, which does not record where the grid ends.
+fn skip_tree(cursor: &mut VdbCursor, entry: &GridEntry, limits: &Limits) -> Result<()> {
+    let mut budget = TreeBudget::new(cursor.position() + cursor.remaining(), limits);
     match (entry.tree, entry.info.type_name.as_str()) {
         (Some(tree), TYPE_FLOAT) => pass_tree::<f32>(cursor, tree.storage, &mut budget),
         (Some(tree), TYPE_VEC3S) => pass_tree::<[f32; 3]>(cursor, tree.storage, &mut budget),
         (_, type_name) => {
             let name = &entry.info.name;
             let what = format!(
-                "a stream without offsets, in which grid \"{name}\" of type {type_name} hides the next"
+                "the file is a stream without offsets, and grid \"{name}\" of type {type_name} cannot be skipped"
             );
             Err(Error::unsupported(FORMAT, what))
         }

@@ -1,20 +1,19 @@
-//! Reads the tree of a grid of floats, or of vectors of three.
+//! Reads the tree of a grid of floats or of three-component vectors.
 //!
-//! Topology first: the root's background, tiles and children, depth first down to the masks of the
-//! leaves. Then the values of the leaves in the same order. What a value block leaves out is put
-//! back: inactive voxels are + or − background, or one or two other values.
-
+//! The topology comes first: the root's background, tiles and children, depth first down to the masks of the
+//! leaves. Then come the values of the leaves in the same order. Values that a block omits are restored:
+//! inactive voxels are + or − background, or one or two other values.
 use half::f16;
 
 use super::FORMAT;
-use super::cursor::Cursor;
+use super::cursor::VdbCursor;
 use super::layout::{
     COMPRESS_ACTIVE_MASK, COMPRESS_BLOSC, COMPRESS_ZIP, LEAF_LOG2, NODE4_LOG2, NODE4_VOXELS_LOG2, NODE5_LOG2,
     NODE5_VOXELS_LOG2, count_ones, inactive, is_on, ones, slot_coord,
 };
 use super::metadata::MetaValue;
 use super::read::Transform;
-use crate::blosc::{FrameError, decode_frame, inflate_into};
+use crate::blosc::{BloscError, decode_frame, inflate_into};
 use crate::error::{Error, Place, Result};
 use crate::limits::Limits;
 
@@ -27,13 +26,13 @@ pub type VectorGridData = GridData<[f32; 3]>;
 /// A grid read from a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GridData<V> {
-    /// The name that users see.
+    /// The name shown to users.
     pub name: String,
-    /// `level set`, `fog volume`, …; empty if the file does not say.
+    /// `level set`, `fog volume`, …; empty if the file has no class.
     pub class: String,
     /// From voxels to the world.
     pub transform: Transform,
-    /// The value where nothing is stored; in a level set, half the thickness of the band.
+    /// The value outside the stored voxels; in a level set, half the thickness of the band.
     pub background: V,
     /// Origins of the leaves, in voxels.
     pub origins: Vec<[i32; 3]>,
@@ -41,20 +40,21 @@ pub struct GridData<V> {
     pub leaves: Vec<[V; 512]>,
     /// Active voxels of each leaf: bit `y·8 + z` of word x.
     pub masks: Vec<[u64; 8]>,
-    /// Cubes of one value, except for inactive ones with the background.
+    /// Cubes with a constant value, except inactive ones with the background.
     pub tiles: Vec<Tile<V>>,
-    /// What the file says of the grid.
+    /// The metadata of the grid.
     pub metadata: Vec<(String, MetaValue)>,
 }
 
 impl GridData<f32> {
-    /// Memory for reading this and for using it, in bytes: what [`Limits::level_set_bytes`] bounds, without the file.
+    /// Memory needed to read and use this grid, in bytes: [`Limits::level_set_bytes`] limits it together with
+    /// the file.
     pub fn memory_bytes(&self) -> u64 {
         TreeSize { leaf_count: self.origins.len(), tile_count: self.tiles.len() }.memory_bytes()
     }
 }
 
-/// How large a tree of floats is.
+/// The size of a tree of floats.
 #[derive(Clone, Copy, Default)]
 pub(super) struct TreeSize {
     pub(super) leaf_count: usize,
@@ -67,18 +67,20 @@ impl TreeSize {
     }
 }
 
-/// Memory for a leaf of floats: its values as they are read and as they are kept, its place, and which voxels are inside.
+/// Memory for a leaf of floats: its values while reading and afterwards, its location, and the mask of inside
+/// voxels.
 const LEAF_BYTES: u64 = 2 * 2048 + 400;
 
-/// Memory for a tile: it is in two lists, which may have grown to twice their length, and in one or two hash tables.
+/// Memory for a tile: an entry in two lists, which may have twice the needed capacity, and in one or two hash
+/// tables.
 const TILE_BYTES: u64 = 160;
 
-/// A cube of voxels with one value.
+/// A cube of voxels with a constant value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tile<V> {
-    /// Its least voxel.
+    /// Its minimum voxel.
     pub origin: [i32; 3],
-    /// Voxels along an edge: 8, 128 or 4096.
+    /// Number of voxels along an edge: 8, 128 or 4096.
     pub size: i32,
     /// The value of all its voxels.
     pub value: V,
@@ -86,14 +88,14 @@ pub struct Tile<V> {
     pub active: bool,
 }
 
-/// What a voxel holds: so many floats.
-pub(super) trait Value: Copy + PartialEq {
+/// The value of a voxel, with `COUNT` floats.
+pub(super) trait VoxelValue: Copy + PartialEq {
     const COUNT: usize;
     const ZERO: Self;
-    /// All floats of values, one after the other.
+    /// The floats of all values, flattened.
     fn flat(values: &mut [Self]) -> &mut [f32];
 
-    fn read(cursor: &mut Cursor, what: &str) -> Result<Self> {
+    fn read(cursor: &mut VdbCursor, what: &str) -> Result<Self> {
         let mut value = [Self::ZERO];
         for number in Self::flat(&mut value) {
             *number = cursor.f32(what)?;
@@ -108,7 +110,7 @@ pub(super) trait Value: Copy + PartialEq {
     }
 }
 
-impl Value for f32 {
+impl VoxelValue for f32 {
     const COUNT: usize = 1;
     const ZERO: f32 = 0.0;
 
@@ -117,7 +119,7 @@ impl Value for f32 {
     }
 }
 
-impl Value for [f32; 3] {
+impl VoxelValue for [f32; 3] {
     const COUNT: usize = 3;
     const ZERO: [f32; 3] = [0.0; 3];
 
@@ -126,21 +128,21 @@ impl Value for [f32; 3] {
     }
 }
 
-/// How the values of a grid are stored.
+/// The storage of a grid's values.
 #[derive(Clone, Copy)]
-pub(super) struct Storage {
+pub(super) struct ValueStorage {
     pub(super) compression: u32,
     pub(super) half: bool,
 }
 
-/// How much more memory a file may ask for.
-pub(super) struct Budget {
+/// The memory that a file can still use.
+pub(super) struct TreeBudget {
     bytes: u64,
 }
 
-impl Budget {
-    pub(super) fn new(file_bytes: usize, limits: &Limits) -> Budget {
-        Budget { bytes: limits.decompressed_bytes_of(file_bytes as u64) }
+impl TreeBudget {
+    pub(super) fn new(file_bytes: usize, limits: &Limits) -> TreeBudget {
+        TreeBudget { bytes: limits.decompressed_bytes_of(file_bytes as u64) }
     }
 
     fn spend(&mut self, bytes: usize) -> Result<()> {
@@ -151,41 +153,46 @@ impl Budget {
     }
 }
 
-/// Reads a tree; name, class, transform and metadata are left to the caller.
-pub(super) fn read_tree<V: Value>(
-    cursor: &mut Cursor,
-    storage: Storage,
-    budget: &mut Budget,
+/// Reads a tree; the caller sets name, class, transform and metadata.
+pub(super) fn read_tree<V: VoxelValue>(
+    cursor: &mut VdbCursor,
+    storage: ValueStorage,
+    budget: &mut TreeBudget,
 ) -> Result<GridData<V>> {
     let mut reader = TreeReader::of_topology(cursor, storage, budget, Keep::All)?;
     reader.read_leaves(cursor)?;
     Ok(reader.data)
 }
 
-/// Passes over a tree.
-pub(super) fn pass_tree<V: Value>(cursor: &mut Cursor, storage: Storage, budget: &mut Budget) -> Result<()> {
+/// Skips a tree.
+pub(super) fn pass_tree<V: VoxelValue>(
+    cursor: &mut VdbCursor,
+    storage: ValueStorage,
+    budget: &mut TreeBudget,
+) -> Result<()> {
     TreeReader::<V>::of_topology(cursor, storage, budget, Keep::Counts)?.read_leaves(cursor)
 }
 
-/// Counts the leaves and tiles of a tree, and keeps none.
-pub(super) fn count_tree<V: Value>(
-    cursor: &mut Cursor,
-    storage: Storage,
-    budget: &mut Budget,
+/// Counts the leaves and tiles of a tree without storing them.
+pub(super) fn count_tree<V: VoxelValue>(
+    cursor: &mut VdbCursor,
+    storage: ValueStorage,
+    budget: &mut TreeBudget,
 ) -> Result<TreeSize> {
     Ok(TreeReader::<V>::of_topology(cursor, storage, budget, Keep::Counts)?.size)
 }
 
-/// Reads a tree without the values of its leaves, which follow.
-fn read_topology<V: Value>(reader: &mut TreeReader<V>, cursor: &mut Cursor) -> Result<()> {
+/// Reads the topology of a tree, but not the values of its leaves, which follow.
+fn read_topology<V: VoxelValue>(reader: &mut TreeReader<V>, cursor: &mut VdbCursor) -> Result<()> {
     const CHILD_BYTES_MIN: usize = 12 + 2 * 4096 + 1;
     let tile_bytes = 12 + 4 * V::COUNT + 1;
     let tile_count = cursor.u32("the number of root tiles")? as usize;
     let child_count = cursor.u32("the number of root children")? as usize;
     let fits = tile_count.checked_mul(tile_bytes).zip(child_count.checked_mul(CHILD_BYTES_MIN));
     if fits.and_then(|(tiles, children)| tiles.checked_add(children)).is_none_or(|n| n > cursor.remaining()) {
-        let what =
-            format!("{tile_count} root tiles and {child_count} children, more than the file has bytes for");
+        let what = format!(
+            "the grid declares {tile_count} root tiles and {child_count} children, more than fit into the file"
+        );
         return Err(cursor.error(what));
     }
     for _ in 0..tile_count {
@@ -198,9 +205,9 @@ fn read_topology<V: Value>(reader: &mut TreeReader<V>, cursor: &mut Cursor) -> R
     for _ in 0..child_count {
         let origin = cursor.coord("a root child")?;
         if origin.iter().any(|c| c & 4095 != 0) || last.is_some_and(|last| origin <= last) {
-            return Err(
-                cursor.error(format!("root child {origin:?} after {last:?}; multiples of 4096 must ascend"))
-            );
+            return Err(cursor.error(format!(
+                "root child {origin:?} follows {last:?}; origins must be ascending multiples of 4096"
+            )));
         }
         last = Some(origin);
         reader.read_node(cursor, origin, NODE5_LOG2, NODE4_VOXELS_LOG2)?;
@@ -222,7 +229,7 @@ fn empty<V>(background: V) -> GridData<V> {
     }
 }
 
-/// What a reader keeps of the leaves and tiles that it passes.
+/// Whether a reader stores the leaves and tiles or only counts them.
 #[derive(Clone, Copy, PartialEq)]
 enum Keep {
     All,
@@ -231,27 +238,27 @@ enum Keep {
 
 struct TreeReader<'a, V> {
     background: V,
-    storage: Storage,
-    budget: &'a mut Budget,
+    storage: ValueStorage,
+    budget: &'a mut TreeBudget,
     keep: Keep,
     size: TreeSize,
     data: GridData<V>,
     scratch: Vec<u8>,
 }
 
-impl<'a, V: Value> TreeReader<'a, V> {
-    /// A reader that has come to the values of the leaves.
+impl<'a, V: VoxelValue> TreeReader<'a, V> {
+    /// A reader that has read the topology and is at the values of the leaves.
     fn of_topology(
-        cursor: &mut Cursor,
-        storage: Storage,
-        budget: &'a mut Budget,
+        cursor: &mut VdbCursor,
+        storage: ValueStorage,
+        budget: &'a mut TreeBudget,
         keep: Keep,
     ) -> Result<TreeReader<'a, V>> {
         let buffers_per_leaf = cursor.i32("the number of buffers per leaf")?;
         if buffers_per_leaf != 1 {
             return Err(Error::unsupported(
                 FORMAT,
-                format!("{buffers_per_leaf} buffers per leaf; one is read"),
+                format!("the grid has {buffers_per_leaf} buffers per leaf; only one is supported"),
             ));
         }
         let background = V::read(cursor, "the background")?;
@@ -261,8 +268,14 @@ impl<'a, V: Value> TreeReader<'a, V> {
         Ok(reader)
     }
 
-    /// Reads an internal node and what is under it, down to the leaves' masks.
-    fn read_node(&mut self, cursor: &mut Cursor, origin: [i32; 3], log2: u32, child_log2: u32) -> Result<()> {
+    /// Reads an internal node and its descendants, down to the masks of the leaves.
+    fn read_node(
+        &mut self,
+        cursor: &mut VdbCursor,
+        origin: [i32; 3],
+        log2: u32,
+        child_log2: u32,
+    ) -> Result<()> {
         let slot_count = 1 << (3 * log2);
         let children = cursor.mask(slot_count / 64, "the children of a node")?;
         let active = cursor.mask(slot_count / 64, "the active tiles of a node")?;
@@ -278,7 +291,7 @@ impl<'a, V: Value> TreeReader<'a, V> {
         for slot in ones(&children) {
             let origin = child_origin(origin, slot, log2, child_log2);
             if child_log2 == LEAF_LOG2 {
-                cursor.take(64, "the mask of a leaf")?; // comes again with the leaf's values
+                cursor.take(64, "the mask of a leaf")?; // repeated with the leaf's values
                 self.budget.spend(12 + 2048 * V::COUNT + 64)?;
                 self.size.leaf_count += 1;
                 if self.keep == Keep::All {
@@ -292,7 +305,7 @@ impl<'a, V: Value> TreeReader<'a, V> {
     }
 
     /// Reads the values of the leaves.
-    fn read_leaves(&mut self, cursor: &mut Cursor) -> Result<()> {
+    fn read_leaves(&mut self, cursor: &mut VdbCursor) -> Result<()> {
         for _ in 0..self.size.leaf_count {
             let words = cursor.mask(8, "the mask of a leaf")?;
             let mut leaf = [V::ZERO; 512];
@@ -316,8 +329,8 @@ impl<'a, V: Value> TreeReader<'a, V> {
         Ok(())
     }
 
-    /// Reads a block of values and puts back the inactive ones that it leaves out.
-    fn read_values(&mut self, cursor: &mut Cursor, active: &[u64], out: &mut [V]) -> Result<()> {
+    /// Reads a block of values and restores the inactive ones that it omits.
+    fn read_values(&mut self, cursor: &mut VdbCursor, active: &[u64], out: &mut [V]) -> Result<()> {
         let case = cursor.u8("the kind of a block of values")?;
         let (mut off, mut on) = (self.background, self.background);
         match case {
@@ -328,7 +341,11 @@ impl<'a, V: Value> TreeReader<'a, V> {
                 off = V::read(cursor, "an inactive value")?;
                 on = V::read(cursor, "an inactive value")?;
             }
-            _ => return Err(cursor.error(format!("a block of values of kind {case}; 0 to 6 are known"))),
+            _ => {
+                return Err(
+                    cursor.error(format!("a block of values has the unknown kind {case}; expected 0 to 6"))
+                );
+            }
         }
         let has_mask = matches!(
             case,
@@ -362,18 +379,18 @@ impl<'a, V: Value> TreeReader<'a, V> {
         Ok(())
     }
 
-    /// Reads as many floats as there is room for.
-    fn read_chunk(&mut self, cursor: &mut Cursor, out: &mut [f32]) -> Result<()> {
-        let Storage { compression, half } = self.storage;
+    /// Fills `out` with floats.
+    fn read_chunk(&mut self, cursor: &mut VdbCursor, out: &mut [f32]) -> Result<()> {
+        let ValueStorage { compression, half } = self.storage;
         if half && out.is_empty() {
-            return Ok(()); // the one chunk without a size
+            return Ok(()); // the only chunk without a size
         }
         let byte_count = out.len() * if half { 2 } else { 4 };
         self.scratch.resize(byte_count, 0);
         if compression & (COMPRESS_ZIP | COMPRESS_BLOSC) == 0 {
             self.scratch.copy_from_slice(cursor.take(byte_count, "values")?);
         } else {
-            self.unpack(cursor)?;
+            self.decompress(cursor)?;
         }
         if half {
             for (value, &bytes) in out.iter_mut().zip(self.scratch.as_chunks::<2>().0) {
@@ -387,35 +404,39 @@ impl<'a, V: Value> TreeReader<'a, V> {
         Ok(())
     }
 
-    /// Fills the scratch bytes from a chunk with a size: positive if packed, negative if raw.
-    fn unpack(&mut self, cursor: &mut Cursor) -> Result<()> {
+    /// Fills the scratch buffer from a chunk with a size: positive if compressed, negative if raw.
+    fn decompress(&mut self, cursor: &mut VdbCursor) -> Result<()> {
         let out = &mut self.scratch[..];
-        let size = cursor.i64("the size of packed values")?;
+        let size = cursor.i64("the size of compressed values")?;
         let start = cursor.position() as u64;
         let invalid = |what: String| Error::invalid(FORMAT, Place::Offset(start), what);
         let length = usize::try_from(size.unsigned_abs()).unwrap_or(usize::MAX);
-        let bytes = cursor.take(length, "packed values")?;
+        let bytes = cursor.take(length, "compressed values")?;
         if out.is_empty() {
-            return Ok(()); // some writers put an empty frame here
+            return Ok(()); // some writers write an empty frame here
         }
         if size <= 0 {
             if bytes.len() != out.len() {
-                return Err(invalid(format!("{} bytes of raw values, expected {}", bytes.len(), out.len())));
+                return Err(invalid(format!(
+                    "expected {} bytes of raw values, found {}",
+                    out.len(),
+                    bytes.len()
+                )));
             }
             out.copy_from_slice(bytes);
         } else if self.storage.compression & COMPRESS_BLOSC != 0 {
             decode_frame(bytes, out).map_err(|error| match error {
-                FrameError::Invalid(what) => invalid(what),
-                FrameError::Unsupported(what) => Error::unsupported(FORMAT, what),
+                BloscError::Invalid(what) => invalid(what),
+                BloscError::Unsupported(what) => Error::unsupported(FORMAT, what),
             })?;
         } else if inflate_into(bytes, out) != Some(out.len()) {
-            return Err(invalid(format!("zlib data that does not decompress to {} bytes", out.len())));
+            return Err(invalid(format!("the zlib data does not decompress to {} bytes", out.len())));
         }
         Ok(())
     }
 }
 
-/// The least voxel of the child in a slot. Wraps only for origins beyond the range of coordinates.
+/// The minimum voxel of the child in a slot. Wraps only for origins outside the coordinate range.
 fn child_origin(origin: [i32; 3], slot: usize, log2: u32, child_log2: u32) -> [i32; 3] {
     let local = slot_coord(slot, log2);
     std::array::from_fn(|axis| origin[axis].wrapping_add(local[axis] << child_log2))

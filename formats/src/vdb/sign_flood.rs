@@ -1,7 +1,7 @@
-//! Which of the empty regions are inside.
+//! Determines which of the empty regions are inside.
 //!
-//! A narrow band stores leaves near the surface only. What lies between them is all outside or all
-//! inside, and a file must say which, in as few tiles as possible.
+//! A narrow band stores leaves only near the surface. The regions between them are entirely outside or
+//! inside, and a file must record which, in as few tiles as possible.
 //!
 //! ```text
 //!   one row of leaves along z          . . [+-] = = = [-+] . . [+-][-+] . .
@@ -10,30 +10,30 @@
 //!                                    is negative     is negative
 //! ```
 //!
-//! A gap between two leaves of a row is inside if both faces that look into it are. A surface
-//! cannot cross a gap without leaving leaves there, so for a closed surface the two agree; for a
-//! torn one a gap stays outside, and the error stays within one row instead of flooding the world.
+//! A gap between two leaves of a row is inside if both faces next to it are. A surface cannot cross a gap
+//! without leaves there, so for a closed surface the two faces agree. For a surface with holes, a gap where
+//! they disagree stays outside, so the error stays within one row instead of flooding the world.
 //!
-//! The same rule serves all levels of the tree. A row that passes out of a parent counts as one
-//! vote for that parent's face; then parents are the cells of the next level. No level looks at
-//! voxels or cells that are not stored, so the time depends on the leaves and not on the volume.
+//! The same rule applies at all levels of the tree. A row that leaves a parent counts as one vote for that
+//! parent's face; then the parents are the cells of the next level. No level visits voxels or cells that are
+//! not stored, so the time depends on the number of leaves and not on the volume.
 
 use super::layout::slot_of;
 
-/// A stored part of the grid: a leaf, or a node that holds some.
+/// A stored part of the grid: a leaf, or a node that contains some.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Cell {
+pub(super) struct FloodCell {
     /// Position, in cells of this level.
     pub(super) coord: [i32; 3],
-    /// Whether what lies just before it along z is inside.
+    /// Whether the region just before it along z is inside.
     pub(super) low_inside: bool,
-    /// Whether what lies just behind it along z is inside.
+    /// Whether the region just after it along z is inside.
     pub(super) high_inside: bool,
 }
 
-/// An inside gap in a row along z: between two cells, exclusive of both.
+/// An inside gap in a row along z: between two cells, excluding both.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Gap {
+pub(super) struct InsideGap {
     pub(super) xy: [i32; 2],
     pub(super) after: i32,
     pub(super) before: i32,
@@ -52,9 +52,9 @@ pub(super) struct Parent {
 
 impl Parent {
     /// The node as a cell of the next level: a face is inside if most rows through it are.
-    pub(super) fn as_cell(&self, log2: u32) -> Cell {
+    pub(super) fn as_cell(&self, log2: u32) -> FloodCell {
         let rows = 1 << (2 * log2);
-        Cell {
+        FloodCell {
             coord: self.coord,
             low_inside: 2 * self.low_votes > rows,
             high_inside: 2 * self.high_votes > rows,
@@ -66,14 +66,14 @@ impl Parent {
         self.inside[slot >> 6] |= 1 << (slot & 63);
     }
 
-    /// Marks a run of slots along z; it lies in one word, for rows have 16 or 32 slots.
+    /// Marks a run of slots along z. It lies in a single word, because rows have 16 or 32 slots.
     fn insert_row(&mut self, first_slot: usize, count: i32) {
         self.inside[first_slot >> 6] |= ((1 << count) - 1) << (first_slot & 63);
     }
 }
 
 /// The parents of `cells`, with their inside gaps; both sorted by x, then y, then z.
-pub(super) fn parents(cells: &[Cell], log2: u32) -> Vec<Parent> {
+pub(super) fn parents(cells: &[FloodCell], log2: u32) -> Vec<Parent> {
     let edge = 1 << log2;
     let mut coords: Vec<[i32; 3]> = cells.iter().map(|cell| cell.coord.map(|c| c >> log2)).collect();
     coords.sort_unstable();
@@ -83,7 +83,7 @@ pub(super) fn parents(cells: &[Cell], log2: u32) -> Vec<Parent> {
         .into_iter()
         .map(|coord| Parent { coord, inside: vec![0; words], low_votes: 0, high_votes: 0 })
         .collect();
-    for Gap { xy: [x, y], after, before } in inside_gaps(cells) {
+    for InsideGap { xy: [x, y], after, before } in inside_gaps(cells) {
         let index_at = |parents: &[Parent], z: i32| {
             let coord = [x >> log2, y >> log2, z >> log2];
             parents.partition_point(|parent| parent.coord < coord)
@@ -102,11 +102,11 @@ pub(super) fn parents(cells: &[Cell], log2: u32) -> Vec<Parent> {
     parents
 }
 
-/// The inside gaps between cells that are sorted by x, then y, then z.
-pub(super) fn inside_gaps(cells: &[Cell]) -> impl Iterator<Item = Gap> + '_ {
+/// The inside gaps between cells, which must be sorted by x, then y, then z.
+pub(super) fn inside_gaps(cells: &[FloodCell]) -> impl Iterator<Item = InsideGap> + '_ {
     cells.windows(2).filter_map(|pair| {
         let ([ax, ay, az], [bx, by, bz]) = (pair[0].coord, pair[1].coord);
         let inside = ax == bx && ay == by && bz - az > 1 && pair[0].high_inside && pair[1].low_inside;
-        inside.then_some(Gap { xy: [ax, ay], after: az, before: bz })
+        inside.then_some(InsideGap { xy: [ax, ay], after: az, before: bz })
     })
 }

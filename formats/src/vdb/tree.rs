@@ -1,8 +1,8 @@
-//! The nodes above the leaves, as a file lists them.
+//! The nodes above the leaves, in file order.
 //!
 //! ```text
 //!   root ─▶ nodes of 32³ ─▶ nodes of 16³ ─▶ leaves        children of each in the order of their slots
-//!     └ tiles └ tiles         └ tiles                     what is all inside or all outside
+//!     └ tiles └ tiles         └ tiles                     entirely inside or outside regions
 //! ```
 
 use std::iter::repeat_n;
@@ -10,32 +10,33 @@ use std::iter::repeat_n;
 use rayon::prelude::*;
 
 use super::Compression;
-use super::encode_leaves::{Encoding, LeafSummary, append_inactive, push_values};
+use super::encode_leaves::{LeafEncoding, LeafSummary, append_inactive, push_values};
 use super::layout::{
     NODE4_LOG2, NODE5_LOG2, NODE5_VOXELS_LOG2, count_ones, inactive, is_on, ones, slot_coord, slot_of,
 };
-use super::sign_flood::{Cell, Parent, inside_gaps, parents};
+use super::sign_flood::{FloodCell, Parent, inside_gaps, parents};
 
-/// A leaf in the order of the tree.
-pub(super) struct Leaf {
+/// A leaf, in tree order.
+pub(super) struct TreeLeaf {
     pub(super) origin: [i32; 3],
     pub(super) summary: LeafSummary,
 }
 
-/// A node of the tree above the leaves.
-struct Node {
-    /// Position, in nodes of its level; and its inside slots.
+/// An internal node of the tree.
+struct InternalNode {
+    /// Position, in nodes of its level, and its inside slots.
     parent: Parent,
-    /// One bit per slot: whether there is a child.
+    /// One bit per slot: whether it has a child.
     children: Vec<u64>,
 }
 
-impl Node {
-    fn new(parent: Parent) -> Node {
-        Node { children: vec![0; parent.inside.len()], parent }
+impl InternalNode {
+    fn new(parent: Parent) -> InternalNode {
+        InternalNode { children: vec![0; parent.inside.len()], parent }
     }
 
-    /// A node without children that is all inside or all outside is a tile of its parent.
+    /// If the node has no children and is entirely inside or outside, it is a tile of its parent: returns
+    /// whether it is inside.
     fn tile(&self) -> Option<bool> {
         let inside = &self.parent.inside;
         let uniform = inside.iter().all(|&word| word == 0) || inside.iter().all(|&word| word == u64::MAX);
@@ -43,44 +44,45 @@ impl Node {
     }
 }
 
-/// Everything above the leaves.
-pub(super) struct Tree {
+/// All nodes above the leaves.
+pub(super) struct GridTree {
     /// Lower nodes that are children, sorted by x, y, z.
-    nodes4: Vec<Node>,
+    nodes4: Vec<InternalNode>,
     /// Upper nodes that are children, sorted by x, y, z.
-    nodes5: Vec<Node>,
+    nodes5: Vec<InternalNode>,
     /// Origins, in voxels, of the root's inside tiles, sorted by x, y, z.
     tiles: Vec<[i32; 3]>,
 }
 
-impl Tree {
-    /// The tree of a level set: what has no leaf is inside or outside.
-    pub(super) fn new(leaves: &[Leaf]) -> Tree {
-        let cell_of = |Leaf { origin, summary }: &Leaf| {
+impl GridTree {
+    /// The tree of a level set: regions without leaves are inside or outside.
+    pub(super) fn new(leaves: &[TreeLeaf]) -> GridTree {
+        let cell_of = |TreeLeaf { origin, summary }: &TreeLeaf| {
             let &LeafSummary { low_inside, high_inside, inside, .. } = summary;
-            let cell = Cell { coord: origin.map(|c| c >> 3), low_inside, high_inside };
+            let cell = FloodCell { coord: origin.map(|c| c >> 3), low_inside, high_inside };
             (cell, summary.is_stored(), inside)
         };
-        Tree::of(leaves.iter().map(cell_of).collect())
+        GridTree::of(leaves.iter().map(cell_of).collect())
     }
 
-    /// The tree of a grid with the same leaves that has no inside.
-    pub(super) fn without_sides(leaves: &[Leaf]) -> Tree {
-        let cell_of = |Leaf { origin, summary }: &Leaf| {
-            let cell = Cell { coord: origin.map(|c| c >> 3), low_inside: false, high_inside: false };
+    /// The tree of a grid with the same leaves but without inside regions.
+    pub(super) fn without_sides(leaves: &[TreeLeaf]) -> GridTree {
+        let cell_of = |TreeLeaf { origin, summary }: &TreeLeaf| {
+            let cell = FloodCell { coord: origin.map(|c| c >> 3), low_inside: false, high_inside: false };
             (cell, summary.is_stored(), false)
         };
-        Tree::of(leaves.iter().map(cell_of).collect())
+        GridTree::of(leaves.iter().map(cell_of).collect())
     }
 
-    /// Cells of leaves, each with whether it is stored, and if not, whether it is inside.
-    fn of(mut cells: Vec<(Cell, bool, bool)>) -> Tree {
+    /// Builds a tree from the cells of leaves, each with whether it is stored and, if not, whether it is
+    /// inside.
+    fn of(mut cells: Vec<(FloodCell, bool, bool)>) -> GridTree {
         cells.par_sort_unstable_by_key(|(cell, ..)| cell.coord);
         let (cells4, mut nodes4) = level(cells, NODE4_LOG2);
         let (cells5, nodes5) = level(cells4, NODE5_LOG2);
         nodes4.retain(|node| node.tile().is_none());
 
-        let bare: Vec<Cell> = cells5.iter().map(|&(cell, ..)| cell).collect();
+        let bare: Vec<FloodCell> = cells5.iter().map(|&(cell, ..)| cell).collect();
         let gaps = inside_gaps(&bare)
             .flat_map(|gap| (gap.after + 1..gap.before).map(move |z| [gap.xy[0], gap.xy[1], z]));
         let tiles = nodes5.iter().filter(|node| node.tile() == Some(true)).map(|node| node.parent.coord);
@@ -88,16 +90,16 @@ impl Tree {
             gaps.chain(tiles).map(|coord| coord.map(|c| c << NODE5_VOXELS_LOG2)).collect();
         tiles.sort_unstable();
         let nodes5 = nodes5.into_iter().filter(|node| node.tile().is_none()).collect();
-        Tree { nodes4, nodes5, tiles }
+        GridTree { nodes4, nodes5, tiles }
     }
 
-    /// What OpenVDB says that the tree takes in memory, in bytes.
+    /// The tree's memory according to OpenVDB's own accounting, in bytes.
     pub(super) fn memory_bytes(&self, leaf_count: usize, arity: usize) -> usize {
         270_360 * self.nodes5.len() + 33_816 * self.nodes4.len() + (2_048 * arity + 116) * leaf_count
     }
 
-    /// The topology: background, tiles and children of the root, and the nodes depth first.
-    pub(super) fn append_topology(&self, leaves: &[Leaf], encoding: Encoding, out: &mut Vec<u8>) {
+    /// Appends the topology: background, tiles and children of the root, then the nodes depth first.
+    pub(super) fn append_topology(&self, leaves: &[TreeLeaf], encoding: LeafEncoding, out: &mut Vec<u8>) {
         let mut leaves = leaves.iter().filter(|leaf| leaf.summary.is_stored());
         out.extend_from_slice(&1u32.to_le_bytes()); // buffers per leaf
         for _ in 0..encoding.arity {
@@ -132,11 +134,14 @@ impl Tree {
 
 /// The nodes above some cells, and those nodes as cells of the next level.
 ///
-/// A cell comes with whether it is a child, and if not, whether it is an inside tile. Both results
-/// are sorted by x, y, z, as the cells must be.
-fn level(cells: Vec<(Cell, bool, bool)>, log2: u32) -> (Vec<(Cell, bool, bool)>, Vec<Node>) {
-    let bare: Vec<Cell> = cells.iter().map(|&(cell, ..)| cell).collect();
-    let mut nodes: Vec<Node> = parents(&bare, log2).into_iter().map(Node::new).collect();
+/// Each cell comes with whether it is a child and, if not, whether it is an inside tile. Both results are
+/// sorted by x, y, z, as the cells must be.
+fn level(
+    cells: Vec<(FloodCell, bool, bool)>,
+    log2: u32,
+) -> (Vec<(FloodCell, bool, bool)>, Vec<InternalNode>) {
+    let bare: Vec<FloodCell> = cells.iter().map(|&(cell, ..)| cell).collect();
+    let mut nodes: Vec<InternalNode> = parents(&bare, log2).into_iter().map(InternalNode::new).collect();
     for (cell, is_child, inside) in cells {
         let coord = cell.coord.map(|c| c >> log2);
         let index = nodes.partition_point(|node| node.parent.coord < coord);
@@ -157,8 +162,8 @@ fn level(cells: Vec<(Cell, bool, bool)>, log2: u32) -> (Vec<(Cell, bool, bool)>,
     (cells, nodes)
 }
 
-fn append_node(node: &Node, encoding: Encoding, out: &mut Vec<u8>) {
-    let Node { parent, children } = node;
+fn append_node(node: &InternalNode, encoding: LeafEncoding, out: &mut Vec<u8>) {
+    let InternalNode { parent, children } = node;
     for word in children {
         out.extend_from_slice(&word.to_le_bytes());
     }
@@ -176,7 +181,8 @@ fn append_node(node: &Node, encoding: Encoding, out: &mut Vec<u8>) {
         return;
     }
     append_inactive(children, &parent.inside, out);
-    // No value is active. An empty chunk of 32-bit values still has a size; of 16-bit ones, none.
+    // No value is active. An empty chunk of 32-bit values still has a size field; one of 16-bit values does
+    // not.
     if encoding.compression == Compression::Blosc && !encoding.half {
         out.extend_from_slice(&0i64.to_le_bytes());
     }
@@ -186,7 +192,7 @@ fn push_coord(coord: [i32; 3], out: &mut Vec<u8>) {
     out.extend_from_slice(coord.map(i32::to_le_bytes).as_flattened());
 }
 
-/// A count that is below 2³² because the leaves are.
+/// Converts a count that is below 2³² because the number of leaves is.
 pub(super) fn count_u32(count: usize) -> u32 {
     u32::try_from(count).unwrap_or(u32::MAX)
 }
@@ -195,25 +201,25 @@ pub(super) fn count_u32(count: usize) -> u32 {
 mod tests {
     use super::*;
 
-    fn leaf(origin: [i32; 3], low_inside: bool, high_inside: bool) -> Leaf {
+    fn leaf(origin: [i32; 3], low_inside: bool, high_inside: bool) -> TreeLeaf {
         let summary = LeafSummary { active: [1; 8], inside: false, low_inside, high_inside, has_nan: false };
-        Leaf { origin, summary }
+        TreeLeaf { origin, summary }
     }
 
-    /// The bottom and the top of a block, 4096 × 4096 voxels wide and `top − bottom` high: leaves
-    /// without values, for with them this would take a gigabyte.
-    fn block(bottom: i32, top: i32) -> Vec<Leaf> {
+    /// The bottom and top layers of a block, 4096 × 4096 voxels wide and `top − bottom` high: leaves without
+    /// values, because with values the test would need a gigabyte.
+    fn block(bottom: i32, top: i32) -> Vec<TreeLeaf> {
         let columns = (0..512).flat_map(|x| (0..512).map(move |y| [8 * x - 4096, 8 * y]));
         let pair = |[x, y]: [i32; 2]| [leaf([x, y, bottom], false, true), leaf([x, y, top], true, false)];
-        let mut leaves: Vec<Leaf> = columns.flat_map(pair).collect();
+        let mut leaves: Vec<TreeLeaf> = columns.flat_map(pair).collect();
         leaves.sort_by_key(|leaf| [12, 7, 3].map(|log2| leaf.origin.map(|c| c >> log2)));
         leaves
     }
 
     #[test]
-    fn solids_larger_than_a_root_child_are_flooded() {
+    fn inside_of_a_solid_larger_than_a_root_child_is_filled() {
         let leaves = block(-800, 8192 + 1600);
-        let tree = Tree::new(&leaves);
+        let tree = GridTree::new(&leaves);
         assert_eq!(tree.tiles, [[-4096, 0, 0], [-4096, 0, 4096]]);
         let coords: Vec<[i32; 3]> = tree.nodes5.iter().map(|node| node.parent.coord).collect();
         assert_eq!(coords, [[-1, 0, -1], [-1, 0, 2]]);
@@ -231,15 +237,15 @@ mod tests {
     }
 
     #[test]
-    fn a_torn_surface_floods_its_rows_only() {
-        // One pair of leaves that look at each other over a great distance: no closed surface.
+    fn surface_with_holes_only_fills_its_own_rows() {
+        // A pair of leaves that face each other over a large distance, not a closed surface.
         let leaves = [leaf([0, 0, -1 << 20], false, true), leaf([0, 0, 1 << 20], true, false)];
-        let tree = Tree::new(&leaves);
+        let tree = GridTree::new(&leaves);
         assert!(tree.tiles.is_empty());
         let inside: usize = tree.nodes4.iter().map(|node| count_ones(&node.parent.inside)).sum();
         assert_eq!(inside, 15);
-        // And leaves that look at each other from outside leave the gap outside.
+        // Leaves that face each other from outside leave the gap outside.
         let leaves = [leaf([0, 0, 0], true, false), leaf([0, 0, 64], false, true)];
-        assert_eq!(count_ones(&Tree::new(&leaves).nodes4[0].parent.inside), 0);
+        assert_eq!(count_ones(&GridTree::new(&leaves).nodes4[0].parent.inside), 0);
     }
 }

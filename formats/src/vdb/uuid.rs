@@ -1,12 +1,12 @@
-//! The identity of a file, from its content.
+//! Derives the UUID of a file from its content.
 //!
-//! OpenVDB gives every file a random UUID. Ours comes from the bytes, so that equal inputs make
-//! equal files. Two files with the same content have the same identity, which is what it is for.
-
-/// A digest of some bytes; digests are digested again to join them.
+//! OpenVDB gives every file a random UUID. Ours is computed from the bytes, so that equal inputs produce
+//! equal files. Two files with the same content have the same UUID, which is the purpose of a UUID.
+/// A digest of bytes. To combine digests, digest them again.
 pub(super) type Digest = [u64; 2];
 
-/// A 128-bit digest: two multiplicative lanes, eight bytes a step. Not for adversaries.
+/// A 128-bit digest with two multiplicative lanes, eight bytes per step. Not collision-resistant against
+/// attackers.
 pub(super) fn digest(bytes: &[u8]) -> Digest {
     let (words, rest) = bytes.as_chunks::<8>();
     let mut last = [0; 8];
@@ -20,14 +20,14 @@ pub(super) fn digest(bytes: &[u8]) -> Digest {
     [scramble(lanes[0] ^ lanes[1].rotate_left(17)), scramble(lanes[1] ^ lanes[0].rotate_left(41))]
 }
 
-/// Every bit of the result depends on every bit of the argument.
+/// Mixes the bits: every bit of the result depends on every bit of the argument.
 fn scramble(mut word: u64) -> u64 {
     word = (word ^ word >> 32).wrapping_mul(0xd6e8_feb8_6659_fd93);
     word = (word ^ word >> 32).wrapping_mul(0xd6e8_feb8_6659_fd93);
     word ^ word >> 32
 }
 
-/// The digest as a UUID of version 8 (RFC 9562: made in a way of its own), 36 characters.
+/// Formats the digest as a UUID of version 8 (RFC 9562: custom), 36 characters.
 pub(super) fn format(digest: Digest) -> String {
     let high = digest[0] & !0xf000 | 0x8000;
     let low = digest[1] & !(3 << 62) | 2 << 62;
@@ -46,7 +46,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_bit_counts() {
+    fn changing_any_bit_changes_the_digest() {
         let bytes: Vec<u8> = (0..77).collect();
         let reference = digest(&bytes);
         for bit in 0..bytes.len() * 8 {
@@ -59,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn reads_as_a_uuid() {
+    fn digest_is_formatted_as_a_version_8_uuid() {
         let uuid = format(digest(b"meniscus"));
         assert_eq!(uuid.len(), 36);
         assert_eq!(uuid.split('-').map(str::len).collect::<Vec<_>>(), [8, 4, 4, 4, 12]);

@@ -1,4 +1,4 @@
-//! Writes a narrow-band level set, and what else is known of its voxels, as one OpenVDB file.
+//! Writes a narrow-band level set and attributes of its voxels as one OpenVDB file.
 //!
 //! ```text
 //!   leaves ──encode, in parallel──▶ leaf buffers, and a summary of each
@@ -8,13 +8,13 @@
 //!            └────────────── the level set ─────────────────────────────┘ └ the next grid
 //! ```
 //!
-//! The buffers come last in the file and their sizes first, so they are made before anything is
-//! written; then the file is one sequential write.
+//! The buffers come last in the file, but their sizes come first, so all of them are encoded before anything
+//! is written. Then the file is written sequentially.
 //!
-//! Invariants of what is written: children of the root in ascending order (readers keep them sorted
-//! and read the buffers in that order, so any other silently mixes up the leaves); a leaf has an
-//! active voxel; every inactive value is exactly + or − background; half floats are announced by
-//! both the type's suffix and the metadata, for either alone does not load.
+//! Invariants of the output: children of the root are in ascending order (readers sort them and read the
+//! buffers in that order, so any other order silently mixes up the leaves); each leaf has an active voxel;
+//! every inactive value is exactly + or − background; both the type's suffix and the metadata declare half
+//! floats, because OpenVDB cannot load files with only one of the two.
 
 use std::io::Write;
 
@@ -22,13 +22,13 @@ use half::f16;
 use rayon::prelude::*;
 
 use super::band_grids::encode_grid;
-use super::encode_leaves::{Batch, Encoding, Packed, encode_leaves, to_world};
+use super::encode_leaves::{LeafBatch, LeafEncoding, Packed, encode_leaves, to_world};
 use super::layout::{
     COMPRESS_ACTIVE_MASK, COMPRESS_BLOSC, HALF_SUFFIX, LIBRARY_VERSION, MAGIC, META_HALF, NODE4_VOXELS_LOG2,
     NODE5_VOXELS_LOG2, TYPE_FLOAT, TYPE_VEC3S, VERSION_WRITTEN, count_ones,
 };
 use super::metadata::{MetaWriter, push_string};
-use super::tree::{Leaf, Tree, count_u32};
+use super::tree::{GridTree, TreeLeaf, count_u32};
 use super::uuid::{self, Digest, digest};
 use super::{Compression, FORMAT};
 use crate::data::{BandGrid, LevelSetView, Provenance, Role};
@@ -36,14 +36,14 @@ use crate::error::{Error, Place, Result};
 use crate::provenance::{GENERATOR, prefixed};
 use crate::vertex_attributes::NamesTaken;
 
-/// How to write a level set.
+/// Options for writing a level set.
 #[derive(Clone, Debug)]
 pub struct WriteOptions {
-    /// The name that programs show.
+    /// The grid name, shown by other programs.
     pub name: String,
-    /// Store 16-bit floats: half the size before compression, and three decimal digits.
+    /// Whether to store 16-bit floats: half the size before compression, and three decimal digits.
     pub half: bool,
-    /// How values are packed.
+    /// The compression of values.
     pub compression: Compression,
     /// World position of the centre of voxel (0, 0, 0).
     pub origin: [f64; 3],
@@ -60,13 +60,13 @@ impl Default for WriteOptions {
     }
 }
 
-/// A file that is ready to be written: its leaves are packed, and nothing of the level set is needed any more.
+/// An encoded file: its leaves are compressed, so the level set is no longer needed.
 pub struct Encoded {
     header: Vec<u8>,
     grids: Vec<EncodedGrid>,
 }
 
-/// A grid of it.
+/// One of its grids.
 struct EncodedGrid {
     descriptor: Vec<u8>,
     /// Everything between descriptor and buffers.
@@ -75,7 +75,7 @@ struct EncodedGrid {
 }
 
 impl Encoded {
-    /// Writes the file, in one go from its start to its end.
+    /// Writes the file sequentially.
     ///
     /// # Errors
     ///
@@ -93,11 +93,11 @@ impl Encoded {
     }
 }
 
-/// Writes `levels` as a file: a float grid of class "level set", and then its other grids.
+/// Writes `levels` as a file: a float grid of class "level set", followed by its other grids.
 ///
 /// # Errors
 ///
-/// [`Error::Io`] if `out` fails; else those of [`encode`].
+/// [`Error::Io`] if `out` fails; otherwise those of [`encode`].
 pub fn write(
     levels: &LevelSetView,
     options: &WriteOptions,
@@ -107,29 +107,29 @@ pub fn write(
     encode(levels, options, provenance)?.write(out)
 }
 
-/// Encodes `levels` as a file, in the pool of the caller: a float grid of class "level set", and then its other
-/// grids, with the same active voxels. Where 16-bit floats are asked for, a grid with values beyond ± 65504 keeps
+/// Encodes `levels` as a file, in the caller's thread pool: a float grid of class "level set", followed by
+/// its other grids with the same active voxels. With 16-bit floats, a grid with values beyond ± 65504 keeps
 /// 32 bits.
 ///
 /// # Errors
 ///
-/// [`Error::Invalid`] if the level set is none: origins that are no distinct multiples of 8, values that are no
-/// numbers, a background that is not positive and finite in the precision of the file; or if a grid has a value that
-/// is not finite, or neither one component nor three.
+/// [`Error::Invalid`] if the level set is invalid: origins that are not distinct multiples of 8, NaN values,
+/// or a background that is not positive and finite in the precision of the file; or if a grid has a value
+/// that is not finite, or a number of components other than one or three.
 pub fn encode(levels: &LevelSetView, options: &WriteOptions, provenance: &Provenance) -> Result<Encoded> {
     let order = tree_order(levels)?;
     let encoding = encoding(levels, options)?;
     let batches = encode_leaves(levels.leaves, &order, encoding);
     let leaves = leaves_of(levels, &order, &batches)?;
     let buffers = batches.into_iter().map(|batch| batch.packed).collect();
-    let tree = Tree::new(&leaves);
+    let tree = GridTree::new(&leaves);
     let mut metadata = metadata(&leaves, &tree, "level set", &options.name, encoding);
     for (key, value) in provenance {
         metadata.string(&prefixed(key), value);
     }
-    let surface = Grid { name: &options.name, encoding, metadata, buffers };
+    let surface = GridParts { name: &options.name, encoding, metadata, buffers };
     let mut grids = vec![surface.finish(levels, options, &tree, &leaves)];
-    let tree = Tree::without_sides(&leaves);
+    let tree = GridTree::without_sides(&leaves);
     for (grid, name) in levels.grids.iter().zip(grid_names(levels.grids, &options.name)) {
         let (encoding, buffers) = encoded_leaves(grid, (&order, &leaves), options)?;
         let mut metadata = self::metadata(&leaves, &tree, "unknown", &name, encoding);
@@ -138,21 +138,21 @@ pub fn encode(levels: &LevelSetView, options: &WriteOptions, provenance: &Proven
             let kind = if is_velocity { "contravariant relative" } else { "invariant" };
             metadata.string("vector_type", kind);
         }
-        let grid = Grid { name: &name, encoding, metadata, buffers };
+        let grid = GridParts { name: &name, encoding, metadata, buffers };
         grids.push(grid.finish(levels, options, &tree, &leaves));
     }
     Ok(assembled(grids))
 }
 
-/// The leaves of a grid beside the level set, in 16 bits if these are asked for and will do.
+/// Encodes the leaves of an additional grid, in 16 bits if requested and if the values fit.
 fn encoded_leaves(
     grid: &BandGrid,
-    leaves: (&[u32], &[Leaf]),
+    leaves: (&[u32], &[TreeLeaf]),
     options: &WriteOptions,
-) -> Result<(Encoding, Vec<Packed>)> {
+) -> Result<(LeafEncoding, Vec<Packed>)> {
     let (arity, compression) = (grid.arity, options.compression);
-    let full = Encoding { scale: 1.0, background: 0.0, arity, half: false, compression };
-    let encoding = Encoding { half: options.half, ..full };
+    let full = LeafEncoding { scale: 1.0, background: 0.0, arity, half: false, compression };
+    let encoding = LeafEncoding { half: options.half, ..full };
     let (packed, greatest) = encode_grid(grid, leaves, encoding)?;
     if encoding.half && greatest > f16::MAX.to_f32() {
         let (packed, _) = encode_grid(grid, leaves, full)?;
@@ -161,15 +161,15 @@ fn encoded_leaves(
     Ok((encoding, packed))
 }
 
-/// What a user should know of the names of grids that are written beside one called `name`.
+/// Notes on grids whose names differ from those of their attributes. `name` is the name of the level set.
 pub fn grid_notes(grids: &[BandGrid], name: &str) -> Vec<String> {
     let is_plain = |grid: &BandGrid| grid.role == Some(Role::Velocity) && grid.arity == 3;
     let named = grids.iter().zip(grid_names(grids, name));
     let renamed = named.filter(|(grid, name)| !is_plain(grid) && *name != grid.name);
-    renamed.map(|(grid, name)| format!("{} is called {name} in the .vdb", grid.name)).collect()
+    renamed.map(|(grid, name)| format!("{} is named {name} in the .vdb", grid.name)).collect()
 }
 
-/// The names of grids, each different from the others: programs find a velocity by its name.
+/// The unique names of grids. Programs find a velocity by its name.
 fn grid_names(grids: &[BandGrid], surface: &str) -> Vec<String> {
     let mut taken = NamesTaken::new(&[surface]);
     let name_of = |grid: &BandGrid| {
@@ -184,30 +184,30 @@ fn grid_names(grids: &[BandGrid], surface: &str) -> Vec<String> {
     grids.iter().map(name_of).collect()
 }
 
-/// A grid in the making.
-struct Grid<'a> {
+/// A grid under construction.
+struct GridParts<'a> {
     name: &'a str,
-    encoding: Encoding,
+    encoding: LeafEncoding,
     metadata: MetaWriter,
     buffers: Vec<Packed>,
 }
 
-impl Grid<'_> {
-    /// The grid as bytes; its descriptor still lacks the positions that it ends with.
+impl GridParts<'_> {
+    /// Encodes the grid; its descriptor still lacks the offsets at its end.
     fn finish(
         self,
         levels: &LevelSetView,
         options: &WriteOptions,
-        tree: &Tree,
-        leaves: &[Leaf],
+        tree: &GridTree,
+        leaves: &[TreeLeaf],
     ) -> EncodedGrid {
-        let Grid { name, encoding, metadata, buffers } = self;
+        let GridParts { name, encoding, metadata, buffers } = self;
         let mut descriptor = Vec::new();
         push_string(&mut descriptor, name.as_bytes());
         let type_name = if encoding.arity == 3 { TYPE_VEC3S } else { TYPE_FLOAT };
         let suffix = if encoding.half { HALF_SUFFIX } else { "" };
         push_string(&mut descriptor, format!("{type_name}{suffix}").as_bytes());
-        push_string(&mut descriptor, b""); // no instance of another grid
+        push_string(&mut descriptor, b""); // not an instance of another grid
 
         let mut body = Vec::new();
         let compression: u32 = match encoding.compression {
@@ -223,7 +223,7 @@ impl Grid<'_> {
     }
 }
 
-/// The grids of a file, each with its place in it.
+/// Assembles the grids of a file and fills in their offsets.
 fn assembled(mut grids: Vec<EncodedGrid>) -> Encoded {
     let digests: Vec<Digest> = grids
         .iter()
@@ -242,18 +242,21 @@ fn assembled(mut grids: Vec<EncodedGrid>) -> Encoded {
     Encoded { header, grids }
 }
 
-/// The leaves' indices in the order of the tree: by root child, lower node and leaf, each by x, y, z.
+/// The leaves' indices in tree order: by root child, lower node and leaf, each by x, y, z.
 fn tree_order(levels: &LevelSetView) -> Result<Vec<u32>> {
     let LevelSetView { origins, leaves, .. } = levels;
     let invalid = |what: String| Err(Error::invalid(FORMAT, Place::File, what));
     if origins.len() != leaves.len() {
-        return invalid(format!("{} leaf origins for {} leaves", origins.len(), leaves.len()));
+        return invalid(format!("there are {} leaf origins for {} leaves", origins.len(), leaves.len()));
     }
     let Ok(count) = u32::try_from(leaves.len()) else {
-        return Err(Error::too_large(FORMAT, format!("{} leaves; 2³² − 1 can be written", leaves.len())));
+        return Err(Error::too_large(
+            FORMAT,
+            format!("the level set has {} leaves; the limit is 2³² − 1", leaves.len()),
+        ));
     };
     if let Some(origin) = origins.iter().find(|origin| origin.iter().any(|c| c & 7 != 0)) {
-        return invalid(format!("leaf origin {origin:?} is not a multiple of 8"));
+        return invalid(format!("the leaf origin {origin:?} is not a multiple of 8"));
     }
     let key = |index: &u32| {
         let origin = origins[*index as usize];
@@ -262,12 +265,12 @@ fn tree_order(levels: &LevelSetView) -> Result<Vec<u32>> {
     let mut order: Vec<u32> = (0..count).collect();
     order.par_sort_unstable_by_key(key);
     if let Some(pair) = order.windows(2).find(|pair| key(&pair[0]) == key(&pair[1])) {
-        return invalid(format!("leaf origin {:?} occurs twice", origins[pair[0] as usize]));
+        return invalid(format!("the leaf origin {:?} occurs twice", origins[pair[0] as usize]));
     }
     Ok(order)
 }
 
-fn encoding(levels: &LevelSetView, options: &WriteOptions) -> Result<Encoding> {
+fn encoding(levels: &LevelSetView, options: &WriteOptions) -> Result<LeafEncoding> {
     let scale = levels.voxel_size;
     let mut background = to_world(levels.half_width_voxels, scale);
     if options.half {
@@ -283,27 +286,33 @@ fn encoding(levels: &LevelSetView, options: &WriteOptions) -> Result<Encoding> {
         );
         return Err(Error::invalid(FORMAT, Place::File, what));
     }
-    Ok(Encoding { scale, background, arity: 1, half: options.half, compression: options.compression })
+    Ok(LeafEncoding { scale, background, arity: 1, half: options.half, compression: options.compression })
 }
 
-fn leaves_of(levels: &LevelSetView, order: &[u32], batches: &[Batch]) -> Result<Vec<Leaf>> {
+fn leaves_of(levels: &LevelSetView, order: &[u32], batches: &[LeafBatch]) -> Result<Vec<TreeLeaf>> {
     let summaries = batches.iter().flat_map(|batch| &batch.summaries);
-    let leaves: Vec<Leaf> = order
+    let leaves: Vec<TreeLeaf> = order
         .iter()
         .zip(summaries)
-        .map(|(&index, &summary)| Leaf { origin: levels.origins[index as usize], summary })
+        .map(|(&index, &summary)| TreeLeaf { origin: levels.origins[index as usize], summary })
         .collect();
     match leaves.iter().find(|leaf| leaf.summary.has_nan) {
         None => Ok(leaves),
         Some(leaf) => {
-            let what = format!("the leaf at {:?} holds values that are no numbers", leaf.origin);
+            let what = format!("the leaf at {:?} contains NaN values", leaf.origin);
             Err(Error::invalid(FORMAT, Place::File, what))
         }
     }
 }
 
-/// What every grid says of itself.
-fn metadata(leaves: &[Leaf], tree: &Tree, class: &str, name: &str, encoding: Encoding) -> MetaWriter {
+/// The metadata of every grid.
+fn metadata(
+    leaves: &[TreeLeaf],
+    tree: &GridTree,
+    class: &str,
+    name: &str,
+    encoding: LeafEncoding,
+) -> MetaWriter {
     let (mut min, mut max) = ([i32::MAX; 3], [i32::MIN; 3]); // what OpenVDB writes if nothing is active
     let (mut leaf_count, mut voxel_count) = (0, 0);
     for leaf in leaves.iter().filter(|leaf| leaf.summary.is_stored()) {
@@ -326,7 +335,7 @@ fn metadata(leaves: &[Leaf], tree: &Tree, class: &str, name: &str, encoding: Enc
         Compression::Blosc => "blosc + active values",
     };
     meta.string("file_compression", compression);
-    // Some programs refuse a grid without this entry.
+    // Some programs reject a grid without this entry.
     meta.int64("file_mem_bytes", tree.memory_bytes(leaf_count, encoding.arity) as i64);
     meta.int64("file_voxel_count", voxel_count as i64);
     if encoding.half {
@@ -336,7 +345,7 @@ fn metadata(leaves: &[Leaf], tree: &Tree, class: &str, name: &str, encoding: Enc
     meta
 }
 
-/// The least and the greatest active voxel of a leaf on each axis; some voxel must be active.
+/// The minimum and maximum active voxel of a leaf on each axis; at least one voxel must be active.
 fn active_bounds(active: &[u64; 8]) -> ([i32; 3], [i32; 3]) {
     let xs = active.iter().enumerate().fold(0u8, |bits, (x, &word)| bits | u8::from(word != 0) << x);
     let plane = active.iter().fold(0, |bits, word| bits | word).to_le_bytes();
@@ -357,7 +366,7 @@ fn append_transform(voxel_size: f64, origin: [f64; 3], out: &mut Vec<u8>) {
     }
     let inverse = 1.0 / voxel_size;
     for number in [voxel_size, voxel_size, inverse, inverse * inverse, inverse / 2.0] {
-        numbers.extend([number; 3]); // scale, voxel size, and what OpenVDB derives from them
+        numbers.extend([number; 3]); // scale, voxel size, and the values that OpenVDB derives from them
     }
     out.extend(numbers.iter().flat_map(|number| number.to_le_bytes()));
 }
@@ -371,7 +380,7 @@ fn header(digests: &[Digest], grid_count: usize) -> Vec<u8> {
     }
     head.push(1); // grids have offsets
     head.extend_from_slice(uuid::format(digest(&bytes)).as_bytes());
-    head.extend_from_slice(&0u32.to_le_bytes()); // no metadata of the file
+    head.extend_from_slice(&0u32.to_le_bytes()); // no file metadata
     head.extend_from_slice(&count_u32(grid_count).to_le_bytes());
     head
 }
@@ -381,7 +390,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_ends_of_the_index_range_are_written() {
+    fn leaves_at_the_limits_of_the_index_range_round_trip() {
         let (least, most) = (i32::MIN, i32::MAX - 7);
         let leaves = [[0.0; 512]; 2];
         let view = LevelSetView {

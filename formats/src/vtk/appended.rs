@@ -1,9 +1,9 @@
-//! A `.vtp` as it is written: what stands before the data, and the arrays that are appended, one after the other.
+//! Writes a `.vtp` document: the XML head, followed by the appended arrays.
 //!
 //! ```text
 //!   <VTKFile type="PolyData" byte_order="LittleEndian" header_type="UInt64">
 //!     <PolyData>
-//!       <FieldData>  <Array type="String" Name="meniscus_radius" ..> 48 46 .. 0 </Array>    what made it; tables of strings
+//!       <FieldData>  <Array type="String" Name="meniscus_radius" ..> 48 46 .. 0 </Array>    provenance, string tables
 //!       <Piece NumberOfPoints="642" ..>
 //!         <PointData> <DataArray Name="v" offset="0"/>      ┐
 //!         <Points>    <DataArray Name="Points" offset=../>  ├ in this order below
@@ -11,8 +11,8 @@
 //!     <AppendedData encoding="raw"> _ [bytes] data  [bytes] data ..
 //! ```
 //!
-//! Strings in XML files of VTK are the codes of their bytes, each string with a zero behind it. Whatever is large is
-//! appended as it is in memory.
+//! VTK's XML files store strings as the decimal codes of their bytes, with a zero after each string. Large
+//! data is appended in its binary form.
 
 use std::io::Write;
 
@@ -21,29 +21,29 @@ use crate::error::Result;
 use crate::provenance::{GENERATOR, prefixed};
 use crate::vertex_attributes::NamesTaken;
 
-/// What the file ends with.
+/// The end of the file.
 const END: &str = "\n  </AppendedData>\n</VTKFile>\n";
 
-/// Whether the last bytes of a file are those of a whole one that this crate made.
+/// Whether these are the last bytes of a complete file of this crate.
 pub(crate) fn ends_as_written(tail: &[u8]) -> bool {
     tail.ends_with(END.as_bytes())
 }
 
-/// What an array holds.
-pub(super) trait Numbers {
+/// The data of an array.
+pub(super) trait ArrayData {
     /// The type of a number.
     fn kind(&self) -> NumberKind;
 
-    /// All numbers of it.
+    /// The number of values.
     fn count(&self) -> u64;
 
-    /// The strings that the numbers are indices into.
+    /// The strings that the values are indices into.
     fn table(&self) -> Option<&[String]>;
 
     fn write(&self, out: &mut impl Write) -> Result<()>;
 }
 
-/// What VTK calls a type of numbers, and the bytes that one takes.
+/// VTK's name of a number type, and its size in bytes.
 pub(super) struct NumberKind(&'static str, u64);
 
 pub(super) const UINT_8: NumberKind = NumberKind("UInt8", 1);
@@ -52,15 +52,15 @@ pub(super) const INT_64: NumberKind = NumberKind("Int64", 8);
 pub(super) const FLOAT_32: NumberKind = NumberKind("Float32", 4);
 pub(super) const FLOAT_64: NumberKind = NumberKind("Float64", 8);
 
-/// An array that is appended.
+/// An appended array.
 pub(super) struct Array<N> {
     name: String,
-    /// Numbers that belong together.
+    /// Number of components per element.
     arity: usize,
     numbers: N,
 }
 
-impl<N: Numbers> Array<N> {
+impl<N: ArrayData> Array<N> {
     pub(super) fn new(name: impl Into<String>, arity: usize, numbers: N) -> Array<N> {
         Array { name: name.into(), arity, numbers }
     }
@@ -71,32 +71,32 @@ impl<N: Numbers> Array<N> {
     }
 }
 
-/// What cells are made of the points.
-pub(super) enum Cells {
+/// The type of the cells.
+pub(super) enum CellKind {
     Verts,
     Polys,
 }
 
-/// All that a file holds.
-pub(super) struct Document<N> {
-    /// The array that has the normals, if one has.
+/// The content of a file.
+pub(super) struct VtpDocument<N> {
+    /// The name of the array with normals, if any.
     pub(super) normals: Option<&'static str>,
-    /// Those with values for each point.
+    /// Arrays with values for each point.
     pub(super) of_points: Vec<Array<N>>,
     pub(super) point_count: usize,
     pub(super) points: N,
-    pub(super) cells: Cells,
+    pub(super) cells: CellKind,
     pub(super) cell_count: usize,
-    /// The points of all cells, one cell after the other.
+    /// The points of all cells, concatenated.
     pub(super) connectivity: N,
-    /// Where in these each cell ends.
+    /// The end of each cell in `connectivity`.
     pub(super) offsets: N,
 }
 
-/// Bytes of the number before each array.
+/// Size of the length field before each array.
 const WORD_BYTES: u64 = 8;
 
-impl<N: Numbers> Document<N> {
+impl<N: ArrayData> VtpDocument<N> {
     pub(super) fn write(self, provenance: &Provenance, out: &mut impl Write) -> Result<()> {
         let parts = self.into_parts();
         out.write_all(parts.head(provenance).as_bytes())?;
@@ -108,45 +108,45 @@ impl<N: Numbers> Document<N> {
         Ok(())
     }
 
-    fn into_parts(self) -> Parts<N> {
+    fn into_parts(self) -> DocumentParts<N> {
         let mut arrays = self.of_points;
         let normals = self.normals.map(|name| format!(" Normals=\"{name}\"")).unwrap_or_default();
         let (cells, vert_count, poly_count) = match self.cells {
-            Cells::Verts => ("Verts", self.cell_count, 0),
-            Cells::Polys => ("Polys", 0, self.cell_count),
+            CellKind::Verts => ("Verts", self.cell_count, 0),
+            CellKind::Polys => ("Polys", 0, self.cell_count),
         };
         let sections = [
-            Section { name: "PointData", about: normals, array_count: arrays.len() },
-            Section { name: "Points", about: String::new(), array_count: 1 },
-            Section { name: cells, about: String::new(), array_count: 2 },
+            XmlSection { name: "PointData", about: normals, array_count: arrays.len() },
+            XmlSection { name: "Points", about: String::new(), array_count: 1 },
+            XmlSection { name: cells, about: String::new(), array_count: 2 },
         ];
         arrays.extend([
             Array::new("Points", 3, self.points),
             Array::new("connectivity", 1, self.connectivity),
             Array::new("offsets", 1, self.offsets),
         ]);
-        Parts { counts: [self.point_count, vert_count, poly_count], sections, arrays }
+        DocumentParts { counts: [self.point_count, vert_count, poly_count], sections, arrays }
     }
 }
 
-/// A file as it is laid out.
-struct Parts<N> {
-    /// Points, vertices that are cells, and polygons.
+/// A file in its final layout.
+struct DocumentParts<N> {
+    /// The numbers of points, of vertex cells, and of polygons.
     counts: [usize; 3],
-    /// Each with the next of the arrays.
-    sections: [Section; 3],
+    /// XML sections; each contains the next `array_count` arrays.
+    sections: [XmlSection; 3],
     arrays: Vec<Array<N>>,
 }
 
-struct Section {
+struct XmlSection {
     name: &'static str,
-    /// More of its tag.
+    /// Further attributes of its tag.
     about: String,
     array_count: usize,
 }
 
-impl<N: Numbers> Parts<N> {
-    /// All that stands before the data.
+impl<N: ArrayData> DocumentParts<N> {
+    /// The text before the data.
     fn head(&self, provenance: &Provenance) -> String {
         let [points, verts, polys] = self.counts;
         let mut text = format!(
@@ -157,7 +157,7 @@ impl<N: Numbers> Parts<N> {
             self.field_data(provenance)
         );
         let (mut offset, mut arrays) = (0, self.arrays.iter());
-        for Section { name, about, array_count } in &self.sections {
+        for XmlSection { name, about, array_count } in &self.sections {
             text += &format!("      <{name}{about}>\n");
             for array in arrays.by_ref().take(*array_count) {
                 let (NumberKind(kind, _), of, arity) =
@@ -173,7 +173,7 @@ impl<N: Numbers> Parts<N> {
         text + "    </Piece>\n  </PolyData>\n  <AppendedData encoding=\"raw\">\n   _"
     }
 
-    /// What made the file, and the strings that values are indices into.
+    /// The provenance, and the strings that values are indices into.
     fn field_data(&self, provenance: &Provenance) -> String {
         let pairs = provenance.iter().map(|(key, value)| string_array(&prefixed(key), &[value]));
         let table = |array: &Array<N>| {
@@ -184,7 +184,7 @@ impl<N: Numbers> Parts<N> {
     }
 }
 
-/// An array of strings, in the form that VTK has for them.
+/// A string array in VTK's encoding.
 fn string_array(name: &str, strings: &[impl AsRef<str>]) -> String {
     let mut text = format!(
         "      <Array type=\"String\" Name=\"{}\" NumberOfTuples=\"{}\" format=\"ascii\">\n       ",
@@ -192,7 +192,7 @@ fn string_array(name: &str, strings: &[impl AsRef<str>]) -> String {
         strings.len()
     );
     for string in strings {
-        // A zero within would be taken for the end.
+        // A zero within a string would end it.
         for byte in string.as_ref().bytes().filter(|&byte| byte != 0).chain([0]) {
             text += &format!(" {byte}");
         }
@@ -200,20 +200,19 @@ fn string_array(name: &str, strings: &[impl AsRef<str>]) -> String {
     text + "\n      </Array>\n"
 }
 
-/// The name of each array in the file: its own, unless XML has no such characters or another one, or one of those reserved,
-/// is called so.
+/// The name of each array in the file: its own, unless it contains characters that XML does not allow, or the
+/// name is reserved or already used.
 pub(super) fn names_of<'a>(names: impl Iterator<Item = &'a str>, reserved: &[&str]) -> Vec<String> {
     let mut taken = NamesTaken::new(reserved);
     names.map(|name| taken.take(&allowed(name), |stem| vec![stem.to_owned()]).concat()).collect()
 }
 
-/// A name with an underscore for each character that XML 1.0 does not allow, not even escaped, and for the others that control
-/// something.
+/// Replaces control characters, and characters that XML 1.0 forbids even in escaped form, by underscores.
 fn allowed(name: &str) -> String {
     name.replace(|c: char| c.is_control() || matches!(c, '\u{fffe}' | '\u{ffff}'), "_")
 }
 
-/// Text as the value of an attribute of XML.
+/// Escapes text for the value of an XML attribute.
 fn escaped(text: &str) -> String {
     quick_xml::escape::escape(text).into_owned()
 }
@@ -223,7 +222,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_have_characters_of_xml_only() {
+    fn forbidden_characters_in_names_are_replaced() {
         let cases = [
             ("heat", "heat"),
             ("a\u{fffe}b\u{ffff}", "a_b_"),

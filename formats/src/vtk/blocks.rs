@@ -1,14 +1,15 @@
-//! The bytes of an array: behind a header that says how many there are, in blocks that may be packed, and perhaps
-//! in the letters of base64.
+//! Decodes the bytes of an array: a header with the sizes, then blocks that may be compressed; all optionally
+//! encoded as base64.
 //!
 //! ```text
-//!   not packed   [bytes] data
-//!   packed       [blocks] [block size] [size of the last, or 0] [packed size] × blocks   block block ..
+//!   uncompressed  [bytes] data
+//!   compressed    [blocks] [block size] [size of the last, or 0] [compressed size] × blocks   block block ..
 //!
-//!   base64       not packed: header and data in one run of letters; packed: a run for the header, one for the data
+//!   base64        header and data in one run of letters; if compressed, a run for the header and one for the data
 //! ```
 //!
-//! Numbers in the header have 32 or 64 bits. A block is a zlib stream, an LZ4 block without a frame, or an .xz file.
+//! Numbers in the header have 32 or 64 bits. A block is a zlib stream, an LZ4 block without frame, or an .xz
+//! file.
 
 use std::borrow::Cow;
 use std::io::Read;
@@ -22,90 +23,93 @@ use crate::limits::Limits;
 
 use super::XML;
 
-/// How all arrays of a file are encoded.
+/// The encoding of all arrays of a file.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Encoding {
+pub(super) struct ArrayEncoding {
     pub(super) endian: Endian,
-    /// Bytes of the numbers in headers.
+    /// Size of the numbers in headers, in bytes.
     pub(super) header_word_bytes: usize,
-    pub(super) packing: Option<Packing>,
+    pub(super) compression: Option<BlockCompression>,
 }
 
-/// What blocks are packed with.
+/// The compression of blocks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Packing {
+pub(super) enum BlockCompression {
     Zlib,
     Lz4,
     Lzma,
 }
 
-/// Where the bytes of an array begin, and what is there.
+/// The encoded bytes of an array.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Encoded<'a> {
-    /// All that follows, of this array and of others.
+pub(super) struct EncodedArray<'a> {
+    /// All bytes from the start of the array, including those of later arrays.
     pub(super) bytes: &'a [u8],
     pub(super) is_base64: bool,
-    /// Where that is in the file.
+    /// The offset of these bytes in the file.
     pub(super) offset: u64,
 }
 
-/// What all arrays of a file have taken so far. Arrays that lie over each other would make much of little.
+/// Total sizes of the arrays decoded so far. Limits overlapping arrays, which could turn a small file into
+/// large data.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Account {
+pub(super) struct ArrayTotals {
     encoded_bytes: u64,
     bytes: u64,
     file_bytes: u64,
 }
 
-impl Account {
-    /// Nothing yet, of a file of so many bytes.
-    pub(super) fn of(file_bytes: u64) -> Account {
-        Account { encoded_bytes: 0, bytes: 0, file_bytes }
+impl ArrayTotals {
+    /// Zero totals for a file of `file_bytes`.
+    pub(super) fn of(file_bytes: u64) -> ArrayTotals {
+        ArrayTotals { encoded_bytes: 0, bytes: 0, file_bytes }
     }
 
-    /// Adds an array, before it is decoded.
+    /// Adds an array before it is decoded.
     fn take(&mut self, encoded_bytes: u64, bytes: u64, name: &str, limits: &Limits) -> Result<()> {
         self.encoded_bytes = self.encoded_bytes.saturating_add(encoded_bytes);
         self.bytes = self.bytes.saturating_add(bytes);
         if self.encoded_bytes > self.file_bytes {
-            let what = format!("`{name}`: the arrays up to this one have more bytes than the file");
+            let what = format!("`{name}`: the arrays up to this one have more bytes in total than the file");
             return Err(Error::invalid(XML, Place::File, what));
         }
-        limits.check_unpacked(XML, self.bytes, self.encoded_bytes)
+        limits.check_decompressed(XML, self.bytes, self.encoded_bytes)
     }
 }
 
-/// Kilobytes that a decoder of LZMA may take: the largest window that its levels have.
+/// Memory limit of an LZMA decoder in KiB: the largest window that its presets use.
 const LZMA_MEMORY_KB: u32 = (64 << 10) + 256;
 
-/// A byte of LZ4 makes no more of these.
+/// The largest ratio by which LZ4 can expand data.
 const LZ4_RATIO_MAX: u64 = 255;
 
-/// The bytes of the array called `name`.
+/// The decoded bytes of the array `name`.
 pub(super) fn decode<'a>(
-    encoded: Encoded<'a>,
-    encoding: Encoding,
+    encoded: EncodedArray<'a>,
+    encoding: ArrayEncoding,
     name: &str,
-    account: &mut Account,
+    totals: &mut ArrayTotals,
     limits: &Limits,
 ) -> Result<Cow<'a, [u8]>> {
-    match encoding.packing {
-        None => decode_plain(encoded, encoding, name, account, limits),
-        Some(packing) => decode_blocks(encoded, encoding, packing, name, account, limits).map(Cow::Owned),
+    match encoding.compression {
+        None => decode_plain(encoded, encoding, name, totals, limits),
+        Some(compression) => {
+            decode_blocks(encoded, encoding, compression, name, totals, limits).map(Cow::Owned)
+        }
     }
 }
 
 fn decode_plain<'a>(
-    encoded: Encoded<'a>,
-    encoding: Encoding,
+    encoded: EncodedArray<'a>,
+    encoding: ArrayEncoding,
     name: &str,
-    account: &mut Account,
+    totals: &mut ArrayTotals,
     limits: &Limits,
 ) -> Result<Cow<'a, [u8]>> {
     let word_bytes = encoding.header_word_bytes;
     let header = encoded.take(0, word_bytes, name)?;
     let length = words(&header, encoding)[0];
-    account.take(length, length, name, limits)?;
+    totals.take(length, length, name, limits)?;
     if !encoded.is_base64 {
         let data = usize::try_from(length).ok().and_then(|length| encoded.bytes[word_bytes..].get(..length));
         let remain = encoded.bytes.len() - word_bytes;
@@ -113,7 +117,7 @@ fn decode_plain<'a>(
     }
     let length = usize::try_from(length).unwrap_or(usize::MAX);
     let header_letters = letters_of(word_bytes);
-    // Some writers encode the header by itself: then its run is padded.
+    // Some writers encode the header separately, which then ends with padding.
     let padding = &b"=="[..header_letters / 4 * 3 - word_bytes];
     if length != 0 && encoded.bytes.get(..header_letters).is_some_and(|run| run.ends_with(padding)) {
         return encoded.take(header_letters, length, name);
@@ -124,11 +128,11 @@ fn decode_plain<'a>(
 }
 
 fn decode_blocks(
-    encoded: Encoded,
-    encoding: Encoding,
-    packing: Packing,
+    encoded: EncodedArray,
+    encoding: ArrayEncoding,
+    compression: BlockCompression,
     name: &str,
-    account: &mut Account,
+    totals: &mut ArrayTotals,
     limits: &Limits,
 ) -> Result<Vec<u8>> {
     let word_bytes = encoding.header_word_bytes;
@@ -150,7 +154,7 @@ fn decode_blocks(
     let data = encoded.take(data_at, usize::try_from(packed_bytes).unwrap_or(usize::MAX), name)?;
     let missing_bytes = if last_bytes == 0 { 0 } else { block_bytes.saturating_sub(last_bytes) };
     let bytes = block_count.saturating_mul(block_bytes).saturating_sub(missing_bytes);
-    account.take(packed_bytes, bytes, name, limits)?;
+    totals.take(packed_bytes, bytes, name, limits)?;
 
     let mut unpacked = Vec::new();
     let mut rest = &data[..];
@@ -161,24 +165,28 @@ fn decode_blocks(
             rest.split_at_checked(usize::try_from(size).unwrap_or(usize::MAX)).unwrap_or_default();
         rest = after;
         let before = unpacked.len();
-        let is_good = unpack(packing, block, length, &mut unpacked);
+        let is_good = decompress(compression, block, length, &mut unpacked);
         if !is_good || (unpacked.len() - before) as u64 != length {
-            let what = format!("`{name}`: block {index} of {block_count} does not unpack to {length} bytes");
+            let what =
+                format!("`{name}`: block {index} of {block_count} does not decompress to {length} bytes");
             return Err(Error::invalid(XML, Place::Offset(encoded.offset), what));
         }
     }
     Ok(unpacked)
 }
 
-/// Appends the `length` bytes of a block, and says whether it was good. Memory grows as bytes come.
-fn unpack(packing: Packing, block: &[u8], length: u64, out: &mut Vec<u8>) -> bool {
-    match packing {
-        Packing::Zlib => flate2::bufread::ZlibDecoder::new(block).take(length).read_to_end(out).is_ok(),
-        Packing::Lzma => lzma_rust2::XzReader::new_mem_limit(block, true, LZMA_MEMORY_KB)
+/// Appends the `length` decompressed bytes of a block; returns false if it is invalid. Memory grows with the
+/// output.
+fn decompress(compression: BlockCompression, block: &[u8], length: u64, out: &mut Vec<u8>) -> bool {
+    match compression {
+        BlockCompression::Zlib => {
+            flate2::bufread::ZlibDecoder::new(block).take(length).read_to_end(out).is_ok()
+        }
+        BlockCompression::Lzma => lzma_rust2::XzReader::new_mem_limit(block, true, LZMA_MEMORY_KB)
             .take(length)
             .read_to_end(out)
             .is_ok(),
-        Packing::Lz4 => {
+        BlockCompression::Lz4 => {
             let most = (block.len() as u64).saturating_mul(LZ4_RATIO_MAX).saturating_add(64);
             let Some(length) = usize::try_from(length).ok().filter(|_| length <= most) else { return false };
             let start = out.len();
@@ -188,8 +196,8 @@ fn unpack(packing: Packing, block: &[u8], length: u64, out: &mut Vec<u8>) -> boo
     }
 }
 
-impl<'a> Encoded<'a> {
-    /// The `length` bytes that are encoded from byte or letter `at` on.
+impl<'a> EncodedArray<'a> {
+    /// Decodes `length` bytes, starting at byte or base64 character `at`.
     fn take(&self, at: usize, length: usize, name: &str) -> Result<Cow<'a, [u8]>> {
         let rest = self.bytes.get(at..).unwrap_or_default();
         if !self.is_base64 {
@@ -201,7 +209,7 @@ impl<'a> Encoded<'a> {
             rest.get(..letter_count).ok_or_else(|| self.too_few(length as u64, rest.len() / 4 * 3, name))?;
         let mut decoded = base64_decoded(letters).ok_or_else(|| {
             let place = Place::Offset(self.offset + at as u64);
-            Error::invalid(XML, place, format!("`{name}` is no base64"))
+            Error::invalid(XML, place, format!("`{name}` is not valid base64"))
         })?;
         if decoded.len() < length {
             return Err(self.too_few(length as u64, decoded.len(), name));
@@ -211,23 +219,23 @@ impl<'a> Encoded<'a> {
     }
 
     fn too_few(&self, expected: u64, found: usize, name: &str) -> Error {
-        let what = format!("expected {expected} bytes or more of `{name}`, {found} remain");
+        let what = format!("expected at least {expected} bytes of `{name}`, but {found} remain");
         Error::invalid(XML, Place::Offset(self.offset), what)
     }
 }
 
-/// A run may end in the middle of what is asked for: after it comes padding.
+/// Decodes base64. A run can end within the requested range, followed by padding.
 fn base64_decoded(letters: &[u8]) -> Option<Vec<u8>> {
     STANDARD.decode(letters).ok()
 }
 
-/// Letters of base64 for so many bytes.
+/// The number of base64 characters for this number of bytes.
 fn letters_of(bytes: usize) -> usize {
     bytes.div_ceil(3) * 4
 }
 
 /// The numbers of a header.
-fn words(header: &[u8], encoding: Encoding) -> Vec<u64> {
+fn words(header: &[u8], encoding: ArrayEncoding) -> Vec<u64> {
     let mut cursor = Cursor::new(XML, encoding.endian, header, 0);
     let word = || match encoding.header_word_bytes {
         8 => cursor.array("a header").ok().map(u64::from_le_bytes),

@@ -1,21 +1,21 @@
-//! Cells of VTK as triangles.
+//! Converts VTK cells to triangles.
 //!
 //! ```text
 //!   connectivity   0 1 2   2 1 3 4   ..      the corners of all cells
-//!   offsets            3         7   ..      where each ends
-//!   types          5       9         ..      what each is; all of POLYGONS, Polys, TRIANGLE_STRIPS and Strips are alike
+//!   offsets            3         7   ..      the end of each cell
+//!   types          5       9         ..      the type of each cell; Polys and Strips have one type for all
 //! ```
 
 use crate::data::Values;
 use crate::error::{Error, Place, Result};
 
-/// A filled polygon, as VTK numbers the types of cells.
+/// VTK's number for the cell type of filled polygons.
 pub(super) const POLYGON: i64 = 7;
 
-/// A strip of triangles.
+/// VTK's number for the cell type of triangle strips.
 pub(super) const TRIANGLE_STRIP: i64 = 6;
 
-/// Integers of any width; `None` where these are not integers.
+/// Converts integers of any width; `None` if the values are not integers.
 pub(super) fn integers(values: Values) -> Option<Vec<i64>> {
     match values {
         Values::U8(values) => Some(values.into_iter().map(i64::from).collect()),
@@ -25,18 +25,18 @@ pub(super) fn integers(values: Values) -> Option<Vec<i64>> {
     }
 }
 
-/// The points that cells have as corners: `count` of them, the first of which is vertex `first` of the mesh.
+/// The points that cells refer to: `count` points, the first of which is vertex `first` of the mesh.
 #[derive(Clone, Copy)]
 pub(super) struct Points {
     pub(super) first: u64,
     pub(super) count: u64,
 }
 
-/// Adds the cells that end at these offsets into `corners`. Polygons of more than three corners become fans; points and
-/// lines are skipped.
+/// Adds the cells that end at these offsets in `corners`. Polygons with more than three corners become fans;
+/// points and lines are skipped.
 ///
 /// # Errors
-/// [`Error::Invalid`] for cells of points that are missing, [`Error::Unsupported`] for cells with a volume.
+/// [`Error::Invalid`] for cells with missing points, [`Error::Unsupported`] for volumetric cells.
 pub(super) fn add_cells(
     format: &'static str,
     (ends, corners): (&[i64], &[i64]),
@@ -52,18 +52,19 @@ pub(super) fn add_cells(
     let mut start = 0;
     for (index, &end) in ends.iter().enumerate() {
         let cell = usize::try_from(end).ok().and_then(|end| Some((corners.get(start..end)?, end)));
-        let (cell, end) =
-            cell.ok_or_else(|| invalid(format!("a cell that ends at corner {end} of {}", corners.len())))?;
+        let (cell, end) = cell.ok_or_else(|| {
+            invalid(format!("a cell ends at corner {end}, but there are only {} corners", corners.len()))
+        })?;
         start = end;
         let mut add = |triangle: [i64; 3]| {
             let [Some(a), Some(b), Some(c)] = triangle.map(vertex) else {
-                return Err(invalid(format!("a cell with a point that is not among the {}", points.count)));
+                return Err(invalid(format!("a cell refers to a point beyond the {} points", points.count)));
             };
             triangles.push([a, b, c]);
             Ok(())
         };
         match (type_of(index), cell) {
-            // Points, lines, and nothing.
+            // Points, lines and empty cells.
             (0..=4 | 21, _) => {}
             (5 | POLYGON | 9, &[first, ref rest @ ..]) => {
                 rest.windows(2).try_for_each(|pair| add([first, pair[0], pair[1]]))?;
@@ -74,18 +75,15 @@ pub(super) fn add_cells(
                     add([a, b, three[2]])?;
                 }
             }
-            // A pixel has its corners row by row.
+            // The corners of a pixel are stored row by row.
             (8, &[a, b, c, d]) => [[a, b, d], [a, d, c]].into_iter().try_for_each(add)?,
             (5 | POLYGON | 8 | 9, _) => {
-                return Err(invalid(format!(
-                    "a cell of type {} with {} corners",
-                    type_of(index),
-                    cell.len()
-                )));
+                return Err(invalid(format!("a cell of type {} has {} corners", type_of(index), cell.len())));
             }
             (other, _) => {
-                let what =
-                    format!("a cell of type {other}, which is not a flat polygon: save the surface alone");
+                let what = format!(
+                    "the file has a cell of type {other}, which is not a flat polygon: save only the surface"
+                );
                 return Err(Error::unsupported(format, what));
             }
         }

@@ -1,4 +1,5 @@
-//! VTK's old format, 3.0 to 5.1: lines of words, and data behind some of them, as decimals or as big-endian bytes.
+//! VTK's legacy format, 3.0 to 5.1: lines of keywords, some of them followed by data in decimals or
+//! big-endian bytes.
 //!
 //! ```text
 //!   # vtk DataFile Version 5.1
@@ -7,16 +8,16 @@
 //!   DATASET POLYDATA                  or UNSTRUCTURED_GRID
 //!   POINTS 64 float                   768 bytes, or 192 decimals
 //!   VERTICES 64 128                   128 integers of 32 bits, up to version 4.2; POLYGONS and CELLS likewise
-//!   VERTICES 65 64                    from 5.0 on: 65 and 64 integers behind lines of their own,
+//!   VERTICES 65 64                    since 5.0: 65 and 64 integers after separate lines,
 //!   OFFSETS vtktypeint64 ..           OFFSETS and CONNECTIVITY
-//!   POINT_DATA 64                     what follows has a value for each point
+//!   POINT_DATA 64                     the following arrays have a value per point
 //!   SCALARS id unsigned_int 1         (LOOKUP_TABLE default)
-//!   FIELD FieldData 2                 arrays, each behind a line: name, components, values, type
-//!   METADATA ..                       up to a blank line: passed over
-//!   CELL_DATA 64                      what follows is passed over
+//!   FIELD FieldData 2                 arrays, each after a line: name, components, values, type
+//!   METADATA ..                       up to a blank line: skipped
+//!   CELL_DATA 64                      the following arrays are skipped
 //! ```
 //!
-//! Nothing tells that the file has ended, other than that nothing is missing.
+//! The format has no end mark: a file is complete if no data is missing.
 
 use crate::bytes::Endian;
 use crate::data::{MeshData, ParticleFrame, Positions, Values};
@@ -31,19 +32,19 @@ use super::cells::{POLYGON, Points, TRIANGLE_STRIP, add_cells, integers};
 use super::pieces::{POLYGONS_NOTE, Piece, checked_count, joined, positions_of};
 use super::xml_arrays::decimals;
 
-/// The longest line that is no data.
+/// The longest line of text.
 const LINE_BYTES_MAX: usize = 64 << 10;
 
 /// Reads the points.
 ///
 /// # Errors
 ///
-/// [`Error::Short`] where data is missing, [`Error::Invalid`] for a line that is not understood,
-/// [`Error::Unsupported`] for data sets that are no lists of points, [`Error::TooLarge`] beyond `limits`.
+/// [`Error::Short`] if data is missing, [`Error::Invalid`] for an unexpected line, [`Error::Unsupported`] for
+/// data sets that are not point sets, [`Error::TooLarge`] beyond `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let mut file = File { bytes, at: 0, is_binary: false, limits };
     file.head()?;
-    let mut found = Found::default();
+    let mut found = LegacyData::default();
     while let Some(line) = file.line()? {
         file.section(&line, &mut found)?;
     }
@@ -54,16 +55,17 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     Ok(joined(vec![Piece { positions, arrays: found.arrays }], found.notes))
 }
 
-/// Reads the points and the polygons, without normals; a polygon of more than three corners becomes a fan. A file without
-/// polygons is a mesh without triangles.
+/// Reads the points and the polygons, without normals. Polygons with more than three corners become fans. A
+/// file without polygons gives a mesh without triangles.
 ///
 /// # Errors
 ///
-/// As [`read`]; [`Error::Invalid`] for polygons of points that are missing, [`Error::Unsupported`] for cells with a volume.
+/// Those of [`read`]; [`Error::Invalid`] for polygons with missing points, [`Error::Unsupported`] for
+/// volumetric cells.
 pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     let mut file = File { bytes, at: 0, is_binary: false, limits };
     file.head()?;
-    let mut found = Found { keeps_cells: true, ..Found::default() };
+    let mut found = LegacyData { keeps_cells: true, ..LegacyData::default() };
     while let Some(line) = file.line()? {
         file.section(&line, &mut found)?;
     }
@@ -78,7 +80,7 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     let points = Points { first: 0, count: mesh.positions.len() as u64 };
     for CellList { kind, ends, corners } in &found.cells {
         if kind.is_none() && found.cell_types.len() != ends.len() {
-            let what = format!("{} CELL_TYPES for {} CELLS", found.cell_types.len(), ends.len());
+            let what = format!("the file has {} CELL_TYPES for {} CELLS", found.cell_types.len(), ends.len());
             return Err(Error::invalid(LEGACY, Place::File, what));
         }
         let type_of = |index: usize| kind.unwrap_or_else(|| found.cell_types[index]);
@@ -87,31 +89,31 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     Ok(mesh)
 }
 
-/// Cells of a section.
+/// The cells of a section.
 struct CellList {
-    /// The type of all of them; `None` where each has its own among the CELL_TYPES.
+    /// The type of all cells; `None` if CELL_TYPES has a type for each.
     kind: Option<i64>,
-    /// Where the corners of each cell end.
+    /// The end of each cell in the list of corners.
     ends: Vec<i64>,
     corners: Vec<i64>,
 }
 
-/// What was read so far.
+/// The content read so far.
 #[derive(Default)]
-struct Found {
+struct LegacyData {
     positions: Option<Positions>,
     arrays: Vec<NamedArray>,
     notes: Vec<String>,
-    /// Whether the arrays that follow have values for points.
+    /// Whether the following arrays have values for points.
     is_of_points: bool,
     has_polygons: bool,
-    /// Whether cells are wanted; else they are passed over.
+    /// Whether to read cells; otherwise they are skipped.
     keeps_cells: bool,
     cells: Vec<CellList>,
     cell_types: Vec<i64>,
 }
 
-/// The walk through the file.
+/// The position in the file.
 struct File<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -119,19 +121,19 @@ struct File<'a> {
     limits: &'a Limits,
 }
 
-/// The words of a line, and where it begins.
-struct Line<'a> {
+/// The words of a line, and its offset.
+struct LegacyLine<'a> {
     words: Vec<&'a str>,
     at: usize,
 }
 
-impl<'a> Line<'a> {
-    /// The word at `index`; nothing if there are fewer.
+impl<'a> LegacyLine<'a> {
+    /// The word at `index`; empty if there are fewer.
     fn word(&self, index: usize) -> &'a str {
         self.words.get(index).copied().unwrap_or_default()
     }
 
-    /// The first word as a keyword.
+    /// The first word as an upper-case keyword.
     fn keyword(&self) -> String {
         self.word(0).to_ascii_uppercase()
     }
@@ -146,11 +148,11 @@ impl<'a> Line<'a> {
     }
 }
 
-/// The type of an array as its line names it.
+/// The type of an array.
 #[derive(Clone, Copy)]
 enum Type {
     Of(Number),
-    /// Eight values in a byte.
+    /// Bits, eight values per byte.
     Bits,
 }
 
@@ -160,7 +162,7 @@ impl<'a> File<'a> {
         let version = self.raw_line()?.ok_or_else(|| missing(self))?;
         let version = version.strip_prefix(b"# vtk DataFile Version ").unwrap_or_default().trim_ascii();
         if !matches!(version.first(), Some(b'1'..=b'5')) {
-            let what = format!("version \"{}\"; 1.0 to 5.1 are read", excerpt(version));
+            let what = format!("the version is \"{}\"; only 1.0 to 5.1 are supported", excerpt(version));
             return Err(Error::unsupported(LEGACY, what));
         }
         self.raw_line()?.ok_or_else(|| missing(self))?;
@@ -175,8 +177,8 @@ impl<'a> File<'a> {
         Ok(())
     }
 
-    /// What the line announces.
-    fn section(&mut self, line: &Line, found: &mut Found) -> Result<()> {
+    /// Reads the section that starts with this line.
+    fn section(&mut self, line: &LegacyLine, found: &mut LegacyData) -> Result<()> {
         let three = |name_at: usize| (line.word(name_at).to_string(), line.word(name_at + 1));
         match line.keyword().as_str() {
             "DATASET" => check_data_set(line),
@@ -193,8 +195,9 @@ impl<'a> File<'a> {
                 found.is_of_points = true;
                 match found.positions.as_ref().map(|positions| positions.len() as u64) {
                     Some(expected) if expected == count => Ok(()),
-                    Some(expected) => Err(line.invalid(&format!("data of {count} points for {expected}"))),
-                    None => Err(line.invalid("POINT_DATA before any POINTS")),
+                    Some(expected) => Err(line
+                        .invalid(&format!("POINT_DATA is for {count} points, but the file has {expected}"))),
+                    None => Err(line.invalid("POINT_DATA comes before POINTS")),
                 }
             }
             "CELL_DATA" => {
@@ -204,7 +207,7 @@ impl<'a> File<'a> {
             "SCALARS" => {
                 let (name, kind) = three(1);
                 let arity = if line.words.len() > 3 { line.count(3, "the number of components")? } else { 1 };
-                self.pass_table_name()?;
+                self.skip_table_name()?;
                 self.array(line, name, kind, arity, found)
             }
             "VECTORS" | "NORMALS" => self.array_of(line, 3, found),
@@ -226,7 +229,7 @@ impl<'a> File<'a> {
                 self.pass(line, number, count.saturating_mul(4))
             }
             "FIELD" => self.field(line, found),
-            "METADATA" => self.pass_metadata(),
+            "METADATA" => self.skip_metadata(),
             other => {
                 Err(line
                     .invalid(&format!("expected a keyword such as POINT_DATA, found `{}`", excerpt(other))))
@@ -234,24 +237,27 @@ impl<'a> File<'a> {
         }
     }
 
-    fn points(&mut self, line: &Line, found: &mut Found) -> Result<()> {
+    fn points(&mut self, line: &LegacyLine, found: &mut LegacyData) -> Result<()> {
         if found.positions.is_some() {
-            return Err(line.invalid("POINTS a second time"));
+            return Err(line.invalid("the file has POINTS twice"));
         }
         let count = checked_count(LEGACY, line.count(1, "the number of points")?, self.limits)?;
         let number = match type_of(line.word(2)) {
             Some(Type::Of(number)) => number,
-            _ => return Err(line.invalid(&format!("points of the type `{}`", excerpt(line.word(2))))),
+            _ => {
+                return Err(line
+                    .invalid(&format!("the points have the unsupported type `{}`", excerpt(line.word(2)))));
+            }
         };
         let values = self.values(line, number, (count as u64).saturating_mul(3))?;
         found.positions = Some(positions_of(LEGACY, values)?);
         Ok(())
     }
 
-    /// The numbers of cells, which are kept where a mesh is wanted.
-    fn cell_section(&mut self, line: &Line, found: &mut Found) -> Result<()> {
+    /// Reads the cells of a section, or skips them unless a mesh is read.
+    fn cell_section(&mut self, line: &LegacyLine, found: &mut LegacyData) -> Result<()> {
         let (count, size) = (line.count(1, "the number of cells")?, line.count(2, "the size of the cells")?);
-        // Where offsets follow, there is one more than there are cells.
+        // If OFFSETS follow, the count is one more than the number of cells.
         let has_offsets = self.bytes[self.at..].trim_ascii_start().starts_with(b"OFFSETS");
         let cell_count = count.saturating_sub(has_offsets.into());
         let kind = match line.keyword().as_str() {
@@ -279,59 +285,75 @@ impl<'a> File<'a> {
             None => return Err(self.short("the file ends before CONNECTIVITY")),
         };
         if found.keeps_cells {
-            // The first is where the first cell begins.
+            // The first offset is the start of the first cell.
             ends.drain(..ends.len().min(1));
             found.cells.push(CellList { kind, ends, corners });
         }
         Ok(())
     }
 
-    fn typed_cell_numbers(&mut self, line: &Line, count: u64, found: &Found) -> Result<Vec<i64>> {
+    fn typed_cell_numbers(&mut self, line: &LegacyLine, count: u64, found: &LegacyData) -> Result<Vec<i64>> {
         match type_of(line.word(1)) {
             Some(Type::Of(number)) => self.cell_numbers(line, number, count, found),
-            _ => Err(line.invalid(&format!("cells of the type `{}`", excerpt(line.word(1))))),
+            _ => {
+                Err(line.invalid(&format!("the cells have the unsupported type `{}`", excerpt(line.word(1)))))
+            }
         }
     }
 
-    /// The next `count` integers where cells are wanted; else goes behind them.
-    fn cell_numbers(&mut self, line: &Line, number: Number, count: u64, found: &Found) -> Result<Vec<i64>> {
+    /// Reads the next `count` integers if a mesh is read; otherwise skips them.
+    fn cell_numbers(
+        &mut self,
+        line: &LegacyLine,
+        number: Number,
+        count: u64,
+        found: &LegacyData,
+    ) -> Result<Vec<i64>> {
         if !found.keeps_cells {
             return self.pass(line, number, count).map(|()| Vec::new());
         }
-        let no_integers = || line.invalid("the numbers of cells are no integers");
+        let no_integers = || line.invalid("the cells are not integers");
         integers(self.values(line, number, count)?).ok_or_else(no_integers)
     }
 
-    /// Data of cells: what follows the points, so what is after it may be left alone.
-    fn cells(&mut self, line: &Line) -> Result<()> {
+    /// Skips the data of cells, up to POINT_DATA or the end of the file. It comes after the points, so it need not
+    /// be valid.
+    fn cells(&mut self, line: &LegacyLine) -> Result<()> {
         line.count(1, "the number of cells")?;
         let rest = &self.bytes[self.at..];
-        // Points may still have data after cells had theirs.
+        // Point data can follow cell data.
         let next = find_line(rest, b"POINT_DATA");
         self.at = next.map_or(self.bytes.len(), |at| self.at + at);
         Ok(())
     }
 
-    /// `VECTORS name type` and its like.
-    fn array_of(&mut self, line: &Line, arity: u64, found: &mut Found) -> Result<()> {
+    /// Reads an array declared by `VECTORS name type` or a similar line.
+    fn array_of(&mut self, line: &LegacyLine, arity: u64, found: &mut LegacyData) -> Result<()> {
         self.array(line, line.word(1).to_string(), line.word(2), arity, found)
     }
 
-    /// An array with values for each point.
-    fn array(&mut self, line: &Line, name: String, kind: &str, arity: u64, found: &mut Found) -> Result<()> {
+    /// Reads an array with values for each point.
+    fn array(
+        &mut self,
+        line: &LegacyLine,
+        name: String,
+        kind: &str,
+        arity: u64,
+        found: &mut LegacyData,
+    ) -> Result<()> {
         let points = found.positions.as_ref().filter(|_| found.is_of_points);
-        let count = points.ok_or_else(|| line.invalid("an array of points outside POINT_DATA"))?.len() as u64;
+        let count = points.ok_or_else(|| line.invalid("a point array is outside POINT_DATA"))?.len() as u64;
         self.take_array(line, &name, kind, arity, count, Some(found))
     }
 
-    /// Arrays that tell their own sizes.
-    fn field(&mut self, line: &Line, found: &mut Found) -> Result<()> {
+    /// Reads arrays that declare their own sizes.
+    fn field(&mut self, line: &LegacyLine, found: &mut LegacyData) -> Result<()> {
         let count = line.count(2, "the number of arrays")?;
         for index in 0..count {
             let mut next = self.line()?;
-            // An array may be called so, too.
+            // An array can also have the name METADATA.
             while next.as_ref().is_some_and(|next| next.words.len() == 1 && next.keyword() == "METADATA") {
-                self.pass_metadata()?;
+                self.skip_metadata()?;
                 next = self.line()?;
             }
             let what = || {
@@ -348,7 +370,7 @@ impl<'a> File<'a> {
             if found.is_of_points && !is_kept {
                 self.check_array_count(found)?;
                 found.notes.push(format!(
-                    "The array `{}` has not a value for each point: left out.",
+                    "skipped the array `{}`: it does not have a value for each point",
                     excerpt(next.word(0))
                 ));
             }
@@ -358,17 +380,17 @@ impl<'a> File<'a> {
         Ok(())
     }
 
-    /// Reads an array, and keeps it if there is where.
+    /// Reads an array, and adds it to `found` if it belongs to points.
     fn take_array(
         &mut self,
-        line: &Line,
+        line: &LegacyLine,
         name: &str,
         kind: &str,
         arity: u64,
         count: u64,
-        found: Option<&mut Found>,
+        found: Option<&mut LegacyData>,
     ) -> Result<()> {
-        let size = arity.checked_mul(count).ok_or_else(|| line.invalid("more values than any file has"))?;
+        let size = arity.checked_mul(count).ok_or_else(|| line.invalid("the array has too many values"))?;
         let name = percent_decoded(name);
         match (type_of(kind), found) {
             (Some(Type::Of(number)), Some(found)) if arity != 0 => {
@@ -382,14 +404,17 @@ impl<'a> File<'a> {
             (Some(Type::Bits), found) => {
                 if let Some(found) = found {
                     self.check_array_count(found)?;
-                    found.notes.push(format!("The array `{}` of bits was left out.", excerpt(name)));
+                    found.notes.push(format!(
+                        "skipped the array `{}`: arrays of bits are not supported",
+                        excerpt(name)
+                    ));
                 }
                 let size = if self.is_binary { size.div_ceil(8) } else { size };
                 self.pass(line, Number::U8, size)
             }
             (None, _) => {
                 let what = format!(
-                    "the array `{}` is of the type `{}`, whose size is not known: remove it",
+                    "the array `{}` has the unknown type `{}`: remove it",
                     excerpt(name),
                     excerpt(kind)
                 );
@@ -398,17 +423,17 @@ impl<'a> File<'a> {
         }
     }
 
-    /// That there may be one more array, which is read or, with a note, left out.
-    fn check_array_count(&self, found: &Found) -> Result<()> {
+    /// Checks that there can be one more array, whether it is read or skipped with a note.
+    fn check_array_count(&self, found: &LegacyData) -> Result<()> {
         if found.arrays.len() + found.notes.len() >= self.limits.attribute_count {
-            let what = format!("more arrays than the limit of {}", self.limits.attribute_count);
+            let what = format!("the file has more arrays than the limit of {}", self.limits.attribute_count);
             return Err(Error::too_large(LEGACY, what));
         }
         Ok(())
     }
 
-    /// The next `count` numbers.
-    fn values(&mut self, line: &Line, number: Number, count: u64) -> Result<Values> {
+    /// Reads the next `count` numbers.
+    fn values(&mut self, line: &LegacyLine, number: Number, count: u64) -> Result<Values> {
         if self.is_binary {
             let data = self.data(line, number, count)?;
             return Ok(number.decode(data, Endian::Big));
@@ -417,7 +442,7 @@ impl<'a> File<'a> {
         let count = self.fitting(line, count, rest.len().div_ceil(2))?;
         let mut end = 0;
         let words =
-            Words { bytes: rest, at: 0 }.inspect(|(_, word_end)| end = *word_end).map(|(word, _)| word);
+            WordSpans { bytes: rest, at: 0 }.inspect(|(_, word_end)| end = *word_end).map(|(word, _)| word);
         let values = decimals(words, number, count).map_err(|word| {
             let what = format!("expected a number of {}, found `{}`", line.word(0), excerpt(word));
             Error::invalid(LEGACY, Place::Offset(self.at as u64), what)
@@ -430,14 +455,14 @@ impl<'a> File<'a> {
         }
     }
 
-    /// Goes behind the next `count` numbers.
-    fn pass(&mut self, line: &Line, number: Number, count: u64) -> Result<()> {
+    /// Skips the next `count` numbers.
+    fn pass(&mut self, line: &LegacyLine, number: Number, count: u64) -> Result<()> {
         if self.is_binary {
             return self.data(line, number, count).map(drop);
         }
         let rest = &self.bytes[self.at..];
         let count = self.fitting(line, count, rest.len().div_ceil(2))?;
-        let mut words = Words { bytes: rest, at: 0 };
+        let mut words = WordSpans { bytes: rest, at: 0 };
         let found = words.by_ref().take(count).count();
         let end = words.at;
         self.at += end;
@@ -448,7 +473,7 @@ impl<'a> File<'a> {
     }
 
     /// The bytes of the next `count` numbers.
-    fn data(&mut self, line: &Line, number: Number, count: u64) -> Result<&'a [u8]> {
+    fn data(&mut self, line: &LegacyLine, number: Number, count: u64) -> Result<&'a [u8]> {
         let rest = &self.bytes[self.at..];
         let count = self.fitting(line, count, rest.len() / number.size())?;
         let data = &rest[..count * number.size()];
@@ -456,15 +481,15 @@ impl<'a> File<'a> {
         Ok(data)
     }
 
-    /// The count as a length, if no more than `most` are there.
-    fn fitting(&self, line: &Line, count: u64, most: usize) -> Result<usize> {
+    /// The count as a length, if at most `most` remain.
+    fn fitting(&self, line: &LegacyLine, count: u64, most: usize) -> Result<usize> {
         usize::try_from(count).ok().filter(|&count| count <= most).ok_or_else(|| {
-            self.short(format!("expected {count} numbers of {}, no more than {most} remain", line.word(0)))
+            self.short(format!("expected {count} numbers of {}, but at most {most} remain", line.word(0)))
         })
     }
 
-    /// `LOOKUP_TABLE default`, which may stand before the values of `SCALARS`.
-    fn pass_table_name(&mut self) -> Result<()> {
+    /// Skips `LOOKUP_TABLE default`, which can precede the values of `SCALARS`.
+    fn skip_table_name(&mut self) -> Result<()> {
         let before = self.at;
         if !self.bytes[self.at..].trim_ascii_start().starts_with(b"LOOKUP_TABLE") {
             return Ok(());
@@ -476,7 +501,7 @@ impl<'a> File<'a> {
         Ok(())
     }
 
-    fn pass_metadata(&mut self) -> Result<()> {
+    fn skip_metadata(&mut self) -> Result<()> {
         while let Some(line) = self.raw_line()? {
             if line.trim_ascii().is_empty() {
                 break;
@@ -485,8 +510,8 @@ impl<'a> File<'a> {
         Ok(())
     }
 
-    /// The next line that is not blank.
-    fn line(&mut self) -> Result<Option<Line<'a>>> {
+    /// The next nonblank line.
+    fn line(&mut self) -> Result<Option<LegacyLine<'a>>> {
         loop {
             let at = self.at;
             let Some(line) = self.raw_line()? else { return Ok(None) };
@@ -497,12 +522,12 @@ impl<'a> File<'a> {
             })?;
             let words: Vec<&str> = text.split_ascii_whitespace().collect();
             if !words.is_empty() {
-                return Ok(Some(Line { words, at }));
+                return Ok(Some(LegacyLine { words, at }));
             }
         }
     }
 
-    /// The next line, which must have its end, unless only blanks are left.
+    /// The next line, which must have a line end unless only blanks remain.
     fn raw_line(&mut self) -> Result<Option<&'a [u8]>> {
         let rest = &self.bytes[self.at..];
         let searched = &rest[..rest.len().min(LINE_BYTES_MAX)];
@@ -525,13 +550,13 @@ impl<'a> File<'a> {
     }
 }
 
-/// The words of a text, each with where it ends.
-struct Words<'a> {
+/// The words of a text, each with the offset of its end.
+struct WordSpans<'a> {
     bytes: &'a [u8],
     at: usize,
 }
 
-impl<'a> Iterator for Words<'a> {
+impl<'a> Iterator for WordSpans<'a> {
     type Item = (&'a [u8], usize);
 
     fn next(&mut self) -> Option<(&'a [u8], usize)> {
@@ -544,13 +569,13 @@ impl<'a> Iterator for Words<'a> {
     }
 }
 
-/// Cells from the layout of versions before 5: each begins with how many corners it has.
-fn counted_cells(kind: Option<i64>, mut numbers: &[i64], line: &Line) -> Result<CellList> {
+/// Parses cells in the layout before version 5: each starts with its number of corners.
+fn counted_cells(kind: Option<i64>, mut numbers: &[i64], line: &LegacyLine) -> Result<CellList> {
     let mut list = CellList { kind, ends: Vec::new(), corners: Vec::new() };
     while let Some((&count, rest)) = numbers.split_first() {
         let cell = usize::try_from(count).ok().and_then(|count| rest.split_at_checked(count));
         let (cell, after) = cell.ok_or_else(|| {
-            line.invalid(&format!("a cell of {count} corners, and {} numbers remain", rest.len()))
+            line.invalid(&format!("a cell has {count} corners, but only {} numbers remain", rest.len()))
         })?;
         list.corners.extend_from_slice(cell);
         list.ends.push(list.corners.len() as i64);
@@ -559,12 +584,14 @@ fn counted_cells(kind: Option<i64>, mut numbers: &[i64], line: &Line) -> Result<
     Ok(list)
 }
 
-fn check_data_set(line: &Line) -> Result<()> {
+fn check_data_set(line: &LegacyLine) -> Result<()> {
     match line.word(1).to_ascii_uppercase().as_str() {
         "POLYDATA" | "UNSTRUCTURED_GRID" => Ok(()),
         other => {
-            let what =
-                format!("a data set of the type {} is no list of points: save POLYDATA", excerpt(other));
+            let what = format!(
+                "the data set has the type {}, which is not supported: save it as POLYDATA",
+                excerpt(other)
+            );
             Err(Error::unsupported(LEGACY, what))
         }
     }
@@ -577,7 +604,7 @@ fn type_of(word: &str) -> Option<Type> {
         "unsigned_char" => Number::U8,
         "short" => Number::I16,
         "unsigned_short" => Number::U16,
-        "int" | "vtktypeint32" | "vtkidtype" => Number::I32, // identities are written in 32 bits
+        "int" | "vtktypeint32" | "vtkidtype" => Number::I32, // VTK writes vtkIdType with 32 bits
         "unsigned_int" | "vtktypeuint32" => Number::U32,
         "long" | "vtktypeint64" | "long_long" => Number::I64,
         "unsigned_long" | "vtktypeuint64" | "unsigned_long_long" => Number::U64,
@@ -587,7 +614,7 @@ fn type_of(word: &str) -> Option<Type> {
     }))
 }
 
-/// Names have `%20` for a blank.
+/// Decodes percent escapes: names have `%20` for a blank.
 fn percent_decoded(name: &str) -> String {
     let mut bytes = Vec::with_capacity(name.len());
     let mut rest = name.as_bytes();
@@ -600,7 +627,7 @@ fn percent_decoded(name: &str) -> String {
     String::from_utf8_lossy(&bytes).into_owned()
 }
 
-/// Where a line begins with the word.
+/// The offset of the first line that starts with the word.
 fn find_line(bytes: &[u8], word: &[u8]) -> Option<usize> {
     let is_there = |&at: &usize| (at == 0 || bytes[at - 1] == b'\n') && bytes[at..].starts_with(word);
     (0..bytes.len()).find(is_there)

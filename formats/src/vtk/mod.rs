@@ -1,10 +1,10 @@
-//! VTK's files: the old format of lines and data, and the XML formats `.vtp` and `.vtu`.
+//! VTK files: the legacy format, and the XML formats `.vtp` and `.vtu`.
 //!
-//! Both hold points, cells and data, and come in pieces and encodings; of all that, particles are the points and
-//! the arrays that have a value for each point. Cells are passed over, but for flat ones where a mesh is
-//! asked for. Meshes are written as `.vtp`.
+//! All contain points, cells and data, in several pieces and encodings. Particles are the points, with the
+//! arrays that have a value for each point. Cells are skipped, except flat ones when a mesh is read. Meshes
+//! are written as `.vtp`.
 //!
-//! The layouts were established from files of VTK, meshio, PyVista and SPlisHSPlasH.
+//! The layouts were derived from files of VTK, meshio, PyVista and SPlisHSPlasH.
 
 use crate::mesh_options::WriteOption;
 use crate::provenance::from_strings;
@@ -33,11 +33,11 @@ pub use xml_polys::read_mesh;
 use appended::ends_as_written;
 use read_strings::field_strings;
 
-/// The formats as users know them, for errors.
+/// The formats' names in errors.
 const LEGACY: &str = "legacy VTK";
 const XML: &str = "VTK XML";
 
-/// What the table of formats says of the old format.
+/// The row of the legacy format in the table of formats.
 pub(crate) static LEGACY_ROW: FormatRow = FormatRow {
     signatures: &[b"# vtk DataFile"],
     beginnings: &[b"# vtk DataFile Version "],
@@ -46,7 +46,7 @@ pub(crate) static LEGACY_ROW: FormatRow = FormatRow {
     ..FormatRow::new(LEGACY, &["vtk"])
 };
 
-/// What the table of formats says of the XML formats.
+/// The row of the XML formats in the table of formats.
 pub(crate) static ROW: OutputRow = OutputRow {
     format: FormatRow {
         particles: Some(ParticleInput::complete_by_reading(read_xml)),

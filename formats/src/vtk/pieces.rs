@@ -1,4 +1,4 @@
-//! Pieces of one data set, made one frame.
+//! Joins the pieces of a data set into one frame.
 
 use crate::data::{ParticleFrame, Positions, Values};
 use crate::error::{Error, Place, Result};
@@ -7,8 +7,8 @@ use crate::limits::Limits;
 use crate::named_arrays::{NamedArray, frame_of};
 use crate::number::{self, append};
 
-/// What is said of files that are meshes as well.
-pub const POLYGONS_NOTE: &str = "The file also has polygons: only its points are read.";
+/// The note for files that also contain a mesh.
+pub const POLYGONS_NOTE: &str = "the file also has polygons, which are ignored: only its points are read";
 
 /// The points of a piece, and the arrays that have a value for each.
 #[derive(Debug, Default)]
@@ -17,22 +17,23 @@ pub(super) struct Piece {
     pub(super) arrays: Vec<NamedArray>,
 }
 
-/// The number of points as a length, within the limits.
+/// Converts the number of points to a length, within the limits.
 pub(super) fn checked_count(format: &'static str, count: u64, limits: &Limits) -> Result<usize> {
     if count > limits.particle_count {
-        let what = format!("{count} points, more than the limit of {}", limits.particle_count);
+        let what = format!("the file has {count} points, more than the limit of {}", limits.particle_count);
         return Err(Error::too_large(format, what));
     }
-    usize::try_from(count).map_err(|_| Error::too_large(format, format!("{count} points")))
+    usize::try_from(count)
+        .map_err(|_| Error::too_large(format, format!("the file has {count} points, too many")))
 }
 
-/// Values as positions.
+/// Converts values to positions.
 pub(super) fn positions_of(format: &'static str, values: Values) -> Result<Positions> {
-    let no_numbers = || Error::invalid(format, Place::File, "the coordinates of the points are no numbers");
+    let no_numbers = || Error::invalid(format, Place::File, "the coordinates of the points are not numbers");
     number::positions(values).ok_or_else(no_numbers)
 }
 
-/// All points one after the other. Arrays that not every piece has are left out, and told.
+/// Joins all points. Skips arrays that are missing in a piece or differ in type, with a note.
 pub(super) fn joined(pieces: Vec<Piece>, mut notes: Vec<String>) -> ParticleFrame {
     let mut pieces = pieces.into_iter().filter(|piece| !piece.positions.is_empty());
     let mut all = pieces.next().unwrap_or_default();
@@ -45,14 +46,14 @@ pub(super) fn joined(pieces: Vec<Piece>, mut notes: Vec<String>) -> ParticleFram
             let is_kept = found.is_some_and(|found| append(&mut array.values, found.values));
             if !is_kept {
                 notes.push(format!(
-                    "The array `{}` is not alike in all pieces: left out.",
+                    "skipped the array `{}`: it is not the same in all pieces",
                     excerpt(&array.name)
                 ));
             }
             is_kept
         });
     }
-    // The positions are given, so there is a frame.
+    // With positions given, a frame is always returned.
     let mut frame = frame_of(Some(all.positions), all.arrays).unwrap_or_default();
     frame.notes.append(&mut notes);
     frame

@@ -1,4 +1,4 @@
-//! The strings in the field data of an XML file: what made it, if this crate's writer did.
+//! Reads the strings in the field data of an XML file, which contain the provenance of this crate's files.
 
 use quick_xml::Reader;
 use quick_xml::events::Event;
@@ -7,17 +7,17 @@ use crate::error::{Error, Place, Result};
 
 use super::XML;
 
-/// Names and strings of all arrays of one string, as far as the head of a file has them.
+/// Names and strings of all arrays with a single string, as far as the head of the file contains them.
 pub(crate) fn field_strings(head: &[u8]) -> Result<Vec<(String, String)>> {
     let text = match std::str::from_utf8(head) {
         Ok(text) => text,
-        // The head may end amid a character, or in the data.
+        // The head can end in the middle of a character, or in the data.
         Err(error) => std::str::from_utf8(&head[..error.valid_up_to()]).unwrap_or_default(),
     };
     let mut reader = Reader::from_str(text);
     reader.config_mut().check_end_names = false;
     let (mut found, mut name, mut is_vtk) = (Vec::new(), None, false);
-    // An error is the end of the head, or of what is XML.
+    // An error means the end of the head, or of the XML text.
     while let Ok(event) = reader.read_event() {
         match event {
             Event::Start(tag) if tag.local_name().as_ref() == "VTKFile" => is_vtk = true,
@@ -42,11 +42,11 @@ pub(crate) fn field_strings(head: &[u8]) -> Result<Vec<(String, String)>> {
     }
     match is_vtk {
         true => Ok(found),
-        false => Err(Error::invalid(XML, Place::File, "no <VTKFile>")),
+        false => Err(Error::invalid(XML, Place::File, "expected <VTKFile>")),
     }
 }
 
-/// The one string whose codes these are.
+/// Decodes a single string from its byte codes.
 fn string_of(codes: &str) -> Option<String> {
     let bytes: Option<Vec<u8>> = codes.split_ascii_whitespace().map(|code| code.parse().ok()).collect();
     let mut bytes = bytes?;

@@ -1,13 +1,14 @@
-//! Writes a mesh as VTK's XML PolyData, `.vtp`: what ParaView opens.
+//! Writes a mesh as VTK's XML PolyData, `.vtp`, for ParaView.
 //!
 //! ```text
-//!   <PointData> Normals, and all that is known of the vertices, under its own name
+//!   <PointData> Normals, and all vertex attributes under their own names
 //!   <Points>
-//!   <Polys>     connectivity and offsets: triangles, or quads where the mesh has them
+//!   <Polys>     connectivity and offsets: triangles, and quads if the mesh has them
 //! ```
 //!
-//! Reals have 32 bits; integers 32 where all fit and else 64. Positions are reals of 64 bits if the mesh has an origin. Axes
-//! are left as they are, for VTK has no word for up. The document around that is [`super::appended`].
+//! Floats have 32 bits; integers have 32 bits if all fit, else 64. Positions are 64-bit floats if the mesh
+//! has an origin. Axes are not converted, because VTK has no notion of up. See [`super::appended`] for the
+//! document around the data.
 
 use std::io::Write;
 
@@ -20,15 +21,15 @@ use crate::vertex_attributes::string_index;
 
 use super::XML;
 use super::appended::{
-    Array, Cells, Document, FLOAT_32, FLOAT_64, INT_32, INT_64, NumberKind, Numbers, names_of,
+    Array, ArrayData, CellKind, FLOAT_32, FLOAT_64, INT_32, INT_64, NumberKind, VtpDocument, names_of,
 };
 
 /// Writes positions, normals, attributes and faces.
 ///
 /// # Errors
 ///
-/// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if the mesh is inconsistent or not finite, or if what
-/// should be a quad is none.
+/// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if the mesh is inconsistent or not finite,
+/// or if two triangles marked as a quad do not form one.
 pub fn write_mesh(
     mesh: &MeshView,
     options: &MeshOptions,
@@ -40,11 +41,11 @@ pub fn write_mesh(
     document(mesh, &options.quads).write(provenance, out)
 }
 
-/// What becomes of vertex attributes that a .vtp does not hold as they are; nothing where all come through.
+/// Notes on vertex attributes that are renamed in a .vtp file.
 pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
     let renamed =
         attributes.iter().zip(names_in_file(attributes)).filter(|(attribute, name)| attribute.name != *name);
-    renamed.map(|(attribute, name)| format!("{} is called {name} in the .vtp", attribute.name)).collect()
+    renamed.map(|(attribute, name)| format!("{} is named {name} in the .vtp", attribute.name)).collect()
 }
 
 fn names_in_file(attributes: &[VertexAttribute]) -> Vec<String> {
@@ -53,35 +54,35 @@ fn names_in_file(attributes: &[VertexAttribute]) -> Vec<String> {
 
 const NORMALS: &str = "Normals";
 
-fn document<'a>(mesh: &MeshView<'a>, quads: &'a [bool]) -> Document<Values<'a>> {
+fn document<'a>(mesh: &MeshView<'a>, quads: &'a [bool]) -> VtpDocument<MeshArray<'a>> {
     let MeshView { positions, normals, triangles, origin, attributes } = *mesh;
-    let mut of_points = vec![Array::new(NORMALS, 3, Values::Floats(normals.as_flattened()))];
+    let mut of_points = vec![Array::new(NORMALS, 3, MeshArray::Floats(normals.as_flattened()))];
     for (attribute, name) in attributes.iter().zip(names_in_file(attributes)) {
         of_points.push(Array::new(name, attribute.arity, values_of(attribute)));
     }
-    // Each quad has six corners as two triangles, and four as one face.
+    // A quad has six corners as two triangles, and four as one face.
     let quad_count = quad_count(quads);
     let (face_count, corner_count) = (triangles.len() - quad_count, 3 * triangles.len() - 2 * quad_count);
-    // Either all of it has 32 bits or nothing: VTK takes no mixture.
+    // Both index arrays have either 32 or 64 bits, because VTK does not support a mixture.
     let is_wide = i32::try_from(corner_count.max(positions.len())).is_err();
-    let of_faces = |what, count| Values::Faces { what, count, triangles, quads, is_wide };
-    Document {
+    let of_faces = |what, count| MeshArray::Faces { what, count, triangles, quads, is_wide };
+    VtpDocument {
         normals: Some(NORMALS),
         of_points,
         point_count: positions.len(),
         points: match origin {
-            [0.0, 0.0, 0.0] => Values::Floats(positions.as_flattened()),
-            origin => Values::FarPositions { positions, origin },
+            [0.0, 0.0, 0.0] => MeshArray::Floats(positions.as_flattened()),
+            origin => MeshArray::FarPositions { positions, origin },
         },
-        cells: Cells::Polys,
+        cells: CellKind::Polys,
         cell_count: face_count,
         connectivity: of_faces(OfFaces::Corners, corner_count),
         offsets: of_faces(OfFaces::Ends, face_count),
     }
 }
 
-/// What is written, and where it comes from.
-enum Values<'a> {
+/// The stored type and the source of the values.
+enum MeshArray<'a> {
     FarPositions {
         positions: &'a [[f32; 3]],
         origin: [f64; 3],
@@ -92,7 +93,7 @@ enum Values<'a> {
     Strings(&'a [String], &'a [i32]),
     Faces {
         what: OfFaces,
-        /// So many numbers.
+        /// Number of values.
         count: usize,
         triangles: &'a [[u32; 3]],
         quads: &'a [bool],
@@ -100,70 +101,70 @@ enum Values<'a> {
     },
 }
 
-/// What is written of faces.
+/// The arrays that describe faces.
 #[derive(Clone, Copy)]
 enum OfFaces {
     Corners,
-    /// How many corners there are, up to the end of each.
+    /// The end of each face in the list of corners.
     Ends,
 }
 
-fn values_of<'a>(attribute: &VertexAttribute<'a>) -> Values<'a> {
+fn values_of<'a>(attribute: &VertexAttribute<'a>) -> MeshArray<'a> {
     match attribute.values {
-        VertexValues::Numbers(values) => Values::Floats(values),
+        VertexValues::Numbers(values) => MeshArray::Floats(values),
         VertexValues::Integers(values) if values.iter().all(|&value| i32::try_from(value).is_ok()) => {
-            Values::Ints(values)
+            MeshArray::Ints(values)
         }
-        VertexValues::Integers(values) => Values::Longs(values),
-        VertexValues::Strings { table, indices } => Values::Strings(table, indices),
+        VertexValues::Integers(values) => MeshArray::Longs(values),
+        VertexValues::Strings { table, indices } => MeshArray::Strings(table, indices),
     }
 }
 
-impl Numbers for Values<'_> {
+impl ArrayData for MeshArray<'_> {
     fn kind(&self) -> NumberKind {
         match self {
-            Values::Floats(_) => FLOAT_32,
-            Values::FarPositions { .. } => FLOAT_64,
-            Values::Ints(_) | Values::Strings(..) | Values::Faces { is_wide: false, .. } => INT_32,
-            Values::Longs(_) | Values::Faces { is_wide: true, .. } => INT_64,
+            MeshArray::Floats(_) => FLOAT_32,
+            MeshArray::FarPositions { .. } => FLOAT_64,
+            MeshArray::Ints(_) | MeshArray::Strings(..) | MeshArray::Faces { is_wide: false, .. } => INT_32,
+            MeshArray::Longs(_) | MeshArray::Faces { is_wide: true, .. } => INT_64,
         }
     }
 
     fn count(&self) -> u64 {
         let count = match self {
-            Values::FarPositions { positions, .. } => positions.as_flattened().len(),
-            Values::Floats(values) => values.len(),
-            Values::Ints(values) | Values::Longs(values) => values.len(),
-            Values::Strings(_, indices) => indices.len(),
-            Values::Faces { count, .. } => *count,
+            MeshArray::FarPositions { positions, .. } => positions.as_flattened().len(),
+            MeshArray::Floats(values) => values.len(),
+            MeshArray::Ints(values) | MeshArray::Longs(values) => values.len(),
+            MeshArray::Strings(_, indices) => indices.len(),
+            MeshArray::Faces { count, .. } => *count,
         };
         count as u64
     }
 
     fn table(&self) -> Option<&[String]> {
         match self {
-            Values::Strings(table, _) => Some(table),
+            MeshArray::Strings(table, _) => Some(table),
             _ => None,
         }
     }
 
     fn write(&self, out: &mut impl Write) -> Result<()> {
         match *self {
-            Values::FarPositions { positions, origin } => positions.chunks(PIECE).try_for_each(|piece| {
+            MeshArray::FarPositions { positions, origin } => positions.chunks(PIECE).try_for_each(|piece| {
                 let world = |p: &[f32; 3]| -> [f64; 3] {
                     std::array::from_fn(|axis| origin[axis] + f64::from(p[axis]))
                 };
                 let piece: Vec<[f64; 3]> = piece.iter().map(world).collect();
                 write_pieces(piece.as_flattened(), f64::to_le_bytes, out)
             }),
-            Values::Floats(values) => write_f32s(values, out),
-            #[expect(clippy::cast_possible_truncation, reason = "all of them were seen to fit")]
-            Values::Ints(values) => write_pieces(values, |value| (value as i32).to_le_bytes(), out),
-            Values::Longs(values) => write_pieces(values, i64::to_le_bytes, out),
-            Values::Strings(table, indices) => {
+            MeshArray::Floats(values) => write_f32s(values, out),
+            #[expect(clippy::cast_possible_truncation, reason = "all values were checked to fit")]
+            MeshArray::Ints(values) => write_pieces(values, |value| (value as i32).to_le_bytes(), out),
+            MeshArray::Longs(values) => write_pieces(values, i64::to_le_bytes, out),
+            MeshArray::Strings(table, indices) => {
                 write_pieces(indices, |index| string_index(index, table).to_le_bytes(), out)
             }
-            Values::Faces { what, triangles, quads, is_wide, .. } => {
+            MeshArray::Faces { what, triangles, quads, is_wide, .. } => {
                 let mut end = 0;
                 let append = |face: Face, numbers: &mut Vec<u64>| match what {
                     OfFaces::Corners => {
@@ -180,10 +181,10 @@ impl Numbers for Values<'_> {
     }
 }
 
-/// Elements that are made at once.
+/// Number of elements encoded at a time.
 const PIECE: usize = 4096;
 
-/// Writes the numbers that `append` makes of each face.
+/// Writes the numbers that `append` returns for each face.
 fn write_faces(
     triangles: &[[u32; 3]],
     quads: &[bool],
@@ -198,7 +199,7 @@ fn write_faces(
         faces(triangles, quads, range).for_each(|face| append(face, &mut numbers));
         match is_wide {
             true => write_pieces(&numbers, u64::to_le_bytes, out)?,
-            #[expect(clippy::cast_possible_truncation, reason = "all of them were seen to fit")]
+            #[expect(clippy::cast_possible_truncation, reason = "all values were checked to fit")]
             false => write_pieces(&numbers, |number| (number as u32).to_le_bytes(), out)?,
         }
     }

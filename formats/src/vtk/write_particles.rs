@@ -1,12 +1,12 @@
-//! Writes particles as VTK's XML PolyData, `.vtp`: points, each of them a cell by itself, so that ParaView shows them.
+//! Writes particles as VTK's XML PolyData, `.vtp`: each point is also a cell, so that ParaView displays it.
 //!
 //! ```text
-//!   <PointData> every attribute under its own name, in its own type
-//!   <Points>    reals of 32 or 64 bits, as the particles have them
+//!   <PointData> every attribute under its own name, with its own type
+//!   <Points>    floats of 32 or 64 bits, as in the particles
 //!   <Verts>     connectivity 0 1 2 .., offsets 1 2 3 ..
 //! ```
 //!
-//! The document around that is [`super::appended`].
+//! See [`super::appended`] for the document around the data.
 
 use std::borrow::Cow;
 use std::io::Write;
@@ -19,28 +19,29 @@ use crate::vertex_attributes::string_index;
 
 use super::XML;
 use super::appended::{
-    Array, Cells, Document, FLOAT_32, FLOAT_64, INT_32, INT_64, NumberKind, Numbers, UINT_8, names_of,
+    Array, ArrayData, CellKind, FLOAT_32, FLOAT_64, INT_32, INT_64, NumberKind, UINT_8, VtpDocument, names_of,
 };
 
 /// Writes positions and attributes.
 ///
 /// # Errors
 ///
-/// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if an attribute has not its values for each particle.
+/// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if an attribute has the wrong number of
+/// values.
 pub fn write_particles(frame: &ParticleFrame, provenance: &Provenance, out: &mut impl Write) -> Result<()> {
     check(frame, XML)?;
     document(frame).write(provenance, out)
 }
 
-/// What becomes of attributes that a .vtp does not hold as they are; nothing where all come through.
+/// Notes on attributes that a .vtp file cannot store exactly.
 pub fn particle_notes(frame: &ParticleFrame) -> Vec<String> {
     let mut notes = Vec::new();
     for (attribute, name) in frame.attributes.iter().zip(names_in_file(frame)) {
         if attribute.name != name {
-            notes.push(format!("{} is called {name} in the .vtp", attribute.name));
+            notes.push(format!("{} is named {name} in the .vtp", attribute.name));
         }
         if matches!(attribute.values, Values::Strings { .. }) {
-            notes.push(format!("{name} is numbers in the .vtp: which strings they are is in its field data"));
+            notes.push(format!("{name} is stored as indices in the .vtp; the strings are in its field data"));
         }
     }
     notes
@@ -50,38 +51,40 @@ fn names_in_file(frame: &ParticleFrame) -> Vec<String> {
     names_of(frame.attributes.iter().map(|attribute| &*attribute.name), &[])
 }
 
-fn document(frame: &ParticleFrame) -> Document<Data<'_>> {
+fn document(frame: &ParticleFrame) -> VtpDocument<ParticleArray<'_>> {
     let point_count = frame.positions.len();
     let attributes = frame.attributes.iter().zip(names_in_file(frame));
-    Document {
+    VtpDocument {
         normals: None,
         of_points: attributes
-            .map(|(attribute, name)| Array::new(name, attribute.arity, Data::Values(written(attribute))))
+            .map(|(attribute, name)| {
+                Array::new(name, attribute.arity, ParticleArray::Values(written(attribute)))
+            })
             .collect(),
         point_count,
-        points: Data::Positions(&frame.positions),
-        cells: Cells::Verts,
+        points: ParticleArray::Positions(&frame.positions),
+        cells: CellKind::Verts,
         cell_count: point_count,
-        connectivity: Data::Counted(0, point_count),
-        offsets: Data::Counted(1, point_count),
+        connectivity: ParticleArray::Counted(0, point_count),
+        offsets: ParticleArray::Counted(1, point_count),
     }
 }
 
-/// What is written.
-enum Data<'a> {
+/// The data of an array.
+enum ParticleArray<'a> {
     Values(Cow<'a, Values>),
     Positions(&'a Positions),
-    /// So many numbers, from this one on.
+    /// Consecutive integers: the first, and their number.
     Counted(i64, usize),
 }
 
-impl Numbers for Data<'_> {
+impl ArrayData for ParticleArray<'_> {
     fn kind(&self) -> NumberKind {
         match self {
-            Data::Positions(Positions::F32(_)) => FLOAT_32,
-            Data::Positions(Positions::F64(_)) => FLOAT_64,
-            Data::Counted(..) => INT_64,
-            Data::Values(values) => match &**values {
+            ParticleArray::Positions(Positions::F32(_)) => FLOAT_32,
+            ParticleArray::Positions(Positions::F64(_)) => FLOAT_64,
+            ParticleArray::Counted(..) => INT_64,
+            ParticleArray::Values(values) => match &**values {
                 Values::F32(_) => FLOAT_32,
                 Values::F64(_) => FLOAT_64,
                 Values::U8(_) => UINT_8,
@@ -93,26 +96,26 @@ impl Numbers for Data<'_> {
 
     fn count(&self) -> u64 {
         let count = match self {
-            Data::Positions(positions) => 3 * positions.len(),
-            Data::Counted(_, count) => *count,
-            Data::Values(values) => crate::number::length(values),
+            ParticleArray::Positions(positions) => 3 * positions.len(),
+            ParticleArray::Counted(_, count) => *count,
+            ParticleArray::Values(values) => crate::number::length(values),
         };
         count as u64
     }
 
     fn table(&self) -> Option<&[String]> {
-        let Data::Values(values) = self else { return None };
+        let ParticleArray::Values(values) = self else { return None };
         let Values::Strings { table, .. } = &**values else { return None };
         Some(table)
     }
 
     fn write(&self, out: &mut impl Write) -> Result<()> {
         match self {
-            Data::Positions(Positions::F32(positions)) => write_f32s(positions.as_flattened(), out),
-            Data::Positions(Positions::F64(positions)) => {
+            ParticleArray::Positions(Positions::F32(positions)) => write_f32s(positions.as_flattened(), out),
+            ParticleArray::Positions(Positions::F64(positions)) => {
                 write_pieces(positions.as_flattened(), f64::to_le_bytes, out)
             }
-            Data::Counted(from, count) => {
+            ParticleArray::Counted(from, count) => {
                 let mut next = *from;
                 for piece in (0..*count).step_by(PIECE) {
                     let length = PIECE.min(count - piece) as i64;
@@ -122,7 +125,7 @@ impl Numbers for Data<'_> {
                 }
                 Ok(())
             }
-            Data::Values(values) => match &**values {
+            ParticleArray::Values(values) => match &**values {
                 Values::F32(values) => write_f32s(values, out),
                 Values::F64(values) => write_pieces(values, f64::to_le_bytes, out),
                 Values::U8(values) => Ok(out.write_all(values)?),
@@ -136,5 +139,5 @@ impl Numbers for Data<'_> {
     }
 }
 
-/// Numbers that are made at once.
+/// Number of values encoded at a time.
 const PIECE: usize = 4096;

@@ -1,19 +1,19 @@
-//! VTK's XML files of points: `.vtp` (PolyData) and `.vtu` (UnstructuredGrid).
+//! VTK's XML files with points: `.vtp` (PolyData) and `.vtu` (UnstructuredGrid).
 //!
 //! ```text
 //!   <VTKFile type="PolyData" byte_order="LittleEndian" header_type="UInt64" compressor="vtkZLibDataCompressor">
 //!    <PolyData>
-//!     <Piece NumberOfPoints="64" ..>                                 again and again
+//!     <Piece NumberOfPoints="64" ..>                                 repeated
 //!      <PointData> <DataArray type="Float32" Name="velocity" NumberOfComponents="3" format="appended" offset="0"/>
 //!      <Points>    <DataArray type="Float32" NumberOfComponents="3" format="ascii"> 0.5 0.25 1 .. </DataArray>
-//!      <Verts> ..                                                    passed over, like all other cells, but for Polys, Strips and
-//!                                                                     Cells where a mesh is asked for
-//!    <AppendedData encoding="raw"> _.............................    bytes, which are no XML
+//!      <Verts> ..                                                    skipped, like all other cells, except Polys,
+//!                                                                     Strips and Cells when a mesh is read
+//!    <AppendedData encoding="raw"> _.............................    bytes that are not XML
 //!   </VTKFile>
 //! ```
 //!
-//! The text is cut before the appended data, so that the parser never sees it. Whether the file is whole is told by
-//! its last tag.
+//! The text is cut before the appended data, so that the parser never sees it. The last tag shows whether the
+//! file is complete.
 
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
@@ -27,16 +27,17 @@ use crate::named_arrays::NamedArray;
 use crate::number::Number;
 
 use super::XML;
-use super::blocks::{Account, Encoding, Packing};
+use super::blocks::{ArrayEncoding, ArrayTotals, BlockCompression};
 use super::pieces::{POLYGONS_NOTE, Piece, checked_count, joined, positions_of};
-use super::xml_arrays::{Appended, DataArray, Form};
+use super::xml_arrays::{Appended, ArrayForm, DataArray};
 
 /// Reads the points of all pieces.
 ///
 /// # Errors
 ///
-/// [`Error::Short`] for a file without its last tag, [`Error::Invalid`] for malformed XML and for arrays that do not
-/// fit, [`Error::Unsupported`] for data sets that are no lists of points, [`Error::TooLarge`] beyond `limits`.
+/// [`Error::Short`] if the last tag is missing, [`Error::Invalid`] for malformed XML and for arrays of the
+/// wrong size, [`Error::Unsupported`] for data sets that are not point sets, [`Error::TooLarge`] beyond
+/// `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let (mut decoder, pieces, mut notes) = open(bytes, limits)?;
     if pieces.iter().any(|piece| piece.polys.count != 0) {
@@ -44,12 +45,12 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     }
     let pieces: Vec<Piece> =
         pieces.iter().map(|described| piece(described, &mut decoder, &mut notes)).collect::<Result<_>>()?;
-    // A limit for each piece is none for all of them.
+    // A limit for each piece does not limit their total.
     checked_count(XML, pieces.iter().map(|piece| piece.positions.len() as u64).sum(), limits)?;
     Ok(joined(pieces, notes))
 }
 
-/// What the pieces of a file are, what decodes them, and notes.
+/// The pieces of a file, the decoder of their arrays, and notes.
 pub(super) fn open<'a>(
     bytes: &'a [u8],
     limits: &'a Limits,
@@ -63,12 +64,12 @@ pub(super) fn open<'a>(
         Error::invalid(XML, Place::Offset(error.valid_up_to() as u64), "expected UTF-8 text")
     })?;
     let document = document(text, limits)?;
-    let account = Account::of(bytes.len() as u64);
-    let decoder = Decoder { encoding: document.encoding, appended, account, limits };
+    let totals = ArrayTotals::of(bytes.len() as u64);
+    let decoder = Decoder { encoding: document.encoding, appended, totals, limits };
     Ok((decoder, document.pieces, document.notes))
 }
 
-/// The text, and the data that is appended to it.
+/// Splits the file into text and appended data.
 fn split_appended(bytes: &[u8]) -> Result<(&[u8], Option<Appended<'_>>)> {
     const TAG: &[u8] = b"<AppendedData";
     let Some(at) = bytes.windows(TAG.len()).position(|window| window == TAG) else {
@@ -88,19 +89,20 @@ fn split_appended(bytes: &[u8]) -> Result<(&[u8], Option<Appended<'_>>)> {
     Ok((&bytes[..at], Some(data)))
 }
 
-/// Pieces of a file, and arrays of all of them: a few bytes of text describe one, which takes more to remember.
+/// Limit on the pieces of a file, and on the arrays of all pieces: a few bytes of text describe one, but it
+/// takes more memory.
 const PART_COUNT_MAX: usize = 1 << 16;
 
-/// What the elements say.
-struct Document<'a> {
-    encoding: Encoding,
+/// The parsed elements.
+struct XmlDocument<'a> {
+    encoding: ArrayEncoding,
     pieces: Vec<Described<'a>>,
-    /// Of all pieces.
+    /// The number of arrays in all pieces.
     array_count: usize,
     notes: Vec<String>,
 }
 
-/// A piece, its data not yet looked at.
+/// A piece whose data is not decoded yet.
 #[derive(Default)]
 pub(super) struct Described<'a> {
     pub(super) point_count: usize,
@@ -108,13 +110,13 @@ pub(super) struct Described<'a> {
     arrays: Vec<DataArray<'a>>,
     /// Polygons of a PolyData.
     pub(super) polys: CellArrays<'a>,
-    /// Strips of triangles of a PolyData.
+    /// Triangle strips of a PolyData.
     pub(super) strips: CellArrays<'a>,
     /// Cells of an UnstructuredGrid.
     pub(super) cells: CellArrays<'a>,
 }
 
-/// Cells of a piece, and the arrays that describe them.
+/// The cells of a piece, and the arrays that describe them.
 #[derive(Default)]
 pub(super) struct CellArrays<'a> {
     pub(super) count: usize,
@@ -122,20 +124,20 @@ pub(super) struct CellArrays<'a> {
 }
 
 impl<'a> Described<'a> {
-    /// The cells of a section; `None` for the others.
-    fn cells_of(&mut self, section: Section) -> Option<&mut CellArrays<'a>> {
+    /// The cells of a section; `None` for the other sections.
+    fn cells_of(&mut self, section: PieceSection) -> Option<&mut CellArrays<'a>> {
         match section {
-            Section::Polys => Some(&mut self.polys),
-            Section::Strips => Some(&mut self.strips),
-            Section::Cells => Some(&mut self.cells),
-            Section::Points | Section::PointData | Section::Other => None,
+            PieceSection::Polys => Some(&mut self.polys),
+            PieceSection::Strips => Some(&mut self.strips),
+            PieceSection::Cells => Some(&mut self.cells),
+            PieceSection::Points | PieceSection::PointData | PieceSection::Other => None,
         }
     }
 }
 
-/// The part of a piece that an array stands in.
+/// The part of a piece that contains an array.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Section {
+enum PieceSection {
     Points,
     PointData,
     Polys,
@@ -144,12 +146,12 @@ enum Section {
     Other,
 }
 
-fn document<'a>(text: &'a str, limits: &Limits) -> Result<Document<'a>> {
+fn document<'a>(text: &'a str, limits: &Limits) -> Result<XmlDocument<'a>> {
     let mut reader = Reader::from_str(text);
-    // The names of all open elements would be kept; none of them is asked for.
+    // The parser would store the names of all open elements, which nothing needs.
     reader.config_mut().check_end_names = false;
-    let mut document: Option<Document<'a>> = None;
-    let mut section = Section::Other;
+    let mut document: Option<XmlDocument<'a>> = None;
+    let mut section = PieceSection::Other;
     let mut is_in_array = false;
     loop {
         let at = reader.buffer_position();
@@ -161,29 +163,29 @@ fn document<'a>(text: &'a str, limits: &Limits) -> Result<Document<'a>> {
                 ("VTKFile", _) => document = Some(opened(&tag, at)?),
                 (_, None) => return Err(malformed(at, "expected <VTKFile>")),
                 ("Piece", Some(document)) if document.pieces.len() >= PART_COUNT_MAX => {
-                    let what = format!("{} pieces and more", document.pieces.len());
+                    let what = format!("the file has more than {} pieces, the limit", document.pieces.len());
                     return Err(Error::too_large(XML, what));
                 }
                 ("Piece", Some(document)) => document.pieces.push(described(&tag, at, limits)?),
-                ("Points", _) if !is_empty => section = Section::Points,
-                ("PointData", _) if !is_empty => section = Section::PointData,
-                ("Polys", _) if !is_empty => section = Section::Polys,
-                ("Strips", _) if !is_empty => section = Section::Strips,
-                ("Cells", _) if !is_empty => section = Section::Cells,
-                ("DataArray", Some(document)) if section != Section::Other => {
+                ("Points", _) if !is_empty => section = PieceSection::Points,
+                ("PointData", _) if !is_empty => section = PieceSection::PointData,
+                ("Polys", _) if !is_empty => section = PieceSection::Polys,
+                ("Strips", _) if !is_empty => section = PieceSection::Strips,
+                ("Cells", _) if !is_empty => section = PieceSection::Cells,
+                ("DataArray", Some(document)) if section != PieceSection::Other => {
                     take_array(&tag, at, section, document, limits)?;
                     is_in_array = !is_empty;
                 }
                 _ => {}
             },
-            Event::Text(text) if is_in_array && section != Section::Other => {
+            Event::Text(text) if is_in_array && section != PieceSection::Other => {
                 if let (Some(document), std::borrow::Cow::Borrowed(text)) = (&mut document, text.into_inner())
                 {
                     set_content(document, section, text.as_bytes(), at);
                 }
             }
             Event::End(tag) => match tag.local_name().as_ref() {
-                "Points" | "PointData" | "Polys" | "Strips" | "Cells" => section = Section::Other,
+                "Points" | "PointData" | "Polys" | "Strips" | "Cells" => section = PieceSection::Other,
                 "DataArray" => is_in_array = false,
                 _ => {}
             },
@@ -202,18 +204,18 @@ pub(super) fn malformed(at: u64, what: &str) -> Error {
     Error::invalid(XML, Place::Offset(at), what)
 }
 
-/// What the first element says of all data.
-fn opened<'a>(tag: &BytesStart, at: u64) -> Result<Document<'a>> {
+/// Parses the first element, which describes the encoding of all data.
+fn opened<'a>(tag: &BytesStart, at: u64) -> Result<XmlDocument<'a>> {
     let kind = attribute(tag, "type", at)?.unwrap_or_default();
     match kind.as_str() {
         "PolyData" | "UnstructuredGrid" => {}
         "PPolyData" | "PUnstructuredGrid" => {
-            let what = "this only names the files that the pieces are in: give those (.vtp or .vtu)";
+            let what = "this file only lists the files of the pieces: use those (.vtp or .vtu)";
             return Err(Error::unsupported(XML, what));
         }
         other => {
             let what = format!(
-                "a data set of the type \"{}\" is no list of points: save PolyData (.vtp)",
+                "the data set has the type \"{}\", which is not supported: save it as PolyData (.vtp)",
                 excerpt(other)
             );
             return Err(Error::unsupported(XML, what));
@@ -227,20 +229,23 @@ fn opened<'a>(tag: &BytesStart, at: u64) -> Result<Document<'a>> {
     let header_word_bytes = match attribute(tag, "header_type", at)?.as_deref() {
         None | Some("UInt32") => 4,
         Some("UInt64") => 8,
-        Some(other) => return Err(malformed(at, &format!("unknown type of headers \"{}\"", excerpt(other)))),
+        Some(other) => return Err(malformed(at, &format!("unknown header type \"{}\"", excerpt(other)))),
     };
-    let packing = match attribute(tag, "compressor", at)?.as_deref() {
+    let compression = match attribute(tag, "compressor", at)?.as_deref() {
         None | Some("") => None,
-        Some("vtkZLibDataCompressor") => Some(Packing::Zlib),
-        Some("vtkLZ4DataCompressor") => Some(Packing::Lz4),
-        Some("vtkLZMADataCompressor") => Some(Packing::Lzma),
+        Some("vtkZLibDataCompressor") => Some(BlockCompression::Zlib),
+        Some("vtkLZ4DataCompressor") => Some(BlockCompression::Lz4),
+        Some("vtkLZMADataCompressor") => Some(BlockCompression::Lzma),
         Some(other) => {
-            let what = format!("packed by {}: save it with zlib, LZ4 or LZMA, or not packed", excerpt(other));
+            let what = format!(
+                "the data is compressed with {}: save it with zlib, LZ4 or LZMA, or uncompressed",
+                excerpt(other)
+            );
             return Err(Error::unsupported(XML, what));
         }
     };
-    let encoding = Encoding { endian, header_word_bytes, packing };
-    Ok(Document { encoding, pieces: Vec::new(), array_count: 0, notes: Vec::new() })
+    let encoding = ArrayEncoding { endian, header_word_bytes, compression };
+    Ok(XmlDocument { encoding, pieces: Vec::new(), array_count: 0, notes: Vec::new() })
 }
 
 fn described<'a>(tag: &BytesStart, at: u64, limits: &Limits) -> Result<Described<'a>> {
@@ -269,23 +274,26 @@ fn described<'a>(tag: &BytesStart, at: u64, limits: &Limits) -> Result<Described
 fn take_array<'a>(
     tag: &BytesStart<'a>,
     at: u64,
-    section: Section,
-    document: &mut Document<'a>,
+    section: PieceSection,
+    document: &mut XmlDocument<'a>,
     limits: &Limits,
 ) -> Result<()> {
     let Some(piece) = document.pieces.last_mut() else {
-        return Err(malformed(at, "an array of points outside any piece"));
+        return Err(malformed(at, "a point array is outside all pieces"));
     };
     document.array_count += 1;
     let known_count = piece.cells_of(section).map_or(0, |cells| cells.arrays.len()).max(piece.arrays.len());
     if known_count >= limits.attribute_count || document.array_count > PART_COUNT_MAX {
-        let what = format!("more arrays than the limit of {}", limits.attribute_count.min(PART_COUNT_MAX));
+        let what = format!(
+            "the file has more arrays than the limit of {}",
+            limits.attribute_count.min(PART_COUNT_MAX)
+        );
         return Err(Error::too_large(XML, what));
     }
     let array = data_array(tag, at)?;
     match section {
-        Section::Points => piece.points = Some(array),
-        Section::PointData => piece.arrays.push(array),
+        PieceSection::Points => piece.points = Some(array),
+        PieceSection::PointData => piece.arrays.push(array),
         other => {
             if let Some(cells) = piece.cells_of(other) {
                 cells.arrays.push(array);
@@ -303,7 +311,7 @@ fn data_array<'a>(tag: &BytesStart, at: u64) -> Result<DataArray<'a>> {
             malformed(
                 at,
                 &format!(
-                    "the array `{}` has \"{}\" components, which is no number",
+                    "the array `{}` has \"{}\" components, which is not a number",
                     excerpt(&name),
                     excerpt(&text)
                 ),
@@ -311,15 +319,15 @@ fn data_array<'a>(tag: &BytesStart, at: u64) -> Result<DataArray<'a>> {
         })?,
     };
     let form = match attribute(tag, "format", at)?.as_deref() {
-        None | Some("ascii") => Form::Ascii,
-        Some("binary") => Form::Binary,
+        None | Some("ascii") => ArrayForm::Ascii,
+        Some("binary") => ArrayForm::Binary,
         Some("appended") => {
             let offset = attribute(tag, "offset", at)?.unwrap_or_default();
-            Form::Appended(offset.trim().parse().map_err(|_| {
+            ArrayForm::Appended(offset.trim().parse().map_err(|_| {
                 malformed(
                     at,
                     &format!(
-                        "the array `{}` has the offset \"{}\", which is no number",
+                        "the array `{}` has the offset \"{}\", which is not a number",
                         excerpt(&name),
                         excerpt(&offset)
                     ),
@@ -353,12 +361,12 @@ fn number_of(kind: &str) -> Option<Number> {
     })
 }
 
-/// The text of an array; what stands between its other children is blank.
-fn set_content<'a>(document: &mut Document<'a>, section: Section, text: &'a [u8], at: u64) {
+/// Stores the text of an array. Texts between its other children are blank.
+fn set_content<'a>(document: &mut XmlDocument<'a>, section: PieceSection, text: &'a [u8], at: u64) {
     let Some(piece) = document.pieces.last_mut() else { return };
     let array = match section {
-        Section::Points => piece.points.as_mut(),
-        Section::PointData => piece.arrays.last_mut(),
+        PieceSection::Points => piece.points.as_mut(),
+        PieceSection::PointData => piece.arrays.last_mut(),
         other => piece.cells_of(other).and_then(|cells| cells.arrays.last_mut()),
     };
     if let Some(array) =
@@ -377,17 +385,17 @@ fn attribute(tag: &BytesStart, name: &str, at: u64) -> Result<Option<String>> {
     Ok(Some(value.into_owned()))
 }
 
-/// What turns described arrays into values.
+/// Decodes described arrays.
 pub(super) struct Decoder<'a> {
-    encoding: Encoding,
+    encoding: ArrayEncoding,
     appended: Option<Appended<'a>>,
-    account: Account,
+    totals: ArrayTotals,
     limits: &'a Limits,
 }
 
 impl Decoder<'_> {
     pub(super) fn values(&mut self, array: &DataArray, number: Number, count: usize) -> Result<Values> {
-        array.values(number, count, self.encoding, self.appended, &mut self.account, self.limits)
+        array.values(number, count, self.encoding, self.appended, &mut self.totals, self.limits)
     }
 }
 
@@ -400,7 +408,7 @@ fn piece(described: &Described, decoder: &mut Decoder, notes: &mut Vec<String>) 
     let mut arrays = Vec::new();
     for array in &described.arrays {
         let (Some(number), 1..) = (array.number, array.arity) else {
-            notes.push(format!("The array `{}` holds no numbers and was left out.", excerpt(&array.name)));
+            notes.push(format!("skipped the array `{}`: it is not numeric", excerpt(&array.name)));
             continue;
         };
         let values = decoder.values(array, number, count)?;
@@ -409,9 +417,9 @@ fn piece(described: &Described, decoder: &mut Decoder, notes: &mut Vec<String>) 
     Ok(Piece { positions, arrays })
 }
 
-/// Where the points of a piece are.
+/// The positions of the points of a piece.
 pub(super) fn points_of(described: &Described, decoder: &mut Decoder) -> Result<Positions> {
-    let no_points = || Error::invalid(XML, Place::File, "a piece has no array of its points");
+    let no_points = || Error::invalid(XML, Place::File, "a piece has no array of points");
     let points = described.points.as_ref().ok_or_else(no_points)?;
     let number = points
         .number

@@ -1,4 +1,4 @@
-//! From a `DataArray` element to values.
+//! Decodes `DataArray` elements.
 
 use crate::bytes::Endian;
 use crate::data::Values;
@@ -9,33 +9,33 @@ use crate::number::{self, Number};
 use crate::text::parse_number;
 
 use super::XML;
-use super::blocks::{Account, Encoded, Encoding, decode};
+use super::blocks::{ArrayEncoding, ArrayTotals, EncodedArray, decode};
 
-/// An array as its element describes it.
+/// An array as described by its element.
 #[derive(Debug)]
 pub(super) struct DataArray<'a> {
     pub(super) name: String,
-    /// `None` of what is no number.
+    /// `None` if not numeric.
     pub(super) number: Option<Number>,
     pub(super) arity: usize,
-    pub(super) form: Form,
-    /// What is between the tags, and where: nothing of appended data.
+    pub(super) form: ArrayForm,
+    /// The content between the tags, and its offset; empty for appended data.
     pub(super) content: &'a [u8],
     pub(super) offset: u64,
 }
 
-/// Where the values are.
+/// The location and form of the values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Form {
+pub(super) enum ArrayForm {
     /// Decimals between the tags.
     Ascii,
     /// Base64 between the tags.
     Binary,
-    /// So many bytes from the start of the appended data.
+    /// In the appended data, at this offset in bytes.
     Appended(u64),
 }
 
-/// The data behind all elements.
+/// The data after all elements.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Appended<'a> {
     pub(super) bytes: &'a [u8],
@@ -44,36 +44,36 @@ pub(super) struct Appended<'a> {
 }
 
 impl DataArray<'_> {
-    /// The values, `arity` for each of `count` points.
+    /// Decodes the values, `arity` for each of `count` points.
     pub(super) fn values(
         &self,
         number: Number,
         count: usize,
-        encoding: Encoding,
+        encoding: ArrayEncoding,
         appended: Option<Appended>,
-        account: &mut Account,
+        totals: &mut ArrayTotals,
         limits: &Limits,
     ) -> Result<Values> {
-        let expected = count.checked_mul(self.arity).ok_or_else(|| self.invalid("too many values"))?;
+        let expected = count.checked_mul(self.arity).ok_or_else(|| self.invalid("it has too many values"))?;
         let encoded = match self.form {
-            Form::Ascii => return self.decimals(number, expected),
-            Form::Binary => {
+            ArrayForm::Ascii => return self.decimals(number, expected),
+            ArrayForm::Binary => {
                 let start = self.content.iter().take_while(|byte| byte.is_ascii_whitespace()).count();
                 let bytes = self.content[start..].trim_ascii_end();
-                Encoded { bytes, is_base64: true, offset: self.offset + start as u64 }
+                EncodedArray { bytes, is_base64: true, offset: self.offset + start as u64 }
             }
-            Form::Appended(start) => self.appended(start, appended)?,
+            ArrayForm::Appended(start) => self.appended(start, appended)?,
         };
-        // Lines may be broken.
+        // Remove line breaks from the base64 text.
         let unbroken: Vec<u8>;
-        let is_broken = self.form == Form::Binary && encoded.bytes.iter().any(u8::is_ascii_whitespace);
+        let is_broken = self.form == ArrayForm::Binary && encoded.bytes.iter().any(u8::is_ascii_whitespace);
         let encoded = if is_broken {
             unbroken = encoded.bytes.iter().copied().filter(|byte| !byte.is_ascii_whitespace()).collect();
-            Encoded { bytes: &unbroken, ..encoded }
+            EncodedArray { bytes: &unbroken, ..encoded }
         } else {
             encoded
         };
-        let bytes = decode(encoded, encoding, &self.name, account, limits)?;
+        let bytes = decode(encoded, encoding, &self.name, totals, limits)?;
         if bytes.len() != expected.saturating_mul(number.size()) {
             let what =
                 format!("expected {expected} values of {} bytes, found {} bytes", number.size(), bytes.len());
@@ -82,26 +82,29 @@ impl DataArray<'_> {
         Ok(number.decode(&bytes, encoding.endian))
     }
 
-    fn appended<'a>(&self, start: u64, appended: Option<Appended<'a>>) -> Result<Encoded<'a>> {
+    fn appended<'a>(&self, start: u64, appended: Option<Appended<'a>>) -> Result<EncodedArray<'a>> {
         let Some(Appended { bytes, is_base64, offset }) = appended else {
-            return Err(self.invalid("its data is said to be appended, but none is"));
+            return Err(self.invalid("its data should be appended, but the file has no appended data"));
         };
         let rest = usize::try_from(start).ok().and_then(|start| bytes.get(start..));
         let bytes = rest.ok_or_else(|| {
-            self.invalid(&format!("its data begins at byte {start} of the {} that are appended", bytes.len()))
+            self.invalid(&format!(
+                "its data starts at byte {start}, but the appended data has only {} bytes",
+                bytes.len()
+            ))
         })?;
-        Ok(Encoded { bytes, is_base64, offset: offset + start })
+        Ok(EncodedArray { bytes, is_base64, offset: offset + start })
     }
 
     fn decimals(&self, number: Number, expected: usize) -> Result<Values> {
         let words = self.content.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
-        // Each number has a digit and something behind it.
+        // Each number takes a digit and a separator.
         if expected > self.content.len().div_ceil(2) {
             let what = format!("expected {expected} values, found {} bytes of text", self.content.len());
             return Err(self.invalid(&what));
         }
         let values = decimals(words.clone(), number, expected).map_err(|word| {
-            self.invalid(&format!("expected a value of the type, found `{}`", excerpt(word)))
+            self.invalid(&format!("expected a value of its type, found `{}`", excerpt(word)))
         })?;
         let found = number::length(&values) + words.skip(expected).count();
         if found != expected {
@@ -119,7 +122,8 @@ impl DataArray<'_> {
     }
 }
 
-/// The first `count` words as values of the type that [`Number::decode`] gives; a word that is none as the error.
+/// Parses the first `count` words as values of the type that [`Number::decode`] gives. An invalid word is the
+/// error.
 pub(super) fn decimals<'a>(
     words: impl Iterator<Item = &'a [u8]>,
     number: Number,

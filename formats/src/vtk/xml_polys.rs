@@ -1,4 +1,4 @@
-//! The polygons of a `.vtp`, and the flat cells of a `.vtu`: a mesh.
+//! Reads the polygons of a `.vtp`, and the flat cells of a `.vtu`, as a mesh.
 
 use crate::data::{MeshData, Positions};
 use crate::error::{Error, Place, Result};
@@ -9,13 +9,13 @@ use super::cells::{self, POLYGON, Points, TRIANGLE_STRIP, add_cells};
 use super::pieces::checked_count;
 use super::xml::{CellArrays, Decoder, malformed, open, points_of};
 
-/// Reads the points and the polygons of all pieces, without normals; a polygon of more than three corners becomes a
-/// fan. A file without polygons is a mesh without triangles.
+/// Reads the points and the polygons of all pieces, without normals. Polygons with more than three corners
+/// become fans. A file without polygons gives a mesh without triangles.
 ///
 /// # Errors
 ///
-/// As [`super::read_xml`]; [`Error::Invalid`] for polygons of points that are missing, [`Error::Unsupported`] for cells
-/// with a volume.
+/// Those of [`super::read_xml`]; [`Error::Invalid`] for polygons with missing points, [`Error::Unsupported`]
+/// for volumetric cells.
 pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     let (mut decoder, pieces, _) = open(bytes, limits)?;
     let mut mesh = MeshData::default();
@@ -41,7 +41,7 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     Ok(mesh)
 }
 
-/// Adds cells that are all of this kind, or each of its own.
+/// Adds cells, which are all of the given type or have their own types.
 fn add(
     cells: &CellArrays,
     kind: Option<i64>,
@@ -51,8 +51,9 @@ fn add(
 ) -> Result<()> {
     let ends = integers(cells, "offsets", cells.count, decoder)?;
     let corner_count = ends.last().copied().unwrap_or_default();
-    let count = usize::try_from(corner_count)
-        .map_err(|_| Error::invalid(XML, Place::File, format!("{corner_count} corners of cells")))?;
+    let count = usize::try_from(corner_count).map_err(|_| {
+        Error::invalid(XML, Place::File, format!("the cells have {corner_count} corners, too many"))
+    })?;
     let corners = integers(cells, "connectivity", count, decoder)?;
     let types = match kind {
         Some(_) => Vec::new(),
@@ -62,12 +63,12 @@ fn add(
     add_cells(XML, (&ends, &corners), type_of, points, triangles)
 }
 
-/// The `count` numbers of an array of the cells.
+/// The `count` numbers of an array that describes cells.
 fn integers(cells: &CellArrays, name: &str, count: usize, decoder: &mut Decoder) -> Result<Vec<i64>> {
     let found = cells.arrays.iter().find(|array| array.name.eq_ignore_ascii_case(name) && array.arity == 1);
     let array =
-        found.ok_or_else(|| Error::invalid(XML, Place::File, format!("cells without their `{name}`")))?;
-    let no_integers = || malformed(array.offset, &format!("`{name}` are no integers"));
+        found.ok_or_else(|| Error::invalid(XML, Place::File, format!("the cells have no `{name}` array")))?;
+    let no_integers = || malformed(array.offset, &format!("the values of `{name}` are not integers"));
     let values = decoder.values(array, array.number.ok_or_else(no_integers)?, count)?;
     cells::integers(values).ok_or_else(no_integers)
 }

@@ -1,11 +1,11 @@
-//! Solids as narrow bands, with the distance they were made from.
+//! Narrow-band level sets of solids, with the distance function from which they were made.
 
 #![allow(dead_code, unreachable_pub, reason = "each test binary uses a part")]
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
 
 use meniscus_formats::LevelSetView;
 
-/// A narrow band, with values beyond it as a rasterizer leaves them.
+/// A narrow band, including values beyond it, as a rasterizer produces them.
 pub struct Solid {
     pub origins: Vec<[i32; 3]>,
     pub leaves: Vec<[f32; 512]>,
@@ -15,8 +15,8 @@ pub struct Solid {
 }
 
 impl Solid {
-    /// The leaves of a box of voxels in which some voxel lies within the band; and, as an odd
-    /// example of what need not be stored, one leaf of every hundred others.
+    /// The leaves of a box of voxels in which at least one voxel lies within the band; and one in a hundred
+    /// of the other leaves, as an example of leaves that need not be stored.
     pub fn new(
         min: i32,
         max: i32,
@@ -81,7 +81,7 @@ pub fn sphere(centre: [f64; 3], radius: f64) -> Solid {
     Solid::new(min, max, 3.0, move |voxel| norm(from(centre, voxel)) - radius)
 }
 
-/// A ball with a hole in it: outside, inside, and outside again.
+/// A ball with a hole: outside, inside, then outside again.
 pub fn shell(outer: f64, inner: f64) -> Solid {
     let reach = (outer + 8.0) as i32;
     Solid::new(-reach, reach, 3.0, move |voxel| {
@@ -114,7 +114,7 @@ pub fn all() -> Vec<(&'static str, Solid)> {
     ]
 }
 
-/// Numbers that look random and are always the same.
+/// Reproducible pseudorandom numbers.
 pub struct Dice(pub u64);
 
 impl Dice {

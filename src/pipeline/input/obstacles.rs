@@ -568,8 +568,8 @@ mod tests {
         let path = inner.join("a.gltf");
         let absolute_uri = folder.path().join("a.bin").display().to_string().replace('\\', "/");
         for (uri, word) in [
-            ("../a.bin", "not beside"),
-            (absolute_uri.as_str(), "not beside"),
+            ("../a.bin", "outside the folder"),
+            (absolute_uri.as_str(), "outside the folder"),
             ("b.bin", "not a regular file"),
             ("c.bin", "c.bin"),
         ] {

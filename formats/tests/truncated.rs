@@ -1,8 +1,8 @@
-//! A file that is cut off is told apart from one that is wrong: it may be the beginning of a good one.
+//! A truncated file is distinguished from an invalid one, because it may be the beginning of a valid file.
 //!
-//! The frames of a running simulation are all cut off at some time. So every good file is cut at many
-//! lengths: what is left is read, or said to be short. Text is the exception where it must be: the
-//! beginning of a number is a number, and the beginning of a table is a table.
+//! While a simulation writes its frames, each is incomplete for some time. So every valid file is truncated
+//! at many lengths: the rest must either be read or be reported as short. Text is an exception where that is
+//! impossible: the beginning of a number is a number, and the beginning of a table is a table.
 
 use crate::fixtures;
 
@@ -11,10 +11,10 @@ use std::path::Path;
 
 use meniscus_formats::{Completeness, Error, Limits, bgeo, completeness, csv, ply, read_particles};
 
-/// Lengths at which each file is cut; short files are cut everywhere.
+/// Number of lengths at which each file is truncated; short files are truncated everywhere.
 const CUT_COUNT: usize = 3000;
 
-/// The good files of the corpus whose names end so.
+/// The valid files of the corpus whose names have this ending.
 fn valid_files(ending: &str) -> Vec<(String, Vec<u8>)> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus/valid");
     let mut files = Vec::new();
@@ -29,7 +29,7 @@ fn valid_files(ending: &str) -> Vec<(String, Vec<u8>)> {
     files
 }
 
-/// The lengths at which a file is cut, from all of it down to nothing.
+/// The lengths at which a file is truncated, from the whole file down to zero.
 fn cuts(length: usize) -> impl Iterator<Item = usize> {
     let step = length.div_ceil(CUT_COUNT).max(1);
     // Every length near the start, where headers are.
@@ -40,7 +40,7 @@ fn read(bytes: &[u8], name: &str) -> Result<usize, Error> {
     read_particles(bytes, name, &Limits::default()).map(|frame| frame.positions.len())
 }
 
-/// Every beginning of the file is short, or has all of its particles; and its format never calls it
+/// Checks that every truncated file is short or contains all particles, and that its format never calls it
 /// complete.
 fn check_all_cuts(name: &str, bytes: &[u8]) {
     let count = read(bytes, name).unwrap_or_else(|error| panic!("{name}: {error}"));
@@ -67,7 +67,7 @@ fn zstd_packed(bytes: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn beginnings_of_ply_files_are_short() {
+fn truncated_ply_files_are_short() {
     for (name, bytes) in valid_files(".ply") {
         check_all_cuts(&name, &bytes);
         check_all_cuts(&name, &gzipped(&bytes));
@@ -76,9 +76,9 @@ fn beginnings_of_ply_files_are_short() {
 }
 
 #[test]
-fn beginnings_of_bgeo_files_are_short() {
+fn truncated_bgeo_files_are_short() {
     for (name, bytes) in valid_files(".bgeo") {
-        check_all_cuts(&name, &bytes); // gzipped by its writer
+        check_all_cuts(&name, &bytes); // gzipped by the program that wrote it
     }
     let (_, source) = valid_files("taichi_000007.ply").remove(0);
     let frame = ply::read(&source, &Limits::default()).unwrap();
@@ -90,16 +90,16 @@ fn beginnings_of_bgeo_files_are_short() {
 }
 
 #[test]
-fn beginnings_of_several_packed_pieces_are_short() {
+fn truncated_multi_member_archives_are_short() {
     let (name, bytes) = valid_files("open3d.ply").remove(0);
     let (first, second) = bytes.split_at(bytes.len() / 2);
     check_all_cuts(&name, &[gzipped(first), gzipped(second)].concat());
     check_all_cuts(&name, &[zstd_packed(first), zstd_packed(second)].concat());
 }
 
-/// The last number of a text may lack digits: only the files of bytes are cut.
+/// The last number of a text may lack digits, so only binary files are truncated.
 #[test]
-fn beginnings_of_vtk_files_are_short() {
+fn truncated_vtk_files_are_short() {
     for ending in ["bin.vtk", "meshio.vtk", ".vtp", ".vtu"] {
         for (name, bytes) in valid_files(ending) {
             check_all_cuts(&name, &bytes);
@@ -108,20 +108,20 @@ fn beginnings_of_vtk_files_are_short() {
 }
 
 #[test]
-fn beginnings_of_other_files_are_short() {
-    // Nothing tells how many raw positions there should be.
+fn truncated_files_of_other_formats_are_short() {
+    // Raw positions have no declared count.
     for (name, bytes) in fixtures::all().into_iter().filter(|(name, _)| !name.ends_with(".xyz")) {
         check_all_cuts(&name, &bytes);
         check_all_cuts(&name, &gzipped(&bytes));
     }
 }
 
-/// The beginning of a table may be a table; where it is none, it is short.
+/// The beginning of a table is a table or short, never invalid.
 #[test]
-fn beginnings_of_tables_are_never_wrong() {
+fn truncated_tables_are_never_invalid() {
     let text = "x,y,z,\"a b\",n\n1.5,-2e-3,3,0.25,7\n-1,.5,nan,1e5,8\n0.125,1,2,3,9\n";
     for separated in [text.to_string(), text.replace(',', ";"), text.replace(',', "\t")] {
-        // Up to the end of the header, nothing tells that there is one.
+        // Before the end of the header, nothing shows that there is one.
         for cut in separated.find('\n').unwrap()..separated.len() {
             match csv::read(&separated.as_bytes()[..cut], &Limits::default()) {
                 Ok(_) => {}
@@ -131,12 +131,12 @@ fn beginnings_of_tables_are_never_wrong() {
     }
 }
 
-/// What programs wrote is complete by its format, where that can tell.
+/// Files of other programs are complete according to their format, if it can tell.
 #[test]
-fn good_files_are_complete() {
+fn valid_files_are_complete() {
     for (name, bytes) in valid_files("") {
         let found = completeness(&mut std::io::Cursor::new(&bytes), &name).unwrap();
-        // Of these, there may always be more.
+        // These formats can always have more rows.
         let is_table = name.ends_with(".csv") || name.ends_with(".vtk");
         let expected =
             if is_table { found == Completeness::Unproven } else { found != Completeness::Unproven };
@@ -144,9 +144,9 @@ fn good_files_are_complete() {
     }
 }
 
-/// Damage is not shortness: it would be read again and again for nothing.
+/// Damage must not be reported as short: the daemon would retry the file forever.
 #[test]
-fn what_is_wrong_is_not_short() {
+fn invalid_files_are_not_short() {
     let header = "element vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n";
     let ascii = |body: &str| format!("ply\nformat ascii 1.0\n{header}{body}");
     let table = [

@@ -1,4 +1,4 @@
-//! Shots gathered from the .glb of their frames: what other readers find in them, and what is refused.
+//! Sequences assembled from the .glb files of frames, read by other readers; and errors.
 
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
 
@@ -7,7 +7,7 @@ use std::io::{self, Cursor};
 use meniscus_formats::gltf::{self, FrameFile, ShotFrame, UpAxis};
 use meniscus_formats::{Error, MeshOptions, MeshView, Role, VertexAttribute, VertexValues, usda};
 
-/// A pyramid over a polygon, and how it is written.
+/// A pyramid over a polygon, and the options for writing it.
 struct Frame {
     code: u64,
     sides: u32,
@@ -55,7 +55,7 @@ impl Frame {
         };
         let attributes =
             [numbers("v", Some(Role::Velocity), 3, &*velocity), numbers("Heat", None, 1, &*heat)];
-        // Of one frame less is known.
+        // One frame has fewer attributes.
         let attributes = &attributes[..if self.code == 6 { 1 } else { 2 }];
         let mesh = MeshView {
             positions: &positions,
@@ -72,7 +72,7 @@ impl Frame {
     }
 }
 
-/// The frames as they are gathered, and their files.
+/// The frames of a sequence, and their files.
 fn gathered(up: UpAxis) -> (Vec<ShotFrame>, Vec<Vec<u8>>) {
     let files: Vec<Vec<u8>> = frames().iter().map(|frame| frame.glb(up)).collect();
     let shot = |(frame, bytes): (&Frame, &Vec<u8>)| ShotFrame {
@@ -104,7 +104,7 @@ fn usda_shot(up: UpAxis) -> (String, Vec<String>) {
 }
 
 #[test]
-fn every_frame_is_in_a_glb_as_it_is_in_its_own_file() {
+fn glb_sequence_contains_the_data_of_every_frame() {
     for up in [UpAxis::Y, UpAxis::Z] {
         let bytes = glb_shot(up);
         let shot = ::gltf::Gltf::from_slice_without_validation(&bytes).expect("a document");
@@ -137,7 +137,8 @@ fn every_frame_is_in_a_glb_as_it_is_in_its_own_file() {
             });
             assert!(data[0] == data[1] && data[0].len() >= 4, "{}", frame.code);
         }
-        // Each is shown from half a frame before its time, which is one frame for the first, to where the next begins.
+        // A frame is visible from half a frame before its time (for the first, one frame) until the next one
+        // starts.
         let animation = shot.animations().next().expect("an animation");
         let keys: Vec<(usize, Vec<f32>, Vec<f32>)> = animation
             .channels()
@@ -172,11 +173,11 @@ fn samples<'a>(text: &'a str, name: &str) -> Vec<(&'a str, &'a str)> {
 
 fn numbers(text: &str) -> Vec<f64> {
     let words = text.split([',', ' ', '(', ')', '[', ']']).filter(|word| !word.is_empty());
-    words.map(|word| word.parse().unwrap_or_else(|_| panic!("{word} is no number"))).collect()
+    words.map(|word| word.parse().unwrap_or_else(|_| panic!("{word} is not a number"))).collect()
 }
 
 #[test]
-fn a_usda_has_a_sample_of_each_frame() {
+fn usda_sequence_has_a_sample_per_frame() {
     for up in [UpAxis::Y, UpAxis::Z] {
         let (text, notes) = usda_shot(up);
         assert!(text.contains(if up == UpAxis::Z { "upAxis = \"Z\"" } else { "upAxis = \"Y\"" }));
@@ -195,10 +196,10 @@ fn a_usda_has_a_sample_of_each_frame() {
                 numbers(found.unwrap_or_else(|| panic!("no sample at {code}")).1)
             };
             let (found, origin) = (numbers(points[index].1), at(&origins, &code));
-            // Where frames are missing it stays where it is until the next: 7 and 8 are.
+            // Before missing frames, here 7 and 8, the last value is held until the next frame.
             assert_eq!(at(&origins, "8"), at(&origins, "6"));
             assert_eq!(origins.len(), frames().len() + 1);
-            // A quantized frame lies in a cube from −1, −1, 0 on, 2 wide; the others are as they were.
+            // A quantized frame has coordinates in a cube from (−1, −1, 0), 2 wide; the others are unchanged.
             let tolerance = if frame.quantize { 2.0 / 65535.0 / 2.0 * 1.001 + 1e-6 } else { 0.0 };
             assert_eq!(found.len(), 3 * positions.len());
             for (found, expected) in found.as_chunks::<3>().0.iter().zip(&positions) {
@@ -218,35 +219,35 @@ fn a_usda_has_a_sample_of_each_frame() {
                 assert!((0..3).all(|axis| extent[axis] <= point[axis] && point[axis] <= extent[axis + 3]));
             }
         }
-        // What not every frame has.
-        assert!(notes.len() == 1 && notes[0].starts_with("_HEAT is not in the shot"), "{notes:?}");
+        // The attribute that not every frame has.
+        assert!(notes.len() == 1 && notes[0].starts_with("_HEAT is missing in the sequence"), "{notes:?}");
         let info = usda::read_layer_info(text.as_bytes()).expect("our own file").expect("figures");
         assert_eq!((info.frames, info.faces), (Some(4), 70_008));
     }
 }
 
 #[test]
-fn shots_that_cannot_be_are_refused() {
+fn invalid_sequences_are_errors() {
     let (mut shot, files) = gathered(UpAxis::Y);
     let open = |index: usize| -> io::Result<_> { Ok(Cursor::new(&files[index])) };
     let both = |shot: &[ShotFrame]| {
         let glb = gltf::write_sequence(shot, 24.0, &[], open, &mut Vec::new());
         (glb, usda::write_sequence(shot, (24.0, 1.0), &[], open, &mut Vec::new()).map(|_| ()))
     };
-    // Frames at one time, frames that differ in what is up.
+    // Frames with the same time, and frames with different up axes.
     shot[1].code = 5;
     assert!(matches!(both(&shot), (Err(Error::Invalid { .. }), Err(Error::Invalid { .. }))));
     shot[1].code = 6;
     let turned = frames()[1].glb(UpAxis::Z);
     shot[1].file = FrameFile::read(&mut Cursor::new(&turned)).expect("our own file");
     assert!(matches!(both(&shot), (_, Err(Error::Invalid { .. }))));
-    // A file that changed since it was looked at.
+    // A file that changed after it was opened.
     let (shot, mut files) = gathered(UpAxis::Y);
     files[3].truncate(2000);
     let open = |index: usize| -> io::Result<_> { Ok(Cursor::new(&files[index])) };
     assert!(gltf::write_sequence(&shot, 24.0, &[], open, &mut Vec::new()).is_err());
     assert!(usda::write_sequence(&shot, (24.0, 1.0), &[], open, &mut Vec::new()).is_err());
-    // Nothing but empty frames is a scene without anything.
+    // A sequence with only empty frames is an empty scene.
     let (shot, files) = gathered(UpAxis::Y);
     let open = |_: usize| -> io::Result<_> { Ok(Cursor::new(&files[2])) };
     let mut bytes = Vec::new();
@@ -255,7 +256,7 @@ fn shots_that_cannot_be_are_refused() {
 }
 
 #[test]
-fn what_is_no_frame_is_told() {
+fn other_and_damaged_files_are_not_frames() {
     let read = |bytes: &[u8]| FrameFile::read(&mut Cursor::new(bytes));
     assert!(matches!(read(&glb_shot(UpAxis::Y)), Err(Error::Unsupported { .. })));
     assert!(read(b"").is_err() && read(b"ply\n").is_err());
@@ -275,7 +276,7 @@ fn what_is_no_frame_is_told() {
             broken[at] =
                 if below(2) == 0 { broken[at] ^ 1 << below(8) } else { b"0123456789-e. [{\"]}"[below(19)] };
         }
-        // Whatever is taken for a frame can be gathered, or not: neither may panic.
+        // A file accepted as a frame may or may not be usable in a sequence, but nothing may panic.
         if let Ok(file) = read(&broken) {
             let shot = [ShotFrame { name: "a".into(), code: 1, file }];
             let open = |_: usize| -> io::Result<_> { Ok(Cursor::new(&broken)) };
@@ -285,7 +286,7 @@ fn what_is_no_frame_is_told() {
     }
 }
 
-/// A triangle of which this is known.
+/// A triangle with these attributes.
 fn triangle(attributes: &[VertexAttribute]) -> Vec<u8> {
     let mesh = MeshView {
         positions: &[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
@@ -299,7 +300,7 @@ fn triangle(attributes: &[VertexAttribute]) -> Vec<u8> {
     bytes
 }
 
-/// The shot of one frame, and what a user should know of it.
+/// The sequence of one frame, and its notes.
 fn usda_of(bytes: &[u8]) -> Result<(String, Vec<String>), Error> {
     let file = FrameFile::read(&mut Cursor::new(bytes))?;
     let shot = [ShotFrame { name: "a".into(), code: 1, file }];
@@ -309,7 +310,7 @@ fn usda_of(bytes: &[u8]) -> Result<(String, Vec<String>), Error> {
 }
 
 #[test]
-fn no_property_of_a_usda_is_there_twice() {
+fn usda_properties_have_unique_names() {
     let values = [1.0, 2.0, 3.0];
     let names = ["_heat", "heat", "__heat", "2nd", "_2nd", "normals", "displayColor", "x"];
     let attributes = names.map(|name| VertexAttribute {
@@ -318,7 +319,7 @@ fn no_property_of_a_usda_is_there_twice() {
         arity: 1,
         values: VertexValues::Numbers(&values),
     });
-    let (text, notes) = usda_of(&triangle(&attributes)).expect("a shot");
+    let (text, notes) = usda_of(&triangle(&attributes)).expect("a sequence");
     let properties: Vec<&str> =
         text.lines().filter_map(|line| line.trim().strip_suffix(".timeSamples = {")).collect();
     let mut names: Vec<&str> = properties.iter().filter_map(|name| name.split(' ').nth(1)).collect();
@@ -331,39 +332,42 @@ fn no_property_of_a_usda_is_there_twice() {
     );
     names.dedup();
     assert_eq!(names.len(), properties.len());
-    for told in ["primvars:_2nd_2 ", "primvars:displaycolor_2 ", "primvars:normals_2 "] {
-        assert!(notes.iter().any(|note| note.contains(told)), "{told}: {notes:?}");
+    for note_start in ["primvars:_2nd_2 ", "primvars:displaycolor_2 ", "primvars:normals_2 "] {
+        assert!(notes.iter().any(|note| note.contains(note_start)), "{note_start}: {notes:?}");
     }
     assert_eq!(notes.len(), 3, "{notes:?}");
 }
 
 #[test]
-fn strings_that_are_not_in_a_usda_are_told_as_such() {
+fn strings_missing_in_a_usda_sequence_get_a_note() {
     let table = ["a".to_owned()];
     let values = VertexValues::Strings { table: &table, indices: &[0, 0, -1] };
     let (text, notes) = usda_of(&triangle(&[VertexAttribute { name: "kind", role: None, arity: 1, values }]))
-        .expect("a shot");
+        .expect("a sequence");
     assert!(!text.contains("primvars:"), "{text}");
     assert!(
-        notes.len() == 1 && notes[0].starts_with("_KIND is not in the shot: its values are strings"),
+        notes.len() == 1 && notes[0].starts_with("_KIND is missing in the sequence: its values are strings"),
         "{notes:?}"
     );
 }
 
 #[test]
-fn corners_that_are_no_vertices_are_refused() {
+fn vertex_indices_out_of_range_are_an_error() {
     let whole = triangle(&[]);
     assert!(usda_of(&whole).is_ok());
-    // The indices are the last of the data, which are filled up to four bytes.
+    // The indices are the last data before the padding to four bytes.
     let corners = [0u16, 1, 2].map(u16::to_le_bytes).concat();
     let at = whole.windows(6).rposition(|window| window == corners).expect("the corners");
     for (corner, place) in [(3u16, 0), (u16::MAX, 4)] {
         let mut broken = whole.clone();
         broken[at + place..][..2].copy_from_slice(&corner.to_le_bytes());
         let error = usda_of(&broken).expect_err("no such vertex");
-        assert!(error.to_string().contains(&format!("the vertex {corner} of 3")), "{error}");
+        assert!(
+            error.to_string().contains(&format!("vertex index {corner}, but the mesh has 3 vertices")),
+            "{error}"
+        );
     }
-    // Fewer vertices of an attribute than there are.
+    // An attribute with fewer values than vertices.
     let values = VertexValues::Numbers(&[1.0, 2.0, 3.0]);
     let whole = triangle(&[VertexAttribute { name: "heat", role: None, arity: 1, values }]);
     let scalar =
@@ -371,5 +375,5 @@ fn corners_that_are_no_vertices_are_refused() {
     let at = whole.windows(scalar(3).len()).position(|window| window == scalar(3)).expect("the accessor");
     let broken = [&whole[..at], &scalar(2), &whole[at + scalar(2).len()..]].concat();
     let error = usda_of(&broken).expect_err("a value missing");
-    assert!(error.to_string().contains("positions and _HEAT that do not fit"), "{error}");
+    assert!(error.to_string().contains("the positions and _HEAT do not match"), "{error}");
 }
