@@ -1,7 +1,8 @@
-//! The mean of the particles around a place, and the nearest of them.
+//! The weighted mean of the particles around a point, and the nearest of them.
 //!
-//! Places are taken cell by cell: the particles around a cell are gathered once. Their distances from a place are
-//! computed eight at a time; the few that are within the radius go on a list, and the list gives the means.
+//! Points are processed cell by cell: the particles around a cell are gathered once. Their distances from a
+//! point are computed eight at a time; the few within the radius are collected in a list, from which the
+//! means are computed.
 
 use glam::{DVec3, IVec3, Vec3};
 
@@ -10,15 +11,15 @@ use super::source::{Numbers, Source};
 use crate::surface::neighbors::{Eight, Surroundings};
 use crate::surface::simd::{Kernel, Lanes, dispatch};
 
-/// What was found at some places.
+/// The result at some points.
 pub(super) struct Blended {
-    /// The means of each attribute that is numbers, place by place.
+    /// The means of each numeric attribute, point by point.
     pub(super) numbers: Vec<Vec<f32>>,
-    /// The nearest particle of each place, or [`NO_PARTICLE`].
+    /// The nearest particle of each point, or [`NO_PARTICLE`].
     pub(super) nearest: Vec<u32>,
 }
 
-/// Memory for one piece after the other.
+/// Memory that is reused between chunks.
 #[derive(Default)]
 pub(super) struct Scratch {
     places: Vec<Place>,
@@ -26,24 +27,24 @@ pub(super) struct Scratch {
     near: Vec<Near>,
 }
 
-/// A place in a cell.
+/// A point in a cell.
 struct Place {
     cell: IVec3,
-    /// From the cell's corner, in radii.
+    /// Position relative to the cell's corner, in units of the radius.
     local: Vec3,
     index: u32,
 }
 
-/// A particle within the radius of a place.
+/// A particle within the radius of a point.
 #[derive(Clone, Copy)]
 struct Near {
-    /// In radii, less than 1.
+    /// In units of the squared radius, less than 1.
     distance_squared: f32,
-    /// Its index among those near any place.
+    /// Index among the particles near any point.
     particle: u32,
 }
 
-/// The means at these places.
+/// The means at these points.
 pub(super) fn blend(source: &Source, places: &[DVec3], scratch: &mut Scratch) -> Blended {
     let Scratch { places: located, around, near } = scratch;
     let mut blended = Blended::empty(source, places.len());
@@ -61,13 +62,13 @@ pub(super) fn blend(source: &Source, places: &[DVec3], scratch: &mut Scratch) ->
 }
 
 impl Blended {
-    /// Zeros, and no particle.
+    /// Zeros, and no nearest particle.
     pub(super) fn empty(source: &Source, count: usize) -> Blended {
         let numbers = source.numbers.iter().map(|numbers| vec![0.0; count * numbers.arity]).collect();
         Blended { numbers, nearest: vec![NO_PARTICLE; count] }
     }
 
-    /// What was found in all pieces, in order.
+    /// The results of all chunks, in order.
     pub(super) fn joined(source: &Source, pieces: &[Blended]) -> Blended {
         let joined = |number: usize| {
             let pieces: Vec<&[f32]> = pieces.iter().map(|piece| &*piece.numbers[number]).collect();
@@ -78,7 +79,7 @@ impl Blended {
     }
 }
 
-/// The places in one cell.
+/// Kernel: the points in one cell.
 struct CellKernel<'a> {
     source: &'a Source<'a>,
     eights: &'a [Eight],
@@ -100,7 +101,7 @@ impl Kernel for CellKernel<'_> {
             }
             let index = place.index as usize;
             blended.nearest[index] = source.original(nearest_of(near));
-            // From here on distances are weights.
+            // Replaces squared distances by weights.
             for near in near.iter_mut() {
                 let rest = 1.0 - near.distance_squared;
                 near.distance_squared = rest * rest * rest;
@@ -110,7 +111,7 @@ impl Kernel for CellKernel<'_> {
     }
 }
 
-/// The particles within the radius of a place.
+/// Collects the particles within the radius of a point.
 #[inline(always)]
 fn collect_near<V: Lanes>(eights: &[Eight], place: Vec3, near: &mut Vec<Near>) {
     let [x, y, z] = place.to_array().map(V::splat);
@@ -136,7 +137,7 @@ fn collect_near<V: Lanes>(eights: &[Eight], place: Vec3, near: &mut Vec<Near>) {
     }
 }
 
-/// The nearest of some; of several, the one with the least index.
+/// The nearest particle; on ties, the one with the lowest index.
 #[inline(always)]
 fn nearest_of(near: &[Near]) -> u32 {
     let mut nearest = Near { distance_squared: f32::INFINITY, particle: NO_PARTICLE };
@@ -150,7 +151,7 @@ fn nearest_of(near: &[Near]) -> u32 {
     nearest.particle
 }
 
-/// The means of all attributes at a place, by weights in place of distances.
+/// The means of all attributes at a point. Squared distances have been replaced by weights.
 #[inline(always)]
 fn means<V: Lanes>(source: &Source, near: &[Near], index: usize, blended: &mut Blended) {
     let mut total = 0.0;
@@ -161,7 +162,7 @@ fn means<V: Lanes>(source: &Source, near: &[Near], index: usize, blended: &mut B
         let mean = mean_row::<V>(source, near, row, total);
         for (numbers, out) in source.numbers.iter().zip(&mut blended.numbers) {
             let Some(column) = numbers.column else { continue };
-            // The part of the attribute that is in this row.
+            // The part of the attribute in this row.
             let first = column.max(8 * row);
             let end = (column + numbers.arity).min(8 * row + 8);
             for at in first..end {
@@ -189,12 +190,12 @@ fn mean_row<V: Lanes>(source: &Source, near: &[Near], row: usize, total: f32) ->
         greatest = greatest.max(values);
     }
     let mut mean = [0.0; 8];
-    // Where the sum is beyond all numbers, what comes of it is cut like the rest.
+    // If the sum overflows, the result is clamped like any other.
     sum.div(V::splat(total)).min(greatest).max(least).store(&mut mean);
     mean
 }
 
-/// The means of an attribute over those particles whose values are finite; what was there if there is none.
+/// The mean of an attribute over the particles with finite values; leaves `out` unchanged if there are none.
 #[inline(always)]
 fn mean_of_sound(source: &Source, numbers: &Numbers, near: &[Near], out: &mut [f32]) {
     for (component, out) in out.iter_mut().enumerate() {

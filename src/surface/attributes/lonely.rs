@@ -1,8 +1,9 @@
-//! Places without a particle within the radius: the nearest one that reaches them.
+//! Handles isolated points, without a particle within the radius: they get the values of the nearest particle
+//! that reaches them.
 //!
-//! They are around particles that are larger than others: few as a rule, or all of the surface where the particles have
-//! radii of their own. Only particles that reach farther than the radius can serve them, so only these are sorted, into
-//! a [tree](super::tree): a place looks at a small part of them, however far they reach.
+//! Such points occur around large particles: usually few, or the whole surface with per-particle radii. Only
+//! particles that reach farther than the radius can serve them, so only these are sorted into a
+//! [tree](super::tree). A point then visits a small part of them, however far they reach.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -12,7 +13,8 @@ use super::source::Source;
 use super::tree::{Seen, Tree};
 use super::{NO_PARTICLE, TransferCounts};
 
-/// Gives lonely places what the nearest particle has. Returns how many there were, and how many are left.
+/// Assigns the values of the nearest particle to isolated points. Returns the number of isolated points, and
+/// how many are left.
 pub(super) fn serve(
     source: &Source,
     blended: &mut Blended,

@@ -1,9 +1,9 @@
-//! Which particles are near the places that want values: most lie deep inside and are not.
+//! Finds the particles near the points that need values; most particles lie deep inside and are not near.
 //!
 //! ```text
-//!   ┌───────┬───────┐     Cells of 2R. The ball of radius R around a place is in eight of them, those around
-//!   │     ╭─┼─╮     │     the corner nearest to the place. Whatever is in none of the cells that are marked so
-//!   ├─────┼─●─┼─────┤     is near no place.
+//!   ┌───────┬───────┐     Cells of size 2R. The ball of radius R around a point overlaps only the eight cells
+//!   │     ╭─┼─╮     │     around the cell corner nearest to the point. These are marked, and a particle in no
+//!   ├─────┼─●─┼─────┤     marked cell is near no point.
 //!   │     ╰─┼─╯     │
 //!   └───────┴───────┘
 //! ```
@@ -16,7 +16,8 @@ use super::PIECE;
 use crate::surface::particles::Positions;
 use crate::surface::space::Lattice;
 
-/// The indices of the particles that are within `radius_world` of some place, and of others, in order.
+/// Indices of the particles within `radius_world` of some point, in order. Includes some that are farther
+/// away.
 pub(super) fn near_particles(
     particles: &Positions<'_>,
     radius_world: f64,
@@ -28,7 +29,8 @@ pub(super) fn near_particles(
         let cell = cells.index_from_world(particles.position(*index as usize));
         cell.is_some_and(|cell| marked.contains(&cell.floor().as_ivec3()))
     };
-    // Whoever has more particles than 32 bits can count has them in a file, and no attributes.
+    // Sources with more particles than 32-bit indices allow are read in batches from a file, without
+    // attributes.
     let end = u32::try_from(particles.len()).unwrap_or(super::NO_PARTICLE);
     (0..end).into_par_iter().filter(is_near).collect()
 }

@@ -1,11 +1,12 @@
-//! The particles near the places that want values, sorted and packed.
+//! The particles near the points that need values, sorted and packed.
 //!
 //! ```text
-//!   particle    v v v  r g b  a  ○ | …     a row of all numbers of a particle, filled up to eights: so one
-//!               └8 numbers in a register┘  weight serves all of them at once
+//!   particle    v v v  r g b  a  ○ | …     a row of all numbers of a particle, padded to multiples of eight, so that
+//!               └8 numbers in a register┘  one weight applies to all of them at once
 //! ```
 //!
-//! Attributes with a value that is not finite stay apart, for a particle without a value has no part in the weights.
+//! Attributes with values that are not finite are kept separate, because particles without a value must not
+//! be weighted.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -15,33 +16,33 @@ use super::{NO_PARTICLE, Reach};
 use crate::surface::neighbors::Neighbors;
 use crate::surface::particles::{Attribute, AttributeValues, Particles, Positions};
 
-/// What values are taken from.
+/// The particles that values are interpolated from.
 pub(super) struct Source<'a> {
     pub(super) particles: Positions<'a>,
     pub(super) attributes: Vec<&'a Attribute>,
     pub(super) reach: Reach<'a>,
-    /// The particles near the places, in cells of the radius.
+    /// The particles near the points, in cells of size R.
     pub(super) neighbors: Neighbors,
     /// Their indices among all particles, in order.
     pub(super) indices: Vec<u32>,
-    /// `row_count` rows of each of them.
+    /// `row_count` rows per particle.
     pub(super) rows: Vec<[f32; 8]>,
     pub(super) row_count: usize,
-    /// The attributes that are numbers, in order.
+    /// The numeric attributes, in order.
     pub(super) numbers: Vec<Numbers<'a>>,
     pub(super) left_out_count: usize,
 }
 
-/// An attribute of numbers.
+/// A numeric attribute.
 pub(super) struct Numbers<'a> {
     pub(super) values: &'a [f32],
     pub(super) arity: usize,
-    /// Where its values start in the rows; none if some are not finite.
+    /// First column of its values in the rows; `None` if some values are not finite.
     pub(super) column: Option<usize>,
 }
 
 impl<'a> Source<'a> {
-    /// What is near these places.
+    /// Collects the particles near these points.
     pub(super) fn new(
         particles: Positions<'a>,
         attributes: Vec<&'a Attribute>,
@@ -71,7 +72,7 @@ impl<'a> Source<'a> {
         Source { particles, attributes, reach, neighbors, indices, rows, row_count, numbers, left_out_count }
     }
 
-    /// The particle, among all, that the neighbours know by this index.
+    /// The index among all particles of a near particle.
     pub(super) fn original(&self, index: u32) -> u32 {
         self.indices.get(index as usize).copied().unwrap_or(NO_PARTICLE)
     }
@@ -96,7 +97,7 @@ fn numbers_of(attribute: &Attribute) -> Option<Numbers<'_>> {
 }
 
 impl Numbers<'_> {
-    /// The values of a particle, of all.
+    /// The values of a particle, by its index among all.
     #[inline(always)]
     pub(super) fn of(&self, particle: u32) -> &[f32] {
         let first = particle as usize * self.arity;

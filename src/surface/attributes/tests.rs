@@ -1,4 +1,4 @@
-//! Against brute force, against fields that are known, and against what files may hold.
+//! Compares attribute transfer with brute force and with known fields, and tests arbitrary file contents.
 
 use std::sync::Arc;
 
@@ -29,7 +29,7 @@ fn random(state: &mut u32) -> f64 {
     f64::from(*state >> 8) / f64::from(1 << 24)
 }
 
-/// A ball of particles, 0.1 apart and a little beside it, in no order.
+/// A ball of particles with a jittered spacing of 0.1, shuffled.
 fn ball(center: DVec3, radius: f64) -> Vec<[f64; 3]> {
     let mut state = 11;
     let reach = (radius / 0.1) as i32 + 1;
@@ -50,7 +50,7 @@ fn ball(center: DVec3, radius: f64) -> Vec<[f64; 3]> {
     positions
 }
 
-/// Places all around a ball, as far from its particles as a surface is.
+/// Points around a ball, as far from its particles as a surface is.
 fn mesh_around(center: DVec3, radius: f64, count: usize) -> Mesh {
     let turn = std::f64::consts::PI * (3.0 - 5f64.sqrt());
     let place = |index: usize| {
@@ -87,14 +87,15 @@ fn linear(place: DVec3) -> [f32; 3] {
     [2.0 * place.x - place.y + 0.5, 3.0 * place.z, place.x + place.y + place.z].map(|value| value as f32)
 }
 
-/// Where each particle is, and what a linear field is there.
+/// Two attributes: the particle position, and a linear field at it.
 fn place_and_field(positions: &[[f64; 3]], center: DVec3) -> [Attribute; 2] {
     let places = || positions.iter().map(|&position| DVec3::from(position) - center);
     let place = numbers("place", 3, places().flat_map(|place| place.as_vec3().to_array()).collect());
     [place, numbers("field", 3, places().flat_map(linear).collect())]
 }
 
-/// A mean of a linear field is the field in the middle of what it is taken of. That is so far from the vertex.
+/// The mean of a linear field equals the field at the weighted center of the particles. Returns the distance
+/// of that center from the vertex.
 fn distance_to_middle(place: Vec3, middle: &[f32], field: &[f32]) -> f32 {
     let middle = Vec3::from_slice(middle);
     for (value, expected) in field.iter().zip(linear(middle.as_dvec3())) {
@@ -124,13 +125,13 @@ fn constants_stay_and_linear_fields_too() {
     }
     let means = found(&transferred[1]).chunks(3).zip(found(&transferred[3]).chunks(3));
     for (position, (middle, field)) in mesh.positions.iter().zip(means) {
-        // Three voxels: the particles are on one side of the vertices.
+        // Three voxels, because all particles are on one side of the vertex.
         let distance = distance_to_middle(*position, middle, field);
         assert!(distance < 0.22, "{distance} at {position}");
     }
 }
 
-/// The mean and the nearest particle at a place, from all particles in 64 bits.
+/// The mean and the nearest particle at a point, over all particles and in 64 bits.
 fn brute_force(positions: &[[f64; 3]], values: &[f32], place: DVec3, radius: f64) -> (f64, f64, usize) {
     let (mut sum, mut total, mut nearest) = (0.0, 0.0, (f64::INFINITY, 0));
     for (index, (&position, &value)) in positions.iter().zip(values).enumerate() {
@@ -316,7 +317,7 @@ fn band_of(centers: &[DVec3], radius: f64, half_width: f32) -> NarrowBand {
     NarrowBand { topology: Arc::new(topology), phi: Field { leaves }, half_width }
 }
 
-/// Calls with each voxel of the band that renderers see, and its values.
+/// Calls `check` with each voxel of the band that renderers use, and its values.
 fn each_voxel(
     band: &NarrowBand,
     attribute: &BandAttribute,
@@ -345,8 +346,8 @@ fn voxels_of_the_band_have_the_values_of_the_surface() {
     let attributes = [place, field, numbers("one", 1, vec![0.1; positions.len()])];
     let lattice = Lattice { voxel_size: VOXEL };
     let particles = Particles::Double(positions);
-    // The wide band goes on behind the voxels that are seen; the narrow one ends with their leaves, and its nodes
-    // beyond do not know the way to the surface.
+    // The wide band extends beyond the visible voxels. The narrow band ends with their leaves, and nodes
+    // beyond it cannot be moved to the surface.
     for half_width in [6.0, 3.0] {
         let band = band(center, 1.13, half_width);
         let selected: Vec<&Attribute> = attributes.iter().collect();
@@ -357,7 +358,7 @@ fn voxels_of_the_band_have_the_values_of_the_surface() {
         each_voxel(&band, &found[0], |_, _, values| places.push([values[0], values[1], values[2]]));
         let mut at = places.iter();
         let count = each_voxel(&band, &found[1], |voxel, phi, field| {
-            // Outside as on the surface, which bends away between nodes.
+            // Outside values are those on the surface, which curves away between nodes.
             let from_center = voxel.as_dvec3() * VOXEL - center;
             let seen_from =
                 from_center.normalize() * (from_center.length() - f64::from(phi.max(0.0)) * VOXEL);
@@ -370,10 +371,10 @@ fn voxels_of_the_band_have_the_values_of_the_surface() {
     }
 }
 
-/// Between two surfaces, where the slopes of φ cancel out, values are those of one of them.
+/// Midway between two surfaces, where the slope of φ vanishes, values are those of one of them.
 #[test]
 fn no_voxel_between_two_surfaces_is_without_values() {
-    // The gap is eight voxels: its middle is a sheet of voxels.
+    // The gap is eight voxels wide; its middle is a layer of voxels.
     let centers = [DVec3::new(-1.0, 0.0, 0.0), DVec3::new(1.0, 0.0, 0.0)];
     let positions: Vec<[f64; 3]> = centers.iter().flat_map(|&center| ball(center, 0.67)).collect();
     let sides = positions.iter().map(|position| position[0].signum() as f32).collect();

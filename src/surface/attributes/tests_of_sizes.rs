@@ -1,4 +1,4 @@
-//! Particles of many sizes: against brute force, against what is far away, and how much work it is.
+//! Tests particles of different sizes: compares with brute force, checks locality, and limits the work.
 
 use std::cell::Cell;
 
@@ -24,7 +24,7 @@ fn direction(state: &mut u32) -> DVec3 {
     DVec3::new(along(), along(), along()).normalize_or(DVec3::X)
 }
 
-/// Particles, and how large each is.
+/// Particles with their scales.
 #[derive(Clone, Default)]
 struct Sizes {
     positions: Vec<[f64; 3]>,
@@ -39,7 +39,7 @@ impl Sizes {
         self.ids.push(self.ids.len() as i64 * 7);
     }
 
-    /// Drops of all sizes among small ones, some of them twice.
+    /// Drops of all sizes among small ones; some positions occur twice.
     fn mixed() -> Sizes {
         let (mut sizes, mut state) = (Sizes::default(), 17);
         for index in 0..3000 {
@@ -56,7 +56,7 @@ impl Sizes {
         sizes
     }
 
-    /// Places on the surfaces of the large ones, and beyond.
+    /// Points on the surfaces of the large particles, and beyond.
     fn places(&self) -> Mesh {
         let mut state = 23;
         let mut positions = Vec::new();
@@ -67,7 +67,7 @@ impl Sizes {
         Mesh { positions, ..Mesh::default() }
     }
 
-    /// The values at these places: the bits of the numbers, and whose they are.
+    /// The values at these points: the bits of the numbers, and the ids of the particles.
     fn transferred(&self, mesh: &Mesh) -> (Vec<u32>, Vec<i64>, TransferCounts) {
         let attribute = |values| Attribute { name: "a".into(), meaning: Meaning::Other, arity: 1, values };
         let numbers: Vec<f32> = self.ids.iter().map(|&id| 1.0 + (id as f32).sin()).collect();
@@ -84,7 +84,8 @@ impl Sizes {
         (numbers.iter().map(|number| number.to_bits()).collect(), ids.clone(), counts)
     }
 
-    /// The nearest of all that reach a place farther than the radius; none where one is within it.
+    /// The nearest of all particles that reach a point beyond the radius. `Err` if a particle is within the
+    /// radius.
     fn brute_force(&self, place: DVec3) -> Result<Option<usize>, ()> {
         let shapes = Shapes::Scaled(self.scales.clone());
         let distances =
@@ -128,12 +129,12 @@ fn lonely_places_get_the_nearest_of_those_that_reach_them() {
 fn how_large_far_particles_are_changes_no_bit() {
     let mut sizes = Sizes::mixed();
     let mut mesh = sizes.places();
-    // Nearly as near: 32 bits do not tell them apart, and the first one is the farther.
+    // Distances that differ by less than 32-bit precision; the first particle is the farther one.
     let apart = DVec3::splat(30.0);
     sizes.push(apart + DVec3::X * (0.75 + 1e-9), 5.0);
     sizes.push(apart - DVec3::X * 0.75, 5.0);
     mesh.positions.push(apart.as_vec3());
-    // No one's, and not to be that of a particle that is large enough elsewhere.
+    // A point that no particle reaches; it must not get the value of a large particle far away.
     mesh.positions.push(Vec3::splat(35.0));
     let reference = sizes.transferred(&mesh);
     assert_eq!(reference.1[mesh.positions.len() - 2..], [sizes.ids[sizes.ids.len() - 1], -1]);
@@ -146,7 +147,7 @@ fn how_large_far_particles_are_changes_no_bit() {
     }
 }
 
-/// The particles that places look at, at most, and whether all of them found one.
+/// Maximum number of particles that a point visits, and whether all points found one.
 fn looks(positions: &[DVec3], limit_world: impl Fn(u32) -> f64 + Sync, places: &[DVec3]) -> (usize, bool) {
     let see =
         |particle: u32| Seen { position: positions[particle as usize], limit_world: limit_world(particle) };
@@ -171,12 +172,13 @@ fn a_place_looks_at_few_of_many_particles() {
     for count in [10_000, 100_000] {
         let crowd: Vec<DVec3> = (0..count).map(|_| direction(&mut state) * random(&mut state)).collect();
         let (most, all_found) = looks(&crowd, |_| 64.0, &places);
-        // From afar a crowd has many that are nearly as near: more for more particles, but far fewer more.
+        // From afar, a crowd has many particles at nearly the same distance, so the work grows with the
+        // crowd, but much more slowly.
         assert!(all_found && most <= 640, "{most} of {count}");
-        // All in one place.
+        // All at the same position.
         let (most, all_found) = looks(&vec![DVec3::Y; count], |_| 64.0, &places);
         assert!(all_found && most <= 16, "{most} of {count}");
-        // None of them reaches so far; one does.
+        // None of them reaches that far; one does.
         assert_eq!(looks(&crowd, |_| 3.2, &places), (0, false));
         let (most, all_found) = looks(&crowd, |particle| if particle == 7 { 64.0 } else { 3.2 }, &places);
         assert!(all_found && most <= 16, "{most} of {count}");

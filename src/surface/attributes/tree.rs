@@ -1,53 +1,53 @@
-//! The nearest particle that reaches a place: boxes in boxes.
+//! Finds the nearest particle that reaches a point, with a tree of bounding boxes.
 //!
 //! ```text
-//!   ┌─────────┬──────┐     Particles are halved across the longest side of the box around them, and each half again,
-//!   │∙ ∙    ∙ │    ∙ │     until a box has few. A place asks the nearer box first, and no box that is farther than
-//!   │  ∙   ∙  ├──────┤     what is found already, or than all in it reach: so it looks at a small part of the particles,
-//!   │     ∙   │ ∙  ∙ │     however far away they are. Cells of one size cannot do that: they are too large for the
-//!   └─────────┴──────┘     crowd, or too small for what is alone.
+//!   ┌─────────┬──────┐     Particles are split in half across the longest side of their bounding box, recursively, until
+//!   │∙ ∙    ∙ │    ∙ │     a box contains few. A search visits the nearer box first, and skips boxes that are farther than
+//!   │  ∙   ∙  ├──────┤     the best particle so far or than all their particles reach. So it visits a small part of the
+//!   │     ∙   │ ∙  ∙ │     particles, however far away they are. Cells of a fixed size cannot do that: they are too large
+//!   └─────────┴──────┘     for crowds or too small for isolated particles.
 //! ```
 //!
-//! Invariants: what is found is the least of (distance², index) of those that reach the place, in 64 bits, whatever the
-//! boxes are. So particles that do not reach it change nothing.
+//! Invariant: the result is the minimum of (distance², index) over the particles that reach the point, in 64
+//! bits, whatever the boxes are. So particles that do not reach it have no influence.
 
 use glam::DVec3;
 
 use super::NO_PARTICLE;
 
-/// What is to be known of a particle.
+/// A particle as seen by the tree.
 #[derive(Clone, Copy)]
 pub(super) struct Seen {
-    /// Finite.
+    /// Must be finite.
     pub(super) position: DVec3,
-    /// It serves places nearer than this.
+    /// The particle reaches points nearer than this.
     pub(super) limit_world: f64,
 }
 
-/// Particles in boxes.
+/// A tree of particles.
 pub(super) struct Tree {
-    /// Those of a box are next to each other.
+    /// The particles of a box are contiguous.
     particles: Vec<u32>,
-    /// A box, all those in its first half, all those in its other half.
+    /// A box, followed by all boxes in its first half, then all boxes in its second half.
     boxes: Vec<Bounds>,
 }
 
-/// What a box holds.
+/// Bounds of a box's particles.
 #[derive(Clone, Copy)]
 struct Bounds {
     min: DVec3,
     max: DVec3,
-    /// The greatest of its particles.
+    /// Maximum over its particles.
     limit_world: f64,
-    /// The least index.
+    /// Minimum index.
     first: u32,
 }
 
-/// Particles of a box that is not halved, at most.
+/// Maximum number of particles of a box that is not split.
 const LEAF_MAX: usize = 16;
 
 impl Tree {
-    /// Sorts these particles.
+    /// Builds the tree of these particles.
     pub(super) fn new(mut particles: Vec<u32>, see: &(impl Fn(u32) -> Seen + Sync)) -> Tree {
         let mut leaf_count = usize::from(!particles.is_empty());
         while leaf_count * LEAF_MAX < particles.len() {
@@ -58,7 +58,7 @@ impl Tree {
         Tree { particles, boxes }
     }
 
-    /// The nearest particle that reaches a place; of several, the first. [`NO_PARTICLE`] where there is none.
+    /// The nearest particle that reaches a point; on ties, the first. [`NO_PARTICLE`] if there is none.
     pub(super) fn nearest(&self, place: DVec3, see: impl FnMut(u32) -> Seen) -> u32 {
         let mut search = Search { place, see, nearest: (f64::INFINITY, NO_PARTICLE) };
         if place.is_finite() {
@@ -103,23 +103,23 @@ impl Bounds {
         })
     }
 
-    /// The least that any of its particles can have: rounding is monotone, so none has less by a bit.
+    /// Lower bound for its particles. Rounding is monotone, so no particle is below it by even a bit.
     fn least(&self, place: DVec3) -> (f64, u32) {
         let outside = (self.min - place).max(place - self.max).max(DVec3::ZERO);
         (outside.length_squared(), self.first)
     }
 }
 
-/// What one place looks for.
+/// The search for one point.
 struct Search<See> {
     place: DVec3,
     see: See,
-    /// The distance², and whose it is.
+    /// The squared distance and the index of the nearest particle so far.
     nearest: (f64, u32),
 }
 
 impl<See: FnMut(u32) -> Seen> Search<See> {
-    /// Searches a box; the parts are as [`halve`] made them.
+    /// Searches a box; its halves are arranged as in [`halve`].
     fn descend(&mut self, boxes: &[Bounds], particles: &[u32]) {
         let Some((bounds, rest)) = boxes.split_first() else { return };
         if !self.is_nearer(bounds.least(self.place), bounds.limit_world) {

@@ -1,15 +1,16 @@
-//! Bubbles are filled: pieces of the outside that are enclosed and small.
+//! Fills bubbles: small enclosed components of the outside.
 //!
 //! ```text
 //!   leaves   [▒▒][▒▒][▒▒]     ▒ stored: a shell around the bubble
-//!            [▒▒]    [▒▒]     what is between is outside, too, and is walked through leaf by leaf,
-//!            [▒▒][▒▒][▒▒]     as long as the volume allows
+//!            [▒▒]    [▒▒]     the missing leaves in between are also outside; a search visits them one
+//!            [▒▒][▒▒][▒▒]     by one until the volume limit
 //! ```
 //!
-//! The walk ends as soon as the piece is larger than what is filled, or where it leaves the box around all leaves. So it
-//! takes a few steps for a bubble, and for the world around the fluid no more than a bubble may have.
+//! The search stops when the component exceeds the volume limit or leaves the bounding box of all leaves. So
+//! it takes a few steps for a bubble, and for the open outside no more than for the largest bubble.
 //!
-//! A drop within a bubble is no part of its volume; if the bubble is filled, the drop is one with what was around.
+//! A drop within a bubble does not count toward its volume. If the bubble is filled, the drop merges with its
+//! surroundings.
 
 use std::collections::VecDeque;
 
@@ -22,18 +23,19 @@ use crate::surface::grid::{FACE_STEPS, LEAF_EDGE, LEAF_VOXELS, LeafMask, Topolog
 use crate::surface::level_set::NarrowBand;
 use crate::surface::space::CoordBox;
 
-/// What was filled.
+/// Result of filling cavities.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FilledCavities {
-    /// How many cavities.
+    /// Number of cavities.
     pub cavity_count: usize,
-    /// How many voxels turned from outside to inside.
+    /// Number of voxels that changed from outside to inside.
     pub voxel_count: u64,
 }
 
-/// Fills the enclosed pieces of the outside with fewer than `volume_voxels` voxels: they turn inside.
+/// Fills the enclosed components of the outside with fewer than `volume_voxels` voxels.
 ///
-/// What has a voxel that is `kept` is no cavity: that tells those of a leaf, by its origin, and is asked once of each.
+/// Components with a voxel that is `kept` are not filled. `kept` maps a leaf's origin to the mask of such
+/// voxels and is called once per leaf.
 pub fn fill_cavities(
     band: &mut NarrowBand,
     volume_voxels: f64,
@@ -59,28 +61,28 @@ pub fn fill_cavities(
     filled
 }
 
-/// What is known of a piece.
+/// State of a component.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Verdict {
     Unknown,
-    /// It is as large as what stays, or open to the world.
+    /// At least as large as the limit, or connected to the open outside.
     Open,
-    /// It is, with others perhaps, a cavity to be filled.
+    /// Enclosed; part of a cavity to be filled.
     Enclosed,
 }
 
-/// The pieces of the outside and the leaves between them that are not stored.
+/// The components of the outside, and the missing leaves between them.
 struct Surroundings<'a> {
     topology: &'a Topology,
     pieces: Pieces,
     volumes: Vec<u64>,
-    /// Piece and leaf that is not stored, for all that touch: by piece, and by leaf.
+    /// All contacts between components and missing leaves, sorted by component and by leaf.
     by_piece: Vec<(u32, [i32; 3])>,
     by_leaf: Vec<([i32; 3], u32)>,
-    /// Holds every leaf that is stored.
+    /// Bounding box of all stored leaves.
     extent: CoordBox,
     verdicts: Vec<Verdict>,
-    /// Leaves that are not stored and are open to the world, or part of something too large.
+    /// Missing leaves that are connected to the open outside or to a component that is too large.
     open: FxHashSet<IVec3>,
 }
 
@@ -100,7 +102,7 @@ impl<'a> Surroundings<'a> {
         Surroundings { topology, pieces, volumes, by_piece, by_leaf, extent, verdicts, open }
     }
 
-    /// Makes the pieces with a voxel that is kept open.
+    /// Marks the components with a kept voxel as open.
     fn keep(&mut self, kept: &dyn Fn(IVec3) -> LeafMask) {
         for (leaf, &origin) in self.topology.origins().iter().enumerate() {
             let kept = kept(origin);
@@ -115,8 +117,8 @@ impl<'a> Surroundings<'a> {
         }
     }
 
-    /// The volume of the cavity that a piece is the first known part of, in voxels; `None` if it is not less than
-    /// `volume_most`, open, or known already.
+    /// The volume of the cavity that contains a component, in voxels. `None` if it is at least `volume_most`,
+    /// open, or already visited.
     fn enclosed_volume(&mut self, piece: u32, volume_most: f64) -> Option<u64> {
         if self.verdicts[piece as usize] != Verdict::Unknown {
             return None;
@@ -142,7 +144,7 @@ impl<'a> Surroundings<'a> {
         is_enclosed.then_some(walk.volume)
     }
 
-    /// Queues the leaves that a piece touches.
+    /// Queues the missing leaves that a component touches.
     fn enter(&self, piece: u32, walk: &mut Walk) {
         let first = self.by_piece.partition_point(|&(other, _)| other < piece);
         for &(_, leaf) in self.by_piece[first..].iter().take_while(|&&(other, _)| other == piece) {
@@ -150,7 +152,7 @@ impl<'a> Surroundings<'a> {
         }
     }
 
-    /// Goes on from a leaf that is not stored to what it touches. Returns whether that is not known to be open.
+    /// Continues the search from a missing leaf. Returns false if it is known to be open.
     fn pass(&self, leaf: IVec3, walk: &mut Walk) -> bool {
         for face in FACE_STEPS.map(|step| leaf.wrapping_add(step * LEAF_EDGE)) {
             if self.topology.find(face).is_none() {
@@ -172,12 +174,12 @@ impl<'a> Surroundings<'a> {
     }
 }
 
-/// A walk through what is connected.
+/// A breadth-first search through connected components and leaves.
 #[derive(Default)]
 struct Walk {
     volume: u64,
     pieces: FxHashSet<u32>,
-    /// Leaves that are not stored: all that were reached, and those that were not yet gone on from.
+    /// Missing leaves: all that were reached, and those still in the queue.
     leaves: FxHashSet<IVec3>,
     queue: VecDeque<IVec3>,
 }

@@ -1,8 +1,8 @@
-//! Specks are dropped: pieces of the inside with few particles in them.
+//! Removes islands: components of the inside with few particles.
 //!
-//! A particle belongs to the piece of the nearest corner of its cell that is inside. Only particles near the
-//! surface are usually at hand; so a piece that has leaves so deep inside that they are not stored is kept without
-//! being counted: such a leaf alone has room for hundreds.
+//! A particle belongs to the component of the nearest inside corner of its cell. Usually only particles near
+//! the surface are stored. So a component with leaves so deep inside that they are not stored is kept without
+//! counting: one such leaf has room for hundreds of particles.
 
 use std::sync::Arc;
 
@@ -13,24 +13,24 @@ use super::turned::{Side, turn};
 use crate::surface::grid::{LEAF_EDGE, Topology, negative_masks};
 use crate::surface::level_set::NarrowBand;
 
-/// What was dropped.
+/// Result of removing islands.
 #[derive(Clone, Debug)]
 pub struct DroppedIslands {
-    /// How many pieces.
+    /// Number of components.
     pub piece_count: usize,
-    /// How many of the given particles were in them.
+    /// Number of given particles in them.
     pub particle_count: u64,
-    /// How many voxels turned from inside to outside.
+    /// Number of voxels that changed from inside to outside.
     pub voxel_count: u64,
     topology: Arc<Topology>,
     pieces: Pieces,
     is_dropped: Vec<bool>,
 }
 
-/// Drops the pieces of the inside with fewer than `particle_count_least` particles: their voxels turn outside.
+/// Removes the components of the inside with fewer than `particle_count_least` particles.
 ///
-/// Particles come leaf by leaf: a leaf's origin, and positions in voxels relative to it (0 to 8 on each axis).
-/// Particles that are not given are not counted.
+/// `particles` yields each leaf's origin and particle positions, in voxels relative to it (0 to 8 on each
+/// axis). Particles that are not given are not counted.
 pub fn drop_islands<P: AsRef<[Vec3]>>(
     band: &mut NarrowBand,
     particle_count_least: u64,
@@ -63,19 +63,20 @@ pub fn drop_islands<P: AsRef<[Vec3]>>(
 }
 
 impl DroppedIslands {
-    /// Whether a particle was in a piece that was dropped. It is given in voxels relative to the origin of its leaf.
+    /// True if a particle was in a removed component. `local` is in voxels relative to the origin of its
+    /// leaf.
     pub fn holds(&self, leaf_origin: IVec3, local: Vec3) -> bool {
         self.piece_of(leaf_origin, local).is_some_and(|piece| self.is_dropped[piece as usize])
     }
 
-    /// The particles in each piece that may yet be dropped.
+    /// Number of particles in each component that may still be removed.
     fn count_particles<P: AsRef<[Vec3]>>(&self, particles: impl IntoIterator<Item = (IVec3, P)>) -> Vec<u64> {
         let has_candidate: Vec<bool> = (0..self.topology.len())
             .map(|leaf| self.pieces.of_leaf(leaf).any(|(piece, _)| self.is_dropped[piece as usize]))
             .collect();
         let mut counts = vec![0; self.pieces.count];
         for (origin, locals) in particles {
-            // Cells reach into the leaves after their own.
+            // Cells extend into the leaves after their own.
             let reached =
                 (0..8).filter_map(|k| self.topology.find(origin.wrapping_add(corner(k) * LEAF_EDGE)));
             if !reached.into_iter().any(|leaf| has_candidate[leaf]) {
@@ -90,9 +91,9 @@ impl DroppedIslands {
         counts
     }
 
-    /// The piece of a particle.
+    /// The component of a particle.
     fn piece_of(&self, origin: IVec3, local: Vec3) -> Option<u32> {
-        // Rounded, a particle may be at the far end of its leaf.
+        // Rounding can put a particle on the leaf's upper boundary.
         let cell = local.as_ivec3().clamp(IVec3::ZERO, IVec3::splat(LEAF_EDGE));
         let corners = (0..8).map(|k| cell + corner(k)).filter_map(|voxel| {
             let (leaf, place) = self.topology.find_voxel(origin.wrapping_add(voxel))?;

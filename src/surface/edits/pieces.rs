@@ -1,49 +1,50 @@
-//! The connected pieces of a set of voxels.
+//! Connected components of a set of voxels.
 //!
 //! ```text
-//!   leaf 0    leaf 1         parts: what is connected within one leaf, grown from a seed by shifting bits
+//!   leaf 0    leaf 1         parts: connected within one leaf, found by flood filling with bit shifts
 //!   ┌──────┬──────┐
-//!   │ aa  b│b     │          a, b │ b, c: parts that touch across a face or an edge of leaves are
-//!   │ a    │   cc │          joined into pieces: {a}, {b, b}, {c}
+//!   │ aa  b│b     │          parts that touch across a face or an edge of leaves are joined into
+//!   │ a    │   cc │          components: {a}, {b, b}, {c}
 //!   └──────┴──────┘
 //! ```
 //!
-//! Parts and pieces are numbered in the topology's order, so that they do not depend on the number of threads.
+//! Parts and components are numbered in the topology's order, so the numbers do not depend on the number of
+//! threads.
 
 use glam::IVec3;
 use rayon::prelude::*;
 
 use crate::surface::grid::{FACE_STEPS, LeafMask, NO_LEAF, Topology, offset_in_leaf};
 
-/// Which voxels touch.
+/// Which voxels are connected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Contact {
-    /// Those with a face in common.
+    /// Those that share a face.
     Faces,
-    /// Those with a face or an edge in common.
+    /// Those that share a face or an edge.
     Edges,
 }
 
-/// What is connected within one leaf.
+/// A set of voxels connected within one leaf.
 #[derive(Clone, Copy, Debug)]
 struct Part {
     mask: LeafMask,
-    /// The piece it belongs to.
+    /// The component it belongs to.
     piece: u32,
 }
 
-/// The pieces of a set of voxels.
+/// The connected components of a set of voxels.
 #[derive(Clone, Debug)]
 pub(super) struct Pieces {
-    /// Where each leaf's parts start; one more entry than leaves.
+    /// Start of each leaf's parts; one entry more than there are leaves.
     starts: Vec<u32>,
     parts: Vec<Part>,
-    /// How many pieces there are.
+    /// Number of components.
     pub(super) count: usize,
 }
 
 impl Pieces {
-    /// The pieces of a set that is given leaf by leaf.
+    /// The components of a set given as one mask per leaf.
     pub(super) fn new(topology: &Topology, sets: &[LeafMask], contact: Contact) -> Pieces {
         let parts: Vec<Vec<LeafMask>> = sets.par_iter().map(|set| parts_of(set, contact)).collect();
         let mut starts = vec![0];
@@ -62,19 +63,19 @@ impl Pieces {
         Pieces { starts, parts, count }
     }
 
-    /// The piece of a voxel, given by its leaf and relative to that; `None` if it is not in the set.
+    /// The component of a voxel, given by its leaf and relative to it; `None` if it is not in the set.
     pub(super) fn piece_at(&self, leaf: usize, local: IVec3) -> Option<u32> {
         let offset = offset_in_leaf(local);
         self.of_leaf(leaf).find(|(_, mask)| mask.contains(offset)).map(|(piece, _)| piece)
     }
 
-    /// What a leaf has of the pieces: piece and voxels. A piece may come more than once.
+    /// The components in a leaf, with their voxels. A component may occur more than once.
     pub(super) fn of_leaf(&self, leaf: usize) -> impl Iterator<Item = (u32, &LeafMask)> {
         let parts = self.starts[leaf] as usize..self.starts[leaf + 1] as usize;
         self.parts[parts].iter().map(|part| (part.piece, &part.mask))
     }
 
-    /// The voxels of some of the pieces: leaf by leaf, where there are any.
+    /// The voxels of the selected components, for each leaf that has any.
     pub(super) fn voxels_of(&self, is_wanted: &[bool]) -> Vec<(usize, LeafMask)> {
         let wanted = |leaf: usize| {
             let masks = self.of_leaf(leaf).filter(|(piece, _)| is_wanted[*piece as usize]);
@@ -84,7 +85,7 @@ impl Pieces {
         (0..self.starts.len() - 1).filter_map(wanted).collect()
     }
 
-    /// The number of stored voxels of each piece.
+    /// Number of stored voxels of each component.
     pub(super) fn volumes(&self) -> Vec<u64> {
         let mut volumes = vec![0; self.count];
         for part in &self.parts {
@@ -93,7 +94,7 @@ impl Pieces {
         volumes
     }
 
-    /// Where pieces reach the leaves that are not stored: piece, and origin of such a leaf.
+    /// Where components touch leaves that are not stored: the component, and the origin of the leaf.
     pub(super) fn beyond(&self, topology: &Topology) -> Vec<(u32, IVec3)> {
         let leaves = topology.origins().par_iter().zip(topology.neighbors()).enumerate();
         let reached = leaves.flat_map_iter(|(leaf, (&origin, neighbors))| {
@@ -111,7 +112,7 @@ impl Pieces {
     }
 }
 
-/// The parts of one leaf, by their first voxels.
+/// The parts of one leaf, ordered by first voxel.
 fn parts_of(set: &LeafMask, contact: Contact) -> Vec<LeafMask> {
     if *set == LeafMask::FULL {
         return vec![LeafMask::FULL];
@@ -134,7 +135,7 @@ fn parts_of(set: &LeafMask, contact: Contact) -> Vec<LeafMask> {
     parts
 }
 
-/// The voxels of a leaf that are in or touch one that is.
+/// The voxels of a leaf that are in the mask or touch a voxel of it.
 fn grown(mask: &LeafMask, contact: Contact) -> LeafMask {
     let [x, y, z] = [0, 1, 2].map(|axis| widened(mask, axis));
     match contact {
@@ -143,13 +144,13 @@ fn grown(mask: &LeafMask, contact: Contact) -> LeafMask {
     }
 }
 
-/// The voxels of a leaf that are in or next to one that is along an axis.
+/// The voxels of a leaf that are in the mask or adjacent to it along an axis.
 fn widened(mask: &LeafMask, axis: usize) -> LeafMask {
     let [before, after] = mask.shifted(axis, 1, &LeafMask::EMPTY, &LeafMask::EMPTY);
     mask.or(&before).or(&after)
 }
 
-/// The voxels of the leaf one `step` away that touch one of `mask`.
+/// The voxels of the leaf one `step` away that touch a voxel of `mask`.
 pub(super) fn across(mask: &LeafMask, step: IVec3, contact: Contact) -> LeafMask {
     let none = LeafMask::EMPTY;
     let touched = (0..3).fold(*mask, |touched, axis| match step[axis] {
@@ -165,7 +166,7 @@ pub(super) fn across(mask: &LeafMask, step: IVec3, contact: Contact) -> LeafMask
     aside.fold(touched, |all, axis| all.or(&widened(&touched, axis)))
 }
 
-/// Steps to half of the leaves that have a face in common with one, and to half of those with an edge.
+/// Steps to half of the leaves that share a face with one, and to half of those that share an edge.
 const HALF_OF_FACES: [IVec3; 3] = [IVec3::X, IVec3::Y, IVec3::Z];
 const HALF_OF_EDGES: [IVec3; 6] = [
     IVec3::new(1, 1, 0),
@@ -176,7 +177,7 @@ const HALF_OF_EDGES: [IVec3; 6] = [
     IVec3::new(0, 1, -1),
 ];
 
-/// The pairs of parts, one in this leaf and one in a leaf after it, that touch.
+/// The pairs of touching parts, one in this leaf and one in a later leaf.
 fn contacts_of_leaf(
     topology: &Topology,
     starts: &[u32],
@@ -205,13 +206,13 @@ fn contacts_of_leaf(
     pairs
 }
 
-/// Joins the trees of two parts. The lesser root stays one.
+/// Joins the trees of two parts. The smaller root stays the root.
 fn join(parents: &mut [u32], one: u32, other: u32) {
     let (one, other) = (find(parents, one), find(parents, other));
     parents[one.max(other) as usize] = one.min(other);
 }
 
-/// The root of a part. What is passed on the way gets nearer to it.
+/// The root of a part. Compresses the path.
 fn find(parents: &mut [u32], part: u32) -> u32 {
     let mut root = part;
     while parents[root as usize] != root {
@@ -222,12 +223,12 @@ fn find(parents: &mut [u32], part: u32) -> u32 {
     root
 }
 
-/// For each part the number of its piece, by first parts; and how many there are.
+/// For each part, the number of its component in the order of first parts; and the number of components.
 fn numbered(parents: &mut [u32]) -> (Vec<u32>, usize) {
     let mut numbers = vec![0; parents.len()];
     let mut count = 0;
     for part in 0..parents.len() as u32 {
-        // A root comes before the parts that it is the root of.
+        // A root comes before its parts.
         let root = find(parents, part);
         if root == part {
             numbers[part as usize] = count;
@@ -244,7 +245,7 @@ mod tests {
     use super::*;
     use crate::surface::grid::voxel_in_leaf;
 
-    /// The pieces of scattered voxels by walking from voxel to voxel.
+    /// The components of scattered voxels by a simple walk from voxel to voxel.
     fn walked(voxels: &[IVec3], steps: &[IVec3]) -> Vec<Vec<IVec3>> {
         let mut rest = voxels.to_vec();
         let mut pieces = Vec::new();

@@ -1,33 +1,34 @@
-//! Which triangles a vertex is in.
+//! Finds the triangles around each vertex.
 //!
-//! Vertices are taken in pieces, and so are triangles. A list of the triangles that touch a piece of vertices is
-//! made first; the corners of the piece's vertices are then put in order by one thread, in memory that stays in its
-//! cache and is used again for the next piece:
+//! Vertices and triangles are split into chunks. First, the triangles that touch each chunk of vertices are
+//! listed. Then one thread sorts the corners of a chunk's vertices, in memory that fits into its cache and is
+//! reused for the next chunk:
 //!
 //! ```text
-//!   triangles   piece 0        piece 1        piece 2
-//!               ╱    ╲          │   ╲           │            stretches: places of triangles in their piece
-//!   vertices  piece 0   piece 1    …                         corners:   [next, prev] by vertex
+//!   triangles   chunk 0        chunk 1        chunk 2
+//!               ╱    ╲          │   ╲           │            runs: indices of triangles within their chunk
+//!   vertices  chunk 0   chunk 1    …                         corners:   [next, prev] by vertex
 //! ```
 
 use rayon::prelude::*;
 
 use super::{Mesh, PIECE};
 
-/// Triangles of one piece that touch one piece of vertices.
+/// The triangles of one chunk that touch one chunk of vertices.
 struct Stretch {
     vertex_piece: u32,
     triangle_piece: u32,
-    /// Where they start in the list of their piece.
+    /// Start in the list of the triangles' chunk.
     start: u32,
     count: u32,
 }
 
-/// For each piece of vertices the triangles that touch it.
+/// For each chunk of vertices, the triangles that touch it.
 pub(super) struct Touching {
-    /// For each piece of triangles the places in it of those that touch a piece of vertices, by that piece.
+    /// For each chunk of triangles, the indices within it of its triangles, grouped by the vertex chunk they
+    /// touch.
     places: Vec<Vec<u16>>,
-    /// By piece of vertices, then by piece of triangles.
+    /// Sorted by chunk of vertices, then by chunk of triangles.
     stretches: Vec<Stretch>,
 }
 
@@ -41,7 +42,7 @@ impl Touching {
         Touching { places, stretches }
     }
 
-    /// The triangles that touch a piece of vertices, in order.
+    /// The triangles that touch a chunk of vertices, in order.
     pub(super) fn triangles<'a>(
         &'a self,
         mesh: &'a Mesh,
@@ -57,7 +58,7 @@ impl Touching {
     }
 }
 
-/// The list of a piece of triangles, and its stretches.
+/// The list of a chunk of triangles, and its runs.
 fn list_of_piece(triangles: &[[u32; 3]], triangle_piece: u32) -> (Vec<u16>, Vec<Stretch>) {
     let least = triangles.iter().flatten().fold(u32::MAX, |least, &vertex| least.min(vertex));
     let most = triangles.iter().flatten().fold(0, |most, &vertex| most.max(vertex));
@@ -72,7 +73,7 @@ fn list_of_piece(triangles: &[[u32; 3]], triangle_piece: u32) -> (Vec<u16>, Vec<
         if *end > 0 {
             stretches.push(Stretch { vertex_piece, triangle_piece, start: total, count: *end });
         }
-        // Moves up as places are put in.
+        // Advances as indices are inserted.
         total += std::mem::replace(end, total);
     }
     let mut places = vec![0; total as usize];
@@ -86,7 +87,7 @@ fn list_of_piece(triangles: &[[u32; 3]], triangle_piece: u32) -> (Vec<u16>, Vec<
     (places, stretches)
 }
 
-/// Calls `each` for each piece of vertices that a triangle touches.
+/// Calls `each` for each chunk of vertices that a triangle touches.
 #[inline(always)]
 fn touched(triangle: [u32; 3], mut each: impl FnMut(u32)) {
     let [a, b, c] = triangle.map(|vertex| vertex / PIECE as u32);
@@ -99,17 +100,17 @@ fn touched(triangle: [u32; 3], mut each: impl FnMut(u32)) {
     }
 }
 
-/// The corners of a piece of vertices, by vertex.
+/// The corners of a chunk of vertices, grouped by vertex.
 #[derive(Default)]
 pub(super) struct Corners {
-    /// Where each vertex's corners start in `ends`, and at last where the last one's end.
+    /// Start of each vertex's corners in `ends`; one entry more than there are vertices.
     starts: Vec<u32>,
     /// `[next, prev]` of each corner.
     ends: Vec<[u32; 2]>,
 }
 
 impl Corners {
-    /// Puts the corners of the vertices from `first` on in place of those that were there.
+    /// Replaces the corners by those of the vertices from `first` on.
     pub(super) fn collect(
         &mut self,
         first: u32,
@@ -126,7 +127,7 @@ impl Corners {
         for vertex in 2..starts.len() {
             starts[vertex] += starts[vertex - 1];
         }
-        // Each start moves up as its corners are put in, and so becomes the next vertex's start.
+        // Each start advances as corners are inserted, and finally is the start of the next vertex.
         self.ends.resize(starts[count + 1] as usize, [0; 2]);
         triangles.for_each(|[a, b, c]| {
             for [vertex, next, prev] in [[a, b, c], [b, c, a], [c, a, b]] {
@@ -139,7 +140,7 @@ impl Corners {
         });
     }
 
-    /// The corners of a vertex, given from the first one of the piece.
+    /// The corners of a vertex, given by its index within the chunk.
     #[inline(always)]
     pub(super) fn of(&self, vertex: usize) -> &[[u32; 2]] {
         &self.ends[self.starts[vertex] as usize..self.starts[vertex + 1] as usize]

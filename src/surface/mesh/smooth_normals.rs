@@ -1,16 +1,16 @@
-//! Normals averaged with those around them.
+//! Smooths vertex normals.
 //!
 //! ```text
 //!        c ─── b
-//!       ╱ ╲   ╱ ╲        the normals over the triangles of v, linear on each, averaged with the weight that falls
-//!      d ── v ── a       from 1 at v to 0 at its neighbours:
+//!       ╱ ╲   ╱ ╲        the normals over the triangles of v, interpolated linearly on each, averaged with a weight
+//!      d ── v ── a       that falls from 1 at v to 0 at its neighbors:
 //!       ╲   │   ╱
 //!        ── e ──         n ← Σ area · (2 n(v) + n(next) + n(prev))
 //! ```
 //!
-//! The weights are positive and half of them are v's own, so that any number of rounds only smooths. The surface stays as it
-//! is; its shading gets calmer. The result is the same on any number of threads, and a vertex depends on those within as many
-//! edges as there are rounds.
+//! The weights are positive and half of the total is v's own, so any number of rounds only smooths. Positions
+//! do not change, only shading. The result does not depend on the number of threads, and each round extends
+//! the influence of a normal by one edge.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -19,10 +19,10 @@ use super::corners::{Corners, Touching};
 use super::{Mesh, PIECE};
 
 impl Mesh {
-    /// Averages each normal with those around it, so many times. They stay unit vectors; one whose average has no direction stays
-    /// as it is.
+    /// Averages each normal with its neighbors, `rounds` times. Normals stay unit vectors; a normal whose
+    /// average vanishes is left unchanged.
     ///
-    /// Panics if a triangle names a vertex that does not exist, or one without a normal.
+    /// Panics if a triangle refers to a vertex that does not exist or has no normal.
     pub fn smooth_normals(&mut self, rounds: u32) {
         if rounds == 0 {
             return;
@@ -42,9 +42,9 @@ impl Mesh {
         }
     }
 
-    /// The average of the normals around a vertex that has these corners `[next, prev]`; `None` if it has no direction.
+    /// The average of the normals around a vertex with corners `[next, prev]`; `None` if it vanishes.
     fn average(&self, vertex: usize, corners: &[[u32; 2]]) -> Option<Vec3> {
-        // In 64 bits, that have room for areas in whatever unit.
+        // 64 bits, so that areas in any unit are in range.
         let to = |other: u32| self.positions[other as usize].as_dvec3() - self.positions[vertex].as_dvec3();
         let normal = |vertex: u32| self.normals[vertex as usize].as_dvec3();
         let mut sum = DVec3::ZERO;
@@ -60,7 +60,7 @@ impl Mesh {
 mod tests {
     use super::*;
 
-    /// A ball of subdivided triangles with normals that are off by up to some 20°.
+    /// A sphere of subdivided triangles with normals that are off by up to about 20°.
     fn rough_ball() -> Mesh {
         let mut mesh = Mesh::default();
         let (rows, columns) = (60u32, 120u32);
@@ -123,7 +123,7 @@ mod tests {
             triangles: triangles.to_vec(),
             ..Mesh::default()
         };
-        // Two and two that cancel, and vertices without triangles.
+        // Two pairs that cancel, and vertices without triangles.
         let mut cancelling = mesh(&[[0, 1, 2]]);
         cancelling.smooth_normals(1);
         assert_eq!(cancelling.normals[0], Vec3::Z);
