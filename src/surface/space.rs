@@ -79,7 +79,7 @@ pub fn box_of(count: usize, small: impl Fn(usize) -> [DVec3; 2]) -> Option<[DVec
     if rank == 0 {
         return Some(all);
     }
-    let [low, high] = middle_of(&some, rank);
+    let [low, high] = middle_range(&some, rank);
     let reach = DVec3::splat((high - low).max_element());
     let kept = (0..count)
         .filter_map(finite)
@@ -94,10 +94,10 @@ const SAMPLES: usize = 1 << 18;
 const STRAYS: usize = 200;
 
 /// Along each axis, the positions of this rank from either end.
-fn middle_of(places: &[DVec3], rank: usize) -> [DVec3; 2] {
+fn middle_range(positions: &[DVec3], rank: usize) -> [DVec3; 2] {
     let mut ends = [DVec3::ZERO; 2];
     for axis in 0..3 {
-        let mut along: Vec<f64> = places.iter().map(|place| place[axis]).collect();
+        let mut along: Vec<f64> = positions.iter().map(|position| position[axis]).collect();
         let last = along.len() - 1 - rank;
         ends[0][axis] = *along.select_nth_unstable_by(rank, f64::total_cmp).1;
         ends[1][axis] = *along.select_nth_unstable_by(last, f64::total_cmp).1;
@@ -118,26 +118,26 @@ mod tests {
     fn slab_with(others: &[DVec3]) -> Option<[DVec3; 2]> {
         let slab = (0..1331)
             .map(|i| DVec3::new(f64::from(i % 11), f64::from(i / 11 % 11) * 0.1, f64::from(i / 121)));
-        let places: Vec<DVec3> = slab.chain(others.iter().copied()).collect();
-        box_of(places.len(), |index| [places[index]; 2])
+        let positions: Vec<DVec3> = slab.chain(others.iter().copied()).collect();
+        box_of(positions.len(), |index| [positions[index]; 2])
     }
 
     const SLAB: [DVec3; 2] = [DVec3::ZERO, DVec3::new(10.0, 1.0, 10.0)];
 
     #[test]
-    fn drops_of_a_splash_are_seen() {
+    fn bounding_box_includes_splash_drops() {
         let drop = DVec3::new(4.0, 8.0, 14.0);
         assert_eq!(slab_with(&[drop]), Some([DVec3::ZERO, DVec3::new(10.0, 8.0, 14.0)]));
     }
 
     #[test]
-    fn what_strayed_is_left_out() {
+    fn bounding_box_ignores_strays() {
         let strayed = [DVec3::new(5.0, -900.0, 5.0), DVec3::splat(f64::NAN), DVec3::new(1e7, 0.0, 0.0)];
         assert_eq!(slab_with(&strayed), Some(SLAB));
     }
 
     #[test]
-    fn few_places_are_all_seen() {
+    fn bounding_box_of_few_boxes_ignores_none() {
         let ends = [DVec3::ZERO, DVec3::new(1e6, 1.0, 2.0)];
         assert_eq!(box_of(2, |index| [ends[index]; 2]), Some(ends));
         assert_eq!(box_of(0, |_| [DVec3::ZERO; 2]), None);

@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use glam::IVec3;
 
-use super::nodes::{NODE_EDGE, needed_nodes, node_places};
-use super::source::Source;
-use super::{Reach, TransferCounts, at_places};
+use super::nodes::{NODE_EDGE, needed_nodes, node_points};
+use super::source::TransferSource;
+use super::{Support, TransferCounts, interpolate_at};
 use crate::surface::grid::{LEAF_VOXELS, NO_LEAF, Topology};
 use crate::surface::level_set::NarrowBand;
 use crate::surface::particles::{Attribute, AttributeValues, Meaning, Positions};
@@ -46,18 +46,19 @@ pub fn to_band<'a>(
     attributes: &[&'a Attribute],
     (band, lattice): (&NarrowBand, &Lattice),
     half_width_voxels: f32,
-    reach: Reach<'a>,
+    support: Support<'a>,
 ) -> (Vec<BandAttribute>, TransferCounts) {
-    let is_numbers = |attribute: &&&'a Attribute| matches!(attribute.values, AttributeValues::Numbers(_));
+    let is_numbers =
+        |attribute: &&&'a Attribute| matches!(attribute.values, AttributeValues::NumericAttribute(_));
     let attributes: Vec<&'a Attribute> = attributes.iter().filter(is_numbers).copied().collect();
     let needed = needed_nodes(band, half_width_voxels);
-    let places = node_places(band, lattice, &needed);
-    let place_of = |place: usize| places[place];
+    let points = node_points(band, lattice, &needed);
+    let point_of = |point: usize| points[point];
     // Some nodes are farther from the surface than the half width.
-    let margin_world = reach.margin_world + f64::from(half_width_voxels) * lattice.voxel_size;
-    let reach = Reach { margin_world, ..reach };
-    let source = Source::new(particles.into(), attributes, reach, (places.len(), &place_of));
-    let (blended, counts) = at_places(&source, places.len(), &place_of);
+    let margin_world = support.margin_world + f64::from(half_width_voxels) * lattice.voxel_size;
+    let support = Support { margin_world, ..support };
+    let source = TransferSource::new(particles.into(), attributes, support, (points.len(), &point_of));
+    let (interpolated, counts) = interpolate_at(&source, points.len(), &point_of);
     let mut end = 0;
     let starts = needed.iter().map(|nodes| {
         let start = end;
@@ -66,7 +67,7 @@ pub fn to_band<'a>(
     });
     let starts = starts.collect();
     let nodes = Arc::new(Nodes { topology: Arc::clone(&band.topology), needed, starts });
-    let found = source.attributes.iter().zip(blended.numbers).map(|(attribute, values)| BandAttribute {
+    let found = source.attributes.iter().zip(interpolated.numbers).map(|(attribute, values)| BandAttribute {
         name: attribute.name.clone(),
         meaning: attribute.meaning,
         arity: attribute.arity,

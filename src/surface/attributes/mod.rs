@@ -29,9 +29,9 @@
 //! threads.
 
 mod band;
-mod blend;
-mod lonely;
-mod near;
+mod interpolate;
+mod isolated;
+mod near_particles;
 mod nodes;
 mod source;
 mod tree;
@@ -44,12 +44,12 @@ use crate::surface::particles::{Attribute, AttributeValues, Positions, Shapes};
 
 pub use band::{BandAttribute, to_band};
 
-use blend::{Blended, Scratch, blend};
-use source::Source;
+use interpolate::{Interpolated, Scratch, interpolate};
+use source::TransferSource;
 
 /// How far particle values reach, in world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reach<'a> {
+pub struct Support<'a> {
     /// Radius of the weighted mean; weights are zero from here on.
     pub radius_world: f64,
     /// r_max of the settings: the maximum distance of a ball's surface from its center.
@@ -60,7 +60,7 @@ pub struct Reach<'a> {
     pub shapes: &'a Shapes,
 }
 
-impl Reach<'_> {
+impl Support<'_> {
     /// Distance up to which a particle is used if none is within the radius. Depends on this particle alone.
     fn limit_world(&self, particle: u32) -> f64 {
         let longest = self.shapes.longest(particle as usize).max(1.0);
@@ -97,19 +97,26 @@ pub fn to_vertices<'a>(
     particles: impl Into<Positions<'a>>,
     attributes: &[&'a Attribute],
     mesh: &Mesh,
-    reach: Reach<'a>,
+    support: Support<'a>,
 ) -> (Vec<Attribute>, TransferCounts) {
-    let place_of = |vertex: usize| mesh.origin + mesh.positions[vertex].as_dvec3();
-    let source = Source::new(particles.into(), attributes.to_vec(), reach, (mesh.positions.len(), &place_of));
-    let (blended, counts) = at_places(&source, mesh.positions.len(), &place_of);
-    let mut numbers = blended.numbers.into_iter();
+    let point_of = |vertex: usize| mesh.origin + mesh.positions[vertex].as_dvec3();
+    let source = TransferSource::new(
+        particles.into(),
+        attributes.to_vec(),
+        support,
+        (mesh.positions.len(), &point_of),
+    );
+    let (interpolated, counts) = interpolate_at(&source, mesh.positions.len(), &point_of);
+    let mut numbers = interpolated.numbers.into_iter();
     let mut values_of = |attribute: &Attribute| match &attribute.values {
-        AttributeValues::Numbers(_) => AttributeValues::Numbers(numbers.next().unwrap_or_default()),
+        AttributeValues::NumericAttribute(_) => {
+            AttributeValues::NumericAttribute(numbers.next().unwrap_or_default())
+        }
         AttributeValues::Integers(values) => {
-            AttributeValues::Integers(of_nearest(values, attribute.arity, &blended.nearest))
+            AttributeValues::Integers(of_nearest(values, attribute.arity, &interpolated.nearest))
         }
         AttributeValues::Strings { table, indices } => {
-            let indices = of_nearest(indices, attribute.arity, &blended.nearest);
+            let indices = of_nearest(indices, attribute.arity, &interpolated.nearest);
             AttributeValues::Strings { table: table.clone(), indices }
         }
     };
@@ -144,24 +151,24 @@ fn of_nearest<T: Copy + From<i8> + Send + Sync>(values: &[T], arity: usize, near
 const PIECE: usize = 2048;
 
 /// The means at these points, and the particles nearest to them.
-fn at_places(
-    source: &Source,
+fn interpolate_at(
+    source: &TransferSource,
     count: usize,
-    place_of: &(impl Fn(usize) -> DVec3 + Sync),
-) -> (Blended, TransferCounts) {
-    let pieces: Vec<Blended> = (0..count.div_ceil(PIECE))
+    point_of: &(impl Fn(usize) -> DVec3 + Sync),
+) -> (Interpolated, TransferCounts) {
+    let pieces: Vec<Interpolated> = (0..count.div_ceil(PIECE))
         .into_par_iter()
         .map_init(Scratch::default, |scratch, piece| {
             let vertices = piece * PIECE..count.min((piece + 1) * PIECE);
-            let places: Vec<DVec3> = vertices.map(place_of).collect();
-            blend(source, &places, scratch)
+            let points: Vec<DVec3> = vertices.map(point_of).collect();
+            interpolate(source, &points, scratch)
         })
         .collect();
-    let mut blended = Blended::joined(source, &pieces);
-    let mut counts = lonely::serve(source, &mut blended, place_of);
+    let mut interpolated = Interpolated::joined(source, &pieces);
+    let mut counts = isolated::assign_nearest(source, &mut interpolated, point_of);
     counts.place_count = count;
     counts.left_out_count = source.left_out_count;
-    (blended, counts)
+    (interpolated, counts)
 }
 
 #[cfg(test)]

@@ -77,20 +77,21 @@ fn needed_of(topology: &Topology, active: &[[u8; 64]], leaf: usize) -> u64 {
 
 /// World positions of the required nodes, leaf by leaf. Nodes outside are moved to the nearest point on the
 /// surface.
-pub(super) fn node_places(band: &NarrowBand, lattice: &Lattice, needed: &[u64]) -> Vec<DVec3> {
-    let places = needed.par_iter().enumerate().flat_map_iter(|(leaf, &nodes)| {
+pub(super) fn node_points(band: &NarrowBand, lattice: &Lattice, needed: &[u64]) -> Vec<DVec3> {
+    let points = needed.par_iter().enumerate().flat_map_iter(|(leaf, &nodes)| {
         let around = if nodes == 0 { [NO_LEAF; 27] } else { band.topology.neighborhood(leaf) };
         (0..64).filter(move |node| nodes >> node & 1 == 1).map(move |node: i32| {
             let voxel = IVec3::new(node >> 4, node >> 2 & 3, node & 3) * 2;
-            let outwards = outwards(band, &around, leaf, voxel);
-            ((band.topology.origins()[leaf] + voxel).as_dvec3() - outwards.as_dvec3()) * lattice.voxel_size
+            let offset_from_surface = offset_from_surface(band, &around, leaf, voxel);
+            ((band.topology.origins()[leaf] + voxel).as_dvec3() - offset_from_surface.as_dvec3())
+                * lattice.voxel_size
         })
     });
-    places.collect()
+    points.collect()
 }
 
 /// The vector from the nearest point on the surface to an outside voxel; zero for an inside voxel.
-fn outwards(band: &NarrowBand, around: &[u32; 27], leaf: usize, voxel: IVec3) -> Vec3 {
+fn offset_from_surface(band: &NarrowBand, around: &[u32; 27], leaf: usize, voxel: IVec3) -> Vec3 {
     let leaves = &band.phi.leaves;
     let phi = leaves[leaf].values[offset_in_leaf(voxel)];
     if phi <= 0.0 {

@@ -17,7 +17,7 @@ use super::NO_PARTICLE;
 
 /// A particle as seen by the tree.
 #[derive(Clone, Copy)]
-pub(super) struct Seen {
+pub(super) struct TreeParticle {
     /// Must be finite.
     pub(super) position: DVec3,
     /// The particle reaches points nearer than this.
@@ -29,12 +29,12 @@ pub(super) struct Tree {
     /// The particles of a box are contiguous.
     particles: Vec<u32>,
     /// A box, followed by all boxes in its first half, then all boxes in its second half.
-    boxes: Vec<Bounds>,
+    boxes: Vec<NodeBounds>,
 }
 
 /// Bounds of a box's particles.
 #[derive(Clone, Copy)]
-struct Bounds {
+struct NodeBounds {
     min: DVec3,
     max: DVec3,
     /// Maximum over its particles.
@@ -48,53 +48,57 @@ const LEAF_MAX: usize = 16;
 
 impl Tree {
     /// Builds the tree of these particles.
-    pub(super) fn new(mut particles: Vec<u32>, see: &(impl Fn(u32) -> Seen + Sync)) -> Tree {
+    pub(super) fn new(mut particles: Vec<u32>, particle_at: &(impl Fn(u32) -> TreeParticle + Sync)) -> Tree {
         let mut leaf_count = usize::from(!particles.is_empty());
         while leaf_count * LEAF_MAX < particles.len() {
             leaf_count *= 2;
         }
-        let mut boxes = vec![Bounds::EMPTY; (2 * leaf_count).saturating_sub(1)];
-        halve(&mut boxes, &mut particles, see);
+        let mut boxes = vec![NodeBounds::EMPTY; (2 * leaf_count).saturating_sub(1)];
+        halve(&mut boxes, &mut particles, particle_at);
         Tree { particles, boxes }
     }
 
     /// The nearest particle that reaches a point; on ties, the first. [`NO_PARTICLE`] if there is none.
-    pub(super) fn nearest(&self, place: DVec3, see: impl FnMut(u32) -> Seen) -> u32 {
-        let mut search = Search { place, see, nearest: (f64::INFINITY, NO_PARTICLE) };
-        if place.is_finite() {
+    pub(super) fn nearest(&self, point: DVec3, particle_at: impl FnMut(u32) -> TreeParticle) -> u32 {
+        let mut search = NearestSearch { point, particle_at, nearest: (f64::INFINITY, NO_PARTICLE) };
+        if point.is_finite() {
             search.descend(&self.boxes, &self.particles);
         }
         search.nearest.1
     }
 }
 
-fn halve(boxes: &mut [Bounds], particles: &mut [u32], see: &(impl Fn(u32) -> Seen + Sync)) {
+fn halve(
+    boxes: &mut [NodeBounds],
+    particles: &mut [u32],
+    particle_at: &(impl Fn(u32) -> TreeParticle + Sync),
+) {
     let Some((bounds, rest)) = boxes.split_first_mut() else { return };
-    *bounds = Bounds::of(particles, see);
+    *bounds = NodeBounds::of(particles, particle_at);
     if rest.is_empty() {
         return;
     }
     let axis = (bounds.max - bounds.min).max_position();
-    let along = |particle: &u32| see(*particle).position[axis];
+    let along = |particle: &u32| particle_at(*particle).position[axis];
     let middle = particles.len() / 2;
     particles.select_nth_unstable_by(middle, |one, other| along(one).total_cmp(&along(other)));
     let (one, other) = particles.split_at_mut(middle);
     let (boxes_of_one, boxes_of_other) = rest.split_at_mut(rest.len() / 2);
-    rayon::join(|| halve(boxes_of_one, one, see), || halve(boxes_of_other, other, see));
+    rayon::join(|| halve(boxes_of_one, one, particle_at), || halve(boxes_of_other, other, particle_at));
 }
 
-impl Bounds {
-    const EMPTY: Bounds = Bounds {
+impl NodeBounds {
+    const EMPTY: NodeBounds = NodeBounds {
         min: DVec3::INFINITY,
         max: DVec3::NEG_INFINITY,
         limit_world: f64::NEG_INFINITY,
         first: NO_PARTICLE,
     };
 
-    fn of(particles: &[u32], see: &impl Fn(u32) -> Seen) -> Bounds {
-        particles.iter().fold(Bounds::EMPTY, |bounds, &particle| {
-            let Seen { position, limit_world } = see(particle);
-            Bounds {
+    fn of(particles: &[u32], particle_at: &impl Fn(u32) -> TreeParticle) -> NodeBounds {
+        particles.iter().fold(NodeBounds::EMPTY, |bounds, &particle| {
+            let TreeParticle { position, limit_world } = particle_at(particle);
+            NodeBounds {
                 min: bounds.min.min(position),
                 max: bounds.max.max(position),
                 limit_world: bounds.limit_world.max(limit_world),
@@ -104,25 +108,25 @@ impl Bounds {
     }
 
     /// Lower bound for its particles. Rounding is monotone, so no particle is below it by even a bit.
-    fn least(&self, place: DVec3) -> (f64, u32) {
-        let outside = (self.min - place).max(place - self.max).max(DVec3::ZERO);
+    fn least(&self, point: DVec3) -> (f64, u32) {
+        let outside = (self.min - point).max(point - self.max).max(DVec3::ZERO);
         (outside.length_squared(), self.first)
     }
 }
 
 /// The search for one point.
-struct Search<See> {
-    place: DVec3,
-    see: See,
+struct NearestSearch<See> {
+    point: DVec3,
+    particle_at: See,
     /// The squared distance and the index of the nearest particle so far.
     nearest: (f64, u32),
 }
 
-impl<See: FnMut(u32) -> Seen> Search<See> {
+impl<See: FnMut(u32) -> TreeParticle> NearestSearch<See> {
     /// Searches a box; its halves are arranged as in [`halve`].
-    fn descend(&mut self, boxes: &[Bounds], particles: &[u32]) {
+    fn descend(&mut self, boxes: &[NodeBounds], particles: &[u32]) {
         let Some((bounds, rest)) = boxes.split_first() else { return };
-        if !self.is_nearer(bounds.least(self.place), bounds.limit_world) {
+        if !self.is_nearer(bounds.least(self.point), bounds.limit_world) {
             return;
         }
         if rest.is_empty() {
@@ -132,7 +136,7 @@ impl<See: FnMut(u32) -> Seen> Search<See> {
         let (one, other) = particles.split_at(particles.len() / 2);
         let (boxes_of_one, boxes_of_other) = rest.split_at(rest.len() / 2);
         let mut halves = [(boxes_of_one, one), (boxes_of_other, other)];
-        if boxes_of_other[0].least(self.place) < boxes_of_one[0].least(self.place) {
+        if boxes_of_other[0].least(self.point) < boxes_of_one[0].least(self.point) {
             halves.reverse();
         }
         for (boxes, particles) in halves {
@@ -141,8 +145,8 @@ impl<See: FnMut(u32) -> Seen> Search<See> {
     }
 
     fn look_at(&mut self, particle: u32) {
-        let Seen { position, limit_world } = (self.see)(particle);
-        let found = ((position - self.place).length_squared(), particle);
+        let TreeParticle { position, limit_world } = (self.particle_at)(particle);
+        let found = ((position - self.point).length_squared(), particle);
         if self.is_nearer(found, limit_world) {
             self.nearest = found;
         }

@@ -118,7 +118,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_crossed_edge_is_in_one_cycle_and_no_other_edge_is() {
+    fn crossed_edges_are_in_exactly_one_cycle() {
         for signs in 0..=255u8 {
             let cycles = cell_cycles(signs);
             for edge in 0..12 {
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn separated_insides_give_four_cycles_and_joined_ones_a_ring() {
+    fn ambiguous_faces_separate_the_inside_corners() {
         // Four inside corners, no two of them adjacent.
         assert_eq!(cell_cycles(0b0110_1001).count, 4);
         // Two diagonally opposite inside corners of a face: separated. Their complement: one sheet around two

@@ -34,7 +34,7 @@ use glam::{IVec3, Mat3, Vec3};
 
 use super::Placement;
 use super::cell_cycles::{corner_bit, edge_corners};
-use super::neighborhood::{BLOCK_STEP, Block};
+use super::neighborhood::{BLOCK_STEP, PhiBlock};
 use super::normals::unit_or_zero;
 
 /// Minimum distance of a vertex from the walls of its cell, in voxels. It ensures that every triangle has a
@@ -103,7 +103,7 @@ impl VertexBatch {
     /// Adds the vertex of a cycle (a mask of its edges) in the cell whose first voxel is at `index` in the
     /// block.
     #[inline(always)]
-    pub(super) fn push(&mut self, block: &Block, index: usize, cell: IVec3, edges: u16) {
+    pub(super) fn push(&mut self, block: &PhiBlock, index: usize, cell: IVec3, edges: u16) {
         let lane = self.count;
         for axis in 0..3 {
             self.cells[axis][lane] = cell[axis];
@@ -291,7 +291,7 @@ pub(super) struct CellSamples {
 
 impl CellSamples {
     /// Samples a cell whose first corner is at `index` in the block.
-    pub(super) fn new(block: &Block, index: usize) -> CellSamples {
+    pub(super) fn new(block: &PhiBlock, index: usize) -> CellSamples {
         let sample = |corner: usize| {
             let at = index + CORNER_OFFSETS[corner];
             (block.phi(at), block.gradient(at))

@@ -14,7 +14,7 @@
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-use super::neighborhood::{Block, Neighborhood};
+use super::neighborhood::{LeafNeighborhood, PhiBlock};
 use crate::surface::grid::LEAF_EDGE;
 use crate::surface::level_set::NarrowBand;
 use crate::surface::mesh::{self, Mesh, TriangleBatch};
@@ -94,7 +94,7 @@ impl Kernel for VertexCurvatures<'_> {
         let origin = mesh.origin / lattice.voxel_size;
         let mut batch = CurvatureBatch::new();
         // A mesh lists its vertices leaf by leaf, so the previous block can usually be reused.
-        let mut block = Block::new(band.half_width);
+        let mut block = PhiBlock::new(band.half_width);
         let mut block_origin = None;
         for (vertex, position) in positions.iter().enumerate() {
             let index = origin + position.as_dvec3() / lattice.voxel_size;
@@ -104,7 +104,7 @@ impl Kernel for VertexCurvatures<'_> {
             let leaf_origin = cell - voxel;
             if block_origin != Some(leaf_origin) {
                 let Some(leaf) = band.topology.find(leaf_origin) else { continue };
-                block.fill(&Neighborhood::new(&band.topology, leaf), &band.phi);
+                block.fill(&LeafNeighborhood::new(&band.topology, leaf), &band.phi);
                 block_origin = Some(leaf_origin);
             }
             batch.push(&block, voxel, (index - floor).as_vec3(), vertex);
@@ -143,10 +143,10 @@ impl CurvatureBatch {
     }
 
     #[inline(always)]
-    fn push(&mut self, block: &Block, cell: IVec3, local: Vec3, vertex: usize) {
+    fn push(&mut self, block: &PhiBlock, cell: IVec3, local: Vec3, vertex: usize) {
         for x in 0..4 {
             for y in 0..4 {
-                let values: [f32; 4] = block.phi_along(Block::index(cell + IVec3::new(x - 1, y - 1, -1)));
+                let values: [f32; 4] = block.phi_along(PhiBlock::index(cell + IVec3::new(x - 1, y - 1, -1)));
                 for (z, value) in values.into_iter().enumerate() {
                     self.phi[(x * 16 + y * 4) as usize + z][self.count] = value;
                 }

@@ -51,7 +51,7 @@ use rayon::prelude::*;
 
 use super::cell_cycles::cell_cycles;
 use super::cell_vertex::{CellSamples, VertexBatch, Vertices};
-use super::neighborhood::{Block, Neighborhood, SignRows};
+use super::neighborhood::{LeafNeighborhood, PhiBlock, SignRows};
 use super::normals::unit_or_zero;
 use super::quads::Quads;
 use super::ring::{Ring, joined_segments, segment_key};
@@ -63,25 +63,31 @@ use crate::surface::simd::{Kernel, Lanes, dispatch};
 
 /// The dual mesh of φ = 0. A normal is zero where φ does not define one.
 pub(super) fn dual_contour(band: &NarrowBand, placement: &Placement) -> Mesh {
-    let plan = Plan::new(band);
-    let mut positions = bytemuck::zeroed_vec(plan.vertex_count);
-    let mut normals = bytemuck::zeroed_vec(plan.vertex_count);
-    let mut locals = bytemuck::zeroed_vec(plan.vertex_count);
+    let layout = MeshLayout::new(band);
+    let mut positions = bytemuck::zeroed_vec(layout.vertex_count);
+    let mut normals = bytemuck::zeroed_vec(layout.vertex_count);
+    let mut locals = bytemuck::zeroed_vec(layout.vertex_count);
     let vertices = |patch: &Patch| patch.vertex_count();
-    let places = plan.split(&mut positions, vertices).into_par_iter();
-    let places = places.zip(plan.split(&mut normals, vertices)).zip(plan.split(&mut locals, vertices));
-    places.zip(plan.patches.par_chunks(PATCHES_AT_ONCE)).for_each(
+    let slices = layout.split(&mut positions, vertices).into_par_iter();
+    let slices = slices.zip(layout.split(&mut normals, vertices)).zip(layout.split(&mut locals, vertices));
+    slices.zip(layout.patches.par_chunks(PATCHES_AT_ONCE)).for_each(
         |(((positions, normals), locals), patches)| {
-            dispatch(PatchVertices { band, placement, plan: &plan, patches, locals, positions, normals });
+            dispatch(PatchVertices { band, placement, layout: &layout, patches, locals, positions, normals });
         },
     );
-    let mut triangles = bytemuck::zeroed_vec(plan.triangle_count);
-    let quads =
-        Quads { plan: &plan, on_faces: plan.vertices_on_faces(), locals: &locals, positions: &positions };
-    let places = plan.split(&mut triangles, |patch| usize::from(patch.triangle_count));
-    places.into_par_iter().zip(plan.patches.par_chunks(PATCHES_AT_ONCE)).for_each(|(triangles, patches)| {
-        dispatch(PatchTriangles { quads: &quads, patches, triangles });
-    });
+    let mut triangles = bytemuck::zeroed_vec(layout.triangle_count);
+    let quads = Quads {
+        layout: &layout,
+        on_faces: layout.vertices_on_faces(),
+        locals: &locals,
+        positions: &positions,
+    };
+    let slices = layout.split(&mut triangles, |patch| usize::from(patch.triangle_count));
+    slices.into_par_iter().zip(layout.patches.par_chunks(PATCHES_AT_ONCE)).for_each(
+        |(triangles, patches)| {
+            dispatch(PatchTriangles { quads: &quads, patches, triangles });
+        },
+    );
     Mesh { positions, normals, triangles, origin: placement.world_origin() }
 }
 
@@ -94,7 +100,7 @@ const PATCHES_AT_ONCE: usize = 16;
 /// What a leaf adds to the mesh, determined from signs alone.
 pub(super) struct Patch {
     pub(super) leaf: u32,
-    pub(super) neighborhood: Neighborhood,
+    pub(super) neighborhood: LeafNeighborhood,
     /// Index in the mesh of its first vertex.
     pub(super) first_vertex: u32,
     /// For each row of cells, its first vertex relative to the patch; the last entry is the end. The vertices
@@ -108,7 +114,7 @@ pub(super) struct Patch {
 impl Patch {
     /// The patch of a leaf that the surface crosses. Its vertices on edges are counted later.
     #[inline(always)]
-    fn new(leaf: usize, neighborhood: Neighborhood, inside_masks: &[LeafMask]) -> Option<Patch> {
+    fn new(leaf: usize, neighborhood: LeafNeighborhood, inside_masks: &[LeafMask]) -> Option<Patch> {
         let rows = SignRows::new(&neighborhood, inside_masks);
         let crossed = rows.crossed_cells();
         if crossed.is_empty() {
@@ -153,7 +159,7 @@ impl Patch {
 }
 
 /// The layout of the mesh, determined before any vertex is computed.
-pub(super) struct Plan {
+pub(super) struct MeshLayout {
     pub(super) inside_masks: Vec<LeafMask>,
     /// Patches in the topology's order.
     pub(super) patches: Vec<Patch>,
@@ -163,11 +169,11 @@ pub(super) struct Plan {
     triangle_count: usize,
 }
 
-impl Plan {
-    fn new(band: &NarrowBand) -> Plan {
+impl MeshLayout {
+    fn new(band: &NarrowBand) -> MeshLayout {
         let inside_masks = negative_masks(&band.phi);
         let patch = |leaf: usize| {
-            let neighborhood = Neighborhood::new(&band.topology, leaf);
+            let neighborhood = LeafNeighborhood::new(&band.topology, leaf);
             let may_have_surface = neighborhood.may_have_surface(&inside_masks);
             may_have_surface.then(|| dispatch(NewPatch(leaf, neighborhood, &inside_masks))).flatten()
         };
@@ -176,15 +182,16 @@ impl Plan {
         for (index, patch) in patches.iter().enumerate() {
             patch_of_leaf[patch.leaf as usize] = index as u32;
         }
-        let mut plan = Plan { inside_masks, patches, patch_of_leaf, vertex_count: 0, triangle_count: 0 };
-        plan.count_vertices_on_edges();
-        for patch in &mut plan.patches {
-            patch.first_vertex = plan.vertex_count as u32;
-            plan.vertex_count += patch.vertex_count();
-            plan.triangle_count += usize::from(patch.triangle_count);
+        let mut layout =
+            MeshLayout { inside_masks, patches, patch_of_leaf, vertex_count: 0, triangle_count: 0 };
+        layout.count_vertices_on_edges();
+        for patch in &mut layout.patches {
+            patch.first_vertex = layout.vertex_count as u32;
+            layout.vertex_count += patch.vertex_count();
+            layout.triangle_count += usize::from(patch.triangle_count);
         }
-        assert!(plan.vertex_count <= u32::MAX as usize, "more vertices than 32-bit indices");
-        plan
+        assert!(layout.vertex_count <= u32::MAX as usize, "more vertices than 32-bit indices");
+        layout
     }
 
     /// The patch of a leaf that contains surface.
@@ -249,7 +256,7 @@ fn joined_rings(rows: &SignRows) -> impl Iterator<Item = (IVec3, Ring)> + '_ {
 }
 
 /// Kernel: creates a patch.
-struct NewPatch<'a>(usize, Neighborhood, &'a [LeafMask]);
+struct NewPatch<'a>(usize, LeafNeighborhood, &'a [LeafMask]);
 
 impl Kernel for NewPatch<'_> {
     type Output = Option<Patch>;
@@ -264,7 +271,7 @@ impl Kernel for NewPatch<'_> {
 struct PatchVertices<'a> {
     band: &'a NarrowBand,
     placement: &'a Placement,
-    plan: &'a Plan,
+    layout: &'a MeshLayout,
     patches: &'a [Patch],
     /// Positions relative to the cells.
     locals: &'a mut [Vec3],
@@ -278,17 +285,17 @@ impl Kernel for PatchVertices<'_> {
     #[inline(always)]
     fn run<V: Lanes>(mut self) {
         let mut batch = VertexBatch::new();
-        let mut block = Block::new(self.band.half_width);
+        let mut block = PhiBlock::new(self.band.half_width);
         let mut done = 0;
         for patch in self.patches {
-            let rows = SignRows::new(&patch.neighborhood, &self.plan.inside_masks);
+            let rows = SignRows::new(&patch.neighborhood, &self.layout.inside_masks);
             block.fill(&patch.neighborhood, &self.band.phi);
             let origin = self.band.topology.origins()[patch.leaf as usize];
             for offset in rows.crossed_cells().iter() {
                 let cell = voxel_in_leaf(offset);
                 let cycles = cell_cycles(rows.cell_signs(cell));
                 for &edges in &cycles.edges[..cycles.count] {
-                    batch.push(&block, Block::index(cell), origin + cell, edges);
+                    batch.push(&block, PhiBlock::index(cell), origin + cell, edges);
                     if batch.is_full() {
                         self.find(&mut batch, &mut done);
                     }
@@ -310,12 +317,12 @@ impl PatchVertices<'_> {
         if batch.len() == 0 {
             return;
         }
-        let places = *done..*done + batch.len();
-        *done = places.end;
+        let range = *done..*done + batch.len();
+        *done = range.end;
         let vertices = Vertices {
-            locals: &mut self.locals[places.clone()],
-            positions: &mut self.positions[places.clone()],
-            normals: &mut self.normals[places],
+            locals: &mut self.locals[range.clone()],
+            positions: &mut self.positions[range.clone()],
+            normals: &mut self.normals[range],
         };
         batch.find(self.placement, vertices);
     }
@@ -325,27 +332,27 @@ impl PatchVertices<'_> {
         &mut self,
         patch: &Patch,
         rows: &SignRows,
-        block: &Block,
+        block: &PhiBlock,
         first: usize,
     ) -> usize {
         let origin = self.band.topology.origins()[patch.leaf as usize];
-        let mut place = first;
+        let mut index = first;
         let mut add = |cell: IVec3, samples: &CellSamples, local: Vec3| {
-            self.positions[place] = self.placement.position(origin + cell, local);
-            self.normals[place] = unit_or_zero(samples.gradient(local));
-            place += 1;
+            self.positions[index] = self.placement.position(origin + cell, local);
+            self.normals[index] = unit_or_zero(samples.gradient(local));
+            index += 1;
         };
         for (cell, axis, corner) in joined_segments(rows) {
-            let samples = CellSamples::new(block, Block::index(cell));
+            let samples = CellSamples::new(block, PhiBlock::index(cell));
             add(cell, &samples, samples.segment_middle(axis, corner));
         }
         if patch.on_edges_count > 0 {
             for (voxel, ring) in joined_rings(rows) {
-                let samples = CellSamples::new(block, Block::index(voxel));
+                let samples = CellSamples::new(block, PhiBlock::index(voxel));
                 add(voxel, &samples, samples.edge_point(ring.axis));
             }
         }
-        place
+        index
     }
 }
 

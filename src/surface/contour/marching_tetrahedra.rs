@@ -30,7 +30,7 @@
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-use super::neighborhood::{BLOCK_STEP, Block, Neighborhood, SignRows};
+use super::neighborhood::{BLOCK_STEP, LeafNeighborhood, PhiBlock, SignRows};
 use super::normals::unit_or_zero;
 use super::{Placement, split};
 use crate::surface::grid::{LEAF_VOXELS, LeafMask, ROW_COUNT, negative_masks, offset_in_leaf, voxel_in_leaf};
@@ -46,9 +46,9 @@ const EDGE_MARGIN: f32 = 1.0 / 128.0;
 pub(super) fn march_tetrahedra(band: &NarrowBand, placement: &Placement) -> Mesh {
     let masks = negative_masks(&band.phi);
     let cases = tetrahedron_cases();
-    let mut patches: Vec<Patch> = (0..band.topology.len())
+    let mut patches: Vec<TetPatch> = (0..band.topology.len())
         .into_par_iter()
-        .filter_map(|leaf| Patch::new(band, &masks, &cases, leaf))
+        .filter_map(|leaf| TetPatch::new(band, &masks, &cases, leaf))
         .collect();
     let mut patch_of_leaf = vec![NO_PATCH; band.topology.len()];
     let (mut vertex_count, mut triangle_count) = (0, 0);
@@ -62,14 +62,14 @@ pub(super) fn march_tetrahedra(band: &NarrowBand, placement: &Placement) -> Mesh
     let mut positions = bytemuck::zeroed_vec(vertex_count);
     let mut normals = bytemuck::zeroed_vec(vertex_count);
     let mut triangles = bytemuck::zeroed_vec(triangle_count);
-    let places = split(&mut positions, patches.iter().map(Patch::vertex_count)).into_par_iter();
-    let places = places.zip(split(&mut normals, patches.iter().map(Patch::vertex_count)));
-    places.zip(&patches).for_each(|((positions, normals), patch)| {
+    let slices = split(&mut positions, patches.iter().map(TetPatch::vertex_count)).into_par_iter();
+    let slices = slices.zip(split(&mut normals, patches.iter().map(TetPatch::vertex_count)));
+    slices.zip(&patches).for_each(|((positions, normals), patch)| {
         patch.find_vertices(band, placement, positions, normals);
     });
-    let surface = Surface { masks: &masks, cases, patches: &patches, patch_of_leaf };
-    let places = split(&mut triangles, patches.iter().map(|patch| patch.triangle_count)).into_par_iter();
-    places.zip(&patches).for_each(|(triangles, patch)| surface.write_triangles(patch, triangles));
+    let mesh_writer = TetMesh { masks: &masks, cases, patches: &patches, patch_of_leaf };
+    let slices = split(&mut triangles, patches.iter().map(|patch| patch.triangle_count)).into_par_iter();
+    slices.zip(&patches).for_each(|(triangles, patch)| mesh_writer.write_triangles(patch, triangles));
     Mesh { positions, normals, triangles, origin: placement.world_origin() }
 }
 
@@ -77,9 +77,9 @@ pub(super) fn march_tetrahedra(band: &NarrowBand, placement: &Placement) -> Mesh
 const NO_PATCH: u32 = u32::MAX;
 
 /// The vertices on the edges that start in one leaf, and the number of triangles in its cells.
-struct Patch {
+struct TetPatch {
     leaf: usize,
-    neighborhood: Neighborhood,
+    neighborhood: LeafNeighborhood,
     /// For each voxel, a mask of the crossed edges that start there: bit d for the edge to the voxel at
     /// offset d, a corner number (1 to 7).
     crossed: Box<[u8; LEAF_VOXELS]>,
@@ -90,10 +90,10 @@ struct Patch {
     triangle_count: usize,
 }
 
-impl Patch {
+impl TetPatch {
     /// The patch of a leaf, if it contains anything.
-    fn new(band: &NarrowBand, inside_masks: &[LeafMask], cases: &Cases, leaf: usize) -> Option<Patch> {
-        let neighborhood = Neighborhood::new(&band.topology, leaf);
+    fn new(band: &NarrowBand, inside_masks: &[LeafMask], cases: &Cases, leaf: usize) -> Option<TetPatch> {
+        let neighborhood = LeafNeighborhood::new(&band.topology, leaf);
         if !neighborhood.may_have_surface(inside_masks) {
             return None;
         }
@@ -114,7 +114,7 @@ impl Patch {
         let cells = rows.crossed_cells();
         let signs = cells.iter().map(|offset| rows.cell_signs(voxel_in_leaf(offset)));
         let triangle_count = signs.flat_map(|signs| triangles_in_cell(cases, signs)).map(<[_]>::len).sum();
-        Some(Patch { leaf, neighborhood, crossed, row_starts, first_vertex: 0, triangle_count })
+        Some(TetPatch { leaf, neighborhood, crossed, row_starts, first_vertex: 0, triangle_count })
     }
 
     fn vertex_count(&self) -> usize {
@@ -129,15 +129,15 @@ impl Patch {
         positions: &mut [Vec3],
         normals: &mut [Vec3],
     ) {
-        let mut block = Block::new(band.half_width);
+        let mut block = PhiBlock::new(band.half_width);
         block.fill(&self.neighborhood, &band.phi);
         let origin = band.topology.origins()[self.leaf];
-        let mut places = positions.iter_mut().zip(normals);
+        let mut slices = positions.iter_mut().zip(normals);
         for (offset, &edges) in self.crossed.iter().enumerate().filter(|(_, edges)| **edges != 0) {
             let voxel = voxel_in_leaf(offset);
             let ends = (1..8).filter(|end| edges >> end & 1 == 1);
-            for (end, (position, normal)) in ends.zip(&mut places) {
-                let (t, gradient) = crossing(&block, Block::index(voxel), end);
+            for (end, (position, normal)) in ends.zip(&mut slices) {
+                let (t, gradient) = crossing(&block, PhiBlock::index(voxel), end);
                 *position = placement.position(origin + voxel, corner(end).as_vec3() * t);
                 *normal = unit_or_zero(gradient);
             }
@@ -161,7 +161,7 @@ fn corner(number: usize) -> IVec3 {
 
 /// Where the cubic through the two voxels of an edge, the one before and the one after is zero, as a fraction
 /// of the edge from a voxel to the corner `end` of its cell; and ∇φ at that point.
-fn crossing(block: &Block, index: usize, end: usize) -> (f32, Vec3) {
+fn crossing(block: &PhiBlock, index: usize, end: usize) -> (f32, Vec3) {
     let step = (end >> 2) * BLOCK_STEP[0] + (end >> 1 & 1) * BLOCK_STEP[1] + (end & 1);
     let (one, other) = (block.phi(index), block.phi(index + step));
     let bends = [index, index + step].map(|index| block.second_difference(index, step));
@@ -184,28 +184,28 @@ const CROSSING_STEPS: usize = 2;
 const CROSSING_LIMIT: f32 = 0.125;
 
 /// All patches, with the data needed to find each other's vertices.
-struct Surface<'a> {
+struct TetMesh<'a> {
     masks: &'a [LeafMask],
     cases: Cases,
-    patches: &'a [Patch],
+    patches: &'a [TetPatch],
     patch_of_leaf: Vec<u32>,
 }
 
-impl Surface<'_> {
+impl TetMesh<'_> {
     /// Writes the triangles in a leaf's cells.
-    fn write_triangles(&self, patch: &Patch, triangles: &mut [[u32; 3]]) {
+    fn write_triangles(&self, patch: &TetPatch, triangles: &mut [[u32; 3]]) {
         let rows = SignRows::new(&patch.neighborhood, self.masks);
-        let mut places = triangles.iter_mut();
+        let mut slices = triangles.iter_mut();
         for cell in rows.crossed_cells().iter().map(voxel_in_leaf) {
             let made = triangles_in_cell(&self.cases, rows.cell_signs(cell)).flatten();
-            for (edges, place) in made.zip(&mut places) {
-                *place = edges.map(|edge| self.vertex(patch, cell, edge));
+            for (edges, triangle) in made.zip(&mut slices) {
+                *triangle = edges.map(|edge| self.vertex(patch, cell, edge));
             }
         }
     }
 
     /// The vertex on an edge of a cell, from one corner to a later one.
-    fn vertex(&self, patch: &Patch, cell: IVec3, [start, end]: [usize; 2]) -> u32 {
+    fn vertex(&self, patch: &TetPatch, cell: IVec3, [start, end]: [usize; 2]) -> u32 {
         let voxel = cell + corner(start);
         let leaf = patch.neighborhood.leaf(voxel >> 3);
         let owner = self.patch_of_leaf[leaf as usize] as usize;

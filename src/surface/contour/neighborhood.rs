@@ -23,14 +23,14 @@ use crate::surface::grid::{Field, Leaf, LeafMask, NO_LEAF, Topology};
 
 /// Indices of a leaf and its 26 neighbors, or [`NO_LEAF`].
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Neighborhood {
+pub(super) struct LeafNeighborhood {
     leaves: [u32; 27],
 }
 
-impl Neighborhood {
+impl LeafNeighborhood {
     /// The neighborhood of a leaf.
-    pub(super) fn new(topology: &Topology, leaf: usize) -> Neighborhood {
-        Neighborhood { leaves: topology.neighborhood(leaf) }
+    pub(super) fn new(topology: &Topology, leaf: usize) -> LeafNeighborhood {
+        LeafNeighborhood { leaves: topology.neighborhood(leaf) }
     }
 
     /// The leaf one `step` (−1, 0 or 1 on each axis) away.
@@ -61,7 +61,7 @@ const SLOTS_AFTER: [usize; 7] = [14, 16, 17, 22, 23, 25, 26];
 
 /// The part of a halo along one axis that lies in one leaf.
 #[derive(Clone, Copy)]
-struct Span {
+struct HaloSpan {
     /// First index in the halo.
     start: usize,
     /// Length.
@@ -72,11 +72,11 @@ struct Span {
 
 /// The three spans of a halo from voxel −1 on, with `after` voxels of the next leaf.
 #[inline(always)]
-fn spans(after: usize) -> [Span; 3] {
+fn spans(after: usize) -> [HaloSpan; 3] {
     [
-        Span { start: 0, count: 1, first_voxel: 7 },
-        Span { start: 1, count: 8, first_voxel: 0 },
-        Span { start: 9, count: after, first_voxel: 0 },
+        HaloSpan { start: 0, count: 1, first_voxel: 7 },
+        HaloSpan { start: 1, count: 8, first_voxel: 0 },
+        HaloSpan { start: 9, count: after, first_voxel: 0 },
     ]
 }
 
@@ -94,7 +94,7 @@ const OWN_BITS: u16 = 0b01_1111_1110;
 impl SignRows {
     /// Collects the rows around a leaf.
     #[inline(always)]
-    pub(super) fn new(neighborhood: &Neighborhood, inside_masks: &[LeafMask]) -> SignRows {
+    pub(super) fn new(neighborhood: &LeafNeighborhood, inside_masks: &[LeafMask]) -> SignRows {
         let mut inside = [[0; 10]; 10];
         let mut stored = [[0; 3]; 3];
         for column in 0..9 {
@@ -238,7 +238,7 @@ fn own_voxels(bits: impl Fn(usize, usize) -> u16) -> LeafMask {
 }
 
 /// φ of the voxels −1 ..= 9 around a leaf.
-pub(super) struct Block {
+pub(super) struct PhiBlock {
     /// Indexed by x, then y; rows are padded to 12.
     planes: [[[f32; 12]; BLOCK_EDGE]; BLOCK_EDGE],
     /// Value of voxels that are not stored.
@@ -251,16 +251,16 @@ const BLOCK_EDGE: usize = 11;
 /// Strides along x, y and z in a block.
 pub(super) const BLOCK_STEP: [usize; 3] = [12 * BLOCK_EDGE, 12, 1];
 
-impl Block {
+impl PhiBlock {
     /// A block that is not filled.
     #[inline(always)]
-    pub(super) fn new(beyond: f32) -> Block {
-        Block { planes: [[[beyond; 12]; BLOCK_EDGE]; BLOCK_EDGE], beyond }
+    pub(super) fn new(beyond: f32) -> PhiBlock {
+        PhiBlock { planes: [[[beyond; 12]; BLOCK_EDGE]; BLOCK_EDGE], beyond }
     }
 
     /// Copies φ around a leaf.
     #[inline(always)]
-    pub(super) fn fill(&mut self, neighborhood: &Neighborhood, phi: &Field) {
+    pub(super) fn fill(&mut self, neighborhood: &LeafNeighborhood, phi: &Field) {
         let nothing = Leaf::splat(self.beyond);
         for column in 0..9 {
             let [x, y] = [spans(2)[column / 3], spans(2)[column % 3]];

@@ -44,7 +44,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_vertex_without_a_gradient_gets_the_normal_of_its_triangles() {
+    fn zero_normal_becomes_mean_of_triangle_normals() {
         let mut mesh = Mesh {
             positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
             normals: vec![
@@ -60,7 +60,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fold_still_has_unit_normals() {
+    fn folded_sheet_gets_unit_normals() {
         let mut mesh = Mesh {
             positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
             normals: vec![Vec3::ZERO; 3],

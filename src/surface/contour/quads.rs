@@ -11,14 +11,14 @@
 use glam::{DVec3, IVec3, Vec3};
 
 use super::cell_cycles::cell_cycles;
-use super::dual_contouring::{Patch, Plan};
+use super::dual_contouring::{MeshLayout, Patch};
 use super::neighborhood::SignRows;
 use super::ring::{RING_PLACES, RING_SIDES, Ring, segment_key};
 use crate::surface::grid::{offset_in_leaf, voxel_in_leaf};
 
 /// Input for the triangles.
 pub(super) struct Quads<'a> {
-    pub(super) plan: &'a Plan,
+    pub(super) layout: &'a MeshLayout,
     /// The vertices on faces: leaf, [`segment_key`], vertex; sorted.
     pub(super) on_faces: Vec<(u32, u16, u32)>,
     /// Position of each vertex relative to its cell.
@@ -30,10 +30,10 @@ impl Quads<'_> {
     /// Writes the triangles around the crossed edges that start in a patch's leaf.
     #[inline(always)]
     pub(super) fn write(&self, patch: &Patch, triangles: &mut [[u32; 3]]) {
-        let rows = SignRows::new(&patch.neighborhood, &self.plan.inside_masks);
-        let cells = Cells::new(patch, self.plan, &rows);
+        let rows = SignRows::new(&patch.neighborhood, &self.layout.inside_masks);
+        let cells = CellGrid::new(patch, self.layout, &rows);
         let mut next_on_edge = patch.first_on_edges();
-        let mut output = Output { triangles, count: 0 };
+        let mut output = TriangleOutput { triangles, count: 0 };
         for axis in 0..3 {
             let mut batch = QuadBatch::new(axis);
             for offset in rows.crossed_edges(axis).iter() {
@@ -72,8 +72,8 @@ impl Quads<'_> {
                 let cell = ring.cells[far];
                 let key = (patch.neighborhood.leaf(cell >> 3), segment_key(cell & 7, normal_axis, corner));
                 let found = self.on_faces.binary_search_by_key(&key, |&(leaf, key, _)| (leaf, key));
-                let place = found.expect("a joined face has a vertex on each of its segments");
-                rim.push(self.on_faces[place].2);
+                let index = found.expect("a joined face has a vertex on each of its segments");
+                rim.push(self.on_faces[index].2);
             }
         }
         rim
@@ -81,7 +81,7 @@ impl Quads<'_> {
 }
 
 /// The cells −1 ..= 7 around a leaf.
-struct Cells {
+struct CellGrid {
     /// For each crossed cell, the vertex of its first cycle; the others follow it.
     first_vertices: [u32; CELL_STEP[0] * 9],
     /// The signs of its corners.
@@ -91,13 +91,13 @@ struct Cells {
 /// Strides along x, y and z.
 const CELL_STEP: [usize; 3] = [81, 9, 1];
 
-impl Cells {
+impl CellGrid {
     #[inline(always)]
-    fn new(patch: &Patch, plan: &Plan, rows: &SignRows) -> Cells {
-        let mut cells = Cells { first_vertices: [0; CELL_STEP[0] * 9], signs: [0; CELL_STEP[0] * 9] };
+    fn new(patch: &Patch, layout: &MeshLayout, rows: &SignRows) -> CellGrid {
+        let mut cells = CellGrid { first_vertices: [0; CELL_STEP[0] * 9], signs: [0; CELL_STEP[0] * 9] };
         for (x, crossed) in rows.crossed_rows().into_iter().enumerate() {
             for (y, crossed) in crossed.into_iter().enumerate().filter(|(_, crossed)| *crossed != 0) {
-                cells.add_row(patch, plan, rows, IVec3::new(x as i32 - 1, y as i32 - 1, -1), crossed);
+                cells.add_row(patch, layout, rows, IVec3::new(x as i32 - 1, y as i32 - 1, -1), crossed);
             }
         }
         cells
@@ -105,39 +105,39 @@ impl Cells {
 
     /// Adds the crossed cells of a row that starts at `first`.
     #[inline(always)]
-    fn add_row(&mut self, patch: &Patch, plan: &Plan, rows: &SignRows, first: IVec3, crossed: u16) {
+    fn add_row(&mut self, patch: &Patch, layout: &MeshLayout, rows: &SignRows, first: IVec3, crossed: u16) {
         let row_in_leaf = offset_in_leaf(IVec3::new(first.x & 7, first.y & 7, 0)) / 8;
         let step = IVec3::new(first.x >> 3, first.y >> 3, 0);
         let starts = |step: IVec3, end: usize| {
-            let owner = plan.patch(patch.neighborhood.leaf(step));
+            let owner = layout.patch(patch.neighborhood.leaf(step));
             owner.first_vertex + u32::from(owner.row_starts[row_in_leaf + end])
         };
-        let mut place = Cells::place(first);
+        let mut index = CellGrid::index(first);
         if crossed & 1 == 1 {
             // This is the last cell of a row of the previous leaf.
             let signs = rows.cell_signs(first);
             let count = cell_cycles(signs).count as u32;
-            self.signs[place] = signs;
-            self.first_vertices[place] = starts(step - IVec3::Z, 1) - count;
+            self.signs[index] = signs;
+            self.first_vertices[index] = starts(step - IVec3::Z, 1) - count;
         }
         let mut rest = crossed >> 1 & 0xff;
         if rest == 0 {
             return;
         }
         let mut next = starts(step, 0);
-        place += 1;
+        index += 1;
         while rest != 0 {
             let z = rest.trailing_zeros();
             let signs = rows.cell_signs(IVec3::new(first.x, first.y, z as i32));
-            self.signs[place + z as usize] = signs;
-            self.first_vertices[place + z as usize] = next;
+            self.signs[index + z as usize] = signs;
+            self.first_vertices[index + z as usize] = next;
             next += cell_cycles(signs).count as u32;
             rest &= rest - 1;
         }
     }
 
     #[inline(always)]
-    fn place(cell: IVec3) -> usize {
+    fn index(cell: IVec3) -> usize {
         let at = cell + IVec3::ONE;
         at.x as usize * CELL_STEP[0] + at.y as usize * CELL_STEP[1] + at.z as usize
     }
@@ -146,22 +146,22 @@ impl Cells {
     #[inline(always)]
     fn around(&self, start: IVec3, axis: usize) -> [u32; 4] {
         let (b, c) = (CELL_STEP[(axis + 1) % 3], CELL_STEP[(axis + 2) % 3]);
-        let place = Cells::place(start);
-        let places = [place, place - b, place - b - c, place - c];
+        let index = CellGrid::index(start);
+        let indices = [index, index - b, index - b - c, index - c];
         std::array::from_fn(|k| {
-            let cycle = cell_cycles(self.signs[places[k]]).of_edge[axis * 4 + RING_PLACES[k]];
-            self.first_vertices[places[k]] + u32::from(cycle)
+            let cycle = cell_cycles(self.signs[indices[k]]).of_edge[axis * 4 + RING_PLACES[k]];
+            self.first_vertices[indices[k]] + u32::from(cycle)
         })
     }
 }
 
 /// Triangles written so far.
-struct Output<'a> {
+struct TriangleOutput<'a> {
     triangles: &'a mut [[u32; 3]],
     count: usize,
 }
 
-impl Output<'_> {
+impl TriangleOutput<'_> {
     #[inline(always)]
     fn push(&mut self, [a, b, c]: [u32; 3], is_start_inside: bool) {
         self.triangles[self.count] = if is_start_inside { [a, b, c] } else { [a, c, b] };
@@ -229,7 +229,7 @@ impl QuadBatch {
     /// Writes the two triangles of each pending quad and clears the batch. Chooses the split whose worse
     /// triangle is closer to equilateral, unless rounding the positions could flip or flatten one.
     #[inline(always)]
-    fn cut(&mut self, positions: &[Vec3], output: &mut Output) {
+    fn cut(&mut self, positions: &[Vec3], output: &mut TriangleOutput) {
         let choices = self.choose();
         for (lane, &choice) in choices[..self.count].iter().enumerate() {
             let corners = self.corners[lane];

@@ -17,8 +17,8 @@ use std::collections::VecDeque;
 use glam::IVec3;
 use rustc_hash::FxHashSet;
 
-use super::pieces::{Contact, Pieces};
-use super::turned::{Side, turn};
+use super::components::{Components, Connectivity};
+use super::flip::{Side, flip};
 use crate::surface::grid::{FACE_STEPS, LEAF_EDGE, LEAF_VOXELS, LeafMask, Topology, negative_masks};
 use crate::surface::level_set::NarrowBand;
 use crate::surface::space::CoordBox;
@@ -44,26 +44,25 @@ pub fn fill_cavities(
     let topology = band.topology.clone();
     let complement = |mask: LeafMask| LeafMask { words: mask.words.map(|word| !word) };
     let outside: Vec<LeafMask> = negative_masks(&band.phi).into_iter().map(complement).collect();
-    let mut surroundings = Surroundings::new(&topology, Pieces::new(&topology, &outside, Contact::Edges));
+    let mut search = CavitySearch::new(&topology, Components::new(&topology, &outside, Connectivity::Edges));
     if let Some(kept) = kept {
-        surroundings.keep(kept);
+        search.keep(kept);
     }
     let mut filled = FilledCavities::default();
-    for piece in 0..surroundings.pieces.count as u32 {
-        if let Some(volume) = surroundings.enclosed_volume(piece, volume_voxels) {
+    for component in 0..search.components.count as u32 {
+        if let Some(volume) = search.enclosed_volume(component, volume_voxels) {
             filled.cavity_count += 1;
             filled.voxel_count += volume;
         }
     }
-    let is_filled: Vec<bool> =
-        surroundings.verdicts.iter().map(|verdict| *verdict == Verdict::Enclosed).collect();
-    turn(band, &surroundings.pieces.voxels_of(&is_filled), Side::Inside);
+    let is_filled: Vec<bool> = search.states.iter().map(|state| *state == ComponentState::Enclosed).collect();
+    flip(band, &search.components.voxels_of(&is_filled), Side::Inside);
     filled
 }
 
 /// State of a component.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Verdict {
+enum ComponentState {
     Unknown,
     /// At least as large as the limit, or connected to the open outside.
     Open,
@@ -72,34 +71,36 @@ enum Verdict {
 }
 
 /// The components of the outside, and the missing leaves between them.
-struct Surroundings<'a> {
+struct CavitySearch<'a> {
     topology: &'a Topology,
-    pieces: Pieces,
+    components: Components,
     volumes: Vec<u64>,
     /// All contacts between components and missing leaves, sorted by component and by leaf.
-    by_piece: Vec<(u32, [i32; 3])>,
+    by_component: Vec<(u32, [i32; 3])>,
     by_leaf: Vec<([i32; 3], u32)>,
     /// Bounding box of all stored leaves.
     extent: CoordBox,
-    verdicts: Vec<Verdict>,
+    states: Vec<ComponentState>,
     /// Missing leaves that are connected to the open outside or to a component that is too large.
     open: FxHashSet<IVec3>,
 }
 
-impl<'a> Surroundings<'a> {
-    fn new(topology: &'a Topology, pieces: Pieces) -> Surroundings<'a> {
-        let beyond = pieces.beyond(topology);
-        let mut by_piece: Vec<_> = beyond.iter().map(|&(piece, leaf)| (piece, leaf.to_array())).collect();
-        let mut by_leaf: Vec<_> = beyond.into_iter().map(|(piece, leaf)| (leaf.to_array(), piece)).collect();
-        by_piece.sort_unstable();
-        by_piece.dedup();
+impl<'a> CavitySearch<'a> {
+    fn new(topology: &'a Topology, components: Components) -> CavitySearch<'a> {
+        let beyond = components.beyond(topology);
+        let mut by_component: Vec<_> =
+            beyond.iter().map(|&(component, leaf)| (component, leaf.to_array())).collect();
+        let mut by_leaf: Vec<_> =
+            beyond.into_iter().map(|(component, leaf)| (leaf.to_array(), component)).collect();
+        by_component.sort_unstable();
+        by_component.dedup();
         by_leaf.sort_unstable();
         by_leaf.dedup();
         let mut extent = CoordBox::EMPTY;
         topology.origins().iter().for_each(|&origin| extent.include(origin));
-        let (volumes, verdicts) = (pieces.volumes(), vec![Verdict::Unknown; pieces.count]);
+        let (volumes, states) = (components.volumes(), vec![ComponentState::Unknown; components.count]);
         let open = FxHashSet::default();
-        Surroundings { topology, pieces, volumes, by_piece, by_leaf, extent, verdicts, open }
+        CavitySearch { topology, components, volumes, by_component, by_leaf, extent, states, open }
     }
 
     /// Marks the components with a kept voxel as open.
@@ -109,9 +110,9 @@ impl<'a> Surroundings<'a> {
             if kept.is_empty() {
                 continue;
             }
-            for (piece, mask) in self.pieces.of_leaf(leaf) {
+            for (component, mask) in self.components.of_leaf(leaf) {
                 if !mask.and(&kept).is_empty() {
-                    self.verdicts[piece as usize] = Verdict::Open;
+                    self.states[component as usize] = ComponentState::Open;
                 }
             }
         }
@@ -119,13 +120,13 @@ impl<'a> Surroundings<'a> {
 
     /// The volume of the cavity that contains a component, in voxels. `None` if it is at least `volume_most`,
     /// open, or already visited.
-    fn enclosed_volume(&mut self, piece: u32, volume_most: f64) -> Option<u64> {
-        if self.verdicts[piece as usize] != Verdict::Unknown {
+    fn enclosed_volume(&mut self, component: u32, volume_most: f64) -> Option<u64> {
+        if self.states[component as usize] != ComponentState::Unknown {
             return None;
         }
-        let mut walk = Walk { volume: self.volumes[piece as usize], ..Walk::default() };
-        walk.pieces.insert(piece);
-        self.enter(piece, &mut walk);
+        let mut walk = CavityWalk { volume: self.volumes[component as usize], ..CavityWalk::default() };
+        walk.components.insert(component);
+        self.enter(component, &mut walk);
         let mut is_enclosed = (walk.volume as f64) < volume_most;
         while is_enclosed && let Some(leaf) = walk.queue.pop_front() {
             walk.volume += LEAF_VOXELS as u64;
@@ -134,9 +135,9 @@ impl<'a> Surroundings<'a> {
                 && self.pass(leaf, &mut walk)
                 && (walk.volume as f64) < volume_most;
         }
-        let verdict = if is_enclosed { Verdict::Enclosed } else { Verdict::Open };
-        for piece in walk.pieces {
-            self.verdicts[piece as usize] = verdict;
+        let state = if is_enclosed { ComponentState::Enclosed } else { ComponentState::Open };
+        for component in walk.components {
+            self.states[component as usize] = state;
         }
         if !is_enclosed {
             self.open.extend(walk.leaves);
@@ -145,15 +146,15 @@ impl<'a> Surroundings<'a> {
     }
 
     /// Queues the missing leaves that a component touches.
-    fn enter(&self, piece: u32, walk: &mut Walk) {
-        let first = self.by_piece.partition_point(|&(other, _)| other < piece);
-        for &(_, leaf) in self.by_piece[first..].iter().take_while(|&&(other, _)| other == piece) {
+    fn enter(&self, component: u32, walk: &mut CavityWalk) {
+        let first = self.by_component.partition_point(|&(other, _)| other < component);
+        for &(_, leaf) in self.by_component[first..].iter().take_while(|&&(other, _)| other == component) {
             walk.reach(IVec3::from(leaf));
         }
     }
 
     /// Continues the search from a missing leaf. Returns false if it is known to be open.
-    fn pass(&self, leaf: IVec3, walk: &mut Walk) -> bool {
+    fn pass(&self, leaf: IVec3, walk: &mut CavityWalk) -> bool {
         for face in FACE_STEPS.map(|step| leaf.wrapping_add(step * LEAF_EDGE)) {
             if self.topology.find(face).is_none() {
                 walk.reach(face);
@@ -161,13 +162,13 @@ impl<'a> Surroundings<'a> {
         }
         let key = leaf.to_array();
         let first = self.by_leaf.partition_point(|&(other, _)| other < key);
-        for &(_, piece) in self.by_leaf[first..].iter().take_while(|&&(other, _)| other == key) {
-            if self.verdicts[piece as usize] == Verdict::Open {
+        for &(_, component) in self.by_leaf[first..].iter().take_while(|&&(other, _)| other == key) {
+            if self.states[component as usize] == ComponentState::Open {
                 return false;
             }
-            if walk.pieces.insert(piece) {
-                walk.volume += self.volumes[piece as usize];
-                self.enter(piece, walk);
+            if walk.components.insert(component) {
+                walk.volume += self.volumes[component as usize];
+                self.enter(component, walk);
             }
         }
         true
@@ -176,15 +177,15 @@ impl<'a> Surroundings<'a> {
 
 /// A breadth-first search through connected components and leaves.
 #[derive(Default)]
-struct Walk {
+struct CavityWalk {
     volume: u64,
-    pieces: FxHashSet<u32>,
+    components: FxHashSet<u32>,
     /// Missing leaves: all that were reached, and those still in the queue.
     leaves: FxHashSet<IVec3>,
     queue: VecDeque<IVec3>,
 }
 
-impl Walk {
+impl CavityWalk {
     fn reach(&mut self, leaf: IVec3) {
         if self.leaves.insert(leaf) {
             self.queue.push_back(leaf);

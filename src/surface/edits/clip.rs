@@ -104,25 +104,25 @@ pub fn clip(band: &mut NarrowBand, lattice: &Lattice, clip_box: &ClipBox) -> Cli
 
 /// Number of inside voxels of the old leaves that are not inside in the new ones, or whose leaf was removed.
 fn stored_difference(old: &Topology, inside: &[LeafMask], new: &Topology, left: &[LeafMask]) -> u64 {
-    let turned = |(&origin, inside): (&IVec3, &LeafMask)| {
-        let mut turned = *inside;
+    let flipped = |(&origin, inside): (&IVec3, &LeafMask)| {
+        let mut flipped = *inside;
         if let Some(leaf) = new.find(origin) {
-            turned.remove_all(&left[leaf]);
+            flipped.remove_all(&left[leaf]);
         }
-        u64::from(turned.count())
+        u64::from(flipped.count())
     };
-    old.origins().iter().zip(inside).map(turned).sum()
+    old.origins().iter().zip(inside).map(flipped).sum()
 }
 
 /// Consecutive missing leaves along z that are inside: the first, and one past the last.
 #[derive(Clone, Copy, Debug)]
-struct Gap {
+struct LeafGap {
     first: IVec3,
     end_z: i32,
 }
 
 /// The inside gaps between stored leaves.
-fn gaps(topology: &Topology, inside: &[LeafMask]) -> Vec<Gap> {
+fn gaps(topology: &Topology, inside: &[LeafMask]) -> Vec<LeafGap> {
     let mut rows: Vec<([i32; 3], usize)> =
         topology.origins().iter().enumerate().map(|(leaf, origin)| (origin.to_array(), leaf)).collect();
     rows.par_sort_unstable();
@@ -137,7 +137,7 @@ fn gaps(topology: &Topology, inside: &[LeafMask]) -> Vec<Gap> {
         };
         let is_gap = ax == bx && ay == by && bz - az > LEAF_EDGE;
         (is_gap && is_inside(before, LAST_Z) && is_inside(after, FIRST_Z))
-            .then_some(Gap { first: IVec3::new(ax, ay, az + LEAF_EDGE), end_z: bz })
+            .then_some(LeafGap { first: IVec3::new(ax, ay, az + LEAF_EDGE), end_z: bz })
     };
     rows.windows(2).filter_map(gap).collect()
 }
@@ -182,7 +182,7 @@ impl Cut {
     }
 
     /// The leaves of a gap that a cap needs.
-    fn cap_leaves(self, gap: Gap) -> impl Iterator<Item = IVec3> {
+    fn cap_leaves(self, gap: LeafGap) -> impl Iterator<Item = IVec3> {
         // At the planes across z; between them, only if one of the other planes is near.
         let near = |plane: f64| self.leaves_between(plane, plane, &gap);
         let column = IVec3::new(gap.first.x, gap.first.y, 0);
@@ -200,7 +200,7 @@ impl Cut {
     }
 
     /// The leaves of a gap, in units of leaves, within the half width of the range between two z.
-    fn leaves_between(&self, from: f64, to: f64, gap: &Gap) -> std::ops::Range<i32> {
+    fn leaves_between(&self, from: f64, to: f64, gap: &LeafGap) -> std::ops::Range<i32> {
         let (first, end) = (gap.first.z / LEAF_EDGE, gap.end_z / LEAF_EDGE);
         let edge = f64::from(LEAF_EDGE);
         let from = ((from - self.half_width) / edge).floor().max(f64::from(first));
@@ -209,7 +209,7 @@ impl Cut {
     }
 
     /// Number of voxels of a gap that are outside the box.
-    fn outside_count(&self, gap: &Gap) -> u64 {
+    fn outside_count(&self, gap: &LeafGap) -> u64 {
         let [first, end] =
             [gap.first, IVec3::new(gap.first.x + LEAF_EDGE, gap.first.y + LEAF_EDGE, gap.end_z)];
         let along = |axis: usize| {

@@ -25,9 +25,9 @@
 
 mod cavities;
 mod clip;
+mod components;
+mod flip;
 mod islands;
-mod pieces;
-mod turned;
 
 pub use cavities::{FilledCavities, fill_cavities};
 pub use clip::{ClipBox, Clipped, clip};

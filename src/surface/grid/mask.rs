@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn surrounded_voxels_have_six_neighbours() {
+    fn surrounded_voxels_have_six_neighbors_in_the_mask() {
         let masks: [LeafMask; 7] = std::array::from_fn(|seed| scattered(seed as u32, 14));
         let steps = [IVec3::NEG_X, IVec3::X, IVec3::NEG_Y, IVec3::Y, IVec3::NEG_Z, IVec3::Z];
         let is_in = |voxel: IVec3| {
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn the_bounding_box_holds_the_voxels() {
+    fn bounding_box_contains_the_mask() {
         for seed in 0..100 {
             let mut mask = LeafMask::EMPTY;
             let mut expected = CoordBox::EMPTY;
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn shifts_bring_in_the_voxels_of_the_leaves_beside() {
+    fn shifted_masks_include_adjacent_leaves() {
         // A pattern that does not repeat within two leaves.
         let is_in = |voxel: IVec3| (voxel.x * 37 + voxel.y * 101 + voxel.z * 11).rem_euclid(7) < 3;
         let mask = |origin: IVec3| LeafMask::from_fn(|offset| is_in(origin + voxel_in_leaf(offset)));
@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn signs_become_bits_in_their_place() {
+    fn negative_values_set_their_bits() {
         let mut leaf = Leaf::splat(0.0);
         for (offset, value) in leaf.values.iter_mut().enumerate() {
             *value = [-1.0, 0.0, -0.0, 2.0, f32::NAN, -1e-30][offset * offset % 11 % 6];

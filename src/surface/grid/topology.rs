@@ -42,7 +42,7 @@ impl Topology {
         let mut places: Vec<u128> = origins.into_par_iter().map(tree_order).collect();
         places.par_sort_unstable();
         places.dedup();
-        let origins: Vec<IVec3> = places.into_par_iter().map(origin_at).collect();
+        let origins: Vec<IVec3> = places.into_par_iter().map(origin_from_order).collect();
         assert!(origins.len() < NO_LEAF as usize, "more leaves than 32-bit indices");
         let index_of: FxHashMap<IVec3, u32> =
             origins.iter().enumerate().map(|(index, &origin)| (origin, index as u32)).collect();
@@ -126,25 +126,25 @@ const NEIGHBOR_PATHS: [(usize, [(usize, usize); 3]); 26] = {
     while distance <= 3 {
         let mut slot = 0;
         while slot < 27 {
-            let mut ways = [(0, 0); 3];
-            let mut way_count = 0;
+            let mut paths = [(0, 0); 3];
+            let mut path_count = 0;
             let mut axis = 0;
             while axis < 3 {
                 let place = slot / weights[axis] % 3;
                 if place != 1 {
                     let nearer = if place == 0 { slot + weights[axis] } else { slot - weights[axis] };
-                    ways[way_count] = (nearer, 2 * axis + place / 2);
-                    way_count += 1;
+                    paths[path_count] = (nearer, 2 * axis + place / 2);
+                    path_count += 1;
                 }
                 axis += 1;
             }
-            if way_count == distance {
-                let mut rest = way_count;
+            if path_count == distance {
+                let mut rest = path_count;
                 while rest < 3 {
-                    ways[rest] = ways[0];
+                    paths[rest] = paths[0];
                     rest += 1;
                 }
-                paths[count] = (slot, ways);
+                paths[count] = (slot, paths);
                 count += 1;
             }
             slot += 1;
@@ -178,7 +178,7 @@ fn tree_order(origin: IVec3) -> u128 {
 }
 
 /// The inverse of [`tree_order`].
-fn origin_at(place: u128) -> IVec3 {
+fn origin_from_order(place: u128) -> IVec3 {
     let axis = |axis: u32| {
         let digits =
             |shift: u32, bits: u32| (place >> (shift + (2 - axis) * bits)) as u32 & ((1 << bits) - 1);
@@ -192,7 +192,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn leaves_are_sorted_as_a_vdb_tree_walks_them() {
+    fn leaves_are_in_vdb_depth_first_order() {
         let origins = [[-8, 0, 0], [0, 0, 0], [0, 0, 8], [0, 8, 0], [8, 0, 0], [0, 0, 128], [4096, 0, 0]];
         let mut shuffled: Vec<IVec3> = origins.iter().map(|&origin| IVec3::from(origin)).collect();
         shuffled.rotate_left(3);
@@ -212,7 +212,7 @@ mod tests {
         assert_eq!(topology.find_voxel(IVec3::new(9, 2, -1)), Some((below, IVec3::new(1, 2, 7))));
     }
     #[test]
-    fn neighborhoods_are_complete_wherever_leaves_are_missing() {
+    fn neighborhoods_match_lookup_with_missing_leaves() {
         // Every second, third … leaf of a block, so that slots are reachable by all, some or none of their
         // paths.
         for every in 2..7 {

@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn ball_becomes_a_ball_of_the_radius_and_the_offset() {
+    fn offset_ball_has_radius_plus_offset() {
         let center = [0.3, -0.2, 0.4];
         let given = band(ball(center, 12.2));
         for offset in [-2.0, -0.4, 0.7, 2.0] {
@@ -172,7 +172,7 @@ mod tests {
 
     /// Where parts vanish or merge, distances are those to the remaining surface.
     #[test]
-    fn distances_are_those_to_the_moved_surface() {
+    fn offset_restores_distances_after_parts_vanish_or_merge() {
         let both = |radii: [f32; 2]| {
             let [one, other] = [ball([-8.2, 0.1, 0.2], radii[0]), ball([8.3, 0.1, 0.2], radii[1])];
             move |p| one(p).min(other(p))
@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_falls_below_the_floor_and_what_touches_it_lies_on_it() {
+    fn offset_stays_above_the_floor_and_snaps_to_it() {
         // A slab on a plane that is at z = 0.5 after the slab is moved by 1.3.
         let given = band(|[_, _, z]| (z - 5.0).abs() - 5.8);
         let wall = |origin: IVec3| Leaf {
@@ -215,7 +215,7 @@ mod tests {
     /// A film half a voxel thick on a plane through voxels: these lie on the floor, and no voxel is inside.
     /// Zeros have the sign of the floor.
     #[test]
-    fn voxels_on_the_floor_are_outside_whatever_the_sign_of_zero() {
+    fn voxels_on_the_floor_are_outside_for_both_signs_of_zero() {
         let given = band(|[_, _, z]| (z + 5.0).abs() - 4.2);
         for zero in [0.0, -0.0] {
             let wall = |origin: IVec3| Leaf {
@@ -232,7 +232,7 @@ mod tests {
 
     /// An outside point that the surface almost touches.
     #[test]
-    fn zeros_of_either_sign_are_outside_where_distances_are_carried_on() {
+    fn zeros_of_both_signs_stay_outside_in_extended_distances() {
         let given = band(ball([0.3, -0.2, 0.4], 9.7));
         let center = IVec3::new(13, 0, 0);
         let extended = |zero: f32| {

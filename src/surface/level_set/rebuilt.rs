@@ -106,7 +106,7 @@ pub fn rebuilt(
     stored: &StoredLevelSet<'_>,
     leaf_count_max: usize,
 ) -> Result<Option<(NarrowBand, RebuildReason)>, TooManyLeaves> {
-    let lookup = Lookup::new(stored);
+    let lookup = LevelSetLookup::new(stored);
     let added = lookup.leaves_between_tiles(leaf_count_max)?;
     let [surface_voxel_count, clipped_voxel_count] = lookup.voxel_counts_at_surface();
     let is_clipped = clipped_voxel_count as f64 > CLIPPED_PART_MAX * surface_voxel_count as f64;
@@ -171,7 +171,7 @@ pub fn rebuilt(
 /// Distance to the surface of a voxel without one, if the surface lies between it and an adjacent voxel, in
 /// voxels.
 fn distance_from_beside(
-    lookup: &Lookup<'_>,
+    lookup: &LevelSetLookup<'_>,
     raw: &Field,
     topology: &Topology,
     (leaf, offset): (usize, usize),
@@ -258,25 +258,25 @@ fn mirrored(own: &LeafMask, face: usize) -> LeafMask {
 }
 
 /// Looks up the value of any voxel of a stored level set.
-struct Lookup<'a> {
+struct LevelSetLookup<'a> {
     stored: &'a StoredLevelSet<'a>,
     topology: Topology,
     /// For each leaf of the topology, its index in the file.
-    places: Vec<u32>,
+    file_indices: Vec<u32>,
     tile_of: FxHashMap<(IVec3, i32), f32>,
     tile_sizes: Vec<i32>,
 }
 
-impl<'a> Lookup<'a> {
-    fn new(stored: &'a StoredLevelSet<'a>) -> Lookup<'a> {
+impl<'a> LevelSetLookup<'a> {
+    fn new(stored: &'a StoredLevelSet<'a>) -> LevelSetLookup<'a> {
         let limit = IVec3::splat(INDEX_LIMIT);
         let is_near = |origin: &IVec3| origin.cmpgt(-limit).all() && origin.cmplt(limit).all();
         let near = stored.origins.iter().copied().filter(is_near);
         let topology = Topology::new(near.collect());
-        let mut places = vec![0; topology.len()];
+        let mut file_indices = vec![0; topology.len()];
         for (&origin, place) in stored.origins.iter().zip(0..) {
             if let Some(leaf) = topology.find(origin) {
-                places[leaf] = place;
+                file_indices[leaf] = place;
             }
         }
         let tiles = stored.tiles.iter().filter(|(origin, size, _)| is_near(origin) && *size >= LEAF_EDGE);
@@ -284,7 +284,7 @@ impl<'a> Lookup<'a> {
         let mut tile_sizes: Vec<i32> = tile_of.keys().map(|&(_, size)| size).collect();
         tile_sizes.sort_unstable();
         tile_sizes.dedup();
-        Lookup { stored, topology, places, tile_of, tile_sizes }
+        LevelSetLookup { stored, topology, file_indices, tile_of, tile_sizes }
     }
 
     /// True if this value is a distance rather than only a sign.
@@ -293,7 +293,7 @@ impl<'a> Lookup<'a> {
     }
 
     fn stored_leaf(&self, leaf: usize) -> &'a [f32; LEAF_VOXELS] {
-        &self.stored.leaves[self.places[leaf] as usize]
+        &self.stored.leaves[self.file_indices[leaf] as usize]
     }
 
     /// The single value of a leaf that is not stored.
@@ -448,7 +448,7 @@ mod tests {
     }
 
     #[test]
-    fn half_a_band_gets_its_other_half() {
+    fn one_sided_band_is_completed() {
         let outside_only = |distance: f32| match distance < 0.0 {
             true => -BACKGROUND,
             false => (distance * VOXEL_SIZE as f32).min(BACKGROUND),
@@ -462,13 +462,13 @@ mod tests {
     }
 
     #[test]
-    fn sound_band_is_left_alone() {
+    fn complete_band_is_not_rebuilt() {
         let whole = ball(|distance| (distance * VOXEL_SIZE as f32).clamp(-BACKGROUND, BACKGROUND));
         assert!(rebuilt(&stored(&whole, &[]), 1000).expect("few leaves").is_none());
     }
 
     #[test]
-    fn sound_band_with_one_pair_of_bad_voxels_is_left_alone() {
+    fn band_with_one_pair_of_clipped_voxels_is_not_rebuilt() {
         let mut whole = ball(|distance| (distance * VOXEL_SIZE as f32).clamp(-BACKGROUND, BACKGROUND));
         // The first leaf is entirely outside.
         let middle = offset_in_leaf(IVec3::splat(4));
@@ -477,7 +477,7 @@ mod tests {
     }
 
     #[test]
-    fn tiles_of_both_signs_get_leaves_between_them() {
+    fn leaves_are_added_between_tiles_of_opposite_sign() {
         // A cube of 16 voxels, as tiles of 8, and one of 128.
         let corners = (0..8).map(|slot| IVec3::new(slot / 4, slot / 2 % 2, slot % 2) * 8);
         let small: Vec<(IVec3, i32, f32)> = corners.map(|origin| (origin, 8, -BACKGROUND)).collect();
@@ -502,11 +502,11 @@ mod tests {
     }
 
     #[test]
-    fn large_inside_tile_is_refused_before_its_leaves_are_listed() {
+    fn large_inside_tile_exceeds_the_leaf_limit() {
         // Each of its faces has 512² leaves on each side, 6 · 512² in total.
         let (none, tile) = ((vec![], vec![]), [(IVec3::ZERO, 4096, -BACKGROUND)]);
         let stored = stored(&none, &tile);
-        let lookup = Lookup::new(&stored);
+        let lookup = LevelSetLookup::new(&stored);
         assert_eq!(lookup.leaves_between_tiles(1 << 18), Err(TooManyLeaves));
     }
 }

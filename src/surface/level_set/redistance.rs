@@ -236,7 +236,8 @@ fn upwind<V: Lanes>(slab: &Slab, y: usize, second_order_within: f32) -> V {
     // Distances are positive on the voxel's own side of the surface.
     let side = V::splat(1.0).copysign(slab.row(y));
     let (x, y_near, z) = (slab.along_x::<V>(y), slab.along_y::<V>(y), slab.along_z::<V>(y));
-    let [x_near, y_near, z_near] = [Near::new(side, x), Near::new(side, y_near), Near::new(side, z)];
+    let [x_near, y_near, z_near] =
+        [UpwindNeighbor::new(side, x), UpwindNeighbor::new(side, y_near), UpwindNeighbor::new(side, z)];
     let within = V::splat(second_order_within);
     let nearest = x_near.value.min(y_near.value).min(z_near.value);
     // Far from the surface, differences are first-order and second neighbors are not read.
@@ -264,17 +265,17 @@ struct OneSided<V> {
 
 /// The nearer of the neighbors at −1 and +1.
 #[derive(Clone, Copy)]
-struct Near<V: Lanes> {
+struct UpwindNeighbor<V: Lanes> {
     value: V,
     /// True for lanes where it is the one at +1.
     is_after: V::Mask,
 }
 
-impl<V: Lanes> Near<V> {
+impl<V: Lanes> UpwindNeighbor<V> {
     #[inline(always)]
-    fn new(side: V, [before, after]: [V; 2]) -> Near<V> {
+    fn new(side: V, [before, after]: [V; 2]) -> UpwindNeighbor<V> {
         let (before, after) = (side.mul(before), side.mul(after));
-        Near { value: before.min(after), is_after: after.lt(before) }
+        UpwindNeighbor { value: before.min(after), is_after: after.lt(before) }
     }
 
     /// The difference to it.
@@ -346,7 +347,7 @@ mod tests {
 
     /// Compares with the definition, for every row of a leaf and of the leaves beyond its faces.
     #[test]
-    fn rows_depend_on_rows_within_two_voxels_along_an_axis() {
+    fn dependent_rows_are_within_two_voxels_per_axis() {
         // Leaf 0 is the leaf itself; the others are its neighbors in order, with their steps in x and y.
         let steps = [(0, 0), (-8, 0), (8, 0), (0, -8), (0, 8), (0, 0), (0, 0)];
         for (source, (x_step, y_step)) in steps.into_iter().enumerate() {

@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn distances_reach_farther_on_both_sides() {
+    fn widened_band_extends_on_both_sides() {
         // In a band of 1.5 voxels, some corners of the cells with the surface are already missing.
         for (narrow, most) in [(1.5, 0.25), (2.0, 0.02), (3.0, 0.02)] {
             let wide = widened(&ball(18.3, narrow), 6.0);

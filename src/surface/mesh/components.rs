@@ -8,11 +8,11 @@
 
 use rayon::prelude::*;
 
-use super::{Mesh, PIECE};
+use super::{CHUNK, Mesh};
 
 /// Joins the vertices of one chunk along the edges within it, in `parents`, whose entries are then roots.
 /// Returns the number of joins.
-pub(super) fn join_piece(
+pub(super) fn join_chunk(
     parents: &mut [u32],
     first: u32,
     triangles: impl Iterator<Item = [u32; 3]>,
@@ -43,13 +43,13 @@ pub(super) fn join_piece(
 
 /// Joins chunks along the edges between them, after each has been joined internally. Returns the number of
 /// joins.
-pub(super) fn join_pieces(mesh: &Mesh, parents: &mut [u32]) -> usize {
+pub(super) fn join_chunks(mesh: &Mesh, parents: &mut [u32]) -> usize {
     let roots: &[u32] = parents;
     let pairs_of = |triangles: &[[u32; 3]]| {
         let mut pairs = Vec::new();
         for &[a, b, c] in triangles {
             for [one, other] in [[a, b], [b, c]] {
-                if one / PIECE as u32 != other / PIECE as u32 {
+                if one / CHUNK as u32 != other / CHUNK as u32 {
                     let (one, other) = (roots[one as usize], roots[other as usize]);
                     let pair = [one.min(other), one.max(other)];
                     if pairs.last() != Some(&pair) {
@@ -62,7 +62,7 @@ pub(super) fn join_pieces(mesh: &Mesh, parents: &mut [u32]) -> usize {
         pairs.dedup();
         pairs
     };
-    let pairs: Vec<Vec<[u32; 2]>> = mesh.triangles.par_chunks(PIECE).map(pairs_of).collect();
+    let pairs: Vec<Vec<[u32; 2]>> = mesh.triangles.par_chunks(CHUNK).map(pairs_of).collect();
     pairs.into_iter().flatten().filter(|&[one, other]| join(parents, one, other)).count()
 }
 

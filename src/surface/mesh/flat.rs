@@ -34,7 +34,7 @@ use super::triangles::{LANES, TriangleBatch};
 pub type Rounding = fn(&[[f32; 3]], [f64; 3]) -> Vec<[f32; 3]>;
 
 /// Number of triangles per task.
-const PIECE: usize = 4096;
+const CHUNK: usize = 4096;
 
 /// Maximum number of rounds; usually one or two are enough.
 const ROUNDS_MAX: usize = 64;
@@ -55,7 +55,7 @@ impl Mesh {
     /// number of removed triangles. Leaves a mesh unchanged if a large part of it is flat.
     ///
     /// Panics if a triangle refers to a vertex that does not exist.
-    pub fn take_out_flat(&mut self, roundings: &[Rounding]) -> usize {
+    pub fn remove_flat_triangles(&mut self, roundings: &[Rounding]) -> usize {
         let before = self.triangles.len();
         // Triangles may flip over only if nothing else helps.
         let mut may_fold = false;
@@ -71,9 +71,9 @@ impl Mesh {
             if flat.is_empty() || flat.len() > flat_max {
                 break;
             }
-            let mut surgery = Surgery::new(views, &self.triangles, &flat, may_fold);
-            let changed = flat.iter().filter(|&&triangle| surgery.treat(triangle)).count();
-            let triangles = surgery.triangles;
+            let mut removal = FlatRemoval::new(views, &self.triangles, &flat, may_fold);
+            let changed = flat.iter().filter(|&&triangle| removal.remove_flat(triangle)).count();
+            let triangles = removal.triangles;
             if changed == 0 && may_fold {
                 break;
             }
@@ -101,21 +101,21 @@ const GONE: [u32; 3] = [u32::MAX; 3];
 
 /// Indices of the degenerate triangles at these positions, in order.
 fn flat_triangles(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<u32> {
-    let of_piece = |(piece, triangles): (usize, &[[u32; 3]])| {
+    let of_piece = |(chunk, triangles): (usize, &[[u32; 3]])| {
         let mut flat = Vec::new();
         for (batch, triangles) in triangles.chunks(LANES).enumerate() {
             let degenerate = TriangleBatch::new(positions, triangles).degenerate();
-            let first = piece * PIECE + batch * LANES;
+            let first = chunk * CHUNK + batch * LANES;
             let is_flat = |&lane: &usize| degenerate[lane] > 0;
             flat.extend((0..triangles.len()).filter(is_flat).map(|lane| (first + lane) as u32));
         }
         flat
     };
-    triangles.par_chunks(PIECE).enumerate().flat_map_iter(of_piece).collect()
+    triangles.par_chunks(CHUNK).enumerate().flat_map_iter(of_piece).collect()
 }
 
 /// A mesh under modification, with the neighborhoods of some triangles.
-struct Surgery<'a> {
+struct FlatRemoval<'a> {
     views: Vec<&'a [Vec3]>,
     triangles: Vec<[u32; 3]>,
     /// The triangles of each vertex that is a corner of one of those triangles, or a neighbor of such a
@@ -124,8 +124,8 @@ struct Surgery<'a> {
     may_fold: bool,
 }
 
-impl<'a> Surgery<'a> {
-    fn new(views: Vec<&'a [Vec3]>, triangles: &[[u32; 3]], flat: &[u32], may_fold: bool) -> Surgery<'a> {
+impl<'a> FlatRemoval<'a> {
+    fn new(views: Vec<&'a [Vec3]>, triangles: &[[u32; 3]], flat: &[u32], may_fold: bool) -> FlatRemoval<'a> {
         let corners: FxHashSet<u32> = flat.iter().flat_map(|&flat| triangles[flat as usize]).collect();
         let touches = |triangle: &&[u32; 3]| triangle.iter().any(|vertex| corners.contains(vertex));
         let near: Vec<[u32; 3]> = triangles.par_iter().filter(touches).copied().collect();
@@ -142,11 +142,11 @@ impl<'a> Surgery<'a> {
                 }
             }
         }
-        Surgery { views, triangles: triangles.to_vec(), around, may_fold }
+        FlatRemoval { views, triangles: triangles.to_vec(), around, may_fold }
     }
 
     /// Removes a flat triangle, or turns it into one with an area. Returns true on success.
-    fn treat(&mut self, triangle: u32) -> bool {
+    fn remove_flat(&mut self, triangle: u32) -> bool {
         let corners = self.triangles[triangle as usize];
         let flat_view = self.views.iter().position(|view| is_flat(view, corners));
         let Some(view) = flat_view.map(|index| self.views[index]).filter(|_| corners != GONE) else {
@@ -162,17 +162,17 @@ impl<'a> Surgery<'a> {
         let ends = |place: usize| [corners[place], corners[(place + 1) % 3]];
         let is_needle = shortest.0 <= NEEDLE * longest.0;
         is_needle && self.collapse_edge(ends(shortest.1))
-            || self.turn_edge(triangle, ends(longest.1))
+            || self.flip_edge(triangle, ends(longest.1))
             || self.collapse_edge(ends(shortest.1))
             || self.collapse_edge(ends(middle.1))
-            || self.turn_edge(triangle, ends(middle.1))
+            || self.flip_edge(triangle, ends(middle.1))
             || self.collapse_edge(ends(longest.1))
-            || self.drop_speck(triangle)
+            || self.remove_isolated_tetrahedron(triangle)
     }
 
     /// Removes the isolated tetrahedron that a flat triangle belongs to, if any: since one of its triangles
     /// has no area, it has no volume. Particles in it then count as outside.
-    fn drop_speck(&mut self, triangle: u32) -> bool {
+    fn remove_isolated_tetrahedron(&mut self, triangle: u32) -> bool {
         let corners = self.triangles[triangle as usize];
         let mut all: Vec<u32> =
             corners.iter().flat_map(|&corner| self.triangles_of(corner)).copied().collect();
@@ -272,7 +272,7 @@ impl<'a> Surgery<'a> {
     }
 
     /// Flips the longest edge of a triangle.
-    fn turn_edge(&mut self, triangle: u32, [a, b]: [u32; 2]) -> bool {
+    fn flip_edge(&mut self, triangle: u32, [a, b]: [u32; 2]) -> bool {
         let shared = self.shared(a, b);
         let Some(&beyond) = shared.iter().find(|&&other| other != triangle) else { return false };
         let apex = |triangle: u32| {
@@ -369,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn needles_and_caps_go_and_the_mesh_stays_closed() {
+    fn needles_and_caps_are_removed_and_the_mesh_stays_closed() {
         let whole = cube(6);
         let neighbors: Vec<[u32; 2]> = whole.triangles.iter().map(|&[a, b, _]| [a, b]).collect();
         for &[a, b] in neighbors.iter().step_by(7) {
@@ -382,7 +382,7 @@ mod tests {
                 (capped.positions[q as usize] + capped.positions[r as usize]) / 2.0;
             for mut mesh in [merged, capped] {
                 assert!(mesh.measure().degenerate_triangle_count > 0);
-                let fewer = mesh.take_out_flat(&[]);
+                let fewer = mesh.remove_flat_triangles(&[]);
                 let measures = mesh.measure();
                 assert!(measures.is_closed_manifold(), "{a} {b}: {measures:?}");
                 assert_eq!((measures.euler_characteristic, measures.component_count), (2, 1));
@@ -394,30 +394,30 @@ mod tests {
     }
 
     #[test]
-    fn triangles_that_a_file_would_flatten_go() {
+    fn triangles_flattened_by_rounding_are_removed() {
         let coarse: Rounding =
             |positions, _| positions.iter().map(|p| p.map(|x| (x / 1.5).round() * 1.5)).collect();
         let mut mesh = cube(8);
         assert!(mesh.flat_count(coarse) > 0);
-        mesh.take_out_flat(&[coarse]);
+        mesh.remove_flat_triangles(&[coarse]);
         let measures = mesh.measure();
         assert!(measures.is_closed_manifold() && measures.euler_characteristic == 2, "{measures:?}");
         assert_eq!(mesh.flat_count(coarse), 0);
     }
 
     #[test]
-    fn mesh_that_a_file_flattens_for_the_most_part_stays_as_it_is() {
+    fn mesh_that_rounding_mostly_flattens_is_unchanged() {
         let coarse: Rounding =
             |positions, _| positions.iter().map(|p| p.map(|x| (x / 20.0).round() * 20.0)).collect();
         let mut mesh = cube(40);
         let before = mesh.clone();
-        assert_eq!(mesh.take_out_flat(&[coarse]), 0);
+        assert_eq!(mesh.remove_flat_triangles(&[coarse]), 0);
         assert_eq!(mesh, before);
         assert!(mesh.flat_count(coarse) > mesh.triangles.len() / 2);
     }
 
     #[test]
-    fn a_piece_without_volume_goes_as_a_whole() {
+    fn isolated_tetrahedron_without_volume_is_removed() {
         let mut mesh = cube(3);
         let whole = mesh.clone();
         let first = mesh.positions.len() as u32;
@@ -427,17 +427,17 @@ mod tests {
         let speck = [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]];
         mesh.triangles.extend(speck.map(|triangle| triangle.map(|corner| first + corner)));
         assert!(mesh.measure().is_closed_manifold());
-        mesh.take_out_flat(&[|positions, _| {
+        mesh.remove_flat_triangles(&[|positions, _| {
             positions.iter().map(|p| p.map(|x| (x / 0.5).round() * 0.5)).collect()
         }]);
         assert_eq!(mesh, whole);
     }
 
     #[test]
-    fn a_mesh_without_flat_triangles_stays_as_it_is() {
+    fn mesh_without_flat_triangles_is_unchanged() {
         let mut mesh = cube(4);
         let before = mesh.clone();
-        assert_eq!(mesh.take_out_flat(&[]), 0);
+        assert_eq!(mesh.remove_flat_triangles(&[]), 0);
         assert_eq!(mesh, before);
     }
 }

@@ -32,7 +32,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::surface::simd::{Kernel, Lanes, dispatch};
-use corners::{Corners, Touching};
+use corners::{Corners, TouchingTriangles};
 pub use decimate::{DecimateReport, decimate};
 pub use flat::Rounding;
 pub(crate) use triangles::{LANES, TriangleBatch};
@@ -113,17 +113,17 @@ impl Mesh {
     ///
     /// Panics if a triangle refers to a vertex that does not exist.
     pub fn measure(&self) -> MeshMeasures {
-        let triangles = self.triangles.par_chunks(PIECE);
+        let triangles = self.triangles.par_chunks(CHUNK);
         let triangles =
-            Sums::in_order(triangles.map(|triangles| dispatch(TrianglePiece { mesh: self, triangles })));
-        let touching = Touching::new(self);
+            Sums::in_order(triangles.map(|triangles| dispatch(TriangleChunk { mesh: self, triangles })));
+        let touching = TouchingTriangles::new(self);
         let mut parents: Vec<u32> = vec![0; self.positions.len()];
-        let pieces = parents.par_chunks_mut(PIECE).enumerate();
-        let vertices = Sums::in_order(pieces.map_init(Corners::default, |corners, (piece, parents)| {
-            dispatch(VertexPiece { mesh: self, touching: &touching, piece, parents, corners })
+        let chunks = parents.par_chunks_mut(CHUNK).enumerate();
+        let vertices = Sums::in_order(chunks.map_init(Corners::default, |corners, (chunk, parents)| {
+            dispatch(VertexChunk { mesh: self, touching: &touching, chunk, parents, corners })
         }));
         drop(touching);
-        let joined_count = vertices.joined_count + components::join_pieces(self, &mut parents);
+        let joined_count = vertices.joined_count + components::join_chunks(self, &mut parents);
         let edge_count = vertices.edge_count as i64;
         MeshMeasures {
             area: triangles.area,
@@ -144,7 +144,7 @@ impl Mesh {
 
 /// Number of vertices or triangles per chunk. Sums are taken chunk by chunk, so that they do not depend on
 /// the number of threads.
-const PIECE: usize = 4096;
+const CHUNK: usize = 4096;
 
 /// Sums over vertices and triangles.
 #[derive(Clone, Copy, Default)]
@@ -164,9 +164,9 @@ struct Sums {
 
 impl Sums {
     /// The sum over all chunks, in order.
-    fn in_order(pieces: impl IndexedParallelIterator<Item = Sums>) -> Sums {
-        let pieces: Vec<Sums> = pieces.collect();
-        pieces.into_iter().fold(Sums::default(), |sums, one| Sums {
+    fn in_order(chunks: impl IndexedParallelIterator<Item = Sums>) -> Sums {
+        let chunks: Vec<Sums> = chunks.collect();
+        chunks.into_iter().fold(Sums::default(), |sums, one| Sums {
             area: sums.area + one.area,
             volume: sums.volume + one.volume,
             bending_energy: sums.bending_energy + one.bending_energy,
@@ -182,12 +182,12 @@ impl Sums {
 }
 
 /// Kernel: measures some triangles.
-struct TrianglePiece<'a> {
+struct TriangleChunk<'a> {
     mesh: &'a Mesh,
     triangles: &'a [[u32; 3]],
 }
 
-impl Kernel for TrianglePiece<'_> {
+impl Kernel for TriangleChunk<'_> {
     type Output = Sums;
 
     #[inline(always)]
@@ -197,26 +197,26 @@ impl Kernel for TrianglePiece<'_> {
 }
 
 /// Kernel: measures a chunk of the vertices.
-struct VertexPiece<'a> {
+struct VertexChunk<'a> {
     mesh: &'a Mesh,
-    touching: &'a Touching,
-    piece: usize,
+    touching: &'a TouchingTriangles,
+    chunk: usize,
     /// Receives, for each vertex, the first vertex that is connected to it within the chunk.
     parents: &'a mut [u32],
     /// Reused for each chunk.
     corners: &'a mut Corners,
 }
 
-impl Kernel for VertexPiece<'_> {
+impl Kernel for VertexChunk<'_> {
     type Output = Sums;
 
     #[inline(always)]
     fn run<V: Lanes>(self) -> Sums {
-        let VertexPiece { mesh, touching, piece, parents, corners } = self;
-        let (first, count) = (piece * PIECE, parents.len());
-        let triangles = touching.triangles(mesh, piece);
+        let VertexChunk { mesh, touching, chunk, parents, corners } = self;
+        let (first, count) = (chunk * CHUNK, parents.len());
+        let triangles = touching.triangles(mesh, chunk);
         corners.collect(first as u32, count, triangles.clone());
-        let joined_count = components::join_piece(parents, first as u32, triangles);
+        let joined_count = components::join_chunk(parents, first as u32, triangles);
         Sums { joined_count, ..vertices::sum_vertices(mesh, corners, first, count) }
     }
 }
@@ -234,7 +234,7 @@ mod tests {
     const TETRAHEDRON: [[u32; 3]; 4] = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
 
     #[test]
-    fn a_tetrahedron_is_closed() {
+    fn tetrahedron_is_a_closed_manifold() {
         let measures = mesh(&CORNERS, &TETRAHEDRON).measure();
         assert!(measures.is_closed_manifold());
         assert!((measures.volume - 1.0 / 6.0).abs() < 1e-12);
@@ -243,14 +243,14 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_triangle_leaves_a_boundary() {
+    fn missing_triangle_leaves_boundary_edges() {
         let measures = mesh(&CORNERS, &TETRAHEDRON[1..]).measure();
         assert_eq!((measures.boundary_edge_count, measures.non_manifold_edge_count), (3, 0));
         assert_eq!((measures.non_manifold_vertex_count, measures.euler_characteristic), (0, 1));
     }
 
     #[test]
-    fn a_turned_triangle_is_not_manifold() {
+    fn flipped_triangle_is_not_manifold() {
         let mut triangles = TETRAHEDRON;
         triangles[0].swap(1, 2);
         let measures = mesh(&CORNERS, &triangles).measure();
@@ -258,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn tetrahedra_may_not_share_an_edge_or_a_vertex() {
+    fn shared_edge_or_vertex_is_not_manifold() {
         let mut positions = CORNERS.to_vec();
         positions.extend(CORNERS.map(|[x, y, z]| [-x, -y, z + 2.0]));
         let other = |map: [u32; 4]| TETRAHEDRON.map(|triangle| triangle.map(|corner| map[corner as usize]));
@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn flat_and_repeating_triangles_are_degenerate() {
+    fn flat_triangles_and_repeated_vertices_are_degenerate() {
         let positions = [[0.0; 3], [1.0, 0.0, 0.0], [3.0, 0.0, 0.0]];
         assert_eq!(mesh(&positions, &[[0, 1, 2], [0, 1, 1]]).measure().degenerate_triangle_count, 2);
     }

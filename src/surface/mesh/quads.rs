@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use super::Mesh;
 
 /// Number of triangles per task.
-const PIECE: usize = 1 << 14;
+const CHUNK: usize = 1 << 14;
 
 impl Mesh {
     /// For each triangle, true if it and the next one are the halves of a quad. Intended for meshes from dual
@@ -25,8 +25,8 @@ impl Mesh {
     pub fn quads(&self) -> Vec<bool> {
         let count = self.triangles.len();
         let mut quads = vec![false; count];
-        quads.par_chunks_mut(PIECE).enumerate().for_each(|(piece, quads)| {
-            for (quad, index) in quads.iter_mut().zip(piece * PIECE..) {
+        quads.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, quads)| {
+            for (quad, index) in quads.iter_mut().zip(chunk * CHUNK..) {
                 let next = self.triangles.get(index + 1);
                 *quad = next.is_some_and(|&next| are_halves(self.triangles[index], next));
             }

@@ -15,8 +15,8 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::corners::{Corners, Touching};
-use super::{Mesh, PIECE};
+use super::corners::{Corners, TouchingTriangles};
+use super::{CHUNK, Mesh};
 
 impl Mesh {
     /// Averages each normal with its neighbors, `rounds` times. Normals stay unit vectors; a normal whose
@@ -27,15 +27,15 @@ impl Mesh {
         if rounds == 0 {
             return;
         }
-        let touching = Touching::new(self);
+        let touching = TouchingTriangles::new(self);
         for _ in 0..rounds {
             let mut smoothed = self.normals.clone();
-            let pieces = smoothed.par_chunks_mut(PIECE).enumerate();
-            pieces.for_each_init(Corners::default, |corners, (piece, smoothed)| {
-                let first = piece * PIECE;
-                corners.collect(first as u32, smoothed.len(), touching.triangles(self, piece));
-                for (place, normal) in smoothed.iter_mut().enumerate() {
-                    *normal = self.average(first + place, corners.of(place)).unwrap_or(*normal);
+            let chunks = smoothed.par_chunks_mut(CHUNK).enumerate();
+            chunks.for_each_init(Corners::default, |corners, (chunk, smoothed)| {
+                let first = chunk * CHUNK;
+                corners.collect(first as u32, smoothed.len(), touching.triangles(self, chunk));
+                for (index, normal) in smoothed.iter_mut().enumerate() {
+                    *normal = self.average(first + index, corners.of(index)).unwrap_or(*normal);
                 }
             });
             self.normals = smoothed;
@@ -91,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_goes_and_length_stays() {
+    fn smoothing_reduces_noise_and_keeps_unit_length() {
         let rough = rough_ball();
         let mut before = roughness(&rough);
         assert!(before > 0.2);
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_average_stays() {
+    fn normals_without_average_are_unchanged() {
         let mesh = |triangles: &[[u32; 3]]| Mesh {
             positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::NAN, Vec3::ONE],
             normals: vec![Vec3::Z, Vec3::NEG_Z, Vec3::NEG_Z, Vec3::X, Vec3::Y],

@@ -21,13 +21,13 @@ pub(super) fn sum_vertices(mesh: &Mesh, corners: &Corners, first: usize, count: 
             }
         }
         batch.measure(&mut parts);
-        let mut place = 0;
+        let mut index = 0;
         for vertex in vertices {
             let corners = corners.of(vertex);
             if !corners.is_empty() {
                 count_edges(first + vertex, corners, &mut sums);
-                sums.bending_energy += vertex_energy(&parts[place..place + corners.len()]);
-                place += corners.len();
+                sums.bending_energy += vertex_energy(&parts[index..index + corners.len()]);
+                index += corners.len();
             }
         }
     }
@@ -140,8 +140,8 @@ fn is_plain_ring(corners: &[[u32; 2]]) -> bool {
     // For each corner, a mask of the corners that follow it.
     let mut followers = [0u32; RING_LENGTH_MAX];
     for (followers, corner) in followers.iter_mut().zip(corners) {
-        for (place, &next) in nexts.iter().enumerate() {
-            *followers |= u32::from(next == corner[1]) << place;
+        for (index, &next) in nexts.iter().enumerate() {
+            *followers |= u32::from(next == corner[1]) << index;
         }
     }
     let mut passed = 0;
@@ -158,10 +158,10 @@ fn is_plain_ring(corners: &[[u32; 2]]) -> bool {
 
 /// Counts the edges of a vertex that failed the fast test.
 fn count_edges_one_by_one(vertex: usize, corners: &[[u32; 2]], sums: &mut Sums) {
-    for (place, corner) in corners.iter().enumerate() {
+    for (index, corner) in corners.iter().enumerate() {
         for (side, &other) in corner.iter().enumerate() {
             // Each edge is counted once: at its smaller end, at the first corner that contains it.
-            let is_seen = corners[..place].iter().any(|corner| corner.contains(&other));
+            let is_seen = corners[..index].iter().any(|corner| corner.contains(&other));
             if (other as usize) < vertex || is_seen || side == 1 && corner[0] == other {
                 continue;
             }

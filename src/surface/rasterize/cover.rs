@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn voxels_are_covered_by_octants_whose_farthest_corner_is_near() {
+    fn octants_with_near_farthest_corner_cover_voxels() {
         let mut state = 1u32;
         let mut random = || {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -188,7 +188,7 @@ mod tests {
 
     /// A particle anywhere in its octant is within the radius of every covered voxel.
     #[test]
-    fn particles_are_within_the_radius() {
+    fn covered_voxels_have_a_particle_within_the_radius() {
         let mut around: [Octants; 27] = std::array::from_fn(|_| Octants::EMPTY);
         around[13].rows[9 * 16 + 6] = 1 << 3;
         let balls = [OctantBall::new(2.598)];

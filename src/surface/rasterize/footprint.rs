@@ -333,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn the_footprint_is_that_of_the_band() {
+    fn footprint_estimates_leaves_and_particles() {
         let scenes = [([40, 40, 40], 1), ([100, 100, 2], 1), ([40, 40, 40], 8), ([60, 60, 60], 60)];
         for (counts, every) in scenes {
             let particles = scattered(counts, every);
@@ -350,7 +350,7 @@ mod tests {
 
     /// Around an obstacle, leaves deep in the fluid are stored.
     #[test]
-    fn the_footprint_grows_around_obstacles() {
+    fn footprint_includes_leaves_around_obstacles() {
         let particles = scattered([40, 40, 40], 1);
         let octahedron = |radius: f64| {
             let corners = [0, 1, 2, 3, 4, 5].map(|corner| {
@@ -374,7 +374,7 @@ mod tests {
     }
 
     #[test]
-    fn the_area_is_that_of_the_cells() {
+    fn footprint_area_counts_open_cell_faces() {
         // A block that fills 3 × 3 × 3 leaves, and an isolated particle in a cell of 4 voxels.
         let Ok(block) = footprint(&scattered([12, 12, 12], 1), &Scene::open(LATTICE, RADII), None);
         assert_eq!(block.area_voxels, 6 * 24 * 24);

@@ -195,7 +195,7 @@ mod tests {
     use crate::surface::particles::{Particles, Positions};
 
     #[test]
-    fn octants_hold_the_particles() {
+    fn octants_contain_the_particles() {
         let positions = vec![[0.0, 0.4, 0.5], [7.9, -0.1, 3.0], [f32::NAN; 3], [0.1, 0.2, 0.9]];
         let lattice = Lattice { voxel_size: 1.0 };
         let Ok(occupancy) = Occupancy::new(&Particles::Single(positions), &lattice);

@@ -252,7 +252,7 @@ mod tests {
     }
 
     #[test]
-    fn distances_are_those_to_the_nearest_particle() {
+    fn nearest_distances_match_brute_force() {
         let mut state = 1u32;
         let mut random = || {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -286,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn the_nearest_leaves_come_first() {
+    fn leaf_steps_are_sorted_by_distance() {
         let steps = leaf_steps_within(5.464);
         assert_eq!((steps.len(), steps[0]), (27, IVec3::ZERO));
         assert!(steps[1..7].iter().all(|step| step.length_squared() == 64));

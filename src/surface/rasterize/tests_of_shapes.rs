@@ -64,7 +64,7 @@ fn scaled_balls_of_scale_one_equal_uniform_balls() {
 /// Round ellipsoids have the same surface as balls. Swept values differ by the error of the distances they
 /// start from.
 #[test]
-fn round_ellipsoids_are_nearly_balls() {
+fn round_ellipsoids_approximate_balls() {
     let (_, positions) = scenes().swap_remove(2);
     let Ok(balls) = rasterize(&Particles::Single(positions.clone()), &Scene::open(LATTICE, RADII[0]));
     let round = Shapes::Ellipsoids(vec![Ellipsoid::ball(1.0); positions.len()]);

@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_asked_for_in_vain_is_told() {
+    fn unavailable_or_unknown_level_gives_a_warning() {
         for used in Level::ALL {
             for asked in Level::ALL {
                 let warning = warning_of(asked.name(), used);
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn every_level_gives_the_same_bits() {
+    fn all_simd_levels_give_the_same_bits() {
         let wave = |scale: f32| std::array::from_fn(|k| (k as f32 * scale).sin() * 1.7);
         let odd = [f32::NAN, f32::INFINITY, -0.0, 0.0, -f32::INFINITY, f32::MIN_POSITIVE, 1.0, -1.0];
         for rows in [

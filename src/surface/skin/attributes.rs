@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 use super::{Surface, lattice};
-use crate::surface::attributes::{BandAttribute, Reach, to_band, to_vertices};
+use crate::surface::attributes::{BandAttribute, Support, to_band, to_vertices};
 use crate::surface::options::Settings;
 use crate::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Positions, Shapes};
 use crate::surface::report::TransferReport;
@@ -55,20 +55,20 @@ pub(crate) fn transfer_from(
     let Some(selection) = &settings.attributes else { return };
     let selected: Vec<&Attribute> =
         attributes.iter().filter(|attribute| selection.selects(attribute)).collect();
-    let reach = reach(settings, shapes);
+    let support = support(settings, shapes);
     let mut report = TransferReport {
         attributes: selected.iter().map(|attribute| attribute.name.clone()).collect(),
         ..TransferReport::default()
     };
     if targets.vertices {
-        let (vertices, counts) = to_vertices(positions.borrowed(), &selected, &surface.mesh, reach);
+        let (vertices, counts) = to_vertices(positions.borrowed(), &selected, &surface.mesh, support);
         (surface.attributes.vertices, report.vertices) = (vertices, counts);
     }
     if let Some(half_width_voxels) = targets.band_half_width_voxels {
         let grids: Vec<Cow<Attribute>> = selected.iter().copied().filter_map(of_grid).collect();
         let grids: Vec<&Attribute> = grids.iter().map(Cow::as_ref).collect();
         let band = (&surface.band, &lattice(settings));
-        let (found, counts) = to_band(positions, &grids, band, half_width_voxels, reach);
+        let (found, counts) = to_band(positions, &grids, band, half_width_voxels, support);
         (surface.attributes.band, report.band) = (found, counts);
     }
     surface.report.transfer = Some(report);
@@ -78,9 +78,9 @@ pub(crate) fn transfer_from(
 const VOXELS_PER_PLACE: usize = 6;
 
 /// How far values reach; see [`crate::surface::attributes`].
-fn reach<'a>(settings: &Settings, shapes: &'a Shapes) -> Reach<'a> {
+fn support<'a>(settings: &Settings, shapes: &'a Shapes) -> Support<'a> {
     let Settings { radius_init, radius_max, offset, voxel_size, .. } = *settings;
-    Reach {
+    Support {
         radius_world: RADII * radius_init,
         radius_max_world: radius_max,
         margin_world: MARGIN_VOXELS * voxel_size + offset.max(0.0),
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn large_drops_have_their_values_however_large_others_are() {
+    fn large_drops_keep_their_values_next_to_larger_ones() {
         let choices = MethodOptions {
             radius_attribute: Some("pscale".into()),
             attributes: Some(AttributeSelection::All),

@@ -14,7 +14,7 @@ use std::ops::ControlFlow;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::finish::{Checked, Stored};
+use super::finish::{Stored, StoredMesh};
 use super::plan::{FIELD_BYTES, mesh_bytes, smoothing_fields};
 use super::{Surface, SurfaceAttributes, TOPOLOGY_LEAF_BYTES, finish, lattice, smooth_config};
 use crate::surface::contour;
@@ -116,8 +116,8 @@ impl BoundedBand {
         // Files may store world positions, so rounding depends on where the mesh is.
         mesh.origin += translation;
         // There are no particles to check.
-        let no_part = |_: &Checked, _: &mut dyn FnMut(&Part)| Ok::<(), Infallible>(());
-        let Ok(checks) = finish::settle(&mut mesh, (settings, stored), &mut report, no_part);
+        let no_part = |_: &StoredMesh, _: &mut dyn FnMut(&Part)| Ok::<(), Infallible>(());
+        let Ok(checks) = finish::finalize(&mut mesh, (settings, stored), &mut report, no_part);
         let counts = (bound_violation_count, 0);
         report.certificate =
             certificate(checks, counts, (None, settings.offset), &mesh, &report.mesh, &lattice);
@@ -201,7 +201,7 @@ mod tests {
     use crate::surface::options::MethodOptions;
 
     #[test]
-    fn mesh_far_from_the_origin_is_checked_at_its_rounded_world_positions() {
+    fn distant_mesh_is_validated_at_rounded_world_positions() {
         let world_positions = Stored::Rounded(|positions, origin| {
             let origin = DVec3::from(origin);
             let read = |position: &[f32; 3]| {

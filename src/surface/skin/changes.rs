@@ -36,7 +36,7 @@ pub(super) fn rounded(mean: [f32; 3]) -> Vec3 {
 }
 
 /// The changed particles of a block.
-pub(super) struct Found {
+pub(super) struct BlockChanges {
     /// Batch, and index in the batch, of each particle.
     sources: Vec<[u32; 2]>,
     /// Empty if no particle is moved.
@@ -45,18 +45,18 @@ pub(super) struct Found {
     shapes: Vec<Ellipsoid>,
 }
 
-impl Found {
+impl BlockChanges {
     /// `sources` holds the batch, and index in the batch, of each particle. `means` are the means of their
     /// neighbors, in units of R, and `shapes` their shapes; either is empty if unused. Drops particles that
     /// are neither moved nor stretched, such as those of a lattice behind its outermost layers.
-    pub(super) fn new(sources: Vec<[u32; 2]>, means: &[[f32; 3]], shapes: Vec<Ellipsoid>) -> Found {
+    pub(super) fn new(sources: Vec<[u32; 2]>, means: &[[f32; 3]], shapes: Vec<Ellipsoid>) -> BlockChanges {
         let means: Vec<StoredMean> = means.iter().copied().map(stored).collect();
         if !shapes.is_empty() || means.is_empty() {
-            return Found { sources, means, shapes };
+            return BlockChanges { sources, means, shapes };
         }
         let is_moved = |(_, mean): &([u32; 2], StoredMean)| *mean != [0; 3];
         let (sources, means) = sources.into_iter().zip(means).filter(is_moved).unzip();
-        Found { sources, means, shapes }
+        BlockChanges { sources, means, shapes }
     }
 }
 
@@ -92,7 +92,7 @@ impl Changes {
     /// Sorts the changes of all blocks into source order. Frees each block once it is copied. `count_of`
     /// returns the number of particles of a batch.
     pub(super) fn new(
-        found: Vec<Found>,
+        found: Vec<BlockChanges>,
         (step_world, ball): (f64, Option<f32>),
         batch_count: usize,
         count_of: impl Fn(usize) -> usize,

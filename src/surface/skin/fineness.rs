@@ -70,10 +70,7 @@ impl fmt::Display for TooFine {
         match limit {
             // The minimum is for experts; it is not a recommendation.
             Limit::Spread if 0.5 * spacing >= least => {
-                write!(
-                    f,
-                    "; use --voxel-size {half} (half the spacing); the minimum is {shown_least}"
-                )
+                write!(f, "; use --voxel-size {half} (half the spacing); the minimum is {shown_least}")
             }
             Limit::Spread => write!(f, "; the minimum is --voxel-size {shown_least}"),
             Limit::Reach => Ok(()),

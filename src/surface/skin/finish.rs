@@ -128,11 +128,11 @@ const RETURNS_MAX: usize = 3;
 /// Replaces the mesh by the one that is written, and validates it part by part, as each file stores it.
 ///
 /// # Errors Returns the errors of `each_part`.
-pub(super) fn settle<E>(
+pub(super) fn finalize<E>(
     mesh: &mut Mesh,
     (settings, stored): (&Settings, &[Stored]),
     report: &mut SkinReport,
-    mut each_part: impl FnMut(&Checked, &mut dyn FnMut(&Part)) -> Result<(), E>,
+    mut each_part: impl FnMut(&StoredMesh, &mut dyn FnMut(&Part)) -> Result<(), E>,
 ) -> Result<ParticleChecks, E> {
     let lattice = lattice(settings);
     if settings.decimate > 0.0 {
@@ -145,7 +145,7 @@ pub(super) fn settle<E>(
         Stored::Rounded(rounding) => Some(*rounding),
     };
     let roundings: Vec<Rounding> = stored.iter().filter_map(rounding).collect();
-    report.flat_triangles_removed = mesh.take_out_flat(&roundings);
+    report.flat_triangles_removed = mesh.remove_flat_triangles(&roundings);
     let has_unrounded = roundings.len() < stored.len();
     let mut checks = ParticleChecks::NOTHING;
     for returns in 0..=RETURNS_MAX {
@@ -165,7 +165,7 @@ pub(super) fn settle<E>(
             if let Some(rounded) = &mut rounded {
                 std::mem::swap(rounded, &mut mesh.positions);
             }
-            let checked = Checked { mesh, rounding: moved_voxels as f32 };
+            let checked = StoredMesh { mesh, rounding: moved_voxels as f32 };
             let parts = each_part(&checked, &mut |part| {
                 let (of_part, found) = validation::check(part);
                 of_file = of_file.and(of_part);
@@ -186,7 +186,7 @@ pub(super) fn settle<E>(
             mesh.normals[vertex] = Vec3::ZERO;
         }
         contour::fill_zero_normals(mesh);
-        report.flat_triangles_removed += mesh.take_out_flat(&roundings);
+        report.flat_triangles_removed += mesh.remove_flat_triangles(&roundings);
     }
     report.mesh = mesh.measure();
     for rounding in roundings {
@@ -200,7 +200,7 @@ pub(super) fn settle<E>(
 }
 
 /// A mesh as a file stores it.
-pub(super) struct Checked<'a> {
+pub(super) struct StoredMesh<'a> {
     pub(super) mesh: &'a Mesh,
     /// Maximum distance by which the file's rounding moves vertices, in voxels.
     pub(super) rounding: f32,

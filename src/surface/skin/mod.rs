@@ -41,7 +41,7 @@ use crate::surface::report::{Phase, Shaping, SkinReport};
 use crate::surface::smooth;
 use crate::surface::space::{CoordBox, Lattice};
 use crate::surface::validation::{GivenPlace, MeshCells, Part, certificate, doubtful_places, given_outside};
-use finish::{Checked, Edits, Exemptions};
+use finish::{Edits, Exemptions, StoredMesh};
 
 /// The surface of one frame.
 #[derive(Clone, Debug)]
@@ -260,11 +260,11 @@ pub(crate) fn contour_while<B>(
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
     let (exempt, owned) = (&Exemptions { scene: &scene, edits: &edits }, CoordBox::ALL);
     let how = (settings, stored);
-    let settled = finish::settle(&mut mesh, how, &mut report, |checked, check| {
+    let settled = finish::finalize(&mut mesh, how, &mut report, |checked, check| {
         if let ControlFlow::Break(broken) = go_on() {
             return Err(broken);
         }
-        let Checked { mesh, rounding } = *checked;
+        let StoredMesh { mesh, rounding } = *checked;
         let (bins, band, lattice) = (&bins, &band, &lattice);
         let cells = &MeshCells::new(mesh, band, lattice);
         check(&Part { bins, radii, band, mesh, cells, rounding, lattice, owned, exempt });

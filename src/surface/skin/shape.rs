@@ -20,7 +20,7 @@ use std::borrow::Cow;
 
 use glam::DVec3;
 
-use super::changes::{Changes, Found, changed_bytes};
+use super::changes::{BlockChanges, Changes, changed_bytes};
 use super::lattice;
 use crate::surface::anisotropy::{
     ByNeighbors, NeighborConfig, RadiusScales, Stretch, VelocityConfig, from_neighbors, from_velocities,
@@ -114,7 +114,7 @@ fn in_blocks<S: ParticleSource>(
     let depth_of = |longest| depth.voxels(longest);
     let vicinity = Vicinity::new(&given, &lattice, depth.cover_voxels, depth_of, margin)?;
     let config = NeighborConfig { radius_world: settings.neighbor_radius, stretch };
-    let mut found: Vec<Found> = Vec::new();
+    let mut found: Vec<BlockChanges> = Vec::new();
     shaping.longest = vicinity.longest().max(if stretch.is_some() { depth.ball } else { 0.0 });
     for block in vicinity.blocks(gathered_max) {
         let gathered = vicinity.gather(&block, &given, &lattice)?;
@@ -128,7 +128,7 @@ fn in_blocks<S: ParticleSource>(
         shaping.longest = shapes.iter().map(|shape| shape.longest).fold(shaping.longest, f32::max);
         let sources = indices.iter().map(|&index| gathered.sources[index as usize]).collect();
         let means = if settings.position_smoothing > 0.0 { &*means } else { &[] };
-        found.push(Found::new(sources, means, shapes));
+        found.push(BlockChanges::new(sources, means, shapes));
     }
     drop(vicinity);
     let step_world = settings.position_smoothing * settings.neighbor_radius;
@@ -503,7 +503,7 @@ mod tests {
 
     /// Leaving particles deep inside unmoved does not change the surface.
     #[test]
-    fn the_surface_is_that_of_all_particles_moved() {
+    fn leaving_deep_particles_unmoved_keeps_the_surface() {
         let block = cloud(26);
         let ball = round(&cloud(34), 17.0);
         let cases = choices().into_iter().flat_map(|choices| [(choices.clone(), &block), (choices, &ball)]);
@@ -535,7 +535,7 @@ mod tests {
 
     /// A sheet with a ridge: particles on the ridge are drawn inward, those in the sheet are not.
     #[test]
-    fn particles_given_outside_are_counted() {
+    fn original_positions_outside_the_surface_are_counted() {
         let settings = Settings::paper(0.25, &choices()[1]).expect("sound");
         let surface = |choices: &MethodOptions| {
             let settings = Settings::paper(0.25, choices).expect("sound");
@@ -553,7 +553,7 @@ mod tests {
     }
 
     #[test]
-    fn positions_are_moved_in_their_precision() {
+    fn moved_positions_keep_their_precision() {
         let double = Cloud::from(Particles::Double(vec![[0.0; 3], [1.0, 0.5, 0.0], [0.3, 0.7, 0.1]]));
         let single = Cloud::from(Particles::Single(vec![[0.0; 3], [1.0, 0.5, 0.0], [0.3, 0.7, 0.1]]));
         let moved = |cloud: &Cloud, part: f64| {

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use glam::IVec3;
 
 use super::field_store::{FieldStore, Storage};
-use super::finish::{self, Checked, Edits, Exemptions, Stored};
+use super::finish::{self, Edits, Exemptions, Stored, StoredMesh};
 use super::tiles::{self, HALO_LEAVES, Tiling, tile_voxels, tiles_around};
 use super::{Surface, SurfaceAttributes, inside_obstacles, report_smoothing, scene, smooth_config};
 use crate::surface::contour;
@@ -178,8 +178,8 @@ pub fn contour<S: ParticleSource>(
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
     let exempt = &Exemptions { scene: &scene, edits: &edits };
     let how = (settings, stored);
-    let checks = finish::settle(&mut mesh, how, &mut report, |checked, check| {
-        let Checked { mesh, rounding } = *checked;
+    let checks = finish::finalize(&mut mesh, how, &mut report, |checked, check| {
+        let StoredMesh { mesh, rounding } = *checked;
         let cells = &MeshCells::new(mesh, &band, &lattice);
         for &tile in &tiles {
             let (owned, bins) = tile_particles(tile)?;
@@ -290,14 +290,14 @@ mod tests {
 
     /// A few tiles only, fast enough for every test run.
     #[test]
-    fn a_short_frame_in_tiles_is_the_whole_frame() {
+    fn tiled_result_of_a_short_frame_equals_in_memory_result() {
         let settings = Settings::paper(0.5, &Default::default()).expect("sound");
         same_in_tiles(Cloud::from(bar(36)), &settings, &Obstacles::default());
     }
 
     #[test]
     #[ignore = "slow: `.ci/run` runs it"]
-    fn a_frame_in_tiles_is_the_whole_frame() {
+    fn tiled_result_equals_in_memory_result() {
         let choices = [
             MethodOptions::default(),
             MethodOptions { laplacian_steps: Some(0), radius_ratio: Some(1.5), ..MethodOptions::default() },
@@ -325,7 +325,7 @@ mod tests {
     /// Per-particle radii, an obstacle among the particles, a dropped island, and a clip box.
     #[test]
     #[ignore = "slow: `.ci/run` runs it"]
-    fn whatever_else_is_asked_for_is_the_same_in_tiles() {
+    fn radii_obstacles_islands_and_clip_box_are_equal_in_tiles() {
         let numbers = |arity: usize| {
             AttributeValues::Numbers(
                 (0..particles().len() * arity).map(|index| 0.9 + 0.7 * (index as f32 * 0.7).sin()).collect(),
@@ -384,7 +384,7 @@ mod tests {
     /// neighbors are outside.
     #[test]
     #[ignore = "slow: `.ci/run` runs it"]
-    fn an_outward_offset_of_smoothed_positions_beside_an_obstacle_is_closed() {
+    fn outward_offset_next_to_an_obstacle_is_closed() {
         let ball = Shape::Solid(octahedron(DVec3::new(20.0, -10.0, -9.0), 4.0));
         let obstacles = Obstacles { members: vec![Arc::new(Obstacle::new(ball, 1 << 24))] };
         for offset in [0.4, 0.8] {
@@ -402,7 +402,7 @@ mod tests {
     /// Obstacles with faces and corners on voxels, where distances to them are exactly zero.
     #[test]
     #[ignore = "slow: `.ci/run` runs it"]
-    fn moved_surfaces_beside_obstacles_are_closed_and_the_same_in_tiles() {
+    fn offset_next_to_obstacles_is_closed_and_equal_in_tiles() {
         let solids = [
             octahedron(DVec3::new(20.0, -10.0, -9.0), 4.0),
             cuboid(DVec3::new(14.0, -14.0, -12.0), DVec3::new(18.0, -9.0, -8.0)),
@@ -428,7 +428,7 @@ mod tests {
     /// Drops stretched to needles: here and there, their tips hide more than half a voxel within a cell.
     #[test]
     #[ignore = "slow: `.ci/run` runs it"]
-    fn vertices_that_are_moved_back_are_the_same_in_tiles() {
+    fn clamped_vertices_are_equal_in_tiles() {
         let random = |index: usize| {
             let mixed = (index as u32 + 1).wrapping_mul(0x9e37_79b9);
             let mixed = (mixed ^ mixed >> 15).wrapping_mul(0x2c1b_3c6d);
@@ -491,7 +491,7 @@ mod tests {
 
     /// Shows that the test above can fail: a tile with too narrow a halo gives a wrong result.
     #[test]
-    fn a_halo_that_is_too_narrow_shows() {
+    fn too_narrow_halo_changes_the_result() {
         let settings = Settings::paper(0.5, &MethodOptions::default()).expect("sound");
         let mut frame = rasterized(&settings, 4);
         frame.tiling = frame.tiling.with_halo(4, 1);

@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn an_adaptive_step_moves_no_value_by_more_than_a_voxel() {
+    fn adaptive_step_moves_values_by_at_most_one_voxel() {
         for (amplitude, is_stability_what_rules) in [(0.3, true), (2.9, false)] {
             let start = noise(amplitude);
             let count = start.topology.len();

@@ -61,16 +61,16 @@ impl FreeVoxels {
 
 /// The voxels with |φ| ≤ `width`.
 pub(super) fn near(phi: &Field, width: f32) -> Vec<LeafMask> {
-    phi.leaves.par_iter().map(|leaf| simd::dispatch(Near { leaf, width })).collect()
+    phi.leaves.par_iter().map(|leaf| simd::dispatch(NearZero { leaf, width })).collect()
 }
 
 /// The voxels of a leaf with |φ| ≤ `width`.
-struct Near<'a> {
+struct NearZero<'a> {
     leaf: &'a Leaf,
     width: f32,
 }
 
-impl Kernel for Near<'_> {
+impl Kernel for NearZero<'_> {
     type Output = LeafMask;
 
     #[inline(always)]
@@ -112,7 +112,7 @@ mod tests {
     use glam::IVec3;
 
     #[test]
-    fn laplacian_rows_reach_one_voxel_in_every_direction() {
+    fn laplacian_rows_include_face_neighbors_of_free_voxels() {
         let corner = IVec3::new(7, 0, 7);
         let topology =
             Topology::new(vec![IVec3::ZERO, IVec3::new(8, 0, 0), IVec3::new(0, -8, 0), IVec3::new(0, 0, 8)]);

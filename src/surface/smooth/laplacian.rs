@@ -26,21 +26,21 @@ pub(super) fn smooth_laplacian(
         next.leaves.par_iter_mut().enumerate().for_each(|(leaf, next)| {
             let around = Neighborhood::new(&band.phi.leaves, topology.neighbors(), leaf);
             let bounds = [&bounds.lower.leaves[leaf], &bounds.upper.leaves[leaf]];
-            simd::dispatch(Step { around: &around, bounds, step_size, next });
+            simd::dispatch(LaplacianStep { around: &around, bounds, step_size, next });
         });
         std::mem::swap(&mut band.phi, next);
     }
 }
 
 /// Kernel: a step of one leaf.
-struct Step<'a> {
+struct LaplacianStep<'a> {
     around: &'a Neighborhood<'a>,
     bounds: [&'a Leaf; 2],
     step_size: f32,
     next: &'a mut Leaf,
 }
 
-impl Kernel for Step<'_> {
+impl Kernel for LaplacianStep<'_> {
     type Output = ();
 
     #[inline(always)]

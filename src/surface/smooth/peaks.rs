@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn every_ball_has_its_tip_inside_and_every_bubble_too() {
+    fn balls_and_bubbles_have_one_peak_each() {
         for step in 0..64 {
             let place = IVec3::new(step >> 4, step >> 2 & 3, step & 3).as_vec3() / 6.0;
             let center = Vec3::splat(14.0) + place;
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn sheets_and_threads_and_edges_have_none() {
+    fn sheets_threads_and_edges_have_no_peaks() {
         let middle = Vec3::new(15.4, 15.1, 15.7);
         for normal in [Vec3::X, Vec3::Y, Vec3::new(1.0, 1.0, 0.0), Vec3::ONE, Vec3::new(1.0, -2.0, 3.0)] {
             let normal = normal.normalize();
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_held_is_two_steps_around() {
+    fn voxels_within_two_steps_of_a_peak_are_pinned() {
         let topology =
             Topology::new((0..8).map(|leaf| IVec3::new(leaf >> 2, leaf >> 1 & 1, leaf & 1) * 8).collect());
         let mut phi = Field::splat(topology.len(), -6.0);

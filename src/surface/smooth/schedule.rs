@@ -411,7 +411,7 @@ mod tests {
     }
 
     #[test]
-    fn parts_come_to_the_whole_and_keep_their_reach() {
+    fn split_schedule_has_the_same_steps_within_its_reach() {
         for (integrator, steps, every, pin_isolated_spheres) in [
             (Integrator::Fast, 5, 1, false),
             (Integrator::Fast, 4, 3, true),
@@ -439,7 +439,7 @@ mod tests {
     }
 
     #[test]
-    fn distances_are_restored_last_where_they_are_wanted() {
+    fn schedule_ends_with_exact_distances_if_requested() {
         let last = |integrator, steps, laplacian_steps, distances_voxels| {
             let config = Config { distances_voxels, laplacian_steps, ..config(integrator, steps, 1) };
             let schedule = schedule(&config, 48);
@@ -467,7 +467,7 @@ mod tests {
     }
 
     #[test]
-    fn what_couples_all_voxels_reaches_everywhere() {
+    fn global_operations_have_unlimited_reach() {
         assert_eq!(SmoothReport::new(&config(Integrator::Implicit, 5, 1)).reach_voxels, None);
         assert_eq!(SmoothReport::new(&config(Integrator::Adaptive, 500, 50)).reach_voxels, None);
         assert!(SmoothReport::new(&config(Integrator::Fast, 5, 1)).reach_voxels.is_some());

@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn a_single_layer_is_thin_in_every_direction_and_a_double_one_is_thick() {
+    fn single_layer_is_thin_and_double_layer_is_thick() {
         for normal in [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 0.0], [1.0, 1.0, 1.0], [1.0, -2.0, 3.0]] {
             let normal = glam::Vec3::from(normal).normalize();
             let depth = |voxel: IVec3| normal.dot(voxel.as_vec3() - 15.6).abs();

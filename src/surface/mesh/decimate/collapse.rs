@@ -41,7 +41,7 @@ const TRIES: usize = 3;
 const ROUNDING: f32 = 4e-6;
 
 /// The triangles around a vertex.
-pub(super) struct Patch<'a> {
+pub(super) struct VertexStar<'a> {
     vertex: u32,
     ring: &'a [u32],
     /// Upper bound of the displacement of the triangles' points so far.
@@ -52,15 +52,20 @@ pub(super) struct Patch<'a> {
     normals: [Vec3; RING_MAX],
     mean_normal: Vec3,
     /// Projections of the neighbors along the mean normal, and their heights.
-    seen: [Vec2; RING_MAX],
+    projected: [Vec2; RING_MAX],
     heights: [f32; RING_MAX],
     least_shape: f32,
 }
 
-impl<'a> Patch<'a> {
+impl<'a> VertexStar<'a> {
     /// The triangles of a vertex; `None` if it has no ring, or its ring is too long or folded.
     #[inline(always)]
-    pub(super) fn new(positions: &[Vec3], vertex: u32, ring: &'a [u32], bounds: &[f32]) -> Option<Patch<'a>> {
+    pub(super) fn new(
+        positions: &[Vec3],
+        vertex: u32,
+        ring: &'a [u32],
+        bounds: &[f32],
+    ) -> Option<VertexStar<'a>> {
         let count = ring.len();
         if count == 0 || count > RING_MAX {
             return None;
@@ -68,19 +73,19 @@ impl<'a> Patch<'a> {
         let here = positions[vertex as usize];
         let mut around = [Vec3::ZERO; RING_MAX];
         let mut neighbor_bounds = [0.0; RING_MAX];
-        for (place, &neighbor) in ring.iter().enumerate() {
-            around[place] = positions[neighbor as usize] - here;
-            neighbor_bounds[place] = bounds[neighbor as usize];
+        for (i, &neighbor) in ring.iter().enumerate() {
+            around[i] = positions[neighbor as usize] - here;
+            neighbor_bounds[i] = bounds[neighbor as usize];
         }
         let mut normals = [Vec3::ZERO; RING_MAX];
         let (mut sum, mut bound, mut least_shape) = (Vec3::ZERO, 0.0f32, LEAST_SHAPE);
-        for place in 0..count {
-            let after = if place + 1 == count { 0 } else { place + 1 };
-            normals[place] = around[place].cross(around[after]);
-            sum += normals[place];
+        for i in 0..count {
+            let after = if i + 1 == count { 0 } else { i + 1 };
+            normals[i] = around[i].cross(around[after]);
+            sum += normals[i];
             // The displacement of a triangle is bounded by that of each of its corners.
-            bound = bound.max(neighbor_bounds[place].min(neighbor_bounds[after]));
-            least_shape = least_shape.min(shape(normals[place].length(), around[place], around[after]));
+            bound = bound.max(neighbor_bounds[i].min(neighbor_bounds[after]));
+            least_shape = least_shape.min(shape(normals[i].length(), around[i], around[after]));
         }
         let bound = bound.min(bounds[vertex as usize]);
         let mean_normal = sum / sum.length();
@@ -90,21 +95,31 @@ impl<'a> Patch<'a> {
             return None;
         }
         let (right, up) = mean_normal.any_orthonormal_pair();
-        let mut seen = [Vec2::ZERO; RING_MAX];
+        let mut projected = [Vec2::ZERO; RING_MAX];
         let mut heights = [0.0; RING_MAX];
-        for place in 0..count {
-            seen[place] = Vec2::new(around[place].dot(right), around[place].dot(up));
-            heights[place] = around[place].dot(mean_normal);
+        for i in 0..count {
+            projected[i] = Vec2::new(around[i].dot(right), around[i].dot(up));
+            heights[i] = around[i].dot(mean_normal);
         }
-        let crosses_right = |place: &usize| {
-            let after = if *place + 1 == count { 0 } else { place + 1 };
-            (seen[*place].y < 0.0) != (seen[after].y < 0.0) && seen[after].y >= 0.0
+        let crosses_right = |i: &usize| {
+            let after = if *i + 1 == count { 0 } else { i + 1 };
+            (projected[*i].y < 0.0) != (projected[after].y < 0.0) && projected[after].y >= 0.0
         };
         // Winds around exactly once.
         if (0..count).filter(crosses_right).count() != 1 {
             return None;
         }
-        Some(Patch { vertex, ring, bound, around, normals, mean_normal, seen, heights, least_shape })
+        Some(VertexStar {
+            vertex,
+            ring,
+            bound,
+            around,
+            normals,
+            mean_normal,
+            projected,
+            heights,
+            least_shape,
+        })
     }
 
     /// The best collapse among the neighbors that change the triangles' planes least. If none is possible,
@@ -119,9 +134,9 @@ impl<'a> Patch<'a> {
         let mut best = Collapse { bound: NEVER, target: 0 };
         for _ in 0..TRIES.min(count) {
             let mut target = 0;
-            for place in 1..count {
-                if disturbances[place] < disturbances[target] {
-                    target = place;
+            for i in 1..count {
+                if disturbances[i] < disturbances[target] {
+                    target = i;
                 }
             }
             disturbances[target] = f32::INFINITY;
@@ -173,32 +188,33 @@ impl<'a> Patch<'a> {
     fn bound_after(&self, target: usize) -> f32 {
         let count = self.ring.len();
         // The neighbors from the target on, relative to it, projected along the normal.
-        let mut seen = [Vec2::ZERO; RING_MAX];
+        let mut projected = [Vec2::ZERO; RING_MAX];
         let mut heights = [0.0; RING_MAX];
-        let mut place = target;
+        let mut i = target;
         for index in 0..count {
-            seen[index] = self.seen[place] - self.seen[target];
-            heights[index] = self.heights[place] - self.heights[target];
-            place = wrapped(place + 1, count);
+            projected[index] = self.projected[i] - self.projected[target];
+            heights[index] = self.heights[i] - self.heights[target];
+            i = wrapped(i + 1, count);
         }
-        let (here, here_height) = (-self.seen[target], -self.heights[target]);
+        let (here, here_height) = (-self.projected[target], -self.heights[target]);
         // The new triangle at the old position of the vertex: between neighbor `under` and the next one.
-        let is_under =
-            |&index: &usize| seen[index].perp_dot(here) >= 0.0 && here.perp_dot(seen[index + 1]) >= 0.0;
+        let is_under = |&index: &usize| {
+            projected[index].perp_dot(here) >= 0.0 && here.perp_dot(projected[index + 1]) >= 0.0
+        };
         let Some(under) = (1..count - 1).find(is_under) else { return NEVER };
-        let doubled_area = seen[under].perp_dot(seen[under + 1]);
-        let height = (here.perp_dot(seen[under + 1]) * heights[under]
-            + seen[under].perp_dot(here) * heights[under + 1])
+        let doubled_area = projected[under].perp_dot(projected[under + 1]);
+        let height = (here.perp_dot(projected[under + 1]) * heights[under]
+            + projected[under].perp_dot(here) * heights[under + 1])
             / doubled_area;
         let mut farthest = (height - here_height).abs();
         for edge in 2..count - 1 {
             // Old edges to neighbors on the other side of the new edge cross it.
             let crossed = if edge <= under { 1..edge } else { edge + 1..count };
             for other in crossed {
-                let along = seen[edge];
-                let (from, to) = (along.perp_dot(here), along.perp_dot(seen[other]));
+                let along = projected[edge];
+                let (from, to) = (along.perp_dot(here), along.perp_dot(projected[other]));
                 let part = (from / (from - to)).clamp(0.0, 1.0);
-                let meeting = here + part * (seen[other] - here);
+                let meeting = here + part * (projected[other] - here);
                 let old = here_height + part * (heights[other] - here_height);
                 let part_of_new = (meeting.dot(along) / along.length_squared()).clamp(0.0, 1.0);
                 let difference = (old - part_of_new * heights[edge]).abs();
@@ -214,8 +230,8 @@ impl<'a> Patch<'a> {
 
 /// Wraps an index that may be one past the end of a ring.
 #[inline(always)]
-fn wrapped(place: usize, count: usize) -> usize {
-    if place >= count { place - count } else { place }
+fn wrapped(i: usize, count: usize) -> usize {
+    if i >= count { i - count } else { i }
 }
 
 /// Shape quality of a triangle from its doubled area and two of its sides: 0 to 1 (equilateral).

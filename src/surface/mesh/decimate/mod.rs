@@ -40,7 +40,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::Mesh;
-use collapse::{Collapse, Patch};
+use collapse::{Collapse, VertexStar};
 use rings::Rings;
 
 /// Result of decimation.
@@ -64,7 +64,7 @@ const LIMIT_GROWTH: f32 = 1.189_207_1; // 2^(1/4)
 const ROUND_COUNT: usize = 32;
 
 /// Number of vertices per task.
-const PIECE: usize = 1024;
+const CHUNK: usize = 1024;
 
 /// Removes triangles as long as no point of the surface moves by more than `error_world`, in world units. The
 /// result is closed and manifold where the mesh was.
@@ -77,13 +77,13 @@ pub fn decimate(mesh: &mut Mesh, error_world: f64) -> DecimateReport {
     // Rounded down, so that no bound exceeds the allowed error.
     let nearest = error_world.min(f64::from(f32::MAX)) as f32;
     let error = if f64::from(nearest) > error_world { nearest.next_down() } else { nearest };
-    let mut thinning = Thinning::new(mesh);
+    let mut thinning = Decimation::new(mesh);
     let mut limit = error * FIRST_LIMIT;
     for _ in 0..ROUND_COUNT {
         thinning.round(limit);
         limit = (limit * LIMIT_GROWTH).min(error);
     }
-    let Thinning { rings, bounds, .. } = thinning;
+    let Decimation { rings, bounds, .. } = thinning;
     let before = (mesh.positions.len(), mesh.triangles.len());
     let bound = bounds.par_iter().copied().reduce(|| 0.0, f32::max);
     mesh.triangles = rings.triangles(mesh);
@@ -99,91 +99,91 @@ pub fn decimate(mesh: &mut Mesh, error_world: f64) -> DecimateReport {
 const NEVER: f32 = f32::INFINITY;
 
 /// A mesh during decimation.
-struct Thinning<'a> {
+struct Decimation<'a> {
     positions: &'a [Vec3],
     rings: Rings,
     /// For each vertex, an upper bound of the displacement of its triangles so far.
     bounds: Vec<f32>,
-    /// For each vertex, the best known collapse; outdated for vertices in `waiting`.
+    /// For each vertex, the best known collapse; outdated for vertices in `dirty`.
     best: Vec<Collapse>,
     /// Vertices whose neighborhood has changed since they were evaluated.
-    waiting: Vec<u32>,
-    is_waiting: Vec<bool>,
+    dirty: Vec<u32>,
+    is_dirty: Vec<bool>,
 }
 
-impl<'a> Thinning<'a> {
-    fn new(mesh: &'a Mesh) -> Thinning<'a> {
+impl<'a> Decimation<'a> {
+    fn new(mesh: &'a Mesh) -> Decimation<'a> {
         let count = mesh.positions.len();
-        Thinning {
+        Decimation {
             positions: &mesh.positions,
             rings: Rings::new(mesh),
             bounds: vec![0.0; count],
             best: vec![Collapse { bound: NEVER, target: 0 }; count],
-            waiting: (0..count as u32).collect(),
-            is_waiting: vec![true; count],
+            dirty: (0..count as u32).collect(),
+            is_dirty: vec![true; count],
         }
     }
 
     /// Collapses vertices whose bound is within a limit.
     fn round(&mut self, limit: f32) {
-        self.look_at_waiting(limit);
-        let chosen: Vec<Vec<u32>> = (0..self.best.len().div_ceil(PIECE))
+        self.evaluate_dirty(limit);
+        let chosen: Vec<Vec<u32>> = (0..self.best.len().div_ceil(CHUNK))
             .into_par_iter()
-            .map(|piece| self.chosen_in_piece(piece, limit))
+            .map(|chunk| self.selected_in_chunk(chunk, limit))
             .collect();
         for vertex in chosen.into_iter().flatten() {
             let Collapse { bound, target } = self.best[vertex as usize];
             // Two selected vertices may have a common neighbor; then the second one is evaluated again.
             if !self.rings.can_collapse(vertex, target) {
-                self.wait(vertex);
+                self.mark_dirty(vertex);
                 continue;
             }
-            for place in 0..self.rings.of(vertex).len() {
-                let neighbor = self.rings.of(vertex)[place];
+            for index in 0..self.rings.of(vertex).len() {
+                let neighbor = self.rings.of(vertex)[index];
                 let old = &mut self.bounds[neighbor as usize];
                 *old = old.max(bound);
-                self.wait(neighbor);
+                self.mark_dirty(neighbor);
             }
             self.rings.collapse(vertex, target);
             self.best[vertex as usize].bound = NEVER;
         }
     }
 
-    fn wait(&mut self, vertex: u32) {
-        let is_waiting = &mut self.is_waiting[vertex as usize];
-        if !*is_waiting {
-            *is_waiting = true;
-            self.waiting.push(vertex);
+    fn mark_dirty(&mut self, vertex: u32) {
+        let is_dirty = &mut self.is_dirty[vertex as usize];
+        if !*is_dirty {
+            *is_dirty = true;
+            self.dirty.push(vertex);
         }
     }
 
     /// Evaluates the waiting vertices, except those that are above the limit in any case.
-    fn look_at_waiting(&mut self, limit: f32) {
-        let waiting = std::mem::take(&mut self.waiting);
+    fn evaluate_dirty(&mut self, limit: f32) {
+        let dirty = std::mem::take(&mut self.dirty);
         let look = |&vertex: &u32| {
             let ring = self.rings.of(vertex);
-            let Some(patch) = Patch::new(self.positions, vertex, ring, &self.bounds) else {
+            let Some(patch) = VertexStar::new(self.positions, vertex, ring, &self.bounds) else {
                 return Some(Collapse { bound: NEVER, target: 0 });
             };
             let is_in_reach = patch.bound <= limit;
             is_in_reach.then(|| patch.best_collapse(&self.rings))
         };
-        let found: Vec<Option<Collapse>> = waiting.par_iter().with_min_len(PIECE).map(look).collect();
-        for (vertex, found) in waiting.into_iter().zip(found) {
-            let place = vertex as usize;
-            self.best[place] = found.unwrap_or(Collapse { bound: NEVER, target: 0 });
+        let found: Vec<Option<Collapse>> = dirty.par_iter().with_min_len(CHUNK).map(look).collect();
+        for (vertex, found) in dirty.into_iter().zip(found) {
+            let index = vertex as usize;
+            self.best[index] = found.unwrap_or(Collapse { bound: NEVER, target: 0 });
             if found.is_none() {
-                self.waiting.push(vertex);
+                self.dirty.push(vertex);
             } else {
-                self.is_waiting[place] = false;
+                self.is_dirty[index] = false;
             }
         }
     }
 
     /// The vertices of a chunk whose bound is within the limit and the smallest among their neighbors.
-    fn chosen_in_piece(&self, piece: usize, limit: f32) -> Vec<u32> {
-        let first = piece * PIECE;
-        let vertices = first..self.best.len().min(first + PIECE);
+    fn selected_in_chunk(&self, chunk: usize, limit: f32) -> Vec<u32> {
+        let first = chunk * CHUNK;
+        let vertices = first..self.best.len().min(first + CHUNK);
         let key = |vertex: usize| (self.best[vertex].bound, vertex);
         let is_chosen = |&vertex: &usize| {
             let own = key(vertex);

@@ -15,8 +15,8 @@
 
 use rayon::prelude::*;
 
-use super::super::corners::{Corners, Touching};
-use super::super::{Mesh, PIECE};
+use super::super::corners::{Corners, TouchingTriangles};
+use super::super::{CHUNK, Mesh};
 
 /// Maximum number of neighbors of a vertex that is not locked, also after a collapse into it.
 pub(super) const DEGREE_MAX: usize = 16;
@@ -26,7 +26,7 @@ const DEGREE_LEAST: usize = 3;
 
 /// Position of a ring in the array.
 #[derive(Clone, Copy, Debug, Default)]
-struct Span {
+struct RingSpan {
     start: usize,
     length: u32,
     /// Number of neighbors that fit.
@@ -37,7 +37,7 @@ struct Span {
 pub(super) struct Rings {
     neighbors: Vec<u32>,
     /// One per vertex; empty if it is locked or removed.
-    spans: Vec<Span>,
+    spans: Vec<RingSpan>,
     /// Triangles without a ring.
     locked: Vec<[u32; 3]>,
 }
@@ -45,19 +45,19 @@ pub(super) struct Rings {
 impl Rings {
     /// The rings of a mesh.
     pub(super) fn new(mesh: &Mesh) -> Rings {
-        let touching = Touching::new(mesh);
-        let pieces = (0..mesh.positions.len().div_ceil(PIECE)).into_par_iter();
-        let pieces: Vec<(Vec<u32>, Vec<u32>)> = pieces
-            .map_init(Corners::default, |corners, piece| rings_of_piece(mesh, &touching, piece, corners))
+        let touching = TouchingTriangles::new(mesh);
+        let chunks = (0..mesh.positions.len().div_ceil(CHUNK)).into_par_iter();
+        let chunks: Vec<(Vec<u32>, Vec<u32>)> = chunks
+            .map_init(Corners::default, |corners, chunk| rings_of_chunk(mesh, &touching, chunk, corners))
             .collect();
         drop(touching);
         let mut spans = Vec::with_capacity(mesh.positions.len());
         let mut start = 0;
-        for &length in pieces.iter().flat_map(|(_, lengths)| lengths) {
-            spans.push(Span { start, length, capacity: length });
+        for &length in chunks.iter().flat_map(|(_, lengths)| lengths) {
+            spans.push(RingSpan { start, length, capacity: length });
             start += length as usize;
         }
-        let neighbors = pieces.into_iter().flat_map(|(neighbors, _)| neighbors).collect();
+        let neighbors = chunks.into_iter().flat_map(|(neighbors, _)| neighbors).collect();
         let has_ring = |vertex: &u32| spans[*vertex as usize].length > 0;
         let locked = mesh.triangles.par_iter().filter(|triangle| !triangle.iter().any(has_ring)).copied();
         let locked = locked.collect();
@@ -76,8 +76,8 @@ impl Rings {
     #[inline(always)]
     pub(super) fn can_collapse(&self, vertex: u32, target: u32) -> bool {
         let (ring, around_target) = (self.of(vertex), self.of(target));
-        let Some(place) = ring.iter().position(|&neighbor| neighbor == target) else { return false };
-        let (before, after) = beside(ring, place);
+        let Some(index) = ring.iter().position(|&neighbor| neighbor == target) else { return false };
+        let (before, after) = beside(ring, index);
         let common = around_target.iter().filter(|neighbor| ring.contains(neighbor)).count();
         common == 2
             && self.of(before).len() > DEGREE_LEAST
@@ -90,20 +90,20 @@ impl Rings {
         let mut ring = [0; DEGREE_MAX];
         let length = self.of(vertex).len();
         ring[..length].copy_from_slice(self.of(vertex));
-        let Some(place) = ring[..length].iter().position(|&neighbor| neighbor == target) else { return };
+        let Some(index) = ring[..length].iter().position(|&neighbor| neighbor == target) else { return };
         // Counter-clockwise, starting at the target.
-        ring[..length].rotate_left(place);
+        ring[..length].rotate_left(index);
         let (first, last) = (ring[1], ring[length - 1]);
         for &neighbor in &ring[2..length - 1] {
-            if let Some(place) = self.place_of(neighbor, vertex) {
-                self.neighbors[place] = target;
+            if let Some(index) = self.index_of(neighbor, vertex) {
+                self.neighbors[index] = target;
             }
         }
         for neighbor in [first, last] {
-            if let Some(place) = self.place_of(neighbor, vertex) {
+            if let Some(index) = self.index_of(neighbor, vertex) {
                 let span = &mut self.spans[neighbor as usize];
                 let end = span.start + span.length as usize;
-                self.neighbors.copy_within(place + 1..end, place);
+                self.neighbors.copy_within(index + 1..end, index);
                 span.length -= 1;
             }
         }
@@ -112,21 +112,21 @@ impl Rings {
     }
 
     /// Index of a neighbor in the ring of a vertex.
-    fn place_of(&self, vertex: u32, neighbor: u32) -> Option<usize> {
-        let place = self.of(vertex).iter().position(|&other| other == neighbor)?;
-        Some(self.spans[vertex as usize].start + place)
+    fn index_of(&self, vertex: u32, neighbor: u32) -> Option<usize> {
+        let index = self.of(vertex).iter().position(|&other| other == neighbor)?;
+        Some(self.spans[vertex as usize].start + index)
     }
 
     /// Replaces a vertex in a ring by `others`.
     fn insert(&mut self, vertex: u32, replaced: u32, others: &[u32]) {
         let mut ring = [0; 2 * DEGREE_MAX];
         let old = self.of(vertex);
-        let Some(place) = old.iter().position(|&neighbor| neighbor == replaced) else { return };
+        let Some(index) = old.iter().position(|&neighbor| neighbor == replaced) else { return };
         let length = old.len() + others.len() - 1;
-        let end = place + others.len();
-        ring[..place].copy_from_slice(&old[..place]);
-        ring[place..end].copy_from_slice(others);
-        ring[end..length].copy_from_slice(&old[place + 1..]);
+        let end = index + others.len();
+        ring[..index].copy_from_slice(&old[..index]);
+        ring[index..end].copy_from_slice(others);
+        ring[end..length].copy_from_slice(&old[index + 1..]);
         let span = &mut self.spans[vertex as usize];
         span.length = length as u32;
         if span.length > span.capacity {
@@ -144,7 +144,7 @@ impl Rings {
         let of_rings = vertices.flat_map_iter(|vertex| {
             let ring = self.of(vertex);
             let is_before = move |other: u32| other < vertex && !self.of(other).is_empty();
-            let corners = (0..ring.len()).map(move |place| [ring[place], ring[(place + 1) % ring.len()]]);
+            let corners = (0..ring.len()).map(move |index| [ring[index], ring[(index + 1) % ring.len()]]);
             corners
                 .filter(move |ends| !ends.iter().any(|&end| is_before(end)))
                 .map(move |[next, prev]| [vertex, next, prev])
@@ -158,22 +158,22 @@ const SPARE: u32 = 2;
 
 /// The neighbors before and after an index of a ring.
 #[inline(always)]
-fn beside(ring: &[u32], place: usize) -> (u32, u32) {
-    let before = if place == 0 { ring.len() - 1 } else { place - 1 };
-    let after = if place + 1 == ring.len() { 0 } else { place + 1 };
+fn beside(ring: &[u32], index: usize) -> (u32, u32) {
+    let before = if index == 0 { ring.len() - 1 } else { index - 1 };
+    let after = if index + 1 == ring.len() { 0 } else { index + 1 };
     (ring[before], ring[after])
 }
 
 /// The concatenated rings of a chunk of vertices, and their lengths; 0 for locked vertices.
-fn rings_of_piece(
+fn rings_of_chunk(
     mesh: &Mesh,
-    touching: &Touching,
-    piece: usize,
+    touching: &TouchingTriangles,
+    chunk: usize,
     corners: &mut Corners,
 ) -> (Vec<u32>, Vec<u32>) {
-    let first = piece * PIECE;
-    let count = PIECE.min(mesh.positions.len() - first);
-    corners.collect(first as u32, count, touching.triangles(mesh, piece));
+    let first = chunk * CHUNK;
+    let count = CHUNK.min(mesh.positions.len() - first);
+    corners.collect(first as u32, count, touching.triangles(mesh, chunk));
     let mut neighbors = Vec::with_capacity(7 * count);
     let lengths = (0..count).map(|vertex| {
         let start = neighbors.len();

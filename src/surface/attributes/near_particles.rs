@@ -21,10 +21,10 @@ use crate::surface::space::Lattice;
 pub(super) fn near_particles(
     particles: &Positions<'_>,
     radius_world: f64,
-    (count, place_of): (usize, &(impl Fn(usize) -> DVec3 + Sync)),
+    (count, point_of): (usize, &(impl Fn(usize) -> DVec3 + Sync)),
 ) -> Vec<u32> {
     let cells = Lattice { voxel_size: 2.0 * radius_world };
-    let marked = marked_cells(&cells, count, place_of);
+    let marked = marked_cells(&cells, count, point_of);
     let is_near = |index: &u32| {
         let cell = cells.index_from_world(particles.position(*index as usize));
         cell.is_some_and(|cell| marked.contains(&cell.floor().as_ivec3()))
@@ -38,13 +38,13 @@ pub(super) fn near_particles(
 fn marked_cells(
     cells: &Lattice,
     count: usize,
-    place_of: &(impl Fn(usize) -> DVec3 + Sync),
+    point_of: &(impl Fn(usize) -> DVec3 + Sync),
 ) -> FxHashSet<IVec3> {
     let pieces: Vec<FxHashSet<IVec3>> = (0..count.div_ceil(PIECE))
         .into_par_iter()
         .map(|piece| {
-            let places = (piece * PIECE..count.min((piece + 1) * PIECE)).map(place_of);
-            let corners = places.filter_map(|place| Some(cells.index_from_world(place)?.round().as_ivec3()));
+            let points = (piece * PIECE..count.min((piece + 1) * PIECE)).map(point_of);
+            let corners = points.filter_map(|point| Some(cells.index_from_world(point)?.round().as_ivec3()));
             corners.collect()
         })
         .collect();

@@ -8,39 +8,40 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::blend::Blended;
-use super::source::Source;
-use super::tree::{Seen, Tree};
+use super::interpolate::Interpolated;
+use super::source::TransferSource;
+use super::tree::{Tree, TreeParticle};
 use super::{NO_PARTICLE, TransferCounts};
 
 /// Assigns the values of the nearest particle to isolated points. Returns the number of isolated points, and
 /// how many are left.
-pub(super) fn serve(
-    source: &Source,
-    blended: &mut Blended,
-    place_of: &(impl Fn(usize) -> DVec3 + Sync),
+pub(super) fn assign_nearest(
+    source: &TransferSource,
+    interpolated: &mut Interpolated,
+    point_of: &(impl Fn(usize) -> DVec3 + Sync),
 ) -> TransferCounts {
-    let is_lonely = |place: &usize| blended.nearest[*place] == NO_PARTICLE;
-    let lonely: Vec<usize> = (0..blended.nearest.len()).filter(is_lonely).collect();
+    let is_lonely = |point: &usize| interpolated.nearest[*point] == NO_PARTICLE;
+    let lonely: Vec<usize> = (0..interpolated.nearest.len()).filter(is_lonely).collect();
     let mut counts = TransferCounts { empty_count: lonely.len(), ..TransferCounts::default() };
     if lonely.is_empty() {
         return counts;
     }
-    let see = |particle: u32| Seen {
+    let particle_at = |particle: u32| TreeParticle {
         position: source.particles.position(particle as usize),
-        limit_world: source.reach.limit_world(particle),
+        limit_world: source.support.limit_world(particle),
     };
-    let tree = Tree::new(reaching(source, &see), &see);
-    let nearest: Vec<u32> = lonely.par_iter().map(|&place| tree.nearest(place_of(place), see)).collect();
-    for (place, particle) in lonely.into_iter().zip(nearest) {
+    let tree = Tree::new(reaching(source, &particle_at), &particle_at);
+    let nearest: Vec<u32> =
+        lonely.par_iter().map(|&point| tree.nearest(point_of(point), particle_at)).collect();
+    for (point, particle) in lonely.into_iter().zip(nearest) {
         if particle == NO_PARTICLE {
             continue;
         }
         counts.empty_count -= 1;
         counts.lonely_count += 1;
-        blended.nearest[place] = particle;
-        for (numbers, out) in source.numbers.iter().zip(&mut blended.numbers) {
-            let out = &mut out[place * numbers.arity..(place + 1) * numbers.arity];
+        interpolated.nearest[point] = particle;
+        for (numbers, out) in source.numbers.iter().zip(&mut interpolated.numbers) {
+            let out = &mut out[point * numbers.arity..(point + 1) * numbers.arity];
             for (out, &value) in out.iter_mut().zip(numbers.of(particle)) {
                 if value.is_finite() {
                     *out = value;
@@ -52,11 +53,11 @@ pub(super) fn serve(
 }
 
 /// The particles that reach farther than the radius.
-fn reaching(source: &Source, see: &(impl Fn(u32) -> Seen + Sync)) -> Vec<u32> {
+fn reaching(source: &TransferSource, particle_at: &(impl Fn(u32) -> TreeParticle + Sync)) -> Vec<u32> {
     let end = u32::try_from(source.particles.len()).unwrap_or(NO_PARTICLE);
     let is_reaching = |&particle: &u32| {
-        let Seen { position, limit_world } = see(particle);
-        source.reach.radius_world < limit_world && position.is_finite()
+        let TreeParticle { position, limit_world } = particle_at(particle);
+        source.support.radius_world < limit_world && position.is_finite()
     };
     (0..end).into_par_iter().filter(is_reaching).collect()
 }

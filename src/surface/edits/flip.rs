@@ -29,12 +29,12 @@ pub(super) enum Side {
 }
 
 /// Changes whole components of the other side, given as a mask per leaf in order, to `side`.
-pub(super) fn turn(band: &mut NarrowBand, turned: &[(usize, LeafMask)], side: Side) {
-    if turned.is_empty() {
+pub(super) fn flip(band: &mut NarrowBand, flipped: &[(usize, LeafMask)], side: Side) {
+    if flipped.is_empty() {
         return;
     }
-    let near = near(band, turned);
-    let swept = sweep(band, turned, &near, side);
+    let near = near(band, flipped);
+    let swept = sweep(band, flipped, &near, side);
     for ((leaf, free), swept) in swept {
         let phi = &mut band.phi.leaves[leaf];
         for offset in free.iter() {
@@ -50,10 +50,10 @@ pub(super) fn turn(band: &mut NarrowBand, turned: &[(usize, LeafMask)], side: Si
 }
 
 /// The voxels whose distance may be that to a changed voxel, in a box around the changed voxels of each leaf.
-fn near(band: &NarrowBand, turned: &[(usize, LeafMask)]) -> BTreeMap<usize, LeafMask> {
+fn near(band: &NarrowBand, flipped: &[(usize, LeafMask)]) -> BTreeMap<usize, LeafMask> {
     let reach = band.half_width.ceil() as i32 + 1;
     let mut near: BTreeMap<usize, LeafMask> = BTreeMap::new();
-    for (leaf, mask) in turned {
+    for (leaf, mask) in flipped {
         let origin = band.topology.origins()[*leaf];
         let voxels = mask.bounding_box().expanded(reach);
         let [first, last]: [IVec3; 2] = [voxels.min >> 3, voxels.max >> 3];
@@ -80,7 +80,7 @@ fn box_mask(voxels: &CoordBox, leaf: IVec3) -> LeafMask {
 /// The leaves that change: the mask of changed voxels, and the swept values.
 fn sweep(
     band: &NarrowBand,
-    turned: &[(usize, LeafMask)],
+    flipped: &[(usize, LeafMask)],
     near: &BTreeMap<usize, LeafMask>,
     side: Side,
 ) -> Vec<((usize, LeafMask), Leaf)> {
@@ -92,8 +92,8 @@ fn sweep(
     let topology = Topology::new(near.iter().flat_map(around).collect());
     let of_band: Vec<usize> = topology.origins().iter().filter_map(|&o| band.topology.find(o)).collect();
     let turned_in = |leaf: usize| {
-        let place = turned.binary_search_by_key(&leaf, |(leaf, _)| *leaf);
-        place.map_or(LeafMask::EMPTY, |place| turned[place].1)
+        let index = flipped.binary_search_by_key(&leaf, |(leaf, _)| *leaf);
+        index.map_or(LeafMask::EMPTY, |index| flipped[index].1)
     };
     // Voxels that are on that side now.
     let is_on_side = |phi: f32| (phi < 0.0) == (side == Side::Inside);
@@ -102,10 +102,10 @@ fn sweep(
         LeafMask::from_fn(|offset| is_on_side(values[offset])).or(&turned_in(leaf))
     };
     let on_side: Vec<LeafMask> = of_band.par_iter().map(on_side).collect();
-    let free = |place: usize| {
-        let near = near.get(&of_band[place]).copied().unwrap_or(LeafMask::EMPTY);
+    let free = |index: usize| {
+        let near = near.get(&of_band[index]).copied().unwrap_or(LeafMask::EMPTY);
         let beyond = |face: u32| on_side.get(face as usize).unwrap_or(&LeafMask::FULL);
-        on_side[place].surrounded(topology.neighbors()[place].map(beyond)).and(&near)
+        on_side[index].surrounded(topology.neighbors()[index].map(beyond)).and(&near)
     };
     let free: Vec<LeafMask> = (0..of_band.len()).into_par_iter().map(free).collect();
     let start = if side == Side::Inside { -UNREACHED } else { UNREACHED };

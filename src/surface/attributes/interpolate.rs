@@ -7,12 +7,12 @@
 use glam::{DVec3, IVec3, Vec3};
 
 use super::NO_PARTICLE;
-use super::source::{Numbers, Source};
+use super::source::{NumericAttribute, TransferSource};
 use crate::surface::neighbors::{Eight, Surroundings};
 use crate::surface::simd::{Kernel, Lanes, dispatch};
 
 /// The result at some points.
-pub(super) struct Blended {
+pub(super) struct Interpolated {
     /// The means of each numeric attribute, point by point.
     pub(super) numbers: Vec<Vec<f32>>,
     /// The nearest particle of each point, or [`NO_PARTICLE`].
@@ -22,13 +22,13 @@ pub(super) struct Blended {
 /// Memory that is reused between chunks.
 #[derive(Default)]
 pub(super) struct Scratch {
-    places: Vec<Place>,
+    points: Vec<CellPoint>,
     around: Surroundings,
-    near: Vec<Near>,
+    near: Vec<WeightedParticle>,
 }
 
 /// A point in a cell.
-struct Place {
+struct CellPoint {
     cell: IVec3,
     /// Position relative to the cell's corner, in units of the radius.
     local: Vec3,
@@ -37,7 +37,7 @@ struct Place {
 
 /// A particle within the radius of a point.
 #[derive(Clone, Copy)]
-struct Near {
+struct WeightedParticle {
     /// In units of the squared radius, less than 1.
     distance_squared: f32,
     /// Index among the particles near any point.
@@ -45,47 +45,53 @@ struct Near {
 }
 
 /// The means at these points.
-pub(super) fn blend(source: &Source, places: &[DVec3], scratch: &mut Scratch) -> Blended {
-    let Scratch { places: located, around, near } = scratch;
-    let mut blended = Blended::empty(source, places.len());
+pub(super) fn interpolate(source: &TransferSource, points: &[DVec3], scratch: &mut Scratch) -> Interpolated {
+    let Scratch { points: located, around, near } = scratch;
+    let mut interpolated = Interpolated::empty(source, points.len());
     located.clear();
-    located.extend((0u32..).zip(places).filter_map(|(index, &place)| {
-        let (cell, local) = source.neighbors.locate(place)?;
-        Some(Place { cell, local, index })
+    located.extend((0u32..).zip(points).filter_map(|(index, &point)| {
+        let (cell, local) = source.neighbors.locate(point)?;
+        Some(CellPoint { cell, local, index })
     }));
-    located.sort_unstable_by_key(|place| (place.cell.to_array(), place.index));
+    located.sort_unstable_by_key(|point| (point.cell.to_array(), point.index));
     for group in located.chunk_by(|one, next| one.cell == next.cell) {
         around.gather(&source.neighbors, group[0].cell, usize::MAX);
-        dispatch(CellKernel { source, eights: around.eights(), group, near, blended: &mut blended });
+        dispatch(CellKernel {
+            source,
+            eights: around.eights(),
+            group,
+            near,
+            interpolated: &mut interpolated,
+        });
     }
-    blended
+    interpolated
 }
 
-impl Blended {
+impl Interpolated {
     /// Zeros, and no nearest particle.
-    pub(super) fn empty(source: &Source, count: usize) -> Blended {
+    pub(super) fn empty(source: &TransferSource, count: usize) -> Interpolated {
         let numbers = source.numbers.iter().map(|numbers| vec![0.0; count * numbers.arity]).collect();
-        Blended { numbers, nearest: vec![NO_PARTICLE; count] }
+        Interpolated { numbers, nearest: vec![NO_PARTICLE; count] }
     }
 
     /// The results of all chunks, in order.
-    pub(super) fn joined(source: &Source, pieces: &[Blended]) -> Blended {
+    pub(super) fn joined(source: &TransferSource, pieces: &[Interpolated]) -> Interpolated {
         let joined = |number: usize| {
             let pieces: Vec<&[f32]> = pieces.iter().map(|piece| &*piece.numbers[number]).collect();
             pieces.concat()
         };
         let nearest: Vec<&[u32]> = pieces.iter().map(|piece| &*piece.nearest).collect();
-        Blended { numbers: (0..source.numbers.len()).map(joined).collect(), nearest: nearest.concat() }
+        Interpolated { numbers: (0..source.numbers.len()).map(joined).collect(), nearest: nearest.concat() }
     }
 }
 
 /// Kernel: the points in one cell.
 struct CellKernel<'a> {
-    source: &'a Source<'a>,
+    source: &'a TransferSource<'a>,
     eights: &'a [Eight],
-    group: &'a [Place],
-    near: &'a mut Vec<Near>,
-    blended: &'a mut Blended,
+    group: &'a [CellPoint],
+    near: &'a mut Vec<WeightedParticle>,
+    interpolated: &'a mut Interpolated,
 }
 
 impl Kernel for CellKernel<'_> {
@@ -93,28 +99,28 @@ impl Kernel for CellKernel<'_> {
 
     #[inline(always)]
     fn run<V: Lanes>(self) {
-        let CellKernel { source, eights, group, near, blended } = self;
-        for place in group {
-            collect_near::<V>(eights, place.local, near);
+        let CellKernel { source, eights, group, near, interpolated } = self;
+        for point in group {
+            collect_near::<V>(eights, point.local, near);
             if near.is_empty() {
                 continue;
             }
-            let index = place.index as usize;
-            blended.nearest[index] = source.original(nearest_of(near));
+            let index = point.index as usize;
+            interpolated.nearest[index] = source.original(nearest_of(near));
             // Replaces squared distances by weights.
             for near in near.iter_mut() {
                 let rest = 1.0 - near.distance_squared;
                 near.distance_squared = rest * rest * rest;
             }
-            means::<V>(source, near, index, blended);
+            means::<V>(source, near, index, interpolated);
         }
     }
 }
 
 /// Collects the particles within the radius of a point.
 #[inline(always)]
-fn collect_near<V: Lanes>(eights: &[Eight], place: Vec3, near: &mut Vec<Near>) {
-    let [x, y, z] = place.to_array().map(V::splat);
+fn collect_near<V: Lanes>(eights: &[Eight], point: Vec3, near: &mut Vec<WeightedParticle>) {
+    let [x, y, z] = point.to_array().map(V::splat);
     near.clear();
     for eight in eights {
         let [dx, dy, dz] = [
@@ -131,7 +137,7 @@ fn collect_near<V: Lanes>(eights: &[Eight], place: Vec3, near: &mut Vec<Near>) {
         distance_squared.store(&mut stored);
         while bits != 0 {
             let k = bits.trailing_zeros() as usize & 7;
-            near.push(Near { distance_squared: stored[k], particle: eight.indices[k] });
+            near.push(WeightedParticle { distance_squared: stored[k], particle: eight.indices[k] });
             bits &= bits - 1;
         }
     }
@@ -139,8 +145,8 @@ fn collect_near<V: Lanes>(eights: &[Eight], place: Vec3, near: &mut Vec<Near>) {
 
 /// The nearest particle; on ties, the one with the lowest index.
 #[inline(always)]
-fn nearest_of(near: &[Near]) -> u32 {
-    let mut nearest = Near { distance_squared: f32::INFINITY, particle: NO_PARTICLE };
+fn nearest_of(near: &[WeightedParticle]) -> u32 {
+    let mut nearest = WeightedParticle { distance_squared: f32::INFINITY, particle: NO_PARTICLE };
     for other in near {
         let is_nearer = other.distance_squared < nearest.distance_squared
             || other.distance_squared == nearest.distance_squared && other.particle < nearest.particle;
@@ -153,14 +159,19 @@ fn nearest_of(near: &[Near]) -> u32 {
 
 /// The means of all attributes at a point. Squared distances have been replaced by weights.
 #[inline(always)]
-fn means<V: Lanes>(source: &Source, near: &[Near], index: usize, blended: &mut Blended) {
+fn means<V: Lanes>(
+    source: &TransferSource,
+    near: &[WeightedParticle],
+    index: usize,
+    interpolated: &mut Interpolated,
+) {
     let mut total = 0.0;
     for near in near {
         total += near.distance_squared;
     }
     for row in 0..source.row_count {
         let mean = mean_row::<V>(source, near, row, total);
-        for (numbers, out) in source.numbers.iter().zip(&mut blended.numbers) {
+        for (numbers, out) in source.numbers.iter().zip(&mut interpolated.numbers) {
             let Some(column) = numbers.column else { continue };
             // The part of the attribute in this row.
             let first = column.max(8 * row);
@@ -170,7 +181,7 @@ fn means<V: Lanes>(source: &Source, near: &[Near], index: usize, blended: &mut B
             }
         }
     }
-    for (numbers, out) in source.numbers.iter().zip(&mut blended.numbers) {
+    for (numbers, out) in source.numbers.iter().zip(&mut interpolated.numbers) {
         if numbers.column.is_none() {
             let out = &mut out[index * numbers.arity..(index + 1) * numbers.arity];
             mean_of_sound(source, numbers, near, out);
@@ -180,7 +191,12 @@ fn means<V: Lanes>(source: &Source, near: &[Near], index: usize, blended: &mut B
 
 /// The means of a row of eight numbers.
 #[inline(always)]
-fn mean_row<V: Lanes>(source: &Source, near: &[Near], row: usize, total: f32) -> [f32; 8] {
+fn mean_row<V: Lanes>(
+    source: &TransferSource,
+    near: &[WeightedParticle],
+    row: usize,
+    total: f32,
+) -> [f32; 8] {
     let mut sum = V::splat(0.0);
     let (mut least, mut greatest) = (V::splat(f32::INFINITY), V::splat(f32::NEG_INFINITY));
     for near in near {
@@ -197,7 +213,12 @@ fn mean_row<V: Lanes>(source: &Source, near: &[Near], row: usize, total: f32) ->
 
 /// The mean of an attribute over the particles with finite values; leaves `out` unchanged if there are none.
 #[inline(always)]
-fn mean_of_sound(source: &Source, numbers: &Numbers, near: &[Near], out: &mut [f32]) {
+fn mean_of_sound(
+    source: &TransferSource,
+    numbers: &NumericAttribute,
+    near: &[WeightedParticle],
+    out: &mut [f32],
+) {
     for (component, out) in out.iter_mut().enumerate() {
         let (mut sum, mut total) = (0.0, 0.0);
         let (mut least, mut greatest) = (f32::INFINITY, f32::NEG_INFINITY);

@@ -18,7 +18,7 @@ use crate::surface::grid::{FACE_STEPS, LeafMask, NO_LEAF, Topology, offset_in_le
 
 /// Which voxels are connected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Contact {
+pub(super) enum Connectivity {
     /// Those that share a face.
     Faces,
     /// Those that share a face or an edge.
@@ -27,58 +27,62 @@ pub(super) enum Contact {
 
 /// A set of voxels connected within one leaf.
 #[derive(Clone, Copy, Debug)]
-struct Part {
+struct LeafPart {
     mask: LeafMask,
     /// The component it belongs to.
-    piece: u32,
+    component: u32,
 }
 
 /// The connected components of a set of voxels.
 #[derive(Clone, Debug)]
-pub(super) struct Pieces {
+pub(super) struct Components {
     /// Start of each leaf's parts; one entry more than there are leaves.
     starts: Vec<u32>,
-    parts: Vec<Part>,
+    parts: Vec<LeafPart>,
     /// Number of components.
     pub(super) count: usize,
 }
 
-impl Pieces {
+impl Components {
     /// The components of a set given as one mask per leaf.
-    pub(super) fn new(topology: &Topology, sets: &[LeafMask], contact: Contact) -> Pieces {
-        let parts: Vec<Vec<LeafMask>> = sets.par_iter().map(|set| parts_of(set, contact)).collect();
+    pub(super) fn new(topology: &Topology, sets: &[LeafMask], connectivity: Connectivity) -> Components {
+        let parts: Vec<Vec<LeafMask>> = sets.par_iter().map(|set| parts_of(set, connectivity)).collect();
         let mut starts = vec![0];
         for parts in &parts {
             starts.push(starts[starts.len() - 1] + parts.len() as u32);
         }
         let masks: Vec<LeafMask> = parts.into_iter().flatten().collect();
-        let contacts = |leaf: usize| contacts_of_leaf(topology, &starts, &masks, leaf, contact);
+        let contacts = |leaf: usize| contacts_of_leaf(topology, &starts, &masks, leaf, connectivity);
         let contacts: Vec<Vec<[u32; 2]>> = (0..topology.len()).into_par_iter().map(contacts).collect();
         let mut parents: Vec<u32> = (0..masks.len() as u32).collect();
         for [one, other] in contacts.into_iter().flatten() {
             join(&mut parents, one, other);
         }
-        let (piece_of, count) = numbered(&mut parents);
-        let parts = masks.into_iter().zip(piece_of).map(|(mask, piece)| Part { mask, piece }).collect();
-        Pieces { starts, parts, count }
+        let (component_of, count) = numbered(&mut parents);
+        let parts = masks
+            .into_iter()
+            .zip(component_of)
+            .map(|(mask, component)| LeafPart { mask, component })
+            .collect();
+        Components { starts, parts, count }
     }
 
     /// The component of a voxel, given by its leaf and relative to it; `None` if it is not in the set.
-    pub(super) fn piece_at(&self, leaf: usize, local: IVec3) -> Option<u32> {
+    pub(super) fn component_at(&self, leaf: usize, local: IVec3) -> Option<u32> {
         let offset = offset_in_leaf(local);
-        self.of_leaf(leaf).find(|(_, mask)| mask.contains(offset)).map(|(piece, _)| piece)
+        self.of_leaf(leaf).find(|(_, mask)| mask.contains(offset)).map(|(component, _)| component)
     }
 
     /// The components in a leaf, with their voxels. A component may occur more than once.
     pub(super) fn of_leaf(&self, leaf: usize) -> impl Iterator<Item = (u32, &LeafMask)> {
         let parts = self.starts[leaf] as usize..self.starts[leaf + 1] as usize;
-        self.parts[parts].iter().map(|part| (part.piece, &part.mask))
+        self.parts[parts].iter().map(|part| (part.component, &part.mask))
     }
 
     /// The voxels of the selected components, for each leaf that has any.
     pub(super) fn voxels_of(&self, is_wanted: &[bool]) -> Vec<(usize, LeafMask)> {
         let wanted = |leaf: usize| {
-            let masks = self.of_leaf(leaf).filter(|(piece, _)| is_wanted[*piece as usize]);
+            let masks = self.of_leaf(leaf).filter(|(component, _)| is_wanted[*component as usize]);
             let voxels = masks.fold(LeafMask::EMPTY, |voxels, (_, mask)| voxels.or(mask));
             (!voxels.is_empty()).then_some((leaf, voxels))
         };
@@ -89,7 +93,7 @@ impl Pieces {
     pub(super) fn volumes(&self) -> Vec<u64> {
         let mut volumes = vec![0; self.count];
         for part in &self.parts {
-            volumes[part.piece as usize] += u64::from(part.mask.count());
+            volumes[part.component as usize] += u64::from(part.mask.count());
         }
         volumes
     }
@@ -101,9 +105,9 @@ impl Pieces {
             let open = (0..6).filter(|&face| neighbors[face] == NO_LEAF);
             open.flat_map(move |face| {
                 let step = FACE_STEPS[face];
-                let reaching = move |(piece, mask): (u32, &LeafMask)| {
-                    let is_open = !across(mask, step, Contact::Faces).is_empty();
-                    is_open.then_some((piece, origin.wrapping_add(step * 8)))
+                let reaching = move |(component, mask): (u32, &LeafMask)| {
+                    let is_open = !across(mask, step, Connectivity::Faces).is_empty();
+                    is_open.then_some((component, origin.wrapping_add(step * 8)))
                 };
                 self.of_leaf(leaf).filter_map(reaching)
             })
@@ -113,7 +117,7 @@ impl Pieces {
 }
 
 /// The parts of one leaf, ordered by first voxel.
-fn parts_of(set: &LeafMask, contact: Contact) -> Vec<LeafMask> {
+fn parts_of(set: &LeafMask, connectivity: Connectivity) -> Vec<LeafMask> {
     if *set == LeafMask::FULL {
         return vec![LeafMask::FULL];
     }
@@ -123,7 +127,7 @@ fn parts_of(set: &LeafMask, contact: Contact) -> Vec<LeafMask> {
         let mut part = LeafMask::EMPTY;
         rest.iter().take(1).for_each(|seed| part.insert(seed));
         loop {
-            let grown = grown(&part, contact).and(&rest);
+            let grown = grown(&part, connectivity).and(&rest);
             if grown == part {
                 break;
             }
@@ -136,11 +140,11 @@ fn parts_of(set: &LeafMask, contact: Contact) -> Vec<LeafMask> {
 }
 
 /// The voxels of a leaf that are in the mask or touch a voxel of it.
-fn grown(mask: &LeafMask, contact: Contact) -> LeafMask {
+fn grown(mask: &LeafMask, connectivity: Connectivity) -> LeafMask {
     let [x, y, z] = [0, 1, 2].map(|axis| widened(mask, axis));
-    match contact {
-        Contact::Faces => x.or(&y).or(&z),
-        Contact::Edges => widened(&x, 1).or(&widened(&y, 2)).or(&widened(&z, 0)),
+    match connectivity {
+        Connectivity::Faces => x.or(&y).or(&z),
+        Connectivity::Edges => widened(&x, 1).or(&widened(&y, 2)).or(&widened(&z, 0)),
     }
 }
 
@@ -151,7 +155,7 @@ fn widened(mask: &LeafMask, axis: usize) -> LeafMask {
 }
 
 /// The voxels of the leaf one `step` away that touch a voxel of `mask`.
-pub(super) fn across(mask: &LeafMask, step: IVec3, contact: Contact) -> LeafMask {
+pub(super) fn across(mask: &LeafMask, step: IVec3, connectivity: Connectivity) -> LeafMask {
     let none = LeafMask::EMPTY;
     let touched = (0..3).fold(*mask, |touched, axis| match step[axis] {
         1 => none.shifted(axis, 1, &touched, &none)[0],
@@ -159,7 +163,7 @@ pub(super) fn across(mask: &LeafMask, step: IVec3, contact: Contact) -> LeafMask
         _ => touched,
     });
     let is_face = step.abs().element_sum() == 1;
-    if contact == Contact::Faces || !is_face {
+    if connectivity == Connectivity::Faces || !is_face {
         return touched;
     }
     let aside = (0..3).filter(|&axis| step[axis] == 0);
@@ -183,7 +187,7 @@ fn contacts_of_leaf(
     starts: &[u32],
     masks: &[LeafMask],
     leaf: usize,
-    contact: Contact,
+    connectivity: Connectivity,
 ) -> Vec<[u32; 2]> {
     let parts = |leaf: usize| starts[leaf]..starts[leaf + 1];
     let mut pairs = Vec::new();
@@ -191,14 +195,14 @@ fn contacts_of_leaf(
         return pairs;
     }
     let around = topology.neighborhood(leaf);
-    let edges = if contact == Contact::Edges { &HALF_OF_EDGES[..] } else { &[] };
+    let edges = if connectivity == Connectivity::Edges { &HALF_OF_EDGES[..] } else { &[] };
     for &step in HALF_OF_FACES.iter().chain(edges) {
         let other = around[(9 * (step.x + 1) + 3 * (step.y + 1) + step.z + 1) as usize];
         if other == NO_LEAF {
             continue;
         }
         for one in parts(leaf) {
-            let touched = across(&masks[one as usize], step, contact);
+            let touched = across(&masks[one as usize], step, connectivity);
             let touching = |other: &u32| !touched.and(&masks[*other as usize]).is_empty();
             pairs.extend(parts(other as usize).filter(touching).map(|other| [one, other]));
         }
@@ -248,54 +252,54 @@ mod tests {
     /// The components of scattered voxels by a simple walk from voxel to voxel.
     fn walked(voxels: &[IVec3], steps: &[IVec3]) -> Vec<Vec<IVec3>> {
         let mut rest = voxels.to_vec();
-        let mut pieces = Vec::new();
+        let mut components = Vec::new();
         while let Some(seed) = rest.pop() {
-            let mut piece = vec![seed];
+            let mut component = vec![seed];
             let mut next = 0;
-            while next < piece.len() {
+            while next < component.len() {
                 for step in steps {
-                    if let Some(place) = rest.iter().position(|voxel| *voxel == piece[next] + step) {
-                        piece.push(rest.swap_remove(place));
+                    if let Some(place) = rest.iter().position(|voxel| *voxel == component[next] + step) {
+                        component.push(rest.swap_remove(place));
                     }
                 }
                 next += 1;
             }
-            piece.sort_by_key(|voxel| voxel.to_array());
-            pieces.push(piece);
+            component.sort_by_key(|voxel| voxel.to_array());
+            components.push(component);
         }
-        pieces.sort_by_key(|piece| piece[0].to_array());
-        pieces
+        components.sort_by_key(|component| component[0].to_array());
+        components
     }
 
     #[test]
-    fn pieces_are_those_that_a_walk_finds() {
+    fn components_match_a_simple_walk() {
         let axis = || [-8, 0];
         let origins = axis().into_iter().flat_map(|x| {
             axis().into_iter().flat_map(move |y| axis().into_iter().map(move |z| IVec3::new(x, y, z)))
         });
         let topology = Topology::new(origins.collect());
         let all = (0..27).map(|slot| IVec3::new(slot / 9, slot / 3 % 3, slot % 3) - 1);
-        for (contact, reach, of_16) in [(Contact::Faces, 1, 4), (Contact::Edges, 2, 2)] {
+        for (connectivity, reach, of_16) in [(Connectivity::Faces, 1, 4), (Connectivity::Edges, 2, 2)] {
             let is_in = |voxel: IVec3| {
                 let mixed = (voxel.x * 73 + voxel.y * 1031 + voxel.z * 40_009) as u32;
                 (mixed.wrapping_mul(0x9e37_79b9) >> 7).wrapping_mul(0x85eb_ca6b) >> 28 < of_16
             };
             let set = |&origin: &IVec3| LeafMask::from_fn(|offset| is_in(origin + voxel_in_leaf(offset)));
             let sets: Vec<LeafMask> = topology.origins().iter().map(set).collect();
-            let pieces = Pieces::new(&topology, &sets, contact);
-            let mut found = vec![Vec::new(); pieces.count];
+            let components = Components::new(&topology, &sets, connectivity);
+            let mut found = vec![Vec::new(); components.count];
             for (leaf, &origin) in topology.origins().iter().enumerate() {
-                for (piece, mask) in pieces.of_leaf(leaf) {
+                for (component, mask) in components.of_leaf(leaf) {
                     let voxels = mask.iter().map(|offset| origin + voxel_in_leaf(offset));
-                    found[piece as usize].extend(voxels);
+                    found[component as usize].extend(voxels);
                 }
             }
             let voxels = found.concat();
-            found.iter_mut().for_each(|piece| piece.sort_by_key(|voxel| voxel.to_array()));
-            found.sort_by_key(|piece| piece[0].to_array());
+            found.iter_mut().for_each(|component| component.sort_by_key(|voxel| voxel.to_array()));
+            found.sort_by_key(|component| component[0].to_array());
             let steps = all.clone().filter(|step| (1..=reach).contains(&step.abs().element_sum()));
-            assert_eq!(found, walked(&voxels, &steps.collect::<Vec<_>>()), "{contact:?}");
-            assert!(found.len() > 20 && found.iter().any(|piece| piece.len() > 8), "{}", found.len());
+            assert_eq!(found, walked(&voxels, &steps.collect::<Vec<_>>()), "{connectivity:?}");
+            assert!(found.len() > 20 && found.iter().any(|component| component.len() > 8), "{}", found.len());
         }
     }
 }
