@@ -79,7 +79,7 @@ fn integers(name: &str, values: Vec<i64>) -> Attribute {
 fn found(attribute: &Attribute) -> &[f32] {
     match &attribute.values {
         AttributeValues::NumericAttribute(values) => values,
-        _ => panic!("{} are no numbers", attribute.name),
+        _ => panic!("{} is not numeric", attribute.name),
     }
 }
 
@@ -402,7 +402,7 @@ fn band_values_stay_in_range_on_any_number_of_threads() {
         to_band(&particles, &selected, (&band, &lattice), 3.0, REACH).0
     };
     let found = run();
-    assert_eq!(found.len(), 1, "integers are not for a grid of reals");
+    assert_eq!(found.len(), 1, "integer attributes are not transferred to grids");
     each_voxel(&band, &found[0], |voxel, _, values| {
         assert!(range.0 <= values[0] && values[0] <= range.1, "{values:?} at {voxel}");
     });

@@ -80,7 +80,7 @@ impl Sizes {
         let [AttributeValues::NumericAttribute(numbers), AttributeValues::Integers(ids)] =
             [&found[0].values, &found[1].values]
         else {
-            panic!("other kinds")
+            panic!("unexpected attribute types")
         };
         (numbers.iter().map(|number| number.to_bits()).collect(), ids.clone(), counts)
     }

@@ -110,7 +110,7 @@ fn edge_between(one: usize, other: usize) -> usize {
     let ends = (one.min(other), one.max(other));
     (0..12)
         .find(|&edge| edge_corners(edge) == ends)
-        .expect("corners next to each other on a rim share an edge")
+        .expect("adjacent corners of a face share an edge")
 }
 
 #[cfg(test)]

@@ -190,7 +190,7 @@ impl MeshLayout {
             layout.vertex_count += patch.vertex_count();
             layout.triangle_count += usize::from(patch.triangle_count);
         }
-        assert!(layout.vertex_count <= u32::MAX as usize, "more vertices than 32-bit indices");
+        assert!(layout.vertex_count <= u32::MAX as usize, "more vertices than 32-bit indices allow");
         layout
     }
 

@@ -58,7 +58,7 @@ pub(super) fn march_tetrahedra(band: &NarrowBand, placement: &Placement) -> Mesh
         vertex_count += patch.vertex_count();
         triangle_count += patch.triangle_count;
     }
-    assert!(vertex_count <= u32::MAX as usize, "more vertices than 32-bit indices");
+    assert!(vertex_count <= u32::MAX as usize, "more vertices than 32-bit indices allow");
     let mut positions = bytemuck::zeroed_vec(vertex_count);
     let mut normals = bytemuck::zeroed_vec(vertex_count);
     let mut triangles = bytemuck::zeroed_vec(triangle_count);
@@ -247,7 +247,7 @@ fn triangles_of(path: [usize; 4], is_mirrored: bool, signs: usize) -> Triangles 
     let leads = |corner: usize| is_inside(corner) == (inside_count <= 2);
     let lead_count = (0..4).filter(|&corner| leads(corner)).count();
     let order = EVEN_ORDERS.into_iter().find(|order| order[..lead_count].iter().all(|&corner| leads(corner)));
-    let [i, j, k, l] = order.expect("every set of corners comes first in an even order");
+    let [i, j, k, l] = order.expect("some even permutation starts with any given corners");
     let edge = |one: usize, other: usize| [path[one.min(other)], path[one.max(other)]];
     // Counter-clockwise as seen from the other side.
     let mut triangles = match lead_count {

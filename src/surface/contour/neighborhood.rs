@@ -186,7 +186,7 @@ impl SignRows {
                 }
             };
             let crossed = (start ^ end) & own_stored & end_stored & OWN_BITS;
-            debug_assert_eq!(crossed & !cells, 0, "a voxel next to the surface is not stored");
+            debug_assert_eq!(crossed & !cells, 0, "a voxel next to the surface must be stored");
             crossed & cells
         })
     }

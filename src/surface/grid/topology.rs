@@ -43,7 +43,7 @@ impl Topology {
         places.par_sort_unstable();
         places.dedup();
         let origins: Vec<IVec3> = places.into_par_iter().map(origin_from_order).collect();
-        assert!(origins.len() < NO_LEAF as usize, "more leaves than 32-bit indices");
+        assert!(origins.len() < NO_LEAF as usize, "more leaves than 32-bit indices allow");
         let index_of: FxHashMap<IVec3, u32> =
             origins.iter().enumerate().map(|(index, &origin)| (origin, index as u32)).collect();
         let neighbors = origins

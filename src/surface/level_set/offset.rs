@@ -253,7 +253,7 @@ mod tests {
     fn result_does_not_depend_on_threads() {
         let given = band(ball([1.0, 2.0, 0.4], 9.7));
         let on = |threads: usize| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a thread pool");
             pool.install(|| moved(&given, -1.1).phi)
         };
         assert!(on(1) == on(3));

@@ -101,7 +101,8 @@ pub struct TooManyLeaves;
 /// The level set in a band of [`REBUILT_HALF_WIDTH`] with distances on both sides of the surface; `None` if
 /// the file already has these, except for a few voxels. `leaf_count_max` limits the leaves of the result.
 ///
-/// # Errors Returns [`TooManyLeaves`] if the result would have more leaves.
+/// # Errors
+/// Returns [`TooManyLeaves`] if the result would have more leaves.
 pub fn rebuilt(
     stored: &StoredLevelSet<'_>,
     leaf_count_max: usize,

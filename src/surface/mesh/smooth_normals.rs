@@ -104,7 +104,7 @@ mod tests {
             assert!(mesh.positions == rough.positions && mesh.triangles == rough.triangles);
         }
         let threads = |count: usize| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(count).build().expect("a pool");
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(count).build().expect("a thread pool");
             let mut mesh = rough.clone();
             pool.install(|| mesh.smooth_normals(4));
             mesh

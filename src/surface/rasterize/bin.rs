@@ -58,7 +58,8 @@ pub struct ParticleBins {
 impl ParticleBins {
     /// Sorts the required particles by leaf.
     ///
-    /// # Errors Returns the source's error if a batch cannot be read.
+    /// # Errors
+    /// Returns the source's error if a batch cannot be read.
     pub(super) fn new<S: ParticleSource>(
         source: &S,
         lattice: &Lattice,

@@ -98,7 +98,8 @@ fn shaped_count(occupied: &FxHashMap<IVec3, (usize, bool)>, near: NearSurface) -
 /// The footprint of these particles. `shaped` selects the particles whose neighborhoods are evaluated before
 /// rasterization.
 ///
-/// # Errors Returns the source's error if a batch cannot be read.
+/// # Errors
+/// Returns the source's error if a batch cannot be read.
 pub fn footprint<S: ParticleSource>(
     source: &S,
     scene: &Scene,

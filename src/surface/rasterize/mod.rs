@@ -202,7 +202,8 @@ pub struct Rasterized {
 
 /// Rasterizes a frame.
 ///
-/// # Errors Returns the source's error if a batch cannot be read.
+/// # Errors
+/// Returns the source's error if a batch cannot be read.
 pub fn rasterize<S: ParticleSource>(source: &S, scene: &Scene) -> Result<Rasterized, S::Error> {
     let occupancy = Occupancy::new(source, &scene.lattice)?;
     let regions = Regions::new(CoordBox::ALL, scene.radii, occupancy.longest());
@@ -214,7 +215,8 @@ pub fn rasterize<S: ParticleSource>(source: &S, scene: &Scene) -> Result<Rasteri
 /// Rasterizes the leaves that touch a window, a box of voxels. Leaves and values are bit-identical to those
 /// of the whole frame. The result also contains particles around the window that contribute to it.
 ///
-/// # Errors Returns the source's error if a batch cannot be read.
+/// # Errors
+/// Returns the source's error if a batch cannot be read.
 pub fn rasterize_window<S: ParticleSource>(
     source: &S,
     occupancy: &Occupancy,
@@ -228,7 +230,8 @@ pub fn rasterize_window<S: ParticleSource>(
 
 /// The particles that contribute to a window.
 ///
-/// # Errors Returns the source's error if a batch cannot be read.
+/// # Errors
+/// Returns the source's error if a batch cannot be read.
 pub fn particles_of_window<S: ParticleSource>(
     source: &S,
     occupancy: &Occupancy,
@@ -264,9 +267,9 @@ fn measure<S: ParticleSource>(
 
 /// Origins of the leaves with a voxel within the band's margin, per axis, of a voxel inside S_0 that has a
 /// face neighbor outside. With obstacles there are two surfaces, and a void may be filled next to either, so
-/// voxels inside S_0 and outside all obstacles count as well. The obstacles are placed where the surface
-/// meets them after the offset. Their unmoved surface lies within the margin, which allows for the offset, so
-/// a plate thinner than the offset is not lost.
+/// the same applies to S_0 minus the obstacles. The obstacles are placed where the surface meets them after
+/// the offset. Their unmoved surface lies within the margin, which allows for the offset, so a plate thinner
+/// than the offset is not lost.
 fn leaves_near_surface(
     culling: &Culling,
     distances: &Distances,

@@ -97,7 +97,8 @@ impl Octants {
 impl Occupancy {
     /// Reads each particle once.
     ///
-    /// # Errors Returns the source's error if a batch cannot be read.
+    /// # Errors
+    /// Returns the source's error if a batch cannot be read.
     pub fn new<S: ParticleSource>(source: &S, lattice: &Lattice) -> Result<Occupancy, S::Error> {
         let leaf_map: ConcurrentLeafMap<OccupiedLeaf> = ConcurrentLeafMap::new();
         let has_shapes = source.has_shapes();

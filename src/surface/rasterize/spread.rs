@@ -50,8 +50,8 @@ mod tests {
             spread(|| leaves.iter().map(|&(x, count)| (IVec3::new(x, 8, -x), count)), 1000)
         };
         assert_eq!(spread_of(&[]), 0);
-        assert_eq!(spread_of(&[(0, 1), (1000, 1)]), 0, "nothing that matters");
-        assert_eq!(spread_of(&[(0, 9), (8, 50), (16, 30), (FAR, 1)]), 0, "one that is astray");
+        assert_eq!(spread_of(&[(0, 1), (1000, 1)]), 0, "two particles");
+        assert_eq!(spread_of(&[(0, 9), (8, 50), (16, 30), (FAR, 1)]), 0, "one stray particle");
         assert_eq!(spread_of(&[(0, 40), (8, 50), (-FAR, 30), (FAR, 40)]), 8);
         assert_eq!(spread_of(&[(-80_000, 3), (-40_000, 3), (0, 1), (40_000, 3), (80_000, 3)]), 40_000);
     }

@@ -61,8 +61,8 @@ mod tests {
         assert_eq!(strayed_of(&[(0, 9), (far, 1), (8, 3)]), [far]);
         assert_eq!(strayed_of(&[(0, 900), (far, 8), (-far, 1)]), [-far, far]);
         assert_eq!(strayed_of(&[(0, 800), (far, 8), (-far, 1)]), [0; 0], "more than a few");
-        assert_eq!(strayed_of(&[(0, 1), (far, 1)]), [0; 0], "half of them");
-        assert_eq!(strayed_of(&[(0, 600), (far, 400)]), [0; 0], "a frame of two parts");
-        assert_eq!(strayed_of(&[(0, 900), (FARTHEST_VOXELS, 1)]), [0; 0], "near enough");
+        assert_eq!(strayed_of(&[(0, 1), (far, 1)]), [0; 0], "half of the particles");
+        assert_eq!(strayed_of(&[(0, 600), (far, 400)]), [0; 0], "two large clusters");
+        assert_eq!(strayed_of(&[(0, 900), (FARTHEST_VOXELS, 1)]), [0; 0], "at the limit");
     }
 }

@@ -33,7 +33,7 @@ impl ParticleSource for Small<'_> {
     }
 
     fn batch(&self, batch: usize) -> Result<Positions<'_>, Infallible> {
-        let Some(positions) = self.0.chunks(7).nth(batch) else { unreachable!("there are not so many") };
+        let Some(positions) = self.0.chunks(7).nth(batch) else { unreachable!("batch index out of range") };
         Ok(Positions::F32(positions.into()))
     }
 

@@ -138,7 +138,7 @@ fn surface_stays_in_the_band_if_bounds_exceed_it() {
             let [lower, upper] =
                 [&bounds.lower, &bounds.upper].map(|bound| bound.leaves[leaf].values[offset]);
             let phi = band.phi.leaves[leaf].values[offset];
-            assert!(phi.abs() > 4.0, "a voxel beside the end of the band is {phi} from the surface");
+            assert!(phi.abs() > 4.0, "a voxel at the end of the band is {phi} from the surface");
             assert!(phi < 0.0 || lower >= 1.0, "{lower} to {upper} at {voxel}");
             held_count += 1;
         }
@@ -252,7 +252,7 @@ impl Definition {
 /// A particle's values at a position relative to its center, infinite outside its range.
 fn value_of(shapes: &Shapes, particle: usize, apart: Vec3, radii: [f32; 3]) -> [f32; 3] {
     match shapes {
-        Shapes::Balls => unreachable!("these have tests of their own"),
+        Shapes::Balls => unreachable!("uniform balls have separate tests"),
         Shapes::Scaled(scales) => {
             let squared = apart.x * apart.x + apart.y * apart.y + apart.z * apart.z;
             radii.map(|radius| {

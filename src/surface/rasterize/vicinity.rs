@@ -69,7 +69,8 @@ impl Vicinity {
     /// there. Particles within `margin` of the vicinity, per axis, are [gathered](Self::gather) with it. All
     /// lengths are in voxels.
     ///
-    /// # Errors Returns the source's error if a batch cannot be read.
+    /// # Errors
+    /// Returns the source's error if a batch cannot be read.
     pub fn new<S: ParticleSource>(
         source: &S,
         lattice: &Lattice,
@@ -169,7 +170,8 @@ impl Vicinity {
 
     /// Reads the particles of a block.
     ///
-    /// # Errors Returns the source's error if a batch cannot be read.
+    /// # Errors
+    /// Returns the source's error if a batch cannot be read.
     pub fn gather<S: ParticleSource>(
         &self,
         block: &Block,

@@ -106,12 +106,12 @@ fn warning_of(asked: &str, used: Level) -> Option<String> {
     match Level::ALL.into_iter().find(|level| level.name() == asked) {
         Some(level) if level <= used => None,
         Some(_) => {
-            Some(format!("{LEVEL_VARIABLE}={asked}: this processor lacks it, and {} is used", used.name()))
+            Some(format!("{LEVEL_VARIABLE}={asked}: not supported by this processor, using {}", used.name()))
         }
         None if asked.is_empty() => None,
         None => {
             let [first, second, third] = Level::ALL.map(Level::name);
-            Some(format!("{LEVEL_VARIABLE}={asked} is not {first}, {second} or {third}: it is ignored"))
+            Some(format!("{LEVEL_VARIABLE}={asked} is ignored: expected {first}, {second} or {third}"))
         }
     }
 }
@@ -146,7 +146,7 @@ pub fn dispatch_at<K: Kernel>(level: Level, kernel: K) -> K::Output {
 
 /// Runs a kernel at an available level. Does not check again, which would be measurable per leaf.
 #[inline]
-#[allow(unsafe_code, reason = "the calls that the processor was asked about")]
+#[allow(unsafe_code, reason = "callers have checked the processor features")]
 fn run_available<K: Kernel>(level: Level, kernel: K) -> K::Output {
     match level {
         // SAFETY: callers have checked every feature that the function is compiled for.
@@ -208,7 +208,7 @@ mod tests {
                 assert!(warning.is_none_or(|text| text.contains(used.name())), "{asked:?} {used:?}");
             }
             assert_eq!(warning_of("", used), None);
-            let unknown = "MENISCUS_SIMD=xyz is not baseline, avx2 or avx512: it is ignored";
+            let unknown = "MENISCUS_SIMD=xyz is ignored: expected baseline, avx2 or avx512";
             assert_eq!(warning_of("xyz", used).as_deref(), Some(unknown));
         }
     }

@@ -1,5 +1,5 @@
 //! Rows in AVX2 registers, and the entry points compiled for more than the baseline.
-#![allow(unsafe_code, reason = "instructions that not every processor has: only the entries use the type")]
+#![allow(unsafe_code, reason = "AVX intrinsics: only the entry points use this type")]
 
 use std::arch::x86_64::*;
 
@@ -8,7 +8,8 @@ use super::lanes::Lanes;
 
 /// Runs a kernel with AVX2.
 ///
-/// # Safety The processor must have these features.
+/// # Safety
+/// The processor must have these features.
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt,f16c")]
 pub(super) fn run_avx2<K: Kernel>(kernel: K) -> K::Output {
     kernel.run::<Ymm>()
@@ -16,7 +17,8 @@ pub(super) fn run_avx2<K: Kernel>(kernel: K) -> K::Output {
 
 /// Runs a kernel with AVX2 and the masks and additional registers of AVX-512.
 ///
-/// # Safety The processor must have these features.
+/// # Safety
+/// The processor must have these features.
 #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,bmi1,bmi2,lzcnt,popcnt,f16c")]
 pub(super) fn run_avx512<K: Kernel>(kernel: K) -> K::Output {
     kernel.run::<Ymm>()

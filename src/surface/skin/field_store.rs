@@ -2,14 +2,14 @@
 //!
 //! ```text
 //!   slot        0        1        2        3            a leaf has the same slot in every file
-//!   φ        [leaf]   [leaf]   [leaf]   [leaf] …        two files: before and after the current pass
+//!   φ        [leaf]   [leaf]   [leaf]   [leaf] …        two files: before and after the current operation
 //!   first    [leaf]   [leaf]   [leaf]   [leaf] …        two files
 //!   second   [leaf]   [leaf]   [leaf]   [leaf] …        two files
 //!   lower    [leaf]   [leaf]   [leaf]   [leaf] …        one file
 //!   upper    [leaf]   [leaf]   [leaf]   [leaf] …        one file
 //! ```
 //!
-//! A tile must read its neighbors' values from before the current pass, in whatever order tiles are
+//! A tile must read its neighbors' values from before the current operation, in whatever order tiles are
 //! processed. So the fields that change are double-buffered.
 
 use std::io;
@@ -23,12 +23,14 @@ use crate::surface::smooth::FieldSet;
 pub trait Storage: Send + Sync {
     /// Reads `bytes.len()` bytes at `offset`.
     ///
-    /// # Errors Returns the error of the operating system.
+    /// # Errors
+    /// Returns the error of the operating system.
     fn read(&self, offset: u64, bytes: &mut [u8]) -> io::Result<()>;
 
     /// Writes `bytes` at `offset`.
     ///
-    /// # Errors Returns the error of the operating system, such as a full disk.
+    /// # Errors
+    /// Returns the error of the operating system, such as a full disk.
     fn write(&self, offset: u64, bytes: &[u8]) -> io::Result<()>;
 }
 
@@ -49,7 +51,7 @@ const UPPER: usize = 7;
 impl FieldStore {
     /// Creates an empty store.
     pub(super) fn new(storages: Vec<Box<dyn Storage>>) -> FieldStore {
-        assert_eq!(storages.len(), SHELF_COUNT, "a storage for each shelf");
+        assert_eq!(storages.len(), SHELF_COUNT, "one storage per field");
         FieldStore { storages, swap: [0; 3] }
     }
 

@@ -83,7 +83,8 @@ impl std::error::Error for TooFine {}
 /// Checks whether the voxels are too small for a frame with this footprint. If so, reads its particles once
 /// more, or three times if there are many.
 ///
-/// # Errors Returns the source's error if a batch cannot be read.
+/// # Errors
+/// Returns the source's error if a batch cannot be read.
 pub(super) fn too_fine<S: ParticleSource>(
     source: &S,
     settings: &Settings,

@@ -127,7 +127,8 @@ const RETURNS_MAX: usize = 3;
 
 /// Replaces the mesh by the one that is written, and validates it part by part, as each file stores it.
 ///
-/// # Errors Returns the errors of `each_part`.
+/// # Errors
+/// Returns the errors of `each_part`.
 pub(super) fn finalize<E>(
     mesh: &mut Mesh,
     (settings, stored): (&Settings, &[Stored]),

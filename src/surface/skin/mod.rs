@@ -157,7 +157,8 @@ pub fn skin_cloud(cloud: Cloud, settings: &Settings, obstacles: &Obstacles) -> S
 
 /// First stage: particles to level sets. `shaping` reports how the particles got their shapes.
 ///
-/// # Errors Returns the source's error if a batch cannot be read. Sources in memory have none.
+/// # Errors
+/// Returns the source's error if a batch cannot be read. Sources in memory have none.
 pub fn rasterize<S: ParticleSource>(
     source: &S,
     settings: &Settings,

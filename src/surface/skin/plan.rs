@@ -81,7 +81,8 @@ pub enum Unfit {
 /// Plans a frame with a limit of `allowed_bytes`: in one piece if possible, otherwise in the largest tiles
 /// that fit. Reads each particle once.
 ///
-/// # Errors The outer error is the source's. The inner error says why the frame cannot be surfaced: there is
+/// # Errors
+/// The outer error is the source's. The inner error says why the frame cannot be surfaced: there is
 /// too little memory, or the voxels are [too small](TooFine).
 pub fn plan<S: ParticleSource>(
     source: &S,

@@ -87,7 +87,8 @@ pub(crate) fn shapes_by_attributes(
 /// Applies the positions and shapes that the settings derive from neighbors. `shaping` is the report of the
 /// attribute step.
 ///
-/// # Errors Returns the source's error if a batch cannot be read.
+/// # Errors
+/// Returns the source's error if a batch cannot be read.
 pub fn shape_by_neighbors<S: ParticleSource>(
     given: S,
     shaping: Shaping,

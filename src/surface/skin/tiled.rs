@@ -66,7 +66,8 @@ impl<S> TiledFrame<S> {
 /// First stage: particles to level sets, which are written to the storages. Requires
 /// [`SHELF_COUNT`](super::SHELF_COUNT) storages. Tiles are cubes of `tile_leaves` leaves.
 ///
-/// # Errors Returns an error of the source or of the storage.
+/// # Errors
+/// Returns an error of the source or of the storage.
 pub fn rasterize<S: ParticleSource>(
     source: S,
     settings: &Settings,
@@ -121,7 +122,8 @@ fn tiles_near(occupancy: &Occupancy, tile_leaves: i32, voxels: i32) -> BTreeSet<
 
 /// Second stage: constrained smoothing. `advanced` receives the progress, from 0 to 1.
 ///
-/// # Errors Returns an error of the storage.
+/// # Errors
+/// Returns an error of the storage.
 pub fn smooth<S>(
     mut frame: TiledFrame<S>,
     settings: &Settings,
@@ -135,7 +137,8 @@ pub fn smooth<S>(
 
 /// Third stage: the mesh, its measures and the certificate.
 ///
-/// # Errors Returns an error of the source or of the storage.
+/// # Errors
+/// Returns an error of the source or of the storage.
 pub fn contour<S: ParticleSource>(
     frame: TiledFrame<S>,
     settings: &Settings,
@@ -452,7 +455,7 @@ mod tests {
         let settings = Settings::paper(0.02, &choices).expect("sound");
         let cloud = Cloud { attributes: vec![velocity], ..Cloud::from(Particles::Double(slots.collect())) };
         let report = same_in_tiles(cloud, &settings, &Obstacles::default());
-        assert!(report.vertices_returned > 0, "the scene has none");
+        assert!(report.vertices_returned > 0, "the scene must clamp some vertices");
         assert!(report.certificate.holds(), "{:?}", report.certificate);
     }
 

@@ -5,13 +5,13 @@
 //!   │        │   ┌────┼───┐    │
 //!   │        │   │halo│   │    │      one tile and its halo are in memory at a time; the rest is in files
 //!   ├────────┼───┼────┼───┼────┤
-//!   │        │   │ ▒▒▒▒▒▒ │    │      the result in the tile equals that of the whole frame, because no pass
-//!   │        │   └────┼───┘    │      reads beyond the halo
+//!   │        │   │ ▒▒▒▒▒▒ │    │      the result in the tile equals that of the whole frame, because no
+//!   │        │   └────┼───┘    │      operation reads beyond the halo
 //!   └────────┴────────┴────────┘
 //! ```
 //!
 //! Rasterization visits each tile once. Smoothing visits all tiles for each of its
-//! [passes](crate::surface::smooth::SmoothOp). Then φ, a fifth of the memory that smoothing needs, is loaded and
+//! [operations](crate::surface::smooth::SmoothOp). Then φ, a fifth of the memory that smoothing needs, is loaded and
 //! contoured in one piece.
 
 use std::collections::BTreeMap;
@@ -77,7 +77,7 @@ impl Tiling {
         let topology = Topology::new(origins.to_vec());
         let mut slots = vec![0; topology.len()];
         for (slot, &origin) in origins.iter().enumerate() {
-            slots[topology.find(origin).expect("the topology was made of these")] = slot as u32;
+            slots[topology.find(origin).expect("the topology contains every origin")] = slot as u32;
         }
         let mut tiles: BTreeMap<[i32; 3], Tile> = BTreeMap::new();
         for (leaf, &origin) in topology.origins().iter().enumerate() {
@@ -142,7 +142,8 @@ impl Tiling {
 
 /// Smooths the frame in the field store.
 ///
-/// # Errors Returns an error of the storage. The fields are then invalid.
+/// # Errors
+/// Returns an error of the storage. The fields are then invalid.
 pub(super) fn smooth(
     store: &mut FieldStore,
     tiling: &Tiling,
@@ -155,7 +156,7 @@ pub(super) fn smooth(
     let step = 1.0 / (schedule.len() * tiling.tiles.len()).max(1) as f64;
     let mut done_count = 0;
     for op in schedule {
-        assert!(op.reach_voxels().is_some(), "an act that reaches everywhere was to be refused");
+        assert!(op.reach_voxels().is_some(), "global operations cannot run in tiles");
         let mut stats = SmoothStats::default();
         for tile in &tiling.tiles {
             stats = stats.and(apply(store, tiling, tile, half_width, config, op)?);
@@ -168,7 +169,7 @@ pub(super) fn smooth(
     Ok(report)
 }
 
-/// Applies a pass to a tile.
+/// Applies an operation to a tile.
 fn apply(
     store: &FieldStore,
     tiling: &Tiling,

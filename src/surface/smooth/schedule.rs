@@ -1,4 +1,4 @@
-//! Smoothing as a schedule of passes, each with a known reach.
+//! Smoothing as a schedule of operations, each with a known reach.
 //!
 //! ```text
 //!   Laplacian ─▶ ( Passes ─▶ Redistance ) × 5 ─▶ Finish           a frame in memory
