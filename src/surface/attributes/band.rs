@@ -48,8 +48,7 @@ pub fn to_band<'a>(
     half_width_voxels: f32,
     support: Support<'a>,
 ) -> (Vec<BandAttribute>, TransferCounts) {
-    let is_numbers =
-        |attribute: &&&'a Attribute| matches!(attribute.values, AttributeValues::NumericAttribute(_));
+    let is_numbers = |attribute: &&&'a Attribute| matches!(attribute.values, AttributeValues::Numbers(_));
     let attributes: Vec<&'a Attribute> = attributes.iter().filter(is_numbers).copied().collect();
     let needed = needed_nodes(band, half_width_voxels);
     let points = node_points(band, lattice, &needed);

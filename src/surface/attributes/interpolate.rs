@@ -75,12 +75,12 @@ impl Interpolated {
     }
 
     /// The results of all chunks, in order.
-    pub(super) fn joined(source: &TransferSource, pieces: &[Interpolated]) -> Interpolated {
+    pub(super) fn joined(source: &TransferSource, chunks: &[Interpolated]) -> Interpolated {
         let joined = |number: usize| {
-            let pieces: Vec<&[f32]> = pieces.iter().map(|piece| &*piece.numbers[number]).collect();
-            pieces.concat()
+            let chunks: Vec<&[f32]> = chunks.iter().map(|chunk| &*chunk.numbers[number]).collect();
+            chunks.concat()
         };
-        let nearest: Vec<&[u32]> = pieces.iter().map(|piece| &*piece.nearest).collect();
+        let nearest: Vec<&[u32]> = chunks.iter().map(|chunk| &*chunk.nearest).collect();
         Interpolated { numbers: (0..source.numbers.len()).map(joined).collect(), nearest: nearest.concat() }
     }
 }

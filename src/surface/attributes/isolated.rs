@@ -20,10 +20,10 @@ pub(super) fn assign_nearest(
     interpolated: &mut Interpolated,
     point_of: &(impl Fn(usize) -> DVec3 + Sync),
 ) -> TransferCounts {
-    let is_lonely = |point: &usize| interpolated.nearest[*point] == NO_PARTICLE;
-    let lonely: Vec<usize> = (0..interpolated.nearest.len()).filter(is_lonely).collect();
-    let mut counts = TransferCounts { empty_count: lonely.len(), ..TransferCounts::default() };
-    if lonely.is_empty() {
+    let is_isolated = |point: &usize| interpolated.nearest[*point] == NO_PARTICLE;
+    let isolated: Vec<usize> = (0..interpolated.nearest.len()).filter(is_isolated).collect();
+    let mut counts = TransferCounts { empty_count: isolated.len(), ..TransferCounts::default() };
+    if isolated.is_empty() {
         return counts;
     }
     let particle_at = |particle: u32| TreeParticle {
@@ -32,8 +32,8 @@ pub(super) fn assign_nearest(
     };
     let tree = Tree::new(reaching(source, &particle_at), &particle_at);
     let nearest: Vec<u32> =
-        lonely.par_iter().map(|&point| tree.nearest(point_of(point), particle_at)).collect();
-    for (point, particle) in lonely.into_iter().zip(nearest) {
+        isolated.par_iter().map(|&point| tree.nearest(point_of(point), particle_at)).collect();
+    for (point, particle) in isolated.into_iter().zip(nearest) {
         if particle == NO_PARTICLE {
             continue;
         }

@@ -109,9 +109,7 @@ pub fn to_vertices<'a>(
     let (interpolated, counts) = interpolate_at(&source, mesh.positions.len(), &point_of);
     let mut numbers = interpolated.numbers.into_iter();
     let mut values_of = |attribute: &Attribute| match &attribute.values {
-        AttributeValues::NumericAttribute(_) => {
-            AttributeValues::NumericAttribute(numbers.next().unwrap_or_default())
-        }
+        AttributeValues::Numbers(_) => AttributeValues::Numbers(numbers.next().unwrap_or_default()),
         AttributeValues::Integers(values) => {
             AttributeValues::Integers(of_nearest(values, attribute.arity, &interpolated.nearest))
         }
@@ -148,7 +146,7 @@ fn of_nearest<T: Copy + From<i8> + Send + Sync>(values: &[T], arity: usize, near
 }
 
 /// Number of points per task. Consecutive points share most of the particles around them.
-const PIECE: usize = 2048;
+const CHUNK: usize = 2048;
 
 /// The means at these points, and the particles nearest to them.
 fn interpolate_at(
@@ -156,15 +154,15 @@ fn interpolate_at(
     count: usize,
     point_of: &(impl Fn(usize) -> DVec3 + Sync),
 ) -> (Interpolated, TransferCounts) {
-    let pieces: Vec<Interpolated> = (0..count.div_ceil(PIECE))
+    let chunks: Vec<Interpolated> = (0..count.div_ceil(CHUNK))
         .into_par_iter()
-        .map_init(Scratch::default, |scratch, piece| {
-            let vertices = piece * PIECE..count.min((piece + 1) * PIECE);
+        .map_init(Scratch::default, |scratch, chunk| {
+            let vertices = chunk * CHUNK..count.min((chunk + 1) * CHUNK);
             let points: Vec<DVec3> = vertices.map(point_of).collect();
             interpolate(source, &points, scratch)
         })
         .collect();
-    let mut interpolated = Interpolated::joined(source, &pieces);
+    let mut interpolated = Interpolated::joined(source, &chunks);
     let mut counts = isolated::assign_nearest(source, &mut interpolated, point_of);
     counts.place_count = count;
     counts.left_out_count = source.left_out_count;

@@ -12,7 +12,7 @@ use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
-use super::PIECE;
+use super::CHUNK;
 use crate::surface::particles::Positions;
 use crate::surface::space::Lattice;
 
@@ -40,15 +40,15 @@ fn marked_cells(
     count: usize,
     point_of: &(impl Fn(usize) -> DVec3 + Sync),
 ) -> FxHashSet<IVec3> {
-    let pieces: Vec<FxHashSet<IVec3>> = (0..count.div_ceil(PIECE))
+    let chunks: Vec<FxHashSet<IVec3>> = (0..count.div_ceil(CHUNK))
         .into_par_iter()
-        .map(|piece| {
-            let points = (piece * PIECE..count.min((piece + 1) * PIECE)).map(point_of);
+        .map(|chunk| {
+            let points = (chunk * CHUNK..count.min((chunk + 1) * CHUNK)).map(point_of);
             let corners = points.filter_map(|point| Some(cells.index_from_world(point)?.round().as_ivec3()));
             corners.collect()
         })
         .collect();
-    let corners: FxHashSet<IVec3> = pieces.into_iter().flatten().collect();
+    let corners: FxHashSet<IVec3> = chunks.into_iter().flatten().collect();
     let around =
         |corner: IVec3| (0..8).map(move |bits| corner - IVec3::new(bits & 1, bits >> 1 & 1, bits >> 2 & 1));
     corners.into_iter().flat_map(around).collect()

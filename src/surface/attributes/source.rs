@@ -101,7 +101,7 @@ fn subset(particles: &Positions<'_>, indices: &[u32]) -> Particles {
 
 fn numbers_of(attribute: &Attribute) -> Option<NumericAttribute<'_>> {
     match &attribute.values {
-        AttributeValues::NumericAttribute(values) => {
+        AttributeValues::Numbers(values) => {
             Some(NumericAttribute { values, arity: attribute.arity, column: None })
         }
         AttributeValues::Integers(_) | AttributeValues::Strings { .. } => None,

@@ -63,7 +63,7 @@ fn mesh_around(center: DVec3, radius: f64, count: usize) -> Mesh {
 }
 
 fn numbers(name: &str, arity: usize, values: Vec<f32>) -> Attribute {
-    let values = AttributeValues::NumericAttribute(values);
+    let values = AttributeValues::Numbers(values);
     Attribute { name: name.to_owned(), meaning: Meaning::Other, arity, values }
 }
 
@@ -78,7 +78,7 @@ fn integers(name: &str, values: Vec<i64>) -> Attribute {
 
 fn found(attribute: &Attribute) -> &[f32] {
     match &attribute.values {
-        AttributeValues::NumericAttribute(values) => values,
+        AttributeValues::Numbers(values) => values,
         _ => panic!("{} is not numeric", attribute.name),
     }
 }

@@ -71,13 +71,12 @@ impl Sizes {
     fn transferred(&self, mesh: &Mesh) -> (Vec<u32>, Vec<i64>, TransferCounts) {
         let attribute = |values| Attribute { name: "a".into(), meaning: Meaning::Other, arity: 1, values };
         let numbers: Vec<f32> = self.ids.iter().map(|&id| 1.0 + (id as f32).sin()).collect();
-        let attributes =
-            [AttributeValues::NumericAttribute(numbers), AttributeValues::Integers(self.ids.clone())];
+        let attributes = [AttributeValues::Numbers(numbers), AttributeValues::Integers(self.ids.clone())];
         let attributes = attributes.map(attribute);
         let shapes = Shapes::Scaled(self.scales.clone());
         let particles = Particles::Double(self.positions.clone());
         let (found, counts) = to_vertices(&particles, &attributes.each_ref()[..], mesh, support(&shapes));
-        let [AttributeValues::NumericAttribute(numbers), AttributeValues::Integers(ids)] =
+        let [AttributeValues::Numbers(numbers), AttributeValues::Integers(ids)] =
             [&found[0].values, &found[1].values]
         else {
             panic!("unexpected attribute types")

@@ -115,14 +115,14 @@ impl NodeBounds {
 }
 
 /// The search for one point.
-struct NearestSearch<See> {
+struct NearestSearch<F> {
     point: DVec3,
-    particle_at: See,
+    particle_at: F,
     /// The squared distance and the index of the nearest particle so far.
     nearest: (f64, u32),
 }
 
-impl<See: FnMut(u32) -> TreeParticle> NearestSearch<See> {
+impl<F: FnMut(u32) -> TreeParticle> NearestSearch<F> {
     /// Searches a box; its halves are arranged as in [`halve`].
     fn descend(&mut self, boxes: &[NodeBounds], particles: &[u32]) {
         let Some((bounds, rest)) = boxes.split_first() else { return };
@@ -130,7 +130,7 @@ impl<See: FnMut(u32) -> TreeParticle> NearestSearch<See> {
             return;
         }
         if rest.is_empty() {
-            particles.iter().for_each(|&particle| self.look_at(particle));
+            particles.iter().for_each(|&particle| self.visit(particle));
             return;
         }
         let (one, other) = particles.split_at(particles.len() / 2);
@@ -144,7 +144,7 @@ impl<See: FnMut(u32) -> TreeParticle> NearestSearch<See> {
         }
     }
 
-    fn look_at(&mut self, particle: u32) {
+    fn visit(&mut self, particle: u32) {
         let TreeParticle { position, limit_world } = (self.particle_at)(particle);
         let found = ((position - self.point).length_squared(), particle);
         if self.is_nearer(found, limit_world) {

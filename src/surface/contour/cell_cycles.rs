@@ -108,9 +108,7 @@ fn segments_on(face: usize, signs: u8) -> Vec<[usize; 2]> {
 
 fn edge_between(one: usize, other: usize) -> usize {
     let ends = (one.min(other), one.max(other));
-    (0..12)
-        .find(|&edge| edge_corners(edge) == ends)
-        .expect("adjacent corners of a face share an edge")
+    (0..12).find(|&edge| edge_corners(edge) == ends).expect("adjacent corners of a face share an edge")
 }
 
 #[cfg(test)]

@@ -51,7 +51,11 @@ word_enum! {
 
 /// The surface φ = 0 as a closed triangle mesh in world units, oriented outward, with unit normals.
 pub fn contour(band: &NarrowBand, lattice: &Lattice, contouring: Contouring) -> Mesh {
-    assert_eq!(band.phi.leaves.len(), band.topology.len(), "φ must have one leaf of values per leaf of the topology");
+    assert_eq!(
+        band.phi.leaves.len(),
+        band.topology.len(),
+        "φ must have one leaf of values per leaf of the topology"
+    );
     let placement = Placement::new(&band.topology, lattice);
     let mut mesh = match contouring {
         Contouring::Dual => dual_contouring::dual_contour(band, &placement),

@@ -126,25 +126,25 @@ const NEIGHBOR_PATHS: [(usize, [(usize, usize); 3]); 26] = {
     while distance <= 3 {
         let mut slot = 0;
         while slot < 27 {
-            let mut paths = [(0, 0); 3];
-            let mut path_count = 0;
+            let mut steps = [(0, 0); 3];
+            let mut step_count = 0;
             let mut axis = 0;
             while axis < 3 {
-                let place = slot / weights[axis] % 3;
-                if place != 1 {
-                    let nearer = if place == 0 { slot + weights[axis] } else { slot - weights[axis] };
-                    paths[path_count] = (nearer, 2 * axis + place / 2);
-                    path_count += 1;
+                let coord = slot / weights[axis] % 3;
+                if coord != 1 {
+                    let nearer = if coord == 0 { slot + weights[axis] } else { slot - weights[axis] };
+                    steps[step_count] = (nearer, 2 * axis + coord / 2);
+                    step_count += 1;
                 }
                 axis += 1;
             }
-            if path_count == distance {
-                let mut rest = path_count;
+            if step_count == distance {
+                let mut rest = step_count;
                 while rest < 3 {
-                    paths[rest] = paths[0];
+                    steps[rest] = steps[0];
                     rest += 1;
                 }
-                paths[count] = (slot, paths);
+                paths[count] = (slot, steps);
                 count += 1;
             }
             slot += 1;
