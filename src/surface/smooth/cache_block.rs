@@ -20,7 +20,7 @@ use super::free_voxels::FreeVoxels;
 use crate::surface::grid::{Direction, NO_LEAF, Topology};
 
 /// Leaves per block: their inner Laplacians take 128 kB of a core's cache, beside the streamed fields.
-const CLUSTER_LEAVES: usize = 64;
+const BLOCK_LEAVES: usize = 64;
 
 /// Some leaves and their halo.
 pub(super) struct CacheBlock {
@@ -35,11 +35,11 @@ pub(super) struct CacheBlock {
 impl CacheBlock {
     /// Splits a topology into blocks, without leaves that have no free voxel.
     pub(super) fn all(topology: &Topology, band: &FreeVoxels) -> Vec<CacheBlock> {
-        (0..topology.len().div_ceil(CLUSTER_LEAVES))
+        (0..topology.len().div_ceil(BLOCK_LEAVES))
             .into_par_iter()
             .map(|index| {
-                let first = index * CLUSTER_LEAVES;
-                CacheBlock::new(topology, band, first..topology.len().min(first + CLUSTER_LEAVES))
+                let first = index * BLOCK_LEAVES;
+                CacheBlock::new(topology, band, first..topology.len().min(first + BLOCK_LEAVES))
             })
             .filter(|block| band.free_rows[block.leaves.clone()].iter().any(|&rows| rows != 0))
             .collect()

@@ -61,10 +61,10 @@ const STIFFNESS_THIN: f32 = 0.1;
 const PASSES_PER_ROOT: [f32; 2] = [1.0, 1.5];
 
 /// Fraction of a step's change that the next step is predicted to repeat.
-const EXPECTED_REPETITION: f32 = 0.6;
+const PREDICTED_REPETITION: f32 = 0.6;
 
 /// Upper limit of the predicted change, in voxels.
-const EXPECTED_CHANGE_MAX: f32 = 1.0;
+const PREDICTED_CHANGE_MAX: f32 = 1.0;
 
 /// Coefficients and pass counts of a step, derived from the spectral bounds alone, so the same for all
 /// frames.
@@ -121,7 +121,7 @@ impl HeavyBall<'_> {
         let topology = self.band.topology.clone();
         let thick = thick(&topology, &region.free);
         if passes.start == 0 {
-            self.predict(&region, if is_first_step { 0.0 } else { EXPECTED_REPETITION });
+            self.predict(&region, if is_first_step { 0.0 } else { PREDICTED_REPETITION });
         }
         let [thin_end, thick_end] = self.params.passes;
         let count_until = |end: u32| passes.end.min(end).saturating_sub(passes.start);
@@ -161,11 +161,13 @@ impl HeavyBall<'_> {
             let (start, current, bounds) = (&*self.start, &self.band.phi, self.bounds);
             let fields = Fields { topology: &topology, region, thick, start, current, bounds };
             let params = &self.params;
-            pieces(&blocks, &mut self.previous.leaves).into_par_iter().for_each(|(block, previous)| {
-                SCRATCH.with_borrow_mut(|laplacians| {
-                    simd::dispatch(BlockPass { fields: &fields, params, block, laplacians, previous });
-                });
-            });
+            pair_with_leaves(&blocks, &mut self.previous.leaves).into_par_iter().for_each(
+                |(block, previous)| {
+                    SCRATCH.with_borrow_mut(|laplacians| {
+                        simd::dispatch(BlockPass { fields: &fields, params, block, laplacians, previous });
+                    });
+                },
+            );
             std::mem::swap(&mut self.band.phi, self.previous);
         }
         region.free_count(self.own) * u64::from(count)
@@ -188,7 +190,7 @@ impl Kernel for Predict<'_> {
 
     #[inline(always)]
     fn run<V: Lanes>(self) {
-        let (repetition, limit) = (V::splat(self.repetition), EXPECTED_CHANGE_MAX);
+        let (repetition, limit) = (V::splat(self.repetition), PREDICTED_CHANGE_MAX);
         for row in 0..ROW_COUNT {
             let phi = V::load(self.phi.row(row));
             let change = phi.sub(V::load(self.start.row(row))).max(V::splat(-limit)).min(V::splat(limit));
@@ -207,7 +209,10 @@ thread_local! {
 }
 
 /// Pairs each block with its leaves of a field.
-fn pieces<'a>(blocks: &'a [CacheBlock], leaves: &'a mut [Leaf]) -> Vec<(&'a CacheBlock, &'a mut [Leaf])> {
+fn pair_with_leaves<'a>(
+    blocks: &'a [CacheBlock],
+    leaves: &'a mut [Leaf],
+) -> Vec<(&'a CacheBlock, &'a mut [Leaf])> {
     let (mut rest, mut passed) = (leaves, 0);
     blocks
         .iter()

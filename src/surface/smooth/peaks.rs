@@ -1,7 +1,6 @@
 //! Finds the peaks of φ at the centers of balls, which implicit steps must pin.
 //!
-//! h outside, tends to the radius √(R² − 9 h²), or vanishes. Explicit steps redistance before this has an
-//! effect; an implicit step relaxes all at once.
+//! ```text
 //!        distance to a ball                without pinning, the peak moves
 //!
 //!          ╲            ╱                    ╲            ╱
@@ -15,7 +14,8 @@
 //!
 //! The distance r to a point is biharmonic everywhere except at that point: ∇⁴r = −8π δ. With its peak, a
 //! ball is stationary. Without pinning, the peak relaxes like a plate released at one point. A ball that is
-//! free throughout, between fixed values
+//! free throughout, between values fixed 3 h outside, tends to the radius √(R² − 9 h²), or vanishes. Explicit
+//! steps redistance before this has an effect; an implicit step relaxes all at once.
 //!
 //! Sheets and threads have creases along which φ is constant. These are not pinned, because that would pin
 //! the surface, too. A peak is distinguished by φ falling off in all directions.
@@ -40,50 +40,53 @@ use crate::surface::simd::{self, Kernel, Lanes};
 /// Minimum fall of |φ| from a peak to every point of the [shell], in voxels. For a ball, at least 1.31 from
 /// some voxel, wherever its center lies between voxels; for a thread, less than 0.76 toward some point; for a
 /// sheet, less than 0.18.
-const FALL_LEAST: f32 = 1.0;
+const FALL_MIN: f32 = 1.0;
 
 /// Minimum curvature along each axis; for a ball, 0.79. A quick test that rejects most voxels.
-const BEND_LEAST: f32 = 0.6;
+const CURVATURE_MIN: f32 = 0.6;
 
 /// Depths of peaks, in voxels: nearer to the surface there are none, and farther away no voxel around is
 /// free.
 const DEPTHS: [f32; 2] = [1.0, 5.0];
 
 /// Radius of the pinned region around a peak, in steps along the axes.
-const HELD_AROUND: usize = 2;
+const PINNED_AROUND: usize = 2;
 
 /// Reach of the shell along an axis.
 const SHELL_REACH: i32 = 3;
 
 /// Maximum distance of the voxels that affect whether a voxel is pinned.
-pub(super) const PEAK_REACH: u32 = HELD_AROUND as u32 + SHELL_REACH as u32;
+pub(super) const PEAK_REACH: u32 = PINNED_AROUND as u32 + SHELL_REACH as u32;
 
 /// The voxels at and around peaks, except those next to the surface: pinning these would pin the surface, up
 /// to 0.24 voxels too far out around the smallest balls.
 pub(super) fn pinned_peaks(topology: &Topology, phi: &Field) -> Vec<LeafMask> {
-    let mut held = peaks(topology, phi);
-    if held.par_iter().any(|peaks| !peaks.is_empty()) {
-        for _ in 0..HELD_AROUND {
-            held = with_neighbors(topology, &held, &[0, 1, 2], 1, LeafMask::or);
+    let mut pinned = peaks(topology, phi);
+    if pinned.par_iter().any(|peaks| !peaks.is_empty()) {
+        for _ in 0..PINNED_AROUND {
+            pinned = with_neighbors(topology, &pinned, &[0, 1, 2], 1, LeafMask::or);
         }
-        held.par_iter_mut().zip(near(phi, DEPTHS[0])).for_each(|(held, beside)| held.remove_all(&beside));
+        pinned
+            .par_iter_mut()
+            .zip(near(phi, DEPTHS[0]))
+            .for_each(|(pinned, beside)| pinned.remove_all(&beside));
     }
-    held
+    pinned
 }
 
 fn peaks(topology: &Topology, phi: &Field) -> Vec<LeafMask> {
     let shell = shell();
-    let tips_of = |leaf: usize| {
+    let peaks_in_leaf = |leaf: usize| {
         let around = Neighborhood::new(&phi.leaves, topology.neighbors(), leaf);
         let mut peaks = LeafMask::EMPTY;
-        for offset in simd::dispatch(Bends { around: &around }).iter() {
+        for offset in simd::dispatch(CurvesInward { around: &around }).iter() {
             if falls_all_around(topology, phi, topology.origins()[leaf] + voxel_in_leaf(offset), &shell) {
                 peaks.insert(offset);
             }
         }
         peaks
     };
-    (0..topology.len()).into_par_iter().map(tips_of).collect()
+    (0..topology.len()).into_par_iter().map(peaks_in_leaf).collect()
 }
 
 /// Steps in all directions, about three voxels long.
@@ -104,23 +107,23 @@ fn falls_all_around(topology: &Topology, phi: &Field, voxel: IVec3, shell: &[IVe
         Some(phi.leaves[leaf].values[offset_in_leaf(local)])
     };
     value(voxel).is_some_and(|at| {
-        let falls = |beyond: f32| 1f32.copysign(at) * (at - beyond) > FALL_LEAST;
+        let falls = |beyond: f32| 1f32.copysign(at) * (at - beyond) > FALL_MIN;
         shell.iter().all(|step| value(voxel + step).is_some_and(falls))
     })
 }
 
 /// Kernel: the voxels of a leaf where φ curves toward the surface along all three axes.
-struct Bends<'a> {
+struct CurvesInward<'a> {
     around: &'a Neighborhood<'a>,
 }
 
-impl Kernel for Bends<'_> {
+impl Kernel for CurvesInward<'_> {
     type Output = LeafMask;
 
     #[inline(always)]
     fn run<V: Lanes>(self) -> LeafMask {
         let mut bends = LeafMask::EMPTY;
-        let bend_least = V::splat(BEND_LEAST);
+        let bend_least = V::splat(CURVATURE_MIN);
         let [shallowest, deepest] = DEPTHS.map(V::splat);
         for x in 0..8 {
             let slab = self.around.slab(x);
@@ -147,7 +150,7 @@ mod tests {
     use super::*;
 
     /// The peaks in 4³ leaves for this φ, clamped to a band's half width.
-    fn tips_of(phi: impl Fn(Vec3) -> f32) -> Vec<IVec3> {
+    fn peaks_in_leaf(phi: impl Fn(Vec3) -> f32) -> Vec<IVec3> {
         let origins = (0..64).map(|leaf| IVec3::new(leaf >> 4, leaf >> 2 & 3, leaf & 3) * 8).collect();
         let topology = Topology::new(origins);
         let mut field = Field::splat(topology.len(), 0.0);
@@ -170,7 +173,7 @@ mod tests {
             let center = Vec3::splat(14.0) + place;
             for radius in [2.0, 3.3, 4.9] {
                 for side in [1.0, -1.0] {
-                    let found = tips_of(|point| side * (point.distance(center) - radius));
+                    let found = peaks_in_leaf(|point| side * (point.distance(center) - radius));
                     assert!(!found.is_empty(), "{center} {radius}");
                     for voxel in found {
                         assert!(voxel.as_vec3().distance(center) < 1.25, "{voxel} {center}");
@@ -191,7 +194,9 @@ mod tests {
             let sheet = |point: Vec3| along(point).abs() - 2.5;
             let thread = |point: Vec3| across(point) - 2.5;
             let edge = |point: Vec3| along(point).max(other.dot(point - middle)) - 1.5;
-            for (index, found) in [tips_of(sheet), tips_of(thread), tips_of(edge)].into_iter().enumerate() {
+            for (index, found) in
+                [peaks_in_leaf(sheet), peaks_in_leaf(thread), peaks_in_leaf(edge)].into_iter().enumerate()
+            {
                 assert_eq!(found, [], "{index} {normal}");
             }
         }
@@ -208,10 +213,10 @@ mod tests {
                 leaf.values[offset] = (origin + voxel_in_leaf(offset) - tip).as_vec3().length() - 3.0;
             }
         }
-        let held = pinned_peaks(&topology, &phi);
+        let pinned = pinned_peaks(&topology, &phi);
         let is_held = |voxel: IVec3| {
             let leaf = topology.find(voxel & !7).expect("stored");
-            held[leaf].contains(offset_in_leaf(voxel & 7))
+            pinned[leaf].contains(offset_in_leaf(voxel & 7))
         };
         for offset in 0..125 {
             let step = IVec3::new(offset / 25, offset / 5 % 5, offset % 5) - 2;
