@@ -1,11 +1,11 @@
 //! Extracts a triangle mesh from φ.
 //!
 //! ```text
-//!   signs of all voxels ──▶ Neighborhood ──▶ crossed cells  ──▶ vertex and triangle ──▶ index ranges
-//!                           SignRows         and edges          counts                  per leaf
+//!   signs of all voxels ──▶ LeafNeighborhood ──▶ crossed cells ──▶ vertex and triangle ──▶ index ranges
+//!                           SignRows             and edges         counts                  per leaf
 //!
-//!                                        Block ──▶ crossings, gradients ──▶ vertices  ─┐ written to
-//!                                                                           triangles ─┴▶ their ranges
+//!                                    PhiBlock ──▶ crossings, gradients ──▶ vertices  ─┐ written to
+//!                                                                         triangles ─┴▶ their ranges
 //! ```
 //!
 //! Both methods guarantee for any φ: the mesh is closed; every edge is in two triangles with opposite

@@ -7,7 +7,7 @@
 //! ```text
 //!    voxel      −1 │ 0  1  2  3  4  5  6  7 │ 8   9
 //!    SignRows    • │ •  •  •  •  •  •  •  • │ •         one bit per voxel, 10 × 10 rows of 10 bits
-//!    Block       • │ •  •  •  •  •  •  •  • │ •   •     φ, 11 × 11 × 11
+//!    PhiBlock    • │ •  •  •  •  •  •  •  • │ •   •     φ, 11 × 11 × 11
 //!    cells     └─┴─┴──┴──┴──┴──┴──┴──┴──┴───┘           cell −1 belongs to the previous leaf
 //! ```
 //!

@@ -119,8 +119,7 @@ impl Smoothed {
 ///
 /// let settings = Settings::paper(0.1, &MethodOptions::default())?;
 /// let drop = skin(&Particles::Single(vec![[1.0, 2.0, 3.0]]), &settings);
-/// An isolated particle becomes a ball, and the certificate confirms that it lies between the particle's two
-/// radii.
+/// // An isolated particle becomes a ball, and the certificate confirms that it lies between its two radii.
 /// assert!(drop.report.certificate.holds());
 /// assert_eq!(drop.mesh.measure().euler_characteristic, 2);
 /// # Ok::<(), meniscus::surface::options::SettingsError>(())
