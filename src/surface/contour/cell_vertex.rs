@@ -250,7 +250,7 @@ fn nearest_point(sums: [f32; PLANE_SUMS]) -> Vec3 {
     mean + (products + spring).inverse() * (Vec3::new(right_x, right_y, right_z) - products * mean)
 }
 
-/// Moves points along ∇φ towards the zero set of the curved interpolant.
+/// Moves points along ∇φ toward the zero set of the curved interpolant.
 #[inline(always)]
 fn project(samples: &Samples, points: &mut [Column; 3]) {
     let [x, y, z] = points;

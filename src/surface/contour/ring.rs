@@ -56,7 +56,7 @@ pub(super) fn segment_key(first_voxel: IVec3, normal_axis: usize, corner: [usize
 /// The four cells around a crossed edge, counter-clockwise as seen from its end.
 ///
 /// ```text
-///        c             a: the edge's axis, towards the reader
+///        c             a: the edge's axis, toward the reader
 ///    1   │   0         b, c: the axes after it
 ///   ─────┼───── b      side k: the face between cell k and cell k + 1
 ///    2   │   3

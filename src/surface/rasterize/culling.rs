@@ -32,8 +32,8 @@
 //! - The corners of its own cell are within √3 of it, so it is inside any surface that is found.
 //!
 //! If the smoothed surface is moved inward by b, a vertex x may lie within S_min. Then some point of the
-//! surface before the move is at distance b from x. The argument holds for that point if all voxels within ρ
-//! + b + 3/2·√3 of p are checked.
+//! surface before the move is at distance b from x. The argument holds for that point if all voxels within
+//! ρ + b + 3/2·√3 of p are checked.
 //!
 //! For anisotropic particles, the argument uses balls that each particle certainly contains. [Round](ROUND)
 //! particles contain larger balls than flat ones, so what is deep with the balls of the round ones alone is

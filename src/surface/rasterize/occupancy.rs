@@ -4,7 +4,7 @@
 //!   a voxel     ┌───┬───┐      each of its eight octants has a bit, set if a particle is in it:
 //!               │ ● │   │      512 bytes per leaf, however many particles it contains
 //!               ├───┼───┤
-//!               │   │●● │      (a voxel's own octants are those towards larger x, y and z)
+//!               │   │●● │      (a voxel's own octants are those toward larger x, y and z)
 //!               └───┴───┘
 //! ```
 //!

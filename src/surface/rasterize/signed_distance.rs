@@ -16,8 +16,8 @@ use crate::surface::grid::{Field, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
 use crate::surface::level_set::{Sweeps, UNREACHED, extend};
 use crate::surface::simd::{self, Kernel, Lanes};
 
-/// The signed distance to one of the unions, swept up to the half width; values farther away are only bounds.
-/// Reuses the memory of a field that is no longer needed, so request the unions in the order S_0, S_max,
+/// The signed distance to one of the unions, swept up to the half width; values beyond it are only
+/// approximate. Reuses a field's memory after its last use, so request the unions in the order S_0, S_max,
 /// S_min.
 pub(super) fn signed_distance(
     topology: &Topology,

@@ -141,8 +141,8 @@ mod tests {
         };
         let settings = Settings::paper(0.1, &choices).expect("sound");
         let mut surface = skin_cloud(drops(&[(0.0, 1.5), (9.0, 2.0)]), &settings, &Obstacles::default());
-        let told = surface.report.transfer.clone().expect("transferred").vertices;
-        assert!(told.lonely_count == surface.mesh.positions.len() && told.empty_count == 0, "{told:?}");
+        let counts = surface.report.transfer.clone().expect("transferred").vertices;
+        assert!(counts.lonely_count == surface.mesh.positions.len() && counts.empty_count == 0, "{counts:?}");
         let AttributeValues::Numbers(found) = &surface.attributes.vertices[1].values else { panic!("reals") };
         for (position, x) in surface.mesh.positions.iter().zip(found) {
             let own = if f64::from(position.x) + surface.mesh.origin.x < 4.0 { 0.0 } else { 9.0 };

@@ -37,8 +37,8 @@ pub trait Storage: Send + Sync {
 /// The fields of a frame, in one storage per file.
 pub(super) struct FieldStore {
     storages: Vec<Box<dyn Storage>>,
-    /// For each changing field, which of its two buffers is current.
-    swap: [usize; 3],
+    /// For each changing field, which of its two buffers holds the current values.
+    current: [usize; 3],
 }
 
 /// Number of storages that a frame needs.
@@ -52,20 +52,20 @@ impl FieldStore {
     /// Creates an empty store.
     pub(super) fn new(storages: Vec<Box<dyn Storage>>) -> FieldStore {
         assert_eq!(storages.len(), SHELF_COUNT, "one storage per field");
-        FieldStore { storages, swap: [0; 3] }
+        FieldStore { storages, current: [0; 3] }
     }
 
     /// Writes φ and the bounds of consecutive leaves, from slot `first` on.
     pub(super) fn put(&self, first: usize, [phi, lower, upper]: [&Field; 3]) -> io::Result<()> {
-        for (shelf, field) in [(self.swap[0], phi), (LOWER, lower), (UPPER, upper)] {
-            write_run(&*self.storages[shelf], first, &field.leaves)?;
+        for (file, field) in [(self.current[0], phi), (LOWER, lower), (UPPER, upper)] {
+            write_run(&*self.storages[file], first, &field.leaves)?;
         }
         Ok(())
     }
 
     /// Reads the current values of a changing field in these slots.
     pub(super) fn read(&self, field: usize, slots: &[Range<usize>]) -> io::Result<Field> {
-        read_runs(&*self.storages[2 * field + self.swap[field]], slots)
+        read_runs(&*self.storages[2 * field + self.current[field]], slots)
     }
 
     /// Reads the bounds in these slots.
@@ -75,13 +75,13 @@ impl FieldStore {
 
     /// Writes the next values of a changing field. They become current with [`swap`](FieldStore::swap).
     pub(super) fn write(&self, field: usize, first: usize, leaves: &[Leaf]) -> io::Result<()> {
-        write_run(&*self.storages[2 * field + 1 - self.swap[field]], first, leaves)
+        write_run(&*self.storages[2 * field + 1 - self.current[field]], first, leaves)
     }
 
     /// Swaps the buffers of these fields.
     pub(super) fn swap(&mut self, written: FieldSet) {
-        for (swap, written) in self.swap.iter_mut().zip(written) {
-            *swap ^= usize::from(written);
+        for (current, written) in self.current.iter_mut().zip(written) {
+            *current ^= usize::from(written);
         }
     }
 }

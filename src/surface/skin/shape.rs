@@ -7,9 +7,9 @@
 //! ```
 //!
 //! Particles deep inside do not affect the surface, so they stay where they are and remain balls. The
-//! required depth is part of the method and does not depend on tiles or memory: more than R plus the
-//! particles' own r_max below every voxel that is not certainly within r_init of a given particle. R ensures
-//! that where a particle starts to be left unmoved, all its neighbors are present and deep: there the mean is
+//! required depth is part of the method and does not depend on tiles or memory: a particle is deep if it is
+//! farther than R plus its own r_max from every voxel that is not certainly within r_init of a given
+//! particle. R ensures that the neighborhood of an unmoved particle is complete: there the mean is
 //! approximately the particle itself, and its shape approximately a ball. r_max ensures that the unmoved
 //! particles are covered by those that are moved. Voids that smoothing would open deep inside, where the
 //! particle density changes within R, stay closed.
