@@ -84,7 +84,7 @@ impl BandAttribute {
 
     /// The values of all voxels of a leaf, `arity` each. Values of voxels outside the band are meaningless.
     ///
-    /// Panics if there is no such leaf, or `out` is too short for 512 voxels.
+    /// Panics if the leaf does not exist, or `out` is too short for 512 voxels.
     pub fn fill(&self, leaf: usize, out: &mut [f32]) {
         let around = self.nodes.topology.neighborhood(leaf);
         for component in 0..self.arity {

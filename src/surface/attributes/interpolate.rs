@@ -211,7 +211,7 @@ fn mean_row<V: Lanes>(
     mean
 }
 
-/// The mean of an attribute over the particles with finite values; leaves `out` unchanged if there are none.
+/// The mean of an attribute over the particles with finite values; otherwise `out` is unchanged.
 #[inline(always)]
 fn mean_of_sound(
     source: &TransferSource,

@@ -16,7 +16,7 @@
 //! particles within R, and at least 12. The weights fall to one half at 0.45 R, about 1.2 particle spacings.
 //! So the noise of single particles is smoothed, and a shear across a few particles is preserved. Particles
 //! may be larger than r_max (per-particle radii, ellipsoids). If no particle is within R, the nearest
-//! particle is used whose own surface can be that far away. If there is none either, numbers are 0, integers
+//! particle is used whose own surface can be that far away. If that is missing, too, numbers are 0, integers
 //! −1, strings missing, and the point is counted.
 //!
 //! **In the band** around the surface, renderers of volumes need values several voxels wide. Outside, they

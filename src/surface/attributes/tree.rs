@@ -58,7 +58,7 @@ impl Tree {
         Tree { particles, boxes }
     }
 
-    /// The nearest particle that reaches a point; on ties, the first. [`NO_PARTICLE`] if there is none.
+    /// The nearest particle that reaches a point; on ties, the first. [`NO_PARTICLE`] if none does.
     pub(super) fn nearest(&self, point: DVec3, particle_at: impl FnMut(u32) -> TreeParticle) -> u32 {
         let mut search = NearestSearch { point, particle_at, nearest: (f64::INFINITY, NO_PARTICLE) };
         if point.is_finite() {

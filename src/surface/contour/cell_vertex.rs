@@ -356,19 +356,19 @@ const STENCIL_START: usize = BLOCK_STEP[0];
 /// Offsets of the stencil's voxels from its first one, in a block.
 const STENCIL: [usize; STENCIL_COUNT] = {
     let mut offsets = [0; STENCIL_COUNT];
-    let mut place = 0;
-    while place < STENCIL_COUNT {
-        let corner = place % 8;
-        offsets[place] = STENCIL_START + CORNER_OFFSETS[corner];
-        if place >= 8 {
-            let axis = place / 8 - 1;
+    let mut entry = 0;
+    while entry < STENCIL_COUNT {
+        let corner = entry % 8;
+        offsets[entry] = STENCIL_START + CORNER_OFFSETS[corner];
+        if entry >= 8 {
+            let axis = entry / 8 - 1;
             if corner & corner_bit(axis) == 0 {
-                offsets[place] -= BLOCK_STEP[axis];
+                offsets[entry] -= BLOCK_STEP[axis];
             } else {
-                offsets[place] += BLOCK_STEP[axis];
+                offsets[entry] += BLOCK_STEP[axis];
             }
         }
-        place += 1;
+        entry += 1;
     }
     offsets
 };

@@ -21,7 +21,7 @@ use crate::surface::mesh::{self, Mesh, TriangleBatch};
 use crate::surface::simd::{Kernel, Lanes, dispatch};
 use crate::surface::space::Lattice;
 
-/// Where the slope of φ is below this, as between two sheets, there is no normal and no curvature.
+/// Where the slope of φ is below this, as between two sheets, the normal and the curvature are undefined.
 const LEAST_SLOPE: f32 = 0.1;
 
 /// The grid cannot represent spheres smaller than a voxel.
@@ -183,7 +183,7 @@ impl CurvatureBatch {
     /// The mean curvature of the level set through a voxel.
     #[inline(always)]
     fn voxel_curvature(&self, voxel: usize, lane: usize) -> f32 {
-        let phi = |place: usize| self.phi[place][lane];
+        let phi = |neighbor: usize| self.phi[neighbor][lane];
         let here = phi(voxel);
         let slope = |axis: usize| 0.5 * (phi(voxel + STEP[axis]) - phi(voxel - STEP[axis]));
         let bend = |axis: usize| (phi(voxel + STEP[axis]) - here) - (here - phi(voxel - STEP[axis]));

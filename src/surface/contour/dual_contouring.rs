@@ -35,7 +35,7 @@
 //!
 //! Seen along its grid edge, a quad has one vertex strictly inside each quadrant around the edge
 //! ([`CELL_MARGIN`](super::cell_vertex::CELL_MARGIN)). So it is star-shaped about the edge and has at most
-//! one reflex corner; the diagonal from this corner, or any diagonal if there is none, splits it into two
+//! one reflex corner; the diagonal from this corner, or any diagonal without such a corner, splits it into two
 //! triangles that are not flipped. The center of a fan is on the edge itself, and its other additional
 //! vertices lie on the half-axes between the quadrants. Rounding preserves this order as long as it is finer
 //! than the margin. Where it might matter, the split is decided on the rounded positions, so the guarantee

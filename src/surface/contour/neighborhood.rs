@@ -271,10 +271,10 @@ impl PhiBlock {
                 let rows = &mut self.planes[x.start + i];
                 for j in 0..y.count {
                     let row = (x.first_voxel + i) * 8 + y.first_voxel + j;
-                    let place = &mut rows[y.start + j];
-                    place[0] = before.row(row)[7];
-                    place[1..9].copy_from_slice(here.row(row));
-                    place[9..11].copy_from_slice(&after.row(row)[..2]);
+                    let target_row = &mut rows[y.start + j];
+                    target_row[0] = before.row(row)[7];
+                    target_row[1..9].copy_from_slice(here.row(row));
+                    target_row[9..11].copy_from_slice(&after.row(row)[..2]);
                 }
             }
         }

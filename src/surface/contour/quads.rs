@@ -1,6 +1,6 @@
 //! The triangles of the dual mesh: a quad around each crossed edge, split along one of its diagonals.
 //!
-//! Each leaf first collects the vertices of its own cells and of the cells just before it:
+//! Each leaf first collects the vertices of its cells and of the cells just before them:
 //!
 //! ```text
 //!    cells      −1 │ 0  1  2  3  4  5  6  7        9 × 9 × 9: all cells around its edges

@@ -11,7 +11,7 @@
 //!                       mask word x, byte y of it, bit z
 //! ```
 //!
-//! All fields of a frame share one [`Topology`]. A field is one flat, aligned allocation of leaves in the
+//! All fields of a frame share one [`Topology`]. A field is a single flat, aligned allocation of leaves in the
 //! topology's order. The grid does not depend on distances or particles.
 //!
 //! Invariants: leaf origins are multiples of 8, distinct, and sorted in the depth-first order of an OpenVDB

@@ -39,10 +39,10 @@ impl Topology {
     /// The topology of the leaves with these origins: multiples of 8, in any order, duplicates allowed.
     pub fn new(origins: Vec<IVec3>) -> Topology {
         debug_assert!(origins.iter().all(|origin| origin.rem_euclid(IVec3::splat(LEAF_EDGE)) == IVec3::ZERO));
-        let mut places: Vec<u128> = origins.into_par_iter().map(tree_order).collect();
-        places.par_sort_unstable();
-        places.dedup();
-        let origins: Vec<IVec3> = places.into_par_iter().map(origin_from_order).collect();
+        let mut codes: Vec<u128> = origins.into_par_iter().map(tree_order).collect();
+        codes.par_sort_unstable();
+        codes.dedup();
+        let origins: Vec<IVec3> = codes.into_par_iter().map(origin_from_order).collect();
         assert!(origins.len() < NO_LEAF as usize, "more leaves than 32-bit indices allow");
         let index_of: FxHashMap<IVec3, u32> =
             origins.iter().enumerate().map(|(index, &origin)| (origin, index as u32)).collect();
@@ -178,10 +178,9 @@ fn tree_order(origin: IVec3) -> u128 {
 }
 
 /// The inverse of [`tree_order`].
-fn origin_from_order(place: u128) -> IVec3 {
+fn origin_from_order(code: u128) -> IVec3 {
     let axis = |axis: u32| {
-        let digits =
-            |shift: u32, bits: u32| (place >> (shift + (2 - axis) * bits)) as u32 & ((1 << bits) - 1);
+        let digits = |shift: u32, bits: u32| (code >> (shift + (2 - axis) * bits)) as u32 & ((1 << bits) - 1);
         (digits(27, 20) << 12 | digits(12, 5) << 7 | digits(0, 4) << 3) ^ 0x8000_0000
     };
     IVec3::new(axis(0) as i32, axis(1) as i32, axis(2) as i32)
@@ -216,9 +215,8 @@ mod tests {
         // Every second, third … leaf of a block, so that slots are reachable by all, some or none of their
         // paths.
         for every in 2..7 {
-            let places = (0..125).filter(|place| place * place % 11 % every != 0);
-            let origins =
-                places.map(|place| (IVec3::new(place / 25, place / 5 % 5, place % 5) - 2) * LEAF_EDGE);
+            let cells = (0..125).filter(|cell| cell * cell % 11 % every != 0);
+            let origins = cells.map(|cell| (IVec3::new(cell / 25, cell / 5 % 5, cell % 5) - 2) * LEAF_EDGE);
             let topology = Topology::new(origins.collect());
             for (leaf, &origin) in topology.origins().iter().enumerate() {
                 for (slot, index) in topology.neighborhood(leaf).into_iter().enumerate() {

@@ -77,7 +77,7 @@ pub(super) fn component_volumes(mesh: &Mesh) -> Vec<f64> {
     let mut volumes = vec![None; parents.len()];
     for &[a, b, c] in &mesh.triangles {
         let root = find(&mut parents, a);
-        // Relative to one of its own vertices, so that a small, distant component loses no precision.
+        // Relative to a vertex of the component, so that a small, distant component loses no precision.
         let corner =
             |vertex: u32| (mesh.positions[vertex as usize] - mesh.positions[root as usize]).as_dvec3();
         let volume = corner(a).dot(corner(b).cross(corner(c))) / 6.0;

@@ -153,13 +153,13 @@ impl<'a> FlatRemoval<'a> {
             return false;
         };
         // Each edge with its opposite corner, shortest first.
-        let mut edges = [0, 1, 2].map(|place| {
-            let [from, to] = [corners[place], corners[(place + 1) % 3]];
-            (at(view, from).distance(at(view, to)), place)
+        let mut edges = [0, 1, 2].map(|k| {
+            let [from, to] = [corners[k], corners[(k + 1) % 3]];
+            (at(view, from).distance(at(view, to)), k)
         });
         edges.sort_unstable_by(|one, other| one.0.total_cmp(&other.0).then(one.1.cmp(&other.1)));
         let [shortest, middle, longest] = edges;
-        let ends = |place: usize| [corners[place], corners[(place + 1) % 3]];
+        let ends = |k: usize| [corners[k], corners[(k + 1) % 3]];
         let is_needle = shortest.0 <= NEEDLE * longest.0;
         is_needle && self.collapse_edge(ends(shortest.1))
             || self.flip_edge(triangle, ends(longest.1))
@@ -336,11 +336,11 @@ mod tests {
 
     /// A cube with `count` × `count` squares per face, each split into two triangles.
     fn cube(count: u32) -> Mesh {
-        let mut places: FxHashMap<[u32; 3], u32> = FxHashMap::default();
+        let mut vertex_at: FxHashMap<[u32; 3], u32> = FxHashMap::default();
         let mut mesh = Mesh::default();
-        let mut vertex = |place: [u32; 3]| {
-            *places.entry(place).or_insert_with(|| {
-                mesh.positions.push(Vec3::from(place.map(|along| along as f32)));
+        let mut vertex = |position: [u32; 3]| {
+            *vertex_at.entry(position).or_insert_with(|| {
+                mesh.positions.push(Vec3::from(position.map(|along| along as f32)));
                 mesh.positions.len() as u32 - 1
             })
         };
@@ -350,9 +350,10 @@ mod tests {
                 for i in 0..count {
                     for j in 0..count {
                         let corner = |u: u32, v: u32| {
-                            let mut place = [0; 3];
-                            (place[axis], place[(axis + 1) % 3], place[(axis + 2) % 3]) = (end, i + u, j + v);
-                            place
+                            let mut position = [0; 3];
+                            (position[axis], position[(axis + 1) % 3], position[(axis + 2) % 3]) =
+                                (end, i + u, j + v);
+                            position
                         };
                         let [a, b, c, d] =
                             [corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)].map(&mut vertex);

@@ -48,7 +48,7 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
     /// World position that `positions` are relative to. Zero unless the frame is so far from the world origin
     /// that 32-bit positions would be too imprecise. Always a whole number of voxels, except for a given
-    /// level set on a lattice of its own.
+    /// level set on another lattice.
     pub origin: DVec3,
 }
 

@@ -254,12 +254,12 @@ fn gather<'a, T: Copy + Send + Sync + 'a>(
     pieces.into_par_iter().for_each(|(range, piece)| {
         let (leaves, start) = (&leaves[range.clone()], starts[range.start]);
         let (Some(&first), Some(&last)) = (leaves.first(), leaves.last()) else { return };
-        let mut cursors: Vec<usize> = starts[range].iter().map(|place| place - start).collect();
+        let mut cursors: Vec<usize> = starts[range].iter().map(|leaf_start| leaf_start - start).collect();
         for batch in batches {
-            let mut place = 0;
+            let mut leaf_index = 0;
             for (leaf, from) in batch.leaves_from(first).take_while(|&(leaf, _)| leaf <= last) {
-                place += leaves[place..].partition_point(|&other| other < leaf);
-                let cursor = &mut cursors[place];
+                leaf_index += leaves[leaf_index..].partition_point(|&other| other < leaf);
+                let cursor = &mut cursors[leaf_index];
                 piece[*cursor..*cursor + from.len()].copy_from_slice(&of(batch)[from.clone()]);
                 *cursor += from.len();
             }

@@ -145,8 +145,8 @@ mod tests {
         for (leaf, octants) in around.iter().enumerate() {
             let step = IVec3::new(leaf as i32 / 9, leaf as i32 / 3 % 3, leaf as i32 % 3) - 1;
             for (row, bits) in octants.rows.into_iter().enumerate() {
-                let places = (0..16).filter(|z| bits >> z & 1 == 1);
-                all.extend(places.map(|z| step * 16 + IVec3::new(row as i32 / 16, row as i32 % 16, z)));
+                let set = (0..16).filter(|z| bits >> z & 1 == 1);
+                all.extend(set.map(|z| step * 16 + IVec3::new(row as i32 / 16, row as i32 % 16, z)));
             }
         }
         all
@@ -162,8 +162,8 @@ mod tests {
         for (sparse, radius) in [(5, 0.5), (5, 1.0), (20, 1.732), (200, 2.598), (1500, 3.7), (1500, 60.0)] {
             let around: [Octants; 27] = std::array::from_fn(|_| {
                 let mut octants = Octants::EMPTY;
-                for place in (0..4096).filter(|_| random() % sparse == 0) {
-                    octants.rows[place / 16] |= 1 << (place % 16);
+                for index in (0..4096).filter(|_| random() % sparse == 0) {
+                    octants.rows[index / 16] |= 1 << (index % 16);
                 }
                 octants
             });

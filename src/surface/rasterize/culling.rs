@@ -29,21 +29,21 @@
 //!   neighbors are also among those around it: these voxels are settled.
 //! - A mesh vertex that it is nearest to is nearer than ρ + √3/2, so the corners of the vertex's cell are within
 //!   ρ + 3/2·√3. All of them are in S_min, where φ is negative, and such a cell has no vertex.
-//! - The corners of its own cell are within √3 of it, so it is inside any surface that is found.
+//! - The corners of the particle's cell are within √3 of it, so it is inside any surface that is found.
 //!
 //! If the smoothed surface is moved inward by b, a vertex x may lie within S_min. Then some point of the
 //! surface before the move is at distance b from x. The argument holds for that point if all voxels within
 //! ρ + b + 3/2·√3 of p are checked.
 //!
 //! For anisotropic particles, the argument uses balls that each particle certainly contains. [Round](ROUND)
-//! particles contain larger balls than flat ones, so what is deep with the balls of the round ones alone is
-//! deep. In this case, all particles are kept that reach a leaf where distances may be needed: a long
+//! particles contain larger balls than flat ones, so regions that are deep with the balls of the round ones
+//! alone are deep. In this case, all particles are kept that reach a leaf where distances may be needed: a long
 //! particle may be the nearest to a distant point.
 //!
 //! Where an obstacle's surface passes through a deep region, the fluid has a surface, too, so these leaves
 //! are near.
 //!
-//! Validation uses the kept particles to decide what is inside where φ is not stored. If r_init is above √3,
+//! Validation uses the kept particles to find the inside where φ is not stored. If r_init is above √3,
 //! a single particle suffices for that; below, no particle is dropped. For anisotropic particles, the set of
 //! deep leaves is kept for this purpose.
 
@@ -237,8 +237,8 @@ fn covers(
     leaves.origins().par_iter().map(cover).collect()
 }
 
-/// Collects one value for a leaf and its 26 neighbors; step (x, y, z) is at index (x + 1)·9 + (y + 1)·3 + z +
-/// 1.
+/// Collects one value for a leaf and its 26 neighbors.
+/// The value at step (x, y, z) has the index (x + 1)·9 + (y + 1)·3 + z + 1.
 fn cube<T>(at: impl Fn(IVec3) -> T) -> [T; 27] {
     std::array::from_fn(|index| {
         let index = index as i32;

@@ -84,12 +84,12 @@ impl<'a> DistanceSolver<'a> {
                 };
                 Distances::Nearest(nearest_distances(packets, leaves, *reach, settled, known))
             }
-            DistanceSolver::Balls(bodies) => {
-                let fields = bodies.distances(leaves, settled, |origin| known_leaves(known, origin));
+            DistanceSolver::Balls(primitives) => {
+                let fields = primitives.distances(leaves, settled, |origin| known_leaves(known, origin));
                 Distances::Signed { fields, is_exact_outside: true }
             }
-            DistanceSolver::Ellipsoids(bodies) => {
-                let fields = bodies.distances(leaves, settled, |origin| known_leaves(known, origin));
+            DistanceSolver::Ellipsoids(primitives) => {
+                let fields = primitives.distances(leaves, settled, |origin| known_leaves(known, origin));
                 Distances::Signed { fields, is_exact_outside: false }
             }
         }

@@ -72,7 +72,7 @@ pub(super) struct BallShape(pub(super) f32);
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EllipsoidShape {
     ellipsoid: Ellipsoid,
-    shadow: RowForm,
+    row_form: RowForm,
     /// At most the shortest half axis; replaces the 0 / 0 at the exact center.
     ratio_min: f32,
 }
@@ -81,7 +81,7 @@ impl EllipsoidShape {
     pub(super) fn new(ellipsoid: Ellipsoid) -> EllipsoidShape {
         let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball;
         let norm = (xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + xz * xz + yz * yz)).sqrt();
-        EllipsoidShape { shadow: RowForm::of(&ellipsoid), ratio_min: 1.0 / norm, ellipsoid }
+        EllipsoidShape { row_form: RowForm::of(&ellipsoid), ratio_min: 1.0 / norm, ellipsoid }
     }
 }
 
@@ -102,7 +102,7 @@ struct SizeClass<F> {
     starts: Vec<usize>,
     boxes: Vec<BoxPacket>,
     /// Eight for each packet of boxes.
-    bodies: Vec<Primitive<F>>,
+    primitives: Vec<Primitive<F>>,
     /// Range of the half axes of each leaf's particles.
     axes: Vec<HalfAxisRange>,
     /// Maximum distance at which one of them can lower a value, in voxels.
@@ -119,7 +119,7 @@ struct Primitive<F> {
     /// In voxels from the origin of its leaf.
     center: Vec3,
     extents: Vec3,
-    form: F,
+    shape: F,
 }
 
 /// Bounds of the half axes of some particles, in units of the radii.
@@ -131,11 +131,11 @@ struct HalfAxisRange {
 
 impl<F: ParticleShape> Primitives<F> {
     /// Sorts the particles of the bins into size classes.
-    pub(super) fn new(bins: &ParticleBins, radii: Radii, form: impl Fn(usize) -> F + Sync) -> Primitives<F> {
+    pub(super) fn new(bins: &ParticleBins, radii: Radii, shape: impl Fn(usize) -> F + Sync) -> Primitives<F> {
         let complete_to = F::complete_to(&radii);
         let radii = [radii.max, radii.init, radii.min];
         let class_of = |particle: usize| {
-            let doublings = (form(particle).longest() / CLASS_LONGEST).log2().ceil();
+            let doublings = (shape(particle).longest() / CLASS_LONGEST).log2().ceil();
             // The value is in 0..256, so the cast is lossless.
             doublings.max(0.0) as u8
         };
@@ -144,7 +144,7 @@ impl<F: ParticleShape> Primitives<F> {
         numbers.par_sort_unstable();
         numbers.dedup();
         let class = |&number: &u8| {
-            SizeClass::new(bins, radii[0], |particle| (class_of[particle] == number).then(|| form(particle)))
+            SizeClass::new(bins, radii[0], |particle| (class_of[particle] == number).then(|| shape(particle)))
         };
         Primitives { classes: numbers.iter().map(class).collect(), radii, complete_to }
     }
@@ -201,34 +201,34 @@ impl<F: ParticleShape> Primitives<F> {
 }
 
 impl<F: ParticleShape> SizeClass<F> {
-    /// Collects the particles of a class: those for which `form` returns a shape.
-    fn new(bins: &ParticleBins, outermost: f32, form: impl Fn(usize) -> Option<F> + Sync) -> SizeClass<F> {
+    /// Collects the particles of a class: those for which `shape` returns a shape.
+    fn new(bins: &ParticleBins, outermost: f32, shape: impl Fn(usize) -> Option<F> + Sync) -> SizeClass<F> {
         let of_leaf = |leaf: usize| {
             let (range, positions) = (bins.range(leaf), bins.in_leaf(leaf));
-            let bodies = range.zip(positions).filter_map(|(particle, &center)| {
-                let form = form(particle)?;
-                Some(Primitive { center, extents: form.extents(outermost), form })
+            let primitives = range.zip(positions).filter_map(|(particle, &center)| {
+                let shape = shape(particle)?;
+                Some(Primitive { center, extents: shape.extents(outermost), shape })
             });
-            (bins.topology.origins()[leaf], bodies.collect::<Vec<_>>())
+            (bins.topology.origins()[leaf], primitives.collect::<Vec<_>>())
         };
         let leaves: Vec<(IVec3, Vec<Primitive<F>>)> = (0..bins.topology.len())
             .into_par_iter()
             .map(of_leaf)
-            .filter(|(_, bodies)| !bodies.is_empty())
+            .filter(|(_, primitives)| !primitives.is_empty())
             .collect();
-        let (mut starts, mut boxes, mut bodies, mut axes) = (vec![0], Vec::new(), Vec::new(), Vec::new());
+        let (mut starts, mut boxes, mut primitives, mut axes) = (vec![0], Vec::new(), Vec::new(), Vec::new());
         let mut reach = 0f32;
         for (_, of_leaf) in &leaves {
             for eight in of_leaf.chunks(8) {
                 boxes.push(boxes_of(eight));
-                bodies.extend((0..8).map(|place| eight[place.min(eight.len() - 1)]));
+                primitives.extend((0..8).map(|lane| eight[lane.min(eight.len() - 1)]));
             }
             starts.push(boxes.len());
-            axes.push(HalfAxisRange::of(of_leaf.iter().map(|body| body.form)));
-            reach = of_leaf.iter().fold(reach, |reach, body| reach.max(body.extents.max_element()));
+            axes.push(HalfAxisRange::of(of_leaf.iter().map(|primitive| primitive.shape)));
+            reach = of_leaf.iter().fold(reach, |reach, primitive| reach.max(primitive.extents.max_element()));
         }
         let topology = Topology::new(leaves.iter().map(|&(origin, _)| origin).collect());
-        SizeClass { topology, starts, boxes, bodies, axes, reach, steps: leaf_steps_within(reach) }
+        SizeClass { topology, starts, boxes, primitives, axes, reach, steps: leaf_steps_within(reach) }
     }
 
     fn leaf(&self, leaf: usize, step: IVec3) -> NearbyLeaf<'_, F> {
@@ -236,7 +236,7 @@ impl<F: ParticleShape> SizeClass<F> {
         NearbyLeaf {
             step: step.as_vec3(),
             boxes: &self.boxes[first..last],
-            bodies: &self.bodies[8 * first..8 * last],
+            primitives: &self.primitives[8 * first..8 * last],
             axes: self.axes[leaf],
         }
     }
@@ -246,8 +246,8 @@ impl HalfAxisRange {
     /// The range of an empty set.
     const NONE: HalfAxisRange = HalfAxisRange { shortest: f32::INFINITY, longest: 0.0 };
 
-    fn of<F: ParticleShape>(forms: impl Iterator<Item = F>) -> HalfAxisRange {
-        let axes = forms.map(|form| HalfAxisRange { shortest: form.shortest(), longest: form.longest() });
+    fn of<F: ParticleShape>(shapes: impl Iterator<Item = F>) -> HalfAxisRange {
+        let axes = shapes.map(|shape| HalfAxisRange { shortest: shape.shortest(), longest: shape.longest() });
         axes.fold(HalfAxisRange::NONE, HalfAxisRange::with)
     }
 
@@ -260,13 +260,13 @@ impl HalfAxisRange {
     }
 }
 
-fn boxes_of<F>(bodies: &[Primitive<F>]) -> BoxPacket {
+fn boxes_of<F>(primitives: &[Primitive<F>]) -> BoxPacket {
     let mut boxes =
         [[f32::INFINITY; 8], [f32::INFINITY; 8], [f32::INFINITY; 8], [0.0; 8], [0.0; 8], [0.0; 8]];
-    for (place, body) in bodies.iter().enumerate() {
+    for (lane, primitive) in primitives.iter().enumerate() {
         for axis in 0..3 {
-            boxes[axis][place] = body.center[axis];
-            boxes[3 + axis][place] = body.extents[axis];
+            boxes[axis][lane] = primitive.center[axis];
+            boxes[3 + axis][lane] = primitive.extents[axis];
         }
     }
     boxes
@@ -278,7 +278,7 @@ struct NearbyLeaf<'a, F> {
     step: Vec3,
     boxes: &'a [BoxPacket],
     /// Eight for each packet of boxes.
-    bodies: &'a [Primitive<F>],
+    primitives: &'a [Primitive<F>],
     axes: HalfAxisRange,
 }
 
@@ -302,9 +302,13 @@ impl<F: ParticleShape> Kernel for Signed<'_, F> {
         let mut values = LeafValues::new::<V>(self.settled, self.radii, axes);
         for around in self.around {
             for (eight, boxes) in around.boxes.iter().enumerate() {
-                for place in Bits(near_bits::<V>(boxes, around.step)) {
-                    let body = &around.bodies[8 * eight + (place & 7)];
-                    body.form.lower::<V>(&mut values, body.center + around.step, body.extents);
+                for lane in Bits(near_bits::<V>(boxes, around.step)) {
+                    let primitive = &around.primitives[8 * eight + (lane & 7)];
+                    primitive.shape.lower::<V>(
+                        &mut values,
+                        primitive.center + around.step,
+                        primitive.extents,
+                    );
                 }
             }
         }
@@ -482,7 +486,7 @@ impl ParticleShape for EllipsoidShape {
 
     #[inline(always)]
     fn lower<V: Lanes>(&self, values: &mut LeafValues, center: Vec3, extents: Vec3) {
-        let EllipsoidShape { ellipsoid, shadow, ratio_min } = self;
+        let EllipsoidShape { ellipsoid, row_form, ratio_min } = self;
         let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball;
         let dz = along_z::<V>(center.z);
         let counts_along_z = V::not(V::splat(extents.z).lt(dz.abs()));
@@ -491,7 +495,7 @@ impl ParticleShape for EllipsoidShape {
             let dx = x as f32 - center.x;
             for y in voxels_within(center.y, extents.y) {
                 let (row, dy) = (x * 8 + y, y as f32 - center.y);
-                if shadow.least_squared(dx, dy) > values.row_limits[row] {
+                if row_form.least_squared(dx, dy) > values.row_limits[row] {
                     continue;
                 }
                 let at = Vec3::new(xx * dx + xy * dy, xy * dx + yy * dy, xz * dx + yz * dy);

@@ -75,8 +75,8 @@ impl<'a> ParticlePackets<'a> {
 fn packets_of(locals: &[Vec3]) -> impl Iterator<Item = ParticlePacket> {
     locals.chunks(8).map(|particles| {
         let mut eight = [[f32::INFINITY; 8]; 3];
-        for (place, particle) in particles.iter().enumerate() {
-            eight.iter_mut().zip(particle.to_array()).for_each(|(axis, along)| axis[place] = along);
+        for (lane, particle) in particles.iter().enumerate() {
+            eight.iter_mut().zip(particle.to_array()).for_each(|(axis, along)| axis[lane] = along);
         }
         eight
     })
@@ -104,8 +104,8 @@ impl Kernel for Nearest<'_> {
         let mut lowered_count = 0;
         for &(step, packets) in self.around {
             for eight in packets {
-                for place in Bits(near_bits::<V>(eight, step, limits.greatest)) {
-                    let local = Vec3::new(eight[0][place & 7], eight[1][place & 7], eight[2][place & 7]);
+                for lane in Bits(near_bits::<V>(eight, step, limits.greatest)) {
+                    let local = Vec3::new(eight[0][lane & 7], eight[1][lane & 7], eight[2][lane & 7]);
                     lower_to_sphere::<V>(&mut squared, &limits, local + step);
                     lowered_count += 1;
                 }

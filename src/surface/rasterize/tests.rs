@@ -52,24 +52,24 @@ pub(super) fn jittered(half_edge: i32, spacing: f32, holds: impl Fn(Vec3) -> boo
     };
     let count = (half_edge as f32 / spacing) as i32;
     let axis = || -count..=count;
-    let places = axis().flat_map(|x| axis().flat_map(move |y| axis().map(move |z| IVec3::new(x, y, z))));
-    let places = places.map(|place| place.as_vec3() * spacing).filter(|&place| holds(place));
-    places.map(|place| (place + Vec3::new(moved(), moved(), moved())).to_array()).collect()
+    let points = axis().flat_map(|x| axis().flat_map(move |y| axis().map(move |z| IVec3::new(x, y, z))));
+    let points = points.map(|point| point.as_vec3() * spacing).filter(|&point| holds(point));
+    points.map(|point| (point + Vec3::new(moved(), moved(), moved())).to_array()).collect()
 }
 
 /// A solid block, a hollow one, a sheet, spray, a single particle, and no particles.
 pub(super) fn scenes() -> Vec<(&'static str, Vec<[f32; 3]>)> {
-    let ball = |center: Vec3, radius: f32| move |place: Vec3| (place - center).length() < radius;
+    let ball = |center: Vec3, radius: f32| move |point: Vec3| (point - center).length() < radius;
     let mut spray = jittered(40, 11.0, |_| true);
     spray.extend([[40.0, 40.5, 41.0], [40.1, 40.4, 41.5]]);
-    let hollow = jittered(26, 2.0, |place| {
-        ball(Vec3::ZERO, 26.0)(place) && !ball(Vec3::new(4.0, 1.0, 0.0), 13.0)(place)
+    let hollow = jittered(26, 2.0, |point| {
+        ball(Vec3::ZERO, 26.0)(point) && !ball(Vec3::new(4.0, 1.0, 0.0), 13.0)(point)
     });
     vec![
         ("solid", jittered(26, 2.0, ball(Vec3::ZERO, 26.0))),
-        ("dense solid", jittered(17, 1.0, |place| place.abs().max_element() < 17.0)),
+        ("dense solid", jittered(17, 1.0, |point| point.abs().max_element() < 17.0)),
         ("hollow", hollow),
-        ("sheet", jittered(30, 1.5, |place| (place.z - 0.2 * place.x).abs() < 1.0)),
+        ("sheet", jittered(30, 1.5, |point| (point.z - 0.2 * point.x).abs() < 1.0)),
         ("spray", spray),
         ("one", vec![[-0.2, 7.99, 8.0]]),
         ("none", Vec::new()),
@@ -236,9 +236,9 @@ fn culling_changes_no_bit() {
 /// Also with particles in a different batch order, and with batches that are skipped.
 #[test]
 fn windows_equal_the_whole_frame() {
-    let bar = |place: Vec3| place.y.abs() < 5.0 && (place.z - 0.1 * place.x).abs() < 3.0;
+    let bar = |point: Vec3| point.y.abs() < 5.0 && (point.z - 0.1 * point.x).abs() < 3.0;
     let mut positions = jittered(150, 2.0, bar);
-    positions.extend(jittered(14, 1.0, |place| place.length() < 14.0));
+    positions.extend(jittered(14, 1.0, |point| point.length() < 14.0));
     let mut whole_count = 0;
     for radii in [RADII[0], RADII[2]] {
         let Ok(whole) = rasterize(&Particles::Single(positions.clone()), &Scene::open(LATTICE, radii));

@@ -148,9 +148,9 @@ fn surface_stays_in_the_band_if_bounds_exceed_it() {
 
 #[test]
 fn windows_equal_the_whole_frame() {
-    let bar = |place: Vec3| place.y.abs() < 5.0 && (place.z - 0.1 * place.x).abs() < 3.0;
+    let bar = |point: Vec3| point.y.abs() < 5.0 && (point.z - 0.1 * point.x).abs() < 3.0;
     let mut positions = jittered(100, 2.0, bar);
-    positions.extend(jittered(14, 1.0, |place| place.length() < 14.0));
+    positions.extend(jittered(14, 1.0, |point| point.length() < 14.0));
     let radii = Radii { roomy: 2.0, ..RADII[0] };
     for shapes in [scales(positions.len(), 5.0), ellipsoids(positions.len(), 1.0, 2.5)] {
         let source = cloud(&positions, shapes);

@@ -122,7 +122,7 @@ impl Vicinity {
     }
 
     /// Splits the vicinity into blocks that gather about `particles_max` particles each, or more if a single
-    /// leaf has more. Blocks follow the order of the source as far as that is sorted.
+    /// leaf has more. Blocks follow the order of the source if that is spatially sorted.
     pub fn blocks(&self, particles_max: usize) -> Vec<Block> {
         let margin = self.margin;
         let leaves = &self.occupancy.topology;
@@ -184,22 +184,24 @@ impl Vicinity {
             }
             let positions = source.batch(index)?;
             let placed = LeafCoords::new(&positions, lattice);
-            let mut places: Vec<(u32, bool)> = Vec::new();
+            let mut selected: Vec<(u32, bool)> = Vec::new();
             for (origin, run) in placed.runs().filter(|(origin, _)| block.gathered.contains(origin)) {
                 let Some(leaf) = self.occupancy.topology.find(origin) else { continue };
                 let own = if block.own.contains(&origin) { &self.cells[leaf] } else { &LeafMask::EMPTY };
                 let of_cells = run.clone().zip(placed.locals[run].iter().map(|local| cell_of(*local)));
                 let near = of_cells.filter(|(_, cell)| self.around[leaf].contains(*cell));
-                places.extend(near.map(|(place, cell)| (place as u32, own.contains(cell))));
+                selected.extend(near.map(|(particle, cell)| (particle as u32, own.contains(cell))));
             }
             let scales = match source.shapes_of(index) {
-                Shapes::Scaled(scales) => places.iter().map(|&(place, _)| scales[place as usize]).collect(),
+                Shapes::Scaled(scales) => {
+                    selected.iter().map(|&(particle, _)| scales[particle as usize]).collect()
+                }
                 Shapes::Balls | Shapes::Ellipsoids(_) => Vec::new(),
             };
             Ok(Gathered {
-                sources: places.iter().map(|&(place, _)| [index as u32, place]).collect(),
-                positions: places.iter().map(|&(place, _)| in_world(&positions, place)).collect(),
-                is_own: places.iter().map(|&(_, is_own)| is_own).collect(),
+                sources: selected.iter().map(|&(particle, _)| [index as u32, particle]).collect(),
+                positions: selected.iter().map(|&(particle, _)| in_world(&positions, particle)).collect(),
+                is_own: selected.iter().map(|&(_, is_own)| is_own).collect(),
                 scales,
             })
         };
@@ -219,8 +221,8 @@ impl Vicinity {
     }
 }
 
-fn in_world(positions: &Positions, place: u32) -> [f64; 3] {
-    let position: DVec3 = positions.position(place as usize);
+fn in_world(positions: &Positions, particle: u32) -> [f64; 3] {
+    let position: DVec3 = positions.position(particle as usize);
     position.to_array()
 }
 

@@ -122,7 +122,7 @@ pub const LEVEL_VARIABLE: &str = "MENISCUS_SIMD";
 
 /// A computation that is compiled for each level.
 ///
-/// `run`, and all that it calls in a loop, must be `#[inline(always)]`: only what is inlined into the level's
+/// `run`, and all that it calls in a loop, must be `#[inline(always)]`: only code that is inlined into the level's
 /// entry is compiled for that level.
 pub trait Kernel {
     /// The result.

@@ -27,7 +27,7 @@ use crate::surface::report::SkinReport;
 use crate::surface::smooth;
 use crate::surface::validation::{Part, certificate};
 
-/// Maximum slack, in voxels: the stored band around the surface is no wider.
+/// Maximum slack, in voxels: the stored band around the surface is not wider.
 pub const SLACK_MAX_VOXELS: f32 = 3.0;
 
 /// Half width that other programs expect of a level set, in voxels: narrower bands are widened.
@@ -115,7 +115,7 @@ impl BoundedBand {
         report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
         // Files may store world positions, so rounding depends on where the mesh is.
         mesh.origin += translation;
-        // There are no particles to check.
+        // A level set has no particles to check.
         let no_part = |_: &StoredMesh, _: &mut dyn FnMut(&Part)| Ok::<(), Infallible>(());
         let Ok(checks) = finish::finalize(&mut mesh, (settings, stored), &mut report, no_part);
         let counts = (bound_violation_count, 0);
@@ -177,7 +177,7 @@ fn crossed_edge_count(band: &NarrowBand) -> usize {
         let beyond = |face: usize| inside.get(neighbors[leaf][face] as usize).unwrap_or(own);
         (0..3)
             .map(|axis| {
-                // Beyond the last leaf, there are no crossings.
+                // The surface has no crossings beyond the last leaf.
                 let [_, after] = own.shifted(axis, 1, own, beyond(2 * axis + 1));
                 own.and(&after.complement()).or(&after.and(&own.complement())).iter().count()
             })

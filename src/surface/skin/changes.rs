@@ -74,7 +74,7 @@ pub(super) fn changed_bytes(is_moved: bool, is_stretched: bool) -> [f64; 2] {
 pub(super) struct Changes {
     /// How far a mean at distance R moves a particle, in world units: λR.
     step_world: f64,
-    /// Scale of particles without one of their own that are not stretched; `None` if particles keep their
+    /// Scale given to particles without one that are not stretched; `None` if particles keep their
     /// shapes.
     ball: Option<f32>,
     /// For each batch, the start of its words in `changed` and of its particles in `means` and `shapes`; one

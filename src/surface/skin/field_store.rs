@@ -19,7 +19,7 @@ use crate::surface::grid::{Field, LEAF_VOXELS, Leaf};
 use crate::surface::smooth::FieldSet;
 
 /// Random-access storage for data that does not fit into memory, usually a temporary file. Offsets are
-/// absolute. Calls may come from several threads. Callers never read what was not written.
+/// absolute. Calls may come from several threads. Callers only read bytes that were written.
 pub trait Storage: Send + Sync {
     /// Reads `bytes.len()` bytes at `offset`.
     ///

@@ -52,7 +52,7 @@ pub struct Surface {
     pub mesh: Mesh,
     /// Attributes of the surface; empty unless [transferred](transfer).
     pub attributes: SurfaceAttributes,
-    /// What was measured.
+    /// Measurements and validation results.
     pub report: SkinReport,
 }
 

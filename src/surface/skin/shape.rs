@@ -145,7 +145,7 @@ const GATHERED_MAX: usize = 1 << 22;
 struct Depth {
     /// Radius that a particle certainly covers, in voxels.
     cover_voxels: f32,
-    /// Scale of balls without one of their own, in units of the settings' radii.
+    /// Scale given to balls without one, in units of the settings' radii.
     ball: f32,
     neighbor_voxels: f64,
     radius_max_voxels: f64,
@@ -183,7 +183,7 @@ impl Depth {
     }
 }
 
-/// Which particles neighbors may move or stretch; `None` if there is no such step.
+/// Which particles neighbors may move or stretch; `None` if the settings have no such step.
 pub(super) fn near_surface(settings: &Settings) -> Option<NearSurface> {
     let depth = Depth::new(settings, settings.own_radii.is_some());
     settings.uses_neighbors().then(|| NearSurface { depth: depth.voxels(1.0), cover: depth.cover_voxels })
@@ -297,8 +297,8 @@ impl<S: ParticleSource> ParticleSource for ShapedSource<S> {
             return Ok(Vec::new());
         }
         let positions = self.given.batch(batch)?;
-        let both = |(place, step)| {
-            let given = positions.position(place);
+        let both = |(particle, step)| {
+            let given = positions.position(particle);
             [given, given + step]
         };
         Ok(moves.map(both).collect())
@@ -460,7 +460,7 @@ mod tests {
         let (mut positions, mut shapes) = (Vec::new(), Vec::new());
         for batch in 0..source.batch_count() {
             let Ok(of_batch) = source.batch(batch) else { panic!("in memory") };
-            let bits = |place| of_batch.position(place).to_array().map(f64::to_bits);
+            let bits = |particle| of_batch.position(particle).to_array().map(f64::to_bits);
             positions.extend((0..of_batch.len()).map(bits));
             if let Shapes::Ellipsoids(ellipsoids) = source.shapes_of(batch) {
                 shapes.extend(ellipsoids);
@@ -519,10 +519,10 @@ mod tests {
             let step = settings.position_smoothing * settings.neighbor_radius;
             let Particles::Double(mut positions) = cloud.positions.clone() else { panic!("64 bits") };
             let mut shapes = vec![Ellipsoid::ball(1.0); positions.len()];
-            for (place, &index) in found.indices.iter().enumerate() {
-                let mean = rounded(found.means[place]).as_dvec3();
+            for (particle, &index) in found.indices.iter().enumerate() {
+                let mean = rounded(found.means[particle]).as_dvec3();
                 moved_double(&mut positions[index as usize], mean * step);
-                if let Some(&shape) = found.shapes.get(place) {
+                if let Some(&shape) = found.shapes.get(particle) {
                     shapes[index as usize] = shape;
                 }
             }

@@ -103,7 +103,7 @@ impl Tiling {
         Tiling::new(&origins, tile_leaves, halo_leaves)
     }
 
-    /// Number of tiles with leaves of their own.
+    /// Number of tiles that own leaves.
     #[cfg(test)]
     pub(super) fn tile_count(&self) -> usize {
         self.tiles.len()

@@ -18,7 +18,7 @@
 //! ```
 //!
 //! Eigenvalues near one belong to modes wider than the layer of free voxels along a surface. Only where
-//! layers merge ([`thickness`](super::thickness)) is there room for them. Elsewhere the minimum is l = 1 +
+//! layers merge ([`thickness`](super::thickness)) do they fit. Elsewhere the minimum is l = 1 +
 //! 0.1 Δt, so √l times fewer passes are enough.
 //!
 //! ```text
@@ -131,7 +131,7 @@ impl HeavyBall<'_> {
         if alone == 0 || thick.par_iter().all(LeafMask::is_empty) {
             return moved_count;
         }
-        // Voxels that are no longer updated must have the same value in both buffers.
+        // Voxels that stop being updated must have the same value in both buffers.
         let fields = self.previous.leaves.par_iter_mut().zip(&self.band.phi.leaves).zip(&thick);
         fields.for_each(|((previous, phi), thick)| simd::dispatch(CopyFrozen { previous, phi, thick }));
         moved_count + self.pass(&FreeVoxels::of(&topology, thick.clone()), &thick, alone)

@@ -45,8 +45,8 @@ const FALL_MIN: f32 = 1.0;
 /// Minimum curvature along each axis; for a ball, 0.79. A quick test that rejects most voxels.
 const CURVATURE_MIN: f32 = 0.6;
 
-/// Depths of peaks, in voxels: nearer to the surface there are none, and farther away no voxel around is
-/// free.
+/// Depths of peaks, in voxels: nearer to the surface they do not occur, and farther away all voxels around
+/// them are fixed.
 const DEPTHS: [f32; 2] = [1.0, 5.0];
 
 /// Radius of the pinned region around a peak, in steps along the axes.
@@ -169,8 +169,8 @@ mod tests {
     #[test]
     fn balls_and_bubbles_have_one_peak_each() {
         for step in 0..64 {
-            let place = IVec3::new(step >> 4, step >> 2 & 3, step & 3).as_vec3() / 6.0;
-            let center = Vec3::splat(14.0) + place;
+            let shift = IVec3::new(step >> 4, step >> 2 & 3, step & 3).as_vec3() / 6.0;
+            let center = Vec3::splat(14.0) + shift;
             for radius in [2.0, 3.3, 4.9] {
                 for side in [1.0, -1.0] {
                     let found = peaks_in_leaf(|point| side * (point.distance(center) - radius));
@@ -207,14 +207,14 @@ mod tests {
         let topology =
             Topology::new((0..8).map(|leaf| IVec3::new(leaf >> 2, leaf >> 1 & 1, leaf & 1) * 8).collect());
         let mut phi = Field::splat(topology.len(), -6.0);
-        let tip = IVec3::new(7, 8, 8);
+        let peak = IVec3::new(7, 8, 8);
         for (leaf, origin) in phi.leaves.iter_mut().zip(topology.origins()) {
             for offset in 0..512 {
-                leaf.values[offset] = (origin + voxel_in_leaf(offset) - tip).as_vec3().length() - 3.0;
+                leaf.values[offset] = (origin + voxel_in_leaf(offset) - peak).as_vec3().length() - 3.0;
             }
         }
         let pinned = pinned_peaks(&topology, &phi);
-        let is_held = |voxel: IVec3| {
+        let is_pinned = |voxel: IVec3| {
             let leaf = topology.find(voxel & !7).expect("stored");
             pinned[leaf].contains(offset_in_leaf(voxel & 7))
         };
@@ -222,7 +222,7 @@ mod tests {
             let step = IVec3::new(offset / 25, offset / 5 % 5, offset % 5) - 2;
             // Two voxels away φ is −1: next to the surface.
             let is_near = step.abs().element_sum() <= 2 && step.as_vec3().length() < 2.0;
-            assert_eq!(is_held(tip + step), is_near, "{step}");
+            assert_eq!(is_pinned(peak + step), is_near, "{step}");
         }
     }
 }

@@ -187,7 +187,7 @@ fn rings_of_chunk(
 }
 
 /// Appends the ring of a vertex, given its corners `[next, prev]`. Returns false if they do not form a ring;
-/// what was appended is then meaningless.
+/// the appended values are then meaningless.
 fn push_ring(neighbors: &mut Vec<u32>, vertex: u32, corners: &[[u32; 2]]) -> bool {
     let start = neighbors.len();
     let is_sound = (DEGREE_LEAST..=DEGREE_MAX).contains(&corners.len());
