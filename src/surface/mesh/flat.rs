@@ -5,11 +5,11 @@
 //!
 //!        c                    c                  c                      c
 //!      ╱   ╲                ╱   ╲              ╱   ╲                  ╱ │ ╲
-//!     ╱   ╭──u       ──▶   ╱      ╲           a ─ u ─ b       ──▶     a  u  b       u lies on the edge a–b
-//!    d ───┴──v            d ────── v            ╲   ╱                  ╲ │ ╱
-//!                                                 d                      d
-//!    u coincides with v, or almost:          the edge a–b, on which u lies, is flipped
-//!    it is collapsed into v                  to u–d: no vertex moves
+//!    ╱   ╭──u       ──▶   ╱      ╲           a ─ u ─ b       ──▶     a  u  b       u lies on the edge a–b
+//!   d ───┴──v            d ────── v            ╲   ╱                  ╲ │ ╱
+//!                                                d                      d
+//!   u coincides with v, or almost:          the edge a–b, on which u lies, is flipped
+//!   it is collapsed into v                  to u–d: no vertex moves
 //! ```
 //!
 //! Flat triangles result from rounding positions: in 32 bits far from the mesh's origin, or in 16 bits. A

@@ -107,7 +107,7 @@ impl Smoothed {
 /// Surfaces one frame: applies anisotropy, rasterizes, smooths, contours. Runs in the caller's rayon pool;
 /// the same particles and settings give bit-identical results on any number of threads. Particles that are
 /// not finite, or too far away for the grid, are dropped and counted in the report, and so are a few that are
-/// more than 2²⁰ voxels from all others. [`plan`] detects voxels that are too small for a frame.
+/// more than 2²⁰ voxels from all others. [`plan()`] detects voxels that are too small for a frame.
 ///
 /// Positions are in world units, like the voxel size and the radii in the settings. `docs/method.md` explains
 /// the method, after Bhattacharya, Gao and Bargteil.
