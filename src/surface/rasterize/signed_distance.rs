@@ -63,9 +63,9 @@ fn known_voxels(
         });
         let outside = |leaf: usize| inside[leaf].complement();
         let known_outside = if distances.is_exact_outside() {
-            let mut told = simd::dispatch(Below { leaf: &values.leaves[leaf], limit: OUT_OF_REACH });
-            told.remove_all(&inside[leaf]);
-            told
+            let mut within_reach = simd::dispatch(Below { leaf: &values.leaves[leaf], limit: OUT_OF_REACH });
+            within_reach.remove_all(&inside[leaf]);
+            within_reach
         } else {
             of_side(outside(leaf), leaf, &|neighbor| match neighbor {
                 NO_LEAF => LeafMask::FULL,

@@ -157,7 +157,7 @@ impl<'a> Decimation<'a> {
         }
     }
 
-    /// Evaluates the waiting vertices, except those that are above the limit in any case.
+    /// Evaluates the dirty vertices, except those that are above the limit in any case.
     fn evaluate_dirty(&mut self, limit: f32) {
         let dirty = std::mem::take(&mut self.dirty);
         let look = |&vertex: &u32| {
