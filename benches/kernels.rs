@@ -35,7 +35,7 @@ use glam::{IVec3, Vec3};
 use meniscus::surface::grid::{Field, LEAF_EDGE, Leaf, LeafMask, ROW_COUNT, Topology, voxel_in_leaf};
 use meniscus::surface::level_set::{Bounds, NarrowBand, Sweeps, UNREACHED, extend};
 use meniscus::surface::simd::{self, Kernel, LEVEL_VARIABLE, Lanes, Level};
-use meniscus::surface::smooth::{Act, Config, Integrator, Memory, Work};
+use meniscus::surface::smooth::{Config, Integrator, SmoothContext, SmoothOp, Workspace};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 /// Radii of the shells, in voxels. Their passes stream 1, 14 and 200 MB: about a core's own cache, the shared
@@ -272,18 +272,23 @@ fn pass_rate(shell: &Shell, pool: &ThreadPool) -> f64 {
         step_size: 20.0,
         redistance_every: 1,
         cg_tolerance: 0.0,
-        keeps_spheres: false,
+        pin_isolated_spheres: false,
         distances_voxels: 0.0,
     };
     let mut band = shell.band.clone();
-    let mut memory = Memory::new(shell.leaf_count());
-    let mut act = |count: u32| {
+    let mut memory = Workspace::new(shell.leaf_count());
+    let mut op = |count: u32| {
         band.phi.leaves.copy_from_slice(&shell.band.phi.leaves);
         let start = Instant::now();
-        let mut work =
-            Work { config: &config, band: &mut band, bounds: &shell.bounds, memory: &mut memory, own: None };
+        let mut work = SmoothContext {
+            config: &config,
+            band: &mut band,
+            bounds: &shell.bounds,
+            workspace: &mut memory,
+            own: None,
+        };
         let tally =
-            pool.install(|| work.perform(Act::Passes { step: 0, first: 0, count, holds_tips: false }));
+            pool.install(|| work.apply(SmoothOp::Passes { step: 0, first: 0, count, pins_peaks: false }));
         (start.elapsed().as_secs_f64(), tally.moved_count)
     };
     // The difference between runs with several passes and with one is the time of the passes alone, without
@@ -291,7 +296,7 @@ fn pass_rate(shell: &Shell, pool: &ThreadPool) -> f64 {
     let mut moved_counts = [0; 2];
     let [several, one] = [0, 1].map(|which| {
         best(|| {
-            let (seconds, moved_count) = act([1 + TIMED_PASSES, 1][which]);
+            let (seconds, moved_count) = op([1 + TIMED_PASSES, 1][which]);
             moved_counts[which] = moved_count;
             seconds
         })

@@ -17,7 +17,9 @@ use meniscus::surface::grid::{Field, LEAF_VOXELS, Leaf, Topology, voxel_in_leaf}
 use meniscus::surface::level_set::{Bounds, NarrowBand};
 use meniscus::surface::mesh::MeshMeasures;
 use meniscus::surface::options::Contouring;
-use meniscus::surface::smooth::{Act, Config, Integrator, Memory, Work, acts, smooth, smooth_laplacian_only};
+use meniscus::surface::smooth::{
+    Config, Integrator, SmoothContext, SmoothOp, Workspace, schedule, smooth, smooth_laplacian_only,
+};
 use meniscus::surface::space::Lattice;
 
 use crate::Outcome;
@@ -113,14 +115,20 @@ fn distances(page: &mut Page) -> Outcome<()> {
     for (name, redistances) in [("without redistancing", false), ("redistanced", true)] {
         let (mut band, bounds) = start();
         let config = explicit(10_000);
-        let mut memory = Memory::new(band.topology.len());
+        let mut memory = Workspace::new(band.topology.len());
         // Redistancing comes first, and would repair the distorted distances.
-        let acts = acts(&config, u32::MAX)
+        let schedule = schedule(&config, u32::MAX)
             .into_iter()
-            .filter(|act| redistances || !matches!(act, Act::Restore | Act::Redistance));
-        for act in acts {
-            Work { config: &config, band: &mut band, bounds: &bounds, memory: &mut memory, own: None }
-                .perform(act);
+            .filter(|op| redistances || !matches!(op, SmoothOp::Restore | SmoothOp::Redistance));
+        for op in schedule {
+            SmoothContext {
+                config: &config,
+                band: &mut band,
+                bounds: &bounds,
+                workspace: &mut memory,
+                own: None,
+            }
+            .apply(op);
         }
         let [left, right] = [-1.0, 1.0].map(|side| roughness(&band, side));
         rows.push(vec![name.into(), format!("{left:.3}"), format!("{right:.3}")]);
@@ -141,7 +149,7 @@ fn explicit(steps: u32) -> Config {
         step_size: 0.01,
         redistance_every: 50,
         cg_tolerance: 0.0,
-        keeps_spheres: false,
+        pin_isolated_spheres: false,
         distances_voxels: 0.0,
     }
 }

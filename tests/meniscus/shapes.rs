@@ -32,7 +32,7 @@ pub(crate) fn default_config(integrator: Integrator) -> Config {
         step_size,
         redistance_every,
         cg_tolerance: 1e-4,
-        keeps_spheres: false,
+        pin_isolated_spheres: false,
         distances_voxels: 0.0,
     }
 }

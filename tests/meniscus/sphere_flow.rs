@@ -73,7 +73,7 @@ fn thin_plate_smoothing_gives_a_noisy_sphere_back() {
             step_size,
             redistance_every,
             cg_tolerance: 1e-4,
-            keeps_spheres: false,
+            pin_isolated_spheres: false,
             distances_voxels: 0.0,
         };
         smooth(&mut band, &bounds, &config);

@@ -94,7 +94,7 @@ fn every_command_refuses_voxels_that_are_too_small() {
             "a.ply",
             "the voxel size 1e-9 (--voxel-size) is too small",
             "particles are 0.1",
-            "the least that can be",
+            "the minimum is",
         ] {
             assert!(ran.err.contains(word), "{command:?} does not say {word}: {}{}", ran.out, ran.err);
         }

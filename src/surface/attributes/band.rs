@@ -1,12 +1,12 @@
-//! Attributes in the band around the surface, voxel by voxel as they are asked for.
+//! Attributes at the voxels of the band, computed on demand.
 
 use std::sync::Arc;
 
 use glam::IVec3;
 
-use super::nodes::{NODE_EDGE, needed_nodes, node_places};
-use super::source::Source;
-use super::{Reach, TransferCounts, at_places};
+use super::nodes::{NODE_EDGE, needed_nodes, node_points};
+use super::source::TransferSource;
+use super::{Support, TransferCounts, interpolate_at};
 use crate::surface::grid::{LEAF_VOXELS, NO_LEAF, Topology};
 use crate::surface::level_set::NarrowBand;
 use crate::surface::particles::{Attribute, AttributeValues, Meaning, Positions};
@@ -16,14 +16,14 @@ use crate::surface::space::Lattice;
 /// An attribute at the voxels of a band.
 #[derive(Clone, Debug)]
 pub struct BandAttribute {
-    /// Its name in the file of particles.
+    /// Its name in the particle file.
     pub name: String,
-    /// What it is known to mean.
+    /// Its semantic.
     pub meaning: Meaning,
-    /// Numbers per voxel.
+    /// Number of components per voxel.
     pub arity: usize,
     nodes: Arc<Nodes>,
-    /// `arity` numbers for each node, node by node.
+    /// `arity` values per node, node by node.
     values: Vec<f32>,
 }
 
@@ -31,32 +31,33 @@ pub struct BandAttribute {
 #[derive(Debug)]
 struct Nodes {
     topology: Arc<Topology>,
-    /// Those of each leaf.
+    /// The nodes of each leaf.
     needed: Vec<u64>,
-    /// How many there are in all leaves before.
+    /// Number of nodes in all previous leaves.
     starts: Vec<usize>,
 }
 
-/// Those attributes of the particles that are numbers, where |φ| is less than the half width.
+/// Transfers the numeric attributes of the particles to voxels with |φ| below the half width.
 ///
-/// Panics if an attribute has not one value for each component of each particle, or particles lack shapes.
+/// Panics if an attribute does not have `arity` values per particle, or if the number of shapes does not
+/// match.
 pub fn to_band<'a>(
     particles: impl Into<Positions<'a>>,
     attributes: &[&'a Attribute],
     (band, lattice): (&NarrowBand, &Lattice),
     half_width_voxels: f32,
-    reach: Reach<'a>,
+    support: Support<'a>,
 ) -> (Vec<BandAttribute>, TransferCounts) {
     let is_numbers = |attribute: &&&'a Attribute| matches!(attribute.values, AttributeValues::Numbers(_));
     let attributes: Vec<&'a Attribute> = attributes.iter().filter(is_numbers).copied().collect();
     let needed = needed_nodes(band, half_width_voxels);
-    let places = node_places(band, lattice, &needed);
-    let place_of = |place: usize| places[place];
-    // Some places do not come as near to the surface as they should.
-    let margin_world = reach.margin_world + f64::from(half_width_voxels) * lattice.voxel_size;
-    let reach = Reach { margin_world, ..reach };
-    let source = Source::new(particles.into(), attributes, reach, (places.len(), &place_of));
-    let (blended, counts) = at_places(&source, places.len(), &place_of);
+    let points = node_points(band, lattice, &needed);
+    let point_of = |point: usize| points[point];
+    // Some nodes are farther from the surface than the half width.
+    let margin_world = support.margin_world + f64::from(half_width_voxels) * lattice.voxel_size;
+    let support = Support { margin_world, ..support };
+    let source = TransferSource::new(particles.into(), attributes, support, (points.len(), &point_of));
+    let (interpolated, counts) = interpolate_at(&source, points.len(), &point_of);
     let mut end = 0;
     let starts = needed.iter().map(|nodes| {
         let start = end;
@@ -65,7 +66,7 @@ pub fn to_band<'a>(
     });
     let starts = starts.collect();
     let nodes = Arc::new(Nodes { topology: Arc::clone(&band.topology), needed, starts });
-    let found = source.attributes.iter().zip(blended.numbers).map(|(attribute, values)| BandAttribute {
+    let found = source.attributes.iter().zip(interpolated.numbers).map(|(attribute, values)| BandAttribute {
         name: attribute.name.clone(),
         meaning: attribute.meaning,
         arity: attribute.arity,
@@ -76,14 +77,14 @@ pub fn to_band<'a>(
 }
 
 impl BandAttribute {
-    /// The memory that it takes, in bytes.
+    /// Memory used, in bytes.
     pub fn size_bytes(&self) -> usize {
         size_of_val(&*self.values)
     }
 
-    /// The values of all voxels of a leaf, `arity` each. Those of voxels that are not in the band mean nothing.
+    /// The values of all voxels of a leaf, `arity` each. Values of voxels outside the band are meaningless.
     ///
-    /// Panics if there is no such leaf, or no room for 512 voxels.
+    /// Panics if the leaf does not exist, or `out` is too short for 512 voxels.
     pub fn fill(&self, leaf: usize, out: &mut [f32]) {
         let around = self.nodes.topology.neighborhood(leaf);
         for component in 0..self.arity {
@@ -96,14 +97,14 @@ impl BandAttribute {
         }
     }
 
-    /// The values of a leaf's nodes, and of those after it that its voxels need.
+    /// The values of a leaf's nodes, and of those in the following leaves that its voxels need.
     fn nodes_around(&self, leaf: usize, around: &[u32; 27], component: usize) -> NodeValues {
         let mut nodes = [[[0.0; NODE_EDGE + 1]; NODE_EDGE + 1]; NODE_EDGE + 1];
         for (x, plane) in (0..).zip(&mut nodes) {
             for (y, row) in (0..).zip(plane) {
                 for (z, value) in (0..).zip(row) {
                     let node = IVec3::new(x, y, z);
-                    // Where the band ends with a leaf, its last nodes stand for those after it.
+                    // If the band ends with this leaf, its last nodes replace those after it.
                     let found = self.value_at(around, node, component).or_else(|| {
                         let last = node.min(IVec3::splat(NODE_EDGE as i32 - 1));
                         self.value_of(leaf, last, component)
@@ -115,7 +116,7 @@ impl BandAttribute {
         nodes
     }
 
-    /// The value of a node of a leaf or of one after it.
+    /// The value of a node in a leaf or in the next one.
     fn value_at(&self, around: &[u32; 27], node: IVec3, component: usize) -> Option<f32> {
         let step: IVec3 = node >> 2;
         match around[(9 * (step.x + 1) + 3 * (step.y + 1) + step.z + 1) as usize] {
@@ -137,7 +138,7 @@ impl BandAttribute {
 
 type NodeValues = [[[f32; NODE_EDGE + 1]; NODE_EDGE + 1]; NODE_EDGE + 1];
 
-/// The voxels between nodes: along z, then along y, then along x.
+/// Kernel: interpolates voxels between nodes along z, then y, then x.
 struct Between<'a> {
     nodes: &'a NodeValues,
 }
@@ -174,7 +175,7 @@ impl Kernel for Between<'_> {
     }
 }
 
-/// Halves are added, for a sum could be beyond all numbers.
+/// Adds halves, because a sum might overflow.
 #[inline(always)]
 fn between<V: Lanes>(one: &[f32; 8], other: &[f32; 8]) -> [f32; 8] {
     let half = V::splat(0.5);

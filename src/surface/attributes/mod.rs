@@ -1,35 +1,37 @@
-//! What the simulation knows of its particles, on the surface: velocities, colours, identities.
+//! Transfers particle attributes to the surface: velocities, colors, ids.
 //!
 //! ```text
-//!            ● vertex                 numbers      a mean of the particles within the radius R, with weights
-//!          ╱ │ ╲                                   (1 − d²/R²)³: smooth, and nothing from R on
-//!      ∙ ∙ ∙ ∙ ∙ ∙  particles         the others   those of the nearest particle; of several, the first
+//!            ● vertex                 numbers      the mean of the particles within the radius R, with weights
+//!          ╱ │ ╲                                   (1 − d²/R²)³: smooth, and zero from R on
+//!      ∙ ∙ ∙ ∙ ∙ ∙  particles         others       the value of the nearest particle; on ties, the first
 //!      ∙ ∙ ∙ ∙ ∙ ∙
 //!      └──R──┘
 //! ```
 //!
-//! A mean stays within the range of what it is taken of, here to the last bit: it is cut to the least and the
-//! greatest value. So a constant stays what it was.
+//! A mean stays within the range of its inputs, exactly: it is clamped to their minimum and maximum. So a
+//! constant attribute stays constant.
 //!
-//! **How far.** A vertex lies between r_min and r_max from the nearest particle, as a rule near r_init. R is
-//! 2·r_init, half as much again as r_max: over a lattice of particles a vertex then has about 20 particles, 12
-//! where it is farthest from them. The weights fall to a half at 0.45 R, some 1.2 particle spacings. So the noise of
-//! single particles is taken out, and a shear over a few of them is not. Particles may be larger than r_max says
-//! (radii of their own, ellipsoids): where none is within R, the nearest one is taken of those whose own surface
-//! can be so far from them. Where there is none, numbers are 0, integers −1, strings none, and that is counted.
+//! **Radius.** A vertex lies between r_min and r_max from the nearest particle, usually near r_init. R is
+//! 2·r_init, half as much again as r_max: on a regular lattice of particles, a vertex then has about 20
+//! particles within R, and at least 12. The weights fall to one half at 0.45 R, about 1.2 particle spacings.
+//! So the noise of single particles is smoothed, and a shear across a few particles is preserved. Particles
+//! may be larger than r_max (per-particle radii, ellipsoids). If no particle is within R, the nearest
+//! particle is used whose own surface can be that far away. If that is missing, too, numbers are 0, integers
+//! −1, strings missing, and the point is counted.
 //!
-//! **In the band** around the surface values are wanted for several voxels across, for renderers go by volumes.
-//! Outside of it they are those of the nearest place on the surface, since what is far from all particles has none
-//! of its own. The mean has no detail as fine as voxels, so it is taken for every second voxel along each axis, and
-//! those between get the mean of their neighbours.
+//! **In the band** around the surface, renderers of volumes need values several voxels wide. Outside, they
+//! are those of the nearest point on the surface, because points far from all particles have no values of
+//! their own. The mean has no voxel-sized detail, so it is computed for every second voxel along each axis,
+//! and the voxels in between are interpolated.
 //!
-//! Invariants: values depend on the particles within the radius, or on those that reach the place, alone: what happens
-//! farther away changes no bit of them, be it how large other particles are. Nor does the number of threads.
+//! Invariants: values depend only on the particles within the radius, or on those that reach the point.
+//! Changes farther away do not change a bit, however large the other particles are. Nor does the number of
+//! threads.
 
 mod band;
-mod blend;
-mod lonely;
-mod near;
+mod interpolate;
+mod isolated;
+mod near_particles;
 mod nodes;
 mod source;
 mod tree;
@@ -42,70 +44,77 @@ use crate::surface::particles::{Attribute, AttributeValues, Positions, Shapes};
 
 pub use band::{BandAttribute, to_band};
 
-use blend::{Blended, Scratch, blend};
-use source::Source;
+use interpolate::{Interpolated, Scratch, interpolate};
+use source::TransferSource;
 
-/// How far values reach, world units.
+/// How far particle values reach, in world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reach<'a> {
-    /// From here on a particle has no part in a mean.
+pub struct Support<'a> {
+    /// Radius of the weighted mean; weights are zero from here on.
     pub radius_world: f64,
-    /// r_max of the settings: no surface of a ball is farther from its centre.
+    /// r_max of the settings: the maximum distance of a ball's surface from its center.
     pub radius_max_world: f64,
-    /// Places may be so much farther from a particle than its surface can be.
+    /// Margin by which a point may be farther from a particle than its surface can be.
     pub margin_world: f64,
-    /// What the particles are: one shape for each of them, if they are not balls.
+    /// The shapes of the particles: one per particle, unless they are balls.
     pub shapes: &'a Shapes,
 }
 
-impl Reach<'_> {
-    /// Up to here a particle is taken where none is within the radius. It depends on this particle alone.
+impl Support<'_> {
+    /// Distance up to which a particle is used if none is within the radius. Depends on this particle alone.
     fn limit_world(&self, particle: u32) -> f64 {
         let longest = self.shapes.longest(particle as usize).max(1.0);
         self.radius_max_world * f64::from(longest) + self.margin_world
     }
 }
 
-/// How many places got attribute values, and from how near. Many isolated places mean that the surface is far from its
-/// particles.
+/// How many points got attribute values, and from how near. Many isolated points mean that the surface is far
+/// from its particles.
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct TransferCounts {
-    /// Places that got values: vertices, or voxels for which a mean was taken.
+    /// Number of points: vertices, or nodes in the band.
     #[cfg_attr(feature = "serde", serde(rename = "places"))]
     pub place_count: usize,
-    /// Of these, those without a particle within the radius, which got the values of the nearest one that reaches them.
+    /// Points without a particle within the radius, which got the values of the nearest particle that reaches
+    /// them.
     #[cfg_attr(feature = "serde", serde(rename = "lonely"))]
     pub lonely_count: usize,
-    /// And those that no particle reaches.
+    /// Points that no particle reaches.
     #[cfg_attr(feature = "serde", serde(rename = "empty"))]
     pub empty_count: usize,
-    /// Values that were left out, for they are not finite; of all particles near the surface.
+    /// Number of ignored values, because they are not finite, over all particles near the surface.
     #[cfg_attr(feature = "serde", serde(rename = "left_out"))]
     pub left_out_count: usize,
 }
 
-/// The attributes of the vertices of a mesh, in the order of those of the particles.
+/// The attributes of a mesh's vertices, in the order of the particles' attributes.
 ///
-/// Panics if an attribute has not one value for each component of each particle, or particles lack shapes.
+/// Panics if an attribute does not have `arity` values per particle, or if the number of shapes does not
+/// match.
 pub fn to_vertices<'a>(
     particles: impl Into<Positions<'a>>,
     attributes: &[&'a Attribute],
     mesh: &Mesh,
-    reach: Reach<'a>,
+    support: Support<'a>,
 ) -> (Vec<Attribute>, TransferCounts) {
-    let place_of = |vertex: usize| mesh.origin + mesh.positions[vertex].as_dvec3();
-    let source = Source::new(particles.into(), attributes.to_vec(), reach, (mesh.positions.len(), &place_of));
-    let (blended, counts) = at_places(&source, mesh.positions.len(), &place_of);
-    let mut numbers = blended.numbers.into_iter();
+    let point_of = |vertex: usize| mesh.origin + mesh.positions[vertex].as_dvec3();
+    let source = TransferSource::new(
+        particles.into(),
+        attributes.to_vec(),
+        support,
+        (mesh.positions.len(), &point_of),
+    );
+    let (interpolated, counts) = interpolate_at(&source, mesh.positions.len(), &point_of);
+    let mut numbers = interpolated.numbers.into_iter();
     let mut values_of = |attribute: &Attribute| match &attribute.values {
         AttributeValues::Numbers(_) => AttributeValues::Numbers(numbers.next().unwrap_or_default()),
         AttributeValues::Integers(values) => {
-            AttributeValues::Integers(of_nearest(values, attribute.arity, &blended.nearest))
+            AttributeValues::Integers(of_nearest(values, attribute.arity, &interpolated.nearest))
         }
         AttributeValues::Strings { table, indices } => {
-            let indices = of_nearest(indices, attribute.arity, &blended.nearest);
+            let indices = of_nearest(indices, attribute.arity, &interpolated.nearest);
             AttributeValues::Strings { table: table.clone(), indices }
         }
     };
@@ -118,10 +127,10 @@ pub fn to_vertices<'a>(
     (transferred.collect(), counts)
 }
 
-/// In place of the index of a particle: there is none.
+/// Index of a missing particle.
 const NO_PARTICLE: u32 = u32::MAX;
 
-/// The values of these particles, and −1 where there is none.
+/// The values of these particles, or −1 if missing.
 fn of_nearest<T: Copy + From<i8> + Send + Sync>(values: &[T], arity: usize, nearest: &[u32]) -> Vec<T> {
     let value = |nearest: u32, component: usize| match nearest {
         NO_PARTICLE => T::from(-1),
@@ -136,28 +145,28 @@ fn of_nearest<T: Copy + From<i8> + Send + Sync>(values: &[T], arity: usize, near
     found
 }
 
-/// Places that are one task: those that follow each other share the particles around them.
-const PIECE: usize = 2048;
+/// Number of points per task. Consecutive points share most of the particles around them.
+const CHUNK: usize = 2048;
 
-/// The numbers at these places, and the particles nearest to them.
-fn at_places(
-    source: &Source,
+/// The means at these points, and the particles nearest to them.
+fn interpolate_at(
+    source: &TransferSource,
     count: usize,
-    place_of: &(impl Fn(usize) -> DVec3 + Sync),
-) -> (Blended, TransferCounts) {
-    let pieces: Vec<Blended> = (0..count.div_ceil(PIECE))
+    point_of: &(impl Fn(usize) -> DVec3 + Sync),
+) -> (Interpolated, TransferCounts) {
+    let chunks: Vec<Interpolated> = (0..count.div_ceil(CHUNK))
         .into_par_iter()
-        .map_init(Scratch::default, |scratch, piece| {
-            let vertices = piece * PIECE..count.min((piece + 1) * PIECE);
-            let places: Vec<DVec3> = vertices.map(place_of).collect();
-            blend(source, &places, scratch)
+        .map_init(Scratch::default, |scratch, chunk| {
+            let vertices = chunk * CHUNK..count.min((chunk + 1) * CHUNK);
+            let points: Vec<DVec3> = vertices.map(point_of).collect();
+            interpolate(source, &points, scratch)
         })
         .collect();
-    let mut blended = Blended::joined(source, &pieces);
-    let mut counts = lonely::serve(source, &mut blended, place_of);
+    let mut interpolated = Interpolated::joined(source, &chunks);
+    let mut counts = isolated::assign_nearest(source, &mut interpolated, point_of);
     counts.place_count = count;
     counts.left_out_count = source.left_out_count;
-    (blended, counts)
+    (interpolated, counts)
 }
 
 #[cfg(test)]

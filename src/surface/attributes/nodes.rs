@@ -1,8 +1,8 @@
-//! The places in the band for which a mean is taken: nodes, at every second voxel along each axis.
+//! The nodes of the band at which means are computed: every second voxel along each axis.
 //!
 //! ```text
-//!   ● ∙ ● ∙ ● ∙ ● ∙ ┊ ●      a leaf has 4 nodes along each axis, and needs the first ones of the leaves after it:
-//!   ∙ ∙ ∙ ∙ ∙ ∙ ∙ ∙ ┊        a voxel between nodes is as far from one as from the other
+//!   ● ∙ ● ∙ ● ∙ ● ∙ ┊ ●      a leaf has 4 nodes along each axis, and needs the first nodes of the next leaves:
+//!   ∙ ∙ ∙ ∙ ∙ ∙ ∙ ∙ ┊        a voxel between two nodes is at the same distance from both
 //!   ● ∙ ● ∙ ● ∙ ● ∙ ┊ ●
 //! ```
 
@@ -17,7 +17,7 @@ use crate::surface::space::Lattice;
 /// Nodes along an edge of a leaf.
 pub(super) const NODE_EDGE: usize = 4;
 
-/// Which nodes of each leaf some voxel of the band needs: bit `x·16 + y·4 + z`.
+/// The nodes of each leaf that some voxel of the band needs: bit `x·16 + y·4 + z`.
 pub(super) fn needed_nodes(band: &NarrowBand, half_width_voxels: f32) -> Vec<u64> {
     let leaves = &band.phi.leaves;
     let active: Vec<[u8; 64]> =
@@ -25,7 +25,7 @@ pub(super) fn needed_nodes(band: &NarrowBand, half_width_voxels: f32) -> Vec<u64
     (0..leaves.len()).into_par_iter().map(|leaf| needed_of(&band.topology, &active, leaf)).collect()
 }
 
-/// Which voxels of each row are in the band.
+/// Kernel: which voxels of each row are in the band.
 struct ActiveRows<'a> {
     leaf: &'a Leaf,
     half_width_voxels: f32,
@@ -44,7 +44,8 @@ impl Kernel for ActiveRows<'_> {
     }
 }
 
-/// A node is needed if one of the 27 voxels around it is active, be it in a leaf before this one.
+/// The nodes of a leaf that are needed: those with an active voxel among the 27 around, which may be in an
+/// earlier leaf.
 fn needed_of(topology: &Topology, active: &[[u8; 64]], leaf: usize) -> u64 {
     let around = topology.neighborhood(leaf);
     let row = |x: i32, y: i32, leaf_z: i32| {
@@ -74,34 +75,35 @@ fn needed_of(topology: &Topology, active: &[[u8; 64]], leaf: usize) -> u64 {
     needed
 }
 
-/// The world positions of the nodes that are needed, leaf by leaf; of those outside, of the nearest place on the
+/// World positions of the required nodes, leaf by leaf. Nodes outside are moved to the nearest point on the
 /// surface.
-pub(super) fn node_places(band: &NarrowBand, lattice: &Lattice, needed: &[u64]) -> Vec<DVec3> {
-    let places = needed.par_iter().enumerate().flat_map_iter(|(leaf, &nodes)| {
+pub(super) fn node_points(band: &NarrowBand, lattice: &Lattice, needed: &[u64]) -> Vec<DVec3> {
+    let points = needed.par_iter().enumerate().flat_map_iter(|(leaf, &nodes)| {
         let around = if nodes == 0 { [NO_LEAF; 27] } else { band.topology.neighborhood(leaf) };
         (0..64).filter(move |node| nodes >> node & 1 == 1).map(move |node: i32| {
             let voxel = IVec3::new(node >> 4, node >> 2 & 3, node & 3) * 2;
-            let outwards = outwards(band, &around, leaf, voxel);
-            ((band.topology.origins()[leaf] + voxel).as_dvec3() - outwards.as_dvec3()) * lattice.voxel_size
+            let offset_from_surface = offset_from_surface(band, &around, leaf, voxel);
+            ((band.topology.origins()[leaf] + voxel).as_dvec3() - offset_from_surface.as_dvec3())
+                * lattice.voxel_size
         })
     });
-    places.collect()
+    points.collect()
 }
 
-/// From the nearest place on the surface to a voxel outside; zero for one inside.
-fn outwards(band: &NarrowBand, around: &[u32; 27], leaf: usize, voxel: IVec3) -> Vec3 {
+/// The vector from the nearest point on the surface to an outside voxel; zero for an inside voxel.
+fn offset_from_surface(band: &NarrowBand, around: &[u32; 27], leaf: usize, voxel: IVec3) -> Vec3 {
     let leaves = &band.phi.leaves;
     let phi = leaves[leaf].values[offset_in_leaf(voxel)];
     if phi <= 0.0 {
         return Vec3::ZERO;
     }
-    // Towards whichever neighbour is nearer to the surface: between two surfaces that is one of them.
+    // Toward the neighbor that is nearer to the surface: between two surfaces, this picks one of them.
     let slope = |axis: usize| {
         let mut before = voxel;
         before[axis] -= 1;
         let mut after = voxel;
         after[axis] += 1;
-        // Nodes are never the last of a leaf.
+        // A node is never the last voxel of a leaf.
         let after = phi - leaves[leaf].values[offset_in_leaf(after)];
         let other = if before[axis] < 0 { around[CENTER - WEIGHTS[axis]] } else { leaf as u32 };
         before[axis] &= 7;
@@ -115,6 +117,6 @@ fn outwards(band: &NarrowBand, around: &[u32; 27], leaf: usize, voxel: IVec3) ->
     if slope == Vec3::ZERO { Vec3::ZERO } else { slope.normalize() * phi }
 }
 
-/// The place of a leaf in its own neighbourhood, and how far it is from there to the next one along each axis.
+/// Slot of a leaf in its own neighborhood, and the strides of the slots along each axis.
 const CENTER: usize = 13;
 const WEIGHTS: [usize; 3] = [9, 3, 1];

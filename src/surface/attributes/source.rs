@@ -1,60 +1,61 @@
-//! The particles near the places that want values, sorted and packed.
+//! The particles near the points that need values, sorted and packed.
 //!
 //! ```text
-//!   particle    v v v  r g b  a  ○ | …     a row of all numbers of a particle, filled up to eights: so one
-//!               └8 numbers in a register┘  weight serves all of them at once
+//!   particle    v v v  r g b  a  ○ | …     a row of all numbers of a particle, padded to multiples of eight, so that
+//!               └8 numbers in a register┘  one weight applies to all of them at once
 //! ```
 //!
-//! Attributes with a value that is not finite stay apart, for a particle without a value has no part in the weights.
+//! Attributes with values that are not finite are kept separate, because particles without a value must not
+//! be weighted.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::near::near_particles;
-use super::{NO_PARTICLE, Reach};
+use super::near_particles::near_particles;
+use super::{NO_PARTICLE, Support};
 use crate::surface::neighbors::Neighbors;
 use crate::surface::particles::{Attribute, AttributeValues, Particles, Positions};
 
-/// What values are taken from.
-pub(super) struct Source<'a> {
+/// The particles that values are interpolated from.
+pub(super) struct TransferSource<'a> {
     pub(super) particles: Positions<'a>,
     pub(super) attributes: Vec<&'a Attribute>,
-    pub(super) reach: Reach<'a>,
-    /// The particles near the places, in cells of the radius.
+    pub(super) support: Support<'a>,
+    /// The particles near the points, in cells of size R.
     pub(super) neighbors: Neighbors,
     /// Their indices among all particles, in order.
     pub(super) indices: Vec<u32>,
-    /// `row_count` rows of each of them.
+    /// `row_count` rows per particle.
     pub(super) rows: Vec<[f32; 8]>,
     pub(super) row_count: usize,
-    /// The attributes that are numbers, in order.
-    pub(super) numbers: Vec<Numbers<'a>>,
+    /// The numeric attributes, in order.
+    pub(super) numbers: Vec<NumericAttribute<'a>>,
     pub(super) left_out_count: usize,
 }
 
-/// An attribute of numbers.
-pub(super) struct Numbers<'a> {
+/// A numeric attribute.
+pub(super) struct NumericAttribute<'a> {
     pub(super) values: &'a [f32],
     pub(super) arity: usize,
-    /// Where its values start in the rows; none if some are not finite.
+    /// First column of its values in the rows; `None` if some values are not finite.
     pub(super) column: Option<usize>,
 }
 
-impl<'a> Source<'a> {
-    /// What is near these places.
+impl<'a> TransferSource<'a> {
+    /// Collects the particles near these points.
     pub(super) fn new(
         particles: Positions<'a>,
         attributes: Vec<&'a Attribute>,
-        reach: Reach<'a>,
-        places: (usize, &(impl Fn(usize) -> DVec3 + Sync)),
-    ) -> Source<'a> {
+        support: Support<'a>,
+        points: (usize, &(impl Fn(usize) -> DVec3 + Sync)),
+    ) -> TransferSource<'a> {
         for attribute in &attributes {
             let (found, arity) = (attribute.values.len(), attribute.arity);
             assert!(0 < arity && found == particles.len() * arity, "{found} values of {}", attribute.name);
         }
-        let indices = near_particles(&particles, reach.radius_world, places);
-        let neighbors = Neighbors::new(&subset(&particles, &indices), reach.radius_world);
-        let mut numbers: Vec<Numbers> =
+        let indices = near_particles(&particles, support.radius_world, points);
+        let neighbors = Neighbors::new(&subset(&particles, &indices), support.radius_world);
+        let mut numbers: Vec<NumericAttribute> =
             attributes.iter().filter_map(|attribute| numbers_of(attribute)).collect();
         let mut left_out_count = 0;
         let mut width = 0;
@@ -68,10 +69,20 @@ impl<'a> Source<'a> {
         }
         let row_count = width.div_ceil(8);
         let rows = rows_of(&numbers, &indices, row_count);
-        Source { particles, attributes, reach, neighbors, indices, rows, row_count, numbers, left_out_count }
+        TransferSource {
+            particles,
+            attributes,
+            support,
+            neighbors,
+            indices,
+            rows,
+            row_count,
+            numbers,
+            left_out_count,
+        }
     }
 
-    /// The particle, among all, that the neighbours know by this index.
+    /// The index among all particles of a near particle.
     pub(super) fn original(&self, index: u32) -> u32 {
         self.indices.get(index as usize).copied().unwrap_or(NO_PARTICLE)
     }
@@ -88,15 +99,17 @@ fn subset(particles: &Positions<'_>, indices: &[u32]) -> Particles {
     }
 }
 
-fn numbers_of(attribute: &Attribute) -> Option<Numbers<'_>> {
+fn numbers_of(attribute: &Attribute) -> Option<NumericAttribute<'_>> {
     match &attribute.values {
-        AttributeValues::Numbers(values) => Some(Numbers { values, arity: attribute.arity, column: None }),
+        AttributeValues::Numbers(values) => {
+            Some(NumericAttribute { values, arity: attribute.arity, column: None })
+        }
         AttributeValues::Integers(_) | AttributeValues::Strings { .. } => None,
     }
 }
 
-impl Numbers<'_> {
-    /// The values of a particle, of all.
+impl NumericAttribute<'_> {
+    /// The values of a particle, by its index among all.
     #[inline(always)]
     pub(super) fn of(&self, particle: u32) -> &[f32] {
         let first = particle as usize * self.arity;
@@ -104,12 +117,12 @@ impl Numbers<'_> {
     }
 }
 
-fn broken_count(numbers: &Numbers, indices: &[u32]) -> usize {
+fn broken_count(numbers: &NumericAttribute, indices: &[u32]) -> usize {
     let broken = |&index: &u32| numbers.of(index).iter().filter(|value| !value.is_finite()).count();
     indices.par_iter().map(broken).sum()
 }
 
-fn rows_of(numbers: &[Numbers], indices: &[u32], row_count: usize) -> Vec<[f32; 8]> {
+fn rows_of(numbers: &[NumericAttribute], indices: &[u32], row_count: usize) -> Vec<[f32; 8]> {
     let mut rows = vec![[0.0; 8]; indices.len() * row_count];
     if row_count != 0 {
         rows.par_chunks_mut(row_count).zip(indices).for_each(|(rows, &index)| {

@@ -1,4 +1,4 @@
-//! Against brute force, against fields that are known, and against what files may hold.
+//! Compares attribute transfer with brute force and with known fields, and tests arbitrary file contents.
 
 use std::sync::Arc;
 
@@ -10,18 +10,18 @@ use crate::surface::level_set::NarrowBand;
 use crate::surface::particles::{Meaning, Particles};
 use crate::surface::space::Lattice;
 
-const REACH: Reach =
-    Reach { radius_world: 0.26, radius_max_world: 0.5, margin_world: 0.1, shapes: &Shapes::Balls };
+const REACH: Support =
+    Support { radius_world: 0.26, radius_max_world: 0.5, margin_world: 0.1, shapes: &Shapes::Balls };
 const VOXEL: f64 = 0.05;
 
 fn to_vertices(
     particles: &Particles,
     attributes: &[Attribute],
     mesh: &Mesh,
-    reach: Reach,
+    support: Support,
 ) -> (Vec<Attribute>, TransferCounts) {
     let attributes: Vec<&Attribute> = attributes.iter().collect();
-    to_vertices_of(particles, &attributes, mesh, reach)
+    to_vertices_of(particles, &attributes, mesh, support)
 }
 
 fn random(state: &mut u32) -> f64 {
@@ -29,18 +29,18 @@ fn random(state: &mut u32) -> f64 {
     f64::from(*state >> 8) / f64::from(1 << 24)
 }
 
-/// A ball of particles, 0.1 apart and a little beside it, in no order.
+/// A ball of particles with a jittered spacing of 0.1, shuffled.
 fn ball(center: DVec3, radius: f64) -> Vec<[f64; 3]> {
     let mut state = 11;
-    let reach = (radius / 0.1) as i32 + 1;
-    let axis = || -reach..=reach;
+    let support = (radius / 0.1) as i32 + 1;
+    let axis = || -support..=support;
     let cells = axis().flat_map(|x| axis().flat_map(move |y| axis().map(move |z| IVec3::new(x, y, z))));
     let mut positions = Vec::new();
     for cell in cells {
         let mut along = || (random(&mut state) - 0.5) * 0.06;
-        let place = cell.as_dvec3() * 0.1 + DVec3::new(along(), along(), along());
-        if place.length() < radius {
-            positions.push((place + center).to_array());
+        let point = cell.as_dvec3() * 0.1 + DVec3::new(along(), along(), along());
+        if point.length() < radius {
+            positions.push((point + center).to_array());
         }
     }
     for index in 0..positions.len() {
@@ -50,16 +50,16 @@ fn ball(center: DVec3, radius: f64) -> Vec<[f64; 3]> {
     positions
 }
 
-/// Places all around a ball, as far from its particles as a surface is.
+/// Points around a ball, as far from its particles as a surface is.
 fn mesh_around(center: DVec3, radius: f64, count: usize) -> Mesh {
     let turn = std::f64::consts::PI * (3.0 - 5f64.sqrt());
-    let place = |index: usize| {
+    let point = |index: usize| {
         let y = 1.0 - 2.0 * (index as f64 + 0.5) / count as f64;
         let (sin, cos) = (turn * index as f64).sin_cos();
         let across = (1.0 - y * y).sqrt();
         (DVec3::new(cos * across, y, sin * across) * (radius + 0.13)).as_vec3()
     };
-    Mesh { positions: (0..count).map(place).collect(), origin: center, ..Mesh::default() }
+    Mesh { positions: (0..count).map(point).collect(), origin: center, ..Mesh::default() }
 }
 
 fn numbers(name: &str, arity: usize, values: Vec<f32>) -> Attribute {
@@ -79,39 +79,40 @@ fn integers(name: &str, values: Vec<i64>) -> Attribute {
 fn found(attribute: &Attribute) -> &[f32] {
     match &attribute.values {
         AttributeValues::Numbers(values) => values,
-        _ => panic!("{} are no numbers", attribute.name),
+        _ => panic!("{} is not numeric", attribute.name),
     }
 }
 
-fn linear(place: DVec3) -> [f32; 3] {
-    [2.0 * place.x - place.y + 0.5, 3.0 * place.z, place.x + place.y + place.z].map(|value| value as f32)
+fn linear(point: DVec3) -> [f32; 3] {
+    [2.0 * point.x - point.y + 0.5, 3.0 * point.z, point.x + point.y + point.z].map(|value| value as f32)
 }
 
-/// Where each particle is, and what a linear field is there.
+/// Two attributes: the particle position, and a linear field at it.
 fn place_and_field(positions: &[[f64; 3]], center: DVec3) -> [Attribute; 2] {
-    let places = || positions.iter().map(|&position| DVec3::from(position) - center);
-    let place = numbers("place", 3, places().flat_map(|place| place.as_vec3().to_array()).collect());
-    [place, numbers("field", 3, places().flat_map(linear).collect())]
+    let points = || positions.iter().map(|&position| DVec3::from(position) - center);
+    let point = numbers("place", 3, points().flat_map(|point| point.as_vec3().to_array()).collect());
+    [point, numbers("field", 3, points().flat_map(linear).collect())]
 }
 
-/// A mean of a linear field is the field in the middle of what it is taken of. That is so far from the vertex.
-fn distance_to_middle(place: Vec3, middle: &[f32], field: &[f32]) -> f32 {
+/// The mean of a linear field equals the field at the weighted center of the particles. Returns the distance
+/// of that center from the vertex.
+fn distance_to_middle(point: Vec3, middle: &[f32], field: &[f32]) -> f32 {
     let middle = Vec3::from_slice(middle);
     for (value, expected) in field.iter().zip(linear(middle.as_dvec3())) {
         assert!((value - expected).abs() < 1e-5, "{value} for {expected} at {middle}");
     }
-    (place - middle).length()
+    (point - middle).length()
 }
 
 #[test]
-fn constants_stay_and_linear_fields_too() {
+fn constant_and_linear_fields_are_reproduced() {
     let center = DVec3::new(1000.0, -2.0, 3.0);
     let positions = ball(center, 1.0);
     let count = positions.len();
-    let [place, field] = place_and_field(&positions, center);
+    let [point, field] = place_and_field(&positions, center);
     let attributes = [
         numbers("constant", 1, vec![0.1; count]),
-        place,
+        point,
         numbers("wide", 9, (0..count).flat_map(|_| (0..9).map(|k| 1.0 / (k as f32 + 3.0))).collect()),
         field,
     ];
@@ -124,17 +125,17 @@ fn constants_stay_and_linear_fields_too() {
     }
     let means = found(&transferred[1]).chunks(3).zip(found(&transferred[3]).chunks(3));
     for (position, (middle, field)) in mesh.positions.iter().zip(means) {
-        // Three voxels: the particles are on one side of the vertices.
+        // Three voxels, because all particles are on one side of the vertex.
         let distance = distance_to_middle(*position, middle, field);
         assert!(distance < 0.22, "{distance} at {position}");
     }
 }
 
-/// The mean and the nearest particle at a place, from all particles in 64 bits.
-fn brute_force(positions: &[[f64; 3]], values: &[f32], place: DVec3, radius: f64) -> (f64, f64, usize) {
+/// The mean and the nearest particle at a point, over all particles and in 64 bits.
+fn brute_force(positions: &[[f64; 3]], values: &[f32], point: DVec3, radius: f64) -> (f64, f64, usize) {
     let (mut sum, mut total, mut nearest) = (0.0, 0.0, (f64::INFINITY, 0));
     for (index, (&position, &value)) in positions.iter().zip(values).enumerate() {
-        let distance_squared = (DVec3::from(position) - place).length_squared() / (radius * radius);
+        let distance_squared = (DVec3::from(position) - point).length_squared() / (radius * radius);
         let weight = (1.0 - distance_squared).max(0.0).powi(3);
         (sum, total) = (sum + weight * f64::from(value), total + weight);
         if distance_squared < nearest.0 {
@@ -145,7 +146,7 @@ fn brute_force(positions: &[[f64; 3]], values: &[f32], place: DVec3, radius: f64
 }
 
 #[test]
-fn means_and_nearest_are_those_of_all_particles() {
+fn means_and_nearest_particles_match_brute_force() {
     let positions = ball(DVec3::ZERO, 0.7);
     let mut state = 5;
     let values: Vec<f32> = positions.iter().map(|_| random(&mut state) as f32 * 7.0 - 3.0).collect();
@@ -165,18 +166,18 @@ fn means_and_nearest_are_those_of_all_particles() {
     };
     assert_eq!(*same, table);
     for (vertex, position) in mesh.positions.iter().enumerate() {
-        let place = position.as_dvec3();
-        let (mean, least, _) = brute_force(&positions, &values, place, REACH.radius_world);
+        let point = position.as_dvec3();
+        let (mean, least, _) = brute_force(&positions, &values, point, REACH.radius_world);
         assert!((f64::from(found(&transferred[1])[vertex]) - mean).abs() < 1e-5);
         let nearest = (ids[vertex] / 1_000_000_007) as usize;
-        let distance_squared = (DVec3::from(positions[nearest]) - place).length_squared();
+        let distance_squared = (DVec3::from(positions[nearest]) - point).length_squared();
         assert!(distance_squared / REACH.radius_world.powi(2) < least + 1e-6);
         assert_eq!(indices[vertex], nearest as i32 % 4);
     }
 }
 
 #[test]
-fn of_particles_equally_near_the_first_is_taken() {
+fn ties_go_to_the_first_particle() {
     let positions =
         vec![[5.0, 0.0, 0.0], [0.125, 0.0, 0.0], [-0.125, 0.0, 0.0], [0.0, 0.125, 0.0], [0.125, 0.0, 0.0]];
     let mesh = Mesh { positions: vec![Vec3::ZERO, Vec3::X * 0.1, Vec3::X * -0.1], ..Mesh::default() };
@@ -186,7 +187,7 @@ fn of_particles_equally_near_the_first_is_taken() {
 }
 
 #[test]
-fn values_are_within_the_range_of_the_particles() {
+fn values_stay_within_the_particles_range() {
     let positions = ball(DVec3::ZERO, 0.5);
     let mesh = mesh_around(DVec3::ZERO, 0.5, 2000);
     for (low, high) in [(0.3, 0.3000001), (-1e-40, 1e-45), (-3.0e38, 3.4e38), (1e-30, 1e30)] {
@@ -200,7 +201,7 @@ fn values_are_within_the_range_of_the_particles() {
 }
 
 #[test]
-fn what_is_not_finite_is_left_out() {
+fn non_finite_values_are_ignored() {
     let positions = ball(DVec3::ZERO, 0.5);
     let count = positions.len();
     let broken: Vec<f32> = (0..count)
@@ -229,10 +230,10 @@ fn what_is_not_finite_is_left_out() {
 }
 
 #[test]
-fn lonely_places_get_the_nearest_and_empty_ones_nothing() {
+fn isolated_points_get_the_nearest_value_and_unreached_ones_zero() {
     let positions = vec![[0.0; 3], [0.0, 0.0, 10.0], [f32::NAN; 3]];
-    let places = [0.2, 0.5, -0.59, 0.61, 10.4, f32::NAN, 3e38].map(|z| Vec3::new(0.0, 0.0, z));
-    let mesh = Mesh { positions: places.to_vec(), ..Mesh::default() };
+    let points = [0.2, 0.5, -0.59, 0.61, 10.4, f32::NAN, 3e38].map(|z| Vec3::new(0.0, 0.0, z));
+    let mesh = Mesh { positions: points.to_vec(), ..Mesh::default() };
     let table: Arc<[String]> = Arc::from(["x".to_owned()]);
     let strings = AttributeValues::Strings { table, indices: vec![0; 3] };
     let attributes = [
@@ -248,7 +249,7 @@ fn lonely_places_get_the_nearest_and_empty_ones_nothing() {
     let AttributeValues::Strings { indices, .. } = &transferred[3].values else { panic!("no strings") };
     assert_eq!(*indices, [0, 0, 0, -1, 0, -1, -1]);
     assert_eq!((counts.place_count, counts.lonely_count, counts.empty_count), (7, 3, 3));
-    let no_farther = Reach { radius_max_world: 0.1, ..REACH };
+    let no_farther = Support { radius_max_world: 0.1, ..REACH };
     let (_, counts) = to_vertices(&Particles::Single(positions), &attributes, &mesh, no_farther);
     assert_eq!((counts.lonely_count, counts.empty_count), (0, 6));
     let (transferred, _) =
@@ -259,7 +260,7 @@ fn lonely_places_get_the_nearest_and_empty_ones_nothing() {
 }
 
 #[test]
-fn far_changes_and_threads_change_no_bit() {
+fn distant_particles_and_thread_count_change_no_bit() {
     let positions = ball(DVec3::ZERO, 0.8);
     let value = |position: &[f64; 3]| (position[0] * 7.0).sin() as f32;
     let mesh = mesh_around(DVec3::ZERO, 0.8, 5000);
@@ -286,8 +287,8 @@ fn band(center: DVec3, radius: f64, half_width: f32) -> NarrowBand {
 
 /// The band of several balls.
 fn band_of(centers: &[DVec3], radius: f64, half_width: f32) -> NarrowBand {
-    let distance = |place: DVec3| {
-        centers.iter().map(|center| (place - *center).length()).fold(f64::INFINITY, f64::min) - radius
+    let distance = |point: DVec3| {
+        centers.iter().map(|center| (point - *center).length()).fold(f64::INFINITY, f64::min) - radius
     };
     let phi = |voxel: IVec3| (distance(voxel.as_dvec3() * VOXEL) / VOXEL) as f32;
     let [least, most] =
@@ -316,7 +317,7 @@ fn band_of(centers: &[DVec3], radius: f64, half_width: f32) -> NarrowBand {
     NarrowBand { topology: Arc::new(topology), phi: Field { leaves }, half_width }
 }
 
-/// Calls with each voxel of the band that renderers see, and its values.
+/// Calls `check` with each voxel of the band that renderers use, and its values.
 fn each_voxel(
     band: &NarrowBand,
     attribute: &BandAttribute,
@@ -338,26 +339,26 @@ fn each_voxel(
 }
 
 #[test]
-fn voxels_of_the_band_have_the_values_of_the_surface() {
+fn band_voxels_have_the_surface_values() {
     let center = DVec3::new(0.03, -7.01, 0.4);
     let positions = ball(center, 1.0);
-    let [place, field] = place_and_field(&positions, center);
-    let attributes = [place, field, numbers("one", 1, vec![0.1; positions.len()])];
+    let [point, field] = place_and_field(&positions, center);
+    let attributes = [point, field, numbers("one", 1, vec![0.1; positions.len()])];
     let lattice = Lattice { voxel_size: VOXEL };
     let particles = Particles::Double(positions);
-    // The wide band goes on behind the voxels that are seen; the narrow one ends with their leaves, and its nodes
-    // beyond do not know the way to the surface.
+    // The wide band extends beyond the visible voxels. The narrow band ends with their leaves, and nodes
+    // beyond it cannot be moved to the surface.
     for half_width in [6.0, 3.0] {
         let band = band(center, 1.13, half_width);
         let selected: Vec<&Attribute> = attributes.iter().collect();
         let (found, counts) = to_band(&particles, &selected, (&band, &lattice), 3.0, REACH);
         assert_eq!(found.iter().map(|attribute| attribute.arity).collect::<Vec<_>>(), [3, 3, 1]);
         assert_eq!((counts.lonely_count == 0, counts.empty_count), (half_width == 6.0, 0));
-        let mut places = Vec::new();
-        each_voxel(&band, &found[0], |_, _, values| places.push([values[0], values[1], values[2]]));
-        let mut at = places.iter();
+        let mut points = Vec::new();
+        each_voxel(&band, &found[0], |_, _, values| points.push([values[0], values[1], values[2]]));
+        let mut at = points.iter();
         let count = each_voxel(&band, &found[1], |voxel, phi, field| {
-            // Outside as on the surface, which bends away between nodes.
+            // Outside values are those on the surface, which curves away between nodes.
             let from_center = voxel.as_dvec3() * VOXEL - center;
             let seen_from =
                 from_center.normalize() * (from_center.length() - f64::from(phi.max(0.0)) * VOXEL);
@@ -370,10 +371,10 @@ fn voxels_of_the_band_have_the_values_of_the_surface() {
     }
 }
 
-/// Between two surfaces, where the slopes of φ cancel out, values are those of one of them.
+/// Midway between two surfaces, where the slope of φ vanishes, values are those of one of them.
 #[test]
-fn no_voxel_between_two_surfaces_is_without_values() {
-    // The gap is eight voxels: its middle is a sheet of voxels.
+fn voxels_midway_between_surfaces_have_values() {
+    // The gap is eight voxels wide; its middle is a layer of voxels.
     let centers = [DVec3::new(-1.0, 0.0, 0.0), DVec3::new(1.0, 0.0, 0.0)];
     let positions: Vec<[f64; 3]> = centers.iter().flat_map(|&center| ball(center, 0.67)).collect();
     let sides = positions.iter().map(|position| position[0].signum() as f32).collect();
@@ -388,7 +389,7 @@ fn no_voxel_between_two_surfaces_is_without_values() {
 }
 
 #[test]
-fn in_the_band_values_stay_in_range_and_bytes_the_same() {
+fn band_values_stay_in_range_on_any_number_of_threads() {
     let positions = ball(DVec3::ZERO, 0.6);
     let mut state = 3;
     let values: Vec<f32> = positions.iter().map(|_| random(&mut state) as f32 * 3.4e38).collect();
@@ -401,7 +402,7 @@ fn in_the_band_values_stay_in_range_and_bytes_the_same() {
         to_band(&particles, &selected, (&band, &lattice), 3.0, REACH).0
     };
     let found = run();
-    assert_eq!(found.len(), 1, "integers are not for a grid of reals");
+    assert_eq!(found.len(), 1, "integer attributes are not transferred to grids");
     each_voxel(&band, &found[0], |voxel, _, values| {
         assert!(range.0 <= values[0] && values[0] <= range.1, "{values:?} at {voxel}");
     });
@@ -418,7 +419,7 @@ fn in_the_band_values_stay_in_range_and_bytes_the_same() {
 }
 
 #[test]
-fn an_empty_band_has_no_values() {
+fn empty_band_has_no_attribute_values() {
     let band =
         NarrowBand { topology: Arc::new(Topology::new(Vec::new())), phi: Field::default(), half_width: 6.0 };
     let attributes = numbers("a", 1, vec![1.0]);

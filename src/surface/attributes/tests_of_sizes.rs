@@ -1,17 +1,17 @@
-//! Particles of many sizes: against brute force, against what is far away, and how much work it is.
+//! Tests particles of different sizes: compares with brute force, checks locality, and limits the work.
 
 use std::cell::Cell;
 
 use glam::{DVec3, Vec3};
 
-use super::tree::{Seen, Tree};
+use super::tree::{Tree, TreeParticle};
 use super::*;
 use crate::surface::particles::{Meaning, Particles};
 
 const RADIUS: f64 = 0.26;
 
-fn reach(shapes: &Shapes) -> Reach<'_> {
-    Reach { radius_world: RADIUS, radius_max_world: 0.2, margin_world: 0.05, shapes }
+fn support(shapes: &Shapes) -> Support<'_> {
+    Support { radius_world: RADIUS, radius_max_world: 0.2, margin_world: 0.05, shapes }
 }
 
 fn random(state: &mut u32) -> f64 {
@@ -24,7 +24,7 @@ fn direction(state: &mut u32) -> DVec3 {
     DVec3::new(along(), along(), along()).normalize_or(DVec3::X)
 }
 
-/// Particles, and how large each is.
+/// Particles with their scales.
 #[derive(Clone, Default)]
 struct Sizes {
     positions: Vec<[f64; 3]>,
@@ -39,25 +39,25 @@ impl Sizes {
         self.ids.push(self.ids.len() as i64 * 7);
     }
 
-    /// Drops of all sizes among small ones, some of them twice.
+    /// Drops of all sizes among small ones; some positions occur twice.
     fn mixed() -> Sizes {
         let (mut sizes, mut state) = (Sizes::default(), 17);
         for index in 0..3000 {
-            let place = direction(&mut state) * 8.0 * random(&mut state);
+            let point = direction(&mut state) * 8.0 * random(&mut state);
             let scale = match index % 50 {
                 0 => 2.0 + 20.0 * random(&mut state) as f32,
                 other => [0.5, 1.0, 1.5][other % 3],
             };
-            sizes.push(place, scale);
+            sizes.push(point, scale);
             if index % 20 == 0 {
-                sizes.push(place, scale);
+                sizes.push(point, scale);
             }
         }
         sizes
     }
 
-    /// Places on the surfaces of the large ones, and beyond.
-    fn places(&self) -> Mesh {
+    /// Points on the surfaces of the large particles, and beyond.
+    fn points(&self) -> Mesh {
         let mut state = 23;
         let mut positions = Vec::new();
         for (position, scale) in self.positions.iter().zip(&self.scales).filter(|(_, scale)| **scale >= 1.5) {
@@ -67,7 +67,7 @@ impl Sizes {
         Mesh { positions, ..Mesh::default() }
     }
 
-    /// The values at these places: the bits of the numbers, and whose they are.
+    /// The values at these points: the bits of the numbers, and the ids of the particles.
     fn transferred(&self, mesh: &Mesh) -> (Vec<u32>, Vec<i64>, TransferCounts) {
         let attribute = |values| Attribute { name: "a".into(), meaning: Meaning::Other, arity: 1, values };
         let numbers: Vec<f32> = self.ids.iter().map(|&id| 1.0 + (id as f32).sin()).collect();
@@ -75,33 +75,34 @@ impl Sizes {
         let attributes = attributes.map(attribute);
         let shapes = Shapes::Scaled(self.scales.clone());
         let particles = Particles::Double(self.positions.clone());
-        let (found, counts) = to_vertices(&particles, &attributes.each_ref()[..], mesh, reach(&shapes));
+        let (found, counts) = to_vertices(&particles, &attributes.each_ref()[..], mesh, support(&shapes));
         let [AttributeValues::Numbers(numbers), AttributeValues::Integers(ids)] =
             [&found[0].values, &found[1].values]
         else {
-            panic!("other kinds")
+            panic!("unexpected attribute types")
         };
         (numbers.iter().map(|number| number.to_bits()).collect(), ids.clone(), counts)
     }
 
-    /// The nearest of all that reach a place farther than the radius; none where one is within it.
-    fn brute_force(&self, place: DVec3) -> Result<Option<usize>, ()> {
+    /// The nearest of all particles that reach a point beyond the radius. `Err` if a particle is within the
+    /// radius.
+    fn brute_force(&self, point: DVec3) -> Result<Option<usize>, ()> {
         let shapes = Shapes::Scaled(self.scales.clone());
         let distances =
-            || self.positions.iter().map(|&position| DVec3::from(position).distance_squared(place));
+            || self.positions.iter().map(|&position| DVec3::from(position).distance_squared(point));
         if distances().any(|distance_squared| distance_squared < RADIUS * RADIUS) {
             return Err(());
         }
-        let limit = |index: usize| reach(&shapes).limit_world(index as u32);
+        let limit = |index: usize| support(&shapes).limit_world(index as u32);
         let reaching = distances().enumerate().filter(|(index, least)| *least < limit(*index).powi(2));
         Ok(reaching.min_by(|one, other| one.1.total_cmp(&other.1)).map(|(index, _)| index))
     }
 }
 
 #[test]
-fn lonely_places_get_the_nearest_of_those_that_reach_them() {
+fn isolated_points_get_the_nearest_particle_that_reaches_them() {
     let sizes = Sizes::mixed();
-    let mesh = sizes.places();
+    let mesh = sizes.points();
     let (numbers, ids, counts) = sizes.transferred(&mesh);
     let (mut lonely_count, mut empty_count) = (0, 0);
     for (vertex, position) in mesh.positions.iter().enumerate() {
@@ -125,15 +126,15 @@ fn lonely_places_get_the_nearest_of_those_that_reach_them() {
 }
 
 #[test]
-fn how_large_far_particles_are_changes_no_bit() {
+fn scale_of_distant_particles_changes_no_bit() {
     let mut sizes = Sizes::mixed();
-    let mut mesh = sizes.places();
-    // Nearly as near: 32 bits do not tell them apart, and the first one is the farther.
+    let mut mesh = sizes.points();
+    // Distances that differ by less than 32-bit precision; the first particle is the farther one.
     let apart = DVec3::splat(30.0);
     sizes.push(apart + DVec3::X * (0.75 + 1e-9), 5.0);
     sizes.push(apart - DVec3::X * 0.75, 5.0);
     mesh.positions.push(apart.as_vec3());
-    // No one's, and not to be that of a particle that is large enough elsewhere.
+    // A point that no particle reaches; it must not get the value of a large particle far away.
     mesh.positions.push(Vec3::splat(35.0));
     let reference = sizes.transferred(&mesh);
     assert_eq!(reference.1[mesh.positions.len() - 2..], [sizes.ids[sizes.ids.len() - 1], -1]);
@@ -146,17 +147,19 @@ fn how_large_far_particles_are_changes_no_bit() {
     }
 }
 
-/// The particles that places look at, at most, and whether all of them found one.
-fn looks(positions: &[DVec3], limit_world: impl Fn(u32) -> f64 + Sync, places: &[DVec3]) -> (usize, bool) {
-    let see =
-        |particle: u32| Seen { position: positions[particle as usize], limit_world: limit_world(particle) };
-    let tree = Tree::new((0..positions.len() as u32).collect(), &see);
+/// Maximum number of particles that a point visits, and whether all points found one.
+fn looks(positions: &[DVec3], limit_world: impl Fn(u32) -> f64 + Sync, points: &[DVec3]) -> (usize, bool) {
+    let particle_at = |particle: u32| TreeParticle {
+        position: positions[particle as usize],
+        limit_world: limit_world(particle),
+    };
+    let tree = Tree::new((0..positions.len() as u32).collect(), &particle_at);
     let (mut most, mut all_found) = (0, true);
-    for &place in places {
+    for &point in points {
         let count = Cell::new(0);
-        let nearest = tree.nearest(place, |particle| {
+        let nearest = tree.nearest(point, |particle| {
             count.set(count.get() + 1);
-            see(particle)
+            particle_at(particle)
         });
         most = most.max(count.get());
         all_found &= nearest != NO_PARTICLE;
@@ -165,21 +168,22 @@ fn looks(positions: &[DVec3], limit_world: impl Fn(u32) -> f64 + Sync, places: &
 }
 
 #[test]
-fn a_place_looks_at_few_of_many_particles() {
+fn search_visits_few_of_many_particles() {
     let mut state = 3;
-    let places: Vec<DVec3> = (0..300).map(|_| direction(&mut state) * 5.0).collect();
+    let points: Vec<DVec3> = (0..300).map(|_| direction(&mut state) * 5.0).collect();
     for count in [10_000, 100_000] {
         let crowd: Vec<DVec3> = (0..count).map(|_| direction(&mut state) * random(&mut state)).collect();
-        let (most, all_found) = looks(&crowd, |_| 64.0, &places);
-        // From afar a crowd has many that are nearly as near: more for more particles, but far fewer more.
+        let (most, all_found) = looks(&crowd, |_| 64.0, &points);
+        // From afar, a crowd has many particles at nearly the same distance, so the work grows with the
+        // crowd, but much more slowly.
         assert!(all_found && most <= 640, "{most} of {count}");
-        // All in one place.
-        let (most, all_found) = looks(&vec![DVec3::Y; count], |_| 64.0, &places);
+        // All at the same position.
+        let (most, all_found) = looks(&vec![DVec3::Y; count], |_| 64.0, &points);
         assert!(all_found && most <= 16, "{most} of {count}");
-        // None of them reaches so far; one does.
-        assert_eq!(looks(&crowd, |_| 3.2, &places), (0, false));
-        let (most, all_found) = looks(&crowd, |particle| if particle == 7 { 64.0 } else { 3.2 }, &places);
+        // None of them reaches that far; one does.
+        assert_eq!(looks(&crowd, |_| 3.2, &points), (0, false));
+        let (most, all_found) = looks(&crowd, |particle| if particle == 7 { 64.0 } else { 3.2 }, &points);
         assert!(all_found && most <= 16, "{most} of {count}");
     }
-    assert_eq!(looks(&[], |_| 64.0, &places), (0, false));
+    assert_eq!(looks(&[], |_| 64.0, &points), (0, false));
 }

@@ -1,7 +1,7 @@
 //! How the surface cuts a cell, from the signs of its corners alone.
 //!
-//! On each face of a cell the surface is drawn as segments between the middles of crossed edges, one
-//! segment around each run of inside corners along the face's rim:
+//! On each face of a cell, the surface is drawn as segments between the midpoints of crossed edges: one
+//! segment around each run of inside corners along the boundary of the face.
 //!
 //! ```text
 //!    ○─────○     ●──┼──○     ●──┼──○     ●──┼──○      ● inside   ○ outside
@@ -10,33 +10,32 @@
 //!    ●──┼──○     ●──┼──○     ●─────●     ○──┼──●      the last: ambiguous; the insides are separated
 //! ```
 //!
-//! The rule reads nothing but the face's own four signs, so the two cells of a face draw the same
-//! segments. A crossed edge lies on two faces of its cell and ends one segment on each; hence the
-//! segments of a cell join into simple closed *cycles*, one to four of them, each going around one
-//! sheet of the surface.
+//! The rule depends only on the four signs of the face, so both cells of a face draw the same segments. A
+//! crossed edge lies on two faces of its cell and ends one segment on each. Hence the segments of a cell form
+//! one to four simple closed *cycles*, each around one sheet of the surface.
 //!
 //! Numbering. Corner `4x + 2y + z`. Edge `4a + 2b + c`: along axis a, at b and c on the two axes that
 //! follow a in the order x, y, z, x, y. Face `2a + side`: normal to axis a.
 
 use std::sync::LazyLock;
 
-/// No cycle goes through this edge.
+/// Value of an edge without a cycle.
 pub(super) const NO_CYCLE: u8 = u8::MAX;
 
 /// The cycles of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct CellCycles {
-    /// How many there are, 0 to 4.
+    /// Number of cycles, 0 to 4.
     pub(super) count: usize,
-    /// For each cycle a bit for each edge it goes through.
+    /// For each cycle, a mask of the edges it passes through.
     pub(super) edges: [u16; 4],
-    /// For each edge its cycle, or [`NO_CYCLE`] where it is not crossed.
+    /// For each edge its cycle, or [`NO_CYCLE`] if it is not crossed.
     pub(super) of_edge: [u8; 12],
-    /// A bit for each ambiguous face whose two segments belong to one cycle.
+    /// A mask of the ambiguous faces whose two segments belong to the same cycle.
     pub(super) joined_faces: u8,
 }
 
-/// The cycles of a cell whose inside corners are the bits of `signs`.
+/// The cycles of a cell whose inside corners are the set bits of `signs`.
 #[inline(always)]
 pub(super) fn cell_cycles(signs: u8) -> &'static CellCycles {
     static TABLE: LazyLock<[CellCycles; 256]> =
@@ -44,7 +43,7 @@ pub(super) fn cell_cycles(signs: u8) -> &'static CellCycles {
     &TABLE[usize::from(signs)]
 }
 
-/// The bit of a corner's number that an axis owns.
+/// The bit of an axis in a corner number.
 pub(super) const fn corner_bit(axis: usize) -> usize {
     4 >> axis
 }
@@ -90,8 +89,8 @@ fn trace_cycles(signs: u8) -> CellCycles {
     cycles
 }
 
-/// The segments on a face: for each run of inside corners along its rim, the crossed edges where the
-/// run begins and ends.
+/// The segments on a face: for each run of inside corners along its boundary, the crossed edges where the run
+/// begins and ends.
 fn segments_on(face: usize, signs: u8) -> Vec<[usize; 2]> {
     let (axis, side) = (face / 2, face % 2);
     let (b, c) = (corner_bit((axis + 1) % 3), corner_bit((axis + 2) % 3));
@@ -109,9 +108,7 @@ fn segments_on(face: usize, signs: u8) -> Vec<[usize; 2]> {
 
 fn edge_between(one: usize, other: usize) -> usize {
     let ends = (one.min(other), one.max(other));
-    (0..12)
-        .find(|&edge| edge_corners(edge) == ends)
-        .expect("corners next to each other on a rim share an edge")
+    (0..12).find(|&edge| edge_corners(edge) == ends).expect("adjacent corners of a face share an edge")
 }
 
 #[cfg(test)]
@@ -119,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_crossed_edge_is_in_one_cycle_and_no_other_edge_is() {
+    fn crossed_edges_are_in_exactly_one_cycle() {
         for signs in 0..=255u8 {
             let cycles = cell_cycles(signs);
             for edge in 0..12 {
@@ -138,10 +135,11 @@ mod tests {
     }
 
     #[test]
-    fn separated_insides_give_four_cycles_and_joined_ones_a_ring() {
-        // Four inside corners, no two next to each other.
+    fn ambiguous_faces_separate_the_inside_corners() {
+        // Four inside corners, no two of them adjacent.
         assert_eq!(cell_cycles(0b0110_1001).count, 4);
-        // Two inside corners across a face: apart. Their complement: one sheet around two outsides.
+        // Two diagonally opposite inside corners of a face: separated. Their complement: one sheet around two
+        // outside corners.
         assert_eq!(cell_cycles(0b0000_1001).count, 2);
         assert_eq!(cell_cycles(0b1111_0110).count, 1);
         assert_eq!(cell_cycles(0b1111_0110).joined_faces.count_ones(), 1);

@@ -1,32 +1,31 @@
-//! Where in its cell a vertex of the dual mesh goes.
+//! Places the vertices of the dual mesh within their cells.
 //!
-//! The crossings of a cycle each give a point on the surface and, with ∇φ, the plane that touches it
-//! there. The vertex is the point that is nearest to all these planes (the quadratic error function
-//! of dual contouring), held by a weak spring to the crossings' mean, which alone decides in the
-//! directions in which flat planes leave it free:
+//! Each crossing of a cycle gives a point on the surface and, with ∇φ, its tangent plane. The vertex
+//! minimizes the squared distances to all these planes (the quadratic error function of dual contouring) plus
+//! a weak spring to the mean of the crossings. The spring alone decides in directions that the planes leave
+//! undetermined:
 //!
 //! ```text
-//!   minimise  Σ (∇φᵢ·(x − pᵢ))² + w·n·|x − mean p|²
+//!   minimize  Σ (∇φᵢ·(x − pᵢ))² + w·n·|x − mean p|²
 //! ```
 //!
-//! On a curved surface the planes meet a little outside of it, and by an amount that changes from
-//! cell to cell: a roughness that the smoother has just removed. So the point then moves along ∇φ
-//! onto the zero set of an interpolant that knows curvature, trilinear less the error that trilinear
-//! interpolation makes on a quadratic:
+//! On a curved surface, the planes meet slightly outside it, by an amount that varies from cell to cell: a
+//! roughness that the smoother has just removed. So the point is then moved along ∇φ onto the zero set of an
+//! interpolant that includes curvature: trilinear, minus the error of trilinear interpolation on a quadratic:
 //!
 //! ```text
 //!   φ(x) = lerp³ φ − Σₐ ½·xₐ(1 − xₐ)·lerp³ ∂ₐₐφ
 //! ```
 //!
-//! On the sphere of radius 20 voxels that `tests/meniscus/surface` measures, the planes alone leave the vertices
-//! 0.007 voxels off (rms) and raise the mesh's bending energy by 10 %, the crossings' mean 0.012 and
-//! 13 %; with the steps both end at 0.0003 and 0.1 %. The steps are kept short, because where sheets
-//! meet in a sharp edge the planes know it better.
+//! Measured on the sphere with a radius of 20 voxels in `tests/meniscus/surface`: with the planes alone, the
+//! rms error of the vertices is 0.007 voxels and the mesh's bending energy rises by 10 %; with the mean of
+//! the crossings, 0.012 and 13 %. With the projection, both end at 0.0003 and 0.1 %. The steps are limited,
+//! because where sheets meet in a sharp edge the planes are more accurate.
 //!
 //! All coordinates are relative to the cell, so a surface moved by whole voxels keeps its shape.
 //!
-//! Vertices are found many at a time, one in each lane of the processor's vectors: each step below is a
-//! loop over lanes, and takes of every cell the 32 voxels that the differences at its corners reach.
+//! Vertices are computed in batches, one per SIMD lane: each step below is a loop over lanes. Each cell needs
+//! the 32 voxels that the differences at its corners read.
 //!
 //! This work is based on:
 //! Tao Ju, Frank Losasso, Scott Schaefer, Joe Warren. Dual Contouring of Hermite Data. 2002
@@ -35,75 +34,76 @@ use glam::{IVec3, Mat3, Vec3};
 
 use super::Placement;
 use super::cell_cycles::{corner_bit, edge_corners};
-use super::neighborhood::{BLOCK_STEP, Block};
+use super::neighborhood::{BLOCK_STEP, PhiBlock};
 use super::normals::unit_or_zero;
 
-/// Vertices keep this far from the walls of their cell, in voxels: what makes every triangle of the
-/// mesh have an area, also after rounding. Larger dents the surface where it just cuts a corner off a
-/// cell: a margin of 1/64 alone raises the bending energy of the sphere above by 4 %.
+/// Minimum distance of a vertex from the walls of its cell, in voxels. It ensures that every triangle has a
+/// positive area, also after rounding. A larger margin dents the surface where it barely cuts a corner off a
+/// cell: 1/64 would raise the bending energy of the sphere above by 4 %.
 pub(super) const CELL_MARGIN: f32 = 1.0 / 256.0;
 
-/// Pull towards the crossings' mean, relative to the planes'. Larger rounds sharp edges; smaller
-/// lets nearly parallel planes throw the vertex sideways.
+/// Weight of the spring to the mean of the crossings, relative to the planes. A larger weight rounds sharp
+/// edges; with a smaller one, nearly parallel planes throw the vertex sideways.
 const SPRING_WEIGHT: f32 = 0.1;
 
-/// Steps onto the curved interpolant.
+/// Number of projection steps.
 const PROJECTION_STEPS: usize = 2;
 
-/// The longest of these steps in voxels. A surface of curvature κ needs about κ/8.
+/// Maximum length of a projection step, in voxels. A surface of curvature κ needs about κ/8.
 const PROJECTION_LIMIT: f32 = 0.125;
 
-/// Vertices that are found at once.
+/// Number of vertices that are computed at once.
 pub(super) const LANES: usize = 16;
 
-/// One value of each vertex.
+/// One value per vertex.
 type Column = [f32; LANES];
 
-/// Vertices that wait to be found.
+/// Pending vertices.
 pub(super) struct VertexBatch {
     count: usize,
-    /// The cells' first voxels.
+    /// The first voxels of the cells.
     cells: [[i32; LANES]; 3],
-    /// A bit for each edge that the vertex's cycle goes through.
+    /// A mask of the edges that the vertex's cycle passes through.
     edges: [u32; LANES],
-    /// φ at the cell's corners, and then along each axis next to each corner on its outer side.
+    /// φ at the cell's corners, followed by the outer neighbor of each corner along each axis.
     stencil: [Column; STENCIL_COUNT],
 }
 
-/// What is known of a vertex: where it is relative to its cell, its position in the mesh, and its normal.
+/// Output arrays: for each vertex, its position relative to its cell, its position in the mesh, and its
+/// normal.
 pub(super) struct Vertices<'a> {
     pub(super) locals: &'a mut [Vec3],
     pub(super) positions: &'a mut [Vec3],
     pub(super) normals: &'a mut [Vec3],
 }
 
-/// Voxels that a vertex depends on.
+/// Number of voxels that a vertex depends on.
 const STENCIL_COUNT: usize = 32;
 
 impl VertexBatch {
-    /// No vertex.
+    /// An empty batch.
     #[inline(always)]
     pub(super) fn new() -> VertexBatch {
         let zeros = [0.0; LANES];
         VertexBatch { count: 0, cells: [[0; LANES]; 3], edges: [0; LANES], stencil: [zeros; STENCIL_COUNT] }
     }
 
-    /// How many vertices wait.
+    /// Number of pending vertices.
     #[inline(always)]
     pub(super) fn len(&self) -> usize {
         self.count
     }
 
-    /// Whether there is no place for another vertex.
+    /// True if the batch is full.
     #[inline(always)]
     pub(super) fn is_full(&self) -> bool {
         self.count == LANES
     }
 
-    /// Adds the vertex of a cycle (a bit for each of its edges) in a cell whose first voxel is at `index` in the
+    /// Adds the vertex of a cycle (a mask of its edges) in the cell whose first voxel is at `index` in the
     /// block.
     #[inline(always)]
-    pub(super) fn push(&mut self, block: &Block, index: usize, cell: IVec3, edges: u16) {
+    pub(super) fn push(&mut self, block: &PhiBlock, index: usize, cell: IVec3, edges: u16) {
         let lane = self.count;
         for axis in 0..3 {
             self.cells[axis][lane] = cell[axis];
@@ -115,7 +115,7 @@ impl VertexBatch {
         self.count += 1;
     }
 
-    /// Finds the vertices, writes them in the order in which they came, and forgets them.
+    /// Computes the pending vertices, writes them in the order they were added, and clears the batch.
     #[inline(always)]
     pub(super) fn find(&mut self, placement: &Placement, vertices: Vertices) {
         let samples = self.samples();
@@ -158,7 +158,7 @@ impl VertexBatch {
         samples
     }
 
-    /// The points nearest to the planes of the crossings.
+    /// The points that minimize the error function.
     #[inline(always)]
     fn nearest_points(&self, samples: &Samples) -> [Column; 3] {
         let mut planes = [[0.0; LANES]; PLANE_SUMS];
@@ -186,7 +186,7 @@ impl VertexBatch {
         points
     }
 
-    /// The positions in the mesh of points in the cells.
+    /// The mesh positions of points in the cells.
     #[inline(always)]
     fn positions(&self, placement: &Placement, points: &[Column; 3]) -> [Column; 3] {
         let mut positions = [[0.0; LANES]; 3];
@@ -200,7 +200,7 @@ impl VertexBatch {
     }
 }
 
-/// The directions of ∇φ at points of the cells, or zero where it has none.
+/// The directions of ∇φ at points of the cells, or zero where the gradient vanishes.
 #[inline(always)]
 fn unit_gradients(samples: &Samples, points: &[Column; 3]) -> [Column; 3] {
     let mut normals = [[0.0; LANES]; 3];
@@ -213,13 +213,13 @@ fn unit_gradients(samples: &Samples, points: &[Column; 3]) -> [Column; 3] {
     normals
 }
 
-/// At each corner `4x + 2y + z` of a cell φ, its gradient and its three second differences.
+/// For each corner `4x + 2y + z` of a cell: φ, its gradient and its three second differences.
 type Samples = [[Column; 7]; 8];
 
-/// How many sums the point nearest to planes depends on.
+/// Number of sums that determine the minimizer.
 const PLANE_SUMS: usize = 13;
 
-/// What a plane with normal n through p adds: 1, p, the six different n nᵀ, and n (n·p).
+/// The contribution of a plane with normal n through p: 1, p, the six distinct elements of n nᵀ, and n (n·p).
 #[inline(always)]
 fn plane_sums(p: Vec3, n: Vec3) -> [f32; PLANE_SUMS] {
     let right = n * n.dot(p);
@@ -240,7 +240,7 @@ fn plane_sums(p: Vec3, n: Vec3) -> [f32; PLANE_SUMS] {
     ]
 }
 
-/// The point nearest to the planes with these sums, held to the mean of the points.
+/// The minimizer for planes with these sums.
 #[inline(always)]
 fn nearest_point(sums: [f32; PLANE_SUMS]) -> Vec3 {
     let [count, x, y, z, xx, xy, xz, yy, yz, zz, right_x, right_y, right_z] = sums;
@@ -250,7 +250,7 @@ fn nearest_point(sums: [f32; PLANE_SUMS]) -> Vec3 {
     mean + (products + spring).inverse() * (Vec3::new(right_x, right_y, right_z) - products * mean)
 }
 
-/// Moves points along ∇φ towards the zero set of the curved interpolant.
+/// Moves points along ∇φ toward the zero set of the curved interpolant.
 #[inline(always)]
 fn project(samples: &Samples, points: &mut [Column; 3]) {
     let [x, y, z] = points;
@@ -260,14 +260,14 @@ fn project(samples: &Samples, points: &mut [Column; 3]) {
         let gradient = Vec3::new(value(1), value(2), value(3));
         let bulge = point * (1.0 - point) * Vec3::new(value(4), value(5), value(6));
         let phi = value(0) - 0.5 * bulge.element_sum();
-        // Below a slope of one half the step would be a leap: thin sheets and noise.
+        // Limits the step where the slope is below one half, as in thin sheets and noise.
         let step = gradient * (-phi / gradient.length_squared().max(0.25));
         let moved = clamp_to_cell(point + step.clamp_length_max(PROJECTION_LIMIT));
         [x[lane], y[lane], z[lane]] = moved.to_array();
     }
 }
 
-/// A sample interpolated trilinearly at a point of a lane's cell.
+/// Interpolates a sample trilinearly at a point of a lane's cell.
 #[inline(always)]
 fn interpolate(samples: &Samples, value: usize, lane: usize, point: Vec3) -> f32 {
     let at = |corner: usize| samples[corner][value][lane];
@@ -277,13 +277,13 @@ fn interpolate(samples: &Samples, value: usize, lane: usize, point: Vec3) -> f32
     blend(near, far, point.x)
 }
 
-/// The nearest point that keeps its distance from the cell's walls.
+/// The nearest point that keeps the margin from the cell's walls.
 #[inline(always)]
 fn clamp_to_cell(point: Vec3) -> Vec3 {
     point.clamp(Vec3::splat(CELL_MARGIN), Vec3::splat(1.0 - CELL_MARGIN))
 }
 
-/// One cell's φ and ∇φ at its corners: for the few vertices that lie on its edges and faces.
+/// φ and ∇φ at the corners of one cell, for the few vertices on its edges and faces.
 pub(super) struct CellSamples {
     /// Corner `4x + 2y + z`.
     corners: [(f32, Vec3); 8],
@@ -291,7 +291,7 @@ pub(super) struct CellSamples {
 
 impl CellSamples {
     /// Samples a cell whose first corner is at `index` in the block.
-    pub(super) fn new(block: &Block, index: usize) -> CellSamples {
+    pub(super) fn new(block: &PhiBlock, index: usize) -> CellSamples {
         let sample = |corner: usize| {
             let at = index + CORNER_OFFSETS[corner];
             (block.phi(at), block.gradient(at))
@@ -309,20 +309,20 @@ impl CellSamples {
         blend(near, far, point.x)
     }
 
-    /// The middle of the segment that cuts `corner` (its places on the two axes that follow) off the
-    /// near face along `axis`.
+    /// The midpoint of the segment that cuts `corner` off the near face along `axis`. `corner` holds the
+    /// coordinates on the two axes that follow.
     pub(super) fn segment_middle(&self, axis: usize, corner: [usize; 2]) -> Vec3 {
         let (b, c) = ((axis + 1) % 3, (axis + 2) % 3);
         let ends = [b * 4 + corner[1] * 2, c * 4 + corner[0]].map(|edge| self.edge_crossing(edge));
         0.5 * (ends[0] + ends[1])
     }
 
-    /// The point where the edge from the first corner along `axis` is crossed.
+    /// The crossing of the edge from the first corner along `axis`.
     pub(super) fn edge_point(&self, axis: usize) -> Vec3 {
         self.edge_crossing(axis * 4)
     }
 
-    /// The point where an edge is crossed, kept away from its ends.
+    /// The crossing of an edge, kept away from its ends.
     fn edge_crossing(&self, edge: usize) -> Vec3 {
         let (start, end) = edge_corners(edge);
         let (one, other) = (self.corners[start].0, self.corners[end].0);
@@ -338,7 +338,7 @@ fn blend(one: Vec3, other: Vec3, t: f32) -> Vec3 {
     one + (other - one) * t
 }
 
-/// How far the corners of a cell are from the first one in a block.
+/// Offsets of a cell's corners from the first corner, in a block.
 const CORNER_OFFSETS: [usize; 8] = {
     let mut offsets = [0; 8];
     let mut corner = 0;
@@ -350,25 +350,25 @@ const CORNER_OFFSETS: [usize; 8] = {
     offsets
 };
 
-/// The first voxel of the stencil comes so far before the cell's first corner in a block.
+/// Offset in a block of the stencil's first voxel before the cell's first corner.
 const STENCIL_START: usize = BLOCK_STEP[0];
 
-/// How far the voxels of the stencil are from its first one in a block.
+/// Offsets of the stencil's voxels from its first one, in a block.
 const STENCIL: [usize; STENCIL_COUNT] = {
     let mut offsets = [0; STENCIL_COUNT];
-    let mut place = 0;
-    while place < STENCIL_COUNT {
-        let corner = place % 8;
-        offsets[place] = STENCIL_START + CORNER_OFFSETS[corner];
-        if place >= 8 {
-            let axis = place / 8 - 1;
+    let mut entry = 0;
+    while entry < STENCIL_COUNT {
+        let corner = entry % 8;
+        offsets[entry] = STENCIL_START + CORNER_OFFSETS[corner];
+        if entry >= 8 {
+            let axis = entry / 8 - 1;
             if corner & corner_bit(axis) == 0 {
-                offsets[place] -= BLOCK_STEP[axis];
+                offsets[entry] -= BLOCK_STEP[axis];
             } else {
-                offsets[place] += BLOCK_STEP[axis];
+                offsets[entry] += BLOCK_STEP[axis];
             }
         }
-        place += 1;
+        entry += 1;
     }
     offsets
 };

@@ -1,37 +1,37 @@
-//! Bending energy from φ.
+//! Computes the bending energy from φ.
 //!
-//! The energy that smoothing lowers is that of a thin plate, the integral of H² over the surface,
-//! with H the mean curvature (for a sphere of radius R: H = 1/R, and the integral is 4π whatever
-//! the radius). A mesh knows it only through its angles, which are rough; φ knows it at each voxel:
+//! Smoothing minimizes the energy of a thin plate, the integral of H² over the surface, where H is the mean
+//! curvature. (For a sphere of radius R, H = 1/R, and the integral is 4π for any radius.) On a mesh,
+//! curvature is visible only in the angles, which are rough; φ determines it at each voxel:
 //!
 //! ```text
 //!   H = ½ div (∇φ / |∇φ|) = ½ (|∇φ|² Δφ − ∇φᵀ ∇∇φ ∇φ) / |∇φ|³       central differences, 3 × 3 × 3 voxels
 //! ```
 //!
-//! interpolated trilinearly at the mesh's vertices, and integrated over its triangles. Vertices are looked at many
-//! at a time, one in each lane of the processor's vectors; of each the 4 × 4 × 4 voxels around its cell are taken.
+//! The values are interpolated trilinearly at the mesh's vertices and integrated over its triangles. Vertices
+//! are processed in batches, one per SIMD lane; each needs the 4 × 4 × 4 voxels around its cell.
 
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-use super::neighborhood::{Block, Neighborhood};
+use super::neighborhood::{LeafNeighborhood, PhiBlock};
 use crate::surface::grid::LEAF_EDGE;
 use crate::surface::level_set::NarrowBand;
 use crate::surface::mesh::{self, Mesh, TriangleBatch};
 use crate::surface::simd::{Kernel, Lanes, dispatch};
 use crate::surface::space::Lattice;
 
-/// Where φ is flatter than this, as between two sheets, it has no normal and so no curvature.
+/// Where the slope of φ is below this, as between two sheets, the normal and the curvature are undefined.
 const LEAST_SLOPE: f32 = 0.1;
 
-/// The grid shows no sphere that is smaller than a voxel.
+/// The grid cannot represent spheres smaller than a voxel.
 const GREATEST_CURVATURE: f32 = 1.0;
 
-/// Vertices or triangles in a piece of work. Sums are taken piece by piece, so that they do not
-/// depend on the number of threads.
+/// Vertices or triangles per chunk. Sums are taken chunk by chunk, so that they do not depend on the number
+/// of threads.
 const PIECE: usize = 4096;
 
-/// ∫H² over a mesh of φ = 0, from φ. Without unit: 4π for a sphere.
+/// ∫H² over a mesh of φ = 0, computed from φ. Dimensionless: 4π for a sphere.
 pub fn bending_energy(band: &NarrowBand, lattice: &Lattice, mesh: &Mesh) -> f64 {
     let curvatures = mean_curvatures(band, lattice, mesh);
     let pieces = mesh.triangles.par_chunks(PIECE);
@@ -41,7 +41,7 @@ pub fn bending_energy(band: &NarrowBand, lattice: &Lattice, mesh: &Mesh) -> f64 
     sums.iter().sum::<f64>() / lattice.voxel_size.powi(2)
 }
 
-/// Sums the energies of some triangles, in squared units of the mesh.
+/// Kernel: the sum of the energies of some triangles, in squared units of the mesh.
 struct TriangleEnergies<'a> {
     mesh: &'a Mesh,
     curvatures: &'a [f32],
@@ -65,8 +65,8 @@ impl Kernel for TriangleEnergies<'_> {
     }
 }
 
-/// The mean curvature of φ at each vertex of a mesh of φ = 0, per voxel; positive on a sphere. Zero
-/// where φ is not stored.
+/// The mean curvature of φ at each vertex of a mesh of φ = 0, per voxel; positive on a sphere. Zero where φ
+/// is not stored.
 pub fn mean_curvatures(band: &NarrowBand, lattice: &Lattice, mesh: &Mesh) -> Vec<f32> {
     let mut curvatures = vec![0.0; mesh.positions.len()];
     let pieces = curvatures.par_chunks_mut(PIECE).zip(mesh.positions.par_chunks(PIECE));
@@ -76,7 +76,7 @@ pub fn mean_curvatures(band: &NarrowBand, lattice: &Lattice, mesh: &Mesh) -> Vec
     curvatures
 }
 
-/// Finds the curvatures at some vertices.
+/// Kernel: the curvatures at some vertices.
 struct VertexCurvatures<'a> {
     band: &'a NarrowBand,
     lattice: &'a Lattice,
@@ -93,8 +93,8 @@ impl Kernel for VertexCurvatures<'_> {
         let VertexCurvatures { band, lattice, mesh, positions, curvatures } = self;
         let origin = mesh.origin / lattice.voxel_size;
         let mut batch = CurvatureBatch::new();
-        // A mesh lists its vertices leaf by leaf, so the last block mostly serves again.
-        let mut block = Block::new(band.half_width);
+        // A mesh lists its vertices leaf by leaf, so the previous block can usually be reused.
+        let mut block = PhiBlock::new(band.half_width);
         let mut block_origin = None;
         for (vertex, position) in positions.iter().enumerate() {
             let index = origin + position.as_dvec3() / lattice.voxel_size;
@@ -104,7 +104,7 @@ impl Kernel for VertexCurvatures<'_> {
             let leaf_origin = cell - voxel;
             if block_origin != Some(leaf_origin) {
                 let Some(leaf) = band.topology.find(leaf_origin) else { continue };
-                block.fill(&Neighborhood::new(&band.topology, leaf), &band.phi);
+                block.fill(&LeafNeighborhood::new(&band.topology, leaf), &band.phi);
                 block_origin = Some(leaf_origin);
             }
             batch.push(&block, voxel, (index - floor).as_vec3(), vertex);
@@ -116,23 +116,23 @@ impl Kernel for VertexCurvatures<'_> {
     }
 }
 
-/// Vertices that are looked at once.
+/// Number of vertices that are processed at once.
 const LANES: usize = 16;
 
-/// One value of each vertex.
+/// One value per vertex.
 type Column = [f32; LANES];
 
-/// Vertices whose curvature waits to be found.
+/// Pending vertices.
 struct CurvatureBatch {
     count: usize,
     vertices: [usize; LANES],
-    /// Where they are in their cells.
+    /// Positions within their cells.
     locals: [Column; 3],
     /// φ around their cells, −1 to 2 on each axis, z fastest.
     phi: [Column; 64],
 }
 
-/// How far apart neighbours along x, y and z are among these 64.
+/// Strides along x, y and z within these 64 values.
 const STEP: [usize; 3] = [16, 4, 1];
 
 impl CurvatureBatch {
@@ -143,10 +143,10 @@ impl CurvatureBatch {
     }
 
     #[inline(always)]
-    fn push(&mut self, block: &Block, cell: IVec3, local: Vec3, vertex: usize) {
+    fn push(&mut self, block: &PhiBlock, cell: IVec3, local: Vec3, vertex: usize) {
         for x in 0..4 {
             for y in 0..4 {
-                let values: [f32; 4] = block.phi_along(Block::index(cell + IVec3::new(x - 1, y - 1, -1)));
+                let values: [f32; 4] = block.phi_along(PhiBlock::index(cell + IVec3::new(x - 1, y - 1, -1)));
                 for (z, value) in values.into_iter().enumerate() {
                     self.phi[(x * 16 + y * 4) as usize + z][self.count] = value;
                 }
@@ -159,7 +159,7 @@ impl CurvatureBatch {
         self.count += 1;
     }
 
-    /// Puts the curvatures in their places. Then no vertex waits.
+    /// Stores the curvatures of the pending vertices and clears the batch.
     #[inline(always)]
     fn find(&mut self, curvatures: &mut [f32]) {
         let mut sums = [0.0; LANES];
@@ -183,7 +183,7 @@ impl CurvatureBatch {
     /// The mean curvature of the level set through a voxel.
     #[inline(always)]
     fn voxel_curvature(&self, voxel: usize, lane: usize) -> f32 {
-        let phi = |place: usize| self.phi[place][lane];
+        let phi = |neighbor: usize| self.phi[neighbor][lane];
         let here = phi(voxel);
         let slope = |axis: usize| 0.5 * (phi(voxel + STEP[axis]) - phi(voxel - STEP[axis]));
         let bend = |axis: usize| (phi(voxel + STEP[axis]) - here) - (here - phi(voxel - STEP[axis]));

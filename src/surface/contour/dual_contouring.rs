@@ -1,4 +1,4 @@
-//! Dual contouring: a vertex for each sheet of surface in a cell, a quad for each crossed grid edge.
+//! Dual contouring: one vertex per sheet of surface in a cell, one quad per crossed grid edge.
 //!
 //! ```text
 //!      ┌───────┬───────┐          cells around a crossed edge, seen along it
@@ -6,41 +6,41 @@
 //!      │   │   │   │   │          ┼ in the middle: the crossed edge
 //!      ├───┼───┼───┼───┤          · a vertex in each of its four cells
 //!      │   ·───┼───·   │
-//!      │       │       │          their quad, cut along one of its diagonals
+//!      │       │       │          their quad is split along one of its diagonals
 //!      └───────┴───────┘
 //! ```
 //!
-//! # Why the mesh is closed and a manifold
+//! # Why the mesh is closed and manifold
 //!
-//! 1. Take the cycles of all cells ([`super::cell_cycles`]) as polygons with the crossed edges as
-//!    corners and the segments on the faces as sides. Both cells of a face draw the same segments
-//!    there, so every side belongs to exactly two polygons. A crossed edge has four cells and four
-//!    faces around it, with one polygon corner in each and one side on each: one closed ring. So
-//!    the polygons form a closed 2-manifold.
-//! 2. The dual mesh (a vertex a polygon, a side across each side, a quad around each corner) is
-//!    the same manifold. The four vertices of a quad lie in four cells, hence differ, and the ring
-//!    of quads around a vertex is the rim of its polygon, with three sides or more.
-//! 3. What could go wrong is that two *different* sides of the dual mesh join the *same* two
-//!    vertices: indexed triangles would then glue them, four triangles on one edge. Their two cells
-//!    share only one face, so both segments are on this face: it is ambiguous, and in both cells
-//!    its two segments belong to one cycle. Exactly then ([`CellCycles::joined_faces`] on both
-//!    sides) each of the two sides gets a vertex of its own in its middle, on the face.
-//! 4. A quad without such a vertex is cut along a diagonal. Its ends lie in cells that share nothing
-//!    but this grid edge, so no other quad has the same diagonal, and no side joins them. A polygon
-//!    with such vertices becomes a fan around a vertex of its own, on the crossed edge. So all
-//!    edges of the triangle mesh are distinct, each is in exactly two triangles, and the triangles
-//!    around a vertex form one ring. ∎
+//! 1. Consider the cycles of all cells ([`super::cell_cycles`]) as polygons: the crossed edges are their corners
+//!    and the segments on the faces are their sides. Both cells of a face draw the same segments there, so
+//!    every side belongs to exactly two polygons. A crossed edge has four cells and four faces around it, with
+//!    one polygon corner in each cell and one side on each face: a single closed ring. So the polygons form a
+//!    closed 2-manifold.
+//! 2. The dual mesh (a vertex per polygon, an edge across each side, a quad around each corner) is the same
+//!    manifold. The four vertices of a quad lie in four cells, hence differ. The ring of quads around a vertex
+//!    follows the boundary of its polygon, which has at least three sides.
+//! 3. One failure is possible: two *different* edges of the dual mesh join the *same* two vertices. Indexed
+//!    triangles would then merge them, with four triangles on one edge. The two cells share only one face, so
+//!    both segments are on this face: it is ambiguous, and in both cells its two segments belong to one cycle.
+//!    Exactly in this case ([`CellCycles::joined_faces`] in both cells), each of the two edges gets an
+//!    additional vertex in its middle, on the face.
+//! 4. A quad without additional vertices is split along a diagonal. The ends of the diagonal lie in cells that
+//!    share only this grid edge, so no other quad has the same diagonal, and no edge joins them. A quad with
+//!    additional vertices becomes a fan around one more vertex, on the crossed edge. So all edges of the
+//!    triangle mesh are distinct, each is in exactly two triangles, and the triangles around a vertex form one
+//!    ring. ∎
 //!
 //! # Why no triangle is degenerate
 //!
 //! Seen along its grid edge, a quad has one vertex strictly inside each quadrant around the edge
-//! ([`CELL_MARGIN`](super::cell_vertex::CELL_MARGIN)), so it is star-shaped about the edge and has at
-//! most one reflex corner: the diagonal from this corner, or else any, cuts it into two triangles
-//! that are not flipped. A fan is about the edge itself, and its other added vertices lie on the
-//! half-axes between the quadrants. Rounding keeps all of these orders as long as it is finer than
-//! the margin, and where it could matter the cut is decided on the rounded positions; so the promise
-//! holds for what a reader of the mesh computes, at least as far as 16 384 voxels from the mesh's
-//! origin. Everywhere else the cut depends on nothing but φ around the edge.
+//! ([`CELL_MARGIN`](super::cell_vertex::CELL_MARGIN)). So it is star-shaped about the edge and has at most
+//! one reflex corner; the diagonal from this corner, or any diagonal without such a corner, splits it into two
+//! triangles that are not flipped. The center of a fan is on the edge itself, and its other additional
+//! vertices lie on the half-axes between the quadrants. Rounding preserves this order as long as it is finer
+//! than the margin. Where it might matter, the split is decided on the rounded positions, so the guarantee
+//! holds for the positions in the file, up to at least 16 384 voxels from the mesh's origin. Everywhere else,
+//! the split depends only on φ around the edge.
 //!
 //! This work is based on:
 //! Gregory M. Nielson. Dual Marching Cubes. 2004
@@ -51,7 +51,7 @@ use rayon::prelude::*;
 
 use super::cell_cycles::cell_cycles;
 use super::cell_vertex::{CellSamples, VertexBatch, Vertices};
-use super::neighborhood::{Block, Neighborhood, SignRows};
+use super::neighborhood::{LeafNeighborhood, PhiBlock, SignRows};
 use super::normals::unit_or_zero;
 use super::quads::Quads;
 use super::ring::{Ring, joined_segments, segment_key};
@@ -61,44 +61,50 @@ use crate::surface::level_set::NarrowBand;
 use crate::surface::mesh::Mesh;
 use crate::surface::simd::{Kernel, Lanes, dispatch};
 
-/// The dual mesh of φ = 0. A normal is zero where φ does not give one.
+/// The dual mesh of φ = 0. A normal is zero where φ does not define one.
 pub(super) fn dual_contour(band: &NarrowBand, placement: &Placement) -> Mesh {
-    let plan = Plan::new(band);
-    let mut positions = bytemuck::zeroed_vec(plan.vertex_count);
-    let mut normals = bytemuck::zeroed_vec(plan.vertex_count);
-    let mut locals = bytemuck::zeroed_vec(plan.vertex_count);
+    let layout = MeshLayout::new(band);
+    let mut positions = bytemuck::zeroed_vec(layout.vertex_count);
+    let mut normals = bytemuck::zeroed_vec(layout.vertex_count);
+    let mut locals = bytemuck::zeroed_vec(layout.vertex_count);
     let vertices = |patch: &Patch| patch.vertex_count();
-    let places = plan.split(&mut positions, vertices).into_par_iter();
-    let places = places.zip(plan.split(&mut normals, vertices)).zip(plan.split(&mut locals, vertices));
-    places.zip(plan.patches.par_chunks(PATCHES_AT_ONCE)).for_each(
+    let slices = layout.split(&mut positions, vertices).into_par_iter();
+    let slices = slices.zip(layout.split(&mut normals, vertices)).zip(layout.split(&mut locals, vertices));
+    slices.zip(layout.patches.par_chunks(PATCHES_AT_ONCE)).for_each(
         |(((positions, normals), locals), patches)| {
-            dispatch(PatchVertices { band, placement, plan: &plan, patches, locals, positions, normals });
+            dispatch(PatchVertices { band, placement, layout: &layout, patches, locals, positions, normals });
         },
     );
-    let mut triangles = bytemuck::zeroed_vec(plan.triangle_count);
-    let quads =
-        Quads { plan: &plan, on_faces: plan.vertices_on_faces(), locals: &locals, positions: &positions };
-    let places = plan.split(&mut triangles, |patch| usize::from(patch.triangle_count));
-    places.into_par_iter().zip(plan.patches.par_chunks(PATCHES_AT_ONCE)).for_each(|(triangles, patches)| {
-        dispatch(PatchTriangles { quads: &quads, patches, triangles });
-    });
+    let mut triangles = bytemuck::zeroed_vec(layout.triangle_count);
+    let quads = Quads {
+        layout: &layout,
+        on_faces: layout.vertices_on_faces(),
+        locals: &locals,
+        positions: &positions,
+    };
+    let slices = layout.split(&mut triangles, |patch| usize::from(patch.triangle_count));
+    slices.into_par_iter().zip(layout.patches.par_chunks(PATCHES_AT_ONCE)).for_each(
+        |(triangles, patches)| {
+            dispatch(PatchTriangles { quads: &quads, patches, triangles });
+        },
+    );
     Mesh { positions, normals, triangles, origin: placement.world_origin() }
 }
 
-/// In place of a patch's index: the leaf has no surface.
+/// Patch index of a leaf without surface.
 const NO_PATCH: u32 = u32::MAX;
 
-/// Patches in a piece of work.
+/// Number of patches per task.
 const PATCHES_AT_ONCE: usize = 16;
 
-/// What a leaf adds to the mesh, known from signs alone.
+/// What a leaf adds to the mesh, determined from signs alone.
 pub(super) struct Patch {
     pub(super) leaf: u32,
-    pub(super) neighborhood: Neighborhood,
-    /// The place of its vertices in the mesh.
+    pub(super) neighborhood: LeafNeighborhood,
+    /// Index in the mesh of its first vertex.
     pub(super) first_vertex: u32,
-    /// For each row of cells the first of their vertices, from the patch's first; and where the last one ends.
-    /// The vertices on faces follow, and then those on edges.
+    /// For each row of cells, its first vertex relative to the patch; the last entry is the end. The vertices
+    /// on faces follow, and then those on edges.
     pub(super) row_starts: [u16; 65],
     pub(super) on_faces_count: u16,
     pub(super) on_edges_count: u16,
@@ -106,9 +112,9 @@ pub(super) struct Patch {
 }
 
 impl Patch {
-    /// The patch of a leaf that the surface crosses, its vertices on edges not yet counted.
+    /// The patch of a leaf that the surface crosses. Its vertices on edges are counted later.
     #[inline(always)]
-    fn new(leaf: usize, neighborhood: Neighborhood, inside_masks: &[LeafMask]) -> Option<Patch> {
+    fn new(leaf: usize, neighborhood: LeafNeighborhood, inside_masks: &[LeafMask]) -> Option<Patch> {
         let rows = SignRows::new(&neighborhood, inside_masks);
         let crossed = rows.crossed_cells();
         if crossed.is_empty() {
@@ -141,21 +147,21 @@ impl Patch {
         usize::from(self.row_starts[64]) + usize::from(self.on_faces_count) + usize::from(self.on_edges_count)
     }
 
-    /// The first of the vertices on faces, in the mesh.
+    /// Index in the mesh of the first vertex on a face.
     fn first_on_faces(&self) -> u32 {
         self.first_vertex + u32::from(self.row_starts[64])
     }
 
-    /// The first of the vertices on edges, in the mesh.
+    /// Index in the mesh of the first vertex on an edge.
     pub(super) fn first_on_edges(&self) -> u32 {
         self.first_on_faces() + u32::from(self.on_faces_count)
     }
 }
 
-/// How the mesh is laid out: all that is known before the first vertex is found.
-pub(super) struct Plan {
+/// The layout of the mesh, determined before any vertex is computed.
+pub(super) struct MeshLayout {
     pub(super) inside_masks: Vec<LeafMask>,
-    /// In the topology's order.
+    /// Patches in the topology's order.
     pub(super) patches: Vec<Patch>,
     /// For each leaf its patch, or [`NO_PATCH`].
     patch_of_leaf: Vec<u32>,
@@ -163,11 +169,11 @@ pub(super) struct Plan {
     triangle_count: usize,
 }
 
-impl Plan {
-    fn new(band: &NarrowBand) -> Plan {
+impl MeshLayout {
+    fn new(band: &NarrowBand) -> MeshLayout {
         let inside_masks = negative_masks(&band.phi);
         let patch = |leaf: usize| {
-            let neighborhood = Neighborhood::new(&band.topology, leaf);
+            let neighborhood = LeafNeighborhood::new(&band.topology, leaf);
             let may_have_surface = neighborhood.may_have_surface(&inside_masks);
             may_have_surface.then(|| dispatch(NewPatch(leaf, neighborhood, &inside_masks))).flatten()
         };
@@ -176,25 +182,26 @@ impl Plan {
         for (index, patch) in patches.iter().enumerate() {
             patch_of_leaf[patch.leaf as usize] = index as u32;
         }
-        let mut plan = Plan { inside_masks, patches, patch_of_leaf, vertex_count: 0, triangle_count: 0 };
-        plan.count_vertices_on_edges();
-        for patch in &mut plan.patches {
-            patch.first_vertex = plan.vertex_count as u32;
-            plan.vertex_count += patch.vertex_count();
-            plan.triangle_count += usize::from(patch.triangle_count);
+        let mut layout =
+            MeshLayout { inside_masks, patches, patch_of_leaf, vertex_count: 0, triangle_count: 0 };
+        layout.count_vertices_on_edges();
+        for patch in &mut layout.patches {
+            patch.first_vertex = layout.vertex_count as u32;
+            layout.vertex_count += patch.vertex_count();
+            layout.triangle_count += usize::from(patch.triangle_count);
         }
-        assert!(plan.vertex_count <= u32::MAX as usize, "more vertices than 32-bit indices");
-        plan
+        assert!(layout.vertex_count <= u32::MAX as usize, "more vertices than 32-bit indices allow");
+        layout
     }
 
-    /// The patch of a leaf that has surface.
+    /// The patch of a leaf that contains surface.
     #[inline(always)]
     pub(super) fn patch(&self, leaf: u32) -> &Patch {
         &self.patches[self.patch_of_leaf[leaf as usize] as usize]
     }
 
-    /// Adds what a quad with vertices on its sides has more than others: one on its edge, and two triangles or
-    /// more. There are few, and only beside leaves that have vertices on faces.
+    /// Counts what quads with joined sides add: one vertex on the edge, and at least two triangles. There are
+    /// few, and only next to leaves that have vertices on faces.
     fn count_vertices_on_edges(&mut self) {
         if self.patches.iter().all(|patch| patch.on_faces_count == 0) {
             return;
@@ -218,7 +225,7 @@ impl Plan {
         }
     }
 
-    /// The vertices on faces: their leaf, their [`segment_key`] there, and their place in the mesh, in order.
+    /// The vertices on faces, sorted: the leaf, the [`segment_key`] in the leaf, and the index in the mesh.
     fn vertices_on_faces(&self) -> Vec<(u32, u16, u32)> {
         let patches = self.patches.par_iter().filter(|patch| patch.on_faces_count > 0);
         let vertices = patches.flat_map_iter(|patch| {
@@ -230,14 +237,14 @@ impl Plan {
         vertices.collect()
     }
 
-    /// Cuts what belongs to all patches, so many items for each, into the parts of pieces of work.
+    /// Splits an array with `count` items per patch into one slice per task.
     fn split<'a, T>(&self, whole: &'a mut [T], count: impl Fn(&Patch) -> usize) -> Vec<&'a mut [T]> {
         split(whole, self.patches.chunks(PATCHES_AT_ONCE).map(|patches| patches.iter().map(&count).sum()))
     }
 }
 
-/// The rings that have vertices on their sides, around edges that start in a leaf: the edges' first voxels, and
-/// the rings, in order.
+/// The rings with joined sides around edges that start in a leaf, in order: the first voxel of the edge, and
+/// the ring.
 fn joined_rings(rows: &SignRows) -> impl Iterator<Item = (IVec3, Ring)> + '_ {
     let edges = (0..3).flat_map(|axis| {
         let edges: Vec<usize> = rows.crossed_edges(axis).iter().collect();
@@ -248,8 +255,8 @@ fn joined_rings(rows: &SignRows) -> impl Iterator<Item = (IVec3, Ring)> + '_ {
         .filter(|(_, ring)| ring.joined_sides != 0)
 }
 
-/// Makes a patch.
-struct NewPatch<'a>(usize, Neighborhood, &'a [LeafMask]);
+/// Kernel: creates a patch.
+struct NewPatch<'a>(usize, LeafNeighborhood, &'a [LeafMask]);
 
 impl Kernel for NewPatch<'_> {
     type Output = Option<Patch>;
@@ -260,13 +267,13 @@ impl Kernel for NewPatch<'_> {
     }
 }
 
-/// Finds the vertices of patches.
+/// Kernel: computes the vertices of patches.
 struct PatchVertices<'a> {
     band: &'a NarrowBand,
     placement: &'a Placement,
-    plan: &'a Plan,
+    layout: &'a MeshLayout,
     patches: &'a [Patch],
-    /// Places relative to the cells.
+    /// Positions relative to the cells.
     locals: &'a mut [Vec3],
     positions: &'a mut [Vec3],
     normals: &'a mut [Vec3],
@@ -278,17 +285,17 @@ impl Kernel for PatchVertices<'_> {
     #[inline(always)]
     fn run<V: Lanes>(mut self) {
         let mut batch = VertexBatch::new();
-        let mut block = Block::new(self.band.half_width);
+        let mut block = PhiBlock::new(self.band.half_width);
         let mut done = 0;
         for patch in self.patches {
-            let rows = SignRows::new(&patch.neighborhood, &self.plan.inside_masks);
+            let rows = SignRows::new(&patch.neighborhood, &self.layout.inside_masks);
             block.fill(&patch.neighborhood, &self.band.phi);
             let origin = self.band.topology.origins()[patch.leaf as usize];
             for offset in rows.crossed_cells().iter() {
                 let cell = voxel_in_leaf(offset);
                 let cycles = cell_cycles(rows.cell_signs(cell));
                 for &edges in &cycles.edges[..cycles.count] {
-                    batch.push(&block, Block::index(cell), origin + cell, edges);
+                    batch.push(&block, PhiBlock::index(cell), origin + cell, edges);
                     if batch.is_full() {
                         self.find(&mut batch, &mut done);
                     }
@@ -304,52 +311,52 @@ impl Kernel for PatchVertices<'_> {
 }
 
 impl PatchVertices<'_> {
-    /// Finds the vertices of a batch; those before `done` are.
+    /// Computes the vertices of a batch; those before `done` are finished.
     #[inline(always)]
     fn find(&mut self, batch: &mut VertexBatch, done: &mut usize) {
         if batch.len() == 0 {
             return;
         }
-        let places = *done..*done + batch.len();
-        *done = places.end;
+        let range = *done..*done + batch.len();
+        *done = range.end;
         let vertices = Vertices {
-            locals: &mut self.locals[places.clone()],
-            positions: &mut self.positions[places.clone()],
-            normals: &mut self.normals[places],
+            locals: &mut self.locals[range.clone()],
+            positions: &mut self.positions[range.clone()],
+            normals: &mut self.normals[range],
         };
         batch.find(self.placement, vertices);
     }
 
-    /// Adds the vertices that a patch has on faces and edges, and returns the place after them.
+    /// Adds a patch's vertices on faces and edges, and returns the index after them.
     fn add_on_faces_and_edges(
         &mut self,
         patch: &Patch,
         rows: &SignRows,
-        block: &Block,
+        block: &PhiBlock,
         first: usize,
     ) -> usize {
         let origin = self.band.topology.origins()[patch.leaf as usize];
-        let mut place = first;
+        let mut index = first;
         let mut add = |cell: IVec3, samples: &CellSamples, local: Vec3| {
-            self.positions[place] = self.placement.position(origin + cell, local);
-            self.normals[place] = unit_or_zero(samples.gradient(local));
-            place += 1;
+            self.positions[index] = self.placement.position(origin + cell, local);
+            self.normals[index] = unit_or_zero(samples.gradient(local));
+            index += 1;
         };
         for (cell, axis, corner) in joined_segments(rows) {
-            let samples = CellSamples::new(block, Block::index(cell));
+            let samples = CellSamples::new(block, PhiBlock::index(cell));
             add(cell, &samples, samples.segment_middle(axis, corner));
         }
         if patch.on_edges_count > 0 {
             for (voxel, ring) in joined_rings(rows) {
-                let samples = CellSamples::new(block, Block::index(voxel));
+                let samples = CellSamples::new(block, PhiBlock::index(voxel));
                 add(voxel, &samples, samples.edge_point(ring.axis));
             }
         }
-        place
+        index
     }
 }
 
-/// Writes the triangles of patches.
+/// Kernel: writes the triangles of patches.
 struct PatchTriangles<'a> {
     quads: &'a Quads<'a>,
     patches: &'a [Patch],

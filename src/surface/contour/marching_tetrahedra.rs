@@ -1,27 +1,27 @@
-//! Marching tetrahedra: the surface of a function that is linear in each tetrahedron.
+//! Marching tetrahedra: the zero set of a function that is linear in each tetrahedron.
 //!
-//! Each cell is cut into six tetrahedra, one for each order in which a path from its first to its
-//! last corner can take the three axes (Kuhn's, or Freudenthal's, subdivision):
+//! Each cell is split into six tetrahedra, one for each order of the three axes along a path from its first
+//! to its last corner (Kuhn's or Freudenthal's subdivision):
 //!
 //! ```text
 //!        3 ─────── 7        paths 0 → 7:   x y z   y z x   z x y    and, mirrored,   x z y   z y x   y x z
 //!       ╱│      ╱ ╱│
-//!      1 ───── 5   │        edges, by where they end, each from its first voxel:
-//!      │ │  ╱  │   │          along one axis 3, across a face 3, through the cell 1: seven a voxel
+//!      1 ───── 5   │        edges by their end point, each from its first voxel:
+//!      │ │  ╱  │   │          3 along an axis, 3 across a face, 1 through the cell: 7 per voxel
 //!      │ 2 ────│── 6
-//!      │╱      │ ╱          a face is cut along the diagonal from its first to its last corner, so
-//!      0 ───── 4            cells agree on it
+//!      │╱      │ ╱          a face is split along the diagonal from its first to its last corner, so
+//!      0 ───── 4            both its cells agree
 //! ```
 //!
-//! A tetrahedron has no ambiguous case: its inside corners are one piece and so are its outside
-//! corners. A vertex sits on each edge whose ends differ, strictly between them, and one triangle
-//! or two cut the tetrahedron there. So two triangles meet at each edge of the mesh (one from each
-//! tetrahedron of a face), the triangles around a vertex follow the ring of tetrahedra around its
-//! edge, and no triangle is degenerate, since its corners lie on three edges that are not in one
-//! plane, or that share just one corner, away from it.
+//! A tetrahedron has no ambiguous case: its inside corners are connected, and so are its outside corners. A
+//! vertex lies strictly inside each edge whose ends differ in sign, and one or two triangles separate the
+//! corners. So two triangles meet at each edge of the mesh (one from each tetrahedron of a face), and the
+//! triangles around a vertex follow the ring of tetrahedra around its edge. No triangle is degenerate: its
+//! corners lie on three edges that are either not coplanar, or share a single corner that is none of the
+//! vertices.
 //!
-//! The vertices are where the cubic through four voxels along the edge is zero: linear
-//! interpolation would pull a curved surface inwards by another amount in each direction.
+//! Vertices are placed at the zero of the cubic through four voxels along the edge. Linear interpolation
+//! would pull a curved surface inward by an amount that depends on the direction of the edge.
 //!
 //! This work is based on:
 //! Akio Doi, Akio Koide. An Efficient Method of Triangulating Equi-Valued Surfaces by Using
@@ -30,24 +30,25 @@
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-use super::neighborhood::{BLOCK_STEP, Block, Neighborhood, SignRows};
+use super::neighborhood::{BLOCK_STEP, LeafNeighborhood, PhiBlock, SignRows};
 use super::normals::unit_or_zero;
 use super::{Placement, split};
 use crate::surface::grid::{LEAF_VOXELS, LeafMask, ROW_COUNT, negative_masks, offset_in_leaf, voxel_in_leaf};
 use crate::surface::level_set::NarrowBand;
 use crate::surface::mesh::Mesh;
 
-/// Vertices keep this part of their edge away from its ends: what makes every triangle have an
-/// area. Larger would bend the surface visibly where it passes close to a voxel.
+/// Minimum distance of a vertex from the ends of its edge, as a fraction of the edge. It ensures that every
+/// triangle has a positive area. A larger margin would visibly bend the surface where it passes close to a
+/// voxel.
 const EDGE_MARGIN: f32 = 1.0 / 128.0;
 
-/// The surface of φ = 0 in the tetrahedra. A normal is zero where φ does not give one.
+/// The surface φ = 0 in the tetrahedra. A normal is zero where φ does not define one.
 pub(super) fn march_tetrahedra(band: &NarrowBand, placement: &Placement) -> Mesh {
     let masks = negative_masks(&band.phi);
     let cases = tetrahedron_cases();
-    let mut patches: Vec<Patch> = (0..band.topology.len())
+    let mut patches: Vec<TetPatch> = (0..band.topology.len())
         .into_par_iter()
-        .filter_map(|leaf| Patch::new(band, &masks, &cases, leaf))
+        .filter_map(|leaf| TetPatch::new(band, &masks, &cases, leaf))
         .collect();
     let mut patch_of_leaf = vec![NO_PATCH; band.topology.len()];
     let (mut vertex_count, mut triangle_count) = (0, 0);
@@ -57,47 +58,47 @@ pub(super) fn march_tetrahedra(band: &NarrowBand, placement: &Placement) -> Mesh
         vertex_count += patch.vertex_count();
         triangle_count += patch.triangle_count;
     }
-    assert!(vertex_count <= u32::MAX as usize, "more vertices than 32-bit indices");
+    assert!(vertex_count <= u32::MAX as usize, "more vertices than 32-bit indices allow");
     let mut positions = bytemuck::zeroed_vec(vertex_count);
     let mut normals = bytemuck::zeroed_vec(vertex_count);
     let mut triangles = bytemuck::zeroed_vec(triangle_count);
-    let places = split(&mut positions, patches.iter().map(Patch::vertex_count)).into_par_iter();
-    let places = places.zip(split(&mut normals, patches.iter().map(Patch::vertex_count)));
-    places.zip(&patches).for_each(|((positions, normals), patch)| {
+    let slices = split(&mut positions, patches.iter().map(TetPatch::vertex_count)).into_par_iter();
+    let slices = slices.zip(split(&mut normals, patches.iter().map(TetPatch::vertex_count)));
+    slices.zip(&patches).for_each(|((positions, normals), patch)| {
         patch.find_vertices(band, placement, positions, normals);
     });
-    let surface = Surface { masks: &masks, cases, patches: &patches, patch_of_leaf };
-    let places = split(&mut triangles, patches.iter().map(|patch| patch.triangle_count)).into_par_iter();
-    places.zip(&patches).for_each(|(triangles, patch)| surface.write_triangles(patch, triangles));
+    let mesh_writer = TetMesh { masks: &masks, cases, patches: &patches, patch_of_leaf };
+    let slices = split(&mut triangles, patches.iter().map(|patch| patch.triangle_count)).into_par_iter();
+    slices.zip(&patches).for_each(|(triangles, patch)| mesh_writer.write_triangles(patch, triangles));
     Mesh { positions, normals, triangles, origin: placement.world_origin() }
 }
 
-/// In place of a patch's index: the leaf has no vertices.
+/// Patch index of a leaf without vertices.
 const NO_PATCH: u32 = u32::MAX;
 
-/// The vertices on the edges that start in one leaf, and how many triangles are in its cells.
-struct Patch {
+/// The vertices on the edges that start in one leaf, and the number of triangles in its cells.
+struct TetPatch {
     leaf: usize,
-    neighborhood: Neighborhood,
-    /// For each voxel a bit for each crossed edge that starts there: bit d for the edge to the
-    /// voxel that is d away, as a corner number (1 to 7).
+    neighborhood: LeafNeighborhood,
+    /// For each voxel, a mask of the crossed edges that start there: bit d for the edge to the voxel at
+    /// offset d, a corner number (1 to 7).
     crossed: Box<[u8; LEAF_VOXELS]>,
-    /// For each row of voxels the first of its vertices, from the patch's first; and where the last one ends.
+    /// For each row of voxels, its first vertex relative to the patch; the last entry is the end.
     row_starts: [u16; ROW_COUNT + 1],
-    /// The place of its vertices in the mesh.
+    /// Index in the mesh of its first vertex.
     first_vertex: u32,
     triangle_count: usize,
 }
 
-impl Patch {
-    /// The patch of a leaf, if there is anything in it.
-    fn new(band: &NarrowBand, inside_masks: &[LeafMask], cases: &Cases, leaf: usize) -> Option<Patch> {
-        let neighborhood = Neighborhood::new(&band.topology, leaf);
+impl TetPatch {
+    /// The patch of a leaf, if it contains anything.
+    fn new(band: &NarrowBand, inside_masks: &[LeafMask], cases: &Cases, leaf: usize) -> Option<TetPatch> {
+        let neighborhood = LeafNeighborhood::new(&band.topology, leaf);
         if !neighborhood.may_have_surface(inside_masks) {
             return None;
         }
         let rows = SignRows::new(&neighborhood, inside_masks);
-        // An edge belongs to its first voxel's leaf even if all cells around it belong to others.
+        // An edge belongs to its first voxel's leaf, even if all cells around it belong to others.
         if (1..8).all(|end| rows.crossed_to(end).is_empty()) {
             return None;
         }
@@ -113,14 +114,14 @@ impl Patch {
         let cells = rows.crossed_cells();
         let signs = cells.iter().map(|offset| rows.cell_signs(voxel_in_leaf(offset)));
         let triangle_count = signs.flat_map(|signs| triangles_in_cell(cases, signs)).map(<[_]>::len).sum();
-        Some(Patch { leaf, neighborhood, crossed, row_starts, first_vertex: 0, triangle_count })
+        Some(TetPatch { leaf, neighborhood, crossed, row_starts, first_vertex: 0, triangle_count })
     }
 
     fn vertex_count(&self) -> usize {
         usize::from(self.row_starts[ROW_COUNT])
     }
 
-    /// Writes the positions and normals of the vertices.
+    /// Computes the positions and normals of the vertices.
     fn find_vertices(
         &self,
         band: &NarrowBand,
@@ -128,22 +129,22 @@ impl Patch {
         positions: &mut [Vec3],
         normals: &mut [Vec3],
     ) {
-        let mut block = Block::new(band.half_width);
+        let mut block = PhiBlock::new(band.half_width);
         block.fill(&self.neighborhood, &band.phi);
         let origin = band.topology.origins()[self.leaf];
-        let mut places = positions.iter_mut().zip(normals);
+        let mut slices = positions.iter_mut().zip(normals);
         for (offset, &edges) in self.crossed.iter().enumerate().filter(|(_, edges)| **edges != 0) {
             let voxel = voxel_in_leaf(offset);
             let ends = (1..8).filter(|end| edges >> end & 1 == 1);
-            for (end, (position, normal)) in ends.zip(&mut places) {
-                let (t, gradient) = crossing(&block, Block::index(voxel), end);
+            for (end, (position, normal)) in ends.zip(&mut slices) {
+                let (t, gradient) = crossing(&block, PhiBlock::index(voxel), end);
                 *position = placement.position(origin + voxel, corner(end).as_vec3() * t);
                 *normal = unit_or_zero(gradient);
             }
         }
     }
 
-    /// The vertex on the edge from a voxel of the leaf to the one that is `step` away, as a corner number.
+    /// The vertex on the edge from a voxel of the leaf to the voxel at offset `step`, a corner number.
     fn vertex(&self, voxel: IVec3, step: usize) -> u32 {
         let offset = offset_in_leaf(voxel);
         let before_in_row: u32 =
@@ -158,15 +159,15 @@ fn corner(number: usize) -> IVec3 {
     IVec3::new((number >> 2) as i32, (number >> 1 & 1) as i32, (number & 1) as i32)
 }
 
-/// Where on the edge from a voxel to the corner `end` of its cell the cubic through the two voxels
-/// and those before and after them is zero, and ∇φ there.
-fn crossing(block: &Block, index: usize, end: usize) -> (f32, Vec3) {
+/// Where the cubic through the two voxels of an edge, the one before and the one after is zero, as a fraction
+/// of the edge from a voxel to the corner `end` of its cell; and ∇φ at that point.
+fn crossing(block: &PhiBlock, index: usize, end: usize) -> (f32, Vec3) {
     let step = (end >> 2) * BLOCK_STEP[0] + (end >> 1 & 1) * BLOCK_STEP[1] + (end & 1);
     let (one, other) = (block.phi(index), block.phi(index + step));
     let bends = [index, index + step].map(|index| block.second_difference(index, step));
     let mut t = one / (one - other);
-    // Secant steps with the slope of the chord: the bend is a small correction, and where it is not
-    // (noise, sheets) the steps stay short and end between the voxels.
+    // Secant steps with the slope of the chord. Curvature is a small correction; where it is not (noise,
+    // sheets), the steps are limited and the result stays between the voxels.
     for _ in 0..CROSSING_STEPS {
         let bulge = t * (1.0 - t) / 6.0 * ((2.0 - t) * bends[0] + (1.0 + t) * bends[1]);
         let phi = one + (other - one) * t - bulge;
@@ -176,35 +177,35 @@ fn crossing(block: &Block, index: usize, end: usize) -> (f32, Vec3) {
     (t, block.gradient(index).lerp(block.gradient(index + step), t))
 }
 
-/// Steps from the linear to the cubic crossing. Each gains about two digits.
+/// Number of steps from the linear to the cubic crossing. Each gains about two digits.
 const CROSSING_STEPS: usize = 2;
 
-/// The longest of these steps, in edge lengths.
+/// Maximum length of these steps, in edge lengths.
 const CROSSING_LIMIT: f32 = 0.125;
 
-/// All patches, with what is needed to name each other's vertices.
-struct Surface<'a> {
+/// All patches, with the data needed to find each other's vertices.
+struct TetMesh<'a> {
     masks: &'a [LeafMask],
     cases: Cases,
-    patches: &'a [Patch],
+    patches: &'a [TetPatch],
     patch_of_leaf: Vec<u32>,
 }
 
-impl Surface<'_> {
+impl TetMesh<'_> {
     /// Writes the triangles in a leaf's cells.
-    fn write_triangles(&self, patch: &Patch, triangles: &mut [[u32; 3]]) {
+    fn write_triangles(&self, patch: &TetPatch, triangles: &mut [[u32; 3]]) {
         let rows = SignRows::new(&patch.neighborhood, self.masks);
-        let mut places = triangles.iter_mut();
+        let mut slices = triangles.iter_mut();
         for cell in rows.crossed_cells().iter().map(voxel_in_leaf) {
             let made = triangles_in_cell(&self.cases, rows.cell_signs(cell)).flatten();
-            for (edges, place) in made.zip(&mut places) {
-                *place = edges.map(|edge| self.vertex(patch, cell, edge));
+            for (edges, triangle) in made.zip(&mut slices) {
+                *triangle = edges.map(|edge| self.vertex(patch, cell, edge));
             }
         }
     }
 
     /// The vertex on an edge of a cell, from one corner to a later one.
-    fn vertex(&self, patch: &Patch, cell: IVec3, [start, end]: [usize; 2]) -> u32 {
+    fn vertex(&self, patch: &TetPatch, cell: IVec3, [start, end]: [usize; 2]) -> u32 {
         let voxel = cell + corner(start);
         let leaf = patch.neighborhood.leaf(voxel >> 3);
         let owner = self.patch_of_leaf[leaf as usize] as usize;
@@ -227,7 +228,7 @@ const KUHN_PATHS: [[usize; 4]; 6] =
 /// Triangles by the edges of the cell that their corners are on, from corner to later corner.
 type Triangles = Vec<[[usize; 2]; 3]>;
 
-/// For each tetrahedron, and for each pattern of its corners' signs, the triangles that cut it.
+/// For each tetrahedron and each sign pattern of its corners, the triangles that separate them.
 type Cases = Vec<[Triangles; 16]>;
 
 fn tetrahedron_cases() -> Cases {
@@ -241,14 +242,14 @@ fn tetrahedron_cases() -> Cases {
 fn triangles_of(path: [usize; 4], is_mirrored: bool, signs: usize) -> Triangles {
     let is_inside = |corner: usize| signs >> corner & 1 == 1;
     let inside_count = signs.count_ones();
-    // The corners in an order that keeps the tetrahedron's orientation: those of the lesser side
-    // first, or in a draw those inside.
+    // An order of the corners that keeps the tetrahedron's orientation and starts with the side that has
+    // fewer corners, or with the inside corners if both have two.
     let leads = |corner: usize| is_inside(corner) == (inside_count <= 2);
     let lead_count = (0..4).filter(|&corner| leads(corner)).count();
     let order = EVEN_ORDERS.into_iter().find(|order| order[..lead_count].iter().all(|&corner| leads(corner)));
-    let [i, j, k, l] = order.expect("every set of corners comes first in an even order");
+    let [i, j, k, l] = order.expect("some even permutation starts with any given corners");
     let edge = |one: usize, other: usize| [path[one.min(other)], path[one.max(other)]];
-    // Counter-clockwise as seen from the side of the corners that do not lead.
+    // Counter-clockwise as seen from the other side.
     let mut triangles = match lead_count {
         1 => vec![[edge(i, j), edge(i, k), edge(i, l)]],
         2 => vec![[edge(i, k), edge(i, l), edge(j, l)], [edge(j, l), edge(j, k), edge(i, k)]],
@@ -260,7 +261,7 @@ fn triangles_of(path: [usize; 4], is_mirrored: bool, signs: usize) -> Triangles 
     triangles
 }
 
-/// Orders of four corners that keep the orientation; any one corner, and any two, come first in one.
+/// Even permutations of four corners: every single corner, and every pair, comes first in one of them.
 const EVEN_ORDERS: [[usize; 4]; 12] = [
     [0, 1, 2, 3],
     [0, 2, 3, 1],

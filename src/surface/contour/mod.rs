@@ -1,22 +1,20 @@
-//! From φ to triangles.
+//! Extracts a triangle mesh from φ.
 //!
 //! ```text
-//!   signs of all voxels ──▶ Neighborhood ──▶ crossed cells  ──▶ how many vertices ──▶ where in the mesh
-//!                           SignRows         and edges          and triangles         each leaf's are
+//!   signs of all voxels ──▶ LeafNeighborhood ──▶ crossed cells ──▶ vertex and triangle ──▶ index ranges
+//!                           SignRows             and edges         counts                  per leaf
 //!
-//!                                        Block ──▶ crossings, gradients ──▶ vertices  ─┐ written where
-//!                                                                           triangles ─┴▶ they belong
+//!                                    PhiBlock ──▶ crossings, gradients ──▶ vertices  ─┐ written to
+//!                                                                         triangles ─┴▶ their ranges
 //! ```
 //!
-//! Both contourings promise, for any φ: the mesh is closed, every edge is in two triangles that run
-//! along it in opposite directions, the triangles around a vertex form one ring, all face outward,
-//! none is degenerate, and no two vertices of a triangle are the same. Each leaf is worked on alone
-//! and has its place in the topology's order, so the mesh does not depend on the number of
-//! threads, to the last byte.
+//! Both methods guarantee for any φ: the mesh is closed; every edge is in two triangles with opposite
+//! directions; the triangles around a vertex form one ring; all triangles face outward; none is degenerate;
+//! and the three vertices of a triangle are distinct. Each leaf is processed independently and has a fixed
+//! range in the mesh, so the mesh is bit-identical on any number of threads.
 //!
-//! Inside is φ < 0; zero is outside. What is needed of a band: the voxels next to a change of sign
-//! are stored together with all their neighbours. Cells with a corner that is not stored are taken
-//! to hold no surface.
+//! Inside is φ < 0; zero is outside. A band must store the voxels next to a sign change together with all
+//! their neighbors. Cells with a corner that is not stored are treated as empty.
 
 mod cell_cycles;
 mod cell_vertex;
@@ -51,9 +49,13 @@ word_enum! {
     }
 }
 
-/// The surface φ = 0 as a closed triangle mesh in world units, outward, with unit normals.
+/// The surface φ = 0 as a closed triangle mesh in world units, oriented outward, with unit normals.
 pub fn contour(band: &NarrowBand, lattice: &Lattice, contouring: Contouring) -> Mesh {
-    assert_eq!(band.phi.leaves.len(), band.topology.len(), "one leaf of values for each leaf");
+    assert_eq!(
+        band.phi.leaves.len(),
+        band.topology.len(),
+        "φ must have one leaf of values per leaf of the topology"
+    );
     let placement = Placement::new(&band.topology, lattice);
     let mut mesh = match contouring {
         Contouring::Dual => dual_contouring::dual_contour(band, &placement),
@@ -63,22 +65,22 @@ pub fn contour(band: &NarrowBand, lattice: &Lattice, contouring: Contouring) -> 
     mesh
 }
 
-/// Where the mesh's origin is, and how long a voxel.
+/// The origin of the mesh and the voxel size.
 struct Placement {
     origin_index: IVec3,
     voxel_size: f64,
 }
 
-/// Up to this index 32-bit positions resolve a 1024th of a voxel.
+/// Up to this index, 32-bit positions resolve 1/1024 voxel.
 const NEAR_ORIGIN: i32 = 16384;
 
-/// Mesh origins away from the world's are multiples of this many voxels, so that frames of a
-/// sequence that moves share them for a while.
+/// Mesh origins other than the world origin are multiples of this many voxels, so that consecutive frames of
+/// a moving sequence often share one.
 const ORIGIN_STEP: i32 = 1024;
 
 impl Placement {
-    /// The world's origin if all is near it, and otherwise the middle leaf's place: the median, because
-    /// one particle gone astray may not cost all others their precision.
+    /// Uses the world origin if all leaves are near it, and otherwise the median leaf. With the median, a
+    /// single stray particle does not reduce the precision of all others.
     fn new(topology: &Topology, lattice: &Lattice) -> Placement {
         let mut extent = CoordBox::EMPTY;
         for &origin in topology.origins() {
@@ -115,7 +117,7 @@ fn median(topology: &Topology) -> IVec3 {
     IVec3::new(axis(0), axis(1), axis(2))
 }
 
-/// Cuts a whole into parts of so many items, in order.
+/// Splits a slice into consecutive parts of these lengths.
 fn split<T>(whole: &mut [T], counts: impl Iterator<Item = usize>) -> Vec<&mut [T]> {
     let mut rest = whole;
     let part = |count: usize| {

@@ -1,36 +1,36 @@
-//! What one leaf sees of itself and of the leaves around it.
+//! Local copies of a leaf and its surroundings.
 //!
-//! Contouring works leaf by leaf, and the cells of a leaf reach over its far faces; the stencils at
-//! their corners, and the cells that share an edge with them, reach over the near ones too. So each
-//! leaf first finds its 26 neighbours, once, and copies what it needs of them:
+//! Contouring works leaf by leaf. The cells of a leaf extend beyond its far faces; the stencils at their
+//! corners, and the cells that share an edge with them, extend beyond the near faces, too. So each leaf finds
+//! its 26 neighbors once and copies the values it needs:
 //!
 //! ```text
 //!    voxel      −1 │ 0  1  2  3  4  5  6  7 │ 8   9
-//!    SignRows    • │ •  •  •  •  •  •  •  • │ •         one bit a voxel, 10 rows of 10 rows of 10 bits
-//!    Block       • │ •  •  •  •  •  •  •  • │ •   •     φ, 11 × 11 × 11
-//!    cells     └─┴─┴──┴──┴──┴──┴──┴──┴──┴───┘           cell −1 belongs to the leaf before
+//!    SignRows    • │ •  •  •  •  •  •  •  • │ •         one bit per voxel, 10 × 10 rows of 10 bits
+//!    PhiBlock    • │ •  •  •  •  •  •  •  • │ •   •     φ, 11 × 11 × 11
+//!    cells     └─┴─┴──┴──┴──┴──┴──┴──┴──┴───┘           cell −1 belongs to the previous leaf
 //! ```
 //!
-//! A row of sign bits answers for ten voxels at once which cells and edges the surface crosses, so
-//! leaves and rows away from the surface cost next to nothing.
+//! A row of sign bits shows for ten voxels at once which cells and edges the surface crosses, so leaves and
+//! rows away from the surface cost almost nothing.
 //!
-//! A cell is *complete* where all its 8 corners are stored. The rest have no surface, whatever the
-//! stored corners say: beyond the leaves φ is not known.
+//! A cell is *complete* if all its 8 corners are stored. Other cells have no surface, because φ is unknown
+//! outside the stored leaves.
 
 use glam::{IVec3, Vec3};
 
 use crate::surface::grid::{Field, Leaf, LeafMask, NO_LEAF, Topology};
 
-/// A leaf and the 26 around it: indices, or [`NO_LEAF`].
+/// Indices of a leaf and its 26 neighbors, or [`NO_LEAF`].
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Neighborhood {
+pub(super) struct LeafNeighborhood {
     leaves: [u32; 27],
 }
 
-impl Neighborhood {
-    /// The neighbourhood of a leaf.
-    pub(super) fn new(topology: &Topology, leaf: usize) -> Neighborhood {
-        Neighborhood { leaves: topology.neighborhood(leaf) }
+impl LeafNeighborhood {
+    /// The neighborhood of a leaf.
+    pub(super) fn new(topology: &Topology, leaf: usize) -> LeafNeighborhood {
+        LeafNeighborhood { leaves: topology.neighborhood(leaf) }
     }
 
     /// The leaf one `step` (−1, 0 or 1 on each axis) away.
@@ -45,8 +45,8 @@ impl Neighborhood {
         &self.leaves
     }
 
-    /// Whether the surface may cross a cell of the leaf: not where it and the leaves that its cells reach into
-    /// are all inside, or all outside.
+    /// True if the surface may cross a cell of the leaf: false if the leaf and those that its cells extend
+    /// into are all inside, or all outside.
     pub(super) fn may_have_surface(&self, inside_masks: &[LeafMask]) -> bool {
         let own = inside_masks[self.leaves[13] as usize];
         let is_uniform = own == LeafMask::EMPTY || own == LeafMask::FULL;
@@ -56,35 +56,35 @@ impl Neighborhood {
     }
 }
 
-/// The leaves that the cells of the one in the middle reach into.
+/// The leaves that the center leaf's cells extend into.
 const SLOTS_AFTER: [usize; 7] = [14, 16, 17, 22, 23, 25, 26];
 
-/// A stretch of a halo along one axis that lies in one leaf.
+/// The part of a halo along one axis that lies in one leaf.
 #[derive(Clone, Copy)]
-struct Span {
-    /// Its first place in the halo.
+struct HaloSpan {
+    /// First index in the halo.
     start: usize,
-    /// How many places it has.
+    /// Length.
     count: usize,
-    /// Its first place in the leaf.
+    /// First index in the leaf.
     first_voxel: usize,
 }
 
-/// The three stretches of a halo from voxel −1 on, with `after` voxels of the leaf that follows.
+/// The three spans of a halo from voxel −1 on, with `after` voxels of the next leaf.
 #[inline(always)]
-fn spans(after: usize) -> [Span; 3] {
+fn spans(after: usize) -> [HaloSpan; 3] {
     [
-        Span { start: 0, count: 1, first_voxel: 7 },
-        Span { start: 1, count: 8, first_voxel: 0 },
-        Span { start: 9, count: after, first_voxel: 0 },
+        HaloSpan { start: 0, count: 1, first_voxel: 7 },
+        HaloSpan { start: 1, count: 8, first_voxel: 0 },
+        HaloSpan { start: 9, count: after, first_voxel: 0 },
     ]
 }
 
-/// Signs of the voxels −1 ..= 8 around a leaf. In a row (x, y) bit z + 1 is voxel z.
+/// Signs of the voxels −1 ..= 8 around a leaf. Bit z + 1 of row (x, y) is voxel z.
 #[derive(Clone, Debug)]
 pub(super) struct SignRows {
     inside: [[u16; 10]; 10],
-    /// Which voxels are stored, in a row before the leaf, in it and after it on x and on y.
+    /// Which voxels are stored in rows before, in and after the leaf, along x and along y.
     stored: [[u16; 3]; 3],
 }
 
@@ -94,7 +94,7 @@ const OWN_BITS: u16 = 0b01_1111_1110;
 impl SignRows {
     /// Collects the rows around a leaf.
     #[inline(always)]
-    pub(super) fn new(neighborhood: &Neighborhood, inside_masks: &[LeafMask]) -> SignRows {
+    pub(super) fn new(neighborhood: &LeafNeighborhood, inside_masks: &[LeafMask]) -> SignRows {
         let mut inside = [[0; 10]; 10];
         let mut stored = [[0; 3]; 3];
         for column in 0..9 {
@@ -121,15 +121,15 @@ impl SignRows {
         SignRows { inside, stored }
     }
 
-    /// Whether a voxel (−1 ..= 8 on each axis) is inside.
+    /// True if a voxel (−1 ..= 8 on each axis) is inside.
     #[inline(always)]
     pub(super) fn is_inside(&self, voxel: IVec3) -> bool {
         let at = voxel + IVec3::ONE;
         self.inside[at.x as usize][at.y as usize] >> at.z & 1 == 1
     }
 
-    /// The signs of the corners of a cell (−1 ..= 7 on each axis): bit `4x + 2y + z` is set where
-    /// corner (x, y, z) is inside.
+    /// The signs of the corners of a cell (−1 ..= 7 on each axis): bit `4x + 2y + z` is set if corner (x, y,
+    /// z) is inside.
     #[inline(always)]
     pub(super) fn cell_signs(&self, cell: IVec3) -> u8 {
         let (x, y, z) = ((cell.x + 1) as usize, (cell.y + 1) as usize, cell.z + 1);
@@ -138,7 +138,7 @@ impl SignRows {
         (pair(near[y]) | pair(near[y + 1]) << 2 | pair(far[y]) << 4 | pair(far[y + 1]) << 6) as u8
     }
 
-    /// The complete cells that have corners on both sides: in row (x + 1, y + 1), from −1 to 7 on both, bit
+    /// The complete cells with corners on both sides: row (x + 1, y + 1), from −1 to 7 on both axes, has bit
     /// z + 1 for cell z.
     #[inline(always)]
     pub(super) fn crossed_rows(&self) -> [[u16; 9]; 9] {
@@ -155,15 +155,15 @@ impl SignRows {
         crossed
     }
 
-    /// The leaf's own complete cells that have corners on both sides.
+    /// The leaf's own complete cells with corners on both sides.
     #[inline(always)]
     pub(super) fn crossed_cells(&self) -> LeafMask {
         let crossed = self.crossed_rows();
         own_voxels(|x, y| crossed[x][y])
     }
 
-    /// The grid edges along `axis` that start in the leaf, whose ends have different signs and whose
-    /// four cells are complete: their first voxels.
+    /// The first voxels of the grid edges along `axis` that start in the leaf, have ends of different sign,
+    /// and have four complete cells.
     #[inline(always)]
     pub(super) fn crossed_edges(&self, axis: usize) -> LeafMask {
         let complete: [[u16; 9]; 9] = std::array::from_fn(|x| self.complete_rows(x));
@@ -186,13 +186,13 @@ impl SignRows {
                 }
             };
             let crossed = (start ^ end) & own_stored & end_stored & OWN_BITS;
-            debug_assert_eq!(crossed & !cells, 0, "a voxel next to the surface is not stored");
+            debug_assert_eq!(crossed & !cells, 0, "a voxel next to the surface must be stored");
             crossed & cells
         })
     }
 
-    /// The leaf's own voxels whose sign differs from that of corner `end` (numbered `4x + 2y + z`)
-    /// of the cell that starts at them, where both are stored.
+    /// The leaf's own voxels whose sign differs from that of corner `end` (numbered `4x + 2y + z`) of the
+    /// cell that starts at them. Both must be stored.
     #[inline(always)]
     pub(super) fn crossed_to(&self, end: usize) -> LeafMask {
         let (end_x, end_y, end_z) = (end >> 2, end >> 1 & 1, end & 1);
@@ -204,7 +204,7 @@ impl SignRows {
         })
     }
 
-    /// For the rows of cells at x − 1 which of their cells are complete: bit z + 1 for cell z.
+    /// The complete cells in the rows at x − 1: bit z + 1 for cell z.
     #[inline(always)]
     fn complete_rows(&self, x: usize) -> [u16; 9] {
         let (near, far) = (&self.stored[x.div_ceil(8)], &self.stored[(x + 1).div_ceil(8)]);
@@ -217,13 +217,13 @@ impl SignRows {
     }
 }
 
-/// The 10 bits of a row from those of three leaves.
+/// Combines the 10 bits of a row from those of three leaves.
 #[inline(always)]
 fn join_row([before, here, after]: [u8; 3]) -> u16 {
     u16::from(before) >> 7 | u16::from(here) << 1 | (u16::from(after) & 1) << 9
 }
 
-/// The leaf's own voxels among the bits of its rows, which `bits` gives by x + 1 and y + 1.
+/// Extracts the leaf's own voxels from the bits of its rows. `bits` takes x + 1 and y + 1.
 #[inline(always)]
 fn own_voxels(bits: impl Fn(usize, usize) -> u16) -> LeafMask {
     let mut mask = LeafMask::EMPTY;
@@ -238,29 +238,29 @@ fn own_voxels(bits: impl Fn(usize, usize) -> u16) -> LeafMask {
 }
 
 /// φ of the voxels −1 ..= 9 around a leaf.
-pub(super) struct Block {
-    /// By x; then rows by y, padded to 12.
+pub(super) struct PhiBlock {
+    /// Indexed by x, then y; rows are padded to 12.
     planes: [[[f32; 12]; BLOCK_EDGE]; BLOCK_EDGE],
-    /// What is not stored reads as this.
+    /// Value of voxels that are not stored.
     beyond: f32,
 }
 
 /// Voxels along an edge of a block.
 const BLOCK_EDGE: usize = 11;
 
-/// How far apart neighbours along x, y and z are in a block.
+/// Strides along x, y and z in a block.
 pub(super) const BLOCK_STEP: [usize; 3] = [12 * BLOCK_EDGE, 12, 1];
 
-impl Block {
-    /// A block around no leaf.
+impl PhiBlock {
+    /// A block that is not filled.
     #[inline(always)]
-    pub(super) fn new(beyond: f32) -> Block {
-        Block { planes: [[[beyond; 12]; BLOCK_EDGE]; BLOCK_EDGE], beyond }
+    pub(super) fn new(beyond: f32) -> PhiBlock {
+        PhiBlock { planes: [[[beyond; 12]; BLOCK_EDGE]; BLOCK_EDGE], beyond }
     }
 
     /// Copies φ around a leaf.
     #[inline(always)]
-    pub(super) fn fill(&mut self, neighborhood: &Neighborhood, phi: &Field) {
+    pub(super) fn fill(&mut self, neighborhood: &LeafNeighborhood, phi: &Field) {
         let nothing = Leaf::splat(self.beyond);
         for column in 0..9 {
             let [x, y] = [spans(2)[column / 3], spans(2)[column % 3]];
@@ -271,16 +271,16 @@ impl Block {
                 let rows = &mut self.planes[x.start + i];
                 for j in 0..y.count {
                     let row = (x.first_voxel + i) * 8 + y.first_voxel + j;
-                    let place = &mut rows[y.start + j];
-                    place[0] = before.row(row)[7];
-                    place[1..9].copy_from_slice(here.row(row));
-                    place[9..11].copy_from_slice(&after.row(row)[..2]);
+                    let target_row = &mut rows[y.start + j];
+                    target_row[0] = before.row(row)[7];
+                    target_row[1..9].copy_from_slice(here.row(row));
+                    target_row[9..11].copy_from_slice(&after.row(row)[..2]);
                 }
             }
         }
     }
 
-    /// The place in the block of a voxel (−1 ..= 9 on each axis).
+    /// Index in the block of a voxel (−1 ..= 9 on each axis).
     #[inline(always)]
     pub(super) fn index(voxel: IVec3) -> usize {
         let at = voxel + IVec3::ONE;
@@ -292,19 +292,19 @@ impl Block {
         self.planes.as_flattened().as_flattened()
     }
 
-    /// φ at a place in the block.
+    /// φ at an index in the block.
     #[inline(always)]
     pub(super) fn phi(&self, index: usize) -> f32 {
         self.values()[index]
     }
 
-    /// φ at `COUNT` places along z, from this one on.
+    /// φ at `COUNT` consecutive indices along z.
     #[inline(always)]
     pub(super) fn phi_along<const COUNT: usize>(&self, index: usize) -> [f32; COUNT] {
         std::array::from_fn(|z| self.values()[index + z])
     }
 
-    /// ∇φ by central differences at a place in the block that has neighbours on all sides.
+    /// ∇φ by central differences at an index whose neighbors on all sides are in the block.
     #[inline(always)]
     pub(super) fn gradient(&self, index: usize) -> Vec3 {
         let slope = |step: usize| 0.5 * (self.values()[index + step] - self.values()[index - step]);

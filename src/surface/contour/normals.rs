@@ -1,27 +1,27 @@
 //! Vertex normals from φ.
 //!
-//! φ grows outwards, so its gradient is the normal, smoother and more exact than anything that can
-//! be had from the triangles. Where the gradient vanishes (between two sheets that are equally near)
-//! it has no direction, and the triangles must do.
+//! φ grows outward, so its gradient is the normal, smoother and more accurate than normals computed from
+//! triangles. Where the gradient vanishes (midway between two sheets) it has no direction, and the triangles
+//! are used instead.
 
 use glam::{DVec3, Vec3};
 
 use crate::surface::mesh::Mesh;
 
-/// A shorter gradient (that of a distance has length one) is mostly rounding.
+/// A shorter gradient is mostly rounding error. (The gradient of a distance has length one.)
 const LEAST_SLOPE: f32 = 1e-3;
 
-/// The direction of a gradient, or zero where it has none.
+/// The direction of a gradient, or zero if it is too short.
 #[inline(always)]
 pub(super) fn unit_or_zero(gradient: Vec3) -> Vec3 {
     let length = gradient.length();
     let unit = gradient / length;
-    // A comparison with NaN is false, so what is not finite ends at zero too.
+    // Comparison with NaN is false, so values that are not finite give zero, too.
     if (length > LEAST_SLOPE) & (length < f32::INFINITY) { unit } else { Vec3::ZERO }
 }
 
-/// Gives each vertex whose normal is zero the mean of its triangles' normals, weighted by area; and
-/// where these cancel, as on a sheet folded flat, the z axis.
+/// Replaces each zero normal by the area-weighted mean of the vertex's triangle normals, or by the z axis if
+/// these cancel, as on a sheet folded flat.
 pub fn fill_zero_normals(mesh: &mut Mesh) {
     if mesh.normals.iter().all(|&normal| normal != Vec3::ZERO) {
         return;
@@ -44,7 +44,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_vertex_without_a_gradient_gets_the_normal_of_its_triangles() {
+    fn zero_normal_becomes_mean_of_triangle_normals() {
         let mut mesh = Mesh {
             positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
             normals: vec![
@@ -60,7 +60,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fold_still_has_unit_normals() {
+    fn folded_sheet_gets_unit_normals() {
         let mut mesh = Mesh {
             positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
             normals: vec![Vec3::ZERO; 3],

@@ -1,28 +1,27 @@
-//! The triangles of the dual mesh: a quad around each crossed edge, cut along one of its diagonals.
+//! The triangles of the dual mesh: a quad around each crossed edge, split along one of its diagonals.
 //!
-//! A leaf first notes for its own cells and for those just before it which vertices they have:
+//! Each leaf first collects the vertices of its cells and of the cells just before them:
 //!
 //! ```text
-//!    cells      −1 │ 0  1  2  3  4  5  6  7        9 × 9 × 9: all that its edges are in
+//!    cells      −1 │ 0  1  2  3  4  5  6  7        9 × 9 × 9: all cells around its edges
 //! ```
 //!
-//! Quads without vertices on their sides are then cut many at a time, one in each lane of the processor's
-//! vectors. The others become fans.
+//! Quads without joined sides are then split in batches, one per SIMD lane. The others become fans.
 
 use glam::{DVec3, IVec3, Vec3};
 
 use super::cell_cycles::cell_cycles;
-use super::dual_contouring::{Patch, Plan};
+use super::dual_contouring::{MeshLayout, Patch};
 use super::neighborhood::SignRows;
 use super::ring::{RING_PLACES, RING_SIDES, Ring, segment_key};
 use crate::surface::grid::{offset_in_leaf, voxel_in_leaf};
 
-/// What triangles are made from.
+/// Input for the triangles.
 pub(super) struct Quads<'a> {
-    pub(super) plan: &'a Plan,
+    pub(super) layout: &'a MeshLayout,
     /// The vertices on faces: leaf, [`segment_key`], vertex; sorted.
     pub(super) on_faces: Vec<(u32, u16, u32)>,
-    /// Where each vertex is relative to its cell.
+    /// Position of each vertex relative to its cell.
     pub(super) locals: &'a [Vec3],
     pub(super) positions: &'a [Vec3],
 }
@@ -31,10 +30,10 @@ impl Quads<'_> {
     /// Writes the triangles around the crossed edges that start in a patch's leaf.
     #[inline(always)]
     pub(super) fn write(&self, patch: &Patch, triangles: &mut [[u32; 3]]) {
-        let rows = SignRows::new(&patch.neighborhood, &self.plan.inside_masks);
-        let cells = Cells::new(patch, self.plan, &rows);
+        let rows = SignRows::new(&patch.neighborhood, &self.layout.inside_masks);
+        let cells = CellGrid::new(patch, self.layout, &rows);
         let mut next_on_edge = patch.first_on_edges();
-        let mut output = Output { triangles, count: 0 };
+        let mut output = TriangleOutput { triangles, count: 0 };
         for axis in 0..3 {
             let mut batch = QuadBatch::new(axis);
             for offset in rows.crossed_edges(axis).iter() {
@@ -61,7 +60,7 @@ impl Quads<'_> {
         }
     }
 
-    /// The corners of a ring's quad with the vertices on its joined sides between them.
+    /// The corners of a ring's quad, with the vertices on its joined sides inserted.
     fn subdivided(&self, patch: &Patch, ring: &Ring, corners: [u32; 4], inside_end: IVec3) -> Vec<u32> {
         let mut rim = Vec::with_capacity(8);
         for (side, (turn, far)) in RING_SIDES.into_iter().enumerate() {
@@ -73,8 +72,8 @@ impl Quads<'_> {
                 let cell = ring.cells[far];
                 let key = (patch.neighborhood.leaf(cell >> 3), segment_key(cell & 7, normal_axis, corner));
                 let found = self.on_faces.binary_search_by_key(&key, |&(leaf, key, _)| (leaf, key));
-                let place = found.expect("a joined face has a vertex on each of its segments");
-                rim.push(self.on_faces[place].2);
+                let index = found.expect("a joined face has a vertex on each of its segments");
+                rim.push(self.on_faces[index].2);
             }
         }
         rim
@@ -82,63 +81,63 @@ impl Quads<'_> {
 }
 
 /// The cells −1 ..= 7 around a leaf.
-struct Cells {
-    /// For each crossed cell the vertex of its first cycle; the others follow it.
+struct CellGrid {
+    /// For each crossed cell, the vertex of its first cycle; the others follow it.
     first_vertices: [u32; CELL_STEP[0] * 9],
     /// The signs of its corners.
     signs: [u8; CELL_STEP[0] * 9],
 }
 
-/// How far apart neighbours along x, y and z are.
+/// Strides along x, y and z.
 const CELL_STEP: [usize; 3] = [81, 9, 1];
 
-impl Cells {
+impl CellGrid {
     #[inline(always)]
-    fn new(patch: &Patch, plan: &Plan, rows: &SignRows) -> Cells {
-        let mut cells = Cells { first_vertices: [0; CELL_STEP[0] * 9], signs: [0; CELL_STEP[0] * 9] };
+    fn new(patch: &Patch, layout: &MeshLayout, rows: &SignRows) -> CellGrid {
+        let mut cells = CellGrid { first_vertices: [0; CELL_STEP[0] * 9], signs: [0; CELL_STEP[0] * 9] };
         for (x, crossed) in rows.crossed_rows().into_iter().enumerate() {
             for (y, crossed) in crossed.into_iter().enumerate().filter(|(_, crossed)| *crossed != 0) {
-                cells.add_row(patch, plan, rows, IVec3::new(x as i32 - 1, y as i32 - 1, -1), crossed);
+                cells.add_row(patch, layout, rows, IVec3::new(x as i32 - 1, y as i32 - 1, -1), crossed);
             }
         }
         cells
     }
 
-    /// Notes the crossed cells of a row, of which the first cell is given.
+    /// Adds the crossed cells of a row that starts at `first`.
     #[inline(always)]
-    fn add_row(&mut self, patch: &Patch, plan: &Plan, rows: &SignRows, first: IVec3, crossed: u16) {
+    fn add_row(&mut self, patch: &Patch, layout: &MeshLayout, rows: &SignRows, first: IVec3, crossed: u16) {
         let row_in_leaf = offset_in_leaf(IVec3::new(first.x & 7, first.y & 7, 0)) / 8;
         let step = IVec3::new(first.x >> 3, first.y >> 3, 0);
         let starts = |step: IVec3, end: usize| {
-            let owner = plan.patch(patch.neighborhood.leaf(step));
+            let owner = layout.patch(patch.neighborhood.leaf(step));
             owner.first_vertex + u32::from(owner.row_starts[row_in_leaf + end])
         };
-        let mut place = Cells::place(first);
+        let mut index = CellGrid::index(first);
         if crossed & 1 == 1 {
-            // The last cell of a row of the leaf before.
+            // This is the last cell of a row of the previous leaf.
             let signs = rows.cell_signs(first);
             let count = cell_cycles(signs).count as u32;
-            self.signs[place] = signs;
-            self.first_vertices[place] = starts(step - IVec3::Z, 1) - count;
+            self.signs[index] = signs;
+            self.first_vertices[index] = starts(step - IVec3::Z, 1) - count;
         }
         let mut rest = crossed >> 1 & 0xff;
         if rest == 0 {
             return;
         }
         let mut next = starts(step, 0);
-        place += 1;
+        index += 1;
         while rest != 0 {
             let z = rest.trailing_zeros();
             let signs = rows.cell_signs(IVec3::new(first.x, first.y, z as i32));
-            self.signs[place + z as usize] = signs;
-            self.first_vertices[place + z as usize] = next;
+            self.signs[index + z as usize] = signs;
+            self.first_vertices[index + z as usize] = next;
             next += cell_cycles(signs).count as u32;
             rest &= rest - 1;
         }
     }
 
     #[inline(always)]
-    fn place(cell: IVec3) -> usize {
+    fn index(cell: IVec3) -> usize {
         let at = cell + IVec3::ONE;
         at.x as usize * CELL_STEP[0] + at.y as usize * CELL_STEP[1] + at.z as usize
     }
@@ -147,29 +146,29 @@ impl Cells {
     #[inline(always)]
     fn around(&self, start: IVec3, axis: usize) -> [u32; 4] {
         let (b, c) = (CELL_STEP[(axis + 1) % 3], CELL_STEP[(axis + 2) % 3]);
-        let place = Cells::place(start);
-        let places = [place, place - b, place - b - c, place - c];
+        let index = CellGrid::index(start);
+        let indices = [index, index - b, index - b - c, index - c];
         std::array::from_fn(|k| {
-            let cycle = cell_cycles(self.signs[places[k]]).of_edge[axis * 4 + RING_PLACES[k]];
-            self.first_vertices[places[k]] + u32::from(cycle)
+            let cycle = cell_cycles(self.signs[indices[k]]).of_edge[axis * 4 + RING_PLACES[k]];
+            self.first_vertices[indices[k]] + u32::from(cycle)
         })
     }
 }
 
-/// Triangles as they are made.
-struct Output<'a> {
+/// Triangles written so far.
+struct TriangleOutput<'a> {
     triangles: &'a mut [[u32; 3]],
     count: usize,
 }
 
-impl Output<'_> {
+impl TriangleOutput<'_> {
     #[inline(always)]
     fn push(&mut self, [a, b, c]: [u32; 3], is_start_inside: bool) {
         self.triangles[self.count] = if is_start_inside { [a, b, c] } else { [a, c, b] };
         self.count += 1;
     }
 
-    /// The triangles between a vertex and the sides of a polygon.
+    /// The triangles between a center vertex and the sides of a polygon.
     fn fan(&mut self, center: u32, rim: &[u32], is_start_inside: bool) {
         for k in 0..rim.len() {
             self.push([center, rim[k], rim[(k + 1) % rim.len()]], is_start_inside);
@@ -177,26 +176,26 @@ impl Output<'_> {
     }
 }
 
-/// Quads that are cut at once.
+/// Number of quads that are split at once.
 const LANES: usize = 16;
 
-/// Quads around edges along one axis that wait to be cut.
+/// Pending quads around edges along one axis.
 struct QuadBatch {
     axis: usize,
     count: usize,
     corners: [[u32; 4]; LANES],
     is_start_inside: [bool; LANES],
-    /// Where the corners are relative to the edge's first voxel: by corner, by axis.
+    /// Positions of the corners relative to the edge's first voxel: by corner, by axis.
     points: [[[f32; LANES]; 3]; 4],
 }
 
-/// The two ways to cut a quad into triangles, as places in it.
+/// The two ways to split a quad into triangles, as indices of its corners.
 const CUTS: [[[usize; 3]; 2]; 2] = [[[0, 1, 2], [2, 3, 0]], [[1, 2, 3], [3, 0, 1]]];
 
-/// The second cut must be better by this factor, so that rounding does not decide in a square.
+/// The second split must be better by this factor, so that rounding does not decide for a square.
 const CLEARLY_BETTER: f32 = 1.001;
 
-/// Triangles with this doubled area, in voxels squared and seen along the edge, are not flipped by
+/// Triangles with at least this doubled area, in squared voxels and seen along the edge, are not flipped by
 /// rounding.
 const SAFE_AREA: f64 = 1.0 / 32.0;
 
@@ -227,10 +226,10 @@ impl QuadBatch {
         self.count += 1;
     }
 
-    /// Writes the two triangles of each quad: those whose worse one is nearer to equilateral, if rounded
-    /// positions do not flip or flatten one of them. Then there is none left.
+    /// Writes the two triangles of each pending quad and clears the batch. Chooses the split whose worse
+    /// triangle is closer to equilateral, unless rounding the positions could flip or flatten one.
     #[inline(always)]
-    fn cut(&mut self, positions: &[Vec3], output: &mut Output) {
+    fn cut(&mut self, positions: &[Vec3], output: &mut TriangleOutput) {
         let choices = self.choose();
         for (lane, &choice) in choices[..self.count].iter().enumerate() {
             let corners = self.corners[lane];
@@ -246,7 +245,7 @@ impl QuadBatch {
         self.count = 0;
     }
 
-    /// For each quad the cut that is [`FIRST`] or [`SECOND`] in shape, or [`UNSAFE`].
+    /// For each quad the better split by shape, [`FIRST`] or [`SECOND`], or [`UNSAFE`].
     #[inline(always)]
     fn choose(&self) -> [u32; LANES] {
         let mut choices = [UNSAFE; LANES];
@@ -281,11 +280,11 @@ const FIRST: u32 = 0;
 /// The second of [`CUTS`].
 const SECOND: u32 = 1;
 
-/// A cut that rounding might flip.
+/// Rounding might flip this split.
 const UNSAFE: u32 = 2;
 
-/// Whether the least triangle of the second cut is larger than that of the first, for rounded positions, as seen
-/// along an axis.
+/// True if the smallest triangle of the second split is larger than that of the first, for rounded positions
+/// seen along an axis.
 fn is_second_larger(corners: [u32; 4], axis: usize, positions: &[Vec3]) -> bool {
     let seen = corners.map(|corner| {
         let position: DVec3 = positions[corner as usize].as_dvec3();
@@ -298,7 +297,8 @@ fn is_second_larger(corners: [u32; 4], axis: usize, positions: &[Vec3]) -> bool 
     least_area(CUTS[1]) > least_area(CUTS[0])
 }
 
-/// How near a triangle is to equilateral: its area squared over the sum of its squared edges squared.
+/// Shape quality of a triangle: its squared area over the squared sum of its squared edges. Maximal if
+/// equilateral.
 #[inline(always)]
 fn shape(a: Vec3, b: Vec3, c: Vec3) -> f32 {
     let (to_b, to_c) = (b - a, c - a);
@@ -306,7 +306,7 @@ fn shape(a: Vec3, b: Vec3, c: Vec3) -> f32 {
     to_b.cross(to_c).length_squared() / (edges_squared * edges_squared)
 }
 
-/// Twice the area of a triangle in the plane; negative if it turns the wrong way.
+/// Twice the signed area of a triangle in the plane; negative if it is clockwise.
 #[inline(always)]
 fn doubled_area(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> f64 {
     (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])

@@ -1,13 +1,13 @@
-//! The cells around an edge, and the faces between them that need a vertex on each of their segments.
+//! The cells around an edge, and the faces between them whose segments need a vertex each.
 //!
 //! ```text
-//!      ●──┼──○          an ambiguous face whose two segments belong to one cycle in the cell on either
-//!      │   · ┼          side is *joined*: the dual mesh would have two sides between the same two
-//!      ┼ ·   │          vertices, so each of its segments gets a vertex of its own in its middle (·)
+//!      ●──┼──○          An ambiguous face whose two segments belong to one cycle in both of its cells is
+//!      │   · ┼          *joined*: the dual mesh would have two edges between the same two vertices, so
+//!      ┼ ·   │          each of its segments gets an additional vertex in its middle (·).
 //!      ○──┼──●
 //! ```
 //!
-//! Only thin sheets and noise have such faces. All of this reads signs alone.
+//! Only thin sheets and noise have such faces. Everything here depends on signs alone.
 
 use glam::IVec3;
 
@@ -15,8 +15,9 @@ use super::cell_cycles::{CellCycles, cell_cycles, corner_bit};
 use super::neighborhood::SignRows;
 use crate::surface::grid::{offset_in_leaf, voxel_in_leaf};
 
-/// The segments on the joined faces of a leaf: the cell after the face, the axis normal to it, and the inside
-/// corner that the segment cuts off, as places on the two axes after that. Ordered by [`segment_key`].
+/// The segments on the joined faces of a leaf, in the order of [`segment_key`]: the cell after the face, the
+/// axis normal to the face, and the inside corner that the segment cuts off, as coordinates on the two
+/// following axes.
 pub(super) fn joined_segments(rows: &SignRows) -> impl Iterator<Item = (IVec3, usize, [usize; 2])> + '_ {
     let cells: Vec<usize> = rows.crossed_cells().iter().collect();
     let cells = cells.into_iter().map(voxel_in_leaf).filter(|&cell| cycles_at(rows, cell).joined_faces != 0);
@@ -31,22 +32,23 @@ fn cycles_at(rows: &SignRows, cell: IVec3) -> &'static CellCycles {
     cell_cycles(rows.cell_signs(cell))
 }
 
-/// Whether both segments of the face that `cell` shares with the cell before it along `axis` belong
-/// to one cycle on either side.
+/// True if both segments of the face between `cell` and the cell before it along `axis` belong to one cycle
+/// in both cells.
 fn is_joined(rows: &SignRows, cell: IVec3, axis: usize) -> bool {
     let is_joined_at =
         |cell: IVec3, side: usize| cycles_at(rows, cell).joined_faces >> (2 * axis + side) & 1 == 1;
     is_joined_at(cell, 0) && is_joined_at(cell - IVec3::AXES[axis], 1)
 }
 
-/// The inside corners of a cell on its near face along `axis`, as places on the two axes after it.
+/// The inside corners of a cell on its near face along `axis`, as coordinates on the two following axes.
 fn inside_corners(signs: u8, axis: usize) -> impl Iterator<Item = [usize; 2]> {
     let (b, c) = (corner_bit((axis + 1) % 3), corner_bit((axis + 2) % 3));
     [[0, 0], [0, 1], [1, 0], [1, 1]].into_iter().filter(move |[i, j]| signs >> (i * b + j * c) & 1 == 1)
 }
 
-/// Names a segment of an ambiguous face in its leaf: the face by its first voxel and its normal, the
-/// segment by the inside corner that it cuts off (the two differ on both axes: one will do).
+/// Key of a segment of an ambiguous face within its leaf: the face's first voxel and normal, and the inside
+/// corner that the segment cuts off. (The two inside corners differ on both axes, so one coordinate
+/// suffices.)
 pub(super) fn segment_key(first_voxel: IVec3, normal_axis: usize, corner: [usize; 2]) -> u16 {
     (offset_in_leaf(first_voxel) * 8 + normal_axis * 2 + corner[0]) as u16
 }
@@ -54,7 +56,7 @@ pub(super) fn segment_key(first_voxel: IVec3, normal_axis: usize, corner: [usize
 /// The four cells around a crossed edge, counter-clockwise as seen from its end.
 ///
 /// ```text
-///        c             a: the edge's axis, towards the reader
+///        c             a: the edge's axis, toward the reader
 ///    1   │   0         b, c: the axes after it
 ///   ─────┼───── b      side k: the face between cell k and cell k + 1
 ///    2   │   3
@@ -66,11 +68,11 @@ pub(super) struct Ring {
     pub(super) joined_sides: u8,
 }
 
-/// Where in each cell of a ring the edge is, as `2b + c`.
+/// The edge's position in each cell of a ring, as `2b + c`.
 pub(super) const RING_PLACES: [usize; 4] = [0, 2, 3, 1];
 
-/// For each side of a ring which of the two axes is normal to it, and the cell on its far side: the
-/// one whose first voxel is also the face's.
+/// For each side of a ring, which of the two axes is normal to it, and the cell on its far side: the one with
+/// the same first voxel as the face.
 pub(super) const RING_SIDES: [(usize, usize); 4] = [(1, 0), (2, 1), (1, 3), (2, 0)];
 
 impl Ring {

@@ -1,39 +1,41 @@
-//! Bubbles are filled: pieces of the outside that are enclosed and small.
+//! Fills bubbles: small enclosed components of the outside.
 //!
 //! ```text
 //!   leaves   [▒▒][▒▒][▒▒]     ▒ stored: a shell around the bubble
-//!            [▒▒]    [▒▒]     what is between is outside, too, and is walked through leaf by leaf,
-//!            [▒▒][▒▒][▒▒]     as long as the volume allows
+//!            [▒▒]    [▒▒]     the missing leaves in between are also outside; a search visits them one
+//!            [▒▒][▒▒][▒▒]     by one until the volume limit
 //! ```
 //!
-//! The walk ends as soon as the piece is larger than what is filled, or where it leaves the box around all leaves. So it
-//! takes a few steps for a bubble, and for the world around the fluid no more than a bubble may have.
+//! The search stops when the component exceeds the volume limit or leaves the bounding box of all leaves. So
+//! it takes a few steps for a bubble, and for the open outside no more than for the largest bubble.
 //!
-//! A drop within a bubble is no part of its volume; if the bubble is filled, the drop is one with what was around.
+//! A drop within a bubble does not count toward its volume. If the bubble is filled, the drop merges with its
+//! surroundings.
 
 use std::collections::VecDeque;
 
 use glam::IVec3;
 use rustc_hash::FxHashSet;
 
-use super::pieces::{Contact, Pieces};
-use super::turned::{Side, turn};
+use super::components::{Components, Connectivity};
+use super::flip::{Side, flip};
 use crate::surface::grid::{FACE_STEPS, LEAF_EDGE, LEAF_VOXELS, LeafMask, Topology, negative_masks};
 use crate::surface::level_set::NarrowBand;
 use crate::surface::space::CoordBox;
 
-/// What was filled.
+/// Result of filling cavities.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FilledCavities {
-    /// How many cavities.
+    /// Number of cavities.
     pub cavity_count: usize,
-    /// How many voxels turned from outside to inside.
+    /// Number of voxels that changed from outside to inside.
     pub voxel_count: u64,
 }
 
-/// Fills the enclosed pieces of the outside with fewer than `volume_voxels` voxels: they turn inside.
+/// Fills the enclosed components of the outside with fewer than `volume_voxels` voxels.
 ///
-/// What has a voxel that is `kept` is no cavity: that tells those of a leaf, by its origin, and is asked once of each.
+/// Components with a voxel that is `kept` are not filled. `kept` maps a leaf's origin to the mask of such
+/// voxels and is called once per leaf.
 pub fn fill_cavities(
     band: &mut NarrowBand,
     volume_voxels: f64,
@@ -42,88 +44,89 @@ pub fn fill_cavities(
     let topology = band.topology.clone();
     let complement = |mask: LeafMask| LeafMask { words: mask.words.map(|word| !word) };
     let outside: Vec<LeafMask> = negative_masks(&band.phi).into_iter().map(complement).collect();
-    let mut surroundings = Surroundings::new(&topology, Pieces::new(&topology, &outside, Contact::Edges));
+    let mut search = CavitySearch::new(&topology, Components::new(&topology, &outside, Connectivity::Edges));
     if let Some(kept) = kept {
-        surroundings.keep(kept);
+        search.keep(kept);
     }
     let mut filled = FilledCavities::default();
-    for piece in 0..surroundings.pieces.count as u32 {
-        if let Some(volume) = surroundings.enclosed_volume(piece, volume_voxels) {
+    for component in 0..search.components.count as u32 {
+        if let Some(volume) = search.enclosed_volume(component, volume_voxels) {
             filled.cavity_count += 1;
             filled.voxel_count += volume;
         }
     }
-    let is_filled: Vec<bool> =
-        surroundings.verdicts.iter().map(|verdict| *verdict == Verdict::Enclosed).collect();
-    turn(band, &surroundings.pieces.voxels_of(&is_filled), Side::Inside);
+    let is_filled: Vec<bool> = search.states.iter().map(|state| *state == ComponentState::Enclosed).collect();
+    flip(band, &search.components.voxels_of(&is_filled), Side::Inside);
     filled
 }
 
-/// What is known of a piece.
+/// State of a component.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Verdict {
+enum ComponentState {
     Unknown,
-    /// It is as large as what stays, or open to the world.
+    /// At least as large as the limit, or connected to the open outside.
     Open,
-    /// It is, with others perhaps, a cavity to be filled.
+    /// Enclosed; part of a cavity to be filled.
     Enclosed,
 }
 
-/// The pieces of the outside and the leaves between them that are not stored.
-struct Surroundings<'a> {
+/// The components of the outside, and the missing leaves between them.
+struct CavitySearch<'a> {
     topology: &'a Topology,
-    pieces: Pieces,
+    components: Components,
     volumes: Vec<u64>,
-    /// Piece and leaf that is not stored, for all that touch: by piece, and by leaf.
-    by_piece: Vec<(u32, [i32; 3])>,
+    /// All contacts between components and missing leaves, sorted by component and by leaf.
+    by_component: Vec<(u32, [i32; 3])>,
     by_leaf: Vec<([i32; 3], u32)>,
-    /// Holds every leaf that is stored.
+    /// Bounding box of all stored leaves.
     extent: CoordBox,
-    verdicts: Vec<Verdict>,
-    /// Leaves that are not stored and are open to the world, or part of something too large.
+    states: Vec<ComponentState>,
+    /// Missing leaves that are connected to the open outside or to a component that is too large.
     open: FxHashSet<IVec3>,
 }
 
-impl<'a> Surroundings<'a> {
-    fn new(topology: &'a Topology, pieces: Pieces) -> Surroundings<'a> {
-        let beyond = pieces.beyond(topology);
-        let mut by_piece: Vec<_> = beyond.iter().map(|&(piece, leaf)| (piece, leaf.to_array())).collect();
-        let mut by_leaf: Vec<_> = beyond.into_iter().map(|(piece, leaf)| (leaf.to_array(), piece)).collect();
-        by_piece.sort_unstable();
-        by_piece.dedup();
+impl<'a> CavitySearch<'a> {
+    fn new(topology: &'a Topology, components: Components) -> CavitySearch<'a> {
+        let beyond = components.beyond(topology);
+        let mut by_component: Vec<_> =
+            beyond.iter().map(|&(component, leaf)| (component, leaf.to_array())).collect();
+        let mut by_leaf: Vec<_> =
+            beyond.into_iter().map(|(component, leaf)| (leaf.to_array(), component)).collect();
+        by_component.sort_unstable();
+        by_component.dedup();
         by_leaf.sort_unstable();
         by_leaf.dedup();
         let mut extent = CoordBox::EMPTY;
         topology.origins().iter().for_each(|&origin| extent.include(origin));
-        let (volumes, verdicts) = (pieces.volumes(), vec![Verdict::Unknown; pieces.count]);
+        let (volumes, states) = (components.volumes(), vec![ComponentState::Unknown; components.count]);
         let open = FxHashSet::default();
-        Surroundings { topology, pieces, volumes, by_piece, by_leaf, extent, verdicts, open }
+        CavitySearch { topology, components, volumes, by_component, by_leaf, extent, states, open }
     }
 
-    /// Makes the pieces with a voxel that is kept open.
+    /// Marks the components with a kept voxel as open.
     fn keep(&mut self, kept: &dyn Fn(IVec3) -> LeafMask) {
         for (leaf, &origin) in self.topology.origins().iter().enumerate() {
             let kept = kept(origin);
             if kept.is_empty() {
                 continue;
             }
-            for (piece, mask) in self.pieces.of_leaf(leaf) {
+            for (component, mask) in self.components.of_leaf(leaf) {
                 if !mask.and(&kept).is_empty() {
-                    self.verdicts[piece as usize] = Verdict::Open;
+                    self.states[component as usize] = ComponentState::Open;
                 }
             }
         }
     }
 
-    /// The volume of the cavity that a piece is the first known part of, in voxels; `None` if it is not less than
-    /// `volume_most`, open, or known already.
-    fn enclosed_volume(&mut self, piece: u32, volume_most: f64) -> Option<u64> {
-        if self.verdicts[piece as usize] != Verdict::Unknown {
+    /// The volume of the cavity that contains a component, in voxels. `None` if it is at least `volume_most`,
+    /// open, or already visited.
+    fn enclosed_volume(&mut self, component: u32, volume_most: f64) -> Option<u64> {
+        if self.states[component as usize] != ComponentState::Unknown {
             return None;
         }
-        let mut walk = Walk { volume: self.volumes[piece as usize], ..Walk::default() };
-        walk.pieces.insert(piece);
-        self.enter(piece, &mut walk);
+        let mut walk = CavityWalk { volume: self.volumes[component as usize], ..CavityWalk::default() };
+        walk.components.insert(component);
+        self.enter(component, &mut walk);
         let mut is_enclosed = (walk.volume as f64) < volume_most;
         while is_enclosed && let Some(leaf) = walk.queue.pop_front() {
             walk.volume += LEAF_VOXELS as u64;
@@ -132,9 +135,9 @@ impl<'a> Surroundings<'a> {
                 && self.pass(leaf, &mut walk)
                 && (walk.volume as f64) < volume_most;
         }
-        let verdict = if is_enclosed { Verdict::Enclosed } else { Verdict::Open };
-        for piece in walk.pieces {
-            self.verdicts[piece as usize] = verdict;
+        let state = if is_enclosed { ComponentState::Enclosed } else { ComponentState::Open };
+        for component in walk.components {
+            self.states[component as usize] = state;
         }
         if !is_enclosed {
             self.open.extend(walk.leaves);
@@ -142,16 +145,16 @@ impl<'a> Surroundings<'a> {
         is_enclosed.then_some(walk.volume)
     }
 
-    /// Queues the leaves that a piece touches.
-    fn enter(&self, piece: u32, walk: &mut Walk) {
-        let first = self.by_piece.partition_point(|&(other, _)| other < piece);
-        for &(_, leaf) in self.by_piece[first..].iter().take_while(|&&(other, _)| other == piece) {
+    /// Queues the missing leaves that a component touches.
+    fn enter(&self, component: u32, walk: &mut CavityWalk) {
+        let first = self.by_component.partition_point(|&(other, _)| other < component);
+        for &(_, leaf) in self.by_component[first..].iter().take_while(|&&(other, _)| other == component) {
             walk.reach(IVec3::from(leaf));
         }
     }
 
-    /// Goes on from a leaf that is not stored to what it touches. Returns whether that is not known to be open.
-    fn pass(&self, leaf: IVec3, walk: &mut Walk) -> bool {
+    /// Continues the search from a missing leaf. Returns false if it is known to be open.
+    fn pass(&self, leaf: IVec3, walk: &mut CavityWalk) -> bool {
         for face in FACE_STEPS.map(|step| leaf.wrapping_add(step * LEAF_EDGE)) {
             if self.topology.find(face).is_none() {
                 walk.reach(face);
@@ -159,30 +162,30 @@ impl<'a> Surroundings<'a> {
         }
         let key = leaf.to_array();
         let first = self.by_leaf.partition_point(|&(other, _)| other < key);
-        for &(_, piece) in self.by_leaf[first..].iter().take_while(|&&(other, _)| other == key) {
-            if self.verdicts[piece as usize] == Verdict::Open {
+        for &(_, component) in self.by_leaf[first..].iter().take_while(|&&(other, _)| other == key) {
+            if self.states[component as usize] == ComponentState::Open {
                 return false;
             }
-            if walk.pieces.insert(piece) {
-                walk.volume += self.volumes[piece as usize];
-                self.enter(piece, walk);
+            if walk.components.insert(component) {
+                walk.volume += self.volumes[component as usize];
+                self.enter(component, walk);
             }
         }
         true
     }
 }
 
-/// A walk through what is connected.
+/// A breadth-first search through connected components and leaves.
 #[derive(Default)]
-struct Walk {
+struct CavityWalk {
     volume: u64,
-    pieces: FxHashSet<u32>,
-    /// Leaves that are not stored: all that were reached, and those that were not yet gone on from.
+    components: FxHashSet<u32>,
+    /// Missing leaves: all that were reached, and those still in the queue.
     leaves: FxHashSet<IVec3>,
     queue: VecDeque<IVec3>,
 }
 
-impl Walk {
+impl CavityWalk {
     fn reach(&mut self, leaf: IVec3) {
         if self.leaves.insert(leaf) {
             self.queue.push_back(leaf);

@@ -1,20 +1,21 @@
-//! A box cuts the fluid off, and flat caps close the cuts: φ ← max(φ, distance to the box).
+//! Clips the fluid with a box and closes the cuts with flat caps: φ ← max(φ, distance to the box).
 //!
 //! ```text
 //!     ┊     box      ┊
-//!   ╭─┊──────────────┊──╮        ▒ leaves stored already; c leaves of the caps: where the box passes through the
-//!   │▒┊▒▒▒▒▒▒▒▒▒▒▒▒▒▒┊▒▒│          deep inside, of which nothing was stored, they are added; leaves that lie
-//!   │▒c              c ▒│          beyond the box are taken out
+//!   ╭─┊──────────────┊──╮        ▒ stored leaves; c leaves of the caps: added where the box cuts through the deep
+//!   │▒┊▒▒▒▒▒▒▒▒▒▒▒▒▒▒┊▒▒│          interior, where no leaves are stored. Leaves outside the box are
+//!   │▒c              c ▒│          removed
 //! ```
 //!
-//! Whether a gap between stored leaves is deep inside
-//! is told as a .vdb file tells it: by the faces that look into it along z.
+//! Whether a gap between stored leaves is deep inside is determined as in a .vdb file: by the adjacent leaf
+//! faces along z.
 //!
-//! A cap lies on its plane. Where a plane passes within 1/128 of a voxel of a row of voxels it is moved to that much
-//! before them, inward, because a surface that all but touches voxels is folded by meshers.
+//! A cap lies on its plane. If a plane passes within 1/128 voxel of a row of voxels, it is moved inward to
+//! that distance, because meshers fold a surface that almost touches voxels.
 //!
-//! Where a cap meets the fluid's own surface in a sharp rim, a mesher knows the rim to a part of a voxel only, and may put vertices
-//! a little beyond the plane. So the mesh is held within the box afterwards ([`ClipBox::hold`]).
+//! Where a cap meets the fluid's own surface in a sharp edge, a mesher locates the edge only to a fraction of
+//! a voxel and may place vertices slightly beyond the plane. So the mesh is clamped to the box afterwards
+//! ([`ClipBox::hold`]).
 
 use std::sync::Arc;
 
@@ -26,12 +27,12 @@ use crate::surface::level_set::{NEAREST_TO_ZERO, NarrowBand};
 use crate::surface::mesh::Mesh;
 use crate::surface::space::Lattice;
 
-/// A box in world units, both corners included. A side may be infinite: there is no plane on it.
+/// A box in world units, both corners included. An infinite side has no plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClipBox {
-    /// Least corner.
+    /// Minimum corner.
     pub min: DVec3,
-    /// Greatest corner.
+    /// Maximum corner.
     pub max: DVec3,
 }
 
@@ -41,8 +42,8 @@ impl ClipBox {
         distance((self.min - world).max(world - self.max))
     }
 
-    /// Moves vertices of a mesh that are beyond a plane onto it: meant for those at the rims of caps, which are a part
-    /// of a voxel off.
+    /// Clamps mesh vertices to the box. Intended for vertices at the edges of caps, which are off by a
+    /// fraction of a voxel.
     pub fn hold(&self, mesh: &mut Mesh) {
         let [least, most] = [self.min - mesh.origin, self.max - mesh.origin].map(|corner| corner.to_array());
         let (least, most) = (Vec3::from(least.map(rounded_up)), Vec3::from(most.map(rounded_down)));
@@ -52,29 +53,29 @@ impl ClipBox {
     }
 }
 
-/// The least 32-bit number that is not below a plane.
+/// The smallest 32-bit float that is not below a plane.
 fn rounded_up(plane: f64) -> f32 {
     let rounded = plane as f32;
     if f64::from(rounded) < plane { rounded.next_up() } else { rounded }
 }
 
-/// The greatest 32-bit number that is not above a plane.
+/// The largest 32-bit float that is not above a plane.
 fn rounded_down(plane: f64) -> f32 {
     -rounded_up(-plane)
 }
 
-/// What a box took away.
+/// Result of clipping.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Clipped {
-    /// How many voxels turned from inside to outside.
+    /// Number of voxels that changed from inside to outside.
     pub voxel_count: u64,
-    /// How many leaves were added for the caps.
+    /// Number of leaves added for the caps.
     pub added_leaf_count: usize,
-    /// How many leaves were taken out.
+    /// Number of leaves removed.
     pub removed_leaf_count: usize,
 }
 
-/// Cuts off what is outside a box. What is left is closed.
+/// Removes the fluid outside a box. The remaining surface is closed.
 pub fn clip(band: &mut NarrowBand, lattice: &Lattice, clip_box: &ClipBox) -> Clipped {
     let cut = Cut {
         min: clip_box.min / lattice.voxel_size,
@@ -101,50 +102,51 @@ pub fn clip(band: &mut NarrowBand, lattice: &Lattice, clip_box: &ClipBox) -> Cli
     clipped
 }
 
-/// The inside voxels of the first leaves that are not inside in the second, or of which the leaf is gone.
+/// Number of inside voxels of the old leaves that are not inside in the new ones, or whose leaf was removed.
 fn stored_difference(old: &Topology, inside: &[LeafMask], new: &Topology, left: &[LeafMask]) -> u64 {
-    let turned = |(&origin, inside): (&IVec3, &LeafMask)| {
-        let mut turned = *inside;
+    let flipped = |(&origin, inside): (&IVec3, &LeafMask)| {
+        let mut flipped = *inside;
         if let Some(leaf) = new.find(origin) {
-            turned.remove_all(&left[leaf]);
+            flipped.remove_all(&left[leaf]);
         }
-        u64::from(turned.count())
+        u64::from(flipped.count())
     };
-    old.origins().iter().zip(inside).map(turned).sum()
+    old.origins().iter().zip(inside).map(flipped).sum()
 }
 
-/// Leaves in a row along z that are not stored and lie inside: the first, and the one after the last.
+/// Consecutive missing leaves along z that are inside: the first, and one past the last.
 #[derive(Clone, Copy, Debug)]
-struct Gap {
+struct LeafGap {
     first: IVec3,
     end_z: i32,
 }
 
 /// The inside gaps between stored leaves.
-fn gaps(topology: &Topology, inside: &[LeafMask]) -> Vec<Gap> {
+fn gaps(topology: &Topology, inside: &[LeafMask]) -> Vec<LeafGap> {
     let mut rows: Vec<([i32; 3], usize)> =
         topology.origins().iter().enumerate().map(|(leaf, origin)| (origin.to_array(), leaf)).collect();
     rows.par_sort_unstable();
     let gap = |pair: &[([i32; 3], usize)]| {
         let ([ax, ay, az], before) = pair[0];
         let ([bx, by, bz], after) = pair[1];
-        // A leaf's row along z is a byte of its mask: the last bits look up, the first bits down.
+        // A row along z is a byte of the mask: its last bit is adjacent to the leaf above, its first bit to
+        // the leaf below.
         let is_inside = |leaf: usize, bit: u64| {
             let face = inside[leaf].words.iter().map(|word| (word & bit).count_ones()).sum::<u32>();
             face > 32
         };
         let is_gap = ax == bx && ay == by && bz - az > LEAF_EDGE;
         (is_gap && is_inside(before, LAST_Z) && is_inside(after, FIRST_Z))
-            .then_some(Gap { first: IVec3::new(ax, ay, az + LEAF_EDGE), end_z: bz })
+            .then_some(LeafGap { first: IVec3::new(ax, ay, az + LEAF_EDGE), end_z: bz })
     };
     rows.windows(2).filter_map(gap).collect()
 }
 
-/// The first and the last voxels of the rows of a mask's word.
+/// The first and the last voxels of the rows of a mask word.
 const FIRST_Z: u64 = 0x0101_0101_0101_0101;
 const LAST_Z: u64 = FIRST_Z << 7;
 
-/// No voxel is nearer to a plane than this, in voxels.
+/// Minimum distance of a voxel from a plane, in voxels.
 const NEAREST_TO_PLANE: f64 = NEAREST_TO_ZERO as f64;
 
 /// A box in voxels, and the half width of the band that it cuts.
@@ -156,23 +158,23 @@ struct Cut {
 }
 
 impl Cut {
-    /// The distance of a voxel to the box.
+    /// Distance of a voxel to the box.
     fn distance(&self, voxel: IVec3) -> f64 {
         distance(self.excess(voxel.as_dvec3(), voxel.as_dvec3()).map(off_zero))
     }
 
-    /// How far a box of voxels is beyond the planes, at least, axis by axis; negative before them.
+    /// Lower bound per axis of how far a box of voxels lies beyond the planes; negative if it is inside.
     fn excess(&self, first: DVec3, last: DVec3) -> DVec3 {
         (self.min - last).max(first - self.max)
     }
 
-    /// Whether no voxel of a leaf is within the half width of the box.
+    /// True if no voxel of a leaf is within the half width of the box.
     fn is_beyond(&self, origin: IVec3) -> bool {
         let first = origin.as_dvec3();
         self.excess(first, first + LAST_IN_LEAF).max_element() >= self.half_width
     }
 
-    /// Whether all voxels of a leaf are in the box and the half width or more from its planes.
+    /// True if all voxels of a leaf are in the box and at least the half width from its planes.
     fn is_within(&self, origin: IVec3) -> bool {
         let first = origin.as_dvec3();
         let last = first + LAST_IN_LEAF;
@@ -180,8 +182,8 @@ impl Cut {
     }
 
     /// The leaves of a gap that a cap needs.
-    fn cap_leaves(self, gap: Gap) -> impl Iterator<Item = IVec3> {
-        // The planes across z, and between them only where one of the other planes is near.
+    fn cap_leaves(self, gap: LeafGap) -> impl Iterator<Item = IVec3> {
+        // At the planes across z; between them, only if one of the other planes is near.
         let near = |plane: f64| self.leaves_between(plane, plane, &gap);
         let column = IVec3::new(gap.first.x, gap.first.y, 0);
         let (first, last) = (column.as_dvec3(), column.as_dvec3() + LAST_IN_LEAF);
@@ -197,8 +199,8 @@ impl Cut {
         leaves.filter(move |&origin| !self.is_beyond(origin) && !self.is_within(origin))
     }
 
-    /// The leaves of a gap, as multiples of a leaf's edge, within the half width of what is between two z.
-    fn leaves_between(&self, from: f64, to: f64, gap: &Gap) -> std::ops::Range<i32> {
+    /// The leaves of a gap, in units of leaves, within the half width of the range between two z.
+    fn leaves_between(&self, from: f64, to: f64, gap: &LeafGap) -> std::ops::Range<i32> {
         let (first, end) = (gap.first.z / LEAF_EDGE, gap.end_z / LEAF_EDGE);
         let edge = f64::from(LEAF_EDGE);
         let from = ((from - self.half_width) / edge).floor().max(f64::from(first));
@@ -206,8 +208,8 @@ impl Cut {
         if from <= to { from as i32..to as i32 + 1 } else { 0..0 }
     }
 
-    /// The voxels of a gap that are outside the box.
-    fn outside_count(&self, gap: &Gap) -> u64 {
+    /// Number of voxels of a gap that are outside the box.
+    fn outside_count(&self, gap: &LeafGap) -> u64 {
         let [first, end] =
             [gap.first, IVec3::new(gap.first.x + LEAF_EDGE, gap.first.y + LEAF_EDGE, gap.end_z)];
         let along = |axis: usize| {
@@ -219,7 +221,8 @@ impl Cut {
         all.element_product() - along(0) * along(1) * along(2)
     }
 
-    /// A field on the leaves of `topology`, which come `from` leaves of its own or from the deep inside, cut by the box.
+    /// The field on the leaves of `topology`, cut by the box. `from` gives each leaf's source, or `None` if
+    /// it was deep inside.
     fn apply(self, field: &Field, topology: &Topology, from: &[Option<usize>], half_width: f32) -> Field {
         let deep = Leaf::splat(-half_width);
         let leaves = topology.origins().par_iter().zip(from).map(|(&origin, from)| {
@@ -239,13 +242,13 @@ impl Cut {
 /// From the first voxel of a leaf to the last.
 const LAST_IN_LEAF: DVec3 = DVec3::splat((LEAF_EDGE - 1) as f64);
 
-/// The distance to a box of which a point is so far beyond the planes, axis by axis.
+/// Distance to a box of a point this far beyond its planes, per axis.
 fn distance(excess: DVec3) -> f64 {
     let farthest = excess.max_element();
     if farthest > 0.0 { excess.max(DVec3::ZERO).length() } else { farthest }
 }
 
-/// A distance from a plane that is not too near to zero.
+/// Moves a distance away from zero.
 fn off_zero(distance: f64) -> f64 {
     if distance.abs() < NEAREST_TO_PLANE { NEAREST_TO_PLANE } else { distance }
 }

@@ -1,53 +1,53 @@
-//! Specks are dropped: pieces of the inside with few particles in them.
+//! Removes islands: components of the inside with few particles.
 //!
-//! A particle belongs to the piece of the nearest corner of its cell that is inside. Only particles near the
-//! surface are usually at hand; so a piece that has leaves so deep inside that they are not stored is kept without
-//! being counted: such a leaf alone has room for hundreds.
+//! A particle belongs to the component of the nearest inside corner of its cell. Usually only particles near
+//! the surface are stored. So a component with leaves so deep inside that they are not stored is kept without
+//! counting: one such leaf has room for hundreds of particles.
 
 use std::sync::Arc;
 
 use glam::{IVec3, Vec3};
 
-use super::pieces::{Contact, Pieces};
-use super::turned::{Side, turn};
+use super::components::{Components, Connectivity};
+use super::flip::{Side, flip};
 use crate::surface::grid::{LEAF_EDGE, Topology, negative_masks};
 use crate::surface::level_set::NarrowBand;
 
-/// What was dropped.
+/// Result of removing islands.
 #[derive(Clone, Debug)]
 pub struct DroppedIslands {
-    /// How many pieces.
+    /// Number of components.
     pub piece_count: usize,
-    /// How many of the given particles were in them.
+    /// Number of given particles in them.
     pub particle_count: u64,
-    /// How many voxels turned from inside to outside.
+    /// Number of voxels that changed from inside to outside.
     pub voxel_count: u64,
     topology: Arc<Topology>,
-    pieces: Pieces,
+    components: Components,
     is_dropped: Vec<bool>,
 }
 
-/// Drops the pieces of the inside with fewer than `particle_count_least` particles: their voxels turn outside.
+/// Removes the components of the inside with fewer than `particle_count_least` particles.
 ///
-/// Particles come leaf by leaf: a leaf's origin, and positions in voxels relative to it (0 to 8 on each axis).
-/// Particles that are not given are not counted.
+/// `particles` yields each leaf's origin and particle positions, in voxels relative to it (0 to 8 on each
+/// axis). Particles that are not given are not counted.
 pub fn drop_islands<P: AsRef<[Vec3]>>(
     band: &mut NarrowBand,
     particle_count_least: u64,
     particles: impl IntoIterator<Item = (IVec3, P)>,
 ) -> DroppedIslands {
     let topology = band.topology.clone();
-    let pieces = Pieces::new(&topology, &negative_masks(&band.phi), Contact::Faces);
-    let mut is_candidate = vec![particle_count_least > 0; pieces.count];
-    for (piece, _) in pieces.beyond(&topology) {
-        is_candidate[piece as usize] = false;
+    let components = Components::new(&topology, &negative_masks(&band.phi), Connectivity::Faces);
+    let mut is_candidate = vec![particle_count_least > 0; components.count];
+    for (component, _) in components.beyond(&topology) {
+        is_candidate[component as usize] = false;
     }
     let mut dropped = DroppedIslands {
         piece_count: 0,
         particle_count: 0,
         voxel_count: 0,
         topology,
-        pieces,
+        components,
         is_dropped: is_candidate,
     };
     let counts = dropped.count_particles(particles);
@@ -56,50 +56,53 @@ pub fn drop_islands<P: AsRef<[Vec3]>>(
         dropped.piece_count += usize::from(*is_dropped);
         dropped.particle_count += if *is_dropped { count } else { 0 };
     }
-    let turned = dropped.pieces.voxels_of(&dropped.is_dropped);
-    dropped.voxel_count = turned.iter().map(|(_, mask)| u64::from(mask.count())).sum();
-    turn(band, &turned, Side::Outside);
+    let flipped = dropped.components.voxels_of(&dropped.is_dropped);
+    dropped.voxel_count = flipped.iter().map(|(_, mask)| u64::from(mask.count())).sum();
+    flip(band, &flipped, Side::Outside);
     dropped
 }
 
 impl DroppedIslands {
-    /// Whether a particle was in a piece that was dropped. It is given in voxels relative to the origin of its leaf.
+    /// True if a particle was in a removed component. `local` is in voxels relative to the origin of its
+    /// leaf.
     pub fn holds(&self, leaf_origin: IVec3, local: Vec3) -> bool {
-        self.piece_of(leaf_origin, local).is_some_and(|piece| self.is_dropped[piece as usize])
+        self.component_of(leaf_origin, local).is_some_and(|component| self.is_dropped[component as usize])
     }
 
-    /// The particles in each piece that may yet be dropped.
+    /// Number of particles in each component that may still be removed.
     fn count_particles<P: AsRef<[Vec3]>>(&self, particles: impl IntoIterator<Item = (IVec3, P)>) -> Vec<u64> {
         let has_candidate: Vec<bool> = (0..self.topology.len())
-            .map(|leaf| self.pieces.of_leaf(leaf).any(|(piece, _)| self.is_dropped[piece as usize]))
+            .map(|leaf| {
+                self.components.of_leaf(leaf).any(|(component, _)| self.is_dropped[component as usize])
+            })
             .collect();
-        let mut counts = vec![0; self.pieces.count];
+        let mut counts = vec![0; self.components.count];
         for (origin, locals) in particles {
-            // Cells reach into the leaves after their own.
+            // Cells extend into the leaves after their own.
             let reached =
                 (0..8).filter_map(|k| self.topology.find(origin.wrapping_add(corner(k) * LEAF_EDGE)));
             if !reached.into_iter().any(|leaf| has_candidate[leaf]) {
                 continue;
             }
             for &local in locals.as_ref() {
-                if let Some(piece) = self.piece_of(origin, local) {
-                    counts[piece as usize] += 1;
+                if let Some(component) = self.component_of(origin, local) {
+                    counts[component as usize] += 1;
                 }
             }
         }
         counts
     }
 
-    /// The piece of a particle.
-    fn piece_of(&self, origin: IVec3, local: Vec3) -> Option<u32> {
-        // Rounded, a particle may be at the far end of its leaf.
+    /// The component of a particle.
+    fn component_of(&self, origin: IVec3, local: Vec3) -> Option<u32> {
+        // Rounding can put a particle on the leaf's upper boundary.
         let cell = local.as_ivec3().clamp(IVec3::ZERO, IVec3::splat(LEAF_EDGE));
         let corners = (0..8).map(|k| cell + corner(k)).filter_map(|voxel| {
-            let (leaf, place) = self.topology.find_voxel(origin.wrapping_add(voxel))?;
-            let piece = self.pieces.piece_at(leaf, place)?;
-            Some((local.distance_squared(voxel.as_vec3()), piece))
+            let (leaf, index) = self.topology.find_voxel(origin.wrapping_add(voxel))?;
+            let component = self.components.component_at(leaf, index)?;
+            Some((local.distance_squared(voxel.as_vec3()), component))
         });
-        corners.min_by(|one, other| one.0.total_cmp(&other.0)).map(|(_, piece)| piece)
+        corners.min_by(|one, other| one.0.total_cmp(&other.0)).map(|(_, component)| component)
     }
 }
 

@@ -1,32 +1,33 @@
-//! Edits of the level set after smoothing: specks and bubbles that nobody wants, and a box that cuts it off.
+//! Edits of the level set after smoothing: removes islands, fills cavities, and clips with a box.
 //!
 //! ```text
-//!   ╭──────────────╮   ·  island      with fewer than so many particles: becomes outside
+//!   ╭──────────────╮   ·  island      with few particles: becomes outside
 //!   │    ○         │
-//!   │    cavity    ┊                  of less than so many voxels: becomes inside
+//!   │    cavity    ┊                  of small volume: becomes inside
 //!   ╰──────────────┊
-//!                  ┊ box              the fluid beyond it is cut off, the cut closed by a flat cap
+//!                  ┊ box              the fluid outside is removed, the cut closed by a flat cap
 //! ```
 //!
-//! They change φ and not the mesh, so that the mesh and the .vdb agree. The bounds, which were checked before, say nothing of what
-//! is moved on purpose; the caller is told how much that was.
+//! Edits change φ rather than the mesh, so that the mesh and the .vdb file agree. Bounds are checked before
+//! edits and do not apply to them. Each edit returns what it changed.
 //!
-//! The order is islands, cavities, box. A drop in a bubble that is too small goes first, and the bubble is then as
-//! large as it looks; a hollow drop that is too small goes with its hollow. Pieces are judged as the fluid
-//! has them and not as the box cuts them, so that moving the box does not make drops come and go.
+//! The order is islands, cavities, box. A small drop in a bubble is removed first, so that the bubble then
+//! has its apparent volume; a small hollow drop is removed with its hollow. Components are judged before the
+//! box cuts them, so that moving the box does not make drops appear and disappear.
 //!
-//! **What a piece is** follows the contouring ([`crate::surface::contour`]): on a face of a cell where the signs alternate it
-//! separates the insides. So voxels inside are connected across faces, and voxels outside across faces and edges.
+//! **Connectivity** follows the contouring ([`crate::surface::contour`]), which separates the insides on a
+//! cell face with alternating signs. So inside voxels are connected across faces, and outside voxels across
+//! faces and edges.
 //!
-//! **What reaches how far.** A piece is judged whole. But what is dropped or filled is small, by what was asked for, and
-//! φ changes within the band's half width of it; the box changes what is within half a width of its planes. So
-//! changes far away stay there.
+//! **Reach.** A component is judged as a whole. But a removed or filled component is small, within the
+//! requested limit, and φ changes only within the band's half width of it. The box changes φ within a half
+//! width of its planes. So changes stay local.
 
 mod cavities;
 mod clip;
+mod components;
+mod flip;
 mod islands;
-mod pieces;
-mod turned;
 
 pub use cavities::{FilledCavities, fill_cavities};
 pub use clip::{ClipBox, Clipped, clip};

@@ -1,4 +1,4 @@
-//! Leaves of values, and the order of voxels in them.
+//! Leaves of values, and the order of the voxels in them.
 
 use bytemuck::{Pod, Zeroable};
 use glam::IVec3;
@@ -42,29 +42,29 @@ impl Leaf {
 /// One value for every voxel of the leaves of a [`Topology`](crate::surface::Topology), in its order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Field {
-    /// One entry a leaf.
+    /// One entry per leaf.
     pub leaves: Vec<Leaf>,
 }
 
 impl Field {
-    /// A field of `leaf_count` leaves with one value everywhere.
+    /// A field of `leaf_count` leaves with the same value everywhere.
     pub fn splat(leaf_count: usize, value: f32) -> Field {
         Field { leaves: vec![Leaf::splat(value); leaf_count] }
     }
 
-    /// The leaves as plain arrays, for writers that know nothing of the grid.
+    /// The leaves as plain arrays, for writers that do not depend on the grid types.
     pub fn as_arrays(&self) -> &[[f32; LEAF_VOXELS]] {
         bytemuck::cast_slice(&self.leaves)
     }
 }
 
-/// The place in a leaf of a voxel given relative to the leaf's origin (0 ..= 7 on each axis).
+/// Offset in its leaf of a voxel given relative to the leaf's origin (0 ..= 7 on each axis).
 pub fn offset_in_leaf(voxel: IVec3) -> usize {
     debug_assert!(voxel.cmpge(IVec3::ZERO).all() && voxel.cmplt(IVec3::splat(LEAF_EDGE)).all());
     (voxel.x as usize) << 6 | (voxel.y as usize) << 3 | voxel.z as usize
 }
 
-/// The voxel, relative to its leaf's origin, at a place in the leaf.
+/// The voxel at an offset in its leaf, relative to the leaf's origin.
 pub fn voxel_in_leaf(offset: usize) -> IVec3 {
     debug_assert!(offset < LEAF_VOXELS);
     IVec3::new((offset >> 6) as i32, (offset >> 3 & 7) as i32, (offset & 7) as i32)

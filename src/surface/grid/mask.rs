@@ -11,7 +11,7 @@ use crate::surface::space::CoordBox;
 /// 512 bits: word x, byte y of the word, bit z of the byte.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LeafMask {
-    /// One word for each x.
+    /// One word per x.
     pub words: [u64; 8],
 }
 
@@ -25,7 +25,7 @@ impl LeafMask {
     /// Every voxel.
     pub const FULL: LeafMask = LeafMask { words: [u64::MAX; 8] };
 
-    /// The mask of the voxels whose place in the leaf satisfies `test`.
+    /// The mask of the voxels whose offset in the leaf satisfies `test`.
     pub fn from_fn(test: impl Fn(usize) -> bool) -> LeafMask {
         let mut mask = LeafMask::EMPTY;
         for offset in 0..512 {
@@ -34,17 +34,17 @@ impl LeafMask {
         mask
     }
 
-    /// Whether the voxel at this place in the leaf is in.
+    /// True if the mask contains the voxel at this offset.
     pub fn contains(&self, offset: usize) -> bool {
         self.words[offset >> 6] >> (offset & 63) & 1 == 1
     }
 
-    /// Puts in the voxel at this place in the leaf.
+    /// Adds the voxel at this offset.
     pub fn insert(&mut self, offset: usize) {
         self.words[offset >> 6] |= 1 << (offset & 63);
     }
 
-    /// Takes out every voxel that is in `other`.
+    /// Removes every voxel that is in `other`.
     pub fn remove_all(&mut self, other: &LeafMask) {
         for (word, other) in self.words.iter_mut().zip(other.words) {
             *word &= !other;
@@ -64,23 +64,25 @@ impl LeafMask {
         *word = *word & !(0xff << shift) | u64::from(bits) << shift;
     }
 
-    /// The rows that hold a voxel: bit `x·8 + y`.
+    /// The rows that contain a voxel of the mask: bit `x·8 + y`.
     pub fn occupied_rows(&self) -> u64 {
         self.rows_with(0xff)
     }
 
-    /// The rows that hold a voxel whose bit along z is in `along_z`: bit `x·8 + y`.
+    /// The rows that contain a voxel whose z bit is set in `along_z`: bit `x·8 + y`.
     pub fn rows_with(&self, along_z: u8) -> u64 {
         (0..64).fold(0, |rows, row| rows | u64::from(self.row(row) & along_z != 0) << row)
     }
 
-    /// For each voxel whether the voxel so many `steps` (1 to 7) before it along an axis is in, and whether
-    /// that after it is; `before` and `after` are the masks of the leaves beyond the two faces.
+    /// The mask shifted along an axis by `steps` (1 to 7) in both directions: the voxels whose predecessor,
+    /// and the voxels whose successor, at that distance is in the mask. `before` and `after` are the masks of
+    /// the leaves beyond the two faces.
     pub fn shifted(&self, axis: usize, steps: usize, before: &LeafMask, after: &LeafMask) -> [LeafMask; 2] {
         debug_assert!((1..=7).contains(&steps));
         let (own, before, after) = (&self.words, &before.words, &after.words);
         let words = |shift: &dyn Fn(usize) -> u64| LeafMask { words: std::array::from_fn(shift) };
-        // A step in z is a bit, in y a byte, in x a word; what falls out at an end comes in from the next leaf.
+        // A step in z is a bit, in y a byte, in x a word. Bits shifted in at an end come from the adjacent
+        // leaf.
         match axis {
             0 => [
                 words(&|x| if x >= steps { own[x - steps] } else { before[x + 8 - steps] }),
@@ -94,7 +96,7 @@ impl LeafMask {
                 ]
             }
             _ => {
-                // In each byte the bits that come in from before, and those that come in from after.
+                // In each byte, the bits shifted in from the leaf before, and those from the leaf after.
                 let low = FIRST_OF_ROWS * ((1 << steps) - 1);
                 let high = low << (8 - steps);
                 let rest = 8 - steps;
@@ -106,23 +108,23 @@ impl LeafMask {
         }
     }
 
-    /// The voxels that are not in it.
+    /// The voxels that are not in the mask.
     pub fn complement(&self) -> LeafMask {
         LeafMask { words: self.words.map(|word| !word) }
     }
 
-    /// The voxels that are in either.
+    /// The union of two masks.
     pub fn or(&self, other: &LeafMask) -> LeafMask {
         LeafMask { words: std::array::from_fn(|x| self.words[x] | other.words[x]) }
     }
 
-    /// The voxels that are in both.
+    /// The intersection of two masks.
     pub fn and(&self, other: &LeafMask) -> LeafMask {
         LeafMask { words: std::array::from_fn(|x| self.words[x] & other.words[x]) }
     }
 
-    /// The voxels that are in, and whose six neighbours are: those in the leaves beyond the faces, too,
-    /// which come in the order of [`Direction`](super::Direction).
+    /// The voxels that are in the mask with all six face neighbors. `faces` are the masks of the leaves
+    /// beyond the faces, in the order of [`Direction`](super::Direction).
     pub fn surrounded(&self, faces: [&LeafMask; 6]) -> LeafMask {
         (0..3).fold(*self, |left, axis| {
             let [before, after] = self.shifted(axis, 1, faces[2 * axis], faces[2 * axis + 1]);
@@ -130,7 +132,7 @@ impl LeafMask {
         })
     }
 
-    /// The smallest box that holds every voxel that is in, relative to the leaf's origin.
+    /// The smallest box around the mask's voxels, relative to the leaf's origin.
     pub fn bounding_box(&self) -> CoordBox {
         let ends = |bits: u8| (bits.trailing_zeros() as i32, 7 - bits.leading_zeros() as i32);
         let any = self.words.iter().fold(0, |any, word| any | word);
@@ -144,17 +146,17 @@ impl LeafMask {
         CoordBox { min: IVec3::new(x_min, y_min, z_min), max: IVec3::new(x_max, y_max, z_max) }
     }
 
-    /// Whether no voxel is in.
+    /// True if the mask is empty.
     pub fn is_empty(&self) -> bool {
         self.words == [0; 8]
     }
 
-    /// How many voxels are in.
+    /// Number of voxels in the mask.
     pub fn count(&self) -> u32 {
         self.words.iter().map(|word| word.count_ones()).sum()
     }
 
-    /// The places in the leaf of the voxels that are in, in order.
+    /// Offsets of the mask's voxels, in order.
     pub fn iter(&self) -> impl Iterator<Item = usize> + '_ {
         self.words.iter().enumerate().flat_map(|(index, &word)| {
             let mut rest = word;
@@ -169,7 +171,7 @@ impl LeafMask {
     }
 }
 
-/// For each leaf of a field the voxels whose value is below zero. Zero of either sign is not.
+/// For each leaf of a field, the voxels with a negative value. Zero of either sign is not negative.
 pub fn negative_masks(field: &Field) -> Vec<LeafMask> {
     let mut masks = vec![LeafMask::EMPTY; field.leaves.len()];
     let pieces = masks.par_chunks_mut(LEAVES_AT_ONCE).zip(field.leaves.par_chunks(LEAVES_AT_ONCE));
@@ -177,10 +179,10 @@ pub fn negative_masks(field: &Field) -> Vec<LeafMask> {
     masks
 }
 
-/// Leaves in a piece of work.
+/// Number of leaves per task.
 const LEAVES_AT_ONCE: usize = 64;
 
-/// Finds the masks of some leaves.
+/// Kernel: the masks of some leaves.
 struct NegativeMasks<'a> {
     masks: &'a mut [LeafMask],
     leaves: &'a [Leaf],
@@ -204,7 +206,7 @@ mod tests {
     use super::*;
     use crate::surface::grid::{offset_in_leaf, voxel_in_leaf};
 
-    /// About so many of 16 voxels, and different ones for each seed.
+    /// A mask with about `of_16` of 16 voxels, different for each seed.
     fn scattered(seed: u32, of_16: u32) -> LeafMask {
         LeafMask::from_fn(|offset| {
             let mixed = (offset as u32 ^ seed << 10).wrapping_mul(0x9e37_79b9);
@@ -213,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn surrounded_voxels_have_six_neighbours() {
+    fn surrounded_voxels_have_six_neighbors_in_the_mask() {
         let masks: [LeafMask; 7] = std::array::from_fn(|seed| scattered(seed as u32, 14));
         let steps = [IVec3::NEG_X, IVec3::X, IVec3::NEG_Y, IVec3::Y, IVec3::NEG_Z, IVec3::Z];
         let is_in = |voxel: IVec3| {
@@ -231,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn the_bounding_box_holds_the_voxels() {
+    fn bounding_box_contains_the_mask() {
         for seed in 0..100 {
             let mut mask = LeafMask::EMPTY;
             let mut expected = CoordBox::EMPTY;
@@ -244,8 +246,8 @@ mod tests {
     }
 
     #[test]
-    fn shifts_bring_in_the_voxels_of_the_leaves_beside() {
-        // Some pattern that repeats nowhere within two leaves.
+    fn shifted_masks_include_adjacent_leaves() {
+        // A pattern that does not repeat within two leaves.
         let is_in = |voxel: IVec3| (voxel.x * 37 + voxel.y * 101 + voxel.z * 11).rem_euclid(7) < 3;
         let mask = |origin: IVec3| LeafMask::from_fn(|offset| is_in(origin + voxel_in_leaf(offset)));
         for (axis, steps) in (0..3).flat_map(|axis| (1..8).map(move |steps| (axis, steps))) {
@@ -258,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn signs_become_bits_in_their_place() {
+    fn negative_values_set_their_bits() {
         let mut leaf = Leaf::splat(0.0);
         for (offset, value) in leaf.values.iter_mut().enumerate() {
             *value = [-1.0, 0.0, -0.0, 2.0, f32::NAN, -1e-30][offset * offset % 11 % 6];

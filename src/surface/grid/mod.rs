@@ -1,7 +1,7 @@
-//! The sparse grid: leaves of 8 × 8 × 8 voxels, and nothing where nothing happens.
+//! The sparse grid: leaves of 8 × 8 × 8 voxels, stored only near the surface.
 //!
 //! ```text
-//!   Topology            which leaves there are, in one fixed order, and who is next to whom
+//!   Topology            which leaves are stored, in a fixed order, and their neighbors
 //!     leaf 0  leaf 1  leaf 2 …
 //!   Field<f32>          one value per voxel:  [512 values][512 values][512 values] …
 //!   Field of masks      one bit per voxel:    [512 bits][512 bits] …
@@ -11,11 +11,11 @@
 //!                       mask word x, byte y of it, bit z
 //! ```
 //!
-//! All fields of a frame share one [`Topology`]; a field is one flat, aligned allocation of leaves in the
-//! topology's order. The grid knows nothing of distances or particles.
+//! All fields of a frame share one [`Topology`]. A field is a single flat, aligned allocation of leaves in the
+//! topology's order. The grid does not depend on distances or particles.
 //!
-//! Invariants: leaf origins are multiples of 8, distinct, and sorted as an OpenVDB tree walks them
-//! (so that writing one is a walk); `neighbors` is symmetric.
+//! Invariants: leaf origins are multiples of 8, distinct, and sorted in the depth-first order of an OpenVDB
+//! tree, so that a tree can be written in one pass; `neighbors` is symmetric.
 
 mod leaf;
 mod mask;

@@ -1,4 +1,4 @@
-//! A leaf with its surroundings, read row by row.
+//! A leaf and its surroundings, read row by row.
 //!
 //! ```text
 //!   row (x, y): the 8 values along z.        y+1   ........
@@ -6,8 +6,8 @@
 //!   two single values:                       y-1   ........        x±1: rows above and below the page
 //! ```
 //!
-//! Where the neighbouring leaf is not stored, the leaf's own last rows stand in for it: about a slope of
-//! zero. The narrow band is wide enough that no result depends on it.
+//! Where the neighboring leaf is not stored, the leaf's own last rows are used instead, which gives a slope
+//! of about zero. The narrow band is wide enough that no result depends on it.
 
 use super::leaf::{Leaf, Row};
 use super::topology::{Direction, NO_LEAF};
@@ -16,7 +16,7 @@ use crate::surface::simd::Lanes;
 /// Rows in a leaf; row `x·8 + y` starts at value `row·8`.
 pub const ROW_COUNT: usize = 64;
 
-/// One leaf and the six leaves beyond its faces.
+/// A leaf and the six leaves beyond its faces.
 #[derive(Clone, Copy)]
 pub struct Neighborhood<'a> {
     center: &'a Leaf,
@@ -24,24 +24,24 @@ pub struct Neighborhood<'a> {
 }
 
 impl<'a> Neighborhood<'a> {
-    /// The surroundings of leaf `leaf` in a field.
+    /// The neighborhood of leaf `leaf` in a field.
     #[inline]
     pub fn new(leaves: &'a [Leaf], neighbors: &[[u32; 6]], leaf: usize) -> Neighborhood<'a> {
         let face = |index: u32| (index != NO_LEAF).then(|| &leaves[index as usize]);
         Neighborhood { center: &leaves[leaf], faces: neighbors[leaf].map(face) }
     }
 
-    /// A leaf and the leaves beyond its faces, where they are stored.
+    /// A leaf and the leaves beyond its faces, if they are stored.
     #[inline(always)]
     pub fn of(center: &'a Leaf, faces: [Option<&'a Leaf>; 6]) -> Neighborhood<'a> {
         Neighborhood { center, faces }
     }
 }
 
-/// The eight rows of one x of a leaf, with the rows and values around them.
+/// The eight rows at one x of a leaf, with the rows and values around them.
 ///
-/// What [`Neighborhood`] finds for each row, found once for eight, and read into registers: the inner
-/// loops of the smoother are made of this. What a loop does not use of it costs nothing.
+/// This precomputes for eight rows what [`Neighborhood`] finds for each, and keeps it in registers: the inner
+/// loops of the smoother are built on it. Parts that a loop does not use cost nothing.
 #[derive(Clone, Copy)]
 pub struct Slab<'a> {
     rows: &'a Rows,
@@ -49,14 +49,14 @@ pub struct Slab<'a> {
     across_x: [&'a Rows; 4],
     /// The slabs before and after along y, if they are stored.
     beyond_y: [Option<&'a Rows>; 2],
-    /// The slabs before and after along z, and the place in their rows that is next to this one.
+    /// The slabs before and after along z, and the index in their rows adjacent to this one.
     beyond_z: [(&'a Rows, usize); 2],
 }
 
-/// The rows of one x.
+/// The rows at one x.
 type Rows = [Row; 8];
 
-/// A row and the rows shifted along one axis by −1, +1, and by −2, +2.
+/// A row shifted along one axis by −1 and +1, or by −2 and +2.
 type Shifted<V> = [V; 2];
 
 impl<'a> Slab<'a> {
@@ -115,7 +115,7 @@ impl<'a> Slab<'a> {
     #[inline(always)]
     pub fn second_along_z<V: Lanes>(&self, y: usize, [before, after]: Shifted<V>) -> Shifted<V> {
         let [(first, from), (last, to)] = self.beyond_z;
-        // One farther into the neighbour; where there is none, these are the ends of the row itself.
+        // One voxel farther into the neighbor; if it is not stored, the row's own end.
         let (first, last) = (first[y & 7][from.saturating_sub(1) & 7], last[y & 7][(to + 1).min(7)]);
         [before.shift_up(first), after.shift_down(last)]
     }
@@ -141,7 +141,7 @@ impl<'a> Slab<'a> {
 }
 
 impl<'a> Neighborhood<'a> {
-    /// The rows of one x.
+    /// The rows at one x.
     #[inline(always)]
     pub fn slab(&self, x: usize) -> Slab<'a> {
         let x = x & 7;
@@ -169,20 +169,21 @@ impl<'a> Neighborhood<'a> {
     }
 }
 
-/// The rows of an x, given modulo 8.
+/// The rows at x modulo 8.
 #[inline(always)]
 fn rows_of(leaf: &Leaf, x: usize) -> &Rows {
     let rows: &[Row; ROW_COUNT] = bytemuck::cast_ref(&leaf.values);
     &rows.as_chunks::<8>().0[x & 7]
 }
 
-/// The slabs that hold one of these rows (bit `x·8 + y`), and which of their rows: x, and a bit for each y.
+/// The slabs that contain any of these rows (bit `x·8 + y`): x, and a mask of the rows' y.
 #[inline(always)]
 pub fn slabs_in(rows: u64) -> impl Iterator<Item = (usize, Bits)> {
     SlabsIn { rows, x: 0 }
 }
 
-/// Iterators are written out here: a kernel is compiled for a wider processor only where all of it is inlined.
+/// Written without closures, because a kernel is only compiled for wider vectors if everything in it is
+/// inlined.
 struct SlabsIn {
     rows: u64,
     x: usize,
@@ -233,7 +234,7 @@ mod tests {
         p.x * p.x + 2.0 * p.y * p.y - p.z * p.z + 3.0 * p.x + p.y * p.z
     }
 
-    /// Sampled polynomials have exact differences, across leaf borders too.
+    /// Differences of sampled quadratics are exact, also across leaf boundaries.
     #[test]
     fn stencils_are_exact_on_quadratics_across_leaves() {
         let mut origins = vec![IVec3::ZERO];
@@ -266,7 +267,7 @@ mod tests {
         }
     }
 
-    /// All stencils of every row: the Laplacian, the gradient's norm, and the rows shifted along each axis by
+    /// All stencils of every row: the Laplacian, the gradient norm, and the rows shifted along each axis by
     /// −1, 1, −2 and 2.
     struct Stencils<'a> {
         around: &'a Neighborhood<'a>,

@@ -1,4 +1,4 @@
-//! Which leaves there are, in which order, and which are neighbours.
+//! The set of stored leaves, their order and their neighbors.
 
 use glam::IVec3;
 use rayon::prelude::*;
@@ -6,7 +6,7 @@ use rustc_hash::FxHashMap;
 
 use super::leaf::LEAF_EDGE;
 
-/// In place of a leaf's index: there is no leaf.
+/// Index of a leaf that is not stored.
 pub const NO_LEAF: u32 = u32::MAX;
 
 /// The six faces of a leaf, in the order of [`Topology::neighbors`].
@@ -26,8 +26,8 @@ pub enum Direction {
     ZPlus,
 }
 
-/// Which leaves of 8³ voxels a frame stores: their origins, in voxels, in the order of an OpenVDB tree, and which are next to
-/// each other. Voxel (0, 0, 0) is centred on the world's origin.
+/// The leaves of 8³ voxels that a frame stores: their origins, in voxels, in the order of an OpenVDB tree,
+/// and their neighbors. Voxel (0, 0, 0) is centered on the world origin.
 #[derive(Clone, Debug, Default)]
 pub struct Topology {
     origins: Vec<IVec3>,
@@ -36,15 +36,14 @@ pub struct Topology {
 }
 
 impl Topology {
-    /// The topology of the leaves with these origins: multiples of 8, in any order, duplicates
-    /// allowed.
+    /// The topology of the leaves with these origins: multiples of 8, in any order, duplicates allowed.
     pub fn new(origins: Vec<IVec3>) -> Topology {
         debug_assert!(origins.iter().all(|origin| origin.rem_euclid(IVec3::splat(LEAF_EDGE)) == IVec3::ZERO));
-        let mut places: Vec<u128> = origins.into_par_iter().map(tree_order).collect();
-        places.par_sort_unstable();
-        places.dedup();
-        let origins: Vec<IVec3> = places.into_par_iter().map(origin_at).collect();
-        assert!(origins.len() < NO_LEAF as usize, "more leaves than 32-bit indices");
+        let mut codes: Vec<u128> = origins.into_par_iter().map(tree_order).collect();
+        codes.par_sort_unstable();
+        codes.dedup();
+        let origins: Vec<IVec3> = codes.into_par_iter().map(origin_from_order).collect();
+        assert!(origins.len() < NO_LEAF as usize, "more leaves than 32-bit indices allow");
         let index_of: FxHashMap<IVec3, u32> =
             origins.iter().enumerate().map(|(index, &origin)| (origin, index as u32)).collect();
         let neighbors = origins
@@ -56,34 +55,33 @@ impl Topology {
         Topology { origins, neighbors, index_of }
     }
 
-    /// The number of leaves.
+    /// Number of leaves.
     pub fn len(&self) -> usize {
         self.origins.len()
     }
 
-    /// Whether there is no leaf.
+    /// True if no leaf is stored.
     pub fn is_empty(&self) -> bool {
         self.origins.is_empty()
     }
 
-    /// The origin (least voxel) of each leaf.
+    /// The origin (minimum voxel) of each leaf.
     pub fn origins(&self) -> &[IVec3] {
         &self.origins
     }
 
-    /// For each leaf the leaves beyond its six faces, in the order of [`Direction`]; [`NO_LEAF`]
-    /// where there is none.
+    /// For each leaf, the leaves beyond its six faces in the order of [`Direction`], or [`NO_LEAF`].
     pub fn neighbors(&self) -> &[[u32; 6]] {
         &self.neighbors
     }
 
-    /// A leaf and the 26 around it, as indices: the one a step of (x, y, z) away, −1 to 1 on each axis, at
-    /// `9(x + 1) + 3(y + 1) + z + 1`; [`NO_LEAF`] where there is none.
+    /// Indices of a leaf and its 26 neighbors. The neighbor at step (x, y, z), −1 to 1 on each axis, is at
+    /// `9(x + 1) + 3(y + 1) + z + 1`; [`NO_LEAF`] if it is not stored.
     pub fn neighborhood(&self, leaf: usize) -> [u32; 27] {
         let mut around = [NO_LEAF; 27];
         around[CENTER] = leaf as u32;
         for (slot, steps) in &NEIGHBOR_PATHS {
-            // Whichever leaf on the way is stored knows the answer; mostly the first one is.
+            // Any stored leaf on a path knows its neighbor; usually the first one is stored.
             let known = steps.iter().find(|(from, _)| around[*from] != NO_LEAF);
             around[*slot] = match known {
                 Some(&(from, face)) => self.neighbors[around[from] as usize][face],
@@ -93,7 +91,7 @@ impl Topology {
         around
     }
 
-    /// The leaf at a slot of another's neighbourhood, by its origin.
+    /// The leaf at a slot of another leaf's neighborhood, found by origin.
     fn find_across(&self, leaf: usize, slot: usize) -> u32 {
         let step = IVec3::new(slot as i32 / 9, slot as i32 / 3 % 3, slot as i32 % 3) - IVec3::ONE;
         self.index_of.get(&(self.origins[leaf] + step * LEAF_EDGE)).copied().unwrap_or(NO_LEAF)
@@ -104,7 +102,7 @@ impl Topology {
         self.index_of.get(&origin).map(|&index| index as usize)
     }
 
-    /// The leaf that holds a voxel, and the voxel relative to the leaf's origin.
+    /// The leaf that contains a voxel, and the voxel relative to the leaf's origin.
     pub fn find_voxel(&self, voxel: IVec3) -> Option<(usize, IVec3)> {
         let local = voxel & IVec3::splat(LEAF_EDGE - 1);
         self.find(voxel - local).map(|leaf| (leaf, local))
@@ -114,11 +112,12 @@ impl Topology {
 /// Unit steps through the six faces, in the order of [`Direction`].
 pub const FACE_STEPS: [IVec3; 6] = [IVec3::NEG_X, IVec3::X, IVec3::NEG_Y, IVec3::Y, IVec3::NEG_Z, IVec3::Z];
 
-/// The place of a leaf in its own neighbourhood.
+/// Slot of a leaf in its own neighborhood.
 const CENTER: usize = 13;
 
-/// For each place of a neighbourhood but the middle, faces before edges before corners: the up to three places
-/// one step nearer to the middle, each with the face that leads on from there. Places with fewer repeat one.
+/// For each slot except the center (faces, then edges, then corners): up to three slots one step closer to
+/// the center, each with the face that leads from there to the slot. If there are fewer than three, one is
+/// repeated.
 const NEIGHBOR_PATHS: [(usize, [(usize, usize); 3]); 26] = {
     let weights = [9, 3, 1];
     let mut paths = [(0, [(0, 0); 3]); 26];
@@ -127,25 +126,25 @@ const NEIGHBOR_PATHS: [(usize, [(usize, usize); 3]); 26] = {
     while distance <= 3 {
         let mut slot = 0;
         while slot < 27 {
-            let mut ways = [(0, 0); 3];
-            let mut way_count = 0;
+            let mut steps = [(0, 0); 3];
+            let mut step_count = 0;
             let mut axis = 0;
             while axis < 3 {
-                let place = slot / weights[axis] % 3;
-                if place != 1 {
-                    let nearer = if place == 0 { slot + weights[axis] } else { slot - weights[axis] };
-                    ways[way_count] = (nearer, 2 * axis + place / 2);
-                    way_count += 1;
+                let coord = slot / weights[axis] % 3;
+                if coord != 1 {
+                    let nearer = if coord == 0 { slot + weights[axis] } else { slot - weights[axis] };
+                    steps[step_count] = (nearer, 2 * axis + coord / 2);
+                    step_count += 1;
                 }
                 axis += 1;
             }
-            if way_count == distance {
-                let mut rest = way_count;
+            if step_count == distance {
+                let mut rest = step_count;
                 while rest < 3 {
-                    ways[rest] = ways[0];
+                    steps[rest] = steps[0];
                     rest += 1;
                 }
-                paths[count] = (slot, ways);
+                paths[count] = (slot, steps);
                 count += 1;
             }
             slot += 1;
@@ -155,8 +154,8 @@ const NEIGHBOR_PATHS: [(usize, [(usize, usize); 3]); 26] = {
     paths
 };
 
-/// The steps, in voxels, from a leaf to all leaves within so many voxels of it on each axis, rounded up to leaves:
-/// the nearest first, so that what is farther than what is known already need not be opened.
+/// The steps, in voxels, from a leaf to all leaves within `reach` voxels on each axis, rounded up to leaves.
+/// Nearest first, so that a search can stop early.
 pub fn leaf_steps_within(reach: f32) -> Vec<IVec3> {
     let rings = (reach / LEAF_EDGE as f32).ceil() as i32;
     let axis = || -rings..=rings;
@@ -166,10 +165,10 @@ pub fn leaf_steps_within(reach: f32) -> Vec<IVec3> {
     steps.into_iter().map(|step| step * LEAF_EDGE).collect()
 }
 
-/// The order of an OpenVDB tree's depth-first walk, as one number: root child (4096 voxels), lower
+/// The position in an OpenVDB tree's depth-first order, as one number: root child (4096 voxels), lower
 /// internal node (128), leaf, each in lexicographic order of x, y, z.
 fn tree_order(origin: IVec3) -> u128 {
-    // Shifting the sign bit makes signed order unsigned order.
+    // Flipping the sign bit turns signed order into unsigned order.
     let [x, y, z] = origin.to_array().map(|axis| u128::from((axis as u32) ^ 0x8000_0000));
     let digits = |shift: u32, bits: u32| {
         let part = |axis: u128| axis >> shift & ((1 << bits) - 1);
@@ -178,11 +177,10 @@ fn tree_order(origin: IVec3) -> u128 {
     digits(12, 20) << 27 | digits(7, 5) << 12 | digits(3, 4)
 }
 
-/// The origin at a place in that order.
-fn origin_at(place: u128) -> IVec3 {
+/// The inverse of [`tree_order`].
+fn origin_from_order(code: u128) -> IVec3 {
     let axis = |axis: u32| {
-        let digits =
-            |shift: u32, bits: u32| (place >> (shift + (2 - axis) * bits)) as u32 & ((1 << bits) - 1);
+        let digits = |shift: u32, bits: u32| (code >> (shift + (2 - axis) * bits)) as u32 & ((1 << bits) - 1);
         (digits(27, 20) << 12 | digits(12, 5) << 7 | digits(0, 4) << 3) ^ 0x8000_0000
     };
     IVec3::new(axis(0) as i32, axis(1) as i32, axis(2) as i32)
@@ -193,7 +191,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn leaves_are_sorted_as_a_vdb_tree_walks_them() {
+    fn leaves_are_in_vdb_depth_first_order() {
         let origins = [[-8, 0, 0], [0, 0, 0], [0, 0, 8], [0, 8, 0], [8, 0, 0], [0, 0, 128], [4096, 0, 0]];
         let mut shuffled: Vec<IVec3> = origins.iter().map(|&origin| IVec3::from(origin)).collect();
         shuffled.rotate_left(3);
@@ -213,12 +211,12 @@ mod tests {
         assert_eq!(topology.find_voxel(IVec3::new(9, 2, -1)), Some((below, IVec3::new(1, 2, 7))));
     }
     #[test]
-    fn neighborhoods_are_complete_wherever_leaves_are_missing() {
-        // Every second, third … leaf of a block: places that can be reached on all, some or no paths.
+    fn neighborhoods_match_lookup_with_missing_leaves() {
+        // Every second, third … leaf of a block, so that slots are reachable by all, some or none of their
+        // paths.
         for every in 2..7 {
-            let places = (0..125).filter(|place| place * place % 11 % every != 0);
-            let origins =
-                places.map(|place| (IVec3::new(place / 25, place / 5 % 5, place % 5) - 2) * LEAF_EDGE);
+            let cells = (0..125).filter(|cell| cell * cell % 11 % every != 0);
+            let origins = cells.map(|cell| (IVec3::new(cell / 25, cell / 5 % 5, cell % 5) - 2) * LEAF_EDGE);
             let topology = Topology::new(origins.collect());
             for (leaf, &origin) in topology.origins().iter().enumerate() {
                 for (slot, index) in topology.neighborhood(leaf).into_iter().enumerate() {

@@ -1,11 +1,11 @@
-//! The interval that φ may move in.
+//! The interval that constrains φ.
 
 use rayon::prelude::*;
 
 use crate::surface::grid::Field;
 
-/// The signed distances of the outer and the inner union of spheres, on the topology of the band
-/// they bound. The outer surface gives the lower bound: `lower` = φ_max ≤ φ ≤ φ_min = `upper`.
+/// Signed distances to the outer and the inner union of spheres, on the topology of the band that they
+/// constrain. The outer surface gives the lower bound: `lower` = φ_max ≤ φ ≤ φ_min = `upper`.
 #[derive(Clone, Debug)]
 pub struct Bounds {
     /// φ_max of the paper: signed distance to the outer union of spheres, in voxels.
@@ -15,7 +15,7 @@ pub struct Bounds {
 }
 
 impl Bounds {
-    /// Moves every value into its interval (Eq. 6).
+    /// Clamps every value to its interval (Eq. 6).
     pub fn clamp(&self, phi: &mut Field) {
         let bounds = self.lower.leaves.par_iter().zip(&self.upper.leaves);
         phi.leaves.par_iter_mut().zip(bounds).for_each(|(phi, (lower, upper))| {
@@ -25,7 +25,7 @@ impl Bounds {
         });
     }
 
-    /// How many values lie outside their interval.
+    /// Number of values outside their interval.
     pub fn violation_count(&self, phi: &Field) -> usize {
         let bounds = self.lower.leaves.par_iter().zip(&self.upper.leaves);
         let count = |(phi, (lower, upper)): (

@@ -1,5 +1,4 @@
-//! Level sets on the sparse grid: a narrow band of signed distances, and the interval that the
-//! smoother must keep it in.
+//! Level sets on the sparse grid: a narrow band of signed distances, and the bounds that constrain smoothing.
 //!
 //! ```text
 //!      outside          φ = 0          inside
@@ -29,27 +28,27 @@ use glam::IVec3;
 
 use crate::surface::grid::{Field, LEAF_VOXELS, Topology};
 
-/// No value of a finished level set is nearer to zero than this, in voxels, unless something demands it: its bounds, or an
-/// obstacle. Where the surface all but touches a voxel, meshers fold it around that voxel in triangles that are the sharper the
-/// smaller they are. Through OpenVDB's mesher one voxel at 10⁻⁶ had ∫H² = 4800, three times that of its whole frame; at 0.0002 it
-/// had 320, at 0.003 it has 30, at 1/128 less than a drop's 4π.
+/// Minimum |φ| of a finished level set, in voxels, unless bounds or an obstacle require a smaller value.
+/// Where the surface almost touches a voxel, meshers fold it around that voxel into tiny sharp triangles.
+/// With OpenVDB's mesher, a single voxel at 10⁻⁶ contributes ∫H² = 4800, three times that of its whole frame;
+/// at 0.0002, it contributes 320; at 0.003, 30; at 1/128, less than a drop's 4π.
 pub const NEAREST_TO_ZERO: f32 = 1.0 / 128.0;
 
-/// A level set: signed distances in voxels near a surface, negative inside. Multiply by the voxel size for world units. Beyond
-/// the stored leaves a point is farther from the surface than the half width.
+/// A level set: signed distances in voxels near a surface, negative inside. Multiply by the voxel size for
+/// world units. Points outside the stored leaves are farther from the surface than the half width.
 #[derive(Clone, Debug)]
 pub struct NarrowBand {
-    /// Which leaves are stored.
+    /// The stored leaves.
     pub topology: Arc<Topology>,
     /// Signed distance in voxels, negative inside; within ± `half_width`.
     pub phi: Field,
-    /// The largest |φ| that is stored, in voxels.
+    /// Maximum stored |φ|, in voxels.
     pub half_width: f32,
 }
 
 impl NarrowBand {
-    /// The stored leaves: the least voxel of each, and its 512 values in voxels, z fastest. The voxel (x, y, z) has its centre at
-    /// (x, y, z) times the voxel size in world space.
+    /// The stored leaves: the minimum voxel of each, and its 512 values in voxels, z fastest. The center of
+    /// voxel (x, y, z) is at (x, y, z) times the voxel size in world space.
     pub fn leaves(&self) -> impl ExactSizeIterator<Item = (IVec3, &[f32; LEAF_VOXELS])> {
         let values = self.phi.leaves.iter().map(|leaf| &leaf.values);
         self.topology.origins().iter().copied().zip(values)

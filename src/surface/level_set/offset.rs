@@ -2,13 +2,14 @@
 //!
 //! ```text
 //!   φ            +3 +2 +1  0 −1 −2 −3      distances to the surface
-//!   φ − offset   +1  0 −1 −2 −3 −4 −5      outward by 2: another level becomes the surface
-//!   restored     +1  0 −1 −2 −3 −4 −5      distances to that
+//!   φ − offset   +1  0 −1 −2 −3 −4 −5      outward by 2: another level set becomes the surface
+//!   restored     +1  0 −1 −2 −3 −4 −5      distances to the new surface
 //! ```
 //!
-//! The level is the surface as far as φ is a distance there. Around it, φ − offset is not the distance everywhere: where two
-//! parts of the surface met, or one vanished, what is nearest now is another part. So distances are swept once more, from the voxels
-//! beside the moved surface, which stay as they are.
+//! As far as φ is a distance, its level set at `offset` is the moved surface. But φ − offset is not the
+//! distance to it everywhere: where two parts of the surface merged, or one vanished, the nearest point is
+//! now on another part. So distances are swept again from the voxels next to the moved surface, which keep
+//! their values.
 
 use std::sync::Arc;
 
@@ -19,12 +20,12 @@ use super::redistance::{Sweeps, UNREACHED, extend};
 use super::{NEAREST_TO_ZERO, NarrowBand};
 use crate::surface::grid::{Leaf, LeafMask, NO_LEAF, Topology, negative_masks};
 
-/// Moves the surface outward by `offset` voxels, inward where that is negative, and restores distances within ± `half_width`,
-/// the half width of the band from then on. φ must hold distances as far as the level `offset`.
+/// Moves the surface outward by `offset` voxels (inward if negative) and restores distances within ±
+/// `half_width`, the band's new half width. φ must hold distances up to the level `offset`.
 ///
-/// Nowhere does φ fall below `floor`, which gives the least values of the leaf with an origin, if there are any: an obstacle.
-/// A voxel that comes to lie on the floor lies on it exactly. No other one is nearer to zero than
-/// [`NEAREST_TO_ZERO`].
+/// `floor` returns a lower bound of φ for the leaf with a given origin, such as the distance to an obstacle,
+/// or `None`. Voxels within rounding of the floor are set to it exactly. All other voxels keep at least
+/// [`NEAREST_TO_ZERO`] from zero.
 pub fn offset_surface(
     band: &mut NarrowBand,
     offset: f32,
@@ -52,26 +53,26 @@ pub fn offset_surface(
         }
     });
     band.half_width = half_width;
-    // A sweep goes one voxel along the axes, and the diagonal is √3 as long.
+    // A sweep advances one voxel along the axes, and the diagonal is √3 times as long.
     sweep(band, &fixed, Sweeps::accurate((3f32.sqrt() * half_width).ceil() as u32));
 }
 
-/// How far the values are, in voxels along the axes, that one value of [`offset_surface`] depends on.
+/// How many voxels away, per axis, an input value of [`offset_surface`] can affect a result.
 pub fn offset_reach_voxels(half_width: f32) -> u32 {
     2 * (3f32.sqrt() * half_width).ceil() as u32 + 1
 }
 
-/// What is so near to the floor, in voxels, is on it but for the rounding of 32-bit numbers.
+/// Values this close to the floor, in voxels, differ from it only by 32-bit rounding.
 const ROUNDING: f32 = 1e-4;
 
-/// Zero without a sign. A voxel with the value zero is outside, but sweeps tell the side of a voxel from its sign bit: they would take
-/// −0 for inside. A voxel that is swept must be on the same side as its neighbours; otherwise signs change from sweep to sweep, and
-/// spread.
+/// Zero without a sign. A voxel with value zero is outside, but sweeps determine the side from the sign bit
+/// and would treat −0 as inside. A swept voxel must be on the same side as its neighbors; otherwise signs
+/// would alternate between sweeps and spread.
 fn outside_if_zero(phi: f32) -> f32 {
     if phi == 0.0 { 0.0 } else { phi }
 }
 
-/// Carries distances on, from voxels that have them to those that lie farther from the surface.
+/// Extends distances outward, from voxels that have them to voxels farther from the surface.
 pub fn extend_distances(band: &mut NarrowBand, sweeps: Sweeps) {
     band.phi.leaves.par_iter_mut().flat_map_iter(|leaf| &mut leaf.values).for_each(|phi| {
         *phi = outside_if_zero(*phi);
@@ -88,7 +89,7 @@ fn sweep(band: &mut NarrowBand, fixed: &[LeafMask], sweeps: Sweeps) {
     });
 }
 
-/// The voxels of each leaf with a face neighbour on the other side of the surface.
+/// The voxels of each leaf with a face neighbor on the other side of the surface.
 fn beside_surface(band: &NarrowBand) -> Vec<LeafMask> {
     let inside = negative_masks(&band.phi);
     let outside: Vec<LeafMask> = inside.par_iter().map(LeafMask::complement).collect();
@@ -99,8 +100,8 @@ fn beside_surface(band: &NarrowBand) -> Vec<LeafMask> {
     (0..inside.len()).into_par_iter().map(beside).collect()
 }
 
-/// The voxels of a leaf that are on a side, and have a face neighbour that is not. Beyond the stored leaves all are on the same
-/// side as the voxels beside them.
+/// The voxels of a leaf that are on a side and have a face neighbor on the other. Voxels that are not stored
+/// count as being on the same side as the adjacent stored ones.
 fn beside_others(topology: &Topology, side: &[LeafMask], leaf: usize) -> LeafMask {
     let faces = topology.neighbors()[leaf].map(|neighbor| match neighbor {
         NO_LEAF => &LeafMask::FULL,
@@ -118,7 +119,7 @@ mod tests {
 
     const HALF_WIDTH: f32 = 7.0;
 
-    /// The band of a shape that is given by its signed distance.
+    /// The band of a shape given by its signed distance.
     fn band(distance: impl Fn([f32; 3]) -> f32) -> NarrowBand {
         let axis = || -4..4;
         let origins = axis()
@@ -143,7 +144,7 @@ mod tests {
         moved
     }
 
-    /// How far φ is from a distance, at most, where that is within the half width; and at how many voxels.
+    /// Maximum difference between φ and a distance within the half width, and the number of voxels compared.
     fn greatest_error(band: &NarrowBand, distance: impl Fn([f32; 3]) -> f32) -> (f32, usize) {
         let (mut greatest, mut count) = (0f32, 0);
         for (leaf, &origin) in band.phi.leaves.iter().zip(band.topology.origins()) {
@@ -160,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn ball_becomes_a_ball_of_the_radius_and_the_offset() {
+    fn offset_ball_has_radius_plus_offset() {
         let center = [0.3, -0.2, 0.4];
         let given = band(ball(center, 12.2));
         for offset in [-2.0, -0.4, 0.7, 2.0] {
@@ -169,29 +170,30 @@ mod tests {
         }
     }
 
-    /// What was nearest is gone, or joined to another part: distances are those to what is there.
+    /// Where parts vanish or merge, distances are those to the remaining surface.
     #[test]
-    fn distances_are_those_to_the_moved_surface() {
+    fn offset_restores_distances_after_parts_vanish_or_merge() {
         let both = |radii: [f32; 2]| {
             let [one, other] = [ball([-8.2, 0.1, 0.2], radii[0]), ball([8.3, 0.1, 0.2], radii[1])];
             move |p| one(p).min(other(p))
         };
-        // The second ball vanishes, and leaves no trace beside the first.
+        // The second ball vanishes without a trace next to the first.
         let (error, count) =
             greatest_error(&moved(&band(both([8.1, 1.6])), -1.7), ball([-8.2, 0.1, 0.2], 6.4));
         assert!(error < 0.15 && count > 2000, "{error} at {count}");
-        // They meet: with φ − offset, the middle would be as shallow as what was between them.
+        // The balls merge. With φ − offset, the middle would be as shallow as the gap was.
         let joined = moved(&band(both([7.1, 7.1])), 2.0);
         let middle = joined.topology.find_voxel(IVec3::ZERO).expect("stored");
         let phi = |(leaf, local): (usize, IVec3)| joined.phi.leaves[leaf].values[offset_in_leaf(local)];
-        // The seam is a ring of radius √(9.1² − 8.25²) = 3.84 around the middle; φ − offset would be −0.85 there. The voxels
-        // beside the seam keep their values, which are up to a voxel too shallow in such a crease.
+        // The seam is a ring of radius √(9.1² − 8.25²) = 3.84 around the middle; φ − offset would be −0.85
+        // there. The voxels next to the seam keep their values, which are up to a voxel too shallow in such a
+        // crease.
         assert!((phi(middle) + 3.84).abs() < 1.1, "{}", phi(middle));
     }
 
     #[test]
-    fn nothing_falls_below_the_floor_and_what_touches_it_lies_on_it() {
-        // A slab on a plane that is at z = 0.5 once it is moved by 1.3.
+    fn offset_stays_above_the_floor_and_snaps_to_it() {
+        // A slab on a plane that is at z = 0.5 after the slab is moved by 1.3.
         let given = band(|[_, _, z]| (z - 5.0).abs() - 5.8);
         let wall = |origin: IVec3| Leaf {
             values: std::array::from_fn(|offset| 0.5 - (origin + voxel_in_leaf(offset)).z as f32),
@@ -210,10 +212,10 @@ mod tests {
         }
     }
 
-    /// A film that is half a voxel thick on a plane through voxels: those lie on the floor, and nothing is inside. Zero has the sign
-    /// that the floor gives it.
+    /// A film half a voxel thick on a plane through voxels: these lie on the floor, and no voxel is inside.
+    /// Zeros have the sign of the floor.
     #[test]
-    fn voxels_on_the_floor_are_outside_whatever_the_sign_of_zero() {
+    fn voxels_on_the_floor_are_outside_for_both_signs_of_zero() {
         let given = band(|[_, _, z]| (z + 5.0).abs() - 4.2);
         for zero in [0.0, -0.0] {
             let wall = |origin: IVec3| Leaf {
@@ -228,9 +230,9 @@ mod tests {
         }
     }
 
-    /// A place that is all but touched by the surface, and outside.
+    /// An outside point that the surface almost touches.
     #[test]
-    fn zeros_of_either_sign_are_outside_where_distances_are_carried_on() {
+    fn zeros_of_both_signs_stay_outside_in_extended_distances() {
         let given = band(ball([0.3, -0.2, 0.4], 9.7));
         let center = IVec3::new(13, 0, 0);
         let extended = |zero: f32| {
@@ -251,7 +253,7 @@ mod tests {
     fn result_does_not_depend_on_threads() {
         let given = band(ball([1.0, 2.0, 0.4], 9.7));
         let on = |threads: usize| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a thread pool");
             pool.install(|| moved(&given, -1.1).phi)
         };
         assert!(on(1) == on(3));

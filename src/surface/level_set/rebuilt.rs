@@ -1,16 +1,17 @@
-//! Distances for a level set whose file does not have them next to its surface.
+//! Rebuilds distances of a level set whose file lacks them next to its surface.
 //!
 //! ```text
-//!   a sign function    +3 +3 +3 | −3 −3 −3        the surface is taken to lie midway between the voxels
-//!   half a band        +2.4 +1.4 +0.4 | −3 −3     ... where the value on the other side says
-//!   tiles only         outside tile | inside tile ... on their common face
+//!   a sign function    +3 +3 +3 | −3 −3 −3        the surface is placed midway between the voxels
+//!   half a band        +2.4 +1.4 +0.4 | −3 −3     … where the value on the other side places it
+//!   tiles only         outside tile | inside tile … on their common face
 //!   rebuilt            +2.5 +1.5 +0.5 | −0.5 −1.5 −2.5
 //! ```
 //!
-//! A voxel next to one of the other sign is at most one voxel from the surface. So where such a voxel has the background as its
-//! value, or belongs to a tile, the file has a sign there and no distance. The values that are distances are kept, the others
-//! are swept outward from them, and all are redistanced once. Of a sign function, planes along the axes come out exactly; in
-//! other directions the surface has steps of up to half a voxel to each side, which smoothing (`--band-slack 1`) removes.
+//! A voxel next to one of the other sign is at most one voxel from the surface. If its value is the
+//! background, or it belongs to a tile, the file gives only a sign there and no distance. Values that are
+//! distances are kept, the others are swept outward from them, and all are redistanced once. For a sign
+//! function, planes along the axes are exact; in other directions the surface has steps of up to half a voxel
+//! to each side, which smoothing (`--band-slack 1`) removes.
 
 use std::fmt;
 
@@ -24,38 +25,38 @@ use crate::surface::grid::{
 };
 use crate::surface::space::INDEX_LIMIT;
 
-/// The half width of a rebuilt band, in voxels: what programs expect of a level set.
+/// Half width of a rebuilt band, in voxels, as other programs expect.
 pub const REBUILT_HALF_WIDTH: f32 = 3.0;
 
-/// Values from this part of the background on are the background: 16-bit values are rounded.
+/// Values above this fraction of the background count as background, because 16-bit values are rounded.
 const CLIPPED: f32 = 0.999;
 
-/// Up to this part of the voxels at the surface may lack a distance in a level set that is left as it is. Around these voxels
-/// its surface lies midway between the signs, as it would if it were rebuilt.
+/// A level set is left unchanged if at most this fraction of the voxels at its surface lack a distance.
+/// Around these voxels, its surface lies midway between the signs, as it would if rebuilt.
 const CLIPPED_PART_MAX: f64 = 0.01;
 
-/// The least distance that a voxel gets from the value on the other side of the surface, in voxels.
+/// Minimum distance that is derived from the value on the other side of the surface, in voxels.
 const DISTANCE_MIN: f32 = 0.05;
 
-/// A level set as a file stores it; values in any unit.
+/// A level set as stored in a file; values in any unit.
 #[derive(Clone, Copy, Debug)]
 pub struct StoredLevelSet<'a> {
     /// Origins of the leaves, multiples of 8.
     pub origins: &'a [IVec3],
-    /// The values of each, z fastest.
+    /// The values of each leaf, z fastest.
     pub leaves: &'a [[f32; LEAF_VOXELS]],
-    /// Cubes of voxels with one value: least voxel, edge, value. The edges are powers of two, 8 or more.
+    /// Cubes of voxels with a single value: minimum voxel, edge, value. Edges are powers of two, 8 or more.
     pub tiles: &'a [(IVec3, i32, f32)],
-    /// The value where there is nothing else, positive.
+    /// The value of all voxels that are not stored, positive.
     pub background: f32,
-    /// The edge of a voxel, in the unit of the values.
+    /// The voxel size, in the unit of the values.
     pub voxel_size: f64,
 }
 
-/// Memory for a leaf whose distances are rebuilt, in bytes: four fields, and where it is.
+/// Memory per leaf while distances are rebuilt, in bytes: four fields, and the topology.
 const REBUILDING_LEAF_BYTES: u64 = 4 * size_of::<Leaf>() as u64 + 300;
 
-/// How many leaves can be rebuilt in so much memory, all that is held meanwhile included.
+/// Maximum number of leaves that can be rebuilt within this memory, including temporary fields.
 pub fn rebuilding_leaf_count_max(memory_bytes: u64) -> usize {
     usize::try_from(memory_bytes / REBUILDING_LEAF_BYTES).unwrap_or(usize::MAX)
 }
@@ -63,12 +64,12 @@ pub fn rebuilding_leaf_count_max(memory_bytes: u64) -> usize {
 /// Why a band was rebuilt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RebuildReason {
-    /// Stored voxels next to the surface.
+    /// Number of stored voxels next to the surface.
     pub surface_voxel_count: usize,
-    /// Those of them that have a sign and no distance.
+    /// Number of those that have a sign but no distance.
     pub clipped_voxel_count: usize,
-    /// Cubes of 8³ voxels that were added where the surface lies between tiles, or between a tile and a leaf: tiles have only
-    /// signs.
+    /// Number of cubes of 8³ voxels that were added where the surface lies between tiles, or between a tile
+    /// and a leaf. Tiles only have signs.
     pub tile_cube_count: usize,
 }
 
@@ -93,20 +94,20 @@ impl fmt::Display for RebuildReason {
     }
 }
 
-/// Rebuilding a band would take more leaves than the caller allows.
+/// Error: rebuilding needs more leaves than the caller allows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TooManyLeaves;
 
-/// The level set in a band of [`REBUILT_HALF_WIDTH`] with distances on both sides of the surface; `None` if the file
-/// has these already, but for a few voxels. `leaf_count_max` bounds the leaves of the result.
+/// The level set in a band of [`REBUILT_HALF_WIDTH`] with distances on both sides of the surface; `None` if
+/// the file already has these, except for a few voxels. `leaf_count_max` limits the leaves of the result.
 ///
 /// # Errors
-/// When the result would have more leaves.
+/// Returns [`TooManyLeaves`] if the result would have more leaves.
 pub fn rebuilt(
     stored: &StoredLevelSet<'_>,
     leaf_count_max: usize,
 ) -> Result<Option<(NarrowBand, RebuildReason)>, TooManyLeaves> {
-    let lookup = Lookup::new(stored);
+    let lookup = LevelSetLookup::new(stored);
     let added = lookup.leaves_between_tiles(leaf_count_max)?;
     let [surface_voxel_count, clipped_voxel_count] = lookup.voxel_counts_at_surface();
     let is_clipped = clipped_voxel_count as f64 > CLIPPED_PART_MAX * surface_voxel_count as f64;
@@ -119,7 +120,7 @@ pub fn rebuilt(
         return Err(TooManyLeaves);
     }
     let raw = lookup.values_in(&topology);
-    // The band reaches into the leaves around those with a crossing.
+    // The band extends into the leaves around those with a crossing.
     let inside = inside_masks(topology.len(), |leaf| &raw.leaves[leaf].values);
     let is_crossed = |leaf: &usize| at_surface(&inside, &topology, *leaf) != LeafMask::EMPTY;
     let crossed: Vec<usize> = (0..topology.len()).into_par_iter().filter(is_crossed).collect();
@@ -154,7 +155,7 @@ pub fn rebuilt(
         }
     });
     drop(raw);
-    // A sweep goes one voxel along the axes, and the diagonal is √3 as long.
+    // A sweep advances one voxel along the axes, and the diagonal is √3 times as long.
     let sweeps = Sweeps::accurate((3f32.sqrt() * REBUILT_HALF_WIDTH).ceil() as u32);
     extend(&topology, &mut phi, &fixed, sweeps);
     drop(fixed);
@@ -168,9 +169,10 @@ pub fn rebuilt(
     Ok(Some((band, reason)))
 }
 
-/// How far a voxel without a distance is from the surface if that lies between it and a voxel beside it, in voxels.
+/// Distance to the surface of a voxel without one, if the surface lies between it and an adjacent voxel, in
+/// voxels.
 fn distance_from_beside(
-    lookup: &Lookup<'_>,
+    lookup: &LevelSetLookup<'_>,
     raw: &Field,
     topology: &Topology,
     (leaf, offset): (usize, usize),
@@ -189,12 +191,12 @@ fn distance_from_beside(
         .min_by(f32::total_cmp)
 }
 
-/// What is not a number is outside.
+/// NaN counts as outside.
 fn is_inside(value: f32) -> bool {
     value < 0.0
 }
 
-/// The values of the six voxels around one; `None` where no leaf is stored.
+/// The values of the six adjacent voxels; `None` if the leaf is not stored.
 fn beside(raw: &Field, topology: &Topology, leaf: usize, offset: usize) -> [Option<f32>; 6] {
     let voxel = voxel_in_leaf(offset);
     let neighbors = &topology.neighbors()[leaf];
@@ -211,7 +213,7 @@ fn beside(raw: &Field, topology: &Topology, leaf: usize, offset: usize) -> [Opti
     })
 }
 
-/// For each leaf the voxels that are inside.
+/// For each leaf, the voxels that are inside.
 fn inside_masks<'a>(
     leaf_count: usize,
     values: impl Fn(usize) -> &'a [f32; LEAF_VOXELS] + Sync,
@@ -225,7 +227,7 @@ fn inside_masks<'a>(
         .collect()
 }
 
-/// The voxels of a leaf with the surface between them and a voxel beside them, in a stored leaf.
+/// The voxels of a leaf with the surface between them and an adjacent voxel in a stored leaf.
 fn at_surface(inside: &[LeafMask], topology: &Topology, leaf: usize) -> LeafMask {
     let own = inside[leaf];
     let of_face = |face: usize| match topology.neighbors()[leaf][face] {
@@ -234,7 +236,7 @@ fn at_surface(inside: &[LeafMask], topology: &Topology, leaf: usize) -> LeafMask
     };
     let mut crossed = LeafMask::EMPTY;
     for face in 0..6 {
-        // Beyond a face without a leaf the voxels count as being on the side of those before it.
+        // Beyond a face without a leaf, voxels count as being on the side of the adjacent ones.
         let across = match of_face(face) {
             Some(across) => *across,
             None => mirrored(&own, face),
@@ -246,7 +248,7 @@ fn at_surface(inside: &[LeafMask], topology: &Topology, leaf: usize) -> LeafMask
     crossed
 }
 
-/// A leaf beyond a face whose voxels there are on the sides of those before it.
+/// A leaf beyond a face, whose voxels there are on the same side as the adjacent ones.
 fn mirrored(own: &LeafMask, face: usize) -> LeafMask {
     let axis = face / 2;
     LeafMask::from_fn(|offset| {
@@ -256,26 +258,26 @@ fn mirrored(own: &LeafMask, face: usize) -> LeafMask {
     })
 }
 
-/// Finds the value of any voxel of a stored level set.
-struct Lookup<'a> {
+/// Looks up the value of any voxel of a stored level set.
+struct LevelSetLookup<'a> {
     stored: &'a StoredLevelSet<'a>,
     topology: Topology,
-    /// For each leaf of the topology its place in the file.
-    places: Vec<u32>,
+    /// For each leaf of the topology, its index in the file.
+    file_indices: Vec<u32>,
     tile_of: FxHashMap<(IVec3, i32), f32>,
     tile_sizes: Vec<i32>,
 }
 
-impl<'a> Lookup<'a> {
-    fn new(stored: &'a StoredLevelSet<'a>) -> Lookup<'a> {
+impl<'a> LevelSetLookup<'a> {
+    fn new(stored: &'a StoredLevelSet<'a>) -> LevelSetLookup<'a> {
         let limit = IVec3::splat(INDEX_LIMIT);
         let is_near = |origin: &IVec3| origin.cmpgt(-limit).all() && origin.cmplt(limit).all();
         let near = stored.origins.iter().copied().filter(is_near);
         let topology = Topology::new(near.collect());
-        let mut places = vec![0; topology.len()];
+        let mut file_indices = vec![0; topology.len()];
         for (&origin, place) in stored.origins.iter().zip(0..) {
             if let Some(leaf) = topology.find(origin) {
-                places[leaf] = place;
+                file_indices[leaf] = place;
             }
         }
         let tiles = stored.tiles.iter().filter(|(origin, size, _)| is_near(origin) && *size >= LEAF_EDGE);
@@ -283,25 +285,25 @@ impl<'a> Lookup<'a> {
         let mut tile_sizes: Vec<i32> = tile_of.keys().map(|&(_, size)| size).collect();
         tile_sizes.sort_unstable();
         tile_sizes.dedup();
-        Lookup { stored, topology, places, tile_of, tile_sizes }
+        LevelSetLookup { stored, topology, file_indices, tile_of, tile_sizes }
     }
 
-    /// Whether this value is a distance, and not only a sign.
+    /// True if this value is a distance rather than only a sign.
     fn is_known(&self, value: f32) -> bool {
         value.abs() < CLIPPED * self.stored.background
     }
 
     fn stored_leaf(&self, leaf: usize) -> &'a [f32; LEAF_VOXELS] {
-        &self.stored.leaves[self.places[leaf] as usize]
+        &self.stored.leaves[self.file_indices[leaf] as usize]
     }
 
-    /// The one value of a leaf that is not stored.
+    /// The single value of a leaf that is not stored.
     fn value_of_missing(&self, origin: IVec3) -> f32 {
         let of_size = |&size: &i32| self.tile_of.get(&(origin & -size, size)).copied();
         self.tile_sizes.iter().find_map(of_size).unwrap_or(self.stored.background)
     }
 
-    /// The values of all leaves of a topology, as they are stored.
+    /// The stored values of all leaves of a topology.
     fn values_in(&self, topology: &Topology) -> Field {
         let mut values = Field::splat(topology.len(), 0.0);
         values.leaves.par_iter_mut().zip(topology.origins()).for_each(|(leaf, &origin)| {
@@ -313,8 +315,8 @@ impl<'a> Lookup<'a> {
         values
     }
 
-    /// Leaves that are not stored and have the surface on one of their faces. With the stored ones they are at most as many
-    /// as allowed.
+    /// Leaves that are not stored and have the surface on one of their faces. Fails if there are more than
+    /// allowed, including the stored ones.
     fn leaves_between_tiles(&self, leaf_count_max: usize) -> Result<FxHashSet<IVec3>, TooManyLeaves> {
         let mut added = FxHashSet::default();
         let is_missing = |origin: &IVec3| self.topology.find(*origin).is_none();
@@ -350,7 +352,8 @@ impl<'a> Lookup<'a> {
         Ok(added)
     }
 
-    /// How many voxels of stored leaves are next to one of the other sign, and how many of them have no distance.
+    /// Number of voxels of stored leaves adjacent to one of the other sign, and how many of them have no
+    /// distance.
     fn voxel_counts_at_surface(&self) -> [usize; 2] {
         let inside = inside_masks(self.topology.len(), |leaf| self.stored_leaf(leaf));
         let counts = (0..self.topology.len()).into_par_iter().map(|leaf| {
@@ -381,7 +384,7 @@ fn on_face(face: usize) -> impl Iterator<Item = usize> {
     })
 }
 
-/// The leaves within a cube that lie on one of its faces.
+/// The leaves within a cube on one of its faces.
 fn leaves_on_face(origin: IVec3, size: i32, face: usize) -> impl Iterator<Item = IVec3> {
     let axis = face / 2;
     let (a, b) = (IVec3::AXES[(axis + 1) % 3], IVec3::AXES[(axis + 2) % 3]);
@@ -399,12 +402,12 @@ mod tests {
     const VOXEL_SIZE: f64 = 0.1;
     const RADIUS: f32 = 11.3;
 
-    /// The distance to a ball, in voxels.
+    /// Distance to a ball, in voxels.
     fn distance(voxel: IVec3) -> f32 {
         voxel.as_vec3().length() - RADIUS
     }
 
-    /// The leaves of a cube around the ball, with the values that `value` makes of distances in voxels.
+    /// The leaves of a cube around the ball; `value` maps distances in voxels to stored values.
     fn ball(value: impl Fn(f32) -> f32) -> (Vec<IVec3>, Vec<[f32; LEAF_VOXELS]>) {
         let origins: Vec<IVec3> =
             (0..64).map(|slot| (IVec3::new(slot / 16, slot / 4 % 4, slot % 4) - 2) * LEAF_EDGE).collect();
@@ -421,7 +424,7 @@ mod tests {
         StoredLevelSet { origins, leaves, tiles, background: BACKGROUND, voxel_size: VOXEL_SIZE }
     }
 
-    /// The greatest and the mean error of the distances near the surface.
+    /// The maximum and the mean error of the distances near the surface.
     fn errors(band: &NarrowBand) -> [f32; 2] {
         let (mut greatest, mut sum, mut count) = (0f32, 0.0, 0.0);
         for (leaf, &origin) in band.phi.leaves.iter().zip(band.topology.origins()) {
@@ -446,7 +449,7 @@ mod tests {
     }
 
     #[test]
-    fn half_a_band_gets_its_other_half() {
+    fn one_sided_band_is_completed() {
         let outside_only = |distance: f32| match distance < 0.0 {
             true => -BACKGROUND,
             false => (distance * VOXEL_SIZE as f32).min(BACKGROUND),
@@ -460,22 +463,22 @@ mod tests {
     }
 
     #[test]
-    fn sound_band_is_left_alone() {
+    fn complete_band_is_not_rebuilt() {
         let whole = ball(|distance| (distance * VOXEL_SIZE as f32).clamp(-BACKGROUND, BACKGROUND));
         assert!(rebuilt(&stored(&whole, &[]), 1000).expect("few leaves").is_none());
     }
 
     #[test]
-    fn sound_band_with_one_pair_of_bad_voxels_is_left_alone() {
+    fn band_with_one_pair_of_clipped_voxels_is_not_rebuilt() {
         let mut whole = ball(|distance| (distance * VOXEL_SIZE as f32).clamp(-BACKGROUND, BACKGROUND));
-        // The first leaf is outside all over.
+        // The first leaf is entirely outside.
         let middle = offset_in_leaf(IVec3::splat(4));
         (whole.1[0][middle], whole.1[0][middle + 1]) = (BACKGROUND, -BACKGROUND);
         assert!(rebuilt(&stored(&whole, &[]), 1000).expect("few leaves").is_none());
     }
 
     #[test]
-    fn tiles_of_both_signs_get_leaves_between_them() {
+    fn leaves_are_added_between_tiles_of_opposite_sign() {
         // A cube of 16 voxels, as tiles of 8, and one of 128.
         let corners = (0..8).map(|slot| IVec3::new(slot / 4, slot / 2 % 2, slot % 2) * 8);
         let small: Vec<(IVec3, i32, f32)> = corners.map(|origin| (origin, 8, -BACKGROUND)).collect();
@@ -500,11 +503,11 @@ mod tests {
     }
 
     #[test]
-    fn large_inside_tile_is_refused_before_its_leaves_are_listed() {
-        // Its faces have 6 · 512² leaves on each side.
+    fn large_inside_tile_exceeds_the_leaf_limit() {
+        // Each of its faces has 512² leaves on each side, 6 · 512² in total.
         let (none, tile) = ((vec![], vec![]), [(IVec3::ZERO, 4096, -BACKGROUND)]);
         let stored = stored(&none, &tile);
-        let lookup = Lookup::new(&stored);
+        let lookup = LevelSetLookup::new(&stored);
         assert_eq!(lookup.leaves_between_tiles(1 << 18), Err(TooManyLeaves));
     }
 }

@@ -1,8 +1,8 @@
 //! Restores the signed-distance property of a narrow band.
 //!
-//! Smoothing moves the surface but lets the slope of φ drift from one; the linear operators of the
-//! smoother need it near one (paper, Fig. 10). So, now and then, every value is replaced by the
-//! distance to the zero set, with its sign kept.
+//! Smoothing moves the surface, and the slope of φ drifts away from one. The linear operators of the smoother
+//! need a slope near one (paper, Fig. 10). So from time to time every value is replaced by the distance to
+//! the zero set, keeping its sign.
 //!
 //! ```text
 //!   before   −3.0  −1.2   0.2   0.9   4.0     any slope
@@ -10,14 +10,13 @@
 //!                   └─pinned─┘
 //! ```
 //!
-//! Voxels near the zero set are *pinned* to |φ| / |∇φ|, which is exact to second order where φ is
-//! smooth; the others are swept outward from them by the upwind Eikonal update, in Jacobi order, so
-//! that the result depends on nothing but the values. A sweep carries distances one voxel farther.
+//! Voxels near the zero set are *pinned* to |φ| / |∇φ|, which is second-order accurate where φ is smooth. The
+//! others are swept outward from them by the upwind Eikonal update. Jacobi order makes the result independent
+//! of the order of voxels. Each sweep advances distances by one voxel.
 //!
-//! Pinning decides how far the surface moves and how smooth it stays. Taking the nearest crossing on
-//! an axis, as is common, leaves noise at the scale of the grid, which the sweeps carry outward.
-//! Measured on a dam break of 6 859 particles, ∫H² of the result through OpenVDB's mesher (with sweeps
-//! of first order):
+//! Pinning determines how far the surface moves and how smooth it stays. The common choice, the nearest
+//! crossing on an axis, leaves noise at the scale of the grid, which the sweeps carry outward. Measured on a
+//! dam break of 6 859 particles, ∫H² of the result with OpenVDB's mesher (with first-order sweeps):
 //!
 //! ```text
 //!   the nearest crossing on one axis          283
@@ -25,19 +24,19 @@
 //!   |φ| / |∇φ|                                244
 //! ```
 //!
-//! The last is done here; a redistancing then moves the zero set by 0.005 voxels in the mean.
+//! The last one is used here; a redistancing then moves the zero set by 0.005 voxels on average.
 //!
-//! The sweeps decide what the smoother sees of the curvature. It differentiates four times, and takes an
-//! error in a distance for a bend to be straightened. So the differences can be of second order, as far
-//! from the surface as [`Sweeps`] says:
+//! The sweeps determine the curvature that the smoother sees. It differentiates four times, and treats an
+//! error in a distance as a bend to be straightened. So the differences can be second-order up to the
+//! distance in [`Sweeps`]:
 //!
 //! ```text
-//!   of second order                                           nowhere   within 1.2   everywhere
-//!   farthest from the distance to a sphere of radius 10          0.36                    0.06
-//!   what a sphere of radius 20 grows by, 10 000 explicit steps   0.85                    0.005
-//!   volume of a noisy sphere (paper, Fig. 5), fast               0.983     0.993         0.995
-//!   Hilbert curve, fast: ∫H² through OpenVDB's mesher            500       504           510
-//!   Hilbert curve, fast: voxels to the published program's       0.018     0.071         0.095
+//!   second order                                             nowhere   within 1.2   everywhere
+//!   maximum error of the distance to a sphere of radius 10      0.36                    0.06
+//!   growth of a sphere of radius 20 in 10 000 explicit steps    0.85                    0.005
+//!   volume of a noisy sphere (paper, Fig. 5), fast              0.983     0.993         0.995
+//!   Hilbert curve, fast: ∫H² with OpenVDB's mesher              500       504           510
+//!   Hilbert curve, fast: voxels to the published program's      0.018     0.071         0.095
 //! ```
 //!
 //! This work is based on:
@@ -51,34 +50,34 @@ use super::NarrowBand;
 use crate::surface::grid::{Field, Leaf, LeafMask, NO_LEAF, Neighborhood, Slab, Topology, slabs_in};
 use crate::surface::simd::{self, Kernel, Lanes};
 
-/// In place of a distance: nothing has reached this voxel yet.
+/// Value of a voxel that no sweep has reached yet.
 pub const UNREACHED: f32 = f32::INFINITY;
 
-/// How distances are carried outward.
+/// How distances are swept outward.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sweeps {
-    /// How often; a sweep goes one voxel farther along the axes.
+    /// Number of sweeps; each advances one voxel along the axes.
     pub count: u32,
-    /// Differences to neighbours nearer to the surface than this, in voxels, are of second order;
-    /// [`UNREACHED`] for all.
+    /// Differences to neighbors nearer to the surface than this, in voxels, are second-order; [`UNREACHED`]
+    /// for all.
     pub second_order_within: f32,
 }
 
 impl Sweeps {
-    /// So many sweeps of second order.
+    /// `count` second-order sweeps.
     pub const fn accurate(count: u32) -> Sweeps {
         Sweeps { count, second_order_within: UNREACHED }
     }
 }
 
-/// Replaces every φ in the band by the distance to its zero set, keeping the sign. Values farther
-/// than `band.half_width`, and voxels that the sweeps do not reach, become ± half width.
+/// Replaces every φ in the band by the distance to its zero set, keeping the sign. Values beyond
+/// `band.half_width`, and voxels that the sweeps do not reach, become ± half width.
 pub fn redistance(band: &mut NarrowBand, sweeps: Sweeps) {
     redistance_in(band, sweeps, &mut Field::splat(band.topology.len(), 0.0));
 }
 
-/// The same in memory of the caller: `scratch` is a field of the band's topology, and what is in it before and
-/// after does not matter.
+/// Like [`redistance`], with memory from the caller: `scratch` is a field of the band's topology with
+/// arbitrary content.
 pub fn redistance_in(band: &mut NarrowBand, sweeps: Sweeps, scratch: &mut Field) {
     let pinned = pin(band, scratch);
     std::mem::swap(&mut band.phi, scratch);
@@ -92,19 +91,19 @@ pub fn redistance_in(band: &mut NarrowBand, sweeps: Sweeps, scratch: &mut Field)
     });
 }
 
-/// Sweeps signed distances outward from the voxels in `fixed`, each sweep one voxel farther. Voxels that
-/// are not fixed start at plus or minus [`UNREACHED`], by their side of the surface. A sweep reads values
-/// up to two voxels away.
+/// Sweeps signed distances outward from the voxels in `fixed`; each sweep advances one voxel. Voxels that are
+/// not fixed start at plus or minus [`UNREACHED`], by their side of the surface. A sweep reads values up to
+/// two voxels away.
 pub fn extend(topology: &Topology, distance: &mut Field, fixed: &[LeafMask], sweeps: Sweeps) {
     let mut next = distance.clone();
     sweep_outward(topology, [distance, &mut next], fixed, sweeps);
 }
 
-/// Sweeps from one field to the other, which are equal at first, and back. The result is in the first.
+/// Sweeps alternately from one field to the other, which are equal at first. The result is in the first.
 fn sweep_outward(topology: &Topology, [distance, next]: [&mut Field; 2], fixed: &[LeafMask], sweeps: Sweeps) {
     let neighbors = topology.neighbors();
-    // Rows that the last sweep changed; for the first sweep, those where something is known. Where
-    // nothing changed that a row depends on, another sweep would give the same values again.
+    // Rows that the last sweep changed; for the first sweep, rows with a known value. If nothing that a row
+    // depends on has changed, another sweep would give the same values.
     let mut changed: Vec<u64> = fixed.par_iter().map(LeafMask::occupied_rows).collect();
     let mut changed_next = changed.clone();
     for _ in 0..sweeps.count {
@@ -124,8 +123,8 @@ fn sweep_outward(topology: &Topology, [distance, next]: [&mut Field; 2], fixed: 
     }
 }
 
-/// Signed distances of the voxels near the zero set, written into `distance`, where the others get the sign
-/// only. Returns which voxels these are.
+/// Writes the signed distances of the voxels near the zero set to `distance`, and only the sign of the
+/// others. Returns which voxels are near.
 fn pin(band: &NarrowBand, distance: &mut Field) -> Vec<LeafMask> {
     let neighbors = band.topology.neighbors();
     let mut pinned = vec![LeafMask::EMPTY; band.topology.len()];
@@ -136,7 +135,7 @@ fn pin(band: &NarrowBand, distance: &mut Field) -> Vec<LeafMask> {
     pinned
 }
 
-/// Pins the voxels of a leaf.
+/// Kernel: pins the voxels of a leaf.
 struct Pin<'a> {
     around: &'a Neighborhood<'a>,
     distance: &'a mut Leaf,
@@ -160,22 +159,22 @@ impl Kernel for Pin<'_> {
     }
 }
 
-/// The signed distances of a row's voxels that can be told from φ around them, and the bits of these.
+/// The signed distances of a row's voxels that φ around them determines, and the bits of these.
 #[inline(always)]
 fn pin_row<V: Lanes>(slab: &Slab, y: usize) -> (V, u8) {
     let (zero, one) = (V::splat(0.0), V::splat(1.0));
     let c = slab.row::<V>(y);
     let inside = V::bits(c.lt(zero));
     let side = V::select(c.lt(zero), V::splat(-1.0), one);
-    // No voxel is farther from the zero set than a neighbour and one; a neighbour across it counts as
-    // on it. So nothing jumps where a neighbour's value passes through zero.
+    // A voxel is at most one voxel farther from the zero set than its neighbor; a neighbor across the zero
+    // set counts as on it. So distances are continuous as a neighbor's value passes through zero.
     let (mut beside, mut nearest) = (0, V::splat(f32::INFINITY));
     for [before, after] in [slab.along_x::<V>(y), slab.along_y(y), slab.along_z(y)] {
         beside |= (V::bits(before.lt(zero)) ^ inside) | (V::bits(after.lt(zero)) ^ inside);
         nearest = nearest.min(side.mul(before).max(zero)).min(side.mul(after).max(zero));
     }
     let distance = c.abs().div(slab.gradient_norm(y)).min(one.add(nearest));
-    // Not 0 / 0: a zero in a flat place is the zero set.
+    // Avoids 0 / 0: a zero where φ is flat is on the zero set.
     let distance = V::select(c.ne(zero), distance, zero);
     (V::select(V::mask(beside), distance, V::splat(UNREACHED)).mul(side), beside)
 }
@@ -187,7 +186,7 @@ fn dependent_rows(changed: &[u64], neighbors: &[u32; 6], leaf: usize) -> u64 {
     let own = changed[leaf];
     let [xm, xp, ym, yp, zm, zp] =
         neighbors.map(|neighbor| if neighbor == NO_LEAF { 0 } else { changed[neighbor as usize] });
-    // Steps of one and of two rows: in x they shift by 8 and 16, in y by 1 and 2 within each byte.
+    // Row offsets of one and two: in x they shift by 8 and 16, in y by 1 and 2 within each byte.
     let along_x = own << 8 | own >> 8 | own << 16 | own >> 16;
     let along_y = own << 1 & !Y_LOW
         | own >> 1 & !Y_HIGH
@@ -201,7 +200,7 @@ fn dependent_rows(changed: &[u64], neighbors: &[u32; 6], leaf: usize) -> u64 {
     own | along_x | along_y | from_x | from_y | zm | zp
 }
 
-/// Updates the voxels of some rows of a leaf that are not fixed. Returns the rows that changed.
+/// Kernel: updates the voxels of some rows of a leaf that are not fixed. Returns the rows that changed.
 struct Sweep<'a> {
     around: &'a Neighborhood<'a>,
     fixed: &'a LeafMask,
@@ -234,13 +233,14 @@ impl Kernel for Sweep<'_> {
 /// The upwind solution of |∇d| = 1 at each voxel of a row.
 #[inline(always)]
 fn upwind<V: Lanes>(slab: &Slab, y: usize, second_order_within: f32) -> V {
-    // On the side of the surface that the voxel is on, distances are positive.
+    // Distances are positive on the voxel's own side of the surface.
     let side = V::splat(1.0).copysign(slab.row(y));
     let (x, y_near, z) = (slab.along_x::<V>(y), slab.along_y::<V>(y), slab.along_z::<V>(y));
-    let [x_near, y_near, z_near] = [Near::new(side, x), Near::new(side, y_near), Near::new(side, z)];
+    let [x_near, y_near, z_near] =
+        [UpwindNeighbor::new(side, x), UpwindNeighbor::new(side, y_near), UpwindNeighbor::new(side, z)];
     let within = V::splat(second_order_within);
     let nearest = x_near.value.min(y_near.value).min(z_near.value);
-    // Far from the surface nothing is of second order, and nothing farther away is looked at.
+    // Far from the surface, differences are first-order and second neighbors are not read.
     let (x, y, z) = if V::bits(nearest.lt(within)) == 0 {
         (x_near.first_order(), y_near.first_order(), z_near.first_order())
     } else {
@@ -256,36 +256,36 @@ fn upwind<V: Lanes>(slab: &Slab, y: usize, second_order_within: f32) -> V {
     side.mul(solve_upwind([x, y, z]))
 }
 
-/// Along one axis the square of the slope at d is `weight` · (d − `from`)².
+/// Along one axis, the squared slope at d is `weight` · (d − `from`)².
 #[derive(Clone, Copy)]
 struct OneSided<V> {
     from: V,
     weight: V,
 }
 
-/// The nearer of the neighbours at −1 and +1.
+/// The nearer of the neighbors at −1 and +1.
 #[derive(Clone, Copy)]
-struct Near<V: Lanes> {
+struct UpwindNeighbor<V: Lanes> {
     value: V,
-    /// Where it is the one at +1.
+    /// True for lanes where it is the one at +1.
     is_after: V::Mask,
 }
 
-impl<V: Lanes> Near<V> {
+impl<V: Lanes> UpwindNeighbor<V> {
     #[inline(always)]
-    fn new(side: V, [before, after]: [V; 2]) -> Near<V> {
+    fn new(side: V, [before, after]: [V; 2]) -> UpwindNeighbor<V> {
         let (before, after) = (side.mul(before), side.mul(after));
-        Near { value: before.min(after), is_after: after.lt(before) }
+        UpwindNeighbor { value: before.min(after), is_after: after.lt(before) }
     }
 
-    /// The difference towards it.
+    /// The difference to it.
     #[inline(always)]
     fn first_order(self) -> OneSided<V> {
         OneSided { from: self.value, weight: V::splat(1.0) }
     }
 
-    /// The difference towards it: of second order, with the neighbour at −2 or +2, where that is wanted and the
-    /// values fall on beyond it.
+    /// The difference to it. Second-order, using the neighbor at −2 or +2, if requested and the values
+    /// decrease beyond it.
     #[inline(always)]
     fn second_order(self, side: V, [before, after]: [V; 2], within: V) -> OneSided<V> {
         let near = self.value;
@@ -309,27 +309,28 @@ impl<V: Lanes> OneSided<V> {
     }
 }
 
-/// The two in the order of `from`.
+/// Sorts two by `from`.
 #[inline(always)]
 fn ordered<V: Lanes>(a: OneSided<V>, b: OneSided<V>) -> (OneSided<V>, OneSided<V>) {
     let swap = b.from.lt(a.from);
     (OneSided::select(swap, b, a), OneSided::select(swap, a, b))
 }
 
-/// The d at which the squares of the slopes add to one, with as many axes as lie upwind of it; they
-/// come in the order of `from`.
+/// The d at which the squared slopes add to one, over the axes that lie upwind of it. The axes are sorted by
+/// `from`.
 #[inline(always)]
 fn solve_upwind<V: Lanes>([a, b, c]: [OneSided<V>; 3]) -> V {
-    // Relative to the nearest, so that nothing large is squared. The squares of the slopes add to one where
-    // weight·d² − 2·sum·d + squares = 0, the greater root.
+    // Relative to the nearest, so that no large numbers are squared. The squared slopes add to one at the
+    // greater root of weight·d² − 2·sum·d + squares = 0.
     let (b_rel, c_rel) = (b.from.sub(a.from), c.from.sub(a.from));
     let zero = V::splat(0.0);
-    // With the first axis only, d is the root of 1/weight: 1 or 2/3.
+    // With the first axis alone, d is the root of 1/weight: 1 or 2/3.
     let first = V::select(a.weight.lt(V::splat(2.0)), V::splat(1.0), V::splat(1.0 / 1.5));
     let is_more = b_rel.lt(first);
     let (weight, sum) = (a.weight.add(b.weight), b.weight.mul(b_rel));
     let squares = sum.mul(b_rel).sub(V::splat(1.0));
-    // Beyond the third value lies the root with the first two, where the squares at that value are less than one.
+    // The root with the first two axes lies beyond the third value if the squares at that value are less than
+    // one.
     let at_c = weight.mul(c_rel).sub(sum).sub(sum).mul(c_rel).add(squares);
     let is_three = at_c.lt(zero);
     let product = c.weight.mul(c_rel);
@@ -344,10 +345,10 @@ fn solve_upwind<V: Lanes>([a, b, c]: [OneSided<V>; 3]) -> V {
 mod tests {
     use super::*;
 
-    /// Against the definition, for every row of a leaf and of the leaves beyond its faces.
+    /// Compares with the definition, for every row of a leaf and of the leaves beyond its faces.
     #[test]
-    fn rows_depend_on_rows_within_two_voxels_along_an_axis() {
-        // The leaf itself is 0; the others as its neighbours are listed, by steps of a leaf in x and y.
+    fn dependent_rows_are_within_two_voxels_per_axis() {
+        // Leaf 0 is the leaf itself; the others are its neighbors in order, with their steps in x and y.
         let steps = [(0, 0), (-8, 0), (8, 0), (0, -8), (0, 8), (0, 0), (0, 0)];
         for (source, (x_step, y_step)) in steps.into_iter().enumerate() {
             for row in 0..64 {
@@ -358,7 +359,7 @@ mod tests {
                 let expected = (0..64)
                     .filter(|to: &i32| {
                         let (dx, dy) = (x - (to >> 3), y - (to & 7));
-                        // A row beyond ±z meets only the row that it continues.
+                        // A row beyond ±z only touches the row that it continues.
                         if source < 5 { along_axis(dx, dy) } else { dx == 0 && dy == 0 }
                     })
                     .fold(0, |rows, to| rows | 1u64 << to);

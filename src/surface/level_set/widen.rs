@@ -1,13 +1,13 @@
-//! A band that reaches farther than it did.
+//! Widens a narrow band.
 //!
 //! ```text
-//!   before   +3 | +3 +2 +1  0 −1 −2 −3 | −3       what another program stored, 3 voxels to each side
+//!   before   +3 | +3 +2 +1  0 −1 −2 −3 | −3       stored by another program, 3 voxels to each side
 //!   after    +6 … +3 +2 +1  0 −1 −2 −3 … −6       its leaves and those around them
 //! ```
 //!
-//! What lies beyond the stored leaves is told by the voxels next to it: had the surface come between them, their leaf would be
-//! stored. Then distances are restored from the crossings, as they are between steps of smoothing; the zero set stays where it is,
-//! but for some thousandths of a voxel.
+//! Voxels that are not stored are on the same side as the adjacent stored ones: if the surface passed between
+//! them, their leaf would be stored. Then distances are restored from the crossings, as between smoothing
+//! steps. The zero set moves by a few thousandths of a voxel only.
 
 use glam::IVec3;
 use rayon::prelude::*;
@@ -16,10 +16,10 @@ use rustc_hash::FxHashMap;
 use super::{NarrowBand, Sweeps, redistance};
 use crate::surface::grid::{Field, LEAF_EDGE, Leaf, Topology, offset_in_leaf};
 
-/// No band is made wider than this, in voxels: a leaf around those with a crossing holds it.
+/// Maximum half width, in voxels: a layer of one leaf around those with a crossing contains it.
 pub const WIDENED_MAX: f32 = LEAF_EDGE as f32;
 
-/// A voxel is so near to a crossing, in voxels, at most.
+/// Maximum distance of a voxel from a crossing that counts as near, in voxels.
 const NEAR: f32 = 2.0;
 
 /// The same surface in a band of this half width, at most [`WIDENED_MAX`], with distances restored.
@@ -41,12 +41,12 @@ pub fn widened(band: &NarrowBand, half_width: f32) -> NarrowBand {
         }
     });
     let mut widened = NarrowBand { topology: topology.into(), phi, half_width };
-    // A sweep goes one voxel along the axes, and the diagonal is √3 as long.
+    // A sweep advances one voxel along the axes, and the diagonal is √3 times as long.
     redistance(&mut widened, Sweeps::accurate((3f32.sqrt() * half_width).ceil() as u32));
     widened
 }
 
-/// How many leaves the widened band has, found with a bit for each.
+/// Number of leaves of the widened band, counted with one bit per leaf.
 pub fn widened_leaf_count(band: &NarrowBand) -> usize {
     const NODE_LEAVES: i32 = 16;
     let mut nodes: FxHashMap<IVec3, [u64; 64]> = FxHashMap::default();
@@ -65,24 +65,24 @@ pub fn widened_leaf_count(band: &NarrowBand) -> usize {
     nodes.values().flatten().map(|word| word.count_ones() as usize).sum()
 }
 
-/// Whether a voxel of a leaf is so near to the surface that a widened band reaches into the leaves around.
+/// True if a voxel of a leaf is so near to the surface that a widened band extends into the leaves around.
 fn has_surface(band: &NarrowBand, leaf: &Leaf) -> bool {
     let near = NEAR.min(band.half_width);
     leaf.values.iter().any(|phi| phi.abs() < near)
 }
 
-/// A leaf and the 26 around it, by their origins.
+/// The origins of a leaf and its 26 neighbors.
 fn around(origin: IVec3) -> impl Iterator<Item = IVec3> {
     steps().map(move |step| origin + step * LEAF_EDGE)
 }
 
-/// A value on the side of the surface that a leaf is on which is not stored, but next to one that is.
+/// A value with the sign of a leaf that is not stored but adjacent to a stored one.
 fn side_of(band: &NarrowBand, origin: IVec3) -> f32 {
     let mut nearest: Vec<IVec3> = steps().filter(|&step| step != IVec3::ZERO).collect();
     nearest.sort_by_key(|step| step.abs().element_sum());
     let found = nearest.into_iter().find_map(|step| {
         let leaf = band.topology.find(origin + step * LEAF_EDGE)?;
-        // The voxel of that leaf which is next to this one.
+        // The voxel of the stored leaf that is adjacent to this one.
         let local = step.to_array().map(|along| match along {
             -1 => LEAF_EDGE - 1,
             1 => 0,
@@ -93,7 +93,7 @@ fn side_of(band: &NarrowBand, origin: IVec3) -> f32 {
     found.unwrap_or(band.half_width)
 }
 
-/// A leaf and the 26 around it.
+/// The steps to a leaf and its 26 neighbors.
 fn steps() -> impl Iterator<Item = IVec3> {
     (0..27).map(|slot| IVec3::new(slot / 9, slot / 3 % 3, slot % 3) - IVec3::ONE)
 }
@@ -121,8 +121,8 @@ mod tests {
     }
 
     #[test]
-    fn distances_reach_farther_on_both_sides() {
-        // In a band of 1.5 voxels some corners of the cells with the surface are cut off already.
+    fn widened_band_extends_on_both_sides() {
+        // In a band of 1.5 voxels, some corners of the cells with the surface are already missing.
         for (narrow, most) in [(1.5, 0.25), (2.0, 0.02), (3.0, 0.02)] {
             let wide = widened(&ball(18.3, narrow), 6.0);
             assert!(wide.topology.len() > ball(18.3, narrow).topology.len());
@@ -140,7 +140,7 @@ mod tests {
                     }
                 }
             }
-            // All of the shell is stored.
+            // The whole shell is stored.
             let shell = 4.0 * std::f32::consts::PI * 18.3f32.powi(2) * 11.0;
             assert!(near as f32 > 0.98 * shell && far > 1000, "{near} {far}");
         }

@@ -1,18 +1,18 @@
-//! How many pieces a mesh is in.
+//! Connected components of a mesh.
 //!
 //! ```text
-//!   union-find within each piece of vertices, in parallel      parents: a vertex of the same component
-//!   then every vertex knows the root of its part …
-//!   … and few pairs of roots are left to join, one by one
+//!   union-find within each chunk of vertices, in parallel      parents: a vertex of the same component
+//!   every vertex then knows the root of its part, so only a few pairs of roots are left to join,
+//!   sequentially
 //! ```
 
 use rayon::prelude::*;
 
-use super::{Mesh, PIECE};
+use super::{CHUNK, Mesh};
 
-/// Joins the vertices of one piece along the edges that are within it, in `parents`, which then name roots.
-/// Returns how many joints that took.
-pub(super) fn join_piece(
+/// Joins the vertices of one chunk along the edges within it, in `parents`, whose entries are then roots.
+/// Returns the number of joins.
+pub(super) fn join_chunk(
     parents: &mut [u32],
     first: u32,
     triangles: impl Iterator<Item = [u32; 3]>,
@@ -25,7 +25,7 @@ pub(super) fn join_piece(
     triangles.for_each(|[a, b, c]| {
         let [a, b, c] = [a.wrapping_sub(first), b.wrapping_sub(first), c.wrapping_sub(first)];
         for [one, other] in [[a, b], [b, c]] {
-            // Mostly both know their root already.
+            // Usually both entries are already roots.
             let are_own = one < count && other < count;
             if are_own && parents[one as usize] != parents[other as usize] {
                 joined_count += usize::from(join(parents, one, other));
@@ -33,7 +33,7 @@ pub(super) fn join_piece(
         }
     });
     for vertex in 0..parents.len() {
-        // Roots come before what they are the roots of.
+        // Roots come before the vertices of their tree.
         let root = parents[parents[vertex] as usize];
         parents[vertex] = root;
     }
@@ -41,14 +41,15 @@ pub(super) fn join_piece(
     joined_count
 }
 
-/// Joins pieces along the edges between them, when all have been joined within. Returns how many joints that took.
-pub(super) fn join_pieces(mesh: &Mesh, parents: &mut [u32]) -> usize {
+/// Joins chunks along the edges between them, after each has been joined internally. Returns the number of
+/// joins.
+pub(super) fn join_chunks(mesh: &Mesh, parents: &mut [u32]) -> usize {
     let roots: &[u32] = parents;
     let pairs_of = |triangles: &[[u32; 3]]| {
         let mut pairs = Vec::new();
         for &[a, b, c] in triangles {
             for [one, other] in [[a, b], [b, c]] {
-                if one / PIECE as u32 != other / PIECE as u32 {
+                if one / CHUNK as u32 != other / CHUNK as u32 {
                     let (one, other) = (roots[one as usize], roots[other as usize]);
                     let pair = [one.min(other), one.max(other)];
                     if pairs.last() != Some(&pair) {
@@ -61,12 +62,12 @@ pub(super) fn join_pieces(mesh: &Mesh, parents: &mut [u32]) -> usize {
         pairs.dedup();
         pairs
     };
-    let pairs: Vec<Vec<[u32; 2]>> = mesh.triangles.par_chunks(PIECE).map(pairs_of).collect();
+    let pairs: Vec<Vec<[u32; 2]>> = mesh.triangles.par_chunks(CHUNK).map(pairs_of).collect();
     pairs.into_iter().flatten().filter(|&[one, other]| join(parents, one, other)).count()
 }
 
-/// The volume of each component, in the order of their first vertices: below zero where it is the inside of a cavity.
-/// On the thread that asks: for meshes of which it is known that they are in many pieces.
+/// The volume of each component, in the order of first vertices; negative for the inside of a cavity.
+/// Single-threaded: for meshes that are known to have several components.
 pub(super) fn component_volumes(mesh: &Mesh) -> Vec<f64> {
     let mut parents: Vec<u32> = (0..mesh.positions.len() as u32).collect();
     for &[a, b, c] in &mesh.triangles {
@@ -76,7 +77,7 @@ pub(super) fn component_volumes(mesh: &Mesh) -> Vec<f64> {
     let mut volumes = vec![None; parents.len()];
     for &[a, b, c] in &mesh.triangles {
         let root = find(&mut parents, a);
-        // From a vertex of its own, a small piece that is far away loses nothing.
+        // Relative to a vertex of the component, so that a small, distant component loses no precision.
         let corner =
             |vertex: u32| (mesh.positions[vertex as usize] - mesh.positions[root as usize]).as_dvec3();
         let volume = corner(a).dot(corner(b).cross(corner(c))) / 6.0;
@@ -85,7 +86,7 @@ pub(super) fn component_volumes(mesh: &Mesh) -> Vec<f64> {
     volumes.into_iter().flatten().collect()
 }
 
-/// Joins the trees of two vertices, and tells whether they were apart. The lesser root stays one.
+/// Joins the trees of two vertices. Returns true if they were separate. The smaller root stays the root.
 fn join(parents: &mut [u32], one: u32, other: u32) -> bool {
     let (one, other) = (find(parents, one), find(parents, other));
     if one != other {
@@ -94,7 +95,7 @@ fn join(parents: &mut [u32], one: u32, other: u32) -> bool {
     one != other
 }
 
-/// The root of a vertex. What is passed on the way gets nearer to it.
+/// The root of a vertex. Compresses the path.
 fn find(parents: &mut [u32], vertex: u32) -> u32 {
     let mut root = vertex;
     while parents[root as usize] != root {

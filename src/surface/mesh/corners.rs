@@ -1,95 +1,96 @@
-//! Which triangles a vertex is in.
+//! Finds the triangles around each vertex.
 //!
-//! Vertices are taken in pieces, and so are triangles. A list of the triangles that touch a piece of vertices is
-//! made first; the corners of the piece's vertices are then put in order by one thread, in memory that stays in its
-//! cache and is used again for the next piece:
+//! Vertices and triangles are split into chunks. First, the triangles that touch each chunk of vertices are
+//! listed. Then one thread sorts the corners of a chunk's vertices, in memory that fits into its cache and is
+//! reused for the next chunk:
 //!
 //! ```text
-//!   triangles   piece 0        piece 1        piece 2
-//!               ╱    ╲          │   ╲           │            stretches: places of triangles in their piece
-//!   vertices  piece 0   piece 1    …                         corners:   [next, prev] by vertex
+//!   triangles   chunk 0        chunk 1        chunk 2
+//!               ╱    ╲          │   ╲           │            runs: indices of triangles within their chunk
+//!   vertices  chunk 0   chunk 1    …                         corners:   [next, prev] by vertex
 //! ```
 
 use rayon::prelude::*;
 
-use super::{Mesh, PIECE};
+use super::{CHUNK, Mesh};
 
-/// Triangles of one piece that touch one piece of vertices.
-struct Stretch {
-    vertex_piece: u32,
-    triangle_piece: u32,
-    /// Where they start in the list of their piece.
+/// The triangles of one chunk that touch one chunk of vertices.
+struct Run {
+    vertex_chunk: u32,
+    triangle_chunk: u32,
+    /// Start in the list of the triangles' chunk.
     start: u32,
     count: u32,
 }
 
-/// For each piece of vertices the triangles that touch it.
-pub(super) struct Touching {
-    /// For each piece of triangles the places in it of those that touch a piece of vertices, by that piece.
-    places: Vec<Vec<u16>>,
-    /// By piece of vertices, then by piece of triangles.
-    stretches: Vec<Stretch>,
+/// For each chunk of vertices, the triangles that touch it.
+pub(super) struct TouchingTriangles {
+    /// For each chunk of triangles, the indices within it of its triangles, grouped by the vertex chunk they
+    /// touch.
+    indices: Vec<Vec<u16>>,
+    /// Sorted by chunk of vertices, then by chunk of triangles.
+    runs: Vec<Run>,
 }
 
-impl Touching {
-    pub(super) fn new(mesh: &Mesh) -> Touching {
-        let pieces = mesh.triangles.par_chunks(PIECE).enumerate();
-        let lists = pieces.map(|(piece, triangles)| list_of_piece(triangles, piece as u32));
-        let (places, stretches): (Vec<_>, Vec<_>) = lists.unzip();
-        let mut stretches: Vec<Stretch> = stretches.into_iter().flatten().collect();
-        stretches.par_sort_unstable_by_key(|stretch| (stretch.vertex_piece, stretch.triangle_piece));
-        Touching { places, stretches }
+impl TouchingTriangles {
+    pub(super) fn new(mesh: &Mesh) -> TouchingTriangles {
+        let chunks = mesh.triangles.par_chunks(CHUNK).enumerate();
+        let lists = chunks.map(|(chunk, triangles)| list_of_chunk(triangles, chunk as u32));
+        let (indices, runs): (Vec<_>, Vec<_>) = lists.unzip();
+        let mut runs: Vec<Run> = runs.into_iter().flatten().collect();
+        runs.par_sort_unstable_by_key(|run| (run.vertex_chunk, run.triangle_chunk));
+        TouchingTriangles { indices, runs }
     }
 
-    /// The triangles that touch a piece of vertices, in order.
+    /// The triangles that touch a chunk of vertices, in order.
     pub(super) fn triangles<'a>(
         &'a self,
         mesh: &'a Mesh,
-        piece: usize,
+        chunk: usize,
     ) -> impl Iterator<Item = [u32; 3]> + Clone + 'a {
-        let first = self.stretches.partition_point(|stretch| (stretch.vertex_piece as usize) < piece);
-        let stretches = self.stretches[first..].iter();
-        stretches.take_while(move |stretch| stretch.vertex_piece as usize == piece).flat_map(|stretch| {
-            let triangles = &mesh.triangles[stretch.triangle_piece as usize * PIECE..];
-            let places = &self.places[stretch.triangle_piece as usize][stretch.start as usize..];
-            places[..stretch.count as usize].iter().map(|&place| triangles[usize::from(place)])
+        let first = self.runs.partition_point(|run| (run.vertex_chunk as usize) < chunk);
+        let runs = self.runs[first..].iter();
+        runs.take_while(move |run| run.vertex_chunk as usize == chunk).flat_map(|run| {
+            let triangles = &mesh.triangles[run.triangle_chunk as usize * CHUNK..];
+            let indices = &self.indices[run.triangle_chunk as usize][run.start as usize..];
+            indices[..run.count as usize].iter().map(|&index| triangles[usize::from(index)])
         })
     }
 }
 
-/// The list of a piece of triangles, and its stretches.
-fn list_of_piece(triangles: &[[u32; 3]], triangle_piece: u32) -> (Vec<u16>, Vec<Stretch>) {
+/// The list of a chunk of triangles, and its runs.
+fn list_of_chunk(triangles: &[[u32; 3]], triangle_chunk: u32) -> (Vec<u16>, Vec<Run>) {
     let least = triangles.iter().flatten().fold(u32::MAX, |least, &vertex| least.min(vertex));
     let most = triangles.iter().flatten().fold(0, |most, &vertex| most.max(vertex));
-    let [first, last] = [least, most].map(|vertex| vertex / PIECE as u32);
+    let [first, last] = [least, most].map(|vertex| vertex / CHUNK as u32);
     let mut ends = vec![0u32; (last - first) as usize + 1];
     for triangle in triangles {
-        touched(*triangle, |piece| ends[(piece - first) as usize] += 1);
+        touched(*triangle, |chunk| ends[(chunk - first) as usize] += 1);
     }
-    let mut stretches = Vec::new();
+    let mut runs = Vec::new();
     let mut total = 0;
-    for (vertex_piece, end) in (first..).zip(&mut ends) {
+    for (vertex_chunk, end) in (first..).zip(&mut ends) {
         if *end > 0 {
-            stretches.push(Stretch { vertex_piece, triangle_piece, start: total, count: *end });
+            runs.push(Run { vertex_chunk, triangle_chunk, start: total, count: *end });
         }
-        // Moves up as places are put in.
+        // Advances as indices are inserted.
         total += std::mem::replace(end, total);
     }
-    let mut places = vec![0; total as usize];
-    for (place, triangle) in triangles.iter().enumerate() {
-        touched(*triangle, |piece| {
-            let next = &mut ends[(piece - first) as usize];
-            places[*next as usize] = place as u16;
+    let mut indices = vec![0; total as usize];
+    for (index, triangle) in triangles.iter().enumerate() {
+        touched(*triangle, |chunk| {
+            let next = &mut ends[(chunk - first) as usize];
+            indices[*next as usize] = index as u16;
             *next += 1;
         });
     }
-    (places, stretches)
+    (indices, runs)
 }
 
-/// Calls `each` for each piece of vertices that a triangle touches.
+/// Calls `each` for each chunk of vertices that a triangle touches.
 #[inline(always)]
 fn touched(triangle: [u32; 3], mut each: impl FnMut(u32)) {
-    let [a, b, c] = triangle.map(|vertex| vertex / PIECE as u32);
+    let [a, b, c] = triangle.map(|vertex| vertex / CHUNK as u32);
     each(a);
     if b != a {
         each(b);
@@ -99,24 +100,24 @@ fn touched(triangle: [u32; 3], mut each: impl FnMut(u32)) {
     }
 }
 
-/// The corners of a piece of vertices, by vertex.
+/// The corners of a chunk of vertices, grouped by vertex.
 #[derive(Default)]
 pub(super) struct Corners {
-    /// Where each vertex's corners start in `ends`, and at last where the last one's end.
+    /// Start of each vertex's corners in `ends`; one entry more than there are vertices.
     starts: Vec<u32>,
     /// `[next, prev]` of each corner.
     ends: Vec<[u32; 2]>,
 }
 
 impl Corners {
-    /// Puts the corners of the vertices from `first` on in place of those that were there.
+    /// Replaces the corners by those of the vertices from `first` on.
     pub(super) fn collect(
         &mut self,
         first: u32,
         count: usize,
         triangles: impl Iterator<Item = [u32; 3]> + Clone,
     ) {
-        let is_own = |vertex: u32| vertex >= first && vertex - first < PIECE as u32;
+        let is_own = |vertex: u32| vertex >= first && vertex - first < CHUNK as u32;
         let starts = &mut self.starts;
         starts.clear();
         starts.resize(count + 2, 0);
@@ -126,20 +127,20 @@ impl Corners {
         for vertex in 2..starts.len() {
             starts[vertex] += starts[vertex - 1];
         }
-        // Each start moves up as its corners are put in, and so becomes the next vertex's start.
+        // Each start advances as corners are inserted, and finally is the start of the next vertex.
         self.ends.resize(starts[count + 1] as usize, [0; 2]);
         triangles.for_each(|[a, b, c]| {
             for [vertex, next, prev] in [[a, b, c], [b, c, a], [c, a, b]] {
                 if is_own(vertex) {
-                    let place = &mut starts[(vertex - first) as usize + 1];
-                    self.ends[*place as usize] = [next, prev];
-                    *place += 1;
+                    let index = &mut starts[(vertex - first) as usize + 1];
+                    self.ends[*index as usize] = [next, prev];
+                    *index += 1;
                 }
             }
         });
     }
 
-    /// The corners of a vertex, given from the first one of the piece.
+    /// The corners of a vertex, given by its index within the chunk.
     #[inline(always)]
     pub(super) fn of(&self, vertex: usize) -> &[[u32; 2]] {
         &self.ends[self.starts[vertex] as usize..self.starts[vertex + 1] as usize]

@@ -1,4 +1,4 @@
-//! Triangles without area, and how a mesh gets rid of them and stays closed.
+//! Removes triangles without area, keeping the mesh closed.
 //!
 //! ```text
 //!   needle                                  cap
@@ -8,16 +8,19 @@
 //!    ╱   ╭──u       ──▶   ╱      ╲           a ─ u ─ b       ──▶     a  u  b       u lies on the edge a–b
 //!   d ───┴──v            d ────── v            ╲   ╱                  ╲ │ ╱
 //!                                                d                      d
-//!   u is at v, or next to it:                the edge a–b, which has u beside it, is turned
-//!   it is drawn onto v                       to u–d: no vertex moves
+//!   u coincides with v, or almost:          the edge a–b, on which u lies, is flipped
+//!   it is collapsed into v                  to u–d: no vertex moves
 //! ```
 //!
-//! They come about where positions are rounded: in 32 bits, far from the mesh's origin, or in 16 bits. A triangle counts if
-//! it has no area at the mesh's own positions or at those that a file makes of them ([`Rounding`]).
+//! Flat triangles result from rounding positions: in 32 bits far from the mesh's origin, or in 16 bits. A
+//! triangle is flat if it has no area at the mesh's own positions or at the rounded positions of a file
+//! ([`Rounding`]).
 //!
-//! Both operations keep the mesh closed and a manifold: a vertex is drawn onto a neighbour where both have exactly two
-//! neighbours in common, and an edge is turned where its new ends have none yet. A tetrahedron by itself that has no volume at the
-//! positions of one of the files goes as a whole. Of the rest of the mesh nothing changes, and no vertex gets another position. Triangles that cannot be taken out stay, and [`Mesh::measure`] counts them.
+//! Both operations keep the mesh closed and manifold: a vertex is collapsed into a neighbor only if they have
+//! exactly two common neighbors, and an edge is flipped only if its new ends are not yet connected. An
+//! isolated tetrahedron without volume at the positions of one of the files is removed as a whole. The rest
+//! of the mesh does not change, and no vertex moves. Flat triangles that cannot be removed stay, and
+//! [`Mesh::measure`] counts them.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -26,33 +29,35 @@ use rustc_hash::{FxHashMap, FxHashSet};
 use super::Mesh;
 use super::triangles::{LANES, TriangleBatch};
 
-/// The positions that a reader gets of a file that rounds those of a mesh, which are relative to an origin; theirs are
-/// relative to the same one.
+/// Maps positions, relative to an origin, to the positions that a reader gets from a file that rounds them,
+/// relative to the same origin.
 pub type Rounding = fn(&[[f32; 3]], [f64; 3]) -> Vec<[f32; 3]>;
 
-/// Triangles in a piece of work.
-const PIECE: usize = 4096;
+/// Number of triangles per task.
+const CHUNK: usize = 4096;
 
-/// After so many rounds what is left stays. One or two do as a rule.
+/// Maximum number of rounds; usually one or two are enough.
 const ROUNDS_MAX: usize = 64;
 
-/// If more than this part of all triangles is flat, the positions are too coarse for the mesh, and it stays as it is.
+/// If a larger fraction of the triangles is flat, the positions are too coarse for the mesh, and it is left
+/// unchanged.
 const FLAT_PART_MAX: f64 = 0.05;
 
-/// In a mesh of at most so many triangles, all may be flat: treating them costs little.
+/// In a mesh with at most this many triangles, all may be flat, because processing them is cheap.
 const SMALL_MESH_TRIANGLES: usize = 10_000;
 
-/// Up to this part of its longest edge, the shortest edge of a triangle vanishes; a longer one is part of a cap.
+/// The shortest edge of a needle is at most this fraction of its longest edge; otherwise the triangle is a
+/// cap.
 const NEEDLE: f64 = 0.1;
 
 impl Mesh {
-    /// Takes out triangles without area, at these positions and at those that files make of them. Returns how many
-    /// triangles fewer there are. A mesh of which a large part is flat is left as it is.
+    /// Removes triangles without area at the mesh's own positions or at those rounded by files. Returns the
+    /// number of removed triangles. Leaves a mesh unchanged if a large part of it is flat.
     ///
-    /// Panics if a triangle names a vertex that does not exist.
-    pub fn take_out_flat(&mut self, roundings: &[Rounding]) -> usize {
+    /// Panics if a triangle refers to a vertex that does not exist.
+    pub fn remove_flat_triangles(&mut self, roundings: &[Rounding]) -> usize {
         let before = self.triangles.len();
-        // Triangles turn over only if nothing else does.
+        // Triangles may flip over only if nothing else helps.
         let mut may_fold = false;
         for _ in 0..ROUNDS_MAX {
             let rounded: Vec<Vec<Vec3>> = roundings.iter().map(|rounding| self.rounded(*rounding)).collect();
@@ -66,9 +71,9 @@ impl Mesh {
             if flat.is_empty() || flat.len() > flat_max {
                 break;
             }
-            let mut surgery = Surgery::new(views, &self.triangles, &flat, may_fold);
-            let changed = flat.iter().filter(|&&triangle| surgery.treat(triangle)).count();
-            let triangles = surgery.triangles;
+            let mut removal = FlatRemoval::new(views, &self.triangles, &flat, may_fold);
+            let changed = flat.iter().filter(|&&triangle| removal.remove_flat(triangle)).count();
+            let triangles = removal.triangles;
             if changed == 0 && may_fold {
                 break;
             }
@@ -80,46 +85,47 @@ impl Mesh {
         before - self.triangles.len()
     }
 
-    /// The positions that a reader gets of a file that rounds them, relative to the same origin.
+    /// The positions that a reader gets from a file that rounds them, relative to the same origin.
     pub fn rounded(&self, rounding: Rounding) -> Vec<Vec3> {
         bytemuck::cast_vec(rounding(bytemuck::cast_slice(&self.positions), self.origin.to_array()))
     }
 
-    /// How many triangles have no area at the positions that a file makes of these.
+    /// Number of triangles without area at rounded positions.
     pub fn flat_count(&self, rounding: Rounding) -> usize {
         flat_triangles(&self.rounded(rounding), &self.triangles).len()
     }
 }
 
-/// In place of a triangle that was taken out.
+/// Marks a removed triangle.
 const GONE: [u32; 3] = [u32::MAX; 3];
 
-/// The triangles that are degenerate at these positions, in order.
+/// Indices of the degenerate triangles at these positions, in order.
 fn flat_triangles(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<u32> {
-    let of_piece = |(piece, triangles): (usize, &[[u32; 3]])| {
+    let of_piece = |(chunk, triangles): (usize, &[[u32; 3]])| {
         let mut flat = Vec::new();
         for (batch, triangles) in triangles.chunks(LANES).enumerate() {
             let degenerate = TriangleBatch::new(positions, triangles).degenerate();
-            let first = piece * PIECE + batch * LANES;
+            let first = chunk * CHUNK + batch * LANES;
             let is_flat = |&lane: &usize| degenerate[lane] > 0;
             flat.extend((0..triangles.len()).filter(is_flat).map(|lane| (first + lane) as u32));
         }
         flat
     };
-    triangles.par_chunks(PIECE).enumerate().flat_map_iter(of_piece).collect()
+    triangles.par_chunks(CHUNK).enumerate().flat_map_iter(of_piece).collect()
 }
 
-/// A mesh under the knife, around some triangles.
-struct Surgery<'a> {
+/// A mesh under modification, with the neighborhoods of some triangles.
+struct FlatRemoval<'a> {
     views: Vec<&'a [Vec3]>,
     triangles: Vec<[u32; 3]>,
-    /// The triangles of each vertex that is a corner of one of those triangles, or next to such a corner.
+    /// The triangles of each vertex that is a corner of one of those triangles, or a neighbor of such a
+    /// corner.
     around: FxHashMap<u32, Vec<u32>>,
     may_fold: bool,
 }
 
-impl<'a> Surgery<'a> {
-    fn new(views: Vec<&'a [Vec3]>, triangles: &[[u32; 3]], flat: &[u32], may_fold: bool) -> Surgery<'a> {
+impl<'a> FlatRemoval<'a> {
+    fn new(views: Vec<&'a [Vec3]>, triangles: &[[u32; 3]], flat: &[u32], may_fold: bool) -> FlatRemoval<'a> {
         let corners: FxHashSet<u32> = flat.iter().flat_map(|&flat| triangles[flat as usize]).collect();
         let touches = |triangle: &&[u32; 3]| triangle.iter().any(|vertex| corners.contains(vertex));
         let near: Vec<[u32; 3]> = triangles.par_iter().filter(touches).copied().collect();
@@ -136,37 +142,37 @@ impl<'a> Surgery<'a> {
                 }
             }
         }
-        Surgery { views, triangles: triangles.to_vec(), around, may_fold }
+        FlatRemoval { views, triangles: triangles.to_vec(), around, may_fold }
     }
 
-    /// Takes out a triangle without area, or turns it into one with an area. Returns whether it could.
-    fn treat(&mut self, triangle: u32) -> bool {
+    /// Removes a flat triangle, or turns it into one with an area. Returns true on success.
+    fn remove_flat(&mut self, triangle: u32) -> bool {
         let corners = self.triangles[triangle as usize];
         let flat_view = self.views.iter().position(|view| is_flat(view, corners));
         let Some(view) = flat_view.map(|index| self.views[index]).filter(|_| corners != GONE) else {
             return false;
         };
-        // Each edge with the corner that it is opposite of, the shortest first.
-        let mut edges = [0, 1, 2].map(|place| {
-            let [from, to] = [corners[place], corners[(place + 1) % 3]];
-            (at(view, from).distance(at(view, to)), place)
+        // Each edge with its opposite corner, shortest first.
+        let mut edges = [0, 1, 2].map(|k| {
+            let [from, to] = [corners[k], corners[(k + 1) % 3]];
+            (at(view, from).distance(at(view, to)), k)
         });
         edges.sort_unstable_by(|one, other| one.0.total_cmp(&other.0).then(one.1.cmp(&other.1)));
         let [shortest, middle, longest] = edges;
-        let ends = |place: usize| [corners[place], corners[(place + 1) % 3]];
+        let ends = |k: usize| [corners[k], corners[(k + 1) % 3]];
         let is_needle = shortest.0 <= NEEDLE * longest.0;
         is_needle && self.collapse_edge(ends(shortest.1))
-            || self.turn_edge(triangle, ends(longest.1))
+            || self.flip_edge(triangle, ends(longest.1))
             || self.collapse_edge(ends(shortest.1))
             || self.collapse_edge(ends(middle.1))
-            || self.turn_edge(triangle, ends(middle.1))
+            || self.flip_edge(triangle, ends(middle.1))
             || self.collapse_edge(ends(longest.1))
-            || self.drop_speck(triangle)
+            || self.remove_isolated_tetrahedron(triangle)
     }
 
-    /// Takes out the tetrahedron that a triangle without area belongs to, if it belongs to one: where one of its triangles has no
-    /// area, it has no volume. Particles in it count as outside from then on.
-    fn drop_speck(&mut self, triangle: u32) -> bool {
+    /// Removes the isolated tetrahedron that a flat triangle belongs to, if any: since one of its triangles
+    /// has no area, it has no volume. Particles in it then count as outside.
+    fn remove_isolated_tetrahedron(&mut self, triangle: u32) -> bool {
         let corners = self.triangles[triangle as usize];
         let mut all: Vec<u32> =
             corners.iter().flat_map(|&corner| self.triangles_of(corner)).copied().collect();
@@ -190,7 +196,7 @@ impl<'a> Surgery<'a> {
         is_speck
     }
 
-    /// How many of these triangles have no area, each at the positions of each file.
+    /// Number of triangles without area, summed over the positions of all files.
     fn flat_count(&self, triangles: impl Iterator<Item = [u32; 3]>) -> usize {
         triangles.map(|triangle| self.views.iter().filter(|view| is_flat(view, triangle)).count()).sum()
     }
@@ -203,7 +209,7 @@ impl<'a> Surgery<'a> {
         self.triangles[triangle as usize].contains(&vertex)
     }
 
-    /// The triangles of a vertex that have another one, too.
+    /// The triangles that contain both vertices.
     fn shared(&self, one: u32, other: u32) -> Vec<u32> {
         self.triangles_of(one).iter().copied().filter(|&triangle| self.has(triangle, other)).collect()
     }
@@ -218,7 +224,7 @@ impl<'a> Surgery<'a> {
         neighbors
     }
 
-    /// Draws one end of an edge onto the other.
+    /// Collapses an edge into one of its ends.
     fn collapse_edge(&mut self, [one, other]: [u32; 2]) -> bool {
         let (lesser, greater) = (one.min(other), one.max(other));
         self.collapse(greater, lesser) || self.collapse(lesser, greater)
@@ -229,7 +235,7 @@ impl<'a> Surgery<'a> {
         let common: Vec<u32> =
             ring.iter().copied().filter(|neighbor| ring_of_target.binary_search(neighbor).is_ok()).collect();
         let gone = self.shared(vertex, target);
-        // The link condition; and whoever loses a triangle must have three left.
+        // The link condition. In addition, each vertex that loses a triangle must keep at least three.
         let is_manifold = gone.len() == 2
             && common.len() == 2
             && common.iter().all(|&neighbor| self.triangles_of(neighbor).len() > 3)
@@ -242,7 +248,7 @@ impl<'a> Surgery<'a> {
             self.triangles[triangle as usize].map(|corner| if corner == vertex { target } else { corner })
         };
         let kept = || own.iter().copied().filter(|triangle| !gone.contains(triangle));
-        // Triangles without area become fewer with each operation: so there is an end.
+        // Each operation reduces the number of flat triangles, so the loop ends.
         let flat_before = self.flat_count(own.iter().map(|&triangle| self.triangles[triangle as usize]));
         let faces_alike =
             |triangle: u32| faces_alike(self.views[0], self.triangles[triangle as usize], moved(triangle));
@@ -265,8 +271,8 @@ impl<'a> Surgery<'a> {
         true
     }
 
-    /// Turns the longest edge of a triangle, so that it and the one beyond the edge are cut the other way.
-    fn turn_edge(&mut self, triangle: u32, [a, b]: [u32; 2]) -> bool {
+    /// Flips the longest edge of a triangle.
+    fn flip_edge(&mut self, triangle: u32, [a, b]: [u32; 2]) -> bool {
         let shared = self.shared(a, b);
         let Some(&beyond) = shared.iter().find(|&&other| other != triangle) else { return false };
         let apex = |triangle: u32| {
@@ -310,7 +316,7 @@ fn at(view: &[Vec3], vertex: u32) -> DVec3 {
     view[vertex as usize].as_dvec3()
 }
 
-/// Twice the area, along the normal.
+/// Twice the area, as a vector along the normal.
 fn area_vector(view: &[Vec3], [a, b, c]: [u32; 3]) -> DVec3 {
     (at(view, b) - at(view, a)).cross(at(view, c) - at(view, a))
 }
@@ -319,7 +325,7 @@ fn is_flat(view: &[Vec3], triangle: [u32; 3]) -> bool {
     triangle != GONE && TriangleBatch::new(view, &[triangle]).degenerate()[0] > 0
 }
 
-/// Whether two triangles face the same side, more or less. One without area faces all sides.
+/// True if two triangles face approximately the same side. A triangle without area faces all sides.
 fn faces_alike(view: &[Vec3], old: [u32; 3], new: [u32; 3]) -> bool {
     is_flat(view, old) || is_flat(view, new) || area_vector(view, old).dot(area_vector(view, new)) > 0.0
 }
@@ -328,13 +334,13 @@ fn faces_alike(view: &[Vec3], old: [u32; 3], new: [u32; 3]) -> bool {
 mod tests {
     use super::*;
 
-    /// A box of so many squares along each edge, each cut into two triangles.
+    /// A cube with `count` × `count` squares per face, each split into two triangles.
     fn cube(count: u32) -> Mesh {
-        let mut places: FxHashMap<[u32; 3], u32> = FxHashMap::default();
+        let mut vertex_at: FxHashMap<[u32; 3], u32> = FxHashMap::default();
         let mut mesh = Mesh::default();
-        let mut vertex = |place: [u32; 3]| {
-            *places.entry(place).or_insert_with(|| {
-                mesh.positions.push(Vec3::from(place.map(|along| along as f32)));
+        let mut vertex = |position: [u32; 3]| {
+            *vertex_at.entry(position).or_insert_with(|| {
+                mesh.positions.push(Vec3::from(position.map(|along| along as f32)));
                 mesh.positions.len() as u32 - 1
             })
         };
@@ -344,9 +350,10 @@ mod tests {
                 for i in 0..count {
                     for j in 0..count {
                         let corner = |u: u32, v: u32| {
-                            let mut place = [0; 3];
-                            (place[axis], place[(axis + 1) % 3], place[(axis + 2) % 3]) = (end, i + u, j + v);
-                            place
+                            let mut position = [0; 3];
+                            (position[axis], position[(axis + 1) % 3], position[(axis + 2) % 3]) =
+                                (end, i + u, j + v);
+                            position
                         };
                         let [a, b, c, d] =
                             [corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)].map(&mut vertex);
@@ -363,11 +370,11 @@ mod tests {
     }
 
     #[test]
-    fn needles_and_caps_go_and_the_mesh_stays_closed() {
+    fn needles_and_caps_are_removed_and_the_mesh_stays_closed() {
         let whole = cube(6);
         let neighbors: Vec<[u32; 2]> = whole.triangles.iter().map(|&[a, b, _]| [a, b]).collect();
         for &[a, b] in neighbors.iter().step_by(7) {
-            // A vertex at its neighbour; and one on the line between two others.
+            // One vertex moved onto its neighbor, and one onto the line between two others.
             let mut merged = whole.clone();
             merged.positions[a as usize] = merged.positions[b as usize];
             let mut capped = whole.clone();
@@ -376,7 +383,7 @@ mod tests {
                 (capped.positions[q as usize] + capped.positions[r as usize]) / 2.0;
             for mut mesh in [merged, capped] {
                 assert!(mesh.measure().degenerate_triangle_count > 0);
-                let fewer = mesh.take_out_flat(&[]);
+                let fewer = mesh.remove_flat_triangles(&[]);
                 let measures = mesh.measure();
                 assert!(measures.is_closed_manifold(), "{a} {b}: {measures:?}");
                 assert_eq!((measures.euler_characteristic, measures.component_count), (2, 1));
@@ -388,30 +395,30 @@ mod tests {
     }
 
     #[test]
-    fn triangles_that_a_file_would_flatten_go() {
+    fn triangles_flattened_by_rounding_are_removed() {
         let coarse: Rounding =
             |positions, _| positions.iter().map(|p| p.map(|x| (x / 1.5).round() * 1.5)).collect();
         let mut mesh = cube(8);
         assert!(mesh.flat_count(coarse) > 0);
-        mesh.take_out_flat(&[coarse]);
+        mesh.remove_flat_triangles(&[coarse]);
         let measures = mesh.measure();
         assert!(measures.is_closed_manifold() && measures.euler_characteristic == 2, "{measures:?}");
         assert_eq!(mesh.flat_count(coarse), 0);
     }
 
     #[test]
-    fn mesh_that_a_file_flattens_for_the_most_part_stays_as_it_is() {
+    fn mesh_that_rounding_mostly_flattens_is_unchanged() {
         let coarse: Rounding =
             |positions, _| positions.iter().map(|p| p.map(|x| (x / 20.0).round() * 20.0)).collect();
         let mut mesh = cube(40);
         let before = mesh.clone();
-        assert_eq!(mesh.take_out_flat(&[coarse]), 0);
+        assert_eq!(mesh.remove_flat_triangles(&[coarse]), 0);
         assert_eq!(mesh, before);
         assert!(mesh.flat_count(coarse) > mesh.triangles.len() / 2);
     }
 
     #[test]
-    fn a_piece_without_volume_goes_as_a_whole() {
+    fn isolated_tetrahedron_without_volume_is_removed() {
         let mut mesh = cube(3);
         let whole = mesh.clone();
         let first = mesh.positions.len() as u32;
@@ -421,17 +428,17 @@ mod tests {
         let speck = [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]];
         mesh.triangles.extend(speck.map(|triangle| triangle.map(|corner| first + corner)));
         assert!(mesh.measure().is_closed_manifold());
-        mesh.take_out_flat(&[|positions, _| {
+        mesh.remove_flat_triangles(&[|positions, _| {
             positions.iter().map(|p| p.map(|x| (x / 0.5).round() * 0.5)).collect()
         }]);
         assert_eq!(mesh, whole);
     }
 
     #[test]
-    fn a_mesh_without_flat_triangles_stays_as_it_is() {
+    fn mesh_without_flat_triangles_is_unchanged() {
         let mut mesh = cube(4);
         let before = mesh.clone();
-        assert_eq!(mesh.take_out_flat(&[]), 0);
+        assert_eq!(mesh.remove_flat_triangles(&[]), 0);
         assert_eq!(mesh, before);
     }
 }

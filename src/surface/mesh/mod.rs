@@ -1,14 +1,14 @@
-//! A plain triangle mesh, and what can be measured on it.
+//! A triangle mesh and its measures.
 //!
 //! ```text
-//!              prev          corner: a triangle as its vertex v sees it, (v, next, prev)
+//!              prev          corner: a triangle as seen from its vertex v: (v, next, prev)
 //!             ╱   ╲
-//!            ╱     ╲         the corners of v, turned by v → next → prev, tell all: an edge v–w is
-//!           v ───▶ next      sound if w is `next` once and `prev` once; v is sound if going from
-//!                            corner to corner over such edges passes through all of them
+//!            ╱     ╲         an edge v–w is manifold if w is `next` of exactly one corner of v and `prev` of
+//!           v ───▶ next      exactly one; v is manifold if walking from corner to corner across such edges
+//!                            visits all its corners
 //! ```
 //!
-//! Bending energy is ∫H² with the mean curvature vector by cotangents, over mixed Voronoi areas:
+//! The bending energy is ∫H², with the mean curvature vector from cotangents and mixed Voronoi areas:
 //!
 //! ```text
 //!   2 H n·A = ½ Σ (cot α + cot β)(v − w)      so   ∫H² ≈ Σ |½ Σ (cot α + cot β)(v − w)|² / 4A
@@ -32,7 +32,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::surface::simd::{Kernel, Lanes, dispatch};
-use corners::{Corners, Touching};
+use corners::{Corners, TouchingTriangles};
 pub use decimate::{DecimateReport, decimate};
 pub use flat::Rounding;
 pub(crate) use triangles::{LANES, TriangleBatch};
@@ -42,13 +42,13 @@ pub(crate) use triangles::{LANES, TriangleBatch};
 pub struct Mesh {
     /// Vertex positions relative to `origin`.
     pub positions: Vec<Vec3>,
-    /// Unit vertex normals, pointing outward; one a vertex.
+    /// Unit vertex normals, pointing outward; one per vertex.
     pub normals: Vec<Vec3>,
-    /// Three vertex indices a triangle, counter-clockwise seen from outside.
+    /// Three vertex indices per triangle, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
-    /// World position that `positions` are relative to: zero unless the frame is so far from the
-    /// world's origin that 32-bit positions would lose what matters. Always whole voxels, but for a level set that was
-    /// given on a lattice of its own.
+    /// World position that `positions` are relative to. Zero unless the frame is so far from the world origin
+    /// that 32-bit positions would be too imprecise. Always a whole number of voxels, except for a given
+    /// level set on another lattice.
     pub origin: DVec3,
 }
 
@@ -57,41 +57,41 @@ pub struct Mesh {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct MeshMeasures {
-    /// ∫H² from the mesh's angles. Without unit: 4π for a sphere.
+    /// ∫H² computed from the mesh's angles. Dimensionless: 4π for a sphere.
     #[cfg_attr(feature = "serde", serde(rename = "mesh_bending_energy"))]
     pub bending_energy: f64,
-    /// Area, world units squared.
+    /// Area, in squared world units.
     pub area: f64,
-    /// Enclosed volume, world units cubed; negative if the mesh is inside out.
+    /// Enclosed volume, in cubed world units; negative if the mesh is inside out.
     pub volume: f64,
-    /// Vertices, whether a triangle uses them or not.
+    /// Number of vertices, including unused ones.
     #[cfg_attr(feature = "serde", serde(rename = "vertices"))]
     pub vertex_count: usize,
-    /// Triangles.
+    /// Number of triangles.
     #[cfg_attr(feature = "serde", serde(rename = "triangles"))]
     pub triangle_count: usize,
-    /// Edges in one triangle only.
+    /// Number of edges in only one triangle.
     #[cfg_attr(feature = "serde", serde(rename = "boundary_edges"))]
     pub boundary_edge_count: usize,
-    /// Edges in more than two triangles, or in two that run along it in the same direction.
+    /// Number of edges in more than two triangles, or in two with the same direction.
     #[cfg_attr(feature = "serde", serde(rename = "non_manifold_edges"))]
     pub non_manifold_edge_count: usize,
-    /// Vertices whose triangles form more than one fan.
+    /// Number of vertices whose triangles form more than one fan.
     #[cfg_attr(feature = "serde", serde(rename = "non_manifold_vertices"))]
     pub non_manifold_vertex_count: usize,
-    /// Triangles that repeat a vertex, or whose height is below a billionth of their longest edge.
+    /// Number of triangles that repeat a vertex, or whose height is below a billionth of their longest edge.
     #[cfg_attr(feature = "serde", serde(rename = "degenerate_triangles"))]
     pub degenerate_triangle_count: usize,
-    /// Pieces that are connected through vertices.
+    /// Number of components connected through vertices.
     #[cfg_attr(feature = "serde", serde(rename = "components"))]
     pub component_count: usize,
-    /// Vertices that are used − edges + triangles.
+    /// Used vertices − edges + triangles.
     pub euler_characteristic: i64,
 }
 
 impl MeshMeasures {
-    /// Whether each edge is in two triangles with opposite directions, the triangles around each
-    /// vertex form one ring, and each has an area.
+    /// True if each edge is in two triangles with opposite directions, the triangles around each vertex form
+    /// one ring, and each triangle has an area.
     pub fn is_closed_manifold(&self) -> bool {
         self.boundary_edge_count == 0
             && self.non_manifold_edge_count == 0
@@ -101,29 +101,29 @@ impl MeshMeasures {
 }
 
 impl Mesh {
-    /// The volume that each of its components encloses, in world units, in the order of their first vertices: below zero
-    /// for the inside of a cavity.
+    /// The volume that each component encloses, in cubed world units, in the order of first vertices;
+    /// negative for the inside of a cavity.
     ///
-    /// Panics if a triangle names a vertex that does not exist.
+    /// Panics if a triangle refers to a vertex that does not exist.
     pub fn component_volumes(&self) -> Vec<f64> {
         components::component_volumes(self)
     }
 
-    /// Measures the mesh. The same mesh gives the same bits on any number of threads.
+    /// Measures the mesh. The result is bit-identical on any number of threads.
     ///
-    /// Panics if a triangle names a vertex that does not exist.
+    /// Panics if a triangle refers to a vertex that does not exist.
     pub fn measure(&self) -> MeshMeasures {
-        let triangles = self.triangles.par_chunks(PIECE);
+        let triangles = self.triangles.par_chunks(CHUNK);
         let triangles =
-            Sums::in_order(triangles.map(|triangles| dispatch(TrianglePiece { mesh: self, triangles })));
-        let touching = Touching::new(self);
+            Sums::in_order(triangles.map(|triangles| dispatch(TriangleChunk { mesh: self, triangles })));
+        let touching = TouchingTriangles::new(self);
         let mut parents: Vec<u32> = vec![0; self.positions.len()];
-        let pieces = parents.par_chunks_mut(PIECE).enumerate();
-        let vertices = Sums::in_order(pieces.map_init(Corners::default, |corners, (piece, parents)| {
-            dispatch(VertexPiece { mesh: self, touching: &touching, piece, parents, corners })
+        let chunks = parents.par_chunks_mut(CHUNK).enumerate();
+        let vertices = Sums::in_order(chunks.map_init(Corners::default, |corners, (chunk, parents)| {
+            dispatch(VertexChunk { mesh: self, touching: &touching, chunk, parents, corners })
         }));
         drop(touching);
-        let joined_count = vertices.joined_count + components::join_pieces(self, &mut parents);
+        let joined_count = vertices.joined_count + components::join_chunks(self, &mut parents);
         let edge_count = vertices.edge_count as i64;
         MeshMeasures {
             area: triangles.area,
@@ -142,11 +142,11 @@ impl Mesh {
     }
 }
 
-/// Vertices or triangles in a piece of work. Sums are taken piece by piece, so that they do not
-/// depend on the number of threads.
-const PIECE: usize = 4096;
+/// Number of vertices or triangles per chunk. Sums are taken chunk by chunk, so that they do not depend on
+/// the number of threads.
+const CHUNK: usize = 4096;
 
-/// What is summed over vertices and triangles.
+/// Sums over vertices and triangles.
 #[derive(Clone, Copy, Default)]
 struct Sums {
     area: f64,
@@ -158,15 +158,15 @@ struct Sums {
     non_manifold_vertex_count: usize,
     degenerate_triangle_count: usize,
     used_vertex_count: usize,
-    /// How many times two components became one.
+    /// Number of joins of two components.
     joined_count: usize,
 }
 
 impl Sums {
-    /// The sum of those of all pieces.
-    fn in_order(pieces: impl IndexedParallelIterator<Item = Sums>) -> Sums {
-        let pieces: Vec<Sums> = pieces.collect();
-        pieces.into_iter().fold(Sums::default(), |sums, one| Sums {
+    /// The sum over all chunks, in order.
+    fn in_order(chunks: impl IndexedParallelIterator<Item = Sums>) -> Sums {
+        let chunks: Vec<Sums> = chunks.collect();
+        chunks.into_iter().fold(Sums::default(), |sums, one| Sums {
             area: sums.area + one.area,
             volume: sums.volume + one.volume,
             bending_energy: sums.bending_energy + one.bending_energy,
@@ -181,13 +181,13 @@ impl Sums {
     }
 }
 
-/// Measures some triangles.
-struct TrianglePiece<'a> {
+/// Kernel: measures some triangles.
+struct TriangleChunk<'a> {
     mesh: &'a Mesh,
     triangles: &'a [[u32; 3]],
 }
 
-impl Kernel for TrianglePiece<'_> {
+impl Kernel for TriangleChunk<'_> {
     type Output = Sums;
 
     #[inline(always)]
@@ -196,27 +196,27 @@ impl Kernel for TrianglePiece<'_> {
     }
 }
 
-/// Measures a piece of the vertices.
-struct VertexPiece<'a> {
+/// Kernel: measures a chunk of the vertices.
+struct VertexChunk<'a> {
     mesh: &'a Mesh,
-    touching: &'a Touching,
-    piece: usize,
-    /// Becomes for each vertex the first one that is connected with it within the piece.
+    touching: &'a TouchingTriangles,
+    chunk: usize,
+    /// Receives, for each vertex, the first vertex that is connected to it within the chunk.
     parents: &'a mut [u32],
-    /// Used again for each piece.
+    /// Reused for each chunk.
     corners: &'a mut Corners,
 }
 
-impl Kernel for VertexPiece<'_> {
+impl Kernel for VertexChunk<'_> {
     type Output = Sums;
 
     #[inline(always)]
     fn run<V: Lanes>(self) -> Sums {
-        let VertexPiece { mesh, touching, piece, parents, corners } = self;
-        let (first, count) = (piece * PIECE, parents.len());
-        let triangles = touching.triangles(mesh, piece);
+        let VertexChunk { mesh, touching, chunk, parents, corners } = self;
+        let (first, count) = (chunk * CHUNK, parents.len());
+        let triangles = touching.triangles(mesh, chunk);
         corners.collect(first as u32, count, triangles.clone());
-        let joined_count = components::join_piece(parents, first as u32, triangles);
+        let joined_count = components::join_chunk(parents, first as u32, triangles);
         Sums { joined_count, ..vertices::sum_vertices(mesh, corners, first, count) }
     }
 }
@@ -234,7 +234,7 @@ mod tests {
     const TETRAHEDRON: [[u32; 3]; 4] = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
 
     #[test]
-    fn a_tetrahedron_is_closed() {
+    fn tetrahedron_is_a_closed_manifold() {
         let measures = mesh(&CORNERS, &TETRAHEDRON).measure();
         assert!(measures.is_closed_manifold());
         assert!((measures.volume - 1.0 / 6.0).abs() < 1e-12);
@@ -243,14 +243,14 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_triangle_leaves_a_boundary() {
+    fn missing_triangle_leaves_boundary_edges() {
         let measures = mesh(&CORNERS, &TETRAHEDRON[1..]).measure();
         assert_eq!((measures.boundary_edge_count, measures.non_manifold_edge_count), (3, 0));
         assert_eq!((measures.non_manifold_vertex_count, measures.euler_characteristic), (0, 1));
     }
 
     #[test]
-    fn a_turned_triangle_is_not_manifold() {
+    fn flipped_triangle_is_not_manifold() {
         let mut triangles = TETRAHEDRON;
         triangles[0].swap(1, 2);
         let measures = mesh(&CORNERS, &triangles).measure();
@@ -258,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn tetrahedra_may_not_share_an_edge_or_a_vertex() {
+    fn shared_edge_or_vertex_is_not_manifold() {
         let mut positions = CORNERS.to_vec();
         positions.extend(CORNERS.map(|[x, y, z]| [-x, -y, z + 2.0]));
         let other = |map: [u32; 4]| TETRAHEDRON.map(|triangle| triangle.map(|corner| map[corner as usize]));
@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn flat_and_repeating_triangles_are_degenerate() {
+    fn flat_triangles_and_repeated_vertices_are_degenerate() {
         let positions = [[0.0; 3], [1.0, 0.0, 0.0], [3.0, 0.0, 0.0]];
         assert_eq!(mesh(&positions, &[[0, 1, 2], [0, 1, 1]]).measure().degenerate_triangle_count, 2);
     }

@@ -1,37 +1,37 @@
-//! Which triangles are halves of quads.
+//! Detects pairs of triangles that are halves of a quad.
 //!
 //! ```text
-//!    d ─── c        Dual contouring makes a quad around each crossed grid edge, cuts it along one of its diagonals, and
-//!    │ ╲   │        writes the halves one after the other: (a b d) (b c d), the second from one end of the
-//!    │   ╲ │        diagonal or from the other.
+//!    d ─── c        Dual contouring makes a quad around each crossed grid edge, splits it along one of its diagonals,
+//!    │ ╲   │        and writes the halves consecutively: (a b d) (b c d), where the second starts at either end of
+//!    │   ╲ │        the diagonal.
 //!    a ─── b
 //! ```
 //!
-//! So triangles 2i and 2i + 1 would be the halves of one quad, if it were not for the few quads that have vertices on their
-//! sides, where sheets all but touch: they are fans of five to eight triangles about a vertex in the middle. Two triangles in a row
-//! of which either is in a fan never look like halves, nor does the second half of a quad with the first of the next: no two quads
-//! have a diagonal in common.
+//! So triangles 2i and 2i + 1 would be the halves of one quad, except for the few quads with additional
+//! vertices on their sides, where sheets almost touch: these become fans of five to eight triangles around a
+//! vertex in the middle. Two consecutive triangles never look like halves if one of them is in a fan, or if
+//! they belong to different quads, because no two quads share a diagonal.
 
 use rayon::prelude::*;
 
 use super::Mesh;
 
-/// Triangles in a piece of work.
-const PIECE: usize = 1 << 14;
+/// Number of triangles per task.
+const CHUNK: usize = 1 << 14;
 
 impl Mesh {
-    /// For each triangle whether it and the next one are the halves of a quad. Meant for meshes as dual contouring makes
-    /// them: in others two triangles may look so that never were one.
+    /// For each triangle, true if it and the next one are the halves of a quad. Intended for meshes from dual
+    /// contouring; in other meshes, two unrelated triangles may look like halves.
     pub fn quads(&self) -> Vec<bool> {
         let count = self.triangles.len();
         let mut quads = vec![false; count];
-        quads.par_chunks_mut(PIECE).enumerate().for_each(|(piece, quads)| {
-            for (quad, index) in quads.iter_mut().zip(piece * PIECE..) {
+        quads.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, quads)| {
+            for (quad, index) in quads.iter_mut().zip(chunk * CHUNK..) {
                 let next = self.triangles.get(index + 1);
                 *quad = next.is_some_and(|&next| are_halves(self.triangles[index], next));
             }
         });
-        // A half belongs to one quad.
+        // A triangle is half of only one quad.
         let mut is_second = false;
         for quad in &mut quads {
             *quad &= !is_second;
@@ -41,7 +41,7 @@ impl Mesh {
     }
 }
 
-/// Whether two triangles are halves of a quad, as they are written.
+/// True if two consecutive triangles are halves of a quad.
 fn are_halves(one: [u32; 3], other: [u32; 3]) -> bool {
     let [a, b, c] = one;
     let from_diagonal = other[0] == c && other[2] == a;

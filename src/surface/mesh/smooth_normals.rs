@@ -1,50 +1,50 @@
-//! Normals averaged with those around them.
+//! Smooths vertex normals.
 //!
 //! ```text
 //!        c ─── b
-//!       ╱ ╲   ╱ ╲        the normals over the triangles of v, linear on each, averaged with the weight that falls
-//!      d ── v ── a       from 1 at v to 0 at its neighbours:
+//!       ╱ ╲   ╱ ╲        the normals over the triangles of v, interpolated linearly on each, averaged with a weight
+//!      d ── v ── a       that falls from 1 at v to 0 at its neighbors:
 //!       ╲   │   ╱
 //!        ── e ──         n ← Σ area · (2 n(v) + n(next) + n(prev))
 //! ```
 //!
-//! The weights are positive and half of them are v's own, so that any number of rounds only smooths. The surface stays as it
-//! is; its shading gets calmer. The result is the same on any number of threads, and a vertex depends on those within as many
-//! edges as there are rounds.
+//! The weights are positive and half of the total is v's own, so any number of rounds only smooths. Positions
+//! do not change, only shading. The result does not depend on the number of threads, and each round extends
+//! the influence of a normal by one edge.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::corners::{Corners, Touching};
-use super::{Mesh, PIECE};
+use super::corners::{Corners, TouchingTriangles};
+use super::{CHUNK, Mesh};
 
 impl Mesh {
-    /// Averages each normal with those around it, so many times. They stay unit vectors; one whose average has no direction stays
-    /// as it is.
+    /// Averages each normal with its neighbors, `rounds` times. Normals stay unit vectors; a normal whose
+    /// average vanishes is left unchanged.
     ///
-    /// Panics if a triangle names a vertex that does not exist, or one without a normal.
+    /// Panics if a triangle refers to a vertex that does not exist or has no normal.
     pub fn smooth_normals(&mut self, rounds: u32) {
         if rounds == 0 {
             return;
         }
-        let touching = Touching::new(self);
+        let touching = TouchingTriangles::new(self);
         for _ in 0..rounds {
             let mut smoothed = self.normals.clone();
-            let pieces = smoothed.par_chunks_mut(PIECE).enumerate();
-            pieces.for_each_init(Corners::default, |corners, (piece, smoothed)| {
-                let first = piece * PIECE;
-                corners.collect(first as u32, smoothed.len(), touching.triangles(self, piece));
-                for (place, normal) in smoothed.iter_mut().enumerate() {
-                    *normal = self.average(first + place, corners.of(place)).unwrap_or(*normal);
+            let chunks = smoothed.par_chunks_mut(CHUNK).enumerate();
+            chunks.for_each_init(Corners::default, |corners, (chunk, smoothed)| {
+                let first = chunk * CHUNK;
+                corners.collect(first as u32, smoothed.len(), touching.triangles(self, chunk));
+                for (index, normal) in smoothed.iter_mut().enumerate() {
+                    *normal = self.average(first + index, corners.of(index)).unwrap_or(*normal);
                 }
             });
             self.normals = smoothed;
         }
     }
 
-    /// The average of the normals around a vertex that has these corners `[next, prev]`; `None` if it has no direction.
+    /// The average of the normals around a vertex with corners `[next, prev]`; `None` if it vanishes.
     fn average(&self, vertex: usize, corners: &[[u32; 2]]) -> Option<Vec3> {
-        // In 64 bits, that have room for areas in whatever unit.
+        // 64 bits, so that areas in any unit are in range.
         let to = |other: u32| self.positions[other as usize].as_dvec3() - self.positions[vertex].as_dvec3();
         let normal = |vertex: u32| self.normals[vertex as usize].as_dvec3();
         let mut sum = DVec3::ZERO;
@@ -60,7 +60,7 @@ impl Mesh {
 mod tests {
     use super::*;
 
-    /// A ball of subdivided triangles with normals that are off by up to some 20°.
+    /// A sphere of subdivided triangles with normals that are off by up to about 20°.
     fn rough_ball() -> Mesh {
         let mut mesh = Mesh::default();
         let (rows, columns) = (60u32, 120u32);
@@ -91,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_goes_and_length_stays() {
+    fn smoothing_reduces_noise_and_keeps_unit_length() {
         let rough = rough_ball();
         let mut before = roughness(&rough);
         assert!(before > 0.2);
@@ -104,7 +104,7 @@ mod tests {
             assert!(mesh.positions == rough.positions && mesh.triangles == rough.triangles);
         }
         let threads = |count: usize| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(count).build().expect("a pool");
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(count).build().expect("a thread pool");
             let mut mesh = rough.clone();
             pool.install(|| mesh.smooth_normals(4));
             mesh
@@ -116,14 +116,14 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_average_stays() {
+    fn normals_without_average_are_unchanged() {
         let mesh = |triangles: &[[u32; 3]]| Mesh {
             positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::NAN, Vec3::ONE],
             normals: vec![Vec3::Z, Vec3::NEG_Z, Vec3::NEG_Z, Vec3::X, Vec3::Y],
             triangles: triangles.to_vec(),
             ..Mesh::default()
         };
-        // Two and two that cancel, and vertices without triangles.
+        // Two pairs that cancel, and vertices without triangles.
         let mut cancelling = mesh(&[[0, 1, 2]]);
         cancelling.smooth_normals(1);
         assert_eq!(cancelling.normals[0], Vec3::Z);

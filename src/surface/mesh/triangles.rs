@@ -1,21 +1,21 @@
-//! Triangles, many at a time: one in each lane of the processor's vectors.
+//! Triangles in batches, one per SIMD lane.
 
 use glam::{DVec3, Vec3};
 
 use super::{Mesh, Sums};
 
-/// Triangles that are measured at once.
+/// Number of triangles that are measured at once.
 pub(crate) const LANES: usize = 16;
 
-/// One value of each triangle.
+/// One value per triangle.
 pub(crate) type Column = [f64; LANES];
 
-/// The corners of some triangles, by corner and by axis. Lanes without a triangle hold zeros.
+/// The corners of some triangles, by corner and by axis. Unused lanes are zero.
 pub(crate) struct TriangleBatch {
     corners: [[[f32; LANES]; 3]; 3],
 }
 
-/// Triangles lower than this part of their longest edge count as degenerate.
+/// A triangle is degenerate if its height is below this fraction of its longest edge.
 const LEAST_HEIGHT: f64 = 1e-9;
 
 impl TriangleBatch {
@@ -40,7 +40,7 @@ impl TriangleBatch {
         Vec3::new(x[lane], y[lane], z[lane]).as_dvec3()
     }
 
-    /// The areas.
+    /// The areas of the triangles.
     #[inline(always)]
     pub(crate) fn areas(&self) -> Column {
         let mut areas = [0.0; LANES];
@@ -62,7 +62,7 @@ impl TriangleBatch {
         products
     }
 
-    /// One for each triangle that is degenerate.
+    /// 1 for each degenerate triangle, otherwise 0.
     #[inline(always)]
     pub(super) fn degenerate(&self) -> [u32; LANES] {
         let mut degenerate = [0; LANES];

@@ -1,11 +1,11 @@
-//! Vertices without a triangle.
+//! Removes vertices without a triangle.
 
 use rayon::prelude::*;
 
 use super::Mesh;
 
 impl Mesh {
-    /// Drops vertices that no triangle uses. The others keep their order.
+    /// Removes vertices that no triangle uses. The others keep their order.
     pub(super) fn drop_unused_vertices(&mut self) {
         let mut is_used = vec![false; self.positions.len()];
         self.triangles.iter().flatten().for_each(|&vertex| is_used[vertex as usize] = true);

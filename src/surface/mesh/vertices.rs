@@ -1,11 +1,11 @@
-//! What is around a vertex: its edges, its fan of triangles, and its part of the bending energy.
+//! Measures each vertex: its edges, its fan of triangles, and its part of the bending energy.
 
 use glam::{DVec3, Vec3};
 
 use super::corners::Corners;
 use super::{Mesh, Sums};
 
-/// The sums over a piece of vertices, from `first` on.
+/// The sums over a chunk of vertices, from `first` on.
 #[inline(always)]
 pub(super) fn sum_vertices(mesh: &Mesh, corners: &Corners, first: usize, count: usize) -> Sums {
     let mut sums = Sums::default();
@@ -21,33 +21,33 @@ pub(super) fn sum_vertices(mesh: &Mesh, corners: &Corners, first: usize, count: 
             }
         }
         batch.measure(&mut parts);
-        let mut place = 0;
+        let mut index = 0;
         for vertex in vertices {
             let corners = corners.of(vertex);
             if !corners.is_empty() {
                 count_edges(first + vertex, corners, &mut sums);
-                sums.bending_energy += vertex_energy(&parts[place..place + corners.len()]);
-                place += corners.len();
+                sums.bending_energy += vertex_energy(&parts[index..index + corners.len()]);
+                index += corners.len();
             }
         }
     }
     sums
 }
 
-/// Vertices whose corners are measured before they are summed.
+/// Number of vertices whose corners are measured before they are summed.
 const VERTICES_AT_ONCE: usize = 16;
 
-/// Corners that are measured at once.
+/// Number of corners that are measured at once.
 const LANES: usize = 16;
 
-/// Corners that wait to be measured.
+/// Pending corners.
 struct CornerBatch {
     count: usize,
-    /// Of the vertex, of next and of prev, by axis.
+    /// Positions of the vertex, of next and of prev, by axis.
     ends: [[[f32; LANES]; 3]; 3],
 }
 
-/// What a corner adds to its vertex: a part of the curvature vector, and of the area.
+/// The contribution of a corner to its vertex: to the curvature vector, and to the area.
 type CornerPart = [f64; 4];
 
 impl CornerBatch {
@@ -64,7 +64,7 @@ impl CornerBatch {
         }
     }
 
-    /// Adds what the corners that wait add to their vertices.
+    /// Appends the contributions of the pending corners.
     #[inline(always)]
     fn measure(&mut self, parts: &mut Vec<CornerPart>) {
         let [mut x, mut y, mut z, mut areas] = [[0.0; LANES]; 4];
@@ -82,12 +82,13 @@ impl CornerBatch {
     }
 }
 
-/// The part of the curvature vector and of the area that a corner adds.
+/// The contribution of a corner to the curvature vector and to the area.
 #[inline(always)]
 fn corner_part(to_next: DVec3, to_prev: DVec3) -> (DVec3, f64) {
     let across = to_prev - to_next;
     let doubled_area = to_next.cross(to_prev).length();
-    // The products whose signs tell acute from obtuse; over the area, cotangents.
+    // The signs of these products distinguish acute from obtuse angles; divided by the area, they are
+    // cotangents.
     let (at_here, at_next, at_prev) = (to_next.dot(to_prev), -to_next.dot(across), to_prev.dot(across));
     let curvature = 0.5 * (at_prev * to_next + at_next * to_prev) / doubled_area;
     let acute =
@@ -99,7 +100,7 @@ fn corner_part(to_next: DVec3, to_prev: DVec3) -> (DVec3, f64) {
     (if is_flat { zero } else { curvature }, if is_flat { none } else { area })
 }
 
-/// The part of ∫H² around a vertex.
+/// The contribution to ∫H² around a vertex.
 #[inline(always)]
 fn vertex_energy(parts: &[CornerPart]) -> f64 {
     let (mut area, mut curvature_vector) = (0.0, DVec3::ZERO);
@@ -110,7 +111,7 @@ fn vertex_energy(parts: &[CornerPart]) -> f64 {
     if area > 0.0 { curvature_vector.length_squared() / (4.0 * area) } else { 0.0 }
 }
 
-/// Counts the edges of a vertex, and whether its corners are one fan.
+/// Counts the edges of a vertex, and checks whether its corners form one fan.
 #[inline(always)]
 fn count_edges(vertex: usize, corners: &[[u32; 2]], sums: &mut Sums) {
     sums.used_vertex_count += 1;
@@ -121,26 +122,26 @@ fn count_edges(vertex: usize, corners: &[[u32; 2]], sums: &mut Sums) {
     }
 }
 
-/// The most corners of a vertex that is seen at one glance to be sound.
+/// Maximum number of corners for the fast test of a manifold vertex.
 const RING_LENGTH_MAX: usize = 8;
 
-/// Whether the corners are one ring, each edge once `next` and once `prev`: as nearly all are. Those of many
-/// triangles are not looked at.
+/// True if the corners form one ring in which each edge is `next` once and `prev` once, as for nearly all
+/// vertices. Vertices with many triangles are not tested.
 #[inline(always)]
 fn is_plain_ring(corners: &[[u32; 2]]) -> bool {
     if corners.len() > RING_LENGTH_MAX {
         return false;
     }
-    // No vertex has the last index: there are fewer.
+    // No vertex has this index: there are fewer vertices.
     let mut nexts = [u32::MAX; RING_LENGTH_MAX];
     for (next, corner) in nexts.iter_mut().zip(corners) {
         *next = corner[0];
     }
-    // For each corner a bit for each that follows it.
+    // For each corner, a mask of the corners that follow it.
     let mut followers = [0u32; RING_LENGTH_MAX];
     for (followers, corner) in followers.iter_mut().zip(corners) {
-        for (place, &next) in nexts.iter().enumerate() {
-            *followers |= u32::from(next == corner[1]) << place;
+        for (index, &next) in nexts.iter().enumerate() {
+            *followers |= u32::from(next == corner[1]) << index;
         }
     }
     let mut passed = 0;
@@ -155,12 +156,12 @@ fn is_plain_ring(corners: &[[u32; 2]]) -> bool {
     at == 1 && passed.count_ones() as usize == corners.len()
 }
 
-/// Counts the edges of a vertex that is not plainly sound.
+/// Counts the edges of a vertex that failed the fast test.
 fn count_edges_one_by_one(vertex: usize, corners: &[[u32; 2]], sums: &mut Sums) {
-    for (place, corner) in corners.iter().enumerate() {
+    for (index, corner) in corners.iter().enumerate() {
         for (side, &other) in corner.iter().enumerate() {
-            // Each edge once: from its lesser end, at the first corner that has it.
-            let is_seen = corners[..place].iter().any(|corner| corner.contains(&other));
+            // Each edge is counted once: at its smaller end, at the first corner that contains it.
+            let is_seen = corners[..index].iter().any(|corner| corner.contains(&other));
             if (other as usize) < vertex || is_seen || side == 1 && corner[0] == other {
                 continue;
             }
@@ -177,10 +178,10 @@ fn count_edges_one_by_one(vertex: usize, corners: &[[u32; 2]], sums: &mut Sums) 
     sums.non_manifold_vertex_count += usize::from(!is_one_fan(corners));
 }
 
-/// Whether one walk over shared edges passes through all corners of a vertex.
+/// True if one walk across shared edges visits all corners of a vertex.
 fn is_one_fan(corners: &[[u32; 2]]) -> bool {
     let step = |corner: &[u32; 2]| corners.iter().position(|other| other[0] == corner[1]);
-    // An open fan is walked from its first corner, a ring from any.
+    // An open fan is walked from its first corner, a ring from any corner.
     let is_first = |corner: &[u32; 2]| !corners.iter().any(|other| other[1] == corner[0]);
     let start = corners.iter().position(is_first).unwrap_or(0);
     let mut at = start;

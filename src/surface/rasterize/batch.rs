@@ -1,13 +1,13 @@
-//! A batch of particles, sorted by the leaves they lie in.
+//! A batch of particles, sorted by leaf.
 //!
 //! ```text
 //!   batch       p0 p1 p2 p3 p4 p5        as the source has them
 //!   leaves      A  A  B  A  C  B
-//!   sorted      p0 p1 p3 | p2 p5 | p4    A, B, C: in the order in which they first appear
+//!   sorted      p0 p1 p3 | p2 p5 | p4    A, B, C: in the order of first appearance
 //! ```
 //!
-//! Both passes over the particles begin with this. Neighbours in a file are mostly neighbours in space: a
-//! leaf is looked up only where it is not that of the particle before.
+//! Both passes over the particles begin with this step. Consecutive particles in a file are usually close in
+//! space, so a leaf is looked up only when it differs from that of the previous particle.
 
 use std::ops::Range;
 
@@ -19,26 +19,27 @@ use crate::surface::particles::Positions;
 use crate::surface::simd::{self, Kernel, Lanes};
 use crate::surface::space::{INDEX_LIMIT, Lattice};
 
-/// The particles of a batch by leaf.
+/// The particles of a batch, grouped by leaf.
 pub(super) struct LeafBatch {
-    /// The leaves that hold any.
+    /// Origins of the leaves that contain particles.
     origins: Vec<IVec3>,
-    /// Where the particles of each leaf start; one more entry than leaves.
+    /// Start of each leaf's particles in `locals`; one entry more than there are leaves.
     starts: Vec<u32>,
     /// Positions in voxels relative to the origin of their leaf, 0 to 8 on each axis.
     locals: Vec<Vec3>,
-    /// For each of them which particle of the batch it is; empty unless asked for.
-    places: Vec<u32>,
-    /// Particles left out: positions that are not finite, or outside the grid's range of indices.
+    /// Index in the batch of each particle in `locals`; empty unless requested.
+    indices: Vec<u32>,
+    /// Number of dropped particles: positions that are not finite, or outside the grid's index range.
     pub(super) dropped_count: usize,
-    /// The first of them that is finite: it is too far away for the grid.
+    /// The first dropped position that is finite, so too far away for the grid.
     pub(super) beyond_grid: Option<DVec3>,
 }
 
 impl LeafBatch {
-    /// Sorts a batch. Particles of a leaf keep their order. `with_places` where it will matter which particle is which.
-    pub(super) fn new(positions: &Positions, lattice: &Lattice, with_places: bool) -> LeafBatch {
-        let placed = Placed::new(positions, lattice);
+    /// Sorts a batch. Particles of one leaf keep their order. `with_indices` also stores each particle's
+    /// index in the batch.
+    pub(super) fn new(positions: &Positions, lattice: &Lattice, with_indices: bool) -> LeafBatch {
+        let placed = LeafCoords::new(positions, lattice);
         let mut origins: Vec<IVec3> = Vec::new();
         let mut starts = vec![0u32];
         let mut leaves: FxHashMap<IVec3, u32> = FxHashMap::default();
@@ -57,66 +58,69 @@ impl LeafBatch {
         }
         let mut cursors = starts.clone();
         let mut locals = vec![Vec3::ZERO; starts[origins.len()] as usize];
-        let mut places = vec![0; if with_places { locals.len() } else { 0 }];
+        let mut indices = vec![0; if with_indices { locals.len() } else { 0 }];
         for (leaf, run) in runs {
             let cursor = &mut cursors[leaf as usize];
             let to = *cursor as usize..*cursor as usize + run.len();
             *cursor += run.len() as u32;
-            if with_places {
-                places[to.clone()].iter_mut().zip(run.clone()).for_each(|(to, place)| *to = place as u32);
+            if with_indices {
+                indices[to.clone()].iter_mut().zip(run.clone()).for_each(|(to, index)| *to = index as u32);
             }
             locals[to].copy_from_slice(&placed.locals[run]);
         }
         let dropped_count = placed.locals.len() - locals.len();
-        let position = |place: usize| match positions {
-            Positions::F32(positions) => Vec3::from(positions[place]).as_dvec3(),
-            Positions::F64(positions) => DVec3::from(positions[place]),
+        let position = |index: usize| match positions {
+            Positions::F32(positions) => Vec3::from(positions[index]).as_dvec3(),
+            Positions::F64(positions) => DVec3::from(positions[index]),
         };
-        let is_beyond = |place: &usize| placed.locals[*place].is_nan() && position(*place).is_finite();
+        let is_beyond = |index: &usize| placed.locals[*index].is_nan() && position(*index).is_finite();
         let beyond_grid = (dropped_count > 0).then(|| (0..placed.locals.len()).find(is_beyond)).flatten();
-        LeafBatch { dropped_count, beyond_grid: beyond_grid.map(position), origins, starts, locals, places }
+        LeafBatch { dropped_count, beyond_grid: beyond_grid.map(position), origins, starts, locals, indices }
     }
 
-    /// The particles that were not dropped.
+    /// Number of particles that were not dropped.
     pub(super) fn len(&self) -> usize {
         self.locals.len()
     }
 
-    /// The origin of each leaf, and its particles relative to that, in voxels.
+    /// Each leaf's origin and its particles, in voxels relative to that origin.
     pub(super) fn leaves(&self) -> impl Iterator<Item = (IVec3, &[Vec3])> {
         let ranges = self.starts.windows(2).map(|ends| ends[0] as usize..ends[1] as usize);
         self.origins.iter().zip(ranges).map(|(&origin, range)| (origin, &self.locals[range]))
     }
 
-    /// The same, and which particles of the batch these are: none unless that was asked for.
-    pub(super) fn leaves_with_places(&self) -> impl Iterator<Item = (IVec3, &[Vec3], &[u32])> {
+    /// Like [`leaves`](Self::leaves), with each particle's index in the batch. The indices are empty unless
+    /// requested.
+    pub(super) fn leaves_with_indices(&self) -> impl Iterator<Item = (IVec3, &[Vec3], &[u32])> {
         let ranges = self.starts.windows(2).map(|ends| ends[0] as usize..ends[1] as usize);
         self.origins.iter().zip(ranges).map(|(&origin, range)| {
-            let places = if self.places.is_empty() { &[] } else { &self.places[range.clone()] };
-            (origin, &self.locals[range], places)
+            let indices = if self.indices.is_empty() { &[] } else { &self.indices[range.clone()] };
+            (origin, &self.locals[range], indices)
         })
     }
 }
 
-/// For each particle the leaf that it lies in, and its position relative to that, in voxels. Where there is none
-/// the position is not a number, and the leaf none that there could be.
-pub(super) struct Placed {
+/// The leaf of each particle, and its position in voxels relative to that leaf. Dropped particles have a NaN
+/// position and a leaf origin that no leaf can have.
+pub(super) struct LeafCoords {
     origins: Vec<IVec3>,
     pub(super) locals: Vec<Vec3>,
 }
 
-impl Placed {
-    pub(super) fn new(positions: &Positions, lattice: &Lattice) -> Placed {
+impl LeafCoords {
+    pub(super) fn new(positions: &Positions, lattice: &Lattice) -> LeafCoords {
         match positions {
-            Positions::F32(positions) => Placed::of(positions, lattice),
-            Positions::F64(positions) => Placed::of(positions, lattice),
+            Positions::F32(positions) => LeafCoords::of(positions, lattice),
+            Positions::F64(positions) => LeafCoords::of(positions, lattice),
         }
     }
 
-    fn of<T: Copy + Into<f64>>(positions: &[[T; 3]], lattice: &Lattice) -> Placed {
-        let mut placed =
-            Placed { origins: vec![IVec3::ZERO; positions.len()], locals: vec![Vec3::ZERO; positions.len()] };
-        simd::dispatch(Place {
+    fn of<T: Copy + Into<f64>>(positions: &[[T; 3]], lattice: &Lattice) -> LeafCoords {
+        let mut placed = LeafCoords {
+            origins: vec![IVec3::ZERO; positions.len()],
+            locals: vec![Vec3::ZERO; positions.len()],
+        };
+        simd::dispatch(ToLeafCoords {
             positions: positions.as_flattened(),
             voxel_size: lattice.voxel_size,
             origins: bytemuck::cast_slice_mut(&mut placed.origins),
@@ -125,7 +129,7 @@ impl Placed {
         placed
     }
 
-    /// Particles in a row that lie in one leaf, for all that have a place.
+    /// Runs of consecutive particles that lie in the same leaf. Skips dropped particles.
     pub(super) fn runs(&self) -> impl Iterator<Item = (IVec3, Range<usize>)> {
         let mut end = 0;
         let runs = self.origins.chunk_by(|one, other| one == other).map(move |origins| {
@@ -137,15 +141,15 @@ impl Placed {
     }
 }
 
-/// As [`Lattice::index_from_world`], for all axes of many positions.
-struct Place<'a, T> {
+/// [`Lattice::index_from_world`] for all axes of many positions.
+struct ToLeafCoords<'a, T> {
     positions: &'a [T],
     voxel_size: f64,
     origins: &'a mut [i32],
     locals: &'a mut [f32],
 }
 
-impl<T: Copy + Into<f64>> Kernel for Place<'_, T> {
+impl<T: Copy + Into<f64>> Kernel for ToLeafCoords<'_, T> {
     type Output = ();
 
     #[inline(always)]
@@ -154,7 +158,7 @@ impl<T: Copy + Into<f64>> Kernel for Place<'_, T> {
         for ((&position, origin), local) in self.positions.iter().zip(self.origins).zip(self.locals) {
             let index = position.into() / self.voxel_size;
             let leaf = (index / edge).floor() * edge;
-            // A comparison with NaN is false: what is not a number is not inside.
+            // Comparison with NaN is false, so NaN positions count as outside.
             let is_inside = index.abs() < f64::from(INDEX_LIMIT);
             *origin = if is_inside { leaf as i32 } else { i32::MIN };
             *local = if is_inside { (index - leaf) as f32 } else { f32::NAN };
@@ -168,7 +172,7 @@ mod tests {
     use crate::surface::particles::{ParticleSource, Particles};
 
     #[test]
-    fn particles_are_sorted_into_the_leaves_that_the_lattice_says() {
+    fn batch_leaves_match_the_lattice() {
         let lattice = Lattice { voxel_size: 0.3 };
         let limit = 0.3 * f64::from(INDEX_LIMIT);
         let mut positions: Vec<[f64; 3]> = (0..300)
@@ -190,9 +194,9 @@ mod tests {
             assert_eq!(locals, expected, "{origin}");
             found += locals.len();
         }
-        for (origin, locals, places) in batch.leaves_with_places() {
-            for (local, &place) in locals.iter().zip(places) {
-                let index = lattice.index_from_world(positions[place as usize].into()).expect("not dropped");
+        for (origin, locals, indices) in batch.leaves_with_indices() {
+            for (local, &index) in locals.iter().zip(indices) {
+                let index = lattice.index_from_world(positions[index as usize].into()).expect("not dropped");
                 assert_eq!(*local, (index - origin.as_dvec3()).as_vec3());
             }
         }

@@ -1,38 +1,38 @@
-//! Which voxels surely have a particle within a radius, as told by [`Octants`].
+//! Finds the voxels that certainly have a particle within a given radius, from [`Octants`].
 //!
 //! ```text
 //!            r
-//!       ╭─────────╮         An octant is near enough to a voxel v if its farthest corner is.
-//!     ╭─┼─┐     ┌─┼─╮       Seen from v that is symmetric: of the octants a to the side (1 is
-//!     │ └─┼──v──┼─┘ │       next to v), those up to m(a, b) along z, both ways:
+//!       ╭─────────╮         An octant covers a voxel v if its farthest corner is within the radius.
+//!     ╭─┼─┐     ┌─┼─╮       Seen from v this is symmetric: of the octants at offset a in x and b in y (1 is
+//!     │ └─┼──v──┼─┘ │       adjacent to v), those up to m(a, b) along z, in both directions:
 //!     ╰───┴─────┴───╯       a² + b² + m² < (2r)²
 //! ```
 //!
-//! So a row of voxels is found from rows of octants, each widened along z by its m: a few dozen operations on
-//! words for each row, whatever the number of particles.
+//! So a row of voxels is computed from rows of octants, each dilated along z by its m. That takes a few dozen
+//! word operations per row, however many particles there are.
 
 use crate::surface::grid::LeafMask;
 use crate::surface::simd::{Kernel, Lanes};
 
 use super::occupancy::Octants;
 
-/// Octants looked at to each side of a voxel. A larger radius is taken for one that needs no more than
-/// these: fewer voxels are then known, but none wrongly.
+/// Maximum number of octants visited to each side of a voxel. A larger radius is reduced to fit. The result
+/// is then conservative: fewer voxels are covered, none wrongly.
 const REACH: usize = 8;
 
-/// A radius is taken for so much smaller, in voxels, that no rounding of a distance matters.
+/// The radius is reduced by this much, in voxels, so that rounding cannot matter.
 const ROUNDING: f32 = 1e-3;
 
-/// The octants that are within a radius of a voxel.
-pub(super) struct Ball {
-    /// For widths m from 1 up, the rows of octants that count up to m along z: places relative to the
-    /// voxel's own, in octants.
+/// The octants within a radius of a voxel.
+pub(super) struct OctantBall {
+    /// For each width m from 1 up, the rows of octants that are covered up to m along z: offsets relative to
+    /// the voxel's own, in octants.
     rows_of_width: Vec<Vec<[i32; 2]>>,
 }
 
-impl Ball {
-    /// The octants within so many voxels.
-    pub(super) fn new(radius: f32) -> Ball {
+impl OctantBall {
+    /// The octants within `radius` voxels.
+    pub(super) fn new(radius: f32) -> OctantBall {
         let limit = (2.0 * (radius - ROUNDING)).max(0.0).powi(2);
         let width = |x: i32, y: i32| {
             let aside = [x, y].map(|along| if along < 0 { -along } else { along + 1 } as f32);
@@ -48,24 +48,24 @@ impl Ball {
         }
         let width_count = rows_of_width.iter().rposition(|rows| !rows.is_empty()).map_or(0, |last| last + 1);
         rows_of_width.truncate(width_count);
-        Ball { rows_of_width }
+        OctantBall { rows_of_width }
     }
 
-    /// Whether no octant is as a whole within the radius of a voxel.
+    /// True if no octant lies entirely within the radius of a voxel.
     pub(super) fn is_empty(&self) -> bool {
         self.rows_of_width.is_empty()
     }
 }
 
-/// Finds the voxels of a leaf that surely have a particle within each of these radii.
+/// Kernel: the voxels of a leaf that certainly have a particle within each of these radii.
 pub(super) struct Cover<'a, const BALLS: usize> {
-    /// The leaf and those around it: that at step (x, y, z) at (x + 1)·9 + (y + 1)·3 + z + 1.
+    /// The leaf and its 26 neighbors; the one at step (x, y, z) is at index (x + 1)·9 + (y + 1)·3 + z + 1.
     pub(super) around: [&'a Octants; 27],
-    pub(super) balls: [&'a Ball; BALLS],
+    pub(super) balls: [&'a OctantBall; BALLS],
 }
 
-/// Rows of octants along z, of the leaf and eight more to both sides: bit 8 is the leaf's first. Row (x, y) is at
-/// `[x + 8][(y + 8) % 2][(y + 8) / 2]`, so that those of every second y lie side by side.
+/// Rows of octants along z, of the leaf and eight more on each side: bit 8 is the leaf's first octant. Row
+/// (x, y) is at `[x + 8][(y + 8) % 2][(y + 8) / 2]`, so that rows with the same parity of y are contiguous.
 type Rows = [[[u32; 16]; 2]; 32];
 
 impl<const BALLS: usize> Kernel for Cover<'_, BALLS> {
@@ -76,7 +76,7 @@ impl<const BALLS: usize> Kernel for Cover<'_, BALLS> {
         let mut rows = self.gather();
         let mut found = [[[0u32; 8]; 8]; BALLS];
         for width in 0..REACH {
-            // The two octants of each voxel, and then one more to each side every time.
+            // Start with the two octants of each voxel; every step dilates by one octant to each side.
             for row in rows.as_flattened_mut().as_flattened_mut() {
                 *row |= if width == 0 { *row << 1 } else { *row << 1 | *row >> 1 };
             }
@@ -115,13 +115,13 @@ impl<const BALLS: usize> Cover<'_, BALLS> {
     }
 }
 
-/// The voxels whose place, the first octant of the two along z, has its bit.
+/// The voxels whose first octant of the two along z has its bit set.
 #[inline(always)]
 fn voxels_of(found: [[u32; 8]; 8]) -> LeafMask {
     let mut mask = LeafMask::EMPTY;
     for (word, rows) in mask.words.iter_mut().zip(found) {
         for (y, row) in rows.into_iter().enumerate() {
-            // Every second bit, pushed together.
+            // Compact every second bit.
             let mut bits = row >> 8 & 0x5555;
             bits = (bits | bits >> 1) & 0x3333;
             bits = (bits | bits >> 2) & 0x0f0f;
@@ -139,21 +139,21 @@ mod tests {
     use crate::surface::simd::{Level, dispatch_at};
     use glam::{IVec3, Vec3};
 
-    /// The octants around a leaf, all in one list, relative to its origin.
+    /// All octants around a leaf as one list, relative to its origin.
     fn octants(around: &[Octants; 27]) -> Vec<IVec3> {
         let mut all = Vec::new();
         for (leaf, octants) in around.iter().enumerate() {
             let step = IVec3::new(leaf as i32 / 9, leaf as i32 / 3 % 3, leaf as i32 % 3) - 1;
             for (row, bits) in octants.rows.into_iter().enumerate() {
-                let places = (0..16).filter(|z| bits >> z & 1 == 1);
-                all.extend(places.map(|z| step * 16 + IVec3::new(row as i32 / 16, row as i32 % 16, z)));
+                let set = (0..16).filter(|z| bits >> z & 1 == 1);
+                all.extend(set.map(|z| step * 16 + IVec3::new(row as i32 / 16, row as i32 % 16, z)));
             }
         }
         all
     }
 
     #[test]
-    fn voxels_are_covered_by_octants_whose_farthest_corner_is_near() {
+    fn octants_with_near_farthest_corner_cover_voxels() {
         let mut state = 1u32;
         let mut random = || {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -162,13 +162,13 @@ mod tests {
         for (sparse, radius) in [(5, 0.5), (5, 1.0), (20, 1.732), (200, 2.598), (1500, 3.7), (1500, 60.0)] {
             let around: [Octants; 27] = std::array::from_fn(|_| {
                 let mut octants = Octants::EMPTY;
-                for place in (0..4096).filter(|_| random() % sparse == 0) {
-                    octants.rows[place / 16] |= 1 << (place % 16);
+                for index in (0..4096).filter(|_| random() % sparse == 0) {
+                    octants.rows[index / 16] |= 1 << (index % 16);
                 }
                 octants
             });
             let all = octants(&around);
-            // Those that it looks at, and their farthest corners.
+            // The octants within the search range, and their farthest corners.
             let far = |voxel: IVec3, octant: IVec3| {
                 let corner = octant - 2 * voxel;
                 let aside = corner.abs().max((corner + 1).abs());
@@ -177,7 +177,7 @@ mod tests {
             let nearest =
                 |voxel: IVec3| all.iter().filter_map(|&octant| far(voxel, octant)).fold(99.0, f32::min);
             let expected = LeafMask::from_fn(|offset| nearest(voxel_in_leaf(offset)) < radius - ROUNDING);
-            let balls = [Ball::new(radius), Ball::new(0.0)];
+            let balls = [OctantBall::new(radius), OctantBall::new(0.0)];
             for level in Level::ALL {
                 let cover = Cover { around: around.each_ref(), balls: balls.each_ref() };
                 assert_eq!(dispatch_at(level, cover), [expected, LeafMask::EMPTY], "{radius}, {level:?}");
@@ -186,12 +186,12 @@ mod tests {
         }
     }
 
-    /// A particle anywhere in its octant is within the radius of the voxels that are covered.
+    /// A particle anywhere in its octant is within the radius of every covered voxel.
     #[test]
-    fn particles_are_within_the_radius() {
+    fn covered_voxels_have_a_particle_within_the_radius() {
         let mut around: [Octants; 27] = std::array::from_fn(|_| Octants::EMPTY);
         around[13].rows[9 * 16 + 6] = 1 << 3;
-        let balls = [Ball::new(2.598)];
+        let balls = [OctantBall::new(2.598)];
         let [covered] =
             dispatch_at(Level::Baseline, Cover { around: around.each_ref(), balls: balls.each_ref() });
         assert!(covered.count() > 40);

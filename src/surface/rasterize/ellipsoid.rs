@@ -1,25 +1,25 @@
-//! Signed distances to unions of balls of their own sizes, and of ellipsoids (paper, Eq. 1, Fig. 11 and 13).
+//! Signed distances to unions of balls of different radii, and of ellipsoids (paper, Eq. 1, Fig. 11 and 13).
 //!
 //! A particle's value at a voxel x, for each of the three radii r, is
 //!
 //! ```text
 //!   ball        |x − p| − s·r                             exact
-//!   ellipsoid   (q − r)·q / |T²(x − p)|,  q = |T(x − p)|   exact on the surface, right to first order beside it
+//!   ellipsoid   (q − r)·q / |T²(x − p)|,  q = |T(x − p)|   exact on the surface, first order near it
 //! ```
 //!
-//! and that of the union is the least of them. What is asked of it are signs everywhere, and values beside the
-//! surface; so a particle is looked at no farther than a voxel outside of its outermost surface, and what is
-//! deeper inside than [`DEEP`] is not made any deeper:
+//! The value of the union is the minimum over all particles. Callers need the sign everywhere and the values
+//! next to the surface. So a particle is evaluated up to one voxel outside its outermost surface, and values
+//! below −[`DEEP`] are not lowered further:
 //!
 //! ```text
-//!   ┌──────────┐        the box around the ellipsoid and a margin: T⁻¹ tells it exactly.
-//!   │   ╭────╮ │        Of the rows that it touches those are passed by whose values no particle so far from
-//!   │ ╭─╯ ╭──╯ │        them can lower: nine of ten
+//!   ┌──────────┐        The bounding box of the ellipsoid plus a margin; T⁻¹ gives it exactly.
+//!   │   ╭────╮ │        Of the rows it touches, nine in ten are skipped: at that distance no particle can
+//!   │ ╭─╯ ╭──╯ │        lower any of their values.
 //!   │ ╰───╯    │
 //!   └──────────┘
 //! ```
 //!
-//! The ellipsoid's distance is that of:
+//! The first-order distance to the ellipsoid is from:
 //! Gabriel Taubin. Estimation of planar curves, surfaces, and nonplanar space curves defined by implicit
 //! equations. 1991
 
@@ -33,107 +33,110 @@ use crate::surface::grid::{Bits, Field, LEAF_EDGE, Leaf, LeafMask, ROW_COUNT, To
 use crate::surface::particles::Ellipsoid;
 use crate::surface::simd::{self, Kernel, Lanes};
 
-/// Voxels beside the surface are less deep than this, in voxels: by 1, as a rule.
+/// Voxels next to the surface are less deep than this, in voxels (usually by 1).
 const DEEP: f32 = 1.25;
 
-/// Beyond an ellipsoid only voxels next to it count, in voxels.
+/// Evaluation margin outside an ellipsoid, in voxels: covers the voxels next to its surface.
 const ELLIPSOID_MARGIN: f32 = 1.125;
 
-/// Particles of up to so many times the unit's half axes are looked up together, and then of each power of two times
-/// that.
+/// Upper limit of the longest half axis in the first size class, in units of the radii. Each further class
+/// doubles it. Each class has its own lookup.
 const CLASS_LONGEST: f32 = 1.5;
 
-/// What is known of a particle's shape.
-pub(super) trait Form: Copy + Sync + Send {
+/// The shape of one particle.
+pub(super) trait ParticleShape: Copy + Sync + Send {
     /// The longest half axis, in units of the radii.
     fn longest(&self) -> f32;
 
-    /// The shortest half axis, or less, in units of the radii.
+    /// A lower bound of the shortest half axis, in units of the radii.
     fn shortest(&self) -> f32;
 
-    /// Of each union, S_max, S_0 and S_min, the distance up to which no particle that is so near is passed by.
-    fn told(radii: &Radii) -> [f32; 3];
+    /// For S_max, S_0 and S_min: the distance up to which the union's values take every particle into
+    /// account.
+    fn complete_to(radii: &Radii) -> [f32; 3];
 
-    /// How far from the centre it counts along each axis, in voxels, where its outermost radius is `outermost`.
+    /// Half extents along each axis within which the particle can lower a value, in voxels, if its outermost
+    /// radius is `outermost`.
     fn extents(&self, outermost: f32) -> Vec3;
 
-    /// Lowers the values of a leaf to the particle's; it lies at `center`, in voxels from the leaf's first.
-    fn lower<V: Lanes>(&self, values: &mut Values, center: Vec3, extents: Vec3);
+    /// Lowers the values of a leaf to those of the particle at `center`, in voxels from the leaf's first
+    /// voxel.
+    fn lower<V: Lanes>(&self, values: &mut LeafValues, center: Vec3, extents: Vec3);
 }
 
-/// A ball: its radii in units of the settings'.
+/// A ball: its radius relative to the settings' radii.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Ball(pub(super) f32);
+pub(super) struct BallShape(pub(super) f32);
 
-/// An ellipsoid: its half axes in units of the settings' radii.
+/// An ellipsoid: half axes in units of the settings' radii.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Stretched {
+pub(super) struct EllipsoidShape {
     ellipsoid: Ellipsoid,
-    shadow: Shadow,
-    /// No more than the shortest half axis; it takes the place of 0 / 0 in the very centre.
+    row_form: RowForm,
+    /// At most the shortest half axis; replaces the 0 / 0 at the exact center.
     ratio_min: f32,
 }
 
-impl Stretched {
-    pub(super) fn new(ellipsoid: Ellipsoid) -> Stretched {
+impl EllipsoidShape {
+    pub(super) fn new(ellipsoid: Ellipsoid) -> EllipsoidShape {
         let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball;
         let norm = (xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + xz * xz + yz * yz)).sqrt();
-        Stretched { shadow: Shadow::of(&ellipsoid), ratio_min: 1.0 / norm, ellipsoid }
+        EllipsoidShape { row_form: RowForm::of(&ellipsoid), ratio_min: 1.0 / norm, ellipsoid }
     }
 }
 
-/// Particles of any shape, to be found around a leaf.
-pub(super) struct Bodies<F> {
-    classes: Vec<Class<F>>,
+/// Particles of any shape, with a lookup by leaf.
+pub(super) struct Primitives<F> {
+    classes: Vec<SizeClass<F>>,
     /// r_max, r_init, r_min.
     radii: [f32; 3],
-    /// Of each union the distance up to which every particle so near was looked at.
-    told: [f32; 3],
+    /// For each union, the distance up to which its values take every particle into account.
+    complete_to: [f32; 3],
 }
 
-/// Particles of about one size.
-struct Class<F> {
-    /// The leaves with any of them.
+/// Particles of similar size.
+struct SizeClass<F> {
+    /// Leaves that contain particles of this class.
     topology: Topology,
-    /// Where each leaf's eights start; one more entry than leaves.
+    /// Start of each leaf's packets of eight; one entry more than there are leaves.
     starts: Vec<usize>,
-    boxes: Vec<EightBoxes>,
-    /// Eight for each of the boxes.
-    bodies: Vec<Body<F>>,
-    /// The half axes of each leaf's particles.
-    axes: Vec<Axes>,
-    /// How far one of them counts, in voxels.
+    boxes: Vec<BoxPacket>,
+    /// Eight for each packet of boxes.
+    primitives: Vec<Primitive<F>>,
+    /// Range of the half axes of each leaf's particles.
+    axes: Vec<HalfAxisRange>,
+    /// Maximum distance at which one of them can lower a value, in voxels.
     reach: f32,
-    /// The steps to leaves so near.
+    /// Steps to the leaves within reach.
     steps: Vec<IVec3>,
 }
 
-/// Centres and extents of eight particles: x, y, z of each. Nowhere, where there are fewer.
-type EightBoxes = [[f32; 8]; 6];
+/// Centers and extents of eight particles: x, y, z of each. Unused lanes lie nowhere.
+type BoxPacket = [[f32; 8]; 6];
 
 #[derive(Clone, Copy)]
-struct Body<F> {
+struct Primitive<F> {
     /// In voxels from the origin of its leaf.
     center: Vec3,
     extents: Vec3,
-    form: F,
+    shape: F,
 }
 
-/// No half axis of some particles is shorter or longer than these, in units of the radii.
+/// Bounds of the half axes of some particles, in units of the radii.
 #[derive(Clone, Copy)]
-struct Axes {
+struct HalfAxisRange {
     shortest: f32,
     longest: f32,
 }
 
-impl<F: Form> Bodies<F> {
-    /// Those of the bins.
-    pub(super) fn new(bins: &ParticleBins, radii: Radii, form: impl Fn(usize) -> F + Sync) -> Bodies<F> {
-        let told = F::told(&radii);
+impl<F: ParticleShape> Primitives<F> {
+    /// Sorts the particles of the bins into size classes.
+    pub(super) fn new(bins: &ParticleBins, radii: Radii, shape: impl Fn(usize) -> F + Sync) -> Primitives<F> {
+        let complete_to = F::complete_to(&radii);
         let radii = [radii.max, radii.init, radii.min];
         let class_of = |particle: usize| {
-            let doublings = (form(particle).longest() / CLASS_LONGEST).log2().ceil();
-            // A float is no smaller than 0 here, and far below 256.
+            let doublings = (shape(particle).longest() / CLASS_LONGEST).log2().ceil();
+            // The value is in 0..256, so the cast is lossless.
             doublings.max(0.0) as u8
         };
         let class_of: Vec<u8> = (0..bins.len()).into_par_iter().map(class_of).collect();
@@ -141,13 +144,13 @@ impl<F: Form> Bodies<F> {
         numbers.par_sort_unstable();
         numbers.dedup();
         let class = |&number: &u8| {
-            Class::new(bins, radii[0], |particle| (class_of[particle] == number).then(|| form(particle)))
+            SizeClass::new(bins, radii[0], |particle| (class_of[particle] == number).then(|| shape(particle)))
         };
-        Bodies { classes: numbers.iter().map(class).collect(), radii, told }
+        Primitives { classes: numbers.iter().map(class).collect(), radii, complete_to }
     }
 
-    /// The signed distances to the three unions for all of these leaves, in the order of the radii; deep inside
-    /// something less than −1, also where voxels are `settled`. What is `known` of a leaf already is copied.
+    /// The signed distances to the three unions in these leaves, in the order of the radii. Deep inside, and
+    /// where voxels are `settled`, the value is anything below −1. Leaves in `known` are copied.
     pub(super) fn distances<'a>(
         &self,
         leaves: &Topology,
@@ -164,17 +167,21 @@ impl<F: Form> Bodies<F> {
             }
             let around = self.around(origin);
             let settled = settled(origin);
-            [*max, *init, *min] =
-                simd::dispatch(Signed { around: &around, radii: self.radii, told: self.told, settled });
+            [*max, *init, *min] = simd::dispatch(Signed {
+                around: &around,
+                radii: self.radii,
+                complete_to: self.complete_to,
+                settled,
+            });
         });
         fields
     }
 
-    /// The particles that may count in a leaf.
-    fn around(&self, origin: IVec3) -> Vec<Around<'_, F>> {
+    /// The particles that can lower a value in a leaf.
+    fn around(&self, origin: IVec3) -> Vec<NearbyLeaf<'_, F>> {
         let mut around = Vec::new();
         for class in &self.classes {
-            // A few large particles are sooner looked through than the leaves that they might be in.
+            // If there are fewer leaves than steps, scanning them all is faster than looking up each step.
             if class.steps.len() <= class.topology.len() {
                 let found = class.steps.iter().filter_map(|&step| {
                     let leaf = class.topology.find(origin + step)?;
@@ -193,143 +200,152 @@ impl<F: Form> Bodies<F> {
     }
 }
 
-impl<F: Form> Class<F> {
-    /// The particles of a class: those that have a form for it.
-    fn new(bins: &ParticleBins, outermost: f32, form: impl Fn(usize) -> Option<F> + Sync) -> Class<F> {
+impl<F: ParticleShape> SizeClass<F> {
+    /// Collects the particles of a class: those for which `shape` returns a shape.
+    fn new(bins: &ParticleBins, outermost: f32, shape: impl Fn(usize) -> Option<F> + Sync) -> SizeClass<F> {
         let of_leaf = |leaf: usize| {
             let (range, positions) = (bins.range(leaf), bins.in_leaf(leaf));
-            let bodies = range.zip(positions).filter_map(|(particle, &center)| {
-                let form = form(particle)?;
-                Some(Body { center, extents: form.extents(outermost), form })
+            let primitives = range.zip(positions).filter_map(|(particle, &center)| {
+                let shape = shape(particle)?;
+                Some(Primitive { center, extents: shape.extents(outermost), shape })
             });
-            (bins.topology.origins()[leaf], bodies.collect::<Vec<_>>())
+            (bins.topology.origins()[leaf], primitives.collect::<Vec<_>>())
         };
-        let leaves: Vec<(IVec3, Vec<Body<F>>)> = (0..bins.topology.len())
+        let leaves: Vec<(IVec3, Vec<Primitive<F>>)> = (0..bins.topology.len())
             .into_par_iter()
             .map(of_leaf)
-            .filter(|(_, bodies)| !bodies.is_empty())
+            .filter(|(_, primitives)| !primitives.is_empty())
             .collect();
-        let (mut starts, mut boxes, mut bodies, mut axes) = (vec![0], Vec::new(), Vec::new(), Vec::new());
+        let (mut starts, mut boxes, mut primitives, mut axes) = (vec![0], Vec::new(), Vec::new(), Vec::new());
         let mut reach = 0f32;
         for (_, of_leaf) in &leaves {
             for eight in of_leaf.chunks(8) {
                 boxes.push(boxes_of(eight));
-                bodies.extend((0..8).map(|place| eight[place.min(eight.len() - 1)]));
+                primitives.extend((0..8).map(|lane| eight[lane.min(eight.len() - 1)]));
             }
             starts.push(boxes.len());
-            axes.push(Axes::of(of_leaf.iter().map(|body| body.form)));
-            reach = of_leaf.iter().fold(reach, |reach, body| reach.max(body.extents.max_element()));
+            axes.push(HalfAxisRange::of(of_leaf.iter().map(|primitive| primitive.shape)));
+            reach = of_leaf.iter().fold(reach, |reach, primitive| reach.max(primitive.extents.max_element()));
         }
         let topology = Topology::new(leaves.iter().map(|&(origin, _)| origin).collect());
-        Class { topology, starts, boxes, bodies, axes, reach, steps: leaf_steps_within(reach) }
+        SizeClass { topology, starts, boxes, primitives, axes, reach, steps: leaf_steps_within(reach) }
     }
 
-    fn leaf(&self, leaf: usize, step: IVec3) -> Around<'_, F> {
+    fn leaf(&self, leaf: usize, step: IVec3) -> NearbyLeaf<'_, F> {
         let (first, last) = (self.starts[leaf], self.starts[leaf + 1]);
-        Around {
+        NearbyLeaf {
             step: step.as_vec3(),
             boxes: &self.boxes[first..last],
-            bodies: &self.bodies[8 * first..8 * last],
+            primitives: &self.primitives[8 * first..8 * last],
             axes: self.axes[leaf],
         }
     }
 }
 
-impl Axes {
-    /// Those of no particle at all.
-    const NONE: Axes = Axes { shortest: f32::INFINITY, longest: 0.0 };
+impl HalfAxisRange {
+    /// The range of an empty set.
+    const NONE: HalfAxisRange = HalfAxisRange { shortest: f32::INFINITY, longest: 0.0 };
 
-    fn of<F: Form>(forms: impl Iterator<Item = F>) -> Axes {
-        let axes = forms.map(|form| Axes { shortest: form.shortest(), longest: form.longest() });
-        axes.fold(Axes::NONE, Axes::with)
+    fn of<F: ParticleShape>(shapes: impl Iterator<Item = F>) -> HalfAxisRange {
+        let axes = shapes.map(|shape| HalfAxisRange { shortest: shape.shortest(), longest: shape.longest() });
+        axes.fold(HalfAxisRange::NONE, HalfAxisRange::with)
     }
 
     #[inline(always)]
-    fn with(self, other: Axes) -> Axes {
-        Axes { shortest: self.shortest.min(other.shortest), longest: self.longest.max(other.longest) }
+    fn with(self, other: HalfAxisRange) -> HalfAxisRange {
+        HalfAxisRange {
+            shortest: self.shortest.min(other.shortest),
+            longest: self.longest.max(other.longest),
+        }
     }
 }
 
-fn boxes_of<F>(bodies: &[Body<F>]) -> EightBoxes {
+fn boxes_of<F>(primitives: &[Primitive<F>]) -> BoxPacket {
     let mut boxes =
         [[f32::INFINITY; 8], [f32::INFINITY; 8], [f32::INFINITY; 8], [0.0; 8], [0.0; 8], [0.0; 8]];
-    for (place, body) in bodies.iter().enumerate() {
+    for (lane, primitive) in primitives.iter().enumerate() {
         for axis in 0..3 {
-            boxes[axis][place] = body.center[axis];
-            boxes[3 + axis][place] = body.extents[axis];
+            boxes[axis][lane] = primitive.center[axis];
+            boxes[3 + axis][lane] = primitive.extents[axis];
         }
     }
     boxes
 }
 
-/// The particles of a leaf that may count in another.
-struct Around<'a, F> {
-    /// From that to theirs, in voxels.
+/// The particles of one leaf that can lower a value in another.
+struct NearbyLeaf<'a, F> {
+    /// From the other leaf to this one, in voxels.
     step: Vec3,
-    boxes: &'a [EightBoxes],
-    /// Eight for each of the boxes.
-    bodies: &'a [Body<F>],
-    axes: Axes,
+    boxes: &'a [BoxPacket],
+    /// Eight for each packet of boxes.
+    primitives: &'a [Primitive<F>],
+    axes: HalfAxisRange,
 }
 
-/// The signed distances of a leaf.
+/// Kernel: the signed distances of a leaf.
 struct Signed<'a, F> {
-    around: &'a [Around<'a, F>],
+    around: &'a [NearbyLeaf<'a, F>],
     radii: [f32; 3],
-    told: [f32; 3],
+    complete_to: [f32; 3],
     settled: &'a LeafMask,
 }
 
-impl<F: Form> Kernel for Signed<'_, F> {
+impl<F: ParticleShape> Kernel for Signed<'_, F> {
     type Output = [Leaf; 3];
 
     #[inline(always)]
     fn run<V: Lanes>(self) -> [Leaf; 3] {
-        let mut axes = Axes::NONE;
+        let mut axes = HalfAxisRange::NONE;
         for around in self.around {
             axes = axes.with(around.axes);
         }
-        let mut values = Values::new::<V>(self.settled, self.radii, axes);
+        let mut values = LeafValues::new::<V>(self.settled, self.radii, axes);
         for around in self.around {
             for (eight, boxes) in around.boxes.iter().enumerate() {
-                for place in Bits(near_bits::<V>(boxes, around.step)) {
-                    let body = &around.bodies[8 * eight + (place & 7)];
-                    body.form.lower::<V>(&mut values, body.center + around.step, body.extents);
+                for lane in Bits(near_bits::<V>(boxes, around.step)) {
+                    let primitive = &around.primitives[8 * eight + (lane & 7)];
+                    primitive.shape.lower::<V>(
+                        &mut values,
+                        primitive.center + around.step,
+                        primitive.extents,
+                    );
                 }
             }
         }
-        for (leaf, told) in values.leaves.iter_mut().zip(self.told) {
+        for (leaf, complete_to) in values.leaves.iter_mut().zip(self.complete_to) {
             for row in 0..ROW_COUNT {
                 let row = leaf.row_mut(row);
                 let value = V::load(row).max(V::splat(-DEEP));
-                V::select(V::splat(told).lt(value), V::splat(OUT_OF_REACH), value).store(row);
+                V::select(V::splat(complete_to).lt(value), V::splat(OUT_OF_REACH), value).store(row);
             }
         }
         values.leaves
     }
 }
 
-/// The values of a leaf for the particles seen so far, and which others could lower them.
+/// The values of a leaf for the particles visited so far, with limits to skip particles that cannot lower
+/// them.
 ///
-/// A particle lowers a value v of the union of radius r only if q is less than r + v/c where v is positive, and
-/// r + v/a where it is negative: its half axes are between c and a, and so is q/|T²(x − p)|. What is [`DEEP`] is deep
-/// enough, and what is farther outside than [`ELLIPSOID_MARGIN`] is beside no voxel inside.
-pub(super) struct Values {
+/// A particle lowers a value v of the union of radius r only if q < r + v/c for positive v, or q < r + v/a
+/// for negative v. Here c and a bound its half axes from below and above, and so q/|T²(x − p)| too. Values
+/// below −[`DEEP`] are deep enough, and voxels farther outside than [`ELLIPSOID_MARGIN`] have no inside
+/// neighbor.
+pub(super) struct LeafValues {
     leaves: [Leaf; 3],
     radii: [f32; 3],
-    axes: Axes,
-    /// The squares of q from which on nothing is lowered.
+    axes: HalfAxisRange,
+    /// Squares of q from which on nothing is lowered.
     limits: Leaf,
-    /// The greatest of each row.
+    /// The maximum of each row's limits.
     row_limits: [f32; ROW_COUNT],
 }
 
-impl Values {
+impl LeafValues {
     #[inline(always)]
-    fn new<V: Lanes>(settled: &LeafMask, radii: [f32; 3], axes: Axes) -> Values {
+    fn new<V: Lanes>(settled: &LeafMask, radii: [f32; 3], axes: HalfAxisRange) -> LeafValues {
         let leaves = [Leaf::splat(OUT_OF_REACH); 3];
         let limits = Leaf::splat(0.0);
-        let mut values = Values { leaves, radii, axes, limits, row_limits: [0.0; ROW_COUNT] };
+        let mut values = LeafValues { leaves, radii, axes, limits, row_limits: [0.0; ROW_COUNT] };
         for row in 0..ROW_COUNT {
             let settled = V::mask(settled.row(row));
             for leaf in &mut values.leaves {
@@ -340,7 +356,7 @@ impl Values {
         values
     }
 
-    /// Finds out what can still lower a row.
+    /// Updates the limits of a row.
     #[inline(always)]
     fn limit_row<V: Lanes>(&mut self, row: usize) {
         let (outside, inside) = (V::splat(1.0 / self.axes.shortest), V::splat(1.0 / self.axes.longest));
@@ -358,12 +374,12 @@ impl Values {
     }
 }
 
-/// More than what rounding does to q.
+/// An upper bound of the rounding error of q.
 const LIMIT_SLACK: f32 = 1e-3;
 
-/// Which of eight boxes, moved by a step, touch that of a leaf's voxels.
+/// Bit mask of the eight boxes, moved by a step, that touch the box of a leaf's voxels.
 #[inline(always)]
-fn near_bits<V: Lanes>(boxes: &EightBoxes, step: Vec3) -> u8 {
+fn near_bits<V: Lanes>(boxes: &BoxPacket, step: Vec3) -> u8 {
     let x = touches::<V>(&boxes[0], step.x, &boxes[3]);
     let y = touches::<V>(&boxes[1], step.y, &boxes[4]);
     let z = touches::<V>(&boxes[2], step.z, &boxes[5]);
@@ -377,7 +393,7 @@ fn touches<V: Lanes>(centers: &[f32; 8], step: f32, extents: &[f32; 8]) -> u8 {
     V::bits(V::not(V::load(extents).lt(aside.abs())))
 }
 
-/// The first and one past the last of a leaf's voxels along an axis that are within `extent` of a place.
+/// Range of a leaf's voxels along an axis that lie within `extent` of `center`.
 #[inline(always)]
 fn voxels_within(center: f32, extent: f32) -> std::ops::Range<usize> {
     let first = (center - extent).ceil().max(0.0) as usize;
@@ -385,26 +401,26 @@ fn voxels_within(center: f32, extent: f32) -> std::ops::Range<usize> {
     first..(last + 1).max(0) as usize
 }
 
-/// From a place to a leaf's voxels along z.
+/// Offsets from `center` to a leaf's voxels along z.
 #[inline(always)]
 fn along_z<V: Lanes>(center: f32) -> V {
     V::load(&[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]).sub(V::splat(center))
 }
 
-/// Whether all of a row is deep inside S_min, and so inside the others.
+/// True if a whole row is deep inside S_min, and therefore inside the other unions.
 #[inline(always)]
 fn is_deep<V: Lanes>(leaves: &[Leaf; 3], row: usize) -> bool {
     V::bits(V::splat(-DEEP).lt(V::load(leaves[2].row(row)))) == 0
 }
 
-/// Takes the lesser of a row's values and these, where they count.
+/// Takes the minimum of a row's values and `values`, in the lanes of the mask.
 #[inline(always)]
 fn lower_row<V: Lanes>(row: &mut [f32; 8], counts: V::Mask, values: V) {
     let there = V::load(row);
     V::select(counts, values.min(there), there).store(row);
 }
 
-impl Form for Ball {
+impl ParticleShape for BallShape {
     #[inline(always)]
     fn longest(&self) -> f32 {
         self.0
@@ -415,8 +431,8 @@ impl Form for Ball {
         self.0
     }
 
-    /// The larger a ball is, the farther it is from S_0 where it ceases to count; so the smallest tells.
-    fn told(radii: &Radii) -> [f32; 3] {
+    /// A larger ball stops contributing farther from its S_0, so the smallest ball gives the bound.
+    fn complete_to(radii: &Radii) -> [f32; 3] {
         [radii.max, radii.init, radii.min].map(|radius| EXACT_MARGIN + radii.shortest * (radii.max - radius))
     }
 
@@ -425,7 +441,7 @@ impl Form for Ball {
     }
 
     #[inline(always)]
-    fn lower<V: Lanes>(&self, values: &mut Values, center: Vec3, extents: Vec3) {
+    fn lower<V: Lanes>(&self, values: &mut LeafValues, center: Vec3, extents: Vec3) {
         let reach_squared = extents.x * extents.x;
         let dz = along_z::<V>(center.z);
         let dz_squared = dz.mul(dz);
@@ -449,7 +465,7 @@ impl Form for Ball {
     }
 }
 
-impl Form for Stretched {
+impl ParticleShape for EllipsoidShape {
     #[inline(always)]
     fn longest(&self) -> f32 {
         self.ellipsoid.longest
@@ -459,8 +475,8 @@ impl Form for Stretched {
         1.0 / longest_image(&self.ellipsoid)
     }
 
-    /// Nobody asks for more than what is beside the surfaces.
-    fn told(_: &Radii) -> [f32; 3] {
+    /// Only values next to the surfaces are needed.
+    fn complete_to(_: &Radii) -> [f32; 3] {
         [OUT_OF_REACH; 3]
     }
 
@@ -469,8 +485,8 @@ impl Form for Stretched {
     }
 
     #[inline(always)]
-    fn lower<V: Lanes>(&self, values: &mut Values, center: Vec3, extents: Vec3) {
-        let Stretched { ellipsoid, shadow, ratio_min } = self;
+    fn lower<V: Lanes>(&self, values: &mut LeafValues, center: Vec3, extents: Vec3) {
+        let EllipsoidShape { ellipsoid, row_form, ratio_min } = self;
         let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball;
         let dz = along_z::<V>(center.z);
         let counts_along_z = V::not(V::splat(extents.z).lt(dz.abs()));
@@ -479,7 +495,7 @@ impl Form for Stretched {
             let dx = x as f32 - center.x;
             for y in voxels_within(center.y, extents.y) {
                 let (row, dy) = (x * 8 + y, y as f32 - center.y);
-                if shadow.least_squared(dx, dy) > values.row_limits[row] {
+                if row_form.least_squared(dx, dy) > values.row_limits[row] {
                     continue;
                 }
                 let at = Vec3::new(xx * dx + xy * dy, xy * dx + yy * dy, xz * dx + yz * dy);
@@ -506,36 +522,37 @@ impl Form for Stretched {
     }
 }
 
-/// What an ellipsoid is along rows of voxels: |T·d|², at its least over all z, is a square form of d's x and y.
+/// Restriction of an ellipsoid's form to rows along z: the minimum of |T·d|² over z is a quadratic form in
+/// d's x and y.
 #[derive(Clone, Copy, Debug)]
-struct Shadow {
+struct RowForm {
     xx: f32,
     yy: f32,
     xy: f32,
 }
 
-impl Shadow {
-    fn of(ellipsoid: &Ellipsoid) -> Shadow {
+impl RowForm {
+    fn of(ellipsoid: &Ellipsoid) -> RowForm {
         let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball;
         let (x, y, z) = (Vec3::new(xx, xy, xz), Vec3::new(xy, yy, yz), Vec3::new(xz, yz, zz));
-        // What is along T·z is undone by a step along z.
+        // A step along z cancels the component along T·z.
         let per_square = 1.0 / z.dot(z);
         let (x_on_z, y_on_z) = (x.dot(z), y.dot(z));
-        Shadow {
+        RowForm {
             xx: x.dot(x) - x_on_z * x_on_z * per_square,
             yy: y.dot(y) - y_on_z * y_on_z * per_square,
             xy: x.dot(y) - x_on_z * y_on_z * per_square,
         }
     }
 
-    /// The least |T·d|² of a row.
+    /// The minimum of |T·d|² along a row.
     #[inline(always)]
     fn least_squared(&self, dx: f32, dy: f32) -> f32 {
         dx * (self.xx * dx + 2.0 * self.xy * dy) + self.yy * dy * dy
     }
 }
 
-/// T makes no vector of length 1 longer than this: the greatest sum of a row's absolute values.
+/// An upper bound of |T·v| over unit vectors v: the maximum absolute row sum.
 fn longest_image(ellipsoid: &Ellipsoid) -> f32 {
     let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball.map(f32::abs);
     (xx + xy + xz).max(xy + yy + yz).max(xz + yz + zz)

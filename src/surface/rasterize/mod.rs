@@ -1,4 +1,4 @@
-//! Particles to level sets: the union of spheres, three times (paper, Eq. 1 and 2).
+//! Particles to level sets: three unions of spheres (paper, Eq. 1 and 2).
 //!
 //! ```text
 //!      r_max ─────────────    S_max    φ_max = lower bound of φ
@@ -7,30 +7,31 @@
 //!                  ●          particle
 //! ```
 //!
-//! Outside a union of equal spheres, the distance to the nearest centre less the radius is the
-//! exact signed distance, and is kept as it is. Inside it is not: it saturates at about half the
-//! spacing of the particles. There only the voxels beside the surface keep it, and the others are
-//! swept from them. So the zero sets of the bounds are those of the spheres themselves.
+//! Outside a union of equal spheres, the distance to the nearest center minus the radius is the exact signed
+//! distance and is kept unchanged. Inside it is not exact: it saturates at about half the particle spacing.
+//! So inside, only the voxels next to the surface keep that value, and fast sweeping computes the others from
+//! them. The zero sets of the bounds are therefore those of the spheres themselves.
 //!
-//! Most of a frame is far inside, and none of that is ever stored:
+//! Most of a frame is far inside, and none of that is stored:
 //!
 //! ```text
 //!   particles ──pass 1──▶ Occupancy ──▶ what can matter ──┐
 //!       └───────────────pass 2───────────────────────────┴─▶ ParticleBins ──▶ distances ──▶ φ_0, bounds
 //! ```
 //!
-//! A frame that is too large even so is rasterized window by window; the results are those of the whole.
+//! A frame that is still too large is rasterized window by window; the results equal those of the whole
+//! frame.
 
 mod batch;
 mod bin;
 mod cover;
+mod culling;
 mod distances;
 mod ellipsoid;
 mod footprint;
-mod need;
+mod leaf_map;
 mod occupancy;
 mod region;
-mod shards;
 mod signed_distance;
 mod sphere;
 mod spread;
@@ -57,102 +58,104 @@ use crate::surface::obstacle::{ContactTally, ObstacleLeaf, Obstacles, hold_conta
 use crate::surface::particles::ParticleSource;
 use crate::surface::simd::{self, Kernel, Lanes};
 use crate::surface::space::{CoordBox, Lattice};
-use distances::{Distances, Gauge, Sphere};
-use need::{Need, leaves_of_boxes};
+use culling::{Culling, leaves_of_boxes};
+use distances::{DistanceSolver, Distances, SphereUnion};
 use region::Regions;
 use signed_distance::signed_distance;
 
-/// The radii of the three unions of spheres, in voxels: `min` ≤ `init` ≤ `max`. Where particles have shapes of their
-/// own, these are the units of their half axes.
+/// The radii of the three unions of spheres, in voxels: `min` ≤ `init` ≤ `max`. For anisotropic particles
+/// these are the units of their half axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Radii {
-    /// r_min: the surface stays outside these.
+    /// r_min: the surface stays outside these spheres.
     pub min: f32,
-    /// r_init: where it starts.
+    /// r_init: the initial surface.
     pub init: f32,
-    /// r_max: the surface stays inside these.
+    /// r_max: the surface stays inside these spheres.
     pub max: f32,
-    /// No half axis of a particle is shorter, in units of the radii: 1 for balls.
+    /// Lower bound of all half axes, in units of the radii: 1 for uniform balls.
     pub shortest: f32,
-    /// Half axes that the band has room for, in units of the radii: 1 for balls. Particles may have longer ones; then
-    /// the surface cannot move quite as far as their bounds would let it.
+    /// Half axis that the band is sized for, in units of the radii: 1 for uniform balls. Particles may have
+    /// longer half axes; then the surface cannot move quite as far as their bounds would allow.
     pub roomy: f32,
-    /// How far the finished surface is moved outward, in voxels; negative inward. The band has room for it.
+    /// Offset of the finished surface, in voxels: positive outward, negative inward. The band is sized for
+    /// it.
     pub offset: f32,
 }
 
-/// Exact distances are kept so far beyond r_max, in voxels; farther ones are swept.
+/// Exact distances are kept up to this far beyond r_max, in voxels; beyond that, they are swept.
 const EXACT_MARGIN: f32 = 2.0;
 
 impl Radii {
-    /// The radii of particles that are all alike.
+    /// The radii of uniform balls.
     pub const fn of_balls(min: f32, init: f32, max: f32) -> Radii {
         Radii { min, init, max, shortest: 1.0, roomy: 1.0, offset: 0.0 }
     }
 
-    /// Half the thickness of the band that is worked on, in voxels: what is left of it around the surface once that is moved
-    /// by the offset is the half width of the result.
+    /// Half width of the band during smoothing, in voxels. After the surface is moved by the offset, the part
+    /// left around it has the half width of the result.
     pub fn half_width(&self) -> f32 {
         self.result_half_width() + self.offset.abs().ceil()
     }
 
-    /// Half the thickness of the band that smoothing may need (Eq. 7), in voxels: it reads values
-    /// up to 5 voxels from the surface, and the surface may move to either bound. The band of the result has it, too.
+    /// Half width that smoothing may need (Eq. 7), in voxels: it reads values up to 5 voxels from the surface,
+    /// and the surface may move to either bound. The resulting band has this half width, too.
     pub fn result_half_width(&self) -> f32 {
         let gap = (self.max - self.init).max(self.init - self.min) * self.roomy;
-        // Radii that differ by whole voxels but for rounding need no voxel more.
+        // Tolerates rounding: radii that differ by whole voxels need no extra voxel.
         5.0 + (gap - 1e-4).max(0.0).ceil()
     }
 
-    /// How far a particle can change φ_0 and the bounds, in voxels: its exact distances; φ_0 swept from
-    /// them, two voxels a sweep; the leaves that come and go with φ_0; and the bounds swept on those. `longest` is the
-    /// longest half axis of any particle, in units of the radii.
+    /// Maximum distance, in voxels, at which a particle can change φ_0 and the bounds: its exact distances;
+    /// φ_0 swept from them, two voxels per sweep; the leaves that appear or disappear with φ_0; and the
+    /// bounds swept on those. `longest` is the longest half axis of any particle, in units of the radii.
     pub fn reach_voxels(&self, longest: f32) -> u32 {
         let swept = 2 * sweep_count(self.half_width());
         self.exact_reach(longest).ceil() as u32 + swept + 2 * LEAF_EDGE as u32 + swept
     }
 
-    /// How many leaves around a window are rasterized with it.
+    /// Number of leaves around a window that are rasterized with it.
     pub fn window_halo_leaves(&self) -> i32 {
         let regions = Regions::new(CoordBox { min: IVec3::ZERO, max: IVec3::ZERO }, *self, self.roomy);
         (regions.own.min.x - regions.measured.min.x) / LEAF_EDGE
     }
 
-    /// How far exact distances to a particle are kept from its centre, in voxels; it has no half axis longer than this,
-    /// in units of the radii.
+    /// Distance from a particle's center up to which exact distances are kept, in voxels. `longest` is the
+    /// longest half axis, in units of the radii.
     fn exact_reach(&self, longest: f32) -> f32 {
-        // The certificate asks for the nearest particles of vertices that were moved outward.
+        // Validation looks up the nearest particles of vertices that were moved outward.
         self.max * longest + self.outward() + EXACT_MARGIN
     }
 
-    /// How far the finished surface is moved outward, in voxels: 0 where it is moved inward.
+    /// How far the finished surface is moved outward, in voxels; 0 if it is moved inward.
     pub fn outward(&self) -> f32 {
         self.offset.max(0.0)
     }
 
-    /// Leaves are stored if a voxel of theirs is so near, on every axis, to one beside the surface.
+    /// A leaf is stored if one of its voxels is within this distance, per axis, of a voxel next to the
+    /// surface.
     fn band_margin(&self) -> i32 {
         self.half_width() as i32 + 1
     }
 }
 
-/// What particles are rasterized into.
+/// Parameters of rasterization.
 #[derive(Clone, Copy)]
 pub struct Scene<'a> {
-    /// What positions are in voxels.
+    /// Maps world positions to voxels.
     pub lattice: Lattice,
     /// The radii of the spheres.
     pub radii: Radii,
-    /// What stands in the way.
+    /// Obstacles that the fluid must not enter.
     pub obstacles: &'a Obstacles,
-    /// Gaps between fluid and obstacles that are narrower than this, in voxels, are filled.
+    /// Gaps between fluid and obstacles narrower than this, in voxels, are filled.
     pub void_threshold: f32,
-    /// Whether all particles are to be kept: who counts them needs those inside, too.
+    /// Keeps all particles, for callers that count them; otherwise those deep inside are dropped.
     pub keeps_all_particles: bool,
 }
 
 impl Scene<'_> {
-    /// One without obstacles.
+    /// A scene without obstacles.
     pub fn open(lattice: Lattice, radii: Radii) -> Scene<'static> {
         static NO_OBSTACLES: Obstacles = Obstacles { members: Vec::new() };
         Scene { lattice, radii, obstacles: &NO_OBSTACLES, void_threshold: 0.0, keeps_all_particles: false }
@@ -163,44 +166,44 @@ impl Scene<'_> {
         self.obstacles.leaf(origin, &self.lattice, self.obstacle_half_width())
     }
 
-    /// How far the obstacles' distances are known, in voxels: wherever the surface is before and after it is moved.
+    /// Distance from obstacles up to which their signed distance is known, in voxels: covers the surface
+    /// before and after the offset.
     pub fn obstacle_half_width(&self) -> f32 {
         self.radii.half_width() + self.radii.offset.abs()
     }
 
-    /// The same of obstacles that are moved against the offset: a surface that meets these meets the true ones once it is
-    /// moved itself. Within the half width of the band.
+    /// Signed distances to obstacles moved by the negative offset: a surface that touches these touches the
+    /// real obstacles after it is moved. Known within the half width of the band.
     pub fn obstacle_before_offset(&self, origin: IVec3) -> ObstacleLeaf {
         self.obstacle(origin).shifted(-self.radii.offset, self.radii.half_width())
     }
 
-    /// Whether the surface of an obstacle may pass by a voxel of the leaf with this origin.
+    /// True if an obstacle's surface may pass near a voxel of the leaf with this origin.
     fn is_at_obstacle(&self, origin: IVec3) -> bool {
         self.obstacles.touches(origin, &self.lattice, OBSTACLE_MARGIN + self.radii.offset.abs())
     }
 }
 
-/// A surface that is nearer to a leaf than this, in voxels, may pass between two of its voxels, or the neighbours of
-/// these.
+/// A surface nearer to a leaf than this, in voxels, may pass between two of its voxels or their neighbors.
 const OBSTACLE_MARGIN: f32 = 1.5;
 
-/// What there is after this stage.
+/// Result of rasterization.
 #[derive(Clone, Debug)]
 pub struct Rasterized {
     /// The particles that matter.
     pub bins: ParticleBins,
     /// The band around the initial surface, with φ_0.
     pub band: NarrowBand,
-    /// The bounds on the same leaves.
+    /// The bounds, on the same leaves.
     pub bounds: Bounds,
-    /// What obstacles changed of them.
+    /// What the obstacles changed.
     pub contact: ContactTally,
 }
 
 /// Rasterizes a frame.
 ///
 /// # Errors
-/// Those of the source.
+/// Returns the source's error if a batch cannot be read.
 pub fn rasterize<S: ParticleSource>(source: &S, scene: &Scene) -> Result<Rasterized, S::Error> {
     let occupancy = Occupancy::new(source, &scene.lattice)?;
     let regions = Regions::new(CoordBox::ALL, scene.radii, occupancy.longest());
@@ -209,11 +212,11 @@ pub fn rasterize<S: ParticleSource>(source: &S, scene: &Scene) -> Result<Rasteri
     Ok(level_sets(measured, scene, &regions))
 }
 
-/// Rasterizes the leaves that touch a window, a box of voxels: those that the whole frame has there, and their
-/// values to the last bit. The particles are those that these come from: also some around the window.
+/// Rasterizes the leaves that touch a window, a box of voxels. Leaves and values are bit-identical to those
+/// of the whole frame. The result also contains particles around the window that contribute to it.
 ///
 /// # Errors
-/// Those of the source.
+/// Returns the source's error if a batch cannot be read.
 pub fn rasterize_window<S: ParticleSource>(
     source: &S,
     occupancy: &Occupancy,
@@ -225,10 +228,10 @@ pub fn rasterize_window<S: ParticleSource>(
     Ok(level_sets(measured, scene, &regions))
 }
 
-/// The particles that what is in a window comes from.
+/// The particles that contribute to a window.
 ///
 /// # Errors
-/// Those of the source.
+/// Returns the source's error if a batch cannot be read.
 pub fn particles_of_window<S: ParticleSource>(
     source: &S,
     occupancy: &Occupancy,
@@ -236,11 +239,11 @@ pub fn particles_of_window<S: ParticleSource>(
     window: CoordBox,
 ) -> Result<ParticleBins, S::Error> {
     let regions = Regions::new(window, scene.radii, occupancy.longest());
-    let need = Need::new(occupancy, scene, &regions);
-    ParticleBins::new(source, &scene.lattice, occupancy, &need, &regions)
+    let culling = Culling::new(occupancy, scene, &regions);
+    ParticleBins::new(source, &scene.lattice, occupancy, &culling, &regions)
 }
 
-/// The leaves around the surface, and how far their voxels are from the particles.
+/// The leaves around the surface, with the distances from their voxels to the particles.
 struct Measured {
     bins: ParticleBins,
     topology: Topology,
@@ -253,43 +256,49 @@ fn measure<S: ParticleSource>(
     scene: &Scene,
     regions: &Regions,
 ) -> Result<Measured, S::Error> {
-    let need = Need::new(occupancy, scene, regions);
-    let bins = ParticleBins::new(source, &scene.lattice, occupancy, &need, regions)?;
-    let gauge = Gauge::new(&bins, scene.radii);
-    let near = gauge.distances(&need.near, &need, None);
-    let topology = Topology::new(leaves_near_surface(&need, &near, scene, regions));
-    let distances = gauge.distances(&topology, &need, Some((&need.near, &near)));
+    let culling = Culling::new(occupancy, scene, regions);
+    let bins = ParticleBins::new(source, &scene.lattice, occupancy, &culling, regions)?;
+    let solver = DistanceSolver::new(&bins, scene.radii);
+    let near = solver.distances(&culling.near, &culling, None);
+    let topology = Topology::new(leaves_near_surface(&culling, &near, scene, regions));
+    let distances = solver.distances(&topology, &culling, Some((&culling.near, &near)));
     Ok(Measured { bins, topology, distances })
 }
 
-/// Origins of the leaves with a voxel within the band's margin, on every axis, of a voxel inside S_0 that has a face
-/// neighbour outside. With obstacles, also of those inside S_0 and in no obstacle: there are two surfaces then, and a void
-/// may be filled beside either. Those of the obstacles are where the moved surface will meet them; where it is before lies within the
-/// margin, which has room for the offset, and a plate that is thinner than that is not lost.
-fn leaves_near_surface(need: &Need, distances: &Distances, scene: &Scene, regions: &Regions) -> Vec<IVec3> {
-    let mut inside = distances.inside(Sphere::Init, scene.radii);
+/// Origins of the leaves with a voxel within the band's margin, per axis, of a voxel inside S_0 that has a
+/// face neighbor outside. With obstacles there are two surfaces, and a void may be filled next to either, so
+/// the same applies to S_0 minus the obstacles. The obstacles are placed where the surface meets them after
+/// the offset. Their unmoved surface lies within the margin, which allows for the offset, so a plate thinner
+/// than the offset is not lost.
+fn leaves_near_surface(
+    culling: &Culling,
+    distances: &Distances,
+    scene: &Scene,
+    regions: &Regions,
+) -> Vec<IVec3> {
+    let mut inside = distances.inside(SphereUnion::Init, scene.radii);
     let margin = scene.radii.band_margin();
-    let mut surfaces = crossings(need, &inside, |origin| need.is_deep(origin), margin, regions);
+    let mut surfaces = crossings(culling, &inside, |origin| culling.is_deep(origin), margin, regions);
     if !scene.obstacles.is_empty() {
-        let leaves = inside.par_iter_mut().zip(need.near.origins());
+        let leaves = inside.par_iter_mut().zip(culling.near.origins());
         leaves.for_each(|(inside, &origin)| remove_obstacle(inside, &scene.obstacle(origin)));
-        let is_deep = |origin| need.is_deep(origin) && scene.obstacle(origin) != ObstacleLeaf::Inside;
-        surfaces.extend(crossings(need, &inside, is_deep, margin, regions));
+        let is_deep = |origin| culling.is_deep(origin) && scene.obstacle(origin) != ObstacleLeaf::Inside;
+        surfaces.extend(crossings(culling, &inside, is_deep, margin, regions));
     }
     leaves_of_boxes(&surfaces, |origin| regions.swept.contains(origin))
 }
 
-/// The boxes of the voxels of each leaf that are inside and beside one that is not, with a margin.
+/// The boxes of the voxels of each leaf that are inside and next to an outside voxel, with a margin.
 fn crossings(
-    need: &Need,
+    culling: &Culling,
     inside: &[LeafMask],
     is_deep: impl Fn(IVec3) -> bool + Sync,
     margin: i32,
     regions: &Regions,
 ) -> Vec<(IVec3, CoordBox)> {
     let surface = |(leaf, &origin): (usize, &IVec3)| {
-        let faces = std::array::from_fn(|face| match need.near.neighbors()[leaf][face] {
-            // What is not near is inside altogether, or outside.
+        let faces = std::array::from_fn(|face| match culling.near.neighbors()[leaf][face] {
+            // A leaf that is not near the surface is either entirely inside or entirely outside.
             NO_LEAF if is_deep(origin + FACE_STEPS[face] * LEAF_EDGE) => &LeafMask::FULL,
             NO_LEAF => &LeafMask::EMPTY,
             neighbor => &inside[neighbor as usize],
@@ -299,10 +308,10 @@ fn crossings(
         let voxels = crossings.bounding_box();
         (!voxels.is_empty() && regions.crossed.contains(origin)).then(|| (origin, voxels.expanded(margin)))
     };
-    need.near.origins().par_iter().enumerate().filter_map(surface).collect()
+    culling.near.origins().par_iter().enumerate().filter_map(surface).collect()
 }
 
-/// Leaves no voxel that is in an obstacle.
+/// Clears the voxels that are in an obstacle.
 fn remove_obstacle(inside: &mut LeafMask, obstacle: &ObstacleLeaf) {
     match obstacle {
         ObstacleLeaf::Outside => {}
@@ -314,16 +323,16 @@ fn remove_obstacle(inside: &mut LeafMask, obstacle: &ObstacleLeaf) {
     }
 }
 
-/// φ_0 and the bounds, on the leaves that hold a value of φ_0 within the half width.
+/// φ_0 and the bounds, on the leaves with a value of φ_0 within the half width.
 fn level_sets(measured: Measured, scene: &Scene, regions: &Regions) -> Rasterized {
     let Measured { bins, topology, mut distances } = measured;
     let radii = scene.radii;
     let half_width = radii.half_width();
-    let mut phi = signed_distance(&topology, &mut distances, Sphere::Init, radii);
+    let mut phi = signed_distance(&topology, &mut distances, SphereUnion::Init, radii);
     let is_banded = |leaf: usize| {
         let origin = topology.origins()[leaf];
         let is_within = |obstacle: &ObstacleLeaf| has_value_within(&phi.leaves[leaf], half_width, obstacle);
-        // A part of an obstacle that the offset makes vanish for now is there again once the surface is moved.
+        // A part of an obstacle that the offset removes for now reappears when the surface is moved.
         regions.banded.contains(origin)
             && (is_within(&scene.obstacle_before_offset(origin))
                 || radii.offset != 0.0 && is_within(&scene.obstacle(origin)))
@@ -331,8 +340,8 @@ fn level_sets(measured: Measured, scene: &Scene, regions: &Regions) -> Rasterize
     let kept: Vec<usize> = (0..topology.len()).into_par_iter().filter(|&leaf| is_banded(leaf)).collect();
     rayon::join(|| keep(&mut phi, &kept), || distances.keep(&kept));
     let topology = subset(topology, &kept);
-    let mut lower = signed_distance(&topology, &mut distances, Sphere::Max, radii);
-    let mut upper = signed_distance(&topology, &mut distances, Sphere::Min, radii);
+    let mut lower = signed_distance(&topology, &mut distances, SphereUnion::Max, radii);
+    let mut upper = signed_distance(&topology, &mut distances, SphereUnion::Min, radii);
     drop(distances);
     let own: Vec<usize> =
         (0..topology.len()).filter(|&leaf| regions.own.contains(topology.origins()[leaf])).collect();
@@ -342,12 +351,12 @@ fn level_sets(measured: Measured, scene: &Scene, regions: &Regions) -> Rasterize
     let topology = Arc::new(subset(topology, &own));
     let mut band = NarrowBand { topology, phi, half_width };
     let mut bounds = Bounds { lower, upper };
-    // What is not stored is at least the half width away, and a voxel beside it nearly so. Outer bounds that are
-    // farther than the band has room for must not let the surface out of it; those of balls that are alike never do. Inward it
-    // goes far only where it is sharply convex, as only small balls are, and their own S_min is near. Room for the offset is
-    // not theirs.
+    // Values that are not stored are at least the half width away, and adjacent voxels almost as far. Outer
+    // bounds beyond the band must not let the surface leave it; those of uniform balls never do. The surface
+    // moves far inward only where it is sharply convex, as around small balls, and their own S_min is near.
+    // The room for the offset is not included.
     let held_beyond = if bins.shapes.are_balls() { f32::INFINITY } else { radii.result_half_width() - 2.0 };
-    finish(&mut band, &mut bounds, (held_beyond, HELD + radii.outward()));
+    finish(&mut band, &mut bounds, (held_beyond, POSITIVE_MARGIN + radii.outward()));
     let contact = match scene.obstacles.is_empty() {
         true => ContactTally::default(),
         false => hold_contact(
@@ -360,7 +369,7 @@ fn level_sets(measured: Measured, scene: &Scene, regions: &Regions) -> Rasterize
     Rasterized { bins, band, bounds, contact }
 }
 
-/// Whether a leaf has a value within the half width, once an obstacle has cut it (Eq. 12).
+/// True if a leaf has a value within the half width after obstacles are cut out (Eq. 12).
 fn has_value_within(phi: &Leaf, half_width: f32, obstacle: &ObstacleLeaf) -> bool {
     match obstacle {
         ObstacleLeaf::Outside => phi.values.iter().any(|phi| phi.abs() < half_width),
@@ -372,7 +381,7 @@ fn has_value_within(phi: &Leaf, half_width: f32, obstacle: &ObstacleLeaf) -> boo
     }
 }
 
-/// Leaves only these of a field, in order.
+/// Keeps only these leaves of a field, in order.
 fn keep(field: &mut Field, kept: &[usize]) {
     if kept.len() == field.leaves.len() {
         return;
@@ -392,27 +401,27 @@ fn subset(topology: Topology, kept: &[usize]) -> Topology {
     Topology::new(kept.iter().map(|&leaf| topology.origins()[leaf]).collect())
 }
 
-/// Sweeps after which every voxel within the half width has its distance: a sweep goes one voxel
-/// along the axes, and the diagonal is √3 as long.
+/// Number of sweeps after which every voxel within the half width has its distance: a sweep advances one
+/// voxel along the axes, and the diagonal is √3 times as long.
 fn sweep_count(half_width: f32) -> u32 {
     (3f32.sqrt() * half_width).ceil() as u32
 }
 
-/// Holds all values within ± half width, makes `lower` ≤ `upper` at every voxel, which sweeping each by itself
-/// does not promise, and moves φ between them. Where φ_0 is more than `held_beyond`, φ stays above `held`.
+/// Clamps all values to ± half width, ensures `lower` ≤ `upper` at every voxel (independent sweeps do not
+/// guarantee it), and clamps φ between them. Where φ_0 is more than `held_beyond`, φ stays above `held`.
 fn finish(band: &mut NarrowBand, bounds: &mut Bounds, (held_beyond, held): (f32, f32)) {
     let half_width = band.half_width;
     let bounds = bounds.lower.leaves.par_iter_mut().zip(&mut bounds.upper.leaves);
     band.phi.leaves.par_iter_mut().zip(bounds).for_each(|(phi, (lower, upper))| {
-        simd::dispatch(Finish { half_width, held_beyond, held, phi, lower, upper });
+        simd::dispatch(ClampLeaf { half_width, held_beyond, held, phi, lower, upper });
     });
 }
 
-/// The least that φ may be where it is to stay positive, in voxels, once the surface is moved.
-const HELD: f32 = 1.0;
+/// Lower limit of φ where it must stay positive after the offset, in voxels.
+const POSITIVE_MARGIN: f32 = 1.0;
 
-/// The values of one leaf.
-struct Finish<'a> {
+/// Kernel: clamps the values of one leaf.
+struct ClampLeaf<'a> {
     half_width: f32,
     held_beyond: f32,
     held: f32,
@@ -421,7 +430,7 @@ struct Finish<'a> {
     upper: &'a mut Leaf,
 }
 
-impl Kernel for Finish<'_> {
+impl Kernel for ClampLeaf<'_> {
     type Output = ();
 
     #[inline(always)]

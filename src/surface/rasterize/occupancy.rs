@@ -1,64 +1,64 @@
-//! Where there are particles, to half a voxel: the first of two passes over them.
+//! Records where particles are, to half a voxel. This is the first of two passes over the particles.
 //!
 //! ```text
-//!   a voxel     ┌───┬───┐      each of its eight octants has a bit: a particle is in it.
-//!               │ ● │   │      512 bytes for a leaf, however many particles are there
+//!   a voxel     ┌───┬───┐      each of its eight octants has a bit, set if a particle is in it:
+//!               │ ● │   │      512 bytes per leaf, however many particles it contains
 //!               ├───┼───┤
-//!               │   │●● │      (a voxel's own octants are those towards larger x, y and z)
+//!               │   │●● │      (a voxel's own octants are those toward larger x, y and z)
 //!               └───┴───┘
 //! ```
 //!
-//! From this alone it can be told which leaves the surface cannot pass through, so that neither distances nor
-//! particles need to be kept there. Whole voxels in place of octants would not do: at the usual two voxels
-//! from particle to particle, they know only four in ten of the leaves that octants know to be inside.
+//! The occupancy alone shows which leaves the surface cannot pass through, so that neither distances nor
+//! particles are stored there. Whole voxels instead of octants would not be precise enough: at the usual
+//! particle spacing of two voxels they identify only 40 % of the inside leaves that octants identify.
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::batch::LeafBatch;
-use super::shards::{Shards, Told};
+use super::leaf_map::{ConcurrentLeafMap, LeafMap};
 use super::strayed::strayed;
 use crate::surface::grid::{LEAF_EDGE, Topology};
 use crate::surface::particles::ParticleSource;
 use crate::surface::space::{CoordBox, Lattice};
 
-/// Where there are particles.
+/// Where a frame's particles are.
 pub struct Occupancy {
-    /// The leaves that hold at least one particle.
+    /// The leaves that contain at least one particle.
     pub topology: Topology,
-    /// What is known of each of them.
-    occupied: Told<Occupied>,
-    /// Whether particles have shapes of their own.
+    /// The particles of each leaf.
+    occupied: LeafMap<OccupiedLeaf>,
+    /// True if particles are anisotropic or differ in size.
     pub(super) has_shapes: bool,
-    /// What each batch told.
+    /// A summary of each batch.
     pub(super) batches: Vec<BatchSummary>,
-    /// Particles [too far](strayed) from the others.
+    /// Number of particles [too far](strayed) from the others.
     strayed_count: usize,
-    /// About where one particle is that is too far away, for the grid or from the others; world units.
+    /// Approximate world position of one particle that is too far away, for the grid or from the others.
     stray: Option<DVec3>,
 }
 
-/// What is known of a leaf that holds particles.
-struct Occupied {
+/// The particles of a leaf.
+struct OccupiedLeaf {
     octants: Octants,
-    /// Those of its [round](ROUND) particles, where particles have shapes of their own.
+    /// The octants of its [round](ROUND) particles, if particles are anisotropic or differ in size.
     round: Option<Box<Octants>>,
-    /// The longest half axis of any of its particles, in units of the radii.
+    /// Longest half axis of its particles, in units of the radii.
     longest: f32,
-    /// How many particles it holds.
+    /// Number of particles.
     count: usize,
-    /// The first batch that has any of them.
+    /// The first batch that has particles in this leaf.
     first_batch: usize,
 }
 
-/// A particle is round if it holds a ball of so many of the settings' radii. Inside a fluid particles are: what is deep can be
-/// told from them, however flat the particles of sheets are.
+/// A particle is round if it contains a ball of this size, in units of the settings' radii. Particles deep in
+/// a fluid are round, so they suffice to identify deep leaves, however flat the particles of thin sheets are.
 pub(super) const ROUND: f32 = 0.9;
 
-/// What is remembered of a batch, so that it need not be looked at where it is of no use.
+/// Summary of a batch, used to skip batches that cannot contribute.
 #[derive(Clone, Copy)]
 pub(super) struct BatchSummary {
-    /// The box of its leaves.
+    /// Bounding box of its leaves.
     pub(super) voxels: CoordBox,
     placed_count: usize,
     dropped_count: usize,
@@ -75,13 +75,14 @@ impl Octants {
     /// No particle.
     pub(super) const EMPTY: Octants = Octants { rows: [0; 256] };
 
-    /// Puts in a particle, given relative to the leaf's origin. (Rounded, that may be at the far end.)
+    /// Adds a particle, given relative to the leaf's origin. (Rounding can put it on the leaf's upper
+    /// boundary.)
     fn insert(&mut self, local: Vec3) {
         let [x, y, z] = (local * 2.0).to_array().map(|along| (along as usize).min(15));
         self.rows[x * 16 + y] |= 1 << z;
     }
 
-    /// The box of the voxels that hold a particle, relative to the leaf's origin.
+    /// Bounding box of the voxels that contain a particle, relative to the leaf's origin.
     pub(super) fn cells(&self) -> CoordBox {
         let mut cells = CoordBox::EMPTY;
         for (row, bits) in self.rows.into_iter().enumerate().filter(|&(_, bits)| bits != 0) {
@@ -94,25 +95,25 @@ impl Octants {
 }
 
 impl Occupancy {
-    /// Looks at each particle once.
+    /// Reads each particle once.
     ///
     /// # Errors
-    /// Those of the source.
+    /// Returns the source's error if a batch cannot be read.
     pub fn new<S: ParticleSource>(source: &S, lattice: &Lattice) -> Result<Occupancy, S::Error> {
-        let shards: Shards<Occupied> = Shards::new();
+        let leaf_map: ConcurrentLeafMap<OccupiedLeaf> = ConcurrentLeafMap::new();
         let has_shapes = source.has_shapes();
         let look = |batch_index: usize| -> Result<BatchSummary, S::Error> {
             let shapes = source.shapes_of(batch_index);
             let batch = LeafBatch::new(&source.batch(batch_index)?, lattice, has_shapes);
             let mut voxels = CoordBox::EMPTY;
-            for (origin, locals, places) in batch.leaves_with_places() {
-                let longest = places.iter().map(|&place| shapes.longest(place as usize));
+            for (origin, locals, indices) in batch.leaves_with_indices() {
+                let longest = indices.iter().map(|&index| shapes.longest(index as usize));
                 let longest = longest.fold(if has_shapes { 0.0 } else { 1.0 }, f32::max);
                 voxels.include(origin);
                 voxels.include(origin + IVec3::splat(LEAF_EDGE - 1));
-                shards.add(
+                leaf_map.add(
                     origin,
-                    || Occupied {
+                    || OccupiedLeaf {
                         octants: Octants::EMPTY,
                         round: has_shapes.then(|| Box::new(Octants::EMPTY)),
                         longest: 0.0,
@@ -122,8 +123,8 @@ impl Occupancy {
                     |leaf| {
                         locals.iter().for_each(|&local| leaf.octants.insert(local));
                         if let Some(round) = &mut leaf.round {
-                            let is_round = |place: u32| shapes.held(place as usize) >= ROUND;
-                            let particles = locals.iter().zip(places).filter(|(_, place)| is_round(**place));
+                            let is_round = |index: u32| shapes.held(index as usize) >= ROUND;
+                            let particles = locals.iter().zip(indices).filter(|(_, index)| is_round(**index));
                             particles.for_each(|(&local, _)| round.insert(local));
                         }
                         leaf.longest = leaf.longest.max(longest);
@@ -136,7 +137,7 @@ impl Occupancy {
             Ok(BatchSummary { voxels, placed_count: batch.len(), dropped_count, beyond_grid })
         };
         let batches = (0..source.batch_count()).into_par_iter().map(look).collect::<Result<Vec<_>, _>>()?;
-        let mut occupied = shards.into_told();
+        let mut occupied = leaf_map.freeze();
         let strayed = strayed(|| occupied.iter().map(|(&origin, leaf)| (origin, leaf.count)));
         let mut count_of_removed = |&origin: &IVec3| occupied.remove(origin).map_or(0, |leaf| leaf.count);
         let strayed_count = strayed.iter().map(&mut count_of_removed).sum();
@@ -147,17 +148,18 @@ impl Occupancy {
         Ok(Occupancy { topology, occupied, has_shapes, batches, strayed_count, stray })
     }
 
-    /// The number of particles that were not dropped.
+    /// Number of particles that were not dropped.
     pub fn particle_count(&self) -> usize {
         self.batches.iter().map(|batch| batch.placed_count).sum::<usize>() - self.strayed_count
     }
 
-    /// Particles left out: positions that are not finite, outside the grid's range of indices, or too far from the others.
+    /// Number of dropped particles: positions that are not finite, outside the grid's index range, or too far
+    /// from the others.
     pub fn dropped_count(&self) -> usize {
         self.batches.iter().map(|batch| batch.dropped_count).sum::<usize>() + self.strayed_count
     }
 
-    /// About where one of them is, in world units, if any of them is finite.
+    /// Approximate world position of one dropped particle, if any of them is finite.
     pub fn stray(&self) -> Option<DVec3> {
         self.stray
     }
@@ -167,22 +169,22 @@ impl Occupancy {
         self.occupied.get(origin).map(|leaf| &leaf.octants)
     }
 
-    /// The octants with round particles of the leaf with this origin; `None` where all particles are alike.
+    /// The octants with round particles of the leaf with this origin; `None` if all particles are uniform.
     pub(super) fn round_octants_of(&self, origin: IVec3) -> Option<&Octants> {
         self.occupied.get(origin)?.round.as_deref()
     }
 
-    /// The longest half axis of any particle in the leaf with this origin, in units of the radii.
+    /// Longest half axis of the particles in the leaf with this origin, in units of the radii.
     pub(super) fn longest_of(&self, origin: IVec3) -> f32 {
         self.occupied.get(origin).map_or(0.0, |leaf| leaf.longest)
     }
 
-    /// How many particles the leaf with this origin holds, and the first batch that has any of them.
+    /// Number of particles in the leaf with this origin, and the first batch that has particles there.
     pub(super) fn count_of(&self, origin: IVec3) -> Option<(usize, usize)> {
         self.occupied.get(origin).map(|leaf| (leaf.count, leaf.first_batch))
     }
 
-    /// The longest half axis of any particle, in units of the radii.
+    /// Longest half axis of all particles, in units of the radii.
     pub fn longest(&self) -> f32 {
         self.occupied.iter().map(|(_, leaf)| leaf.longest).fold(0.0, f32::max)
     }
@@ -194,7 +196,7 @@ mod tests {
     use crate::surface::particles::{Particles, Positions};
 
     #[test]
-    fn octants_hold_the_particles() {
+    fn octants_contain_the_particles() {
         let positions = vec![[0.0, 0.4, 0.5], [7.9, -0.1, 3.0], [f32::NAN; 3], [0.1, 0.2, 0.9]];
         let lattice = Lattice { voxel_size: 1.0 };
         let Ok(occupancy) = Occupancy::new(&Particles::Single(positions), &lattice);
@@ -215,7 +217,7 @@ mod tests {
         assert_eq!(whole.cells(), CoordBox { min: voxel(0, 0, 2), max: IVec3::splat(7) });
     }
 
-    /// A file that cannot be read to its end.
+    /// A source whose third batch cannot be read.
     struct Broken;
 
     impl ParticleSource for Broken {
@@ -235,8 +237,8 @@ mod tests {
     }
 
     #[test]
-    fn what_keeps_a_source_from_its_particles_is_told() {
-        let told = Occupancy::new(&Broken, &Lattice { voxel_size: 1.0 });
-        assert_eq!(told.err(), Some("the end is missing"));
+    fn source_error_is_returned() {
+        let result = Occupancy::new(&Broken, &Lattice { voxel_size: 1.0 });
+        assert_eq!(result.err(), Some("the end is missing"));
     }
 }

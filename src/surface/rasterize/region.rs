@@ -1,17 +1,18 @@
-//! How far around a window one has to look so that what is in the window is exactly as if there was no window.
+//! Computes how much around a window is needed to make its results identical to those of the whole frame.
 //!
 //! ```text
-//!   own        the window's leaves: φ_0, the bounds, and which leaves there are           ⎫ 2 voxels a sweep,
-//!   banded     which leaves there are, and φ_0; the bounds of these are swept             ⎬ and one for who is
-//!   swept      distances; φ_0 is swept on these                                           ⎭ beside the surface
-//!   crossed    where the surface passes: leaves so far from it are stored                   the band's margin
-//!   measured   distances again: who is beside the surface is told by its neighbours         one voxel
-//!   populated  particles                                                                    reach of distances
+//!   own        the window's leaves: φ_0, the bounds, and the set of stored leaves        ⎫ 2 voxels per sweep,
+//!   banded     the set of stored leaves, and φ_0; the bounds are swept on these          ⎬ plus 1 for voxels
+//!   swept      distances; φ_0 is swept on these                                          ⎭ next to the surface
+//!   crossed    surface crossings: leaves within the margin of one are stored               the band's margin
+//!   measured   distances again: whether a voxel is at a crossing depends on neighbors      one voxel
+//!   populated  particles                                                                   reach of distances
 //! ```
 //!
-//! Read from below it is how the stage goes; read from above, each line needs the next, on so much more. A leaf
-//! counts as a whole: it is stored for any of its voxels. Nothing less would do, as far as can be proved: a
-//! sweep reads values two voxels away along an axis, and each sweep those of the one before.
+//! Read bottom-up, the lines are the steps of rasterization; read top-down, each line needs the next one,
+//! wider by the amount on the right. Leaves count as a whole, since a leaf is stored if any of its voxels is.
+//! A smaller region cannot be proved sufficient: a sweep reads values two voxels away along an axis, and each
+//! sweep reads those of the previous one.
 
 use glam::IVec3;
 
@@ -19,10 +20,10 @@ use super::{Radii, sweep_count};
 use crate::surface::grid::LEAF_EDGE;
 use crate::surface::space::CoordBox;
 
-/// All voxels that there could be, and so many more that what is around them can be counted, too.
+/// Larger than the grid's index range, and small enough that adding margins does not overflow.
 const EVERYWHERE: CoordBox = CoordBox { min: IVec3::splat(-3 << 29), max: IVec3::splat(3 << 29) };
 
-/// The boxes of leaves that a window's results come from, each within the next.
+/// The boxes of leaves that a window's results depend on, each inside the next.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Regions {
     pub(super) own: CoordBox,
@@ -34,8 +35,8 @@ pub(super) struct Regions {
 }
 
 impl Regions {
-    /// Those of the leaves that a window touches. No particle has a half axis longer than `longest`, in units of the
-    /// radii.
+    /// The regions for the leaves that a window touches. `longest` bounds the half axes of all particles, in
+    /// units of the radii.
     pub(super) fn new(window: CoordBox, radii: Radii, longest: f32) -> Regions {
         let swept_voxels = 2 * sweep_count(radii.half_width()) as i32 + 1;
         let window = CoordBox { min: window.min.max(EVERYWHERE.min), max: window.max.min(EVERYWHERE.max) };
@@ -44,13 +45,13 @@ impl Regions {
         let swept = leaves_around(banded, swept_voxels);
         let crossed = leaves_around(swept, radii.band_margin());
         let measured = leaves_around(crossed, 1);
-        // A particle at the far end of its cell belongs to a voxel one less.
+        // Rounding can put a particle on the upper boundary of its cell, so its voxel may be one less.
         let populated = leaves_around(measured, radii.exact_reach(longest).ceil() as i32 + 1);
         Regions { own, banded, swept, crossed, measured, populated }
     }
 }
 
-/// The box of the leaves within so many voxels of a box.
+/// The box of the leaves within `margin` voxels of a box.
 fn leaves_around(voxels: CoordBox, margin: i32) -> CoordBox {
     let (grown, edge) = (voxels.expanded(margin), IVec3::splat(LEAF_EDGE));
     CoordBox {
@@ -59,7 +60,7 @@ fn leaves_around(voxels: CoordBox, margin: i32) -> CoordBox {
     }
 }
 
-/// Whether two boxes have a voxel in common.
+/// True if two boxes share a voxel.
 pub(super) fn meet(one: &CoordBox, other: &CoordBox) -> bool {
     one.min.cmple(other.max).all() && other.min.cmple(one.max).all()
 }
@@ -69,10 +70,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_window_of_one_leaf_needs_what_is_around_it() {
+    fn one_leaf_window_needs_these_rings_of_leaves() {
         let radii = Radii::of_balls(1.732, 2.598, 3.464);
         let regions = Regions::new(CoordBox { min: IVec3::ZERO, max: IVec3::splat(7) }, radii, 1.0);
-        // 23 voxels for each of the sweeps: three leaves; then 7 voxels, 1 voxel and 7 voxels.
+        // 23 voxels for the sweeps are three leaves; then follow 7 voxels, 1 voxel and 7 voxels.
         let rings = [0, 3, 6, 7, 8, 9];
         let found = [
             regions.own,
@@ -91,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn everywhere_is_no_less_than_all_there_is() {
+    fn everywhere_contains_the_index_range() {
         let radii = Radii::of_balls(32.0, 48.0, 64.0);
         let own = Regions::new(CoordBox::ALL, radii, 1.0).own;
         let farthest = IVec3::splat(crate::surface::space::INDEX_LIMIT + 1000);

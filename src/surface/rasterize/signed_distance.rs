@@ -1,28 +1,28 @@
-//! From the distance to the nearest centre to the signed distance to a union of spheres.
+//! Turns distances to the nearest center into the signed distance to a union of spheres.
 //!
 //! ```text
-//!    nearest − r       known: outside, and inside beside an outside voxel
-//!   ────╮              swept: farther inside, where the nearest centre tells nothing of the depth,
+//!    nearest − r       known: outside, and inside next to an outside voxel
+//!   ────╮              swept: deeper inside, where the nearest center does not determine the depth,
 //!       ╰──╮                  and beyond the reach of distances
 //!   swept  ╰──────
 //! ```
 
 use rayon::prelude::*;
 
-use super::distances::{Distances, Sphere};
+use super::distances::{Distances, SphereUnion};
 use super::sphere::OUT_OF_REACH;
 use super::{Radii, sweep_count};
 use crate::surface::grid::{Field, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
 use crate::surface::level_set::{Sweeps, UNREACHED, extend};
 use crate::surface::simd::{self, Kernel, Lanes};
 
-/// The signed distance to one of the unions, swept as far as the half width; farther values are those of some place
-/// between. The field that nobody needs after this becomes the result: the unions are to be asked for in the order
-/// S_0, S_max, S_min.
+/// The signed distance to one of the unions, swept up to the half width; values beyond it are only
+/// approximate. Reuses a field's memory after its last use, so request the unions in the order S_0, S_max,
+/// S_min.
 pub(super) fn signed_distance(
     topology: &Topology,
     distances: &mut Distances,
-    sphere: Sphere,
+    sphere: SphereUnion,
     radii: Radii,
 ) -> Field {
     let level = distances.level(sphere, radii);
@@ -42,8 +42,13 @@ pub(super) fn signed_distance(
     field
 }
 
-/// The voxels whose signed distance is known. Where a leaf is not stored, nothing is beside it.
-fn known_voxels(topology: &Topology, distances: &Distances, sphere: Sphere, radii: Radii) -> Vec<LeafMask> {
+/// The voxels whose signed distance is known. Missing neighbor leaves contribute no adjacent voxels.
+fn known_voxels(
+    topology: &Topology,
+    distances: &Distances,
+    sphere: SphereUnion,
+    radii: Radii,
+) -> Vec<LeafMask> {
     let inside = distances.inside(sphere, radii);
     let values = distances.field(sphere);
     let of_side = |mut side: LeafMask, leaf: usize, of: &dyn Fn(u32) -> LeafMask| {
@@ -58,9 +63,9 @@ fn known_voxels(topology: &Topology, distances: &Distances, sphere: Sphere, radi
         });
         let outside = |leaf: usize| inside[leaf].complement();
         let known_outside = if distances.is_exact_outside() {
-            let mut told = simd::dispatch(Below { leaf: &values.leaves[leaf], limit: OUT_OF_REACH });
-            told.remove_all(&inside[leaf]);
-            told
+            let mut within_reach = simd::dispatch(Below { leaf: &values.leaves[leaf], limit: OUT_OF_REACH });
+            within_reach.remove_all(&inside[leaf]);
+            within_reach
         } else {
             of_side(outside(leaf), leaf, &|neighbor| match neighbor {
                 NO_LEAF => LeafMask::FULL,
@@ -72,7 +77,7 @@ fn known_voxels(topology: &Topology, distances: &Distances, sphere: Sphere, radi
     (0..topology.len()).into_par_iter().map(known).collect()
 }
 
-/// Finds the voxels with less than a limit.
+/// Kernel: the voxels with a value below a limit.
 pub(super) struct Below<'a> {
     pub(super) leaf: &'a Leaf,
     pub(super) limit: f32,
@@ -96,7 +101,7 @@ impl Kernel for Below<'_> {
     }
 }
 
-/// Signed distances of the voxels where they are known; of the others the side.
+/// Kernel: signed distances of the voxels where they are known, and the sign of the others.
 struct SignedDistance<'a> {
     values: &'a Leaf,
     known: &'a LeafMask,
@@ -112,7 +117,7 @@ impl Kernel for SignedDistance<'_> {
         let mut leaf = Leaf::splat(0.0);
         for row in 0..ROW_COUNT {
             let values = V::load(self.values.row(row));
-            // What is out of reach is as far from the spheres.
+            // Infinite values are outside, beyond the reach of the sweeps.
             let side = V::select(values.lt(level), V::splat(-UNREACHED), V::splat(UNREACHED));
             let is_known = V::mask(self.known.row(row));
             V::select(is_known, values.sub(level), side).store(leaf.row_mut(row));

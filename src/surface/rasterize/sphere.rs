@@ -1,16 +1,16 @@
 //! Distances to the nearest particle, leaf by leaf.
 //!
 //! ```text
-//!   ┌────────┐          A particle lowers what is in its reach: each row has one dx² + dy², and then there
-//!   │ ▒▒▒    │          is one sum and one minimum for its eight values.
+//!   ┌────────┐          A particle lowers the values within its reach: each row computes dx² + dy² once, then
+//!   │ ▒▒▒    │          one sum and one minimum for its eight values.
 //!   │▒▒●▒▒   │
-//!   │ ▒▒▒    │          What is nowhere farther from the particles seen so far than from this one is passed
-//!   └────────┘          by: for each x, y and z the greatest distance of its slab is kept.
+//!   │ ▒▒▒    │          Particles that cannot lower any value are skipped: for each x, y and z slab, the
+//!   └────────┘          maximum distance to the particles visited so far is kept.
 //! ```
 //!
-//! Each leaf gathers from the particles around it, so no two threads write to one place, and the
-//! least distance does not depend on the order of particles. They come nearest leaves first: what is
-//! between particles then soon passes by the others.
+//! Each leaf gathers from the particles around it, so no two threads write to the same memory, and the
+//! minimum does not depend on the order of the particles. The nearest leaves come first, so that voxels
+//! between particles soon allow the remaining particles to be skipped.
 
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
@@ -19,13 +19,13 @@ use super::bin::ParticleBins;
 use crate::surface::grid::{Bits, Field, LEAF_EDGE, Leaf, LeafMask, Topology, leaf_steps_within};
 use crate::surface::simd::{self, Kernel, Lanes};
 
-/// In place of a distance: no particle is within reach.
+/// Distance value of voxels without a particle within reach.
 pub(super) const OUT_OF_REACH: f32 = f32::INFINITY;
 
-/// Distances in voxels to the nearest particle, for all of these leaves; [`OUT_OF_REACH`] for the voxels that
-/// are farther than `reach`, and 0 for those that are `settled`. What is `known` of a leaf already is copied.
+/// Distances in voxels to the nearest particle, in these leaves: [`OUT_OF_REACH`] for voxels farther than
+/// `reach`, and 0 for `settled` voxels. Leaves in `known` are copied.
 pub(super) fn nearest_distances<'a>(
-    eights: &Eights,
+    packets: &ParticlePackets,
     leaves: &Topology,
     reach: f32,
     settled: impl Fn(IVec3) -> &'a LeafMask + Sync,
@@ -36,56 +36,56 @@ pub(super) fn nearest_distances<'a>(
         if let Some(leaf) = known(origin) {
             return *leaf;
         }
-        let in_leaf = |&step: &IVec3| Some((step.as_vec3(), eights.in_leaf(origin + step)?));
-        let around: Vec<(Vec3, &[Eight])> = steps.iter().filter_map(in_leaf).collect();
+        let in_leaf = |&step: &IVec3| Some((step.as_vec3(), packets.in_leaf(origin + step)?));
+        let around: Vec<(Vec3, &[ParticlePacket])> = steps.iter().filter_map(in_leaf).collect();
         simd::dispatch(Nearest { around: &around, reach_squared: reach * reach, settled: settled(origin) })
     };
     Field { leaves: leaves.origins().par_iter().map(nearest).collect() }
 }
 
-/// Eight particles of a leaf: x, y and z, relative to its origin. Infinite where there are fewer.
-type Eight = [[f32; 8]; 3];
+/// Eight particles of a leaf: x, y and z, relative to its origin. Unused lanes are infinite.
+type ParticlePacket = [[f32; 8]; 3];
 
-/// The particles of each leaf by eights.
-pub(super) struct Eights<'a> {
+/// The particles of each leaf in packets of eight.
+pub(super) struct ParticlePackets<'a> {
     topology: &'a Topology,
-    /// Where each leaf's start; one more entry than leaves.
+    /// Start of each leaf's packets; one entry more than there are leaves.
     starts: Vec<usize>,
-    eights: Vec<Eight>,
+    packets: Vec<ParticlePacket>,
 }
 
-impl<'a> Eights<'a> {
-    pub(super) fn new(bins: &'a ParticleBins) -> Eights<'a> {
+impl<'a> ParticlePackets<'a> {
+    pub(super) fn new(bins: &'a ParticleBins) -> ParticlePackets<'a> {
         let leaf_count = bins.topology.len();
         let mut starts = vec![0; leaf_count + 1];
         for leaf in 0..leaf_count {
             starts[leaf + 1] = starts[leaf] + bins.in_leaf(leaf).len().div_ceil(8);
         }
-        let mut eights = Vec::with_capacity(starts[leaf_count]);
-        eights.extend((0..leaf_count).flat_map(|leaf| by_eights(bins.in_leaf(leaf))));
-        Eights { topology: &bins.topology, starts, eights }
+        let mut packets = Vec::with_capacity(starts[leaf_count]);
+        packets.extend((0..leaf_count).flat_map(|leaf| packets_of(bins.in_leaf(leaf))));
+        ParticlePackets { topology: &bins.topology, starts, packets }
     }
 
-    fn in_leaf(&self, origin: IVec3) -> Option<&[Eight]> {
+    fn in_leaf(&self, origin: IVec3) -> Option<&[ParticlePacket]> {
         let leaf = self.topology.find(origin)?;
-        Some(&self.eights[self.starts[leaf]..self.starts[leaf + 1]])
+        Some(&self.packets[self.starts[leaf]..self.starts[leaf + 1]])
     }
 }
 
-fn by_eights(locals: &[Vec3]) -> impl Iterator<Item = Eight> {
+fn packets_of(locals: &[Vec3]) -> impl Iterator<Item = ParticlePacket> {
     locals.chunks(8).map(|particles| {
         let mut eight = [[f32::INFINITY; 8]; 3];
-        for (place, particle) in particles.iter().enumerate() {
-            eight.iter_mut().zip(particle.to_array()).for_each(|(axis, along)| axis[place] = along);
+        for (lane, particle) in particles.iter().enumerate() {
+            eight.iter_mut().zip(particle.to_array()).for_each(|(axis, along)| axis[lane] = along);
         }
         eight
     })
 }
 
-/// The distances of one leaf.
+/// Kernel: the distances of one leaf.
 struct Nearest<'a> {
-    /// Leaves around it, by the step to them, and their particles.
-    around: &'a [(Vec3, &'a [Eight])],
+    /// Leaves around it: the step to each, and its particles.
+    around: &'a [(Vec3, &'a [ParticlePacket])],
     reach_squared: f32,
     settled: &'a LeafMask,
 }
@@ -100,18 +100,18 @@ impl Kernel for Nearest<'_> {
             let settled = V::mask(self.settled.row(row));
             V::select(settled, V::splat(0.0), V::splat(OUT_OF_REACH)).store(squared.row_mut(row));
         }
-        let mut limits = Limits::new::<V>(&squared, self.reach_squared);
+        let mut limits = SlabLimits::new::<V>(&squared, self.reach_squared);
         let mut lowered_count = 0;
-        for &(step, eights) in self.around {
-            for eight in eights {
-                for place in Bits(near_bits::<V>(eight, step, limits.greatest)) {
-                    let local = Vec3::new(eight[0][place & 7], eight[1][place & 7], eight[2][place & 7]);
+        for &(step, packets) in self.around {
+            for eight in packets {
+                for lane in Bits(near_bits::<V>(eight, step, limits.greatest)) {
+                    let local = Vec3::new(eight[0][lane & 7], eight[1][lane & 7], eight[2][lane & 7]);
                     lower_to_sphere::<V>(&mut squared, &limits, local + step);
                     lowered_count += 1;
                 }
-                // Looked at again how far the farthest are: worth the while only now and then.
+                // Updating the limits costs time, so it is done only now and then.
                 if lowered_count >= LIMIT_PARTICLES {
-                    limits = Limits::new::<V>(&squared, self.reach_squared);
+                    limits = SlabLimits::new::<V>(&squared, self.reach_squared);
                     lowered_count = 0;
                 }
             }
@@ -126,30 +126,29 @@ impl Kernel for Nearest<'_> {
     }
 }
 
-/// Particles after which the limits are found again.
+/// Number of particles after which the limits are updated.
 const LIMIT_PARTICLES: usize = 32;
 
-/// Which of eight particles are no farther than a squared distance from the box of a leaf's voxels.
+/// Bit mask of the eight particles within a squared distance of the box of a leaf's voxels.
 #[inline(always)]
-fn near_bits<V: Lanes>(eight: &Eight, step: Vec3, limit: f32) -> u8 {
+fn near_bits<V: Lanes>(eight: &ParticlePacket, step: Vec3, limit: f32) -> u8 {
     let x = squares_aside(V::load(&eight[0]).add(V::splat(step.x)));
     let y = squares_aside(V::load(&eight[1]).add(V::splat(step.y)));
     let z = squares_aside(V::load(&eight[2]).add(V::splat(step.z)));
-    // Summed as distances are, so that rounding takes none for farther than its values.
+    // Summed in the same order as distances, so that rounding never rejects a particle that lowers a value.
     V::bits(V::not(V::splat(limit).lt(x.add(y).add(z))))
 }
 
-/// For the voxels of each x, of each y and of each z the squared distance from which on a particle changes
-/// nothing.
-struct Limits {
+/// Squared distances from which on a particle changes nothing, for the slabs of each x, each y and each z.
+struct SlabLimits {
     along: [[f32; 8]; 3],
-    /// The greatest of them all.
+    /// The maximum of all limits.
     greatest: f32,
 }
 
-impl Limits {
+impl SlabLimits {
     #[inline(always)]
-    fn new<V: Lanes>(squared: &Leaf, reach_squared: f32) -> Limits {
+    fn new<V: Lanes>(squared: &Leaf, reach_squared: f32) -> SlabLimits {
         let mut along = [[0.0; 8]; 3];
         let zero = V::splat(0.0);
         let (mut of_y, mut of_z) = ([zero; 8], zero);
@@ -170,11 +169,11 @@ impl Limits {
         for limits in &mut along {
             V::load(limits).min(V::splat(reach_squared)).store(limits);
         }
-        Limits { greatest: greatest(V::load(&along[2])), along }
+        SlabLimits { greatest: greatest(V::load(&along[2])), along }
     }
 }
 
-/// The greatest of eight values that are not negative.
+/// Maximum of eight non-negative values.
 #[inline(always)]
 pub(super) fn greatest<V: Lanes>(values: V) -> f32 {
     let mut row = [0.0; 8];
@@ -186,14 +185,14 @@ pub(super) fn greatest<V: Lanes>(values: V) -> f32 {
     greatest
 }
 
-/// Takes the lesser of each squared distance and that to `position`, in the slabs where it may be the lesser.
+/// Takes the minimum of each squared distance and that to `position`, in the slabs where it can be lower.
 #[inline(always)]
-fn lower_to_sphere<V: Lanes>(squared: &mut Leaf, limits: &Limits, position: Vec3) {
+fn lower_to_sphere<V: Lanes>(squared: &mut Leaf, limits: &SlabLimits, position: Vec3) {
     let least_x = squares_aside(V::splat(position.x));
     let least_y = squares_aside(V::splat(position.y));
     let least_z = squares_aside(V::splat(position.z));
     let (dx, dy, dz) = (squares::<V>(position.x), squares::<V>(position.y), squares::<V>(position.z));
-    // Summed as distances are, so that rounding takes nothing for farther than its values.
+    // Summed in the same order as distances, so that rounding never rejects a slab that has a lower value.
     let slabs = is_within(dx.add(least_y).add(least_z), &limits.along[0]);
     let is_within_y = is_within(least_x.add(dy).add(least_z), &limits.along[1]) != 0;
     if !is_within_y || is_within(least_x.add(least_y).add(dz), &limits.along[2]) == 0 {
@@ -203,7 +202,7 @@ fn lower_to_sphere<V: Lanes>(squared: &mut Leaf, limits: &Limits, position: Vec3
     dx.store(&mut along_x);
     dy.store(&mut along_y);
     for x in Bits(slabs) {
-        // All rows of a slab: to pick some takes longer.
+        // All rows of a slab: selecting rows takes longer.
         for (y, along_y) in along_y.iter().enumerate() {
             let row = squared.row_mut((x & 7) * 8 + y);
             let across = V::splat(along_x[x & 7] + along_y);
@@ -212,20 +211,20 @@ fn lower_to_sphere<V: Lanes>(squared: &mut Leaf, limits: &Limits, position: Vec3
     }
 }
 
-/// Where the least squared distance is not beyond the limit.
+/// Bit mask of the slabs whose minimum squared distance is within the limit.
 #[inline(always)]
 fn is_within<V: Lanes>(least: V, limits: &[f32; 8]) -> u8 {
     V::bits(V::not(V::load(limits).lt(least)))
 }
 
-/// Along one axis, the squares of the distances from a leaf's voxels to a place.
+/// Along one axis, the squared distances from a leaf's voxels to `along`.
 #[inline(always)]
 fn squares<V: Lanes>(along: f32) -> V {
     let apart = V::load(&[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]).sub(V::splat(along));
     apart.mul(apart)
 }
 
-/// The least of them: 0 between the first voxel and the last. For eight places at once.
+/// Along one axis, the squared distance to the leaf's range of voxels, 0 inside. For eight positions at once.
 #[inline(always)]
 fn squares_aside<V: Lanes>(along: V) -> V {
     let aside = along.sub(along.max(V::splat(0.0)).min(V::splat((LEAF_EDGE - 1) as f32)));
@@ -238,7 +237,7 @@ mod tests {
     use crate::surface::grid::voxel_in_leaf;
     use crate::surface::simd::{Level, dispatch_at};
 
-    /// By the definition.
+    /// Reference implementation, directly from the definition.
     fn expected(particles: &[Vec3], reach: f32, settled: &LeafMask) -> Leaf {
         let mut leaf = Leaf::splat(0.0);
         for offset in (0..512).filter(|&offset| !settled.contains(offset)) {
@@ -253,7 +252,7 @@ mod tests {
     }
 
     #[test]
-    fn distances_are_those_to_the_nearest_particle() {
+    fn nearest_distances_match_brute_force() {
         let mut state = 1u32;
         let mut random = || {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -271,10 +270,10 @@ mod tests {
                 .iter()
                 .flat_map(|(step, locals)| locals.iter().map(move |&local| local + step))
                 .collect();
-            let eights: Vec<(Vec3, Vec<Eight>)> =
-                around.iter().map(|(step, locals)| (*step, by_eights(locals).collect())).collect();
-            let around: Vec<(Vec3, &[Eight])> =
-                eights.iter().map(|(step, eights)| (*step, eights.as_slice())).collect();
+            let packets: Vec<(Vec3, Vec<ParticlePacket>)> =
+                around.iter().map(|(step, locals)| (*step, packets_of(locals).collect())).collect();
+            let around: Vec<(Vec3, &[ParticlePacket])> =
+                packets.iter().map(|(step, packets)| (*step, packets.as_slice())).collect();
             for settled in [&LeafMask::EMPTY, &some] {
                 let expected = expected(&all, reach, settled).values.map(f32::to_bits);
                 for level in Level::ALL {
@@ -287,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn the_nearest_leaves_come_first() {
+    fn leaf_steps_are_sorted_by_distance() {
         let steps = leaf_steps_within(5.464);
         assert_eq!((steps.len(), steps[0]), (27, IVec3::ZERO));
         assert!(steps[1..7].iter().all(|step| step.length_squared() == 64));

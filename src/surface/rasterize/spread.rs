@@ -1,22 +1,22 @@
-//! How widely the particles of a frame are spread, by the leaves that hold them.
+//! Measures how widely a frame's particles are spread, from the leaves that contain them.
 //!
 //! ```text
 //!   ┌──┬──┬──┐                                   ┌──┐
-//!   │ 9│50│30│                                   │ 1│      half of them are within a leaf or two of their middle,
-//!   └──┴──┴──┘                                   └──┘      wherever the last one is
+//!   │ 9│50│30│                                   │ 1│      half of the particles are within one or two leaves
+//!   └──┴──┴──┘                                   └──┘      of their median, wherever the last one is
 //! ```
 
 use glam::IVec3;
 
-/// How far half of the particles, and no fewer, are from their middle along an axis, in voxels. `leaves` are origins of
-/// leaves, and how many particles each holds. All of a frame that is no wider than `unseen_voxels` is at its middle: most
-/// frames are, and are not sorted.
+/// Median distance of the particles from their median position along an axis, in voxels. `leaves` yields leaf
+/// origins with their particle counts. Returns 0 for a frame at most `unseen_voxels` wide, without sorting;
+/// most frames are.
 pub(super) fn spread<L: Iterator<Item = (IVec3, usize)>>(leaves: impl Fn() -> L, unseen_voxels: i32) -> u32 {
     let bounds = leaves().map(|(origin, _)| (origin, origin));
     let Some((low, high)) = bounds.reduce(|(low, high), (one, _)| (low.min(one), high.max(one))) else {
         return 0;
     };
-    // Twice an index has a place in 32 bits.
+    // Twice an index still fits into 32 bits.
     if (high - low).max_element() <= unseen_voxels {
         return 0;
     }
@@ -25,7 +25,7 @@ pub(super) fn spread<L: Iterator<Item = (IVec3, usize)>>(leaves: impl Fn() -> L,
     middle(leaves().map(|(origin, count)| ((origin - center).abs().max_element(), count))).unsigned_abs()
 }
 
-/// The value that half of the counts are at or below.
+/// Weighted median: half of the total count is at or below this value.
 pub(super) fn middle(values: impl Iterator<Item = (i32, usize)>) -> i32 {
     let mut values: Vec<(i32, usize)> = values.collect();
     values.sort_unstable();
@@ -45,13 +45,13 @@ mod tests {
     const FAR: i32 = (1 << 30) - 8;
 
     #[test]
-    fn half_of_the_particles_say_how_wide_a_frame_is() {
+    fn spread_is_the_median_distance_from_the_median() {
         let spread_of = |leaves: &[(i32, usize)]| {
             spread(|| leaves.iter().map(|&(x, count)| (IVec3::new(x, 8, -x), count)), 1000)
         };
         assert_eq!(spread_of(&[]), 0);
-        assert_eq!(spread_of(&[(0, 1), (1000, 1)]), 0, "nothing that matters");
-        assert_eq!(spread_of(&[(0, 9), (8, 50), (16, 30), (FAR, 1)]), 0, "one that is astray");
+        assert_eq!(spread_of(&[(0, 1), (1000, 1)]), 0, "two particles");
+        assert_eq!(spread_of(&[(0, 9), (8, 50), (16, 30), (FAR, 1)]), 0, "one stray particle");
         assert_eq!(spread_of(&[(0, 40), (8, 50), (-FAR, 30), (FAR, 40)]), 8);
         assert_eq!(spread_of(&[(-80_000, 3), (-40_000, 3), (0, 1), (40_000, 3), (80_000, 3)]), 40_000);
     }

@@ -1,4 +1,4 @@
-//! The stage against the same method with nothing left out, and windows against the whole.
+//! Compares rasterization with the same method without culling, and windows with the whole frame.
 
 use std::convert::Infallible;
 
@@ -12,8 +12,8 @@ use crate::surface::particles::{Particles, Positions};
 
 pub(super) const LATTICE: Lattice = Lattice { voxel_size: 1.0 };
 
-/// The usual radii; some so small that no particle may be left out; larger ones, far apart; all the same; and
-/// such that reach over the next leaf.
+/// Usual radii; radii so small that no particle may be dropped; larger radii, far apart; three equal radii;
+/// and radii that reach across the adjacent leaf.
 pub(super) const RADII: [Radii; 5] = [
     Radii::of_balls(1.732_050_8, 2.598_076, 3.464_101_6),
     Radii::of_balls(1.1, 1.3, 1.8),
@@ -22,7 +22,7 @@ pub(super) const RADII: [Radii; 5] = [
     Radii::of_balls(11.5, 12.0, 12.5),
 ];
 
-/// Particles in batches of seven.
+/// A source with seven particles per batch.
 struct Small<'a>(&'a [[f32; 3]]);
 
 impl ParticleSource for Small<'_> {
@@ -33,7 +33,7 @@ impl ParticleSource for Small<'_> {
     }
 
     fn batch(&self, batch: usize) -> Result<Positions<'_>, Infallible> {
-        let Some(positions) = self.0.chunks(7).nth(batch) else { unreachable!("there are not so many") };
+        let Some(positions) = self.0.chunks(7).nth(batch) else { unreachable!("batch index out of range") };
         Ok(Positions::F32(positions.into()))
     }
 
@@ -42,7 +42,8 @@ impl ParticleSource for Small<'_> {
     }
 }
 
-/// Lattice points in a box about the origin that `holds`, each moved by up to a third of the spacing.
+/// Lattice points in a box around the origin, filtered by `holds`, each jittered by up to a third of the
+/// spacing.
 pub(super) fn jittered(half_edge: i32, spacing: f32, holds: impl Fn(Vec3) -> bool) -> Vec<[f32; 3]> {
     let mut state = 7u32;
     let mut moved = || {
@@ -51,31 +52,32 @@ pub(super) fn jittered(half_edge: i32, spacing: f32, holds: impl Fn(Vec3) -> boo
     };
     let count = (half_edge as f32 / spacing) as i32;
     let axis = || -count..=count;
-    let places = axis().flat_map(|x| axis().flat_map(move |y| axis().map(move |z| IVec3::new(x, y, z))));
-    let places = places.map(|place| place.as_vec3() * spacing).filter(|&place| holds(place));
-    places.map(|place| (place + Vec3::new(moved(), moved(), moved())).to_array()).collect()
+    let points = axis().flat_map(|x| axis().flat_map(move |y| axis().map(move |z| IVec3::new(x, y, z))));
+    let points = points.map(|point| point.as_vec3() * spacing).filter(|&point| holds(point));
+    points.map(|point| (point + Vec3::new(moved(), moved(), moved())).to_array()).collect()
 }
 
-/// Solids with a deep inside, a hollow one, a sheet, spray, next to nothing, and nothing.
+/// A solid block, a hollow one, a sheet, spray, a single particle, and no particles.
 pub(super) fn scenes() -> Vec<(&'static str, Vec<[f32; 3]>)> {
-    let ball = |center: Vec3, radius: f32| move |place: Vec3| (place - center).length() < radius;
+    let ball = |center: Vec3, radius: f32| move |point: Vec3| (point - center).length() < radius;
     let mut spray = jittered(40, 11.0, |_| true);
     spray.extend([[40.0, 40.5, 41.0], [40.1, 40.4, 41.5]]);
-    let hollow = jittered(26, 2.0, |place| {
-        ball(Vec3::ZERO, 26.0)(place) && !ball(Vec3::new(4.0, 1.0, 0.0), 13.0)(place)
+    let hollow = jittered(26, 2.0, |point| {
+        ball(Vec3::ZERO, 26.0)(point) && !ball(Vec3::new(4.0, 1.0, 0.0), 13.0)(point)
     });
     vec![
         ("solid", jittered(26, 2.0, ball(Vec3::ZERO, 26.0))),
-        ("dense solid", jittered(17, 1.0, |place| place.abs().max_element() < 17.0)),
+        ("dense solid", jittered(17, 1.0, |point| point.abs().max_element() < 17.0)),
         ("hollow", hollow),
-        ("sheet", jittered(30, 1.5, |place| (place.z - 0.2 * place.x).abs() < 1.0)),
+        ("sheet", jittered(30, 1.5, |point| (point.z - 0.2 * point.x).abs() < 1.0)),
         ("spray", spray),
         ("one", vec![[-0.2, 7.99, 8.0]]),
         ("none", Vec::new()),
     ]
 }
 
-/// Everything by the definition, of all particles; distances and differences rounded as they are there.
+/// Reference implementation from the definition, with all particles. Distances and differences are rounded as
+/// in the optimized code.
 fn reference(positions: &[[f32; 3]], radii: Radii) -> (NarrowBand, Bounds) {
     let nearest = Distances::new(positions, radii.max + EXACT_MARGIN);
     let sizes = [radii.max, radii.init, radii.min];
@@ -85,7 +87,8 @@ fn reference(positions: &[[f32; 3]], radii: Radii) -> (NarrowBand, Bounds) {
     assembled(nearest.leaves.keys().copied(), is_crossing, signed, half_width)
 }
 
-/// The level sets around the crossings in these leaves; `signed` has the distances to S_max, S_0 and S_min.
+/// The level sets around the crossings in these leaves. `signed` computes the distances to S_max, S_0 and
+/// S_min.
 pub(super) fn assembled(
     leaves: impl Iterator<Item = IVec3>,
     is_crossing: impl Fn(IVec3) -> bool,
@@ -115,13 +118,13 @@ pub(super) fn assembled(
     (band, bounds)
 }
 
-/// Signed distances: `told` has a voxel's value, and whether it is known; the others are swept.
-pub(super) fn swept(topology: &Topology, half_width: f32, told: impl Fn(IVec3) -> (f32, bool)) -> Field {
+/// Sweeps signed distances: `value_at` returns a voxel's value, and whether it is final; the others are swept.
+pub(super) fn swept(topology: &Topology, half_width: f32, value_at: impl Fn(IVec3) -> (f32, bool)) -> Field {
     let mut distance = Field::splat(topology.len(), 0.0);
     let mut known = vec![LeafMask::EMPTY; topology.len()];
     for (leaf, &origin) in topology.origins().iter().enumerate() {
         for offset in 0..512 {
-            let (value, is_known) = told(origin + voxel_in_leaf(offset));
+            let (value, is_known) = value_at(origin + voxel_in_leaf(offset));
             distance.leaves[leaf].values[offset] = match value < 0.0 {
                 _ if is_known => value,
                 true => -UNREACHED,
@@ -139,7 +142,7 @@ pub(super) fn swept(topology: &Topology, half_width: f32, told: impl Fn(IVec3) -
     distance
 }
 
-/// The distances to the nearest of all particles; infinite beyond the reach.
+/// Distances to the nearest of all particles; infinite beyond the reach.
 struct Distances {
     leaves: FxHashMap<IVec3, Leaf>,
 }
@@ -179,7 +182,7 @@ impl Distances {
         leaf.map_or(f32::INFINITY, |leaf| leaf.values[crate::surface::grid::offset_in_leaf(local)])
     }
 
-    /// Whether a voxel is inside and beside one that is not.
+    /// True if a voxel is inside and next to an outside voxel.
     fn is_crossing(&self, voxel: IVec3, radius: f32) -> bool {
         self.at(voxel) < radius && FACE_STEPS.iter().any(|&step| self.at(voxel + step) >= radius)
     }
@@ -196,29 +199,29 @@ impl Distances {
 }
 
 /// The bits of φ_0 and of both bounds, by leaf.
-pub(super) type Values = Vec<(IVec3, [[u32; 512]; 3])>;
+pub(super) type LeafBits = Vec<(IVec3, [[u32; 512]; 3])>;
 
-pub(super) fn values(band: &NarrowBand, bounds: &Bounds) -> Values {
+pub(super) fn values(band: &NarrowBand, bounds: &Bounds) -> LeafBits {
     let fields = [&band.phi, &bounds.lower, &bounds.upper];
     let of_leaf = |leaf: usize| fields.map(|field| field.leaves[leaf].values.map(f32::to_bits));
     band.topology.origins().iter().enumerate().map(|(leaf, &origin)| (origin, of_leaf(leaf))).collect()
 }
 
-pub(super) fn values_of(rasterized: &Rasterized) -> Values {
+pub(super) fn values_of(rasterized: &Rasterized) -> LeafBits {
     values(&rasterized.band, &rasterized.bounds)
 }
 
 #[test]
 #[ignore = "slow: `.ci/run` runs it"]
-fn what_is_left_out_changes_no_bit() {
+fn culling_changes_no_bit() {
     for (name, positions) in scenes() {
-        // By the definition, many particles with a long reach take long.
+        // The reference takes long for many particles with a long reach.
         for radii in RADII.into_iter().filter(|radii| radii.init < 10.0 || positions.len() < 1000) {
             let (band, bounds) = reference(&positions, radii);
             let Ok(whole) = rasterize(&Particles::Single(positions.clone()), &Scene::open(LATTICE, radii));
             assert!(values_of(&whole) == values(&band, &bounds), "{name}, {radii:?}");
             assert_eq!(whole.bins.particle_count, positions.len());
-            // Something is left out where there is much inside, and nothing where nobody could tell.
+            // Particles are dropped if the inside is large, and never if the radius is too small to decide.
             let left_out = positions.len() - whole.bins.len();
             let is_deep = name == "dense solid" && radii.init > 1.75;
             assert!(
@@ -230,18 +233,18 @@ fn what_is_left_out_changes_no_bit() {
     }
 }
 
-/// Also particles that come in other batches, in parts of which some are not looked at.
+/// Also with particles in a different batch order, and with batches that are skipped.
 #[test]
-fn windows_are_parts_of_the_whole() {
-    let bar = |place: Vec3| place.y.abs() < 5.0 && (place.z - 0.1 * place.x).abs() < 3.0;
+fn windows_equal_the_whole_frame() {
+    let bar = |point: Vec3| point.y.abs() < 5.0 && (point.z - 0.1 * point.x).abs() < 3.0;
     let mut positions = jittered(150, 2.0, bar);
-    positions.extend(jittered(14, 1.0, |place| place.length() < 14.0));
+    positions.extend(jittered(14, 1.0, |point| point.length() < 14.0));
     let mut whole_count = 0;
     for radii in [RADII[0], RADII[2]] {
         let Ok(whole) = rasterize(&Particles::Single(positions.clone()), &Scene::open(LATTICE, radii));
         let source = Small(&positions);
         let Ok(occupancy) = Occupancy::new(&source, &LATTICE);
-        let (mut parts, mut fewest) = (Values::new(), usize::MAX);
+        let (mut parts, mut fewest) = (LeafBits::new(), usize::MAX);
         for (first, last) in [(-200, -137), (-136, -41), (-40, -33), (-32, -1), (0, 23), (24, 199)] {
             for (low, high) in [(-64, 7), (8, 63)] {
                 let window = CoordBox { min: IVec3::new(first, -64, low), max: IVec3::new(last, 63, high) };

@@ -1,9 +1,9 @@
-//! Particles with shapes of their own, against the same with nothing left out, and windows against the whole.
+//! Compares anisotropic particles with the same method without culling, and windows with the whole frame.
 
 use glam::{IVec3, Vec3};
 use rustc_hash::FxHashMap;
 
-use super::tests::{LATTICE, RADII, Values, assembled, jittered, scenes, swept, values, values_of};
+use super::tests::{LATTICE, LeafBits, RADII, assembled, jittered, scenes, swept, values, values_of};
 use super::*;
 use crate::surface::grid::{offset_in_leaf, voxel_in_leaf};
 use crate::surface::particles::{Cloud, Ellipsoid, Particles, Shapes};
@@ -12,14 +12,14 @@ fn cloud(positions: &[[f32; 3]], shapes: Shapes) -> Cloud {
     Cloud { shapes, ..Cloud::from(Particles::Single(positions.to_vec())) }
 }
 
-/// Numbers from 0 to 1, the same for the same index.
+/// Pseudo-random numbers from 0 to 1, a function of the index and the salt.
 fn random(index: usize, salt: u32) -> f32 {
     let mixed = (index as u32).wrapping_mul(0x9e37_79b9).wrapping_add(salt.wrapping_mul(0x85eb_ca6b));
     let mixed = (mixed ^ mixed >> 15).wrapping_mul(0x2c1b_3c6d);
     ((mixed ^ mixed >> 12) >> 8) as f32 / (1 << 24) as f32
 }
 
-/// Ellipsoids of all kinds, whose half axes are no shorter than `shortest`.
+/// Ellipsoids of all kinds, with half axes of at least `shortest`.
 fn ellipsoids(count: usize, shortest: f32, longest: f32) -> Shapes {
     let one = |index: usize| {
         let angles = [0, 1].map(|salt| random(index, salt) * 6.3);
@@ -36,7 +36,7 @@ fn scales(count: usize, most: f32) -> Shapes {
     Shapes::Scaled((0..count).map(|index| 1.0 + (most - 1.0) * random(index, 9).powi(6)).collect())
 }
 
-/// One of four is flat, with a shortest half axis of `thickness`; the others are nearly balls.
+/// One ellipsoid in four is flat, with a shortest half axis of `thickness`; the others are nearly balls.
 fn flat_among_round(count: usize, thickness: f32) -> Shapes {
     let Shapes::Ellipsoids(mut shapes) = ellipsoids(count, 0.93, 1.1) else {
         unreachable!("by construction")
@@ -50,7 +50,7 @@ fn flat_among_round(count: usize, thickness: f32) -> Shapes {
 }
 
 #[test]
-fn balls_of_scale_one_are_balls() {
+fn scaled_balls_of_scale_one_equal_uniform_balls() {
     for (name, positions) in scenes() {
         for radii in RADII.into_iter().filter(|radii| radii.init < 10.0) {
             let Ok(balls) = rasterize(&Particles::Single(positions.clone()), &Scene::open(LATTICE, radii));
@@ -61,9 +61,10 @@ fn balls_of_scale_one_are_balls() {
     }
 }
 
-/// Round ellipsoids have the surfaces of balls; what is swept from them differs by what the distances are exact to.
+/// Round ellipsoids have the same surface as balls. Swept values differ by the error of the distances they
+/// start from.
 #[test]
-fn round_ellipsoids_are_nearly_balls() {
+fn round_ellipsoids_approximate_balls() {
     let (_, positions) = scenes().swap_remove(2);
     let Ok(balls) = rasterize(&Particles::Single(positions.clone()), &Scene::open(LATTICE, RADII[0]));
     let round = Shapes::Ellipsoids(vec![Ellipsoid::ball(1.0); positions.len()]);
@@ -76,7 +77,7 @@ fn round_ellipsoids_are_nearly_balls() {
     let balls_topology = &balls.band.topology;
     let mut shared_count = 0;
     for (leaf, &origin) in balls.band.topology.origins().iter().enumerate() {
-        // Swept distances tell of leaves at the very edge of the band differently.
+        // At the edge of the band, swept distances select slightly different leaves.
         let Some(other) = round.band.topology.find(origin) else { continue };
         shared_count += 1;
         for (field, (round, balls)) in fields.into_iter().enumerate() {
@@ -89,7 +90,7 @@ fn round_ellipsoids_are_nearly_balls() {
                     let value = found.map(|(leaf, at)| balls.leaves[leaf].values[offset_in_leaf(at)]);
                     value.is_some_and(|value| (value < 0.0) != (expected < 0.0))
                 };
-                // Values beside the surface are those of the particles; the others are swept from them.
+                // Values next to the surface come from the particles; the others are swept.
                 let allowed = if FACE_STEPS.iter().any(beside) { 1e-3 } else { 0.5 };
                 assert!((value - expected).abs() < allowed, "{value} for {expected} in field {field}");
             }
@@ -100,7 +101,7 @@ fn round_ellipsoids_are_nearly_balls() {
 
 #[test]
 #[ignore = "slow: `.ci/run` runs it"]
-fn what_is_left_out_changes_no_bit() {
+fn culling_changes_no_bit() {
     for (name, positions) in scenes() {
         let count = positions.len();
         for (radii, shapes) in [
@@ -118,10 +119,10 @@ fn what_is_left_out_changes_no_bit() {
     }
 }
 
-/// A ball of 60 voxels has its bounds 15 voxels apart, and the band has no room for that: what floats between them must
-/// not be let out of the leaves that are stored.
+/// The bounds of a ball of 60 voxels are 15 voxels apart, which is more than the band has room for. What
+/// floats between them must not leave the stored leaves.
 #[test]
-fn bounds_keep_the_surface_in_the_band() {
+fn surface_stays_in_the_band_if_bounds_exceed_it() {
     let positions = [[0.2, 0.1, 5.3], [27.4, 21.6, 53.5], [30.6, 22.3, 49.7]];
     let radii = Radii::of_balls(1.75, 2.6, 3.5);
     let source = cloud(&positions, Shapes::Scaled(vec![18.0, 1.0, 1.0]));
@@ -137,7 +138,7 @@ fn bounds_keep_the_surface_in_the_band() {
             let [lower, upper] =
                 [&bounds.lower, &bounds.upper].map(|bound| bound.leaves[leaf].values[offset]);
             let phi = band.phi.leaves[leaf].values[offset];
-            assert!(phi.abs() > 4.0, "a voxel beside the end of the band is {phi} from the surface");
+            assert!(phi.abs() > 4.0, "a voxel at the end of the band is {phi} from the surface");
             assert!(phi < 0.0 || lower >= 1.0, "{lower} to {upper} at {voxel}");
             held_count += 1;
         }
@@ -146,16 +147,16 @@ fn bounds_keep_the_surface_in_the_band() {
 }
 
 #[test]
-fn windows_are_parts_of_the_whole() {
-    let bar = |place: Vec3| place.y.abs() < 5.0 && (place.z - 0.1 * place.x).abs() < 3.0;
+fn windows_equal_the_whole_frame() {
+    let bar = |point: Vec3| point.y.abs() < 5.0 && (point.z - 0.1 * point.x).abs() < 3.0;
     let mut positions = jittered(100, 2.0, bar);
-    positions.extend(jittered(14, 1.0, |place| place.length() < 14.0));
+    positions.extend(jittered(14, 1.0, |point| point.length() < 14.0));
     let radii = Radii { roomy: 2.0, ..RADII[0] };
     for shapes in [scales(positions.len(), 5.0), ellipsoids(positions.len(), 1.0, 2.5)] {
         let source = cloud(&positions, shapes);
         let Ok(whole) = rasterize(&source, &Scene::open(LATTICE, radii));
         let Ok(occupancy) = Occupancy::new(&source, &LATTICE);
-        let mut parts = Values::new();
+        let mut parts = LeafBits::new();
         for (first, last) in [(-160, -41), (-40, -33), (-32, -1), (0, 23), (24, 159)] {
             for (low, high) in [(-64, 7), (8, 63)] {
                 let window = CoordBox { min: IVec3::new(first, -64, low), max: IVec3::new(last, 63, high) };
@@ -169,14 +170,15 @@ fn windows_are_parts_of_the_whole() {
     }
 }
 
-/// Everything by the definition, of all particles; values rounded as they are there.
+/// Reference implementation from the definition, with all particles. Values are rounded as in the optimized
+/// code.
 fn reference(source: &Cloud, radii: Radii) -> (NarrowBand, Bounds) {
     let (values, half_width) = (Definition::new(source, radii), radii.half_width());
     let signed = |topology: &Topology, surface: usize| values.signed(topology, surface, half_width);
     assembled(values.leaves.keys().copied(), |voxel| values.is_crossing(voxel), signed, half_width)
 }
 
-/// The least of all particles' values at every voxel that any of them counts for, for the three radii.
+/// Minimum of all particles' values at every voxel within their range, for the three radii.
 struct Definition {
     leaves: FxHashMap<IVec3, [Leaf; 3]>,
     is_exact_outside: bool,
@@ -203,14 +205,14 @@ impl Definition {
                         for (offset, voxel) in
                             (0..512).map(|offset| (offset, voxel_in_leaf(offset).as_vec3()))
                         {
-                            // The place of the particle as whoever lies a step away sees it.
+                            // The particle's position as seen from a leaf one step away.
                             let apart = voxel - (local + -step.as_vec3());
                             if apart.abs().max_element() > reach as f32 {
                                 continue;
                             }
-                            let told = value_of(&source.shapes, particle, apart, radii);
-                            for (values, told) in values.iter_mut().zip(told) {
-                                values.values[offset] = values.values[offset].min(told);
+                            let particle_values = value_of(&source.shapes, particle, apart, radii);
+                            for (values, value) in values.iter_mut().zip(particle_values) {
+                                values.values[offset] = values.values[offset].min(value);
                             }
                         }
                     }
@@ -229,7 +231,7 @@ impl Definition {
         leaf.map_or(f32::INFINITY, |leaf| leaf[surface].values[offset_in_leaf(local)])
     }
 
-    /// Whether a voxel is inside and beside one that is not.
+    /// True if a voxel is inside and next to an outside voxel.
     fn is_crossing(&self, voxel: IVec3) -> bool {
         self.at(voxel, 1) < 0.0 && FACE_STEPS.iter().any(|&step| self.at(voxel + step, 1) >= 0.0)
     }
@@ -247,15 +249,15 @@ impl Definition {
     }
 }
 
-/// A particle's values at a place relative to its centre, infinite where it does not count.
+/// A particle's values at a position relative to its center, infinite outside its range.
 fn value_of(shapes: &Shapes, particle: usize, apart: Vec3, radii: [f32; 3]) -> [f32; 3] {
     match shapes {
-        Shapes::Balls => unreachable!("these have tests of their own"),
+        Shapes::Balls => unreachable!("uniform balls have separate tests"),
         Shapes::Scaled(scales) => {
             let squared = apart.x * apart.x + apart.y * apart.y + apart.z * apart.z;
             radii.map(|radius| {
                 let value = squared.sqrt() - scales[particle] * radius;
-                // Farther than any of the balls counts, which are no smaller than 1, distances are swept.
+                // Distances beyond the range of the smallest balls, whose scale is at least 1, are swept.
                 if value <= 2.0 + (radii[0] - radius) { value } else { f32::INFINITY }
             })
         }

@@ -1,23 +1,24 @@
-//! Which particles are near places that no particle covers. The others do not show, wherever neighbours would move them.
+//! Finds the particles near uncovered places. The others do not affect the surface, wherever their neighbors
+//! move them.
 //!
 //! ```text
-//!   · · · · · · · · ·      ·  uncovered: a voxel without a particle that is surely within r_init
+//!   · · · · · · · · ·      ·  uncovered: a voxel without a particle that is certainly within r_init
 //!   v v v v v v v v v  ┐
 //!   v v v v v v v v v  ┘   depth          v  vicinity: cells with such a voxel within a depth
-//!   d d d d d d d d d      d  deep: particles here stay as they are
+//!   d d d d d d d d d      d  deep: particles here are left unchanged
 //! ```
 //!
-//! Whether a particle is in the vicinity depends on the octants within the depth and r_init, axis by axis, and on the longest
-//! particle of its leaf, and on nothing else. Neither windows nor batches matter.
+//! Whether a particle is in the vicinity depends only on the octants within the depth and r_init, axis by
+//! axis, and on the longest particle of its leaf. It does not depend on windows or batches.
 
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
-use super::batch::Placed;
+use super::batch::LeafCoords;
 use super::bin::cell_of;
-use super::cover::{Ball, Cover};
-use super::need::{Uncovered, leaves_of_boxes};
+use super::cover::{Cover, OctantBall};
+use super::culling::{Uncovered, leaves_of_boxes};
 use super::occupancy::{Occupancy, Octants};
 use super::region::meet;
 use crate::surface::grid::{LEAF_EDGE, LEAF_VOXELS, LeafMask, NO_LEAF};
@@ -25,34 +26,34 @@ use crate::surface::particles::{ParticleSource, Positions, Shapes};
 use crate::surface::simd;
 use crate::surface::space::{CoordBox, Lattice};
 
-/// The cells near what particles leave uncovered.
+/// The cells near places that particles leave uncovered.
 pub struct Vicinity {
     occupancy: Occupancy,
-    /// For each leaf of the occupancy the cells in the vicinity.
+    /// For each leaf of the occupancy, the cells in the vicinity.
     cells: Vec<LeafMask>,
-    /// The cells within [`margin`](Self::margin) of these, on every axis, and these.
+    /// The same cells and all within [`margin`](Self::margin) of them, per axis.
     around: Vec<LeafMask>,
     margin: i32,
 }
 
-/// Leaves of the vicinity whose particles are shaped together, and what these need.
+/// Leaves of the vicinity whose particles are processed together, with the leaves they depend on.
 pub struct Block {
     own: FxHashSet<IVec3>,
-    /// Their leaves, and all within a margin.
+    /// Their leaves, and all leaves within a margin.
     gathered: FxHashSet<IVec3>,
     voxels: CoordBox,
 }
 
-/// The particles of a block, in the order of the source.
+/// The particles of a block, in source order.
 #[derive(Default)]
 pub struct Gathered {
-    /// Batch and place in the batch of each.
+    /// Batch, and index in the batch, of each particle.
     pub sources: Vec<[u32; 2]>,
-    /// World units, in 64 bits.
+    /// World units, 64 bits.
     pub positions: Vec<[f64; 3]>,
-    /// Whether it is in the block's own part of the vicinity.
+    /// True if the particle is in the block's own part of the vicinity.
     pub is_own: Vec<bool>,
-    /// Scales, where particles are balls of sizes of their own.
+    /// Scales, if particles are balls of different sizes.
     pub scales: Vec<f32>,
 }
 
@@ -63,12 +64,13 @@ impl Default for Block {
 }
 
 impl Vicinity {
-    /// The cells near voxels without a particle that is surely within `cover_radius`. `depth_of` maps the longest half axis
-    /// of the particles of a leaf, in units of the radii, to how near these are. Particles within `margin` of these, on every
-    /// axis, are [gathered](Self::gather) with them. All in voxels.
+    /// Finds the cells near voxels without a particle that is certainly within `cover_radius`. `depth_of`
+    /// maps the longest half axis of a leaf's particles, in units of the radii, to the depth of the vicinity
+    /// there. Particles within `margin` of the vicinity, per axis, are [gathered](Self::gather) with it. All
+    /// lengths are in voxels.
     ///
     /// # Errors
-    /// Those of the source.
+    /// Returns the source's error if a batch cannot be read.
     pub fn new<S: ParticleSource>(
         source: &S,
         lattice: &Lattice,
@@ -78,7 +80,7 @@ impl Vicinity {
     ) -> Result<Vicinity, S::Error> {
         let occupancy = Occupancy::new(source, lattice)?;
         let leaves = &occupancy.topology;
-        let ball = Ball::new(cover_radius);
+        let ball = OctantBall::new(cover_radius);
         let neighborhoods: Vec<[u32; 27]> =
             (0..leaves.len()).into_par_iter().map(|leaf| leaves.neighborhood(leaf)).collect();
         let octants: Vec<&Octants> = leaves
@@ -93,7 +95,7 @@ impl Vicinity {
         };
         let mut deep: Vec<LeafMask> = neighborhoods.par_iter().map(covered).collect();
         drop(octants);
-        // Leaves of long particles need more depth; each takes its own of a few.
+        // Leaves with long particles need more depth. Depths are rounded up to a few classes.
         let class_of = |longest: f32| longest.max(1.0).log2().ceil() as u32;
         let longest: Vec<u32> =
             leaves.origins().iter().map(|&origin| class_of(occupancy.longest_of(origin))).collect();
@@ -114,20 +116,20 @@ impl Vicinity {
         Ok(Vicinity { occupancy, cells, around, margin })
     }
 
-    /// The longest half axis of any particle, in units of the radii.
+    /// Longest half axis of all particles, in units of the radii.
     pub fn longest(&self) -> f32 {
         self.occupancy.longest()
     }
 
-    /// Parts of the vicinity, each with all particles within the margin: no more than about `particles_max`, but for a leaf
-    /// that has more. They follow the source as far as that is sorted.
+    /// Splits the vicinity into blocks that gather about `particles_max` particles each, or more if a single
+    /// leaf has more. Blocks follow the order of the source if that is spatially sorted.
     pub fn blocks(&self, particles_max: usize) -> Vec<Block> {
         let margin = self.margin;
         let leaves = &self.occupancy.topology;
         let count_of = |origin: IVec3| self.occupancy.count_of(origin).unwrap_or((0, 0));
         let mut near: Vec<usize> =
             (0..leaves.len()).filter(|&leaf| self.cells[leaf] != LeafMask::EMPTY).collect();
-        // Leaves are in an order in which neighbours are near: it is kept where batches do not matter.
+        // Leaves are in an order that keeps neighbors together; the stable sort preserves it within a batch.
         near.sort_by_cached_key(|&leaf| count_of(leaves.origins()[leaf]).1);
         let around = |&leaf: &usize| {
             let voxels = self.cells[leaf].bounding_box().expanded(margin);
@@ -155,7 +157,8 @@ impl Vicinity {
         blocks
     }
 
-    /// About how many particles of a leaf are gathered: all of a crowd, which may be in any of its cells.
+    /// Approximate number of a leaf's particles that are gathered: all of a crowd, which may be in any of its
+    /// cells.
     fn gathered_count(&self, origin: IVec3) -> usize {
         let (count, _) = self.occupancy.count_of(origin).unwrap_or((0, 0));
         let leaf = self.occupancy.topology.find(origin);
@@ -165,10 +168,10 @@ impl Vicinity {
         }
     }
 
-    /// The particles of a block.
+    /// Reads the particles of a block.
     ///
     /// # Errors
-    /// Those of the source.
+    /// Returns the source's error if a batch cannot be read.
     pub fn gather<S: ParticleSource>(
         &self,
         block: &Block,
@@ -180,28 +183,30 @@ impl Vicinity {
                 return Ok(Gathered::default());
             }
             let positions = source.batch(index)?;
-            let placed = Placed::new(&positions, lattice);
-            let mut places: Vec<(u32, bool)> = Vec::new();
+            let placed = LeafCoords::new(&positions, lattice);
+            let mut selected: Vec<(u32, bool)> = Vec::new();
             for (origin, run) in placed.runs().filter(|(origin, _)| block.gathered.contains(origin)) {
                 let Some(leaf) = self.occupancy.topology.find(origin) else { continue };
                 let own = if block.own.contains(&origin) { &self.cells[leaf] } else { &LeafMask::EMPTY };
                 let of_cells = run.clone().zip(placed.locals[run].iter().map(|local| cell_of(*local)));
                 let near = of_cells.filter(|(_, cell)| self.around[leaf].contains(*cell));
-                places.extend(near.map(|(place, cell)| (place as u32, own.contains(cell))));
+                selected.extend(near.map(|(particle, cell)| (particle as u32, own.contains(cell))));
             }
             let scales = match source.shapes_of(index) {
-                Shapes::Scaled(scales) => places.iter().map(|&(place, _)| scales[place as usize]).collect(),
+                Shapes::Scaled(scales) => {
+                    selected.iter().map(|&(particle, _)| scales[particle as usize]).collect()
+                }
                 Shapes::Balls | Shapes::Ellipsoids(_) => Vec::new(),
             };
             Ok(Gathered {
-                sources: places.iter().map(|&(place, _)| [index as u32, place]).collect(),
-                positions: places.iter().map(|&(place, _)| in_world(&positions, place)).collect(),
-                is_own: places.iter().map(|&(_, is_own)| is_own).collect(),
+                sources: selected.iter().map(|&(particle, _)| [index as u32, particle]).collect(),
+                positions: selected.iter().map(|&(particle, _)| in_world(&positions, particle)).collect(),
+                is_own: selected.iter().map(|&(_, is_own)| is_own).collect(),
                 scales,
             })
         };
         let mut all = Gathered::default();
-        // Some at a time: what is in small blocks of memory for a while stays with the process.
+        // Limits the number of batches at a time: many small allocations would not be returned to the system.
         let batch_count = source.batch_count();
         for first in (0..batch_count).step_by(BATCHES_AT_ONCE) {
             let batches = first..batch_count.min(first + BATCHES_AT_ONCE);
@@ -216,25 +221,25 @@ impl Vicinity {
     }
 }
 
-fn in_world(positions: &Positions, place: u32) -> [f64; 3] {
-    let position: DVec3 = positions.position(place as usize);
+fn in_world(positions: &Positions, particle: u32) -> [f64; 3] {
+    let position: DVec3 = positions.position(particle as usize);
     position.to_array()
 }
 
-/// Leaves that are listed at a time, of the surroundings of all: 25 megabytes.
+/// Number of leaves whose neighborhoods are listed at a time: 25 MB.
 const LISTED_MAX: usize = 1 << 21;
 
-/// Batches that are read side by side: several for each of many threads.
+/// Number of batches read in parallel: several for each of many threads.
 const BATCHES_AT_ONCE: usize = 256;
 
-/// A leaf with more particles than this may have most of them in a few cells.
+/// In a leaf with more particles than this, most of them may be in a few cells.
 const CROWD_MIN: usize = 8 * LEAF_VOXELS;
 
-/// Voxels by which what is deep shrinks at a time: what is around a cell is within a leaf of it.
+/// Maximum erosion per step, in voxels: the search box of a cell must lie within the adjacent leaves.
 const STEP_MAX: i32 = 7;
 
-/// The cells of each leaf from which nothing can be seen that is not deep: from `around` voxels before the cell to
-/// `around` after it, on each axis.
+/// Erodes by a cube: keeps the cells of each leaf whose search box, from `around` voxels before to `around`
+/// voxels after the cell on each axis, is entirely deep.
 fn shrunk(neighborhoods: &[[u32; 27]], mut deep: Vec<LeafMask>, mut around: i32) -> Vec<LeafMask> {
     while around > 0 {
         let step = around.min(STEP_MAX);
@@ -247,20 +252,20 @@ fn shrunk(neighborhoods: &[[u32; 27]], mut deep: Vec<LeafMask>, mut around: i32)
     deep
 }
 
-/// The cells of each leaf without anything nearer than `radius`, in voxels, that is not deep.
+/// Erodes by a ball: keeps the cells of each leaf with no non-deep cell within `radius` voxels.
 ///
-/// A cube and as many octahedra as are wanted are added up to a body that holds a ball of the radius, and little else:
-/// it is that wide in the directions of the axes, and in between by what the least cube adds. A cube alone would hold
-/// half as much again of what is near a plane surface.
+/// The structuring element is a cube plus octahedra, chosen to contain the ball tightly: it is exact along
+/// the axes, and in between it exceeds the ball by what the smallest cube adds. A cube alone would keep half
+/// as much again of the cells near a plane surface in the vicinity.
 fn shrunk_by_ball(neighborhoods: &[[u32; 27]], deep: Vec<LeafMask>, radius: f32) -> Vec<LeafMask> {
     let whole = radius.ceil();
-    // How far the body reaches toward an edge of the cube, and toward a corner.
+    // Reach of the element toward an edge of the cube, and toward a corner.
     let holds_ball = |cube: f32| {
         let octahedra = whole - cube;
         let edge = (2.0 * cube + octahedra) / 2f32.sqrt();
         edge.min((3.0 * cube + octahedra) / 3f32.sqrt()) >= radius
     };
-    // A cell is seen from its corners: that takes a cube, if only a small one.
+    // A cell is checked from its corners, which requires at least a small cube.
     let cube = (1..=whole as i32).find(|cube| holds_ball(*cube as f32)).unwrap_or(whole as i32);
     let mut deep = shrunk(neighborhoods, deep, cube);
     for _ in cube..whole as i32 {
@@ -282,6 +287,7 @@ fn mask_of(masks: &[LeafMask], leaf: u32) -> &LeafMask {
     if leaf == NO_LEAF { &LeafMask::EMPTY } else { &masks[leaf as usize] }
 }
 
-/// Places of a leaf itself and of those at its faces in a [neighbourhood](crate::surface::grid::Topology::neighborhood).
+/// Indices of the leaf itself and of its face neighbors in a
+/// [neighborhood](crate::surface::grid::Topology::neighborhood).
 const CENTER: usize = 13;
 const FACES: [usize; 6] = [4, 22, 10, 16, 12, 14];

@@ -1,21 +1,20 @@
-//! Eight values that move together: a row of a leaf in a register.
+//! Vectors of eight values: a row of a leaf in a register.
 //!
-//! Every operation is that of IEEE 754 on each value by itself, so whichever type a kernel runs on, it
-//! computes the same bits. Where the instruction sets differ, in what `max` makes of a number that is
-//! not one, the [portable type](Portable) says what is meant.
+//! Every operation is that of IEEE 754 on each value, so a kernel computes the same bits with every type.
+//! Where instruction sets differ, as in `max` with NaN, the [portable type](Portable) defines the result.
 
 /// Eight 32-bit values.
 pub trait Lanes: Copy {
-    /// One truth for each value.
+    /// Per-lane mask.
     type Mask: Copy;
 
-    /// The values of a row.
+    /// Loads the values of a row.
     fn load(row: &[f32; 8]) -> Self;
 
-    /// One value eight times.
+    /// The same value in all lanes.
     fn splat(value: f32) -> Self;
 
-    /// Writes the values into a row.
+    /// Stores the values to a row.
     fn store(self, row: &mut [f32; 8]);
 
     /// Sum.
@@ -36,44 +35,44 @@ pub trait Lanes: Copy {
     /// Absolute value.
     fn abs(self) -> Self;
 
-    /// The values with the signs of `sign`'s.
+    /// The values, with the signs of `sign`.
     fn copysign(self, sign: Self) -> Self;
 
-    /// The lesser of each two; `other` where they do not compare.
+    /// The smaller of two values per lane; `other` if they are unordered.
     fn min(self, other: Self) -> Self;
 
-    /// The greater of each two; `other` where they do not compare.
+    /// The larger of two values per lane; `other` if they are unordered.
     fn max(self, other: Self) -> Self;
 
-    /// Where a value is less than the other.
+    /// Lanes where a value is less than the other.
     fn lt(self, other: Self) -> Self::Mask;
 
-    /// Where a value is not the other, or one of them is no number.
+    /// Lanes where the values differ, or one of them is NaN.
     fn ne(self, other: Self) -> Self::Mask;
 
-    /// The mask whose bit k is for value k.
+    /// The mask with bit k for lane k.
     fn mask(bits: u8) -> Self::Mask;
 
     /// The mask as bits.
     fn bits(mask: Self::Mask) -> u8;
 
-    /// Where both hold.
+    /// Lanes that are set in both masks.
     fn both(one: Self::Mask, other: Self::Mask) -> Self::Mask;
 
-    /// Where it does not hold.
+    /// Lanes that are not set.
     fn not(mask: Self::Mask) -> Self::Mask;
 
-    /// `then` where the mask holds, and `otherwise` elsewhere.
+    /// `then` in lanes of the mask, `otherwise` elsewhere.
     fn select(mask: Self::Mask, then: Self, otherwise: Self) -> Self;
 
-    /// Each value's neighbour before it; that of the first is `first`.
+    /// Each lane gets the value of the previous lane; lane 0 gets `first`.
     fn shift_up(self, first: f32) -> Self;
 
-    /// Each value's neighbour after it; that of the last is `last`.
+    /// Each lane gets the value of the next lane; lane 7 gets `last`.
     fn shift_down(self, last: f32) -> Self;
 }
 
-/// What every processor can do.
+/// The implementation for every processor.
 #[derive(Clone, Copy)]
 pub(super) struct Portable([f32; 8]);
 

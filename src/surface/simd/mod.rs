@@ -1,18 +1,18 @@
-//! The processor's widest vectors, chosen when the program runs.
+//! Runtime selection of the processor's widest vectors.
 //!
-//! A kernel is written once, over rows of eight values ([`Lanes`]), and compiled once for each
-//! [`Level`]. The levels differ in the instructions and in nothing else: no multiplication is fused with an
-//! addition on any of them, and every sum has one order. So a frame has the same bytes on every
-//! processor, and the baseline is the plain twin that the tests hold the others to.
+//! A kernel is written once, over rows of eight values ([`Lanes`]), and compiled for each [`Level`]. Levels
+//! differ only in instructions: multiplications are never fused with additions, and every sum has a fixed
+//! order. So a frame is bit-identical on every processor, and tests compare the other levels with the
+//! baseline.
 //!
 //! ```text
-//!   dispatch(kernel) ──┬─ Avx512     8 values an instruction, twice as many registers
+//!   dispatch(kernel) ──┬─ Avx512     8 values per instruction, twice as many registers
 //!                      ├─ Avx2       8
 //!                      └─ Baseline   4 on x86-64 (SSE2) and on aarch64 (NEON)
 //! ```
 //!
-//! In `surface` this is the only module with unsafe code: calling a function that was compiled for more than the
-//! baseline is safe only after the processor was asked.
+//! This is the only module in `surface` with unsafe code: calling a function compiled for more than the
+//! baseline is safe only after checking the processor's features.
 
 mod lanes;
 #[cfg(target_arch = "x86_64")]
@@ -23,10 +23,10 @@ use std::sync::OnceLock;
 pub use lanes::Lanes;
 use lanes::Portable;
 
-/// Which instructions kernels may use.
+/// The instructions that kernels may use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Level {
-    /// What every processor of the architecture has.
+    /// Supported by every processor of the architecture.
     Baseline,
     /// x86-64 with AVX2.
     Avx2,
@@ -35,10 +35,10 @@ pub enum Level {
 }
 
 impl Level {
-    /// All levels, the plainest first.
+    /// All levels, from narrow to wide.
     pub const ALL: [Level; 3] = [Level::Baseline, Level::Avx2, Level::Avx512];
 
-    /// The name by which [`LEVEL_VARIABLE`] and reports know it.
+    /// Name in [`LEVEL_VARIABLE`] and in reports.
     pub fn name(self) -> &'static str {
         match self {
             Level::Baseline => "baseline",
@@ -47,7 +47,7 @@ impl Level {
         }
     }
 
-    /// Whether this processor can run it.
+    /// True if this processor supports the level.
     pub fn is_available(self) -> bool {
         #[cfg(target_arch = "x86_64")]
         {
@@ -77,7 +77,7 @@ impl Level {
         }
     }
 
-    /// The widest level of this processor, or the one that [`LEVEL_VARIABLE`] names if that is narrower.
+    /// The widest level of this processor, or the one in [`LEVEL_VARIABLE`] if that is narrower.
     pub fn current() -> Level {
         static CURRENT: OnceLock<Level> = OnceLock::new();
         *CURRENT.get_or_init(|| {
@@ -95,39 +95,40 @@ impl Level {
     }
 }
 
-/// What a user should know of [`LEVEL_VARIABLE`] where it does not do what it says; without full stop.
+/// A warning for users if [`LEVEL_VARIABLE`] has no effect; without a full stop.
 pub fn level_warning() -> Option<String> {
     let asked = std::env::var_os(LEVEL_VARIABLE)?;
     warning_of(&asked.to_string_lossy(), Level::current())
 }
 
-/// The warning where one level was asked for and another one is used. Nothing is asked for by nothing.
+/// The warning if the requested level differs from the one used. An empty value requests nothing.
 fn warning_of(asked: &str, used: Level) -> Option<String> {
     match Level::ALL.into_iter().find(|level| level.name() == asked) {
         Some(level) if level <= used => None,
         Some(_) => {
-            Some(format!("{LEVEL_VARIABLE}={asked}: this processor lacks it, and {} is used", used.name()))
+            Some(format!("{LEVEL_VARIABLE}={asked}: not supported by this processor, using {}", used.name()))
         }
         None if asked.is_empty() => None,
         None => {
             let [first, second, third] = Level::ALL.map(Level::name);
-            Some(format!("{LEVEL_VARIABLE}={asked} is not {first}, {second} or {third}: it is ignored"))
+            Some(format!("{LEVEL_VARIABLE}={asked} is ignored: expected {first}, {second} or {third}"))
         }
     }
 }
 
-/// The environment variable that holds kernels to a narrower level: to show that the bytes are the same.
+/// The environment variable that limits kernels to a narrower level, to verify that results are
+/// bit-identical.
 pub const LEVEL_VARIABLE: &str = "MENISCUS_SIMD";
 
-/// A piece of work that is compiled for each level.
+/// A computation that is compiled for each level.
 ///
-/// `run`, and all that is called from it in a loop, must be `#[inline(always)]`: only what is inlined
-/// into the level's entry is compiled for that level.
+/// `run`, and all that it calls in a loop, must be `#[inline(always)]`: only code that is inlined into the level's
+/// entry is compiled for that level.
 pub trait Kernel {
-    /// What it returns.
+    /// The result.
     type Output;
 
-    /// Does the work, on rows in registers where `V` is of use.
+    /// Runs the computation, with rows in registers of type `V`.
     fn run<V: Lanes>(self) -> Self::Output;
 }
 
@@ -137,18 +138,18 @@ pub fn dispatch<K: Kernel>(kernel: K) -> K::Output {
     run_available(Level::current(), kernel)
 }
 
-/// Runs a kernel at this level, or at the baseline where the processor lacks it.
+/// Runs a kernel at this level, or at the baseline if the processor does not support it.
 #[inline]
 pub fn dispatch_at<K: Kernel>(level: Level, kernel: K) -> K::Output {
     run_available(if level.is_available() { level } else { Level::Baseline }, kernel)
 }
 
-/// Runs a kernel at a level that was found to be available: asking again for each leaf would show.
+/// Runs a kernel at an available level. Does not check again, which would be measurable per leaf.
 #[inline]
-#[allow(unsafe_code, reason = "the calls that the processor was asked about")]
+#[allow(unsafe_code, reason = "callers have checked the processor features")]
 fn run_available<K: Kernel>(level: Level, kernel: K) -> K::Output {
     match level {
-        // SAFETY: whoever calls has asked for every feature that the function is compiled for.
+        // SAFETY: callers have checked every feature that the function is compiled for.
         #[cfg(target_arch = "x86_64")]
         Level::Avx512 => unsafe { x86::run_avx512(kernel) },
         // SAFETY: as above.
@@ -162,7 +163,7 @@ fn run_available<K: Kernel>(level: Level, kernel: K) -> K::Output {
 mod tests {
     use super::*;
 
-    /// Every operation of a row, on values that do and do not compare.
+    /// Every operation on a row, with ordered and unordered values.
     struct Everything([[f32; 8]; 3]);
 
     impl Kernel for Everything {
@@ -191,7 +192,7 @@ mod tests {
             let mut all = vec![u32::from(V::bits(less)), u32::from(V::bits(differs))];
             for row in rows {
                 row.store(&mut stored);
-                // Which of several numbers that are not one it is, nobody promises.
+                // The bits of a NaN are not specified.
                 all.extend(stored.map(|value| if value.is_nan() { u32::MAX } else { value.to_bits() }));
             }
             all
@@ -199,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_asked_for_in_vain_is_told() {
+    fn unavailable_or_unknown_level_gives_a_warning() {
         for used in Level::ALL {
             for asked in Level::ALL {
                 let warning = warning_of(asked.name(), used);
@@ -207,13 +208,13 @@ mod tests {
                 assert!(warning.is_none_or(|text| text.contains(used.name())), "{asked:?} {used:?}");
             }
             assert_eq!(warning_of("", used), None);
-            let unknown = "MENISCUS_SIMD=xyz is not baseline, avx2 or avx512: it is ignored";
+            let unknown = "MENISCUS_SIMD=xyz is ignored: expected baseline, avx2 or avx512";
             assert_eq!(warning_of("xyz", used).as_deref(), Some(unknown));
         }
     }
 
     #[test]
-    fn every_level_gives_the_same_bits() {
+    fn all_simd_levels_give_the_same_bits() {
         let wave = |scale: f32| std::array::from_fn(|k| (k as f32 * scale).sin() * 1.7);
         let odd = [f32::NAN, f32::INFINITY, -0.0, 0.0, -f32::INFINITY, f32::MIN_POSITIVE, 1.0, -1.0];
         for rows in [

@@ -1,5 +1,5 @@
-//! Rows in the registers of AVX2, and the entries that are compiled for more than the baseline.
-#![allow(unsafe_code, reason = "instructions that not every processor has: only the entries use the type")]
+//! Rows in AVX2 registers, and the entry points compiled for more than the baseline.
+#![allow(unsafe_code, reason = "AVX intrinsics: only the entry points use this type")]
 
 use std::arch::x86_64::*;
 
@@ -9,30 +9,30 @@ use super::lanes::Lanes;
 /// Runs a kernel with AVX2.
 ///
 /// # Safety
-/// The processor has these features.
+/// The processor must have these features.
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt,f16c")]
 pub(super) fn run_avx2<K: Kernel>(kernel: K) -> K::Output {
     kernel.run::<Ymm>()
 }
 
-/// Runs a kernel with AVX2, and with the masks and the many registers of AVX-512.
+/// Runs a kernel with AVX2 and the masks and additional registers of AVX-512.
 ///
 /// # Safety
-/// The processor has these features.
+/// The processor must have these features.
 #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,bmi1,bmi2,lzcnt,popcnt,f16c")]
 pub(super) fn run_avx512<K: Kernel>(kernel: K) -> K::Output {
     kernel.run::<Ymm>()
 }
 
-/// A row in a register of AVX. Only the entries above name it, so whoever has one runs on a processor
-/// that can.
+/// A row in an AVX register. Only the entry points above use this type, so the processor supports it.
 #[derive(Clone, Copy)]
 struct Ymm(__m256);
 
 /// An operation on registers.
 macro_rules! ymm {
     ($operation:expr) => {
-        // SAFETY: the entries are the only callers, and the processor has what they are compiled for.
+        // SAFETY: the entry points are the only callers, and the processor has the features they are compiled
+        // for.
         Ymm(unsafe { $operation })
     };
 }

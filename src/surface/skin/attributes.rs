@@ -1,51 +1,51 @@
-//! What the simulation knows of its particles, on the surface that was made of them.
+//! Transfers particle attributes to the surface.
 
 use std::borrow::Cow;
 
 use super::{Surface, lattice};
-use crate::surface::attributes::{BandAttribute, Reach, to_band, to_vertices};
+use crate::surface::attributes::{BandAttribute, Support, to_band, to_vertices};
 use crate::surface::options::Settings;
 use crate::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Positions, Shapes};
 use crate::surface::report::TransferReport;
 
-/// What is known of a surface beside where it is.
+/// Attributes of a surface.
 #[derive(Clone, Debug, Default)]
 pub struct SurfaceAttributes {
-    /// The attributes of the mesh's vertices.
+    /// Attributes of the mesh's vertices.
     pub vertices: Vec<Attribute>,
-    /// Those at the voxels of the band that fit a grid: one number, or a vector of three.
+    /// Attributes at the voxels of the band, limited to those a grid can store: a scalar or a 3-vector.
     pub band: Vec<BandAttribute>,
 }
 
 impl SurfaceAttributes {
-    /// The memory that they take, in bytes.
+    /// Memory that the attributes use, in bytes.
     pub fn size_bytes(&self) -> usize {
         let vertices: usize = self.vertices.iter().map(|attribute| attribute.values.size_bytes()).sum();
         vertices + self.band.iter().map(BandAttribute::size_bytes).sum::<usize>()
     }
 
-    /// What they take in addition while grids of them are packed, in bytes, at most.
+    /// Upper limit of the additional memory while grids are compressed, in bytes.
     pub fn packing_bytes(&self) -> usize {
         VOXELS_PER_PLACE * self.band.iter().map(BandAttribute::size_bytes).sum::<usize>()
     }
 }
 
-/// Where attributes are wanted.
+/// Where attributes are transferred to.
 #[derive(Clone, Copy, Debug)]
 pub struct Targets {
-    /// At the vertices of the mesh.
+    /// To the vertices of the mesh.
     pub vertices: bool,
-    /// Where |φ| is less than this, in voxels.
+    /// To voxels with |φ| below this, in voxels.
     pub band_half_width_voxels: Option<f32>,
 }
 
-/// Gives a surface those attributes of its particles that the settings ask for.
+/// Transfers the attributes selected in the settings from the particles to the surface.
 pub fn transfer(surface: &mut Surface, cloud: &Cloud, settings: &Settings, targets: Targets) {
     let particles = (Positions::from(&cloud.positions), &cloud.shapes, &*cloud.attributes);
     transfer_from(particles, surface, settings, targets);
 }
 
-/// The same of particles that may be borrowed: their positions, their shapes and their attributes.
+/// Like [`transfer`], for particles that may be borrowed: positions, shapes and attributes.
 pub(crate) fn transfer_from(
     (positions, shapes, attributes): (Positions<'_>, &Shapes, &[Attribute]),
     surface: &mut Surface,
@@ -55,32 +55,32 @@ pub(crate) fn transfer_from(
     let Some(selection) = &settings.attributes else { return };
     let selected: Vec<&Attribute> =
         attributes.iter().filter(|attribute| selection.selects(attribute)).collect();
-    let reach = reach(settings, shapes);
+    let support = support(settings, shapes);
     let mut report = TransferReport {
         attributes: selected.iter().map(|attribute| attribute.name.clone()).collect(),
         ..TransferReport::default()
     };
     if targets.vertices {
-        let (vertices, counts) = to_vertices(positions.borrowed(), &selected, &surface.mesh, reach);
+        let (vertices, counts) = to_vertices(positions.borrowed(), &selected, &surface.mesh, support);
         (surface.attributes.vertices, report.vertices) = (vertices, counts);
     }
     if let Some(half_width_voxels) = targets.band_half_width_voxels {
         let grids: Vec<Cow<Attribute>> = selected.iter().copied().filter_map(of_grid).collect();
         let grids: Vec<&Attribute> = grids.iter().map(Cow::as_ref).collect();
         let band = (&surface.band, &lattice(settings));
-        let (found, counts) = to_band(positions, &grids, band, half_width_voxels, reach);
+        let (found, counts) = to_band(positions, &grids, band, half_width_voxels, support);
         (surface.attributes.band, report.band) = (found, counts);
     }
     surface.report.transfer = Some(report);
 }
 
-/// Voxels of the band for each place that they have their values from: never many more.
+/// Upper estimate of the number of voxels in the band per sample point.
 const VOXELS_PER_PLACE: usize = 6;
 
-/// How far values reach: see [`crate::surface::attributes`].
-fn reach<'a>(settings: &Settings, shapes: &'a Shapes) -> Reach<'a> {
+/// How far values reach; see [`crate::surface::attributes`].
+fn support<'a>(settings: &Settings, shapes: &'a Shapes) -> Support<'a> {
     let Settings { radius_init, radius_max, offset, voxel_size, .. } = *settings;
-    Reach {
+    Support {
         radius_world: RADII * radius_init,
         radius_max_world: radius_max,
         margin_world: MARGIN_VOXELS * voxel_size + offset.max(0.0),
@@ -88,13 +88,13 @@ fn reach<'a>(settings: &Settings, shapes: &'a Shapes) -> Reach<'a> {
     }
 }
 
-/// The radius within which values are averaged, in units of r_init.
+/// Radius of the weighted mean, in units of r_init.
 const RADII: f64 = 2.0;
 
-/// Vertices are rarely farther than this beyond the largest surfaces of all particles, in voxels.
+/// Vertices are rarely farther than this outside the largest surface of all particles, in voxels.
 const MARGIN_VOXELS: f64 = 2.0;
 
-/// The attribute as a grid can have it, if one can: a colour without its alpha.
+/// The part of an attribute that a grid can store, if any: a color loses its alpha channel.
 fn of_grid(attribute: &Attribute) -> Option<Cow<'_, Attribute>> {
     let AttributeValues::Numbers(values) = &attribute.values else { return None };
     match (attribute.arity, attribute.meaning) {
@@ -116,7 +116,7 @@ mod tests {
     use crate::surface::particles::Particles;
     use crate::surface::skin::skin_cloud;
 
-    /// Drops at these places along x, and how large they are.
+    /// Isolated particles at these positions along x, with their scale.
     fn drops(drops: &[(f64, f32)]) -> Cloud {
         let attribute = |name: &str, values| Attribute {
             name: name.to_owned(),
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn large_drops_have_their_values_however_large_others_are() {
+    fn large_drops_keep_their_values_next_to_larger_ones() {
         let choices = MethodOptions {
             radius_attribute: Some("pscale".into()),
             attributes: Some(AttributeSelection::All),
@@ -141,8 +141,8 @@ mod tests {
         };
         let settings = Settings::paper(0.1, &choices).expect("sound");
         let mut surface = skin_cloud(drops(&[(0.0, 1.5), (9.0, 2.0)]), &settings, &Obstacles::default());
-        let told = surface.report.transfer.clone().expect("transferred").vertices;
-        assert!(told.lonely_count == surface.mesh.positions.len() && told.empty_count == 0, "{told:?}");
+        let counts = surface.report.transfer.clone().expect("transferred").vertices;
+        assert!(counts.lonely_count == surface.mesh.positions.len() && counts.empty_count == 0, "{counts:?}");
         let AttributeValues::Numbers(found) = &surface.attributes.vertices[1].values else { panic!("reals") };
         for (position, x) in surface.mesh.positions.iter().zip(found) {
             let own = if f64::from(position.x) + surface.mesh.origin.x < 4.0 { 0.0 } else { 9.0 };

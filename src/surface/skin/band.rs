@@ -1,12 +1,12 @@
-//! From a level set that is given, and no particles, to its surface: within bounds around the given one, or as it is.
+//! Surfaces a given level set, without particles: unchanged, or smoothed within bounds around it.
 //!
 //! ```text
-//!   φ given ──no slack──────────────────────────────▶ [offset] ──▶ contour
-//!      └────slack s──▶ φ − s ≤ φ ≤ φ + s ──smooth──▶ [offset] ──▶ contour
+//!   given φ ──slack 0────────────────────────────▶ [offset] ──▶ contour
+//!      └──────slack s──▶ φ − s ≤ φ ≤ φ + s ──smooth──▶ [offset] ──▶ contour
 //! ```
 //!
-//! The smoothest surface that nowhere leaves the given one by more than the slack: what spheres are to particles, the given surface
-//! is to itself.
+//! The result is the smoothest surface that stays within the slack of the given one. The given surface, moved
+//! by ± slack, replaces the spheres that constrain the surface of particles.
 
 use std::convert::Infallible;
 use std::ops::ControlFlow;
@@ -14,7 +14,7 @@ use std::ops::ControlFlow;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::finish::{Checked, Stored};
+use super::finish::{Stored, StoredMesh};
 use super::plan::{FIELD_BYTES, mesh_bytes, smoothing_fields};
 use super::{Surface, SurfaceAttributes, TOPOLOGY_LEAF_BYTES, finish, lattice, smooth_config};
 use crate::surface::contour;
@@ -27,18 +27,19 @@ use crate::surface::report::SkinReport;
 use crate::surface::smooth;
 use crate::surface::validation::{Part, certificate};
 
-/// The largest slack, in voxels: the band around it is stored no wider.
+/// Maximum slack, in voxels: the stored band around the surface is not wider.
 pub const SLACK_MAX_VOXELS: f32 = 3.0;
 
-/// What programs expect of the band of a level set, in voxels: a narrower one is made as wide.
+/// Half width that other programs expect of a level set, in voxels: narrower bands are widened.
 const HALF_WIDTH_MIN: f32 = 3.0;
 
-/// How much wider than the slack the band is that smoothing works in, in voxels.
+/// Margin of the smoothing band beyond the slack, in voxels.
 const MARGIN: f32 = 5.0;
 
-/// The surface of a level set with values in voxels of the settings' size. With a slack, in voxels, it is the smoothest one that
-/// is nowhere farther than that from the given one, before it is moved by the settings' offset. Of the settings those of particles have no say.
-/// Its voxel (0, 0, 0) is at `translation`, in world units. `stored` says how files store the mesh: so it is checked.
+/// The surface of a level set, whose values are in voxels of the settings' size. With a slack, in voxels, it
+/// is the smoothest surface that stays within that distance of the given one; the settings' offset is applied
+/// afterwards. Settings for particles have no effect. Voxel (0, 0, 0) is at `translation`, in world units.
+/// The mesh is validated as stored in each of the formats in `stored`.
 pub fn resurface(
     band: NarrowBand,
     translation: DVec3,
@@ -49,7 +50,7 @@ pub fn resurface(
     bound(band, translation, slack_voxels, settings).smooth(settings, &mut |_| {}).contour(settings, stored)
 }
 
-/// A level set between two stages of [`resurface`], and the bounds that its surface must keep.
+/// A level set between two stages of [`resurface`], with the bounds that its surface must keep.
 #[derive(Clone, Debug)]
 pub struct BoundedBand {
     band: NarrowBand,
@@ -59,7 +60,7 @@ pub struct BoundedBand {
     report: SkinReport,
 }
 
-/// The first stage of [`resurface`]: a band that is wide enough, and the bounds around it.
+/// First stage of [`resurface`]: widens the band and computes the bounds.
 pub fn bound(band: NarrowBand, translation: DVec3, slack_voxels: f32, settings: &Settings) -> BoundedBand {
     let slack = slack_voxels.clamp(0.0, SLACK_MAX_VOXELS);
     let band = match working_half_width(&band, slack, offset_voxels(settings)) {
@@ -72,12 +73,13 @@ pub fn bound(band: NarrowBand, translation: DVec3, slack_voxels: f32, settings: 
 }
 
 impl BoundedBand {
-    /// What was measured so far.
+    /// The report so far.
     pub fn report_mut(&mut self) -> &mut SkinReport {
         &mut self.report
     }
 
-    /// The second stage: smoothed within the bounds, if there is any slack; `advanced` hears how much of it is done, from 0 to 1.
+    /// Second stage: smooths within the bounds if there is any slack. `advanced` receives the progress, from
+    /// 0 to 1.
     pub fn smooth(mut self, settings: &Settings, advanced: &mut dyn FnMut(f64)) -> BoundedBand {
         let BoundedBand { band, bounds, slack, report, .. } = &mut self;
         if *slack > 0.0 {
@@ -98,7 +100,7 @@ impl BoundedBand {
         self
     }
 
-    /// The third stage: the mesh and its checks, for files that store it so.
+    /// Third stage: the mesh and its validation, for each storage format.
     pub fn contour(self, settings: &Settings, stored: &[Stored]) -> Surface {
         let BoundedBand { mut band, bounds, translation, mut report, .. } = self;
         let bound_violation_count = bounds.violation_count(&band.phi);
@@ -111,11 +113,11 @@ impl BoundedBand {
         let lattice = lattice(settings);
         let mut mesh = contour::contour(&band, &lattice, settings.contouring);
         report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
-        // Files may store world positions: what they make of the mesh depends on where it is.
+        // Files may store world positions, so rounding depends on where the mesh is.
         mesh.origin += translation;
-        // There is no particle to ask about.
-        let no_part = |_: &Checked, _: &mut dyn FnMut(&Part)| Ok::<(), Infallible>(());
-        let Ok(checks) = finish::settle(&mut mesh, (settings, stored), &mut report, no_part);
+        // A level set has no particles to check.
+        let no_part = |_: &StoredMesh, _: &mut dyn FnMut(&Part)| Ok::<(), Infallible>(());
+        let Ok(checks) = finish::finalize(&mut mesh, (settings, stored), &mut report, no_part);
         let counts = (bound_violation_count, 0);
         report.certificate =
             certificate(checks, counts, (None, settings.offset), &mesh, &report.mesh, &lattice);
@@ -127,8 +129,9 @@ fn offset_voxels(settings: &Settings) -> f32 {
     (settings.offset / settings.voxel_size) as f32
 }
 
-/// The half width of the band that is worked on; `None` for that of the given one. Where the surface is moved, the file's values
-/// need not be distances as far as that, and what is left of the band is no narrower than without.
+/// Half width of the working band; `None` to keep that of the given band. If there is an offset, the band is
+/// widened first, because values in the file need not be distances that far out, and the band left after the
+/// offset must not be narrower than without one.
 fn working_half_width(band: &NarrowBand, slack: f32, offset: f32) -> Option<f32> {
     let without_offset = match slack > 0.0 {
         true => Some(MARGIN + slack.ceil()),
@@ -140,14 +143,13 @@ fn working_half_width(band: &NarrowBand, slack: f32, offset: f32) -> Option<f32>
     Some((without_offset.unwrap_or(HALF_WIDTH_MIN) + offset.abs().ceil()).min(WIDENED_MAX))
 }
 
-/// The most memory that [`resurface`] takes with these arguments, the given band included, in bytes: never much less than it
-/// does.
+/// Peak memory of [`resurface`] with these arguments, in bytes, including the given band. An upper estimate.
 pub fn resurfacing_bytes(band: &NarrowBand, slack_voxels: f32, settings: &Settings) -> u64 {
     let given = band.topology.len() as f64;
     let (leaves, widening) = match working_half_width(band, slack_voxels, offset_voxels(settings)) {
         Some(_) => {
             let wide = widened_leaf_count(band) as f64;
-            // The given band, two fields of the wide one, and the list that its leaves are found by.
+            // The given band, two fields of the wide band, and the list used to find its leaves.
             (wide, FIELD_BYTES * (given + 2.2 * wide) + WIDENING_LEAF_BYTES * given)
         }
         None => (given, 0.0),
@@ -162,11 +164,11 @@ pub fn resurfacing_bytes(band: &NarrowBand, slack_voxels: f32, settings: &Settin
     (widening.max(smoothing).max(contouring) + topologies) as u64
 }
 
-/// Memory for a leaf of the given band while the leaves around it are listed: 27 origins, as they are found and as they are
-/// sorted.
+/// Memory per leaf of the given band while the surrounding leaves are listed: 27 origins, once unsorted and
+/// once sorted.
 const WIDENING_LEAF_BYTES: f64 = 27.0 * 28.0;
 
-/// How many edges of the grid the surface crosses: about as many as the faces of voxels that it is as large as.
+/// Number of grid edges that the surface crosses: approximately its area in voxel faces.
 fn crossed_edge_count(band: &NarrowBand) -> usize {
     let inside = negative_masks(&band.phi);
     let neighbors = band.topology.neighbors();
@@ -175,7 +177,7 @@ fn crossed_edge_count(band: &NarrowBand) -> usize {
         let beyond = |face: usize| inside.get(neighbors[leaf][face] as usize).unwrap_or(own);
         (0..3)
             .map(|axis| {
-                // Beyond the last leaf there is nothing that counts.
+                // The surface has no crossings beyond the last leaf.
                 let [_, after] = own.shifted(axis, 1, own, beyond(2 * axis + 1));
                 own.and(&after.complement()).or(&after.and(&own.complement())).iter().count()
             })
@@ -199,7 +201,7 @@ mod tests {
     use crate::surface::options::MethodOptions;
 
     #[test]
-    fn mesh_far_from_the_origin_is_checked_at_its_rounded_world_positions() {
+    fn distant_mesh_is_validated_at_rounded_world_positions() {
         let world_positions = Stored::Rounded(|positions, origin| {
             let origin = DVec3::from(origin);
             let read = |position: &[f32; 3]| {
@@ -222,7 +224,7 @@ mod tests {
             surface.report.flat_triangles_removed + surface.report.mesh.degenerate_triangle_count
         };
         assert_eq!(flat_count(DVec3::ZERO), 0);
-        // 32-bit numbers are an eighth of a world unit apart there.
+        // There, consecutive 32-bit floats are an eighth of a world unit apart.
         assert!(flat_count(DVec3::new(1.5e6, 0.0, 0.0)) > 0);
     }
 }

@@ -1,12 +1,13 @@
-//! What neighbours change of the particles of a source: of those near its surface.
+//! Stores how a source's particles near the surface are changed by their neighbors.
 //!
 //! ```text
-//!   batch 0            batch 1           one bit for each particle
+//!   batch 0            batch 1           one bit per particle
 //!   · ● ● · · ● · ·    · · ● · ● · · ·   ●: changed
-//!     0 1     2            3   4         means, shapes: in the order of the particles
+//!     0 1     2            3   4         means, shapes: in particle order
 //! ```
 //!
-//! A frame of hundreds of millions of particles keeps them all at once, beside what it is rasterized into: so they are small.
+//! A frame of hundreds of millions of particles stores all changes at once, beside the level sets, so they
+//! are compact.
 
 use std::ops::Range;
 
@@ -14,83 +15,84 @@ use glam::{DVec3, Vec3};
 
 use crate::surface::particles::{Ellipsoid, ParticleSource, Positions, Shapes};
 
-/// Where the mean of a particle's neighbours is, from the particle, in units of R / 32767: a ten-thousandth of the
-/// spacing is enough.
+/// Mean of a particle's neighbors relative to the particle, in units of R / 32767: a ten-thousandth of the
+/// spacing is precise enough.
 type StoredMean = [i16; 3];
 
-/// From units of R, each at most 1 from 0.
+/// Quantizes a mean in units of R, with components in −1..=1.
 fn stored(mean: [f32; 3]) -> StoredMean {
     mean.map(|part| (part * f32::from(i16::MAX)).round() as i16)
 }
 
-/// In units of R.
+/// Returns the mean in units of R.
 fn mean_of(stored: StoredMean) -> Vec3 {
     Vec3::from(stored.map(f32::from)) / f32::from(i16::MAX)
 }
 
-/// A mean as it is used, for one that was computed: both in units of R.
+/// Rounds a mean to its stored precision; both in units of R.
 #[cfg(test)]
 pub(super) fn rounded(mean: [f32; 3]) -> Vec3 {
     mean_of(stored(mean))
 }
 
-/// What neighbours make of the particles of a block.
-pub(super) struct Found {
-    /// The batch of each, and its place in that.
+/// The changed particles of a block.
+pub(super) struct BlockChanges {
+    /// Batch, and index in the batch, of each particle.
     sources: Vec<[u32; 2]>,
-    /// Empty where none is moved.
+    /// Empty if no particle is moved.
     means: Vec<StoredMean>,
-    /// Empty where none is stretched.
+    /// Empty if no particle is stretched.
     shapes: Vec<Ellipsoid>,
 }
 
-impl Found {
-    /// `sources` has the batch of each particle and its place in that. `means` are those of their neighbours, in units of R, and
-    /// `shapes` their own; either is empty where it does not matter. Particles that are neither moved nor stretched are left
-    /// out: those of a lattice, behind its outermost layers.
-    pub(super) fn new(sources: Vec<[u32; 2]>, means: &[[f32; 3]], shapes: Vec<Ellipsoid>) -> Found {
+impl BlockChanges {
+    /// `sources` holds the batch, and index in the batch, of each particle. `means` are the means of their
+    /// neighbors, in units of R, and `shapes` their shapes; either is empty if unused. Drops particles that
+    /// are neither moved nor stretched, such as those of a lattice behind its outermost layers.
+    pub(super) fn new(sources: Vec<[u32; 2]>, means: &[[f32; 3]], shapes: Vec<Ellipsoid>) -> BlockChanges {
         let means: Vec<StoredMean> = means.iter().copied().map(stored).collect();
         if !shapes.is_empty() || means.is_empty() {
-            return Found { sources, means, shapes };
+            return BlockChanges { sources, means, shapes };
         }
         let is_moved = |(_, mean): &([u32; 2], StoredMean)| *mean != [0; 3];
         let (sources, means) = sources.into_iter().zip(means).filter(is_moved).unzip();
-        Found { sources, means, shapes }
+        BlockChanges { sources, means, shapes }
     }
 }
 
-/// The memory of a particle that is changed, in bytes: while all are collected, and what is kept.
+/// Memory per changed particle, in bytes: while all are collected, and afterwards.
 pub(super) fn changed_bytes(is_moved: bool, is_stretched: bool) -> [f64; 2] {
     let mean = if is_moved { size_of::<StoredMean>() } else { 0 };
     let shape = if is_stretched { size_of::<Ellipsoid>() } else { 0 };
-    // A bit of each particle of the frame, of which one in eight is near the surface.
+    // One bit for each particle of the frame, of which one in eight is near the surface.
     let kept = (1 + mean + shape) as f64;
     [(size_of::<[u32; 2]>() + mean + shape) as f64 + kept, kept]
 }
 
-/// What neighbours change of the particles of a source.
+/// The changes that neighbors make to a source's particles.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Changes {
-    /// How far a mean that is R away moves a particle, world units: λR.
+    /// How far a mean at distance R moves a particle, in world units: λR.
     step_world: f64,
-    /// The scale of those that are not stretched and have none of their own; `None` where particles keep their shapes.
+    /// Scale given to particles without one that are not stretched; `None` if particles keep their
+    /// shapes.
     ball: Option<f32>,
-    /// Where the words of each batch start in `changed`, and its particles in what follows; one more entry than batches, or none where nothing is
-    /// changed.
+    /// For each batch, the start of its words in `changed` and of its particles in `means` and `shapes`; one
+    /// entry more than there are batches. Empty if nothing is changed.
     starts: Vec<[usize; 2]>,
-    /// A bit for each particle of each batch.
+    /// One bit for each particle of each batch.
     changed: Vec<u64>,
-    /// Empty where none is moved.
+    /// Empty if no particle is moved.
     means: Vec<StoredMean>,
-    /// Empty where none is stretched.
+    /// Empty if no particle is stretched.
     shapes: Vec<Ellipsoid>,
 }
 
 impl Changes {
-    /// Puts what was found in blocks in the order of the source. It frees a block once it is in place. `count_of` tells how many particles
-    /// a batch has.
+    /// Sorts the changes of all blocks into source order. Frees each block once it is copied. `count_of`
+    /// returns the number of particles of a batch.
     pub(super) fn new(
-        found: Vec<Found>,
+        found: Vec<BlockChanges>,
         (step_world, ball): (f64, Option<f32>),
         batch_count: usize,
         count_of: impl Fn(usize) -> usize,
@@ -100,7 +102,7 @@ impl Changes {
             starts[batch + 1][0] = starts[batch][0] + count_of(batch).div_ceil(64);
         }
         let mut changed = vec![0u64; starts[batch_count][0]];
-        let word_of = |[batch, place]: [u32; 2]| starts[batch as usize][0] + place as usize / 64;
+        let word_of = |[batch, index]: [u32; 2]| starts[batch as usize][0] + index as usize / 64;
         for &source in found.iter().flat_map(|found| &found.sources) {
             changed[word_of(source)] |= 1 << (source[1] % 64);
         }
@@ -135,17 +137,17 @@ impl Changes {
         Changes { step_world, ball, starts, changed, means, shapes }
     }
 
-    /// Whether particles are moved.
+    /// True if particles are moved.
     pub(super) fn moves(&self) -> bool {
         self.step_world > 0.0
     }
 
-    /// Whether particles have shapes of their own after this, whatever they had before.
+    /// True if particles are ellipsoids after the change, whatever they were before.
     pub(super) fn stretches(&self) -> bool {
         self.ball.is_some()
     }
 
-    /// The places in a batch of the particles that are changed, and the range of what they are changed to.
+    /// Indices in a batch of its changed particles, and the range of their changes.
     fn of(&self, batch: usize) -> (impl Iterator<Item = usize>, Range<usize>) {
         let (words, range) = match self.starts.get(batch..batch + 2) {
             Some(&[[word, first], [word_end, end]]) => (word..word_end, first..end),
@@ -157,15 +159,15 @@ impl Changes {
         (self.changed[words].iter().enumerate().filter(|(_, word)| **word != 0).flat_map(bits), range)
     }
 
-    /// The places in a batch of the particles that are moved, and by how much, world units.
+    /// Indices in a batch of its moved particles, with the displacement of each in world units.
     pub(super) fn moves_of(&self, batch: usize) -> impl Iterator<Item = (usize, DVec3)> {
-        let (places, range) = self.of(batch);
-        // Empty where none is moved: then there is no place either.
+        let (indices, range) = self.of(batch);
+        // If no particle is moved, `means` is empty, and so is the result.
         let means = self.means.get(range).unwrap_or(&[]);
-        places.zip(means).map(|(place, mean)| (place, mean_of(*mean).as_dvec3() * self.step_world))
+        indices.zip(means).map(|(index, mean)| (index, mean_of(*mean).as_dvec3() * self.step_world))
     }
 
-    /// The shapes of a batch, of which so many were given.
+    /// The changed shapes of a batch of `count` particles, `given` before.
     pub(super) fn shapes_of(&self, batch: usize, given: Shapes, count: usize) -> Shapes {
         let Some(ball) = self.ball else { return given };
         let mut shapes = match given {
@@ -173,24 +175,24 @@ impl Changes {
             Shapes::Scaled(scales) => scales.into_iter().map(Ellipsoid::ball).collect(),
             Shapes::Ellipsoids(ellipsoids) => ellipsoids,
         };
-        let (places, range) = self.of(batch);
-        for (place, &shape) in places.zip(&self.shapes[range]) {
-            shapes[place] = shape;
+        let (indices, range) = self.of(batch);
+        for (index, &shape) in indices.zip(&self.shapes[range]) {
+            shapes[index] = shape;
         }
         Shapes::Ellipsoids(shapes)
     }
 
-    /// Moves the particles of a batch, which are `positions` from `first` on.
+    /// Moves the particles of a batch, which start at index `first` of `positions`.
     pub(super) fn move_batch(&self, batch: usize, positions: &mut Positions, first: usize) {
-        for (place, step) in self.moves_of(batch) {
+        for (index, step) in self.moves_of(batch) {
             match positions {
-                Positions::F32(positions) => moved_single(&mut positions.to_mut()[first + place], step),
-                Positions::F64(positions) => moved_double(&mut positions.to_mut()[first + place], step),
+                Positions::F32(positions) => moved_single(&mut positions.to_mut()[first + index], step),
+                Positions::F64(positions) => moved_double(&mut positions.to_mut()[first + index], step),
             }
         }
     }
 
-    /// Changes all particles that were given, which are in memory.
+    /// Changes all particles of a source that is in memory.
     pub(super) fn apply<'a>(&self, mut positions: Positions<'a>, shapes: Shapes) -> (Positions<'a>, Shapes) {
         let batch_count = positions.batch_count();
         for batch in 0..batch_count {
@@ -211,7 +213,7 @@ impl Changes {
         (positions, stretched)
     }
 
-    /// The memory that these take, in bytes.
+    /// Memory used, in bytes.
     pub(super) fn size_bytes(&self) -> usize {
         let Changes { starts, changed, means, shapes, .. } = self;
         size_of_val(&**starts) + size_of_val(&**changed) + size_of_val(&**means) + size_of_val(&**shapes)
@@ -222,7 +224,7 @@ fn moved_single(position: &mut [f32; 3], step: DVec3) {
     *position = (Vec3::from(*position).as_dvec3() + step).as_vec3().to_array();
 }
 
-/// Moves a particle by a step, world units.
+/// Moves a particle by a step, in world units.
 pub(super) fn moved_double(position: &mut [f64; 3], step: DVec3) {
     *position = (DVec3::from(*position) + step).to_array();
 }

@@ -1,13 +1,14 @@
-//! Whether voxels are so small that positions cannot tell them apart.
+//! Detects voxel sizes too small for the precision of positions.
 //!
 //! ```text
-//!   voxels between most particles and their middle     65 536      1 048 576      16 777 216
-//!   a 32-bit position of a vertex is off by            1/256       1/16           1 voxel
-//!                                                      told        refused        no surface
+//!   distance of most particles from their median, in voxels    65 536      1 048 576      16 777 216
+//!   rounding error of a 32-bit vertex position                 1/256       1/16           1 voxel
+//!                                                              warning     error          no surface
 //! ```
 //!
-//! Nobody asks for such a surface: somebody took another unit of length, or a zero too many, and would wait long for what
-//! is none. A few particles that went astray are another matter, and are told of: most of the particles decide.
+//! Such a voxel size is a mistake, such as a wrong unit of length or an extra zero, and the user would wait
+//! long for a useless result. A few stray particles are not: they cause a warning only, because the median
+//! decides.
 
 use std::fmt;
 
@@ -20,61 +21,58 @@ use crate::surface::space::INDEX_LIMIT;
 use crate::surface::spacing::{Sample, median};
 use crate::surface::words::significant;
 
-/// A frame is refused where most of its particles are farther from their middle, in voxels: 32-bit positions would be off
-/// by a sixteenth of a voxel, and more.
+/// Upper limit of the median distance of particles from their median position, in voxels. Beyond it, 32-bit
+/// positions are off by 1/16 voxel or more, and the frame is rejected.
 pub const SPREAD_MAX_VOXELS: u32 = 1 << 20;
 
-/// The voxels are too small for a frame: for how widely most of its particles are spread, or for how far they are from
-/// the origin.
+/// Error: the voxels are too small for a frame, because most of its particles are too widely spread or too
+/// far from the origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TooFine {
-    /// The voxel size, world units.
+    /// The voxel size, in world units.
     pub voxel_size: f64,
-    /// The particle spacing as it was measured, world units.
+    /// The measured particle spacing, in world units.
     pub spacing: f64,
-    /// The voxel size with which the frame could be skinned, at least, world units.
+    /// The smallest voxel size that the frame allows, in world units.
     pub least: f64,
-    /// What they are too small for.
+    /// Which limit is exceeded.
     pub limit: Limit,
 }
 
-/// What bounds voxels from below.
+/// What limits the voxel size from below.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Limit {
-    /// Most particles are more than [`SPREAD_MAX_VOXELS`] from their middle.
+    /// Most particles are more than [`SPREAD_MAX_VOXELS`] from their median position.
     Spread,
-    /// Most particles are more than [`INDEX_LIMIT`] voxels from the origin: the grid does not reach there.
+    /// Most particles are more than [`INDEX_LIMIT`] voxels from the origin, outside the grid's index range.
     Reach,
 }
 
 impl fmt::Display for TooFine {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let TooFine { voxel_size, spacing, least, limit } = *self;
-        // What is told, in a few digits, is to be enough.
+        // Round up, so that the few digits of the message are enough.
         let least = 1.001 * least;
-        let [voxels, half, h, told_least, told_spacing] =
+        let [voxels, half, h, shown_least, shown_spacing] =
             [spacing / voxel_size, 0.5 * spacing, voxel_size, least, spacing].map(significant);
         match limit {
             Limit::Spread => write!(
                 f,
-                "the voxel size {h} (--voxel-size) is too small: particles are {told_spacing} apart, which is {voxels} voxels, \
-                 and positions of 32 bits cannot tell so many apart over the whole frame"
+                "the voxel size {h} (--voxel-size) is too small: particles are {shown_spacing} apart ({voxels} voxels), \
+                 and 32-bit positions cannot resolve that over the whole frame"
             )?,
             Limit::Reach => write!(
                 f,
                 "the voxel size {h} (--voxel-size) is too small so far from the origin: most particles are more than \
-                 {INDEX_LIMIT} voxels from it, where the grid ends; move them nearer to it, or give --voxel-size {told_least} at least"
+                 {INDEX_LIMIT} voxels away, outside the grid; move them closer, or use --voxel-size {shown_least} or more"
             )?,
         }
         match limit {
-            // The least one is for those who know why; it is nothing to look for.
+            // The minimum is for experts; it is not a recommendation.
             Limit::Spread if 0.5 * spacing >= least => {
-                write!(
-                    f,
-                    "; half the spacing is usual, --voxel-size {half}, and {told_least} the least that can be"
-                )
+                write!(f, "; use --voxel-size {half} (half the spacing); the minimum is {shown_least}")
             }
-            Limit::Spread => write!(f, "; --voxel-size {told_least} is the least that can be"),
+            Limit::Spread => write!(f, "; the minimum is --voxel-size {shown_least}"),
             Limit::Reach => Ok(()),
         }
     }
@@ -82,11 +80,11 @@ impl fmt::Display for TooFine {
 
 impl std::error::Error for TooFine {}
 
-/// Whether the voxels are too small for a frame with this footprint. Where that is so, its particles are read once more, and twice
-/// more if they are many.
+/// Checks whether the voxels are too small for a frame with this footprint. If so, reads its particles once
+/// more, or three times if there are many.
 ///
 /// # Errors
-/// Those of the source.
+/// Returns the source's error if a batch cannot be read.
 pub(super) fn too_fine<S: ParticleSource>(
     source: &S,
     settings: &Settings,
@@ -103,8 +101,8 @@ pub(super) fn too_fine<S: ParticleSource>(
     Ok((voxel_size < least).then_some(TooFine { voxel_size, spacing, least, limit }))
 }
 
-/// The least voxel size with which most of these particles are near enough to their middle and to the origin, and which
-/// of both asks for it.
+/// The smallest voxel size with which most of these particles are near enough to their median and to the
+/// origin, and the limit that determines it.
 fn least_voxel_size(particles: &Particles) -> (f64, Limit) {
     let positions = || (0..particles.len()).map(|index| particles.position(index));
     let median = |values: Vec<f64>| median(values).unwrap_or(0.0);

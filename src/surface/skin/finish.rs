@@ -1,16 +1,17 @@
-//! From the smoothed level set to the surface: what users ask to be taken away, the mesh, and what is checked of both.
+//! Postprocessing: from the smoothed level set to the validated mesh.
 //!
 //! ```text
-//!   φ ──offset──▶ φ ──islands, cavities, box──▶ φ ──contour──▶ mesh ──out of obstacles──▶ mesh ──fewer triangles──▶ mesh ──▶ certificate
+//!   φ ──offset──▶ φ ──islands, cavities, box──▶ φ ──contour──▶ mesh ──obstacles──▶ mesh ──decimate──▶ mesh ──▶ validate
 //! ```
 //!
-//! What is checked is the mesh as it will be written: with the triangles that are left, at the positions that each file makes of
-//! its own. A vertex that is out of its bounds is moved, a triangle without area is taken out, and the mesh is checked again.
+//! Validation checks the mesh as it will be written: after decimation, and with positions rounded as in each
+//! file format. If a vertex violates its bounds, it is moved back; if a triangle has no area, it is removed.
+//! The mesh is then checked again.
 //!
-//! The bounds of smoothing are checked before φ is changed here.
+//! The bounds of smoothing are checked before φ is edited here.
 //!
-//! Whatever is taken away is counted, and the certificate does not ask for it any more: not for particles in islands
-//! that were dropped, nor for the spheres that a box or an obstacle cuts.
+//! All removals are counted and excluded from validation: particles in dropped islands, and spheres that a
+//! box or an obstacle cuts.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -29,26 +30,26 @@ use crate::surface::options::Settings;
 use crate::surface::report::{DepthTally, EditReport, SkinReport};
 use crate::surface::validation::{self, Exempt, Part, ParticleChecks};
 
-/// What was taken from the level set.
+/// What edits removed from the level set.
 #[derive(Default)]
 pub(super) struct Edits {
     islands: Option<DroppedIslands>,
     clip: Option<edits::ClipBox>,
 }
 
-/// Whether the settings ask for any such thing.
+/// True if the settings request any edit.
 pub(super) fn has_edits(settings: &Settings) -> bool {
     settings.drop_islands > 0 || settings.fill_cavities > 0.0 || settings.clip.is_some()
 }
 
-/// Moves the surface by the offset, if there is one: up to obstacles, and no farther.
+/// Moves the surface by the offset, if any, but not into obstacles.
 pub(super) fn offset(band: &mut NarrowBand, scene: &Scene) {
     let radii = scene.radii;
     if radii.offset == 0.0 {
         return;
     }
     let wall = |origin: IVec3| match scene.obstacle(origin) {
-        // Where all is deep inside obstacles, there is no surface to hold.
+        // A leaf deep inside obstacles contains no surface.
         ObstacleLeaf::Outside | ObstacleLeaf::Inside => None,
         ObstacleLeaf::Near(mut distances) => {
             Arc::make_mut(&mut distances).values.iter_mut().for_each(|distance| *distance = -*distance);
@@ -58,7 +59,8 @@ pub(super) fn offset(band: &mut NarrowBand, scene: &Scene) {
     offset_surface(band, radii.offset, radii.result_half_width(), wall);
 }
 
-/// Takes away what the settings ask for. `particles` are those of each leaf, in voxels relative to its origin.
+/// Applies the edits in the settings. `particles` yields each leaf's origin and particles, in voxels relative
+/// to it.
 pub(super) fn edit<P: AsRef<[Vec3]>>(
     band: &mut NarrowBand,
     particles: impl IntoIterator<Item = (IVec3, P)>,
@@ -73,7 +75,7 @@ pub(super) fn edit<P: AsRef<[Vec3]>>(
         edits.islands = Some(dropped);
     }
     if settings.fill_cavities > 0.0 {
-        // What an obstacle keeps the fluid out of is no cavity.
+        // A region that the fluid is kept out of by an obstacle is not a cavity.
         let kept = |origin: IVec3| match scene.obstacle(origin) {
             ObstacleLeaf::Outside => LeafMask::EMPTY,
             ObstacleLeaf::Inside => LeafMask::FULL,
@@ -93,7 +95,7 @@ pub(super) fn edit<P: AsRef<[Vec3]>>(
     edits
 }
 
-/// The mesh of the level set, clear of obstacles and of what was cut off.
+/// Extracts the mesh of the level set, clear of obstacles and of the parts outside the box.
 pub(super) fn mesh(
     band: &NarrowBand,
     edits: &Edits,
@@ -113,24 +115,25 @@ pub(super) fn mesh(
 /// How a file stores the positions of a mesh.
 #[derive(Clone, Copy, Debug)]
 pub enum Stored {
-    /// As they are: 32 bits, relative to the mesh's origin.
+    /// Unchanged: 32 bits, relative to the mesh's origin.
     AsTheyAre,
-    /// Otherwise.
+    /// With this rounding.
     Rounded(Rounding),
 }
 
-/// After so many times that vertices were moved back into their bounds, those that are out of them count as violations.
+/// Number of times that vertices are moved back into their bounds. Any left outside are then reported as
+/// violations.
 const RETURNS_MAX: usize = 3;
 
-/// Makes the mesh what is written of it, and checks it, in parts, as each file stores it.
+/// Replaces the mesh by the one that is written, and validates it part by part, as each file stores it.
 ///
 /// # Errors
-/// Those of the parts.
-pub(super) fn settle<E>(
+/// Returns the errors of `each_part`.
+pub(super) fn finalize<E>(
     mesh: &mut Mesh,
     (settings, stored): (&Settings, &[Stored]),
     report: &mut SkinReport,
-    mut each_part: impl FnMut(&Checked, &mut dyn FnMut(&Part)) -> Result<(), E>,
+    mut each_part: impl FnMut(&StoredMesh, &mut dyn FnMut(&Part)) -> Result<(), E>,
 ) -> Result<ParticleChecks, E> {
     let lattice = lattice(settings);
     if settings.decimate > 0.0 {
@@ -143,7 +146,7 @@ pub(super) fn settle<E>(
         Stored::Rounded(rounding) => Some(*rounding),
     };
     let roundings: Vec<Rounding> = stored.iter().filter_map(rounding).collect();
-    report.flat_triangles_removed = mesh.take_out_flat(&roundings);
+    report.flat_triangles_removed = mesh.remove_flat_triangles(&roundings);
     let has_unrounded = roundings.len() < stored.len();
     let mut checks = ParticleChecks::NOTHING;
     for returns in 0..=RETURNS_MAX {
@@ -152,7 +155,7 @@ pub(super) fn settle<E>(
         for stored in stored {
             let mut of_file = ParticleChecks::NOTHING;
             let mut rounded = rounding(stored).map(|rounding| mesh.rounded(rounding));
-            // A rounding that changes nothing makes no other mesh.
+            // Rounding that changes nothing needs no second check.
             if has_unrounded && rounded.as_ref().is_some_and(|rounded| *rounded == mesh.positions) {
                 continue;
             }
@@ -163,7 +166,7 @@ pub(super) fn settle<E>(
             if let Some(rounded) = &mut rounded {
                 std::mem::swap(rounded, &mut mesh.positions);
             }
-            let checked = Checked { mesh, rounding: moved_voxels as f32 };
+            let checked = StoredMesh { mesh, rounding: moved_voxels as f32 };
             let parts = each_part(&checked, &mut |part| {
                 let (of_part, found) = validation::check(part);
                 of_file = of_file.and(of_part);
@@ -184,7 +187,7 @@ pub(super) fn settle<E>(
             mesh.normals[vertex] = Vec3::ZERO;
         }
         contour::fill_zero_normals(mesh);
-        report.flat_triangles_removed += mesh.take_out_flat(&roundings);
+        report.flat_triangles_removed += mesh.remove_flat_triangles(&roundings);
     }
     report.mesh = mesh.measure();
     for rounding in roundings {
@@ -198,13 +201,13 @@ pub(super) fn settle<E>(
 }
 
 /// A mesh as a file stores it.
-pub(super) struct Checked<'a> {
+pub(super) struct StoredMesh<'a> {
     pub(super) mesh: &'a Mesh,
-    /// How far the file moves vertices, in voxels, at most.
+    /// Maximum distance by which the file's rounding moves vertices, in voxels.
     pub(super) rounding: f32,
 }
 
-/// What the certificate does not ask for.
+/// What validation skips.
 pub(super) struct Exemptions<'a> {
     pub(super) scene: &'a Scene<'a>,
     pub(super) edits: &'a Edits,
@@ -222,26 +225,26 @@ impl Exempt for Exemptions<'_> {
     }
 
     fn vertex(&self, index: DVec3) -> bool {
-        // What obstacles took away before the surface was moved reaches so much farther.
+        // Before the offset, obstacles affected the surface up to this much farther out.
         let margin = self.scene.void_threshold + VERTEX_MARGIN + self.scene.radii.outward();
         self.is_near_cut(index) || self.obstacle_distance(index) < margin
     }
 }
 
-/// A particle so far from an obstacle, in voxels, told by the nearest voxel, is not in it.
+/// A particle at least this far from an obstacle, in voxels, measured at the nearest voxel, is outside it.
 const PARTICLE_MARGIN: f32 = 1.0;
 
-/// A vertex so much farther from an obstacle than the widest gap that is filled, in voxels, is where the particles say.
+/// Beyond the widest filled gap plus this margin, in voxels, an obstacle does not affect vertices.
 const VERTEX_MARGIN: f32 = 2.0;
 
 impl Exemptions<'_> {
-    /// Whether a place, in voxels, is outside of the box or within a voxel of its faces.
+    /// True if a position, in voxels, is outside the box or within a voxel of its faces.
     fn is_near_cut(&self, index: DVec3) -> bool {
         let voxel_size = self.scene.lattice.voxel_size;
         self.edits.clip.as_ref().is_some_and(|clip| clip.distance(index * voxel_size) > -voxel_size)
     }
 
-    /// The signed distance from the voxel next to a place to the obstacles, in voxels.
+    /// Signed distance to the obstacles at the voxel nearest to a position, in voxels.
     fn obstacle_distance(&self, index: DVec3) -> f32 {
         if self.scene.obstacles.is_empty() {
             return f32::INFINITY;

@@ -1,18 +1,17 @@
-//! The whole method in three calls: rasterize, smooth, contour.
+//! The whole method in three stages: rasterize, smooth, contour.
 //!
-//! The calls are separate so that a pipeline can have a different frame in each of them; [`skin`]
-//! is the three in a row. None of them starts threads of its own or opens a file: loops run in
-//! whatever rayon pool the caller is in. `plan` tells what a frame will take, and `tiled` has the same
-//! three calls for one that is larger than memory.
+//! The stages are separate functions so that a pipeline can run a different frame in each; [`skin`] runs all
+//! three. They do not start threads or open files: loops run in the caller's rayon pool. `plan` estimates the
+//! memory of a frame, and `tiled` has the same three stages for frames larger than memory.
 
 mod attributes;
 mod band;
 mod changes;
+mod field_store;
 mod fineness;
 mod finish;
 mod plan;
 mod shape;
-mod shelves;
 pub mod tiled;
 mod tiles;
 
@@ -22,13 +21,13 @@ use std::ops::ControlFlow;
 pub(crate) use attributes::transfer_from;
 pub use attributes::{SurfaceAttributes, Targets, transfer};
 pub use band::{BoundedBand, SLACK_MAX_VOXELS, bound, resurface, resurfacing_bytes};
+pub use field_store::{SHELF_COUNT, Storage};
 pub use fineness::{Limit, SPREAD_MAX_VOXELS, TooFine};
 pub use finish::Stored;
 pub(crate) use plan::plan_whole;
 pub use plan::{Plan, Surroundings, TooLarge, Unfit, plan};
 pub(crate) use shape::shapes_by_attributes;
 pub use shape::{ShapedSource, shape, shape_by_attributes, shape_by_neighbors};
-pub use shelves::{SHELF_COUNT, Storage};
 
 use crate::surface::contour;
 use crate::surface::grid::Leaf;
@@ -42,7 +41,7 @@ use crate::surface::report::{Phase, Shaping, SkinReport};
 use crate::surface::smooth;
 use crate::surface::space::{CoordBox, Lattice};
 use crate::surface::validation::{GivenPlace, MeshCells, Part, certificate, doubtful_places, given_outside};
-use finish::{Checked, Edits, Exemptions};
+use finish::{Edits, Exemptions, StoredMesh};
 
 /// The surface of one frame.
 #[derive(Clone, Debug)]
@@ -51,14 +50,14 @@ pub struct Surface {
     pub band: NarrowBand,
     /// The mesh.
     pub mesh: Mesh,
-    /// What else is known of it; empty unless it was [transferred](transfer).
+    /// Attributes of the surface; empty unless [transferred](transfer).
     pub attributes: SurfaceAttributes,
-    /// What was measured on the way.
+    /// Measurements and validation results.
     pub report: SkinReport,
 }
 
 impl Surface {
-    /// The memory that it takes, in bytes.
+    /// Memory used, in bytes.
     pub fn size_bytes(&self) -> u64 {
         let leaves = self.band.phi.leaves.len() * (size_of::<Leaf>() + TOPOLOGY_LEAF_BYTES);
         let Mesh { positions, normals, triangles, .. } = &self.mesh;
@@ -67,19 +66,20 @@ impl Surface {
     }
 }
 
-/// What rasterization hands to smoothing.
+/// Result of rasterization, input of smoothing.
 #[derive(Clone)]
 pub struct Rasterized {
     bins: ParticleBins,
     band: NarrowBand,
     bounds: Bounds,
     obstacles: Obstacles,
-    /// Where particles were given that are elsewhere now, and may be outside; `None` where none was moved.
+    /// Original positions of moved particles that may lie outside the surface; `None` if no particle was
+    /// moved.
     given: Option<Vec<Vec<GivenPlace>>>,
     report: SkinReport,
 }
 
-/// What smoothing hands to contouring.
+/// Result of smoothing, input of contouring.
 #[derive(Clone)]
 pub struct Smoothed {
     bins: ParticleBins,
@@ -91,25 +91,26 @@ pub struct Smoothed {
 }
 
 impl Rasterized {
-    /// What was measured so far; callers that have a clock add seconds.
+    /// The report so far. Callers that measure time add it here.
     pub fn report_mut(&mut self) -> &mut SkinReport {
         &mut self.report
     }
 }
 
 impl Smoothed {
-    /// What was measured so far; callers that have a clock add seconds.
+    /// The report so far. Callers that measure time add it here.
     pub fn report_mut(&mut self) -> &mut SkinReport {
         &mut self.report
     }
 }
 
-/// Skins one frame: shape by neighbours, rasterize, smooth, contour. In the rayon pool that it is called in; the same particles and settings
-/// give the same bits on any number of threads. Particles that are not finite, or too far away for the grid, are left out
-/// and counted in the report, and so are a few that are more than 2²⁰ voxels from all others; `plan` tells of voxels that are too small for a frame.
+/// Surfaces one frame: applies anisotropy, rasterizes, smooths, contours. Runs in the caller's rayon pool;
+/// the same particles and settings give bit-identical results on any number of threads. Particles that are
+/// not finite, or too far away for the grid, are dropped and counted in the report, and so are a few that are
+/// more than 2²⁰ voxels from all others. [`plan()`] detects voxels that are too small for a frame.
 ///
-/// Positions are in world units, as the voxel size and the radii of the settings are; `docs/method.md` has the method, after
-/// Bhattacharya, Gao and Bargteil.
+/// Positions are in world units, like the voxel size and the radii in the settings. `docs/method.md` explains
+/// the method, after Bhattacharya, Gao and Bargteil.
 ///
 /// ```
 /// use meniscus::surface::particles::Particles;
@@ -118,7 +119,7 @@ impl Smoothed {
 ///
 /// let settings = Settings::paper(0.1, &MethodOptions::default())?;
 /// let drop = skin(&Particles::Single(vec![[1.0, 2.0, 3.0]]), &settings);
-/// // A particle by itself becomes a ball, and its certificate says that it is between the particle's two radii.
+/// // An isolated particle becomes a ball, and the certificate confirms that it lies between its two radii.
 /// assert!(drop.report.certificate.holds());
 /// assert_eq!(drop.mesh.measure().euler_characteristic, 2);
 /// # Ok::<(), meniscus::surface::options::SettingsError>(())
@@ -127,7 +128,7 @@ pub fn skin(particles: &Particles, settings: &Settings) -> Surface {
     skin_observed(particles, settings, &mut |_| {})
 }
 
-/// The same; `entered` is called as each phase begins.
+/// Like [`skin`]; `entered` is called at the start of each phase.
 pub fn skin_observed(particles: &Particles, settings: &Settings, entered: &mut dyn FnMut(Phase)) -> Surface {
     entered(Phase::Rasterize);
     let Ok((shaped, shaping)) = shape_by_neighbors(particles, Shaping::default(), settings);
@@ -138,8 +139,8 @@ pub fn skin_observed(particles: &Particles, settings: &Settings, entered: &mut d
     contour(smoothed, settings, &[Stored::AsTheyAre])
 }
 
-/// Skins one frame whose particles have attributes, among obstacles: shape, rasterize, smooth, contour; and gives the
-/// vertices those that the settings ask for.
+/// Surfaces one frame of particles with attributes, among obstacles, and transfers the selected attributes to
+/// the vertices.
 pub fn skin_cloud(cloud: Cloud, settings: &Settings, obstacles: &Obstacles) -> Surface {
     let (shaped, shaping) = shape(cloud, settings);
     let Ok(rasterized) = rasterize(&shaped, settings, shaping, obstacles.clone());
@@ -153,10 +154,10 @@ pub fn skin_cloud(cloud: Cloud, settings: &Settings, obstacles: &Obstacles) -> S
     surface
 }
 
-/// The first stage: particles to level sets. `shaping` tells how they got their shapes.
+/// First stage: particles to level sets. `shaping` reports how the particles got their shapes.
 ///
 /// # Errors
-/// Those of the source; what is in memory has none.
+/// Returns the source's error if a batch cannot be read. Sources in memory have none.
 pub fn rasterize<S: ParticleSource>(
     source: &S,
     settings: &Settings,
@@ -185,12 +186,12 @@ pub fn rasterize<S: ParticleSource>(
     Ok(Rasterized { bins, band, bounds, obstacles, given, report })
 }
 
-/// The second stage: the constrained smoothing.
+/// Second stage: constrained smoothing.
 pub fn smooth(rasterized: Rasterized, settings: &Settings) -> Smoothed {
     smooth_observed(rasterized, settings, &mut |_| {})
 }
 
-/// The second stage; `advanced` hears how much of it is done, from 0 to 1.
+/// Second stage. `advanced` receives the progress, from 0 to 1.
 pub fn smooth_observed(
     rasterized: Rasterized,
     settings: &Settings,
@@ -204,7 +205,7 @@ pub fn smooth_observed(
     smoothed
 }
 
-/// The second stage, which `advanced` may break off.
+/// Second stage; `advanced` may cancel it.
 pub(crate) fn smooth_while<B>(
     rasterized: Rasterized,
     settings: &Settings,
@@ -230,14 +231,14 @@ fn report_smoothing(report: &mut SkinReport, smoothed: smooth::SmoothReport, set
     report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
 }
 
-/// The third stage: the mesh, its measures and the certificate, which is about the mesh as each file stores it.
+/// Third stage: the mesh, its measures, and the certificate, which validates the mesh as each file stores it.
 pub fn contour(smoothed: Smoothed, settings: &Settings, stored: &[Stored]) -> Surface {
     let ControlFlow::Continue(surface) =
         contour_while::<Infallible>(smoothed, settings, stored, &|| ControlFlow::Continue(()));
     surface
 }
 
-/// The third stage, which `go_on` may break off between its parts.
+/// Third stage; `go_on` may cancel it between its parts.
 pub(crate) fn contour_while<B>(
     smoothed: Smoothed,
     settings: &Settings,
@@ -259,11 +260,11 @@ pub(crate) fn contour_while<B>(
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
     let (exempt, owned) = (&Exemptions { scene: &scene, edits: &edits }, CoordBox::ALL);
     let how = (settings, stored);
-    let settled = finish::settle(&mut mesh, how, &mut report, |checked, check| {
+    let settled = finish::finalize(&mut mesh, how, &mut report, |checked, check| {
         if let ControlFlow::Break(broken) = go_on() {
             return Err(broken);
         }
-        let Checked { mesh, rounding } = *checked;
+        let StoredMesh { mesh, rounding } = *checked;
         let (bins, band, lattice) = (&bins, &band, &lattice);
         let cells = &MeshCells::new(mesh, band, lattice);
         check(&Part { bins, radii, band, mesh, cells, rounding, lattice, owned, exempt });
@@ -285,7 +286,7 @@ fn lattice(settings: &Settings) -> Lattice {
     Lattice { voxel_size: settings.voxel_size }
 }
 
-/// What particles are rasterized into.
+/// Parameters of rasterization.
 fn scene<'a>(settings: &Settings, obstacles: &'a Obstacles) -> Scene<'a> {
     Scene {
         lattice: lattice(settings),
@@ -296,7 +297,7 @@ fn scene<'a>(settings: &Settings, obstacles: &'a Obstacles) -> Scene<'a> {
     }
 }
 
-/// How many particles are inside obstacles.
+/// Number of particles inside obstacles.
 fn inside_obstacles<S: ParticleSource>(source: &S, scene: &Scene) -> Result<usize, S::Error> {
     match scene.obstacles.is_empty() {
         true => Ok(0),
@@ -311,7 +312,7 @@ fn radii(settings: &Settings) -> Radii {
     let offset = voxels(settings.offset);
     match settings.has_shapes() {
         false => Radii { offset, ..Radii::of_balls(min, init, max) },
-        // Half axes come back from a matrix, not quite as long as they were.
+        // The decomposition returns half axes slightly shorter than they were.
         true => Radii {
             min,
             init,
@@ -323,7 +324,7 @@ fn radii(settings: &Settings) -> Radii {
     }
 }
 
-/// The longest half axis of the particles, in units of the radii.
+/// Longest half axis of all particles, in units of the radii.
 fn longest_of(shaping: &Shaping) -> f32 {
     if *shaping == Shaping::default() { 1.0 } else { shaping.longest }
 }
@@ -336,22 +337,23 @@ fn smooth_config(settings: &Settings) -> smooth::Config {
         step_size: settings.step_size as f32,
         redistance_every: settings.redistance_every,
         cg_tolerance: settings.cg_tolerance,
-        keeps_spheres: can_spheres_shrink(settings),
-        // The level that becomes the surface has to be as far from it as it says.
+        pin_isolated_spheres: can_spheres_shrink(settings),
+        // Distances must be accurate up to the level that becomes the surface.
         distances_voxels: (settings.offset / settings.voxel_size).abs() as f32,
     }
 }
 
-/// What implicit steps may take of a lone sphere's radius, in voxels.
+/// Maximum shrinking of an isolated sphere's radius in implicit steps, in voxels.
 const SHRINKING_MAX: f64 = 0.15;
 
-/// Whether implicit steps could take more than that before a lone sphere is as small as its bound lets it be. Not so with the
-/// radii that follow from the voxel size, after 15 Laplacian steps; with radii of the particles' own, always.
+/// True if implicit steps could shrink an isolated sphere by more than that before it reaches its lower
+/// bound. With the radii derived from the voxel size, they cannot, after 15 Laplacian steps; with
+/// per-particle radii they always can.
 fn can_spheres_shrink(settings: &Settings) -> bool {
     let [least, init] = [settings.radius_min, settings.radius_init].map(|world| world / settings.voxel_size);
     let left = smooth::radius_after_laplacian(init, settings.laplacian_steps);
     settings.own_radii.is_some() || left - least > SHRINKING_MAX
 }
 
-/// Memory that a topology takes for a leaf: its origin, its neighbours, and its place in the map.
+/// Memory per leaf of a topology: its origin, its neighbors, and its entry in the map.
 const TOPOLOGY_LEAF_BYTES: usize = 80;

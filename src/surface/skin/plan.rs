@@ -1,4 +1,4 @@
-//! What a frame will take, and how to skin it with less.
+//! Estimates the memory of a frame, and plans how to surface it within a limit.
 
 use std::fmt;
 
@@ -14,26 +14,26 @@ use crate::surface::options::{Anisotropy, Contouring, Integrator, Settings};
 use crate::surface::particles::ParticleSource;
 use crate::surface::rasterize::{self, Footprint};
 
-/// How a frame is to be skinned.
+/// How a frame is surfaced.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Plan {
-    /// The most memory that it takes, in bytes, beside the particles that are given: never much less than it does,
-    /// and up to half as much again.
+    /// Upper estimate of the peak memory, in bytes, excluding the given particles: at most half as much again
+    /// as the actual peak.
     pub memory_bytes: u64,
-    /// The edge of its tiles in leaves; `None` to have it in memory whole.
+    /// Edge of the tiles in leaves; `None` to process the frame in one piece.
     pub tile_leaves: Option<i32>,
-    /// What it would take in memory whole, in bytes.
+    /// Peak memory in one piece, in bytes.
     pub whole_bytes: u64,
 }
 
-/// A frame does not fit into the memory that it may take.
+/// Error: a frame does not fit into the memory limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TooLarge {
-    /// The least memory with which it could be skinned, in bytes.
+    /// The smallest sufficient limit, in bytes.
     pub least_bytes: u64,
-    /// What it may take, in bytes.
+    /// The limit, in bytes.
     pub allowed_bytes: u64,
-    /// Whether the integrator is what keeps it from being done in tiles.
+    /// True if tiles are impossible because the integrator is global.
     pub is_coupled: bool,
 }
 
@@ -42,14 +42,12 @@ impl fmt::Display for TooLarge {
         let mebibytes = |bytes: u64| bytes.div_ceil(MEBIBYTE);
         write!(
             f,
-            "the frame needs {} MiB of memory, and may take {} MiB: allow more (--memory), or choose a larger voxel size",
+            "the frame needs {} MiB of memory and the limit is {} MiB: raise --memory or increase --voxel-size",
             mebibytes(self.least_bytes),
             self.allowed_bytes / MEBIBYTE
         )?;
         if self.is_coupled {
-            f.write_str(
-                "; the implicit and the adaptive integrator couple all voxels, the others can do with less",
-            )?;
+            f.write_str("; other integrators need less: implicit and adaptive cannot work in tiles")?;
         }
         Ok(())
     }
@@ -59,33 +57,33 @@ impl std::error::Error for TooLarge {}
 
 const MEBIBYTE: u64 = 1 << 20;
 
-/// Edges of tiles in leaves, the largest first: the smaller they are, the more of the work is done twice.
+/// Edges of tiles in leaves, largest first. The smaller the tiles, the more work is done twice.
 const TILE_EDGES: [i32; 4] = [128, 64, 32, 16];
 
-/// What a frame has beside its particles that takes memory.
+/// Inputs besides the particles that need memory.
 #[derive(Clone, Copy)]
 pub struct Surroundings<'a> {
-    /// What stands in the way.
+    /// The obstacles.
     pub obstacles: &'a Obstacles,
-    /// Bytes of a particle's attributes that go on the surface.
+    /// Bytes per particle of the transferred attributes.
     pub attribute_bytes: f64,
 }
 
-/// Why a frame cannot be skinned.
+/// Why a frame cannot be surfaced.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Unfit {
-    /// It does not fit into the memory that it may take.
+    /// It does not fit into the memory limit.
     TooLarge(TooLarge),
-    /// Its voxels are so small that positions cannot tell them apart.
+    /// Its voxels are too small for the precision of positions.
     TooFine(TooFine),
 }
 
-/// How to skin a frame in `allowed_bytes`: in memory whole if that will do, and in the largest tiles that will
-/// if not. It looks at each particle once.
+/// Plans a frame with a limit of `allowed_bytes`: in one piece if possible, otherwise in the largest tiles
+/// that fit. Reads each particle once.
 ///
 /// # Errors
-/// Those of the source; and, within, that it cannot be done: there is too little memory, or the voxels are
-/// [too small](TooFine) for it.
+/// The outer error is the source's. The inner error says why the frame cannot be surfaced: there is
+/// too little memory, or the voxels are [too small](TooFine).
 pub fn plan<S: ParticleSource>(
     source: &S,
     settings: &Settings,
@@ -95,7 +93,7 @@ pub fn plan<S: ParticleSource>(
     plan_with_tiles(source, settings, surroundings, allowed_bytes, &TILE_EDGES)
 }
 
-/// The same without tiles.
+/// Like [`plan`], without tiles.
 pub(crate) fn plan_whole<S: ParticleSource>(
     source: &S,
     settings: &Settings,
@@ -137,13 +135,13 @@ fn plan_with_tiles<S: ParticleSource>(
     Ok(Err(Unfit::TooLarge(TooLarge { least_bytes, allowed_bytes, is_coupled: false })))
 }
 
-/// Fields of a frame in memory while it is rasterized, with what they are swept in. Particles with shapes of their own
-/// have distances to three surfaces where others have one to a centre.
+/// Number of fields in memory during rasterization, including temporary fields of the sweeps. Anisotropic
+/// particles need distances to three surfaces; others, to one center.
 fn rasterizing_fields(settings: &Settings) -> f64 {
     if settings.has_shapes() { 7.4 } else { 5.2 }
 }
 
-/// While it is smoothed.
+/// Number of fields in memory during smoothing.
 pub(super) fn smoothing_fields(settings: &Settings) -> f64 {
     match settings.integrator {
         Integrator::Fast | Integrator::Explicit | Integrator::Adaptive => 5.6,
@@ -151,8 +149,8 @@ pub(super) fn smoothing_fields(settings: &Settings) -> f64 {
     }
 }
 
-/// Bytes of the mesh, of what measures it and of what makes it, for each face of a voxel that the surface is as
-/// large as. Measured on blocks, sheets and spray.
+/// Memory of the mesh, its construction and its measures, in bytes per voxel face of the surface's area.
+/// Measured on blocks, sheets and spray.
 pub(super) fn mesh_bytes(settings: &Settings) -> f64 {
     match settings.contouring {
         Contouring::Dual => 80.0,
@@ -160,8 +158,8 @@ pub(super) fn mesh_bytes(settings: &Settings) -> f64 {
     }
 }
 
-/// Memory for a leaf that holds particles: while it is found out which of them matter, and of that what is kept of a
-/// frame in tiles. Where particles have shapes of their own, it is known of each leaf where the round ones are, too.
+/// Memory per leaf that contains particles, while culling, and the part that a tiled frame keeps. For
+/// anisotropic particles, each leaf also stores the octants of the round ones.
 fn sorted_leaf_bytes(settings: &Settings) -> f64 {
     1000.0 + round_octants_bytes(settings)
 }
@@ -174,20 +172,20 @@ fn round_octants_bytes(settings: &Settings) -> f64 {
     if settings.has_shapes() { 512.0 } else { 0.0 }
 }
 
-/// Memory for a particle that matters, and for one while it is sorted.
+/// Memory per kept particle, and per particle while sorting.
 const KEPT_PARTICLE_BYTES: f64 = 12.0;
 const SORTED_PARTICLE_BYTES: f64 = 40.0;
 
-/// Memory for a particle's shape: in the frame, where it is kept, and as it is looked up.
+/// Memory per particle shape: in the frame, after culling, and in the lookup.
 const SHAPE_BYTES: f64 = 200.0;
 
-/// Memory for the shapes of particles, and for where neighbours move them.
+/// Memory for particle shapes and displacements.
 fn shape_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
     let by_attributes =
         settings.own_radii.is_some() || matches!(settings.anisotropy, Anisotropy::Velocity { .. });
     let shaped_count = match (by_attributes, settings.has_shapes()) {
         (true, _) => footprint.particle_count,
-        // They are made for each batch, and kept of the particles that are.
+        // Made for each batch, and stored for the particles that are kept.
         (false, true) => footprint.near_particle_count,
         (false, false) => 0,
     };
@@ -202,10 +200,10 @@ fn shape_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
     SHAPE_BYTES * shaped_count as f64 + of_changes + given
 }
 
-/// Memory for where particles were given that may be outside of the surface: of each particle near it, in the mean. Few are.
+/// Average memory per near particle for original positions that may lie outside the surface. Few do.
 const GIVEN_BYTES: f64 = 6.0;
 
-/// Memory while neighbours are looked at, before anything else of the frame is kept.
+/// Memory while neighborhoods are evaluated, before the rest of the frame exists.
 fn neighbors_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
     if !settings.uses_neighbors() {
         return 0.0;
@@ -216,17 +214,19 @@ fn neighbors_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
         + collected * footprint.shaped_particle_count as f64
 }
 
-/// Memory for a leaf while it is found out which particles are near the surface: masks of its cells, and the leaves around it.
+/// Memory per leaf while the particles near the surface are determined: masks of its cells, and its
+/// neighbors.
 const VICINITY_LEAF_BYTES: f64 = 300.0;
 
-/// Memory while attributes are transferred and written, beside the mesh and two level sets: near particles sorted and
-/// packed; values at vertices and in the band, once as they are found and once in a row, then packed for six voxels.
+/// Memory while attributes are transferred and written, beside the mesh and two level sets: near particles,
+/// sorted and packed; values at vertices and in the band, scattered and then contiguous, then compressed for
+/// six voxels each.
 fn transfer_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64) -> f64 {
     if attribute_bytes == 0.0 {
         return 0.0;
     }
     let [_, area, _, particles] = counts(footprint, settings);
-    // The particles once more, in their shapes.
+    // A second copy of the particles, with their shapes.
     let moved = match (settings.uses_neighbors(), settings.anisotropy) {
         (true, Anisotropy::Neighbors { .. }) => SHAPES_BYTES * footprint.particle_count as f64,
         _ => 0.0,
@@ -234,10 +234,11 @@ fn transfer_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f
     moved + particles * (80.0 + 2.0 * attribute_bytes) + area * (48.0 + 8.0 * attribute_bytes)
 }
 
-/// Memory for an ellipsoid, and for it in one batch and in all.
+/// Memory per ellipsoid, once per batch and once for all.
 const SHAPES_BYTES: f64 = 56.0;
 
-/// Memory while islands, cavities and what is beyond a box are taken away: φ, the field that a box makes of it, pieces, and, of a frame in tiles, particles, of which islands are told by.
+/// Memory during edits: φ, the field of the clip box, components, and, for a tiled frame, the particles that
+/// identify islands.
 fn edit_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
     let [surface, _, occupied, particles] = counts(footprint, settings);
     let has_pieces = settings.drop_islands > 0 || settings.fill_cavities > 0.0;
@@ -254,15 +255,16 @@ fn edit_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
     FIELD_BYTES * fields * surface + pieces + particles
 }
 
-/// Memory while the surface is moved, of so many leaves: φ, what it is swept into, and which voxels are beside the surface.
+/// Memory during the offset of this many leaves: φ, its swept copy, and the mask of voxels next to the
+/// surface.
 fn offset_bytes(settings: &Settings, leaf_count: f64) -> f64 {
     if settings.offset == 0.0 { 0.0 } else { 2.2 * FIELD_BYTES * leaf_count }
 }
 
-/// Memory for the pieces in a leaf: masks of its voxels, once as they are found and once in a row, and what they touch.
+/// Memory for a leaf's components: masks of its voxels, scattered and then contiguous, and their contacts.
 const PIECES_LEAF_BYTES: f64 = 500.0;
 
-/// Memory for a list of particles, beside these.
+/// Additional memory per leaf for a list of its particles.
 const LISTED_LEAF_BYTES: f64 = 64.0;
 
 fn whole_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64) -> u64 {
@@ -298,7 +300,7 @@ fn tiled_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64,
         edit_bytes(footprint, settings) + sorting,
         offset_bytes(settings, surface),
         FIELD_BYTES * surface + mesh_bytes(settings) * area + sorting,
-        // Writing: φ, and φ as it is packed.
+        // Writing: φ and its compressed copy.
         FIELD_BYTES * 2.0 * surface
             + mesh_bytes(settings) * area
             + transfer_bytes(footprint, settings, attribute_bytes),
@@ -307,7 +309,7 @@ fn tiled_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64,
     after.max(neighbors_bytes(footprint, settings)) as u64
 }
 
-/// Memory for a leaf of a field.
+/// Memory of a leaf of a field.
 pub(super) const FIELD_BYTES: f64 = size_of::<Leaf>() as f64;
 
 fn counts(footprint: &Footprint, settings: &Settings) -> [f64; 4] {
@@ -317,7 +319,7 @@ fn counts(footprint: &Footprint, settings: &Settings) -> [f64; 4] {
     [surface.len(), *area_voxels, *occupied_count, *kept_count].map(|count| count as f64)
 }
 
-/// The number of leaves in the tile, with its halo, that has most of them.
+/// Number of leaves in the fullest tile, including its halo.
 fn most_in_a_tile(leaves: &[IVec3], tile_leaves: i32, halo_leaves: i32) -> usize {
     let mut counts: FxHashMap<IVec3, usize> = FxHashMap::default();
     for tile in leaves.iter().flat_map(|&origin| tiles_around(origin, halo_leaves, tile_leaves)) {

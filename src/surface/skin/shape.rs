@@ -1,24 +1,26 @@
-//! What and where each particle is, before it is rasterized: of a size of its own, stretched, moved toward its neighbours, or
-//! a ball like the others.
+//! Determines each particle's shape and position before rasterization: scaled, stretched, moved toward its
+//! neighbors, or an unchanged ball.
 //!
 //! ```text
-//!   given ──attributes──▶ sizes, stretch by velocity ──neighbours──▶ places, stretch by neighbours
-//!           each particle by itself                    those near what particles leave uncovered
+//!   given ──attributes──▶ sizes, stretch by velocity ──neighbors──▶ positions, stretch by neighbors
+//!           each particle independently               particles near uncovered places only
 //! ```
 //!
-//! Of particles deep inside nothing shows: they stay where they are, and are balls. How deep is a matter of the method, and
-//! not of tiles or memory: deeper than R and their own r_max below every voxel that is not surely within
-//! r_init of a particle as given. R, so that all of a particle's neighbours are deep where it is not moved: there the
-//! mean is about the particle itself, and its shape about a ball. r_max, so that it is covered by those that
-//! are moved. What smoothing would open so deep inside, where the density of particles changes within R, stays closed.
+//! Particles deep inside do not affect the surface, so they stay where they are and remain balls. The
+//! required depth is part of the method and does not depend on tiles or memory: a particle is deep if it is
+//! farther than R plus its own r_max from every voxel that is not certainly within r_init of a given
+//! particle. R ensures that the neighborhood of an unmoved particle is complete: there the mean is
+//! approximately the particle itself, and its shape approximately a ball. r_max ensures that the unmoved
+//! particles are covered by those that are moved. Voids that smoothing would open deep inside, where the
+//! particle density changes within R, stay closed.
 //!
-//! What is moved is found in blocks: so a frame that is larger than memory has it, too, and all frames in the same way.
+//! Displacements are computed in blocks, so the result is the same for frames larger than memory.
 
 use std::borrow::Cow;
 
 use glam::DVec3;
 
-use super::changes::{Changes, Found, changed_bytes};
+use super::changes::{BlockChanges, Changes, changed_bytes};
 use super::lattice;
 use crate::surface::anisotropy::{
     ByNeighbors, NeighborConfig, RadiusScales, Stretch, VelocityConfig, from_neighbors, from_velocities,
@@ -31,22 +33,22 @@ use crate::surface::particles::{
 use crate::surface::rasterize::{NearSurface, Vicinity};
 use crate::surface::report::Shaping;
 
-/// Gives the particles the shapes and places that the settings ask for. What is asked for by attributes must be there, a
-/// number or a vector for each particle: where it is not, particles are balls.
+/// Applies the shapes and positions that the settings request. Attributes that the settings name must exist,
+/// with a number or a vector per particle; otherwise particles are balls.
 pub fn shape(cloud: Cloud, settings: &Settings) -> (ShapedSource<Cloud>, Shaping) {
     let (cloud, shaping) = shape_by_attributes(cloud, settings);
     let Ok(shaped) = shape_by_neighbors(cloud, shaping, settings);
     shaped
 }
 
-/// Gives the particles the shapes that the settings ask for by attributes.
+/// Applies the shapes that the settings derive from attributes.
 pub fn shape_by_attributes(cloud: Cloud, settings: &Settings) -> (Cloud, Shaping) {
     let (shapes, shaping) = shapes_by_attributes(cloud.positions.len(), &cloud.attributes, settings);
     let shapes = if settings.has_shapes() { shapes } else { cloud.shapes };
     (Cloud { shapes, ..cloud }, shaping)
 }
 
-/// The shapes that the settings ask for by the attributes of so many particles.
+/// The shapes that the settings derive from attributes, for `count` particles.
 pub(crate) fn shapes_by_attributes(
     count: usize,
     attributes: &[Attribute],
@@ -82,11 +84,11 @@ pub(crate) fn shapes_by_attributes(
     (shapes, shaping)
 }
 
-/// Gives particles the places and shapes that the settings ask for by their neighbours. `shaping` tells of what attributes did
-/// before.
+/// Applies the positions and shapes that the settings derive from neighbors. `shaping` is the report of the
+/// attribute step.
 ///
 /// # Errors
-/// Those of the source.
+/// Returns the source's error if a batch cannot be read.
 pub fn shape_by_neighbors<S: ParticleSource>(
     given: S,
     shaping: Shaping,
@@ -95,7 +97,7 @@ pub fn shape_by_neighbors<S: ParticleSource>(
     in_blocks(given, shaping, settings, GATHERED_MAX)
 }
 
-/// The same with blocks of about so many particles, neighbours among them.
+/// Like [`shape_by_neighbors`], with blocks of about `gathered_max` particles, including neighbors.
 fn in_blocks<S: ParticleSource>(
     given: S,
     mut shaping: Shaping,
@@ -108,12 +110,12 @@ fn in_blocks<S: ParticleSource>(
     let stretch = stretch(settings);
     let lattice = lattice(settings);
     let depth = Depth::new(settings, given.has_shapes());
-    // Of crowds, whole cells of the search count: those around the particle's own.
+    // In crowds, the search uses whole cells: those around the particle's own.
     let margin = (2.0 * settings.neighbor_radius / settings.voxel_size).ceil() as i32 + 1;
     let depth_of = |longest| depth.voxels(longest);
     let vicinity = Vicinity::new(&given, &lattice, depth.cover_voxels, depth_of, margin)?;
     let config = NeighborConfig { radius_world: settings.neighbor_radius, stretch };
-    let mut found: Vec<Found> = Vec::new();
+    let mut found: Vec<BlockChanges> = Vec::new();
     shaping.longest = vicinity.longest().max(if stretch.is_some() { depth.ball } else { 0.0 });
     for block in vicinity.blocks(gathered_max) {
         let gathered = vicinity.gather(&block, &given, &lattice)?;
@@ -127,7 +129,7 @@ fn in_blocks<S: ParticleSource>(
         shaping.longest = shapes.iter().map(|shape| shape.longest).fold(shaping.longest, f32::max);
         let sources = indices.iter().map(|&index| gathered.sources[index as usize]).collect();
         let means = if settings.position_smoothing > 0.0 { &*means } else { &[] };
-        found.push(Found::new(sources, means, shapes));
+        found.push(BlockChanges::new(sources, means, shapes));
     }
     drop(vicinity);
     let step_world = settings.position_smoothing * settings.neighbor_radius;
@@ -136,14 +138,14 @@ fn in_blocks<S: ParticleSource>(
     Ok((ShapedSource { given, changes }, shaping))
 }
 
-/// Particles that are gathered together, about: some hundred bytes each.
+/// Approximate number of particles per block: some hundred bytes each.
 const GATHERED_MAX: usize = 1 << 22;
 
-/// Below which depth nothing is moved, nor stretched by neighbours.
+/// The depth below which particles are neither moved nor stretched by neighbors.
 struct Depth {
-    /// What a particle holds for certain, voxels.
+    /// Radius that a particle certainly covers, in voxels.
     cover_voxels: f32,
-    /// The scale of balls without one of their own, in units of the settings' radii.
+    /// Scale given to balls without one, in units of the settings' radii.
     ball: f32,
     neighbor_voxels: f64,
     radius_max_voxels: f64,
@@ -154,7 +156,7 @@ impl Depth {
         let voxels = |world: f64| world / settings.voxel_size;
         let ball = if settings.has_shapes() { held(settings).max(1.0) } else { 1.0 };
         let surely = match given_have_shapes {
-            // Half axes come back from a matrix, not quite as long as they were.
+            // The decomposition returns half axes slightly shorter than they were.
             true => 0.9999 * held(settings),
             false => ball,
         };
@@ -166,43 +168,44 @@ impl Depth {
         }
     }
 
-    /// For particles of a leaf that have no half axis longer than this.
+    /// The depth for the particles of a leaf whose longest half axis is `longest`.
     fn voxels(&self, longest: f32) -> f32 {
         (self.neighbor_voxels + self.radius_max_voxels * f64::from(longest.max(self.ball))) as f32
     }
 
-    /// How far from a particle, in voxels, others decide whether it is moved, at most.
+    /// Maximum distance from a particle, in voxels, at which others affect whether it is moved.
     fn reach_voxels(&self, longest: f32) -> f64 {
-        // Doublings, and a voxel for each step in which depth is found.
+        // Accounts for size classes of powers of two, and one voxel per erosion step.
         let depth = f64::from(self.voxels(2.0 * longest));
         let steps = (depth / 7.0).ceil() + f64::from(longest.max(1.0).log2().ceil()) + 1.0;
-        // A leaf is taken as a whole where it holds a long particle.
+        // A leaf that contains a long particle is treated as a whole.
         depth + steps + f64::from(self.cover_voxels) + 8.0 + 2.0
     }
 }
 
-/// Which particles neighbours may move or stretch; `None` where they do neither.
+/// Which particles neighbors may move or stretch; `None` if the settings have no such step.
 pub(super) fn near_surface(settings: &Settings) -> Option<NearSurface> {
     let depth = Depth::new(settings, settings.own_radii.is_some());
     settings.uses_neighbors().then(|| NearSurface { depth: depth.voxels(1.0), cover: depth.cover_voxels })
 }
 
-/// The memory that a particle takes whose neighbours are looked at, in bytes: while all are collected, and what is kept.
+/// Memory per particle whose neighborhood is evaluated, in bytes: while all are collected, and afterwards.
 pub(super) fn changes_bytes(settings: &Settings) -> [f64; 2] {
     let is_stretched = matches!(settings.anisotropy, Anisotropy::Neighbors { .. });
     changed_bytes(settings.position_smoothing > 0.0, is_stretched)
 }
 
-/// The memory for the particles of a block and their neighbours, of a frame of so many, in bytes.
+/// Memory for the particles of a block and their neighbors, in a frame of `particle_count` particles, in
+/// bytes.
 pub(super) fn gathered_bytes(particle_count: usize) -> f64 {
     GATHERED_BYTES * particle_count.min(2 * GATHERED_MAX) as f64
 }
 
-/// Of each particle of a block: where it is, sorted and not, and what it is sorted by.
+/// Per particle of a block: its position, unsorted and sorted, and its sort key.
 const GATHERED_BYTES: f64 = 110.0;
 
-/// How far the particles are, in voxels, that decide one's place and shape, and how far it is moved. No half axis is longer
-/// than `longest`, in units of the radii.
+/// Maximum distance, in voxels, at which other particles affect a particle's position and shape, plus its
+/// displacement. `longest` bounds the half axes, in units of the radii.
 pub(super) fn shape_reach(settings: &Settings, longest: f32) -> u32 {
     if !settings.uses_neighbors() {
         return 0;
@@ -210,11 +213,11 @@ pub(super) fn shape_reach(settings: &Settings, longest: f32) -> u32 {
     let radius = settings.neighbor_radius / settings.voxel_size;
     let depth = Depth::new(settings, settings.own_radii.is_some());
     let moved = settings.position_smoothing * radius;
-    // In crowds, what is sampled depends on the whole cells around.
+    // In crowds, sampling depends on the whole cells around.
     (moved + depth.reach_voxels(longest).max(2.0 * radius)).ceil() as u32
 }
 
-/// Particles where their neighbours move them and as they stretch them.
+/// A particle source with the displacements and shapes from neighbors applied.
 #[derive(Clone, Debug)]
 pub struct ShapedSource<S> {
     given: S,
@@ -222,17 +225,17 @@ pub struct ShapedSource<S> {
 }
 
 impl<S> ShapedSource<S> {
-    /// The particles as they were given.
+    /// The particles as given.
     pub fn given(&self) -> &S {
         &self.given
     }
 
-    /// The memory that is taken beside these, in bytes.
+    /// Memory used in addition to the given particles, in bytes.
     pub fn size_bytes(&self) -> usize {
         self.changes.size_bytes()
     }
 
-    /// The particles where they are and as they are now; `to_cloud` tells which ones were given.
+    /// The changed particles. `to_cloud` extracts the given ones.
     pub fn into_cloud(self, to_cloud: impl FnOnce(S) -> Option<Cloud>) -> Option<Cloud> {
         let ShapedSource { given, changes } = self;
         let Cloud { positions, shapes, attributes } = to_cloud(given)?;
@@ -240,7 +243,7 @@ impl<S> ShapedSource<S> {
         Some(Cloud { positions: positions.into(), shapes, attributes })
     }
 
-    /// The same of particles that may be borrowed: they are copied only where some are moved.
+    /// The changed positions and shapes. Borrowed positions are copied only if some particles are moved.
     pub(crate) fn into_positions<'a>(
         self,
         of_given: impl FnOnce(S) -> (Positions<'a>, Shapes),
@@ -252,7 +255,7 @@ impl<S> ShapedSource<S> {
 }
 
 impl ShapedSource<Cloud> {
-    /// The particles where they are and as they are now.
+    /// The changed particles.
     pub fn into_moved(self) -> Cloud {
         let empty = || Cloud::from(Particles::Single(Vec::new()));
         self.into_cloud(Some).unwrap_or_else(empty)
@@ -294,15 +297,15 @@ impl<S: ParticleSource> ParticleSource for ShapedSource<S> {
             return Ok(Vec::new());
         }
         let positions = self.given.batch(batch)?;
-        let both = |(place, step)| {
-            let given = positions.position(place);
+        let both = |(particle, step)| {
+            let given = positions.position(particle);
             [given, given + step]
         };
         Ok(moves.map(both).collect())
     }
 }
 
-/// The scale of each particle, in units of the settings' radii.
+/// Scale of each particle, in units of the settings' radii.
 fn scales(
     of_particles: (usize, &[Attribute]),
     own: &OwnRadii,
@@ -323,7 +326,7 @@ fn scales(
     Some(scales)
 }
 
-/// The numbers of an attribute of `count` particles, of which each has `arity`.
+/// The numbers of an attribute with `arity` values for each of `count` particles.
 fn numbers<'a>(
     (count, attributes): (usize, &'a [Attribute]),
     name: &str,
@@ -333,7 +336,7 @@ fn numbers<'a>(
     (numbers.len() == arity * count).then_some(numbers)
 }
 
-/// How neighbours stretch particles, if they do.
+/// How neighbors stretch particles, if at all.
 fn stretch(settings: &Settings) -> Option<Stretch> {
     let in_radii = |radius: f64| (radius / settings.radius_min) as f32;
     match settings.anisotropy {
@@ -347,26 +350,26 @@ fn stretch(settings: &Settings) -> Option<Stretch> {
     }
 }
 
-/// The least ball that the grid holds wherever it is, √3 voxels, in units of the settings' radii: balls, and
-/// particles that are stretched by velocities, have no shorter half axis.
+/// Radius of the smallest ball that the grid resolves wherever it is, √3 voxels, in units of the settings'
+/// radii. No half axis of a ball, or of a particle stretched by velocity, is shorter.
 fn held(settings: &Settings) -> f32 {
     (3f64.sqrt() * settings.voxel_size / settings.radius_min) as f32
 }
 
-/// The least half axis of any particle, in units of the settings' radii.
+/// Lower bound of all half axes, in units of the settings' radii.
 pub(super) fn shortest(settings: &Settings) -> f32 {
     stretch(settings).map_or(held(settings), |stretch| held(settings).min(stretch.floor))
 }
 
-/// The half axes that the band has room for, in units of the settings' radii. It is the same for all frames of a
-/// sequence, whatever particles they have. Stretched particles are short where there is a surface to move: at the sides
-/// of sheets and threads.
+/// Half axis that the band is sized for, in units of the settings' radii. It is the same for all frames of a
+/// sequence, whatever particles they contain. Stretched particles are thin where a surface may move: at the
+/// sides of sheets and threads.
 pub(super) fn roomy(settings: &Settings) -> f32 {
     if settings.own_radii.is_some() { SCALE_ROOM } else { 1.0 }
 }
 
-/// Particles of three times the least radius have gaps of three voxels between their bounds: more than smoothing moves a
-/// surface by.
+/// Particles of three times the smallest radius have gaps of three voxels between their bounds: more than
+/// smoothing moves a surface.
 const SCALE_ROOM: f32 = 3.0;
 
 #[cfg(test)]
@@ -379,7 +382,7 @@ mod tests {
     use crate::surface::particles::Ellipsoid;
     use crate::surface::skin::{Stored, Surface, contour, rasterize, smooth};
 
-    /// Batches of so many, as from a file.
+    /// A source with batches of a given size, as from a file.
     struct Batches<'a> {
         cloud: &'a Cloud,
         size: usize,
@@ -424,7 +427,7 @@ mod tests {
         f64::from(*state >> 8) / f64::from(1 << 24) - 0.5
     }
 
-    /// A block with a deep inside, a crowd in it, a thread, and lone particles: spacing 1, in no order.
+    /// A block with a deep interior, a crowd in it, a thread, and isolated particles: spacing 1, shuffled.
     fn cloud(edge: usize) -> Cloud {
         let mut state = 5;
         let mut jitter = || random(&mut state) * 0.5;
@@ -457,7 +460,7 @@ mod tests {
         let (mut positions, mut shapes) = (Vec::new(), Vec::new());
         for batch in 0..source.batch_count() {
             let Ok(of_batch) = source.batch(batch) else { panic!("in memory") };
-            let bits = |place| of_batch.position(place).to_array().map(f64::to_bits);
+            let bits = |particle| of_batch.position(particle).to_array().map(f64::to_bits);
             positions.extend((0..of_batch.len()).map(bits));
             if let Shapes::Ellipsoids(ellipsoids) = source.shapes_of(batch) {
                 shapes.extend(ellipsoids);
@@ -492,16 +495,16 @@ mod tests {
         contour(smooth(rasterized, settings), settings, &[Stored::AsTheyAre])
     }
 
-    /// Some of these: those of a ball, whose surface has all directions.
+    /// The particles within a ball, whose surface has all directions.
     fn round(cloud: &Cloud, radius: f64) -> Cloud {
         let Particles::Double(positions) = &cloud.positions else { panic!("64 bits") };
         let is_in = |at: &&[f64; 3]| DVec3::from(**at).distance(DVec3::splat(radius)) < radius;
         Particles::Double(positions.iter().filter(is_in).copied().collect()).into()
     }
 
-    /// What is deep inside may as well stay where it is.
+    /// Leaving particles deep inside unmoved does not change the surface.
     #[test]
-    fn the_surface_is_that_of_all_particles_moved() {
+    fn leaving_deep_particles_unmoved_keeps_the_surface() {
         let block = cloud(26);
         let ball = round(&cloud(34), 17.0);
         let cases = choices().into_iter().flat_map(|choices| [(choices.clone(), &block), (choices, &ball)]);
@@ -516,10 +519,10 @@ mod tests {
             let step = settings.position_smoothing * settings.neighbor_radius;
             let Particles::Double(mut positions) = cloud.positions.clone() else { panic!("64 bits") };
             let mut shapes = vec![Ellipsoid::ball(1.0); positions.len()];
-            for (place, &index) in found.indices.iter().enumerate() {
-                let mean = rounded(found.means[place]).as_dvec3();
+            for (particle, &index) in found.indices.iter().enumerate() {
+                let mean = rounded(found.means[particle]).as_dvec3();
                 moved_double(&mut positions[index as usize], mean * step);
-                if let Some(&shape) = found.shapes.get(place) {
+                if let Some(&shape) = found.shapes.get(particle) {
                     shapes[index as usize] = shape;
                 }
             }
@@ -531,9 +534,9 @@ mod tests {
         }
     }
 
-    /// A sheet bent to a ridge: particles on it are drawn in, and those inside of it are not.
+    /// A sheet with a ridge: particles on the ridge are drawn inward, those in the sheet are not.
     #[test]
-    fn particles_given_outside_are_counted() {
+    fn original_positions_outside_the_surface_are_counted() {
         let settings = Settings::paper(0.25, &choices()[1]).expect("sound");
         let surface = |choices: &MethodOptions| {
             let settings = Settings::paper(0.25, choices).expect("sound");
@@ -551,7 +554,7 @@ mod tests {
     }
 
     #[test]
-    fn positions_are_moved_in_their_precision() {
+    fn moved_positions_keep_their_precision() {
         let double = Cloud::from(Particles::Double(vec![[0.0; 3], [1.0, 0.5, 0.0], [0.3, 0.7, 0.1]]));
         let single = Cloud::from(Particles::Single(vec![[0.0; 3], [1.0, 0.5, 0.0], [0.3, 0.7, 0.1]]));
         let moved = |cloud: &Cloud, part: f64| {

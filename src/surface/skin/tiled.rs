@@ -1,6 +1,6 @@
-//! The three calls of the method for a frame that is larger than memory.
+//! The three stages for a frame larger than memory.
 //!
-//! What comes out is, bit for bit, what the frame would give in memory: `tiles.rs` says why.
+//! The result is bit-identical to that in memory; `tiles.rs` explains why.
 
 use std::collections::BTreeSet;
 use std::io;
@@ -8,8 +8,8 @@ use std::sync::Arc;
 
 use glam::IVec3;
 
-use super::finish::{self, Checked, Edits, Exemptions, Stored};
-use super::shelves::{Shelves, Storage};
+use super::field_store::{FieldStore, Storage};
+use super::finish::{self, Edits, Exemptions, Stored, StoredMesh};
 use super::tiles::{self, HALO_LEAVES, Tiling, tile_voxels, tiles_around};
 use super::{Surface, SurfaceAttributes, inside_obstacles, report_smoothing, scene, smooth_config};
 use crate::surface::contour;
@@ -22,12 +22,12 @@ use crate::surface::rasterize::{self, Occupancy, Scene};
 use crate::surface::report::{Shaping, SkinReport};
 use crate::surface::validation::{MeshCells, Part, certificate, given_outside_of};
 
-/// Why a frame could not be skinned in tiles.
+/// Error of a tiled frame.
 #[derive(Debug)]
 pub enum TiledError<E> {
-    /// The particles could not be had.
+    /// Particles could not be read.
     Source(E),
-    /// The storage refused.
+    /// Storage could not be read or written.
     Storage(io::Error),
 }
 
@@ -37,37 +37,37 @@ impl<E> From<io::Error> for TiledError<E> {
     }
 }
 
-/// A frame between two calls.
+/// A frame between two stages.
 pub struct TiledFrame<S> {
     source: S,
     obstacles: Obstacles,
     occupancy: Occupancy,
-    /// The tiles that particles are in or near.
+    /// The tiles with particles in or near them.
     tiles: BTreeSet<[i32; 3]>,
     tile_leaves: i32,
-    shelves: Shelves,
+    store: FieldStore,
     tiling: Tiling,
     half_width: f32,
     report: SkinReport,
 }
 
 impl<S> TiledFrame<S> {
-    /// Where its particles are.
+    /// The particle source.
     pub fn source(&self) -> &S {
         &self.source
     }
 
-    /// What was measured so far; callers that have a clock add seconds.
+    /// The report so far. Callers that measure time add it here.
     pub fn report_mut(&mut self) -> &mut SkinReport {
         &mut self.report
     }
 }
 
-/// The first call: particles to level sets, which go onto the storages, of which there must be
-/// [`SHELF_COUNT`](super::SHELF_COUNT). Tiles are cubes of `tile_leaves` leaves.
+/// First stage: particles to level sets, which are written to the storages. Requires
+/// [`SHELF_COUNT`](super::SHELF_COUNT) storages. Tiles are cubes of `tile_leaves` leaves.
 ///
 /// # Errors
-/// Those of the source and of the storages.
+/// Returns an error of the source or of the storage.
 pub fn rasterize<S: ParticleSource>(
     source: S,
     settings: &Settings,
@@ -84,7 +84,7 @@ pub fn rasterize<S: ParticleSource>(
         tile_leaves,
         (radii.init * occupancy.longest() + radii.half_width()).ceil() as i32 + 1,
     );
-    let shelves = Shelves::new(storages);
+    let store = FieldStore::new(storages);
     let mut origins: Vec<IVec3> = Vec::new();
     let mut contact = ContactTally::default();
     for &tile in &tiles {
@@ -93,7 +93,7 @@ pub fn rasterize<S: ParticleSource>(
         let rasterized = rasterized.map_err(TiledError::Source)?;
         let rasterize::Rasterized { band, bounds, contact: of_tile, .. } = rasterized;
         contact = contact.and(of_tile);
-        shelves.put(origins.len(), [&band.phi, &bounds.lower, &bounds.upper])?;
+        store.put(origins.len(), [&band.phi, &bounds.lower, &bounds.upper])?;
         origins.extend_from_slice(band.topology.origins());
     }
     contact.particle_count = inside_obstacles(&source, &scene).map_err(TiledError::Source)?;
@@ -108,37 +108,37 @@ pub fn rasterize<S: ParticleSource>(
     };
     let tiling = Tiling::new(&origins, tile_leaves, HALO_LEAVES);
     let half_width = radii.half_width();
-    Ok(TiledFrame { source, obstacles, occupancy, tiles, tile_leaves, shelves, tiling, half_width, report })
+    Ok(TiledFrame { source, obstacles, occupancy, tiles, tile_leaves, store, tiling, half_width, report })
 }
 
-/// The tiles that hold leaves within so many voxels of one that holds particles.
+/// The tiles that contain leaves within `voxels` of a leaf with particles.
 fn tiles_near(occupancy: &Occupancy, tile_leaves: i32, voxels: i32) -> BTreeSet<[i32; 3]> {
-    // A particle is up to one voxel from where its leaf counts it, and so is the surface from its voxels.
+    // A particle is up to one voxel from its recorded position, and the surface up to one from its voxels.
     let margin_leaves = (voxels + 2) / LEAF_EDGE + 1;
     let origins = occupancy.topology.origins().iter();
     let tiles = origins.flat_map(|&origin| tiles_around(origin, margin_leaves, tile_leaves));
     tiles.map(|tile| tile.to_array()).collect()
 }
 
-/// The second call: the constrained smoothing. `advanced` hears how much of it is done, from 0 to 1.
+/// Second stage: constrained smoothing. `advanced` receives the progress, from 0 to 1.
 ///
 /// # Errors
-/// Those of the storages.
+/// Returns an error of the storage.
 pub fn smooth<S>(
     mut frame: TiledFrame<S>,
     settings: &Settings,
     advanced: &mut dyn FnMut(f64),
 ) -> io::Result<TiledFrame<S>> {
     let config = smooth_config(settings);
-    let smoothed = tiles::smooth(&mut frame.shelves, &frame.tiling, frame.half_width, &config, advanced)?;
+    let smoothed = tiles::smooth(&mut frame.store, &frame.tiling, frame.half_width, &config, advanced)?;
     report_smoothing(&mut frame.report, smoothed, settings);
     Ok(frame)
 }
 
-/// The third call: the mesh, its measures and the certificate.
+/// Third stage: the mesh, its measures and the certificate.
 ///
 /// # Errors
-/// Those of the source and of the storages.
+/// Returns an error of the source or of the storage.
 pub fn contour<S: ParticleSource>(
     frame: TiledFrame<S>,
     settings: &Settings,
@@ -150,16 +150,16 @@ pub fn contour<S: ParticleSource>(
         occupancy,
         tiles,
         tile_leaves,
-        shelves,
+        store,
         tiling,
         half_width,
         mut report,
     } = frame;
     let scene = scene(settings, &obstacles);
     let Scene { lattice, radii, .. } = scene;
-    let bound_violation_count = bound_violations(&shelves, &tiling)?;
-    let phi = shelves.read(0, &tiling.all_places())?;
-    drop(shelves);
+    let bound_violation_count = bound_violations(&store, &tiling)?;
+    let phi = store.read(0, &tiling.all_slots())?;
+    drop(store);
     let mut band = NarrowBand { topology: Arc::new(tiling.topology), phi, half_width };
     let tile_particles = |tile: [i32; 3]| {
         let owned = tile_voxels(IVec3::from(tile), tile_leaves);
@@ -181,8 +181,8 @@ pub fn contour<S: ParticleSource>(
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
     let exempt = &Exemptions { scene: &scene, edits: &edits };
     let how = (settings, stored);
-    let checks = finish::settle(&mut mesh, how, &mut report, |checked, check| {
-        let Checked { mesh, rounding } = *checked;
+    let checks = finish::finalize(&mut mesh, how, &mut report, |checked, check| {
+        let StoredMesh { mesh, rounding } = *checked;
         let cells = &MeshCells::new(mesh, &band, &lattice);
         for &tile in &tiles {
             let (owned, bins) = tile_particles(tile)?;
@@ -202,22 +202,22 @@ pub fn contour<S: ParticleSource>(
     Ok((Surface { band, mesh, attributes: SurfaceAttributes::default(), report }, source))
 }
 
-/// How many values lie outside their bounds.
-fn bound_violations(shelves: &Shelves, tiling: &Tiling) -> io::Result<usize> {
+/// Number of values outside their bounds.
+fn bound_violations(store: &FieldStore, tiling: &Tiling) -> io::Result<usize> {
     let mut count = 0;
-    for run in tiling.all_places() {
-        // A long run is taken in parts: what is in memory at a time is a few MiB.
+    for run in tiling.all_slots() {
+        // Long runs are read in parts of a few MiB.
         for first in run.clone().step_by(RUN_LEAVES) {
             let part = first..run.end.min(first + RUN_LEAVES);
-            let places = std::slice::from_ref(&part);
-            let [lower, upper] = shelves.read_bounds(places)?;
-            count += Bounds { lower, upper }.violation_count(&shelves.read(0, places)?);
+            let slots = std::slice::from_ref(&part);
+            let [lower, upper] = store.read_bounds(slots)?;
+            count += Bounds { lower, upper }.violation_count(&store.read(0, slots)?);
         }
     }
     Ok(count)
 }
 
-/// Leaves that are compared with their bounds at a time.
+/// Number of leaves that are compared with their bounds at a time.
 const RUN_LEAVES: usize = 4096;
 
 #[cfg(test)]
@@ -231,7 +231,7 @@ mod tests {
     use crate::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
     use glam::DVec3;
 
-    /// A file that is a vector.
+    /// A storage in memory.
     #[derive(Default)]
     struct InMemory(Mutex<Vec<u8>>);
 
@@ -252,15 +252,15 @@ mod tests {
         }
     }
 
-    /// A long bar of two sheets that come together and part again, much longer than a halo is wide, and a few
-    /// particles by themselves.
+    /// A long bar of two sheets that repeatedly join and separate, much longer than the width of a halo, and
+    /// a few isolated particles.
     fn particles() -> Particles {
         let Particles::Double(mut positions) = bar(190) else { unreachable!("positions of 64 bits") };
         positions.extend([[31.0, -8.0, 8.0], [-20.0, 15.0, -9.0], [120.5, 10.5, 10.5]]);
         Particles::Double(positions)
     }
 
-    /// The bar alone, as long as this.
+    /// The bar alone, of this length.
     fn bar(length: i32) -> Particles {
         let mut positions = Vec::new();
         for index in 0..length * 5 * 4 {
@@ -291,16 +291,16 @@ mod tests {
         contour(smoothed, settings, &[Stored::AsTheyAre]).expect("in memory").0
     }
 
-    /// A few tiles only, for every run.
+    /// A few tiles only, fast enough for every test run.
     #[test]
-    fn a_short_frame_in_tiles_is_the_whole_frame() {
+    fn tiled_result_of_a_short_frame_equals_in_memory_result() {
         let settings = Settings::paper(0.5, &Default::default()).expect("sound");
         same_in_tiles(Cloud::from(bar(36)), &settings, &Obstacles::default());
     }
 
     #[test]
     #[ignore = "slow: `.ci/run` runs it"]
-    fn a_frame_in_tiles_is_the_whole_frame() {
+    fn tiled_result_equals_in_memory_result() {
         let choices = [
             MethodOptions::default(),
             MethodOptions { laplacian_steps: Some(0), radius_ratio: Some(1.5), ..MethodOptions::default() },
@@ -325,10 +325,10 @@ mod tests {
         }
     }
 
-    /// Particles of their own sizes, an obstacle in them, a piece that is dropped, and a box that cuts.
+    /// Per-particle radii, an obstacle among the particles, a dropped island, and a clip box.
     #[test]
     #[ignore = "slow: `.ci/run` runs it"]
-    fn whatever_else_is_asked_for_is_the_same_in_tiles() {
+    fn radii_obstacles_islands_and_clip_box_are_equal_in_tiles() {
         let numbers = |arity: usize| {
             AttributeValues::Numbers(
                 (0..particles().len() * arity).map(|index| 0.9 + 0.7 * (index as f32 * 0.7).sin()).collect(),
@@ -383,10 +383,11 @@ mod tests {
         }
     }
 
-    /// Where the moved surface ends at the obstacle, some voxels lie exactly on the obstacle's surface, and all around them are outside.
+    /// At the end of the moved surface, some voxels lie exactly on the obstacle's surface and all their
+    /// neighbors are outside.
     #[test]
     #[ignore = "slow: `.ci/run` runs it"]
-    fn an_outward_offset_of_smoothed_positions_beside_an_obstacle_is_closed() {
+    fn outward_offset_next_to_an_obstacle_is_closed() {
         let ball = Shape::Solid(octahedron(DVec3::new(20.0, -10.0, -9.0), 4.0));
         let obstacles = Obstacles { members: vec![Arc::new(Obstacle::new(ball, 1 << 24))] };
         for offset in [0.4, 0.8] {
@@ -401,10 +402,10 @@ mod tests {
         }
     }
 
-    /// Obstacles with faces and corners on voxels: distances to them are zero there.
+    /// Obstacles with faces and corners on voxels, where distances to them are exactly zero.
     #[test]
     #[ignore = "slow: `.ci/run` runs it"]
-    fn moved_surfaces_beside_obstacles_are_closed_and_the_same_in_tiles() {
+    fn offset_next_to_obstacles_is_closed_and_equal_in_tiles() {
         let solids = [
             octahedron(DVec3::new(20.0, -10.0, -9.0), 4.0),
             cuboid(DVec3::new(14.0, -14.0, -12.0), DVec3::new(18.0, -9.0, -8.0)),
@@ -427,16 +428,16 @@ mod tests {
         }
     }
 
-    /// Drops that are stretched to needles: their tips hide more than half a voxel in a cell, here and there.
+    /// Drops stretched to needles: here and there, their tips hide more than half a voxel within a cell.
     #[test]
     #[ignore = "slow: `.ci/run` runs it"]
-    fn vertices_that_are_moved_back_are_the_same_in_tiles() {
+    fn clamped_vertices_are_equal_in_tiles() {
         let random = |index: usize| {
             let mixed = (index as u32 + 1).wrapping_mul(0x9e37_79b9);
             let mixed = (mixed ^ mixed >> 15).wrapping_mul(0x2c1b_3c6d);
             f64::from((mixed ^ mixed >> 12) >> 8) / f64::from(1 << 24)
         };
-        let places = (0..300).map(|index| [0, 1, 2].map(|axis| random(6 * index + axis)));
+        let slots = (0..300).map(|index| [0, 1, 2].map(|axis| random(6 * index + axis)));
         let velocities = (0..900).map(|index| 8.0 * (random(2000 + index) as f32 - 0.5));
         let velocity = Attribute {
             name: "v".into(),
@@ -452,13 +453,13 @@ mod tests {
             ..MethodOptions::default()
         };
         let settings = Settings::paper(0.02, &choices).expect("sound");
-        let cloud = Cloud { attributes: vec![velocity], ..Cloud::from(Particles::Double(places.collect())) };
+        let cloud = Cloud { attributes: vec![velocity], ..Cloud::from(Particles::Double(slots.collect())) };
         let report = same_in_tiles(cloud, &settings, &Obstacles::default());
-        assert!(report.vertices_returned > 0, "the scene has none");
+        assert!(report.vertices_returned > 0, "the scene must clamp some vertices");
         assert!(report.certificate.holds(), "{:?}", report.certificate);
     }
 
-    /// Skins particles whole and in tiles.
+    /// Reconstructs particles in one piece and in tiles, and compares the results.
     fn same_in_tiles(cloud: Cloud, settings: &Settings, obstacles: &Obstacles) -> SkinReport {
         let (shaped, shaping) = super::super::shape(cloud, settings);
         let Ok(whole) = super::super::rasterize(&shaped, settings, shaping, obstacles.clone());
@@ -491,9 +492,9 @@ mod tests {
         Solid::new(&positions, &faces)
     }
 
-    /// So the test above can fail: what a tile does not see, it does not get right.
+    /// Shows that the test above can fail: a tile with too narrow a halo gives a wrong result.
     #[test]
-    fn a_halo_that_is_too_narrow_shows() {
+    fn too_narrow_halo_changes_the_result() {
         let settings = Settings::paper(0.5, &MethodOptions::default()).expect("sound");
         let mut frame = rasterized(&settings, 4);
         frame.tiling = frame.tiling.with_halo(4, 1);

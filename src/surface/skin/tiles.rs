@@ -1,17 +1,18 @@
-//! A frame that is larger than memory, in tiles.
+//! Processes a frame larger than memory in tiles.
 //!
 //! ```text
-//!   ┌────────┬────────┬────────┐      tiles: cubes of leaves, anchored to the world
+//!   ┌────────┬────────┬────────┐      tiles: cubes of leaves on a world-aligned grid
 //!   │        │   ┌────┼───┐    │
-//!   │        │   │halo│   │    │      a tile and its halo are in memory at a time; the others wait on the shelves
+//!   │        │   │halo│   │    │      one tile and its halo are in memory at a time; the rest is in files
 //!   ├────────┼───┼────┼───┼────┤
-//!   │        │   │ ▒▒▒▒▒▒ │    │      what comes out in the tile itself is what the whole frame would give there:
-//!   │        │   └────┼───┘    │      no act reads farther than the halo is wide
+//!   │        │   │ ▒▒▒▒▒▒ │    │      the result in the tile equals that of the whole frame, because no
+//!   │        │   └────┼───┘    │      operation reads beyond the halo
 //!   └────────┴────────┴────────┘
 //! ```
 //!
-//! Rasterization goes from tile to tile once. Smoothing goes around all tiles for each of its [acts](crate::surface::smooth::Act).
-//! Then φ alone, a fifth of what smoothing needs, is taken into memory and contoured whole.
+//! Rasterization visits each tile once. Smoothing visits all tiles for each of its
+//! [operations](crate::surface::smooth::SmoothOp). Then φ, a fifth of the memory that smoothing needs, is loaded and
+//! contoured in one piece.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -20,37 +21,39 @@ use std::sync::Arc;
 
 use glam::IVec3;
 
-use super::shelves::Shelves;
+use super::field_store::FieldStore;
 use crate::surface::grid::{Field, LEAF_EDGE, Topology};
 use crate::surface::level_set::{Bounds, NarrowBand};
-use crate::surface::smooth::{Act, Config, Memory, SmoothReport, Tally, Work, acts};
+use crate::surface::smooth::{
+    Config, SmoothContext, SmoothOp, SmoothReport, SmoothStats, Workspace, schedule,
+};
 use crate::surface::space::CoordBox;
 
-/// Leaves around a tile that are read with it.
+/// Number of leaves around a tile that are read with it.
 pub(super) const HALO_LEAVES: i32 = 6;
 
-/// A frame's leaves, and in which tile and at which place on the shelves each of them is.
+/// A frame's leaves, with the tile and the slot in the field store of each.
 pub(super) struct Tiling {
     pub(super) topology: Topology,
-    /// For each leaf its place.
-    places: Vec<u32>,
-    /// For each tile its own leaves, and those of its halo too, both in the order of the topology.
+    /// Slot of each leaf.
+    slots: Vec<u32>,
+    /// For each tile, its own leaves and those of its halo, in the order of the topology.
     tiles: Vec<Tile>,
 }
 
 struct Tile {
     /// Leaves of the tile and of its halo.
     leaves: Vec<u32>,
-    /// For each of them whether it is the tile's own.
+    /// For each of these leaves, true if it is the tile's own.
     own: Vec<bool>,
 }
 
-/// The tile that holds a leaf: its least leaf, in units of tiles.
+/// The tile that contains a leaf: its first leaf, in units of tiles.
 pub(super) fn tile_of(origin: IVec3, tile_leaves: i32) -> IVec3 {
     origin.div_euclid(IVec3::splat(tile_leaves * LEAF_EDGE))
 }
 
-/// The tiles that hold leaves within so many leaves of one.
+/// The tiles that contain leaves within `margin_leaves` of a leaf.
 pub(super) fn tiles_around(
     origin: IVec3,
     margin_leaves: i32,
@@ -69,12 +72,12 @@ pub(super) fn tile_voxels(tile: IVec3, tile_leaves: i32) -> CoordBox {
 }
 
 impl Tiling {
-    /// Tiles for the leaves with these origins, whose places are their numbers.
+    /// Tiles for the leaves with these origins. Slots are indices into `origins`.
     pub(super) fn new(origins: &[IVec3], tile_leaves: i32, halo_leaves: i32) -> Tiling {
         let topology = Topology::new(origins.to_vec());
-        let mut places = vec![0; topology.len()];
-        for (place, &origin) in origins.iter().enumerate() {
-            places[topology.find(origin).expect("the topology was made of these")] = place as u32;
+        let mut slots = vec![0; topology.len()];
+        for (slot, &origin) in origins.iter().enumerate() {
+            slots[topology.find(origin).expect("the topology contains every origin")] = slot as u32;
         }
         let mut tiles: BTreeMap<[i32; 3], Tile> = BTreeMap::new();
         for (leaf, &origin) in topology.origins().iter().enumerate() {
@@ -87,113 +90,113 @@ impl Tiling {
             }
         }
         let tiles = tiles.into_values().filter(|tile| tile.own.contains(&true)).collect();
-        Tiling { topology, places, tiles }
+        Tiling { topology, slots, tiles }
     }
 
-    /// The same leaves at the same places, with another halo.
+    /// The same leaves and slots with a different halo.
     #[cfg(test)]
     pub(super) fn with_halo(&self, tile_leaves: i32, halo_leaves: i32) -> Tiling {
-        let mut origins = vec![IVec3::ZERO; self.places.len()];
-        for (&place, &origin) in self.places.iter().zip(self.topology.origins()) {
-            origins[place as usize] = origin;
+        let mut origins = vec![IVec3::ZERO; self.slots.len()];
+        for (&slot, &origin) in self.slots.iter().zip(self.topology.origins()) {
+            origins[slot as usize] = origin;
         }
         Tiling::new(&origins, tile_leaves, halo_leaves)
     }
 
-    /// Tiles with leaves of their own.
+    /// Number of tiles that own leaves.
     #[cfg(test)]
     pub(super) fn tile_count(&self) -> usize {
         self.tiles.len()
     }
 
-    /// The places of these leaves, as runs.
+    /// The slots of these leaves, as runs.
     fn runs(&self, leaves: impl Iterator<Item = u32>) -> Vec<Range<usize>> {
         let mut runs: Vec<Range<usize>> = Vec::new();
-        for place in leaves.map(|leaf| self.places[leaf as usize] as usize) {
+        for slot in leaves.map(|leaf| self.slots[leaf as usize] as usize) {
             match runs.last_mut() {
-                Some(run) if run.end == place => run.end += 1,
-                _ => runs.push(place..place + 1),
+                Some(run) if run.end == slot => run.end += 1,
+                _ => runs.push(slot..slot + 1),
             }
         }
         runs
     }
 
-    /// The tile's own leaves, as runs of leaves of the tile whose places follow one another, with the first of
-    /// these.
+    /// The tile's own leaves as runs with consecutive slots, each with its first slot.
     fn own_runs(&self, tile: &Tile) -> Vec<(Range<usize>, usize)> {
         let mut runs: Vec<(Range<usize>, usize)> = Vec::new();
         for (index, &leaf) in tile.leaves.iter().enumerate().filter(|&(index, _)| tile.own[index]) {
-            let place = self.places[leaf as usize] as usize;
+            let slot = self.slots[leaf as usize] as usize;
             match runs.last_mut() {
-                Some((run, first)) if run.end == index && *first + run.len() == place => run.end += 1,
-                _ => runs.push((index..index + 1, place)),
+                Some((run, first)) if run.end == index && *first + run.len() == slot => run.end += 1,
+                _ => runs.push((index..index + 1, slot)),
             }
         }
         runs
     }
 
-    /// The places of all leaves, in the order of the topology.
-    pub(super) fn all_places(&self) -> Vec<Range<usize>> {
+    /// The slots of all leaves, in the order of the topology.
+    pub(super) fn all_slots(&self) -> Vec<Range<usize>> {
         self.runs(0..self.topology.len() as u32)
     }
 }
 
-/// Smooths the frame on the shelves.
+/// Smooths the frame in the field store.
 ///
 /// # Errors
-/// Those of the storage. The fields are lost then.
+/// Returns an error of the storage. The fields are then invalid.
 pub(super) fn smooth(
-    shelves: &mut Shelves,
+    store: &mut FieldStore,
     tiling: &Tiling,
     half_width: f32,
     config: &Config,
     advanced: &mut dyn FnMut(f64),
 ) -> io::Result<SmoothReport> {
     let mut report = SmoothReport::new(config);
-    let acts = acts(config, (HALO_LEAVES * LEAF_EDGE) as u32);
-    let step = 1.0 / (acts.len() * tiling.tiles.len()).max(1) as f64;
+    let schedule = schedule(config, (HALO_LEAVES * LEAF_EDGE) as u32);
+    let step = 1.0 / (schedule.len() * tiling.tiles.len()).max(1) as f64;
     let mut done_count = 0;
-    for act in acts {
-        assert!(act.reach_voxels().is_some(), "an act that reaches everywhere was to be refused");
-        let mut tally = Tally::default();
+    for op in schedule {
+        assert!(op.reach_voxels().is_some(), "global operations cannot run in tiles");
+        let mut stats = SmoothStats::default();
         for tile in &tiling.tiles {
-            tally = tally.and(perform(shelves, tiling, tile, half_width, config, act)?);
+            stats = stats.and(apply(store, tiling, tile, half_width, config, op)?);
             done_count += 1;
             advanced(f64::from(done_count) * step);
         }
-        shelves.turn(act.writes());
-        report.add(act, tally);
+        store.swap(op.writes());
+        report.add(op, stats);
     }
     Ok(report)
 }
 
-/// Does an act on a tile.
-fn perform(
-    shelves: &Shelves,
+/// Applies an operation to a tile.
+fn apply(
+    store: &FieldStore,
     tiling: &Tiling,
     tile: &Tile,
     half_width: f32,
     config: &Config,
-    act: Act,
-) -> io::Result<Tally> {
+    op: SmoothOp,
+) -> io::Result<SmoothStats> {
     let runs = tiling.runs(tile.leaves.iter().copied());
     let origins = tile.leaves.iter().map(|&leaf| tiling.topology.origins()[leaf as usize]).collect();
-    let [lower, upper] = shelves.read_bounds(&runs)?;
+    let [lower, upper] = store.read_bounds(&runs)?;
     let bounds = Bounds { lower, upper };
-    let phi = shelves.read(0, &runs)?;
+    let phi = store.read(0, &runs)?;
     let mut band = NarrowBand { topology: Arc::new(Topology::new(origins)), phi, half_width };
-    let read = |field: usize| match act.reads()[field] {
-        true => shelves.read(field, &runs),
+    let read = |field: usize| match op.reads()[field] {
+        true => store.read(field, &runs),
         false => Ok(Field::splat(tile.leaves.len(), 0.0)),
     };
-    let mut memory = Memory { first: read(1)?, second: read(2)? };
+    let mut workspace = Workspace { first: read(1)?, second: read(2)? };
     let own = Some(&tile.own[..]);
-    let tally = Work { config, band: &mut band, bounds: &bounds, memory: &mut memory, own }.perform(act);
-    let fields = [&band.phi, &memory.first, &memory.second];
-    for (field, values) in fields.into_iter().enumerate().filter(|&(field, _)| act.writes()[field]) {
-        for (leaves, place) in tiling.own_runs(tile) {
-            shelves.write(field, place, &values.leaves[leaves])?;
+    let stats =
+        SmoothContext { config, band: &mut band, bounds: &bounds, workspace: &mut workspace, own }.apply(op);
+    let fields = [&band.phi, &workspace.first, &workspace.second];
+    for (field, values) in fields.into_iter().enumerate().filter(|&(field, _)| op.writes()[field]) {
+        for (leaves, slot) in tiling.own_runs(tile) {
+            store.write(field, slot, &values.leaves[leaves])?;
         }
     }
-    Ok(tally)
+    Ok(stats)
 }

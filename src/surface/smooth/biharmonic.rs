@@ -1,19 +1,19 @@
-//! The biharmonic operator ∇⁴φ = ∇²(∇²φ), by two rounds of central differences (paper, Eq. 4).
+//! The biharmonic operator ∇⁴φ = ∇²(∇²φ), computed by applying central differences twice (paper, Eq. 4).
 //!
-//! Its eigenvalues on the lattice lie in [0, 144] in units of 1/h⁴: the 7-point Laplacian's lie in
-//! [−12, 0].
+//! Its eigenvalues on the lattice lie in [0, 144] in units of 1/h⁴, because those of the 7-point Laplacian
+//! lie in [−12, 0].
 
 use rayon::prelude::*;
 
-use super::band::Band;
+use super::free_voxels::FreeVoxels;
 use crate::surface::grid::{Field, Leaf, Neighborhood, Topology, slabs_in};
 use crate::surface::simd::{self, Kernel, Lanes};
 
 /// The largest eigenvalue of the discrete biharmonic, in units of 1/h⁴.
 pub const EIGENVALUE_MAX: f32 = 144.0;
 
-/// The first round: the Laplacian of `values` in the rows where the band needs it, voxel units.
-pub(super) fn inner_laplacian(topology: &Topology, band: &Band, values: &Field, laplacian: &mut Field) {
+/// First application: the Laplacian of `values` in the rows where it is needed, in voxel units.
+pub(super) fn inner_laplacian(topology: &Topology, band: &FreeVoxels, values: &Field, laplacian: &mut Field) {
     let neighbors = topology.neighbors();
     laplacian.leaves.par_iter_mut().zip(&band.laplacian_rows).enumerate().for_each(
         |(leaf, (laplacian, &rows))| {
@@ -26,7 +26,7 @@ pub(super) fn inner_laplacian(topology: &Topology, band: &Band, values: &Field, 
     );
 }
 
-/// The Laplacian of some rows of a leaf: bit `x·8 + y`.
+/// Kernel: the Laplacian of selected rows of a leaf; bit `x·8 + y` selects a row.
 pub(super) struct Laplacian<'a> {
     pub(super) around: &'a Neighborhood<'a>,
     pub(super) rows: u64,

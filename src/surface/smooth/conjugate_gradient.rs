@@ -1,19 +1,19 @@
 //! Conjugate gradients for (I + Δt ∇⁴) x = b on the free voxels of a band (paper, Alg. 2).
 //!
-//! Letters are the paper's: x the solution (it lives in the band's φ), r the residual, d the search
-//! direction, q = A d, δ = rᵀr. All of r, d and q are zero at voxels that are not free.
+//! Letters are the paper's: x the solution (stored in the band's φ), r the residual, d the search direction,
+//! q = A d, δ = rᵀr. All of r, d and q are zero at voxels that are not free.
 
 use rayon::prelude::*;
 
-use super::band::Band;
 use super::biharmonic::inner_laplacian;
+use super::free_voxels::FreeVoxels;
 use crate::surface::grid::{Field, Leaf, LeafMask, Neighborhood, slabs_in};
 use crate::surface::level_set::{Bounds, NarrowBand};
 use crate::surface::simd::{self, Kernel, Lanes};
 
 /// The state between iterations.
 pub(super) struct Solver {
-    region: Band,
+    region: FreeVoxels,
     step_size: f32,
     b: Field,
     r: Field,
@@ -21,25 +21,25 @@ pub(super) struct Solver {
     q: Field,
 }
 
-/// What an iteration came to.
+/// Result of an iteration.
 pub(super) enum Outcome {
     /// x moved within its bounds.
     Advanced {
         /// δ after the iteration.
         residual: f64,
     },
-    /// x met its bounds at some voxels, which are free no longer: restart.
+    /// x reached its bounds at some voxels, which are now fixed: restart.
     MetBounds,
 }
 
 impl Solver {
     /// A solver for the step that starts at the band's φ.
-    pub(super) fn new(band: &NarrowBand, region: Band, step_size: f32) -> Solver {
+    pub(super) fn new(band: &NarrowBand, region: FreeVoxels, step_size: f32) -> Solver {
         let zero = || Field::splat(band.topology.len(), 0.0);
         Solver { region, step_size, b: band.phi.clone(), r: zero(), d: zero(), q: zero() }
     }
 
-    /// Computes r = b − A x and d = r for the present free voxels. Returns δ.
+    /// Computes r = b − A x and d = r for the current free voxels. Returns δ.
     pub(super) fn restart(&mut self, band: &NarrowBand, laplacian: &mut Field) -> f64 {
         self.apply(band, Operand::Solution, laplacian);
         let (b, q, region) = (&self.b, &self.q, &self.region);
@@ -47,7 +47,7 @@ impl Solver {
         let residual = |(leaf, (r, d)): (usize, (&mut Leaf, &mut Leaf))| {
             *r = Leaf::splat(0.0);
             for offset in region.free[leaf].iter() {
-                // Where voxels hold still, b − x is their displacement in this step.
+                // At fixed voxels, b − x is their displacement in this step.
                 r.values[offset] = (b.leaves[leaf].values[offset] - x.leaves[leaf].values[offset])
                     - q.leaves[leaf].values[offset];
             }
@@ -57,7 +57,7 @@ impl Solver {
         sum(self.r.leaves.par_iter_mut().zip(&mut self.d.leaves).enumerate().map(residual))
     }
 
-    /// One iteration from δ = `residual`, moving the band's φ.
+    /// One iteration from δ = `residual`; updates the band's φ.
     pub(super) fn iterate(
         &mut self,
         band: &mut NarrowBand,
@@ -120,13 +120,13 @@ impl Solver {
     }
 }
 
-/// The second round of differences on a leaf.
+/// The second application of the stencil, on a leaf.
 struct Outer<'a> {
     around: &'a Neighborhood<'a>,
     free: &'a LeafMask,
     free_rows: u64,
     step_size: f32,
-    /// All zero before.
+    /// Must be zero on entry.
     q: &'a mut Leaf,
 }
 
@@ -151,8 +151,8 @@ enum Operand {
     Direction,
 }
 
-/// x += α d and r −= α A d on a leaf; voxels that leave their bounds are clamped and no longer free.
-/// Returns how many did.
+/// x += α d and r −= α A d on a leaf. Voxels that leave their bounds are clamped and fixed. Returns their
+/// number.
 fn advance(
     x: &mut Leaf,
     r: &mut Leaf,
@@ -177,14 +177,14 @@ fn advance(
     held.count() as usize
 }
 
-/// The sum of two leaves' products, in double precision and in one order.
+/// Dot product of two leaves, in double precision and in a fixed order.
 fn dot(a: &Leaf, b: &Leaf) -> f64 {
     (0..64)
         .map(|row| a.row(row).iter().zip(b.row(row)).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>())
         .sum()
 }
 
-/// The sum over leaves in their order, whatever thread made which.
+/// Sum over leaves in a fixed order, on any number of threads.
 fn sum(parts: impl IndexedParallelIterator<Item = f64>) -> f64 {
     let mut ordered = Vec::new();
     parts.collect_into_vec(&mut ordered);

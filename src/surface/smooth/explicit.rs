@@ -1,77 +1,79 @@
 //! The paper's explicit integrator: φ ← φ − Δt ∇⁴φ |∇φ|, clamped to the bounds (Eq. 5, Alg. 1).
 //!
-//! Stable while 144 Δt/h⁴ < 2; and a step should move no value by more than a voxel (Eq. 8). Steps all have the same size, or
-//! each is as large as that allows (§3.5): Δt = min(h / v_max, safety · 2h⁴/144) with v_max the greatest |∇⁴φ| |∇φ| anywhere.
+//! Stable while 144 Δt/h⁴ < 2. In addition, a step should not move any value by more than a voxel (Eq. 8).
+//! Steps either have a fixed size or are as large as these limits allow (§3.5): Δt = min(h / v_max, safety ·
+//! 2h⁴/144), where v_max is the maximum of |∇⁴φ| |∇φ|.
 //!
-//! Of the two bounds the second nearly always rules, and at exactly 2/144 it is none: there the mode that changes sign from voxel to
-//! voxel swings on for ever, and where |∇φ| is above 1 it grows. Hence the safety: at 0.9 such a mode falls to four fifths in a step,
-//! and |∇φ| may be up to 1.11 before it does not fall at all.
+//! The second limit is nearly always the smaller one. At exactly 2/144 the mode that alternates from voxel to
+//! voxel oscillates forever, and where |∇φ| is above 1 it grows. Hence the safety factor: at 0.9 this mode
+//! decays to 80 % per step, and it still decays if |∇φ| is up to 1.11.
 
 use rayon::prelude::*;
 
-use super::acts::Memory;
-use super::band::Band;
 use super::biharmonic::{EIGENVALUE_MAX, inner_laplacian};
+use super::free_voxels::FreeVoxels;
+use super::schedule::Workspace;
 use crate::surface::grid::{Leaf, LeafMask, Neighborhood, slabs_in};
 use crate::surface::level_set::{Bounds, NarrowBand};
 use crate::surface::simd::{self, Kernel, Lanes};
 
-/// Takes one step of `step_size` h⁴. Returns the largest change of a value of the leaves that are `own`,
-/// before it was clamped, in voxels.
+/// Takes one step of `step_size` h⁴. Returns the maximum change of a value in the `own` leaves, before
+/// clamping, in voxels.
 pub(super) fn step(
     band: &mut NarrowBand,
     bounds: &Bounds,
-    region: &Band,
+    region: &FreeVoxels,
     step_size: f32,
-    memory: &mut Memory,
+    workspace: &mut Workspace,
     own: Option<&[bool]>,
 ) -> f32 {
-    inner_laplacian(&band.topology, region, &band.phi, &mut memory.first);
-    let moved_max = advance(band, bounds, region, step_size, memory, own);
-    std::mem::swap(&mut band.phi, &mut memory.second);
+    inner_laplacian(&band.topology, region, &band.phi, &mut workspace.first);
+    let moved_max = advance(band, bounds, region, step_size, workspace, own);
+    std::mem::swap(&mut band.phi, &mut workspace.second);
     moved_max
 }
 
-/// The largest adaptive step, in units of h⁴.
+/// Maximum adaptive step, in units of h⁴.
 const ADAPTIVE_STEP_MAX: f32 = SAFETY * 2.0 / EIGENVALUE_MAX;
 
-/// How far below the stable bound adaptive steps stay.
+/// Safety factor of adaptive steps relative to the stability limit.
 const SAFETY: f32 = 0.9;
 
-/// The least adaptive step, in units of h⁴, so that there is an end whatever φ is. In a band nothing is so quick that it would need less.
+/// Minimum adaptive step, in units of h⁴, so that the loop ends for any φ. Values in a band never change so
+/// fast that a smaller step would be needed.
 const ADAPTIVE_STEP_LEAST: f32 = 1e-6;
 
-/// Takes one step that is as large as it may be, but no larger than `step_size_most` h⁴. Returns its size.
+/// Takes the largest allowed step, at most `step_size_most` h⁴. Returns its size.
 pub(super) fn adaptive_step(
     band: &mut NarrowBand,
     bounds: &Bounds,
-    region: &Band,
+    region: &FreeVoxels,
     step_size_most: f32,
-    memory: &mut Memory,
+    workspace: &mut Workspace,
 ) -> f32 {
-    inner_laplacian(&band.topology, region, &band.phi, &mut memory.first);
+    inner_laplacian(&band.topology, region, &band.phi, &mut workspace.first);
     let mut step_size = step_size_most.min(ADAPTIVE_STEP_MAX);
-    let moved_max = advance(band, bounds, region, step_size, memory, None);
+    let moved_max = advance(band, bounds, region, step_size, workspace, None);
     if moved_max > 1.0 {
         step_size = (step_size / moved_max).max(ADAPTIVE_STEP_LEAST);
-        advance(band, bounds, region, step_size, memory, None);
+        advance(band, bounds, region, step_size, workspace, None);
     }
-    std::mem::swap(&mut band.phi, &mut memory.second);
+    std::mem::swap(&mut band.phi, &mut workspace.second);
     step_size
 }
 
-/// What φ is after a step of `step_size` h⁴, into the second field of the memory; the first holds the inner Laplacian.
-/// Returns the largest change, as [`step`] does.
+/// Writes φ after a step of `step_size` h⁴ to `workspace.second`; `workspace.first` receives the inner Laplacian.
+/// Returns the maximum change, like [`step`].
 fn advance(
     band: &NarrowBand,
     bounds: &Bounds,
-    region: &Band,
+    region: &FreeVoxels,
     step_size: f32,
-    memory: &mut Memory,
+    workspace: &mut Workspace,
     own: Option<&[bool]>,
 ) -> f32 {
     let topology = &band.topology;
-    let Memory { first: laplacian, second: next } = memory;
+    let Workspace { first: laplacian, second: next } = workspace;
     let phi = &band.phi;
     let advance = |(leaf, next): (usize, &mut Leaf)| {
         *next = phi.leaves[leaf];
@@ -86,11 +88,11 @@ fn advance(
         });
         if own.is_none_or(|own| own[leaf]) { moved_max } else { 0.0 }
     };
-    // The greatest of several numbers does not depend on their order.
+    // The maximum does not depend on the order of evaluation.
     next.leaves.par_iter_mut().enumerate().map(advance).reduce(|| 0.0, f32::max)
 }
 
-/// A step of one leaf.
+/// Kernel: a step of one leaf.
 struct Advance<'a> {
     laplacian: &'a Neighborhood<'a>,
     phi: &'a Neighborhood<'a>,
@@ -136,7 +138,7 @@ mod tests {
     use super::*;
     use crate::surface::grid::{Field, Topology};
 
-    /// Noise within so many voxels of zero on 27 leaves.
+    /// Noise within ± `amplitude` voxels on 27 leaves.
     fn noise(amplitude: f32) -> NarrowBand {
         let origins = (0..27).map(|i| IVec3::new(i / 9, i / 3 % 3, i % 3) * 8);
         let topology = Topology::new(origins.collect());
@@ -150,19 +152,19 @@ mod tests {
     }
 
     #[test]
-    fn an_adaptive_step_moves_no_value_by_more_than_a_voxel() {
+    fn adaptive_step_moves_values_by_at_most_one_voxel() {
         for (amplitude, is_stability_what_rules) in [(0.3, true), (2.9, false)] {
             let start = noise(amplitude);
             let count = start.topology.len();
             let bounds = Bounds { lower: Field::splat(count, -6.0), upper: Field::splat(count, 6.0) };
-            let region = Band::new(&start.topology, &start.phi, 3.0);
-            let mut memory = Memory::new(count);
+            let region = FreeVoxels::new(&start.topology, &start.phi, 3.0);
+            let mut workspace = Workspace::new(count);
             let mut band = start.clone();
             const SMALL: f32 = 1.0 / 65_536.0;
-            let quickest = step(&mut band, &bounds, &region, SMALL, &mut memory, None) / SMALL;
+            let quickest = step(&mut band, &bounds, &region, SMALL, &mut workspace, None) / SMALL;
             assert_eq!(quickest < 1.0 / ADAPTIVE_STEP_MAX, is_stability_what_rules, "{quickest}");
             let mut band = start.clone();
-            let taken = adaptive_step(&mut band, &bounds, &region, 1.0, &mut memory);
+            let taken = adaptive_step(&mut band, &bounds, &region, 1.0, &mut workspace);
             let expected = ADAPTIVE_STEP_MAX.min(1.0 / quickest);
             assert!((taken / expected - 1.0).abs() < 1e-4, "{taken} {expected}");
             let values = |band: &NarrowBand| -> Vec<f32> {
@@ -172,9 +174,9 @@ mod tests {
             let moved_max = moved.fold(0.0, f32::max);
             assert!(moved_max <= 1.0001, "{moved_max}");
             assert!(is_stability_what_rules || moved_max > 0.999, "{moved_max}");
-            // What is left of the time is not exceeded.
+            // The remaining time is not exceeded.
             let mut band = start.clone();
-            assert_eq!(adaptive_step(&mut band, &bounds, &region, 1e-5, &mut memory), 1e-5);
+            assert_eq!(adaptive_step(&mut band, &bounds, &region, 1e-5, &mut workspace), 1e-5);
         }
     }
 }

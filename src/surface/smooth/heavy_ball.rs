@@ -1,6 +1,6 @@
-//! The fast integrator: implicit steps solved by projected gradients with momentum.
+//! The default integrator: implicit steps solved by projected gradients with momentum (Polyak's heavy ball).
 //!
-//! An implicit step (paper, Eq. 10) within bounds is a quadratic programme with a box:
+//! An implicit step (paper, Eq. 10) within bounds is a box-constrained quadratic program:
 //!
 //! ```text
 //!   minimize  ½ |x − φ|² + ½ Δt |∇²x|²   subject to  lower ≤ x ≤ upper
@@ -8,33 +8,33 @@
 //!   x⁺ = clamp( x − α (x − φ + Δt ∇⁴x) + β (x − x⁻) )         for every free voxel at once
 //! ```
 //!
-//! The eigenvalues of its operator lie in [1, L] with L = 1 + 144 Δt for every frame there is, so α
-//! and β are constants: there is no dot product, no line search and no restart. Each voxel depends on
-//! the voxels within two of it a pass and on nothing else. That makes the result independent of the
-//! number of threads, and of whatever happens far away; the paper's conjugate gradients are neither.
+//! The eigenvalues of its operator lie in [1, L] with L = 1 + 144 Δt for every frame, so α and β are
+//! constants: no dot product, line search or restart is needed. In each pass a voxel depends only on voxels
+//! up to two away. That makes the result independent of the number of threads and of distant parts of the
+//! frame; the paper's conjugate gradients are neither.
 //!
 //! ```text
-//!   α = 4 / (√L + 1)²      β = ((√L − 1) / (√L + 1))²       error of a pass: 1 − 2/√L
+//!   α = 4 / (√L + 1)²      β = ((√L − 1) / (√L + 1))²       error factor per pass: 1 − 2/√L
 //! ```
 //!
-//! Eigenvalues near one belong to modes that are wider than the layer of free voxels along a surface leaves
-//! room for. Only where layers merge ([`thickness`](super::thickness)) is there such room; elsewhere the least
-//! is l = 1 + 0.1 Δt, and √l times fewer passes do.
+//! Eigenvalues near one belong to modes wider than the layer of free voxels along a surface. Only where
+//! layers merge ([`thickness`](super::thickness)) do they fit. Elsewhere the minimum is l = 1 +
+//! 0.1 Δt, so √l times fewer passes are enough.
 //!
 //! ```text
-//!                 passes of a step        of the last          at the default Δt of 20 h⁴
+//!                 passes per step       last step          at the default Δt of 20 h⁴
 //!   thin            √(L/l)                 1.5 √(L/l)           31, 47
 //!   thick           √L                     1.5 √L               54, 81
 //! ```
 //!
-//! The last step has more because nothing comes after it to take away what it leaves. Each step but the first
-//! sets out from where the one before was going: as the flow slows down steadily, 0.6 of that step's change is
-//! a good guess of this one's.
+//! The last step has more passes because no later step removes its remaining error. Each step but the first
+//! starts from an extrapolation: the flow slows down steadily, so 0.6 times the previous step's change is a
+//! good prediction.
 //!
-//! On the dam breaks and the Hilbert curve that leaves 0.004 to 0.02 voxels in the mean to the converged
-//! solution. Nesterov's momentum, with whose convergence there is a proof, needs twice as many passes, and Chebyshev's
-//! coefficients, the best where there are no bounds, need a quarter more. Stabilized Runge–Kutta steps of 54
-//! stages stay 0.05 to 0.2 away, and 80 come no nearer: theirs is another discretization in time.
+//! On the dam breaks and the Hilbert curve, the mean distance to the converged solution is 0.004 to 0.02
+//! voxels. Nesterov's momentum, which has a convergence proof, needs twice as many passes; Chebyshev
+//! coefficients, optimal without bounds, need a quarter more. Stabilized Runge–Kutta steps with 54 stages
+//! stay 0.05 to 0.2 voxels away, and 80 stages are no closer, because they discretize time differently.
 //!
 //! This work is based on:
 //! Boris Polyak. Some methods of speeding up the convergence of iteration methods. 1964
@@ -44,85 +44,86 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::band::Band;
 use super::biharmonic::{EIGENVALUE_MAX, Laplacian};
-use super::cluster::Cluster;
+use super::cache_block::CacheBlock;
+use super::free_voxels::FreeVoxels;
 use super::thickness::thick;
 use crate::surface::grid::{Field, Leaf, LeafMask, Neighborhood, ROW_COUNT, Topology, slabs_in};
 use crate::surface::level_set::{Bounds, NarrowBand};
 use crate::surface::simd::{self, Kernel, Lanes};
 
-/// What a step of 1 h⁴ adds to the least eigenvalue where the region is thin: (4.73/8.4)⁴, of a plate 8.4 voxels wide that is
-/// clamped on both sides.
+/// Added to the minimum eigenvalue by a step of 1 h⁴ where the region is thin: (4.73/8.4)⁴, as for a plate
+/// 8.4 voxels wide that is clamped on both sides.
 const STIFFNESS_THIN: f32 = 0.1;
 
-/// Passes of a step and of the last step, in units of the root of the condition number. The error that
-/// a pass leaves is 1 − 2/root, so these leave e⁻² and e⁻³.
+/// Passes per step and in the last step, in units of the root of the condition number. Each pass multiplies
+/// the error by 1 − 2/root, so these reduce it to e⁻² and e⁻³.
 const PASSES_PER_ROOT: [f32; 2] = [1.0, 1.5];
 
-/// Of the change in a step, the part that the next step is expected to repeat.
-const EXPECTED_REPETITION: f32 = 0.6;
+/// Fraction of a step's change that the next step is predicted to repeat.
+const PREDICTED_REPETITION: f32 = 0.6;
 
-/// No expected change is larger than this, in voxels.
-const EXPECTED_CHANGE_MAX: f32 = 1.0;
+/// Upper limit of the predicted change, in voxels.
+const PREDICTED_CHANGE_MAX: f32 = 1.0;
 
-/// What a step does, from the spectral bounds alone: the same for all frames.
+/// Coefficients and pass counts of a step, derived from the spectral bounds alone, so the same for all
+/// frames.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Course {
+pub(super) struct StepParams {
     step_size: f32,
     alpha: f32,
-    /// Where the region is thin, and where it is thick.
+    /// In the thin and in the thick region.
     beta: [f32; 2],
-    /// Passes where the region is thin, and where it is thick.
+    /// Number of passes in the thin and in the thick region.
     passes: [u32; 2],
 }
 
-impl Course {
-    /// The course of a step of `step_size` h⁴.
-    pub(super) fn new(step_size: f32, is_last: bool) -> Course {
+impl StepParams {
+    /// The parameters of a step of `step_size` h⁴.
+    pub(super) fn new(step_size: f32, is_last: bool) -> StepParams {
         let greatest = 1.0 + EIGENVALUE_MAX * step_size;
         let root = greatest.sqrt();
         let least = [1.0 + STIFFNESS_THIN * step_size, 1.0];
         let beta = least.map(|least| ((root - least.sqrt()) / (root + least.sqrt())).powi(2));
         let per_root = PASSES_PER_ROOT[usize::from(is_last)];
-        Course {
+        StepParams {
             step_size,
-            // The lesser of the two serves both: they lie side by side.
+            // The smaller of the two serves both regions, because they are adjacent.
             alpha: 4.0 / (root + least[0].sqrt()).powi(2),
             beta,
             passes: least.map(|least| (per_root * (greatest / least).sqrt()).ceil() as u32),
         }
     }
 
-    /// Passes where there are most.
+    /// The larger number of passes.
     pub(super) fn passes_max(&self) -> u32 {
         self.passes[1]
     }
 }
 
-/// A step under way, on fields that it was lent.
+/// A step in progress, on borrowed fields.
 pub(super) struct HeavyBall<'a> {
     pub(super) band: &'a mut NarrowBand,
     pub(super) bounds: &'a Bounds,
-    /// φ at the start of the step; before, of the step before.
+    /// φ at the start of the step; until then, at the start of the previous step.
     pub(super) start: &'a mut Field,
     /// x⁻.
     pub(super) previous: &'a mut Field,
-    pub(super) course: Course,
-    /// For each leaf whether its voxels are counted; `None` for all.
+    pub(super) params: StepParams,
+    /// For each leaf, true if its voxels are counted; `None` for all.
     pub(super) own: Option<&'a [bool]>,
 }
 
 impl HeavyBall<'_> {
-    /// Some passes of an implicit step, whose free voxels `region` holds. Returns how often a free voxel
-    /// was moved, all voxels together.
-    pub(super) fn passes(&mut self, region: Band, is_first_step: bool, passes: Range<u32>) -> u64 {
+    /// Runs some passes of an implicit step with the free voxels `region`. Returns the number of voxel
+    /// updates.
+    pub(super) fn passes(&mut self, region: FreeVoxels, is_first_step: bool, passes: Range<u32>) -> u64 {
         let topology = self.band.topology.clone();
         let thick = thick(&topology, &region.free);
         if passes.start == 0 {
-            self.set_out(&region, if is_first_step { 0.0 } else { EXPECTED_REPETITION });
+            self.predict(&region, if is_first_step { 0.0 } else { PREDICTED_REPETITION });
         }
-        let [thin_end, thick_end] = self.course.passes;
+        let [thin_end, thick_end] = self.params.passes;
         let count_until = |end: u32| passes.end.min(end).saturating_sub(passes.start);
         let together = count_until(thin_end);
         let moved_count = self.pass(&region, &thick, together);
@@ -130,63 +131,66 @@ impl HeavyBall<'_> {
         if alone == 0 || thick.par_iter().all(LeafMask::is_empty) {
             return moved_count;
         }
-        // What is not moved any more must be the same wherever it is read.
+        // Voxels that stop being updated must have the same value in both buffers.
         let fields = self.previous.leaves.par_iter_mut().zip(&self.band.phi.leaves).zip(&thick);
-        fields.for_each(|((previous, phi), thick)| simd::dispatch(Settle { previous, phi, thick }));
-        moved_count + self.pass(&Band::of(&topology, thick.clone()), &thick, alone)
+        fields.for_each(|((previous, phi), thick)| simd::dispatch(CopyFrozen { previous, phi, thick }));
+        moved_count + self.pass(&FreeVoxels::of(&topology, thick.clone()), &thick, alone)
     }
 
-    /// Makes x and x⁻ where the flow is expected to go, and the band's φ the start.
-    fn set_out(&mut self, region: &Band, repetition: f32) {
+    /// Sets x and x⁻ to the prediction, and stores the band's φ as the start.
+    fn predict(&mut self, region: &FreeVoxels, repetition: f32) {
         let fields = self.band.phi.leaves.par_iter_mut().zip(&mut self.start.leaves);
         let bounds = self.bounds.lower.leaves.par_iter().zip(&self.bounds.upper.leaves);
         fields.zip(&mut self.previous.leaves).zip(bounds).zip(&region.free).for_each(
             |((((phi, start), previous), (lower, upper)), free)| {
-                simd::dispatch(SetOut { phi, start, bounds: [lower, upper], free, repetition });
+                simd::dispatch(Predict { phi, start, bounds: [lower, upper], free, repetition });
                 *previous = *phi;
             },
         );
     }
 
-    /// So many passes over the region. Afterwards the band's φ is x. Returns how often a voxel was moved.
-    fn pass(&mut self, region: &Band, thick: &[LeafMask], count: u32) -> u64 {
+    /// Runs `count` passes over the region. Afterwards the band's φ is x. Returns the number of voxel
+    /// updates.
+    fn pass(&mut self, region: &FreeVoxels, thick: &[LeafMask], count: u32) -> u64 {
         if count == 0 {
             return 0;
         }
         let topology = self.band.topology.clone();
-        let clusters = Cluster::all(&topology, region);
+        let blocks = CacheBlock::all(&topology, region);
         for _ in 0..count {
             let (start, current, bounds) = (&*self.start, &self.band.phi, self.bounds);
             let fields = Fields { topology: &topology, region, thick, start, current, bounds };
-            let course = &self.course;
-            pieces(&clusters, &mut self.previous.leaves).into_par_iter().for_each(|(cluster, previous)| {
-                SCRATCH.with_borrow_mut(|laplacians| {
-                    simd::dispatch(Pass { fields: &fields, course, cluster, laplacians, previous });
-                });
-            });
+            let params = &self.params;
+            pair_with_leaves(&blocks, &mut self.previous.leaves).into_par_iter().for_each(
+                |(block, previous)| {
+                    SCRATCH.with_borrow_mut(|laplacians| {
+                        simd::dispatch(BlockPass { fields: &fields, params, block, laplacians, previous });
+                    });
+                },
+            );
             std::mem::swap(&mut self.band.phi, self.previous);
         }
         region.free_count(self.own) * u64::from(count)
     }
 }
 
-/// Where a leaf sets out.
-struct SetOut<'a> {
-    /// φ, to become x.
+/// Kernel: predicts a leaf's start values.
+struct Predict<'a> {
+    /// φ; becomes x.
     phi: &'a mut Leaf,
-    /// φ at the start of the last step, to become that of this one.
+    /// φ at the start of the previous step; becomes that of this step.
     start: &'a mut Leaf,
     bounds: [&'a Leaf; 2],
     free: &'a LeafMask,
     repetition: f32,
 }
 
-impl Kernel for SetOut<'_> {
+impl Kernel for Predict<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run<V: Lanes>(self) {
-        let (repetition, limit) = (V::splat(self.repetition), EXPECTED_CHANGE_MAX);
+        let (repetition, limit) = (V::splat(self.repetition), PREDICTED_CHANGE_MAX);
         for row in 0..ROW_COUNT {
             let phi = V::load(self.phi.row(row));
             let change = phi.sub(V::load(self.start.row(row))).max(V::splat(-limit)).min(V::splat(limit));
@@ -200,28 +204,31 @@ impl Kernel for SetOut<'_> {
 }
 
 thread_local! {
-    /// The inner Laplacians of a cluster and its halo.
+    /// The inner Laplacians of a block and its halo.
     static SCRATCH: RefCell<Vec<Leaf>> = const { RefCell::new(Vec::new()) };
 }
 
-/// Each cluster with its own leaves of a field.
-fn pieces<'a>(clusters: &'a [Cluster], leaves: &'a mut [Leaf]) -> Vec<(&'a Cluster, &'a mut [Leaf])> {
+/// Pairs each block with its leaves of a field.
+fn pair_with_leaves<'a>(
+    blocks: &'a [CacheBlock],
+    leaves: &'a mut [Leaf],
+) -> Vec<(&'a CacheBlock, &'a mut [Leaf])> {
     let (mut rest, mut passed) = (leaves, 0);
-    clusters
+    blocks
         .iter()
-        .map(|cluster| {
-            let (_, from_start) = std::mem::take(&mut rest).split_at_mut(cluster.leaves.start - passed);
-            let (own, after) = from_start.split_at_mut(cluster.leaves.len());
-            (rest, passed) = (after, cluster.leaves.end);
-            (cluster, own)
+        .map(|block| {
+            let (_, from_start) = std::mem::take(&mut rest).split_at_mut(block.leaves.start - passed);
+            let (own, after) = from_start.split_at_mut(block.leaves.len());
+            (rest, passed) = (after, block.leaves.end);
+            (block, own)
         })
         .collect()
 }
 
-/// What a pass reads.
+/// The fields that a pass reads.
 struct Fields<'a> {
     topology: &'a Topology,
-    region: &'a Band,
+    region: &'a FreeVoxels,
     thick: &'a [LeafMask],
     /// φ at the start of the step.
     start: &'a Field,
@@ -230,14 +237,14 @@ struct Fields<'a> {
     bounds: &'a Bounds,
 }
 
-/// Where voxels are not thick, makes x⁻ equal to x.
-struct Settle<'a> {
+/// Kernel: copies x to x⁻ outside the thick region.
+struct CopyFrozen<'a> {
     previous: &'a mut Leaf,
     phi: &'a Leaf,
     thick: &'a LeafMask,
 }
 
-impl Kernel for Settle<'_> {
+impl Kernel for CopyFrozen<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -249,45 +256,47 @@ impl Kernel for Settle<'_> {
     }
 }
 
-/// A pass over a cluster.
-struct Pass<'a> {
+/// Kernel: a pass over a block.
+struct BlockPass<'a> {
     fields: &'a Fields<'a>,
-    course: &'a Course,
-    cluster: &'a Cluster,
+    params: &'a StepParams,
+    block: &'a CacheBlock,
     laplacians: &'a mut Vec<Leaf>,
-    /// x⁻ of the cluster's leaves, to become x⁺.
+    /// x⁻ of the block's leaves; becomes x⁺.
     previous: &'a mut [Leaf],
 }
 
-impl Kernel for Pass<'_> {
+impl Kernel for BlockPass<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run<V: Lanes>(self) {
-        let Pass { fields, course, cluster, laplacians, previous } = self;
-        let count = cluster.leaves.len() + cluster.halo.len();
+        let BlockPass { fields, params, block, laplacians, previous } = self;
+        let count = block.leaves.len() + block.halo.len();
         if laplacians.len() < count {
             laplacians.resize(count, Leaf::splat(0.0));
         }
-        let own = cluster.leaves.clone().map(|leaf| (leaf, fields.region.laplacian_rows[leaf]));
-        let halo = cluster.halo.iter().map(|&(leaf, rows)| (leaf as usize, rows));
+        let own = block.leaves.clone().map(|leaf| (leaf, fields.region.laplacian_rows[leaf]));
+        let halo = block.halo.iter().map(|&(leaf, rows)| (leaf as usize, rows));
         for ((leaf, rows), laplacian) in own.chain(halo).zip(laplacians.iter_mut()) {
             let around = Neighborhood::new(&fields.current.leaves, fields.topology.neighbors(), leaf);
             Laplacian { around: &around, rows, laplacian }.run::<V>();
         }
-        for ((leaf, neighbors), previous) in cluster.leaves.clone().zip(&cluster.neighbors).zip(previous) {
+        for ((leaf, neighbors), previous) in block.leaves.clone().zip(&block.neighbors).zip(previous) {
             let rows = fields.region.free_rows[leaf];
             if rows == 0 {
                 continue;
             }
-            let place = leaf - cluster.leaves.start;
-            let around =
-                Neighborhood::of(&laplacians[place], neighbors.map(|place| laplacians.get(place as usize)));
+            let local_index = leaf - block.leaves.start;
+            let around = Neighborhood::of(
+                &laplacians[local_index],
+                neighbors.map(|local_index| laplacians.get(local_index as usize)),
+            );
             let (start, current) = (&fields.start.leaves[leaf], &fields.current.leaves[leaf]);
             let (lower, upper) = (&fields.bounds.lower.leaves[leaf], &fields.bounds.upper.leaves[leaf]);
             let free = &fields.region.free[leaf];
             let thick = &fields.thick[leaf];
-            let [beta_thin, beta_thick] = course.beta.map(V::splat);
+            let [beta_thin, beta_thick] = params.beta.map(V::splat);
             for (x, ys) in slabs_in(rows) {
                 let slab = around.slab(x);
                 for y in ys {
@@ -296,7 +305,7 @@ impl Kernel for Pass<'_> {
                     let values = [V::load(start.row(row)), V::load(current.row(row)), V::load(previous)];
                     let bounds = [V::load(lower.row(row)), V::load(upper.row(row))];
                     let beta = V::select(V::mask(thick.row(row)), beta_thick, beta_thin);
-                    let moved = course.advance(beta, slab.laplacian(y), values, bounds);
+                    let moved = params.advance(beta, slab.laplacian(y), values, bounds);
                     V::select(V::mask(free.row(row)), moved, values[2]).store(previous);
                 }
             }
@@ -304,7 +313,7 @@ impl Kernel for Pass<'_> {
     }
 }
 
-impl Course {
+impl StepParams {
     /// x⁺ of a row.
     #[inline(always)]
     fn advance<V: Lanes>(

@@ -1,22 +1,22 @@
-//! The paper's implicit integrator: (I + Δt ∇⁴) φ⁺ = φ, solved by conjugate gradients with an active
-//! set that grows (Eq. 10, Alg. 2).
+//! The paper's implicit integrator: (I + Δt ∇⁴) φ⁺ = φ, solved by conjugate gradients with a growing active
+//! set (Eq. 10, Alg. 2).
 //!
 //! ```text
 //!   repeat until converged
-//!      solve on the free voxels, the others held         conjugate_gradient.rs
-//!      if x leaves its bounds somewhere: clamp it there, hold it from now on, start again
+//!      solve on the free voxels, with the others fixed         conjugate_gradient.rs
+//!      if x violates its bounds somewhere: clamp it there, fix it from now on, restart
 //! ```
 //!
-//! Voxels never become free again within a step, so the set is a heuristic: it stops near the constrained minimum,
-//! not at it. The dot products couple all voxels; they are summed leaf by leaf in one fixed order, so that the
-//! number of threads does not matter.
+//! Within a step, fixed voxels never become free again, so the active set is a heuristic: the result is near
+//! the constrained minimum, not at it. The dot products couple all voxels. They are summed leaf by leaf in a
+//! fixed order, so the result does not depend on the number of threads.
 
-use super::band::Band;
 use super::conjugate_gradient::{Outcome, Solver};
+use super::free_voxels::FreeVoxels;
 use crate::surface::grid::Field;
 use crate::surface::level_set::{Bounds, NarrowBand};
 
-/// Iterations of conjugate gradients a step (paper, §3.7).
+/// Maximum number of conjugate gradient iterations per step (paper, §3.7).
 const ITERATIONS_MAX: usize = 1500;
 
 /// How the conjugate gradients of [`Integrator::Implicit`](crate::surface::Integrator::Implicit) converged.
@@ -24,23 +24,23 @@ const ITERATIONS_MAX: usize = 1500;
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Convergence {
-    /// Iterations of conjugate gradients.
+    /// Number of conjugate gradient iterations.
     pub iterations: usize,
-    /// Restarts, because a voxel met its bound.
+    /// Number of restarts because a voxel reached its bound.
     pub restarts: usize,
-    /// ‖r‖ / ‖r₀‖ at the end of a step; of several steps the largest.
+    /// ‖r‖ / ‖r₀‖ at the end of a step; the maximum over all steps.
     pub residual: f64,
-    /// Whether every step reached its tolerance.
+    /// True if every step reached its tolerance.
     pub reached: bool,
 }
 
 impl Convergence {
-    /// Applications of the operator.
+    /// Number of applications of the operator.
     pub(super) fn pass_count(&self) -> usize {
         self.iterations + self.restarts + 1
     }
 
-    /// The record of this step and of those before it.
+    /// Combines this step's record with that of the steps before it.
     pub(super) fn and(self, before: Option<Convergence>) -> Convergence {
         let Some(before) = before else { return self };
         Convergence {
@@ -56,7 +56,7 @@ impl Convergence {
 pub(super) fn step(
     band: &mut NarrowBand,
     bounds: &Bounds,
-    region: Band,
+    region: FreeVoxels,
     step_size: f32,
     tolerance: f64,
     laplacian: &mut Field,
@@ -75,7 +75,7 @@ pub(super) fn step(
                 residual = restart;
             }
         }
-        // Squared norms. Against the residual of the step and of the restart (Alg. 2, line 26).
+        // Squared norms, relative to the residual of the step and of the restart (Alg. 2, line 26).
         convergence.reached = residual <= tolerance * tolerance * first.max(restart);
     }
     convergence.residual = if first > 0.0 { (residual / first).sqrt() } else { 0.0 };

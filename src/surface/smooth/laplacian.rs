@@ -1,11 +1,11 @@
 //! Laplacian smoothing: φ ← φ + Δt ∇²φ |∇φ|, clamped to the bounds (paper, §3.1 and Alg. 1).
 //!
-//! A few steps of it take the grain off the union of spheres before the optimization begins. By
-//! itself it shrinks whatever it smooths (paper, Fig. 5).
+//! A few steps smooth the union of spheres before the optimization begins. Alone, this flow shrinks
+//! everything it smooths (paper, Fig. 5).
 
 use rayon::prelude::*;
 
-use super::band::near_bits;
+use super::free_voxels::near_bits;
 use crate::surface::grid::{Field, Leaf, Neighborhood};
 use crate::surface::level_set::{Bounds, NarrowBand};
 use crate::surface::simd::{self, Kernel, Lanes};
@@ -13,7 +13,7 @@ use crate::surface::simd::{self, Kernel, Lanes};
 /// Voxels with |φ| up to this are changed (Alg. 1, line 6).
 const BAND_WIDTH: f32 = 4.0;
 
-/// Takes `step_count` steps of `step_size` h²; `next` is memory as large as φ.
+/// Takes `step_count` steps of `step_size` h². `next` is a scratch field as large as φ.
 pub(super) fn smooth_laplacian(
     band: &mut NarrowBand,
     bounds: &Bounds,
@@ -26,21 +26,21 @@ pub(super) fn smooth_laplacian(
         next.leaves.par_iter_mut().enumerate().for_each(|(leaf, next)| {
             let around = Neighborhood::new(&band.phi.leaves, topology.neighbors(), leaf);
             let bounds = [&bounds.lower.leaves[leaf], &bounds.upper.leaves[leaf]];
-            simd::dispatch(Step { around: &around, bounds, step_size, next });
+            simd::dispatch(LaplacianStep { around: &around, bounds, step_size, next });
         });
         std::mem::swap(&mut band.phi, next);
     }
 }
 
-/// A step of one leaf.
-struct Step<'a> {
+/// Kernel: a step of one leaf.
+struct LaplacianStep<'a> {
     around: &'a Neighborhood<'a>,
     bounds: [&'a Leaf; 2],
     step_size: f32,
     next: &'a mut Leaf,
 }
 
-impl Kernel for Step<'_> {
+impl Kernel for LaplacianStep<'_> {
     type Output = ();
 
     #[inline(always)]

@@ -6,25 +6,25 @@
 //!                                  └─ explicit, implicit or fast ─┘
 //! ```
 //!
-//! Every frame is integrated for the same fictitious time, never until it converges: that keeps a
-//! sequence coherent. The clamp comes last, so that the bounds (Eq. 6) hold at every voxel of the
-//! result; the redistancing before it would break them by itself.
+//! Every frame is integrated over the same fictitious time rather than until convergence: that keeps a
+//! sequence temporally coherent. The clamp comes last, so that the bounds (Eq. 6) hold at every voxel of the
+//! result; the redistancing before it could violate them.
 
-mod acts;
-mod band;
 mod biharmonic;
-mod cluster;
+mod cache_block;
 mod conjugate_gradient;
 mod explicit;
+mod free_voxels;
 mod heavy_ball;
 mod implicit;
 mod laplacian;
+mod peaks;
+mod schedule;
 mod thickness;
-mod tips;
 
-pub use acts::{Act, FieldSet, Memory, Tally, Work, acts};
 pub use biharmonic::EIGENVALUE_MAX;
 pub use implicit::Convergence;
+pub use schedule::{FieldSet, SmoothContext, SmoothOp, SmoothStats, Workspace, schedule};
 
 use std::convert::Infallible;
 use std::ops::ControlFlow;
@@ -52,49 +52,51 @@ word_enum! {
 }
 
 impl Integrator {
-    /// Whether its steps are so large that a system has to be solved for each.
+    /// True if each step solves a linear system.
     pub fn is_implicit(self) -> bool {
         matches!(self, Integrator::Fast | Integrator::Implicit)
     }
 }
 
-/// What to do, in units of voxels and of the time h⁴.
+/// Configuration, in units of voxels and of the time h⁴.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Config {
-    /// Laplacian steps before the biharmonic ones. With none, φ is redistanced instead.
+    /// Number of Laplacian steps before the biharmonic ones. If 0, φ is redistanced instead.
     pub laplacian_steps: u32,
-    /// How a biharmonic step is taken.
+    /// The integrator of the biharmonic steps.
     pub integrator: Integrator,
-    /// Biharmonic steps.
+    /// Number of biharmonic steps.
     pub steps: u32,
-    /// Size of a biharmonic step, in units of h⁴. `Adaptive` takes steps of other sizes for the same total time.
+    /// Size of a biharmonic step, in units of h⁴. `Adaptive` varies the size within the same total time.
     pub step_size: f32,
-    /// Redistance after so many steps; the last step is always followed by one.
+    /// Number of steps between redistancings. The last step is always followed by one.
     pub redistance_every: u32,
     /// Relative tolerance of the conjugate gradients (`Implicit` only).
     pub cg_tolerance: f64,
-    /// Whether implicit steps, too, leave lone spheres of any radius what the Laplacian steps leave them. Explicit steps
-    /// always do. Threads of the least particles then end a little thicker and rougher.
-    pub keeps_spheres: bool,
-    /// The result holds distances as far from the surface as this, in voxels. With 0 they are as good as the integrator needs them.
+    /// Pins the radius of isolated spheres in implicit steps, so that they keep the radius left by the
+    /// Laplacian steps. Explicit steps always do. Threads of the smallest particles then end slightly thicker
+    /// and rougher.
+    pub pin_isolated_spheres: bool,
+    /// Half width within which the result holds exact distances, in voxels. With 0 they are as exact as the
+    /// integrator needs.
     pub distances_voxels: f32,
 }
 
-/// What smoothing took.
+/// Statistics of a smoothing.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SmoothReport {
     /// Unknowns of the first step: voxels with |φ| ≤ 3 voxels.
     pub free_voxel_count: usize,
-    /// Applications of the biharmonic operator: at most so many to a voxel.
+    /// Maximum number of applications of the biharmonic operator to a voxel.
     pub pass_count: usize,
-    /// How often a free voxel was moved: free voxels times passes, where all have the same number.
+    /// Number of voxel updates: free voxels times passes, if all have the same number of passes.
     pub moved_count: u64,
-    /// How far a change of φ_0 or the bounds can reach, in voxels; `None` for `Implicit`, whose
-    /// dot products couple every voxel to every other, and for `Adaptive`, whose steps are as large as the quickest voxel allows.
+    /// How far a change of φ_0 or the bounds can propagate, in voxels. `None` for `Implicit`, whose dot
+    /// products couple all voxels, and for `Adaptive`, whose step size depends on the fastest voxel.
     pub reach_voxels: Option<u32>,
-    /// Of `Implicit` only.
+    /// Only for `Implicit`.
     pub convergence: Option<Convergence>,
-    /// Explicit steps that moved some value by more than a voxel (Eq. 8).
+    /// Number of explicit steps that moved some value by more than a voxel (Eq. 8).
     pub cfl_exceeded_count: usize,
 }
 
@@ -105,8 +107,8 @@ pub fn smooth(band: &mut NarrowBand, bounds: &Bounds, config: &Config) -> Smooth
     report
 }
 
-/// Smooths `band` within `bounds`. `advanced` is called with the fraction that is done, from 0 to 1, and may break off; then
-/// `band` is in between.
+/// Smooths `band` within `bounds`. `advanced` receives the progress, from 0 to 1, and may cancel; `band` is
+/// then left in an intermediate state.
 pub fn smooth_while<B>(
     band: &mut NarrowBand,
     bounds: &Bounds,
@@ -114,18 +116,18 @@ pub fn smooth_while<B>(
     advanced: &mut dyn FnMut(f64) -> ControlFlow<B>,
 ) -> ControlFlow<B, SmoothReport> {
     let mut report = SmoothReport::new(config);
-    let mut memory = Memory::new(band.topology.len());
-    let acts = acts(config, u32::MAX);
-    let act_count = acts.len() as f64;
-    for (index, act) in acts.into_iter().enumerate() {
-        let tally = Work { config, band, bounds, memory: &mut memory, own: None }.perform(act);
-        report.add(act, tally);
-        advanced((index + 1) as f64 / act_count)?;
+    let mut workspace = Workspace::new(band.topology.len());
+    let schedule = schedule(config, u32::MAX);
+    let op_count = schedule.len() as f64;
+    for (index, op) in schedule.into_iter().enumerate() {
+        let stats = SmoothContext { config, band, bounds, workspace: &mut workspace, own: None }.apply(op);
+        report.add(op, stats);
+        advanced((index + 1) as f64 / op_count)?;
     }
     ControlFlow::Continue(report)
 }
 
-/// Moves values off zero, unless their bounds demand that they are as near.
+/// Moves values away from zero, unless the bounds require values that small.
 fn keep_off_zero(phi: &mut Field, bounds: &Bounds) {
     let bounds = bounds.lower.leaves.par_iter().zip(&bounds.upper.leaves);
     phi.leaves.par_iter_mut().zip(bounds).for_each(|(phi, (lower, upper))| {
@@ -137,14 +139,14 @@ fn keep_off_zero(phi: &mut Field, bounds: &Bounds) {
     });
 }
 
-/// What Laplacian steps leave of the radius of a lone sphere, in voxels: dr/dt = −2/r.
+/// Radius of an isolated sphere after Laplacian steps, in voxels: dr/dt = −2/r.
 pub fn radius_after_laplacian(radius_voxels: f64, steps: u32) -> f64 {
-    let time = f64::from(acts::LAPLACIAN_STEP_SIZE) * f64::from(steps);
+    let time = f64::from(schedule::LAPLACIAN_STEP_SIZE) * f64::from(steps);
     (radius_voxels * radius_voxels - 4.0 * time).max(0.0).sqrt()
 }
 
-/// The Laplacian flow alone, for comparison with the biharmonic one (paper, Fig. 5): `steps` steps
-/// of 0.1 h², redistanced and clamped every 50 and at the end.
+/// The Laplacian flow alone, for comparison with the biharmonic one (paper, Fig. 5): `steps` steps of 0.1 h²,
+/// redistanced and clamped every 50 steps and at the end.
 pub fn smooth_laplacian_only(band: &mut NarrowBand, bounds: &Bounds, steps: u32) {
     const REDISTANCE_EVERY: u32 = 50;
     let config = Config {
@@ -154,14 +156,15 @@ pub fn smooth_laplacian_only(band: &mut NarrowBand, bounds: &Bounds, steps: u32)
         step_size: 0.0,
         redistance_every: 1,
         cg_tolerance: 0.0,
-        keeps_spheres: false,
+        pin_isolated_spheres: false,
         distances_voxels: 0.0,
     };
-    let mut memory = Memory::new(band.topology.len());
-    for act in acts(&config, REDISTANCE_EVERY) {
-        if matches!(act, Act::Laplacian { .. }) {
-            for act in [act, Act::Redistance] {
-                Work { config: &config, band, bounds, memory: &mut memory, own: None }.perform(act);
+    let mut workspace = Workspace::new(band.topology.len());
+    for op in schedule(&config, REDISTANCE_EVERY) {
+        if matches!(op, SmoothOp::Laplacian { .. }) {
+            for op in [op, SmoothOp::Redistance] {
+                SmoothContext { config: &config, band, bounds, workspace: &mut workspace, own: None }
+                    .apply(op);
             }
         }
     }

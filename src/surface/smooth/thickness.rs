@@ -1,30 +1,31 @@
-//! Where the free region is so thick that a step converges slowly.
+//! Finds where the free region is so thick that a step converges slowly.
 //!
-//! The free voxels of a step are a layer along the surface, about six voxels thick, between values that
-//! are held. What can bend in there has a wavelength of that size, and so an eigenvalue of at least
-//! 1 + (4.73/6.5)⁴·Δt: that of a plate clamped on both sides. Only where surfaces come close, as in spray and
-//! thin sheets, do their layers merge into something thicker, in which slow modes live.
+//! The free voxels of a step are a layer along the surface, about six voxels thick, between fixed values.
+//! Modes that fit into this layer have a wavelength of that size, and therefore an eigenvalue of at least 1 +
+//! (4.73/6.5)⁴·Δt: that of a plate clamped on both sides. Only where surfaces come close, as in spray and
+//! thin sheets, do their layers merge into a thicker region, which has slow modes.
 //!
 //! ```text
-//!   held ──────────      ────────╮  ╭────────
-//!   free ▒▒▒▒▒▒▒▒▒▒      ▒▒▒▒▒▒▒▒╰▒▒╯▒▒▒▒▒▒▒▒
-//!        ~~surface~      ~surface~▒▒~surface~       the middle of this is more than four voxels from
-//!   free ▒▒▒▒▒▒▒▒▒▒      ▒▒▒▒▒▒▒▒╭▒▒╮▒▒▒▒▒▒▒▒       anything held: a deep voxel
-//!   held ──────────      ────────╯  ╰────────
+//!   fixed ──────────      ────────╮  ╭────────
+//!   free  ▒▒▒▒▒▒▒▒▒▒      ▒▒▒▒▒▒▒▒╰▒▒╯▒▒▒▒▒▒▒▒
+//!         ~~surface~      ~surface~▒▒~surface~       the middle is more than four voxels from any fixed
+//!   free  ▒▒▒▒▒▒▒▒▒▒      ▒▒▒▒▒▒▒▒╭▒▒╮▒▒▒▒▒▒▒▒       voxel: a deep voxel
+//!   fixed ──────────      ────────╯  ╰────────
 //! ```
 //!
-//! Deep voxels are those that four erosions leave, by turns with a cross and with a cube, which together come
-//! close to a ball. What is around them counts as thick. All of it is told voxel by voxel: where leaves begin and
-//! end has no part in it.
+//! Deep voxels remain after four erosions, alternating between a cross and a cube, which together approximate
+//! a ball. Voxels around deep ones count as thick. The test is per voxel and does not depend on leaf
+//! boundaries.
 
 use rayon::prelude::*;
 
 use crate::surface::grid::{LeafMask, NO_LEAF, Topology};
 
-/// Voxels so far from a deep one along each axis count as thick: deep ones are more than four from anything held.
+/// Voxels within this distance of a deep one, per axis, count as thick. Deep voxels are more than four from
+/// fixed ones.
 const AROUND_DEEP: usize = 6;
 
-/// How far the voxels are, at most, that decide whether a voxel is thick.
+/// Maximum distance of the voxels that affect whether a voxel is thick.
 pub(super) const THICKNESS_REACH: u32 = AROUND_DEEP as u32 + 4;
 
 /// The free voxels that are thick.
@@ -42,7 +43,7 @@ pub(super) fn thick(topology: &Topology, free: &[LeafMask]) -> Vec<LeafMask> {
     left.par_iter().zip(free).map(|(near_deep, free)| near_deep.and(free)).collect()
 }
 
-/// Each mask joined with itself shifted along these axes, both ways and by up to so many steps.
+/// Joins each mask with copies of itself shifted along these axes, in both directions and by up to `steps`.
 pub(super) fn with_neighbors(
     topology: &Topology,
     masks: &[LeafMask],
@@ -73,7 +74,7 @@ mod tests {
     use super::*;
     use glam::IVec3;
 
-    /// How many voxels of a block of 4³ leaves are thick where the free ones are those that satisfy `is_free`.
+    /// Number of thick voxels in a block of 4³ leaves whose free voxels are those that satisfy `is_free`.
     fn thick_count(is_free: impl Fn(IVec3) -> bool) -> usize {
         let origins = (0..64).map(|leaf| IVec3::new(leaf >> 4, leaf >> 2 & 3, leaf & 3) * 8).collect();
         let topology = Topology::new(origins);
@@ -88,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn a_single_layer_is_thin_in_every_direction_and_a_double_one_is_thick() {
+    fn single_layer_is_thin_and_double_layer_is_thick() {
         for normal in [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 0.0], [1.0, 1.0, 1.0], [1.0, -2.0, 3.0]] {
             let normal = glam::Vec3::from(normal).normalize();
             let depth = |voxel: IVec3| normal.dot(voxel.as_vec3() - 15.6).abs();

@@ -1,13 +1,13 @@
-//! What drawing a vertex onto a neighbour does to the surface.
+//! The effect on the surface of collapsing a vertex into a neighbor.
 //!
 //! ```text
 //!   seen along the mean normal of v's triangles:
 //!
-//!        c ─── b              c ─── b          old edges  v–a, v–b, …            heights h over the plane
+//!        c ─── b              c ─── b          old edges  v–a, v–b, …            heights h above the plane
 //!       ╱ ╲   ╱ ╲            ╱  ╲    ╲         new edges  w–c, w–b
 //!      d ── v ── a          d  ·  × ╌ ×  a
-//!       ╲   │   ╱            ╲    ╲  ╱         the difference of both heights is linear between · (where v was)
-//!        e ─ w               e ──── w          and × (where an old edge meets a new one): it is greatest at one of these
+//!       ╲   │   ╱            ╲    ╲  ╱         the difference of the heights is linear between · (where v was) and
+//!        e ─ w               e ──── w          × (where an old and a new edge cross), so it is maximal at one of these
 //! ```
 
 use glam::{Vec2, Vec3};
@@ -15,52 +15,57 @@ use glam::{Vec2, Vec3};
 use super::NEVER;
 use super::rings::Rings;
 
-/// A vertex is drawn onto a neighbour.
+/// A collapse of a vertex into a neighbor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Collapse {
-    /// How far points of its triangles will have moved, at most.
+    /// Upper bound of the displacement of points of its triangles.
     pub(super) bound: f32,
-    /// The neighbour.
+    /// The neighbor.
     pub(super) target: u32,
 }
 
-/// Vertices with more neighbours than this stay.
+/// Vertices with more neighbors than this are not collapsed.
 const RING_MAX: usize = 12;
 
-/// Normals turn from the mean normal by no more than the angle with this cosine: 75°.
+/// Cosine of the maximum angle between triangle normals and the mean normal: 75°.
 const LEAST_COSINE: f32 = 0.26;
 
-/// A new triangle's shape (1 for an equilateral one, 0 for one without area) is no worse than this, or than the worst one
-/// that was there.
+/// Minimum shape quality of a new triangle (1 if equilateral, 0 without area), unless an old triangle was
+/// worse.
 const LEAST_SHAPE: f32 = 0.25;
 
-/// Neighbours that are tried.
+/// Number of neighbors that are tried.
 const TRIES: usize = 3;
 
-/// Of the size of the patch, what 32-bit arithmetic may have been wrong by.
+/// Upper bound of the rounding error of 32-bit arithmetic, relative to the size of the patch.
 const ROUNDING: f32 = 4e-6;
 
 /// The triangles around a vertex.
-pub(super) struct Patch<'a> {
+pub(super) struct VertexStar<'a> {
     vertex: u32,
     ring: &'a [u32],
-    /// No point of the triangles has moved farther so far.
+    /// Upper bound of the displacement of the triangles' points so far.
     pub(super) bound: f32,
-    /// Neighbours relative to the vertex.
+    /// Positions of the neighbors relative to the vertex.
     around: [Vec3; RING_MAX],
-    /// Doubled areas along normals of the triangles, by their first neighbour.
+    /// Doubled areas along the normals of the triangles, by their first neighbor.
     normals: [Vec3; RING_MAX],
     mean_normal: Vec3,
-    /// The neighbours as seen along the mean normal, and their heights.
-    seen: [Vec2; RING_MAX],
+    /// Projections of the neighbors along the mean normal, and their heights.
+    projected: [Vec2; RING_MAX],
     heights: [f32; RING_MAX],
     least_shape: f32,
 }
 
-impl<'a> Patch<'a> {
-    /// The triangles of a vertex; `None` if it has no ring, too long a one, or one that is folded.
+impl<'a> VertexStar<'a> {
+    /// The triangles of a vertex; `None` if it has no ring, or its ring is too long or folded.
     #[inline(always)]
-    pub(super) fn new(positions: &[Vec3], vertex: u32, ring: &'a [u32], bounds: &[f32]) -> Option<Patch<'a>> {
+    pub(super) fn new(
+        positions: &[Vec3],
+        vertex: u32,
+        ring: &'a [u32],
+        bounds: &[f32],
+    ) -> Option<VertexStar<'a>> {
         let count = ring.len();
         if count == 0 || count > RING_MAX {
             return None;
@@ -68,47 +73,57 @@ impl<'a> Patch<'a> {
         let here = positions[vertex as usize];
         let mut around = [Vec3::ZERO; RING_MAX];
         let mut neighbor_bounds = [0.0; RING_MAX];
-        for (place, &neighbor) in ring.iter().enumerate() {
-            around[place] = positions[neighbor as usize] - here;
-            neighbor_bounds[place] = bounds[neighbor as usize];
+        for (i, &neighbor) in ring.iter().enumerate() {
+            around[i] = positions[neighbor as usize] - here;
+            neighbor_bounds[i] = bounds[neighbor as usize];
         }
         let mut normals = [Vec3::ZERO; RING_MAX];
         let (mut sum, mut bound, mut least_shape) = (Vec3::ZERO, 0.0f32, LEAST_SHAPE);
-        for place in 0..count {
-            let after = if place + 1 == count { 0 } else { place + 1 };
-            normals[place] = around[place].cross(around[after]);
-            sum += normals[place];
-            // A triangle has moved no farther than each of its corners says.
-            bound = bound.max(neighbor_bounds[place].min(neighbor_bounds[after]));
-            least_shape = least_shape.min(shape(normals[place].length(), around[place], around[after]));
+        for i in 0..count {
+            let after = if i + 1 == count { 0 } else { i + 1 };
+            normals[i] = around[i].cross(around[after]);
+            sum += normals[i];
+            // The displacement of a triangle is bounded by that of each of its corners.
+            bound = bound.max(neighbor_bounds[i].min(neighbor_bounds[after]));
+            least_shape = least_shape.min(shape(normals[i].length(), around[i], around[after]));
         }
         let bound = bound.min(bounds[vertex as usize]);
         let mean_normal = sum / sum.length();
         let is_unfolded = |normal: &Vec3| normal.dot(mean_normal) > LEAST_COSINE * normal.length();
-        // A comparison with NaN is false.
+        // Comparison with NaN is false.
         if !normals[..count].iter().all(is_unfolded) {
             return None;
         }
         let (right, up) = mean_normal.any_orthonormal_pair();
-        let mut seen = [Vec2::ZERO; RING_MAX];
+        let mut projected = [Vec2::ZERO; RING_MAX];
         let mut heights = [0.0; RING_MAX];
-        for place in 0..count {
-            seen[place] = Vec2::new(around[place].dot(right), around[place].dot(up));
-            heights[place] = around[place].dot(mean_normal);
+        for i in 0..count {
+            projected[i] = Vec2::new(around[i].dot(right), around[i].dot(up));
+            heights[i] = around[i].dot(mean_normal);
         }
-        let crosses_right = |place: &usize| {
-            let after = if *place + 1 == count { 0 } else { place + 1 };
-            (seen[*place].y < 0.0) != (seen[after].y < 0.0) && seen[after].y >= 0.0
+        let crosses_right = |i: &usize| {
+            let after = if *i + 1 == count { 0 } else { i + 1 };
+            (projected[*i].y < 0.0) != (projected[after].y < 0.0) && projected[after].y >= 0.0
         };
-        // Once around, and not twice.
+        // Winds around exactly once.
         if (0..count).filter(crosses_right).count() != 1 {
             return None;
         }
-        Some(Patch { vertex, ring, bound, around, normals, mean_normal, seen, heights, least_shape })
+        Some(VertexStar {
+            vertex,
+            ring,
+            bound,
+            around,
+            normals,
+            mean_normal,
+            projected,
+            heights,
+            least_shape,
+        })
     }
 
-    /// The neighbour that the vertex is best drawn onto, of those that disturb the triangles' planes least. Where there
-    /// is none the bound is [`NEVER`].
+    /// The best collapse among the neighbors that change the triangles' planes least. If none is possible,
+    /// the bound is [`NEVER`].
     #[inline(always)]
     pub(super) fn best_collapse(&self, rings: &Rings) -> Collapse {
         let count = self.ring.len();
@@ -119,9 +134,9 @@ impl<'a> Patch<'a> {
         let mut best = Collapse { bound: NEVER, target: 0 };
         for _ in 0..TRIES.min(count) {
             let mut target = 0;
-            for place in 1..count {
-                if disturbances[place] < disturbances[target] {
-                    target = place;
+            for i in 1..count {
+                if disturbances[i] < disturbances[target] {
+                    target = i;
                 }
             }
             disturbances[target] = f32::INFINITY;
@@ -133,7 +148,8 @@ impl<'a> Patch<'a> {
         best
     }
 
-    /// The quadric of the vertex's triangles at a neighbour: squared distances from their planes, weighted by area.
+    /// The quadric of the vertex's triangles at a neighbor: squared distances from their planes, weighted by
+    /// area.
     #[inline(always)]
     fn disturbance(&self, target: usize) -> f32 {
         let count = self.ring.len();
@@ -141,13 +157,13 @@ impl<'a> Patch<'a> {
         let mut sum = 0.0;
         for normal in &self.normals[..count] {
             let product = normal.dot(to_target);
-            // Not 0 / 0, if a triangle has no area.
+            // Avoids 0 / 0 if a triangle has no area.
             sum += product * product / normal.length().max(f32::MIN_POSITIVE);
         }
         sum
     }
 
-    /// Whether the new triangles have a shape, and are seen from the same side as the old ones.
+    /// True if the new triangles are well shaped and face the same side as the old ones.
     #[inline(always)]
     fn is_sound(&self, target: usize) -> bool {
         let count = self.ring.len();
@@ -167,41 +183,42 @@ impl<'a> Patch<'a> {
         true
     }
 
-    /// How far points of the triangles will have moved at most, if the vertex is drawn onto a neighbour.
+    /// Upper bound of the displacement of the triangles' points after the collapse into a neighbor.
     #[inline(always)]
     fn bound_after(&self, target: usize) -> f32 {
         let count = self.ring.len();
-        // Neighbours from the target on, relative to it, as seen along the normal.
-        let mut seen = [Vec2::ZERO; RING_MAX];
+        // The neighbors from the target on, relative to it, projected along the normal.
+        let mut projected = [Vec2::ZERO; RING_MAX];
         let mut heights = [0.0; RING_MAX];
-        let mut place = target;
+        let mut i = target;
         for index in 0..count {
-            seen[index] = self.seen[place] - self.seen[target];
-            heights[index] = self.heights[place] - self.heights[target];
-            place = wrapped(place + 1, count);
+            projected[index] = self.projected[i] - self.projected[target];
+            heights[index] = self.heights[i] - self.heights[target];
+            i = wrapped(i + 1, count);
         }
-        let (here, here_height) = (-self.seen[target], -self.heights[target]);
-        // The new triangle that lies where the vertex was: between neighbours `under` and the one after.
-        let is_under =
-            |&index: &usize| seen[index].perp_dot(here) >= 0.0 && here.perp_dot(seen[index + 1]) >= 0.0;
+        let (here, here_height) = (-self.projected[target], -self.heights[target]);
+        // The new triangle at the old position of the vertex: between neighbor `under` and the next one.
+        let is_under = |&index: &usize| {
+            projected[index].perp_dot(here) >= 0.0 && here.perp_dot(projected[index + 1]) >= 0.0
+        };
         let Some(under) = (1..count - 1).find(is_under) else { return NEVER };
-        let doubled_area = seen[under].perp_dot(seen[under + 1]);
-        let height = (here.perp_dot(seen[under + 1]) * heights[under]
-            + seen[under].perp_dot(here) * heights[under + 1])
+        let doubled_area = projected[under].perp_dot(projected[under + 1]);
+        let height = (here.perp_dot(projected[under + 1]) * heights[under]
+            + projected[under].perp_dot(here) * heights[under + 1])
             / doubled_area;
         let mut farthest = (height - here_height).abs();
         for edge in 2..count - 1 {
-            // Old edges to neighbours on the other side of the new edge than the vertex cross it.
+            // Old edges to neighbors on the other side of the new edge cross it.
             let crossed = if edge <= under { 1..edge } else { edge + 1..count };
             for other in crossed {
-                let along = seen[edge];
-                let (from, to) = (along.perp_dot(here), along.perp_dot(seen[other]));
+                let along = projected[edge];
+                let (from, to) = (along.perp_dot(here), along.perp_dot(projected[other]));
                 let part = (from / (from - to)).clamp(0.0, 1.0);
-                let meeting = here + part * (seen[other] - here);
+                let meeting = here + part * (projected[other] - here);
                 let old = here_height + part * (heights[other] - here_height);
                 let part_of_new = (meeting.dot(along) / along.length_squared()).clamp(0.0, 1.0);
                 let difference = (old - part_of_new * heights[edge]).abs();
-                // What is not a number is too far.
+                // NaN counts as too far.
                 farthest = if difference < NEVER { farthest.max(difference) } else { NEVER };
             }
         }
@@ -211,13 +228,13 @@ impl<'a> Patch<'a> {
     }
 }
 
-/// A place in a ring that may be one too far.
+/// Wraps an index that may be one past the end of a ring.
 #[inline(always)]
-fn wrapped(place: usize, count: usize) -> usize {
-    if place >= count { place - count } else { place }
+fn wrapped(i: usize, count: usize) -> usize {
+    if i >= count { i - count } else { i }
 }
 
-/// How near to equilateral a triangle is, by its doubled area and two of its sides: from 0 to 1.
+/// Shape quality of a triangle from its doubled area and two of its sides: 0 to 1 (equilateral).
 #[inline(always)]
 fn shape(doubled_area: f32, one: Vec3, other: Vec3) -> f32 {
     let squares = one.length_squared() + other.length_squared() + one.distance_squared(other);

@@ -1,12 +1,13 @@
-//! Which voxels a step may change, and which rows it must visit.
+//! Selects the voxels that a step may change, and the rows it must visit.
 //!
 //! ```text
 //!      |φ| ≤ 3   free: the unknowns of a step
-//!      + 1       their face neighbours: the inner Laplacian is needed here too
-//!      + 1       theirs: values that are read and held fixed
+//!      + 1       their face neighbors: the inner Laplacian is also needed here
+//!      + 1       the next neighbors: read, but held fixed
 //! ```
 //!
-//! A band is chosen from φ at the start of a step (paper, §3.5) and stays for the step.
+//! The free voxels are selected from φ at the start of a step (paper, §3.5) and do not change during the
+//! step.
 
 use rayon::prelude::*;
 
@@ -14,44 +15,44 @@ use crate::surface::grid::{Direction, Field, Leaf, LeafMask, NO_LEAF, ROW_COUNT,
 use crate::surface::simd::{self, Kernel, Lanes};
 
 /// The free voxels of a step, and the rows where the inner Laplacian is needed.
-pub(super) struct Band {
+pub(super) struct FreeVoxels {
     /// Free voxels, by leaf.
     pub(super) free: Vec<LeafMask>,
     /// Rows with a free voxel, by leaf: bit `x·8 + y`.
     pub(super) free_rows: Vec<u64>,
-    /// Rows with a free voxel or a face neighbour of one, by leaf: bit `x·8 + y`.
+    /// Rows with a free voxel or a face neighbor of one, by leaf: bit `x·8 + y`.
     pub(super) laplacian_rows: Vec<u64>,
 }
 
-impl Band {
-    /// The band of the voxels with |φ| ≤ `width` voxels.
-    pub(super) fn new(topology: &Topology, phi: &Field, width: f32) -> Band {
-        Band::of(topology, near(phi, width))
+impl FreeVoxels {
+    /// The free voxels are those with |φ| ≤ `width` voxels.
+    pub(super) fn new(topology: &Topology, phi: &Field, width: f32) -> FreeVoxels {
+        FreeVoxels::of(topology, near(phi, width))
     }
 
-    /// The same without the voxels that are held.
-    pub(super) fn without(topology: &Topology, phi: &Field, width: f32, held: &[LeafMask]) -> Band {
+    /// Like [`new`](Self::new), without the voxels that are pinned.
+    pub(super) fn without(topology: &Topology, phi: &Field, width: f32, held: &[LeafMask]) -> FreeVoxels {
         let mut free = near(phi, width);
         free.par_iter_mut().zip(held).for_each(|(free, held)| free.remove_all(held));
-        Band::of(topology, free)
+        FreeVoxels::of(topology, free)
     }
 
-    /// The band of these voxels.
-    pub(super) fn of(topology: &Topology, free: Vec<LeafMask>) -> Band {
+    /// Uses exactly these free voxels.
+    pub(super) fn of(topology: &Topology, free: Vec<LeafMask>) -> FreeVoxels {
         let neighbors = topology.neighbors();
         let laplacian_rows =
             (0..free.len()).into_par_iter().map(|leaf| dilated_rows(&free, &neighbors[leaf], leaf)).collect();
         let free_rows = free.par_iter().map(LeafMask::occupied_rows).collect();
-        Band { free, free_rows, laplacian_rows }
+        FreeVoxels { free, free_rows, laplacian_rows }
     }
 
-    /// Makes `free_rows` follow `free` after voxels were taken out. `laplacian_rows` may stay: rows too
-    /// many cost time only.
+    /// Updates `free_rows` after voxels were removed from `free`. `laplacian_rows` may stay: extra rows cost
+    /// only time.
     pub(super) fn recount_free_rows(&mut self) {
         self.free_rows = self.free.par_iter().map(LeafMask::occupied_rows).collect();
     }
 
-    /// The number of free voxels, in all leaves or in those that are `own`.
+    /// Number of free voxels in all leaves, or in those that are `own`.
     pub(super) fn free_count(&self, own: Option<&[bool]>) -> u64 {
         let counted = self.free.par_iter().enumerate().filter(|(leaf, _)| own.is_none_or(|own| own[*leaf]));
         counted.map(|(_, mask)| u64::from(mask.count())).sum()
@@ -60,16 +61,16 @@ impl Band {
 
 /// The voxels with |φ| ≤ `width`.
 pub(super) fn near(phi: &Field, width: f32) -> Vec<LeafMask> {
-    phi.leaves.par_iter().map(|leaf| simd::dispatch(Near { leaf, width })).collect()
+    phi.leaves.par_iter().map(|leaf| simd::dispatch(NearZero { leaf, width })).collect()
 }
 
 /// The voxels of a leaf with |φ| ≤ `width`.
-struct Near<'a> {
+struct NearZero<'a> {
     leaf: &'a Leaf,
     width: f32,
 }
 
-impl Kernel for Near<'_> {
+impl Kernel for NearZero<'_> {
     type Output = LeafMask;
 
     #[inline(always)]
@@ -88,14 +89,14 @@ pub(super) fn near_bits<V: Lanes>(phi: V, width: f32) -> u8 {
     !V::bits(V::splat(width).lt(phi.abs()))
 }
 
-/// The rows of a leaf that hold a free voxel or a face neighbour of one.
+/// The rows of a leaf that contain a free voxel or a face neighbor of one.
 fn dilated_rows(free: &[LeafMask], neighbors: &[u32; 6], leaf: usize) -> u64 {
     let face = |direction: Direction| {
         let neighbor = neighbors[direction as usize];
         if neighbor == NO_LEAF { LeafMask::EMPTY } else { free[neighbor as usize] }
     };
     let own = free[leaf].occupied_rows();
-    // Rows are bits x·8 + y: a step in x shifts by 8, a step in y by 1 within each byte.
+    // Row (x, y) is bit x·8 + y: a step in x shifts by 8, a step in y by 1 within each byte.
     let along_x = own << 8 | own >> 8;
     let along_y = (own << 1 & !0x0101_0101_0101_0101) | (own >> 1 & !0x8080_8080_8080_8080);
     let from_x = face(Direction::XMinus).occupied_rows() >> 56 | face(Direction::XPlus).occupied_rows() << 56;
@@ -111,14 +112,14 @@ mod tests {
     use glam::IVec3;
 
     #[test]
-    fn laplacian_rows_reach_one_voxel_in_every_direction() {
+    fn laplacian_rows_include_face_neighbors_of_free_voxels() {
         let corner = IVec3::new(7, 0, 7);
         let topology =
             Topology::new(vec![IVec3::ZERO, IVec3::new(8, 0, 0), IVec3::new(0, -8, 0), IVec3::new(0, 0, 8)]);
         let mut phi = Field::splat(topology.len(), 6.0);
         phi.leaves[topology.find(IVec3::ZERO).unwrap()].values
             [crate::surface::grid::offset_in_leaf(corner)] = 1.0;
-        let band = Band::new(&topology, &phi, 3.0);
+        let band = FreeVoxels::new(&topology, &phi, 3.0);
         assert_eq!(band.free_count(None), 1);
         let rows = |x: i32, y: i32, z: i32| band.laplacian_rows[topology.find(IVec3::new(x, y, z)).unwrap()];
         assert_eq!(rows(0, 0, 0), 1 << 56 | 1 << 57 | 1 << 48);

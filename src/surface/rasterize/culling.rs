@@ -1,46 +1,51 @@
-//! What of a frame can matter to its surface, told from the occupancy alone: the rest is never kept.
+//! Determines from the occupancy alone what can matter to a frame's surface; the rest is never stored.
 //!
 //! ```text
-//!   · · · · · · · · ·      ·  nothing within r_init
+//!   · · · · · · · · ·      ·  no particle within r_init
 //!   · n n n n n n n ·      n  near: the surface may pass through
-//!   n n n n n n n n n      +  within the band's margin of one that is near: distances may be needed
-//!   + k k k k k k k +      k  particles that may be the nearest to something
-//!   d d d d d d d d d      d  deep: every voxel, and every voxel next to one, is surely inside S_0
+//!   n n n n n n n n n      +  within the band's margin of a near leaf: distances may be needed
+//!   + k k k k k k k +      k  particles that may be the nearest to a needed voxel or vertex
+//!   d d d d d d d d d      d  deep: every voxel, and every adjacent voxel, is certainly inside S_0
 //! ```
 //!
-//! **Leaves.** The band is made of leaves around crossings: voxels inside S_0 with a face neighbour outside. A
-//! leaf that is deep has none, and one without a particle within r_init of a voxel has none. So the crossings
-//! are those of the others, the leaves that are *near*; and no distance is needed but in leaves within the
-//! band's margin of these. Particles farther from all of them than distances reach change nothing.
+//! **Leaves.** The band consists of leaves around crossings: voxels inside S_0 with a face neighbor outside.
+//! A deep leaf has no crossing, and neither has a leaf without a particle within r_init of one of its voxels.
+//! The remaining leaves are called *near* and contain all crossings. Distances are needed only in leaves
+//! within the band's margin of near leaves. Particles farther from all of these than the reach of distances
+//! change nothing.
 //!
-//! **Values.** Inside S_min a distance d to the nearest particle is looked at only beside a voxel that is not:
-//! elsewhere, `d < r` is all that is asked, and r_min is the least of the radii. So voxels that are surely inside
-//! S_min with all face neighbours are *settled*: 0 does for their distance.
+//! **Values.** Inside S_min, the value of the distance d to the nearest particle is used only next to a voxel
+//! outside S_min. Elsewhere only the test `d < r` is made, and r_min is the smallest radius. So voxels that
+//! are certainly inside S_min together with all face neighbors are *settled*: 0 serves as their distance.
 //!
-//! **Particles.** Let p be a particle, ρ ≤ r_min, and every voxel within ρ + 3/2·√3 of p surely within ρ of some
-//! particle. Then p may be left out:
+//! **Particles.** Let p be a particle and ρ ≤ r_min, and let every voxel within ρ + 3/2·√3 of p be certainly
+//! within ρ of some particle. Then p can be dropped:
 //!
-//! - It is not the nearest to any point x at a distance of ρ + √3/2 or more. For if it were, no particle would be
-//!   nearer to x, and so the ball around the point w of the line from p to x, at that distance from p, would
-//!   hold none. The voxel next to w, √3/2 away at most, would be ρ or more from every particle; but it is within
-//!   ρ + √3 of p.
-//! - The voxels that it is nearest to are therefore among those around it, are nearer to it than ρ, and have
-//!   face neighbours among those around it too: they are settled.
-//! - A vertex of the mesh that it is nearest to is nearer than ρ + √3/2, so that the corners of its cell are within
-//!   ρ + 3/2·√3. All of them are in S_min, where φ is negative; there is no vertex in such a cell.
-//! - The corners of its own cell are within √3 of it: it is inside of whatever surface is found.
+//! - It is not the nearest particle to any point x at a distance of ρ + √3/2 or more. Suppose it were. Then no
+//!   particle is nearer to x. Let w be the point on the line from p to x at distance ρ + √3/2 from p: the ball
+//!   around w with that radius contains no particle. The voxel nearest to w, at most √3/2 away, is then ρ or
+//!   more from every particle; but it is within ρ + √3 of p, a contradiction.
+//! - So the voxels that it is nearest to are among those around it, nearer to it than ρ, and their face
+//!   neighbors are also among those around it: these voxels are settled.
+//! - A mesh vertex that it is nearest to is nearer than ρ + √3/2, so the corners of the vertex's cell are within
+//!   ρ + 3/2·√3. All of them are in S_min, where φ is negative, and such a cell has no vertex.
+//! - The corners of the particle's cell are within √3 of it, so it is inside any surface that is found.
 //!
-//! Where the surface is moved inward by b once it is smooth, a vertex x may be within S_min. Then some point of the surface before is
-//! b away from x, and all that is said of x holds of that point if voxels within ρ + b + 3/2·√3 of p are looked at.
+//! If the smoothed surface is moved inward by b, a vertex x may lie within S_min. Then some point of the
+//! surface before the move is at distance b from x. The argument holds for that point if all voxels within
+//! ρ + b + 3/2·√3 of p are checked.
 //!
-//! Where particles have shapes of their own, all of this is said of the balls that each holds for certain, and
-//! [round](ROUND) ones hold larger ones than flat ones: what is deep for these is deep. Of the particles, those are kept that reach a leaf where distances may be needed: a long one
-//! may be the nearest to what is far away.
+//! For anisotropic particles, the argument uses balls that each particle certainly contains. [Round](ROUND)
+//! particles contain larger balls than flat ones, so regions that are deep with the balls of the round ones
+//! alone are deep. In this case, all particles are kept that reach a leaf where distances may be needed: a long
+//! particle may be the nearest to a distant point.
 //!
-//! Where an obstacle's surface passes through what is deep, that is a surface of the fluid, too: these leaves are near.
+//! Where an obstacle's surface passes through a deep region, the fluid has a surface, too, so these leaves
+//! are near.
 //!
-//! The certificate asks of particles what is around them where φ is not stored. With r_init above √3 each tells
-//! that by itself; below that, none is left out. Where particles have shapes of their own, the deep leaves are kept for it, too.
+//! Validation uses the kept particles to find the inside where φ is not stored. If r_init is above √3,
+//! a single particle suffices for that; below, no particle is dropped. For anisotropic particles, the set of
+//! deep leaves is kept for this purpose.
 
 use std::borrow::Cow;
 
@@ -48,7 +53,7 @@ use glam::IVec3;
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
-use super::cover::{Ball, Cover};
+use super::cover::{Cover, OctantBall};
 use super::occupancy::{Occupancy, Octants, ROUND};
 use super::region::Regions;
 use super::{Radii, Scene};
@@ -56,90 +61,91 @@ use crate::surface::grid::{LEAF_EDGE, LeafMask, NO_LEAF, Topology, leaf_steps_wi
 use crate::surface::simd::{self, Kernel, Lanes};
 use crate::surface::space::CoordBox;
 
-/// What can matter.
-pub(super) struct Need<'a> {
+/// The leaves, voxels and cells that can matter.
+pub(super) struct Culling<'a> {
     /// Leaves that the surface may pass through.
     pub(super) near: Topology,
-    /// The leaves that hold particles, as far as the window needs them; the rest goes by these.
+    /// The leaves that contain particles, within the window's region. `inside`, `settled` and `kept` follow
+    /// its order.
     occupied: Cow<'a, Topology>,
-    /// Voxels inside S_0 for certain whose face neighbours are, too.
+    /// Voxels that are certainly inside S_0, with all face neighbors.
     inside: Vec<LeafMask>,
-    /// Voxels whose exact distance nobody asks for: less than r_min.
+    /// Voxels whose exact distance is not needed: it is less than r_min.
     settled: Vec<LeafMask>,
-    /// The cells whose particles are needed.
+    /// The cells whose particles are kept.
     kept: Vec<LeafMask>,
 }
 
-/// Voxels that are surely within r_init, and within ρ ≤ r_min, of a particle.
+/// Voxels certainly within r_init of a particle, and voxels certainly within ρ ≤ r_min.
 type Covers = [LeafMask; 2];
 
-/// A larger ρ is of no use.
+/// Upper limit of ρ; a larger value has no advantage.
 const RHO_MAX: f32 = 4.0;
 
-/// What is around a particle must be within a leaf of it.
+/// Upper limit of the search distance around a particle: its search box must lie within the adjacent leaves.
 const AROUND_MAX: f32 = 7.9;
 
-/// 3/2·√3 and what rounding takes.
+/// 3/2·√3 plus a rounding margin.
 const CELL_MARGIN: f32 = 2.598_077 + ROUNDING;
 
-/// Below this r_init, in voxels, no particle is left out: √3 and a little.
-const TELLING_RADIUS: f32 = 1.75;
+/// If r_init is below this, in voxels, no particle is dropped: √3 plus a margin.
+const COVERING_RADIUS: f32 = 1.75;
 
-/// Added to distances that are compared with what was computed in 32 bits.
+/// Added to distances that are compared with values computed in 32 bits.
 const ROUNDING: f32 = 1e-2;
 
-impl<'a> Need<'a> {
+impl<'a> Culling<'a> {
     /// What can matter to the leaves of a window.
-    pub(super) fn new(occupancy: &'a Occupancy, scene: &Scene, regions: &Regions) -> Need<'a> {
+    pub(super) fn new(occupancy: &'a Occupancy, scene: &Scene, regions: &Regions) -> Culling<'a> {
         let radii = scene.radii;
         let occupied = populated(&occupancy.topology, &regions.populated);
         let inward = (-radii.offset).max(0.0);
         let rho = |held: f32| (radii.min * held).min(RHO_MAX).min(AROUND_MAX - CELL_MARGIN - inward);
-        let balls = |held: f32| [Ball::new(radii.init * held), Ball::new(rho(held))];
+        let balls = |held: f32| [OctantBall::new(radii.init * held), OctantBall::new(rho(held))];
         let covers = covers(occupancy, &occupied, radii, balls);
         let inside = surrounded(&occupied, &covers, |[init, _]| init);
         let settled = surrounded(&occupied, &covers, |[_, min]| min);
         let near = near_leaves(occupancy, &occupied, &inside, scene, &regions.measured);
         let kept = Vec::new();
-        let mut need = Need { near, occupied, inside, settled, kept };
-        need.kept = if scene.keeps_all_particles {
-            vec![LeafMask::FULL; need.occupied.len()]
+        let mut culling = Culling { near, occupied, inside, settled, kept };
+        culling.kept = if scene.keeps_all_particles {
+            vec![LeafMask::FULL; culling.occupied.len()]
         } else if occupancy.has_shapes {
-            need.kept_leaves(occupancy, radii, regions)
+            culling.kept_leaves(occupancy, radii, regions)
         } else {
-            need.kept_cells(&covers, radii, rho(1.0) + inward, regions)
+            culling.kept_cells(&covers, radii, rho(1.0) + inward, regions)
         };
-        need
+        culling
     }
 
-    /// Whether every voxel of a leaf is inside S_0, and so are those next to it.
+    /// True if every voxel of a leaf, and every adjacent voxel, is inside S_0.
     pub(super) fn is_deep(&self, origin: IVec3) -> bool {
         self.occupied.find(origin).is_some_and(|leaf| self.inside[leaf] == LeafMask::FULL)
     }
 
-    /// The origins of the leaves that are deep, in order.
+    /// Origins of the deep leaves, in order.
     pub(super) fn deep_leaves(&self) -> impl Iterator<Item = IVec3> {
         let leaves = self.occupied.origins().iter().zip(&self.inside);
         leaves.filter(|(_, inside)| **inside == LeafMask::FULL).map(|(&origin, _)| origin)
     }
 
-    /// The voxels of a leaf that are in S_min, and whose exact distance nobody asks for.
+    /// The voxels of a leaf that are in S_min and whose exact distance is not needed.
     pub(super) fn settled(&self, origin: IVec3) -> &LeafMask {
         self.occupied.find(origin).map_or(&LeafMask::EMPTY, |leaf| &self.settled[leaf])
     }
 
-    /// The leaves that may hold particles that are needed.
+    /// The leaves that may contain required particles.
     pub(super) fn occupied(&self) -> &Topology {
         &self.occupied
     }
 
-    /// The cells of one of these leaves whose particles are needed.
+    /// The cells of one of these leaves whose particles are required.
     pub(super) fn kept(&self, leaf: usize) -> &LeafMask {
         &self.kept[leaf]
     }
 
     fn kept_cells(&self, covers: &[Covers], radii: Radii, depth: f32, regions: &Regions) -> Vec<LeafMask> {
-        if radii.init < TELLING_RADIUS {
+        if radii.init < COVERING_RADIUS {
             return vec![LeafMask::FULL; self.occupied.len()];
         }
         let measured = self.measured_leaves(radii, regions);
@@ -158,7 +164,7 @@ impl<'a> Need<'a> {
         self.occupied.origins().par_iter().map(kept).collect()
     }
 
-    /// The leaves whose particles reach one where distances may be needed: all of their cells.
+    /// The leaves whose particles reach a leaf where distances may be needed: with all of their cells.
     fn kept_leaves(&self, occupancy: &Occupancy, radii: Radii, regions: &Regions) -> Vec<LeafMask> {
         let measured = self.measured_leaves(radii, regions);
         let rings = |doublings: i32| leaf_steps_within(radii.exact_reach(2f32.powi(doublings)));
@@ -172,14 +178,14 @@ impl<'a> Need<'a> {
         self.occupied.origins().par_iter().map(kept).collect()
     }
 
-    /// Leaves whose distances may be needed: those that are near, and those that may be in the band.
+    /// Leaves whose distances may be needed: the near leaves, and those that may be in the band.
     fn measured_leaves(&self, radii: Radii, regions: &Regions) -> FxHashSet<IVec3> {
         let surface = |&origin: &IVec3| {
             let leaf = self.occupied.find(origin);
-            // A voxel whose neighbours are all inside is none that the surface is next to.
+            // A voxel whose face neighbors are all inside is not next to the surface.
             let inside = leaf.map_or(LeafMask::EMPTY, |leaf| self.inside[leaf]);
             let voxels = match inside == LeafMask::FULL {
-                // An obstacle cuts through it.
+                // An obstacle cuts through the leaf.
                 true => LeafMask::FULL.bounding_box(),
                 false => inside.complement().bounding_box(),
             };
@@ -200,17 +206,18 @@ fn populated<'a>(topology: &'a Topology, region: &CoordBox) -> Cow<'a, Topology>
     Cow::Owned(Topology::new(topology.origins().par_iter().filter(is_in).copied().collect()))
 }
 
-/// The voxels of each leaf that are surely in a particle. `balls` are those that a particle holds, for a ball of so many radii in
-/// it: any particle holds one, and round ones a larger one.
+/// The voxels of each leaf that are certainly in a particle. `balls` maps the radius of a ball that particles
+/// contain, in units of the radii, to the octants within each radius. Every particle contains a ball; round
+/// ones contain a larger one.
 fn covers(
     occupancy: &Occupancy,
     leaves: &Topology,
     radii: Radii,
-    balls: impl Fn(f32) -> [Ball; 2],
+    balls: impl Fn(f32) -> [OctantBall; 2],
 ) -> Vec<Covers> {
     let of_any = balls(radii.shortest);
     let of_round = balls(ROUND.max(radii.shortest));
-    let is_any_empty = of_any.iter().all(Ball::is_empty);
+    let is_any_empty = of_any.iter().all(OctantBall::is_empty);
     let around = |origin: IVec3, octants: fn(&Occupancy, IVec3) -> Option<&Octants>| {
         cube(|step| octants(occupancy, origin + step).unwrap_or(&Octants::EMPTY))
     };
@@ -230,15 +237,16 @@ fn covers(
     leaves.origins().par_iter().map(cover).collect()
 }
 
-/// What there is of a leaf and the 26 around it: that at step (x, y, z) at (x + 1)·9 + (y + 1)·3 + z + 1.
+/// Collects one value for a leaf and its 26 neighbors.
+/// The value at step (x, y, z) has the index (x + 1)·9 + (y + 1)·3 + z + 1.
 fn cube<T>(at: impl Fn(IVec3) -> T) -> [T; 27] {
-    std::array::from_fn(|place| {
-        let place = place as i32;
-        at((IVec3::new(place / 9, place / 3 % 3, place % 3) - 1) * LEAF_EDGE)
+    std::array::from_fn(|index| {
+        let index = index as i32;
+        at((IVec3::new(index / 9, index / 3 % 3, index % 3) - 1) * LEAF_EDGE)
     })
 }
 
-/// The voxels of each leaf that are covered with all face neighbours.
+/// The voxels of each leaf that are covered, with all face neighbors.
 fn surrounded(
     leaves: &Topology,
     covers: &[Covers],
@@ -254,8 +262,8 @@ fn surrounded(
     leaves.neighbors().par_iter().enumerate().map(surrounded).collect()
 }
 
-/// The leaves of a region with a voxel that may be within r_init of a particle, but for the deep ones; and of these
-/// those that the surface of an obstacle passes through.
+/// The leaves of a region with a voxel that may be within r_init of a particle, without the deep leaves. Deep
+/// leaves that an obstacle's surface passes through are included.
 fn near_leaves(
     occupancy: &Occupancy,
     occupied: &Topology,
@@ -267,8 +275,8 @@ fn near_leaves(
     let is_deep = |leaf: usize| inside[leaf] == LeafMask::FULL;
     let reach_of = |longest: f32| (radius * longest + ROUNDING) as i32;
     let reach = reach_of(occupancy.longest());
-    // Deep among deep ones: what its particles are near to is deep, too. Steps through three faces lead to
-    // every leaf that is next to it at all.
+    // A leaf is buried if it is deep and so are its neighbors: all leaves near its particles are then deep.
+    // Three passes over the faces reach all 26 neighbors.
     let mut is_buried: Vec<bool> = (0..occupied.len()).map(is_deep).collect();
     for _ in 0..3 * (reach as u32 + 1).div_ceil(LEAF_EDGE as u32) {
         let all_around =
@@ -282,7 +290,7 @@ fn near_leaves(
         }
         let cells = occupancy.octants_of(origin)?.cells();
         let reach = reach_of(occupancy.longest_of(origin));
-        // A particle is up to one voxel beyond its cell's own.
+        // A particle lies up to one voxel beyond its cell's voxel.
         let voxels = CoordBox { min: cells.min - reach, max: cells.max + 1 + reach };
         Some((origin, voxels))
     };
@@ -298,8 +306,8 @@ fn near_leaves(
     Topology::new(near)
 }
 
-/// Origins of the leaves that boxes touch and that are wanted; each box is given relative to an origin. Few of
-/// them come twice.
+/// Origins of the leaves that the boxes touch, filtered by `is_wanted`. Each box is relative to its origin.
+/// Few origins occur twice.
 pub(super) fn leaves_of_boxes(
     boxes: &[(IVec3, CoordBox)],
     is_wanted: impl Fn(IVec3) -> bool + Sync,
@@ -321,13 +329,13 @@ pub(super) fn leaves_of_boxes(
     boxes.par_chunks(BOXES).flat_map_iter(touched).collect()
 }
 
-/// Boxes whose leaves are collected together.
+/// Number of boxes whose leaves are collected together.
 const BOXES: usize = 256;
 
-/// Finds the cells of a leaf from which a voxel that is not covered may be seen: from `around` voxels before
-/// the cell to `around` after it, on each axis.
+/// Kernel: the cells of a leaf from which an uncovered voxel is within reach, i.e. at most `around` voxels
+/// before or after the cell on each axis.
 pub(super) struct Uncovered<'a> {
-    /// The leaf and those around it, as [`cube`] has them.
+    /// The leaf and its 26 neighbors, in the order of [`cube`].
     pub(super) covers: [&'a LeafMask; 27],
     /// At most 7.
     pub(super) around: i32,
@@ -342,7 +350,7 @@ impl Kernel for Uncovered<'_> {
             return LeafMask::EMPTY;
         }
         let around = self.around as usize;
-        // Rows of 24 along z; those of the leaf itself begin at 8 on every axis.
+        // Rows of 24 along z; those of the leaf itself start at 8 on every axis.
         let mut rows = [[0u32; 24]; 24];
         for (x, rows) in rows.iter_mut().enumerate() {
             for (y, row) in rows.iter_mut().enumerate() {

@@ -1,13 +1,14 @@
-//! Distances where voxels were turned from one side to the other.
+//! Updates distances where voxels changed sides.
 //!
 //! ```text
 //!   before     2  1  ●  ●  1  2  3  3  2  1  ●        an island ●● …
-//!   after      ∞  ∞  ∞  ∞  ∞  6  5  4  3  2 [1] ●     … is gone: what was near it is as far as what is left
+//!   after      ∞  ∞  ∞  ∞  ∞  6  5  4  3  2 [1] ●     … is removed: distances are those to what remains
 //! ```
 //!
-//! Where a piece is taken away, distances around it can but grow. So those within the band's half width of it
-//! are swept again from the others, and from the voxels beside the surface that is left, which stay as they are: the rest
-//! of the surface does not move. The greater of old and new counts.
+//! When a component is removed, the distances around it can only grow. So distances within the band's half
+//! width of it are swept again, starting from the other voxels and from those next to the remaining surface,
+//! which keep their values: the remaining surface does not move. The larger of the old and the new distance
+//! is used.
 
 use std::collections::BTreeMap;
 
@@ -27,19 +28,19 @@ pub(super) enum Side {
     Outside,
 }
 
-/// Turns voxels, given leaf by leaf in order, to a side of the surface. The voxels must be whole pieces of the other side.
-pub(super) fn turn(band: &mut NarrowBand, turned: &[(usize, LeafMask)], side: Side) {
-    if turned.is_empty() {
+/// Changes whole components of the other side, given as a mask per leaf in order, to `side`.
+pub(super) fn flip(band: &mut NarrowBand, flipped: &[(usize, LeafMask)], side: Side) {
+    if flipped.is_empty() {
         return;
     }
-    let near = near(band, turned);
-    let swept = sweep(band, turned, &near, side);
+    let near = near(band, flipped);
+    let swept = sweep(band, flipped, &near, side);
     for ((leaf, free), swept) in swept {
         let phi = &mut band.phi.leaves[leaf];
         for offset in free.iter() {
             let distance = swept.values[offset].abs().min(band.half_width);
             let old = &mut phi.values[offset];
-            // A voxel that was on the other side is less than any distance.
+            // A voxel that was on the other side counts as less than any distance.
             *old = match side {
                 Side::Inside => old.min(-distance),
                 Side::Outside => old.max(distance),
@@ -48,11 +49,11 @@ pub(super) fn turn(band: &mut NarrowBand, turned: &[(usize, LeafMask)], side: Si
     }
 }
 
-/// The voxels whose distance may be that to a turned one: leaf by leaf those in a box around its voxels.
-fn near(band: &NarrowBand, turned: &[(usize, LeafMask)]) -> BTreeMap<usize, LeafMask> {
+/// The voxels whose distance may be that to a changed voxel, in a box around the changed voxels of each leaf.
+fn near(band: &NarrowBand, flipped: &[(usize, LeafMask)]) -> BTreeMap<usize, LeafMask> {
     let reach = band.half_width.ceil() as i32 + 1;
     let mut near: BTreeMap<usize, LeafMask> = BTreeMap::new();
-    for (leaf, mask) in turned {
+    for (leaf, mask) in flipped {
         let origin = band.topology.origins()[*leaf];
         let voxels = mask.bounding_box().expanded(reach);
         let [first, last]: [IVec3; 2] = [voxels.min >> 3, voxels.max >> 3];
@@ -71,15 +72,15 @@ fn near(band: &NarrowBand, turned: &[(usize, LeafMask)]) -> BTreeMap<usize, Leaf
     near
 }
 
-/// The voxels of a leaf that are in a box given relative to the same place as the leaf's origin.
+/// The voxels of a leaf that are in a box. Both are given in the same coordinates.
 fn box_mask(voxels: &CoordBox, leaf: IVec3) -> LeafMask {
     LeafMask::from_fn(|offset| voxels.contains(leaf + voxel_in_leaf(offset)))
 }
 
-/// The leaves that change: which of their voxels do, and what is swept there.
+/// The leaves that change: the mask of changed voxels, and the swept values.
 fn sweep(
     band: &NarrowBand,
-    turned: &[(usize, LeafMask)],
+    flipped: &[(usize, LeafMask)],
     near: &BTreeMap<usize, LeafMask>,
     side: Side,
 ) -> Vec<((usize, LeafMask), Leaf)> {
@@ -91,20 +92,20 @@ fn sweep(
     let topology = Topology::new(near.iter().flat_map(around).collect());
     let of_band: Vec<usize> = topology.origins().iter().filter_map(|&o| band.topology.find(o)).collect();
     let turned_in = |leaf: usize| {
-        let place = turned.binary_search_by_key(&leaf, |(leaf, _)| *leaf);
-        place.map_or(LeafMask::EMPTY, |place| turned[place].1)
+        let index = flipped.binary_search_by_key(&leaf, |(leaf, _)| *leaf);
+        index.map_or(LeafMask::EMPTY, |index| flipped[index].1)
     };
-    // Which voxels are on that side, now.
+    // Voxels that are on that side now.
     let is_on_side = |phi: f32| (phi < 0.0) == (side == Side::Inside);
     let on_side = |&leaf: &usize| {
         let values = &band.phi.leaves[leaf].values;
         LeafMask::from_fn(|offset| is_on_side(values[offset])).or(&turned_in(leaf))
     };
     let on_side: Vec<LeafMask> = of_band.par_iter().map(on_side).collect();
-    let free = |place: usize| {
-        let near = near.get(&of_band[place]).copied().unwrap_or(LeafMask::EMPTY);
+    let free = |index: usize| {
+        let near = near.get(&of_band[index]).copied().unwrap_or(LeafMask::EMPTY);
         let beyond = |face: u32| on_side.get(face as usize).unwrap_or(&LeafMask::FULL);
-        on_side[place].surrounded(topology.neighbors()[place].map(beyond)).and(&near)
+        on_side[index].surrounded(topology.neighbors()[index].map(beyond)).and(&near)
     };
     let free: Vec<LeafMask> = (0..of_band.len()).into_par_iter().map(free).collect();
     let start = if side == Side::Inside { -UNREACHED } else { UNREACHED };
@@ -116,7 +117,7 @@ fn sweep(
     let mut distance = Field { leaves: of_band.iter().zip(&free).map(values).collect() };
     let mut fixed = vec![LeafMask::FULL; free.len()];
     fixed.iter_mut().zip(&free).for_each(|(fixed, free)| fixed.remove_all(free));
-    // A sweep goes one voxel along the axes, and the diagonal is √3 as long.
+    // A sweep advances one voxel along the axes, and the diagonal is √3 times as long.
     let sweeps = Sweeps::accurate((3f32.sqrt() * band.half_width).ceil() as u32);
     extend(&topology, &mut distance, &fixed, sweeps);
     of_band.into_iter().zip(free).zip(distance.leaves).collect()

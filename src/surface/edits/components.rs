@@ -1,108 +1,113 @@
-//! The connected pieces of a set of voxels.
+//! Connected components of a set of voxels.
 //!
 //! ```text
-//!   leaf 0    leaf 1         parts: what is connected within one leaf, grown from a seed by shifting bits
+//!   leaf 0    leaf 1         parts: connected within one leaf, found by flood filling with bit shifts
 //!   ┌──────┬──────┐
-//!   │ aa  b│b     │          a, b │ b, c: parts that touch across a face or an edge of leaves are
-//!   │ a    │   cc │          joined into pieces: {a}, {b, b}, {c}
+//!   │ aa  b│b     │          parts that touch across a face or an edge of leaves are joined into
+//!   │ a    │   cc │          components: {a}, {b, b}, {c}
 //!   └──────┴──────┘
 //! ```
 //!
-//! Parts and pieces are numbered in the topology's order, so that they do not depend on the number of threads.
+//! Parts and components are numbered in the topology's order, so the numbers do not depend on the number of
+//! threads.
 
 use glam::IVec3;
 use rayon::prelude::*;
 
 use crate::surface::grid::{FACE_STEPS, LeafMask, NO_LEAF, Topology, offset_in_leaf};
 
-/// Which voxels touch.
+/// Which voxels are connected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Contact {
-    /// Those with a face in common.
+pub(super) enum Connectivity {
+    /// Those that share a face.
     Faces,
-    /// Those with a face or an edge in common.
+    /// Those that share a face or an edge.
     Edges,
 }
 
-/// What is connected within one leaf.
+/// A set of voxels connected within one leaf.
 #[derive(Clone, Copy, Debug)]
-struct Part {
+struct LeafPart {
     mask: LeafMask,
-    /// The piece it belongs to.
-    piece: u32,
+    /// The component it belongs to.
+    component: u32,
 }
 
-/// The pieces of a set of voxels.
+/// The connected components of a set of voxels.
 #[derive(Clone, Debug)]
-pub(super) struct Pieces {
-    /// Where each leaf's parts start; one more entry than leaves.
+pub(super) struct Components {
+    /// Start of each leaf's parts; one entry more than there are leaves.
     starts: Vec<u32>,
-    parts: Vec<Part>,
-    /// How many pieces there are.
+    parts: Vec<LeafPart>,
+    /// Number of components.
     pub(super) count: usize,
 }
 
-impl Pieces {
-    /// The pieces of a set that is given leaf by leaf.
-    pub(super) fn new(topology: &Topology, sets: &[LeafMask], contact: Contact) -> Pieces {
-        let parts: Vec<Vec<LeafMask>> = sets.par_iter().map(|set| parts_of(set, contact)).collect();
+impl Components {
+    /// The components of a set given as one mask per leaf.
+    pub(super) fn new(topology: &Topology, sets: &[LeafMask], connectivity: Connectivity) -> Components {
+        let parts: Vec<Vec<LeafMask>> = sets.par_iter().map(|set| parts_of(set, connectivity)).collect();
         let mut starts = vec![0];
         for parts in &parts {
             starts.push(starts[starts.len() - 1] + parts.len() as u32);
         }
         let masks: Vec<LeafMask> = parts.into_iter().flatten().collect();
-        let contacts = |leaf: usize| contacts_of_leaf(topology, &starts, &masks, leaf, contact);
+        let contacts = |leaf: usize| contacts_of_leaf(topology, &starts, &masks, leaf, connectivity);
         let contacts: Vec<Vec<[u32; 2]>> = (0..topology.len()).into_par_iter().map(contacts).collect();
         let mut parents: Vec<u32> = (0..masks.len() as u32).collect();
         for [one, other] in contacts.into_iter().flatten() {
             join(&mut parents, one, other);
         }
-        let (piece_of, count) = numbered(&mut parents);
-        let parts = masks.into_iter().zip(piece_of).map(|(mask, piece)| Part { mask, piece }).collect();
-        Pieces { starts, parts, count }
+        let (component_of, count) = numbered(&mut parents);
+        let parts = masks
+            .into_iter()
+            .zip(component_of)
+            .map(|(mask, component)| LeafPart { mask, component })
+            .collect();
+        Components { starts, parts, count }
     }
 
-    /// The piece of a voxel, given by its leaf and relative to that; `None` if it is not in the set.
-    pub(super) fn piece_at(&self, leaf: usize, local: IVec3) -> Option<u32> {
+    /// The component of a voxel, given by its leaf and relative to it; `None` if it is not in the set.
+    pub(super) fn component_at(&self, leaf: usize, local: IVec3) -> Option<u32> {
         let offset = offset_in_leaf(local);
-        self.of_leaf(leaf).find(|(_, mask)| mask.contains(offset)).map(|(piece, _)| piece)
+        self.of_leaf(leaf).find(|(_, mask)| mask.contains(offset)).map(|(component, _)| component)
     }
 
-    /// What a leaf has of the pieces: piece and voxels. A piece may come more than once.
+    /// The components in a leaf, with their voxels. A component may occur more than once.
     pub(super) fn of_leaf(&self, leaf: usize) -> impl Iterator<Item = (u32, &LeafMask)> {
         let parts = self.starts[leaf] as usize..self.starts[leaf + 1] as usize;
-        self.parts[parts].iter().map(|part| (part.piece, &part.mask))
+        self.parts[parts].iter().map(|part| (part.component, &part.mask))
     }
 
-    /// The voxels of some of the pieces: leaf by leaf, where there are any.
+    /// The voxels of the selected components, for each leaf that has any.
     pub(super) fn voxels_of(&self, is_wanted: &[bool]) -> Vec<(usize, LeafMask)> {
         let wanted = |leaf: usize| {
-            let masks = self.of_leaf(leaf).filter(|(piece, _)| is_wanted[*piece as usize]);
+            let masks = self.of_leaf(leaf).filter(|(component, _)| is_wanted[*component as usize]);
             let voxels = masks.fold(LeafMask::EMPTY, |voxels, (_, mask)| voxels.or(mask));
             (!voxels.is_empty()).then_some((leaf, voxels))
         };
         (0..self.starts.len() - 1).filter_map(wanted).collect()
     }
 
-    /// The number of stored voxels of each piece.
+    /// Number of stored voxels of each component.
     pub(super) fn volumes(&self) -> Vec<u64> {
         let mut volumes = vec![0; self.count];
         for part in &self.parts {
-            volumes[part.piece as usize] += u64::from(part.mask.count());
+            volumes[part.component as usize] += u64::from(part.mask.count());
         }
         volumes
     }
 
-    /// Where pieces reach the leaves that are not stored: piece, and origin of such a leaf.
+    /// Where components touch leaves that are not stored: the component, and the origin of the leaf.
     pub(super) fn beyond(&self, topology: &Topology) -> Vec<(u32, IVec3)> {
         let leaves = topology.origins().par_iter().zip(topology.neighbors()).enumerate();
         let reached = leaves.flat_map_iter(|(leaf, (&origin, neighbors))| {
             let open = (0..6).filter(|&face| neighbors[face] == NO_LEAF);
             open.flat_map(move |face| {
                 let step = FACE_STEPS[face];
-                let reaching = move |(piece, mask): (u32, &LeafMask)| {
-                    let is_open = !across(mask, step, Contact::Faces).is_empty();
-                    is_open.then_some((piece, origin.wrapping_add(step * 8)))
+                let reaching = move |(component, mask): (u32, &LeafMask)| {
+                    let is_open = !across(mask, step, Connectivity::Faces).is_empty();
+                    is_open.then_some((component, origin.wrapping_add(step * 8)))
                 };
                 self.of_leaf(leaf).filter_map(reaching)
             })
@@ -111,8 +116,8 @@ impl Pieces {
     }
 }
 
-/// The parts of one leaf, by their first voxels.
-fn parts_of(set: &LeafMask, contact: Contact) -> Vec<LeafMask> {
+/// The parts of one leaf, ordered by first voxel.
+fn parts_of(set: &LeafMask, connectivity: Connectivity) -> Vec<LeafMask> {
     if *set == LeafMask::FULL {
         return vec![LeafMask::FULL];
     }
@@ -122,7 +127,7 @@ fn parts_of(set: &LeafMask, contact: Contact) -> Vec<LeafMask> {
         let mut part = LeafMask::EMPTY;
         rest.iter().take(1).for_each(|seed| part.insert(seed));
         loop {
-            let grown = grown(&part, contact).and(&rest);
+            let grown = grown(&part, connectivity).and(&rest);
             if grown == part {
                 break;
             }
@@ -134,23 +139,23 @@ fn parts_of(set: &LeafMask, contact: Contact) -> Vec<LeafMask> {
     parts
 }
 
-/// The voxels of a leaf that are in or touch one that is.
-fn grown(mask: &LeafMask, contact: Contact) -> LeafMask {
+/// The voxels of a leaf that are in the mask or touch a voxel of it.
+fn grown(mask: &LeafMask, connectivity: Connectivity) -> LeafMask {
     let [x, y, z] = [0, 1, 2].map(|axis| widened(mask, axis));
-    match contact {
-        Contact::Faces => x.or(&y).or(&z),
-        Contact::Edges => widened(&x, 1).or(&widened(&y, 2)).or(&widened(&z, 0)),
+    match connectivity {
+        Connectivity::Faces => x.or(&y).or(&z),
+        Connectivity::Edges => widened(&x, 1).or(&widened(&y, 2)).or(&widened(&z, 0)),
     }
 }
 
-/// The voxels of a leaf that are in or next to one that is along an axis.
+/// The voxels of a leaf that are in the mask or adjacent to it along an axis.
 fn widened(mask: &LeafMask, axis: usize) -> LeafMask {
     let [before, after] = mask.shifted(axis, 1, &LeafMask::EMPTY, &LeafMask::EMPTY);
     mask.or(&before).or(&after)
 }
 
-/// The voxels of the leaf one `step` away that touch one of `mask`.
-pub(super) fn across(mask: &LeafMask, step: IVec3, contact: Contact) -> LeafMask {
+/// The voxels of the leaf one `step` away that touch a voxel of `mask`.
+pub(super) fn across(mask: &LeafMask, step: IVec3, connectivity: Connectivity) -> LeafMask {
     let none = LeafMask::EMPTY;
     let touched = (0..3).fold(*mask, |touched, axis| match step[axis] {
         1 => none.shifted(axis, 1, &touched, &none)[0],
@@ -158,14 +163,14 @@ pub(super) fn across(mask: &LeafMask, step: IVec3, contact: Contact) -> LeafMask
         _ => touched,
     });
     let is_face = step.abs().element_sum() == 1;
-    if contact == Contact::Faces || !is_face {
+    if connectivity == Connectivity::Faces || !is_face {
         return touched;
     }
     let aside = (0..3).filter(|&axis| step[axis] == 0);
     aside.fold(touched, |all, axis| all.or(&widened(&touched, axis)))
 }
 
-/// Steps to half of the leaves that have a face in common with one, and to half of those with an edge.
+/// Steps to half of the leaves that share a face with one, and to half of those that share an edge.
 const HALF_OF_FACES: [IVec3; 3] = [IVec3::X, IVec3::Y, IVec3::Z];
 const HALF_OF_EDGES: [IVec3; 6] = [
     IVec3::new(1, 1, 0),
@@ -176,13 +181,13 @@ const HALF_OF_EDGES: [IVec3; 6] = [
     IVec3::new(0, 1, -1),
 ];
 
-/// The pairs of parts, one in this leaf and one in a leaf after it, that touch.
+/// The pairs of touching parts, one in this leaf and one in a later leaf.
 fn contacts_of_leaf(
     topology: &Topology,
     starts: &[u32],
     masks: &[LeafMask],
     leaf: usize,
-    contact: Contact,
+    connectivity: Connectivity,
 ) -> Vec<[u32; 2]> {
     let parts = |leaf: usize| starts[leaf]..starts[leaf + 1];
     let mut pairs = Vec::new();
@@ -190,14 +195,14 @@ fn contacts_of_leaf(
         return pairs;
     }
     let around = topology.neighborhood(leaf);
-    let edges = if contact == Contact::Edges { &HALF_OF_EDGES[..] } else { &[] };
+    let edges = if connectivity == Connectivity::Edges { &HALF_OF_EDGES[..] } else { &[] };
     for &step in HALF_OF_FACES.iter().chain(edges) {
         let other = around[(9 * (step.x + 1) + 3 * (step.y + 1) + step.z + 1) as usize];
         if other == NO_LEAF {
             continue;
         }
         for one in parts(leaf) {
-            let touched = across(&masks[one as usize], step, contact);
+            let touched = across(&masks[one as usize], step, connectivity);
             let touching = |other: &u32| !touched.and(&masks[*other as usize]).is_empty();
             pairs.extend(parts(other as usize).filter(touching).map(|other| [one, other]));
         }
@@ -205,13 +210,13 @@ fn contacts_of_leaf(
     pairs
 }
 
-/// Joins the trees of two parts. The lesser root stays one.
+/// Joins the trees of two parts. The smaller root stays the root.
 fn join(parents: &mut [u32], one: u32, other: u32) {
     let (one, other) = (find(parents, one), find(parents, other));
     parents[one.max(other) as usize] = one.min(other);
 }
 
-/// The root of a part. What is passed on the way gets nearer to it.
+/// The root of a part. Compresses the path.
 fn find(parents: &mut [u32], part: u32) -> u32 {
     let mut root = part;
     while parents[root as usize] != root {
@@ -222,12 +227,12 @@ fn find(parents: &mut [u32], part: u32) -> u32 {
     root
 }
 
-/// For each part the number of its piece, by first parts; and how many there are.
+/// For each part, the number of its component in the order of first parts; and the number of components.
 fn numbered(parents: &mut [u32]) -> (Vec<u32>, usize) {
     let mut numbers = vec![0; parents.len()];
     let mut count = 0;
     for part in 0..parents.len() as u32 {
-        // A root comes before the parts that it is the root of.
+        // A root comes before its parts.
         let root = find(parents, part);
         if root == part {
             numbers[part as usize] = count;
@@ -244,57 +249,57 @@ mod tests {
     use super::*;
     use crate::surface::grid::voxel_in_leaf;
 
-    /// The pieces of scattered voxels by walking from voxel to voxel.
+    /// The components of scattered voxels by a simple walk from voxel to voxel.
     fn walked(voxels: &[IVec3], steps: &[IVec3]) -> Vec<Vec<IVec3>> {
         let mut rest = voxels.to_vec();
-        let mut pieces = Vec::new();
+        let mut components = Vec::new();
         while let Some(seed) = rest.pop() {
-            let mut piece = vec![seed];
+            let mut component = vec![seed];
             let mut next = 0;
-            while next < piece.len() {
+            while next < component.len() {
                 for step in steps {
-                    if let Some(place) = rest.iter().position(|voxel| *voxel == piece[next] + step) {
-                        piece.push(rest.swap_remove(place));
+                    if let Some(place) = rest.iter().position(|voxel| *voxel == component[next] + step) {
+                        component.push(rest.swap_remove(place));
                     }
                 }
                 next += 1;
             }
-            piece.sort_by_key(|voxel| voxel.to_array());
-            pieces.push(piece);
+            component.sort_by_key(|voxel| voxel.to_array());
+            components.push(component);
         }
-        pieces.sort_by_key(|piece| piece[0].to_array());
-        pieces
+        components.sort_by_key(|component| component[0].to_array());
+        components
     }
 
     #[test]
-    fn pieces_are_those_that_a_walk_finds() {
+    fn components_match_a_simple_walk() {
         let axis = || [-8, 0];
         let origins = axis().into_iter().flat_map(|x| {
             axis().into_iter().flat_map(move |y| axis().into_iter().map(move |z| IVec3::new(x, y, z)))
         });
         let topology = Topology::new(origins.collect());
         let all = (0..27).map(|slot| IVec3::new(slot / 9, slot / 3 % 3, slot % 3) - 1);
-        for (contact, reach, of_16) in [(Contact::Faces, 1, 4), (Contact::Edges, 2, 2)] {
+        for (connectivity, reach, of_16) in [(Connectivity::Faces, 1, 4), (Connectivity::Edges, 2, 2)] {
             let is_in = |voxel: IVec3| {
                 let mixed = (voxel.x * 73 + voxel.y * 1031 + voxel.z * 40_009) as u32;
                 (mixed.wrapping_mul(0x9e37_79b9) >> 7).wrapping_mul(0x85eb_ca6b) >> 28 < of_16
             };
             let set = |&origin: &IVec3| LeafMask::from_fn(|offset| is_in(origin + voxel_in_leaf(offset)));
             let sets: Vec<LeafMask> = topology.origins().iter().map(set).collect();
-            let pieces = Pieces::new(&topology, &sets, contact);
-            let mut found = vec![Vec::new(); pieces.count];
+            let components = Components::new(&topology, &sets, connectivity);
+            let mut found = vec![Vec::new(); components.count];
             for (leaf, &origin) in topology.origins().iter().enumerate() {
-                for (piece, mask) in pieces.of_leaf(leaf) {
+                for (component, mask) in components.of_leaf(leaf) {
                     let voxels = mask.iter().map(|offset| origin + voxel_in_leaf(offset));
-                    found[piece as usize].extend(voxels);
+                    found[component as usize].extend(voxels);
                 }
             }
             let voxels = found.concat();
-            found.iter_mut().for_each(|piece| piece.sort_by_key(|voxel| voxel.to_array()));
-            found.sort_by_key(|piece| piece[0].to_array());
+            found.iter_mut().for_each(|component| component.sort_by_key(|voxel| voxel.to_array()));
+            found.sort_by_key(|component| component[0].to_array());
             let steps = all.clone().filter(|step| (1..=reach).contains(&step.abs().element_sum()));
-            assert_eq!(found, walked(&voxels, &steps.collect::<Vec<_>>()), "{contact:?}");
-            assert!(found.len() > 20 && found.iter().any(|piece| piece.len() > 8), "{}", found.len());
+            assert_eq!(found, walked(&voxels, &steps.collect::<Vec<_>>()), "{connectivity:?}");
+            assert!(found.len() > 20 && found.iter().any(|component| component.len() > 8), "{}", found.len());
         }
     }
 }
