@@ -60,7 +60,7 @@ pub(crate) fn publish(page: &mut Page) -> Outcome<()> {
         pictures.push((render(&band, &Lattice { voxel_size: fine }, &view, layers), name.to_owned()));
     }
     page.table(
-        &["surface", "in the ball by at most, h", "depth_and_deviation it, rms, h", "certificate"],
+        &["surface", "in the ball by at most, h", "off it, rms, h", "certificate"],
         &rows,
     );
     page.pictures("submerged", "No obstacle, a ball taken away, and gaps filled", vec![pictures])
