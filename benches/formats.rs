@@ -24,8 +24,8 @@ use std::thread;
 use std::time::Instant;
 
 use meniscus_formats::{
-    Attribute, LevelSetView, Limits, MeshOptions, MeshView, OutputFormat, ParticleBatch, ParticleBatches,
-    ParticleFrame, Positions, Role, Values, bgeo, gltf, ply, read_particles, vdb,
+    AttributeRole, FileAttribute, FilePositions, LevelSetView, Limits, MeshOptions, MeshView, OutputFormat,
+    ParticleBatch, ParticleBatches, ParticleFrame, Values, bgeo, gltf, ply, read_particles, vdb,
 };
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -231,15 +231,20 @@ fn particles(count: usize) -> ParticleFrame {
     let ids = (0..count).filter_map(|index| i32::try_from(index).ok()).collect();
     let velocity = vectors(7.0).into_flattened();
     ParticleFrame {
-        positions: Positions::F32(vectors(2.0)),
+        positions: FilePositions::F32(vectors(2.0)),
         attributes: vec![
-            Attribute {
+            FileAttribute {
                 name: "v".into(),
                 arity: 3,
-                role: Some(Role::Velocity),
+                role: Some(AttributeRole::Velocity),
                 values: Values::F32(velocity),
             },
-            Attribute { name: "id".into(), arity: 1, role: Some(Role::Id), values: Values::I32(ids) },
+            FileAttribute {
+                name: "id".into(),
+                arity: 1,
+                role: Some(AttributeRole::Id),
+                values: Values::I32(ids),
+            },
         ],
         notes: Vec::new(),
     }
@@ -247,7 +252,7 @@ fn particles(count: usize) -> ParticleFrame {
 
 /// Position, velocity and id of each particle.
 fn rows(frame: &ParticleFrame) -> impl Iterator<Item = ([f32; 6], i32)> {
-    let Positions::F32(positions) = &frame.positions else { unreachable!("made so") };
+    let FilePositions::F32(positions) = &frame.positions else { unreachable!("made so") };
     let (Values::F32(velocities), Values::I32(ids)) =
         (&frame.attributes[0].values, &frame.attributes[1].values)
     else {

@@ -35,7 +35,7 @@ use glam::{IVec3, Vec3};
 use meniscus::surface::grid::{Field, LEAF_EDGE, Leaf, LeafMask, ROW_COUNT, Topology, voxel_in_leaf};
 use meniscus::surface::level_set::{Bounds, NarrowBand, Sweeps, UNREACHED, extend};
 use meniscus::surface::simd::{self, Kernel, LEVEL_VARIABLE, Lanes, Level};
-use meniscus::surface::smooth::{Config, Integrator, SmoothContext, SmoothOp, Workspace};
+use meniscus::surface::smooth::{Integrator, SmoothConfig, SmoothContext, SmoothOp, Workspace};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 /// Radii of the shells, in voxels. Their passes stream 1, 14 and 200 MB: about a core's own cache, the shared
@@ -265,7 +265,7 @@ fn leaf_of_sphere(origin: IVec3, radius: f32) -> Leaf {
 
 /// Updates of free voxels per second, over all threads: passes times free voxels.
 fn pass_rate(shell: &Shell, pool: &ThreadPool) -> f64 {
-    let config = Config {
+    let config = SmoothConfig {
         laplacian_steps: 0,
         integrator: Integrator::Fast,
         steps: 1,

@@ -24,7 +24,7 @@ use meniscus::pipeline::{
 };
 use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::skin::skin;
-use meniscus_formats::{MeshOptions, ParticleFrame, Positions, bgeo, gltf, vdb};
+use meniscus_formats::{FilePositions, MeshOptions, ParticleFrame, bgeo, gltf, vdb};
 use rayon::ThreadPool;
 
 /// Distance between particles.
@@ -70,7 +70,7 @@ fn write_frames(folder: &Path, frame_count: usize, edge_count: usize) -> Result<
     let mut frames = Vec::new();
     for number in 0..frame_count {
         let input = folder.join(format!("f.{number:04}.bgeo"));
-        let positions = Positions::F32(block(edge_count, number));
+        let positions = FilePositions::F32(block(edge_count, number));
         let frame = ParticleFrame { positions, ..ParticleFrame::default() };
         bgeo::write(&frame, &mut BufWriter::new(fs::File::create(&input)?))?;
         frames.push(Frame::new(&FrameFile::new(input), &settings, &outputs));

@@ -24,7 +24,7 @@ use std::time::Instant;
 
 use meniscus::pipeline::{Wanted, parse_particles, read_file, write_whole};
 use meniscus::surface::options::{MethodOptions, Settings};
-use meniscus::surface::skin::{Surface, skin};
+use meniscus::surface::skin::{FrameSurface, skin};
 use meniscus_formats::{LevelSetView, MeshOptions, MeshView, gltf, vdb};
 use rayon::ThreadPoolBuilder;
 
@@ -145,7 +145,7 @@ fn plain_loop(folder: &Path) {
 }
 
 /// Writes the default outputs of the daemon.
-fn write_surface(surface: &Surface, settings: &Settings, folder: &Path, stem: &str) {
+fn write_surface(surface: &FrameSurface, settings: &Settings, folder: &Path, stem: &str) {
     let mesh = MeshView {
         positions: bytemuck::cast_slice(&surface.mesh.positions),
         normals: bytemuck::cast_slice(&surface.mesh.normals),

@@ -14,7 +14,7 @@ use meniscus::pipeline::{
     Warning, run,
 };
 use meniscus::surface::options::{ClipBox, MethodOptions, Settings};
-use meniscus_formats::{ParticleFrame, Positions, bgeo};
+use meniscus_formats::{FilePositions, ParticleFrame, bgeo};
 use tempfile::tempdir;
 
 /// More may be taken than was allowed, as a part of it: for the program itself, and for what the allocator
@@ -138,7 +138,7 @@ fn spray(count: usize) -> Vec<[f32; 3]> {
 }
 
 fn write(path: &Path, positions: Vec<[f32; 3]>) {
-    let frame = ParticleFrame { positions: Positions::F32(positions), ..ParticleFrame::default() };
+    let frame = ParticleFrame { positions: FilePositions::F32(positions), ..ParticleFrame::default() };
     let file = File::create(path).expect("created");
     bgeo::write(&frame, &mut BufWriter::new(file)).expect("written");
 }

@@ -26,8 +26,8 @@ use std::time::{Duration, Instant};
 use crossbeam::channel;
 use meniscus::pipeline::{OutputFormat, OutputOptions, default_in_flight, default_memory_bytes};
 use meniscus::surface::options::MethodOptions;
-use meniscus::watch::{self, Command, Config, Order, Patience, Poll, Summary, Watch};
-use meniscus_formats::{Attribute, ParticleFrame, Positions, Role, Values, bgeo};
+use meniscus::watch::{self, DaemonRequest, Order, Patience, Poll, Watch, WatchConfig, WatchSummary};
+use meniscus_formats::{AttributeRole, FileAttribute, FilePositions, ParticleFrame, Values, bgeo};
 
 use water::Water;
 
@@ -55,17 +55,17 @@ fn simulate_and_watch(cache: &Path, frame_count: usize, surfaces: &Path) -> Resu
         let simulated = simulate(cache, frame_count);
         let end = Instant::now();
         // If the daemon has already ended, its thread returns the reason.
-        let _ = commands.send(Command::Finish);
+        let _ = commands.send(DaemonRequest::Finish);
         (simulated, end, watching.join())
     });
     simulated?;
     watched.map_err(|_| "the daemon panicked")??;
     // A second run converts the frames that the first had not started: it continues from the journal.
-    let summary = watch::run(&Config { once: true, ..config }, None, &commands_rx, &mut |_| ())?;
+    let summary = watch::run(&WatchConfig { once: true, ..config }, None, &commands_rx, &mut |_| ())?;
     print_summary(&summary, end.elapsed())
 }
 
-fn print_summary(summary: &Summary, after: Duration) -> Result<(), Box<dyn Error>> {
+fn print_summary(summary: &WatchSummary, after: Duration) -> Result<(), Box<dyn Error>> {
     writeln!(
         std::io::stdout(),
         "{} frames have their surfaces, {:.2} s after the simulation ended",
@@ -77,9 +77,9 @@ fn print_summary(summary: &Summary, after: Duration) -> Result<(), Box<dyn Error
 }
 
 /// The settings of `meniscus watch CACHE --out SURFACES`: its defaults, written out.
-fn config(cache: &Path, surfaces: &Path) -> Config {
+fn config(cache: &Path, surfaces: &Path) -> WatchConfig {
     let threads = thread::available_parallelism().map_or(1, usize::from);
-    Config {
+    WatchConfig {
         watches: vec![watch(cache, surfaces)],
         once: false,
         order: Order::Natural,
@@ -125,14 +125,14 @@ fn simulate(cache: &Path, frame_count: usize) -> Result<(), Box<dyn Error>> {
 
 /// Writes to a temporary name and renames it, so that a watcher sees complete frames only.
 fn write_frame(water: &Water, path: &Path) -> Result<(), Box<dyn Error>> {
-    let velocity = Attribute {
+    let velocity = FileAttribute {
         name: "v".into(),
         arity: 3,
-        role: Some(Role::Velocity),
+        role: Some(AttributeRole::Velocity),
         values: Values::F32(water.velocities.iter().flat_map(|velocity| velocity.to_array()).collect()),
     };
     let frame = ParticleFrame {
-        positions: Positions::F32(water.positions.iter().map(|position| position.to_array()).collect()),
+        positions: FilePositions::F32(water.positions.iter().map(|position| position.to_array()).collect()),
         attributes: vec![velocity],
         ..ParticleFrame::default()
     };

@@ -26,7 +26,7 @@ use meniscus::pipeline::{
 };
 use meniscus::surface::options::Settings;
 use meniscus::surface::{Options, Phase, Reconstructor};
-use meniscus_formats::{Limits, MeshOptions, MeshView, Positions, gltf, read_particles};
+use meniscus_formats::{FilePositions, Limits, MeshOptions, MeshView, gltf, read_particles};
 use rayon::ThreadPoolBuilder;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -60,8 +60,8 @@ pub(crate) fn reconstruct_file(from: &Path, to: &Path) -> Result<(), Box<dyn Err
         }
     });
     let surface = match &frame.positions {
-        Positions::F32(positions) => reconstructor.reconstruct(positions)?,
-        Positions::F64(positions) => reconstructor.reconstruct(positions)?,
+        FilePositions::F32(positions) => reconstructor.reconstruct(positions)?,
+        FilePositions::F64(positions) => reconstructor.reconstruct(positions)?,
     };
     let certificate = &surface.report.certificate;
     if !certificate.holds() {

@@ -12,7 +12,7 @@ use std::collections::HashSet;
 use std::path::Path;
 
 use glam::{DVec3, IVec3};
-use meniscus::render::{Layers, Picture, Placement, View, render};
+use meniscus::render::{CameraPlacement, Layers, Picture, View, render};
 use meniscus::surface::obstacle::Solid;
 use meniscus::surface::smooth::Integrator;
 use meniscus::surface::space::Lattice;
@@ -122,8 +122,8 @@ fn picture(frame: usize) -> Outcome<(Picture, String)> {
     let size = [400, 240];
     let view = View {
         size,
-        camera: Placement::AUTO.around(bounds, size[0] as f64 / size[1] as f64),
-        up: Placement::AUTO.up,
+        camera: CameraPlacement::AUTO.around(bounds, size[0] as f64 / size[1] as f64),
+        up: CameraPlacement::AUTO.up,
         ground: None,
     };
     let lattice = Lattice { voxel_size: scale.voxel_size };

@@ -12,7 +12,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use glam::DVec3;
-use meniscus::render::{Layers, Picture, Placement, View, render};
+use meniscus::render::{CameraPlacement, Layers, Picture, View, render};
 use meniscus::surface::level_set::NarrowBand;
 use meniscus::surface::obstacle::Solid;
 use meniscus::surface::smooth::Integrator;
@@ -292,8 +292,8 @@ fn picture(band: &NarrowBand, voxel_size: f64) -> Picture {
     let bounds = [DVec3::splat(0.05), DVec3::splat(0.95)];
     let view = View {
         size: [300, 300],
-        camera: Placement { zoom: 1.25, ..Placement::AUTO }.around(bounds, 1.0),
-        up: Placement::AUTO.up,
+        camera: CameraPlacement { zoom: 1.25, ..CameraPlacement::AUTO }.around(bounds, 1.0),
+        up: CameraPlacement::AUTO.up,
         ground: None,
     };
     render(band, &Lattice { voxel_size }, &view, Layers { data: false, velocity: None })

@@ -4,13 +4,13 @@ use std::path::Path;
 
 use glam::DVec3;
 use meniscus::pipeline::PhaseTimer;
-use meniscus::render::{Layers, Picture, Placement, View, render};
+use meniscus::render::{CameraPlacement, Layers, Picture, View, render};
 use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::particles::Particles;
-use meniscus::surface::skin::{Surface, skin, skin_observed};
+use meniscus::surface::skin::{FrameSurface, skin, skin_observed};
 use meniscus::surface::smooth::Integrator;
 use meniscus::surface::space::Lattice;
-use meniscus_formats::{Limits, Positions, read_particles};
+use meniscus_formats::{FilePositions, Limits, read_particles};
 
 use crate::Outcome;
 use crate::output::{Page, Plot};
@@ -130,7 +130,7 @@ fn energies(page: &mut Page, particles: &Particles) -> Outcome<()> {
             runs.sort_by(|one, other| one.report.seconds.smooth.total_cmp(&other.report.seconds.smooth));
             surfaces.push((time, runs.swap_remove(0)));
         }
-        let energy = |surface: &Surface| surface.report.mesh.bending_energy;
+        let energy = |surface: &FrameSurface| surface.report.mesh.bending_energy;
         for (time, surface) in &surfaces {
             let seconds = surface.report.seconds.smooth;
             rows.push(vec![
@@ -141,7 +141,7 @@ fn energies(page: &mut Page, particles: &Particles) -> Outcome<()> {
             ]);
         }
         over_time.push((name.to_owned(), surfaces.iter().map(|(time, s)| [*time, energy(s)]).collect()));
-        let seconds = |surface: &Surface| surface.report.seconds.smooth;
+        let seconds = |surface: &FrameSurface| surface.report.seconds.smooth;
         let taken = surfaces.iter().skip(1).map(|(_, s)| [seconds(s), energy(s)]);
         over_seconds.push((name.to_owned(), taken.collect()));
         let some = [0, 2, 4, 6].into_iter().filter_map(|index| surfaces.get(index));
@@ -165,7 +165,7 @@ fn energies(page: &mut Page, particles: &Particles) -> Outcome<()> {
 }
 
 /// The surface after this much time, in steps of equal size, at most `step_size`.
-fn after(particles: &Particles, integrator: Integrator, time: f64, step_size: f64) -> Outcome<Surface> {
+fn after(particles: &Particles, integrator: Integrator, time: f64, step_size: f64) -> Outcome<FrameSurface> {
     let steps = (time / step_size).ceil().max(1.0);
     let choices = MethodOptions {
         integrator: Some(integrator),
@@ -184,15 +184,15 @@ fn after(particles: &Particles, integrator: Integrator, time: f64, step_size: f6
 pub(crate) fn particles() -> Outcome<Particles> {
     let frame = read_particles(&std::fs::read(FRAME)?, FRAME, &Limits::default())?;
     Ok(match frame.positions {
-        Positions::F32(positions) => Particles::Single(positions),
-        Positions::F64(positions) => Particles::Double(positions),
+        FilePositions::F32(positions) => Particles::Single(positions),
+        FilePositions::F64(positions) => Particles::Double(positions),
     })
 }
 
-fn picture(surface: &Surface, voxel_size: f64, size: [usize; 2]) -> Picture {
+fn picture(surface: &FrameSurface, voxel_size: f64, size: [usize; 2]) -> Picture {
     let tank = [DVec3::ZERO, DVec3::new(1.6, 0.9, 0.6)];
     let aspect = size[0] as f64 / size[1] as f64;
-    let camera = Placement::AUTO.around(tank, aspect);
-    let view = View { size, camera, up: Placement::AUTO.up, ground: Some(0.0) };
+    let camera = CameraPlacement::AUTO.around(tank, aspect);
+    let view = View { size, camera, up: CameraPlacement::AUTO.up, ground: Some(0.0) };
     render(&surface.band, &Lattice { voxel_size }, &view, Layers { data: false, velocity: None })
 }

@@ -6,7 +6,7 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use meniscus::render::{Block, Cell, Picture, Sheet, Shown};
+use meniscus::render::{Cell, CellGroup, CellPicture, Picture, Sheet};
 use meniscus_formats::{PictureView, png};
 use plotters::prelude::*;
 
@@ -62,9 +62,12 @@ impl Page {
     ) -> Outcome<()> {
         let place = rows.iter().flatten().map(|(picture, _)| picture.size).next().unwrap_or([1, 1]);
         let columns = rows.iter().map(Vec::len).max().unwrap_or(1);
-        let cell = |(picture, line)| Cell { shown: Shown::Picture(picture), lines: vec![line] };
-        let block =
-            |row: Vec<_>| Block { title: String::new(), cells: row.into_iter().map(cell).collect(), columns };
+        let cell = |(picture, line)| Cell { shown: CellPicture::Picture(picture), lines: vec![line] };
+        let block = |row: Vec<_>| CellGroup {
+            title: String::new(),
+            cells: row.into_iter().map(cell).collect(),
+            columns,
+        };
         let blocks = rows.into_iter().map(block).collect();
         let sheet = Sheet { title: String::new(), place, blocks, foot: Vec::new() }.picture();
         let file = format!("{}_{part}.png", self.name);

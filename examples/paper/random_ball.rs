@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 use std::path::Path;
 
 use glam::DVec3;
-use meniscus::render::{Layers, Placement, View, render};
+use meniscus::render::{CameraPlacement, Layers, View, render};
 use meniscus::surface::mesh::Mesh;
 use meniscus::surface::smooth::Integrator;
 use meniscus::surface::space::Lattice;
@@ -101,9 +101,9 @@ fn ball(count: usize) -> Vec<DVec3> {
 }
 
 fn view() -> View {
-    let camera =
-        Placement { zoom: 1.6, ..Placement::AUTO }.around([DVec3::splat(-1.0), DVec3::splat(1.0)], 1.0);
-    View { size: [380, 380], camera, up: Placement::AUTO.up, ground: None }
+    let camera = CameraPlacement { zoom: 1.6, ..CameraPlacement::AUTO }
+        .around([DVec3::splat(-1.0), DVec3::splat(1.0)], 1.0);
+    View { size: [380, 380], camera, up: CameraPlacement::AUTO.up, ground: None }
 }
 
 /// Deviation from a sphere.

@@ -5,11 +5,11 @@ use std::path::Path;
 use std::sync::Arc;
 
 use glam::{DMat3, DQuat, DVec3, EulerRot};
-use meniscus::render::{Layers, Picture, Placement, View, render, render_particles};
+use meniscus::render::{CameraPlacement, Layers, Picture, View, render, render_particles};
 use meniscus::surface::obstacle::{Obstacle, Obstacles, Shape, Solid};
 use meniscus::surface::options::{AnisotropyKind, MethodOptions, Settings};
 use meniscus::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
-use meniscus::surface::skin::{Surface, skin_cloud};
+use meniscus::surface::skin::{FrameSurface, skin_cloud};
 use meniscus::surface::space::Lattice;
 
 use crate::Outcome;
@@ -191,7 +191,7 @@ struct Deviation {
 
 impl Deviation {
     /// Points far inside belong to the inner side of the layer of particles, and are left out.
-    fn of(surface: &Surface, wall: &Solid) -> Deviation {
+    fn of(surface: &FrameSurface, wall: &Solid) -> Deviation {
         let mesh = &surface.mesh;
         let places = mesh.positions.iter().map(|position| mesh.origin + position.as_dvec3());
         let distances = places.filter_map(|place| wall.distance(place));
@@ -252,20 +252,20 @@ pub(crate) fn reconstructed(
     voxel_size: f64,
     choices: &MethodOptions,
     obstacles: &Obstacles,
-) -> Outcome<Surface> {
+) -> Outcome<FrameSurface> {
     Ok(skin_cloud(cloud.clone(), &Settings::paper(voxel_size, choices)?, obstacles))
 }
 
-pub(crate) fn holds(surface: &Surface) -> String {
+pub(crate) fn holds(surface: &FrameSurface) -> String {
     if surface.report.certificate.holds() { "holds" } else { "does not hold" }.to_owned()
 }
 
 fn around(bounds: [DVec3; 2], size: [usize; 2]) -> View {
-    let placement = Placement { zoom: 1.35, ..Placement::AUTO };
+    let placement = CameraPlacement { zoom: 1.35, ..CameraPlacement::AUTO };
     let camera = placement.around(bounds, size[0] as f64 / size[1] as f64);
-    View { size, camera, up: Placement::AUTO.up, ground: None }
+    View { size, camera, up: CameraPlacement::AUTO.up, ground: None }
 }
 
-fn picture(surface: &Surface, voxel_size: f64, view: &View) -> Picture {
+fn picture(surface: &FrameSurface, voxel_size: f64, view: &View) -> Picture {
     render(&surface.band, &Lattice { voxel_size }, view, Layers { data: false, velocity: None })
 }

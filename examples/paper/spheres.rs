@@ -11,14 +11,14 @@ use std::path::Path;
 use std::sync::Arc;
 
 use glam::{DVec3, IVec3};
-use meniscus::render::{Layers, Picture, Placement, View, render};
+use meniscus::render::{CameraPlacement, Layers, Picture, View, render};
 use meniscus::surface::contour::contour;
 use meniscus::surface::grid::{Field, LEAF_VOXELS, Leaf, Topology, voxel_in_leaf};
 use meniscus::surface::level_set::{Bounds, NarrowBand};
 use meniscus::surface::mesh::MeshMeasures;
 use meniscus::surface::options::Contouring;
 use meniscus::surface::smooth::{
-    Config, Integrator, SmoothContext, SmoothOp, Workspace, schedule, smooth, smooth_laplacian_only,
+    Integrator, SmoothConfig, SmoothContext, SmoothOp, Workspace, schedule, smooth, smooth_laplacian_only,
 };
 use meniscus::surface::space::Lattice;
 
@@ -141,8 +141,8 @@ fn distances(page: &mut Page) -> Outcome<()> {
     page.pictures("distance", "Without redistancing and with it", vec![pictures])
 }
 
-fn explicit(steps: u32) -> Config {
-    Config {
+fn explicit(steps: u32) -> SmoothConfig {
+    SmoothConfig {
         laplacian_steps: 0,
         integrator: Integrator::Explicit,
         steps,
@@ -206,7 +206,7 @@ fn roughness(band: &NarrowBand, side: f64) -> f64 {
 
 fn picture(band: &NarrowBand) -> Picture {
     let reach = DVec3::splat(f64::from(RADIUS) + 1.0);
-    let placement = Placement { azimuth_degrees: 0.0, ..Placement::AUTO };
+    let placement = CameraPlacement { azimuth_degrees: 0.0, ..CameraPlacement::AUTO };
     let view = View {
         size: [260, 260],
         camera: placement.around([-reach, reach], 1.0),

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use glam::DVec3;
-use meniscus_formats::{Limits, MeshData, ParticleFrame, Positions, ply};
+use meniscus_formats::{FilePositions, Limits, MeshData, ParticleFrame, ply};
 
 use crate::Outcome;
 
@@ -88,7 +88,7 @@ impl Splashsurf {
 
 fn write(particles: &[DVec3], path: &Path) -> Outcome<()> {
     let positions = particles.iter().map(|particle| particle.as_vec3().to_array()).collect();
-    let frame = ParticleFrame { positions: Positions::F32(positions), ..ParticleFrame::default() };
+    let frame = ParticleFrame { positions: FilePositions::F32(positions), ..ParticleFrame::default() };
     let mut bytes = Vec::new();
     ply::write_particles(&frame, &[], &mut bytes)?;
     Ok(fs::write(path, bytes)?)

@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use glam::DVec3;
-use meniscus::render::{Layers, Placement, View, render};
+use meniscus::render::{CameraPlacement, Layers, View, render};
 use meniscus::surface::obstacle::{Obstacle, Obstacles, Shape, Solid};
 use meniscus::surface::options::MethodOptions;
 use meniscus::surface::particles::{Cloud, Particles};
-use meniscus::surface::skin::Surface;
+use meniscus::surface::skin::FrameSurface;
 use meniscus::surface::space::Lattice;
 
 use crate::Outcome;
@@ -38,11 +38,15 @@ pub(crate) fn publish(page: &mut Page) -> Outcome<()> {
     let obstacles = ball();
     // From above and slightly from the left.
     let bounds = [CENTER - 0.29, CENTER + 0.29];
-    let placement =
-        Placement { azimuth_degrees: -14.0, elevation_degrees: 19.0, zoom: 1.45, ..Placement::AUTO };
+    let placement = CameraPlacement {
+        azimuth_degrees: -14.0,
+        elevation_degrees: 19.0,
+        zoom: 1.45,
+        ..CameraPlacement::AUTO
+    };
     let size = [400, 340];
     let camera = placement.around(bounds, size[0] as f64 / size[1] as f64);
-    let view = View { size, camera, up: Placement::AUTO.up, ground: None };
+    let view = View { size, camera, up: CameraPlacement::AUTO.up, ground: None };
     let (mut rows, mut pictures) = (Vec::new(), Vec::new());
     for (name, threshold, obstacles) in [
         ("no obstacle", None, &Obstacles::default()),
@@ -59,10 +63,7 @@ pub(crate) fn publish(page: &mut Page) -> Outcome<()> {
         let layers = Layers { data: false, velocity: None };
         pictures.push((render(&band, &Lattice { voxel_size: fine }, &view, layers), name.to_owned()));
     }
-    page.table(
-        &["surface", "in the ball by at most, h", "off it, rms, h", "certificate"],
-        &rows,
-    );
+    page.table(&["surface", "in the ball by at most, h", "off it, rms, h", "certificate"], &rows);
     page.pictures("submerged", "No obstacle, a ball taken away, and gaps filled", vec![pictures])
 }
 
@@ -97,7 +98,7 @@ fn ball() -> Obstacles {
 
 /// The largest depth of a vertex inside the ball, and the root mean square distance from it of the vertices
 /// near it and below its centre: world units.
-fn depth_and_deviation(surface: &Surface) -> [f64; 2] {
+fn depth_and_deviation(surface: &FrameSurface) -> [f64; 2] {
     let mesh = &surface.mesh;
     let places = mesh.positions.iter().map(|position| mesh.origin + position.as_dvec3());
     let under = places.filter(|place| place.y < CENTER.y);

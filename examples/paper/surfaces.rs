@@ -9,7 +9,7 @@ use meniscus::surface::level_set::NarrowBand;
 use meniscus::surface::obstacle::{Obstacle, ObstacleLeaf, Shape, Solid};
 use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::particles::Particles;
-use meniscus::surface::skin::{Surface, skin};
+use meniscus::surface::skin::{FrameSurface, skin};
 use meniscus::surface::smooth::Integrator;
 use meniscus::surface::space::Lattice;
 use meniscus_formats::MeshData;
@@ -113,7 +113,11 @@ pub(crate) fn mesh_of(
 }
 
 /// The surface that this program makes from particles, with all of its data.
-pub(crate) fn reconstructed(particles: &[DVec3], scale: Scale, integrator: Integrator) -> Outcome<Surface> {
+pub(crate) fn reconstructed(
+    particles: &[DVec3],
+    scale: Scale,
+    integrator: Integrator,
+) -> Outcome<FrameSurface> {
     let positions = particles.iter().map(|particle| particle.to_array()).collect();
     Ok(skin(&Particles::Double(positions), &scale.settings(integrator)?))
 }
@@ -191,7 +195,7 @@ fn intersection(
 const HALF_WIDTH: f32 = 4.0;
 
 /// The mesh of a surface, in world units.
-pub(crate) fn data(surface: &Surface) -> MeshData {
+pub(crate) fn data(surface: &FrameSurface) -> MeshData {
     let mesh = &surface.mesh;
     MeshData {
         positions: mesh.positions.iter().map(|at| (mesh.origin + at.as_dvec3()).to_array()).collect(),

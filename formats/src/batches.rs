@@ -13,10 +13,10 @@
 use std::io;
 use std::ops::Range;
 
-use crate::data::Positions;
-use crate::error::{Error, Place, Result};
+use crate::data::FilePositions;
+use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::probe::{Kind, Probe, probe};
+use crate::probe::{Probe, ProbedKind, probe};
 use crate::records::{Records, read};
 
 pub use crate::records::ReadAt;
@@ -33,7 +33,7 @@ pub struct ParticleBatches<F> {
 #[derive(Debug, Default)]
 pub struct ParticleBatch {
     /// Particle positions in the precision of the file, not yet checked for being finite.
-    pub positions: Positions,
+    pub positions: FilePositions,
     records: Vec<u8>,
 }
 
@@ -89,7 +89,7 @@ impl<F: ReadAt> ParticleBatches<F> {
             io::ErrorKind::UnexpectedEof => {
                 let what =
                     format!("expected {} bytes of records, but the file has become shorter", records.len());
-                Error::short(format, Place::Offset(start), what)
+                Error::short(format, Position::Offset(start), what)
             }
             _ => error.into(),
         })?;
@@ -117,7 +117,7 @@ fn records(file: &impl ReadAt, file_name: &str, limits: &Limits) -> Result<Optio
     for head_bytes in [HEAD_BYTES, limits.header_bytes.saturating_add(1)] {
         let head = read(&file, 0..head_bytes.min(file_bytes))?;
         let may_go_on = |error: &Error| error.is_short() && (head.len() as u64) < file_bytes;
-        let Probe { kind: Kind::Format(format), codec: None } = probe(&head, file_name) else {
+        let Probe { kind: ProbedKind::Format(format), codec: None } = probe(&head, file_name) else {
             return Ok(None);
         };
         let Some(find) = format.row().particles.as_ref().and_then(|particles| particles.find_records) else {

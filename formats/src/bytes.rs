@@ -1,6 +1,6 @@
 //! A bounds-checked cursor over the bytes of a binary file.
 
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::scalar::Scalar;
 
 /// The byte order of numbers.
@@ -83,12 +83,12 @@ impl<'a> Cursor<'a> {
 
     /// Creates an error at the current position: the file ends too early.
     pub(crate) fn short(&self, what: impl Into<String>) -> Error {
-        Error::short(self.format, Place::Offset(self.at as u64), what)
+        Error::short(self.format, Position::Offset(self.at as u64), what)
     }
 
     /// Creates an error at the current position: the file is invalid.
     pub(crate) fn invalid(&self, what: impl Into<String>) -> Error {
-        Error::invalid(self.format, Place::Offset(self.at as u64), what)
+        Error::invalid(self.format, Position::Offset(self.at as u64), what)
     }
 }
 

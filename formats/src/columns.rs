@@ -18,7 +18,7 @@
 //! one whose alias comes first in the table below gets the role and the other becomes an attribute without a
 //! role. The same applies to the position.
 
-use crate::data::Role;
+use crate::data::AttributeRole;
 use crate::scalar::Scalar;
 use std::collections::HashMap;
 
@@ -37,7 +37,7 @@ pub struct Group {
     /// The columns' common stem, or the whole name (without quotes) of a single column.
     pub name: String,
     /// Its recognised meaning.
-    pub role: Option<Role>,
+    pub role: Option<AttributeRole>,
     /// Indices into the list of columns, in component order; never empty.
     pub columns: Vec<usize>,
     /// Factor for the values: 0.5 for a diameter, which becomes a radius, else 1.
@@ -74,7 +74,7 @@ pub fn group_columns(columns: &[(&str, Scalar)]) -> Columns {
     let roles = roles_of(&attributes);
     for (group, role) in groups.iter_mut().zip(roles) {
         group.role = role;
-        if role == Some(Role::Radius) {
+        if role == Some(AttributeRole::Radius) {
             group.scale = radius_scale(&group.name);
         }
     }
@@ -82,12 +82,12 @@ pub fn group_columns(columns: &[(&str, Scalar)]) -> Columns {
 }
 
 /// The role of an attribute with this name and arity.
-pub fn role_of(name: &str, arity: usize) -> Option<Role> {
+pub fn role_of(name: &str, arity: usize) -> Option<AttributeRole> {
     ranked_role(name, arity).map(|(role, _)| role)
 }
 
 /// The roles of attributes, given as name and arity. Each role is assigned at most once.
-pub fn roles_of(attributes: &[(&str, usize)]) -> Vec<Option<Role>> {
+pub fn roles_of(attributes: &[(&str, usize)]) -> Vec<Option<AttributeRole>> {
     let ranked: Vec<_> = attributes.iter().map(|&(name, arity)| ranked_role(name, arity)).collect();
     let mut roles = vec![None; attributes.len()];
     for &(role, _) in ROLES {
@@ -103,7 +103,7 @@ pub fn roles_of(attributes: &[(&str, usize)]) -> Vec<Option<Role>> {
 }
 
 /// The known names of attributes with this role, in lower case, best first.
-pub fn aliases(role: Role) -> &'static [&'static str] {
+pub fn aliases(role: AttributeRole) -> &'static [&'static str] {
     ROLES.iter().find(|(named, _)| *named == role).map_or(&[], |(_, aliases)| aliases)
 }
 
@@ -114,7 +114,7 @@ pub(crate) fn position_rank(name: &str) -> Option<usize> {
     names.skip(1).position(|&alias| alias == stem)
 }
 
-/// The factor that turns values of an attribute with [`Role::Radius`] into radii.
+/// The factor that turns values of an attribute with [`AttributeRole::Radius`] into radii.
 pub fn radius_scale(name: &str) -> f64 {
     let name = matched_part(name).to_ascii_lowercase();
     if DIAMETERS.contains(&name.as_str()) { 0.5 } else { 1.0 }
@@ -137,17 +137,21 @@ pub fn unquoted(name: &str) -> &str {
 }
 
 /// The role and the rank of the alias, lower being better.
-fn ranked_role(name: &str, arity: usize) -> Option<(Role, usize)> {
+fn ranked_role(name: &str, arity: usize) -> Option<(AttributeRole, usize)> {
     let stem = matched_part(name);
     if stem == "U" && arity == 3 {
-        return Some((Role::Velocity, usize::MAX)); // OpenFOAM's; a small u is more often a displacement
+        return Some((AttributeRole::Velocity, usize::MAX)); // OpenFOAM's; a small u is more often a displacement
     }
     let stem = stem.to_ascii_lowercase();
     ROLES.iter().find_map(|&(role, aliases)| {
         let arity_fits = match role {
-            Role::Velocity | Role::Normal => arity == 3,
-            Role::Color => arity == 3 || arity == 4,
-            Role::Radius | Role::Density | Role::Mass | Role::Id | Role::Kind => arity == 1,
+            AttributeRole::Velocity | AttributeRole::Normal => arity == 3,
+            AttributeRole::Color => arity == 3 || arity == 4,
+            AttributeRole::Radius
+            | AttributeRole::Density
+            | AttributeRole::Mass
+            | AttributeRole::Id
+            | AttributeRole::Kind => arity == 1,
         };
         let rank = aliases.iter().position(|&alias| alias == stem)?;
         arity_fits.then_some((role, rank))
@@ -342,12 +346,12 @@ const WORDS: &[(&str, &[&str])] = &[
 ];
 
 /// Names of each role in lower case, best first.
-const ROLES: &[(Role, &[&str])] = &[
-    (Role::Velocity, &["velocity", "velocities", "vel", "v"]),
-    (Role::Normal, &["normal", "normals", "n"]),
-    (Role::Color, &["color", "colour", "colors", "colours", "cd", "rgb", "rgba"]),
+const ROLES: &[(AttributeRole, &[&str])] = &[
+    (AttributeRole::Velocity, &["velocity", "velocities", "vel", "v"]),
+    (AttributeRole::Normal, &["normal", "normals", "n"]),
+    (AttributeRole::Color, &["color", "colour", "colors", "colours", "cd", "rgb", "rgba"]),
     (
-        Role::Radius,
+        AttributeRole::Radius,
         &[
             "radius",
             "radii",
@@ -362,10 +366,10 @@ const ROLES: &[(Role, &[&str])] = &[
             "widths",
         ],
     ),
-    (Role::Density, &["density", "rho", "rhop"]),
-    (Role::Mass, &["mass"]),
-    (Role::Id, &["id", "ids", "idp", "particle_id", "particleid", "index"]),
-    (Role::Kind, &["type", "phase", "mk", "group", "piece"]),
+    (AttributeRole::Density, &["density", "rho", "rhop"]),
+    (AttributeRole::Mass, &["mass"]),
+    (AttributeRole::Id, &["id", "ids", "idp", "particle_id", "particleid", "index"]),
+    (AttributeRole::Kind, &["type", "phase", "mk", "group", "piece"]),
 ];
 
 /// Aliases of the radius whose values are diameters.
@@ -527,30 +531,30 @@ mod tests {
     #[test]
     fn names_and_arities_give_roles() {
         let table = [
-            ("v", 3, Some(Role::Velocity)),
-            ("velocity", 3, Some(Role::Velocity)),
-            ("Velocity", 3, Some(Role::Velocity)),
-            ("U", 3, Some(Role::Velocity)),
+            ("v", 3, Some(AttributeRole::Velocity)),
+            ("velocity", 3, Some(AttributeRole::Velocity)),
+            ("Velocity", 3, Some(AttributeRole::Velocity)),
+            ("U", 3, Some(AttributeRole::Velocity)),
             ("u", 3, None),
             ("velocity", 1, None),
-            ("Cd", 3, Some(Role::Color)),
-            ("Cd", 4, Some(Role::Color)),
-            ("N", 3, Some(Role::Normal)),
-            ("pscale", 1, Some(Role::Radius)),
+            ("Cd", 3, Some(AttributeRole::Color)),
+            ("Cd", 4, Some(AttributeRole::Color)),
+            ("N", 3, Some(AttributeRole::Normal)),
+            ("pscale", 1, Some(AttributeRole::Radius)),
             ("pscale", 3, None),
-            ("radius", 1, Some(Role::Radius)),
-            ("width", 1, Some(Role::Radius)),
-            ("density", 1, Some(Role::Density)),
-            ("mass", 1, Some(Role::Mass)),
-            ("id", 1, Some(Role::Id)),
-            ("type", 1, Some(Role::Kind)),
+            ("radius", 1, Some(AttributeRole::Radius)),
+            ("width", 1, Some(AttributeRole::Radius)),
+            ("density", 1, Some(AttributeRole::Density)),
+            ("mass", 1, Some(AttributeRole::Mass)),
+            ("id", 1, Some(AttributeRole::Id)),
+            ("type", 1, Some(AttributeRole::Kind)),
             ("temperature", 1, None),
             ("", 1, None),
         ];
         for (name, arity, role) in table {
             assert_eq!(role_of(name, arity), role, "of {name}, arity {arity}");
         }
-        assert_eq!(roles_of(&[("v", 3), ("velocity", 3)]), [None, Some(Role::Velocity)]);
+        assert_eq!(roles_of(&[("v", 3), ("velocity", 3)]), [None, Some(AttributeRole::Velocity)]);
         assert_eq!(radius_scale("Diameter"), 0.5);
         assert_eq!(radius_scale("pscale"), 1.0);
     }

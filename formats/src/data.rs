@@ -4,23 +4,23 @@
 
 use std::fmt;
 
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 
 /// Particle positions, in the precision of the file.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Positions {
+pub enum FilePositions {
     /// 32-bit positions, world units.
     F32(Vec<[f32; 3]>),
     /// 64-bit positions, world units.
     F64(Vec<[f64; 3]>),
 }
 
-impl Positions {
+impl FilePositions {
     /// The number of particles.
     pub fn len(&self) -> usize {
         match self {
-            Positions::F32(positions) => positions.len(),
-            Positions::F64(positions) => positions.len(),
+            FilePositions::F32(positions) => positions.len(),
+            FilePositions::F64(positions) => positions.len(),
         }
     }
 
@@ -30,15 +30,15 @@ impl Positions {
     }
 }
 
-impl Default for Positions {
-    fn default() -> Positions {
-        Positions::F32(Vec::new())
+impl Default for FilePositions {
+    fn default() -> FilePositions {
+        FilePositions::F32(Vec::new())
     }
 }
 
 /// The meaning of an attribute for a renderer or for the reconstruction, independent of its name in the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Role {
+pub enum AttributeRole {
     /// World units per second, arity 3.
     Velocity,
     /// Direction, arity 3.
@@ -81,18 +81,18 @@ pub enum Values {
 
 /// A named attribute of all particles.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Attribute {
+pub struct FileAttribute {
     /// The name in the file; for a vector split into columns, the columns' common stem.
     pub name: String,
     /// Number of values per particle.
     pub arity: usize,
     /// Its recognised meaning.
-    pub role: Option<Role>,
+    pub role: Option<AttributeRole>,
     /// `arity` values per particle.
     pub values: Values,
 }
 
-impl Attribute {
+impl FileAttribute {
     /// Multiplies all values; integers become floats.
     pub(crate) fn scale(&mut self, factor: f64) {
         if factor == 1.0 {
@@ -123,9 +123,9 @@ impl Attribute {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ParticleFrame {
     /// Particle positions, not yet checked for being finite.
-    pub positions: Positions,
+    pub positions: FilePositions,
     /// All other data of the particles.
-    pub attributes: Vec<Attribute>,
+    pub attributes: Vec<FileAttribute>,
     /// Notes for the user on a file that was read successfully: rows skipped, columns guessed.
     pub notes: Vec<String>,
 }
@@ -153,7 +153,7 @@ impl MeshView<'_> {
     /// Fails if the mesh is invalid: unequal lengths, out-of-range indices, or numbers that are not finite.
     /// `format` is named in the error.
     pub(crate) fn check(&self, format: &'static str) -> Result<()> {
-        let invalid = |what: String| Err(Error::invalid(format, Place::File, what));
+        let invalid = |what: String| Err(Error::invalid(format, Position::File, what));
         let (vertices, normals) = (self.positions.len(), self.normals.len());
         if vertices != normals {
             return invalid(format!("the mesh has {normals} normals for {vertices} vertices"));
@@ -179,7 +179,7 @@ pub struct VertexAttribute<'a> {
     /// Its name, as in the particle file.
     pub name: &'a str,
     /// Its recognised meaning.
-    pub role: Option<Role>,
+    pub role: Option<AttributeRole>,
     /// Number of values per vertex, at least 1.
     pub arity: usize,
     /// `arity` values per vertex, vertex by vertex.
@@ -211,7 +211,7 @@ impl<'a> VertexAttribute<'a> {
             VertexValues::Integers(values) => values.len(),
             VertexValues::Strings { indices, .. } => indices.len(),
         };
-        let invalid = |what: String| Err(Error::invalid(format, Place::File, what));
+        let invalid = |what: String| Err(Error::invalid(format, Position::File, what));
         if *arity == 0 || vertex_count.checked_mul(*arity) != Some(found) {
             return invalid(format!(
                 "attribute {name} has {found} values for {vertex_count} vertices with {arity} values each"
@@ -269,7 +269,7 @@ pub struct BandGrid<'a> {
     /// Its name, as in the particle file. The grid of a velocity is always called `velocity`.
     pub name: &'a str,
     /// Its recognised meaning.
-    pub role: Option<Role>,
+    pub role: Option<AttributeRole>,
     /// Number of values per voxel: 1, or 3 for a vector.
     pub arity: usize,
     /// The source of the values.

@@ -12,7 +12,7 @@ pub type Result<T> = std::result::Result<T, Error>;
 
 /// A location in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Place {
+pub enum Position {
     /// Offset in bytes from the start of the (decompressed) file.
     Offset(u64),
     /// Line number, starting at 1.
@@ -21,12 +21,12 @@ pub enum Place {
     File,
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for Position {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Place::Offset(offset) => write!(f, "at byte {offset}"),
-            Place::Line(line) => write!(f, "at line {line}"),
-            Place::File => write!(f, "in the file"),
+            Position::Offset(offset) => write!(f, "at byte {offset}"),
+            Position::Line(line) => write!(f, "at line {line}"),
+            Position::File => write!(f, "in the file"),
         }
     }
 }
@@ -41,7 +41,7 @@ pub enum Error {
         /// The format's name, such as `PLY`; empty if the file is too short to recognise.
         format: &'static str,
         /// Location of the error.
-        place: Place,
+        place: Position,
         /// One sentence: what was expected and what was found.
         what: String,
     },
@@ -50,7 +50,7 @@ pub enum Error {
         /// The format's name, such as `PLY`.
         format: &'static str,
         /// Location of the error.
-        place: Place,
+        place: Position,
         /// One sentence: what was expected and what was found.
         what: String,
     },
@@ -72,12 +72,12 @@ pub enum Error {
 
 impl Error {
     /// Creates an [`Error::Short`].
-    pub fn short(format: &'static str, place: Place, what: impl Into<String>) -> Error {
+    pub fn short(format: &'static str, place: Position, what: impl Into<String>) -> Error {
         Error::Short { format, place, what: what.into() }
     }
 
     /// Creates an [`Error::Invalid`].
-    pub fn invalid(format: &'static str, place: Place, what: impl Into<String>) -> Error {
+    pub fn invalid(format: &'static str, place: Position, what: impl Into<String>) -> Error {
         Error::Invalid { format, place, what: what.into() }
     }
 
@@ -105,8 +105,8 @@ impl Error {
     /// The same error with its line number increased by `count`, for a reader that started `count` lines into
     /// the file.
     pub fn lines_later(mut self, count: u64) -> Error {
-        if let Error::Short { place: Place::Line(line), .. }
-        | Error::Invalid { place: Place::Line(line), .. } = &mut self
+        if let Error::Short { place: Position::Line(line), .. }
+        | Error::Invalid { place: Position::Line(line), .. } = &mut self
         {
             *line = line.saturating_add(count);
         }
@@ -127,8 +127,8 @@ impl fmt::Display for Error {
             Error::Short { format: "", what, .. } | Error::Invalid { format: "", what, .. } => {
                 f.write_str(what)
             }
-            Error::Short { format, place: Place::File, what }
-            | Error::Invalid { format, place: Place::File, what } => write!(f, "{format}: {what}"),
+            Error::Short { format, place: Position::File, what }
+            | Error::Invalid { format, place: Position::File, what } => write!(f, "{format}: {what}"),
             Error::Short { format, place, what } | Error::Invalid { format, place, what } => {
                 write!(f, "{format}, {place}: {what}")
             }

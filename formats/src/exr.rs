@@ -21,9 +21,9 @@ use ::exr::prelude::Compression;
 use half::f16;
 
 use crate::bytes::{self, Endian};
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::mesh_options::WriteOption;
-use crate::picture::{PictureView, Samples};
+use crate::picture::{PictureView, PixelSamples};
 use crate::provenance::{GENERATOR, comments, from_comments};
 use crate::row::Integrity;
 use crate::row::{Content, FormatRow, OutputRow};
@@ -52,13 +52,14 @@ pub fn write(picture: &PictureView, out: &mut impl Write) -> Result<()> {
 fn failed(error: ExrError) -> Error {
     match error {
         ExrError::Io(source) => Error::Io(source),
-        other => Error::invalid(FORMAT, Place::File, other.to_string()),
+        other => Error::invalid(FORMAT, Position::File, other.to_string()),
     }
 }
 
 fn text(plain: &str) -> Result<Text> {
-    let refused =
-        || Error::invalid(FORMAT, Place::File, format!("the name \"{plain}\" cannot be stored in OpenEXR"));
+    let refused = || {
+        Error::invalid(FORMAT, Position::File, format!("the name \"{plain}\" cannot be stored in OpenEXR"))
+    };
     Text::new_or_none(plain).ok_or_else(refused)
 }
 
@@ -87,13 +88,13 @@ fn beauty(picture: &PictureView) -> Result<Channels> {
     Ok(channels)
 }
 
-fn channels(name: &str, samples: Samples) -> Result<Channels> {
+fn channels(name: &str, samples: PixelSamples) -> Result<Channels> {
     let one = |samples| Ok(vec![AnyChannel::new(text(name)?, samples)]);
     match samples {
-        Samples::Numbers(values) => one(FlatSamples::F32(values.to_vec())),
-        Samples::HalfNumbers(values) => one(halves(values.iter().copied())),
-        Samples::Vectors(values) => vectors(name, values, |values| FlatSamples::F32(values.collect())),
-        Samples::HalfVectors(values) => vectors(name, values, |values| halves(values)),
+        PixelSamples::Numbers(values) => one(FlatSamples::F32(values.to_vec())),
+        PixelSamples::HalfNumbers(values) => one(halves(values.iter().copied())),
+        PixelSamples::Vectors(values) => vectors(name, values, |values| FlatSamples::F32(values.collect())),
+        PixelSamples::HalfVectors(values) => vectors(name, values, |values| halves(values)),
     }
 }
 
@@ -163,7 +164,7 @@ pub(crate) fn bytes_declared(
 fn walk(head: &[u8], mut attribute: impl FnMut(&[u8], &[u8])) -> Result<usize> {
     let mut cursor = bytes::Cursor::new(FORMAT, Endian::Little, head, 0);
     if cursor.take(4, "the magic number")? != MAGIC {
-        return Err(Error::invalid(FORMAT, Place::Offset(0), "expected the OpenEXR magic number"));
+        return Err(Error::invalid(FORMAT, Position::Offset(0), "expected the OpenEXR magic number"));
     }
     let has_parts = u32::from_le_bytes(cursor.array("the version")?) & MULTIPLE_PARTS != 0;
     loop {
@@ -241,10 +242,10 @@ mod tests {
         let color: Vec<[f32; 3]> = numbers.iter().map(|x| [x / 1000.0, 0.25, 0.5]).collect();
         let layer = |name, channel, samples| PictureLayer { name, channel, samples };
         let layers = [
-            layer("depth", "Z", Samples::Numbers(&numbers)),
-            layer("coverage", "Y", Samples::HalfNumbers(&numbers)),
-            layer("normals", "N", Samples::HalfVectors(&vectors)),
-            layer("position", "P", Samples::Vectors(&vectors)),
+            layer("depth", "Z", PixelSamples::Numbers(&numbers)),
+            layer("coverage", "Y", PixelSamples::HalfNumbers(&numbers)),
+            layer("normals", "N", PixelSamples::HalfVectors(&vectors)),
+            layer("position", "P", PixelSamples::Vectors(&vectors)),
         ];
         let matrix: [f32; 16] = std::array::from_fn(|index| index as f32);
         let camera = Some(PictureCamera { world_to_camera: matrix, world_to_ndc: [2.0; 16] });

@@ -7,7 +7,7 @@ use std::io::Read;
 
 use flate2::bufread::GzDecoder;
 
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::limits::{Limits, RATIO_FREE_BYTES};
 
 const FORMAT: &str = "gzip";
@@ -36,7 +36,7 @@ pub(crate) fn inflate(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     }
     // Tapes and some copying tools pad files with zeros.
     if let Some(at) = rest.iter().position(|&byte| byte != 0) {
-        let place = Place::Offset((bytes.len() - rest.len() + at) as u64);
+        let place = Position::Offset((bytes.len() - rest.len() + at) as u64);
         let what = "the compressed data is followed by other bytes";
         // Unless the remaining byte could be the start of a truncated member.
         return Err(match MAGIC.starts_with(rest) {
@@ -70,7 +70,7 @@ fn inflate_member<'a>(
 }
 
 fn damage(source: &std::io::Error, consumed: usize) -> Error {
-    let place = Place::Offset(consumed as u64);
+    let place = Position::Offset(consumed as u64);
     match source.kind() {
         std::io::ErrorKind::UnexpectedEof => {
             Error::short(FORMAT, place, "the compressed data ends too early")

@@ -25,7 +25,7 @@ use serde::de::IgnoredAny;
 
 use crate::compression::Codec;
 use crate::error::Result;
-use crate::probe::{Kind, Probe, probe};
+use crate::probe::{Probe, ProbedKind, probe};
 use crate::provenance::HEAD_BYTES_MAX;
 use crate::row::{Completeness, HeadCheck, Integrity, at_least};
 use crate::table::{Format, OutputFormat};
@@ -105,7 +105,7 @@ fn check_head(head: &[u8], file_bytes: u64, file_name: &str) -> HeadCheck {
         return by_reading(codec.file_bytes_min());
     }
     let unproven = HeadCheck::Known(Completeness::Unproven);
-    let Kind::Format(format) = kind else { return unproven };
+    let ProbedKind::Format(format) = kind else { return unproven };
     let Some(particles) = &format.row().particles else { return unproven };
     (particles.completeness)(head, file_bytes).unwrap_or_else(|error| match error.is_short() {
         true if (head.len() as u64) < file_bytes => HeadCheck::NeedsMoreHead,
@@ -149,7 +149,7 @@ mod tests {
     }
 
     fn bgeo(point_count: usize, primitive_count: i32) -> Vec<u8> {
-        let positions = crate::Positions::F32(vec![[1.0; 3]; point_count]);
+        let positions = crate::FilePositions::F32(vec![[1.0; 3]; point_count]);
         let frame = crate::ParticleFrame { positions, attributes: Vec::new(), notes: Vec::new() };
         let mut bytes = Vec::new();
         bgeo::write(&frame, &mut bytes).unwrap();

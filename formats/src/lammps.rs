@@ -23,8 +23,8 @@
 use std::ops::Range;
 
 use crate::csv;
-use crate::data::{ParticleFrame, Positions};
-use crate::error::{Error, Place, Result};
+use crate::data::{FilePositions, ParticleFrame};
+use crate::error::{Error, Position, Result};
 use crate::excerpt::{excerpt, excerpts};
 use crate::limits::Limits;
 use crate::row::{FormatRow, ParticleInput};
@@ -35,7 +35,7 @@ pub(crate) const FORMAT: &str = "LAMMPS dump";
 
 /// One time step of a dump.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Step {
+pub struct TimeStep {
     /// The step number.
     pub timestep: i64,
     /// Number of particles.
@@ -89,7 +89,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 ///
 /// [`Error::Short`] if the dump ends within a step, [`Error::Invalid`] for an unexpected line,
 /// [`Error::Unsupported`] for dumps of anything but atoms, [`Error::TooLarge`] beyond `limits`.
-pub fn steps(bytes: &[u8], limits: &Limits) -> Result<Vec<Step>> {
+pub fn steps(bytes: &[u8], limits: &Limits) -> Result<Vec<TimeStep>> {
     let mut lines = DumpLines { bytes, at: 0, number: 0 };
     let mut steps = Vec::new();
     // Skips blank lines at the end once, instead of before each step: no step starts with one.
@@ -109,12 +109,12 @@ pub fn steps(bytes: &[u8], limits: &Limits) -> Result<Vec<Step>> {
 ///
 /// [`Error::Invalid`], with the line, if a row has the wrong number of cells or text in a numeric column, or
 /// if the columns have no position.
-pub fn read_step(bytes: &[u8], step: &Step, limits: &Limits) -> Result<ParticleFrame> {
+pub fn read_step(bytes: &[u8], step: &TimeStep, limits: &Limits) -> Result<ParticleFrame> {
     let header = String::from_utf8_lossy(bytes.get(step.header.clone()).unwrap_or_default());
     let names = header.split_ascii_whitespace().skip(2); // ITEM: ATOMS
     let mut names: Vec<String> =
         names.take(limits.attribute_count.saturating_add(1)).map(String::from).collect();
-    let place = Place::Line(step.rows_line.saturating_sub(1));
+    let place = Position::Line(step.rows_line.saturating_sub(1));
     if names.len() > limits.attribute_count {
         let what = format!("the file has more columns than the limit of {}", limits.attribute_count);
         return Err(Error::too_large(FORMAT, what));
@@ -177,7 +177,7 @@ fn position(names: &[String]) -> Option<([usize; 3], bool)> {
 }
 
 /// Returns 64-bit positions: six digits of a fraction become fewer digits of a position in a large box.
-fn unscaled(fractions: &Positions, space: Space) -> Positions {
+fn unscaled(fractions: &FilePositions, space: Space) -> FilePositions {
     let position = |fraction: [f64; 3]| {
         let along = |axis: usize| {
             let edges = fraction.iter().zip(space.edges).map(|(part, edge)| part * edge[axis]);
@@ -185,14 +185,14 @@ fn unscaled(fractions: &Positions, space: Space) -> Positions {
         };
         [along(0), along(1), along(2)]
     };
-    Positions::F64(match fractions {
-        Positions::F32(fractions) => fractions.iter().map(|f| position(f.map(f64::from))).collect(),
-        Positions::F64(fractions) => fractions.iter().map(|&fraction| position(fraction)).collect(),
+    FilePositions::F64(match fractions {
+        FilePositions::F32(fractions) => fractions.iter().map(|f| position(f.map(f64::from))).collect(),
+        FilePositions::F64(fractions) => fractions.iter().map(|&fraction| position(fraction)).collect(),
     })
 }
 
 /// Parses the step that starts at the next line.
-fn step(lines: &mut DumpLines, limits: &Limits) -> Result<Step> {
+fn step(lines: &mut DumpLines, limits: &Limits) -> Result<TimeStep> {
     let start = lines.at;
     let (mut timestep, mut count, mut time) = (None, None, None);
     let mut space = None;
@@ -215,7 +215,7 @@ fn step(lines: &mut DumpLines, limits: &Limits) -> Result<Step> {
                 return rows(
                     lines,
                     start,
-                    Step {
+                    TimeStep {
                         timestep,
                         particle_count: count,
                         time,
@@ -240,7 +240,7 @@ fn step(lines: &mut DumpLines, limits: &Limits) -> Result<Step> {
 }
 
 /// Skips the rows of the step.
-fn rows(lines: &mut DumpLines, start: usize, step: Step, limits: &Limits) -> Result<Step> {
+fn rows(lines: &mut DumpLines, start: usize, step: TimeStep, limits: &Limits) -> Result<TimeStep> {
     let count = step.particle_count;
     if count > limits.particle_count {
         let what =
@@ -254,7 +254,7 @@ fn rows(lines: &mut DumpLines, start: usize, step: Step, limits: &Limits) -> Res
             return Err(lines.invalid(format!("expected {count} atoms, found {found}")));
         }
     }
-    Ok(Step { range: start..lines.at, ..step })
+    Ok(TimeStep { range: start..lines.at, ..step })
 }
 
 /// Parses the three lines of box bounds, which have one of three forms.
@@ -340,11 +340,11 @@ impl<'a> DumpLines<'a> {
     }
 
     fn invalid(&self, what: impl Into<String>) -> Error {
-        Error::invalid(FORMAT, Place::Line(self.number), what)
+        Error::invalid(FORMAT, Position::Line(self.number), what)
     }
 
     fn short(&self, what: impl Into<String>) -> Error {
-        Error::short(FORMAT, Place::Line(self.number), what)
+        Error::short(FORMAT, Position::Line(self.number), what)
     }
 }
 

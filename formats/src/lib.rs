@@ -59,23 +59,23 @@ mod zstd;
 pub use batches::{ParticleBatch, ParticleBatches};
 pub use compression::Codec;
 pub use data::{
-    Attribute, BandGrid, LeafValues, LevelSetView, MeshData, MeshView, ParticleFrame, Positions, Provenance,
-    Role, Values, VertexAttribute, VertexValues,
+    AttributeRole, BandGrid, FileAttribute, FilePositions, LeafValues, LevelSetView, MeshData, MeshView,
+    ParticleFrame, Provenance, Values, VertexAttribute, VertexValues,
 };
-pub use error::{Error, Place, Result};
+pub use error::{Error, Position, Result};
 pub use excerpt::{Escaped, escaped, is_unsafe};
 pub use integrity::{completeness, is_whole};
 pub use limits::Limits;
 pub use mesh::read_mesh;
 pub use mesh_options::{MeshOptions, UpAxis, WriteOption};
 pub use obstacle::{ObstacleData, read_obstacle};
-pub use picture::{ColorPicture, PictureCamera, PictureLayer, PictureView, Samples};
+pub use picture::{ColorPicture, PictureCamera, PictureLayer, PictureView, PixelSamples};
 use probe::LAMMPS_DATA;
-pub use probe::{Kind, Probe, looks_like_particles, probe};
+pub use probe::{Probe, ProbedKind, looks_like_particles, probe};
 pub use records::ReadAt;
 pub use row::{
     BatchEncoder, Completeness, Content, MeshEncoder, MeshWriter, ParticleWriter, PictureWriter,
-    RoundPositions, Rounding, StreamWriter,
+    PositionRounding, RoundPositions, StreamWriter,
 };
 pub use table::{Format, OutputFormat, listed, read_provenance};
 
@@ -90,12 +90,12 @@ pub use table::{Format, OutputFormat, listed, read_provenance};
 /// do instead, if the file is not a particle file.
 pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<ParticleFrame> {
     let Probe { kind, codec } = probe(bytes, file_name);
-    let is_vague = matches!(kind, Kind::Empty | Kind::Unknown | Kind::UnknownText);
+    let is_vague = matches!(kind, ProbedKind::Empty | ProbedKind::Unknown | ProbedKind::UnknownText);
     if let Some(codec) = codec.filter(|_| is_vague) {
         codec.check_start(bytes)?;
     }
     if !bytes.is_empty() && integrity::truncated_signature(bytes).is_some() {
-        return Err(Error::short("", Place::File, "the file ends within its signature"));
+        return Err(Error::short("", Position::File, "the file ends within its signature"));
     }
     let read = reader_of(kind)?;
     read(&compression::unpacked(bytes, limits)?, limits)
@@ -108,7 +108,9 @@ pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<
 /// `Unsupported`, the same error as [`read_particles`] returns for the whole file.
 pub fn refuse_foreign(head: &[u8], file_name: &str) -> Result<()> {
     match probe(head, file_name).kind {
-        kind @ (Kind::Foreign(_) | Kind::UnknownText | Kind::Unknown) => reader_of(kind).map(drop),
+        kind @ (ProbedKind::Foreign(_) | ProbedKind::UnknownText | ProbedKind::Unknown) => {
+            reader_of(kind).map(drop)
+        }
         _ => Ok(()),
     }
 }
@@ -118,9 +120,9 @@ type ParticleReader = fn(&[u8], &Limits) -> Result<ParticleFrame>;
 
 /// The particle reader for files of this kind. If there is none, the error says what the file is and what to
 /// do instead.
-fn reader_of(kind: Kind) -> Result<ParticleReader> {
-    if kind == Kind::Empty {
-        return Err(Error::short("", Place::File, "the file is empty"));
+fn reader_of(kind: ProbedKind) -> Result<ParticleReader> {
+    if kind == ProbedKind::Empty {
+        return Err(Error::short("", Position::File, "the file is empty"));
     }
     if let Some(particles) = kind.format().and_then(|format| format.row().particles.as_ref()) {
         return Ok(particles.read);
@@ -133,7 +135,7 @@ fn reader_of(kind: Kind) -> Result<ParticleReader> {
         (Some(Content::Mesh(_)), _) => {
             "this is a mesh, not particles: use the particle file, or save the mesh's vertices as PLY"
         }
-        (_, Kind::Foreign(LAMMPS_DATA)) => {
+        (_, ProbedKind::Foreign(LAMMPS_DATA)) => {
             "this is a `write_data` file, and only dumps are supported: write one with `write_dump all custom FILE id type x y z`"
         }
         _ => {

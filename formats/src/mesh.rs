@@ -2,10 +2,10 @@
 
 use crate::compression::unpacked_name;
 use crate::data::MeshData;
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::gltf::Beside;
 use crate::limits::Limits;
-use crate::probe::{Kind, Probe, probe};
+use crate::probe::{Probe, ProbedKind, probe};
 use crate::table::{Format, listed};
 
 /// Reads the triangles of a file in any supported mesh format, compressed or not. The content decides the
@@ -18,7 +18,7 @@ pub fn read_mesh(bytes: &[u8], file_name: &str, limits: &Limits, read_external: 
     let Probe { kind, codec } = probe_mesh(bytes, file_name);
     let Some(read) = reader_of(kind) else {
         return match kind {
-            Kind::Empty => Err(Error::short("", Place::File, "the file is empty")),
+            ProbedKind::Empty => Err(Error::short("", Position::File, "the file is empty")),
             _ => {
                 let what = format!("not a supported mesh format: use {}", readable(&[]));
                 Err(Error::unsupported(kind.name(), what))
@@ -43,9 +43,9 @@ pub(crate) fn probe_mesh(bytes: &[u8], file_name: &str) -> Probe {
     let Probe { mut kind, codec } = probe(bytes, file_name);
     // Some OBJ files look like a table because of the order of their lines.
     let name = file_name.to_ascii_lowercase();
-    let is_vague = matches!(kind, Kind::Format(Format::Delimited) | Kind::UnknownText);
+    let is_vague = matches!(kind, ProbedKind::Format(Format::Delimited) | ProbedKind::UnknownText);
     if is_vague && unpacked_name(&name).ends_with(".obj") {
-        kind = Kind::Format(Format::Obj);
+        kind = ProbedKind::Format(Format::Obj);
     }
     Probe { kind, codec }
 }
@@ -54,6 +54,6 @@ pub(crate) fn probe_mesh(bytes: &[u8], file_name: &str) -> Probe {
 type MeshFileReader = fn(&[u8], &Limits, &Beside) -> Result<MeshData>;
 
 /// The mesh reader for files of this kind.
-pub(crate) fn reader_of(kind: Kind) -> Option<MeshFileReader> {
+pub(crate) fn reader_of(kind: ProbedKind) -> Option<MeshFileReader> {
     kind.format()?.row().read_mesh
 }

@@ -13,7 +13,7 @@
 //! ```
 
 use crate::columns::{Group, group_columns, position_rank, radius_scale, roles_of};
-use crate::data::{Attribute, ParticleFrame, Positions, Role, Values};
+use crate::data::{AttributeRole, FileAttribute, FilePositions, ParticleFrame, Values};
 use crate::excerpt::excerpt;
 use crate::number::{self, interleaved};
 use crate::scalar::Scalar;
@@ -36,7 +36,10 @@ impl NamedArray {
 
 /// Builds a frame. Without `positions`, looks for them among the arrays, and returns `None` if there are
 /// none. Skips arrays whose length does not match the number of particles, with a note.
-pub(crate) fn frame_of(positions: Option<Positions>, mut arrays: Vec<NamedArray>) -> Option<ParticleFrame> {
+pub(crate) fn frame_of(
+    positions: Option<FilePositions>,
+    mut arrays: Vec<NamedArray>,
+) -> Option<ParticleFrame> {
     let positions = match positions.or_else(|| take_vector_position(&mut arrays)) {
         Some(positions) => positions,
         None => take_column_position(&mut arrays)?,
@@ -46,7 +49,7 @@ pub(crate) fn frame_of(positions: Option<Positions>, mut arrays: Vec<NamedArray>
     let named: Vec<(&str, usize)> =
         attributes.iter().map(|array| (array.name.as_str(), array.arity)).collect();
     let roles = roles_of(&named);
-    let attributes: Vec<Attribute> =
+    let attributes: Vec<FileAttribute> =
         attributes.drain(..).zip(roles).map(|(array, role)| attribute(array, role)).collect();
     notes.extend(attributes.iter().filter_map(note_on_diameter));
     Some(ParticleFrame { positions, attributes, notes })
@@ -68,7 +71,7 @@ fn take_mismatched(arrays: &mut Vec<NamedArray>, particle_count: usize) -> Vec<S
 }
 
 /// Takes the best-named position with three values per particle.
-fn take_vector_position(arrays: &mut Vec<NamedArray>) -> Option<Positions> {
+fn take_vector_position(arrays: &mut Vec<NamedArray>) -> Option<FilePositions> {
     let is_one = |array: &NamedArray| array.arity == 3 && !matches!(array.values, Values::Strings { .. });
     let ranked = arrays.iter().enumerate().filter(|(_, array)| is_one(array));
     let (_, index) = ranked.filter_map(|(index, array)| Some((position_rank(&array.name)?, index))).min()?;
@@ -76,7 +79,7 @@ fn take_vector_position(arrays: &mut Vec<NamedArray>) -> Option<Positions> {
 }
 
 /// Takes the best-named position in three arrays with one value each.
-fn take_column_position(arrays: &mut Vec<NamedArray>) -> Option<Positions> {
+fn take_column_position(arrays: &mut Vec<NamedArray>) -> Option<FilePositions> {
     let singles: Vec<usize> = (0..arrays.len()).filter(|&index| is_column(&arrays[index])).collect();
     let columns: Vec<(&str, Scalar)> =
         singles.iter().map(|&index| (arrays[index].name.as_str(), Scalar::F64)).collect();
@@ -146,19 +149,19 @@ fn type_of(values: &Values) -> Scalar {
     }
 }
 
-fn attribute(array: NamedArray, role: Option<Role>) -> Attribute {
+fn attribute(array: NamedArray, role: Option<AttributeRole>) -> FileAttribute {
     // A phase can be identified by strings; a velocity or a number cannot.
     let is_text = matches!(array.values, Values::Strings { .. });
-    let role = role.filter(|&role| !is_text || role == Role::Kind);
-    let mut attribute = Attribute { name: array.name, arity: array.arity, role, values: array.values };
-    if role == Some(Role::Radius) {
+    let role = role.filter(|&role| !is_text || role == AttributeRole::Kind);
+    let mut attribute = FileAttribute { name: array.name, arity: array.arity, role, values: array.values };
+    if role == Some(AttributeRole::Radius) {
         attribute.scale(radius_scale(&attribute.name));
     }
     attribute
 }
 
-fn note_on_diameter(attribute: &Attribute) -> Option<String> {
-    let is_halved = attribute.role == Some(Role::Radius) && radius_scale(&attribute.name) != 1.0;
+fn note_on_diameter(attribute: &FileAttribute) -> Option<String> {
+    let is_halved = attribute.role == Some(AttributeRole::Radius) && radius_scale(&attribute.name) != 1.0;
     is_halved
         .then(|| format!("`{}` looks like a diameter: the radius is half of it", excerpt(&attribute.name)))
 }
@@ -176,10 +179,10 @@ mod tests {
     fn described(arrays: Vec<NamedArray>) -> Option<String> {
         let frame = frame_of(None, arrays)?;
         let mut text = match &frame.positions {
-            Positions::F32(positions) => format!("{:?}", positions[0]),
-            Positions::F64(positions) => format!("wide {:?}", positions[0]),
+            FilePositions::F32(positions) => format!("{:?}", positions[0]),
+            FilePositions::F64(positions) => format!("wide {:?}", positions[0]),
         };
-        for Attribute { name, arity, role, .. } in &frame.attributes {
+        for FileAttribute { name, arity, role, .. } in &frame.attributes {
             text += &format!(" | {name} {arity}");
             text += &role.map_or(String::new(), |role| format!(" {role:?}"));
         }
@@ -212,7 +215,7 @@ mod tests {
 
     #[test]
     fn arrays_of_wrong_length_are_skipped_with_a_note() {
-        let positions = Positions::F32(vec![[0.0; 3]; 3]);
+        let positions = FilePositions::F32(vec![[0.0; 3]; 3]);
         let fits = NamedArray { name: "id".into(), arity: 1, values: Values::I32(vec![1, 2, 3]) };
         let none = NamedArray { name: "none".into(), arity: 0, values: Values::I32(vec![]) };
         let frame = frame_of(Some(positions), vec![array("v", 3), fits, none]).unwrap();

@@ -5,11 +5,11 @@
 //! floats if one of them exceeds the signed range.
 
 use crate::bytes::Endian;
-use crate::data::{Positions, Values};
+use crate::data::{FilePositions, Values};
 
 /// A number type as stored in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Number {
+pub(crate) enum NumberType {
     /// A byte, zero or nonzero.
     Bool,
     I8,
@@ -25,14 +25,14 @@ pub(crate) enum Number {
     F64,
 }
 
-impl Number {
+impl NumberType {
     /// Bytes per number.
     pub(crate) const fn size(self) -> usize {
         match self {
-            Number::Bool | Number::I8 | Number::U8 => 1,
-            Number::I16 | Number::U16 | Number::F16 => 2,
-            Number::I32 | Number::U32 | Number::F32 => 4,
-            Number::I64 | Number::U64 | Number::F64 => 8,
+            NumberType::Bool | NumberType::I8 | NumberType::U8 => 1,
+            NumberType::I16 | NumberType::U16 | NumberType::F16 => 2,
+            NumberType::I32 | NumberType::U32 | NumberType::F32 => 4,
+            NumberType::I64 | NumberType::U64 | NumberType::F64 => 8,
         }
     }
 
@@ -53,18 +53,18 @@ impl Number {
     ) -> Values {
         let records = StridedNumbers { bytes, endian, stride, offset, arity };
         match self {
-            Number::Bool => Values::U8(records.map(|[byte]: [u8; 1]| u8::from(byte != 0))),
-            Number::U8 => Values::U8(records.map(|[byte]: [u8; 1]| byte)),
-            Number::I8 => Values::I32(records.map(|byte| i8::from_le_bytes(byte).into())),
-            Number::I16 => Values::I32(records.map(|bytes| i16::from_le_bytes(bytes).into())),
-            Number::U16 => Values::I32(records.map(|bytes| u16::from_le_bytes(bytes).into())),
-            Number::I32 => Values::I32(records.map(i32::from_le_bytes)),
-            Number::U32 => Values::I64(records.map(|bytes| u32::from_le_bytes(bytes).into())),
-            Number::I64 => Values::I64(records.map(i64::from_le_bytes)),
-            Number::U64 => unsigned(&records),
-            Number::F16 => Values::F32(records.map(|bytes| half::f16::from_le_bytes(bytes).to_f32())),
-            Number::F32 => Values::F32(records.map(f32::from_le_bytes)),
-            Number::F64 => Values::F64(records.map(f64::from_le_bytes)),
+            NumberType::Bool => Values::U8(records.map(|[byte]: [u8; 1]| u8::from(byte != 0))),
+            NumberType::U8 => Values::U8(records.map(|[byte]: [u8; 1]| byte)),
+            NumberType::I8 => Values::I32(records.map(|byte| i8::from_le_bytes(byte).into())),
+            NumberType::I16 => Values::I32(records.map(|bytes| i16::from_le_bytes(bytes).into())),
+            NumberType::U16 => Values::I32(records.map(|bytes| u16::from_le_bytes(bytes).into())),
+            NumberType::I32 => Values::I32(records.map(i32::from_le_bytes)),
+            NumberType::U32 => Values::I64(records.map(|bytes| u32::from_le_bytes(bytes).into())),
+            NumberType::I64 => Values::I64(records.map(i64::from_le_bytes)),
+            NumberType::U64 => unsigned(&records),
+            NumberType::F16 => Values::F32(records.map(|bytes| half::f16::from_le_bytes(bytes).to_f32())),
+            NumberType::F32 => Values::F32(records.map(f32::from_le_bytes)),
+            NumberType::F64 => Values::F64(records.map(f64::from_le_bytes)),
         }
     }
 }
@@ -122,16 +122,16 @@ pub(crate) fn length(values: &Values) -> usize {
 
 /// Values as positions, three for each; in 64 bits if 32-bit floats cannot hold them exactly. `None` for
 /// strings.
-pub(crate) fn positions(values: Values) -> Option<Positions> {
+pub(crate) fn positions(values: Values) -> Option<FilePositions> {
     fn thrice<T: Copy, U>(values: &[T], widen: impl Fn(T) -> U) -> Vec<[U; 3]> {
         values.as_chunks::<3>().0.iter().map(|position| position.map(&widen)).collect()
     }
     Some(match values {
-        Values::F32(values) => Positions::F32(thrice(&values, |x| x)),
-        Values::U8(values) => Positions::F32(thrice(&values, f32::from)),
-        Values::F64(values) => Positions::F64(thrice(&values, |x| x)),
-        Values::I32(values) => Positions::F64(thrice(&values, f64::from)),
-        Values::I64(values) => Positions::F64(thrice(&values, |x| x as f64)),
+        Values::F32(values) => FilePositions::F32(thrice(&values, |x| x)),
+        Values::U8(values) => FilePositions::F32(thrice(&values, f32::from)),
+        Values::F64(values) => FilePositions::F64(thrice(&values, |x| x)),
+        Values::I32(values) => FilePositions::F64(thrice(&values, f64::from)),
+        Values::I64(values) => FilePositions::F64(thrice(&values, |x| x as f64)),
         Values::Strings { .. } => return None,
     })
 }
@@ -230,25 +230,25 @@ mod tests {
     fn numbers_are_decoded_in_both_byte_orders() {
         let bytes = [0x3c, 0x00, 0x80, 0x01];
         let table = [
-            (Number::F16, Endian::Big, Values::F32(vec![1.0, -5.960_464_5e-8])),
-            (Number::F16, Endian::Little, Values::F32(vec![3.576_278_7e-6, 2.288_818_4e-5])),
-            (Number::U16, Endian::Big, Values::I32(vec![0x3c00, 0x8001])),
-            (Number::I16, Endian::Big, Values::I32(vec![0x3c00, -0x7fff])),
-            (Number::U32, Endian::Little, Values::I64(vec![0x0180_003c])),
-            (Number::Bool, Endian::Little, Values::U8(vec![1, 0, 1, 1])),
-            (Number::I8, Endian::Little, Values::I32(vec![0x3c, 0, -128, 1])),
-            (Number::F64, Endian::Little, Values::F64(vec![])),
+            (NumberType::F16, Endian::Big, Values::F32(vec![1.0, -5.960_464_5e-8])),
+            (NumberType::F16, Endian::Little, Values::F32(vec![3.576_278_7e-6, 2.288_818_4e-5])),
+            (NumberType::U16, Endian::Big, Values::I32(vec![0x3c00, 0x8001])),
+            (NumberType::I16, Endian::Big, Values::I32(vec![0x3c00, -0x7fff])),
+            (NumberType::U32, Endian::Little, Values::I64(vec![0x0180_003c])),
+            (NumberType::Bool, Endian::Little, Values::U8(vec![1, 0, 1, 1])),
+            (NumberType::I8, Endian::Little, Values::I32(vec![0x3c, 0, -128, 1])),
+            (NumberType::F64, Endian::Little, Values::F64(vec![])),
         ];
         for (number, endian, expected) in table {
             assert_eq!(number.decode(&bytes, endian), expected, "{number:?} {endian:?}");
         }
         let wide = [[0xff; 8], [1, 0, 0, 0, 0, 0, 0, 0]].concat();
         assert_eq!(
-            Number::U64.decode(&wide, Endian::Little),
+            NumberType::U64.decode(&wide, Endian::Little),
             Values::F64(vec![18_446_744_073_709_551_615.0, 1.0])
         );
-        assert_eq!(Number::I64.decode(&wide, Endian::Little), Values::I64(vec![-1, 1]));
-        let strided = Number::U8.decode_strided(&bytes, Endian::Little, 2, 1, 1);
+        assert_eq!(NumberType::I64.decode(&wide, Endian::Little), Values::I64(vec![-1, 1]));
+        let strided = NumberType::U8.decode_strided(&bytes, Endian::Little, 2, 1, 1);
         assert_eq!(strided, Values::U8(vec![0, 1]));
     }
 
@@ -263,6 +263,6 @@ mod tests {
         let mut longer = x;
         assert!(append(&mut longer, y) && !append(&mut longer, Values::U8(vec![1])));
         assert_eq!(longer, Values::I32(vec![1, 3, 2, 4]));
-        assert_eq!(positions(Values::U8(vec![1, 2, 3, 4])), Some(Positions::F32(vec![[1.0, 2.0, 3.0]])));
+        assert_eq!(positions(Values::U8(vec![1, 2, 3, 4])), Some(FilePositions::F32(vec![[1.0, 2.0, 3.0]])));
     }
 }

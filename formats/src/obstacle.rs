@@ -1,12 +1,12 @@
 //! Reads an obstacle of the fluid: a mesh or a level set.
 
 use crate::data::MeshData;
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::excerpt::excerpt;
 use crate::gltf::Beside;
 use crate::limits::Limits;
 use crate::mesh::{probe_mesh, read_mesh, readable, reader_of};
-use crate::probe::{Kind, Probe};
+use crate::probe::{Probe, ProbedKind};
 use crate::table::Format;
 use crate::vdb::{self, LevelSetData};
 
@@ -32,19 +32,19 @@ pub fn read_obstacle(
     read_external: &Beside,
 ) -> Result<ObstacleData> {
     let Probe { kind, codec } = probe_mesh(bytes, file_name);
-    if kind == Kind::Format(Format::Vdb) {
+    if kind == ProbedKind::Format(Format::Vdb) {
         return match codec {
             Some(codec) => level_set(&codec.decompress(bytes, limits)?, limits),
             None => level_set(bytes, limits),
         };
     }
-    if reader_of(kind).is_none() && kind != Kind::Empty {
+    if reader_of(kind).is_none() && kind != ProbedKind::Empty {
         let what = format!("not a supported obstacle format: use {}", readable(&[Format::Vdb]));
         return Err(Error::unsupported(kind.name(), what));
     }
     let mesh = read_mesh(bytes, file_name, limits, read_external)?;
     if mesh.triangles.is_empty() {
-        return Err(Error::invalid(kind.name(), Place::File, "the obstacle mesh has no triangles"));
+        return Err(Error::invalid(kind.name(), Position::File, "the obstacle mesh has no triangles"));
     }
     Ok(ObstacleData::Mesh(mesh))
 }

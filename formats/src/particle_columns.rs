@@ -7,26 +7,26 @@
 use std::borrow::Cow;
 
 use crate::columns::radius_scale;
-use crate::data::{Attribute, ParticleFrame, Role, Values};
-use crate::error::{Error, Place, Result};
+use crate::data::{AttributeRole, FileAttribute, ParticleFrame, Values};
+use crate::error::{Error, Position, Result};
 
 /// Fails if an attribute does not have `arity` values for each particle.
 pub(crate) fn check(frame: &ParticleFrame, format: &'static str) -> Result<()> {
     let count = frame.positions.len();
-    for Attribute { name, arity, values, .. } in &frame.attributes {
+    for FileAttribute { name, arity, values, .. } in &frame.attributes {
         let found = crate::number::length(values);
         if *arity == 0 || count.checked_mul(*arity) != Some(found) {
             let what =
                 format!("attribute {name} has {found} values for {count} particles with {arity} values each");
-            return Err(Error::invalid(format, Place::File, what));
+            return Err(Error::invalid(format, Position::File, what));
         }
     }
     Ok(())
 }
 
 /// The values of an attribute as its name implies them: diameters doubled.
-pub(crate) fn written(attribute: &Attribute) -> Cow<'_, Values> {
-    let is_diameter = attribute.role == Some(Role::Radius) && radius_scale(&attribute.name) != 1.0;
+pub(crate) fn written(attribute: &FileAttribute) -> Cow<'_, Values> {
+    let is_diameter = attribute.role == Some(AttributeRole::Radius) && radius_scale(&attribute.name) != 1.0;
     if !is_diameter {
         return Cow::Borrowed(&attribute.values);
     }

@@ -1,7 +1,7 @@
 //! Picture types: a borrowed picture to write, and one that was read.
 
 use crate::data::Provenance;
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 
 /// A picture to write: pixel values, row by row from the top left.
 #[derive(Clone, Copy, Debug)]
@@ -35,12 +35,12 @@ pub struct PictureLayer<'a> {
     /// The name of its channels; for vectors, `name.X`, `name.Y` and `name.Z`.
     pub channel: &'a str,
     /// The values.
-    pub samples: Samples<'a>,
+    pub samples: PixelSamples<'a>,
 }
 
 /// Pixel values and the precision in which they are stored.
 #[derive(Clone, Copy, Debug)]
-pub enum Samples<'a> {
+pub enum PixelSamples<'a> {
     /// 32 bits each.
     Numbers(&'a [f32]),
     /// 16 bits each.
@@ -70,7 +70,7 @@ impl PictureView<'_> {
         if !is_possible(width) || !is_possible(height) {
             let what =
                 format!("the picture has {width} × {height} pixels; each edge must have 1 to {EDGE_MAX}");
-            return Err(Error::invalid(format, Place::File, what));
+            return Err(Error::invalid(format, Position::File, what));
         }
         let counts = self.layers.iter().map(|layer| (layer.name, layer.samples.len()));
         let pixel_count = width * height;
@@ -80,19 +80,19 @@ impl PictureView<'_> {
         {
             Some((name, count)) => {
                 let what = format!("layer {name} has {count} values for {pixel_count} pixels");
-                Err(Error::invalid(format, Place::File, what))
+                Err(Error::invalid(format, Position::File, what))
             }
             None => Ok(()),
         }
     }
 }
 
-impl Samples<'_> {
+impl PixelSamples<'_> {
     /// The number of pixels.
     fn len(&self) -> usize {
         match self {
-            Samples::Numbers(values) | Samples::HalfNumbers(values) => values.len(),
-            Samples::Vectors(values) | Samples::HalfVectors(values) => values.len(),
+            PixelSamples::Numbers(values) | PixelSamples::HalfNumbers(values) => values.len(),
+            PixelSamples::Vectors(values) | PixelSamples::HalfVectors(values) => values.len(),
         }
     }
 }

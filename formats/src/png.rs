@@ -12,7 +12,7 @@ use ::png::{
 };
 
 use crate::bytes::{Cursor, Endian};
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::mesh_options::WriteOption;
 use crate::picture::{ColorPicture, PictureView};
 use crate::provenance::{GENERATOR, escape, from_entries, prefixed};
@@ -30,7 +30,7 @@ pub fn write(picture: &PictureView, out: &mut impl Write) -> Result<()> {
     picture.check(FORMAT)?;
     let edge = |pixels: usize| {
         u32::try_from(pixels)
-            .map_err(|_| Error::invalid(FORMAT, Place::File, "the picture is too large for PNG"))
+            .map_err(|_| Error::invalid(FORMAT, Position::File, "the picture is too large for PNG"))
     };
     let mut encoder = Encoder::new(out, edge(picture.size[0])?, edge(picture.size[1])?);
     encoder.set_color(ColorType::Rgb);
@@ -50,7 +50,7 @@ pub fn write(picture: &PictureView, out: &mut impl Write) -> Result<()> {
 fn failed(error: EncodingError) -> Error {
     match error {
         EncodingError::IoError(source) => Error::Io(source),
-        other => Error::invalid(FORMAT, Place::File, other.to_string()),
+        other => Error::invalid(FORMAT, Position::File, other.to_string()),
     }
 }
 
@@ -91,7 +91,7 @@ pub fn read(bytes: &[u8]) -> Result<ColorPicture> {
     if reader.info().raw_bytes() > bytes.len().saturating_mul(DEFLATE_RATIO_MAX) {
         return Err(Error::short(
             FORMAT,
-            Place::File,
+            Position::File,
             "the file has less data than its size in pixels needs",
         ));
     }
@@ -115,13 +115,13 @@ pub fn read(bytes: &[u8]) -> Result<ColorPicture> {
 fn unreadable(error: DecodingError) -> Error {
     match error {
         DecodingError::IoError(source) if source.kind() == io::ErrorKind::UnexpectedEof => {
-            Error::short(FORMAT, Place::File, "the file ends too early")
+            Error::short(FORMAT, Position::File, "the file ends too early")
         }
         DecodingError::IoError(source) => Error::Io(source),
         DecodingError::LimitsExceeded => {
             Error::too_large(FORMAT, "the picture needs more memory than the limit")
         }
-        other => Error::invalid(FORMAT, Place::File, other.to_string()),
+        other => Error::invalid(FORMAT, Position::File, other.to_string()),
     }
 }
 
@@ -142,7 +142,7 @@ const CHANNELS_MAX: usize = 4;
 pub(crate) fn texts(head: &[u8]) -> Result<Vec<(String, String)>> {
     let mut cursor = Cursor::new(FORMAT, Endian::Big, head, 0);
     if cursor.take(SIGNATURE.len(), "the signature")? != SIGNATURE {
-        return Err(Error::invalid(FORMAT, Place::Offset(0), "expected the PNG signature"));
+        return Err(Error::invalid(FORMAT, Position::Offset(0), "expected the PNG signature"));
     }
     let mut texts = Vec::new();
     loop {

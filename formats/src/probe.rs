@@ -15,7 +15,7 @@ use crate::xyz_ext::looks_like_atoms;
 
 /// What a file was recognised as.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum ProbedKind {
     /// A format in the table of formats.
     Format(Format),
     /// A format without a reader, recognised only for error messages.
@@ -28,29 +28,31 @@ pub enum Kind {
     Unknown,
 }
 
-impl fmt::Display for Kind {
+impl fmt::Display for ProbedKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
     }
 }
 
-impl Kind {
+impl ProbedKind {
     /// The name shown to users.
     pub fn name(self) -> &'static str {
         match self {
-            Kind::Format(format) => format.name(),
-            Kind::Foreign(name) => name,
-            Kind::Empty => "empty file",
-            Kind::UnknownText => "text in an unknown format",
-            Kind::Unknown => "unknown binary file",
+            ProbedKind::Format(format) => format.name(),
+            ProbedKind::Foreign(name) => name,
+            ProbedKind::Empty => "empty file",
+            ProbedKind::UnknownText => "text in an unknown format",
+            ProbedKind::Unknown => "unknown binary file",
         }
     }
 
     /// The entry in the table of formats, if there is one.
     pub fn format(self) -> Option<Format> {
         match self {
-            Kind::Format(format) => Some(format),
-            Kind::Foreign(_) | Kind::Empty | Kind::UnknownText | Kind::Unknown => None,
+            ProbedKind::Format(format) => Some(format),
+            ProbedKind::Foreign(_) | ProbedKind::Empty | ProbedKind::UnknownText | ProbedKind::Unknown => {
+                None
+            }
         }
     }
 }
@@ -59,7 +61,7 @@ impl Kind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Probe {
     /// The format of the (decompressed) content.
-    pub kind: Kind,
+    pub kind: ProbedKind,
     /// The compression, if any.
     pub codec: Option<Codec>,
 }
@@ -90,8 +92,8 @@ pub fn probe(bytes: &[u8], file_name: &str) -> Probe {
     let head = outer.decompress_head(bytes, HEAD_BYTES);
     let kind = match (outer, Codec::of(&head)) {
         (_, None) => kind_of(&head, unpacked_name(&name)),
-        (Codec::Gzip, Some(Codec::Gzip)) => Kind::Foreign("gzip within gzip"),
-        (_, Some(_)) => Kind::Foreign("a compressed file that is compressed again"),
+        (Codec::Gzip, Some(Codec::Gzip)) => ProbedKind::Foreign("gzip within gzip"),
+        (_, Some(_)) => ProbedKind::Foreign("a compressed file that is compressed again"),
     };
     Probe { kind, codec }
 }
@@ -104,7 +106,7 @@ pub fn probe(bytes: &[u8], file_name: &str) -> Probe {
 /// KiB unless the file is shorter; it may be compressed.
 pub fn looks_like_particles(head: &[u8], file_name: &str) -> bool {
     match probe(head, file_name).kind {
-        Kind::Format(Format::Delimited) => match Codec::of(head) {
+        ProbedKind::Format(Format::Delimited) => match Codec::of(head) {
             Some(codec) => csv::looks_like_particles(&codec.decompress_head(head, HEAD_BYTES)),
             None => csv::looks_like_particles(head),
         },
@@ -112,47 +114,49 @@ pub fn looks_like_particles(head: &[u8], file_name: &str) -> bool {
     }
 }
 
-fn kind_of(head: &[u8], name: &str) -> Kind {
+fn kind_of(head: &[u8], name: &str) -> ProbedKind {
     if head.is_empty() {
-        return Kind::Empty;
+        return ProbedKind::Empty;
     }
     let has_signature = |format: &Format| format.row().signatures.iter().any(|bytes| head.starts_with(bytes));
     if let Some(format) = Format::ALL.into_iter().find(has_signature) {
-        return Kind::Format(format);
+        return ProbedKind::Format(format);
     }
     if let Some(&(_, name)) = FOREIGN_SIGNATURES.iter().find(|(signature, _)| head.starts_with(signature)) {
-        return Kind::Foreign(name);
+        return ProbedKind::Foreign(name);
     }
     if head.starts_with(b"PK\x03\x04") {
         let is_npz = name.ends_with(".npz") || first_member(head).is_some_and(|name| name.ends_with(b".npy"));
-        return if is_npz { Kind::Format(Format::Npz) } else { Kind::Foreign("ZIP archive") };
+        return if is_npz { ProbedKind::Format(Format::Npz) } else { ProbedKind::Foreign("ZIP archive") };
     }
     let text = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head).trim_ascii_start();
     // Comes before the check for text, because VTK appends raw bytes to its XML.
     let is_named_vtk = || name.ends_with(".vtp") || name.ends_with(".vtu");
     if text.starts_with(b"<") && (contains(text, b"<VTKFile") || is_named_vtk() && !contains(text, b"<html"))
     {
-        return Kind::Format(Format::Vtp);
+        return ProbedKind::Format(Format::Vtp);
     }
     if !is_text(head) {
         // A binary STL file has no signature: only its name, or this program's own header, identifies it.
         if name.ends_with(".stl") || head.starts_with(b"meniscus ") {
-            return Kind::Format(Format::Stl);
+            return ProbedKind::Format(Format::Stl);
         }
-        return if name.ends_with(".xyz") { Kind::Format(Format::RawXyz) } else { Kind::Unknown };
+        return if name.ends_with(".xyz") { ProbedKind::Format(Format::RawXyz) } else { ProbedKind::Unknown };
     }
     match text.first() {
         Some(b'{' | b'[') => json_kind(text, name),
-        Some(b'<') => Kind::Foreign("XML"),
+        Some(b'<') => ProbedKind::Foreign("XML"),
         _ if text.starts_with(b"solid") && name.ends_with(".stl") => {
-            Kind::Foreign("STL text: save it as binary STL")
+            ProbedKind::Foreign("STL text: save it as binary STL")
         }
-        _ if text.starts_with(b"ITEM:") => Kind::Format(Format::LammpsDump),
-        _ if looks_like_lammps_data(text) => Kind::Foreign(LAMMPS_DATA),
-        _ if looks_like_atoms(text) => Kind::Format(Format::XyzAtoms),
-        _ if looks_like_obj(text, name) => Kind::Format(Format::Obj),
-        _ if looks_like_table(text) || csv::looks_like_particles(text) => Kind::Format(Format::Delimited),
-        _ => Kind::UnknownText,
+        _ if text.starts_with(b"ITEM:") => ProbedKind::Format(Format::LammpsDump),
+        _ if looks_like_lammps_data(text) => ProbedKind::Foreign(LAMMPS_DATA),
+        _ if looks_like_atoms(text) => ProbedKind::Format(Format::XyzAtoms),
+        _ if looks_like_obj(text, name) => ProbedKind::Format(Format::Obj),
+        _ if looks_like_table(text) || csv::looks_like_particles(text) => {
+            ProbedKind::Format(Format::Delimited)
+        }
+        _ => ProbedKind::UnknownText,
     }
 }
 
@@ -162,16 +166,16 @@ fn first_member(head: &[u8]) -> Option<&[u8]> {
     head.get(30..)?.get(..length.into())
 }
 
-fn json_kind(text: &[u8], name: &str) -> Kind {
+fn json_kind(text: &[u8], name: &str) -> ProbedKind {
     let is_named_geo = || name.ends_with(".geo") || name.ends_with(".bgeo");
     if contains(text, b"\"fileversion\"") || contains(text, b"\"pointcount\"") || is_named_geo() {
-        return Kind::Format(Format::HoudiniJsonText);
+        return ProbedKind::Format(Format::HoudiniJsonText);
     }
     let gltf_keys: [&[u8]; 4] = [b"\"asset\"", b"\"accessors\"", b"\"bufferViews\"", b"\"meshes\""];
     if name.ends_with(".gltf") || gltf_keys.iter().any(|key| contains(text, key)) {
-        return Kind::Format(Format::Gltf);
+        return ProbedKind::Format(Format::Gltf);
     }
-    Kind::Foreign("JSON")
+    ProbedKind::Foreign("JSON")
 }
 
 /// Text contains no control characters except white space. Bytes above 127 can belong to any encoding.
@@ -271,72 +275,76 @@ mod tests {
 
     #[test]
     fn content_and_name_give_the_format() {
-        let table: &[(&[u8], &str, Kind)] = &[
-            (b"", "a.ply", Kind::Empty),
-            (b"ply\nformat ascii 1.0\n", "a.txt", Kind::Format(Format::Ply)),
-            (b"ply\r\n", "a", Kind::Format(Format::Ply)),
-            (b"plywood,x,y\n1,2,3\n", "a", Kind::Format(Format::Delimited)),
-            (b"BgeoV\0\0\0\x05", "a.ply", Kind::Format(Format::ClassicBgeo)),
-            (b"PGEOMETRY V5\n", "a.geo", Kind::Format(Format::ClassicGeo)),
-            (b"\x7fNSJb\x5b", "a.bgeo", Kind::Format(Format::HoudiniJsonBinary)),
-            (b"scf1\0\0\0\0", "a.bgeo.sc", Kind::Format(Format::HoudiniSc)),
-            (b"[\n\t\"fileversion\",\"19.5.303\",", "a.geo", Kind::Format(Format::HoudiniJsonText)),
-            (b"# vtk DataFile Version 5.1\nx\nASCII\n", "a.csv", Kind::Format(Format::VtkLegacy)),
-            (b"<?xml version=\"1.0\"?>\n<VTKFile type=\"PolyData\">", "a.vtp", Kind::Format(Format::Vtp)),
-            (b"<html>", "a.vtp", Kind::Foreign("XML")),
-            (b" BDV\0\0\0\0\xe0\0\0\0", "a", Kind::Format(Format::Vdb)),
-            (b"glTF\x02\0\0\0", "a", Kind::Format(Format::Glb)),
-            (b"{\"asset\":{\"version\":\"2.0\"}}", "a", Kind::Format(Format::Gltf)),
-            (b"{\"scene\":0,\n\"asset\":{}, 1 2 3\n", "a", Kind::Format(Format::Gltf)),
-            (b"{\"x\":1}", "a.json", Kind::Foreign("JSON")),
+        let table: &[(&[u8], &str, ProbedKind)] = &[
+            (b"", "a.ply", ProbedKind::Empty),
+            (b"ply\nformat ascii 1.0\n", "a.txt", ProbedKind::Format(Format::Ply)),
+            (b"ply\r\n", "a", ProbedKind::Format(Format::Ply)),
+            (b"plywood,x,y\n1,2,3\n", "a", ProbedKind::Format(Format::Delimited)),
+            (b"BgeoV\0\0\0\x05", "a.ply", ProbedKind::Format(Format::ClassicBgeo)),
+            (b"PGEOMETRY V5\n", "a.geo", ProbedKind::Format(Format::ClassicGeo)),
+            (b"\x7fNSJb\x5b", "a.bgeo", ProbedKind::Format(Format::HoudiniJsonBinary)),
+            (b"scf1\0\0\0\0", "a.bgeo.sc", ProbedKind::Format(Format::HoudiniSc)),
+            (b"[\n\t\"fileversion\",\"19.5.303\",", "a.geo", ProbedKind::Format(Format::HoudiniJsonText)),
+            (b"# vtk DataFile Version 5.1\nx\nASCII\n", "a.csv", ProbedKind::Format(Format::VtkLegacy)),
+            (
+                b"<?xml version=\"1.0\"?>\n<VTKFile type=\"PolyData\">",
+                "a.vtp",
+                ProbedKind::Format(Format::Vtp),
+            ),
+            (b"<html>", "a.vtp", ProbedKind::Foreign("XML")),
+            (b" BDV\0\0\0\0\xe0\0\0\0", "a", ProbedKind::Format(Format::Vdb)),
+            (b"glTF\x02\0\0\0", "a", ProbedKind::Format(Format::Glb)),
+            (b"{\"asset\":{\"version\":\"2.0\"}}", "a", ProbedKind::Format(Format::Gltf)),
+            (b"{\"scene\":0,\n\"asset\":{}, 1 2 3\n", "a", ProbedKind::Format(Format::Gltf)),
+            (b"{\"x\":1}", "a.json", ProbedKind::Foreign("JSON")),
             (
                 b"# made by hand\no cube\nv 1 2 3\nvn 0 0 1\nf 1//1 2//1 3//1\n",
                 "a.txt",
-                Kind::Format(Format::Obj),
+                ProbedKind::Format(Format::Obj),
             ),
-            (b"v x y z\n1 2 3 4\n", "a.obj", Kind::Format(Format::Delimited)),
-            (b"o empty\n", "a.obj", Kind::Format(Format::Obj)),
-            (b"x,y,z\n1,2,3\n", "a", Kind::Format(Format::Delimited)),
-            (b"\xef\xbb\xbf\"x\";\"y\";\"z\"\n", "a", Kind::Format(Format::Delimited)),
-            (b"1 2 3\n4 5 6\n", "a.xyz", Kind::Format(Format::Delimited)),
-            (b"# x y z\n0.5 2 3", "a.xyz", Kind::Format(Format::Delimited)),
-            (b"x y z radius\n", "a.txt", Kind::Format(Format::Delimited)),
-            (b"# made by hand\n# x y z\n", "a.xyz", Kind::Format(Format::Delimited)),
-            (b"ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n", "a.dump", Kind::Format(Format::LammpsDump)),
-            (b"LAMMPS data file\n\n2 atoms\n0 1 xlo xhi\n\nAtoms\n\n", "a", Kind::Foreign(LAMMPS_DATA)),
-            (b"# by hand\n2 atoms\n1 atom types # He\n", "a.xyz", Kind::Foreign(LAMMPS_DATA)),
-            (b"box\n2 atoms\n0 1 2\n", "a.xyz", Kind::Format(Format::Delimited)),
-            (b"2\nwater\nO 0 0 0\nH 1 0 0\n", "a.xyz", Kind::Format(Format::XyzAtoms)),
-            (b"2\nwater\n8 0 0 0\n1 1 0 0\n", "a.xyz", Kind::Format(Format::XyzAtoms)),
+            (b"v x y z\n1 2 3 4\n", "a.obj", ProbedKind::Format(Format::Delimited)),
+            (b"o empty\n", "a.obj", ProbedKind::Format(Format::Obj)),
+            (b"x,y,z\n1,2,3\n", "a", ProbedKind::Format(Format::Delimited)),
+            (b"\xef\xbb\xbf\"x\";\"y\";\"z\"\n", "a", ProbedKind::Format(Format::Delimited)),
+            (b"1 2 3\n4 5 6\n", "a.xyz", ProbedKind::Format(Format::Delimited)),
+            (b"# x y z\n0.5 2 3", "a.xyz", ProbedKind::Format(Format::Delimited)),
+            (b"x y z radius\n", "a.txt", ProbedKind::Format(Format::Delimited)),
+            (b"# made by hand\n# x y z\n", "a.xyz", ProbedKind::Format(Format::Delimited)),
+            (b"ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n", "a.dump", ProbedKind::Format(Format::LammpsDump)),
+            (b"LAMMPS data file\n\n2 atoms\n0 1 xlo xhi\n\nAtoms\n\n", "a", ProbedKind::Foreign(LAMMPS_DATA)),
+            (b"# by hand\n2 atoms\n1 atom types # He\n", "a.xyz", ProbedKind::Foreign(LAMMPS_DATA)),
+            (b"box\n2 atoms\n0 1 2\n", "a.xyz", ProbedKind::Format(Format::Delimited)),
+            (b"2\nwater\nO 0 0 0\nH 1 0 0\n", "a.xyz", ProbedKind::Format(Format::XyzAtoms)),
+            (b"2\nwater\n8 0 0 0\n1 1 0 0\n", "a.xyz", ProbedKind::Format(Format::XyzAtoms)),
             (
                 b"2\n\n8 0 0 0 5\n1 1 0 0 5\n2\n\n8 0 0 0 5\n1 1 0 0 5",
                 "a.xyz",
-                Kind::Format(Format::XyzAtoms),
+                ProbedKind::Format(Format::XyzAtoms),
             ),
-            (b"3\nwater\n8 0 0 0\n1 1 0", "a.xyz", Kind::Format(Format::XyzAtoms)),
-            (b"1\nwater\n8 0 0 0\n1 1 0 0\n", "a.xyz", Kind::Format(Format::Delimited)), // the count does not match
-            (b"2\nx y z r\n8 0 0 1\n1 1 0 1\n", "a.xyz", Kind::Format(Format::Delimited)),
-            (b"2\nwater\n8 0 0\n1 1 0\n", "a.xyz", Kind::Format(Format::Delimited)),
-            (b"2\nwater\n8 0 0 0\n1.5 1 0 0\n", "a.xyz", Kind::Format(Format::Delimited)),
-            (b"2\nwater\n8 0 0 0\n119 1 0 0\n", "a.xyz", Kind::Format(Format::Delimited)),
-            (b"2\n\nH1 0 0 0 1 1", "a.txt", Kind::Format(Format::XyzAtoms)),
-            (b"2\n1 2 3\n4 5 6\n", "a.xyz", Kind::Format(Format::Delimited)),
-            (b"Dear reader,\nthere is nothing here\n", "a", Kind::Format(Format::Delimited)), // has a comma; the reader reports the error
-            (b"plyx\nformat ascii 1.0\nelement vertex 0\nend_header\n", "a.ply", Kind::UnknownText),
-            (b"Dear reader\n", "a", Kind::UnknownText),
-            (b"\x93NUMPY\x01\0", "a.npy", Kind::Format(Format::Npy)),
-            (b"PK\x03\x04", "a.npz", Kind::Format(Format::Npz)),
-            (b"PK\x03\x04", "a.zip", Kind::Foreign("ZIP archive")),
+            (b"3\nwater\n8 0 0 0\n1 1 0", "a.xyz", ProbedKind::Format(Format::XyzAtoms)),
+            (b"1\nwater\n8 0 0 0\n1 1 0 0\n", "a.xyz", ProbedKind::Format(Format::Delimited)), // the count does not match
+            (b"2\nx y z r\n8 0 0 1\n1 1 0 1\n", "a.xyz", ProbedKind::Format(Format::Delimited)),
+            (b"2\nwater\n8 0 0\n1 1 0\n", "a.xyz", ProbedKind::Format(Format::Delimited)),
+            (b"2\nwater\n8 0 0 0\n1.5 1 0 0\n", "a.xyz", ProbedKind::Format(Format::Delimited)),
+            (b"2\nwater\n8 0 0 0\n119 1 0 0\n", "a.xyz", ProbedKind::Format(Format::Delimited)),
+            (b"2\n\nH1 0 0 0 1 1", "a.txt", ProbedKind::Format(Format::XyzAtoms)),
+            (b"2\n1 2 3\n4 5 6\n", "a.xyz", ProbedKind::Format(Format::Delimited)),
+            (b"Dear reader,\nthere is nothing here\n", "a", ProbedKind::Format(Format::Delimited)), // has a comma; the reader reports the error
+            (b"plyx\nformat ascii 1.0\nelement vertex 0\nend_header\n", "a.ply", ProbedKind::UnknownText),
+            (b"Dear reader\n", "a", ProbedKind::UnknownText),
+            (b"\x93NUMPY\x01\0", "a.npy", ProbedKind::Format(Format::Npy)),
+            (b"PK\x03\x04", "a.npz", ProbedKind::Format(Format::Npz)),
+            (b"PK\x03\x04", "a.zip", ProbedKind::Foreign("ZIP archive")),
             (
                 b"PK\x03\x04\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\x05\0\0\0a.npy",
                 "a",
-                Kind::Format(Format::Npz),
+                ProbedKind::Format(Format::Npz),
             ),
-            (b"\x00\x00\x80\x3f\x00\x00\x80\x3f", "a.xyz", Kind::Format(Format::RawXyz)),
-            (b"\x00\x00\x80\x3f\x00\x00\x80\x3f", "a.bin", Kind::Unknown),
-            (b"\xff", "a", Kind::UnknownText),
-            (b"\x1f\x8b", "a.bgeo", Kind::Empty),
-            (b"\x28\xb5\x2f\xfd", "a.bgeo", Kind::Empty),
+            (b"\x00\x00\x80\x3f\x00\x00\x80\x3f", "a.xyz", ProbedKind::Format(Format::RawXyz)),
+            (b"\x00\x00\x80\x3f\x00\x00\x80\x3f", "a.bin", ProbedKind::Unknown),
+            (b"\xff", "a", ProbedKind::UnknownText),
+            (b"\x1f\x8b", "a.bgeo", ProbedKind::Empty),
+            (b"\x28\xb5\x2f\xfd", "a.bgeo", ProbedKind::Empty),
         ];
         for (bytes, name, kind) in table {
             let found = probe(bytes, name);

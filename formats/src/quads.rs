@@ -9,7 +9,7 @@
 
 use std::ops::Range;
 
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 
 /// A face of a mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,7 +49,7 @@ pub(crate) fn quad_count(quads: &[bool]) -> usize {
 
 /// Fails if two triangles marked as a quad share no edge, or a triangle belongs to two quads.
 pub(crate) fn check_quads(format: &'static str, triangles: &[[u32; 3]], quads: &[bool]) -> Result<()> {
-    let invalid = |what: String| Err(Error::invalid(format, Place::File, what));
+    let invalid = |what: String| Err(Error::invalid(format, Position::File, what));
     if !quads.is_empty() && quads.len() != triangles.len() {
         return invalid(format!("there are {} quad flags for {} triangles", quads.len(), triangles.len()));
     }

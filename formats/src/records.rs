@@ -5,7 +5,7 @@ use std::io;
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::data::Positions;
+use crate::data::FilePositions;
 use crate::error::Result;
 
 /// Random access from several threads at once: a file, or bytes in memory.
@@ -76,7 +76,7 @@ pub(crate) struct Records {
 }
 
 /// Extracts positions from records. Arguments: bytes, stride, number of records, output.
-pub(crate) type GatherPositions = dyn Fn(&[u8], usize, usize, &mut Positions) + Send + Sync;
+pub(crate) type GatherPositions = dyn Fn(&[u8], usize, usize, &mut FilePositions) + Send + Sync;
 
 impl fmt::Debug for Records {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -134,7 +134,7 @@ pub struct MeshWriter {
     /// Notes on vertex attributes that its files cannot represent exactly.
     pub attribute_notes: fn(&[VertexAttribute]) -> Vec<String>,
     /// How its files round positions with these options; `None` if they do not.
-    pub rounding: fn(&MeshOptions) -> Option<&'static Rounding>,
+    pub rounding: fn(&MeshOptions) -> Option<&'static PositionRounding>,
 }
 
 /// How a mesh is encoded.
@@ -158,7 +158,7 @@ pub type RoundPositions = fn(&[[f32; 3]], [f64; 3]) -> Vec<[f32; 3]>;
 /// How a format rounds the positions of a mesh. The functions take positions relative to an origin, in world
 /// units.
 #[derive(Debug)]
-pub struct Rounding {
+pub struct PositionRounding {
     /// The positions that a reader gets, relative to the same origin.
     pub positions: RoundPositions,
     /// The largest rounding error along an axis.

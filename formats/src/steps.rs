@@ -19,13 +19,13 @@ use std::io::BufRead;
 
 use crate::error::Result;
 use crate::limits::Limits;
-use crate::probe::Kind;
+use crate::probe::ProbedKind;
 use crate::step_finders::{FindSteps, LineHeads};
 
 pub use crate::step_finders::FoundStep;
 
 /// Whether files of this kind can contain several frames.
-pub fn may_have_steps(kind: Kind) -> bool {
+pub fn may_have_steps(kind: ProbedKind) -> bool {
     finder_of(kind).is_some()
 }
 
@@ -35,7 +35,7 @@ pub fn may_have_steps(kind: Kind) -> bool {
 ///
 /// [`Error::Io`](crate::Error::Io) if reading fails, [`Error::TooLarge`](crate::Error::TooLarge) beyond
 /// `limits`.
-pub fn find_steps(kind: Kind, source: impl BufRead, limits: &Limits) -> Result<Vec<FoundStep>> {
+pub fn find_steps(kind: ProbedKind, source: impl BufRead, limits: &Limits) -> Result<Vec<FoundStep>> {
     let mut steps = Vec::new();
     find_more_steps(kind, source, &mut steps, limits)?;
     Ok(steps)
@@ -48,7 +48,7 @@ pub fn find_steps(kind: Kind, source: impl BufRead, limits: &Limits) -> Result<V
 ///
 /// Those of [`find_steps`].
 pub fn find_more_steps(
-    kind: Kind,
+    kind: ProbedKind,
     mut source: impl BufRead,
     steps: &mut Vec<FoundStep>,
     limits: &Limits,
@@ -58,7 +58,7 @@ pub fn find_more_steps(
     finder_of(kind).map_or(Ok(()), |find| find(lines, steps, limits))
 }
 
-fn finder_of(kind: Kind) -> Option<FindSteps> {
+fn finder_of(kind: ProbedKind) -> Option<FindSteps> {
     kind.format()?.row().particles.as_ref()?.find_steps
 }
 
@@ -70,7 +70,7 @@ mod tests {
     use std::io::BufReader;
     use std::ops::Range;
 
-    fn found(kind: Kind, text: &str) -> Vec<(Option<i64>, String)> {
+    fn found(kind: ProbedKind, text: &str) -> Vec<(Option<i64>, String)> {
         // A buffer that ends in the middle of lines must not change the result.
         let steps = find_steps(kind, text.as_bytes(), &Limits::default()).expect("readable");
         let by_pieces = BufReader::with_capacity(3, text.as_bytes());
@@ -94,19 +94,19 @@ mod tests {
             (step(-20, "1 2 3\n4 5 6\n\n"), format!("ITEM: TIME\n1\n{}", step(30, "7 8 9")));
         let text = [first.clone(), second.clone(), third.clone()].concat();
         let expected = [(Some(10), first.clone()), (Some(-20), second.clone()), (Some(30), third)];
-        assert_eq!(found(Kind::Format(Format::LammpsDump), &text), expected);
+        assert_eq!(found(ProbedKind::Format(Format::LammpsDump), &text), expected);
         // One truncated in its header, and one without a number.
         let cut = "ITEM: TIMESTEP\n15\nITEM: NUMBER OF ATOMS\n".to_owned();
         let nameless = "ITEM: TIMESTEP\nten\nITEM: ATOMS x y z\n1 2 3\n".to_owned();
         let text = [cut.clone(), nameless.clone(), second.clone()].concat();
         assert_eq!(
-            found(Kind::Format(Format::LammpsDump), &text),
+            found(ProbedKind::Format(Format::LammpsDump), &text),
             [(Some(15), cut), (None, nameless), (Some(-20), second)]
         );
-        assert_eq!(found(Kind::Format(Format::LammpsDump), "x\n"), [(None, "x\n".into())]);
+        assert_eq!(found(ProbedKind::Format(Format::LammpsDump), "x\n"), [(None, "x\n".into())]);
         assert!(
-            found(Kind::Format(Format::LammpsDump), "").is_empty()
-                && found(Kind::Format(Format::Ply), "ply\n").is_empty()
+            found(ProbedKind::Format(Format::LammpsDump), "").is_empty()
+                && found(ProbedKind::Format(Format::Ply), "ply\n").is_empty()
         );
     }
 
@@ -119,9 +119,9 @@ mod tests {
             (Some(2), "1\n3\nO 0 0 0\n".into()),
             (Some(3), "what\nfollows\n".into()),
         ];
-        assert_eq!(found(Kind::Format(Format::XyzAtoms), text), expected);
+        assert_eq!(found(ProbedKind::Format(Format::XyzAtoms), text), expected);
         assert_eq!(
-            found(Kind::Format(Format::XyzAtoms), "9\nwater\nO 0 0"),
+            found(ProbedKind::Format(Format::XyzAtoms), "9\nwater\nO 0 0"),
             [(Some(0), "9\nwater\nO 0 0".into())]
         );
     }
@@ -131,7 +131,7 @@ mod tests {
         let limits = Limits { step_count: 3, ..Limits::default() };
         let dump = "ITEM: TIMESTEP\n1\nITEM: NUMBER OF ATOMS\n0\nITEM: ATOMS x y z\n";
         for (kind, step) in
-            [(Kind::Format(Format::LammpsDump), dump), (Kind::Format(Format::XyzAtoms), "0\n\n")]
+            [(ProbedKind::Format(Format::LammpsDump), dump), (ProbedKind::Format(Format::XyzAtoms), "0\n\n")]
         {
             let found = |count: usize| find_steps(kind, step.repeat(count).as_bytes(), &limits);
             assert_eq!(found(3).expect("as many as may be").len(), 3);

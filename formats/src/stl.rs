@@ -13,11 +13,11 @@
 use std::io::Write;
 
 use crate::data::{MeshData, MeshView, Provenance};
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::provenance::GENERATOR;
 use crate::row::Integrity;
-use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow, Rounding};
+use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow, PositionRounding};
 
 const FORMAT: &str = "STL";
 
@@ -172,7 +172,7 @@ fn read_provenance(head: &[u8]) -> Result<Vec<(String, String)>> {
 
 fn short(bytes: &[u8]) -> Error {
     let what = format!("the file has {} bytes, fewer than its header of {HEAD_BYTES}", bytes.len());
-    Error::short(FORMAT, Place::File, what)
+    Error::short(FORMAT, Position::File, what)
 }
 
 /// The size of a file with this header.
@@ -205,7 +205,7 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     }
     if claimed > bytes.len() as u64 {
         let what = format!("expected {claimed} bytes, found {}", bytes.len());
-        return Err(Error::short(FORMAT, Place::Offset(bytes.len() as u64), what));
+        return Err(Error::short(FORMAT, Position::Offset(bytes.len() as u64), what));
     }
     let corner_count = 3 * u64::from(triangle_count);
     if corner_count > limits.particle_count.min(u64::from(u32::MAX)) {
@@ -252,7 +252,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
     integrity: Integrity::Length(|head, _| Ok(bytes_declared(head))),
 };
 
-static ROUNDING: Rounding = Rounding {
+static ROUNDING: PositionRounding = PositionRounding {
     positions: rounded_positions,
     error: rounding,
     certified_as: "mesh, at its 32-bit world positions",

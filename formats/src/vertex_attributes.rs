@@ -19,7 +19,7 @@
 
 use std::collections::HashSet;
 
-use crate::data::{Role, VertexAttribute, VertexValues};
+use crate::data::{AttributeRole, VertexAttribute, VertexValues};
 
 /// Attributes that formats treat specially.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,8 +37,8 @@ pub(crate) fn purposes<'a>(attributes: &[VertexAttribute<'a>]) -> Vec<Purpose<'a
     let mut found: Vec<Purpose> = Vec::with_capacity(attributes.len());
     for VertexAttribute { role, arity, values, .. } in attributes {
         let purpose = match (role, arity, values) {
-            (Some(Role::Velocity), 3, VertexValues::Numbers(_)) => Purpose::Velocity,
-            (Some(Role::Color), 3 | 4, VertexValues::Numbers(values)) => Purpose::Color(values),
+            (Some(AttributeRole::Velocity), 3, VertexValues::Numbers(_)) => Purpose::Velocity,
+            (Some(AttributeRole::Color), 3 | 4, VertexValues::Numbers(values)) => Purpose::Color(values),
             _ => Purpose::Other,
         };
         let is_taken =

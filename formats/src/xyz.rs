@@ -13,9 +13,9 @@
 
 use crate::bytes::Endian;
 use crate::data::ParticleFrame;
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::number::{self, Number};
+use crate::number::{self, NumberType};
 use crate::row::{FormatRow, ParticleInput};
 
 /// The format's name in errors.
@@ -42,11 +42,11 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     }
     let endian = endian(bytes)?;
     if !bytes.len().is_multiple_of(RECORD_BYTES) {
-        let place = Place::Offset((count * RECORD_BYTES) as u64);
+        let place = Position::Offset((count * RECORD_BYTES) as u64);
         let rest = bytes.len() % RECORD_BYTES;
         return Err(Error::short(FORMAT, place, format!("expected a position of 12 bytes, found {rest}")));
     }
-    let positions = number::positions(Number::F32.decode(bytes, endian)).unwrap_or_default();
+    let positions = number::positions(NumberType::F32.decode(bytes, endian)).unwrap_or_default();
     let notes = match endian {
         Endian::Little => Vec::new(),
         Endian::Big => vec!["the numbers are absurd as little-endian: read as big-endian".into()],
@@ -68,7 +68,7 @@ fn endian(bytes: &[u8]) -> Result<Endian> {
         (_, true) => Ok(Endian::Big),
         _ => {
             let what = "expected three 32-bit floats per particle; these bytes are not plausible positions in either byte order";
-            Err(Error::invalid(FORMAT, Place::Offset(0), what))
+            Err(Error::invalid(FORMAT, Position::Offset(0), what))
         }
     }
 }
@@ -86,7 +86,7 @@ pub(crate) static ROW: FormatRow =
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::data::Positions;
+    use crate::data::FilePositions;
 
     fn positions() -> Vec<[f32; 3]> {
         (0..50).map(|n| n as f32).map(|n| [n * 0.1, -n, 1000.0 / (n + 1.0)]).collect()
@@ -100,9 +100,9 @@ mod tests {
     #[test]
     fn both_byte_orders_are_read() {
         let little = read_of(f32::to_le_bytes);
-        assert_eq!((little.positions, little.notes.len()), (Positions::F32(positions()), 0));
+        assert_eq!((little.positions, little.notes.len()), (FilePositions::F32(positions()), 0));
         let big = read_of(f32::to_be_bytes);
-        assert_eq!((big.positions, big.notes.len()), (Positions::F32(positions()), 1));
+        assert_eq!((big.positions, big.notes.len()), (FilePositions::F32(positions()), 1));
     }
 
     #[test]

@@ -18,7 +18,7 @@
 
 use crate::csv;
 use crate::data::ParticleFrame;
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::row::{FormatRow, ParticleInput};
 use crate::step_finders::{LineHeads, steps_of_atoms};
@@ -177,11 +177,11 @@ fn words(line: &[u8]) -> impl Iterator<Item = &[u8]> {
 }
 
 fn invalid(line: u64, what: impl Into<String>) -> Error {
-    Error::invalid(FORMAT, Place::Line(line), what)
+    Error::invalid(FORMAT, Position::Line(line), what)
 }
 
 fn short(line: u64, what: impl Into<String>) -> Error {
-    Error::short(FORMAT, Place::Line(line), what)
+    Error::short(FORMAT, Position::Line(line), what)
 }
 
 /// The row in the table of formats.

@@ -13,7 +13,7 @@ use std::io::{ErrorKind, Read};
 
 use ruzstd::decoding::{FrameDecoder, StreamingDecoder};
 
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 
 const FORMAT: &str = "Zstandard";
@@ -57,7 +57,7 @@ pub(crate) fn decompress(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
         } else if rest.starts_with(&MAGIC) {
             rest = decompress_frame(bytes, at, limits, &mut unpacked)?;
         } else {
-            let place = Place::Offset(at as u64);
+            let place = Position::Offset(at as u64);
             let what = "the compressed data is followed by other bytes";
             return Err(match MAGIC.starts_with(rest) || (rest.len() < 4 && rest[0] >> 4 == 5) {
                 true => Error::short(FORMAT, place, what),
@@ -73,7 +73,7 @@ fn after_skippable(rest: &[u8], at: usize) -> Result<&[u8]> {
     let length =
         rest.get(4..8).map(|length| u32::from_le_bytes([length[0], length[1], length[2], length[3]]));
     length.and_then(|length| rest.get(8 + length as usize..)).ok_or_else(|| {
-        Error::short(FORMAT, Place::Offset(at as u64), "the file ends within a skippable frame")
+        Error::short(FORMAT, Position::Offset(at as u64), "the file ends within a skippable frame")
     })
 }
 
@@ -120,14 +120,14 @@ fn check_sum(decoder: &FrameDecoder, consumed: usize) -> Result<()> {
     match (decoder.get_checksum_from_data(), decoder.get_calculated_checksum()) {
         (Some(expected), Some(found)) if expected != found => {
             let what = format!("the compressed data is damaged: checksum {found:08x}, not {expected:08x}");
-            Err(Error::invalid(FORMAT, Place::Offset(consumed as u64), what))
+            Err(Error::invalid(FORMAT, Position::Offset(consumed as u64), what))
         }
         _ => Ok(()),
     }
 }
 
 fn damage(source: &std::io::Error, consumed: usize) -> Error {
-    let place = Place::Offset(consumed as u64);
+    let place = Position::Offset(consumed as u64);
     match is_end(source) {
         true => Error::short(FORMAT, place, "the compressed data ends too early"),
         false => Error::invalid(FORMAT, place, format!("the compressed data is damaged: {source}")),

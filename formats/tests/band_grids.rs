@@ -11,7 +11,7 @@ use meniscus_formats::is_whole;
 use meniscus_formats::vdb::{
     Compression, WriteOptions, grid_notes, grids, read_level_set, read_vectors, write,
 };
-use meniscus_formats::{BandGrid, LeafValues, LevelSetView, Limits, Role};
+use meniscus_formats::{AttributeRole, BandGrid, LeafValues, LevelSetView, Limits};
 use solids::Solid;
 
 const COMPRESSIONS: [Compression; 3] = [Compression::None, Compression::ActiveMask, Compression::Blosc];
@@ -82,7 +82,8 @@ fn place(solid: &Solid, number: usize) -> (usize, usize) {
 fn openvdb_rs_reads_values_at_the_active_voxels() {
     for (name, solid) in solids::all() {
         let (vectors, scalars) = (values(&solid, 3), values(&solid, 1));
-        let velocity = BandGrid { name: "v", role: Some(Role::Velocity), arity: 3, values: &vectors };
+        let velocity =
+            BandGrid { name: "v", role: Some(AttributeRole::Velocity), arity: 3, values: &vectors };
         let age = BandGrid { name: "age", role: None, arity: 1, values: &scalars };
         for compression in COMPRESSIONS {
             for half in [false, true] {
@@ -135,15 +136,20 @@ fn openvdb_rs_reads_values_at_the_active_voxels() {
 fn grids_get_unique_names_and_are_found_by_name() {
     let solid = solids::sphere([0.5; 3], 30.0);
     let (vectors, scalars) = (values(&solid, 3), values(&solid, 1));
-    fn grid<'a>(name: &'a str, role: Option<Role>, arity: usize, values: &'a Values) -> BandGrid<'a> {
+    fn grid<'a>(
+        name: &'a str,
+        role: Option<AttributeRole>,
+        arity: usize,
+        values: &'a Values,
+    ) -> BandGrid<'a> {
         BandGrid { name, role, arity, values }
     }
     let list = [
         grid("surface", None, 1, &scalars),
-        grid("vel", Some(Role::Velocity), 3, &vectors),
+        grid("vel", Some(AttributeRole::Velocity), 3, &vectors),
         grid("Velocity", None, 3, &vectors),
         grid("", None, 1, &scalars),
-        grid("Cd", Some(Role::Color), 3, &vectors),
+        grid("Cd", Some(AttributeRole::Color), 3, &vectors),
         grid("odd\n\u{1e}name", None, 1, &scalars),
     ];
     let bytes = to_bytes(&LevelSetView { grids: &list, ..solid.view() }, Compression::Blosc, false);
@@ -194,7 +200,7 @@ fn bytes_do_not_depend_on_threads_and_truncation_is_detected() {
     let solid = solids::shell(60.0, 30.0);
     let (vectors, scalars) = (values(&solid, 3), values(&solid, 1));
     let list = [
-        BandGrid { name: "v", role: Some(Role::Velocity), arity: 3, values: &vectors },
+        BandGrid { name: "v", role: Some(AttributeRole::Velocity), arity: 3, values: &vectors },
         BandGrid { name: "age", role: None, arity: 1, values: &scalars },
     ];
     let view = LevelSetView { grids: &list, ..solid.view() };

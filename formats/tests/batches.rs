@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use meniscus_formats::{
-    Error, Limits, ParticleBatch, ParticleBatches, ParticleFrame, Positions, bgeo, ply, read_particles,
+    Error, FilePositions, Limits, ParticleBatch, ParticleBatches, ParticleFrame, bgeo, ply, read_particles,
 };
 
 const BATCH_BYTES: [usize; 4] = [1, 100, 5000, 1 << 22];
@@ -23,8 +23,12 @@ fn read_in_batches(
         assert_eq!(batch.positions.len(), batches.particles_of(index).len());
         assert!(!batch.positions.is_empty(), "batch {index}");
         frame.positions = match (&batch.positions, frame.positions) {
-            (Positions::F32(batch), Positions::F32(after)) => Positions::F32([&batch[..], &after].concat()),
-            (Positions::F64(batch), Positions::F64(after)) => Positions::F64([&batch[..], &after].concat()),
+            (FilePositions::F32(batch), FilePositions::F32(after)) => {
+                FilePositions::F32([&batch[..], &after].concat())
+            }
+            (FilePositions::F64(batch), FilePositions::F64(after)) => {
+                FilePositions::F64([&batch[..], &after].concat())
+            }
             (first, after) if after.is_empty() => first.clone(),
             (first, after) => panic!("{first:?} before {after:?}"),
         };
@@ -53,10 +57,12 @@ fn check(name: &str, bytes: &[u8], limits: &Limits) -> bool {
     is_streamed
 }
 
-fn bits(positions: &Positions) -> Vec<u64> {
+fn bits(positions: &FilePositions) -> Vec<u64> {
     match positions {
-        Positions::F32(positions) => positions.as_flattened().iter().map(|c| c.to_bits().into()).collect(),
-        Positions::F64(positions) => positions.as_flattened().iter().map(|c| c.to_bits()).collect(),
+        FilePositions::F32(positions) => {
+            positions.as_flattened().iter().map(|c| c.to_bits().into()).collect()
+        }
+        FilePositions::F64(positions) => positions.as_flattened().iter().map(|c| c.to_bits()).collect(),
     }
 }
 

@@ -1,7 +1,7 @@
 //! Classic BGEO: files built by hand, our own output, and files of other programs.
 
 use meniscus_formats::bgeo::{self, AttributeKind};
-use meniscus_formats::{Attribute, Error, Limits, ParticleFrame, Positions, Role, Values};
+use meniscus_formats::{AttributeRole, Error, FileAttribute, FilePositions, Limits, ParticleFrame, Values};
 use std::io::Read;
 use std::path::PathBuf;
 
@@ -58,8 +58,8 @@ fn read(bytes: &[u8]) -> meniscus_formats::Result<ParticleFrame> {
 
 fn positions(frame: &ParticleFrame) -> &[[f32; 3]] {
     match &frame.positions {
-        Positions::F32(positions) => positions,
-        Positions::F64(_) => panic!("the format has 32-bit positions"),
+        FilePositions::F32(positions) => positions,
+        FilePositions::F64(_) => panic!("the format has 32-bit positions"),
     }
 }
 
@@ -93,12 +93,13 @@ fn all_attribute_types_are_read() {
     let frame = read(&bytes).unwrap();
     assert_eq!(frame.notes, Vec::<String>::new());
     assert_eq!(positions(&frame), [[1.0, 2.0, 3.0], [1.0, 2.0, 3.0]], "the second one has w = 2");
-    let attribute = |name: &str, arity, role, values| Attribute { name: name.into(), arity, role, values };
+    let attribute =
+        |name: &str, arity, role, values| FileAttribute { name: name.into(), arity, role, values };
     let expected = [
         attribute("life", 2, None, Values::F32(vec![0.5, 10.0, -1.0, 20.0])),
-        attribute("Cd", 3, Some(Role::Color), Values::F32(vec![0.1, 0.2, 0.3, 0.4, 0.5, 0.6])),
-        attribute("v", 3, Some(Role::Velocity), Values::F32(vec![7.0, 8.0, 9.0, -7.0, -8.0, -9.0])),
-        attribute("id", 1, Some(Role::Id), Values::I32(vec![41, -42])),
+        attribute("Cd", 3, Some(AttributeRole::Color), Values::F32(vec![0.1, 0.2, 0.3, 0.4, 0.5, 0.6])),
+        attribute("v", 3, Some(AttributeRole::Velocity), Values::F32(vec![7.0, 8.0, 9.0, -7.0, -8.0, -9.0])),
+        attribute("id", 1, Some(AttributeRole::Id), Values::I32(vec![41, -42])),
         attribute("cell", 5, None, Values::I32((1..=10).collect())),
         attribute(
             "material",
@@ -130,7 +131,7 @@ fn positions_are_divided_by_nonzero_weights() {
 fn diameters_become_radii() {
     let bytes = Layout::new(1, 1).entry("diameter", 1, 0).reals(&[0.0, 0.0, 0.0, 1.0, 0.5]).end();
     let frame = read(&bytes).unwrap();
-    assert_eq!(frame.attributes[0].role, Some(Role::Radius));
+    assert_eq!(frame.attributes[0].role, Some(AttributeRole::Radius));
     assert_eq!(frame.attributes[0].values, Values::F32(vec![0.25]));
 }
 
@@ -213,14 +214,19 @@ fn written_files_are_read_back() {
 
     let long_name = "n".repeat(40_000);
     let frame = ParticleFrame {
-        positions: Positions::F64(vec![[0.1, 0.2, 0.3]; 3]),
+        positions: FilePositions::F64(vec![[0.1, 0.2, 0.3]; 3]),
         attributes: vec![
-            Attribute { name: long_name.clone(), arity: 1, role: None, values: Values::F64(vec![1.5; 3]) },
-            Attribute { name: "flag".into(), arity: 1, role: None, values: Values::U8(vec![1, 255, 0]) },
-            Attribute {
+            FileAttribute {
+                name: long_name.clone(),
+                arity: 1,
+                role: None,
+                values: Values::F64(vec![1.5; 3]),
+            },
+            FileAttribute { name: "flag".into(), arity: 1, role: None, values: Values::U8(vec![1, 255, 0]) },
+            FileAttribute {
                 name: "id".into(),
                 arity: 1,
-                role: Some(Role::Id),
+                role: Some(AttributeRole::Id),
                 values: Values::I64(vec![-1, 2, 3]),
             },
         ],
@@ -238,8 +244,8 @@ fn written_files_are_read_back() {
 #[test]
 fn values_beyond_the_format_are_an_error() {
     let attribute = |arity, values| ParticleFrame {
-        positions: Positions::F32(vec![[0.0; 3]]),
-        attributes: vec![Attribute { name: "a".into(), arity, role: None, values }],
+        positions: FilePositions::F32(vec![[0.0; 3]]),
+        attributes: vec![FileAttribute { name: "a".into(), arity, role: None, values }],
         notes: Vec::new(),
     };
     let table = [

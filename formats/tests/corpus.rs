@@ -5,7 +5,7 @@
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-use meniscus_formats::{Limits, ParticleFrame, Positions, Values, probe, read_particles};
+use meniscus_formats::{FilePositions, Limits, ParticleFrame, Values, probe, read_particles};
 
 fn corpus() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus")
@@ -52,14 +52,14 @@ fn valid_files_match_their_table() {
 fn check_position(frame: &ParticleFrame, index: usize, expected: &str, bits: &str, name: &str) {
     let expected: Vec<f64> = expected.split(' ').map(|number| number.parse().unwrap()).collect();
     match &frame.positions {
-        Positions::F32(positions) => {
+        FilePositions::F32(positions) => {
             assert_eq!(bits, "32", "of {name}");
             #[expect(clippy::cast_possible_truncation, reason = "written from 32 bits")]
             // Nine digits identify a 32-bit number uniquely.
             let expected: Vec<f32> = expected.iter().map(|&x| x as f32).collect();
             assert_eq!(positions[index][..], expected, "of {name}");
         }
-        Positions::F64(positions) => {
+        FilePositions::F64(positions) => {
             assert_eq!(bits, "64", "of {name}");
             for (found, expected) in positions[index].iter().zip(&expected) {
                 assert!((found - expected).abs() < 1e-9, "{name}: {found} is not {expected}");
@@ -126,7 +126,7 @@ fn shared_sequences_are_read() {
                 read_particles(&bytes, &name, &Limits::default()).unwrap_or_else(|e| panic!("{name}: {e}"));
             assert!(counts.contains(&frame.positions.len()), "{name}: {}", frame.positions.len());
             assert!(frame.attributes.iter().map(|a| a.arity).sum::<usize>() >= arity_sum, "{name}");
-            let Positions::F32(positions) = &frame.positions else { panic!("{name}: not 32 bits") };
+            let FilePositions::F32(positions) = &frame.positions else { panic!("{name}: not 32 bits") };
             assert!(positions.iter().flatten().all(|x| x.abs() < 10.0), "{name}: beyond the scene");
             frame_count += 1;
         }

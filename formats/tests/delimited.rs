@@ -5,7 +5,7 @@
 
 #![expect(clippy::cast_possible_truncation, reason = "the tests check narrowing")]
 
-use meniscus_formats::{Attribute, Error, Limits, ParticleFrame, Positions, Values, csv};
+use meniscus_formats::{Error, FileAttribute, FilePositions, Limits, ParticleFrame, Values, csv};
 use std::fmt::{Debug, Write};
 use std::path::{Path, PathBuf};
 
@@ -49,10 +49,10 @@ fn compare(path: &Path, found: &str) {
 /// Describes a frame in a few lines for review.
 fn describe(frame: &ParticleFrame) -> String {
     let mut text = match &frame.positions {
-        Positions::F32(positions) => format!("F32 {positions:?}\n"),
-        Positions::F64(positions) => format!("F64 {positions:?}\n"),
+        FilePositions::F32(positions) => format!("F32 {positions:?}\n"),
+        FilePositions::F64(positions) => format!("F64 {positions:?}\n"),
     };
-    for Attribute { name, arity, role, values } in &frame.attributes {
+    for FileAttribute { name, arity, role, values } in &frame.attributes {
         let role = role.map_or(String::new(), |role| format!(" ({role:?})"));
         writeln!(text, "{name}: {arity}{role} {}", describe_values(values)).unwrap();
     }
@@ -126,7 +126,7 @@ fn floats_have_64_bits_for_any_number_of_digits() {
         }
         let frame = csv::read(text.as_bytes(), &Limits::default()).unwrap();
         assert!(matches!(frame.attributes[0].values, Values::F64(_)), "{case}");
-        let Positions::F64(positions) = frame.positions else { panic!("{case}: not 64 bits") };
+        let FilePositions::F64(positions) = frame.positions else { panic!("{case}: not 64 bits") };
         for (index, &found) in positions.as_flattened().iter().enumerate() {
             let index = i32::try_from(index / 3 * 4 + index % 3).unwrap();
             assert_eq!(found, print(value(index)).parse::<f64>().unwrap(), "{case}, value {index}");
@@ -139,7 +139,7 @@ fn digits_of_one_particle_do_not_change_other_particles() {
     let read = |last: &str| {
         let text = format!("x,y,z,radius,id\n0.1,0.2,0.3,0.05,1\n0.7,0.11,0.13,0.025,2\n{last}\n");
         let frame = csv::read(text.as_bytes(), &Limits::default()).expect("a table");
-        let Positions::F64(positions) = frame.positions else { panic!("not 64 bits") };
+        let FilePositions::F64(positions) = frame.positions else { panic!("not 64 bits") };
         let Values::F64(radii) = &frame.attributes[0].values else { panic!("not 64 bits") };
         (positions[..2].to_vec(), radii[..2].to_vec())
     };
@@ -195,7 +195,7 @@ fn files_of_other_programs_are_read() {
         };
         let frame = csv::read(&bytes, &Limits::default()).unwrap_or_else(|error| panic!("{path}: {error}"));
         assert_eq!(frame.positions.len(), count, "{path}");
-        assert!(matches!(frame.positions, Positions::F64(_)), "{path}");
+        assert!(matches!(frame.positions, FilePositions::F64(_)), "{path}");
         assert_eq!(frame.notes, Vec::<String>::new(), "{path}");
         let found_names: Vec<&str> = frame.attributes.iter().map(|a| a.name.as_str()).collect();
         assert_eq!(found_names.join(" "), names, "{path}");

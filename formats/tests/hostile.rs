@@ -14,9 +14,9 @@ use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use meniscus_formats::{
-    Attribute, BandGrid, LeafValues, LevelSetView, Limits, MeshOptions, MeshView, OutputFormat,
-    ParticleBatch, ParticleBatches, Result, Role, Values, bgeo, csv, gltf, lammps, obj, ply, read_obstacle,
-    read_particles, vdb,
+    AttributeRole, BandGrid, FileAttribute, LeafValues, LevelSetView, Limits, MeshOptions, MeshView,
+    OutputFormat, ParticleBatch, ParticleBatches, Result, Values, bgeo, csv, gltf, lammps, obj, ply,
+    read_obstacle, read_particles, vdb,
 };
 use peak_alloc::PeakAlloc;
 
@@ -44,7 +44,7 @@ fn damaged_bgeo_files_do_not_panic() {
     let _alone = alone();
     let source = corpus(&["taichi_000007.ply"]).remove(0).1;
     let mut frame = ply::read(&source, &Limits::default()).unwrap();
-    frame.attributes.push(Attribute {
+    frame.attributes.push(FileAttribute {
         name: "material".into(),
         arity: 1,
         role: None,
@@ -218,7 +218,7 @@ fn damaged_level_sets_do_not_panic() {
         leaves: &leaves,
         half_width_voxels: 3.0,
         voxel_size: 0.1,
-        grids: &[BandGrid { name: "v", role: Some(Role::Velocity), arity: 3, values: &OneVelocity }],
+        grids: &[BandGrid { name: "v", role: Some(AttributeRole::Velocity), arity: 3, values: &OneVelocity }],
     };
     for compression in [vdb::Compression::None, vdb::Compression::ActiveMask, vdb::Compression::Blosc] {
         let mut bytes = Vec::new();

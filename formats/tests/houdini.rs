@@ -4,7 +4,8 @@ use crate::fixtures;
 
 use fixtures::{PAGES, TUPLES, binary, container};
 use meniscus_formats::{
-    Attribute, Error, Limits, ParticleFrame, Positions, Role, Values, houdini, read_particles,
+    AttributeRole, Error, FileAttribute, FilePositions, Limits, ParticleFrame, Values, houdini,
+    read_particles,
 };
 
 fn read(bytes: &[u8], name: &str) -> ParticleFrame {
@@ -26,17 +27,18 @@ fn forms(text: &str) -> Vec<(&'static str, Vec<u8>)> {
 
 #[test]
 fn all_forms_give_the_same_frame() {
-    let attribute = |name: &str, arity, role, values| Attribute { name: name.into(), arity, role, values };
+    let attribute =
+        |name: &str, arity, role, values| FileAttribute { name: name.into(), arity, role, values };
     let table = ["a", "bé"].map(String::from).to_vec();
     for (name, bytes) in forms(TUPLES) {
         let frame = read(&bytes, name);
         let positions = vec![[0.5, 1.0, 2.0], [0.25, -1.0, 0.2], [3.0, 4.0, 5.0]];
-        assert_eq!(frame.positions, Positions::F32(positions), "{name}");
+        assert_eq!(frame.positions, FilePositions::F32(positions), "{name}");
         let velocities = [1.0, 4.0, 7.0, 2.0, 5.0, 8.0, 3.0, 6.0, 9.0];
         let expected = [
-            attribute("v", 3, Some(Role::Velocity), Values::F64(velocities.to_vec())),
-            attribute("id", 1, Some(Role::Id), Values::I64(vec![7, 8, 5_000_000_000])),
-            attribute("pscale", 1, Some(Role::Radius), Values::F32(vec![0.125; 3])),
+            attribute("v", 3, Some(AttributeRole::Velocity), Values::F64(velocities.to_vec())),
+            attribute("id", 1, Some(AttributeRole::Id), Values::I64(vec![7, 8, 5_000_000_000])),
+            attribute("pscale", 1, Some(AttributeRole::Radius), Values::F32(vec![0.125; 3])),
             attribute("part", 1, None, Values::Strings { table: table.clone(), indices: vec![1, 0, -1] }),
         ];
         assert_eq!(frame.attributes, expected, "{name}");
@@ -52,7 +54,7 @@ fn paged_values_are_decoded() {
     for (name, bytes) in forms(PAGES) {
         let page = [7.0, 8.0, 9.0];
         let positions = vec![[1.0, 2.0, 3.0], [2.0, 2.5, 3.0], page, page, [10.0, 11.0, 12.0]];
-        assert_eq!(read(&bytes, name).positions, Positions::F32(positions), "{name}");
+        assert_eq!(read(&bytes, name).positions, FilePositions::F32(positions), "{name}");
     }
 }
 

@@ -5,7 +5,7 @@ use crate::fixtures;
 use fixtures::DUMP;
 use meniscus_formats::steps::find_steps;
 use meniscus_formats::{
-    Format, Kind, Limits, ParticleFrame, Positions, Role, Values, lammps, read_particles,
+    AttributeRole, FilePositions, Format, Limits, ParticleFrame, ProbedKind, Values, lammps, read_particles,
 };
 
 fn read(text: &str) -> ParticleFrame {
@@ -22,13 +22,13 @@ fn dump(bounds: &str, columns: &str, row: &str) -> String {
 #[test]
 fn single_step_is_read_as_a_frame() {
     let frame = read(DUMP);
-    assert_eq!(frame.positions, Positions::F64(vec![[0.5, 0.25, 1.0], [0.75, 0.25, 1.0]]));
+    assert_eq!(frame.positions, FilePositions::F64(vec![[0.5, 0.25, 1.0], [0.75, 0.25, 1.0]]));
     let found: Vec<_> = frame.attributes.iter().map(|a| (a.name.as_str(), a.arity, a.role)).collect();
     let expected = [
-        ("id", 1, Some(Role::Id)),
-        ("type", 1, Some(Role::Kind)),
-        ("v", 3, Some(Role::Velocity)),
-        ("radius", 1, Some(Role::Radius)),
+        ("id", 1, Some(AttributeRole::Id)),
+        ("type", 1, Some(AttributeRole::Kind)),
+        ("v", 3, Some(AttributeRole::Velocity)),
+        ("radius", 1, Some(AttributeRole::Radius)),
     ];
     assert_eq!(found, expected);
     assert_eq!(frame.attributes[0].values, Values::I32(vec![1, 2]));
@@ -58,8 +58,8 @@ fn scaled_positions_are_multiplied_by_the_box() {
     ];
     for (bounds, columns, row, expected) in table {
         let found = match read(&dump(bounds, columns, row)).positions {
-            Positions::F32(positions) => positions[0].map(f64::from),
-            Positions::F64(positions) => positions[0],
+            FilePositions::F32(positions) => positions[0].map(f64::from),
+            FilePositions::F64(positions) => positions[0],
         };
         assert_eq!(found, expected, "{bounds} {columns}");
     }
@@ -72,7 +72,12 @@ fn columns_with_any_name_become_attributes() {
     let found: Vec<_> = frame.attributes.iter().map(|a| (a.name.as_str(), a.arity, a.role)).collect();
     assert_eq!(
         found,
-        [("element", 1, None), ("c_s[1]", 1, None), ("c_s[2]", 1, None), ("diameter", 1, Some(Role::Radius))]
+        [
+            ("element", 1, None),
+            ("c_s[1]", 1, None),
+            ("c_s[2]", 1, None),
+            ("diameter", 1, Some(AttributeRole::Radius))
+        ]
     );
     assert_eq!(frame.attributes[3].values, Values::F64(vec![0.25]));
 }
@@ -93,14 +98,15 @@ fn several_steps_are_read_separately() {
         let bytes = &text.as_bytes()[step.range.clone()];
         assert_eq!(read_particles(bytes, "a.dump", &Limits::default()).unwrap(), *frame);
     }
-    let found = find_steps(Kind::Format(Format::LammpsDump), text.as_bytes(), &Limits::default()).unwrap();
+    let found =
+        find_steps(ProbedKind::Format(Format::LammpsDump), text.as_bytes(), &Limits::default()).unwrap();
     let found: Vec<_> =
         found.iter().map(|step| (step.number.unwrap(), usize::try_from(step.range.end).unwrap())).collect();
     // The last step includes everything after it.
     let mut expected: Vec<_> = steps.iter().map(|step| (step.timestep, step.range.end)).collect();
     expected[2].1 += 1;
     assert_eq!(found, expected);
-    assert_eq!(frames[1].positions, Positions::F64(vec![[0.5, 0.25, 1.0], [0.875, 0.25, 1.0]]));
+    assert_eq!(frames[1].positions, FilePositions::F64(vec![[0.5, 0.25, 1.0], [0.875, 0.25, 1.0]]));
     assert!(frames[2].positions.is_empty());
     let error = read_particles(text.as_bytes(), "a", &Limits::default()).unwrap_err().to_string();
     assert!(error.contains("3 time steps, 1000 to 3000"), "{error}");

@@ -6,7 +6,7 @@
 use std::io::Cursor;
 
 use meniscus_formats::{
-    Error, Limits, MeshData, MeshOptions, MeshView, OutputFormat, Role, Values, VertexAttribute,
+    AttributeRole, Error, Limits, MeshData, MeshOptions, MeshView, OutputFormat, Values, VertexAttribute,
     VertexValues, gltf, is_whole, read_particles, read_provenance, stl, usda, vtk,
 };
 
@@ -91,11 +91,11 @@ impl Mesh {
         };
         vec![
             numbers("heat \u{1}2", None, 1, &*self.heat),
-            numbers("v", Some(Role::Velocity), 3, &*self.velocity),
-            numbers("Cd", Some(Role::Color), 4, &*self.color),
+            numbers("v", Some(AttributeRole::Velocity), 3, &*self.velocity),
+            numbers("Cd", Some(AttributeRole::Color), 4, &*self.color),
             VertexAttribute {
                 name: "id",
-                role: Some(Role::Id),
+                role: Some(AttributeRole::Id),
                 arity: 1,
                 values: VertexValues::Integers(&self.ids),
             },

@@ -3,7 +3,9 @@
 use crate::fixtures;
 
 use fixtures::{archive, array, f32s, six};
-use meniscus_formats::{Attribute, Limits, ParticleFrame, Positions, Role, Values, npy, read_particles};
+use meniscus_formats::{
+    AttributeRole, FileAttribute, FilePositions, Limits, ParticleFrame, Values, npy, read_particles,
+};
 
 fn read(bytes: &[u8]) -> ParticleFrame {
     read_particles(bytes, "a.npy", &Limits::default()).unwrap_or_else(|error| panic!("{error}"))
@@ -33,8 +35,8 @@ fn positions_of_all_types_and_orders_are_read() {
     for (case, bytes, is_wide) in table {
         let frame = read(&bytes);
         let expected = match is_wide {
-            false => Positions::F32(TWO.to_vec()),
-            true => Positions::F64(TWO.map(|position| position.map(f64::from)).to_vec()),
+            false => FilePositions::F32(TWO.to_vec()),
+            true => FilePositions::F64(TWO.map(|position| position.map(f64::from)).to_vec()),
         };
         assert_eq!(frame, ParticleFrame { positions: expected, ..ParticleFrame::default() }, "{case}");
     }
@@ -43,7 +45,7 @@ fn positions_of_all_types_and_orders_are_read() {
 #[test]
 fn columns_after_the_third_become_attributes() {
     let frame = read(&array(1, "'<f4'", false, "(1, 6)", &six()));
-    assert_eq!(frame.positions, Positions::F32(vec![TWO[0]]));
+    assert_eq!(frame.positions, FilePositions::F32(vec![TWO[0]]));
     let names: Vec<&str> = frame.attributes.iter().map(|a| a.name.as_str()).collect();
     assert_eq!((names.join(" "), frame.notes.len()), ("column_4 column_5 column_6".into(), 1));
 }
@@ -58,14 +60,15 @@ fn fields_of_structured_arrays_become_attributes() {
     record.extend(b"ab\0\0");
     record.extend(f32s(&[0.5]));
     let frame = read(&array(1, descr, false, "(2,)", &[record.clone(), record].concat()));
-    let attribute = |name: &str, arity, role, values| Attribute { name: name.into(), arity, role, values };
-    assert_eq!(frame.positions, Positions::F32(vec![TWO[0]; 2]));
+    let attribute =
+        |name: &str, arity, role, values| FileAttribute { name: name.into(), arity, role, values };
+    assert_eq!(frame.positions, FilePositions::F32(vec![TWO[0]; 2]));
     assert_eq!(
         frame.attributes,
         [
-            attribute("id", 1, Some(Role::Id), Values::I32(vec![7, 7])),
-            attribute("v", 3, Some(Role::Velocity), Values::F32(TWO[1].repeat(2))),
-            attribute("radius", 1, Some(Role::Radius), Values::F32(vec![0.5; 2])),
+            attribute("id", 1, Some(AttributeRole::Id), Values::I32(vec![7, 7])),
+            attribute("v", 3, Some(AttributeRole::Velocity), Values::F32(TWO[1].repeat(2))),
+            attribute("radius", 1, Some(AttributeRole::Radius), Values::F32(vec![0.5; 2])),
         ]
     );
     assert!(frame.notes[0].contains("`name`: it is not numeric"), "{:?}", frame.notes);
@@ -84,9 +87,9 @@ fn stored_and_deflated_archives_are_read() {
     for deflated in [false, true] {
         let bytes = archive(&members, deflated);
         let frame = read_particles(&bytes, "a", &Limits::default()).unwrap();
-        assert_eq!(frame.positions, Positions::F32(TWO.to_vec()));
+        assert_eq!(frame.positions, FilePositions::F32(TWO.to_vec()));
         let found: Vec<_> = frame.attributes.iter().map(|a| (a.name.as_str(), a.role)).collect();
-        assert_eq!(found, [("vel", Some(Role::Velocity)), ("id", Some(Role::Id))]);
+        assert_eq!(found, [("vel", Some(AttributeRole::Velocity)), ("id", Some(AttributeRole::Id))]);
         assert_eq!(frame.notes.len(), 2, "{:?}", frame.notes);
         let with_comment = [&bytes[..bytes.len() - 2], &[3, 0], b"abc"].concat();
         assert_eq!(npy::read_archive(&with_comment, &Limits::default()).unwrap(), frame);
@@ -99,10 +102,10 @@ fn stored_and_deflated_archives_are_read() {
     let columns: Vec<(&str, Vec<u8>)> =
         columns.iter().map(|(name, bytes)| (&name[..], bytes.clone())).collect();
     let frame = npy::read_archive(&archive(&columns, true), &Limits::default()).unwrap();
-    assert_eq!(frame.positions, Positions::F32(vec![[1.0; 3], [2.0; 3]]));
+    assert_eq!(frame.positions, FilePositions::F32(vec![[1.0; 3], [2.0; 3]]));
     let alone = archive(&[("arr_0.npy", array(1, "'<f4'", false, "(2, 3)", &six()))], false);
     let frame = npy::read_archive(&alone, &Limits::default()).unwrap();
-    assert_eq!((frame.positions, frame.notes.len()), (Positions::F32(TWO.to_vec()), 1));
+    assert_eq!((frame.positions, frame.notes.len()), (FilePositions::F32(TWO.to_vec()), 1));
     let wide = array(1, "'<f4'", false, "(1, 6)", &six());
     let archived =
         npy::read_archive(&archive(&[("arr_0.npy", wide.clone())], false), &Limits::default()).unwrap();

@@ -6,8 +6,8 @@ use std::io::Cursor;
 use std::path::Path;
 
 use meniscus_formats::{
-    Attribute, Limits, OutputFormat, ParticleFrame, Positions, Provenance, Result, Role, Values, is_whole,
-    ply, read_particles, read_provenance, vtk,
+    AttributeRole, FileAttribute, FilePositions, Limits, OutputFormat, ParticleFrame, Provenance, Result,
+    Values, is_whole, ply, read_particles, read_provenance, vtk,
 };
 
 type Writer = fn(&ParticleFrame, &Provenance, &mut Vec<u8>) -> Result<()>;
@@ -40,7 +40,7 @@ fn frames() -> Vec<(String, ParticleFrame)> {
 
 /// The values that are read back: strings become indices, wide integers become floats if the format lacks
 /// their type.
-fn narrowed(attribute: &Attribute, is_ply: bool) -> Values {
+fn narrowed(attribute: &FileAttribute, is_ply: bool) -> Values {
     match &attribute.values {
         Values::Strings { table, indices } => Values::I32(
             indices
@@ -71,10 +71,10 @@ fn bits(values: &Values) -> Vec<u64> {
     }
 }
 
-fn position_bits(positions: &Positions) -> Vec<u64> {
+fn position_bits(positions: &FilePositions) -> Vec<u64> {
     match positions {
-        Positions::F32(all) => all.as_flattened().iter().map(|x| u64::from(x.to_bits())).collect(),
-        Positions::F64(all) => all.as_flattened().iter().map(|x| x.to_bits()).collect(),
+        FilePositions::F32(all) => all.as_flattened().iter().map(|x| u64::from(x.to_bits())).collect(),
+        FilePositions::F64(all) => all.as_flattened().iter().map(|x| x.to_bits()).collect(),
     }
 }
 
@@ -93,7 +93,7 @@ fn written_particles_are_read_back_exactly() {
             assert!(!is_whole(kind, &mut Cursor::new(cut)).unwrap(), "{name} as {written_name}");
             let found = read(&bytes, written_name);
             let shown = format!("{name} as {written_name}");
-            let is_wide = |positions: &Positions| matches!(positions, Positions::F64(_));
+            let is_wide = |positions: &FilePositions| matches!(positions, FilePositions::F64(_));
             assert_eq!(position_bits(&found.positions), position_bits(&frame.positions), "{shown}");
             if !frame.positions.is_empty() {
                 assert_eq!(is_wide(&found.positions), is_wide(&frame.positions), "{shown}");
@@ -104,7 +104,7 @@ fn written_particles_are_read_back_exactly() {
 }
 
 fn check_attributes(frame: &ParticleFrame, found: &ParticleFrame, is_ply: bool, shown: &str) {
-    let named = |frame: &ParticleFrame| -> Vec<(String, usize, Option<Role>)> {
+    let named = |frame: &ParticleFrame| -> Vec<(String, usize, Option<AttributeRole>)> {
         frame.attributes.iter().map(|a| (a.name.clone(), a.arity, a.role)).collect()
     };
     let mut expected = named(frame);
@@ -125,16 +125,16 @@ fn check_attributes(frame: &ParticleFrame, found: &ParticleFrame, is_ply: bool, 
     }
 }
 
-fn attribute(name: &str, arity: usize, role: Option<Role>, values: Values) -> Attribute {
-    Attribute { name: name.into(), arity, role, values }
+fn attribute(name: &str, arity: usize, role: Option<AttributeRole>, values: Values) -> FileAttribute {
+    FileAttribute { name: name.into(), arity, role, values }
 }
 
 #[test]
 fn unusual_attributes_round_trip_or_get_a_note() {
     let attributes = vec![
-        attribute("Cd", 4, Some(Role::Color), Values::U8((0..8).collect())),
-        attribute("width", 1, Some(Role::Radius), Values::F32(vec![0.125, 0.25])),
-        attribute("id", 1, Some(Role::Id), Values::I64(vec![-5, 1 << 60])),
+        attribute("Cd", 4, Some(AttributeRole::Color), Values::U8((0..8).collect())),
+        attribute("width", 1, Some(AttributeRole::Radius), Values::F32(vec![0.125, 0.25])),
+        attribute("id", 1, Some(AttributeRole::Id), Values::I64(vec![-5, 1 << 60])),
         attribute("a b", 1, None, Values::F64(vec![0.1, -0.0])),
         attribute("x", 1, None, Values::I32(vec![1, -1])),
         attribute(
@@ -144,7 +144,7 @@ fn unusual_attributes_round_trip_or_get_a_note() {
             Values::Strings { table: vec!["a\"<".into(), "ü".into()], indices: vec![1, 7] },
         ),
     ];
-    let positions = Positions::F64(vec![[0.1, 2e10, -3.5], [f64::NAN, 0.0, 1.0]]);
+    let positions = FilePositions::F64(vec![[0.1, 2e10, -3.5], [f64::NAN, 0.0, 1.0]]);
     let frame = ParticleFrame { positions, attributes, notes: Vec::new() };
     let expected: [(&str, &[&str], Writer); 2] = [
         (
@@ -173,7 +173,10 @@ fn unusual_attributes_round_trip_or_get_a_note() {
         assert_eq!(back.attributes[1], frame.attributes[1], "diameters are halved by readers");
         assert_eq!(back.attributes[0], frame.attributes[0]);
         let roles: Vec<_> = back.attributes.iter().map(|attribute| attribute.role).collect();
-        assert_eq!(roles[..3], [Some(Role::Color), Some(Role::Radius), Some(Role::Id)]);
+        assert_eq!(
+            roles[..3],
+            [Some(AttributeRole::Color), Some(AttributeRole::Radius), Some(AttributeRole::Id)]
+        );
     }
     let short =
         ParticleFrame { attributes: vec![attribute("v", 3, None, Values::F32(vec![0.0; 5]))], ..frame };

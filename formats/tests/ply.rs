@@ -4,7 +4,7 @@ use std::path::Path;
 
 use meniscus_formats::ply::{Encoding, PropertyType, read, read_header, read_mesh};
 use meniscus_formats::scalar::Scalar;
-use meniscus_formats::{Error, Limits, ParticleFrame, Positions, Role, Values};
+use meniscus_formats::{AttributeRole, Error, FilePositions, Limits, ParticleFrame, Values};
 use proptest::prelude::*;
 
 fn read_text(text: &str) -> ParticleFrame {
@@ -13,8 +13,8 @@ fn read_text(text: &str) -> ParticleFrame {
 
 fn positions(frame: &ParticleFrame) -> Vec<[f64; 3]> {
     match &frame.positions {
-        Positions::F32(positions) => positions.iter().map(|position| position.map(f64::from)).collect(),
-        Positions::F64(positions) => positions.clone(),
+        FilePositions::F32(positions) => positions.iter().map(|position| position.map(f64::from)).collect(),
+        FilePositions::F64(positions) => positions.clone(),
     }
 }
 
@@ -44,7 +44,7 @@ fn headers_with_any_line_end_precede_a_binary_body() {
             file.push(k);
         }
         let frame = read(&file, &Limits::default()).unwrap();
-        assert_eq!(frame.positions, Positions::F32(vec![[x, 2.0, 3.0], [4.0, 5.0, 6.0]]), "with {end:?}");
+        assert_eq!(frame.positions, FilePositions::F32(vec![[x, 2.0, 3.0], [4.0, 5.0, 6.0]]), "with {end:?}");
         assert_eq!(values(&frame, "k"), [10.0, 13.0]);
         let size = read_header(&file, &Limits::default()).unwrap().file_size_min();
         assert_eq!(size, Some(file.len() as u64));
@@ -60,7 +60,7 @@ fn other_elements_and_lists_are_skipped() {
                 2 0.5 0.5 1\n\n0 2\n 3 0 2 1 4\t\r\n6 2 8 9 5 4 1\n3 0 1 1\n";
     let frame = read_text(text);
     assert_eq!(positions(&frame), [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);
-    assert_eq!(frame.attributes[0].role, Some(Role::Radius));
+    assert_eq!(frame.attributes[0].role, Some(AttributeRole::Radius));
     assert_eq!(values(&frame, "diameter"), [2.0, 0.5], "halved");
     assert_eq!(frame.notes.len(), 3, "diameter, list, faces: {:?}", frame.notes);
 }
@@ -90,7 +90,7 @@ fn positions_keep_their_precision() {
             .fold(String::new(), |text, (kind, name)| text + &format!("property {kind} {name}\n"));
         let text = format!("ply\nformat ascii 1.0\nelement vertex 1\n{properties}end_header\n100 200 30\n");
         let frame = read_text(&text);
-        assert_eq!(matches!(frame.positions, Positions::F32(_)), is_f32, "of {types:?}");
+        assert_eq!(matches!(frame.positions, FilePositions::F32(_)), is_f32, "of {types:?}");
         assert_eq!(positions(&frame), [[100.0, 200.0, 30.0]]);
     }
 }

@@ -4,8 +4,8 @@
 
 use std::io::{self, Cursor};
 
-use meniscus_formats::gltf::{self, FrameFile, ShotFrame, UpAxis};
-use meniscus_formats::{Error, MeshOptions, MeshView, Role, VertexAttribute, VertexValues, usda};
+use meniscus_formats::gltf::{self, SequenceFrame, ShotFrame, UpAxis};
+use meniscus_formats::{AttributeRole, Error, MeshOptions, MeshView, VertexAttribute, VertexValues, usda};
 
 /// A pyramid over a polygon, and the options for writing it.
 struct Frame {
@@ -54,7 +54,7 @@ impl Frame {
             values: VertexValues::Numbers(values),
         };
         let attributes =
-            [numbers("v", Some(Role::Velocity), 3, &*velocity), numbers("Heat", None, 1, &*heat)];
+            [numbers("v", Some(AttributeRole::Velocity), 3, &*velocity), numbers("Heat", None, 1, &*heat)];
         // One frame has fewer attributes.
         let attributes = &attributes[..if self.code == 6 { 1 } else { 2 }];
         let mesh = MeshView {
@@ -78,7 +78,7 @@ fn gathered(up: UpAxis) -> (Vec<ShotFrame>, Vec<Vec<u8>>) {
     let shot = |(frame, bytes): (&Frame, &Vec<u8>)| ShotFrame {
         name: format!("dam.{}", frame.code),
         code: frame.code,
-        file: FrameFile::read(&mut Cursor::new(bytes)).expect("our own file"),
+        file: SequenceFrame::read(&mut Cursor::new(bytes)).expect("our own file"),
     };
     (frames().iter().zip(&files).map(shot).collect(), files)
 }
@@ -239,7 +239,7 @@ fn invalid_sequences_are_errors() {
     assert!(matches!(both(&shot), (Err(Error::Invalid { .. }), Err(Error::Invalid { .. }))));
     shot[1].code = 6;
     let turned = frames()[1].glb(UpAxis::Z);
-    shot[1].file = FrameFile::read(&mut Cursor::new(&turned)).expect("our own file");
+    shot[1].file = SequenceFrame::read(&mut Cursor::new(&turned)).expect("our own file");
     assert!(matches!(both(&shot), (_, Err(Error::Invalid { .. }))));
     // A file that changed after it was opened.
     let (shot, mut files) = gathered(UpAxis::Y);
@@ -257,7 +257,7 @@ fn invalid_sequences_are_errors() {
 
 #[test]
 fn other_and_damaged_files_are_not_frames() {
-    let read = |bytes: &[u8]| FrameFile::read(&mut Cursor::new(bytes));
+    let read = |bytes: &[u8]| SequenceFrame::read(&mut Cursor::new(bytes));
     assert!(matches!(read(&glb_shot(UpAxis::Y)), Err(Error::Unsupported { .. })));
     assert!(read(b"").is_err() && read(b"ply\n").is_err());
     let whole = frames()[1].glb(UpAxis::Z);
@@ -302,7 +302,7 @@ fn triangle(attributes: &[VertexAttribute]) -> Vec<u8> {
 
 /// The sequence of one frame, and its notes.
 fn usda_of(bytes: &[u8]) -> Result<(String, Vec<String>), Error> {
-    let file = FrameFile::read(&mut Cursor::new(bytes))?;
+    let file = SequenceFrame::read(&mut Cursor::new(bytes))?;
     let shot = [ShotFrame { name: "a".into(), code: 1, file }];
     let mut text = Vec::new();
     let notes = usda::write_sequence(&shot, (24.0, 1.0), &[], |_| Ok(Cursor::new(bytes)), &mut text)?;

@@ -4,7 +4,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use meniscus_formats::{Limits, ParticleFrame, Positions, looks_like_particles, read_particles};
+use meniscus_formats::{FilePositions, Limits, ParticleFrame, looks_like_particles, read_particles};
 
 /// The folder of the files; prints a message if it is missing.
 fn data() -> Option<PathBuf> {
@@ -37,8 +37,8 @@ fn read(path: &Path) -> Result<ParticleFrame, String> {
 /// The minimum and maximum coordinate along each axis.
 fn bounds(frame: &ParticleFrame) -> [[f64; 3]; 2] {
     let positions: Vec<[f64; 3]> = match &frame.positions {
-        Positions::F32(positions) => positions.iter().map(|position| position.map(f64::from)).collect(),
-        Positions::F64(positions) => positions.clone(),
+        FilePositions::F32(positions) => positions.iter().map(|position| position.map(f64::from)).collect(),
+        FilePositions::F64(positions) => positions.clone(),
     };
     let along = |start, pick: fn(f64, f64) -> f64| {
         let all = |axis: usize| positions.iter().map(|position| position[axis]).fold(start, pick);

@@ -3,8 +3,8 @@
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
 
 use meniscus_formats::{
-    Attribute, Limits, MeshOptions, MeshView, OutputFormat, ParticleFrame, Role, Values, VertexAttribute,
-    VertexValues, gltf, is_whole, obj, ply, read_provenance,
+    AttributeRole, FileAttribute, Limits, MeshOptions, MeshView, OutputFormat, ParticleFrame, Values,
+    VertexAttribute, VertexValues, gltf, is_whole, obj, ply, read_provenance,
 };
 
 const VERTEX_COUNT: usize = 5000; // more than one chunk of formatting or conversion
@@ -24,7 +24,7 @@ fn numbers(arity: usize, scale: f32) -> Vec<f32> {
 
 fn attribute<'a>(
     name: &'a str,
-    role: Option<Role>,
+    role: Option<AttributeRole>,
     arity: usize,
     values: VertexValues<'a>,
 ) -> VertexAttribute<'a> {
@@ -64,7 +64,7 @@ fn ply_frame(attributes: &[VertexAttribute]) -> (ParticleFrame, String) {
     (frame, String::from_utf8(bytes[..end].to_vec()).expect("ASCII"))
 }
 
-fn named<'a>(frame: &'a ParticleFrame, name: &str) -> &'a Attribute {
+fn named<'a>(frame: &'a ParticleFrame, name: &str) -> &'a FileAttribute {
     let names: Vec<&str> = frame.attributes.iter().map(|attribute| attribute.name.as_str()).collect();
     let found = frame.attributes.iter().find(|attribute| attribute.name == name);
     found.unwrap_or_else(|| panic!("no {name} among {names:?}"))
@@ -79,28 +79,28 @@ fn ply_attributes_round_trip() {
     let table = ["water".to_string(), "größe: \n\\".to_string(), String::new()];
     let kinds: Vec<i32> = (0..VERTEX_COUNT as i32).map(|v| v % 5 - 1).collect();
     let attributes = [
-        attribute("Cd", Some(Role::Color), 3, VertexValues::Numbers(&color)),
-        attribute("v", Some(Role::Velocity), 3, VertexValues::Numbers(&velocity)),
+        attribute("Cd", Some(AttributeRole::Color), 3, VertexValues::Numbers(&color)),
+        attribute("v", Some(AttributeRole::Velocity), 3, VertexValues::Numbers(&velocity)),
         attribute("age", None, 1, VertexValues::Numbers(&age)),
         attribute("uv", None, 2, VertexValues::Numbers(&uv)),
         attribute("nine", None, 9, VertexValues::Numbers(&nine)),
-        attribute("id", Some(Role::Id), 1, VertexValues::Integers(&ids)),
+        attribute("id", Some(AttributeRole::Id), 1, VertexValues::Integers(&ids)),
         attribute("wide", None, 1, VertexValues::Integers(&wide)),
         attribute("material", None, 1, VertexValues::Strings { table: &table, indices: &kinds }),
     ];
     let (frame, header) = ply_frame(&attributes);
     let found = named(&frame, "color");
     let bytes: Vec<u8> = color.iter().map(|value| (value * 255.0).round_ties_even() as u8).collect();
-    assert_eq!((found.role, found.arity, &found.values), (Some(Role::Color), 3, &Values::U8(bytes)));
+    assert_eq!((found.role, found.arity, &found.values), (Some(AttributeRole::Color), 3, &Values::U8(bytes)));
     let found = named(&frame, "v");
     assert_eq!(
         (found.role, found.arity, &found.values),
-        (Some(Role::Velocity), 3, &Values::F32(velocity.clone()))
+        (Some(AttributeRole::Velocity), 3, &Values::F32(velocity.clone()))
     );
     assert_eq!(named(&frame, "age").values, Values::F32(age.clone()));
     assert_eq!((named(&frame, "uv").arity, &named(&frame, "uv").values), (2, &Values::F32(uv.clone())));
     assert_eq!(named(&frame, "nine").values, Values::F32(nine.clone()));
-    assert_eq!(named(&frame, "id").role, Some(Role::Id));
+    assert_eq!(named(&frame, "id").role, Some(AttributeRole::Id));
     assert_eq!(named(&frame, "id").values, Values::I32(ids.iter().map(|&id| id as i32).collect()));
     assert_eq!(named(&frame, "wide").values, Values::F64(wide.iter().map(|&id| id as f64).collect()));
     let indices: Vec<i32> =
@@ -118,11 +118,11 @@ fn gltf_crate_reads_all_stored_attributes() {
     let table = ["water".to_string(), "größe".to_string()];
     let kinds: Vec<i32> = (0..VERTEX_COUNT as i32).map(|v| v % 4 - 1).collect();
     let attributes = [
-        attribute("Cd", Some(Role::Color), 4, VertexValues::Numbers(&color)),
-        attribute("vel", Some(Role::Velocity), 3, VertexValues::Numbers(&velocity)),
+        attribute("Cd", Some(AttributeRole::Color), 4, VertexValues::Numbers(&color)),
+        attribute("vel", Some(AttributeRole::Velocity), 3, VertexValues::Numbers(&velocity)),
         attribute("age", None, 1, VertexValues::Numbers(&age)),
         attribute("uv", None, 2, VertexValues::Numbers(&uv)),
-        attribute("id", Some(Role::Id), 1, VertexValues::Integers(&ids)),
+        attribute("id", Some(AttributeRole::Id), 1, VertexValues::Integers(&ids)),
         attribute("material", None, 1, VertexValues::Strings { table: &table, indices: &kinds }),
     ];
     let notes = gltf::attribute_notes(&attributes);
@@ -168,8 +168,8 @@ fn gltf_crate_reads_all_stored_attributes() {
 fn obj_stores_colours_after_positions() {
     let (color, velocity) = (numbers(4, 1.0), numbers(3, 1.0));
     let attributes = [
-        attribute("v", Some(Role::Velocity), 3, VertexValues::Numbers(&velocity)),
-        attribute("Cd", Some(Role::Color), 4, VertexValues::Numbers(&color)),
+        attribute("v", Some(AttributeRole::Velocity), 3, VertexValues::Numbers(&velocity)),
+        attribute("Cd", Some(AttributeRole::Color), 4, VertexValues::Numbers(&color)),
     ];
     for origin in [[0.0; 3], [1e6, 0.0, 0.5]] {
         let text = written(&attributes, |mesh, out| {
@@ -206,10 +206,10 @@ fn invalid_names_are_replaced_with_a_note() {
         scalar("GR\u{f6}\u{df}E"),
         scalar(""),
         scalar("end_header\nelement face 7"),
-        attribute("v", Some(Role::Velocity), 3, VertexValues::Numbers(&vectors)),
+        attribute("v", Some(AttributeRole::Velocity), 3, VertexValues::Numbers(&vectors)),
         attribute("velocity", None, 3, VertexValues::Numbers(&vectors)),
         scalar("red"),
-        attribute("Cd", Some(Role::Color), 3, VertexValues::Numbers(&vectors)),
+        attribute("Cd", Some(AttributeRole::Color), 3, VertexValues::Numbers(&vectors)),
     ];
     let (frame, header) = ply_frame(&attributes);
     let properties: Vec<&str> = header.lines().filter_map(|line| line.strip_prefix("property ")).collect();
@@ -272,9 +272,9 @@ fn attributes_that_cannot_be_stored_get_a_note() {
     let none = vec![-1; VERTEX_COUNT];
     let attributes = [
         attribute("nine", None, 9, VertexValues::Numbers(&nine)),
-        attribute("id", Some(Role::Id), 1, VertexValues::Integers(&wide)),
+        attribute("id", Some(AttributeRole::Id), 1, VertexValues::Integers(&wide)),
         attribute("huge", None, 1, VertexValues::Integers(&huge)),
-        attribute("Cd", Some(Role::Color), 3, VertexValues::Numbers(&bright)),
+        attribute("Cd", Some(AttributeRole::Color), 3, VertexValues::Numbers(&bright)),
         attribute("long", None, 1, VertexValues::Strings { table: &long, indices: &none }),
     ];
     let beyond = wide.iter().filter(|&&value| value > 1 << 24).count();
@@ -354,8 +354,8 @@ fn invalid_attributes_are_an_error() {
 #[test]
 fn mesh_without_vertices_is_written_with_attributes() {
     let attributes = [
-        attribute("v", Some(Role::Velocity), 3, VertexValues::Numbers(&[])),
-        attribute("id", Some(Role::Id), 1, VertexValues::Integers(&[])),
+        attribute("v", Some(AttributeRole::Velocity), 3, VertexValues::Numbers(&[])),
+        attribute("id", Some(AttributeRole::Id), 1, VertexValues::Integers(&[])),
     ];
     let mesh =
         MeshView { positions: &[], normals: &[], triangles: &[], origin: [0.0; 3], attributes: &attributes };

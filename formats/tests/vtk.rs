@@ -3,7 +3,7 @@
 use crate::fixtures;
 
 use fixtures::{Compressor, Encoding, Mode, vtk_xml, xz_packed, zlib_packed};
-use meniscus_formats::{Limits, ParticleFrame, Positions, Role, Values, read_particles, vtk};
+use meniscus_formats::{AttributeRole, FilePositions, Limits, ParticleFrame, Values, read_particles, vtk};
 
 fn read(bytes: &[u8], name: &str) -> ParticleFrame {
     read_particles(bytes, name, &Limits::default()).unwrap_or_else(|error| panic!("{name}: {error}"))
@@ -17,12 +17,13 @@ fn all_xml_encodings_give_the_same_frame() {
                 let encoding = Encoding { mode, compressor, wide, big_endian };
                 let frame = read(&vtk_xml(encoding), "a.vtp");
                 let expected = [0.0f32, 1.0, 2.0, 3.0, 4.0].map(|n| [n, n + 0.5, -n]);
-                assert_eq!(frame.positions, Positions::F32(expected.to_vec()), "{encoding:?}");
+                assert_eq!(frame.positions, FilePositions::F32(expected.to_vec()), "{encoding:?}");
                 let doubled: Vec<f64> = expected.as_flattened().iter().map(|&x| f64::from(x) * 2.0).collect();
                 let found: Vec<_> =
                     frame.attributes.iter().map(|a| (a.name.as_str(), a.role, &a.values)).collect();
                 let ids = Values::I64(vec![0, 1, 2, 3, 4]);
-                let expected = [("a <velocity>", None, &Values::F64(doubled)), ("id", Some(Role::Id), &ids)];
+                let expected =
+                    [("a <velocity>", None, &Values::F64(doubled)), ("id", Some(AttributeRole::Id), &ids)];
                 assert_eq!(found, expected, "{encoding:?}");
                 assert!(frame.notes.is_empty(), "{:?}", frame.notes);
             }
@@ -50,7 +51,7 @@ fn unusual_xml_is_read() {
         data("b")
     ));
     let frame = read(text.as_bytes(), "a.vtu");
-    assert_eq!(frame.positions, Positions::F32(vec![[1.0, 2.0, 3.0]; 2]));
+    assert_eq!(frame.positions, FilePositions::F32(vec![[1.0, 2.0, 3.0]; 2]));
     assert_eq!((frame.attributes.len(), frame.notes.len()), (0, 1), "{:?}", frame.notes);
 
     let letters = ["DAAAAA==\nAACA\nPwAAAEAAAEBA", "DAAAAAAAgD8AAABA\n  AABAQA=="];
@@ -61,7 +62,7 @@ fn unusual_xml_is_read() {
         let text = file(&format!("<Piece NumberOfPoints=\"1\">{points}</Piece>"));
         assert_eq!(
             read(text.as_bytes(), "a.vtu").positions,
-            Positions::F32(vec![[1.0, 2.0, 3.0]]),
+            FilePositions::F32(vec![[1.0, 2.0, 3.0]]),
             "{letters}"
         );
     }
@@ -170,12 +171,12 @@ fn all_sections_of_legacy_files_are_read() {
          METADATA\nINFORMATION 0\n\nFIELD data 3\na%20name 1 2 short\n-1 -2\nother 1 1 int\n5\nflags 1 2 bit\n1 0\n"
     );
     let frame = read(text.as_bytes(), "a.vtk");
-    assert_eq!(frame.positions, Positions::F64(vec![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]));
+    assert_eq!(frame.positions, FilePositions::F64(vec![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]));
     let found: Vec<_> = frame.attributes.iter().map(|a| (a.name.as_str(), a.arity, a.role)).collect();
     let expected = [
-        ("id", 1, Some(Role::Id)),
-        ("vel", 3, Some(Role::Velocity)),
-        ("n", 3, Some(Role::Normal)),
+        ("id", 1, Some(AttributeRole::Id)),
+        ("vel", 3, Some(AttributeRole::Velocity)),
+        ("n", 3, Some(AttributeRole::Normal)),
         ("a name", 1, None),
     ];
     assert_eq!(found, expected);

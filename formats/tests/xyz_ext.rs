@@ -1,9 +1,11 @@
 //! Plain and extended XYZ.
 
-use meniscus_formats::{Format, Kind, Limits, ParticleFrame, Positions, Role, Values, probe, read_particles};
+use meniscus_formats::{
+    AttributeRole, FilePositions, Format, Limits, ParticleFrame, ProbedKind, Values, probe, read_particles,
+};
 
 fn read(text: &str) -> ParticleFrame {
-    assert_eq!(probe(text.as_bytes(), "a.xyz").kind, Kind::Format(Format::XyzAtoms), "{text}");
+    assert_eq!(probe(text.as_bytes(), "a.xyz").kind, ProbedKind::Format(Format::XyzAtoms), "{text}");
     read_particles(text.as_bytes(), "a.xyz", &Limits::default())
         .unwrap_or_else(|error| panic!("{text}: {error}"))
 }
@@ -11,7 +13,10 @@ fn read(text: &str) -> ParticleFrame {
 #[test]
 fn elements_and_positions_are_read() {
     let frame = read("3\nwater\nO 0.0 0.0 0.5\n H  0.75 0.5 0\r\nH\t-0.75 0.5 0\n");
-    assert_eq!(frame.positions, Positions::F64(vec![[0.0, 0.0, 0.5], [0.75, 0.5, 0.0], [-0.75, 0.5, 0.0]]));
+    assert_eq!(
+        frame.positions,
+        FilePositions::F64(vec![[0.0, 0.0, 0.5], [0.75, 0.5, 0.0], [-0.75, 0.5, 0.0]])
+    );
     assert_eq!(frame.attributes.len(), 1);
     assert_eq!(frame.attributes[0].name, "element");
     assert!(matches!(&frame.attributes[0].values, Values::Strings { table, .. } if table.len() == 2));
@@ -20,7 +25,7 @@ fn elements_and_positions_are_read() {
 #[test]
 fn atomic_numbers_are_read_as_elements() {
     let frame = read("2\n\n8 0.5 0.25 1\n 1 1 2 3\n");
-    assert_eq!(frame.positions, Positions::F64(vec![[0.5, 0.25, 1.0], [1.0, 2.0, 3.0]]));
+    assert_eq!(frame.positions, FilePositions::F64(vec![[0.5, 0.25, 1.0], [1.0, 2.0, 3.0]]));
     assert_eq!(frame.attributes[0].name, "element");
     assert_eq!(frame.attributes[0].values, Values::I32(vec![8, 1]));
 }
@@ -36,7 +41,7 @@ fn frame_is_recognised_by_its_head() {
             let head = &text.as_bytes()[..cut];
             assert_eq!(
                 probe(head, "a.xyz").kind,
-                Kind::Format(Format::XyzAtoms),
+                ProbedKind::Format(Format::XyzAtoms),
                 "{count} atoms, cut at {cut}"
             );
         }
@@ -48,7 +53,7 @@ fn frame_is_recognised_by_its_head() {
 fn table_below_a_count_is_not_xyz() {
     let tables = ["1\n1 2 3 4\n5 6 7 8\n", "1\n1 2 3 4\n5 6 7 8", "4\n1 0 0 1\n2 1 0 0\n3 0 1 0\n4 1 1 0\n"];
     for text in tables {
-        assert_ne!(probe(text.as_bytes(), "a.xyz").kind, Kind::Format(Format::XyzAtoms), "{text}");
+        assert_ne!(probe(text.as_bytes(), "a.xyz").kind, ProbedKind::Format(Format::XyzAtoms), "{text}");
     }
 }
 
@@ -61,7 +66,10 @@ fn columns_after_the_position_are_kept() {
         "Lattice=\"1 0 0 0 1 0 0 0 1\" Properties=species:S:1:id:I:1:pos:R:3:velo:R:3:q:R:2 Time=0.5";
     let frame = read(&format!("1\n{comment}\nO 7 0 0 0.5 1 2.5 3 0.25 0.5\n"));
     let found: Vec<_> = frame.attributes.iter().map(|a| (a.name.as_str(), a.arity, a.role)).collect();
-    assert_eq!(found, [("species", 1, None), ("id", 1, Some(Role::Id)), ("velo", 3, None), ("q", 2, None)]);
+    assert_eq!(
+        found,
+        [("species", 1, None), ("id", 1, Some(AttributeRole::Id)), ("velo", 3, None), ("q", 2, None)]
+    );
     assert_eq!(frame.attributes[2].values, Values::F64(vec![1.0, 2.5, 3.0]));
 }
 

@@ -15,7 +15,7 @@ use super::choices::{obstacle_files, warn_of_ignored};
 use super::console::Console;
 use super::out_folder::OutFolder;
 use super::resolving::{measured_spacing, outputs_of, say_settings, settings_of, warn_of, warn_of_siblings};
-use super::selecting::{SelectedSequence, Selection, refuse_odd_place, selected_files};
+use super::selecting::{InputSelection, SelectedSequence, refuse_odd_place, selected_files};
 use super::wording::all_typed;
 
 /// Frames and what becomes of them, checked before anything is written.
@@ -37,14 +37,14 @@ impl Conversion {
     /// # Errors
     /// When an obstacle is missing, or the folder cannot be made.
     pub(super) fn new(
-        selection: Selection,
+        selection: InputSelection,
         job: Job,
         method: &MethodArgs,
         outputs: OutputOptions,
     ) -> Result<Conversion> {
         let obstacles = Arc::new(obstacle_files(method)?);
         let folder = OutFolder::make(&outputs.folder)?;
-        let Selection { sequences, found, .. } = selection;
+        let InputSelection { sequences, found, .. } = selection;
         Ok(Conversion { sequences, found, job, options: method.to_options(), obstacles, outputs, folder })
     }
 

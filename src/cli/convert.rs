@@ -7,13 +7,13 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use meniscus_formats::listed;
 
-use crate::farm::{Plan, PlannedFrame};
+use crate::farm::{PlannedFrame, ShardPlan};
 use crate::pipeline::{
-    Frame, FrameState, Job, ObstacleFiles, OnError, OutputFormat, OutputOptions, SequenceRecord,
+    Frame, InspectedState, Job, ObstacleFiles, OnError, OutputFormat, OutputOptions, SequenceRecord,
     check_out_folder, check_outputs, file_of, inspect, size_bytes,
 };
 
-use super::Verdict;
+use super::CommandOutcome;
 use super::args::{ConvertArgs, FormatArgs, OptionSet, ShardChoice};
 use super::console::Console;
 use super::conversion::{Conversion, refuse_beside, warn_before, warn_of_level};
@@ -24,7 +24,7 @@ use super::out_folder;
 use super::print_settings::{print_settings, print_settings_of_any};
 use super::run::{Batch, RunOptions};
 use super::selecting::{SelectedSequence, refuse_level_sets, refuse_report_of_plan, select_frames};
-use super::sequence::Shots;
+use super::sequence::SequenceOutputs;
 use super::standard_input::StandardInput;
 use super::wording::counted;
 
@@ -32,7 +32,7 @@ use super::wording::counted;
 ///
 /// # Errors
 /// When nothing can be done at all. A frame that fails is no error here: it is reported, and counted.
-pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdict> {
+pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<CommandOutcome> {
     let start = Instant::now();
     if let Some(plan) = &args.plan {
         return convert_shard(args, plan, start, console);
@@ -47,7 +47,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     }
     if args.print_settings && args.inputs.is_empty() {
         print_settings_of_any(&args.method, &outputs, console)?;
-        return Ok(Verdict::Done);
+        return Ok(CommandOutcome::Done);
     }
     let pipe = StandardInput::take(args)?;
     let inputs = pipe.as_ref().map_or(&*args.inputs, |pipe| std::slice::from_ref(&pipe.path));
@@ -69,7 +69,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     if args.print_settings {
         let pool = thread_pool(args.run.threads)?;
         print_settings(&selection.sequences, job, (&args.method, &outputs), &pool, console)?;
-        return Ok(Verdict::Done);
+        return Ok(CommandOutcome::Done);
     }
     let conversion = Conversion::new(selection, job, &args.method, outputs)?;
     destination.send(convert_all(args, conversion, start, console)?)
@@ -109,9 +109,9 @@ fn convert_all(
     conversion: Conversion,
     start: Instant,
     console: &mut Console,
-) -> Result<Verdict> {
+) -> Result<CommandOutcome> {
     let (sequences, outputs) = (&conversion.sequences, &conversion.outputs);
-    let shots = Shots::asked_for(&args.shot, outputs, sequences.len(), args.frames.is_some())?;
+    let shots = SequenceOutputs::asked_for(&args.shot, outputs, sequences.len(), args.frames.is_some())?;
     let report = args.report.as_deref();
     conversion.refuse_conflicts(report.map(|path| ("the report", path)))?;
     for path in shots.paths() {
@@ -168,9 +168,14 @@ const PLAN: &str = "the plan says what is made of which frames, and where: besid
      --memory, --on-error and --allow-violations may be given; for other frames or options, plan again";
 
 /// Converts the frames of a shard.
-fn convert_shard(args: &ConvertArgs, path: &Path, start: Instant, console: &mut Console) -> Result<Verdict> {
+fn convert_shard(
+    args: &ConvertArgs,
+    path: &Path,
+    start: Instant,
+    console: &mut Console,
+) -> Result<CommandOutcome> {
     refuse_beside(&args.given(), &BESIDE_PLAN, PLAN)?;
-    let plan = Plan::read(path).with_context(|| path.display().to_string())?;
+    let plan = ShardPlan::read(path).with_context(|| path.display().to_string())?;
     let shard = args.shard.context("--shard is missing: which of the plan's shards to convert")?;
     let (shard, frames) = shard_of(&plan, shard)?;
     warn_of_level(console);
@@ -233,14 +238,14 @@ fn done_without_inputs(frame: &Frame) -> Option<Option<String>> {
     let is_absent = matches!(file_of(&frame.input).try_exists(), Ok(false));
     let is_gone = is_absent || !frame.obstacles.are_there(frame.number);
     match is_gone.then(|| inspect(frame).state)? {
-        FrameState::Done => Some(None),
-        FrameState::Uncertified(why) => Some(Some(why)),
-        FrameState::Missing { .. } | FrameState::Damaged(_) | FrameState::Stale(_) => None,
+        InspectedState::Done => Some(None),
+        InspectedState::Uncertified(why) => Some(Some(why)),
+        InspectedState::Missing { .. } | InspectedState::Damaged(_) | InspectedState::Stale(_) => None,
     }
 }
 
 /// The shard that was asked for, and its frames.
-fn shard_of(plan: &Plan, choice: ShardChoice) -> Result<(usize, &[PlannedFrame])> {
+fn shard_of(plan: &ShardPlan, choice: ShardChoice) -> Result<(usize, &[PlannedFrame])> {
     let (shard, named) = match choice {
         ShardChoice::Number(number) => (number, "--shard".to_owned()),
         ShardChoice::Slurm => (slurm_task()?, SLURM_TASK.to_owned()),

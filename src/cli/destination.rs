@@ -18,12 +18,12 @@ use tempfile::TempDir;
 
 use crate::pipeline::OutputFormat;
 
-use super::Verdict;
+use super::CommandOutcome;
 use super::args::{ConvertArgs, FormatArgs};
 use super::console::Console;
 use super::interrupt::remove_when_interrupted;
 use super::out_folder::folder_of;
-use super::selecting::Selection;
+use super::selecting::InputSelection;
 use super::wording::counted;
 
 /// Where the results go.
@@ -37,7 +37,7 @@ pub(super) enum Destination {
 }
 
 /// A destination, the folder that is written to, and the only format if there is one.
-type Place = (Destination, PathBuf, Option<OutputFormat>);
+type OutputPlace = (Destination, PathBuf, Option<OutputFormat>);
 
 impl Destination {
     /// What `--out` names, with the folder that is written to, and the formats.
@@ -67,7 +67,7 @@ impl Destination {
         Ok((destination, folder, formats))
     }
 
-    fn stdout(out: &Path, format: OutputFormat, console: &mut Console) -> Result<Place> {
+    fn stdout(out: &Path, format: OutputFormat, console: &mut Console) -> Result<OutputPlace> {
         if io::stdout().is_terminal() {
             bail!(
                 "--out {}: the standard output is a terminal: redirect it to a file or a program",
@@ -80,7 +80,7 @@ impl Destination {
         Ok((Destination::Stdout { folder, extension: format.extension() }, path, Some(format)))
     }
 
-    fn file(out: PathBuf, extension: &str, formats: Option<&[OutputFormat]>) -> Result<Place> {
+    fn file(out: PathBuf, extension: &str, formats: Option<&[OutputFormat]>) -> Result<OutputPlace> {
         let name = out.display();
         let format = OutputFormat::from_extension(extension).filter(|format| !format.is_picture());
         let Some(format) = format else {
@@ -108,7 +108,7 @@ impl Destination {
     ///
     /// # Errors
     /// When there are several frames for one file.
-    pub(super) fn name_outputs(&self, selection: &mut Selection) -> Result<()> {
+    pub(super) fn name_outputs(&self, selection: &mut InputSelection) -> Result<()> {
         let (place, stem) = match self {
             Destination::Folder => return Ok(()),
             Destination::File { out, stem } => (out.display().to_string(), stem.clone()),
@@ -129,9 +129,9 @@ impl Destination {
     ///
     /// # Errors
     /// When it cannot be written.
-    pub(super) fn send(self, verdict: Verdict) -> Result<Verdict> {
+    pub(super) fn send(self, verdict: CommandOutcome) -> Result<CommandOutcome> {
         let Destination::Stdout { folder, extension } = self else { return Ok(verdict) };
-        if verdict == Verdict::NothingDone {
+        if verdict == CommandOutcome::NothingDone {
             return Ok(verdict);
         }
         let path = folder.path().join(format!("{STDOUT_STEM}.{extension}"));

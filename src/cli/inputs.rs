@@ -32,7 +32,7 @@ use super::console::Console;
 
 /// The files that were meant.
 #[derive(Debug, Default)]
-pub(super) struct Found {
+pub(super) struct MatchedInputs {
     /// Each once.
     pub(super) files: Vec<FrameFile>,
     /// Files in folders that are no frames: the first by path, and how many.
@@ -50,7 +50,7 @@ const HEAD_BYTES: u64 = 64 << 10;
 ///
 /// # Errors
 /// When an input stands for no file at all.
-pub(super) fn find_inputs(inputs: &[PathBuf]) -> Result<Found> {
+pub(super) fn find_inputs(inputs: &[PathBuf]) -> Result<MatchedInputs> {
     let found = look_for(inputs, false)?;
     match found.unreadable.first() {
         Some((path, why)) if found.files.is_empty() => bail!("{}: {why}", shown(path)),
@@ -66,9 +66,9 @@ pub(super) fn find_inputs(inputs: &[PathBuf]) -> Result<Found> {
 pub(super) fn find_with_others(
     inputs: &[PathBuf],
     others_in: impl Fn(&Path) -> Result<Vec<FrameFile>>,
-    add: impl Fn(&mut Found, Vec<FrameFile>, &Path),
-) -> Result<Found> {
-    let mut all = Found::default();
+    add: impl Fn(&mut MatchedInputs, Vec<FrameFile>, &Path),
+) -> Result<MatchedInputs> {
+    let mut all = MatchedInputs::default();
     for input in inputs {
         let (others, one) = (others_in(input)?, std::slice::from_ref(input));
         if others.is_empty() {
@@ -83,8 +83,8 @@ pub(super) fn find_with_others(
 }
 
 /// Finds the files; folders without frames are refused unless they may be empty.
-fn look_for(inputs: &[PathBuf], may_be_empty: bool) -> Result<Found> {
-    let mut found = Found::default();
+fn look_for(inputs: &[PathBuf], may_be_empty: bool) -> Result<MatchedInputs> {
+    let mut found = MatchedInputs::default();
     for input in inputs {
         match input.metadata() {
             Ok(metadata) if metadata.is_dir() => found.add_folder(input, may_be_empty)?,
@@ -128,9 +128,9 @@ fn frames_of(file: FrameFile) -> Result<Vec<FrameFile>, Error> {
     }
 }
 
-impl Found {
+impl MatchedInputs {
     /// Takes in what was found elsewhere, each file once.
-    pub(super) fn add(&mut self, found: Found) {
+    pub(super) fn add(&mut self, found: MatchedInputs) {
         let mut seen: HashSet<PathBuf> = self.files.iter().map(|file| entry(&file.path)).collect();
         self.files.extend(found.files.into_iter().filter(|file| seen.insert(entry(&file.path))));
         if let Some((first, count)) = found.passed_over {

@@ -6,7 +6,7 @@ use crate::pipeline::{Job, is_level_set};
 use crate::surface::options::{LengthUnit, MethodOptions, OptionGroup};
 
 use super::args::{MethodArgs, OptionSet};
-use super::selecting::{Selection, selected_files};
+use super::selecting::{InputSelection, selected_files};
 use super::wording::all_typed;
 
 /// How the selected files become surfaces, which are level sets or particles.
@@ -14,7 +14,7 @@ use super::wording::all_typed;
 /// # Errors
 /// When they are both, there is a slack for particles, or options do not apply to level sets.
 pub(super) fn surface_job(
-    selection: &Selection,
+    selection: &InputSelection,
     band_slack: Option<f64>,
     method: &MethodArgs,
 ) -> Result<Job> {

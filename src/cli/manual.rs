@@ -20,7 +20,7 @@ use clap::CommandFactory;
 use clap_mangen::Man;
 use clap_mangen::roff::{Roff, roman};
 
-use super::Verdict;
+use super::CommandOutcome;
 use super::args::{Cli, CompletionsArgs, ManArgs};
 use super::console::Console;
 use super::out_folder::{OutFolder, write_file};
@@ -32,18 +32,18 @@ const PROGRAM: &str = "meniscus";
 ///
 /// # Errors
 /// When they are no text.
-pub(super) fn completions(args: &CompletionsArgs, console: &mut Console) -> Result<Verdict> {
+pub(super) fn completions(args: &CompletionsArgs, console: &mut Console) -> Result<CommandOutcome> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut Cli::command(), PROGRAM, &mut script);
     console.say_as_is(&String::from_utf8(script)?);
-    Ok(Verdict::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// Writes a page for the program, and one for each of its commands.
 ///
 /// # Errors
 /// When the folder cannot be made, or a page cannot be written.
-pub(super) fn man(args: &ManArgs) -> Result<Verdict> {
+pub(super) fn man(args: &ManArgs) -> Result<CommandOutcome> {
     let folder = OutFolder::make(&args.out)?;
     let mut program = Cli::command().disable_help_subcommand(true);
     program.build();
@@ -52,7 +52,7 @@ pub(super) fn man(args: &ManArgs) -> Result<Verdict> {
         write_page(command.clone(), &args.out)?;
     }
     folder.keep();
-    Ok(Verdict::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// Writes the page of one command: `meniscus convert` is in `meniscus-convert.1`.

@@ -57,7 +57,7 @@ use console::Console;
 
 /// What came of a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Verdict {
+enum CommandOutcome {
     /// All that was asked for is there.
     Done,
     /// Some of it is.
@@ -66,33 +66,33 @@ enum Verdict {
     NothingDone,
 }
 
-impl Verdict {
+impl CommandOutcome {
     /// Of frames of which so many are done and so many failed. Results that broke a guarantee are there, and yet not all is
     /// well.
-    fn of(done_count: usize, failed_count: usize, has_violations: bool) -> Verdict {
+    fn of(done_count: usize, failed_count: usize, has_violations: bool) -> CommandOutcome {
         match (failed_count, done_count) {
-            (0, _) if !has_violations => Verdict::Done,
-            (1.., 0) => Verdict::NothingDone,
-            _ => Verdict::SomeFailed,
+            (0, _) if !has_violations => CommandOutcome::Done,
+            (1.., 0) => CommandOutcome::NothingDone,
+            _ => CommandOutcome::SomeFailed,
         }
     }
 }
 
 /// How many frames, cells or files are done, and how many failed.
 #[derive(Clone, Copy, Debug, Default)]
-struct Tally {
+struct DoneCounts {
     done_count: usize,
     failed_count: usize,
 }
 
-impl Tally {
+impl DoneCounts {
     /// Counts one.
     fn add(&mut self, is_done: bool) {
         *if is_done { &mut self.done_count } else { &mut self.failed_count } += 1;
     }
 
-    fn verdict(self) -> Verdict {
-        Verdict::of(self.done_count, self.failed_count, false)
+    fn verdict(self) -> CommandOutcome {
+        CommandOutcome::of(self.done_count, self.failed_count, false)
     }
 }
 
@@ -150,19 +150,19 @@ pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> ExitCode
     let mut verdict = verdict.unwrap_or_else(|error| {
         console.hide_bar();
         console.error(wording::with_causes(&error));
-        Verdict::NothingDone
+        CommandOutcome::NothingDone
     });
-    if verdict == Verdict::Done && console.failed_count() > 0 {
+    if verdict == CommandOutcome::Done && console.failed_count() > 0 {
         console.error("frames are missing from the results, for the reasons above");
-        verdict = Verdict::SomeFailed;
+        verdict = CommandOutcome::SomeFailed;
     }
     if let Err(error) = console.finish() {
         Console::new().warn(format_args!("error: cannot write to the standard output: {error}"));
         return ExitCode::from(2);
     }
     match verdict {
-        Verdict::Done => ExitCode::SUCCESS,
-        Verdict::SomeFailed => ExitCode::from(1),
-        Verdict::NothingDone => ExitCode::from(2),
+        CommandOutcome::Done => ExitCode::SUCCESS,
+        CommandOutcome::SomeFailed => ExitCode::from(1),
+        CommandOutcome::NothingDone => ExitCode::from(2),
     }
 }

@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf, absolute};
 
 use anyhow::{Context, Result, anyhow, bail};
 
-use crate::farm::{Plan, PlannedFrame, PlannedSequence, deal};
+use crate::farm::{PlannedFrame, PlannedSequence, ShardPlan, deal};
 use crate::pipeline::{FrameFile, file_of, size_bytes};
 
-use super::Verdict;
+use super::CommandOutcome;
 use super::args::PlanArgs;
 use super::console::Console;
 use super::conversion::{Conversion, Resolved, warn_before};
@@ -22,7 +22,7 @@ use super::wording::{counted, counted_are};
 ///
 /// # Errors
 /// When there is none: a sequence has no settings, results would replace inputs, the file cannot be written.
-pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<Verdict> {
+pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<CommandOutcome> {
     refuse_file_name(&args.out)?;
     let outputs = args.formats.outputs(whole(&args.out)?)?;
     let selection = select_frames(&args.inputs, args.frames.as_ref(), &args.method, console)?;
@@ -37,7 +37,7 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<Verdict> {
     conversion.refuse_conflicts(Some(("the plan", &args.output)))?;
 
     let pool = thread_pool(None)?;
-    let mut plan = Plan {
+    let mut plan = ShardPlan {
         sequences: Vec::new(),
         frames: Vec::new(),
         shards: Vec::new(),
@@ -74,7 +74,7 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<Verdict> {
     // It stays, and shards do not make it: one that finds none knows that something is not mounted.
     conversion.folder.keep();
     say(&plan, args, console);
-    Ok(Verdict::Done)
+    Ok(CommandOutcome::Done)
 }
 
 fn planned(file: &FrameFile, sequence: usize) -> Result<PlannedFrame> {
@@ -104,7 +104,7 @@ fn whole(path: &Path) -> Result<PathBuf> {
     absolute(path).with_context(|| format!("`{}` is no path", path.display()))
 }
 
-fn say(plan: &Plan, args: &PlanArgs, console: &mut Console) {
+fn say(plan: &ShardPlan, args: &PlanArgs, console: &mut Console) {
     let (frames, shards) = (counted(plan.frames.len(), "frame"), counted(plan.shards.len(), "shard"));
     let most = plan.shards.iter().map(ExactSizeIterator::len).max().unwrap_or(0);
     let empty_count = plan.shards.iter().filter(|shard| shard.is_empty()).count();

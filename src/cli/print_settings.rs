@@ -12,7 +12,7 @@ use toml::Value;
 
 use crate::pipeline::{Job, OutputOptions};
 use crate::surface::options::{
-    Length, LengthUnit, Measured, MethodOptions, OptionGroup, Settings, ValueKind,
+    Length, LengthUnit, MethodOptions, OptionGroup, SequenceSpacing, Settings, ValueKind,
 };
 
 use super::args::MethodArgs;
@@ -46,7 +46,7 @@ pub(super) fn print_settings_of_any(
     } else if options.needs_spacing() {
         console.say("# the particle spacing, which would be measured, is taken from the voxel size:");
     }
-    let settings = Settings::resolve(&options, needs_spacing.then(|| Measured::from(1.0)))?;
+    let settings = Settings::resolve(&options, needs_spacing.then(|| SequenceSpacing::from(1.0)))?;
     console.say_lines(keys(&settings, method, outputs, (Job::Surface, !needs_spacing))?);
     Ok(())
 }

@@ -8,28 +8,28 @@ use indicatif::ProgressBar;
 
 use crate::pipeline::{Frame, FrameReport, Observer, Stage, shown};
 use crate::surface::options::{Integrator, Settings};
-use crate::surface::skin::Plan;
+use crate::surface::skin::MemoryPlan;
 
 use super::console::print_error;
 
 /// Hears what the pipeline reports, and shows it.
 #[derive(Debug)]
-pub(super) struct Progress {
+pub(super) struct ProgressDisplay {
     /// Where stage and percentage are shown, if anywhere.
     bar: Option<ProgressBar>,
     /// Threads that work on one frame.
     threads_per_frame: f64,
-    state: Mutex<State>,
+    state: Mutex<ProgressState>,
 }
 
 #[derive(Debug, Default)]
-struct State {
+struct ProgressState {
     /// In the order in which they began.
     under_way: Vec<UnderWay>,
     /// Computing seconds for a GiB of a plan, the most of all frames that were finished in this run.
     measured_s_per_gib: Option<f64>,
     /// The last estimate that was announced: a similar one is not announced again.
-    announced: Option<Estimate>,
+    announced: Option<FrameEstimate>,
 }
 
 #[derive(Debug)]
@@ -44,13 +44,13 @@ struct UnderWay {
 
 /// What a frame will need.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Estimate {
+struct FrameEstimate {
     bytes: u64,
     seconds: f64,
 }
 
 /// From here on a frame is announced.
-const ANNOUNCED_FROM: Estimate = Estimate { bytes: 1 << 30, seconds: 60.0 };
+const ANNOUNCED_FROM: FrameEstimate = FrameEstimate { bytes: 1 << 30, seconds: 60.0 };
 
 /// A later frame is announced if it needs so many times more than the one before.
 const ANNOUNCED_AGAIN: f64 = 1.5;
@@ -67,12 +67,12 @@ const TILED: f64 = 3.0;
 /// Parts of the time of a frame: read, rasterize, smooth, contour, write, preview.
 const SHARES: [f64; 6] = [0.05, 0.3, 0.45, 0.15, 0.03, 0.02];
 
-impl Progress {
+impl ProgressDisplay {
     /// Of so many frames on so many threads.
-    pub(super) fn new(frame_count: usize, thread_count: usize, bar: Option<ProgressBar>) -> Progress {
+    pub(super) fn new(frame_count: usize, thread_count: usize, bar: Option<ProgressBar>) -> ProgressDisplay {
         let side_by_side = frame_count.clamp(1, thread_count.max(1));
         let threads_per_frame = thread_count as f64 / side_by_side as f64;
-        Progress { bar, threads_per_frame, state: Mutex::default() }
+        ProgressDisplay { bar, threads_per_frame, state: Mutex::default() }
     }
 
     /// A frame is finished; if it was converted, with this report.
@@ -88,28 +88,34 @@ impl Progress {
         self.show(&state);
     }
 
-    fn show(&self, state: &State) {
+    fn show(&self, state: &ProgressState) {
         if let Some(bar) = &self.bar {
             bar.set_message(state.under_way.first().map_or_else(String::new, UnderWay::told));
         }
     }
 
-    fn estimate(&self, state: &State, settings: &Settings, plan: &Plan, given_bytes: u64) -> Estimate {
+    fn estimate(
+        &self,
+        state: &ProgressState,
+        settings: &Settings,
+        plan: &MemoryPlan,
+        given_bytes: u64,
+    ) -> FrameEstimate {
         let bytes = plan.memory_bytes.saturating_add(given_bytes);
         let per_gib = state
             .measured_s_per_gib
             .unwrap_or_else(|| S_PER_GIB * integrator_factor(settings) / self.threads_per_frame);
-        Estimate { bytes, seconds: work_gib(plan) * per_gib }
+        FrameEstimate { bytes, seconds: work_gib(plan) * per_gib }
     }
 
     /// An update that panics leaves a number behind, at worst.
-    fn lock(&self) -> MutexGuard<'_, State> {
+    fn lock(&self) -> MutexGuard<'_, ProgressState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl Observer for Progress {
-    fn planned(&self, frame: &Frame, plan: &Plan, given_bytes: u64) {
+impl Observer for ProgressDisplay {
+    fn planned(&self, frame: &Frame, plan: &MemoryPlan, given_bytes: u64) {
         let mut state = self.lock();
         let estimate = self.estimate(&state, &frame.settings, plan, given_bytes);
         if let Some(one) = state.find(frame) {
@@ -143,7 +149,7 @@ impl Observer for Progress {
     }
 }
 
-impl State {
+impl ProgressState {
     fn find(&mut self, frame: &Frame) -> Option<&mut UnderWay> {
         self.under_way.iter_mut().find(|one| one.input == frame.input)
     }
@@ -158,10 +164,10 @@ impl UnderWay {
     }
 }
 
-impl Estimate {
-    fn is_worth_announcing(&self, last: Option<Estimate>) -> bool {
-        let is_large = |over: Estimate| self.bytes > over.bytes || self.seconds > over.seconds;
-        let again = last.map(|last| Estimate {
+impl FrameEstimate {
+    fn is_worth_announcing(&self, last: Option<FrameEstimate>) -> bool {
+        let is_large = |over: FrameEstimate| self.bytes > over.bytes || self.seconds > over.seconds;
+        let again = last.map(|last| FrameEstimate {
             bytes: (last.bytes as f64 * ANNOUNCED_AGAIN) as u64,
             seconds: last.seconds * ANNOUNCED_AGAIN,
         });
@@ -180,7 +186,7 @@ impl Estimate {
 }
 
 /// How much there is to compute, in GiB of a plan in memory.
-fn work_gib(plan: &Plan) -> f64 {
+fn work_gib(plan: &MemoryPlan) -> f64 {
     let tiled = if plan.tile_leaves.is_some() { TILED } else { 1.0 };
     plan.whole_bytes as f64 / GIB * tiled
 }
@@ -209,14 +215,14 @@ mod tests {
         Frame::new(&FrameFile::new(name.into()), &Arc::new(settings), &Arc::new(outputs))
     }
 
-    fn plan(gib: u64) -> Plan {
-        Plan { memory_bytes: gib << 30, tile_leaves: None, whole_bytes: gib << 30 }
+    fn plan(gib: u64) -> MemoryPlan {
+        MemoryPlan { memory_bytes: gib << 30, tile_leaves: None, whole_bytes: gib << 30 }
     }
 
     #[test]
     fn frame_under_way_for_longest_is_shown_with_stage_and_percentage() {
         let bar = ProgressBar::hidden();
-        let progress = Progress::new(2, 1, Some(bar.clone()));
+        let progress = ProgressDisplay::new(2, 1, Some(bar.clone()));
         let [one, two] = ["in/dam.1.ply", "in/dam.2.ply"].map(frame);
         progress.began(&one, Stage::Read);
         progress.began(&two, Stage::Read);
@@ -234,15 +240,15 @@ mod tests {
 
     #[test]
     fn large_frame_is_announced_once_and_a_much_larger_one_again() {
-        let announced = |large: Estimate, last| large.is_worth_announcing(last);
-        let large = Estimate { bytes: 2 << 30, seconds: 90.0 };
-        let small = Estimate { bytes: 1 << 29, seconds: 10.0 };
+        let announced = |large: FrameEstimate, last| large.is_worth_announcing(last);
+        let large = FrameEstimate { bytes: 2 << 30, seconds: 90.0 };
+        let small = FrameEstimate { bytes: 1 << 29, seconds: 10.0 };
         assert!(!announced(small, None));
         assert!(announced(large, None));
-        assert!(announced(Estimate { seconds: 61.0, ..small }, None));
-        assert!(announced(Estimate { bytes: 2 << 30, ..small }, None));
+        assert!(announced(FrameEstimate { seconds: 61.0, ..small }, None));
+        assert!(announced(FrameEstimate { bytes: 2 << 30, ..small }, None));
         assert!(!announced(large, Some(large)));
-        assert!(announced(Estimate { seconds: 200.0, ..large }, Some(large)));
+        assert!(announced(FrameEstimate { seconds: 200.0, ..large }, Some(large)));
         assert_eq!(
             large.announcement(Path::new("dam.ply")),
             "note: dam.ply: will need about 2.0 GiB of memory and 2 min (estimates)"
@@ -251,13 +257,14 @@ mod tests {
 
     #[test]
     fn estimate_follows_what_this_run_measured() {
-        let progress = Progress::new(10, 2, None);
+        let progress = ProgressDisplay::new(10, 2, None);
         let frame = frame("in/dam.1.ply");
-        let estimate =
-            |progress: &Progress| progress.estimate(&progress.lock(), &frame.settings, &plan(2), 0).seconds;
+        let estimate = |progress: &ProgressDisplay| {
+            progress.estimate(&progress.lock(), &frame.settings, &plan(2), 0).seconds
+        };
         assert_eq!(estimate(&progress), 2.0 * S_PER_GIB);
         // A lone frame has all threads.
-        assert_eq!(estimate(&Progress::new(1, 2, None)), S_PER_GIB);
+        assert_eq!(estimate(&ProgressDisplay::new(1, 2, None)), S_PER_GIB);
         progress.began(&frame, Stage::Read);
         progress.planned(&frame, &plan(1), 0);
         let mut report = FrameReport::default();

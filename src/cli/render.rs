@@ -25,19 +25,19 @@ use super::out_folder::{OutFolder, write_file};
 use super::render_session::{RenderSession, RenderSource, catch_panic, find_render_sources, named_picture};
 use super::selecting::{SelectedSequence, selected_files, selected_of};
 use super::wording::{counted, with_causes};
-use super::{Tally, Verdict};
+use super::{CommandOutcome, DoneCounts};
 
 /// Takes the pictures that the arguments ask for.
 ///
 /// # Errors
 /// When nothing can be done at all. A frame that fails is told, and counted.
-pub(super) fn render(args: &RenderArgs, console: &mut Console) -> Result<Verdict> {
+pub(super) fn render(args: &RenderArgs, console: &mut Console) -> Result<CommandOutcome> {
     refuse_stray_rounds(&args.pictures.method, &args.inputs)?;
     let found = find_render_sources(&args.inputs)?;
     found.report(console);
     let paths: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
     let sequences = selected_of(pipeline::sequences(found.files), args.frames.as_ref())?;
-    let shots = Shots::new(args, &sequences)?;
+    let shots = RequestedPictures::new(args, &sequences)?;
     let outputs = &shots.session.outputs;
     shots.session.warn_of_ignored(&outputs.formats, console);
     let folder = OutFolder::make(&outputs.folder)?;
@@ -49,7 +49,7 @@ pub(super) fn render(args: &RenderArgs, console: &mut Console) -> Result<Verdict
     check_outputs(&planned, &paths, &shots.session.obstacles, outputs, None)?;
     folder.keep();
     let pool = thread_pool(args.pictures.run.threads)?;
-    let mut tally = Tally::default();
+    let mut tally = DoneCounts::default();
     for sequence in &sequences {
         pool.install(|| shots.take(sequence, &mut tally, console));
     }
@@ -57,7 +57,7 @@ pub(super) fn render(args: &RenderArgs, console: &mut Console) -> Result<Verdict
 }
 
 /// The pictures that were asked for.
-struct Shots<'a> {
+struct RequestedPictures<'a> {
     args: &'a RenderArgs,
     session: RenderSession<'a>,
     format: OutputFormat,
@@ -65,8 +65,8 @@ struct Shots<'a> {
     stem: Option<String>,
 }
 
-impl<'a> Shots<'a> {
-    fn new(args: &'a RenderArgs, sequences: &[SelectedSequence]) -> Result<Shots<'a>> {
+impl<'a> RequestedPictures<'a> {
+    fn new(args: &'a RenderArgs, sequences: &[SelectedSequence]) -> Result<RequestedPictures<'a>> {
         let (folder, stem, format) = match (&args.output, &args.out) {
             (Some(file), _) => {
                 let (folder, stem, extension) = named_picture(file, &["png", "exr"])?;
@@ -77,7 +77,7 @@ impl<'a> Shots<'a> {
             (None, None) => bail!("--output or --out is missing: where the picture goes"),
         };
         let session = RenderSession::new(&args.pictures, (folder, format, args.size))?;
-        let shots = Shots { args, session, format, stem };
+        let shots = RequestedPictures { args, session, format, stem };
         shots.check(sequences)?;
         Ok(shots)
     }
@@ -110,7 +110,7 @@ impl<'a> Shots<'a> {
     }
 
     /// Takes the pictures of a sequence.
-    fn take(&self, selected: &SelectedSequence, tally: &mut Tally, console: &mut Console) {
+    fn take(&self, selected: &SelectedSequence, tally: &mut DoneCounts, console: &mut Console) {
         let prepared = self.session.prepare(&selected.sequence, self.picture_size(), console);
         let (settings, viewpoint) = match prepared {
             Ok(prepared) => prepared,

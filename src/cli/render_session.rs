@@ -13,8 +13,8 @@ use anyhow::{Context, Error, Result, bail};
 
 use crate::pipeline::{
     FrameError, FrameFile, LevelSetFile, LoadedFrame, MeasuredSpacing, NOTHING, ObstacleFiles, OutputFormat,
-    OutputOptions, PictureOptions, Reconstruction, Scene, Sequence, Stage, Viewpoint, Warning, files_in,
-    is_level_set, picture_provenance, sequence_bounds, up_of, velocities,
+    OutputOptions, PictureOptions, PictureScene, Reconstruction, Sequence, Stage, Viewpoint, Warning,
+    files_in, is_level_set, picture_provenance, sequence_bounds, up_of, velocities,
 };
 use crate::render::{Picture, render_particles, side_by_side};
 use crate::surface::options::{AttributeSelection, MethodOptions, Settings};
@@ -24,7 +24,7 @@ use super::args::{FormatArgs, MethodArgs, PictureArgs};
 use super::camera_file::camera_of_file;
 use super::choices::{ignored, obstacle_files};
 use super::console::Console;
-use super::inputs::{Found, find_with_others};
+use super::inputs::{MatchedInputs, find_with_others};
 use super::machine::memory_bytes;
 use super::out_folder::folder_of;
 use super::quantities::PictureSize;
@@ -46,11 +46,11 @@ pub(super) enum RenderSource {
     /// A level set, and a hash of its file.
     LevelSet(Box<LevelSetFile>),
     /// Particles and their surface.
-    Skinned(Box<Skinned>),
+    Skinned(Box<RenderedFrame>),
 }
 
 /// A frame that was skinned for its pictures.
-pub(super) struct Skinned {
+pub(super) struct RenderedFrame {
     pub(super) frame: LoadedFrame,
     pub(super) made: Reconstruction,
     pub(super) settings: Settings,
@@ -166,7 +166,7 @@ impl<'a> RenderSession<'a> {
             let settings = settings.context("there are no settings for particles among level sets")?;
             let frame = LoadedFrame::read((&file.path, file.number()), settings)?;
             let made = self.skin(&frame, settings)?;
-            RenderSource::Skinned(Box::new(Skinned { frame, made, settings: settings.clone() }))
+            RenderSource::Skinned(Box::new(RenderedFrame { frame, made, settings: settings.clone() }))
         };
         self.print_warnings(file, &source, console);
         Ok(source)
@@ -230,7 +230,7 @@ impl RenderSource {
         match self {
             RenderSource::LevelSet(level_set) => picture_provenance(input, level_set.hash, None, options),
             RenderSource::Skinned(skinned) => {
-                let Skinned { frame, made, settings } = &**skinned;
+                let RenderedFrame { frame, made, settings } = &**skinned;
                 picture_provenance(input, frame.hash(), Some((settings, &made.obstacles)), options)
             }
         }
@@ -252,19 +252,19 @@ pub(super) fn picture_of_reconstruction(
     let velocity = if has_data { velocities(&made.surface) } else { None };
     let lattice = Lattice { voxel_size: settings.voxel_size };
     let (band, origin) = (&made.surface.band, glam::DVec3::ZERO);
-    Scene { band, lattice, origin, velocity: velocity.as_ref() }.picture(viewpoint, size, has_data)
+    PictureScene { band, lattice, origin, velocity: velocity.as_ref() }.picture(viewpoint, size, has_data)
 }
 
 /// The files that were meant; of a folder its particles, and the level sets of other frames.
 ///
 /// # Errors
 /// When an input stands for no file at all.
-pub(super) fn find_render_sources(inputs: &[PathBuf]) -> Result<Found> {
+pub(super) fn find_render_sources(inputs: &[PathBuf]) -> Result<MatchedInputs> {
     find_with_others(inputs, |input| Ok(level_sets_in(input)), add_level_sets)
 }
 
 /// Adds those level sets of a folder whose frames are not there as particles.
-fn add_level_sets(found: &mut Found, level_sets: Vec<FrameFile>, folder: &Path) {
+fn add_level_sets(found: &mut MatchedInputs, level_sets: Vec<FrameFile>, folder: &Path) {
     let stems: HashSet<String> = found.files.iter().map(FrameFile::stem).collect();
     let count = level_sets.len();
     let is_known =
@@ -278,7 +278,7 @@ fn add_level_sets(found: &mut Found, level_sets: Vec<FrameFile>, folder: &Path) 
             counted(count, "level set")
         ));
     }
-    found.add(Found { files: new, ..Found::default() });
+    found.add(MatchedInputs { files: new, ..MatchedInputs::default() });
 }
 
 /// The level sets in a folder; none in what is no folder.

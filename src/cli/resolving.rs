@@ -9,7 +9,7 @@ use crate::pipeline::{
     self, FrameError, FrameFile, MeasuredSpacing, NOTHING, NoSpacing, OutputOptions, Sequence, frame_name,
     frames_in, is_own_output, measure_spacing, sequence_bounds, step_of,
 };
-use crate::surface::options::{Length, Measured, MethodOptions, Settings};
+use crate::surface::options::{Length, MethodOptions, SequenceSpacing, Settings};
 
 use super::console::Console;
 use super::out_folder::folder_of;
@@ -24,7 +24,7 @@ pub(super) fn settings_of(
     options: &MethodOptions,
     measured: Option<&MeasuredSpacing>,
 ) -> Result<Settings> {
-    Settings::resolve(options, measured.map(Measured::from)).with_context(|| sequence.name.clone())
+    Settings::resolve(options, measured.map(SequenceSpacing::from)).with_context(|| sequence.name.clone())
 }
 
 /// Prints what should make a user check the settings.

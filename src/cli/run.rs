@@ -12,12 +12,12 @@ use crate::pipeline::{
     ReportedWarnings, RunRecord, Scope, SequenceRecord, ShotSource, output_path, shown,
 };
 
-use super::Verdict;
+use super::CommandOutcome;
 use super::args::ConvertArgs;
 use super::console::Console;
 use super::machine::{memory_bytes, thread_pool};
 use super::output_records::OutputRecords;
-use super::progress::Progress;
+use super::progress::ProgressDisplay;
 use super::remedies::{velocity_hint, with_remedy};
 use super::wording::{FRAMES_IN_VIEW, counted, described, failed_validation};
 
@@ -159,7 +159,7 @@ impl<'a> Batch<'a> {
         let records = (!certificates)
             .then(|| OutputRecords::load(frames.iter().map(|frame| frame.outputs.folder.clone())));
         let has_bar = console.show_bar(frames.len());
-        let progress = Progress::new(frames.len(), pool.current_num_threads(), console.bar());
+        let progress = ProgressDisplay::new(frames.len(), pool.current_num_threads(), console.bar());
         let options = PipelineOptions {
             on_error,
             skip_done,
@@ -312,7 +312,7 @@ impl<'a> Batch<'a> {
     }
 
     /// Prints the summary, writes the report, and returns the verdict.
-    pub(super) fn finish(self, console: &mut Console) -> Verdict {
+    pub(super) fn finish(self, console: &mut Console) -> CommandOutcome {
         let RunOptions { start, allow_violations, report, .. } = self.options;
         let seconds = start.elapsed().as_secs_f64();
         let failed_count = self.outcomes.failures.len();
@@ -341,7 +341,11 @@ impl<'a> Batch<'a> {
                 self.record.write(&path.canonicalize().unwrap_or_else(|_| path.to_owned()), seconds)
         {
             console.error(format_args!("{}: cannot write the report: {error}", path.display()));
-            return if self.outcomes.done_count > 0 { Verdict::SomeFailed } else { Verdict::NothingDone };
+            return if self.outcomes.done_count > 0 {
+                CommandOutcome::SomeFailed
+            } else {
+                CommandOutcome::NothingDone
+            };
         }
         let has_violations = self.outcomes.broken_count > 0 && !allow_violations;
         if self.outcomes.broken_count > 0 {
@@ -353,6 +357,6 @@ impl<'a> Batch<'a> {
                 false => console.error(format_args!("{what}; --allow-violations accepts them")),
             }
         }
-        Verdict::of(self.outcomes.done_count, failed_count, has_violations)
+        CommandOutcome::of(self.outcomes.done_count, failed_count, has_violations)
     }
 }

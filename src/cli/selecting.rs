@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail};
 
-use crate::farm::Plan;
+use crate::farm::ShardPlan;
 use crate::pipeline::{
     self, FrameFile, OutFolderError, Sequence, are_one_file, check_out_folder, file_of, is_level_set,
     single_frame_sequences, single_frames_note,
@@ -20,7 +20,7 @@ use super::out_folder::folder_of;
 use super::wording::{counted, counted_are};
 
 /// What to convert.
-pub(super) struct Selection {
+pub(super) struct InputSelection {
     /// At least one.
     pub(super) sequences: Vec<SelectedSequence>,
     /// Every file that the inputs stand for, selected or not.
@@ -45,7 +45,7 @@ pub(super) fn select_frames(
     numbers: Option<&FrameSelection>,
     method: &MethodArgs,
     console: &mut Console,
-) -> Result<Selection> {
+) -> Result<InputSelection> {
     refuse_stray_rounds(method, inputs)?;
     let found = find_inputs(inputs)?;
     found.report(console);
@@ -74,7 +74,7 @@ pub(super) fn select_frames(
             console.warning(format_args!("--frames {range}: {} not there", counted_are(count)));
         }
     }
-    Ok(Selection { sequences, found: paths, is_complete })
+    Ok(InputSelection { sequences, found: paths, is_complete })
 }
 
 /// The sequences, each with the frames whose numbers are asked for, and without those that have none of these.
@@ -166,7 +166,7 @@ fn warn_of_single_frames(sequences: &[Sequence], console: &Console) {
 ///
 /// # Errors
 /// Which, and what does them.
-pub(super) fn refuse_level_sets(selection: &Selection, command: &str) -> Result<()> {
+pub(super) fn refuse_level_sets(selection: &InputSelection, command: &str) -> Result<()> {
     match selected_files(&selection.sequences).find(|file| is_level_set(&file.path)) {
         Some(file) => bail!(
             "{}: a level set, and {command} is for particles: `meniscus convert` does level sets, by themselves",
@@ -180,7 +180,7 @@ pub(super) fn refuse_level_sets(selection: &Selection, command: &str) -> Result<
 ///
 /// # Errors
 /// Why.
-pub(super) fn refuse_report_of_plan(report: Option<&Path>, plan: &Plan, plan_path: &Path) -> Result<()> {
+pub(super) fn refuse_report_of_plan(report: Option<&Path>, plan: &ShardPlan, plan_path: &Path) -> Result<()> {
     let Some(report) = report else { return Ok(()) };
     refuse_odd_place("the report", report)?;
     if are_one_file(report, plan_path) {

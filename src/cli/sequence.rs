@@ -9,7 +9,7 @@ use crate::pipeline::{
     files_in, is_shot, write_shot,
 };
 
-use super::Verdict;
+use super::CommandOutcome;
 use super::args::{FPS, SequenceArgs, ShotArgs};
 use super::console::Console;
 use super::frame_selection::gaps;
@@ -22,7 +22,7 @@ use super::wording::{counted, counted_are};
 ///
 /// # Errors
 /// When there is no shot.
-pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<Verdict> {
+pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<CommandOutcome> {
     let format = ShotFormat::of(&args.output)
         .with_context(|| format!("{}: a shot is a .glb or a .usda", args.output.display()))?;
     refuse_odd_place("the shot", &args.output)?;
@@ -39,7 +39,7 @@ pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<Ver
     let shot = thread_pool(None)?.install(|| write_shot(&args.output, format, &sources, options))?;
     tell_gaps(&args.output, &sources, console);
     told(&args.output, &shot, console);
-    Ok(if shot.left_out.is_empty() { Verdict::Done } else { Verdict::SomeFailed })
+    Ok(if shot.left_out.is_empty() { CommandOutcome::Done } else { CommandOutcome::SomeFailed })
 }
 
 /// The inputs with the .glb files of a folder in its place, of which those that are shots are no frames.
@@ -101,14 +101,14 @@ fn told(path: &Path, shot: &ShotReport, console: &mut Console) {
 }
 
 /// The shots that are asked for beside frames.
-pub(super) struct Shots {
+pub(super) struct SequenceOutputs {
     files: Vec<(PathBuf, ShotFormat)>,
     options: ShotOptions,
     /// Whether some of the frames were asked for: then others need not be there.
     are_picked: bool,
 }
 
-impl Shots {
+impl SequenceOutputs {
     /// Nothing, or what is asked for; refused where it could not be made.
     ///
     /// # Errors
@@ -118,7 +118,7 @@ impl Shots {
         outputs: &OutputOptions,
         sequence_count: usize,
         are_picked: bool,
-    ) -> Result<Shots> {
+    ) -> Result<SequenceOutputs> {
         let ShotArgs { sequence_glb, sequence_usda, fps } = args;
         let typed = [
             ("--sequence-glb", sequence_glb, ShotFormat::Glb),
@@ -145,7 +145,7 @@ impl Shots {
             bail!("--fps is for a shot: give --sequence-glb or --sequence-usda as well");
         }
         let options = ShotOptions { fps: fps.unwrap_or(FPS), meters_per_unit: outputs.meters_per_unit };
-        Ok(Shots { files, options, are_picked })
+        Ok(SequenceOutputs { files, options, are_picked })
     }
 
     /// The files.
@@ -158,9 +158,9 @@ impl Shots {
     pub(super) fn write(
         &self,
         (frames, frame_count): (&[ShotSource], usize),
-        verdict: Verdict,
+        verdict: CommandOutcome,
         console: &mut Console,
-    ) -> Verdict {
+    ) -> CommandOutcome {
         let mut verdict = verdict;
         for (path, format) in &self.files {
             if frames.len() < frame_count && path.exists() {
@@ -178,13 +178,13 @@ impl Shots {
                     }
                     told(path, &shot, console);
                     if !shot.left_out.is_empty() {
-                        verdict = Verdict::SomeFailed;
+                        verdict = CommandOutcome::SomeFailed;
                     }
                 }
                 Err(error) => {
                     console.error(error);
-                    if verdict == Verdict::Done {
-                        verdict = Verdict::SomeFailed;
+                    if verdict == CommandOutcome::Done {
+                        verdict = CommandOutcome::SomeFailed;
                     }
                 }
             }

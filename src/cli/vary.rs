@@ -37,14 +37,14 @@ pub(super) struct Parameter {
     /// What it is, in a title. Of whole numbers, what is counted is before the first ` of `.
     pub(super) meaning: &'static str,
     /// The values beside the one without, where none are given.
-    amounts: (Unit, &'static [f64]),
+    amounts: (SweepUnit, &'static [f64]),
 }
 
 /// A number, and its unit.
-type Amount = (Unit, f64);
+type Amount = (SweepUnit, f64);
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Unit {
+enum SweepUnit {
     /// As the option takes it.
     Plain,
     /// In units of what it is without.
@@ -53,13 +53,13 @@ enum Unit {
 
 /// A value of an option.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Value {
+pub(super) struct SweepValue {
     parameter: &'static Parameter,
     /// `None` for what it is without.
     number: Option<f64>,
 }
 
-use Unit::{Plain, Times};
+use SweepUnit::{Plain, Times};
 
 static PARAMETERS: [Parameter; 14] = [
     // From the most faithful to the smoothest.
@@ -86,7 +86,7 @@ const fn parameter(
     name: &'static str,
     option: &'static str,
     meaning: &'static str,
-    unit: Unit,
+    unit: SweepUnit,
     numbers: &'static [f64],
 ) -> Parameter {
     Parameter { name, option, meaning, amounts: (unit, numbers) }
@@ -132,13 +132,13 @@ impl Vary {
     pub(super) fn values(
         &self,
         settings: &Settings,
-    ) -> Result<Vec<(&'static Parameter, Vec<Value>)>, String> {
+    ) -> Result<Vec<(&'static Parameter, Vec<SweepValue>)>, String> {
         self.varied.iter().map(|varied| Ok((varied.parameter, varied.values(settings)?))).collect()
     }
 }
 
 impl Varied {
-    fn values(&self, settings: &Settings) -> Result<Vec<Value>, String> {
+    fn values(&self, settings: &Settings) -> Result<Vec<SweepValue>, String> {
         let &Parameter { name, amounts: (unit, numbers), .. } = self.parameter;
         if self.parameter.value_in(settings).is_none() {
             return Err(format!(
@@ -187,7 +187,7 @@ impl Parameter {
         self.value_in(settings).unwrap_or(f64::NAN)
     }
 
-    fn value(&'static self, amount: Amount, settings: &Settings) -> Value {
+    fn value(&'static self, amount: Amount, settings: &Settings) -> SweepValue {
         let without = self.without(settings);
         let number = match amount {
             (Times, 1.0) => None,
@@ -197,7 +197,7 @@ impl Parameter {
             (Times, factor) if factor > 0.0 => Some((factor * without).round().max(1.0)),
             (Times, _) => Some(0.0),
         };
-        Value { parameter: self, number }
+        SweepValue { parameter: self, number }
     }
 
     /// An amount as it is typed.
@@ -219,7 +219,7 @@ impl Parameter {
     }
 }
 
-impl Value {
+impl SweepValue {
     fn number(self, settings: &Settings) -> f64 {
         self.number.unwrap_or_else(|| self.parameter.without(settings))
     }
@@ -321,7 +321,7 @@ mod tests {
 
     fn values(text: &str, settings: &Settings) -> Vec<Vec<Option<f64>>> {
         let vary: Vary = text.parse().expect(text);
-        let numbers = |values: Vec<Value>| values.into_iter().map(|value| value.number).collect();
+        let numbers = |values: Vec<SweepValue>| values.into_iter().map(|value| value.number).collect();
         vary.values(settings).expect(text).into_iter().map(|(_, values)| numbers(values)).collect()
     }
 
@@ -376,7 +376,7 @@ mod tests {
                 _ => short(1.01 * usual),
             };
             let mut options = MethodOptions::default();
-            let value = Value { parameter, number: Some(number) };
+            let value = SweepValue { parameter, number: Some(number) };
             value.put(&mut options, &without);
             assert_eq!(parameter.without(&with(&options)), number, "{}", parameter.name);
             assert!(value.is_without(&with(&options)) && !value.is_without(&without), "{}", parameter.name);
@@ -392,13 +392,13 @@ mod tests {
             ("h", ["h 1", "h 5"]),
         ] {
             let parameter = Parameter::named(name).expect("known");
-            let label = |number| Value { parameter, number: Some(number) }.label(&settings());
+            let label = |number| SweepValue { parameter, number: Some(number) }.label(&settings());
             assert_eq!([label(1.0), label(5.0)], labels);
         }
     }
 
-    fn voxel_size_of(number: f64) -> Value {
-        Value { parameter: Parameter::named("h").expect("known"), number: Some(number) }
+    fn voxel_size_of(number: f64) -> SweepValue {
+        SweepValue { parameter: Parameter::named("h").expect("known"), number: Some(number) }
     }
 
     #[test]

@@ -5,10 +5,10 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 
-use crate::farm::{FrameVerdict, Plan, PlannedFrame, VerdictRecord, Verdicts, verify as verify_plan};
-use crate::pipeline::{FrameState, are_one_file};
+use crate::farm::{FrameVerdict, PlannedFrame, ShardPlan, VerdictRecord, Verdicts, verify as verify_plan};
+use crate::pipeline::{InspectedState, are_one_file};
 
-use super::Verdict;
+use super::CommandOutcome;
 use super::args::VerifyArgs;
 use super::console::Console;
 use super::machine::thread_pool;
@@ -19,7 +19,7 @@ use super::wording::counted;
 ///
 /// # Errors
 /// When nothing can be looked at.
-pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Verdict> {
+pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<CommandOutcome> {
     let start = Instant::now();
     let folder = absolute(&args.folder).with_context(|| format!("`{}` is no path", args.folder.display()))?;
     if !folder.is_dir() {
@@ -30,7 +30,7 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Verdict
         .join(".")
         .metadata()
         .with_context(|| format!("{}: what is in this folder cannot be looked at", args.folder.display()))?;
-    let plan = Plan::read(&args.plan).with_context(|| args.plan.display().to_string())?;
+    let plan = ShardPlan::read(&args.plan).with_context(|| args.plan.display().to_string())?;
     let planned = plan.out().filter(|planned| !are_one_file(planned, &folder)).map(Path::to_owned);
     let plan = plan.with_out(&folder);
     refuse_report_of_plan(args.report.as_deref(), &plan, &args.plan)?;
@@ -57,13 +57,13 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Verdict
         record.write(&path).with_context(|| format!("{}: cannot write the report", path.display()))?;
     }
     let done_count = verdicts.done_count();
-    Ok(Verdict::of(done_count, verdicts.frames.len() - done_count, false))
+    Ok(CommandOutcome::of(done_count, verdicts.frames.len() - done_count, false))
 }
 
 /// What is wanting of a shard: a line for each frame, or one for all where it has not run.
 fn told(shard: &[(&PlannedFrame, &FrameVerdict)]) -> Vec<String> {
     let is_missing = |(_, verdict): &(_, &FrameVerdict)| {
-        matches!(verdict.state, FrameState::Missing { are_all: true, .. })
+        matches!(verdict.state, InspectedState::Missing { are_all: true, .. })
     };
     if let [(first, verdict), .., (last, _)] = shard
         && shard.iter().all(is_missing)

@@ -8,14 +8,14 @@ use anyhow::{Context, Result, anyhow, bail};
 
 use crate::pipeline::{file_of, frames_in, is_missing_step, step_of};
 use crate::watch::explain::{
-    Change, Explanation, FileFacts, Question, Verdict as Fate, explain, remembered_fingerprint,
+    Explanation, FileChange, FileFacts, FrameExplanation as Fate, Question, explain, remembered_fingerprint,
 };
-use crate::watch::journal::{FrameRecord, PlanRecord, Standing, State, now_ms};
+use crate::watch::journal::{JournalState, JournaledFrame, PlanRecord, Standing, now_ms};
 use crate::watch::place::{below, known_path};
-use crate::watch::selection::{Content, Selection};
-use crate::watch::{Config, Patience, Watch};
+use crate::watch::selection::{FileFilter, SniffedContent};
+use crate::watch::{Patience, Watch, WatchConfig};
 
-use super::Verdict;
+use super::CommandOutcome;
 use super::args::{WatchArgs, WhyArgs};
 use super::clock::ago;
 use super::console::Console;
@@ -26,7 +26,7 @@ use super::watch::make_plan;
 ///
 /// # Errors
 /// When there is neither such a file nor a record of it, or something cannot be read.
-pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<Verdict> {
+pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<CommandOutcome> {
     let frame = known_frame(&args.file).context("the file has no name")?;
     let asked = match &args.config {
         Some(file) => Asked::of_file(file, args)?,
@@ -49,7 +49,7 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<Verdict> {
             "{}: a file of several frames: ask for one, from {first} to {last}",
             frame.display()
         ));
-        return Ok(Verdict::Done);
+        return Ok(CommandOutcome::Done);
     }
     let missing = match is_missing_step(&frame) {
         Ok(true) => Some("step"),
@@ -78,7 +78,7 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<Verdict> {
     if is_to_come && matches!(Holder::of(output)?, Holder::Nobody) {
         console.say(format_args!("No daemon is at work in {}.", output.display()));
     }
-    Ok(Verdict::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// The path by which the daemon knows a frame.
@@ -100,7 +100,7 @@ struct Asked {
     /// The folder of its journal, where that is not beside the outputs.
     journal: Option<PathBuf>,
     /// The journal, where it was read to know the rest.
-    state: Option<State>,
+    state: Option<JournalState>,
     /// Whether it is known, and not supposed.
     is_known: bool,
 }
@@ -109,7 +109,7 @@ impl Asked {
     /// What a file asks for, whatever the journal says.
     fn of_file(file: &Path, args: &WhyArgs) -> Result<Asked> {
         let watch_args = WatchArgs { config: Some(file.to_owned()), ..WatchArgs::default() };
-        let Config { watches, patience, journal, .. } = make_plan(&watch_args)?.config;
+        let WatchConfig { watches, patience, journal, .. } = make_plan(&watch_args)?.config;
         let journal = args.journal.clone().or(journal);
         Ok(Asked { watches, patience, journal, state: None, is_known: true })
     }
@@ -126,7 +126,7 @@ impl Asked {
             None => {
                 let inputs = vec![file_of(frame).parent().unwrap_or(frame).to_owned()];
                 let watch_args = WatchArgs { inputs, out: Some(output.to_owned()), ..WatchArgs::default() };
-                let Config { watches, patience, .. } = make_plan(&watch_args)?.config;
+                let WatchConfig { watches, patience, .. } = make_plan(&watch_args)?.config;
                 PlanRecord { watches, patience }
             }
         };
@@ -142,7 +142,7 @@ impl Asked {
                 && output.as_ref().is_none_or(|out| *out == watch.outputs.folder)
         };
         let takes = |watch: &Watch| {
-            let selection = Selection::new(watch.pattern.as_deref(), watch.recursive, Vec::new());
+            let selection = FileFilter::new(watch.pattern.as_deref(), watch.recursive, Vec::new());
             let frame = below(&watch.input, frame).unwrap_or_else(|| frame.to_owned());
             selection.is_ok_and(|selection| selection.takes(&watch.input, file_of(&frame)))
         };
@@ -156,7 +156,7 @@ impl Asked {
 /// Everything, in lines.
 fn lines(
     frame: &Path,
-    record: Option<&FrameRecord>,
+    record: Option<&JournaledFrame>,
     explanation: &Explanation,
     is_known: bool,
     now_ms: u64,
@@ -169,9 +169,9 @@ fn lines(
         line(
             "content",
             match content {
-                Content::Particles => "particles",
-                Content::OwnOutput => "made by this program",
-                Content::NotParticles => "no particles",
+                SniffedContent::Particles => "particles",
+                SniffedContent::OwnOutput => "made by this program",
+                SniffedContent::NotParticles => "no particles",
             },
         );
         line("complete", &readiness.to_string());
@@ -185,9 +185,9 @@ fn lines(
                 "input",
                 match file.as_ref().and_then(|file| file.change) {
                     None => "gone",
-                    Some(Change::Unchanged) => "as recorded",
-                    Some(Change::Touched) => "touched or moved; its content is as recorded",
-                    Some(Change::Rewritten) => "not as recorded",
+                    Some(FileChange::Unchanged) => "as recorded",
+                    Some(FileChange::Touched) => "touched or moved; its content is as recorded",
+                    Some(FileChange::Rewritten) => "not as recorded",
                 },
             );
             line(
@@ -210,7 +210,7 @@ fn lines(
     lines
 }
 
-fn recorded(record: &FrameRecord, now_ms: u64) -> String {
+fn recorded(record: &JournaledFrame, now_ms: u64) -> String {
     let attempts = match record.attempt_count {
         0 | 1 => String::new(),
         count => format!(", {count} attempts"),

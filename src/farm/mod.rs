@@ -20,6 +20,6 @@ mod plan_file;
 mod verdict;
 
 pub use dealing::{SHARDS_MAX, deal};
-pub use plan::{Plan, PlannedFrame, PlannedSequence};
+pub use plan::{PlannedFrame, PlannedSequence, ShardPlan};
 pub use plan_file::{PlanError, parse};
 pub use verdict::{FrameVerdict, VerdictRecord, Verdicts, verify};

@@ -14,7 +14,7 @@ use crate::surface::options::Settings;
 
 /// All that a shard needs to know.
 #[derive(Clone, Debug)]
-pub struct Plan {
+pub struct ShardPlan {
     /// In the order of the report.
     pub sequences: Vec<PlannedSequence>,
     /// In the order in which they are dealt.
@@ -56,14 +56,14 @@ pub struct PlannedFrame {
     pub sequence: usize,
 }
 
-impl Plan {
+impl ShardPlan {
     /// The folder of all outputs.
     pub fn out(&self) -> Option<&Path> {
         self.sequences.first().map(|sequence| sequence.outputs.folder.as_path())
     }
 
     /// The same plan for outputs that lie elsewhere.
-    pub fn with_out(mut self, folder: &Path) -> Plan {
+    pub fn with_out(mut self, folder: &Path) -> ShardPlan {
         for sequence in &mut self.sequences {
             Arc::make_mut(&mut sequence.outputs).folder = folder.to_owned();
         }

@@ -27,7 +27,7 @@ use crate::surface::options::{MethodOptions, Settings};
 use crate::surface::skin::SLACK_MAX_VOXELS;
 
 use super::dealing::SHARDS_MAX;
-use super::plan::{Plan, PlannedFrame, PlannedSequence};
+use super::plan::{PlannedFrame, PlannedSequence, ShardPlan};
 
 /// Another number, another form of the file.
 const VERSION: u64 = 1;
@@ -83,12 +83,12 @@ struct SequenceEntry {
     /// Where pictures are written.
     camera: Option<String>,
     /// Where the particle spacing was measured.
-    measured: Option<Measured>,
+    measured: Option<PlannedSpacing>,
 }
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Measured {
+struct PlannedSpacing {
     on: String,
     spacing: String,
     confidence: f64,
@@ -128,12 +128,12 @@ impl fmt::Display for PlanError {
 
 impl std::error::Error for PlanError {}
 
-impl Plan {
+impl ShardPlan {
     /// Reads the plan in a file.
     ///
     /// # Errors
     /// When it cannot be read, or is no plan of this version of the program.
-    pub fn read(path: &Path) -> Result<Plan, PlanError> {
+    pub fn read(path: &Path) -> Result<ShardPlan, PlanError> {
         let cannot = |error: io::Error| PlanError::at("", format!("cannot be read: {error}"));
         let mut bytes = Vec::new();
         open_regular(path)
@@ -160,7 +160,7 @@ impl Plan {
 ///
 /// # Errors
 /// What is wrong with it, and where.
-pub fn parse(bytes: &[u8]) -> Result<Plan, PlanError> {
+pub fn parse(bytes: &[u8]) -> Result<ShardPlan, PlanError> {
     let of_form = |error: serde_json::Error| PlanError::at("", error.to_string());
     if !bytes.trim_ascii_start().starts_with(b"{") {
         return Err(PlanError::at("", "this is no plan of meniscus, which is a JSON object"));
@@ -188,7 +188,7 @@ pub fn parse(bytes: &[u8]) -> Result<Plan, PlanError> {
 }
 
 impl PlanFile {
-    fn of(plan: &Plan) -> Result<PlanFile, PlanError> {
+    fn of(plan: &ShardPlan) -> Result<PlanFile, PlanError> {
         let first = plan.sequences.first().ok_or_else(|| PlanError::at("/sequences", "there are none"))?;
         plan.frames.iter().try_for_each(|frame| text(&frame.input).map(drop))?;
         Ok(PlanFile {
@@ -203,7 +203,7 @@ impl PlanFile {
         })
     }
 
-    fn into_plan(self) -> Result<Plan, PlanError> {
+    fn into_plan(self) -> Result<ShardPlan, PlanError> {
         let folder = absolute("/out", &self.out)?;
         let obstacles = self.obstacles.iter().enumerate();
         let obstacles = obstacles.map(|(index, path)| absolute(&format!("/obstacles/{index}"), path));
@@ -217,8 +217,12 @@ impl PlanFile {
         }
         let shards = shards(&self.shards, self.frames.len())?;
         check_frames(&self.frames, sequences.len())?;
-        let plan =
-            Plan { shards, frames: self.frames, sequences, obstacles: obstacles.collect::<Result<_, _>>()? };
+        let plan = ShardPlan {
+            shards,
+            frames: self.frames,
+            sequences,
+            obstacles: obstacles.collect::<Result<_, _>>()?,
+        };
         match replaced_input(&plan) {
             Some(index) => Err(PlanError::at(format!("/frames/{index}/input"), "it is an output, too")),
             None => Ok(plan),
@@ -227,7 +231,7 @@ impl PlanFile {
 }
 
 /// The index of a frame whose input would be replaced by an output of the plan.
-fn replaced_input(plan: &Plan) -> Option<usize> {
+fn replaced_input(plan: &ShardPlan) -> Option<usize> {
     let outputs: HashSet<PathBuf> = plan.frames.iter().flat_map(|planned| plan.outputs(planned)).collect();
     plan.frames.iter().position(|planned| outputs.contains(file_of(&planned.input)))
 }
@@ -282,7 +286,7 @@ impl SequenceEntry {
     fn of(sequence: &PlannedSequence) -> Result<SequenceEntry, PlanError> {
         let PlannedSequence { name, job, settings, measured, outputs } = sequence;
         let measured = measured.as_ref().map(|measured| {
-            Ok(Measured {
+            Ok(PlannedSpacing {
                 on: text(&measured.measured_on)?,
                 spacing: measured.spacing.to_string(),
                 confidence: measured.confidence,
@@ -343,7 +347,7 @@ impl SequenceEntry {
     }
 }
 
-impl Measured {
+impl PlannedSpacing {
     fn into_measured(self, place: &str) -> Result<MeasuredSpacing, PlanError> {
         let median = self.radius_median.as_deref();
         let median = median.map(|text| number(&format!("{place}/measured/radius_median"), text));

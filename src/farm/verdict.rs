@@ -7,9 +7,9 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::pipeline::files::json::write_json;
-use crate::pipeline::{FrameState, Inspection, ObstacleFiles, inspect, write_whole};
+use crate::pipeline::{InspectedState, Inspection, ObstacleFiles, inspect, write_whole};
 
-use super::plan::Plan;
+use super::plan::ShardPlan;
 
 /// What there is of each frame of a plan.
 #[derive(Clone, Debug)]
@@ -24,7 +24,7 @@ pub struct FrameVerdict {
     /// Which shard has it.
     pub shard: usize,
     /// What there is.
-    pub state: FrameState,
+    pub state: InspectedState,
     /// Whether its input was there, and could be compared with what the outputs were made from.
     pub input_is_there: bool,
     /// The same of its obstacles.
@@ -32,7 +32,7 @@ pub struct FrameVerdict {
 }
 
 /// Looks at every output of a plan: from its first byte to its last, and at the inputs that are there. Nothing is written.
-pub fn verify(plan: &Plan) -> Verdicts {
+pub fn verify(plan: &ShardPlan) -> Verdicts {
     let obstacles = Arc::new(ObstacleFiles::new(plan.obstacles.clone()));
     let shards = plan.shards.par_iter().enumerate();
     let verdicts = shards.flat_map(|(shard, frames)| {
@@ -50,28 +50,28 @@ impl FrameVerdict {
     /// What became of the frame, in a word.
     pub fn status(&self) -> &'static str {
         match self.state {
-            FrameState::Done => "done",
-            FrameState::Missing { .. } => "missing",
-            FrameState::Damaged(_) => "damaged",
-            FrameState::Stale(_) => "stale",
-            FrameState::Uncertified(_) => "uncertified",
+            InspectedState::Done => "done",
+            InspectedState::Missing { .. } => "missing",
+            InspectedState::Damaged(_) => "damaged",
+            InspectedState::Stale(_) => "stale",
+            InspectedState::Uncertified(_) => "uncertified",
         }
     }
 
     /// Why it is not done; nothing of one that is.
     pub fn why(&self) -> Option<&str> {
         match &self.state {
-            FrameState::Done => None,
-            FrameState::Missing { why, .. }
-            | FrameState::Damaged(why)
-            | FrameState::Stale(why)
-            | FrameState::Uncertified(why) => Some(why),
+            InspectedState::Done => None,
+            InspectedState::Missing { why, .. }
+            | InspectedState::Damaged(why)
+            | InspectedState::Stale(why)
+            | InspectedState::Uncertified(why) => Some(why),
         }
     }
 
     /// Whether its shard would make it again.
     pub fn is_to_be_made(&self) -> bool {
-        !matches!(self.state, FrameState::Done | FrameState::Uncertified(_))
+        !matches!(self.state, InspectedState::Done | InspectedState::Uncertified(_))
     }
 }
 
@@ -87,7 +87,7 @@ impl Verdicts {
 
     /// Frames that are as they were to be.
     pub fn done_count(&self) -> usize {
-        self.frames.iter().filter(|frame| frame.state == FrameState::Done).count()
+        self.frames.iter().filter(|frame| frame.state == InspectedState::Done).count()
     }
 
     /// The shards that have something to do, in order.
@@ -115,13 +115,13 @@ pub struct VerdictRecord<'a> {
     version: &'static str,
     plan: String,
     folder: String,
-    summary: Summary,
+    summary: VerifySummary,
     shards_to_run: Vec<usize>,
-    frames: Vec<FrameRecord<'a>>,
+    frames: Vec<VerifiedFrame<'a>>,
 }
 
 #[derive(Debug, Serialize)]
-struct Summary {
+struct VerifySummary {
     frames: usize,
     done: usize,
     missing: usize,
@@ -133,7 +133,7 @@ struct Summary {
 }
 
 #[derive(Debug, Serialize)]
-struct FrameRecord<'a> {
+struct VerifiedFrame<'a> {
     input: String,
     stem: &'a str,
     shard: usize,
@@ -145,9 +145,9 @@ struct FrameRecord<'a> {
 
 impl<'a> VerdictRecord<'a> {
     /// The verdicts on the plan in the file at `path`, of the outputs in `folder`.
-    pub fn new(plan: &'a Plan, verdicts: &'a Verdicts, path: &Path, folder: &Path) -> VerdictRecord<'a> {
+    pub fn new(plan: &'a ShardPlan, verdicts: &'a Verdicts, path: &Path, folder: &Path) -> VerdictRecord<'a> {
         let [done, missing, damaged, stale, uncertified] = verdicts.counts().map(|(_, count)| count);
-        let frames = plan.frames.iter().zip(&verdicts.frames).map(|(planned, verdict)| FrameRecord {
+        let frames = plan.frames.iter().zip(&verdicts.frames).map(|(planned, verdict)| VerifiedFrame {
             input: planned.input.to_string_lossy().into_owned(),
             stem: &planned.stem,
             shard: verdict.shard,
@@ -160,7 +160,7 @@ impl<'a> VerdictRecord<'a> {
             version: env!("CARGO_PKG_VERSION"),
             plan: path.to_string_lossy().into_owned(),
             folder: folder.to_string_lossy().into_owned(),
-            summary: Summary {
+            summary: VerifySummary {
                 frames: plan.frames.len(),
                 done,
                 missing,

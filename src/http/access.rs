@@ -13,21 +13,21 @@ use hyper::{Request, Uri};
 
 /// What whoever looks must know. It is not shown where it might be written down.
 #[derive(Clone, PartialEq, Eq)]
-pub struct Token(String);
+pub struct AccessToken(String);
 
 /// Why something is no token.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TokenError;
 
-impl Token {
+impl AccessToken {
     /// A token: 16 to 256 letters of ASCII, digits, and `-`, `_`, `.`, `~`.
     ///
     /// # Errors
     /// When it is something else.
-    pub fn new(text: &str) -> Result<Token, TokenError> {
+    pub fn new(text: &str) -> Result<AccessToken, TokenError> {
         let is_right = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.~".contains(&byte);
         match (16..=256).contains(&text.len()) && text.bytes().all(is_right) {
-            true => Ok(Token(text.to_owned())),
+            true => Ok(AccessToken(text.to_owned())),
             false => Err(TokenError),
         }
     }
@@ -66,7 +66,7 @@ fn cookie_name(port: u16) -> String {
     format!("meniscus_token_{port}")
 }
 
-impl fmt::Debug for Token {
+impl fmt::Debug for AccessToken {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("Token")
     }
@@ -136,20 +136,20 @@ mod tests {
 
     #[test]
     fn a_token_is_known_by_all_of_it() {
-        let token = Token::new("0123456789abcdef").expect("a token");
+        let token = AccessToken::new("0123456789abcdef").expect("a token");
         assert!(token.is("0123456789abcdef"));
         for wrong in ["", "0123456789abcde", "0123456789abcdeg", "0123456789abcdef0"] {
             assert!(!token.is(wrong), "{wrong}");
         }
         for text in ["short", "0123456789abcde;", "0123456789abcde f", &"x".repeat(257)] {
-            assert_eq!(Token::new(text), Err(TokenError), "{text}");
+            assert_eq!(AccessToken::new(text), Err(TokenError), "{text}");
         }
         assert_eq!(format!("{token:?}"), "Token");
     }
 
     #[test]
     fn a_token_comes_in_a_header() {
-        let token = Token::new("0123456789abcdef").expect("a token");
+        let token = AccessToken::new("0123456789abcdef").expect("a token");
         let with =
             |name: &str, value: &str| Request::get("/").header(name, value).body(()).expect("a request");
         let is_in = |name: &str, value: &str| token.is_in(&with(name, value), 7700);

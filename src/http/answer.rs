@@ -16,52 +16,52 @@ use tokio::sync::mpsc;
 use super::connections::Answering;
 
 /// An answer.
-pub(super) type Answer = Response<Content>;
+pub(super) type Answer = Response<ResponseBody>;
 
 /// What an answer holds.
 #[derive(Debug)]
-pub(super) struct Content {
-    source: Source,
+pub(super) struct ResponseBody {
+    source: BodySource,
     /// Keeps the connection busy until the content is dropped.
     _answering: Option<Answering>,
 }
 
 #[derive(Debug)]
-enum Source {
+enum BodySource {
     /// All of it, until it is taken.
     Whole(Option<Bytes>),
     /// What a task sends, which waits while it is not taken; and how much of it is to come, where that is known.
     Pieces(mpsc::Receiver<io::Result<Bytes>>, Option<u64>),
 }
 
-impl Content {
-    pub(super) fn none() -> Content {
-        Content { source: Source::Whole(None), _answering: None }
+impl ResponseBody {
+    pub(super) fn none() -> ResponseBody {
+        ResponseBody { source: BodySource::Whole(None), _answering: None }
     }
 
-    pub(super) fn whole(bytes: impl Into<Bytes>) -> Content {
-        Content { source: Source::Whole(Some(bytes.into())), _answering: None }
+    pub(super) fn whole(bytes: impl Into<Bytes>) -> ResponseBody {
+        ResponseBody { source: BodySource::Whole(Some(bytes.into())), _answering: None }
     }
 
     /// Content in pieces, of this size if it is known.
-    pub(super) fn pieces(pieces: mpsc::Receiver<io::Result<Bytes>>, size_bytes: Option<u64>) -> Content {
-        Content { source: Source::Pieces(pieces, size_bytes), _answering: None }
+    pub(super) fn pieces(pieces: mpsc::Receiver<io::Result<Bytes>>, size_bytes: Option<u64>) -> ResponseBody {
+        ResponseBody { source: BodySource::Pieces(pieces, size_bytes), _answering: None }
     }
 
     /// The same content, during which a connection is busy.
-    pub(super) fn during(self, answering: Answering) -> Content {
-        Content { _answering: Some(answering), ..self }
+    pub(super) fn during(self, answering: Answering) -> ResponseBody {
+        ResponseBody { _answering: Some(answering), ..self }
     }
 }
 
-impl Body for Content {
+impl Body for ResponseBody {
     type Data = Bytes;
     type Error = io::Error;
 
     fn poll_frame(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<io::Result<Frame<Bytes>>>> {
         match &mut self.get_mut().source {
-            Source::Whole(bytes) => Poll::Ready(bytes.take().map(|bytes| Ok(Frame::data(bytes)))),
-            Source::Pieces(pieces, left_bytes) => {
+            BodySource::Whole(bytes) => Poll::Ready(bytes.take().map(|bytes| Ok(Frame::data(bytes)))),
+            BodySource::Pieces(pieces, left_bytes) => {
                 let Some(piece) = ready!(pieces.poll_recv(context)) else { return Poll::Ready(None) };
                 if let (Ok(piece), Some(left_bytes)) = (&piece, left_bytes) {
                     *left_bytes = left_bytes.saturating_sub(piece.len() as u64);
@@ -73,16 +73,16 @@ impl Body for Content {
 
     fn is_end_stream(&self) -> bool {
         match &self.source {
-            Source::Whole(bytes) => bytes.as_ref().is_none_or(Bytes::is_empty),
-            Source::Pieces(_, left_bytes) => *left_bytes == Some(0),
+            BodySource::Whole(bytes) => bytes.as_ref().is_none_or(Bytes::is_empty),
+            BodySource::Pieces(_, left_bytes) => *left_bytes == Some(0),
         }
     }
 
     fn size_hint(&self) -> SizeHint {
         match &self.source {
-            Source::Whole(bytes) => SizeHint::with_exact(bytes.as_ref().map_or(0, Bytes::len) as u64),
-            Source::Pieces(_, Some(left_bytes)) => SizeHint::with_exact(*left_bytes),
-            Source::Pieces(_, None) => SizeHint::new(),
+            BodySource::Whole(bytes) => SizeHint::with_exact(bytes.as_ref().map_or(0, Bytes::len) as u64),
+            BodySource::Pieces(_, Some(left_bytes)) => SizeHint::with_exact(*left_bytes),
+            BodySource::Pieces(_, None) => SizeHint::new(),
         }
     }
 }
@@ -95,7 +95,7 @@ const OPENER: HeaderName = HeaderName::from_static("cross-origin-opener-policy")
 const RESOURCE: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
 
 /// An answer of this type, which nobody keeps.
-pub(super) fn answer(status: StatusCode, content_type: &'static str, content: Content) -> Answer {
+pub(super) fn answer(status: StatusCode, content_type: &'static str, content: ResponseBody) -> Answer {
     let mut answer = Response::new(content);
     *answer.status_mut() = status;
     let headers = answer.headers_mut();
@@ -116,13 +116,13 @@ pub(super) fn answer(status: StatusCode, content_type: &'static str, content: Co
 
 /// A line of text.
 pub(super) fn text(status: StatusCode, line: &str) -> Answer {
-    answer(status, "text/plain; charset=utf-8", Content::whole(format!("{line}\n")))
+    answer(status, "text/plain; charset=utf-8", ResponseBody::whole(format!("{line}\n")))
 }
 
 /// Something as JSON.
 pub(super) fn json(value: &impl Serialize) -> Answer {
     match serde_json::to_vec(value) {
-        Ok(bytes) => answer(StatusCode::OK, "application/json", Content::whole(bytes)),
+        Ok(bytes) => answer(StatusCode::OK, "application/json", ResponseBody::whole(bytes)),
         Err(error) => text(StatusCode::INTERNAL_SERVER_ERROR, &error.to_string()),
     }
 }
@@ -153,6 +153,6 @@ pub(super) fn cached(answer: Answer, tag: &str) -> Answer {
 /// The answer to a request of a browser that has what this tag is of; `None` if it does not.
 pub(super) fn not_modified<B>(request: &Request<B>, content_type: &'static str, tag: &str) -> Option<Answer> {
     let known = request.headers().get(IF_NONE_MATCH)?;
-    let answer = || answer(StatusCode::NOT_MODIFIED, content_type, Content::none());
+    let answer = || answer(StatusCode::NOT_MODIFIED, content_type, ResponseBody::none());
     (known.as_bytes() == tag.as_bytes()).then(|| cached(answer(), tag))
 }

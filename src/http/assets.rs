@@ -3,7 +3,7 @@
 use hyper::{Request, StatusCode};
 use twox_hash::XxHash3_64;
 
-use super::answer::{Answer, Content, answer, cached, not_found, not_modified};
+use super::answer::{Answer, ResponseBody, answer, cached, not_found, not_modified};
 
 const HTML: &str = "text/html; charset=utf-8";
 const CSS: &str = "text/css; charset=utf-8";
@@ -31,6 +31,6 @@ pub(super) fn asset<B>(request: &Request<B>) -> Answer {
     let found = ASSETS.iter().find(|(path, ..)| *path == request.uri().path());
     let Some(&(_, content_type, bytes)) = found else { return not_found() };
     let tag = format!("\"{:016x}\"", XxHash3_64::oneshot(bytes));
-    let asset = || answer(StatusCode::OK, content_type, Content::whole(bytes));
+    let asset = || answer(StatusCode::OK, content_type, ResponseBody::whole(bytes));
     not_modified(request, content_type, &tag).unwrap_or_else(|| cached(asset(), &tag))
 }

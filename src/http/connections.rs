@@ -41,13 +41,13 @@ struct Idle {
 #[derive(Debug)]
 pub(super) struct Connection {
     all: Arc<Connections>,
-    state: Mutex<State>,
+    state: Mutex<ConnectionState>,
     closing: Arc<Notify>,
     _place: OwnedSemaphorePermit,
 }
 
 #[derive(Clone, Copy, Debug)]
-enum State {
+enum ConnectionState {
     /// Waits for a request, under this key.
     Idle(u64),
     /// A request is answered.
@@ -92,7 +92,7 @@ impl Connections {
         };
         let closing = Arc::new(Notify::new());
         let key = self.lock().insert(&closing);
-        let state = Mutex::new(State::Idle(key));
+        let state = Mutex::new(ConnectionState::Idle(key));
         Connection { all: Arc::clone(self), state, closing, _place: place }
     }
 
@@ -135,21 +135,21 @@ impl Connection {
         let mut state = self.state();
         let mut all = self.all.lock();
         // While the answer before this one is being sent, it counts as busy already.
-        if let State::Idle(key) = *state {
+        if let ConnectionState::Idle(key) = *state {
             all.by_age.remove(&key);
             all.busy_count += 1;
         }
-        *state = State::Busy;
+        *state = ConnectionState::Busy;
         Answering(Arc::clone(self))
     }
 
     /// All that was produced so far is with the system.
     pub(super) fn flushed(&self) {
         let mut state = self.state();
-        if matches!(*state, State::Flushing) {
+        if matches!(*state, ConnectionState::Flushing) {
             let mut all = self.all.lock();
             all.busy_count -= 1;
-            *state = State::Idle(all.insert(&self.closing));
+            *state = ConnectionState::Idle(all.insert(&self.closing));
             drop(all);
             self.all.became_idle.notify_one();
         }
@@ -160,7 +160,7 @@ impl Connection {
         self.closing.notified().await;
     }
 
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn state(&self) -> MutexGuard<'_, ConnectionState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -170,15 +170,15 @@ impl Drop for Connection {
         let state = *self.state();
         let mut all = self.all.lock();
         match state {
-            State::Idle(key) => drop(all.by_age.remove(&key)),
-            State::Busy | State::Flushing => all.busy_count -= 1,
+            ConnectionState::Idle(key) => drop(all.by_age.remove(&key)),
+            ConnectionState::Busy | ConnectionState::Flushing => all.busy_count -= 1,
         }
     }
 }
 
 impl Drop for Answering {
     fn drop(&mut self) {
-        *self.0.state() = State::Flushing;
+        *self.0.state() = ConnectionState::Flushing;
     }
 }
 

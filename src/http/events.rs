@@ -19,10 +19,10 @@ use serde_json::json;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep_until};
 
-use crate::watch::status_store::{Changes, FrameSummary, StatusStore};
+use crate::watch::status_store::{FrameSummary, StatusChanges, StatusStore};
 
-use super::Shared;
-use super::answer::{Answer, Content, answer, text};
+use super::ServerState;
+use super::answer::{Answer, ResponseBody, answer, text};
 use super::query::value_of;
 
 /// All subscribers.
@@ -47,7 +47,7 @@ struct LastEvent {
 }
 
 /// A subscriber, until it is dropped.
-struct Subscriber(Arc<Shared>);
+struct Subscriber(Arc<ServerState>);
 
 /// More than this are refused.
 const SUBSCRIBERS_MAX: usize = 256;
@@ -63,7 +63,7 @@ const CHANGES_MAX: usize = 256;
 
 /// The changes after those that the request has seen, by `Last-Event-ID` or `?after=`; without either, those from now
 /// on.
-pub(super) fn follow<B>(shared: &Arc<Shared>, request: &Request<B>) -> Answer {
+pub(super) fn follow<B>(shared: &Arc<ServerState>, request: &Request<B>) -> Answer {
     let Some(subscriber) = Subscriber::new(shared) else {
         return text(StatusCode::SERVICE_UNAVAILABLE, "too many follow already");
     };
@@ -73,12 +73,12 @@ pub(super) fn follow<B>(shared: &Arc<Shared>, request: &Request<B>) -> Answer {
     if request.method() == hyper::Method::GET {
         tokio::spawn(send_events(subscriber, seen, sender));
     }
-    answer(StatusCode::OK, "text/event-stream", Content::pieces(pieces, None))
+    answer(StatusCode::OK, "text/event-stream", ResponseBody::pieces(pieces, None))
 }
 
 /// Sends events until the client is gone, or the server stops.
 async fn send_events(subscriber: Subscriber, seen: Option<String>, sender: mpsc::Sender<io::Result<Bytes>>) {
-    let Shared { store, closing, subscribers, .. } = &*subscriber.0;
+    let ServerState { store, closing, subscribers, .. } = &*subscriber.0;
     let mut version = match seen.as_deref() {
         // So that whoever loses the connection at once has something to go on from.
         None => store.version(),
@@ -119,8 +119,8 @@ async fn send_events(subscriber: Subscriber, seen: Option<String>, sender: mpsc:
 /// What happened after a version, and the version after that.
 fn event(store: &StatusStore, version: u64) -> (u64, String) {
     let (version, kind, data) = match store.changes_since(version, CHANGES_MAX) {
-        Changes::Lost(version) => (version, "resync", json!({})),
-        Changes::Known { version, frames, removed, status, settings } => {
+        StatusChanges::Lost(version) => (version, "resync", json!({})),
+        StatusChanges::Known { version, frames, removed, status, settings } => {
             let summaries: Vec<&FrameSummary> = frames.iter().map(|frame| &frame.summary).collect();
             let data = json!({
                 "frames": summaries,
@@ -173,7 +173,7 @@ impl Subscribers {
 }
 
 impl Subscriber {
-    fn new(shared: &Arc<Shared>) -> Option<Subscriber> {
+    fn new(shared: &Arc<ServerState>) -> Option<Subscriber> {
         let subscribers = &shared.subscribers.count;
         // Dropping it takes it back, also where it is one too many.
         let subscriber = Subscriber(Arc::clone(shared));
@@ -190,7 +190,7 @@ impl Drop for Subscriber {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::watch::status_store::Status;
+    use crate::watch::status_store::LiveStatus;
 
     #[test]
     fn places_are_of_one_run() {
@@ -212,14 +212,14 @@ mod tests {
     fn those_at_the_same_place_are_told_the_same_words() {
         let store = StatusStore::new();
         store.begin(json!({}));
-        store.set_status(Status { stopping: true, ..Status::default() });
+        store.set_status(LiveStatus { stopping: true, ..LiveStatus::default() });
         let subscribers = Subscribers::default();
         let [first, second] = [1, 1].map(|version| subscribers.event_after(&store, version));
         assert_eq!(first.text.as_ptr(), second.text.as_ptr(), "the same bytes, and not equal ones");
         assert!(first.text.starts_with(b"id: ") && first.next == store.version(), "{first:?}");
         let other = subscribers.event_after(&store, 0);
         assert_ne!(other.text, first.text, "that is another place");
-        store.set_status(Status::default());
+        store.set_status(LiveStatus::default());
         let later = subscribers.event_after(&store, 1);
         assert_eq!((later.after, later.next), (1, store.version()));
         assert_ne!(later.text, first.text, "more has happened");

@@ -14,7 +14,7 @@ use tokio::task::spawn_blocking;
 use crate::pipeline::open_itself;
 use crate::watch::status_store::StatusStore;
 
-use super::answer::{Answer, Content, answer, cached, not_found, not_modified, text, with};
+use super::answer::{Answer, ResponseBody, answer, cached, not_found, not_modified, text, with};
 
 /// So much of a file is in memory for each who reads one, twice.
 const PIECE_BYTES: usize = 64 << 10;
@@ -83,8 +83,8 @@ fn part<B>(
 ) -> Answer {
     let (sender, pieces) = mpsc::channel(1);
     let content = match *request.method() == Method::HEAD {
-        true => Content::none(),
-        false => Content::pieces(pieces, Some(count)),
+        true => ResponseBody::none(),
+        false => ResponseBody::pieces(pieces, Some(count)),
     };
     let part = cached(answer(status, content_type, content), &opened.tag);
     if request.method() == Method::GET {

@@ -6,19 +6,19 @@ use std::fmt::{Display, Write as _};
 
 use hyper::StatusCode;
 
-use crate::watch::status_store::{BUCKETS_S, Counters, Counts, Histogram, STAGES, StatusStore};
+use crate::watch::status_store::{BUCKETS_S, Counters, Histogram, STAGES, StateCounts, StatusStore};
 
-use super::answer::{Answer, Content, answer};
+use super::answer::{Answer, ResponseBody, answer};
 
 /// All that is counted and measured.
 pub(super) fn metrics(store: &StatusStore) -> Answer {
-    answer(StatusCode::OK, "text/plain; version=0.0.4; charset=utf-8", Content::whole(exposition(store)))
+    answer(StatusCode::OK, "text/plain; version=0.0.4; charset=utf-8", ResponseBody::whole(exposition(store)))
 }
 
 fn exposition(store: &StatusStore) -> String {
     let (status, counts) = store.status();
     let counters = store.counters();
-    let mut text = Text(String::new());
+    let mut text = MetricsText(String::new());
     text.head("meniscus_build_info", "gauge", "The version that runs; always 1.");
     text.value("meniscus_build_info", &format!("version=\"{}\"", env!("CARGO_PKG_VERSION")), 1);
     text.frames(&counts);
@@ -44,9 +44,9 @@ fn exposition(store: &StatusStore) -> String {
     text.0
 }
 
-struct Text(String);
+struct MetricsText(String);
 
-impl Text {
+impl MetricsText {
     fn head(&mut self, name: &str, kind: &str, help: &str) {
         // Strings take everything.
         let _ = write!(self.0, "# HELP {name} {help}\n# TYPE {name} {kind}\n");
@@ -64,9 +64,9 @@ impl Text {
         self.value(name, "", value);
     }
 
-    fn frames(&mut self, counts: &Counts) {
+    fn frames(&mut self, counts: &StateCounts) {
         self.head("meniscus_frames", "gauge", "Frames by state.");
-        let Counts { waiting, queued, working, retrying, done, failed } = *counts;
+        let StateCounts { waiting, queued, working, retrying, done, failed } = *counts;
         for (state, count) in [
             ("waiting", waiting),
             ("queued", queued),

@@ -36,7 +36,7 @@ use tokio::sync::watch;
 
 use crate::watch::status_store::StatusStore;
 
-pub use access::{Token, TokenError};
+pub use access::{AccessToken, TokenError};
 
 /// Where to listen, and to whom.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -44,7 +44,7 @@ pub struct Listen {
     /// Port 0 stands for any that is free.
     pub address: SocketAddr,
     /// Who does not have it sees nothing. Without it, whoever reaches the address may look.
-    pub token: Option<Token>,
+    pub token: Option<AccessToken>,
 }
 
 /// A window that is open; it closes when it is dropped.
@@ -57,9 +57,9 @@ pub struct Window {
 
 /// What all requests share.
 #[derive(Debug)]
-struct Shared {
+struct ServerState {
     store: Arc<StatusStore>,
-    token: Option<Token>,
+    token: Option<AccessToken>,
     /// Becomes true when the window closes.
     closing: watch::Receiver<bool>,
     subscribers: events::Subscribers,
@@ -81,7 +81,7 @@ impl Window {
         listener.set_nonblocking(true)?;
         let address = listener.local_addr()?;
         let (closing, is_closing) = watch::channel(false);
-        let shared = Arc::new(Shared {
+        let shared = Arc::new(ServerState {
             store,
             token: listen.token.clone(),
             closing: is_closing,

@@ -7,7 +7,7 @@ use hyper::body::Body;
 use hyper::header::{CONNECTION, LOCATION, SET_COOKIE, WWW_AUTHENTICATE};
 use hyper::{Method, Request, StatusCode};
 
-use super::Shared;
+use super::ServerState;
 use super::access::is_for_this_host;
 use super::answer::{Answer, method_not_allowed, not_found, text, with};
 use super::query::{decoded, value_of};
@@ -15,7 +15,7 @@ use super::{api, assets, events, files, metrics};
 
 /// Answers a request that came in at the address `local`.
 pub(super) async fn answer_to<B: Body>(
-    shared: &Arc<Shared>,
+    shared: &Arc<ServerState>,
     request: &Request<B>,
     local: SocketAddr,
 ) -> Answer {
@@ -27,7 +27,7 @@ pub(super) async fn answer_to<B: Body>(
 
 /// Answers a request for which there is hardly any room: only whether the daemon runs. The connection ends with it.
 pub(super) async fn answer_in_a_crowd<B: Body>(
-    shared: &Arc<Shared>,
+    shared: &Arc<ServerState>,
     request: &Request<B>,
     local: SocketAddr,
 ) -> Answer {
@@ -42,7 +42,7 @@ fn is_about_health<B>(request: &Request<B>) -> bool {
 }
 
 /// The answer to a request that may not be asked.
-fn refusal<B: Body>(shared: &Shared, request: &Request<B>, local: SocketAddr) -> Option<Answer> {
+fn refusal<B: Body>(shared: &ServerState, request: &Request<B>, local: SocketAddr) -> Option<Answer> {
     if !is_for_this_host(request, local.ip()) {
         return Some(closing(text(StatusCode::MISDIRECTED_REQUEST, "this is not that host")));
     }
@@ -65,7 +65,7 @@ fn refusal<B: Body>(shared: &Shared, request: &Request<B>, local: SocketAddr) ->
 }
 
 /// What is asked for.
-async fn route<B>(shared: &Arc<Shared>, request: &Request<B>) -> Answer {
+async fn route<B>(shared: &Arc<ServerState>, request: &Request<B>) -> Answer {
     let (path, query) = (request.uri().path(), request.uri().query());
     let store = &shared.store;
     match path {

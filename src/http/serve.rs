@@ -20,20 +20,21 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::time::{Instant, Sleep, sleep, timeout};
 
-use super::Shared;
+use super::ServerState;
 use super::connections::{Connection, Connections};
 use super::routes::{answer_in_a_crowd, answer_to};
 
 /// What connections may take together and each.
 #[derive(Clone, Copy, Debug)]
-struct Limits {
+struct ConnectionLimits {
     /// For more, idle ones are closed.
     connections_max: usize,
     /// How long a request may take to arrive, and a connection be without one.
     head_patience: Duration,
 }
 
-const LIMITS: Limits = Limits { connections_max: 512, head_patience: Duration::from_secs(10) };
+const LIMITS: ConnectionLimits =
+    ConnectionLimits { connections_max: 512, head_patience: Duration::from_secs(10) };
 
 /// While all but this many are busy, only health checks are answered.
 const PLACES_FOR_HEALTH: usize = 16;
@@ -59,13 +60,17 @@ const CLOCK_IS_WRONG: &[u8] = b"HTTP/1.1 503 Service Unavailable\r\ncontent-type
     connection: close\r\n\r\nthe clock of this machine is before 1970: set it\n";
 
 /// Serves all who come, until the window closes.
-pub(super) async fn serve(listener: TcpListener, shared: Arc<Shared>) -> io::Result<()> {
+pub(super) async fn serve(listener: TcpListener, shared: Arc<ServerState>) -> io::Result<()> {
     serve_within(LIMITS, listener, shared).await
 }
 
-async fn serve_within(limits: Limits, listener: TcpListener, shared: Arc<Shared>) -> io::Result<()> {
+async fn serve_within(
+    limits: ConnectionLimits,
+    listener: TcpListener,
+    shared: Arc<ServerState>,
+) -> io::Result<()> {
     let listener = tokio::net::TcpListener::from_std(listener)?;
-    let Limits { connections_max, head_patience } = limits;
+    let ConnectionLimits { connections_max, head_patience } = limits;
     let busy_max = connections_max.saturating_sub(PLACES_FOR_HEALTH);
     let connections = Arc::new(Connections::new(connections_max, busy_max));
     let shared_by_all = Arc::clone(&shared);
@@ -83,7 +88,7 @@ async fn serve_within(limits: Limits, listener: TcpListener, shared: Arc<Shared>
 async fn accept_all(
     listener: tokio::net::TcpListener,
     connections: Arc<Connections>,
-    shared: Arc<Shared>,
+    shared: Arc<ServerState>,
     head_patience: Duration,
 ) {
     loop {
@@ -104,7 +109,7 @@ async fn answer_all(
     stream: TcpStream,
     connection: Arc<Connection>,
     connections: Arc<Connections>,
-    shared: Arc<Shared>,
+    shared: Arc<ServerState>,
     head_patience: Duration,
 ) {
     let Ok(local) = stream.local_addr() else { return };
@@ -256,9 +261,9 @@ mod tests {
     #[test]
     fn connection_that_is_idle_for_longest_is_closed_for_a_new_one() {
         // No connection ends by itself while this test runs.
-        let limits = Limits { connections_max: 20, head_patience: Duration::from_secs(3600) };
+        let limits = ConnectionLimits { connections_max: 20, head_patience: Duration::from_secs(3600) };
         let (closing, is_closing) = watch::channel(false);
-        let shared = Arc::new(Shared {
+        let shared = Arc::new(ServerState {
             store: Arc::new(StatusStore::new()),
             token: None,
             closing: is_closing,

@@ -8,8 +8,8 @@ use std::time::Instant;
 use crate::surface::options::Settings;
 use crate::surface::skin::tiled::{self, TiledError, TiledFrame};
 use crate::surface::skin::{
-    self, BoundedBand, Plan, SHELF_COUNT, ShapedSource, Storage, Surface, Surroundings, Targets, TooLarge,
-    Unfit,
+    self, BoundedBand, FrameSurface, MemoryPlan, PlanInputs, SHELF_COUNT, ShapedSource, Storage, Targets,
+    TooLarge, Unfit,
 };
 
 use crate::pipeline::error::Cause;
@@ -38,14 +38,14 @@ pub trait Method: Sync {
         obstacles: &FrameObstacles,
         settings: &Settings,
         allowed_bytes: u64,
-    ) -> Result<Plan, Cause>;
+    ) -> Result<MemoryPlan, Cause>;
     /// The first stage, among obstacles. What does not fit into memory may be written to files without a name in `scratch`.
     fn rasterize(
         &self,
         particles: FrameInput,
         obstacles: FrameObstacles,
         settings: &Settings,
-        plan: &Plan,
+        plan: &MemoryPlan,
         scratch: &Path,
     ) -> Result<Self::Rasterized, Cause>;
     /// The second stage; `advanced` hears how much of it is done, from 0 to 1.
@@ -61,7 +61,7 @@ pub trait Method: Sync {
         smoothed: Self::Smoothed,
         settings: &Settings,
         outputs: &OutputOptions,
-    ) -> Result<Surface, Cause>;
+    ) -> Result<FrameSurface, Cause>;
 }
 
 /// The method that this program is for.
@@ -69,7 +69,7 @@ pub trait Method: Sync {
 pub struct LevelSetSkinning;
 
 /// A frame between two stages: in memory, or in tiles on disk.
-pub enum Skinned<T> {
+pub enum StagedSurface<T> {
     /// Whole; and its particles, where their attributes are wanted later.
     Whole(T, Option<ShapedSource<FrameInput>>),
     /// In tiles.
@@ -79,8 +79,8 @@ pub enum Skinned<T> {
 }
 
 impl Method for LevelSetSkinning {
-    type Rasterized = Skinned<skin::Rasterized>;
-    type Smoothed = Skinned<skin::Smoothed>;
+    type Rasterized = StagedSurface<skin::Rasterized>;
+    type Smoothed = StagedSurface<skin::Smoothed>;
 
     fn plan(
         &self,
@@ -88,20 +88,20 @@ impl Method for LevelSetSkinning {
         obstacles: &FrameObstacles,
         settings: &Settings,
         allowed_bytes: u64,
-    ) -> Result<Plan, Cause> {
+    ) -> Result<MemoryPlan, Cause> {
         if let FrameInput::LevelSet(given) = particles {
             let LevelSetInput { band, slack_voxels, .. } = &**given;
             let whole_bytes = skin::resurfacing_bytes(band, *slack_voxels, settings);
             level_set_limits(allowed_bytes).check_level_set(whole_bytes, "").map_err(Cause::File)?;
             let memory_bytes = whole_bytes.saturating_sub(particles.size_bytes());
-            return Ok(Plan { memory_bytes, tile_leaves: None, whole_bytes });
+            return Ok(MemoryPlan { memory_bytes, tile_leaves: None, whole_bytes });
         }
         // What is given is there beside what the plan takes.
         let given_bytes = particles.size_bytes().saturating_add(obstacles.all_bytes);
         let planned = skin::plan(
             particles,
             settings,
-            Surroundings {
+            PlanInputs {
                 obstacles: &obstacles.obstacles,
                 attribute_bytes: particles.attribute_bytes(settings),
             },
@@ -121,7 +121,7 @@ impl Method for LevelSetSkinning {
         particles: FrameInput,
         FrameObstacles { obstacles, .. }: FrameObstacles,
         settings: &Settings,
-        plan: &Plan,
+        plan: &MemoryPlan,
         scratch: &Path,
     ) -> Result<Self::Rasterized, Cause> {
         let started = Instant::now();
@@ -129,14 +129,14 @@ impl Method for LevelSetSkinning {
             let LevelSetInput { band, origin, slack_voxels } = *given;
             let mut bounded = skin::bound(band, origin, slack_voxels, settings);
             bounded.report_mut().seconds.rasterize = started.elapsed().as_secs_f64();
-            return Ok(Skinned::OfLevelSet(Box::new(bounded)));
+            return Ok(StagedSurface::OfLevelSet(Box::new(bounded)));
         }
         let (particles, shaping) = particles.shaped(settings)?;
         let Some(tile_leaves) = plan.tile_leaves else {
             let mut rasterized = skin::rasterize(&particles, settings, shaping, obstacles)?;
             rasterized.report_mut().seconds.rasterize = started.elapsed().as_secs_f64();
             particles.given().check_unchanged()?;
-            return Ok(Skinned::Whole(rasterized, settings.attributes.is_some().then_some(particles)));
+            return Ok(StagedSurface::Whole(rasterized, settings.attributes.is_some().then_some(particles)));
         };
         let storages =
             (0..SHELF_COUNT).map(|_| ScratchFile::storage(scratch)).collect::<io::Result<Vec<_>>>();
@@ -145,7 +145,7 @@ impl Method for LevelSetSkinning {
         frame.report_mut().seconds.rasterize = started.elapsed().as_secs_f64();
         // It will be read once more; but what follows takes a while.
         frame.source().given().check_unchanged()?;
-        Ok(Skinned::Tiled(Box::new(frame)))
+        Ok(StagedSurface::Tiled(Box::new(frame)))
     }
 
     fn smooth(
@@ -156,20 +156,20 @@ impl Method for LevelSetSkinning {
     ) -> Result<Self::Smoothed, Cause> {
         let started = Instant::now();
         Ok(match rasterized {
-            Skinned::Whole(rasterized, particles) => {
+            StagedSurface::Whole(rasterized, particles) => {
                 let mut smoothed = skin::smooth_observed(rasterized, settings, advanced);
                 smoothed.report_mut().seconds.smooth = started.elapsed().as_secs_f64();
-                Skinned::Whole(smoothed, particles)
+                StagedSurface::Whole(smoothed, particles)
             }
-            Skinned::Tiled(frame) => {
+            StagedSurface::Tiled(frame) => {
                 let mut smoothed = tiled::smooth(*frame, settings, advanced).map_err(Cause::Scratch)?;
                 smoothed.report_mut().seconds.smooth = started.elapsed().as_secs_f64();
-                Skinned::Tiled(Box::new(smoothed))
+                StagedSurface::Tiled(Box::new(smoothed))
             }
-            Skinned::OfLevelSet(band) => {
+            StagedSurface::OfLevelSet(band) => {
                 let mut smoothed = band.smooth(settings, advanced);
                 smoothed.report_mut().seconds.smooth = started.elapsed().as_secs_f64();
-                Skinned::OfLevelSet(Box::new(smoothed))
+                StagedSurface::OfLevelSet(Box::new(smoothed))
             }
         })
     }
@@ -179,18 +179,18 @@ impl Method for LevelSetSkinning {
         smoothed: Self::Smoothed,
         settings: &Settings,
         outputs: &OutputOptions,
-    ) -> Result<Surface, Cause> {
+    ) -> Result<FrameSurface, Cause> {
         let started = Instant::now();
         let (mut surface, particles) = match smoothed {
-            Skinned::Whole(smoothed, particles) => {
+            StagedSurface::Whole(smoothed, particles) => {
                 (skin::contour(smoothed, settings, &stored(outputs)), particles)
             }
-            Skinned::Tiled(frame) => {
+            StagedSurface::Tiled(frame) => {
                 let (surface, particles) = tiled::contour(*frame, settings, &stored(outputs))?;
                 particles.given().check_unchanged()?;
                 (surface, Some(particles))
             }
-            Skinned::OfLevelSet(band) => (band.contour(settings, &stored(outputs)), None),
+            StagedSurface::OfLevelSet(band) => (band.contour(settings, &stored(outputs)), None),
         };
         surface.report.seconds.contour = started.elapsed().as_secs_f64();
         // Those on disk have no attributes that are wanted.

@@ -104,7 +104,7 @@ pub use output::writing::{encode_level_set, mesh_view, vertex_attributes};
 pub use phase_timer::PhaseTimer;
 pub use reconstruct::{LoadedFrame, Reconstruction};
 pub use records::certificate_file::certificate_path;
-pub use records::inspection::{FrameState, Inspection, inspect};
+pub use records::inspection::{InspectedState, Inspection, inspect};
 pub use records::output_states::{OutputState, OutputStates};
 pub use records::picture_file::{camera_of_picture, read_picture};
 pub use records::provenance::{
@@ -117,6 +117,6 @@ pub use stages::{OnError, PipelineOptions, default_in_flight, run, stream};
 pub use target::close_up::close_up;
 pub use target::framing::{Framed, Framing};
 pub use target::outputs::{METERS_PER_UNIT, OutputFormat, OutputOptions, output_path};
-pub use target::picture::{PictureOptions, Scene, encode_picture, up_of, velocities};
+pub use target::picture::{PictureOptions, PictureScene, encode_picture, up_of, velocities};
 pub use target::viewpoint::{CameraChoice, Viewpoint};
 pub use warning::{ObstacleFinding, ReportedWarnings, Scope, Warning};

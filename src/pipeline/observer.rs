@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::surface::skin::Plan;
+use crate::surface::skin::MemoryPlan;
 
 use crate::pipeline::error::Stage;
 use crate::pipeline::input::frame::Frame;
@@ -10,7 +10,7 @@ use crate::pipeline::input::frame::Frame;
 /// Is notified of how frames advance, on the threads of the stages: it must be quick.
 pub trait Observer: fmt::Debug + Sync {
     /// A frame was read, and this is how it will be computed. Its particles take `given_bytes` beside the plan.
-    fn planned(&self, frame: &Frame, plan: &Plan, given_bytes: u64) {
+    fn planned(&self, frame: &Frame, plan: &MemoryPlan, given_bytes: u64) {
         let _ = (frame, plan, given_bytes);
     }
     /// A stage of a frame begins.

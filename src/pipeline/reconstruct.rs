@@ -6,7 +6,7 @@ use twox_hash::XxHash3_128;
 
 use crate::surface::options::Settings;
 use crate::surface::particles::{Cloud, Particles};
-use crate::surface::skin::Surface;
+use crate::surface::skin::FrameSurface;
 
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::input::attributes::Wanted;
@@ -33,7 +33,7 @@ pub struct LoadedFrame {
 #[derive(Debug)]
 pub struct Reconstruction {
     /// Its surface.
-    pub surface: Surface,
+    pub surface: FrameSurface,
     /// What stood in the way: names and hashes of files. Empty if nothing did.
     pub obstacles: String,
     /// What a user should know though it was skinned.

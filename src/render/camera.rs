@@ -46,7 +46,7 @@ pub struct Camera {
 
 /// The placement of a camera relative to a box.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Placement {
+pub struct CameraPlacement {
     /// Azimuth of the camera to the right, degrees.
     pub azimuth_degrees: f64,
     /// Elevation above the horizon, degrees.
@@ -59,9 +59,9 @@ pub struct Placement {
     pub up: Up,
 }
 
-impl Placement {
+impl CameraPlacement {
     /// From the right and a little above: flat surfaces look flat, and the scene does not hide itself.
-    pub const AUTO: Placement = Placement {
+    pub const AUTO: CameraPlacement = CameraPlacement {
         azimuth_degrees: 32.0,
         elevation_degrees: 22.0,
         view_degrees: 30.0,
@@ -130,7 +130,8 @@ mod tests {
         for up in [Up::Y, Up::Z] {
             for (azimuth_degrees, elevation_degrees) in [(32.0, 22.0), (180.0, -40.0), (0.0, 90.0)] {
                 for [least, greatest] in boxes {
-                    let placement = Placement { azimuth_degrees, elevation_degrees, up, ..Placement::AUTO };
+                    let placement =
+                        CameraPlacement { azimuth_degrees, elevation_degrees, up, ..CameraPlacement::AUTO };
                     let camera = placement.around([least, greatest], 16.0 / 9.0);
                     let mut farthest = 0f64;
                     for corner in 0..8 {
@@ -150,8 +151,9 @@ mod tests {
 
     #[test]
     fn rays_match_the_coordinates_of_the_picture() {
-        let camera = Placement { elevation_degrees: 0.0, azimuth_degrees: 0.0, ..Placement::AUTO }
-            .around([DVec3::NEG_ONE, DVec3::ONE], 1.0);
+        let camera =
+            CameraPlacement { elevation_degrees: 0.0, azimuth_degrees: 0.0, ..CameraPlacement::AUTO }
+                .around([DVec3::NEG_ONE, DVec3::ONE], 1.0);
         assert!(camera.direction(DVec2::ZERO).dot(DVec3::NEG_Z) > 0.999_999);
         assert!(
             camera.direction(DVec2::new(1.0, 0.0)).x > 0.0 && camera.direction(DVec2::new(0.0, 1.0)).y > 0.0

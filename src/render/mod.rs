@@ -25,9 +25,9 @@ mod walk;
 use glam::DVec3;
 use rayon::prelude::*;
 
-pub use camera::{Camera, Placement, Up};
+pub use camera::{Camera, CameraPlacement, Up};
 pub use plot::{Line, Plot};
-pub use sheet::{Block, Cell, Sheet, Shown, side_by_side, stacked};
+pub use sheet::{Cell, CellGroup, CellPicture, Sheet, side_by_side, stacked};
 
 use crate::surface::grid::Field;
 use crate::surface::level_set::NarrowBand;
@@ -36,7 +36,7 @@ use crate::surface::space::Lattice;
 use light::Lighting;
 use sky::Sky;
 use surface::RaySurface;
-use tile::{Finished, TILE_EDGE, Tile, Tracer};
+use tile::{FinishedTile, PixelTile, TILE_EDGE, Tracer};
 
 /// The view: camera, picture size and ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -96,7 +96,7 @@ pub fn render(band: &NarrowBand, lattice: &Lattice, view: &View, layers: Layers)
     let (surface, sky) = rayon::join(|| RaySurface::new(band), || Sky::new(band));
     let tracer = Tracer::new(&surface, lattice, view);
     let lighting = Lighting::new(&sky, view);
-    assemble(view.size, |place| Tile::new(&tracer, &lighting, place).finish(layers))
+    assemble(view.size, |place| PixelTile::new(&tracer, &lighting, place).finish(layers))
 }
 
 /// Renders particles as balls of this radius, world units, with the same lighting.
@@ -121,11 +121,12 @@ pub fn render_marks(marks: &[Mark], radius: f64, view: &View) -> Picture {
 }
 
 /// Assembles a picture from its tiles.
-fn assemble(size: [usize; 2], tile: impl Fn([usize; 2]) -> Finished + Sync) -> Picture {
+fn assemble(size: [usize; 2], tile: impl Fn([usize; 2]) -> FinishedTile + Sync) -> Picture {
     let [width, height] = size;
     let (columns, rows) = (width.div_ceil(TILE_EDGE), height.div_ceil(TILE_EDGE));
     let place = |index: usize| [index % columns * TILE_EDGE, index / columns * TILE_EDGE];
-    let tiles: Vec<Finished> = (0..columns * rows).into_par_iter().map(|index| tile(place(index))).collect();
+    let tiles: Vec<FinishedTile> =
+        (0..columns * rows).into_par_iter().map(|index| tile(place(index))).collect();
     let gather = Gather { size, columns };
     let of_data = |pick: &dyn Fn(&PictureData) -> &[[f32; 3]]| {
         gather.rows(&tiles, |tile| tile.data.as_ref().map_or(&[][..], pick))
@@ -160,8 +161,8 @@ struct Gather {
 impl Gather {
     fn rows<'t, T: Copy + 't>(
         &self,
-        tiles: &'t [Finished],
-        values: impl Fn(&'t Finished) -> &'t [T],
+        tiles: &'t [FinishedTile],
+        values: impl Fn(&'t FinishedTile) -> &'t [T],
     ) -> Vec<T> {
         let [width, height] = self.size;
         let mut all = Vec::with_capacity(width * height);

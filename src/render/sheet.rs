@@ -31,14 +31,14 @@ pub struct Sheet {
     /// Width and height of a cell's picture area, pixels. No picture is larger.
     pub place: [usize; 2],
     /// From top to bottom.
-    pub blocks: Vec<Block>,
+    pub blocks: Vec<CellGroup>,
     /// Paragraphs below everything.
     pub foot: Vec<String>,
 }
 
 /// A group of cells.
 #[derive(Clone, Debug)]
-pub struct Block {
+pub struct CellGroup {
     /// Text above the cells; may be empty.
     pub title: String,
     /// Row by row.
@@ -51,14 +51,14 @@ pub struct Block {
 #[derive(Clone, Debug)]
 pub struct Cell {
     /// The contents of the picture area.
-    pub shown: Shown,
+    pub shown: CellPicture,
     /// Lines of text, from the top.
     pub lines: Vec<String>,
 }
 
 /// The contents of a cell's picture area.
 #[derive(Clone, Debug)]
-pub enum Shown {
+pub enum CellPicture {
     /// A picture.
     Picture(Picture),
     /// Text instead of a picture: why it is missing.
@@ -98,13 +98,13 @@ impl Sheet {
         of_cells.saturating_sub(GAP).max(least)
     }
 
-    fn block_height(&self, block: &Block, width: usize) -> usize {
+    fn block_height(&self, block: &CellGroup, width: usize) -> usize {
         let title = TextLines::new(&block.title, &TEXT, width);
         let rows = block.cells.len().div_ceil(block.columns.max(1));
         title.height_with_gap() + rows * self.row_height(block)
     }
 
-    fn row_height(&self, block: &Block) -> usize {
+    fn row_height(&self, block: &CellGroup) -> usize {
         let of_lines = |cell: &Cell| cell.lines.iter().map(|line| self.label(line).height()).sum::<usize>();
         self.place[1] + LABEL_GAP + block.cells.iter().map(of_lines).max().unwrap_or(0) + GAP
     }
@@ -113,7 +113,7 @@ impl Sheet {
         TextLines::new(line, &TEXT, self.place[0])
     }
 
-    fn draw(&self, block: &Block, width: usize, canvas: &mut Canvas, mut top: usize) {
+    fn draw(&self, block: &CellGroup, width: usize, canvas: &mut Canvas, mut top: usize) {
         let title = TextLines::new(&block.title, &TEXT, width);
         canvas.write(&title, [GAP, top]);
         top += title.height_with_gap();
@@ -124,11 +124,11 @@ impl Sheet {
             let left = GAP + column * (place_width + GAP);
             let cell_top = top + row * row_height;
             match &cell.shown {
-                Shown::Picture(picture) => {
+                CellPicture::Picture(picture) => {
                     let [x, y] = [0, 1].map(|axis| self.place[axis].saturating_sub(picture.size[axis]) / 2);
                     canvas.paste(picture, [left + x, cell_top + y]);
                 }
-                Shown::Words(words) => {
+                CellPicture::Words(words) => {
                     canvas.fill(EMPTY, [left, cell_top], self.place);
                     let room = self.place.map(|edge| edge.saturating_sub(2 * GAP));
                     let words = TextLines::new(words, &TEXT, room[0]).within(room[1]);
@@ -325,7 +325,7 @@ mod tests {
     }
 
     fn cell(value: f32, line: &str) -> Cell {
-        Cell { shown: Shown::Picture(plain([140, 20], value)), lines: vec![line.into()] }
+        Cell { shown: CellPicture::Picture(plain([140, 20], value)), lines: vec![line.into()] }
     }
 
     /// The number of pixels with ink in these rows, from column `left` on.
@@ -337,9 +337,12 @@ mod tests {
 
     #[test]
     fn cells_are_laid_out_in_rows_with_their_lines_below() {
-        let words = Cell { shown: Shown::Words("why not".into()), lines: vec!["third".into()] };
-        let block =
-            Block { title: String::new(), cells: vec![cell(0.1, "a"), cell(0.2, "b"), words], columns: 2 };
+        let words = Cell { shown: CellPicture::Words("why not".into()), lines: vec!["third".into()] };
+        let block = CellGroup {
+            title: String::new(),
+            cells: vec![cell(0.1, "a"), cell(0.2, "b"), words],
+            columns: 2,
+        };
         let sheet = Sheet { title: "three".into(), place: [140, 40], blocks: vec![block], foot: Vec::new() };
         let drawn = sheet.picture();
         let (head, row) = (10 + 22 + 10, 40 + 3 + 15 + 10);
@@ -359,7 +362,7 @@ mod tests {
         let sheet = |line: &str, foot: &[&str]| Sheet {
             title: String::new(),
             place: [140, 20],
-            blocks: vec![Block { title: String::new(), cells: vec![cell(0.5, line)], columns: 3 }],
+            blocks: vec![CellGroup { title: String::new(), cells: vec![cell(0.5, line)], columns: 3 }],
             foot: foot.iter().map(|&text| text.to_owned()).collect(),
         };
         let [short, long] = ["short", "three words and a few more"].map(|line| sheet(line, &[]).picture());

@@ -151,11 +151,12 @@ fn shade(splats: &[Splat], view: &View, color_of: impl Fn(&Lighting, Splat, Vec3
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::render::{Placement, Up};
+    use crate::render::{CameraPlacement, Up};
 
     #[test]
     fn marks_show_their_colors_and_occlude_those_behind() {
-        let placement = Placement { azimuth_degrees: 0.0, elevation_degrees: 0.0, ..Placement::AUTO };
+        let placement =
+            CameraPlacement { azimuth_degrees: 0.0, elevation_degrees: 0.0, ..CameraPlacement::AUTO };
         let camera = placement.around([DVec3::NEG_ONE, DVec3::ONE], 2.0);
         let view = View { size: [80, 40], camera, up: Up::Y, ground: None };
         let mark = |x: f64, z: f64, color: [f32; 3]| Mark {

@@ -87,7 +87,7 @@ impl<'a> RaySurface<'a> {
         }
         let (least, greatest) = (self.cells.min.as_dvec3(), (self.cells.max + 1).as_dvec3());
         let span = ray.within(least, greatest, span)?;
-        let mut side = Side::Unknown;
+        let mut side = SurfaceSide::Unknown;
         let leaf_range =
             [self.cells.min, self.cells.max].map(|cell| cell.div_euclid(IVec3::splat(LEAF_EDGE)));
         let node_range = leaf_range.map(|leaf| leaf.div_euclid(IVec3::splat(NODE_EDGE)));
@@ -111,7 +111,7 @@ impl<'a> RaySurface<'a> {
         None
     }
 
-    fn intersect_leaf(&self, leaf: u32, ray: &Ray, span: [f64; 2], side: &mut Side) -> Option<Hit> {
+    fn intersect_leaf(&self, leaf: u32, ray: &Ray, span: [f64; 2], side: &mut SurfaceSide) -> Option<Hit> {
         let crossed = &self.crossed[leaf as usize];
         let range = [crossed.origin, crossed.origin + (LEAF_EDGE - 1)];
         for (cell, span) in Cells::along(ray, 1.0, span, range) {
@@ -120,11 +120,15 @@ impl<'a> RaySurface<'a> {
                 continue;
             }
             let along = Cubic::along(&self.corners(crossed, local), ray, cell, span);
-            let entry = Side::of(along.values[0]);
-            let is_front =
-                if *side == Side::Unknown { entry == Side::Outside } else { *side == Side::Outside };
+            let entry = SurfaceSide::of(along.values[0]);
+            let is_front = if *side == SurfaceSide::Unknown {
+                entry == SurfaceSide::Outside
+            } else {
+                *side == SurfaceSide::Outside
+            };
             // Rounding between two cells may hide a crossing on their common face.
-            let root = if *side != Side::Unknown && *side != entry { Some(0.0) } else { along.first_root() };
+            let root =
+                if *side != SurfaceSide::Unknown && *side != entry { Some(0.0) } else { along.first_root() };
             if let Some(root) = root {
                 let t = span[0] + (span[1] - span[0]) * f64::from(root);
                 return Some(Hit { t, is_front, leaf, cell: local });
@@ -231,15 +235,15 @@ fn crossed_cells(around: &[u32; 27], negative: &[LeafMask]) -> LeafMask {
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Side {
+enum SurfaceSide {
     Unknown,
     Outside,
     Inside,
 }
 
-impl Side {
-    fn of(phi: f32) -> Side {
-        if phi < 0.0 { Side::Inside } else { Side::Outside }
+impl SurfaceSide {
+    fn of(phi: f32) -> SurfaceSide {
+        if phi < 0.0 { SurfaceSide::Inside } else { SurfaceSide::Outside }
     }
 }
 

@@ -98,7 +98,7 @@ impl<'a> Tracer<'a> {
 }
 
 /// The rays of a tile's pixels and its border.
-pub(super) struct Tile<'a> {
+pub(super) struct PixelTile<'a> {
     tracer: &'a Tracer<'a>,
     lighting: &'a Lighting<'a>,
     /// The first pixel; with the border, it may be outside of the picture.
@@ -110,18 +110,22 @@ pub(super) struct Tile<'a> {
 }
 
 /// A finished tile: the values of its pixels, row by row.
-pub(super) struct Finished {
+pub(super) struct FinishedTile {
     pub(super) color: Vec<[f32; 3]>,
     pub(super) coverage: Vec<f32>,
     pub(super) data: Option<PictureData>,
 }
 
-impl<'a> Tile<'a> {
+impl<'a> PixelTile<'a> {
     /// The tile whose first pixel is at `place`.
-    pub(super) fn new(tracer: &'a Tracer<'a>, lighting: &'a Lighting<'a>, place: [usize; 2]) -> Tile<'a> {
+    pub(super) fn new(
+        tracer: &'a Tracer<'a>,
+        lighting: &'a Lighting<'a>,
+        place: [usize; 2],
+    ) -> PixelTile<'a> {
         let first = place.map(|along| along as isize - BORDER as isize);
         let mut tile =
-            Tile { tracer, lighting, first, seen: Vec::new(), arounds: Vec::new(), lights: Vec::new() };
+            PixelTile { tracer, lighting, first, seen: Vec::new(), arounds: Vec::new(), lights: Vec::new() };
         for y in 0..TRACED_EDGE {
             for x in 0..TRACED_EDGE {
                 let (seen, around) = tracer.trace(tile.place(x, y) + 0.5);
@@ -150,7 +154,7 @@ impl<'a> Tile<'a> {
     }
 
     /// Shades the tile's own pixels.
-    pub(super) fn finish(&self, layers: Layers) -> Finished {
+    pub(super) fn finish(&self, layers: Layers) -> FinishedTile {
         let own = BORDER..BORDER + TILE_EDGE;
         let lit: Vec<Light> = (0..TRACED_EDGE * TRACED_EDGE)
             .map(|index| {
@@ -160,7 +164,7 @@ impl<'a> Tile<'a> {
             })
             .collect();
         let pixels = || own.clone().flat_map(|y| own.clone().map(move |x| (x, y)));
-        let mut finished = Finished { color: Vec::new(), coverage: Vec::new(), data: None };
+        let mut finished = FinishedTile { color: Vec::new(), coverage: Vec::new(), data: None };
         for (x, y) in pixels() {
             let (color, coverage) =
                 if self.is_edge(x, y) { self.mean(&lit, x, y) } else { self.single(&lit, x, y) };

@@ -32,7 +32,7 @@ pub use self::{
     report::{EditReport, Phase, Shaping, SkinReport as Report, StageSeconds, TransferReport},
     skin::Storage,
     smooth::{Convergence, Integrator},
-    spacing::{Estimate, SequenceEstimate, combine_estimates, estimate_spacing},
+    spacing::{SequenceEstimate, SpacingEstimate, combine_estimates, estimate_spacing},
     validation::{Certificate, ParticlesOutside},
 };
 

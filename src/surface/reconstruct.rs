@@ -12,12 +12,12 @@ use crate::surface::error::Error;
 use crate::surface::level_set::NarrowBand;
 use crate::surface::mesh::Mesh;
 use crate::surface::obstacle::{Obstacle, Obstacles};
-use crate::surface::options::{Anisotropy, Length, Measured, Settings};
+use crate::surface::options::{Anisotropy, Length, SequenceSpacing, Settings};
 use crate::surface::particles::{Attribute, Positions, Shapes, attribute_of};
 use crate::surface::report::{Phase, Shaping};
 use crate::surface::skin::tiled::{self, TiledError};
 use crate::surface::skin::{
-    self, Plan, SHELF_COUNT, ShapedSource, Storage, Stored, Surroundings, Targets, Unfit,
+    self, MemoryPlan, PlanInputs, SHELF_COUNT, ShapedSource, Storage, Stored, Targets, Unfit,
 };
 use crate::surface::spacing::{estimate_spacing, median, rounded};
 use crate::surface::{Options, Report};
@@ -267,14 +267,14 @@ impl<'a> Reconstructor<'a> {
         given: &CancellableParticles<'_>,
         attributes: &[Attribute],
         settings: &Settings,
-    ) -> Result<Plan, Error> {
+    ) -> Result<MemoryPlan, Error> {
         let selected = |attribute: &&Attribute| {
             settings.attributes.as_ref().is_some_and(|selection| selection.selects(attribute))
         };
         let selected = attributes.iter().filter(selected);
         let bytes: usize = selected.map(|attribute| attribute.values.size_bytes()).sum();
         let attribute_bytes = bytes as f64 / given.positions.len() as f64;
-        let surroundings = Surroundings { obstacles: &self.obstacles, attribute_bytes };
+        let surroundings = PlanInputs { obstacles: &self.obstacles, attribute_bytes };
         let obstacle_bytes =
             self.obstacles.members.iter().map(|obstacle| obstacle.size_bytes_max() as u64).sum();
         let allowed_bytes = self.memory_limit.saturating_sub(obstacle_bytes);
@@ -299,7 +299,7 @@ impl<'a> Reconstructor<'a> {
     fn reconstruct_in_memory<'p>(
         &mut self,
         work: ShapedFrame<'_, 'p>,
-    ) -> Result<(skin::Surface, Shaped<'p>), Error> {
+    ) -> Result<(skin::FrameSurface, PreparedSource<'p>), Error> {
         let ShapedFrame { settings, shaped, shaping } = work;
         let mut rasterized = skin::rasterize(&shaped, settings, shaping, self.obstacles.clone())?;
         require_particles(rasterized.report_mut().particle_count, &shaped)?;
@@ -320,7 +320,7 @@ impl<'a> Reconstructor<'a> {
         &mut self,
         work: ShapedFrame<'_, 'p>,
         tile_leaves: i32,
-    ) -> Result<(skin::Surface, Shaped<'p>), Error> {
+    ) -> Result<(skin::FrameSurface, PreparedSource<'p>), Error> {
         let ShapedFrame { settings, shaped, shaping } = work;
         let mut storages: Vec<Box<dyn Storage>> = Vec::new();
         if let Some(make) = &mut self.scratch {
@@ -344,12 +344,12 @@ impl<'a> Reconstructor<'a> {
 }
 
 /// Particles with their final positions and shapes.
-type Shaped<'p> = ShapedSource<CancellableParticles<'p>>;
+type PreparedSource<'p> = ShapedSource<CancellableParticles<'p>>;
 
 /// The input of a reconstruction after its particles got their shapes.
 struct ShapedFrame<'s, 'p> {
     settings: &'s Settings,
-    shaped: Shaped<'p>,
+    shaped: PreparedSource<'p>,
     shaping: Shaping,
 }
 
@@ -362,7 +362,7 @@ fn resolve(
     let own_radii = options.own_radii()?;
     let mut measured = None;
     if options.needs_spacing() {
-        measured = estimate_spacing(positions.borrowed()).map(|estimate| Measured {
+        measured = estimate_spacing(positions.borrowed()).map(|estimate| SequenceSpacing {
             spacing: rounded(estimate.spacing),
             radius_median: own_radii.and_then(|own| median(own.radii_min(attributes))),
         });
@@ -397,7 +397,7 @@ fn check_required_attributes(settings: &Settings, attributes: &[Attribute]) -> R
 }
 
 /// Fails if no particle is left.
-fn require_particles(left: usize, shaped: &Shaped<'_>) -> Result<(), Error> {
+fn require_particles(left: usize, shaped: &PreparedSource<'_>) -> Result<(), Error> {
     match left {
         0 => Err(Error::NoParticles { given: shaped.given().positions.len() }),
         _ => Ok(()),
@@ -428,8 +428,8 @@ fn tiled_error(error: TiledError<Error>) -> Error {
 }
 
 /// Converts the mesh to absolute positions.
-fn with_absolute_positions(surface: skin::Surface, settings: Settings) -> Surface {
-    let skin::Surface { band, mesh, attributes, report } = surface;
+fn with_absolute_positions(surface: skin::FrameSurface, settings: Settings) -> Surface {
+    let skin::FrameSurface { band, mesh, attributes, report } = surface;
     let Mesh { positions, normals, triangles, origin } = mesh;
     let positions = positions.into_par_iter().map(|position| origin + position.as_dvec3()).collect();
     let attributes = attributes.vertices;

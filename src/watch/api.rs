@@ -2,7 +2,7 @@
 
 /// What may be asked of a running daemon.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Command {
+pub enum DaemonRequest {
     /// Finish the frames under way, and end.
     Finish,
     /// The same, to begin again with another configuration.
@@ -26,9 +26,9 @@ pub enum Notice {
 
 /// What came of a run.
 #[derive(Clone, Debug)]
-pub struct Summary {
+pub struct WatchSummary {
     /// Why it ended.
-    pub ended: Ended,
+    pub ended: EndReason,
     /// Frames whose outputs are there: made in this run, or found done.
     pub done_count: usize,
     /// Those among them whose results break a guarantee.
@@ -51,11 +51,11 @@ pub struct FailedFrame {
 
 /// Why a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ended {
+pub enum EndReason {
     /// Everything that was there is done, and that was all that was asked for.
     Drained,
-    /// By [`Command::Finish`].
+    /// By [`DaemonRequest::Finish`].
     Finish,
-    /// By [`Command::Reload`].
+    /// By [`DaemonRequest::Reload`].
     Reload,
 }

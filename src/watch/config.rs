@@ -11,7 +11,7 @@ use crate::surface::options::MethodOptions;
 
 /// All that one run of the daemon goes by.
 #[derive(Clone, Debug)]
-pub struct Config {
+pub struct WatchConfig {
     /// The folders to watch.
     pub watches: Vec<Watch>,
     /// Convert what is there, and end.

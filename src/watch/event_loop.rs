@@ -9,8 +9,8 @@ use crossbeam::channel::{Receiver, Sender, never, select, unbounded};
 
 use crate::pipeline::resident_memory_bytes;
 
-use super::api::{Command, Ended, Notice, Summary};
-use super::config::Config;
+use super::api::{DaemonRequest, EndReason, Notice, WatchSummary};
+use super::config::WatchConfig;
 use super::core::events::{Effect, Event, Start};
 use super::core::state::Core;
 use super::io::error::DaemonError;
@@ -26,11 +26,11 @@ use super::status_store::StatusStore;
 /// When it cannot begin. What happens to single frames is no error here: it is logged, kept in the
 /// journal and counted.
 pub fn run(
-    config: &Config,
+    config: &WatchConfig,
     store: Option<&Arc<StatusStore>>,
-    commands: &Receiver<Command>,
+    commands: &Receiver<DaemonRequest>,
     notices: &mut dyn FnMut(Notice),
-) -> Result<Summary, DaemonError> {
+) -> Result<WatchSummary, DaemonError> {
     let config = Arc::new(config.clone());
     let (to_loop, events) = unbounded();
     let (core, workers, context) = start(&config, store.cloned(), &to_loop)?;
@@ -82,7 +82,7 @@ impl<'a> EventLoop<'a> {
     }
 
     /// Runs until a command ends it or nothing is left to do.
-    fn run(mut self, commands: &Receiver<Command>) -> Result<Summary, DaemonError> {
+    fn run(mut self, commands: &Receiver<DaemonRequest>) -> Result<WatchSummary, DaemonError> {
         if let Some(store) = &self.context.store {
             store.begin(self.core.plan());
             self.core.counters = store.counters();
@@ -106,7 +106,7 @@ impl<'a> EventLoop<'a> {
                 }
             }
             if once && self.core.is_drained() {
-                return self.finish(Ended::Drained);
+                return self.finish(EndReason::Drained);
             }
             select! {
                 recv(self.events) -> event => self.take_batch(event.ok())?,
@@ -209,9 +209,9 @@ impl<'a> EventLoop<'a> {
     /// Finishes what is under way. A reload may be upgraded to an end meanwhile.
     fn shut_down(
         mut self,
-        mut command: Command,
-        commands: &Receiver<Command>,
-    ) -> Result<Summary, DaemonError> {
+        mut command: DaemonRequest,
+        commands: &Receiver<DaemonRequest>,
+    ) -> Result<WatchSummary, DaemonError> {
         let stop_deadline = self.context.config.stop_deadline;
         let mut commands = commands.clone();
         (self.notices)(Notice::Stopping);
@@ -230,8 +230,8 @@ impl<'a> EventLoop<'a> {
             select! {
                 recv(self.events) -> event => self.take_batch(event.ok())?,
                 recv(commands) -> another => match another {
-                    Ok(Command::Finish) if command == Command::Reload => {
-                        command = Command::Finish;
+                    Ok(DaemonRequest::Finish) if command == DaemonRequest::Reload => {
+                        command = DaemonRequest::Finish;
                         (self.notices)(Notice::Stopping);
                         overdue_at = Some(Instant::now() + stop_deadline);
                     }
@@ -249,8 +249,8 @@ impl<'a> EventLoop<'a> {
             }
         }
         self.finish(match command {
-            Command::Finish => Ended::Finish,
-            Command::Reload => Ended::Reload,
+            DaemonRequest::Finish => EndReason::Finish,
+            DaemonRequest::Reload => EndReason::Reload,
         })
     }
 
@@ -273,7 +273,7 @@ impl<'a> EventLoop<'a> {
         Ok(())
     }
 
-    fn finish(mut self, ended: Ended) -> Result<Summary, DaemonError> {
+    fn finish(mut self, ended: EndReason) -> Result<WatchSummary, DaemonError> {
         self.end()?;
         let summary = self.core.summary(ended);
         // The next run takes the locks that these threads hold.
@@ -354,8 +354,8 @@ mod tests {
         }
     }
 
-    fn config(watches: Vec<Watch>) -> Config {
-        Config {
+    fn config(watches: Vec<Watch>) -> WatchConfig {
+        WatchConfig {
             watches,
             once: false,
             order: Order::Natural,
@@ -403,9 +403,9 @@ mod tests {
             alive_count += usize::from(notice == Notice::Alive);
             assert!(alive_count < 60, "the other folder waits");
         }
-        commands.send(Command::Finish).expect("it listens");
+        commands.send(DaemonRequest::Finish).expect("it listens");
         let summary = running.join().expect("no panic").expect("no error");
-        assert_eq!((summary.ended, summary.done_count), (Ended::Finish, 1));
+        assert_eq!((summary.ended, summary.done_count), (EndReason::Finish, 1));
         drop(answers);
     }
 }

@@ -25,8 +25,8 @@ use super::core::sequences::{SequenceSettings, choices_fingerprint, fingerprint_
 use super::io::evidence::readiness_of;
 use super::io::mounts::network_file_system;
 use super::io::scan::look;
-use super::io::selection::{Content, Selection, content};
-use super::journal::{FrameRecord, SequenceKey, State};
+use super::io::selection::{FileFilter, SniffedContent, content};
+use super::journal::{JournalState, JournaledFrame, SequenceKey};
 
 /// A frame, and what the loop would go by.
 #[derive(Clone, Copy, Debug)]
@@ -40,7 +40,7 @@ pub struct Question<'a> {
     /// How long it must be left alone.
     pub patience: &'a Patience,
     /// What the journal says of it.
-    pub record: Option<&'a FrameRecord>,
+    pub record: Option<&'a JournaledFrame>,
     /// The [fingerprint](remembered_fingerprint) of the settings that it would be converted with now.
     /// Where it is not known, they are taken to be those recorded.
     pub settings: Option<&'a str>,
@@ -58,23 +58,23 @@ pub struct Explanation {
     /// The first of the recorded outputs that is missing or damaged.
     pub output_missing: Option<PathBuf>,
     /// What comes of it.
-    pub verdict: Verdict,
+    pub verdict: FrameExplanation,
 }
 
 /// What was found of a file.
 #[derive(Clone, Debug)]
 pub struct FileFacts {
     /// What it holds, by its first bytes.
-    pub content: Content,
+    pub content: SniffedContent,
     /// Whether it may be read.
     pub readiness: Readiness,
     /// What it is beside the one that is recorded; `None` where none is.
-    pub change: Option<Change>,
+    pub change: Option<FileChange>,
 }
 
 /// A file beside the one that is recorded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Change {
+pub enum FileChange {
     /// It is the same one, unchanged.
     Unchanged,
     /// It was touched, moved or written again; its content is the same.
@@ -85,7 +85,7 @@ pub enum Change {
 
 /// What comes of a frame, and why. Displays as a sentence without its subject and full stop.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub enum FrameExplanation {
     /// There is no such file, or no such step in it.
     Gone,
     /// Its name is not one of a frame.
@@ -95,7 +95,7 @@ pub enum Verdict {
     /// It is not complete.
     Waits(WaitReason),
     /// It is complete, and holds no particles.
-    NoFrame(Content),
+    NoFrame(SniffedContent),
     /// Nothing is recorded of it, and these files say that they were made from it as it is.
     Found(Vec<PathBuf>),
     /// It is, or will be, converted. The decision says why.
@@ -104,7 +104,7 @@ pub enum Verdict {
 
 /// What the journal knows the settings by that a frame would be converted with now; `None` where the
 /// particle spacing is needed, and neither given nor remembered.
-pub fn remembered_fingerprint(watch: &Watch, frame: &Path, state: &State) -> Option<String> {
+pub fn remembered_fingerprint(watch: &Watch, frame: &Path, state: &JournalState) -> Option<String> {
     let file = FrameFile::new(frame.to_owned());
     let (folder, name) = file.sequence();
     let key = SequenceKey { folder, name, choices: choices_fingerprint(watch) };
@@ -125,7 +125,7 @@ pub fn remembered_fingerprint(watch: &Watch, frame: &Path, state: &State) -> Opt
 pub fn explain(question: &Question<'_>) -> io::Result<Explanation> {
     let Question { frame, watch, record, .. } = *question;
     let selection =
-        Selection::new(watch.pattern.as_deref(), watch.recursive, question.output_folders.to_vec())
+        FileFilter::new(watch.pattern.as_deref(), watch.recursive, question.output_folders.to_vec())
             .map_err(|error| io::Error::new(io::ErrorKind::InvalidInput, error))?;
     let is_taken = selection.takes(&watch.input, file_of(frame));
     let settings_hold = record.zip(question.settings).map(|(record, settings)| record.settings == settings);
@@ -134,10 +134,10 @@ pub fn explain(question: &Question<'_>) -> io::Result<Explanation> {
     // What cannot be gone through may have it: reading it will say why.
     let seen = seen.filter(|_| !is_missing_step(frame).unwrap_or(false));
     let (file, verdict) = match seen {
-        None => (None, Verdict::Gone),
+        None => (None, FrameExplanation::Gone),
         Some(seen) => {
             let (file, decision) = facts(question, &seen, output_missing.as_deref())?;
-            let verdict = if is_taken { verdict(&file, decision) } else { Verdict::NotTaken };
+            let verdict = if is_taken { verdict(&file, decision) } else { FrameExplanation::NotTaken };
             (Some(file), found_done(question, verdict)?)
         }
     };
@@ -145,26 +145,28 @@ pub fn explain(question: &Question<'_>) -> io::Result<Explanation> {
 }
 
 /// As the loop goes on: what is known first, then whether it is complete, then what it is.
-fn verdict(file: &FileFacts, decision: Decision) -> Verdict {
+fn verdict(file: &FileFacts, decision: Decision) -> FrameExplanation {
     match (decision, file.readiness, file.content) {
-        (Decision::Skip(reason), _, _) => Verdict::Skipped(reason),
-        (_, Readiness::Waiting { why, .. }, _) => Verdict::Waits(why),
-        (_, _, other @ (Content::OwnOutput | Content::NotParticles)) => Verdict::NoFrame(other),
-        (decision, _, Content::Particles) => Verdict::Converted(decision),
+        (Decision::Skip(reason), _, _) => FrameExplanation::Skipped(reason),
+        (_, Readiness::Waiting { why, .. }, _) => FrameExplanation::Waits(why),
+        (_, _, other @ (SniffedContent::OwnOutput | SniffedContent::NotParticles)) => {
+            FrameExplanation::NoFrame(other)
+        }
+        (decision, _, SniffedContent::Particles) => FrameExplanation::Converted(decision),
     }
 }
 
 /// The same verdict, unless it is to convert what `convert`, or a daemon whose journal was lost, has converted.
-fn found_done(question: &Question<'_>, verdict: Verdict) -> io::Result<Verdict> {
+fn found_done(question: &Question<'_>, verdict: FrameExplanation) -> io::Result<FrameExplanation> {
     let Question { frame, watch, .. } = *question;
-    if verdict != Verdict::Converted(Decision::Convert(ConvertReason::New)) {
+    if verdict != FrameExplanation::Converted(Decision::Convert(ConvertReason::New)) {
         return Ok(verdict);
     }
     let within = file_of(frame).parent().and_then(|folder| folder.strip_prefix(&watch.input).ok());
     let folder = watch.outputs.folder.join(within.unwrap_or(Path::new("")));
     let stem = FrameFile::new(frame.to_owned()).stem();
     let found = outputs_made_from(&folder, &stem, || hash_of(frame))?;
-    Ok(if found.is_empty() { verdict } else { Verdict::Found(found) })
+    Ok(if found.is_empty() { verdict } else { FrameExplanation::Found(found) })
 }
 
 fn facts(
@@ -175,18 +177,18 @@ fn facts(
     let Question { frame, watch, patience, record, .. } = *question;
     let now = Instant::now();
     let readiness = readiness_of(file_of(frame), &Candidate::new(now, seen, false), now, watch, patience);
-    let is_same = |record: &FrameRecord| record.stamp.still_holds(&seen.stamp);
+    let is_same = |record: &JournaledFrame| record.stamp.still_holds(&seen.stamp);
     // Only a file of the same size and another time has to be read to know.
-    let is_to_read = |record: &&FrameRecord| {
+    let is_to_read = |record: &&JournaledFrame| {
         record.hash.is_some() && record.stamp.size == seen.stamp.size && !is_same(record)
     };
     let hash = record.filter(is_to_read).map(|_| hash_of(frame)).transpose()?;
     let settings = question.settings.or(record.map(|record| &*record.settings)).unwrap_or_default();
     let decision = decide(record, &seen.stamp, settings, output_missing, hash);
     let change = record.map(|record| match hash {
-        _ if is_same(record) => Change::Unchanged,
-        Some(hash) if record.hash == Some(hash) => Change::Touched,
-        _ => Change::Rewritten,
+        _ if is_same(record) => FileChange::Unchanged,
+        Some(hash) if record.hash == Some(hash) => FileChange::Touched,
+        _ => FileChange::Rewritten,
     });
     Ok((FileFacts { content: content(file_of(frame))?, readiness, change }, decision))
 }
@@ -202,25 +204,25 @@ fn hash_of(path: &Path) -> io::Result<u128> {
     Ok(XxHash3_128::oneshot(&bytes))
 }
 
-fn first_missing_output(record: &FrameRecord) -> Option<PathBuf> {
+fn first_missing_output(record: &JournaledFrame) -> Option<PathBuf> {
     let missing = record.outputs.iter().find(|output| !output.has_recorded_bytes());
     missing.map(|output| output.path.clone())
 }
 
-impl fmt::Display for Verdict {
+impl fmt::Display for FrameExplanation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Verdict::Gone => f.write_str("is not converted because there is no such frame"),
-            Verdict::NotTaken => {
+            FrameExplanation::Gone => f.write_str("is not converted because there is no such frame"),
+            FrameExplanation::NotTaken => {
                 f.write_str("is not converted because its name, or its place, is not one of a frame")
             }
-            Verdict::Skipped(reason) => write!(f, "is not converted because {reason}"),
-            Verdict::Waits(why) => write!(f, "is not converted yet because {why}"),
-            Verdict::NoFrame(Content::OwnOutput) => {
+            FrameExplanation::Skipped(reason) => write!(f, "is not converted because {reason}"),
+            FrameExplanation::Waits(why) => write!(f, "is not converted yet because {why}"),
+            FrameExplanation::NoFrame(SniffedContent::OwnOutput) => {
                 f.write_str("is not converted because this program made it")
             }
-            Verdict::NoFrame(_) => f.write_str("is not converted because it holds no particles"),
-            Verdict::Found(outputs) => {
+            FrameExplanation::NoFrame(_) => f.write_str("is not converted because it holds no particles"),
+            FrameExplanation::Found(outputs) => {
                 let names: Vec<_> =
                     outputs.iter().filter_map(|path| path.file_name()).map(OsStr::to_string_lossy).collect();
                 let were = if names.len() == 1 { "was" } else { "were" };
@@ -232,10 +234,10 @@ impl fmt::Display for Verdict {
                 )
             }
             // What is recorded is that they were there; whether they still are is not looked at here.
-            Verdict::Converted(Decision::Convert(ConvertReason::WasRefused)) => f.write_str(
+            FrameExplanation::Converted(Decision::Convert(ConvertReason::WasRefused)) => f.write_str(
                 "will be converted once the files that kept it from that are gone, or now if they are",
             ),
-            Verdict::Converted(decision) => write!(f, "will be converted because {decision}"),
+            FrameExplanation::Converted(decision) => write!(f, "will be converted because {decision}"),
         }
     }
 }
@@ -304,8 +306,8 @@ mod tests {
         }
 
         /// What the journal would say, had the frame been converted as it is.
-        fn record(&self, standing: Standing) -> FrameRecord {
-            FrameRecord {
+        fn record(&self, standing: Standing) -> JournaledFrame {
+            JournaledFrame {
                 standing,
                 stamp: FileStamp::of_path(&self.frame).expect("there"),
                 hash: Some(XxHash3_128::oneshot(FRAME)),
@@ -321,7 +323,12 @@ mod tests {
             }
         }
 
-        fn explain(&self, record: Option<&FrameRecord>, settings: Option<&str>, settle: u64) -> Explanation {
+        fn explain(
+            &self,
+            record: Option<&JournaledFrame>,
+            settings: Option<&str>,
+            settle: u64,
+        ) -> Explanation {
             let settle = Duration::from_secs(settle);
             explain(&Question {
                 frame: &self.frame,
@@ -334,7 +341,7 @@ mod tests {
             .expect("an explanation")
         }
 
-        fn verdict(&self, record: Option<&FrameRecord>) -> Verdict {
+        fn verdict(&self, record: Option<&JournaledFrame>) -> FrameExplanation {
             self.explain(record, None, 0).verdict
         }
     }
@@ -343,11 +350,11 @@ mod tests {
     fn a_new_frame_is_converted_when_it_is_complete() {
         let bench = Bench::new();
         let told = bench.explain(None, None, 0);
-        assert_eq!(told.verdict, Verdict::Converted(Decision::Convert(ConvertReason::New)));
+        assert_eq!(told.verdict, FrameExplanation::Converted(Decision::Convert(ConvertReason::New)));
         let file = told.file.expect("there");
-        assert_eq!((file.content, file.change), (Content::Particles, None));
+        assert_eq!((file.content, file.change), (SniffedContent::Particles, None));
         assert_eq!(file.readiness, Readiness::Ready(Proof::Format));
-        let waits = |told: Explanation, expected| assert_eq!(told.verdict, Verdict::Waits(expected));
+        let waits = |told: Explanation, expected| assert_eq!(told.verdict, FrameExplanation::Waits(expected));
         waits(bench.explain(None, None, 3600), WaitReason::Changing);
         let mut bench = bench;
         bench.watch.sentinel = Some("{name}.ok".into());
@@ -364,20 +371,23 @@ mod tests {
         let bench = Bench::new();
         let record = bench.record(Standing::Done);
         let told = bench.explain(Some(&record), Some("s"), 3600);
-        assert_eq!(told.verdict, Verdict::Skipped(SkipReason::Done));
+        assert_eq!(told.verdict, FrameExplanation::Skipped(SkipReason::Done));
         assert_eq!((told.settings_hold, told.output_missing), (Some(true), None));
-        assert_eq!(told.file.expect("there").change, Some(Change::Unchanged));
+        assert_eq!(told.file.expect("there").change, Some(FileChange::Unchanged));
 
         let told = bench.explain(Some(&record), Some("others"), 0);
-        assert_eq!(told.verdict, Verdict::Converted(Decision::Convert(ConvertReason::SettingsChanged)));
+        assert_eq!(
+            told.verdict,
+            FrameExplanation::Converted(Decision::Convert(ConvertReason::SettingsChanged))
+        );
         assert_eq!(told.settings_hold, Some(false));
         assert_eq!(bench.explain(Some(&record), None, 0).settings_hold, None);
 
         fs::remove_file(&bench.output).expect("removed");
         let missing = ConvertReason::OutputMissing(bench.output.clone());
-        assert_eq!(bench.verdict(Some(&record)), Verdict::Converted(Decision::Convert(missing)));
+        assert_eq!(bench.verdict(Some(&record)), FrameExplanation::Converted(Decision::Convert(missing)));
         let failed = bench.record(Standing::Failed);
-        assert_eq!(bench.verdict(Some(&failed)), Verdict::Skipped(SkipReason::FailedUnchanged));
+        assert_eq!(bench.verdict(Some(&failed)), FrameExplanation::Skipped(SkipReason::FailedUnchanged));
         let refused = bench.record(Standing::Refused);
         let told = bench.verdict(Some(&refused)).to_string();
         assert!(told.contains("once the files that kept it from that are gone"), "{told}");
@@ -398,13 +408,13 @@ mod tests {
         };
         let change = || bench.explain(Some(&record), None, 0).file.expect("there").change;
         touch(FRAME, 1);
-        assert_eq!(change(), Some(Change::Touched));
-        assert_eq!(bench.verdict(Some(&record)), Verdict::Skipped(SkipReason::Done));
-        let rewritten = Verdict::Converted(Decision::Convert(ConvertReason::InputChanged));
+        assert_eq!(change(), Some(FileChange::Touched));
+        assert_eq!(bench.verdict(Some(&record)), FrameExplanation::Skipped(SkipReason::Done));
+        let rewritten = FrameExplanation::Converted(Decision::Convert(ConvertReason::InputChanged));
         let other: Vec<u8> = FRAME.iter().map(|&byte| if byte == b'0' { b'7' } else { byte }).collect();
         for bytes in [&other[..], &[FRAME, b"\n"].concat()] {
             touch(bytes, 2);
-            assert_eq!(change(), Some(Change::Rewritten));
+            assert_eq!(change(), Some(FileChange::Rewritten));
             assert_eq!(bench.verdict(Some(&record)), rewritten);
         }
     }
@@ -414,7 +424,7 @@ mod tests {
         let mut bench = Bench::new();
         bench.watch.pattern = Some("spray*".into());
         let told = bench.explain(None, None, 0);
-        assert_eq!((told.is_taken, told.verdict), (false, Verdict::NotTaken));
+        assert_eq!((told.is_taken, told.verdict), (false, FrameExplanation::NotTaken));
         bench.watch.pattern = Some("[".into());
         let question = Question {
             frame: &bench.frame,
@@ -428,8 +438,8 @@ mod tests {
 
         bench.watch.pattern = Some("*.txt".into());
         bench.frame = bench.frame.with_file_name("notes.txt");
-        assert_eq!(bench.verdict(None), Verdict::Gone);
+        assert_eq!(bench.verdict(None), FrameExplanation::Gone);
         bench.write(b"Nothing to see here, just words.\n");
-        assert_eq!(bench.verdict(None), Verdict::NoFrame(Content::NotParticles));
+        assert_eq!(bench.verdict(None), FrameExplanation::NoFrame(SniffedContent::NotParticles));
     }
 }

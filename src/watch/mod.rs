@@ -25,8 +25,8 @@ pub mod status_store;
 pub mod waiting;
 
 pub use self::core::{completeness, decision};
-pub use api::{Command, Ended, FailedFrame, Notice, Summary};
-pub use config::{Config, Order, Patience, Poll, Watch, names_level_sets};
+pub use api::{DaemonRequest, EndReason, FailedFrame, Notice, WatchSummary};
+pub use config::{Order, Patience, Poll, Watch, WatchConfig, names_level_sets};
 pub use event_loop::run;
 pub use io::error::DaemonError;
 pub use io::{canonical_path as place, fs_events, lock, mounts, selection};

@@ -25,8 +25,8 @@ use super::core::completeness::{Candidate, Readiness, Seen, WaitReason};
 use super::explain::trust_clock;
 use super::io::evidence::readiness_of;
 use super::io::scan::scan;
-use super::io::selection::{Content, Selection, content};
-use super::journal::{PlanRecord, State};
+use super::io::selection::{FileFilter, SniffedContent, content};
+use super::journal::{JournalState, PlanRecord};
 
 /// Files that wait for their writers.
 #[derive(Debug, Default, PartialEq)]
@@ -45,10 +45,10 @@ const FILES_MAX: usize = 10_000;
 
 /// The files that a daemon with this journal would take for frames, and why it does not read them yet. Folders that cannot
 /// be looked into have none.
-pub fn waiting(state: &State) -> Waiting {
+pub fn waiting(state: &JournalState) -> Waiting {
     let Some(plan) = state.plan.clone() else { return Waiting::default() };
     let known = state.frames.iter();
-    let known: Known = known
+    let known: JournaledFiles = known
         .map(|(input, frame)| (file_of(input).to_owned(), frame.stamp.without_status_change()))
         .collect();
     let (tell, told) = channel();
@@ -62,7 +62,7 @@ pub fn waiting(state: &State) -> Waiting {
 }
 
 /// Files as the journal knows them, without their status change times.
-type Known = HashSet<(PathBuf, FileStamp)>;
+type JournaledFiles = HashSet<(PathBuf, FileStamp)>;
 
 /// A file that waits; `None` when the search has ended.
 type Told = Option<(PathBuf, WaitReason)>;
@@ -86,7 +86,7 @@ fn gathered(told: &Receiver<Told>, until: Instant) -> Waiting {
 /// Looks at so many files that are not known; `trust_clock` says of a path whether its times are by the clock of this machine.
 fn look_for(
     plan: &PlanRecord,
-    known: &Known,
+    known: &JournaledFiles,
     (mut files_left, trust_clock): (usize, &dyn Fn(&Path) -> bool),
     tell: &Sender<Told>,
 ) {
@@ -95,7 +95,7 @@ fn look_for(
     // Folders that are watched may have files in common.
     let mut told = HashSet::new();
     for watch in &plan.watches {
-        let selection = Selection::new(watch.pattern.as_deref(), watch.recursive, output_folders.clone());
+        let selection = FileFilter::new(watch.pattern.as_deref(), watch.recursive, output_folders.clone());
         let Ok(selection) = selection else { continue };
         // The clock of the folder is that of all in it, as a rule.
         let is_trusted = trust_clock(&watch.input.join("any"));
@@ -128,7 +128,8 @@ fn why_waiting(path: &Path, seen: &Seen, watch: &Watch, patience: &Patience) -> 
     let Readiness::Waiting { why, .. } = readiness else { return None };
     let is_told = seen.age.is_some() || matches!(why, WaitReason::Sentinel | WaitReason::Incomplete { .. });
     // What cannot be read may be one: reading it will say why not.
-    let is_no_frame = || matches!(content(path), Ok(Content::OwnOutput | Content::NotParticles));
+    let is_no_frame =
+        || matches!(content(path), Ok(SniffedContent::OwnOutput | SniffedContent::NotParticles));
     (is_told && !is_no_frame()).then_some(why)
 }
 
@@ -177,7 +178,7 @@ mod tests {
         let hour = Duration::from_secs(3600);
         let patience = Patience { settle: hour, unproven: hour, stalled: hour };
         let (tell, told) = channel();
-        look_for(&PlanRecord { watches, patience }, &Known::new(), limits, &tell);
+        look_for(&PlanRecord { watches, patience }, &JournaledFiles::new(), limits, &tell);
         drop(tell);
         let Waiting { files, is_cut_short } = gathered(&told, Instant::now() + hour);
         let mut files: Vec<String> = files

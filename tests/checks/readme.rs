@@ -22,7 +22,7 @@ use meniscus::pipeline::encode_level_set;
 use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::particles::Particles;
 use meniscus::surface::skin::skin;
-use meniscus_formats::{Attribute, ParticleFrame, Positions, Role, Values, bgeo, vdb};
+use meniscus_formats::{AttributeRole, FileAttribute, FilePositions, ParticleFrame, Values, bgeo, vdb};
 use tempfile::{TempDir, tempdir};
 
 use crate::scene::{block, meniscus, write_ply};
@@ -387,17 +387,17 @@ impl Drop for Ended {
 /// A moving block with velocities and colours.
 fn write_bgeo(path: &Path, edge_count: usize, number: usize) {
     let particles = block(edge_count, 0.01 * number as f64);
-    let vector = |name: &str, role, value: [f32; 3]| Attribute {
+    let vector = |name: &str, role, value: [f32; 3]| FileAttribute {
         name: name.into(),
         arity: 3,
         role: Some(role),
         values: Values::F32(value.repeat(particles.len())),
     };
     let frame = ParticleFrame {
-        positions: Positions::F32(particles.iter().map(|position| position.map(|x| x as f32)).collect()),
+        positions: FilePositions::F32(particles.iter().map(|position| position.map(|x| x as f32)).collect()),
         attributes: vec![
-            vector("v", Role::Velocity, [0.24, 0.0, 0.0]),
-            vector("Cd", Role::Color, [0.1, 0.4, 0.8]),
+            vector("v", AttributeRole::Velocity, [0.24, 0.0, 0.0]),
+            vector("Cd", AttributeRole::Color, [0.1, 0.4, 0.8]),
         ],
         ..ParticleFrame::default()
     };

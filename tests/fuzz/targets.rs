@@ -19,9 +19,9 @@ use meniscus::watch::journal::Journal;
 use meniscus::watch::status_store::StatusStore;
 use meniscus_formats::steps::find_steps;
 use meniscus_formats::{
-    Format, Kind, Limits, OutputFormat, ParticleBatch, ParticleBatches, ParticleFrame, Result, Values, bgeo,
-    completeness, compression, csv, gltf, houdini, is_whole, lammps, looks_like_particles, npy, obj, ply,
-    png, probe, read_obstacle, read_particles, read_provenance, stl, usda, vdb, vtk, xyz, xyz_ext,
+    Format, Limits, OutputFormat, ParticleBatch, ParticleBatches, ParticleFrame, ProbedKind, Result, Values,
+    bgeo, completeness, compression, csv, gltf, houdini, is_whole, lammps, looks_like_particles, npy, obj,
+    ply, png, probe, read_obstacle, read_particles, read_provenance, stl, usda, vdb, vtk, xyz, xyz_ext,
 };
 use twox_hash::XxHash3_64;
 
@@ -59,8 +59,8 @@ pub(crate) const TARGETS: [Target; 33] = [
     plain("xyz", |bytes| checked(xyz::read(bytes, &limits()))),
     plain("npy", |bytes| checked(npy::read(bytes, &limits()))),
     packed("npz", |bytes| checked(npy::read_archive(bytes, &limits()))),
-    plain("lammps", |bytes| steps(Kind::Format(Format::LammpsDump), bytes, lammps::read)),
-    plain("atoms", |bytes| steps(Kind::Format(Format::XyzAtoms), bytes, xyz_ext::read)),
+    plain("lammps", |bytes| steps(ProbedKind::Format(Format::LammpsDump), bytes, lammps::read)),
+    plain("atoms", |bytes| steps(ProbedKind::Format(Format::XyzAtoms), bytes, xyz_ext::read)),
     plain("vtk_legacy", |bytes| checked(vtk::read_legacy(bytes, &limits()))),
     packed("vtk_xml", |bytes| checked(vtk::read_xml(bytes, &limits()))),
     packed("vtp_mesh", |bytes| drop(vtk::read_mesh(bytes, &limits()))),
@@ -165,7 +165,7 @@ fn obstacle(bytes: &[u8], name: &str) {
 }
 
 /// A file that may have several steps: as a whole, and each of them alone.
-fn steps(kind: Kind, bytes: &[u8], read: fn(&[u8], &Limits) -> Result<ParticleFrame>) {
+fn steps(kind: ProbedKind, bytes: &[u8], read: fn(&[u8], &Limits) -> Result<ParticleFrame>) {
     checked(read(bytes, &limits()));
     // Bytes can always be read, but there may be more steps than the limits let in.
     for step in find_steps(kind, bytes, &limits()).unwrap_or_default() {
@@ -189,7 +189,7 @@ fn gltf_parts(bytes: &[u8]) {
 
 /// A frame of a shot, twice in it: its columns and triangles are read for the .usda, its data copied for the .glb.
 fn gltf_frame(bytes: &[u8]) {
-    let Ok(file) = gltf::FrameFile::read(&mut Cursor::new(bytes)) else { return };
+    let Ok(file) = gltf::SequenceFrame::read(&mut Cursor::new(bytes)) else { return };
     let frame = |code| gltf::ShotFrame { name: "f".into(), code, file: file.clone() };
     let (shot, open) = ([frame(1), frame(3)], |_: usize| Ok(Cursor::new(bytes)));
     let _ = usda::write_sequence(&shot, (24.0, 1.0), &[], open, &mut std::io::sink());

@@ -1,6 +1,6 @@
 //! Explicit steps as large as may be (paper, §3.5): the same time, and so the same surface, in fewer steps.
 
-use meniscus::surface::smooth::{Config, Integrator, smooth};
+use meniscus::surface::smooth::{Integrator, SmoothConfig, smooth};
 
 use crate::shapes::{ball_with_finger, bending_energy, default_config, rasterized, sheet_and_drops, voxels};
 
@@ -10,7 +10,7 @@ const FEWEST_STEPS: usize = 400;
 #[test]
 fn adaptive_steps_lead_where_explicit_ones_do() {
     for positions in [ball_with_finger(), sheet_and_drops()] {
-        let smoothed = |config: Config| {
+        let smoothed = |config: SmoothConfig| {
             let (mut band, bounds) = rasterized(&positions);
             let report = smooth(&mut band, &bounds, &config);
             assert_eq!(bounds.violation_count(&band.phi), 0);
@@ -40,7 +40,8 @@ fn adaptive_steps_lead_where_explicit_ones_do() {
 fn the_time_is_the_number_of_steps_times_their_size() {
     let (start, bounds) = rasterized(&ball_with_finger());
     let smoothed = |steps, step_size, redistance_every| {
-        let config = Config { steps, step_size, redistance_every, ..default_config(Integrator::Adaptive) };
+        let config =
+            SmoothConfig { steps, step_size, redistance_every, ..default_config(Integrator::Adaptive) };
         let mut band = start.clone();
         let report = smooth(&mut band, &bounds, &config);
         (bending_energy(&band), report.pass_count)

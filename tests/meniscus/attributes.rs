@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use meniscus_formats::{Attribute, Limits, ParticleFrame, Positions, Values, bgeo, ply, vdb};
+use meniscus_formats::{FileAttribute, FilePositions, Limits, ParticleFrame, Values, bgeo, ply, vdb};
 use serde_json::Value;
 use tempfile::tempdir;
 
@@ -11,8 +11,8 @@ use crate::scene::{Ran, block, command, meniscus, names_in, write_ply};
 
 const FORMATS: [&str; 5] = ["glb", "gltf", "obj", "ply", "vdb"];
 
-fn attribute(name: &str, arity: usize, values: Values) -> Attribute {
-    Attribute { name: name.to_owned(), arity, role: None, values }
+fn attribute(name: &str, arity: usize, values: Values) -> FileAttribute {
+    FileAttribute { name: name.to_owned(), arity, role: None, values }
 }
 
 /// A block of particles that move and are coloured, numbered and named.
@@ -31,7 +31,7 @@ fn frame(edge_count: usize) -> ParticleFrame {
         attribute("age", 1, Values::F32(age)),
         attribute("fluid", 1, Values::Strings { table, indices: each().map(|_| 1).collect() }),
     ];
-    ParticleFrame { positions: Positions::F32(positions), attributes, notes: Vec::new() }
+    ParticleFrame { positions: FilePositions::F32(positions), attributes, notes: Vec::new() }
 }
 
 fn write_frame(folder: &Path, edge_count: usize) {
@@ -91,7 +91,7 @@ fn all_formats_have_what_they_have_places_for() {
     assert_eq!(*named("age"), Values::F32(vec![2.5; mesh.positions.len()]));
     assert_eq!(*named("fluid"), Values::I32(vec![1; mesh.positions.len()]));
     let Values::I32(ids) = named("id") else { panic!("no integers") };
-    let Positions::F32(particles) = frame(8).positions else { panic!("32 bits") };
+    let FilePositions::F32(particles) = frame(8).positions else { panic!("32 bits") };
     for (position, id) in mesh.positions.iter().zip(ids) {
         let distance = |particle: &[f32; 3]| -> f64 {
             (0..3).map(|axis| (f64::from(particle[axis]) - position[axis]).powi(2)).sum::<f64>().sqrt()
@@ -185,7 +185,7 @@ fn in_tiles_they_are_the_same() {
     let folder = tempdir().expect("a folder");
     let folder = folder.path();
     let mut rod = frame(2);
-    let Positions::F32(positions) = &mut rod.positions else { panic!("32 bits") };
+    let FilePositions::F32(positions) = &mut rod.positions else { panic!("32 bits") };
     *positions = (0..4000).map(|index| [(index % 2) as f32 * 0.1, 0.0, (index / 2) as f32 * 0.1]).collect();
     rod.attributes = vec![
         attribute("v", 3, Values::F32((0..12_000).map(|index| (index as f32 * 0.01).sin()).collect())),

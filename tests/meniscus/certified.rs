@@ -12,13 +12,13 @@ use meniscus::surface::obstacle::Obstacles;
 use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::particles::Particles;
 use meniscus::surface::report::Shaping;
-use meniscus::surface::skin::{Stored, Surface, contour, rasterize, skin, smooth};
+use meniscus::surface::skin::{FrameSurface, Stored, contour, rasterize, skin, smooth};
 use serde_json::Value;
 use tempfile::tempdir;
 
 use crate::scene::{block, meniscus, write_ply};
 
-fn skinned(positions: &[[f64; 3]], settings: &Settings, stored: &[Stored]) -> Surface {
+fn skinned(positions: &[[f64; 3]], settings: &Settings, stored: &[Stored]) -> FrameSurface {
     let particles = Particles::Double(positions.to_vec());
     let rasterized = rasterize(&particles, settings, Shaping::default(), Obstacles::default());
     let Ok(rasterized) = rasterized;

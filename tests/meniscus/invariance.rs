@@ -6,7 +6,7 @@ use glam::{DVec3, IVec3};
 use meniscus::surface::level_set::NarrowBand;
 use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::particles::Particles;
-use meniscus::surface::rasterize::{Rasterized, Scene, rasterize};
+use meniscus::surface::rasterize::{RasterFields, Scene, rasterize};
 use meniscus::surface::skin::skin;
 use meniscus::surface::smooth::{Integrator, smooth};
 use meniscus::surface::space::Lattice;
@@ -22,7 +22,7 @@ const INTEGRATORS: [Integrator; 4] =
 /// The surface of particles in world units.
 fn skinned_world(positions: &[DVec3], voxel_size: f64, integrator: Integrator) -> NarrowBand {
     let particles = Particles::Double(positions.iter().map(|p| p.to_array()).collect());
-    let Ok(Rasterized { mut band, bounds, .. }) =
+    let Ok(RasterFields { mut band, bounds, .. }) =
         rasterize(&particles, &Scene::open(Lattice { voxel_size }, default_radii()));
     smooth(&mut band, &bounds, &default_config(integrator));
     band

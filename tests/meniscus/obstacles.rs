@@ -11,7 +11,7 @@ use meniscus::surface::grid::voxel_in_leaf;
 use meniscus::surface::obstacle::{Obstacle, Obstacles, Shape, Solid};
 use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::particles::{Cloud, Particles, Shapes};
-use meniscus::surface::skin::{Surface, skin_cloud};
+use meniscus::surface::skin::{FrameSurface, skin_cloud};
 use serde_json::Value;
 use tempfile::tempdir;
 
@@ -130,11 +130,16 @@ fn fluid(counts: [i32; 3], center: DVec3, is_kept: impl Fn(DVec3) -> bool) -> Ve
     particles
 }
 
-fn skinned(particles: Vec<[f64; 3]>, body: &Body, void_threshold: f64) -> Surface {
+fn skinned(particles: Vec<[f64; 3]>, body: &Body, void_threshold: f64) -> FrameSurface {
     skinned_and_moved(particles, body, void_threshold, 0.0)
 }
 
-fn skinned_and_moved(particles: Vec<[f64; 3]>, body: &Body, void_threshold: f64, offset: f64) -> Surface {
+fn skinned_and_moved(
+    particles: Vec<[f64; 3]>,
+    body: &Body,
+    void_threshold: f64,
+    offset: f64,
+) -> FrameSurface {
     let choices = MethodOptions {
         void_threshold: Some(void_threshold),
         offset: Some(offset.into()),
@@ -148,7 +153,7 @@ fn skinned_and_moved(particles: Vec<[f64; 3]>, body: &Body, void_threshold: f64,
 
 /// Nothing is deeper than a quarter of a voxel; the mesh is closed; the certificate holds. Returns the distances of
 /// vertices to the obstacle.
-fn check(name: &str, surface: &Surface, body: &Body) -> Vec<f64> {
+fn check(name: &str, surface: &FrameSurface, body: &Body) -> Vec<f64> {
     let world = |position: &glam::Vec3| surface.mesh.origin + position.as_dvec3();
     let distances: Vec<f64> =
         surface.mesh.positions.iter().map(|position| (body.distance)(world(position))).collect();
@@ -160,7 +165,7 @@ fn check(name: &str, surface: &Surface, body: &Body) -> Vec<f64> {
 }
 
 /// How many voxels there are next to the obstacle where `is_wet`, and how many of these are not fluid.
-fn dry_voxels(surface: &Surface, body: &Body, is_wet: impl Fn(DVec3) -> bool) -> (usize, usize) {
+fn dry_voxels(surface: &FrameSurface, body: &Body, is_wet: impl Fn(DVec3) -> bool) -> (usize, usize) {
     let (mut count, mut dry_count) = (0, 0);
     for (leaf, &origin) in surface.band.phi.leaves.iter().zip(surface.band.topology.origins()) {
         for (offset, phi) in leaf.values.iter().enumerate() {

@@ -6,14 +6,14 @@ use glam::{DVec3, Vec3};
 use meniscus::surface::obstacle::Obstacles;
 use meniscus::surface::options::{AnisotropyKind, AttributeSelection, MethodOptions, Settings};
 use meniscus::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
-use meniscus::surface::skin::{Surface, skin, skin_cloud};
+use meniscus::surface::skin::{FrameSurface, skin, skin_cloud};
 use serde_json::Value;
 use tempfile::tempdir;
 
 use crate::scene::{block, meniscus, write_ply};
 
 /// The surface of particles with voxels of 1.
-fn skinned(positions: &[DVec3], choices: &MethodOptions) -> Surface {
+fn skinned(positions: &[DVec3], choices: &MethodOptions) -> FrameSurface {
     let settings = Settings::paper(1.0, choices).expect("sound");
     skin(&Particles::Double(positions.iter().map(|position| position.to_array()).collect()), &settings)
 }
@@ -29,12 +29,12 @@ fn lattice(counts: [usize; 3]) -> Vec<DVec3> {
     places.map(|place| DVec3::from(place.map(|along| 2.0 * along as f64))).collect()
 }
 
-fn vertices(surface: &Surface) -> impl Iterator<Item = DVec3> + '_ {
+fn vertices(surface: &FrameSurface) -> impl Iterator<Item = DVec3> + '_ {
     surface.mesh.positions.iter().map(|position| surface.mesh.origin + position.as_dvec3())
 }
 
 /// How high the top of a surface is over the middle of a block, on average.
-fn top(surface: &Surface, middle: DVec3) -> f64 {
+fn top(surface: &FrameSurface, middle: DVec3) -> f64 {
     let above = vertices(surface)
         .filter(|vertex| (*vertex - middle).truncate().abs().max_element() < 5.0 && vertex.z > middle.z);
     let heights: Vec<f64> = above.map(|vertex| vertex.z).collect();

@@ -6,7 +6,7 @@ use glam::{DVec3, Vec3};
 use meniscus::surface::obstacle::Obstacles;
 use meniscus::surface::options::{AnisotropyKind, MethodOptions, Preset, Settings};
 use meniscus::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
-use meniscus::surface::skin::{Surface, skin_cloud};
+use meniscus::surface::skin::{FrameSurface, skin_cloud};
 use meniscus::surface::smooth::Integrator;
 
 use crate::shapes::{Random, same_bits};
@@ -31,7 +31,7 @@ fn with_velocities(cloud: Cloud, velocities: &[Vec3]) -> Cloud {
 }
 
 /// Skins with a voxel of 1.
-fn skinned(cloud: Cloud, choices: &MethodOptions) -> Surface {
+fn skinned(cloud: Cloud, choices: &MethodOptions) -> FrameSurface {
     let settings = Settings::paper(1.0, choices).expect("sound");
     let surface = skin_cloud(cloud, &settings, &Obstacles::default());
     let certificate = &surface.report.certificate;
@@ -48,7 +48,7 @@ fn by_neighbors() -> MethodOptions {
 }
 
 /// Vertices in the world.
-fn vertices(surface: &Surface) -> impl Iterator<Item = DVec3> {
+fn vertices(surface: &FrameSurface) -> impl Iterator<Item = DVec3> {
     surface.mesh.positions.iter().map(|position| surface.mesh.origin + position.as_dvec3())
 }
 
@@ -136,7 +136,7 @@ fn far_particles_of_any_size_change_nothing() {
         for (leaf, &origin) in alone.band.topology.origins().iter().enumerate() {
             let other = both.band.topology.find(origin).expect("the same leaves here");
             let bits =
-                |surface: &Surface, leaf: usize| surface.band.phi.leaves[leaf].values.map(f32::to_bits);
+                |surface: &FrameSurface, leaf: usize| surface.band.phi.leaves[leaf].values.map(f32::to_bits);
             assert_eq!(bits(&alone, leaf), bits(&both, other), "{kind:?}");
             compared += 1;
         }
@@ -168,7 +168,7 @@ fn the_number_of_threads_does_not_matter() {
 }
 
 /// Root mean square of how far the upper side of a sheet is from its mean, away from its rim.
-fn roughness(surface: &Surface, half_edge: f64) -> f64 {
+fn roughness(surface: &FrameSurface, half_edge: f64) -> f64 {
     let heights: Vec<f64> = vertices(surface)
         .filter(|vertex| vertex.z > 0.0 && vertex.x.abs().max(vertex.y.abs()) < half_edge)
         .map(|vertex| vertex.z)
@@ -238,7 +238,7 @@ fn moving_drops_are_stretched_as_much_as_the_paper_says() {
     let velocities = speeds.map(|speed| along.as_vec3() * speed as f32);
     let surface_of = |kind| skinned(with_velocities(cloud(&centers), &velocities), &choices(kind));
     let (balls, drops) = (surface_of(AnisotropyKind::None), surface_of(AnisotropyKind::Velocity));
-    let length = |surface: &Surface, center: DVec3, direction: DVec3| {
+    let length = |surface: &FrameSurface, center: DVec3, direction: DVec3| {
         let near = vertices(surface).filter(|vertex| vertex.distance(center) < 60.0);
         near.map(|vertex| (vertex - center).dot(direction).abs()).fold(0.0, f64::max)
     };

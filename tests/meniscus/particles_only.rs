@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use meniscus_formats::{Limits, ParticleFrame, Positions, read_particles};
+use meniscus_formats::{FilePositions, Limits, ParticleFrame, read_particles};
 use tempfile::{TempDir, tempdir};
 
 use crate::scene::{Ran, meniscus, names_in};
@@ -43,7 +43,7 @@ fn particles_keep_what_they_know() {
     assert!(ran.out.contains("dam.1.csv: 2 particles"), "{}", ran.out);
     assert_eq!(names_in(&folder.join("out")), ["dam.1.ply", "dam.1.vtp"]);
     let expected = read(&folder.join("in/dam.1.csv"));
-    assert!(matches!(expected.positions, Positions::F64(_)));
+    assert!(matches!(expected.positions, FilePositions::F64(_)));
     let vtp = read(&folder.join("out/dam.1.vtp"));
     assert_eq!((vtp.positions, vtp.attributes), (expected.positions.clone(), expected.attributes.clone()));
     let ply = read(&folder.join("out/dam.1.ply"));

@@ -9,7 +9,7 @@ use exr::prelude::{
     AnyChannels, FlatSamples, Layer, ReadChannels, ReadLayers, read, read_all_flat_layers_from_file,
 };
 use glam::{DVec3, IVec3};
-use meniscus::pipeline::{CameraChoice, Scene, Viewpoint, encode_picture};
+use meniscus::pipeline::{CameraChoice, PictureScene, Viewpoint, encode_picture};
 use meniscus::render::{FAR, Picture, Up};
 use meniscus::surface::grid::{Field, Topology, voxel_in_leaf};
 use meniscus::surface::level_set::NarrowBand;
@@ -52,7 +52,7 @@ const AWAY: &str = "eye=0:3:4,target=0:0:0,view=40";
 
 fn picture_of(band: &NarrowBand, origin: DVec3, viewpoint: &Viewpoint) -> Picture {
     let lattice = Lattice { voxel_size: VOXEL_SIZE };
-    Scene { band, lattice, origin, velocity: None }.picture(viewpoint, SIZE, true)
+    PictureScene { band, lattice, origin, velocity: None }.picture(viewpoint, SIZE, true)
 }
 
 #[test]

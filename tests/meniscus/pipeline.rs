@@ -14,7 +14,7 @@ use meniscus::surface::level_set::NarrowBand;
 use meniscus::surface::mesh::Mesh;
 use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::report::SkinReport;
-use meniscus::surface::skin::{Plan, Surface, SurfaceAttributes};
+use meniscus::surface::skin::{FrameSurface, MemoryPlan, SurfaceAttributes};
 use meniscus_formats::{gltf, vdb};
 use rayon::ThreadPool;
 use tempfile::{TempDir, tempdir};
@@ -51,8 +51,8 @@ impl Method for Quick {
         _obstacles: &FrameObstacles,
         _settings: &Settings,
         _allowed_bytes: u64,
-    ) -> Result<Plan, Cause> {
-        Ok(Plan { memory_bytes: 1 << 20, tile_leaves: None, whole_bytes: 0 })
+    ) -> Result<MemoryPlan, Cause> {
+        Ok(MemoryPlan { memory_bytes: 1 << 20, tile_leaves: None, whole_bytes: 0 })
     }
 
     fn rasterize(
@@ -60,7 +60,7 @@ impl Method for Quick {
         particles: FrameInput,
         _obstacles: FrameObstacles,
         _settings: &Settings,
-        _plan: &Plan,
+        _plan: &MemoryPlan,
         _scratch: &Path,
     ) -> Result<usize, Cause> {
         Ok(self.pass(Stage::Rasterize, particles.len()))
@@ -70,13 +70,18 @@ impl Method for Quick {
         Ok(self.pass(Stage::Smooth, count))
     }
 
-    fn contour(&self, count: usize, settings: &Settings, _outputs: &OutputOptions) -> Result<Surface, Cause> {
+    fn contour(
+        &self,
+        count: usize,
+        settings: &Settings,
+        _outputs: &OutputOptions,
+    ) -> Result<FrameSurface, Cause> {
         Ok(tetrahedron(self.pass(Stage::Contour, count), settings))
     }
 }
 
 /// The surface of a frame of so many particles.
-pub(crate) fn tetrahedron(count: usize, settings: &Settings) -> Surface {
+pub(crate) fn tetrahedron(count: usize, settings: &Settings) -> FrameSurface {
     let size = count as f32 * settings.voxel_size as f32;
     let mesh = Mesh {
         positions: [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z].map(|corner| corner * size).to_vec(),
@@ -90,7 +95,7 @@ pub(crate) fn tetrahedron(count: usize, settings: &Settings) -> Surface {
     let band = NarrowBand { topology, phi, half_width: 6.0 };
     let mut report = SkinReport::default();
     report.particle_count = count;
-    Surface { band, mesh, attributes: SurfaceAttributes::default(), report }
+    FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report }
 }
 
 /// A folder with frames, and what it takes to run them.

@@ -6,8 +6,8 @@ use glam::{DMat3, DVec3, IVec3, Vec3};
 use meniscus::surface::grid::{LEAF_VOXELS, offset_in_leaf, voxel_in_leaf};
 use meniscus::surface::level_set::{Bounds, NarrowBand};
 use meniscus::surface::particles::Particles;
-use meniscus::surface::rasterize::{Radii, Rasterized, Scene, rasterize};
-use meniscus::surface::smooth::{Config, Integrator, SmoothReport, smooth};
+use meniscus::surface::rasterize::{Radii, RasterFields, Scene, rasterize};
+use meniscus::surface::smooth::{Integrator, SmoothConfig, SmoothReport, smooth};
 use meniscus::surface::space::Lattice;
 
 /// Distance between neighbouring particles, in voxels.
@@ -20,12 +20,12 @@ pub(crate) fn default_radii() -> Radii {
 }
 
 /// The defaults of each integrator.
-pub(crate) fn default_config(integrator: Integrator) -> Config {
+pub(crate) fn default_config(integrator: Integrator) -> SmoothConfig {
     let (steps, step_size, redistance_every) = match integrator {
         Integrator::Explicit | Integrator::Adaptive => (500, 0.01, 50),
         Integrator::Fast | Integrator::Implicit => (5, 20.0, 1),
     };
-    Config {
+    SmoothConfig {
         laplacian_steps: 15,
         integrator,
         steps,
@@ -40,7 +40,7 @@ pub(crate) fn default_config(integrator: Integrator) -> Config {
 /// The three unions of spheres of particles given in voxels.
 pub(crate) fn rasterized(positions: &[DVec3]) -> (NarrowBand, Bounds) {
     let particles = Particles::Double(positions.iter().map(|p| p.to_array()).collect());
-    let Ok(Rasterized { band, bounds, .. }) =
+    let Ok(RasterFields { band, bounds, .. }) =
         rasterize(&particles, &Scene::open(Lattice { voxel_size: 1.0 }, default_radii()));
     (band, bounds)
 }

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 use meniscus::pipeline::particles;
 use meniscus::surface::particles::Particles;
-use meniscus::surface::spacing::{Estimate, combine_estimates, estimate_spacing};
+use meniscus::surface::spacing::{SpacingEstimate, combine_estimates, estimate_spacing};
 use meniscus_formats::{Limits, read_particles};
 use serde_json::Value;
 use tempfile::tempdir;
@@ -233,7 +233,7 @@ fn farther() -> Vec<Set> {
     sets
 }
 
-fn estimate(points: &[DVec3]) -> Option<Estimate> {
+fn estimate(points: &[DVec3]) -> Option<SpacingEstimate> {
     estimate_spacing(Particles::Double(points.iter().map(DVec3::to_array).collect()))
 }
 
@@ -262,9 +262,9 @@ fn spacing_of_difficult_sets_is_found_to_a_tenth() {
 /// Of ten random particles chance decides; on average the estimate is near, and it says that it is unsure.
 #[test]
 fn few_random_particles_have_little_confidence() {
-    let found: Vec<Estimate> =
+    let found: Vec<SpacingEstimate> =
         (0..200).filter_map(|seed| estimate(&Random(1000 * seed).points(10))).collect();
-    let mean = |of: fn(&Estimate) -> f64| found.iter().map(of).sum::<f64>() / found.len() as f64;
+    let mean = |of: fn(&SpacingEstimate) -> f64| found.iter().map(of).sum::<f64>() / found.len() as f64;
     let ratio = mean(|estimate| estimate.spacing) / cube_root_of_share(1.0, 10);
     assert!((0.8..1.1).contains(&ratio), "{ratio}");
     assert!(mean(|estimate| estimate.confidence) < 0.5, "{}", mean(|estimate| estimate.confidence));
@@ -278,7 +278,7 @@ fn shared(folder: &str) -> Option<PathBuf> {
     data.is_dir().then_some(data)
 }
 
-fn estimate_of(file: &Path) -> Estimate {
+fn estimate_of(file: &Path) -> SpacingEstimate {
     let name = file.file_name().expect("a name").to_string_lossy();
     let frame = read_particles(&std::fs::read(file).expect("readable"), &name, &Limits::default())
         .expect("particles");

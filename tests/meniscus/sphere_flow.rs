@@ -15,7 +15,7 @@ use std::sync::Arc;
 use glam::IVec3;
 use meniscus::surface::grid::{Field, LEAF_VOXELS, Leaf, Topology, voxel_in_leaf};
 use meniscus::surface::level_set::{Bounds, NarrowBand};
-use meniscus::surface::smooth::{Config, Integrator, smooth, smooth_laplacian_only};
+use meniscus::surface::smooth::{Integrator, SmoothConfig, smooth, smooth_laplacian_only};
 
 use crate::shapes::{Random, bending_energy, volume};
 
@@ -66,7 +66,7 @@ fn thin_plate_smoothing_gives_a_noisy_sphere_back() {
         (Integrator::Explicit, 10_000, 0.01, 50),
     ] {
         let (mut band, bounds) = noisy_sphere();
-        let config = Config {
+        let config = SmoothConfig {
             laplacian_steps: 0,
             integrator,
             steps,

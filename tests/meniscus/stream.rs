@@ -14,7 +14,7 @@ use meniscus::pipeline::{
     PipelineOptions, Stage, default_in_flight, is_own_output, run, stream,
 };
 use meniscus::surface::options::Settings;
-use meniscus::surface::skin::{Plan, Surface};
+use meniscus::surface::skin::{FrameSurface, MemoryPlan};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 
@@ -35,8 +35,8 @@ impl<H: Fn(Stage, usize) + Sync> Method for Told<H> {
         _obstacles: &FrameObstacles,
         _settings: &Settings,
         _allowed_bytes: u64,
-    ) -> Result<Plan, Cause> {
-        Ok(Plan { memory_bytes: (particles.len() as u64) << 20, tile_leaves: None, whole_bytes: 0 })
+    ) -> Result<MemoryPlan, Cause> {
+        Ok(MemoryPlan { memory_bytes: (particles.len() as u64) << 20, tile_leaves: None, whole_bytes: 0 })
     }
 
     fn rasterize(
@@ -44,7 +44,7 @@ impl<H: Fn(Stage, usize) + Sync> Method for Told<H> {
         particles: FrameInput,
         _obstacles: FrameObstacles,
         _settings: &Settings,
-        _plan: &Plan,
+        _plan: &MemoryPlan,
         _scratch: &Path,
     ) -> Result<usize, Cause> {
         self.0(Stage::Rasterize, particles.len());
@@ -56,7 +56,12 @@ impl<H: Fn(Stage, usize) + Sync> Method for Told<H> {
         Ok(count)
     }
 
-    fn contour(&self, count: usize, settings: &Settings, _outputs: &OutputOptions) -> Result<Surface, Cause> {
+    fn contour(
+        &self,
+        count: usize,
+        settings: &Settings,
+        _outputs: &OutputOptions,
+    ) -> Result<FrameSurface, Cause> {
         self.0(Stage::Contour, count);
         Ok(tetrahedron(count, settings))
     }

@@ -4,7 +4,7 @@
 
 use glam::{DVec3, IVec3};
 use meniscus::surface::particles::Particles;
-use meniscus::surface::rasterize::{Radii, Rasterized, Scene, rasterize};
+use meniscus::surface::rasterize::{Radii, RasterFields, Scene, rasterize};
 use meniscus::surface::smooth::{Integrator, smooth};
 use meniscus::surface::space::{INDEX_LIMIT, Lattice};
 
@@ -62,7 +62,7 @@ fn swept_distances_of_a_sphere_are_near() {
     let center = DVec3::new(0.4, 0.1, -0.3);
     let lattice = Lattice { voxel_size: 1.0 };
     let particle = Particles::Double(vec![center.to_array()]);
-    let Ok(Rasterized { band, .. }) =
+    let Ok(RasterFields { band, .. }) =
         rasterize(&particle, &Scene::open(lattice, Radii::of_balls(9.5, 10.0, 10.5)));
     let error = |(voxel, phi): (IVec3, f32)| {
         let exact = voxel.as_dvec3().distance(center) - 10.0;

@@ -8,21 +8,21 @@ use std::path::Path;
 use meniscus::surface::obstacle::Obstacles;
 use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::particles::Particles;
-use meniscus::surface::skin::{Limit, Plan, Surroundings, Unfit, plan, skin};
+use meniscus::surface::skin::{Limit, MemoryPlan, PlanInputs, Unfit, plan, skin};
 use tempfile::tempdir;
 
 use crate::scene::{Ran, block, meniscus, names_in, write_ply};
 
 /// The plan for these particles, and voxels of so many of their spacings, 0.1; with r_min at 0.87 spacings where the radii would
 /// be smaller.
-fn planned(particles: &[[f64; 3]], spacings: f64) -> Result<Plan, Unfit> {
+fn planned(particles: &[[f64; 3]], spacings: f64) -> Result<MemoryPlan, Unfit> {
     let voxel_size = 0.1 * spacings;
     let radius_min = (0.02..0.5).contains(&spacings).then_some(0.087);
     let radius_ratio = (spacings < 0.1).then_some(1.25);
     let choices =
         MethodOptions { radius_min: radius_min.map(Into::into), radius_ratio, ..MethodOptions::default() };
     let settings = Settings::paper(voxel_size, &choices).expect("settings");
-    let around = Surroundings { obstacles: &Obstacles::default(), attribute_bytes: 0.0 };
+    let around = PlanInputs { obstacles: &Obstacles::default(), attribute_bytes: 0.0 };
     let Ok(planned) = plan(&Particles::Double(particles.to_vec()), &settings, around, u64::MAX);
     planned
 }

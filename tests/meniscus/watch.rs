@@ -5,7 +5,7 @@ use std::path::Path;
 
 use meniscus::pipeline::FileStamp;
 use meniscus::watch::Watch;
-use meniscus::watch::journal::{FrameRecord, Journal, OutputRecord, Standing};
+use meniscus::watch::journal::{Journal, JournaledFrame, OutputRecord, Standing};
 use meniscus::watch::lock::OutputLock;
 use tempfile::tempdir;
 
@@ -116,7 +116,7 @@ fn numbers_have_ranges_that_are_told_and_held() {
 
 /// Writes to the journal in `out` that a frame is done, with `output`, or failed for a reason.
 fn note(out: &Path, frame: &Path, result: Result<&Path, &str>) {
-    let record = FrameRecord {
+    let record = JournaledFrame {
         standing: if result.is_ok() { Standing::Done } else { Standing::Failed },
         stamp: FileStamp::of_path(frame).expect("the frame is there"),
         hash: None,

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use glam::DVec3;
 use meniscus::surface::obstacle::{Obstacles, Solid};
-use meniscus::surface::options::{Measured, MethodOptions, Settings};
+use meniscus::surface::options::{MethodOptions, SequenceSpacing, Settings};
 use meniscus::surface::particles::{Cloud, Particles};
 use meniscus::surface::skin::skin_cloud;
 use meniscus_formats::{Limits, MeshData, ply};
@@ -76,7 +76,7 @@ fn settings_of(pairs: &[(String, String)], spacing: f64) -> Outcome<Settings> {
     }
     let choices = MethodOptions::from_pairs(texts.iter().map(|(name, value)| (*name, value.as_str())));
     let choices = choices.ok_or("a setting has an unknown name or an invalid value")?;
-    Ok(Settings::resolve(&choices, Some(Measured::from(spacing)))?)
+    Ok(Settings::resolve(&choices, Some(SequenceSpacing::from(spacing)))?)
 }
 
 /// The value of the line `comment seconds S` in the header.

@@ -23,8 +23,8 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use meniscus::surface::particles::Particles;
-use meniscus::surface::spacing::{Estimate, combine_estimates, estimate_spacing};
-use meniscus_formats::{ParticleFrame, Positions, ply};
+use meniscus::surface::spacing::{SpacingEstimate, combine_estimates, estimate_spacing};
+use meniscus_formats::{FilePositions, ParticleFrame, ply};
 use serde_json::{Map, Value, json};
 
 use crate::splashsurf::{Post, Splashsurf};
@@ -103,7 +103,8 @@ fn write_particles(folder: &PathBuf, set: &Set) -> Outcome<Map<String, Value>> {
     std::fs::create_dir_all(folder)?;
     for frame in &set.frames {
         let positions = frame.points.iter().map(|point| point.as_vec3().to_array()).collect();
-        let particles = ParticleFrame { positions: Positions::F32(positions), ..ParticleFrame::default() };
+        let particles =
+            ParticleFrame { positions: FilePositions::F32(positions), ..ParticleFrame::default() };
         let mut bytes = Vec::new();
         ply::write_particles(&particles, &[("spacing".into(), set.spacing.to_string())], &mut bytes)?;
         std::fs::write(folder.join(set.file_name(frame)), bytes)?;
@@ -120,7 +121,7 @@ fn estimated_spacing(set: &Set) -> Map<String, Value> {
         let points = set.frames[index].points.iter().map(|point| point.to_array()).collect();
         estimate_spacing(Particles::Double(points))
     };
-    let estimates: Vec<Estimate> = indices.into_iter().filter_map(estimate).collect();
+    let estimates: Vec<SpacingEstimate> = indices.into_iter().filter_map(estimate).collect();
     let found = combine_estimates(&estimates);
     map(json!({
         "spacing": found.map(|found| round(found.spacing / set.spacing)),

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use glam::DVec3;
-use meniscus::surface::flicker::{Carrier, FlickerFrame, MovingParticles, Summary, flicker};
+use meniscus::surface::flicker::{Carrier, Distribution, FlickerFrame, MovingParticles, flicker};
 use meniscus::surface::mesh::Mesh;
 use meniscus::surface::obstacle::{MeshDistance, Solid};
 use meniscus::surface::particles::Particles;
@@ -91,7 +91,7 @@ fn moving(maker: &Maker, set: &Set, seconds: f64, measures: &mut Measures) -> Ou
         [before, middle, after] => flicker([before, middle, after], carrier, set.spacing, POINTS).points,
         _ => Vec::new(),
     });
-    let score = Summary::of(points.map(|point| point.value));
+    let score = Distribution::of(points.map(|point| point.value));
     Ok(map(json!({
         "flicker": round(score.rms), "median": round(score.median), "most": round(score.percentile_99),
         "max": round(score.max),
@@ -129,7 +129,7 @@ fn pool(maker: &Maker, set: &Set, rays: &Rays, measures: &mut Measures) -> Outco
         before = Some(bumps_of_frame);
     }
     // A ray that misses the surface has no bump.
-    let rms = |values: &[f64]| Summary::of(values.iter().copied().filter(|value| value.is_finite())).rms;
+    let rms = |values: &[f64]| Distribution::of(values.iter().copied().filter(|value| value.is_finite())).rms;
     let level = level / set.frames.len() as f64;
     let [bumps, changes, level] =
         [rms(&bumps), rms(&changes), level].map(|length| round(length / set.spacing));

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use glam::{DVec3, IVec3};
 use meniscus::pipeline::particles;
-use meniscus_formats::{Attribute, Limits, Role, Values, read_particles};
+use meniscus_formats::{AttributeRole, FileAttribute, Limits, Values, read_particles};
 
 use super::heights::{Rays, Up};
 use crate::Outcome;
@@ -295,14 +295,15 @@ fn frame_in(path: &Path, number: usize) -> Outcome<Frame> {
     let bytes = fs::read(path).map_err(|error| format!("{}: {error}", path.display()))?;
     let read = read_particles(&bytes, &name, &Limits::default())?;
     let of_role = |role| read.attributes.iter().find(|attribute| attribute.role == Some(role));
-    let (ids, velocities) = (of_role(Role::Id).and_then(integers), of_role(Role::Velocity).and_then(vectors));
+    let (ids, velocities) =
+        (of_role(AttributeRole::Id).and_then(integers), of_role(AttributeRole::Velocity).and_then(vectors));
     let positions = particles(read.positions);
     let points = (0..positions.len()).map(|index| positions.position(index)).collect();
     Ok(Frame { number, points, motion: Motion { ids, velocities } })
 }
 
 /// The values of an integer attribute, as simulators write ids.
-fn integers(attribute: &Attribute) -> Option<Vec<i64>> {
+fn integers(attribute: &FileAttribute) -> Option<Vec<i64>> {
     match &attribute.values {
         Values::I32(numbers) => Some(numbers.iter().map(|&number| number.into()).collect()),
         Values::I64(numbers) => Some(numbers.clone()),
@@ -311,7 +312,7 @@ fn integers(attribute: &Attribute) -> Option<Vec<i64>> {
 }
 
 /// The values of a 3-vector attribute in single precision, as simulators write velocities.
-fn vectors(attribute: &Attribute) -> Option<Vec<[f32; 3]>> {
+fn vectors(attribute: &FileAttribute) -> Option<Vec<[f32; 3]>> {
     match &attribute.values {
         Values::F32(numbers) if attribute.arity == 3 => Some(numbers.as_chunks::<3>().0.to_vec()),
         _ => None,

@@ -2,11 +2,11 @@
 
 use super::{FORMAT, MAGIC, POSITION_WORDS, TRAILER, VERSION};
 use crate::bytes::{Cursor, Endian};
-use crate::{Error, Limits, Place, Result};
+use crate::{Error, Limits, Position, Result};
 
 /// Everything before the first point.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Header {
+pub struct BgeoHeader {
     /// Number of points, each of which is read as a particle.
     pub point_count: usize,
     /// Number of primitives, which are not read. A particle system is a primitive.
@@ -23,7 +23,7 @@ pub struct Header {
     pub expected_bytes_is_exact: bool,
 }
 
-impl Header {
+impl BgeoHeader {
     /// Offset of the end of the points in a complete file, in bytes.
     pub(crate) fn points_end(&self) -> u64 {
         self.points_offset as u64 + self.points_bytes()
@@ -65,15 +65,15 @@ pub enum AttributeKind {
 ///
 /// [`Error::Unsupported`] for another version or an unsupported attribute type, [`Error::Short`] if the
 /// header ends too early, [`Error::Invalid`] if it is inconsistent.
-pub fn header(bytes: &[u8]) -> Result<Header> {
+pub fn header(bytes: &[u8]) -> Result<BgeoHeader> {
     header_within(bytes, &Limits::default())
 }
 
 /// [`header`], with limits.
-pub(crate) fn header_within(bytes: &[u8], limits: &Limits) -> Result<Header> {
+pub(crate) fn header_within(bytes: &[u8], limits: &Limits) -> Result<BgeoHeader> {
     let mut cursor = Cursor::new(FORMAT, Endian::Big, bytes, 0);
     if cursor.take(MAGIC.len(), "the signature")? != MAGIC {
-        return Err(Error::invalid(FORMAT, Place::Offset(0), "expected the signature BgeoV"));
+        return Err(Error::invalid(FORMAT, Position::Offset(0), "expected the signature BgeoV"));
     }
     let version = i32::from_le_bytes(cursor.array("the version")?);
     if version != VERSION {
@@ -108,7 +108,7 @@ pub(crate) fn header_within(bytes: &[u8], limits: &Limits) -> Result<Header> {
         primitive_attribute_count,
         detail_attribute_count,
     ];
-    Ok(Header {
+    Ok(BgeoHeader {
         point_count,
         primitive_count,
         attributes,
@@ -154,7 +154,7 @@ fn dictionary_entry(cursor: &mut Cursor) -> Result<AttributeHeader> {
                 "expected the type of the point attribute {name:?} to be 0 (float), 1 (int), \
                  4 (strings) or 5 (vector), found {kind}"
             );
-            return Err(Error::invalid(FORMAT, Place::Offset(type_offset), what));
+            return Err(Error::invalid(FORMAT, Position::Offset(type_offset), what));
         }
     };
     if !matches!(kind, AttributeKind::Strings(_)) {
@@ -185,7 +185,7 @@ fn count(cursor: &mut Cursor, things: &str) -> Result<usize> {
     let count = i32::from_le_bytes(cursor.array(things)?);
     usize::try_from(count).map_err(|_| {
         let what = format!("expected the number of {things}, found {count}");
-        Error::invalid(FORMAT, Place::Offset(offset), what)
+        Error::invalid(FORMAT, Position::Offset(offset), what)
     })
 }
 

@@ -27,7 +27,7 @@ mod read;
 mod text;
 mod write;
 
-pub use header::{AttributeHeader, AttributeKind, Header, header};
+pub use header::{AttributeHeader, AttributeKind, BgeoHeader, header};
 pub use read::read;
 pub use text::read_text;
 pub use write::write;

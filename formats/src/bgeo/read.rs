@@ -5,12 +5,14 @@
 
 use std::sync::Arc;
 
-use super::header::{AttributeHeader, AttributeKind, Header, header_within};
+use super::header::{AttributeHeader, AttributeKind, BgeoHeader, header_within};
 use super::{FORMAT, POSITION_WORDS, TRAILER};
 
 use crate::columns::{radius_scale, roles_of};
 use crate::records::Records;
-use crate::{Attribute, Error, Limits, ParticleFrame, Place, Positions, Result, Role, Values};
+use crate::{
+    AttributeRole, Error, FileAttribute, FilePositions, Limits, ParticleFrame, Position, Result, Values,
+};
 
 /// Bytes per block of records, from which all attributes are gathered: less than a first-level cache, so that
 /// only the first attribute waits for memory.
@@ -34,7 +36,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
         clear_strings_outside(column, attribute, &mut notes);
     }
     let attributes = attributes(header.attributes, columns);
-    Ok(ParticleFrame { positions: Positions::F32(positions), attributes, notes })
+    Ok(ParticleFrame { positions: FilePositions::F32(positions), attributes, notes })
 }
 
 /// Locates the points of a file of `file_bytes`, so that they can be read in batches. `rest` is the data
@@ -43,7 +45,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 /// # Errors
 ///
 /// Those of [`read`], after the header.
-pub(super) fn records(header: &Header, file_bytes: u64, rest: &[u8]) -> Result<Records> {
+pub(super) fn records(header: &BgeoHeader, file_bytes: u64, rest: &[u8]) -> Result<Records> {
     checked_points_bytes(header, file_bytes)?;
     Ok(Records {
         format: FORMAT,
@@ -56,15 +58,15 @@ pub(super) fn records(header: &Header, file_bytes: u64, rest: &[u8]) -> Result<R
     })
 }
 
-fn velocity_name(header: &Header) -> Option<String> {
+fn velocity_name(header: &BgeoHeader) -> Option<String> {
     let named: Vec<(&str, usize)> =
         header.attributes.iter().map(|attribute| (attribute.name.as_str(), attribute.arity)).collect();
-    let place = roles_of(&named).iter().position(|role| *role == Some(Role::Velocity))?;
+    let place = roles_of(&named).iter().position(|role| *role == Some(AttributeRole::Velocity))?;
     Some(header.attributes[place].name.clone())
 }
 
 /// Size of all points in bytes, after checking that the file has them.
-fn checked_points_bytes(header: &Header, file_bytes: u64) -> Result<usize> {
+fn checked_points_bytes(header: &BgeoHeader, file_bytes: u64) -> Result<usize> {
     let remaining = file_bytes.saturating_sub(header.points_offset as u64);
     let points_bytes = header.points_bytes();
     usize::try_from(points_bytes).ok().filter(|_| points_bytes <= remaining).ok_or_else(|| {
@@ -72,11 +74,11 @@ fn checked_points_bytes(header: &Header, file_bytes: u64) -> Result<usize> {
             "expected {} points of {} bytes each, {points_bytes} bytes in all, but {remaining} remain",
             header.point_count, header.record_bytes,
         );
-        Error::short(FORMAT, Place::Offset(header.points_offset as u64), what)
+        Error::short(FORMAT, Position::Offset(header.points_offset as u64), what)
     })
 }
 
-fn notes(header: &Header, rest: &[u8]) -> Vec<String> {
+fn notes(header: &BgeoHeader, rest: &[u8]) -> Vec<String> {
     let mut notes = Vec::new();
     if header.expected_bytes_is_exact && rest != TRAILER {
         notes.push("the end of the file is invalid, but all points are complete".into());
@@ -93,7 +95,7 @@ enum WordColumn {
     Integers(Vec<i32>),
 }
 
-fn gather(records: &[u8], header: &Header) -> (Vec<[f32; 3]>, Vec<WordColumn>) {
+fn gather(records: &[u8], header: &BgeoHeader) -> (Vec<[f32; 3]>, Vec<WordColumn>) {
     let stride = header.record_bytes;
     let mut positions = Vec::with_capacity(header.point_count);
     let mut columns: Vec<WordColumn> = header
@@ -129,14 +131,14 @@ fn gather(records: &[u8], header: &Header) -> (Vec<[f32; 3]>, Vec<WordColumn>) {
 }
 
 /// Reads the positions of a batch of records.
-fn gather_batch(records: &[u8], stride: usize, positions: &mut Positions) {
+fn gather_batch(records: &[u8], stride: usize, positions: &mut FilePositions) {
     let mut gathered = match std::mem::take(positions) {
-        Positions::F32(gathered) => gathered,
-        Positions::F64(_) => Vec::new(),
+        FilePositions::F32(gathered) => gathered,
+        FilePositions::F64(_) => Vec::new(),
     };
     gathered.clear();
     gather_positions(records, stride, &mut gathered);
-    *positions = Positions::F32(gathered);
+    *positions = FilePositions::F32(gathered);
 }
 
 fn gather_positions(block: &[u8], stride: usize, positions: &mut Vec<[f32; 3]>) {
@@ -198,7 +200,7 @@ fn clear_strings_outside(column: &mut WordColumn, attribute: &AttributeHeader, n
     }
 }
 
-fn attributes(headers: Vec<AttributeHeader>, columns: Vec<WordColumn>) -> Vec<Attribute> {
+fn attributes(headers: Vec<AttributeHeader>, columns: Vec<WordColumn>) -> Vec<FileAttribute> {
     let named: Vec<(&str, usize)> =
         headers.iter().map(|header| (header.name.as_str(), header.arity)).collect();
     let roles = roles_of(&named);
@@ -210,14 +212,14 @@ fn attributes(headers: Vec<AttributeHeader>, columns: Vec<WordColumn>) -> Vec<At
         let (values, role) = match (header.kind, column) {
             (AttributeKind::Strings(table), WordColumn::Integers(indices)) => {
                 // A phase can be identified by strings; a velocity or a number cannot.
-                (Values::Strings { table, indices }, role.filter(|&role| role == Role::Kind))
+                (Values::Strings { table, indices }, role.filter(|&role| role == AttributeRole::Kind))
             }
             (_, WordColumn::Integers(values)) => (Values::I32(values), role),
             (_, WordColumn::Reals(values)) => (Values::F32(values), role),
         };
         let (name, arity) = (header.name, header.arity);
-        let mut attribute = Attribute { name, arity, role, values };
-        if role == Some(Role::Radius) {
+        let mut attribute = FileAttribute { name, arity, role, values };
+        if role == Some(AttributeRole::Radius) {
             attribute.scale(radius_scale(&attribute.name));
         }
         attributes.push(attribute);

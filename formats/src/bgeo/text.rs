@@ -16,7 +16,7 @@ use crate::excerpt::excerpt;
 use crate::named_arrays::{NamedArray, frame_of};
 use crate::number::divided;
 use crate::text::line_number;
-use crate::{Error, Limits, ParticleFrame, Place, Positions, Result, Values};
+use crate::{Error, FilePositions, Limits, ParticleFrame, Position, Result, Values};
 
 /// The format's name in errors.
 const FORMAT: &str = "classic Houdini GEO (text)";
@@ -62,7 +62,7 @@ pub fn read_text(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let positions = points(&mut words, point_count, &mut columns)?;
     let arrays = columns.into_iter().map(TextColumn::into_array).collect();
     // With positions given, a frame is always returned.
-    Ok(frame_of(Some(Positions::F32(positions)), arrays).unwrap_or_default())
+    Ok(frame_of(Some(FilePositions::F32(positions)), arrays).unwrap_or_default())
 }
 
 /// The counts, in file order.
@@ -215,18 +215,18 @@ impl<'a> WordReader<'a> {
     }
 
     fn invalid(&self, what: String) -> Error {
-        Error::invalid(FORMAT, Place::Line(line_number(self.bytes, self.at.saturating_sub(1))), what)
+        Error::invalid(FORMAT, Position::Line(line_number(self.bytes, self.at.saturating_sub(1))), what)
     }
 
     fn short(&self, what: String) -> Error {
-        Error::short(FORMAT, Place::Line(line_number(self.bytes, self.at.saturating_sub(1))), what)
+        Error::short(FORMAT, Position::Line(line_number(self.bytes, self.at.saturating_sub(1))), what)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Attribute, Role};
+    use crate::{AttributeRole, FileAttribute};
 
     const TEXT: &str = "PGEOMETRY V5\nNPoints 2 NPrims 1\nNPointGroups 0 NPrimGroups 0\nNPointAttrib 3 NVertexAttrib 0 \
          NPrimAttrib 1 NAttrib 0\nPointAttrib\n\nlife 2 float 0 0\nid 1 int 0\npart 1 index 2 \"a b\" c\n0 0.1 0.2 1 (-1.2 10\t0\t1)\n\
@@ -235,13 +235,13 @@ mod tests {
     #[test]
     fn text_points_are_read() {
         let frame = read_text(TEXT.as_bytes(), &Limits::default()).unwrap();
-        assert_eq!(frame.positions, Positions::F32(vec![[0.0, 0.1, 0.2], [1.0, 2.0, 3.0]]));
+        assert_eq!(frame.positions, FilePositions::F32(vec![[0.0, 0.1, 0.2], [1.0, 2.0, 3.0]]));
         let attribute =
-            |name: &str, arity, role, values| Attribute { name: name.into(), arity, role, values };
+            |name: &str, arity, role, values| FileAttribute { name: name.into(), arity, role, values };
         let table = vec!["a b".into(), "c".into()];
         let expected = [
             attribute("life", 2, None, Values::F32(vec![-1.2, 10.0, -0.2, 10.0])),
-            attribute("id", 1, Some(Role::Id), Values::I32(vec![0, 1])),
+            attribute("id", 1, Some(AttributeRole::Id), Values::I32(vec![0, 1])),
             attribute("part", 1, None, Values::Strings { table, indices: vec![1, 0] }),
         ];
         assert_eq!(frame.attributes, expected);

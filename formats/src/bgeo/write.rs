@@ -1,7 +1,7 @@
 //! Writes particles as a classic BGEO file, uncompressed and without primitives.
 
 use super::{FORMAT, MAGIC, TRAILER, VERSION, narrow};
-use crate::{Attribute, Error, ParticleFrame, Place, Positions, Result, Role, Values};
+use crate::{AttributeRole, Error, FileAttribute, FilePositions, ParticleFrame, Position, Result, Values};
 use std::io::Write;
 
 /// Writes `frame` in the format's narrower types: 64-bit floats become 32-bit ones, and bytes become 32-bit
@@ -41,7 +41,7 @@ pub fn write(frame: &ParticleFrame, out: &mut impl Write) -> Result<()> {
 }
 
 /// Fails if the file would be invalid.
-fn check(attribute: &Attribute, point_count: usize) -> Result<()> {
+fn check(attribute: &FileAttribute, point_count: usize) -> Result<()> {
     let (name, arity) = (&attribute.name, attribute.arity);
     let value_count = match &attribute.values {
         Values::F32(values) => values.len(),
@@ -55,7 +55,7 @@ fn check(attribute: &Attribute, point_count: usize) -> Result<()> {
         let what = format!(
             "the attribute {name:?} has {value_count} values, expected {arity} for each of {point_count} points"
         );
-        return Err(Error::invalid(FORMAT, Place::File, what));
+        return Err(Error::invalid(FORMAT, Position::File, what));
     }
     if u16::try_from(arity).is_err() {
         let what =
@@ -72,8 +72,8 @@ fn check(attribute: &Attribute, point_count: usize) -> Result<()> {
     Ok(())
 }
 
-fn write_dictionary_entry(attribute: &Attribute, out: &mut impl Write) -> Result<()> {
-    let turns_with_object = matches!(attribute.role, Some(Role::Velocity | Role::Normal));
+fn write_dictionary_entry(attribute: &FileAttribute, out: &mut impl Write) -> Result<()> {
+    let turns_with_object = matches!(attribute.role, Some(AttributeRole::Velocity | AttributeRole::Normal));
     let kind: i32 = match attribute.values {
         Values::F32(_) | Values::F64(_) if turns_with_object => 5,
         Values::F32(_) | Values::F64(_) => 0,
@@ -116,17 +116,17 @@ fn count_i32(count: usize, things: &str) -> Result<i32> {
     })
 }
 
-fn encode_position(positions: &Positions, point: usize, record: &mut Vec<u8>) {
+fn encode_position(positions: &FilePositions, point: usize, record: &mut Vec<u8>) {
     let [x, y, z] = match positions {
-        Positions::F32(positions) => positions[point],
-        Positions::F64(positions) => positions[point].map(narrow),
+        FilePositions::F32(positions) => positions[point],
+        FilePositions::F64(positions) => positions[point].map(narrow),
     };
     for coordinate in [x, y, z, 1.0] {
         record.extend(coordinate.to_be_bytes());
     }
 }
 
-fn encode_values(attribute: &Attribute, point: usize, record: &mut Vec<u8>) {
+fn encode_values(attribute: &FileAttribute, point: usize, record: &mut Vec<u8>) {
     let range = point * attribute.arity..(point + 1) * attribute.arity;
     match &attribute.values {
         Values::F32(values) => record.extend(values[range].iter().flat_map(|value| value.to_be_bytes())),

@@ -4,7 +4,7 @@ use super::column::{Column, ColumnValues};
 use super::layout::{self, TableLayout};
 use super::rows::Table;
 use crate::columns::{self, Group};
-use crate::{Attribute, ParticleFrame, Positions, Role, Values};
+use crate::{AttributeRole, FileAttribute, FilePositions, ParticleFrame, Values};
 
 /// Groups the columns by their names.
 pub(super) fn frame(layout: TableLayout, mut table: Table) -> ParticleFrame {
@@ -32,7 +32,7 @@ pub(super) fn frame(layout: TableLayout, mut table: Table) -> ParticleFrame {
         } else {
             let values = numbers(&group, &mut table.columns, table.row_count);
             let name = without_unit(&group.name);
-            attributes.push(Attribute { name, arity: group.arity(), role: group.role, values });
+            attributes.push(FileAttribute { name, arity: group.arity(), role: group.role, values });
         }
     }
     for (name, column) in layout.names.iter().zip(&table.columns) {
@@ -43,20 +43,20 @@ pub(super) fn frame(layout: TableLayout, mut table: Table) -> ParticleFrame {
     ParticleFrame { positions, attributes, notes }
 }
 
-fn positions(columns: &mut [Column], position: [usize; 3], row_count: usize) -> Positions {
+fn positions(columns: &mut [Column], position: [usize; 3], row_count: usize) -> FilePositions {
     let [x, y, z] = position.map(|index| take_reals(&mut columns[index]));
-    Positions::F64((0..row_count).map(|row| [x[row], y[row], z[row]]).collect())
+    FilePositions::F64((0..row_count).map(|row| [x[row], y[row], z[row]]).collect())
 }
 
 /// Makes a separate attribute of each text column, because their tables differ.
-fn take_texts(group: &Group, names: &[String], columns: &mut [Column], attributes: &mut Vec<Attribute>) {
+fn take_texts(group: &Group, names: &[String], columns: &mut [Column], attributes: &mut Vec<FileAttribute>) {
     for &index in &group.columns {
         let empty = ColumnValues::Reals(Vec::new());
         if let ColumnValues::Texts(texts) = std::mem::replace(&mut columns[index].values, empty) {
             let values = Values::Strings { table: texts.table, indices: texts.indices };
             // A phase can be identified by strings; a velocity or a number cannot.
-            let role = group.role.filter(|&role| role == Role::Kind);
-            attributes.push(Attribute { name: without_unit(&names[index]), arity: 1, role, values });
+            let role = group.role.filter(|&role| role == AttributeRole::Kind);
+            attributes.push(FileAttribute { name: without_unit(&names[index]), arity: 1, role, values });
         }
     }
 }
@@ -67,13 +67,19 @@ fn numbers(group: &Group, columns: &mut [Column], row_count: usize) -> Values {
         let all = |low: i64, high: i64| range.is_none_or(|(min, max)| low <= min && max <= high);
         // A colour with only 0 and 1 consists of floats printed without decimals.
         let are_reals = match group.role {
-            Some(Role::Velocity | Role::Normal | Role::Radius | Role::Density | Role::Mass) => true,
-            Some(Role::Color) => all(0, 1),
-            Some(Role::Id | Role::Kind) | None => false,
+            Some(
+                AttributeRole::Velocity
+                | AttributeRole::Normal
+                | AttributeRole::Radius
+                | AttributeRole::Density
+                | AttributeRole::Mass,
+            ) => true,
+            Some(AttributeRole::Color) => all(0, 1),
+            Some(AttributeRole::Id | AttributeRole::Kind) | None => false,
         };
         if !are_reals {
             let integers = interleaved(group, row_count, |index| take_integers(&mut columns[index]));
-            return if group.role == Some(Role::Color) && all(0, u8::MAX.into()) {
+            return if group.role == Some(AttributeRole::Color) && all(0, u8::MAX.into()) {
                 Values::U8(integers.into_iter().filter_map(|value| u8::try_from(value).ok()).collect())
             } else if all(i32::MIN.into(), i32::MAX.into()) {
                 Values::I32(integers.into_iter().filter_map(|value| i32::try_from(value).ok()).collect())

@@ -7,7 +7,7 @@ use super::cell::{
 use crate::columns::{self, Columns};
 use crate::excerpt::excerpts;
 use crate::scalar::Scalar;
-use crate::{Error, Limits, Place, Result};
+use crate::{Error, Limits, Position, Result};
 
 /// The layout of the rows.
 #[derive(Clone, Debug)]
@@ -176,13 +176,13 @@ impl<'a> TableHead<'a> {
         Err(match self.text_first {
             Some(text) => {
                 let what = format!("{expected}, found {}", shown(text.text));
-                let place = Place::Line(text.number);
+                let place = Position::Line(text.number);
                 match bytes.ends_with(b"\n") || bytes.ends_with(b"\r") {
                     true => Error::invalid(FORMAT, place, what),
                     false => Error::short(FORMAT, place, what), // the line may be truncated
                 }
             }
-            None => Error::short(FORMAT, Place::File, format!("{expected}, found only comments")),
+            None => Error::short(FORMAT, Position::File, format!("{expected}, found only comments")),
         })
     }
 
@@ -312,7 +312,7 @@ fn check_column_count(count: usize, limits: &Limits) -> Result<()> {
 fn no_position(header: HeadLine, delimiter: Delimiter) -> Error {
     let names = excerpts(cells(header.text, delimiter).map(unquoted));
     let what = format!("expected a header with position columns, such as x,y,z; found {names}");
-    Error::invalid(FORMAT, Place::Line(header.number), what)
+    Error::invalid(FORMAT, Position::Line(header.number), what)
 }
 
 /// The error for numbers with decimal commas, as in French and German.

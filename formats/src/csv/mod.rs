@@ -31,7 +31,7 @@ mod rows;
 pub(crate) use layout::{looks_like_particles, names_position};
 
 use crate::row::{FormatRow, ParticleInput};
-use crate::{Error, Limits, ParticleFrame, Place, Result};
+use crate::{Error, Limits, ParticleFrame, Position, Result};
 
 /// The format's name in errors.
 const FORMAT: &str = "delimited text";
@@ -46,7 +46,7 @@ const FORMAT: &str = "delimited text";
 /// `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     if bytes.is_empty() {
-        return Err(Error::short(FORMAT, Place::File, "expected text, found an empty file"));
+        return Err(Error::short(FORMAT, Position::File, "expected text, found an empty file"));
     }
     refuse_binary(bytes)?;
     let layout = layout::layout(bytes, limits)?;
@@ -99,7 +99,7 @@ pub(crate) fn read_rows(bytes: &[u8], rows: CountedRows, limits: &Limits) -> Res
     let found = table.row_count as u64 + table.dropped_row_count;
     if found != count {
         let what = format!("expected {count} rows, found {found} and other lines");
-        return Err(Error::invalid(FORMAT, Place::Line(line), what));
+        return Err(Error::invalid(FORMAT, Position::Line(line), what));
     }
     Ok(Some(frame::frame(layout, table)))
 }
@@ -115,7 +115,7 @@ fn refuse_binary(bytes: &[u8]) -> Result<()> {
     match sample.iter().position(is_control) {
         Some(offset) => {
             let what = format!("expected text, found the byte 0x{:02x}: this is binary data", sample[offset]);
-            Err(Error::invalid(FORMAT, Place::Offset(offset as u64), what))
+            Err(Error::invalid(FORMAT, Position::Offset(offset as u64), what))
         }
         None => Ok(()),
     }

@@ -9,7 +9,7 @@ use super::FORMAT;
 use super::cell::{CellValue, Delimiter, cells, has_decimal_comma, meaning, quoted_length, shown, unquoted};
 use super::column::{Column, ColumnValues};
 use super::layout::{TableLayout, comment, decimal_commas};
-use crate::{Error, Limits, Place, Result};
+use crate::{Error, Limits, Position, Result};
 
 /// All columns, in file order.
 #[derive(Debug)]
@@ -251,7 +251,7 @@ impl<'a> RowReader<'a> {
 
     /// An error at the current position. A line without a line end at the end of the file may be truncated.
     fn wrong(&self, what: String) -> Error {
-        let place = Place::Line(self.line);
+        let place = Position::Line(self.line);
         match self.at + self.line_text().len() < self.bytes.len() {
             true => Error::invalid(FORMAT, place, what),
             false => Error::short(

@@ -9,7 +9,7 @@ use ::gltf::buffer::{Buffer, View};
 use ::gltf::{Accessor, Semantic};
 
 use super::FORMAT;
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 
 /// The bytes of the document's buffers. Several buffers can share a file.
 pub(super) struct Buffers {
@@ -159,5 +159,5 @@ fn beyond(count: usize) -> Error {
 }
 
 pub(super) fn invalid(what: impl Into<String>) -> Error {
-    Error::invalid(FORMAT, Place::File, what)
+    Error::invalid(FORMAT, Position::File, what)
 }

@@ -7,12 +7,12 @@ use serde_json::{Map, Value};
 
 use super::buffer::invalid;
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, component};
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::mesh_options::UpAxis;
 
 /// A frame of a sequence.
 #[derive(Clone, Debug)]
-pub struct FrameFile {
+pub struct SequenceFrame {
     /// The document, which is small compared to the data.
     pub(crate) document: Value,
     /// Offset and size of the data in the file.
@@ -44,14 +44,14 @@ pub(crate) struct FramePlace {
     pub(crate) scale: f64,
 }
 
-impl FrameFile {
+impl SequenceFrame {
     /// Reads the document of a frame, and checks that the file is complete and was written by this program.
     ///
     /// # Errors
     ///
     /// [`Error::Io`] if reading fails; [`Error::Short`] if the file is truncated; [`Error::Unsupported`] if
     /// another program wrote the file, or if it is already a sequence; [`Error::Invalid`] if it is damaged.
-    pub fn read(file: &mut (impl Read + Seek)) -> Result<FrameFile> {
+    pub fn read(file: &mut (impl Read + Seek)) -> Result<SequenceFrame> {
         let file_bytes = file.seek(SeekFrom::End(0))?;
         file.seek(SeekFrom::Start(0))?;
         let mut head = [0; 20];
@@ -62,15 +62,15 @@ impl FrameFile {
             return Err(Error::unsupported("", NO_GLB));
         }
         if head_bytes < head.len() {
-            return Err(Error::short(FORMAT, Place::File, "expected a GLB header"));
+            return Err(Error::short(FORMAT, Position::File, "expected a GLB header"));
         }
         let word = |at: usize| u32::from_le_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]);
         if head[16..] != CHUNK_JSON {
-            return Err(Error::invalid(FORMAT, Place::Offset(0), "expected a GLB header"));
+            return Err(Error::invalid(FORMAT, Position::Offset(0), "expected a GLB header"));
         }
         if u64::from(word(8)) != file_bytes {
             let what = format!("the file has {file_bytes} bytes, but its header declares {}", word(8));
-            return Err(Error::short(FORMAT, Place::File, what));
+            return Err(Error::short(FORMAT, Position::File, what));
         }
         let json_bytes = u64::from(word(12));
         if json_bytes > JSON_BYTES_MAX.min(file_bytes) {
@@ -92,7 +92,7 @@ impl FrameFile {
                 (at, length)
             }
         };
-        let frame = FrameFile { document, bin_at, bin_bytes };
+        let frame = SequenceFrame { document, bin_at, bin_bytes };
         frame.check()?;
         Ok(frame)
     }
@@ -298,7 +298,7 @@ impl FrameFile {
         match bytes.len() as u64 == byte_count {
             true => Ok(bytes),
             false => {
-                Err(Error::short(FORMAT, Place::File, "the file became shorter while it was being read"))
+                Err(Error::short(FORMAT, Position::File, "the file became shorter while it was being read"))
             }
         }
     }

@@ -18,7 +18,7 @@ use crate::error::{Error, Result};
 use crate::limits::Limits;
 use crate::mesh_options::WriteOption;
 use crate::row::Integrity;
-use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow, Rounding};
+use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow, PositionRounding};
 
 mod buffer;
 mod external;
@@ -35,7 +35,7 @@ mod write;
 pub use crate::mesh_options::UpAxis;
 pub use crate::row::Beside;
 pub use external::{FileBeside, files_beside};
-pub use frame_file::FrameFile;
+pub use frame_file::SequenceFrame;
 pub use quantized::{quantization_error, quantized_positions};
 pub use read::{read_mesh, read_mesh_with};
 pub use read_attributes::read_attributes;
@@ -103,7 +103,7 @@ pub(crate) static GLTF: OutputRow = OutputRow {
     integrity: Integrity::Json,
 };
 
-static QUANTIZED: Rounding = Rounding {
+static QUANTIZED: PositionRounding = PositionRounding {
     positions: |positions, _| quantized_positions(positions),
     error: |positions, _| quantization_error(positions),
     certified_as: "mesh, at its 16-bit positions",

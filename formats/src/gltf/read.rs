@@ -20,7 +20,7 @@ use super::buffer::{Buffers, invalid};
 use super::external::{ReadBeside, is_data};
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION};
 use crate::data::MeshData;
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 
 /// Reads all triangles of the default scene (or of the first scene, or of all meshes if there is no scene) as
@@ -119,7 +119,7 @@ fn with_nodes_in_scenes(json: &[u8]) -> Option<json::Root> {
 
 pub(super) fn parse<'a, T: Deserialize<'a>>(json: &'a [u8]) -> Result<T> {
     serde_json::from_slice(json)
-        .map_err(|error| Error::invalid(FORMAT, Place::Line(error.line() as u64), error.to_string()))
+        .map_err(|error| Error::invalid(FORMAT, Position::Line(error.line() as u64), error.to_string()))
 }
 
 /// The bytes in a data URI.
@@ -130,7 +130,7 @@ fn embedded(uri: &str) -> Result<Vec<u8>> {
 
 /// The JSON chunk and, if present, the binary chunk.
 pub(super) fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>)> {
-    let error = |offset: u64, what: &str| Err(Error::invalid(FORMAT, Place::Offset(offset), what));
+    let error = |offset: u64, what: &str| Err(Error::invalid(FORMAT, Position::Offset(offset), what));
     if !bytes.starts_with(&GLB_MAGIC) {
         return Ok((bytes, None));
     }
@@ -171,11 +171,11 @@ pub(super) fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>)> {
 #[derive(Deserialize)]
 pub(super) struct NodeTransforms {
     #[serde(default)]
-    nodes: Vec<Node>,
+    nodes: Vec<ReadNode>,
 }
 
 #[derive(Deserialize)]
-struct Node {
+struct ReadNode {
     matrix: Option<[f64; 16]>,
     translation: Option<[f64; 3]>,
     rotation: Option<[f64; 4]>,
@@ -265,7 +265,7 @@ fn cross([ax, ay, az]: [f64; 3], [bx, by, bz]: [f64; 3]) -> [f64; 3] {
     [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]
 }
 
-impl Node {
+impl ReadNode {
     fn placement(&self) -> NodeTransform {
         if let Some(m) = self.matrix {
             let column = |c: usize| [m[4 * c], m[4 * c + 1], m[4 * c + 2]];

@@ -4,7 +4,7 @@ use ::gltf::Semantic;
 
 use super::buffer::Buffers;
 use super::read::{OpenDocument, open};
-use crate::data::{Attribute, Role, Values};
+use crate::data::{AttributeRole, FileAttribute, Values};
 use crate::error::{Error, Result};
 use crate::limits::Limits;
 
@@ -16,9 +16,9 @@ use super::FORMAT;
 /// # Errors
 ///
 /// Those of [`super::read_mesh`].
-pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<Attribute>> {
+pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<FileAttribute>> {
     let OpenDocument { document, buffers, mut budget, .. } = open(bytes, limits, None)?;
-    let mut found: Vec<Attribute> = Vec::new();
+    let mut found: Vec<FileAttribute> = Vec::new();
     for (semantic, accessor) in document.meshes().flat_map(|mesh| {
         mesh.primitives().flat_map(|primitive| primitive.attributes().collect::<Vec<_>>()).collect::<Vec<_>>()
     }) {
@@ -32,11 +32,11 @@ pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<Attribute>> 
             left.ok_or_else(|| Error::too_large(FORMAT, "the attributes take more memory than the limit"))?;
         let values = values_of(&buffers, &accessor)?;
         let name = semantic.to_string();
-        let is_it = |other: &&mut Attribute| other.name == name && other.arity == arity;
+        let is_it = |other: &&mut FileAttribute| other.name == name && other.arity == arity;
         match found.iter_mut().find(is_it).map(|other| (&mut other.values, &values)) {
             Some((Values::F32(all), Values::F32(more))) => all.extend_from_slice(more),
             Some((Values::I64(all), Values::I64(more))) => all.extend_from_slice(more),
-            _ => found.push(Attribute { role: role_of(&name, arity), name, arity, values }),
+            _ => found.push(FileAttribute { role: role_of(&name, arity), name, arity, values }),
         }
     }
     Ok(found)
@@ -48,10 +48,10 @@ const ARITY_MAX: usize = 4;
 /// Maximum memory per value, in bytes.
 const VALUE_BYTES: u64 = 8;
 
-fn role_of(name: &str, arity: usize) -> Option<Role> {
+fn role_of(name: &str, arity: usize) -> Option<AttributeRole> {
     match (name, arity) {
-        ("COLOR_0", 3 | 4) => Some(Role::Color),
-        ("_VELOCITY", 3) => Some(Role::Velocity),
+        ("COLOR_0", 3 | 4) => Some(AttributeRole::Color),
+        ("_VELOCITY", 3) => Some(AttributeRole::Velocity),
         _ => None,
     }
 }

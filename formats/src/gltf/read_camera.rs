@@ -6,7 +6,7 @@ use serde::de::IgnoredAny;
 
 use super::FORMAT;
 use super::read::{chunks, document, parse, placed};
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 
 /// A perspective camera. The directions are not normalized.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,7 +43,7 @@ pub fn read_camera(bytes: &[u8]) -> Result<CameraData> {
         return Err(Error::unsupported(FORMAT, "the file has no camera: export it with the scene"));
     };
     if !cameras_of.iter().all(CameraEntry::has_its_kind) {
-        return Err(Error::invalid(FORMAT, Place::File, "a camera lacks the parameters of its type"));
+        return Err(Error::invalid(FORMAT, Position::File, "a camera lacks the parameters of its type"));
     }
     let Projection::Perspective(perspective) = camera.projection() else {
         return Err(Error::unsupported(FORMAT, "the camera is orthographic: use a perspective camera"));

@@ -26,7 +26,7 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 use serde_json::{Map, Value, json};
 
 use super::buffer::invalid;
-use super::frame_file::FrameFile;
+use super::frame_file::SequenceFrame;
 use super::read::{chunks, parse};
 use super::read_provenance::read_provenance;
 use super::write::{glb_bytes, write_chunk_head};
@@ -88,7 +88,7 @@ pub struct ShotFrame {
     /// The frame number. The first frame is visible at rest; a frame is shown until the next existing one.
     pub code: u64,
     /// Its file.
-    pub file: FrameFile,
+    pub file: SequenceFrame,
 }
 
 /// Writes a sequence of frames, whose numbers must increase. `open` opens the file of a frame, by its index.

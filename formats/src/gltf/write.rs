@@ -14,7 +14,7 @@ use super::quantized::{Cube, EXTENSION, write_normals};
 use super::vertex_data::{GltfAttribute, placed};
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component};
 use crate::data::{MeshView, Provenance};
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::le_bytes::{write_f32s, write_u16s, write_u32s};
 use crate::mesh_options::{MeshOptions, UpAxis};
 use crate::provenance::GENERATOR;
@@ -117,7 +117,7 @@ pub(super) fn write_chunk_head(byte_count: u64, kind: [u8; 4], out: &mut impl Wr
 }
 
 fn to_json(document: &Document) -> Result<Vec<u8>> {
-    serde_json::to_vec(document).map_err(|error| Error::invalid(FORMAT, Place::File, error.to_string()))
+    serde_json::to_vec(document).map_err(|error| Error::invalid(FORMAT, Position::File, error.to_string()))
 }
 
 /// The parts of the buffer: positions, normals, attributes, indices.
@@ -222,11 +222,11 @@ struct Document<'a> {
     #[serde(skip_serializing_if = "<[&str]>::is_empty")]
     extensions_required: &'static [&'static str],
     scene: usize,
-    scenes: [Scene<'a>; 1],
+    scenes: [GltfScene<'a>; 1],
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    nodes: Vec<Node<'a>>,
+    nodes: Vec<WrittenNode<'a>>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    meshes: Vec<Mesh<'a>>,
+    meshes: Vec<GltfMesh<'a>>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     accessors: Vec<Accessor>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -244,14 +244,14 @@ struct Asset<'a> {
 }
 
 #[derive(Serialize)]
-struct Scene<'a> {
+struct GltfScene<'a> {
     name: &'a str,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     nodes: Vec<usize>,
 }
 
 #[derive(Serialize)]
-struct Node<'a> {
+struct WrittenNode<'a> {
     name: &'a str,
     mesh: usize,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -263,15 +263,15 @@ struct Node<'a> {
 }
 
 #[derive(Serialize)]
-struct Mesh<'a> {
+struct GltfMesh<'a> {
     name: &'a str,
-    primitives: [Primitive<'a>; 1],
+    primitives: [GltfPrimitive<'a>; 1],
     #[serde(skip_serializing_if = "Option::is_none")]
     extras: Option<MeshExtras<'a>>,
 }
 
 #[derive(Serialize)]
-struct Primitive<'a> {
+struct GltfPrimitive<'a> {
     attributes: Entries<&'a str, usize>,
     indices: usize,
     mode: u32,
@@ -378,7 +378,7 @@ impl<'a> Document<'a> {
             extensions_used: extensions,
             extensions_required: extensions,
             scene: 0,
-            scenes: [Scene { name, nodes: Vec::new() }],
+            scenes: [GltfScene { name, nodes: Vec::new() }],
             nodes: Vec::new(),
             meshes: Vec::new(),
             accessors: Vec::new(),
@@ -392,14 +392,14 @@ impl<'a> Document<'a> {
         let attributes: Vec<(&str, usize)> =
             ["POSITION", "NORMAL"].into_iter().chain(semantics).zip(0..).collect();
         let indices = attributes.len();
-        let primitive = Primitive { attributes: Entries(attributes), indices, mode: MODE_TRIANGLES };
+        let primitive = GltfPrimitive { attributes: Entries(attributes), indices, mode: MODE_TRIANGLES };
         let strings = |attribute: &'a GltfAttribute| Some((attribute.semantic.as_str(), attribute.table()?));
         let strings = Entries(layout.attributes.iter().filter_map(strings).collect());
         let extras = MeshExtras { meniscus: provenance_entries(provenance), strings };
         let extras = Some(extras).filter(|extras| !extras.meniscus.is_empty() || !extras.strings.is_empty());
         document.scenes[0].nodes.push(0);
         document.nodes.push(node(name, mesh.origin, options.up, layout.cube.as_ref()));
-        document.meshes.push(Mesh { name, primitives: [primitive], extras });
+        document.meshes.push(GltfMesh { name, primitives: [primitive], extras });
         document.accessors = accessors(mesh, layout);
         document.buffer_views = layout.views();
         document.buffers.push(Buffer { byte_length: layout.byte_count(), uri });
@@ -409,7 +409,7 @@ impl<'a> Document<'a> {
 
 /// The node places the mesh: it adds the mesh's origin, then turns Z up into Y up. glTF rotates before it
 /// translates, so the translation is the rotated origin. Quantized positions are scaled first.
-fn node<'a>(name: &'a str, origin: [f64; 3], up: UpAxis, cube: Option<&Cube>) -> Node<'a> {
+fn node<'a>(name: &'a str, origin: [f64; 3], up: UpAxis, cube: Option<&Cube>) -> WrittenNode<'a> {
     const HALF_SQRT: f64 = std::f64::consts::FRAC_1_SQRT_2;
     let low = cube.map_or([0.0; 3], |cube| cube.low);
     let corner @ [x, y, z] = std::array::from_fn(|axis| origin[axis] + f64::from(low[axis]));
@@ -418,7 +418,7 @@ fn node<'a>(name: &'a str, origin: [f64; 3], up: UpAxis, cube: Option<&Cube>) ->
         UpAxis::Z => ([x, z, 0.0 - y], Some([-HALF_SQRT, 0.0, 0.0, HALF_SQRT])),
     };
     let translation = (corner != [0.0; 3]).then_some(translation);
-    Node { name, mesh: 0, translation, rotation, scale: cube.map(|cube| [f64::from(cube.size); 3]) }
+    WrittenNode { name, mesh: 0, translation, rotation, scale: cube.map(|cube| [f64::from(cube.size); 3]) }
 }
 
 fn accessors(mesh: &MeshView, layout: &BufferLayout) -> Vec<Accessor> {

@@ -2,14 +2,14 @@
 
 use std::borrow::Cow;
 
-use crate::data::{Positions, Values};
+use crate::data::{FilePositions, Values};
 use crate::error::{Error, Result};
 use crate::limits::Limits;
 use crate::named_arrays::NamedArray;
 use crate::number::{self, components, divided};
 
 use super::FORMAT;
-use super::tokens::{Token, Walk, text_count_max};
+use super::tokens::{JsonToken, TokenWalk, text_count_max};
 use super::values::tuples;
 
 /// A point attribute, or the reason for skipping it.
@@ -19,7 +19,7 @@ pub(super) enum PointAttribute {
 }
 
 /// Reads the definition and the body of an attribute: the rest of a list whose start was consumed.
-pub(super) fn point_attribute(walk: &mut Walk, count: usize, limits: &Limits) -> Result<PointAttribute> {
+pub(super) fn point_attribute(walk: &mut TokenWalk, count: usize, limits: &Limits) -> Result<PointAttribute> {
     let (mut name, mut kind) = (String::new(), String::new());
     walk.object("definition", |walk, key| {
         match key {
@@ -39,7 +39,7 @@ pub(super) fn point_attribute(walk: &mut Walk, count: usize, limits: &Limits) ->
     };
     loop {
         match walk.next()? {
-            Token::Close => return Ok(attribute),
+            JsonToken::Close => return Ok(attribute),
             token => walk.skip_rest(&token)?,
         }
     }
@@ -48,7 +48,7 @@ pub(super) fn point_attribute(walk: &mut Walk, count: usize, limits: &Limits) ->
 /// The longest name of an attribute. Any number of attributes can refer to a single word of the file.
 const NAME_BYTES_MAX: usize = 1024;
 
-fn short_text(walk: &mut Walk) -> Result<String> {
+fn short_text(walk: &mut TokenWalk) -> Result<String> {
     let text = walk.text()?;
     match text.len() <= NAME_BYTES_MAX {
         true => Ok(text.into_owned()),
@@ -58,7 +58,7 @@ fn short_text(walk: &mut Walk) -> Result<String> {
     }
 }
 
-fn numeric(walk: &mut Walk, name: String, count: usize, limits: &Limits) -> Result<PointAttribute> {
+fn numeric(walk: &mut TokenWalk, name: String, count: usize, limits: &Limits) -> Result<PointAttribute> {
     let mut found = None;
     walk.object("body", |walk, key| match key {
         "values" => {
@@ -71,7 +71,7 @@ fn numeric(walk: &mut Walk, name: String, count: usize, limits: &Limits) -> Resu
     Ok(PointAttribute::Read(NamedArray { name, arity: found.size, values: found.values }))
 }
 
-fn strings(walk: &mut Walk, name: String, count: usize, limits: &Limits) -> Result<PointAttribute> {
+fn strings(walk: &mut TokenWalk, name: String, count: usize, limits: &Limits) -> Result<PointAttribute> {
     let mut table: Vec<String> = Vec::new();
     let mut found = None;
     walk.object("body", |walk, key| {
@@ -97,14 +97,14 @@ fn strings(walk: &mut Walk, name: String, count: usize, limits: &Limits) -> Resu
 }
 
 /// Reads the next value as a list of strings.
-fn texts(walk: &mut Walk) -> Result<Vec<String>> {
+fn texts(walk: &mut TokenWalk) -> Result<Vec<String>> {
     let mut texts = Vec::new();
     let token = walk.next()?;
-    if let Token::Texts(found) = token {
+    if let JsonToken::Texts(found) = token {
         check_texts(walk, &found)?;
         return Ok(found.into_iter().map(|text| text.into_owned()).collect());
     }
-    if token != Token::Open {
+    if token != JsonToken::Open {
         return Err(walk.unexpected("a list of strings", &token));
     }
     loop {
@@ -115,12 +115,12 @@ fn texts(walk: &mut Walk) -> Result<Vec<String>> {
             ));
         }
         match walk.next()? {
-            Token::Close => return Ok(texts),
-            Token::Text(text) => {
+            JsonToken::Close => return Ok(texts),
+            JsonToken::Text(text) => {
                 check_texts(walk, std::slice::from_ref(&text))?;
                 texts.push(text.into_owned());
             }
-            Token::Texts(found) => {
+            JsonToken::Texts(found) => {
                 check_texts(walk, &found)?;
                 texts.extend(found.into_iter().map(|text| text.into_owned()));
             }
@@ -130,19 +130,19 @@ fn texts(walk: &mut Walk) -> Result<Vec<String>> {
 }
 
 /// Fails if the strings need too much memory: any number of them can refer to a single word of the file.
-fn check_texts(walk: &mut Walk, texts: &[Cow<str>]) -> Result<()> {
+fn check_texts(walk: &mut TokenWalk, texts: &[Cow<str>]) -> Result<()> {
     walk.check_widened(texts.iter().map(|text| size_of::<String>() + text.len()).sum())
 }
 
 /// Converts the attribute `P` to positions: three values, or four, of which the last divides the others.
-pub(super) fn positions(array: NamedArray) -> Option<Positions> {
+pub(super) fn positions(array: NamedArray) -> Option<FilePositions> {
     match (array.arity, array.values) {
         (3, values) => number::positions(values),
         (4, Values::F32(values)) => {
-            Some(Positions::F32(values.as_chunks::<4>().0.iter().copied().map(divided).collect()))
+            Some(FilePositions::F32(values.as_chunks::<4>().0.iter().copied().map(divided).collect()))
         }
         (4, Values::F64(values)) => {
-            Some(Positions::F64(values.as_chunks::<4>().0.iter().copied().map(divided).collect()))
+            Some(FilePositions::F64(values.as_chunks::<4>().0.iter().copied().map(divided).collect()))
         }
         (4, values) => number::positions(components(&values, 4, 0..3)),
         _ => None,

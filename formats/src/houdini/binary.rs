@@ -15,11 +15,11 @@ use std::collections::HashMap;
 
 use crate::bytes::{Cursor, Endian};
 use crate::data::Values;
-use crate::error::{Error, Place, Result};
-use crate::number::Number;
+use crate::error::{Error, Position, Result};
+use crate::number::NumberType;
 
 use super::FORMAT;
-use super::tokens::{Token, text_count_max, widened_bytes_max};
+use super::tokens::{JsonToken, text_count_max, widened_bytes_max};
 
 /// The signature of files from little-endian machines, which are almost all.
 const SIGNATURE: [u8; 5] = *b"\x7fNSJb";
@@ -51,8 +51,10 @@ impl<'a> Binary<'a> {
         let endian = match bytes.get(..SIGNATURE.len()) {
             Some(start) if start == SIGNATURE => Endian::Little,
             Some(start) if start == SIGNATURE_BIG => Endian::Big,
-            Some(_) => return Err(Error::invalid(FORMAT, Place::Offset(0), "expected the signature")),
-            None => return Err(Error::short(FORMAT, Place::Offset(0), "the file ends within its signature")),
+            Some(_) => return Err(Error::invalid(FORMAT, Position::Offset(0), "expected the signature")),
+            None => {
+                return Err(Error::short(FORMAT, Position::Offset(0), "the file ends within its signature"));
+            }
         };
         let cursor = Cursor::new(FORMAT, endian, bytes, SIGNATURE.len());
         Ok(Binary { cursor, endian, file_bytes: bytes.len(), words: HashMap::new() })
@@ -66,7 +68,7 @@ impl<'a> Binary<'a> {
         self.file_bytes
     }
 
-    pub(super) fn next(&mut self) -> Result<Option<Token<'a>>> {
+    pub(super) fn next(&mut self) -> Result<Option<JsonToken<'a>>> {
         while self.cursor.remaining() != 0 {
             let [code] = self.cursor.array("a token")?;
             match code {
@@ -94,21 +96,21 @@ impl<'a> Binary<'a> {
         }
     }
 
-    fn token(&mut self, code: u8) -> Result<Token<'a>> {
+    fn token(&mut self, code: u8) -> Result<JsonToken<'a>> {
         Ok(match code {
-            0x00 => Token::Null,
-            0x5b | 0x7b => Token::Open,
-            0x5d | 0x7d => Token::Close,
-            0x10 => Token::Bool(self.cursor.array::<1>("a boolean")? != [0]),
-            0x30 => Token::Bool(false),
-            0x31 => Token::Bool(true),
-            0x26 => Token::Text(self.word()?),
-            0x27 => Token::Text(String::from_utf8_lossy(self.bytes("a string")?)),
+            0x00 => JsonToken::Null,
+            0x5b | 0x7b => JsonToken::Open,
+            0x5d | 0x7d => JsonToken::Close,
+            0x10 => JsonToken::Bool(self.cursor.array::<1>("a boolean")? != [0]),
+            0x30 => JsonToken::Bool(false),
+            0x31 => JsonToken::Bool(true),
+            0x26 => JsonToken::Text(self.word()?),
+            0x27 => JsonToken::Text(String::from_utf8_lossy(self.bytes("a string")?)),
             0x40 => self.uniform()?,
             code => match number_of(code) {
                 Some(number) => self.number(number)?,
                 None => {
-                    let place = Place::Offset(self.cursor.at() as u64 - 1);
+                    let place = Position::Offset(self.cursor.at() as u64 - 1);
                     return Err(Error::invalid(
                         FORMAT,
                         place,
@@ -119,20 +121,20 @@ impl<'a> Binary<'a> {
         })
     }
 
-    fn number(&mut self, number: Number) -> Result<Token<'a>> {
+    fn number(&mut self, number: NumberType) -> Result<JsonToken<'a>> {
         let bytes = self.cursor.take(number.size(), "a number")?;
         Ok(match number.decode(bytes, self.endian) {
-            Values::F32(values) => Token::Real(values.first().copied().unwrap_or_default().into()),
-            Values::F64(values) => Token::Real(values.first().copied().unwrap_or_default()),
-            Values::U8(values) => Token::Integer(values.first().copied().unwrap_or_default().into()),
-            Values::I32(values) => Token::Integer(values.first().copied().unwrap_or_default().into()),
-            Values::I64(values) => Token::Integer(values.first().copied().unwrap_or_default()),
-            Values::Strings { .. } => Token::Null, // numbers never decode to strings
+            Values::F32(values) => JsonToken::Real(values.first().copied().unwrap_or_default().into()),
+            Values::F64(values) => JsonToken::Real(values.first().copied().unwrap_or_default()),
+            Values::U8(values) => JsonToken::Integer(values.first().copied().unwrap_or_default().into()),
+            Values::I32(values) => JsonToken::Integer(values.first().copied().unwrap_or_default().into()),
+            Values::I64(values) => JsonToken::Integer(values.first().copied().unwrap_or_default()),
+            Values::Strings { .. } => JsonToken::Null, // numbers never decode to strings
         })
     }
 
     /// Reads a uniform array.
-    fn uniform(&mut self) -> Result<Token<'a>> {
+    fn uniform(&mut self) -> Result<JsonToken<'a>> {
         let [code] = self.cursor.array("the type of an array")?;
         let at = self.cursor.at();
         let count = self.length()?;
@@ -159,7 +161,7 @@ impl<'a> Binary<'a> {
                 };
                 let words: Vec<u32> = words.as_chunks::<4>().0.iter().map(word).collect();
                 let bit = |index: usize| words[index / 32] >> (index % 32) & 1 == 1;
-                Ok(Token::Bools((0..length).map(bit).collect()))
+                Ok(JsonToken::Bools((0..length).map(bit).collect()))
             }
             // Each string has at least one byte.
             0x26 | 0x27 if length <= self.cursor.remaining() => {
@@ -183,16 +185,16 @@ impl<'a> Binary<'a> {
                     }
                     texts.push(text);
                 }
-                Ok(Token::Texts(texts))
+                Ok(JsonToken::Texts(texts))
             }
             code => {
                 let unknown = || {
                     let what = format!("expected the type of an array, found 0x{code:02x}");
-                    Error::invalid(FORMAT, Place::Offset(at as u64 - 1), what)
+                    Error::invalid(FORMAT, Position::Offset(at as u64 - 1), what)
                 };
                 let number = number_of(code).ok_or_else(unknown)?;
                 let payload = self.cursor.take(length.saturating_mul(number.size()), "an array")?;
-                Ok(Token::Numbers { number, endian: self.endian, payload })
+                Ok(JsonToken::Numbers { number, endian: self.endian, payload })
             }
         }
     }
@@ -222,17 +224,17 @@ impl<'a> Binary<'a> {
 }
 
 /// The number type of a token, or of the items of an array.
-fn number_of(code: u8) -> Option<Number> {
+fn number_of(code: u8) -> Option<NumberType> {
     Some(match code {
-        0x11 => Number::I8,
-        0x12 => Number::I16,
-        0x13 => Number::I32,
-        0x14 => Number::I64,
-        0x18 => Number::F16,
-        0x19 => Number::F32,
-        0x1a => Number::F64,
-        0x21 => Number::U8,
-        0x22 => Number::U16,
+        0x11 => NumberType::I8,
+        0x12 => NumberType::I16,
+        0x13 => NumberType::I32,
+        0x14 => NumberType::I64,
+        0x18 => NumberType::F16,
+        0x19 => NumberType::F32,
+        0x1a => NumberType::F64,
+        0x21 => NumberType::U8,
+        0x22 => NumberType::U16,
         _ => return None,
     })
 }

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use crate::blosc::{BloscError, decode_frame};
 use crate::bytes::{Cursor, Endian};
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 
 const FORMAT: &str = "Houdini geometry (.sc)";
@@ -32,7 +32,7 @@ const FRAME_BYTES_MIN: usize = 16;
 /// [`Error::TooLarge`] beyond `limits`.
 pub(super) fn decompress(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     if !bytes.ends_with(END) {
-        let place = Place::Offset(bytes.len() as u64);
+        let place = Position::Offset(bytes.len() as u64);
         return Err(Error::short(FORMAT, place, "the file ends without its index"));
     }
     let Index { frames, block_bytes, bytes: unpacked_bytes } = index(bytes)?;
@@ -42,7 +42,7 @@ pub(super) fn decompress(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     let blocks = unpacked.par_chunks_mut(block_bytes.max(1)).zip(&frames);
     blocks.try_for_each(|(block, &(at, frame))| {
         decode_frame(frame, block).map_err(|error| match error {
-            BloscError::Invalid(what) => Error::invalid(FORMAT, Place::Offset(at as u64), what),
+            BloscError::Invalid(what) => Error::invalid(FORMAT, Position::Offset(at as u64), what),
             BloscError::Unsupported(what) => Error::unsupported(FORMAT, what),
         })
     })?;
@@ -59,7 +59,7 @@ struct Index<'a> {
 }
 
 fn index(bytes: &[u8]) -> Result<Index<'_>> {
-    let invalid = |at: usize, what: String| Error::invalid(FORMAT, Place::Offset(at as u64), what);
+    let invalid = |at: usize, what: String| Error::invalid(FORMAT, Position::Offset(at as u64), what);
     let mut cursor = Cursor::new(FORMAT, Endian::Big, bytes, 0);
     if cursor.take(4, "the signature")? != START {
         return Err(invalid(0, "expected the signature scf1".into()));

@@ -2,20 +2,20 @@
 
 use std::collections::BTreeMap;
 
-use crate::data::{ParticleFrame, Positions};
+use crate::data::{FilePositions, ParticleFrame};
 use crate::error::{Error, Result};
 use crate::limits::Limits;
 use crate::named_arrays::{NamedArray, frame_of};
 
 use super::FORMAT;
 use super::attributes::{PointAttribute, point_attribute, positions};
-use super::tokens::{Token, Walk};
+use super::tokens::{JsonToken, TokenWalk};
 
 /// The content found so far.
 #[derive(Default)]
 struct FoundGeometry {
     point_count: Option<usize>,
-    positions: Option<Positions>,
+    positions: Option<FilePositions>,
     arrays: Vec<NamedArray>,
     notes: Vec<String>,
     /// Number of primitives of each type.
@@ -26,7 +26,7 @@ struct FoundGeometry {
 const PRIMITIVE_TYPE_COUNT_MAX: usize = 1024;
 
 /// Reads the points.
-pub(super) fn read(mut walk: Walk, limits: &Limits) -> Result<ParticleFrame> {
+pub(super) fn read(mut walk: TokenWalk, limits: &Limits) -> Result<ParticleFrame> {
     let mut found = FoundGeometry::default();
     walk.object("", |walk, key| match key {
         "pointcount" if found.point_count.is_some() => Err(walk.invalid("pointcount occurs twice")),
@@ -46,7 +46,7 @@ pub(super) fn read(mut walk: Walk, limits: &Limits) -> Result<ParticleFrame> {
     check_primitives(&found.primitives, count)?;
     let positions = match found.positions {
         Some(positions) => positions,
-        None if count == 0 => Positions::default(),
+        None if count == 0 => FilePositions::default(),
         None => return Err(walk.invalid("the point attribute P is missing")),
     };
     // With positions given, a frame is always returned.
@@ -55,7 +55,7 @@ pub(super) fn read(mut walk: Walk, limits: &Limits) -> Result<ParticleFrame> {
     Ok(frame)
 }
 
-fn point_count(walk: &mut Walk, limits: &Limits) -> Result<usize> {
+fn point_count(walk: &mut TokenWalk, limits: &Limits) -> Result<usize> {
     let count = walk.count()?;
     let too_large = || {
         Error::too_large(
@@ -66,10 +66,10 @@ fn point_count(walk: &mut Walk, limits: &Limits) -> Result<usize> {
     usize::try_from(count).ok().filter(|_| count <= limits.particle_count).ok_or_else(too_large)
 }
 
-fn point_attributes(walk: &mut Walk, found: &mut FoundGeometry, limits: &Limits) -> Result<()> {
+fn point_attributes(walk: &mut TokenWalk, found: &mut FoundGeometry, limits: &Limits) -> Result<()> {
     let count = found.point_count.ok_or_else(|| walk.invalid("the attributes come before the pointcount"))?;
     walk.items("pointattributes", |walk, token| {
-        if token != Token::Open {
+        if token != JsonToken::Open {
             return Err(walk.unexpected("an attribute", &token));
         }
         if found.arrays.len() + found.notes.len() >= limits.attribute_count {
@@ -97,8 +97,8 @@ fn point_attributes(walk: &mut Walk, found: &mut FoundGeometry, limits: &Limits)
 }
 
 /// Counts a primitive, or a run of primitives, by type.
-fn primitive(walk: &mut Walk, token: &Token, primitives: &mut BTreeMap<String, u64>) -> Result<()> {
-    if *token != Token::Open {
+fn primitive(walk: &mut TokenWalk, token: &JsonToken, primitives: &mut BTreeMap<String, u64>) -> Result<()> {
+    if *token != JsonToken::Open {
         return Err(walk.unexpected("a primitive", token));
     }
     let mut kind = String::new();
@@ -116,7 +116,7 @@ fn primitive(walk: &mut Walk, token: &Token, primitives: &mut BTreeMap<String, u
     }
     loop {
         match walk.next()? {
-            Token::Close => return Ok(()),
+            JsonToken::Close => return Ok(()),
             token => walk.skip_rest(&token)?,
         }
     }

@@ -36,8 +36,8 @@ use crate::limits::Limits;
 use crate::row::{FormatRow, ParticleInput};
 
 use binary::{Binary, is_binary};
-use text::Text;
-use tokens::{Lexer, Walk};
+use text::TextTokens;
+use tokens::{Lexer, TokenWalk};
 
 /// The format's name in errors.
 const FORMAT: &str = "Houdini geometry";
@@ -50,7 +50,7 @@ const FORMAT: &str = "Houdini geometry";
 /// inconsistent, [`crate::Error::Unsupported`] if the points are not particles, [`crate::Error::TooLarge`]
 /// beyond `limits`.
 pub fn read_binary(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
-    geometry::read(Walk::new(Lexer::Binary(Binary::new(bytes)?)), limits)
+    geometry::read(TokenWalk::new(Lexer::Binary(Binary::new(bytes)?)), limits)
 }
 
 /// Reads the points of geometry in text form.
@@ -59,7 +59,7 @@ pub fn read_binary(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 ///
 /// Those of [`read_binary`].
 pub fn read_text(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
-    geometry::read(Walk::new(Lexer::Text(Text::new(bytes))), limits)
+    geometry::read(TokenWalk::new(Lexer::Text(TextTokens::new(bytes))), limits)
 }
 
 /// Reads the points of geometry compressed in blocks.

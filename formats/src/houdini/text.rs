@@ -2,22 +2,22 @@
 
 use std::borrow::Cow;
 
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::text::line_number;
 
 use super::FORMAT;
-use super::tokens::Token;
+use super::tokens::JsonToken;
 
 /// The lexer of the text form.
-pub(super) struct Text<'a> {
+pub(super) struct TextTokens<'a> {
     bytes: &'a [u8],
     at: usize,
 }
 
-impl<'a> Text<'a> {
-    pub(super) fn new(bytes: &'a [u8]) -> Text<'a> {
+impl<'a> TextTokens<'a> {
+    pub(super) fn new(bytes: &'a [u8]) -> TextTokens<'a> {
         let at = if bytes.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 };
-        Text { bytes, at }
+        TextTokens { bytes, at }
     }
 
     pub(super) fn at(&self) -> usize {
@@ -28,15 +28,15 @@ impl<'a> Text<'a> {
         self.bytes.len()
     }
 
-    pub(super) fn next(&mut self) -> Result<Option<Token<'a>>> {
+    pub(super) fn next(&mut self) -> Result<Option<JsonToken<'a>>> {
         let rest = &self.bytes[self.at..];
         let is_between = |byte: &&u8| byte.is_ascii_whitespace() || matches!(byte, b',' | b':');
         self.at += rest.iter().take_while(is_between).count();
         let rest = &self.bytes[self.at..];
         let Some(&first) = rest.first() else { return Ok(None) };
         let token = match first {
-            b'[' | b'{' => Token::Open,
-            b']' | b'}' => Token::Close,
+            b'[' | b'{' => JsonToken::Open,
+            b']' | b'}' => JsonToken::Close,
             b'"' => return self.text().map(Some),
             _ => return self.word().map(Some),
         };
@@ -44,7 +44,7 @@ impl<'a> Text<'a> {
         Ok(Some(token))
     }
 
-    fn text(&mut self) -> Result<Token<'a>> {
+    fn text(&mut self) -> Result<JsonToken<'a>> {
         let rest = &self.bytes[self.at + 1..];
         let mut has_escapes = false;
         let mut length = 0;
@@ -62,25 +62,25 @@ impl<'a> Text<'a> {
         let start = self.at;
         self.at += length + 2;
         if !has_escapes {
-            return Ok(Token::Text(String::from_utf8_lossy(&rest[..length])));
+            return Ok(JsonToken::Text(String::from_utf8_lossy(&rest[..length])));
         }
         let text: String = serde_json::from_slice(&self.bytes[start..self.at]).map_err(|_| {
             let what = "a string has an escape that JSON does not define";
-            Error::invalid(FORMAT, Place::Line(line_number(self.bytes, start)), what)
+            Error::invalid(FORMAT, Position::Line(line_number(self.bytes, start)), what)
         })?;
-        Ok(Token::Text(Cow::Owned(text)))
+        Ok(JsonToken::Text(Cow::Owned(text)))
     }
 
     /// Parses a number, `null`, `true` or `false`.
-    fn word(&mut self) -> Result<Token<'a>> {
+    fn word(&mut self) -> Result<JsonToken<'a>> {
         let rest = &self.bytes[self.at..];
         let is_part = |byte: &&u8| byte.is_ascii_alphanumeric() || matches!(byte, b'+' | b'-' | b'.');
         let length = rest.iter().take_while(is_part).count();
         let word = &rest[..length];
         let token = match word {
-            b"null" => Some(Token::Null),
-            b"true" => Some(Token::Bool(true)),
-            b"false" => Some(Token::Bool(false)),
+            b"null" => Some(JsonToken::Null),
+            b"true" => Some(JsonToken::Bool(true)),
+            b"false" => Some(JsonToken::Bool(false)),
             _ => number(word),
         };
         if let Some(token) = token.filter(|_| length != 0) {
@@ -95,15 +95,15 @@ impl<'a> Text<'a> {
         })
     }
 
-    fn place(&self) -> Place {
-        Place::Line(line_number(self.bytes, self.at))
+    fn place(&self) -> Position {
+        Position::Line(line_number(self.bytes, self.at))
     }
 }
 
-fn number<'a>(word: &[u8]) -> Option<Token<'a>> {
+fn number<'a>(word: &[u8]) -> Option<JsonToken<'a>> {
     let text = std::str::from_utf8(word).ok()?;
     match text.parse() {
-        Ok(integer) => Some(Token::Integer(integer)),
-        Err(_) => fast_float2::parse(word).ok().map(Token::Real),
+        Ok(integer) => Some(JsonToken::Integer(integer)),
+        Err(_) => fast_float2::parse(word).ok().map(JsonToken::Real),
     }
 }

@@ -6,18 +6,18 @@
 use std::borrow::Cow;
 
 use crate::bytes::Endian;
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::excerpt::excerpt;
 use crate::limits::Limits;
-use crate::number::Number;
+use crate::number::NumberType;
 
 use super::FORMAT;
 use super::binary::Binary;
-use super::text::Text;
+use super::text::TextTokens;
 
 /// A token of JSON. Commas and colons carry no information and are not tokens.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Token<'a> {
+pub(super) enum JsonToken<'a> {
     /// The start of an array or map.
     Open,
     Close,
@@ -28,7 +28,7 @@ pub(super) enum Token<'a> {
     Text(Cow<'a, str>),
     /// A uniform array of numbers. This and the following tokens occur only in the binary form.
     Numbers {
-        number: Number,
+        number: NumberType,
         endian: Endian,
         payload: &'a [u8],
     },
@@ -52,12 +52,12 @@ pub(super) fn widened_bytes_max(file_bytes: usize) -> usize {
 /// A tokenizer of either form.
 pub(super) enum Lexer<'a> {
     Binary(Binary<'a>),
-    Text(Text<'a>),
+    Text(TextTokens<'a>),
 }
 
 impl<'a> Lexer<'a> {
     /// The next token; `None` at the end of the file.
-    fn next(&mut self) -> Result<Option<Token<'a>>> {
+    fn next(&mut self) -> Result<Option<JsonToken<'a>>> {
         match self {
             Lexer::Binary(lexer) => lexer.next(),
             Lexer::Text(lexer) => lexer.next(),
@@ -82,7 +82,7 @@ impl<'a> Lexer<'a> {
 }
 
 /// A cursor over the tokens. It tracks its location: the offset, and the keys on the path to it.
-pub(super) struct Walk<'a> {
+pub(super) struct TokenWalk<'a> {
     lexer: Lexer<'a>,
     path: Vec<String>,
     /// Total size that constant pages have been expanded to, in bytes.
@@ -91,9 +91,9 @@ pub(super) struct Walk<'a> {
     widened_bytes: usize,
 }
 
-impl<'a> Walk<'a> {
-    pub(super) fn new(lexer: Lexer<'a>) -> Walk<'a> {
-        Walk { lexer, path: Vec::new(), spread_bytes: 0, widened_bytes: 0 }
+impl<'a> TokenWalk<'a> {
+    pub(super) fn new(lexer: Lexer<'a>) -> TokenWalk<'a> {
+        TokenWalk { lexer, path: Vec::new(), spread_bytes: 0, widened_bytes: 0 }
     }
 
     pub(super) fn file_bytes(&self) -> usize {
@@ -127,12 +127,12 @@ impl<'a> Walk<'a> {
     }
 
     /// The next token; the end of the file is an error.
-    pub(super) fn next(&mut self) -> Result<Token<'a>> {
+    pub(super) fn next(&mut self) -> Result<JsonToken<'a>> {
         match self.lexer.next()? {
             Some(token) => Ok(token),
             None => {
                 let what = format!("{}: the file ends within the document", self.shown_path());
-                Err(Error::short(FORMAT, Place::Offset(self.lexer.at() as u64), what))
+                Err(Error::short(FORMAT, Position::Offset(self.lexer.at() as u64), what))
             }
         }
     }
@@ -142,14 +142,14 @@ impl<'a> Walk<'a> {
     pub(super) fn object(
         &mut self,
         name: &str,
-        mut inside: impl FnMut(&mut Walk<'a>, &str) -> Result<()>,
+        mut inside: impl FnMut(&mut TokenWalk<'a>, &str) -> Result<()>,
     ) -> Result<()> {
         self.within(name, |walk| {
             walk.open()?;
             loop {
                 match walk.next()? {
-                    Token::Close => return Ok(()),
-                    Token::Text(key) => inside(walk, &key)?,
+                    JsonToken::Close => return Ok(()),
+                    JsonToken::Text(key) => inside(walk, &key)?,
                     other => return Err(walk.unexpected("a key", &other)),
                 }
             }
@@ -161,13 +161,13 @@ impl<'a> Walk<'a> {
     pub(super) fn items(
         &mut self,
         name: &str,
-        mut inside: impl FnMut(&mut Walk<'a>, Token<'a>) -> Result<()>,
+        mut inside: impl FnMut(&mut TokenWalk<'a>, JsonToken<'a>) -> Result<()>,
     ) -> Result<()> {
         self.within(name, |walk| {
             walk.open()?;
             loop {
                 match walk.next()? {
-                    Token::Close => return Ok(()),
+                    JsonToken::Close => return Ok(()),
                     token => inside(walk, token)?,
                 }
             }
@@ -178,7 +178,7 @@ impl<'a> Walk<'a> {
     pub(super) fn within<T>(
         &mut self,
         name: &str,
-        inside: impl FnOnce(&mut Walk<'a>) -> Result<T>,
+        inside: impl FnOnce(&mut TokenWalk<'a>) -> Result<T>,
     ) -> Result<T> {
         self.path.push(name.chars().take(40).collect());
         let result = inside(self);
@@ -188,7 +188,7 @@ impl<'a> Walk<'a> {
 
     fn open(&mut self) -> Result<()> {
         match self.next()? {
-            Token::Open => Ok(()),
+            JsonToken::Open => Ok(()),
             other => Err(self.unexpected("an array", &other)),
         }
     }
@@ -200,15 +200,15 @@ impl<'a> Walk<'a> {
     }
 
     /// Skips the rest of the value that starts with `token`.
-    pub(super) fn skip_rest(&mut self, token: &Token) -> Result<()> {
-        let mut depth = usize::from(*token == Token::Open);
-        if *token == Token::Close {
+    pub(super) fn skip_rest(&mut self, token: &JsonToken) -> Result<()> {
+        let mut depth = usize::from(*token == JsonToken::Open);
+        if *token == JsonToken::Close {
             return Err(self.invalid("expected a value, found the end of an array"));
         }
         while depth != 0 {
             match self.next()? {
-                Token::Open => depth += 1,
-                Token::Close => depth -= 1,
+                JsonToken::Open => depth += 1,
+                JsonToken::Close => depth -= 1,
                 _ => {}
             }
         }
@@ -218,7 +218,7 @@ impl<'a> Walk<'a> {
     /// Reads the next value as a string.
     pub(super) fn text(&mut self) -> Result<Cow<'a, str>> {
         match self.next()? {
-            Token::Text(text) => Ok(text),
+            JsonToken::Text(text) => Ok(text),
             other => Err(self.unexpected("a string", &other)),
         }
     }
@@ -226,7 +226,7 @@ impl<'a> Walk<'a> {
     /// Reads the next value as a count.
     pub(super) fn count(&mut self) -> Result<u64> {
         match self.next()? {
-            Token::Integer(count) if count >= 0 => Ok(count.unsigned_abs()),
+            JsonToken::Integer(count) if count >= 0 => Ok(count.unsigned_abs()),
             other => Err(self.unexpected("a count", &other)),
         }
     }
@@ -239,25 +239,25 @@ impl<'a> Walk<'a> {
         }
     }
 
-    pub(super) fn unexpected(&self, expected: &str, found: &Token) -> Error {
+    pub(super) fn unexpected(&self, expected: &str, found: &JsonToken) -> Error {
         let found = match found {
-            Token::Open => "an array or a map".into(),
-            Token::Close => "the end of an array".into(),
-            Token::Null => "null".into(),
-            Token::Bool(value) => value.to_string(),
-            Token::Integer(value) => value.to_string(),
-            Token::Real(value) => value.to_string(),
-            Token::Text(text) => format!("\"{}\"", excerpt(&**text)),
-            Token::Numbers { .. } => "an array of numbers".into(),
-            Token::Bools(_) => "an array of booleans".into(),
-            Token::Texts(_) => "an array of strings".into(),
+            JsonToken::Open => "an array or a map".into(),
+            JsonToken::Close => "the end of an array".into(),
+            JsonToken::Null => "null".into(),
+            JsonToken::Bool(value) => value.to_string(),
+            JsonToken::Integer(value) => value.to_string(),
+            JsonToken::Real(value) => value.to_string(),
+            JsonToken::Text(text) => format!("\"{}\"", excerpt(&**text)),
+            JsonToken::Numbers { .. } => "an array of numbers".into(),
+            JsonToken::Bools(_) => "an array of booleans".into(),
+            JsonToken::Texts(_) => "an array of strings".into(),
         };
         self.invalid(format!("expected {expected}, found {found}"))
     }
 
     pub(super) fn invalid(&self, what: impl AsRef<str>) -> Error {
         let what = format!("{}: {}", self.shown_path(), what.as_ref());
-        Error::invalid(FORMAT, Place::Offset(self.lexer.at() as u64), what)
+        Error::invalid(FORMAT, Position::Offset(self.lexer.at() as u64), what)
     }
 
     fn shown_path(&self) -> String {

@@ -14,10 +14,10 @@ use crate::data::Values;
 use crate::error::{Error, Result};
 use crate::excerpt::excerpt;
 use crate::limits::Limits;
-use crate::number::{self, Number, interleaved};
+use crate::number::{self, NumberType, interleaved};
 
 use super::FORMAT;
-use super::tokens::{Token, Walk};
+use super::tokens::{JsonToken, TokenWalk};
 
 /// The storage type of numbers, which determines their type in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,7 +75,7 @@ struct Pages {
 }
 
 /// Reads the value of the key `values` or `indices`, for `count` points.
-pub(super) fn tuples(walk: &mut Walk, key: &str, count: usize, limits: &Limits) -> Result<Tuples> {
+pub(super) fn tuples(walk: &mut TokenWalk, key: &str, count: usize, limits: &Limits) -> Result<Tuples> {
     let (mut size, mut storage) = (1, StorageType::F32);
     let mut pages = Pages { page_points: 1024, packing: Vec::new(), constant: Vec::new() };
     let mut values = None;
@@ -123,7 +123,7 @@ pub(super) fn tuples(walk: &mut Walk, key: &str, count: usize, limits: &Limits) 
 const LAYOUT_KEYS: [&str; 5] = ["size", "storage", "pagesize", "packing", "constantpageflags"];
 
 /// Reads the next value as a number of components.
-fn small(walk: &mut Walk, limits: &Limits) -> Result<usize> {
+fn small(walk: &mut TokenWalk, limits: &Limits) -> Result<usize> {
     let size = walk.count()?;
     usize::try_from(size).ok().filter(|&size| size <= limits.attribute_count).ok_or_else(|| {
         Error::too_large(
@@ -136,13 +136,13 @@ fn small(walk: &mut Walk, limits: &Limits) -> Result<usize> {
     })
 }
 
-fn storage_of(walk: &mut Walk) -> Result<StorageType> {
+fn storage_of(walk: &mut TokenWalk) -> Result<StorageType> {
     let name = walk.text()?;
     StorageType::of(&name).ok_or_else(|| walk.invalid(format!("unknown storage \"{}\"", excerpt(&*name))))
 }
 
 /// Reads the next value, an array of at most `most` numbers, or of arrays of numbers, and flattens it.
-fn numbers(walk: &mut Walk, name: &str, storage: StorageType, most: usize) -> Result<Values> {
+fn numbers(walk: &mut TokenWalk, name: &str, storage: StorageType, most: usize) -> Result<Values> {
     walk.within(name, |walk| {
         // In text, each number takes at least two bytes; in binary form, only uniform arrays take fewer.
         let room = most.min(walk.remaining() / 2);
@@ -150,17 +150,17 @@ fn numbers(walk: &mut Walk, name: &str, storage: StorageType, most: usize) -> Re
         let mut depth = 0usize;
         loop {
             match walk.next()? {
-                Token::Open => {
+                JsonToken::Open => {
                     if depth == 0 {
                         list.reserve(room);
                     }
                     depth += 1;
                 }
-                Token::Close if depth != 0 => depth -= 1,
-                Token::Integer(value) => list.push_integer(value),
-                Token::Real(value) => list.push_real(value),
-                Token::Bool(value) => list.push_integer(value.into()),
-                Token::Numbers { number, endian, payload } => {
+                JsonToken::Close if depth != 0 => depth -= 1,
+                JsonToken::Integer(value) => list.push_integer(value),
+                JsonToken::Real(value) => list.push_real(value),
+                JsonToken::Bool(value) => list.push_integer(value.into()),
+                JsonToken::Numbers { number, endian, payload } => {
                     let more = payload.len() / number.size();
                     if most - number::length(&list.0) < more {
                         return Err(walk.invalid(format!("expected at most {most} numbers, found more")));
@@ -218,7 +218,7 @@ impl List {
     }
 
     /// Appends a uniform array. Converts other types in chunks, to limit the additional memory.
-    fn append(&mut self, number: Number, endian: Endian, payload: &[u8]) {
+    fn append(&mut self, number: NumberType, endian: Endian, payload: &[u8]) {
         const PART_COUNT: usize = 4096;
         let is_same = std::mem::discriminant(&self.0) == std::mem::discriminant(&number.decode(&[], endian));
         if number::length(&self.0) == 0 && is_same {
@@ -244,7 +244,7 @@ impl List {
 }
 
 /// The widths of the parts of a point, which must add up to `size`.
-fn widths(walk: &Walk, packing: Values, size: usize) -> Result<Vec<usize>> {
+fn widths(walk: &TokenWalk, packing: Values, size: usize) -> Result<Vec<usize>> {
     let Values::I64(packing) = packing else { return Ok(Vec::new()) };
     let widths: Vec<usize> = packing.iter().filter_map(|&width| usize::try_from(width).ok()).collect();
     let sum = widths.iter().try_fold(0usize, |sum, &width| sum.checked_add(width));
@@ -257,17 +257,18 @@ fn widths(walk: &Walk, packing: Values, size: usize) -> Result<Vec<usize>> {
 }
 
 /// Reads the flags of constant pages for each part of the packing.
-fn flags(walk: &mut Walk, page_count: usize, limits: &Limits) -> Result<Vec<Vec<bool>>> {
+fn flags(walk: &mut TokenWalk, page_count: usize, limits: &Limits) -> Result<Vec<Vec<bool>>> {
     let mut all = Vec::new();
-    let too_many = |walk: &Walk| walk.invalid(format!("there are more flags than the {page_count} pages"));
+    let too_many =
+        |walk: &TokenWalk| walk.invalid(format!("there are more flags than the {page_count} pages"));
     walk.items("constantpageflags", |walk, token| {
         if all.len() > limits.attribute_count {
             return Err(walk.invalid("there are too many lists of flags"));
         }
         let mut part = Vec::new();
         match token {
-            Token::Bools(bools) => part = bools,
-            Token::Numbers { number, endian, payload } if payload.len() / number.size() <= page_count => {
+            JsonToken::Bools(bools) => part = bools,
+            JsonToken::Numbers { number, endian, payload } if payload.len() / number.size() <= page_count => {
                 let values = number.decode(payload, endian);
                 part = match values {
                     Values::U8(values) => values.iter().map(|&value| value != 0).collect(),
@@ -275,16 +276,16 @@ fn flags(walk: &mut Walk, page_count: usize, limits: &Limits) -> Result<Vec<Vec<
                     _ => return Err(walk.invalid("the flags are not booleans")),
                 };
             }
-            Token::Open => loop {
+            JsonToken::Open => loop {
                 match walk.next()? {
-                    Token::Close => break,
+                    JsonToken::Close => break,
                     _ if part.len() >= page_count => return Err(too_many(walk)),
-                    Token::Bool(flag) => part.push(flag),
-                    Token::Integer(flag) => part.push(flag != 0),
+                    JsonToken::Bool(flag) => part.push(flag),
+                    JsonToken::Integer(flag) => part.push(flag != 0),
                     other => return Err(walk.unexpected("a boolean", &other)),
                 }
             },
-            Token::Numbers { .. } => return Err(too_many(walk)),
+            JsonToken::Numbers { .. } => return Err(too_many(walk)),
             other => return Err(walk.unexpected("an array of booleans", &other)),
         }
         if part.len() > page_count {
@@ -309,7 +310,7 @@ fn by_points(all: Values, count: usize, size: usize) -> Values {
 
 /// Converts pages to tuples.
 fn unpaged(
-    walk: &mut Walk,
+    walk: &mut TokenWalk,
     raw: Values,
     count: usize,
     size: usize,

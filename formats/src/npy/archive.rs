@@ -14,7 +14,7 @@ use std::borrow::Cow;
 use std::io::Read;
 
 use crate::bytes::{Cursor, Endian};
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::excerpt::excerpt;
 use crate::limits::Limits;
 
@@ -102,7 +102,7 @@ fn end_of_directory(bytes: &[u8]) -> Result<usize> {
     let found = exact.or_else(|| places.clone().find(|&at| end_of(at).is_some_and(|end| end <= bytes.len())));
     found.ok_or_else(|| {
         let what = "the archive ends before its central directory does";
-        Error::short(ARCHIVE, Place::Offset(bytes.len() as u64), what)
+        Error::short(ARCHIVE, Position::Offset(bytes.len() as u64), what)
     })
 }
 
@@ -176,7 +176,7 @@ impl ArchiveMember {
         if totals.packed_bytes > archive.len() as u64 {
             return Err(Error::invalid(
                 ARCHIVE,
-                Place::File,
+                Position::File,
                 "the members have more bytes in total than the archive",
             ));
         }
@@ -222,6 +222,6 @@ impl ArchiveMember {
 
     fn damaged(&self) -> Error {
         let what = format!("the member `{}` is damaged", excerpt(&self.name));
-        Error::invalid(ARCHIVE, Place::Offset(self.local_offset), what)
+        Error::invalid(ARCHIVE, Position::Offset(self.local_offset), what)
     }
 }

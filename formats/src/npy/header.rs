@@ -1,10 +1,10 @@
 //! The header of a `.npy` file.
 
 use crate::bytes::{Cursor, Endian};
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::excerpt::excerpt;
 use crate::limits::Limits;
-use crate::number::Number;
+use crate::number::NumberType;
 
 use super::FORMAT;
 use super::literal::{Literal, parse};
@@ -30,11 +30,11 @@ pub(super) struct ArrayHeader {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum ElementLayout {
     Plain {
-        number: Number,
+        number: NumberType,
         endian: Endian,
     },
     Fields {
-        fields: Vec<Field>,
+        fields: Vec<StructField>,
         /// Bytes per element.
         stride: usize,
     },
@@ -44,14 +44,14 @@ pub(super) enum ElementLayout {
 
 /// A field of a structured type.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Field {
+pub(super) struct StructField {
     pub(super) name: String,
     /// Offset in bytes from the start of an element.
     pub(super) offset: usize,
     /// Number of values.
     pub(super) arity: usize,
     /// Their type; `None` if not numeric.
-    pub(super) number: Option<(Number, Endian)>,
+    pub(super) number: Option<(NumberType, Endian)>,
 }
 
 impl ArrayHeader {
@@ -62,7 +62,7 @@ impl ArrayHeader {
         let data = usize::try_from(length).ok().and_then(|length| rest.get(..length));
         data.ok_or_else(|| {
             let what = format!("expected {length} bytes for {}, {} remain", self.shown(), rest.len());
-            Error::short(FORMAT, Place::Offset(self.data_offset as u64), what)
+            Error::short(FORMAT, Position::Offset(self.data_offset as u64), what)
         })
     }
 
@@ -83,7 +83,11 @@ impl ArrayHeader {
     }
 
     fn too_many(&self) -> Error {
-        Error::invalid(FORMAT, Place::Offset(0), format!("the array has too many elements: {}", self.shown()))
+        Error::invalid(
+            FORMAT,
+            Position::Offset(0),
+            format!("the array has too many elements: {}", self.shown()),
+        )
     }
 
     /// Values per row: the last dimension, or 1.
@@ -122,7 +126,7 @@ pub(crate) fn bytes_declared(head: &[u8], limits: &Limits) -> Result<Option<u64>
 pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<ArrayHeader> {
     let mut cursor = Cursor::new(FORMAT, Endian::Little, bytes, 0);
     if cursor.take(MAGIC.len(), "the signature")? != MAGIC {
-        return Err(Error::invalid(FORMAT, Place::Offset(0), "expected the signature \\x93NUMPY"));
+        return Err(Error::invalid(FORMAT, Position::Offset(0), "expected the signature \\x93NUMPY"));
     }
     let [major, minor] = [cursor.array::<1>("the version")?[0], cursor.array::<1>("the version")?[0]];
     let length = match (major, minor) {
@@ -149,7 +153,7 @@ fn header_of(
     data_offset: usize,
     limits: &Limits,
 ) -> Result<ArrayHeader> {
-    let invalid = |what: &str| Error::invalid(FORMAT, Place::Offset(text_offset as u64), what);
+    let invalid = |what: &str| Error::invalid(FORMAT, Position::Offset(text_offset as u64), what);
     let Literal::Dictionary(entries) = literal else { return Err(invalid("the header is not a dictionary")) };
     let value_of = |key: &str| {
         let found = entries.iter().find(|(name, _)| *name == Literal::Text(key.into()));
@@ -200,7 +204,7 @@ fn add_fields(
     descr: &Literal,
     prefix: &str,
     offset: usize,
-    fields: &mut Vec<Field>,
+    fields: &mut Vec<StructField>,
     limits: &Limits,
 ) -> std::result::Result<usize, Refusal> {
     let invalid = |what: &str| Refusal::Invalid(what.into());
@@ -227,7 +231,7 @@ fn add_fields(
                 let ElementType { bytes, number } = element(code)?;
                 let is_padding = name.is_empty() || code.contains('V');
                 if !is_padding && repeats != 0 && bytes != 0 {
-                    fields.push(Field { name: full, offset: at, arity: repeats, number });
+                    fields.push(StructField { name: full, offset: at, arity: repeats, number });
                 }
                 repeats.checked_mul(bytes).and_then(|bytes| at.checked_add(bytes))
             }
@@ -267,7 +271,7 @@ fn repeats_of(shape: &Literal) -> std::result::Result<usize, Refusal> {
 /// The meaning of a type code for one element.
 struct ElementType {
     bytes: usize,
-    number: Option<(Number, Endian)>,
+    number: Option<(NumberType, Endian)>,
 }
 
 /// Parses a byte order, a letter and a size: `<f4`.
@@ -282,18 +286,18 @@ fn element(code: &str) -> std::result::Result<ElementType, Refusal> {
     let digits = size.split('[').next().unwrap_or_default(); // datetime64 has a unit in brackets
     let size: usize = if digits.is_empty() { 0 } else { digits.parse().map_err(|_| invalid())? };
     let number = match (letter, size) {
-        ("?", 0) | ("b", 1) => Some(Number::Bool),
-        ("i", 1) => Some(Number::I8),
-        ("i", 2) => Some(Number::I16),
-        ("i", 4) => Some(Number::I32),
-        ("i", 8) => Some(Number::I64),
-        ("u", 1) => Some(Number::U8),
-        ("u", 2) => Some(Number::U16),
-        ("u", 4) => Some(Number::U32),
-        ("u", 8) => Some(Number::U64),
-        ("f", 2) => Some(Number::F16),
-        ("f", 4) => Some(Number::F32),
-        ("f", 8) => Some(Number::F64),
+        ("?", 0) | ("b", 1) => Some(NumberType::Bool),
+        ("i", 1) => Some(NumberType::I8),
+        ("i", 2) => Some(NumberType::I16),
+        ("i", 4) => Some(NumberType::I32),
+        ("i", 8) => Some(NumberType::I64),
+        ("u", 1) => Some(NumberType::U8),
+        ("u", 2) => Some(NumberType::U16),
+        ("u", 4) => Some(NumberType::U32),
+        ("u", 8) => Some(NumberType::U64),
+        ("f", 2) => Some(NumberType::F16),
+        ("f", 4) => Some(NumberType::F32),
+        ("f", 8) => Some(NumberType::F64),
         ("S" | "a" | "U" | "V" | "O" | "c" | "M" | "m" | "f", _) => None,
         _ => return Err(invalid()),
     };

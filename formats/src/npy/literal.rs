@@ -1,6 +1,6 @@
 //! The Python literals that can occur in a header.
 
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 
 use super::FORMAT;
 
@@ -130,7 +130,7 @@ impl Parser<'_> {
             [] => "the end".to_string(),
             _ => format!("`{}`", rest[..rest.len().min(16)].escape_ascii()),
         };
-        let place = Place::Offset((self.offset + self.at) as u64);
+        let place = Position::Offset((self.offset + self.at) as u64);
         Error::invalid(FORMAT, place, format!("the header: expected {expected}, found {found}"))
     }
 }

@@ -17,7 +17,7 @@ mod literal;
 
 use crate::columns::{group_columns, position_rank};
 use crate::data::ParticleFrame;
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::excerpt::excerpt;
 use crate::limits::Limits;
 use crate::named_arrays::{NamedArray, frame_of};
@@ -26,7 +26,7 @@ use crate::row::{Completeness, HeadCheck, exactly};
 use crate::row::{FormatRow, ParticleInput};
 use crate::scalar::Scalar;
 
-use header::{ArrayHeader, ElementLayout, Field};
+use header::{ArrayHeader, ElementLayout, StructField};
 
 /// The format's name in errors.
 const FORMAT: &str = "NumPy array";
@@ -91,7 +91,7 @@ fn within_member(error: Error, name: &str) -> Error {
     match error {
         // The array is complete: the archive's checksum confirmed it.
         Error::Short { place, what, .. } | Error::Invalid { place, what, .. } => {
-            Error::invalid(ARCHIVE, Place::File, format!("the array `{}`, {place}: {what}", excerpt(name)))
+            Error::invalid(ARCHIVE, Position::File, format!("the array `{}`, {place}: {what}", excerpt(name)))
         }
         Error::TooLarge { what, .. } => {
             Error::too_large(ARCHIVE, format!("the array `{}`: {what}", excerpt(name)))
@@ -128,7 +128,7 @@ fn arrays_of(header: &ArrayHeader, data: &[u8], limits: &Limits) -> Result<(Vec<
         ElementLayout::Fields { fields, stride } => {
             check_count(header.element_count()?, limits)?;
             let mut arrays = Vec::new();
-            for Field { name, offset, arity, number } in fields {
+            for StructField { name, offset, arity, number } in fields {
                 match number {
                     Some((number, endian)) => arrays.push(NamedArray {
                         name: name.clone(),
@@ -243,7 +243,7 @@ fn no_position(header: &ArrayHeader) -> Error {
             )
         }
     };
-    Error::invalid(FORMAT, Place::File, what)
+    Error::invalid(FORMAT, Position::File, what)
 }
 
 fn no_position_among(arrays: &[NamedArray]) -> Error {
@@ -253,7 +253,7 @@ fn no_position_among(arrays: &[NamedArray]) -> Error {
         "expected an array `pos` of shape (N, 3), or x, y and z of shape (N); found: {}",
         if found.is_empty() { "no numeric array".into() } else { found.join(", ") }
     );
-    Error::invalid(ARCHIVE, Place::File, what)
+    Error::invalid(ARCHIVE, Position::File, what)
 }
 
 /// The row of single arrays in the table of formats.

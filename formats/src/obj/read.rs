@@ -3,7 +3,7 @@
 use super::FORMAT;
 use super::lines::MeshLines;
 use crate::data::MeshData;
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 
 /// Reads all objects of a file as one mesh. Polygons become triangle fans; materials and textures are
 /// ignored. Normals are kept if every corner has one.
@@ -14,13 +14,13 @@ use crate::error::{Error, Place, Result};
 pub fn read_mesh(bytes: &[u8]) -> Result<MeshData> {
     let options =
         tobj::LoadOptions { triangulate: true, single_index: true, ignore_points: true, ignore_lines: true };
-    let invalid = |what: String| Error::invalid(FORMAT, Place::File, what);
+    let invalid = |what: String| Error::invalid(FORMAT, Position::File, what);
     // tobj drops vertices that no face uses, so the mesh consists of its faces.
     let no_materials = |_: &std::path::Path| Ok(Default::default());
     let mut lines = MeshLines::new(bytes);
     let (models, _) = tobj::load_obj_buf(&mut lines, &options, no_materials).map_err(|error| {
         let (line, what) = lines.place();
-        Error::invalid(FORMAT, Place::Line(line), what.unwrap_or_else(|| error.to_string()))
+        Error::invalid(FORMAT, Position::Line(line), what.unwrap_or_else(|| error.to_string()))
     })?;
     let mut mesh = MeshData::default();
     let mut has_normals = true;

@@ -11,7 +11,7 @@
 use fast_float2::FastFloat;
 use rayon::prelude::*;
 
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::scalar::Scalar;
 use crate::text::{line_number, parse_number};
 
@@ -257,11 +257,11 @@ impl<'a> BodyLines<'a> {
     }
 
     pub(super) fn short(&self, what: String) -> Error {
-        Error::short(FORMAT, Place::Line(line_number(self.bytes, self.at)), what)
+        Error::short(FORMAT, Position::Line(line_number(self.bytes, self.at)), what)
     }
 
     pub(super) fn invalid(&self, what: String) -> Error {
-        Error::invalid(FORMAT, Place::Line(line_number(self.bytes, self.at)), what)
+        Error::invalid(FORMAT, Position::Line(line_number(self.bytes, self.at)), what)
     }
 }
 

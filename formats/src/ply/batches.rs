@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::bytes::Endian;
-use crate::data::{Positions, Role};
+use crate::data::{AttributeRole, FilePositions};
 use crate::error::Result;
 use crate::limits::Limits;
 use crate::records::Records;
@@ -11,7 +11,7 @@ use crate::scalar::Scalar;
 
 use super::FORMAT;
 use super::binary::{gather_part, scalar_offsets};
-use super::header::{Element, Header};
+use super::header::{Element, PlyHeader};
 use super::read::{Slots, Target, VertexElement, fits_f32, note_on_faces, notes, scalar_of, vertices};
 use super::rows::{check_limit, checked_binary_count};
 
@@ -20,7 +20,7 @@ use super::rows::{check_limit, checked_binary_count};
 ///
 /// # Errors
 /// Those of [`super::read`], after the header.
-pub(super) fn records(header: &Header, file_bytes: u64, limits: &Limits) -> Result<Option<Records>> {
+pub(super) fn records(header: &PlyHeader, file_bytes: u64, limits: &Limits) -> Result<Option<Records>> {
     let VertexElement { element, columns, position } = vertices(header)?;
     let Some(endian) = header.encoding.endian() else { return Ok(None) };
     let earlier = || header.elements.iter().take_while(|earlier| !std::ptr::eq(*earlier, element));
@@ -38,12 +38,13 @@ pub(super) fn records(header: &Header, file_bytes: u64, limits: &Limits) -> Resu
     let scalars = position.map(|property| scalar_of(element, property));
     let mut notes = notes(element, &columns);
     notes.extend(note_on_faces(header));
-    let velocity = columns.groups.iter().find(|group| group.role == Some(Role::Velocity));
+    let velocity = columns.groups.iter().find(|group| group.role == Some(AttributeRole::Velocity));
     let velocity = velocity.map(|group| group.name.clone());
     let columns = PositionColumns { offsets: position.map(|property| offsets[property]), scalars };
-    let gather = Arc::new(move |records: &[u8], stride: usize, count: usize, positions: &mut Positions| {
-        columns.gather(records, stride, endian, count, positions);
-    });
+    let gather =
+        Arc::new(move |records: &[u8], stride: usize, count: usize, positions: &mut FilePositions| {
+            columns.gather(records, stride, endian, count, positions);
+        });
     Ok(Some(Records { format: FORMAT, offset: at, stride, count, gather, notes, velocity }))
 }
 
@@ -55,16 +56,23 @@ struct PositionColumns {
 
 impl PositionColumns {
     /// Appends the positions of `count` records.
-    fn gather(&self, records: &[u8], stride: usize, endian: Endian, count: usize, positions: &mut Positions) {
+    fn gather(
+        &self,
+        records: &[u8],
+        stride: usize,
+        endian: Endian,
+        count: usize,
+        positions: &mut FilePositions,
+    ) {
         match (fits_f32(self.scalars), &mut *positions) {
-            (true, Positions::F32(positions)) => positions.resize(count, [0.0; 3]),
-            (true, Positions::F64(_)) => *positions = Positions::F32(vec![[0.0; 3]; count]),
-            (false, Positions::F64(positions)) => positions.resize(count, [0.0; 3]),
-            (false, Positions::F32(_)) => *positions = Positions::F64(vec![[0.0; 3]; count]),
+            (true, FilePositions::F32(positions)) => positions.resize(count, [0.0; 3]),
+            (true, FilePositions::F64(_)) => *positions = FilePositions::F32(vec![[0.0; 3]; count]),
+            (false, FilePositions::F64(positions)) => positions.resize(count, [0.0; 3]),
+            (false, FilePositions::F32(_)) => *positions = FilePositions::F64(vec![[0.0; 3]; count]),
         }
         let slots = match positions {
-            Positions::F32(positions) => Slots::F32(positions.as_flattened_mut()),
-            Positions::F64(positions) => Slots::F64(positions.as_flattened_mut()),
+            FilePositions::F32(positions) => Slots::F32(positions.as_flattened_mut()),
+            FilePositions::F64(positions) => Slots::F64(positions.as_flattened_mut()),
         };
         let columns = self.scalars.into_iter().enumerate().collect();
         gather_part(records, stride, &self.offsets, endian, &mut [Target { columns, slots }]);

@@ -6,7 +6,7 @@
 
 use crate::bytes::Endian;
 use crate::columns::{Columns, group_columns};
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::excerpt::excerpt;
 use crate::limits::Limits;
 use crate::scalar::Scalar;
@@ -112,7 +112,7 @@ impl Element {
 
 /// The content of a PLY header.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Header {
+pub struct PlyHeader {
     /// The encoding of the body.
     pub encoding: Encoding,
     /// The elements, in the order of the body.
@@ -123,7 +123,7 @@ pub struct Header {
     pub body_offset: usize,
 }
 
-impl Header {
+impl PlyHeader {
     /// The element with the particles: the one named `vertex`, else the first with a position.
     pub fn vertex_element(&self) -> Option<&Element> {
         let named = self.elements.iter().find(|element| element.name.eq_ignore_ascii_case("vertex"));
@@ -153,11 +153,11 @@ impl Header {
 /// `Short` if the file ends before `end_header`; `Invalid` if the header is malformed; `TooLarge` beyond
 /// `header_bytes` or
 /// `attribute_count`.
-pub fn read_header(bytes: &[u8], limits: &Limits) -> Result<Header> {
+pub fn read_header(bytes: &[u8], limits: &Limits) -> Result<PlyHeader> {
     let capped = usize::try_from(limits.header_bytes).map_or(bytes, |most| &bytes[..bytes.len().min(most)]);
     let mut lines = Lines::new(capped);
     if lines.next().map(<[u8]>::trim_ascii) != Some(b"ply") {
-        return Err(Error::invalid(FORMAT, Place::Line(1), "expected `ply`"));
+        return Err(Error::invalid(FORMAT, Position::Line(1), "expected `ply`"));
     }
     let mut parsed = PartialHeader { encoding: None, elements: Vec::new(), comments: Vec::new() };
     while let Some(line) = lines.next() {
@@ -169,14 +169,14 @@ pub fn read_header(bytes: &[u8], limits: &Limits) -> Result<Header> {
         }
         if is_last {
             let encoding = parsed.encoding.ok_or_else(|| {
-                Error::invalid(FORMAT, Place::Line(lines.number()), "the header has no `format` line")
+                Error::invalid(FORMAT, Position::Line(lines.number()), "the header has no `format` line")
             })?;
             let PartialHeader { elements, comments, .. } = parsed;
-            return Ok(Header { encoding, elements, comments, body_offset: lines.at() });
+            return Ok(PlyHeader { encoding, elements, comments, body_offset: lines.at() });
         }
         parsed
             .line(keyword, rest, limits)?
-            .map_err(|what| Error::invalid(FORMAT, Place::Line(lines.number()), what))?;
+            .map_err(|what| Error::invalid(FORMAT, Position::Line(lines.number()), what))?;
     }
     if capped.len() < bytes.len() {
         return Err(Error::too_large(
@@ -184,7 +184,7 @@ pub fn read_header(bytes: &[u8], limits: &Limits) -> Result<Header> {
             format!("no `end_header` within the {} bytes allowed for a header", limits.header_bytes),
         ));
     }
-    Err(Error::short(FORMAT, Place::Offset(bytes.len() as u64), "the file ends before `end_header`"))
+    Err(Error::short(FORMAT, Position::Offset(bytes.len() as u64), "the file ends before `end_header`"))
 }
 
 /// The header parsed so far.

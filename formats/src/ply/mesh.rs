@@ -1,6 +1,6 @@
 //! Reads the vertices and faces of a PLY file as a mesh.
 
-use crate::data::{MeshData, ParticleFrame, Positions, Role, Values};
+use crate::data::{AttributeRole, FilePositions, MeshData, ParticleFrame, Values};
 use crate::error::{Error, Result};
 use crate::limits::Limits;
 use crate::scalar::Scalar;
@@ -26,11 +26,13 @@ pub fn read_mesh_and_vertices(bytes: &[u8], limits: &Limits) -> Result<(MeshData
     let header = read_header(bytes, limits)?;
     let frame = read_vertices(bytes, &header, limits)?;
     let positions = match &frame.positions {
-        Positions::F32(positions) => positions.iter().map(|position| position.map(f64::from)).collect(),
-        Positions::F64(positions) => positions.clone(),
+        FilePositions::F32(positions) => positions.iter().map(|position| position.map(f64::from)).collect(),
+        FilePositions::F64(positions) => positions.clone(),
     };
     let mut mesh = MeshData { positions, ..MeshData::default() };
-    if let Some(normal) = frame.attributes.iter().find(|attribute| attribute.role == Some(Role::Normal)) {
+    if let Some(normal) =
+        frame.attributes.iter().find(|attribute| attribute.role == Some(AttributeRole::Normal))
+    {
         mesh.normals = normals(&normal.values);
     }
 

@@ -34,7 +34,7 @@ mod vertex_data;
 pub mod write;
 mod write_particles;
 
-pub use header::{Element, Encoding, Header, Property, PropertyType, read_header};
+pub use header::{Element, Encoding, PlyHeader, Property, PropertyType, read_header};
 pub use mesh::{read_mesh, read_mesh_and_vertices};
 pub use read::read;
 pub use vertex_data::attribute_notes;

@@ -1,13 +1,13 @@
 //! Reads a PLY file as a frame of particles.
 
 use crate::columns::{Columns, Group};
-use crate::data::{Attribute, ParticleFrame, Positions, Values};
-use crate::error::{Error, Place, Result};
+use crate::data::{FileAttribute, FilePositions, ParticleFrame, Values};
+use crate::error::{Error, Position, Result};
 use crate::excerpt::{excerpt, excerpts};
 use crate::limits::Limits;
 use crate::scalar::Scalar;
 
-use super::header::{Element, Header, PropertyType, read_header};
+use super::header::{Element, PlyHeader, PropertyType, read_header};
 use super::rows::{RecordReader, check_limit, checked_count, rows_of};
 use super::{FORMAT, ascii, binary};
 
@@ -24,7 +24,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 }
 
 /// Reads the vertices of the file with this header.
-pub(super) fn read_vertices(bytes: &[u8], header: &Header, limits: &Limits) -> Result<ParticleFrame> {
+pub(super) fn read_vertices(bytes: &[u8], header: &PlyHeader, limits: &Limits) -> Result<ParticleFrame> {
     let VertexElement { element, columns, position } = vertices(header)?;
     let rows = rows_of(bytes, header, element)?;
     let count = checked_count(&rows, element)?;
@@ -61,9 +61,9 @@ pub(super) struct VertexElement<'a> {
 }
 
 /// Finds the particles in the header.
-pub(super) fn vertices(header: &Header) -> Result<VertexElement<'_>> {
+pub(super) fn vertices(header: &PlyHeader) -> Result<VertexElement<'_>> {
     let element = header.vertex_element().ok_or_else(|| {
-        Error::invalid(FORMAT, Place::File, "no element is named `vertex` or has properties x, y and z")
+        Error::invalid(FORMAT, Position::File, "no element is named `vertex` or has properties x, y and z")
     })?;
     let columns = element.columns();
     let position = columns.position.ok_or_else(|| no_position(element))?;
@@ -113,16 +113,16 @@ fn no_position(element: &Element) -> Error {
         "element `{}` has no properties x, y and z (or px, pos_x and the like); found: {names}",
         excerpt(&element.name),
     );
-    Error::invalid(FORMAT, Place::File, what)
+    Error::invalid(FORMAT, Position::File, what)
 }
 
 /// A frame with space for all values. The caller has compared `count` with the remaining bytes.
 fn empty_frame(element: &Element, columns: &Columns, position: [usize; 3], count: usize) -> ParticleFrame {
     let positions = match fits_f32(position.map(|column| scalar_of(element, column))) {
-        true => Positions::F32(vec![[0.0; 3]; count]),
-        false => Positions::F64(vec![[0.0; 3]; count]),
+        true => FilePositions::F32(vec![[0.0; 3]; count]),
+        false => FilePositions::F64(vec![[0.0; 3]; count]),
     };
-    let attributes = columns.groups.iter().map(|group| Attribute {
+    let attributes = columns.groups.iter().map(|group| FileAttribute {
         name: group.name.clone(),
         arity: group.arity(),
         role: group.role,
@@ -167,8 +167,8 @@ fn targets<'a>(
     };
     let mut targets = Vec::with_capacity(1 + columns.groups.len());
     let slots = match &mut frame.positions {
-        Positions::F32(positions) => Slots::F32(positions.as_flattened_mut()),
-        Positions::F64(positions) => Slots::F64(positions.as_flattened_mut()),
+        FilePositions::F32(positions) => Slots::F32(positions.as_flattened_mut()),
+        FilePositions::F64(positions) => Slots::F64(positions.as_flattened_mut()),
     };
     targets.push(Target { columns: typed(&position), slots });
     for (group, attribute) in columns.groups.iter().zip(&mut frame.attributes) {
@@ -186,7 +186,7 @@ fn targets<'a>(
 }
 
 /// A note if the file is a mesh that is read as particles.
-pub(super) fn note_on_faces(header: &Header) -> Option<String> {
+pub(super) fn note_on_faces(header: &PlyHeader) -> Option<String> {
     let mut faces = header.elements.iter().filter(|element| element.name.eq_ignore_ascii_case("face"));
     let faces = faces.next().filter(|faces| faces.count > 0)?;
     Some(format!("the file also has {} faces, which are ignored: only the vertices are read", faces.count))

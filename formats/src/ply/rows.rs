@@ -3,13 +3,13 @@
 //! This is the slow path: for faces, skipped elements and records with lists.
 
 use crate::bytes::Cursor;
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::scalar::Scalar;
 
 use super::FORMAT;
 use super::ascii::BodyLines;
-use super::header::{Element, Header, Property, PropertyType};
+use super::header::{Element, PlyHeader, Property, PropertyType};
 
 /// A position in the body.
 pub(super) enum RecordReader<'a> {
@@ -19,7 +19,7 @@ pub(super) enum RecordReader<'a> {
 
 impl<'a> RecordReader<'a> {
     /// Starts at offset `at` of the file.
-    pub(super) fn new(bytes: &'a [u8], header: &Header, at: usize) -> RecordReader<'a> {
+    pub(super) fn new(bytes: &'a [u8], header: &PlyHeader, at: usize) -> RecordReader<'a> {
         match header.encoding.endian() {
             Some(endian) => RecordReader::Binary(Cursor::new(FORMAT, endian, bytes, at)),
             None => RecordReader::Ascii(BodyLines::new(bytes, at)),
@@ -160,7 +160,7 @@ fn checked(
         let what = format!(
             "the header declares {count} `{name}` records of at least {record} {kind}, but only {remaining} bytes follow",
         );
-        let place = Place::Offset(at);
+        let place = Position::Offset(at);
         // No file ever grows to such a size.
         match count.checked_mul(record as u64) {
             None => Error::invalid(FORMAT, place, what),
@@ -170,7 +170,11 @@ fn checked(
 }
 
 /// Positions a reader at the records of `element`, which belongs to the header.
-pub(super) fn rows_of<'a>(bytes: &'a [u8], header: &Header, element: &Element) -> Result<RecordReader<'a>> {
+pub(super) fn rows_of<'a>(
+    bytes: &'a [u8],
+    header: &PlyHeader,
+    element: &Element,
+) -> Result<RecordReader<'a>> {
     let mut rows = RecordReader::new(bytes, header, header.body_offset);
     for earlier in header.elements.iter().take_while(|earlier| !std::ptr::eq(*earlier, element)) {
         rows.skip_element(earlier)?;

@@ -13,7 +13,7 @@ use std::borrow::Cow;
 use std::io::Write;
 
 use super::vertex_data::{component_names, string_comments};
-use crate::data::{Attribute, ParticleFrame, Positions, Provenance, Role, Values};
+use crate::data::{AttributeRole, FileAttribute, FilePositions, ParticleFrame, Provenance, Values};
 use crate::error::Result;
 use crate::particle_columns::{check, written};
 use crate::provenance::{GENERATOR, comments};
@@ -43,8 +43,8 @@ pub fn write_particles(frame: &ParticleFrame, provenance: &Provenance, out: &mut
         bytes.clear();
         for particle in start..(start + PIECE).min(count) {
             match &frame.positions {
-                Positions::F32(all) => bytes.extend(all[particle].iter().flat_map(|x| x.to_le_bytes())),
-                Positions::F64(all) => bytes.extend(all[particle].iter().flat_map(|x| x.to_le_bytes())),
+                FilePositions::F32(all) => bytes.extend(all[particle].iter().flat_map(|x| x.to_le_bytes())),
+                FilePositions::F64(all) => bytes.extend(all[particle].iter().flat_map(|x| x.to_le_bytes())),
             }
             columns.iter().for_each(|column| column.append(particle, &mut bytes));
         }
@@ -82,8 +82,8 @@ pub fn particle_notes(frame: &ParticleFrame) -> Vec<String> {
 
 fn header(frame: &ParticleFrame, columns: &[PlyColumn], provenance: &Provenance) -> String {
     let real = match frame.positions {
-        Positions::F32(_) => "float",
-        Positions::F64(_) => "double",
+        FilePositions::F32(_) => "float",
+        FilePositions::F64(_) => "double",
     };
     let mut header = format!("ply\nformat binary_little_endian 1.0\ncomment {GENERATOR}\n");
     header += &comments(provenance, "comment ");
@@ -162,8 +162,8 @@ fn word(name: &str) -> String {
     if word.is_empty() { "attribute".into() } else { word }
 }
 
-fn names_of(attribute: &Attribute, stem: &str) -> Vec<String> {
-    let is_color = attribute.role == Some(Role::Color) && stem == COLOR;
+fn names_of(attribute: &FileAttribute, stem: &str) -> Vec<String> {
+    let is_color = attribute.role == Some(AttributeRole::Color) && stem == COLOR;
     match is_color {
         true => COLORS.iter().take(attribute.arity).map(|&name| name.to_owned()).collect(),
         false => component_names(stem, attribute.arity),

@@ -1,7 +1,7 @@
 //! The head of a file: its provenance and a summary of its content.
 
 use crate::data::Provenance;
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::mesh_options::UpAxis;
 
 use super::FORMAT;
@@ -77,7 +77,7 @@ pub fn read_layer_info(head: &[u8]) -> Result<Option<LayerInfo>> {
 /// The part of the head that is text.
 fn head_text(head: &[u8]) -> Result<String> {
     if !head.starts_with(b"#usda 1.0") {
-        return Err(Error::invalid(FORMAT, Place::Offset(0), "expected #usda 1.0"));
+        return Err(Error::invalid(FORMAT, Position::Offset(0), "expected #usda 1.0"));
     }
     // The prim, which can be long, starts with `def`. The head may end in the middle of a character.
     let end = head.windows(5).position(|window| window == b"\ndef ").unwrap_or(head.len());

@@ -18,7 +18,7 @@
 use std::io::{self, Read, Seek, Write};
 
 use crate::data::Provenance;
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::gltf::{FramePlace, ShotFrame, VertexColumn};
 use crate::mesh_options::UpAxis;
 use crate::vertex_attributes::NamesTaken;
@@ -116,7 +116,7 @@ const OF_VERTICES: &str = "            interpolation = \"vertex\"\n";
 
 impl<'a> UsdaSequence<'a> {
     fn of(frames: &'a [ShotFrame]) -> Result<UsdaSequence<'a>> {
-        let invalid = |what: String| Error::invalid(FORMAT, Place::File, what);
+        let invalid = |what: String| Error::invalid(FORMAT, Position::File, what);
         if let Some(pair) = frames.windows(2).find(|pair| pair[1].code <= pair[0].code) {
             let [a, b] = [0, 1].map(|index| (&pair[index].name, pair[index].code));
             return Err(invalid(format!("{} and {} have the time codes {} and {}", a.0, b.0, a.1, b.1)));

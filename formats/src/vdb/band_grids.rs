@@ -13,7 +13,7 @@ use super::tree::TreeLeaf;
 use super::{Compression, FORMAT};
 use crate::blosc::Encoder;
 use crate::data::BandGrid;
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 
 /// Encodes the stored leaves, given in tree order with their indices in the level set. Also returns the
 /// largest absolute value.
@@ -23,7 +23,7 @@ pub(super) fn encode_grid(
     encoding: LeafEncoding,
 ) -> Result<(Vec<Packed>, f32)> {
     let BandGrid { name, arity, .. } = grid;
-    let invalid = |what: String| Err(Error::invalid(FORMAT, Place::File, what));
+    let invalid = |what: String| Err(Error::invalid(FORMAT, Position::File, what));
     if *arity != 1 && *arity != 3 {
         return invalid(format!("attribute {name} has {arity} values per voxel; a grid must have 1 or 3"));
     }

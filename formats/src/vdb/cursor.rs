@@ -1,7 +1,7 @@
 //! A cursor over little-endian bytes whose errors name the position.
 
 use super::FORMAT;
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 
 /// A read position in a file. Reading past the end is an error that names what was being read.
 #[derive(Clone, Copy)]
@@ -96,6 +96,6 @@ impl<'a> VdbCursor<'a> {
 
     /// An error at the current position.
     pub(super) fn error(&self, what: impl Into<String>) -> Error {
-        Error::invalid(FORMAT, Place::Offset(self.position as u64), what)
+        Error::invalid(FORMAT, Position::Offset(self.position as u64), what)
     }
 }

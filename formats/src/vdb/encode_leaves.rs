@@ -53,7 +53,7 @@ impl LeafSummary {
 }
 
 /// Leaves that were encoded together.
-pub(super) struct LeafBatch {
+pub(super) struct EncodedBatch {
     pub(super) summaries: Vec<LeafSummary>,
     pub(super) packed: Packed,
 }
@@ -72,7 +72,11 @@ impl Packed {
 }
 
 /// Encodes the leaves in the order of the indices.
-pub(super) fn encode_leaves(leaves: &[[f32; 512]], order: &[u32], encoding: LeafEncoding) -> Vec<LeafBatch> {
+pub(super) fn encode_leaves(
+    leaves: &[[f32; 512]],
+    order: &[u32],
+    encoding: LeafEncoding,
+) -> Vec<EncodedBatch> {
     order
         .par_chunks(LEAVES_PER_BATCH)
         .map_init(
@@ -81,7 +85,7 @@ pub(super) fn encode_leaves(leaves: &[[f32; 512]], order: &[u32], encoding: Leaf
                 bytes.clear();
                 let summaries =
                     indices.iter().map(|&index| encoder.append(&leaves[index as usize], bytes)).collect();
-                LeafBatch { summaries, packed: Packed::new(bytes) }
+                EncodedBatch { summaries, packed: Packed::new(bytes) }
             },
         )
         .collect()

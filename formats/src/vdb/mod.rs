@@ -42,7 +42,7 @@ mod write;
 
 pub use metadata::MetaValue;
 pub use read::{GridInfo, Transform, grids, read_level_set, read_vectors};
-pub use read_tree::{GridData, LevelSetData, Tile, VectorGridData};
+pub use read_tree::{ConstantTile, GridData, LevelSetData, VectorGridData};
 pub use write::{Encoded, WriteOptions, encode, grid_notes, write};
 
 use read::{first_grid_metadata, last_grid_end};

@@ -11,7 +11,7 @@ use super::read_tree::{
     GridData, LevelSetData, TreeBudget, ValueStorage, VectorGridData, VoxelValue, count_tree, pass_tree,
     read_tree,
 };
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::excerpt::excerpt;
 use crate::limits::Limits;
 
@@ -271,7 +271,7 @@ fn read_header(cursor: &mut VdbCursor) -> Result<FileHeader> {
     const DESCRIPTOR_BYTES_MIN: usize = 36;
     const GRID_COUNT_MAX: usize = 1 << 16; // real files have a dozen
     if cursor.array::<8>("the magic number")? != MAGIC {
-        return Err(Error::invalid(FORMAT, Place::Offset(0), "expected the OpenVDB magic number"));
+        return Err(Error::invalid(FORMAT, Position::Offset(0), "expected the OpenVDB magic number"));
     }
     let version = cursor.u32("the file version")?;
     if !VERSIONS_READ.contains(&version) {

@@ -14,7 +14,7 @@ use super::layout::{
 use super::metadata::MetaValue;
 use super::read::Transform;
 use crate::blosc::{BloscError, decode_frame, inflate_into};
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 
 /// A grid of floats read from a file; a level set if its class says so.
@@ -41,7 +41,7 @@ pub struct GridData<V> {
     /// Active voxels of each leaf: bit `y·8 + z` of word x.
     pub masks: Vec<[u64; 8]>,
     /// Cubes with a constant value, except inactive ones with the background.
-    pub tiles: Vec<Tile<V>>,
+    pub tiles: Vec<ConstantTile<V>>,
     /// The metadata of the grid.
     pub metadata: Vec<(String, MetaValue)>,
 }
@@ -77,7 +77,7 @@ const TILE_BYTES: u64 = 160;
 
 /// A cube of voxels with a constant value.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Tile<V> {
+pub struct ConstantTile<V> {
     /// Its minimum voxel.
     pub origin: [i32; 3],
     /// Number of voxels along an edge: 8, 128 or 4096.
@@ -199,7 +199,7 @@ fn read_topology<V: VoxelValue>(reader: &mut TreeReader<V>, cursor: &mut VdbCurs
         let origin = cursor.coord("a root tile")?;
         let value = V::read(cursor, "a root tile")?;
         let active = cursor.u8("a root tile")? != 0;
-        reader.push_tile(Tile { origin, size: 1 << NODE5_VOXELS_LOG2, value, active })?;
+        reader.push_tile(ConstantTile { origin, size: 1 << NODE5_VOXELS_LOG2, value, active })?;
     }
     let mut last = None;
     for _ in 0..child_count {
@@ -284,7 +284,12 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
         for (slot, &value) in values.iter().enumerate() {
             if !is_on(&children, slot) {
                 let origin = child_origin(origin, slot, log2, child_log2);
-                self.push_tile(Tile { origin, size: 1 << child_log2, value, active: is_on(&active, slot) })?;
+                self.push_tile(ConstantTile {
+                    origin,
+                    size: 1 << child_log2,
+                    value,
+                    active: is_on(&active, slot),
+                })?;
             }
         }
         drop(values);
@@ -318,9 +323,9 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
         Ok(())
     }
 
-    fn push_tile(&mut self, tile: Tile<V>) -> Result<()> {
+    fn push_tile(&mut self, tile: ConstantTile<V>) -> Result<()> {
         if tile.active || tile.value != self.background {
-            self.budget.spend(size_of::<Tile<V>>())?;
+            self.budget.spend(size_of::<ConstantTile<V>>())?;
             self.size.tile_count += 1;
             if self.keep == Keep::All {
                 self.data.tiles.push(tile);
@@ -409,7 +414,7 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
         let out = &mut self.scratch[..];
         let size = cursor.i64("the size of compressed values")?;
         let start = cursor.position() as u64;
-        let invalid = |what: String| Error::invalid(FORMAT, Place::Offset(start), what);
+        let invalid = |what: String| Error::invalid(FORMAT, Position::Offset(start), what);
         let length = usize::try_from(size.unsigned_abs()).unwrap_or(usize::MAX);
         let bytes = cursor.take(length, "compressed values")?;
         if out.is_empty() {

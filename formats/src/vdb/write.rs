@@ -22,7 +22,7 @@ use half::f16;
 use rayon::prelude::*;
 
 use super::band_grids::encode_grid;
-use super::encode_leaves::{LeafBatch, LeafEncoding, Packed, encode_leaves, to_world};
+use super::encode_leaves::{EncodedBatch, LeafEncoding, Packed, encode_leaves, to_world};
 use super::layout::{
     COMPRESS_ACTIVE_MASK, COMPRESS_BLOSC, HALF_SUFFIX, LIBRARY_VERSION, MAGIC, META_HALF, NODE4_VOXELS_LOG2,
     NODE5_VOXELS_LOG2, TYPE_FLOAT, TYPE_VEC3S, VERSION_WRITTEN, count_ones,
@@ -31,8 +31,8 @@ use super::metadata::{MetaWriter, push_string};
 use super::tree::{GridTree, TreeLeaf, count_u32};
 use super::uuid::{self, Digest, digest};
 use super::{Compression, FORMAT};
-use crate::data::{BandGrid, LevelSetView, Provenance, Role};
-use crate::error::{Error, Place, Result};
+use crate::data::{AttributeRole, BandGrid, LevelSetView, Provenance};
+use crate::error::{Error, Position, Result};
 use crate::provenance::{GENERATOR, prefixed};
 use crate::vertex_attributes::NamesTaken;
 
@@ -134,7 +134,7 @@ pub fn encode(levels: &LevelSetView, options: &WriteOptions, provenance: &Proven
         let (encoding, buffers) = encoded_leaves(grid, (&order, &leaves), options)?;
         let mut metadata = self::metadata(&leaves, &tree, "unknown", &name, encoding);
         if grid.arity == 3 {
-            let is_velocity = grid.role == Some(Role::Velocity);
+            let is_velocity = grid.role == Some(AttributeRole::Velocity);
             let kind = if is_velocity { "contravariant relative" } else { "invariant" };
             metadata.string("vector_type", kind);
         }
@@ -163,7 +163,7 @@ fn encoded_leaves(
 
 /// Notes on grids whose names differ from those of their attributes. `name` is the name of the level set.
 pub fn grid_notes(grids: &[BandGrid], name: &str) -> Vec<String> {
-    let is_plain = |grid: &BandGrid| grid.role == Some(Role::Velocity) && grid.arity == 3;
+    let is_plain = |grid: &BandGrid| grid.role == Some(AttributeRole::Velocity) && grid.arity == 3;
     let named = grids.iter().zip(grid_names(grids, name));
     let renamed = named.filter(|(grid, name)| !is_plain(grid) && *name != grid.name);
     renamed.map(|(grid, name)| format!("{} is named {name} in the .vdb", grid.name)).collect()
@@ -175,7 +175,7 @@ fn grid_names(grids: &[BandGrid], surface: &str) -> Vec<String> {
     let name_of = |grid: &BandGrid| {
         let own = grid.name.trim().replace(char::is_control, "_");
         let stem = match grid.role {
-            Some(Role::Velocity) if grid.arity == 3 => "velocity",
+            Some(AttributeRole::Velocity) if grid.arity == 3 => "velocity",
             _ if own.is_empty() => "attribute",
             _ => &own,
         };
@@ -245,7 +245,7 @@ fn assembled(mut grids: Vec<EncodedGrid>) -> Encoded {
 /// The leaves' indices in tree order: by root child, lower node and leaf, each by x, y, z.
 fn tree_order(levels: &LevelSetView) -> Result<Vec<u32>> {
     let LevelSetView { origins, leaves, .. } = levels;
-    let invalid = |what: String| Err(Error::invalid(FORMAT, Place::File, what));
+    let invalid = |what: String| Err(Error::invalid(FORMAT, Position::File, what));
     if origins.len() != leaves.len() {
         return invalid(format!("there are {} leaf origins for {} leaves", origins.len(), leaves.len()));
     }
@@ -284,12 +284,12 @@ fn encoding(levels: &LevelSetView, options: &WriteOptions) -> Result<LeafEncodin
             levels.half_width_voxels,
             if options.half { 16 } else { 32 }
         );
-        return Err(Error::invalid(FORMAT, Place::File, what));
+        return Err(Error::invalid(FORMAT, Position::File, what));
     }
     Ok(LeafEncoding { scale, background, arity: 1, half: options.half, compression: options.compression })
 }
 
-fn leaves_of(levels: &LevelSetView, order: &[u32], batches: &[LeafBatch]) -> Result<Vec<TreeLeaf>> {
+fn leaves_of(levels: &LevelSetView, order: &[u32], batches: &[EncodedBatch]) -> Result<Vec<TreeLeaf>> {
     let summaries = batches.iter().flat_map(|batch| &batch.summaries);
     let leaves: Vec<TreeLeaf> = order
         .iter()
@@ -300,7 +300,7 @@ fn leaves_of(levels: &LevelSetView, order: &[u32], batches: &[LeafBatch]) -> Res
         None => Ok(leaves),
         Some(leaf) => {
             let what = format!("the leaf at {:?} contains NaN values", leaf.origin);
-            Err(Error::invalid(FORMAT, Place::File, what))
+            Err(Error::invalid(FORMAT, Position::File, what))
         }
     }
 }

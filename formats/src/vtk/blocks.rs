@@ -18,7 +18,7 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 
 use crate::bytes::{Cursor, Endian};
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 
 use super::XML;
@@ -71,7 +71,7 @@ impl ArrayTotals {
         self.bytes = self.bytes.saturating_add(bytes);
         if self.encoded_bytes > self.file_bytes {
             let what = format!("`{name}`: the arrays up to this one have more bytes in total than the file");
-            return Err(Error::invalid(XML, Place::File, what));
+            return Err(Error::invalid(XML, Position::File, what));
         }
         limits.check_decompressed(XML, self.bytes, self.encoded_bytes)
     }
@@ -140,7 +140,7 @@ fn decode_blocks(
     let (block_count, block_bytes, last_bytes) = (first[0], first[1], first[2]);
     if last_bytes > block_bytes {
         let what = format!("`{name}`: the last block has {last_bytes} bytes, all others {block_bytes}");
-        return Err(Error::invalid(XML, Place::Offset(encoded.offset), what));
+        return Err(Error::invalid(XML, Position::Offset(encoded.offset), what));
     }
     let header_bytes = usize::try_from(block_count)
         .ok()
@@ -169,7 +169,7 @@ fn decode_blocks(
         if !is_good || (unpacked.len() - before) as u64 != length {
             let what =
                 format!("`{name}`: block {index} of {block_count} does not decompress to {length} bytes");
-            return Err(Error::invalid(XML, Place::Offset(encoded.offset), what));
+            return Err(Error::invalid(XML, Position::Offset(encoded.offset), what));
         }
     }
     Ok(unpacked)
@@ -208,7 +208,7 @@ impl<'a> EncodedArray<'a> {
         let letters =
             rest.get(..letter_count).ok_or_else(|| self.too_few(length as u64, rest.len() / 4 * 3, name))?;
         let mut decoded = base64_decoded(letters).ok_or_else(|| {
-            let place = Place::Offset(self.offset + at as u64);
+            let place = Position::Offset(self.offset + at as u64);
             Error::invalid(XML, place, format!("`{name}` is not valid base64"))
         })?;
         if decoded.len() < length {
@@ -220,7 +220,7 @@ impl<'a> EncodedArray<'a> {
 
     fn too_few(&self, expected: u64, found: usize, name: &str) -> Error {
         let what = format!("expected at least {expected} bytes of `{name}`, but {found} remain");
-        Error::invalid(XML, Place::Offset(self.offset), what)
+        Error::invalid(XML, Position::Offset(self.offset), what)
     }
 }
 

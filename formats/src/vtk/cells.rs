@@ -7,7 +7,7 @@
 //! ```
 
 use crate::data::Values;
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 
 /// VTK's number for the cell type of filled polygons.
 pub(super) const POLYGON: i64 = 7;
@@ -44,7 +44,7 @@ pub(super) fn add_cells(
     points: Points,
     triangles: &mut Vec<[u32; 3]>,
 ) -> Result<()> {
-    let invalid = |what: String| Error::invalid(format, Place::File, what);
+    let invalid = |what: String| Error::invalid(format, Position::File, what);
     let vertex = |corner: i64| {
         let corner = u64::try_from(corner).ok().filter(|&corner| corner < points.count);
         corner.and_then(|corner| u32::try_from(points.first + corner).ok())

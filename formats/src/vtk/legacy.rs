@@ -20,16 +20,16 @@
 //! The format has no end mark: a file is complete if no data is missing.
 
 use crate::bytes::Endian;
-use crate::data::{MeshData, ParticleFrame, Positions, Values};
-use crate::error::{Error, Place, Result};
+use crate::data::{FilePositions, MeshData, ParticleFrame, Values};
+use crate::error::{Error, Position, Result};
 use crate::excerpt::excerpt;
 use crate::limits::Limits;
 use crate::named_arrays::NamedArray;
-use crate::number::Number;
+use crate::number::NumberType;
 
 use super::LEGACY;
 use super::cells::{POLYGON, Points, TRIANGLE_STRIP, add_cells, integers};
-use super::pieces::{POLYGONS_NOTE, Piece, checked_count, joined, positions_of};
+use super::pieces::{POLYGONS_NOTE, VtkPiece, checked_count, joined, positions_of};
 use super::xml_arrays::decimals;
 
 /// The longest line of text.
@@ -52,7 +52,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
         found.notes.push(POLYGONS_NOTE.into());
     }
     let positions = found.positions.ok_or_else(|| file.short("the file ends before any POINTS"))?;
-    Ok(joined(vec![Piece { positions, arrays: found.arrays }], found.notes))
+    Ok(joined(vec![VtkPiece { positions, arrays: found.arrays }], found.notes))
 }
 
 /// Reads the points and the polygons, without normals. Polygons with more than three corners become fans. A
@@ -70,10 +70,10 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
         file.section(&line, &mut found)?;
     }
     let positions = match found.positions {
-        Some(Positions::F32(positions)) => {
+        Some(FilePositions::F32(positions)) => {
             positions.into_iter().map(|position| position.map(f64::from)).collect()
         }
-        Some(Positions::F64(positions)) => positions,
+        Some(FilePositions::F64(positions)) => positions,
         None => return Err(file.short("the file ends before any POINTS")),
     };
     let mut mesh = MeshData { positions, ..MeshData::default() };
@@ -81,7 +81,7 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     for CellList { kind, ends, corners } in &found.cells {
         if kind.is_none() && found.cell_types.len() != ends.len() {
             let what = format!("the file has {} CELL_TYPES for {} CELLS", found.cell_types.len(), ends.len());
-            return Err(Error::invalid(LEGACY, Place::File, what));
+            return Err(Error::invalid(LEGACY, Position::File, what));
         }
         let type_of = |index: usize| kind.unwrap_or_else(|| found.cell_types[index]);
         add_cells(LEGACY, (ends, corners), type_of, points, &mut mesh.triangles)?;
@@ -101,7 +101,7 @@ struct CellList {
 /// The content read so far.
 #[derive(Default)]
 struct LegacyData {
-    positions: Option<Positions>,
+    positions: Option<FilePositions>,
     arrays: Vec<NamedArray>,
     notes: Vec<String>,
     /// Whether the following arrays have values for points.
@@ -144,14 +144,14 @@ impl<'a> LegacyLine<'a> {
     }
 
     fn invalid(&self, what: &str) -> Error {
-        Error::invalid(LEGACY, Place::Offset(self.at as u64), what)
+        Error::invalid(LEGACY, Position::Offset(self.at as u64), what)
     }
 }
 
 /// The type of an array.
 #[derive(Clone, Copy)]
 enum Type {
-    Of(Number),
+    Of(NumberType),
     /// Bits, eight values per byte.
     Bits,
 }
@@ -186,7 +186,7 @@ impl<'a> File<'a> {
             "VERTICES" | "LINES" | "POLYGONS" | "TRIANGLE_STRIPS" | "CELLS" => self.cell_section(line, found),
             "CELL_TYPES" => {
                 let types =
-                    self.cell_numbers(line, Number::I32, line.count(1, "the number of cells")?, found)?;
+                    self.cell_numbers(line, NumberType::I32, line.count(1, "the number of cells")?, found)?;
                 found.cell_types.extend(types);
                 Ok(())
             }
@@ -224,7 +224,7 @@ impl<'a> File<'a> {
                 self.array(line, line.word(1).to_string(), kind, arity, found)
             }
             "LOOKUP_TABLE" => {
-                let number = if self.is_binary { Number::U8 } else { Number::F32 };
+                let number = if self.is_binary { NumberType::U8 } else { NumberType::F32 };
                 let count = line.count(2, "the size of a table")?;
                 self.pass(line, number, count.saturating_mul(4))
             }
@@ -269,7 +269,7 @@ impl<'a> File<'a> {
         };
         found.has_polygons |= matches!(kind, Some(POLYGON | TRIANGLE_STRIP)) && cell_count > 0;
         if !has_offsets {
-            let numbers = self.cell_numbers(line, Number::I32, size, found)?;
+            let numbers = self.cell_numbers(line, NumberType::I32, size, found)?;
             if found.keeps_cells {
                 found.cells.push(counted_cells(kind, &numbers, line)?);
             }
@@ -305,7 +305,7 @@ impl<'a> File<'a> {
     fn cell_numbers(
         &mut self,
         line: &LegacyLine,
-        number: Number,
+        number: NumberType,
         count: u64,
         found: &LegacyData,
     ) -> Result<Vec<i64>> {
@@ -410,7 +410,7 @@ impl<'a> File<'a> {
                     ));
                 }
                 let size = if self.is_binary { size.div_ceil(8) } else { size };
-                self.pass(line, Number::U8, size)
+                self.pass(line, NumberType::U8, size)
             }
             (None, _) => {
                 let what = format!(
@@ -433,7 +433,7 @@ impl<'a> File<'a> {
     }
 
     /// Reads the next `count` numbers.
-    fn values(&mut self, line: &LegacyLine, number: Number, count: u64) -> Result<Values> {
+    fn values(&mut self, line: &LegacyLine, number: NumberType, count: u64) -> Result<Values> {
         if self.is_binary {
             let data = self.data(line, number, count)?;
             return Ok(number.decode(data, Endian::Big));
@@ -445,7 +445,7 @@ impl<'a> File<'a> {
             WordSpans { bytes: rest, at: 0 }.inspect(|(_, word_end)| end = *word_end).map(|(word, _)| word);
         let values = decimals(words, number, count).map_err(|word| {
             let what = format!("expected a number of {}, found `{}`", line.word(0), excerpt(word));
-            Error::invalid(LEGACY, Place::Offset(self.at as u64), what)
+            Error::invalid(LEGACY, Position::Offset(self.at as u64), what)
         })?;
         let found = crate::number::length(&values);
         self.at += end;
@@ -456,7 +456,7 @@ impl<'a> File<'a> {
     }
 
     /// Skips the next `count` numbers.
-    fn pass(&mut self, line: &LegacyLine, number: Number, count: u64) -> Result<()> {
+    fn pass(&mut self, line: &LegacyLine, number: NumberType, count: u64) -> Result<()> {
         if self.is_binary {
             return self.data(line, number, count).map(drop);
         }
@@ -473,7 +473,7 @@ impl<'a> File<'a> {
     }
 
     /// The bytes of the next `count` numbers.
-    fn data(&mut self, line: &LegacyLine, number: Number, count: u64) -> Result<&'a [u8]> {
+    fn data(&mut self, line: &LegacyLine, number: NumberType, count: u64) -> Result<&'a [u8]> {
         let rest = &self.bytes[self.at..];
         let count = self.fitting(line, count, rest.len() / number.size())?;
         let data = &rest[..count * number.size()];
@@ -518,7 +518,11 @@ impl<'a> File<'a> {
             let is_text = |byte: &u8| *byte >= b' ' || byte.is_ascii_whitespace();
             let text = std::str::from_utf8(line).ok().filter(|_| line.iter().all(is_text));
             let text = text.ok_or_else(|| {
-                Error::invalid(LEGACY, Place::Offset(at as u64), "expected a line of text, found binary data")
+                Error::invalid(
+                    LEGACY,
+                    Position::Offset(at as u64),
+                    "expected a line of text, found binary data",
+                )
             })?;
             let words: Vec<&str> = text.split_ascii_whitespace().collect();
             if !words.is_empty() {
@@ -541,12 +545,12 @@ impl<'a> File<'a> {
                 Ok(None)
             }
             None if searched.len() == rest.len() => Err(self.short("the file ends within a line")),
-            None => Err(Error::invalid(LEGACY, Place::Offset(self.at as u64), "expected a line of text")),
+            None => Err(Error::invalid(LEGACY, Position::Offset(self.at as u64), "expected a line of text")),
         }
     }
 
     fn short(&self, what: impl Into<String>) -> Error {
-        Error::short(LEGACY, Place::Offset(self.at as u64), what)
+        Error::short(LEGACY, Position::Offset(self.at as u64), what)
     }
 }
 
@@ -600,16 +604,16 @@ fn check_data_set(line: &LegacyLine) -> Result<()> {
 fn type_of(word: &str) -> Option<Type> {
     Some(Type::Of(match word.to_ascii_lowercase().as_str() {
         "bit" => return Some(Type::Bits),
-        "char" | "signed_char" => Number::I8,
-        "unsigned_char" => Number::U8,
-        "short" => Number::I16,
-        "unsigned_short" => Number::U16,
-        "int" | "vtktypeint32" | "vtkidtype" => Number::I32, // VTK writes vtkIdType with 32 bits
-        "unsigned_int" | "vtktypeuint32" => Number::U32,
-        "long" | "vtktypeint64" | "long_long" => Number::I64,
-        "unsigned_long" | "vtktypeuint64" | "unsigned_long_long" => Number::U64,
-        "float" => Number::F32,
-        "double" => Number::F64,
+        "char" | "signed_char" => NumberType::I8,
+        "unsigned_char" => NumberType::U8,
+        "short" => NumberType::I16,
+        "unsigned_short" => NumberType::U16,
+        "int" | "vtktypeint32" | "vtkidtype" => NumberType::I32, // VTK writes vtkIdType with 32 bits
+        "unsigned_int" | "vtktypeuint32" => NumberType::U32,
+        "long" | "vtktypeint64" | "long_long" => NumberType::I64,
+        "unsigned_long" | "vtktypeuint64" | "unsigned_long_long" => NumberType::U64,
+        "float" => NumberType::F32,
+        "double" => NumberType::F64,
         _ => return None,
     }))
 }

@@ -1,7 +1,7 @@
 //! Joins the pieces of a data set into one frame.
 
-use crate::data::{ParticleFrame, Positions, Values};
-use crate::error::{Error, Place, Result};
+use crate::data::{FilePositions, ParticleFrame, Values};
+use crate::error::{Error, Position, Result};
 use crate::excerpt::excerpt;
 use crate::limits::Limits;
 use crate::named_arrays::{NamedArray, frame_of};
@@ -12,8 +12,8 @@ pub const POLYGONS_NOTE: &str = "the file also has polygons, which are ignored: 
 
 /// The points of a piece, and the arrays that have a value for each.
 #[derive(Debug, Default)]
-pub(super) struct Piece {
-    pub(super) positions: Positions,
+pub(super) struct VtkPiece {
+    pub(super) positions: FilePositions,
     pub(super) arrays: Vec<NamedArray>,
 }
 
@@ -28,13 +28,14 @@ pub(super) fn checked_count(format: &'static str, count: u64, limits: &Limits) -
 }
 
 /// Converts values to positions.
-pub(super) fn positions_of(format: &'static str, values: Values) -> Result<Positions> {
-    let no_numbers = || Error::invalid(format, Place::File, "the coordinates of the points are not numbers");
+pub(super) fn positions_of(format: &'static str, values: Values) -> Result<FilePositions> {
+    let no_numbers =
+        || Error::invalid(format, Position::File, "the coordinates of the points are not numbers");
     number::positions(values).ok_or_else(no_numbers)
 }
 
 /// Joins all points. Skips arrays that are missing in a piece or differ in type, with a note.
-pub(super) fn joined(pieces: Vec<Piece>, mut notes: Vec<String>) -> ParticleFrame {
+pub(super) fn joined(pieces: Vec<VtkPiece>, mut notes: Vec<String>) -> ParticleFrame {
     let mut pieces = pieces.into_iter().filter(|piece| !piece.positions.is_empty());
     let mut all = pieces.next().unwrap_or_default();
     for piece in pieces {
@@ -59,14 +60,16 @@ pub(super) fn joined(pieces: Vec<Piece>, mut notes: Vec<String>) -> ParticleFram
     frame
 }
 
-fn append_positions(positions: &mut Positions, more: Positions) {
+fn append_positions(positions: &mut FilePositions, more: FilePositions) {
     match (&mut *positions, more) {
-        (Positions::F32(positions), Positions::F32(more)) => positions.extend(more),
-        (Positions::F64(positions), Positions::F64(more)) => positions.extend(more),
-        (Positions::F64(positions), Positions::F32(more)) => positions.extend(more.into_iter().map(wide)),
-        (Positions::F32(narrow), Positions::F64(more)) => {
+        (FilePositions::F32(positions), FilePositions::F32(more)) => positions.extend(more),
+        (FilePositions::F64(positions), FilePositions::F64(more)) => positions.extend(more),
+        (FilePositions::F64(positions), FilePositions::F32(more)) => {
+            positions.extend(more.into_iter().map(wide))
+        }
+        (FilePositions::F32(narrow), FilePositions::F64(more)) => {
             let first = std::mem::take(narrow).into_iter().map(wide);
-            *positions = Positions::F64(first.chain(more).collect());
+            *positions = FilePositions::F64(first.chain(more).collect());
         }
     }
 }

@@ -3,7 +3,7 @@
 use quick_xml::Reader;
 use quick_xml::events::Event;
 
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 
 use super::XML;
 
@@ -42,7 +42,7 @@ pub(crate) fn field_strings(head: &[u8]) -> Result<Vec<(String, String)>> {
     }
     match is_vtk {
         true => Ok(found),
-        false => Err(Error::invalid(XML, Place::File, "expected <VTKFile>")),
+        false => Err(Error::invalid(XML, Position::File, "expected <VTKFile>")),
     }
 }
 

@@ -11,7 +11,7 @@
 use std::borrow::Cow;
 use std::io::Write;
 
-use crate::data::{ParticleFrame, Positions, Provenance, Values};
+use crate::data::{FilePositions, ParticleFrame, Provenance, Values};
 use crate::error::Result;
 use crate::le_bytes::{write_f32s, write_pieces};
 use crate::particle_columns::{check, written};
@@ -73,7 +73,7 @@ fn document(frame: &ParticleFrame) -> VtpDocument<ParticleArray<'_>> {
 /// The data of an array.
 enum ParticleArray<'a> {
     Values(Cow<'a, Values>),
-    Positions(&'a Positions),
+    Positions(&'a FilePositions),
     /// Consecutive integers: the first, and their number.
     Counted(i64, usize),
 }
@@ -81,8 +81,8 @@ enum ParticleArray<'a> {
 impl ArrayData for ParticleArray<'_> {
     fn kind(&self) -> NumberKind {
         match self {
-            ParticleArray::Positions(Positions::F32(_)) => FLOAT_32,
-            ParticleArray::Positions(Positions::F64(_)) => FLOAT_64,
+            ParticleArray::Positions(FilePositions::F32(_)) => FLOAT_32,
+            ParticleArray::Positions(FilePositions::F64(_)) => FLOAT_64,
             ParticleArray::Counted(..) => INT_64,
             ParticleArray::Values(values) => match &**values {
                 Values::F32(_) => FLOAT_32,
@@ -111,8 +111,10 @@ impl ArrayData for ParticleArray<'_> {
 
     fn write(&self, out: &mut impl Write) -> Result<()> {
         match self {
-            ParticleArray::Positions(Positions::F32(positions)) => write_f32s(positions.as_flattened(), out),
-            ParticleArray::Positions(Positions::F64(positions)) => {
+            ParticleArray::Positions(FilePositions::F32(positions)) => {
+                write_f32s(positions.as_flattened(), out)
+            }
+            ParticleArray::Positions(FilePositions::F64(positions)) => {
                 write_pieces(positions.as_flattened(), f64::to_le_bytes, out)
             }
             ParticleArray::Counted(from, count) => {

@@ -19,16 +19,16 @@ use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
 
 use crate::bytes::Endian;
-use crate::data::{ParticleFrame, Positions, Values};
-use crate::error::{Error, Place, Result};
+use crate::data::{FilePositions, ParticleFrame, Values};
+use crate::error::{Error, Position, Result};
 use crate::excerpt::excerpt;
 use crate::limits::Limits;
 use crate::named_arrays::NamedArray;
-use crate::number::Number;
+use crate::number::NumberType;
 
 use super::XML;
 use super::blocks::{ArrayEncoding, ArrayTotals, BlockCompression};
-use super::pieces::{POLYGONS_NOTE, Piece, checked_count, joined, positions_of};
+use super::pieces::{POLYGONS_NOTE, VtkPiece, checked_count, joined, positions_of};
 use super::xml_arrays::{Appended, ArrayForm, DataArray};
 
 /// Reads the points of all pieces.
@@ -43,7 +43,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     if pieces.iter().any(|piece| piece.polys.count != 0) {
         notes.push(POLYGONS_NOTE.into());
     }
-    let pieces: Vec<Piece> =
+    let pieces: Vec<VtkPiece> =
         pieces.iter().map(|described| piece(described, &mut decoder, &mut notes)).collect::<Result<_>>()?;
     // A limit for each piece does not limit their total.
     checked_count(XML, pieces.iter().map(|piece| piece.positions.len() as u64).sum(), limits)?;
@@ -56,12 +56,12 @@ pub(super) fn open<'a>(
     limits: &'a Limits,
 ) -> Result<(Decoder<'a>, Vec<Described<'a>>, Vec<String>)> {
     if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
-        let place = Place::Offset(bytes.len() as u64);
+        let place = Position::Offset(bytes.len() as u64);
         return Err(Error::short(XML, place, "the file ends without </VTKFile>"));
     }
     let (text, appended) = split_appended(bytes)?;
     let text = std::str::from_utf8(text).map_err(|error| {
-        Error::invalid(XML, Place::Offset(error.valid_up_to() as u64), "expected UTF-8 text")
+        Error::invalid(XML, Position::Offset(error.valid_up_to() as u64), "expected UTF-8 text")
     })?;
     let document = document(text, limits)?;
     let totals = ArrayTotals::of(bytes.len() as u64);
@@ -75,7 +75,7 @@ fn split_appended(bytes: &[u8]) -> Result<(&[u8], Option<Appended<'_>>)> {
     let Some(at) = bytes.windows(TAG.len()).position(|window| window == TAG) else {
         return Ok((bytes, None));
     };
-    let invalid = |what: &str| Error::invalid(XML, Place::Offset(at as u64), what);
+    let invalid = |what: &str| Error::invalid(XML, Position::Offset(at as u64), what);
     let tag_end = bytes[at..].iter().position(|&byte| byte == b'>').map(|length| at + length);
     let tag_end = tag_end.ok_or_else(|| invalid("expected `>` at the end of <AppendedData"))?;
     let tag = &bytes[at..tag_end];
@@ -195,13 +195,13 @@ fn document<'a>(text: &'a str, limits: &Limits) -> Result<XmlDocument<'a>> {
     }
     let document = document.ok_or_else(|| malformed(0, "expected <VTKFile>"))?;
     match document.pieces.is_empty() {
-        true => Err(Error::invalid(XML, Place::File, "the file has no <Piece>")),
+        true => Err(Error::invalid(XML, Position::File, "the file has no <Piece>")),
         false => Ok(document),
     }
 }
 
 pub(super) fn malformed(at: u64, what: &str) -> Error {
-    Error::invalid(XML, Place::Offset(at), what)
+    Error::invalid(XML, Position::Offset(at), what)
 }
 
 /// Parses the first element, which describes the encoding of all data.
@@ -345,18 +345,18 @@ fn data_array<'a>(tag: &BytesStart, at: u64) -> Result<DataArray<'a>> {
     Ok(DataArray { name, number, arity, form, content: &[], offset: at })
 }
 
-fn number_of(kind: &str) -> Option<Number> {
+fn number_of(kind: &str) -> Option<NumberType> {
     Some(match kind {
-        "Int8" => Number::I8,
-        "UInt8" => Number::U8,
-        "Int16" => Number::I16,
-        "UInt16" => Number::U16,
-        "Int32" => Number::I32,
-        "UInt32" => Number::U32,
-        "Int64" => Number::I64,
-        "UInt64" => Number::U64,
-        "Float32" => Number::F32,
-        "Float64" => Number::F64,
+        "Int8" => NumberType::I8,
+        "UInt8" => NumberType::U8,
+        "Int16" => NumberType::I16,
+        "UInt16" => NumberType::U16,
+        "Int32" => NumberType::I32,
+        "UInt32" => NumberType::U32,
+        "Int64" => NumberType::I64,
+        "UInt64" => NumberType::U64,
+        "Float32" => NumberType::F32,
+        "Float64" => NumberType::F64,
         _ => return None,
     })
 }
@@ -394,15 +394,15 @@ pub(super) struct Decoder<'a> {
 }
 
 impl Decoder<'_> {
-    pub(super) fn values(&mut self, array: &DataArray, number: Number, count: usize) -> Result<Values> {
+    pub(super) fn values(&mut self, array: &DataArray, number: NumberType, count: usize) -> Result<Values> {
         array.values(number, count, self.encoding, self.appended, &mut self.totals, self.limits)
     }
 }
 
-fn piece(described: &Described, decoder: &mut Decoder, notes: &mut Vec<String>) -> Result<Piece> {
+fn piece(described: &Described, decoder: &mut Decoder, notes: &mut Vec<String>) -> Result<VtkPiece> {
     let count = described.point_count;
     if count == 0 {
-        return Ok(Piece::default());
+        return Ok(VtkPiece::default());
     }
     let positions = points_of(described, decoder)?;
     let mut arrays = Vec::new();
@@ -414,12 +414,12 @@ fn piece(described: &Described, decoder: &mut Decoder, notes: &mut Vec<String>) 
         let values = decoder.values(array, number, count)?;
         arrays.push(NamedArray { name: array.name.clone(), arity: array.arity, values });
     }
-    Ok(Piece { positions, arrays })
+    Ok(VtkPiece { positions, arrays })
 }
 
 /// The positions of the points of a piece.
-pub(super) fn points_of(described: &Described, decoder: &mut Decoder) -> Result<Positions> {
-    let no_points = || Error::invalid(XML, Place::File, "a piece has no array of points");
+pub(super) fn points_of(described: &Described, decoder: &mut Decoder) -> Result<FilePositions> {
+    let no_points = || Error::invalid(XML, Position::File, "a piece has no array of points");
     let points = described.points.as_ref().ok_or_else(no_points)?;
     let number = points
         .number

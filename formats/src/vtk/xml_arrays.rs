@@ -2,10 +2,10 @@
 
 use crate::bytes::Endian;
 use crate::data::Values;
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Position, Result};
 use crate::excerpt::excerpt;
 use crate::limits::Limits;
-use crate::number::{self, Number};
+use crate::number::{self, NumberType};
 use crate::text::parse_number;
 
 use super::XML;
@@ -16,7 +16,7 @@ use super::blocks::{ArrayEncoding, ArrayTotals, EncodedArray, decode};
 pub(super) struct DataArray<'a> {
     pub(super) name: String,
     /// `None` if not numeric.
-    pub(super) number: Option<Number>,
+    pub(super) number: Option<NumberType>,
     pub(super) arity: usize,
     pub(super) form: ArrayForm,
     /// The content between the tags, and its offset; empty for appended data.
@@ -47,7 +47,7 @@ impl DataArray<'_> {
     /// Decodes the values, `arity` for each of `count` points.
     pub(super) fn values(
         &self,
-        number: Number,
+        number: NumberType,
         count: usize,
         encoding: ArrayEncoding,
         appended: Option<Appended>,
@@ -96,7 +96,7 @@ impl DataArray<'_> {
         Ok(EncodedArray { bytes, is_base64, offset: offset + start })
     }
 
-    fn decimals(&self, number: Number, expected: usize) -> Result<Values> {
+    fn decimals(&self, number: NumberType, expected: usize) -> Result<Values> {
         let words = self.content.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
         // Each number takes a digit and a separator.
         if expected > self.content.len().div_ceil(2) {
@@ -116,17 +116,17 @@ impl DataArray<'_> {
     fn invalid(&self, what: &str) -> Error {
         Error::invalid(
             XML,
-            Place::Offset(self.offset),
+            Position::Offset(self.offset),
             format!("the array `{}`: {what}", excerpt(&self.name)),
         )
     }
 }
 
-/// Parses the first `count` words as values of the type that [`Number::decode`] gives. An invalid word is the
+/// Parses the first `count` words as values of the type that [`NumberType::decode`] gives. An invalid word is the
 /// error.
 pub(super) fn decimals<'a>(
     words: impl Iterator<Item = &'a [u8]>,
-    number: Number,
+    number: NumberType,
     count: usize,
 ) -> std::result::Result<Values, Vec<u8>> {
     fn parse<'a, T>(
@@ -147,15 +147,17 @@ pub(super) fn decimals<'a>(
         std::str::from_utf8(word).ok()?.parse().ok()
     }
     Ok(match number {
-        Number::F16 | Number::F32 => Values::F32(parse(words, count, real)?),
-        Number::F64 => Values::F64(parse(words, count, real)?),
-        Number::Bool | Number::U8 => Values::U8(parse(words, count, integer)?),
-        Number::I8 | Number::I16 | Number::U16 | Number::I32 => Values::I32(parse(words, count, integer)?),
-        Number::U32 | Number::I64 => Values::I64(parse(words, count, integer)?),
-        Number::U64 => {
+        NumberType::F16 | NumberType::F32 => Values::F32(parse(words, count, real)?),
+        NumberType::F64 => Values::F64(parse(words, count, real)?),
+        NumberType::Bool | NumberType::U8 => Values::U8(parse(words, count, integer)?),
+        NumberType::I8 | NumberType::I16 | NumberType::U16 | NumberType::I32 => {
+            Values::I32(parse(words, count, integer)?)
+        }
+        NumberType::U32 | NumberType::I64 => Values::I64(parse(words, count, integer)?),
+        NumberType::U64 => {
             let integers: Vec<u64> = parse(words, count, integer)?;
             let bytes: Vec<u8> = integers.iter().flat_map(|value| value.to_le_bytes()).collect();
-            Number::U64.decode(&bytes, Endian::Little)
+            NumberType::U64.decode(&bytes, Endian::Little)
         }
     })
 }

@@ -1,7 +1,7 @@
 //! Reads the polygons of a `.vtp`, and the flat cells of a `.vtu`, as a mesh.
 
-use crate::data::{MeshData, Positions};
-use crate::error::{Error, Place, Result};
+use crate::data::{FilePositions, MeshData};
+use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 
 use super::XML;
@@ -23,10 +23,10 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
         let points = Points { first: mesh.positions.len() as u64, count: piece.point_count as u64 };
         if piece.point_count > 0 {
             match points_of(piece, &mut decoder)? {
-                Positions::F32(positions) => {
+                FilePositions::F32(positions) => {
                     mesh.positions.extend(positions.iter().map(|position| position.map(f64::from)));
                 }
-                Positions::F64(positions) => mesh.positions.extend(positions),
+                FilePositions::F64(positions) => mesh.positions.extend(positions),
             }
         }
         checked_count(XML, mesh.positions.len() as u64, limits)?;
@@ -52,7 +52,7 @@ fn add(
     let ends = integers(cells, "offsets", cells.count, decoder)?;
     let corner_count = ends.last().copied().unwrap_or_default();
     let count = usize::try_from(corner_count).map_err(|_| {
-        Error::invalid(XML, Place::File, format!("the cells have {corner_count} corners, too many"))
+        Error::invalid(XML, Position::File, format!("the cells have {corner_count} corners, too many"))
     })?;
     let corners = integers(cells, "connectivity", count, decoder)?;
     let types = match kind {
@@ -66,8 +66,8 @@ fn add(
 /// The `count` numbers of an array that describes cells.
 fn integers(cells: &CellArrays, name: &str, count: usize, decoder: &mut Decoder) -> Result<Vec<i64>> {
     let found = cells.arrays.iter().find(|array| array.name.eq_ignore_ascii_case(name) && array.arity == 1);
-    let array =
-        found.ok_or_else(|| Error::invalid(XML, Place::File, format!("the cells have no `{name}` array")))?;
+    let array = found
+        .ok_or_else(|| Error::invalid(XML, Position::File, format!("the cells have no `{name}` array")))?;
     let no_integers = || malformed(array.offset, &format!("the values of `{name}` are not integers"));
     let values = decoder.values(array, array.number.ok_or_else(no_integers)?, count)?;
     cells::integers(values).ok_or_else(no_integers)

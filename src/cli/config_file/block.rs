@@ -23,12 +23,12 @@ use crate::surface::options::Length;
 use crate::watch::Poll;
 
 /// The file.
-pub(super) struct Source<'a> {
+pub(super) struct ConfigSource<'a> {
     pub(super) path: &'a Path,
     pub(super) text: &'a str,
 }
 
-impl Source<'_> {
+impl ConfigSource<'_> {
     /// The line, from 1, of the byte at `offset`.
     pub(super) fn line(&self, offset: usize) -> usize {
         let before = &self.text.as_bytes()[..offset.min(self.text.len())];
@@ -41,32 +41,32 @@ impl Source<'_> {
 }
 
 /// A table whose keys are all known.
-pub(super) struct Block<'a> {
-    source: &'a Source<'a>,
+pub(super) struct ConfigTable<'a> {
+    source: &'a ConfigSource<'a>,
     table: &'a DeTable<'a>,
     /// Where it begins in the file.
     pub(super) start: usize,
 }
 
 /// A value and its offset in the file.
-type Value<'a> = &'a Spanned<DeValue<'a>>;
+type ConfigValue<'a> = &'a Spanned<DeValue<'a>>;
 
-impl<'a> Block<'a> {
+impl<'a> ConfigTable<'a> {
     /// The block called `name`, which begins at `start`.
     ///
     /// # Errors
     /// The first key in it that is unknown, and the nearest one that is known.
     pub(super) fn new(
-        source: &'a Source<'a>,
+        source: &'a ConfigSource<'a>,
         name: &str,
         table: &'a DeTable<'a>,
         start: usize,
-    ) -> Result<Block<'a>> {
+    ) -> Result<ConfigTable<'a>> {
         let known = keys_of(name);
         let unknown = table.keys().filter(|key| known.iter().all(|known| known != key.get_ref()));
         match unknown.min_by_key(|key| key.span().start) {
             Some(key) => Err(source.error(key.span().start, unknown_key(key.get_ref(), name))),
-            None => Ok(Block { source, table, start }),
+            None => Ok(ConfigTable { source, table, start }),
         }
     }
 
@@ -76,21 +76,21 @@ impl<'a> Block<'a> {
     }
 
     /// The only block of this name.
-    pub(super) fn block(&self, name: &str) -> Result<Option<Block<'a>>> {
+    pub(super) fn block(&self, name: &str) -> Result<Option<ConfigTable<'a>>> {
         let Some(value) = self.table.get(name) else { return Ok(None) };
         match value.get_ref().as_table() {
-            Some(table) => Block::new(self.source, name, table, value.span().start).map(Some),
+            Some(table) => ConfigTable::new(self.source, name, table, value.span().start).map(Some),
             None => Err(self.wrong(name, &format!("one block, [{name}]"), value)),
         }
     }
 
     /// All blocks of this name.
-    pub(super) fn blocks(&self, name: &str) -> Result<Vec<Block<'a>>> {
+    pub(super) fn blocks(&self, name: &str) -> Result<Vec<ConfigTable<'a>>> {
         let wanted = format!("any number of blocks, [[{name}]]");
         let Some(value) = self.table.get(name) else { return Ok(Vec::new()) };
         let array = value.get_ref().as_array().ok_or_else(|| self.wrong(name, &wanted, value))?;
-        let block = |item: Value<'a>| match item.get_ref().as_table() {
-            Some(table) => Block::new(self.source, name, table, item.span().start),
+        let block = |item: ConfigValue<'a>| match item.get_ref().as_table() {
+            Some(table) => ConfigTable::new(self.source, name, table, item.span().start),
             None => Err(self.wrong(name, &wanted, item)),
         };
         array.iter().map(block).collect()
@@ -124,7 +124,7 @@ impl<'a> Block<'a> {
     }
 
     /// The words of the command line that set an option to a value.
-    fn words(&self, key: &str, option: &Arg, value: Value<'a>) -> Result<Vec<OsString>> {
+    fn words(&self, key: &str, option: &Arg, value: ConfigValue<'a>) -> Result<Vec<OsString>> {
         let name = typed(option.get_id().as_str());
         let word = |text: OsString| {
             let mut word = OsString::from(format!("{name}="));
@@ -150,7 +150,7 @@ impl<'a> Block<'a> {
     }
 
     /// A value as it is typed on the command line.
-    fn text(&self, key: &str, option: &Arg, value: Value<'a>, wanted: &str) -> Result<OsString> {
+    fn text(&self, key: &str, option: &Arg, value: ConfigValue<'a>, wanted: &str) -> Result<OsString> {
         let is_switch = is::<bool>(option);
         let is_length = is::<Length>(option);
         let is_number = is_length || is::<f64>(option) || is::<u32>(option) || is::<u16>(option);
@@ -175,7 +175,7 @@ impl<'a> Block<'a> {
         Ok(self.source.path.parent().unwrap_or(Path::new("")).join(text).into_os_string())
     }
 
-    fn wrong(&self, key: &str, wanted: &str, value: Value<'_>) -> anyhow::Error {
+    fn wrong(&self, key: &str, wanted: &str, value: ConfigValue<'_>) -> anyhow::Error {
         let is = match value.get_ref() {
             DeValue::Integer(integer) => integer.to_string(),
             DeValue::Float(float) => float.to_string(),

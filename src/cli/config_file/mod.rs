@@ -20,7 +20,7 @@ use toml::de::DeTable;
 use super::args::{DaemonArgs, FrameArgs, option_set};
 use crate::pipeline::read_regular_text;
 
-use block::{Block, Source, keys};
+use block::{ConfigSource, ConfigTable, keys};
 
 /// What stands in a file.
 #[derive(Clone, Debug)]
@@ -48,27 +48,27 @@ pub(super) struct WatchBlock {
 /// When it cannot be read, or says something that makes no sense: file, line, and what would.
 pub(super) fn read_config_file(path: &Path) -> Result<ConfigFile> {
     let text = read_regular_text(path).with_context(|| format!("cannot read {}", path.display()))?;
-    parse(&Source { path, text: &text })
+    parse(&ConfigSource { path, text: &text })
 }
 
 /// Reads a file that has no place.
 pub(super) fn check(text: &str) -> Result<()> {
-    parse(&Source { path: Path::new("meniscus.toml"), text }).map(drop)
+    parse(&ConfigSource { path: Path::new("meniscus.toml"), text }).map(drop)
 }
 
-fn parse(source: &Source<'_>) -> Result<ConfigFile> {
+fn parse(source: &ConfigSource<'_>) -> Result<ConfigFile> {
     let root = DeTable::parse(source.text).map_err(|error| {
         let message = error.message().replace('\n', ", ");
         source.error(error.span().map_or(0, |span| span.start), message)
     })?;
-    let root = Block::new(source, "", root.get_ref(), 0)?;
+    let root = ConfigTable::new(source, "", root.get_ref(), 0)?;
     let watches: Result<Vec<WatchBlock>> =
         root.blocks("watch")?.iter().map(|block| watch_block(source, block)).collect();
     let daemon = root.block("daemon")?.map_or_else(|| Ok(DaemonArgs::default()), |block| block.options());
     Ok(ConfigFile { path: source.path.to_owned(), watches: watches?, daemon: daemon? })
 }
 
-fn watch_block(source: &Source<'_>, block: &Block<'_>) -> Result<WatchBlock> {
+fn watch_block(source: &ConfigSource<'_>, block: &ConfigTable<'_>) -> Result<WatchBlock> {
     let WatchKeys { input, output, frames } = block.options()?;
     let input = input.ok_or_else(|| block.error("this [[watch]] block names no input"))?;
     Ok(WatchBlock { line: source.line(block.start), input, output, frames })

@@ -7,7 +7,7 @@ use std::time::Duration;
 use toml::de::DeValue;
 
 fn parsed(text: &str) -> Result<ConfigFile> {
-    parse(&Source { path: Path::new("farm/meniscus.toml"), text })
+    parse(&ConfigSource { path: Path::new("farm/meniscus.toml"), text })
 }
 
 /// Asserts that a file is refused at a line, in these words.

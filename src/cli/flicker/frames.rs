@@ -30,7 +30,7 @@ pub(super) struct FrameFiles {
 
 /// The frames of a sequence.
 #[derive(Debug)]
-pub(super) struct Frames {
+pub(super) struct FlickerFrames {
     /// What to call the sequence of meshes.
     pub(super) name: String,
     /// Those that have both files, by number.
@@ -43,7 +43,7 @@ pub(super) struct Frames {
     pub(super) scored: Vec<u64>,
 }
 
-impl Frames {
+impl FlickerFrames {
     pub(super) fn name_of(&self, number: u64) -> String {
         self.files.get(&number).map_or_else(|| number.to_string(), |files| files.name.clone())
     }
@@ -61,7 +61,7 @@ const NUMBERS_NAMED: usize = 8;
 ///
 /// # Errors
 /// When no three frames follow each other.
-pub(super) fn find(args: &FlickerArgs, console: &mut Console) -> Result<Frames> {
+pub(super) fn find(args: &FlickerArgs, console: &mut Console) -> Result<FlickerFrames> {
     if let Some(folder) = args.meshes.iter().find(|path| path.is_dir()) {
         bail!(
             "{}: this is a folder: name the meshes in it, such as {}",
@@ -124,7 +124,7 @@ pub(super) fn find(args: &FlickerArgs, console: &mut Console) -> Result<Frames> 
     if scored.is_empty() {
         bail!("--frames selects none of the frames that have both neighbours");
     }
-    Ok(Frames { name, files, step, particle_step: common_step(&particle_numbers), scored })
+    Ok(FlickerFrames { name, files, step, particle_step: common_step(&particle_numbers), scored })
 }
 
 fn one_sequence(inputs: &[PathBuf], what: &str, console: &mut Console) -> Result<Sequence> {

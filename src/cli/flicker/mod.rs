@@ -18,9 +18,9 @@ use std::path::Path;
 use anyhow::{Result, bail};
 
 use crate::pipeline::{are_one_file, shown};
-use crate::surface::flicker::{CARRY_REACH, Carrier, FlickerFrame, Summary, flicker};
+use crate::surface::flicker::{CARRY_REACH, Carrier, Distribution, FlickerFrame, flicker};
 
-use super::Verdict;
+use super::CommandOutcome;
 use super::args::FlickerArgs;
 use super::console::Console;
 use super::machine::thread_pool;
@@ -29,8 +29,8 @@ use super::render_session::{catch_panic, named_picture};
 use super::selecting::refuse_odd_place;
 use super::wording::{counted, significant, with_causes};
 
-use frames::Frames;
-use tally::{ScoredFrame, Tally};
+use frames::FlickerFrames;
+use tally::{FlickerTotals, ScoredFrame};
 
 /// Above this part of points without particles, mesh and particles hardly belong together.
 const UNCARRIED_MOST: f64 = 0.5;
@@ -39,7 +39,7 @@ const UNCARRIED_MOST: f64 = 0.5;
 ///
 /// # Errors
 /// When no frame can be scored.
-pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Verdict> {
+pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<CommandOutcome> {
     let frames = frames::find(args, console)?;
     refuse_outputs(args, &frames)?;
     let pool = thread_pool(args.threads)?;
@@ -61,7 +61,7 @@ pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Verdict
         failed_count: 0,
         is_open_told: false,
     };
-    let mut tally = Tally::new(args.picture.is_some());
+    let mut tally = FlickerTotals::new(args.picture.is_some());
     for &number in &frames.scored {
         if let Some(scored) = pool.install(|| scoring.score(number, console))? {
             console.say(line_of(&scored));
@@ -88,13 +88,13 @@ pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Verdict
         let bytes = pool.install(|| picture::encoded(&frames, &tally, &summary))?;
         write_file(path, |out| out.write_all(&bytes))?;
     }
-    Ok(if failed_count > 0 { Verdict::SomeFailed } else { Verdict::Done })
+    Ok(if failed_count > 0 { CommandOutcome::SomeFailed } else { CommandOutcome::Done })
 }
 
 /// Frames that are read one after the other.
 struct Scoring<'a> {
     args: &'a FlickerArgs,
-    frames: &'a Frames,
+    frames: &'a FlickerFrames,
     spacing: f64,
     /// What carries points, once the first frame was read.
     carrier: Option<Carrier>,
@@ -224,15 +224,15 @@ fn line_of(frame: &ScoredFrame) -> String {
     line
 }
 
-fn numbers_of(summary: &Summary) -> String {
-    let Summary { rms, median, percentile_99, max, .. } = *summary;
+fn numbers_of(summary: &Distribution) -> String {
+    let Distribution { rms, median, percentile_99, max, .. } = *summary;
     format!("flicker {rms:.4} (median {median:.4}, 99 % {percentile_99:.4}, max {max:.4})")
 }
 
 fn report(
-    frames: &Frames,
-    tally: &Tally,
-    summary: &Summary,
+    frames: &FlickerFrames,
+    tally: &FlickerTotals,
+    summary: &Distribution,
     (spacing, carrier): (f64, Carrier),
     console: &mut Console,
 ) {
@@ -254,7 +254,7 @@ fn report(
 }
 
 /// Refuses files that cannot be written, or would replace an input or each other.
-fn refuse_outputs(args: &FlickerArgs, frames: &Frames) -> Result<()> {
+fn refuse_outputs(args: &FlickerArgs, frames: &FlickerFrames) -> Result<()> {
     let outputs = [("--csv", &args.csv), ("--points", &args.points), ("--picture", &args.picture)];
     let mut paths: Vec<&Path> = Vec::new();
     for (option, path) in outputs {

@@ -4,12 +4,14 @@ use anyhow::Result;
 use glam::DVec3;
 
 use crate::pipeline::{CameraChoice, OutputFormat, SheetPart, encode_picture, sheet_provenance};
-use crate::render::{Block, Cell, Line, Mark, Picture, Plot, Sheet, Shown, Up, render_marks, stacked};
-use crate::surface::flicker::{ScoredPoint, Summary};
+use crate::render::{
+    Cell, CellGroup, CellPicture, Line, Mark, Picture, Plot, Sheet, Up, render_marks, stacked,
+};
+use crate::surface::flicker::{Distribution, ScoredPoint};
 
-use super::frames::Frames;
+use super::frames::FlickerFrames;
 use super::numbers_of;
-use super::tally::{ScoredFrame, Tally};
+use super::tally::{FlickerTotals, ScoredFrame};
 
 /// Pixels of a frame's picture.
 const PLACE: [usize; 2] = [480, 320];
@@ -31,14 +33,18 @@ const LEGEND: &str = "Colours: grey does not flicker; yellow 0.1 spacings, red 0
 ///
 /// # Errors
 /// When the format has no place for it.
-pub(super) fn encoded(frames: &Frames, tally: &Tally, summary: &Summary) -> Result<Vec<u8>> {
+pub(super) fn encoded(
+    frames: &FlickerFrames,
+    tally: &FlickerTotals,
+    summary: &Distribution,
+) -> Result<Vec<u8>> {
     let plot = plot(frames, tally).picture();
     let head = Sheet {
         title: format!("{}: {} spacings", frames.name, numbers_of(summary)),
         place: PLOT,
-        blocks: vec![Block {
+        blocks: vec![CellGroup {
             title: "Flicker of each frame, in particle spacings".to_owned(),
-            cells: vec![Cell { shown: Shown::Picture(plot), lines: Vec::new() }],
+            cells: vec![Cell { shown: CellPicture::Picture(plot), lines: Vec::new() }],
             columns: 1,
         }],
         foot: Vec::new(),
@@ -52,9 +58,9 @@ pub(super) fn encoded(frames: &Frames, tally: &Tally, summary: &Summary) -> Resu
     let cell = |frame: &&ScoredFrame| Cell {
         shown: match &camera {
             Some(view) => {
-                Shown::Picture(render_marks(&marks(frame.points()), mark_radius(frame.points()), view))
+                CellPicture::Picture(render_marks(&marks(frame.points()), mark_radius(frame.points()), view))
             }
-            None => Shown::Words("no points".to_owned()),
+            None => CellPicture::Words("no points".to_owned()),
         },
         lines: vec![
             frame.name.clone(),
@@ -64,7 +70,7 @@ pub(super) fn encoded(frames: &Frames, tally: &Tally, summary: &Summary) -> Resu
     let body = Sheet {
         title: String::new(),
         place: PLACE,
-        blocks: vec![Block {
+        blocks: vec![CellGroup {
             title: format!("The frames that flicker most. {LEGEND}"),
             cells: worst.iter().map(cell).collect(),
             columns: COLUMNS,
@@ -82,8 +88,8 @@ pub(super) fn encoded(frames: &Frames, tally: &Tally, summary: &Summary) -> Resu
     Ok(encode_picture(&picture, None, OutputFormat::Png, &sheet_provenance("flicker", &[part]))?)
 }
 
-fn plot(frames: &Frames, tally: &Tally) -> Plot {
-    let line = |name: &str, color: [f32; 3], value: fn(&Summary) -> f64| Line {
+fn plot(frames: &FlickerFrames, tally: &FlickerTotals) -> Plot {
+    let line = |name: &str, color: [f32; 3], value: fn(&Distribution) -> f64| Line {
         name: name.to_owned(),
         color,
         points: tally

@@ -1,14 +1,14 @@
 //! A frame from its two files.
 
 use anyhow::{Context, Result};
-use meniscus_formats::{Attribute, Limits, ParticleFrame, Role, Values, read_particles};
+use meniscus_formats::{AttributeRole, FileAttribute, Limits, ParticleFrame, Values, read_particles};
 use std::path::Path;
 
 use crate::pipeline::{file_of, measure_spacing, particles, read_file, read_mesh_file, shown};
 use crate::surface::flicker::{FlickerFrame, MovingParticles};
 use crate::surface::obstacle::MeshDistance;
 
-use super::frames::{FrameFiles, Frames};
+use super::frames::{FlickerFrames, FrameFiles};
 
 /// Reads the mesh and the particles of a frame.
 pub(super) fn read_frame(files: &FrameFiles, spacing: f64) -> Result<FlickerFrame> {
@@ -18,7 +18,7 @@ pub(super) fn read_frame(files: &FrameFiles, spacing: f64) -> Result<FlickerFram
 }
 
 /// The spacing of the particles of all frames, and what should make a user check it.
-pub(super) fn estimated_spacing(frames: &Frames) -> Result<(f64, Vec<String>)> {
+pub(super) fn estimated_spacing(frames: &FlickerFrames) -> Result<(f64, Vec<String>)> {
     let measured = measure_spacing(frames.files.values().map(|files| &*files.particles), None)?;
     Ok((measured.spacing, measured.warnings))
 }
@@ -28,16 +28,16 @@ fn read_moving(path: &Path) -> Result<MovingParticles> {
     let name = file_of(path).file_name().unwrap_or_default().to_string_lossy();
     let ParticleFrame { positions, attributes, .. } =
         read_particles(&bytes, &name, &Limits::default()).with_context(|| shown(path).to_string())?;
-    let of_role = |role: Role, arity: usize| {
+    let of_role = |role: AttributeRole, arity: usize| {
         attributes.iter().find(move |attribute| attribute.role == Some(role) && attribute.arity == arity)
     };
-    let ids = of_role(Role::Id, 1).and_then(integers);
-    let velocities = of_role(Role::Velocity, 3).and_then(vectors);
+    let ids = of_role(AttributeRole::Id, 1).and_then(integers);
+    let velocities = of_role(AttributeRole::Velocity, 3).and_then(vectors);
     Ok(MovingParticles { positions: particles(positions), ids, velocities })
 }
 
 /// The values of an attribute as integers. Reals are integers where they have no fraction and fit.
-fn integers(attribute: &Attribute) -> Option<Vec<i64>> {
+fn integers(attribute: &FileAttribute) -> Option<Vec<i64>> {
     const EXACT: f64 = 9_007_199_254_740_992.0; // 2⁵³
     let whole = |value: f64| (value.fract() == 0.0 && value.abs() <= EXACT).then_some(value as i64);
     match &attribute.values {
@@ -50,7 +50,7 @@ fn integers(attribute: &Attribute) -> Option<Vec<i64>> {
     }
 }
 
-fn vectors(attribute: &Attribute) -> Option<Vec<[f32; 3]>> {
+fn vectors(attribute: &FileAttribute) -> Option<Vec<[f32; 3]>> {
     let numbers: Vec<f32> = match &attribute.values {
         Values::F32(values) => values.clone(),
         Values::F64(values) => values.iter().map(|&value| value as f32).collect(),

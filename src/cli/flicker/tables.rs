@@ -2,7 +2,7 @@
 
 use std::io::{Result, Write};
 
-use crate::surface::flicker::Summary;
+use crate::surface::flicker::Distribution;
 
 use super::tally::{ScoredFrame, WorstPoint};
 
@@ -12,7 +12,7 @@ pub(super) fn write_frames(frames: &[ScoredFrame], out: &mut dyn Write) -> Resul
     writeln!(out, "frame,points,uncarried,left,rms,median,p99,max,max_x,max_y,max_z")?;
     for frame in frames {
         let ScoredFrame { number, summary, uncarried_count, left_count, worst, .. } = frame;
-        let Summary { count, rms, median, percentile_99, max } = summary;
+        let Distribution { count, rms, median, percentile_99, max } = summary;
         write!(out, "{number},{count},{uncarried_count},{left_count}")?;
         match worst {
             Some(worst) => {

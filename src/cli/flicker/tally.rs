@@ -2,14 +2,14 @@
 
 use glam::DVec3;
 
-use crate::surface::flicker::{FrameFlicker, ScoredPoint, Summary};
+use crate::surface::flicker::{Distribution, FrameFlicker, ScoredPoint};
 
 /// The scores of a frame.
 #[derive(Clone, Debug)]
 pub(super) struct ScoredFrame {
     pub(super) number: u64,
     pub(super) name: String,
-    pub(super) summary: Summary,
+    pub(super) summary: Distribution,
     pub(super) uncarried_count: usize,
     pub(super) left_count: usize,
     /// Where it flickers most; `None` where no point is carried.
@@ -39,7 +39,7 @@ impl ScoredFrame {
             if other.value.abs() > one.value.abs() { *other } else { one }
         };
         let worst = points.first().map(|&first| points.iter().fold(first, worse));
-        let summary = Summary::of(points.iter().map(|point| point.value));
+        let summary = Distribution::of(points.iter().map(|point| point.value));
         ScoredFrame { number, name, summary, uncarried_count, left_count, worst, points }
     }
 
@@ -50,7 +50,7 @@ impl ScoredFrame {
 }
 
 /// The scores of all frames so far.
-pub(super) struct Tally {
+pub(super) struct FlickerTotals {
     /// In the order of their numbers.
     pub(super) frames: Vec<ScoredFrame>,
     /// The worst first; of equal ones that of the earlier frame.
@@ -60,10 +60,10 @@ pub(super) struct Tally {
     keeps_points: bool,
 }
 
-impl Tally {
+impl FlickerTotals {
     /// Of no frames. Points are kept of the worst frames if a picture is to be drawn.
-    pub(super) fn new(keeps_points: bool) -> Tally {
-        Tally { frames: Vec::new(), worst_points: Vec::new(), values: Vec::new(), keeps_points }
+    pub(super) fn new(keeps_points: bool) -> FlickerTotals {
+        FlickerTotals { frames: Vec::new(), worst_points: Vec::new(), values: Vec::new(), keeps_points }
     }
 
     /// Adds a frame, whose number is greater than those before.
@@ -97,8 +97,8 @@ impl Tally {
     }
 
     /// Of all points of all frames.
-    pub(super) fn summary(&self) -> Summary {
-        Summary::of(self.values.iter().map(|&value| value.into()))
+    pub(super) fn summary(&self) -> Distribution {
+        Distribution::of(self.values.iter().map(|&value| value.into()))
     }
 }
 
@@ -118,7 +118,7 @@ mod tests {
 
     #[test]
     fn worst_points_and_frames_are_kept() {
-        let mut tally = Tally::new(true);
+        let mut tally = FlickerTotals::new(true);
         for number in 1..=10 {
             // Frame 7 is the worst; frames 3 and 4 are alike.
             let size = [0.0, 1.0, 2.0, 5.0, 5.0, 3.0, 4.0, 9.0, 0.5, 0.25, 8.0][number as usize];

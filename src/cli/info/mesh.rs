@@ -4,11 +4,11 @@ use std::collections::HashMap;
 use std::fmt;
 
 use glam::DVec3;
-use meniscus_formats::{Attribute, MeshData, Role};
+use meniscus_formats::{AttributeRole, FileAttribute, MeshData};
 use serde::Serialize;
 
 use super::particles::{AttributeInfo, attributes_of, fmt_attributes};
-use super::{Bounds, row};
+use super::{BoundingBox, row};
 
 /// A triangle mesh; larger polygons count as the triangles they are cut into.
 #[derive(Debug, Serialize)]
@@ -20,7 +20,7 @@ pub(super) struct MeshInfo {
     not_finite: usize,
     #[serde(skip)]
     first_not_finite: Option<[f64; 3]>,
-    bounds: Option<Bounds>,
+    bounds: Option<BoundingBox>,
     area: f64,
     /// Signed: negative where triangles are clockwise seen from outside. Means nothing for a mesh
     /// with boundary edges.
@@ -35,7 +35,7 @@ pub(super) struct MeshInfo {
 
 impl MeshInfo {
     pub(super) fn of(mesh: &MeshData) -> MeshInfo {
-        let bounds = Bounds::of(mesh.positions.iter().copied());
+        let bounds = BoundingBox::of(mesh.positions.iter().copied());
         // Seen from amid the mesh, volumes far from the origin do not cancel.
         let center = bounds.map_or(DVec3::ZERO, |b| 0.5 * (DVec3::from(b.min) + DVec3::from(b.max)));
         let corner = |index: u32| {
@@ -70,8 +70,8 @@ impl MeshInfo {
     }
 
     /// The same, with the attributes of its vertices.
-    pub(super) fn with_attributes(self, attributes: &[Attribute]) -> MeshInfo {
-        let has_more = attributes.iter().any(|attribute| attribute.role != Some(Role::Normal));
+    pub(super) fn with_attributes(self, attributes: &[FileAttribute]) -> MeshInfo {
+        let has_more = attributes.iter().any(|attribute| attribute.role != Some(AttributeRole::Normal));
         let attributes = if has_more { attributes_of(attributes) } else { Vec::new() };
         MeshInfo { attributes, ..self }
     }

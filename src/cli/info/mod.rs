@@ -17,8 +17,8 @@ use std::{io, iter};
 
 use anyhow::{Result, anyhow, bail};
 use meniscus_formats::{
-    Codec, Format, Kind, Limits, OutputFormat, Probe, escaped, gltf, ply, probe, read_mesh, read_particles,
-    read_provenance, usda, vdb, vtk,
+    Codec, Format, Limits, OutputFormat, Probe, ProbedKind, escaped, gltf, ply, probe, read_mesh,
+    read_particles, read_provenance, usda, vdb, vtk,
 };
 use serde::Serialize;
 
@@ -30,7 +30,7 @@ use super::args::InfoArgs;
 use super::console::{Console, json_text};
 use super::inputs::find_inputs;
 use super::wording::with_causes;
-use super::{Tally, Verdict};
+use super::{CommandOutcome, DoneCounts};
 
 use mesh::MeshInfo;
 use particles::ParticlesInfo;
@@ -79,8 +79,8 @@ struct LayerRecord {
 ///
 /// # Errors
 /// When the result cannot be written as JSON.
-pub(super) fn info(args: &InfoArgs, console: &mut Console) -> Result<Verdict> {
-    let mut tally = Tally::default();
+pub(super) fn info(args: &InfoArgs, console: &mut Console) -> Result<CommandOutcome> {
+    let mut tally = DoneCounts::default();
     // An element of the JSON array waits until it is known whether a comma follows.
     let mut last_element: Option<String> = None;
     for given in &args.files {
@@ -166,10 +166,10 @@ impl FileInfo {
         let limits = Limits::default();
         self.made_by = if codec.is_none() { made_by(kind, &bytes) } else { None };
         match kind {
-            Kind::Format(Format::Vdb) if codec.is_none() => {
+            ProbedKind::Format(Format::Vdb) if codec.is_none() => {
                 self.grids = Some(vdb::grids(&bytes, &limits)?.into_iter().map(GridRecord::from).collect());
             }
-            Kind::Format(Format::Glb | Format::Gltf) if codec.is_none() => {
+            ProbedKind::Format(Format::Glb | Format::Gltf) if codec.is_none() => {
                 match gltf::read_shot_info(&bytes)? {
                     Some(gltf::ShotInfo { frames, vertices, triangles }) => {
                         self.set_shot(frames, [vertices, triangles]);
@@ -180,7 +180,7 @@ impl FileInfo {
                     }
                 }
             }
-            Kind::Format(Format::Usda) if codec.is_none() => match usda::read_layer_info(&bytes)? {
+            ProbedKind::Format(Format::Usda) if codec.is_none() => match usda::read_layer_info(&bytes)? {
                 Some(usda::LayerInfo { vertices, faces, frames: Some(frames) }) => {
                     self.set_shot(frames, [vertices, faces]);
                 }
@@ -189,7 +189,7 @@ impl FileInfo {
                 }
                 None => self.notes.push("what another program wrote as USD is not read".to_owned()),
             },
-            Kind::Format(Format::Vtp) if codec.is_none() && holds_polys(&bytes) => {
+            ProbedKind::Format(Format::Vtp) if codec.is_none() && holds_polys(&bytes) => {
                 let mesh = vtk::read_mesh(&bytes, &limits)?;
                 let vertices = read_particles(&bytes, &name, &limits)?;
                 // The polygons are told here.
@@ -197,12 +197,12 @@ impl FileInfo {
                 self.notes = notes.cloned().collect();
                 self.mesh = Some(MeshInfo::of(&mesh).with_attributes(&vertices.attributes));
             }
-            Kind::Format(Format::Ply) if codec.is_none() && holds_mesh(&bytes, &limits)? => {
+            ProbedKind::Format(Format::Ply) if codec.is_none() && holds_mesh(&bytes, &limits)? => {
                 let (mesh, vertices) = ply::read_mesh_and_vertices(&bytes, &limits)?;
                 self.notes.clone_from(&vertices.notes);
                 self.mesh = Some(MeshInfo::of(&mesh).with_attributes(&vertices.attributes));
             }
-            Kind::Format(format) if codec.is_none() && format.has_mesh() && !format.has_particles() => {
+            ProbedKind::Format(format) if codec.is_none() && format.has_mesh() && !format.has_particles() => {
                 let no_files = |_: &str| -> io::Result<Vec<u8>> { Err(io::ErrorKind::NotFound.into()) };
                 self.mesh = Some(MeshInfo::of(&read_mesh(&bytes, &name, &limits, &no_files)?));
             }
@@ -252,7 +252,7 @@ fn holds_polys(bytes: &[u8]) -> bool {
 }
 
 /// What this program wrote of itself into a file; `None` of other programs' files.
-fn made_by(kind: Kind, bytes: &[u8]) -> Option<BTreeMap<String, String>> {
+fn made_by(kind: ProbedKind, bytes: &[u8]) -> Option<BTreeMap<String, String>> {
     // The metadata of a .vdb are told with each grid.
     let format = kind.format().and_then(Format::output).filter(|format| *format != OutputFormat::Vdb)?;
     // What cannot be read is told by the reader of the file.
@@ -291,28 +291,29 @@ fn row(f: &mut fmt::Formatter<'_>, label: &str, value: impl fmt::Display) -> fmt
 
 /// A box in world units.
 #[derive(Clone, Copy, Debug, Serialize)]
-struct Bounds {
+struct BoundingBox {
     min: [f64; 3],
     max: [f64; 3],
 }
 
-impl Bounds {
+impl BoundingBox {
     /// The box of the finite ones among these positions; `None` where there is none.
-    fn of(positions: impl Iterator<Item = [f64; 3]>) -> Option<Bounds> {
+    fn of(positions: impl Iterator<Item = [f64; 3]>) -> Option<BoundingBox> {
         let finite = positions.filter(|position| position.iter().all(|x| x.is_finite()));
-        finite.fold(None, |bounds: Option<Bounds>, position| {
-            let Bounds { mut min, mut max } = bounds.unwrap_or(Bounds { min: position, max: position });
+        finite.fold(None, |bounds: Option<BoundingBox>, position| {
+            let BoundingBox { mut min, mut max } =
+                bounds.unwrap_or(BoundingBox { min: position, max: position });
             for axis in 0..3 {
                 min[axis] = min[axis].min(position[axis]);
                 max[axis] = max[axis].max(position[axis]);
             }
-            Some(Bounds { min, max })
+            Some(BoundingBox { min, max })
         })
     }
 
     /// The same for bounds of 32-bit positions: with the digits that these have.
-    fn short(self) -> Bounds {
-        Bounds { min: self.min.map(short), max: self.max.map(short) }
+    fn short(self) -> BoundingBox {
+        BoundingBox { min: self.min.map(short), max: self.max.map(short) }
     }
 }
 
@@ -321,7 +322,7 @@ fn short(value: f64) -> f64 {
     (value as f32).to_string().parse().unwrap_or(value)
 }
 
-impl fmt::Display for Bounds {
+impl fmt::Display for BoundingBox {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [min, max] = [self.min, self.max].map(|corner| corner.map(|x| x.to_string()).join(", "));
         write!(f, "({min}) to ({max})")

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use meniscus_formats::{Attribute, ParticleFrame, Role, Values};
+use meniscus_formats::{AttributeRole, FileAttribute, ParticleFrame, Values};
 use serde::Serialize;
 
 use crate::pipeline::{MeasuredSpacing, particles};
@@ -10,7 +10,7 @@ use crate::surface::options::Preset;
 use crate::surface::particles::Particles;
 
 use super::super::wording::significant;
-use super::{Bounds, row, short};
+use super::{BoundingBox, row, short};
 
 /// A frame of particles.
 #[derive(Debug, Serialize)]
@@ -19,7 +19,7 @@ pub(super) struct ParticlesInfo {
     /// `f32` or `f64`.
     position_type: &'static str,
     not_finite: usize,
-    bounds: Option<Bounds>,
+    bounds: Option<BoundingBox>,
     attributes: Vec<AttributeInfo>,
     /// Null where fewer than two particles are in different places.
     spacing: Option<f64>,
@@ -37,8 +37,8 @@ pub(super) struct AttributeInfo {
     arity: usize,
     role: Option<&'static str>,
     /// Of each component; null where no value is finite. Empty for strings.
-    min: Vec<Option<Number>>,
-    max: Vec<Option<Number>>,
+    min: Vec<Option<PrintedNumber>>,
+    max: Vec<Option<PrintedNumber>>,
     /// The distinct strings.
     #[serde(skip_serializing_if = "Option::is_none")]
     strings: Option<Vec<String>>,
@@ -47,7 +47,7 @@ pub(super) struct AttributeInfo {
 /// A value, whole where it is one: 64-bit integers do not fit into reals.
 #[derive(Clone, Copy, Debug, Serialize)]
 #[serde(untagged)]
-enum Number {
+enum PrintedNumber {
     Integer(i64),
     Real(f64),
 }
@@ -58,7 +58,7 @@ impl ParticlesInfo {
         let attributes = attributes_of(&frame.attributes);
         let particles = particles(frame.positions);
         let positions = || (0..particles.len()).map(|index| particles.position(index));
-        let bounds = Bounds::of(positions().map(|position| position.to_array()));
+        let bounds = BoundingBox::of(positions().map(|position| position.to_array()));
         ParticlesInfo {
             count: particles.len(),
             position_type: match particles {
@@ -67,7 +67,7 @@ impl ParticlesInfo {
             },
             not_finite: positions().filter(|position| !position.is_finite()).count(),
             bounds: match particles {
-                Particles::Single(_) => bounds.map(Bounds::short),
+                Particles::Single(_) => bounds.map(BoundingBox::short),
                 Particles::Double(_) => bounds,
             },
             attributes,
@@ -79,7 +79,7 @@ impl ParticlesInfo {
 }
 
 /// What is told of the attributes.
-pub(super) fn attributes_of(attributes: &[Attribute]) -> Vec<AttributeInfo> {
+pub(super) fn attributes_of(attributes: &[FileAttribute]) -> Vec<AttributeInfo> {
     attributes.iter().map(attribute_info).collect()
 }
 
@@ -88,13 +88,17 @@ pub(super) fn fmt_attributes(attributes: &[AttributeInfo], f: &mut fmt::Formatte
     attributes.iter().try_for_each(|attribute| row(f, "attribute", attribute))
 }
 
-fn attribute_info(attribute: &Attribute) -> AttributeInfo {
+fn attribute_info(attribute: &FileAttribute) -> AttributeInfo {
     let arity = attribute.arity;
-    let real = |min_max: Option<(f64, f64)>| min_max.map(|(min, max)| (Number::Real(min), Number::Real(max)));
-    let whole = |min_max: Option<(i64, i64)>| min_max.map(|(a, b)| (Number::Integer(a), Number::Integer(b)));
+    let real = |min_max: Option<(f64, f64)>| {
+        min_max.map(|(min, max)| (PrintedNumber::Real(min), PrintedNumber::Real(max)))
+    };
+    let whole = |min_max: Option<(i64, i64)>| {
+        min_max.map(|(a, b)| (PrintedNumber::Integer(a), PrintedNumber::Integer(b)))
+    };
     let f32_range = |&x: &f32| real_range(f64::from(x));
     let short = |min_max: Option<(f64, f64)>| real(min_max.map(|(min, max)| (short(min), short(max))));
-    let (value_type, ranges): (_, Vec<Option<(Number, Number)>>) = match &attribute.values {
+    let (value_type, ranges): (_, Vec<Option<(PrintedNumber, PrintedNumber)>>) = match &attribute.values {
         Values::F32(values) => ("f32", ranges(values, arity, f32_range, short)),
         Values::F64(values) => ("f64", ranges(values, arity, |&x| real_range(x), real)),
         Values::U8(values) => ("u8", ranges(values, arity, |&x| Some(i64::from(x)), whole)),
@@ -126,8 +130,8 @@ fn ranges<T, N: Copy + PartialOrd>(
     values: &[T],
     arity: usize,
     counts: impl Fn(&T) -> Option<N>,
-    number: impl Fn(Option<(N, N)>) -> Option<(Number, Number)>,
-) -> Vec<Option<(Number, Number)>> {
+    number: impl Fn(Option<(N, N)>) -> Option<(PrintedNumber, PrintedNumber)>,
+) -> Vec<Option<(PrintedNumber, PrintedNumber)>> {
     let mut ranges: Vec<Option<(N, N)>> = vec![None; arity];
     for value_of_particle in values.chunks_exact(arity.max(1)) {
         for (range, value) in ranges.iter_mut().zip(value_of_particle.iter().map(&counts)) {
@@ -140,16 +144,16 @@ fn ranges<T, N: Copy + PartialOrd>(
     ranges.into_iter().map(number).collect()
 }
 
-fn role_name(role: Role) -> &'static str {
+fn role_name(role: AttributeRole) -> &'static str {
     match role {
-        Role::Velocity => "velocity",
-        Role::Normal => "normal",
-        Role::Color => "color",
-        Role::Radius => "radius",
-        Role::Density => "density",
-        Role::Mass => "mass",
-        Role::Id => "id",
-        Role::Kind => "kind",
+        AttributeRole::Velocity => "velocity",
+        AttributeRole::Normal => "normal",
+        AttributeRole::Color => "color",
+        AttributeRole::Radius => "radius",
+        AttributeRole::Density => "density",
+        AttributeRole::Mass => "mass",
+        AttributeRole::Id => "id",
+        AttributeRole::Kind => "kind",
     }
 }
 
@@ -194,11 +198,11 @@ impl fmt::Display for AttributeInfo {
     }
 }
 
-impl fmt::Display for Number {
+impl fmt::Display for PrintedNumber {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Number::Integer(value) => write!(f, "{value}"),
-            Number::Real(value) => write!(f, "{value}"),
+            PrintedNumber::Integer(value) => write!(f, "{value}"),
+            PrintedNumber::Real(value) => write!(f, "{value}"),
         }
     }
 }

@@ -11,19 +11,22 @@ use crate::cli::frame_selection::FrameSelection;
 use crate::cli::machine::thread_pool;
 use crate::cli::render_session::{RenderSession, RenderSource, catch_panic};
 use crate::cli::wording::{counted, significant, with_causes};
-use crate::cli::{Tally, Verdict};
+use crate::cli::{CommandOutcome, DoneCounts};
 use crate::pipeline::{FrameFile, PictureOptions, SheetPart, Viewpoint, read_picture};
-use crate::render::{Block, Cell, Picture, Sheet, Shown};
+use crate::render::{Cell, CellGroup, CellPicture, Picture, Sheet};
 use crate::surface::options::Settings;
 
-use super::sources::{Kind, Sources, Strip, find_sources, without_extension};
+use super::sources::{SourceKind, Sources, Strip, find_sources, without_extension};
 use super::{SheetFile, even_columns, fixed, reason, refuse_large};
 
 /// Puts the frames that the arguments ask for on a sheet.
 ///
 /// # Errors
 /// When nothing can be done at all. A frame that fails is told, and counted.
-pub(in crate::cli) fn contact_sheet(args: &ContactSheetArgs, console: &mut Console) -> Result<Verdict> {
+pub(in crate::cli) fn contact_sheet(
+    args: &ContactSheetArgs,
+    console: &mut Console,
+) -> Result<CommandOutcome> {
     refuse_stray_rounds(&args.pictures.method, &args.inputs)?;
     let Sources { strips, files, found } = find_sources(&args.inputs, kinds(&args.pictures))?;
     found.report(console);
@@ -35,15 +38,15 @@ pub(in crate::cli) fn contact_sheet(args: &ContactSheetArgs, console: &mut Conso
     let contact = Contact { args, session };
     console.show_bar(cell_count);
     let pool = thread_pool(args.pictures.run.threads)?;
-    let mut tally = Tally::default();
-    let parts: Vec<Part> =
+    let mut tally = DoneCounts::default();
+    let parts: Vec<SequenceRows> =
         shown.into_iter().map(|shown| pool.install(|| contact.part(shown, &mut tally, console))).collect();
     console.hide_bar();
     if tally.done_count > 0 {
         for part in &parts {
             console.say(part.told());
         }
-        let made_from: Vec<SheetPart> = parts.iter().map(Part::made_from).collect();
+        let made_from: Vec<SheetPart> = parts.iter().map(SequenceRows::made_from).collect();
         console.say(file.write(&contact.sheet(parts), "contact-sheet", &made_from)?);
     }
     Ok(tally.verdict())
@@ -51,13 +54,13 @@ pub(in crate::cli) fn contact_sheet(args: &ContactSheetArgs, console: &mut Conso
 
 /// What the sheet may be made from: with options for the surface, only what is yet to be skinned; with a camera, no
 /// pictures that have been taken.
-fn kinds(PictureArgs { camera, camera_from, up, method, .. }: &PictureArgs) -> &'static [Kind] {
+fn kinds(PictureArgs { camera, camera_from, up, method, .. }: &PictureArgs) -> &'static [SourceKind] {
     if *method != MethodArgs::default() {
-        &[Kind::Particles]
+        &[SourceKind::Particles]
     } else if camera.is_some() || camera_from.is_some() || up.is_some() {
-        &[Kind::LevelSets, Kind::Particles]
+        &[SourceKind::LevelSets, SourceKind::Particles]
     } else {
-        &[Kind::Pictures, Kind::LevelSets, Kind::Particles]
+        &[SourceKind::Pictures, SourceKind::LevelSets, SourceKind::Particles]
     }
 }
 
@@ -94,7 +97,7 @@ fn evenly(count: usize, most: usize) -> Vec<usize> {
 }
 
 /// What is on the sheet of a sequence.
-struct Part {
+struct SequenceRows {
     shown: ShownStrip,
     cells: Vec<Cell>,
     settings: Option<Settings>,
@@ -103,7 +106,7 @@ struct Part {
     seconds: f64,
 }
 
-impl Part {
+impl SequenceRows {
     /// A file by itself, and no sequence.
     fn is_single(&self) -> bool {
         self.shown.strip.sequence.frames.len() == 1
@@ -116,8 +119,10 @@ impl Part {
     /// The title, and how long it took: that differs from run to run, and is no part of the picture.
     fn told(&self) -> String {
         match self.shown.strip.kind {
-            Kind::Pictures => self.title(),
-            Kind::LevelSets | Kind::Particles => format!("{}, {:.2} s", self.title(), self.seconds),
+            SourceKind::Pictures => self.title(),
+            SourceKind::LevelSets | SourceKind::Particles => {
+                format!("{}, {:.2} s", self.title(), self.seconds)
+            }
         }
     }
 
@@ -154,7 +159,7 @@ struct Contact<'a> {
 
 impl Contact<'_> {
     /// The cells of a sequence. Where it has no settings or no camera, none has a picture.
-    fn part(&self, shown: ShownStrip, tally: &mut Tally, console: &mut Console) -> Part {
+    fn part(&self, shown: ShownStrip, tally: &mut DoneCounts, console: &mut Console) -> SequenceRows {
         let start = Instant::now();
         let prepared = self.prepared(&shown.strip, console);
         if let Err(error) = &prepared {
@@ -177,12 +182,12 @@ impl Contact<'_> {
         let cells = cells.collect();
         let (settings, viewpoint) = prepared.unwrap_or_default();
         let options = viewpoint.map(|viewpoint| fixed(&self.session, viewpoint));
-        Part { shown, cells, settings, options, seconds: start.elapsed().as_secs_f64() }
+        SequenceRows { shown, cells, settings, options, seconds: start.elapsed().as_secs_f64() }
     }
 
     /// What all pictures of a sequence have in common, where they are yet to be taken.
     fn prepared(&self, strip: &Strip, console: &Console) -> Result<(Option<Settings>, Option<Viewpoint>)> {
-        if strip.kind == Kind::Pictures {
+        if strip.kind == SourceKind::Pictures {
             return Ok((None, None));
         }
         let size = self.session.outputs.picture.size;
@@ -194,12 +199,12 @@ impl Contact<'_> {
     fn picture(
         &self,
         file: &FrameFile,
-        kind: Kind,
+        kind: SourceKind,
         (settings, viewpoint): &(Option<Settings>, Option<Viewpoint>),
         console: &Console,
     ) -> Result<(Picture, Option<usize>)> {
         let size = self.session.outputs.picture.size;
-        let Some(viewpoint) = viewpoint.as_ref().filter(|_| kind != Kind::Pictures) else {
+        let Some(viewpoint) = viewpoint.as_ref().filter(|_| kind != SourceKind::Pictures) else {
             return Ok((read_picture(&file.path)?.shrunk(size), None));
         };
         let source = self.session.source(file, settings.as_ref(), console)?;
@@ -211,16 +216,17 @@ impl Contact<'_> {
     }
 
     /// Sequences one after another, and files that belong to none side by side.
-    fn sheet(&self, parts: Vec<Part>) -> Sheet {
+    fn sheet(&self, parts: Vec<SequenceRows>) -> Sheet {
         let block = |title: String, cells: Vec<Cell>| {
             let columns = self.args.columns.map_or(even_columns(cells.len()), usize::from);
-            Block { title, cells, columns }
+            CellGroup { title, cells, columns }
         };
-        let (singles, sequences): (Vec<Part>, Vec<Part>) = parts.into_iter().partition(Part::is_single);
+        let (singles, sequences): (Vec<SequenceRows>, Vec<SequenceRows>) =
+            parts.into_iter().partition(SequenceRows::is_single);
         let counts = [(sequences.len(), "sequence"), (singles.len(), "file")];
         let counts = counts.into_iter().filter(|(count, _)| *count > 0);
         let counts: Vec<String> = counts.map(|(count, noun)| counted(count, noun)).collect();
-        let mut blocks: Vec<Block> =
+        let mut blocks: Vec<CellGroup> =
             sequences.into_iter().map(|part| block(part.title(), part.cells)).collect();
         let of_singles = match &singles[..] {
             [part] => part.title(),
@@ -240,14 +246,14 @@ impl Contact<'_> {
 }
 
 /// A picture with its frame's name, and with the number of particles if that is known.
-fn cell(file: &FrameFile, kind: Kind, taken: Result<(Picture, Option<usize>)>) -> Cell {
+fn cell(file: &FrameFile, kind: SourceKind, taken: Result<(Picture, Option<usize>)>) -> Cell {
     let mut lines = vec![without_extension(&file.name(), kind)];
     let shown = match taken {
         Ok((picture, particle_count)) => {
             lines.extend(particle_count.map(|count| counted(count, "particle")));
-            Shown::Picture(picture)
+            CellPicture::Picture(picture)
         }
-        Err(error) => Shown::Words(reason(&error, &file.path)),
+        Err(error) => CellPicture::Words(reason(&error, &file.path)),
     };
     Cell { shown, lines }
 }

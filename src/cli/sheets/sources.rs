@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 
-use crate::cli::inputs::{Found, find_with_others};
+use crate::cli::inputs::{MatchedInputs, find_with_others};
 use crate::cli::render_session::level_sets_in;
 use crate::cli::wording::counted_are;
 use crate::pipeline::{
@@ -25,28 +25,28 @@ use crate::pipeline::{
 
 /// What a frame is there as, the cheapest first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Kind {
+pub(super) enum SourceKind {
     Pictures,
     LevelSets,
     Particles,
 }
 
-impl Kind {
-    fn of(path: &Path) -> Kind {
+impl SourceKind {
+    fn of(path: &Path) -> SourceKind {
         if is_level_set(path) {
-            Kind::LevelSets
+            SourceKind::LevelSets
         } else if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png")) {
-            Kind::Pictures
+            SourceKind::Pictures
         } else {
-            Kind::Particles
+            SourceKind::Particles
         }
     }
 
     pub(super) fn name(self) -> &'static str {
         match self {
-            Kind::Pictures => "pictures",
-            Kind::LevelSets => "level sets",
-            Kind::Particles => "particles",
+            SourceKind::Pictures => "pictures",
+            SourceKind::LevelSets => "level sets",
+            SourceKind::Particles => "particles",
         }
     }
 }
@@ -56,7 +56,7 @@ impl Kind {
 pub(super) struct Strip {
     /// What the frames have in common, such as `dam`.
     pub(super) name: String,
-    pub(super) kind: Kind,
+    pub(super) kind: SourceKind,
     pub(super) sequence: Sequence,
 }
 
@@ -68,21 +68,23 @@ pub(super) struct Sources {
     /// Every file that was looked at, whether it is used or not.
     pub(super) files: Vec<PathBuf>,
     /// The rest of what was found: paths that could not be read, and warnings.
-    pub(super) found: Found,
+    pub(super) found: MatchedInputs,
 }
 
 /// Finds the frames that the inputs stand for, of these kinds.
 ///
 /// # Errors
 /// When an input stands for none.
-pub(super) fn find_sources(inputs: &[PathBuf], kinds: &[Kind]) -> Result<Sources> {
-    let add = |found: &mut Found, files, _: &Path| found.add(Found { files, ..Found::default() });
+pub(super) fn find_sources(inputs: &[PathBuf], kinds: &[SourceKind]) -> Result<Sources> {
+    let add = |found: &mut MatchedInputs, files, _: &Path| {
+        found.add(MatchedInputs { files, ..MatchedInputs::default() })
+    };
     let mut found = find_with_others(inputs, level_sets_and_pictures_in, add)?;
     let files: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
     let all_files = std::mem::take(&mut found.files);
     let mut strips_of: HashMap<(PathBuf, String), Vec<Strip>> = HashMap::new();
     for kind in kinds {
-        let of_kind = all_files.iter().filter(|file| Kind::of(&file.path) == *kind);
+        let of_kind = all_files.iter().filter(|file| SourceKind::of(&file.path) == *kind);
         for sequence in sequences(of_kind.cloned().collect()) {
             let (folder, name) = sequence.frames[0].sequence();
             let (base, name) = (without_extension(&name, *kind), &*sequence.name);
@@ -139,7 +141,7 @@ fn cheapest(strips: Vec<Strip>) -> Option<Strip> {
 
 /// Whether pictures were taken from one place; what is no picture yet will be.
 fn has_one_camera(strip: &Strip) -> bool {
-    if strip.kind != Kind::Pictures {
+    if strip.kind != SourceKind::Pictures {
         return true;
     }
     let mut cameras = strip.sequence.frames.iter().map(|file| camera_of_picture(&file.path));
@@ -148,10 +150,12 @@ fn has_one_camera(strip: &Strip) -> bool {
 }
 
 /// The name of a file, without what says of which kind it is.
-pub(super) fn without_extension(name: &str, kind: Kind) -> String {
+pub(super) fn without_extension(name: &str, kind: SourceKind) -> String {
     match kind {
-        Kind::Particles => FrameFile::new(name.into()).stem(),
-        Kind::LevelSets | Kind::Pictures => name.rsplit_once('.').map_or(name, |(stem, _)| stem).to_owned(),
+        SourceKind::Particles => FrameFile::new(name.into()).stem(),
+        SourceKind::LevelSets | SourceKind::Pictures => {
+            name.rsplit_once('.').map_or(name, |(stem, _)| stem).to_owned()
+        }
     }
 }
 
@@ -169,10 +173,10 @@ mod tests {
     #[test]
     fn names_lose_what_tells_the_kind() {
         for (name, kind, expected) in [
-            ("dam.0001.png", Kind::Pictures, "dam.0001"),
-            ("dam.0001.vdb", Kind::LevelSets, "dam.0001"),
-            ("dam.0001.bgeo.gz", Kind::Particles, "dam.0001"),
-            ("dam.{}.ply", Kind::Particles, "dam.{}"),
+            ("dam.0001.png", SourceKind::Pictures, "dam.0001"),
+            ("dam.0001.vdb", SourceKind::LevelSets, "dam.0001"),
+            ("dam.0001.bgeo.gz", SourceKind::Particles, "dam.0001"),
+            ("dam.{}.ply", SourceKind::Particles, "dam.{}"),
         ] {
             assert_eq!(without_extension(name, kind), expected);
         }
@@ -187,15 +191,24 @@ mod tests {
             let frames = (0..count).map(|n| FrameFile::new(format!("there/dam.{n}.vdb").into())).collect();
             Strip { name: "dam".into(), kind, sequence: Sequence { name: "dam.{}".into(), frames } }
         };
-        let taken = |strips: &[(Kind, usize)]| {
+        let taken = |strips: &[(SourceKind, usize)]| {
             let strips = strips.iter().map(|&(kind, count)| strip(kind, count)).collect();
             cheapest(strips).map(|strip| strip.kind)
         };
-        assert_eq!(taken(&[(Kind::LevelSets, 3), (Kind::Particles, 3)]), Some(Kind::LevelSets));
-        assert_eq!(taken(&[(Kind::LevelSets, 2), (Kind::Particles, 3)]), Some(Kind::Particles));
+        assert_eq!(
+            taken(&[(SourceKind::LevelSets, 3), (SourceKind::Particles, 3)]),
+            Some(SourceKind::LevelSets)
+        );
+        assert_eq!(
+            taken(&[(SourceKind::LevelSets, 2), (SourceKind::Particles, 3)]),
+            Some(SourceKind::Particles)
+        );
         // These pictures do not say where they were taken from.
-        assert_eq!(taken(&[(Kind::Pictures, 3), (Kind::Particles, 3)]), Some(Kind::Particles));
-        assert_eq!(taken(&[(Kind::Pictures, 3)]), Some(Kind::Pictures));
+        assert_eq!(
+            taken(&[(SourceKind::Pictures, 3), (SourceKind::Particles, 3)]),
+            Some(SourceKind::Particles)
+        );
+        assert_eq!(taken(&[(SourceKind::Pictures, 3)]), Some(SourceKind::Pictures));
         assert_eq!(taken(&[]), None);
     }
 }

@@ -22,15 +22,15 @@ use crate::cli::machine::thread_pool;
 use crate::cli::remedies::with_remedy;
 use crate::cli::render_session::{RenderSession, catch_panic, measured_settings, picture_of_reconstruction};
 use crate::cli::selecting::{SelectedSequence, only_sequence, selected_of};
-use crate::cli::vary::{Parameter, Value};
+use crate::cli::vary::{Parameter, SweepValue};
 use crate::cli::wording::{counted, with_causes};
-use crate::cli::{Tally, Verdict};
+use crate::cli::{CommandOutcome, DoneCounts};
 use crate::pipeline::{
     CameraChoice, FrameFile, LoadedFrame, NOTHING, OutputFormat, Reconstruction, ReportedWarnings, Sequence,
     SheetPart, Viewpoint, Warning, bounds_of_particles, close_up, is_level_set, up_of,
 };
-use crate::render::{Block, Cell, Picture, Sheet, Shown};
-use crate::surface::options::{Measured, MethodOptions, Settings};
+use crate::render::{Cell, CellGroup, CellPicture, Picture, Sheet};
+use crate::surface::options::{MethodOptions, SequenceSpacing, Settings};
 
 use super::command::CommandLine;
 use super::{SheetFile, even_columns, fixed, reason, refuse_large};
@@ -39,7 +39,7 @@ use super::{SheetFile, even_columns, fixed, reason, refuse_large};
 ///
 /// # Errors
 /// When nothing can be done at all. A cell that fails is told, and counted.
-pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Verdict> {
+pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<CommandOutcome> {
     refuse_stray_rounds(&args.pictures.method, &args.inputs)?;
     let found = find_inputs(&args.inputs)?;
     found.report(console);
@@ -77,11 +77,11 @@ const CONVERTED: [OutputFormat; 2] = [OutputFormat::Glb, OutputFormat::Vdb];
 /// The settings of the cells, row by row and block by block.
 struct Grid {
     /// Of each cell, what it has of each axis.
-    settings: Vec<Vec<Value>>,
+    settings: Vec<Vec<SweepValue>>,
     axes: Vec<&'static Parameter>,
     columns: usize,
     /// What blocks have in common, where there are several.
-    blocks: Vec<Option<Value>>,
+    blocks: Vec<Option<SweepValue>>,
 }
 
 impl Grid {
@@ -90,14 +90,14 @@ impl Grid {
         let axes = varied.iter().map(|(axis, _)| *axis).collect();
         let mut values = varied.into_iter().map(|(_, values)| values);
         let (rows, columns, blocks) = (values.next().unwrap_or_default(), values.next(), values.next());
-        let count = |values: &Option<Vec<Value>>| values.as_ref().map_or(1, Vec::len);
+        let count = |values: &Option<Vec<SweepValue>>| values.as_ref().map_or(1, Vec::len);
         let cell_count = rows.len() * count(&columns) * count(&blocks);
         if cell_count > CELLS_MAX {
             bail!("--vary makes {cell_count} cells; at most {CELLS_MAX} are shown: give fewer values");
         }
         refuse_large(cell_count, args.size)?;
         // An axis that is not varied has one value: none.
-        let or_none = |values: Option<Vec<Value>>| -> Vec<Option<Value>> {
+        let or_none = |values: Option<Vec<SweepValue>>| -> Vec<Option<SweepValue>> {
             values.map_or(vec![None], |values| values.into_iter().map(Some).collect())
         };
         let [across, blocks] = [&columns, &blocks].map(|values| or_none(values.clone()));
@@ -136,7 +136,7 @@ struct Tuning<'a> {
     session: RenderSession<'a>,
     frame: LoadedFrame,
     /// What was measured of its sequence.
-    measured: Option<Measured>,
+    measured: Option<SequenceSpacing>,
     /// The settings without --vary.
     without: Settings,
     viewpoint: Viewpoint,
@@ -152,7 +152,7 @@ impl<'a> Tuning<'a> {
     ) -> Result<Tuning<'a>> {
         let options = args.pictures.method.to_options();
         let (without, measured) = measured_settings(sequence, &options, console)?;
-        let measured = measured.as_ref().map(Measured::from);
+        let measured = measured.as_ref().map(SequenceSpacing::from);
         let frame = LoadedFrame::read((&file.path, file.number()), &without)?;
         let picture = session.outputs.picture;
         let bounds = bounds_of_particles(frame.particles(), without.radius_init).unwrap_or(NOTHING);
@@ -169,8 +169,8 @@ impl<'a> Tuning<'a> {
     }
 
     /// All cells, and the command of each that has a picture.
-    fn cells(&self, grid: &Grid, console: &mut Console) -> (Vec<(Cell, Option<CommandLine>)>, Tally) {
-        let (mut tally, mut reported) = (Tally::default(), ReportedWarnings::default());
+    fn cells(&self, grid: &Grid, console: &mut Console) -> (Vec<(Cell, Option<CommandLine>)>, DoneCounts) {
+        let (mut tally, mut reported) = (DoneCounts::default(), ReportedWarnings::default());
         let mut cells = Vec::new();
         for (index, values) in grid.settings.iter().enumerate() {
             let (number, options) = (index + 1, self.options(values));
@@ -194,12 +194,12 @@ impl<'a> Tuning<'a> {
                     console.say(format_args!("{label}: {seconds:.2} s, {triangles}"));
                     console.say(command.text());
                     lines.push(triangles);
-                    (Shown::Picture(picture), Some(command))
+                    (CellPicture::Picture(picture), Some(command))
                 }
                 Err(error) => {
                     tally.add(false);
                     console.error(format_args!("cell {label}: {}", with_causes(&error)));
-                    (Shown::Words(reason(&error, self.frame.path())), None)
+                    (CellPicture::Words(reason(&error, self.frame.path())), None)
                 }
             };
             console.advance_bar();
@@ -209,7 +209,7 @@ impl<'a> Tuning<'a> {
     }
 
     /// The options of a cell: those that were typed, but for what is varied.
-    fn options(&self, values: &[Value]) -> MethodOptions {
+    fn options(&self, values: &[SweepValue]) -> MethodOptions {
         let mut options = self.args.pictures.method.to_options();
         values.iter().for_each(|value| value.put(&mut options, &self.without));
         options
@@ -223,7 +223,7 @@ impl<'a> Tuning<'a> {
         Ok((made, settings, picture))
     }
 
-    fn label(&self, number: usize, values: &[Value], settings: &Settings) -> String {
+    fn label(&self, number: usize, values: &[SweepValue], settings: &Settings) -> String {
         let labels: Vec<String> = values.iter().map(|value| value.label(settings)).collect();
         let is_without = values.iter().all(|value| value.is_without(&self.without));
         let without = match (is_without, self.args.pictures.method == MethodArgs::default()) {
@@ -246,7 +246,7 @@ impl<'a> Tuning<'a> {
         let blocks = grid.blocks.iter().map(|value| {
             let rest = cells.split_off(of_block.min(cells.len()));
             let title = value.map_or(String::new(), |value| value.label(&self.without));
-            Block { title, cells: std::mem::replace(&mut cells, rest), columns: grid.columns }
+            CellGroup { title, cells: std::mem::replace(&mut cells, rest), columns: grid.columns }
         });
         Sheet { title, place: self.args.size.map(usize::from), blocks: blocks.collect(), foot }
     }

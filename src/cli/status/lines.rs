@@ -3,7 +3,7 @@
 use crate::cli::clock::ago;
 use crate::cli::wording::{counted, significant};
 
-use super::{Counts, DaemonStatus, FrameStatus, StatusRecord, WaitingStatus, WatchStatus};
+use super::{DaemonStatus, FrameStatus, StatusCounts, StatusRecord, WaitingStatus, WatchStatus};
 
 /// More than so many are counted and not told: `--json` has all.
 const TOLD_MAX: usize = 20;
@@ -15,7 +15,7 @@ impl StatusRecord {
             Some(daemon) => daemon.text(now_ms),
             None => "no daemon is known".to_owned(),
         };
-        let Counts { done, queued, retrying, failed } = self.counts;
+        let StatusCounts { done, queued, retrying, failed } = self.counts;
         let mut lines = vec![
             format!("{}: {daemon}", self.output),
             format!("{done} done, {queued} queued, {retrying} to retry, {failed} failed"),

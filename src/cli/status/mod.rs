@@ -18,11 +18,13 @@ use serde::Serialize;
 
 use crate::pipeline::{FileStamp, file_of, is_absent, is_missing_step, natural_order};
 use crate::watch::Watch;
-use crate::watch::journal::{DaemonState, FrameRecord, Journal, STATE_FOLDER, Standing, State, now_ms};
+use crate::watch::journal::{
+    DaemonState, Journal, JournalState, JournaledFrame, STATE_FOLDER, Standing, now_ms,
+};
 use crate::watch::lock::{LockError, OutputLock};
 use crate::watch::waiting::{Waiting, waiting};
 
-use super::Verdict;
+use super::CommandOutcome;
 use super::args::StatusArgs;
 use super::console::Console;
 
@@ -35,7 +37,7 @@ struct StatusRecord {
     daemon: Option<DaemonStatus>,
     /// Null where the journal does not say.
     watches: Option<Vec<WatchStatus>>,
-    counts: Counts,
+    counts: StatusCounts,
     /// In natural order.
     failed: Vec<FrameStatus>,
     /// In natural order.
@@ -77,7 +79,7 @@ struct WatchStatus {
 }
 
 #[derive(Debug, Default, PartialEq, Serialize)]
-struct Counts {
+struct StatusCounts {
     done: usize,
     queued: usize,
     retrying: usize,
@@ -121,11 +123,11 @@ const LAST_DONE_COUNT: usize = 5;
 ///
 /// # Errors
 /// When there is nothing to tell, or it cannot be read.
-pub(super) fn status(args: &StatusArgs, console: &mut Console) -> Result<Verdict> {
+pub(super) fn status(args: &StatusArgs, console: &mut Console) -> Result<CommandOutcome> {
     let journal = journal_folder(&args.out, args.journal.as_deref());
     let state = read_journal(&journal)?;
     let holder = Holder::of(&args.out)?;
-    if state == State::default() && !matches!(holder, Holder::Daemon(_)) {
+    if state == JournalState::default() && !matches!(holder, Holder::Daemon(_)) {
         bail!("{}: no daemon has worked here, as far as {} says", args.out.display(), journal.display());
     }
     let record = StatusRecord::new(&args.out, &journal, &state, holder);
@@ -134,7 +136,7 @@ pub(super) fn status(args: &StatusArgs, console: &mut Console) -> Result<Verdict
     } else {
         console.say_lines(record.lines(now_ms()));
     }
-    Ok(if record.failed.is_empty() { Verdict::Done } else { Verdict::SomeFailed })
+    Ok(if record.failed.is_empty() { CommandOutcome::Done } else { CommandOutcome::SomeFailed })
 }
 
 /// Where a daemon that writes to `output` keeps its journal.
@@ -148,7 +150,7 @@ pub(super) fn journal_folder(output: &Path, given: Option<&Path>) -> PathBuf {
 ///
 /// # Errors
 /// When it cannot be read.
-pub(super) fn read_journal(folder: &Path) -> Result<State> {
+pub(super) fn read_journal(folder: &Path) -> Result<JournalState> {
     Journal::read(folder).with_context(|| format!("cannot read the journal in {}", folder.display()))
 }
 
@@ -177,7 +179,7 @@ impl Holder {
 }
 
 impl StatusRecord {
-    fn new(output: &Path, journal: &Path, state: &State, holder: Holder) -> StatusRecord {
+    fn new(output: &Path, journal: &Path, state: &JournalState, holder: Holder) -> StatusRecord {
         let has_daemon = matches!(holder, Holder::Daemon(_));
         let files = Files::new(state, has_daemon);
         let in_standing = |standing| {
@@ -189,7 +191,7 @@ impl StatusRecord {
             frames.sort_by(|(a, _), (b, _)| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
             frames
         };
-        let told = |frames: &[(&Arc<Path>, &Arc<FrameRecord>)]| {
+        let told = |frames: &[(&Arc<Path>, &Arc<JournaledFrame>)]| {
             frames.iter().map(|(input, frame)| FrameStatus::new(input, frame)).collect()
         };
         let retrying = in_standing(Standing::Retrying);
@@ -197,7 +199,7 @@ impl StatusRecord {
         failed.extend(in_standing(Standing::Refused));
         failed.extend(in_standing(Standing::GivenUp));
         let mut done = in_standing(Standing::Done);
-        let counts = Counts {
+        let counts = StatusCounts {
             done: done.len(),
             queued: in_standing(Standing::Queued).len(),
             retrying: retrying.len(),
@@ -235,7 +237,7 @@ struct Files<'a> {
 }
 
 impl<'a> Files<'a> {
-    fn new(state: &'a State, has_daemon: bool) -> Files<'a> {
+    fn new(state: &'a JournalState, has_daemon: bool) -> Files<'a> {
         let taken = state
             .frames
             .iter()
@@ -245,7 +247,7 @@ impl<'a> Files<'a> {
     }
 
     /// Whether nothing will come of a frame any more: its file was removed from its folder, or written again without it.
-    fn are_without(&self, input: &Path, frame: &FrameRecord) -> bool {
+    fn are_without(&self, input: &Path, frame: &JournaledFrame) -> bool {
         if frame.standing == Standing::Done {
             return false;
         }
@@ -260,7 +262,7 @@ impl<'a> Files<'a> {
 
     /// Whether a file is larger, and a daemon is at work that has yet to take it as it is: a simulation may be appending
     /// to it. Then it has its steps still, and going through it would take minutes each time that somebody asks.
-    fn may_be_growing(&self, file: &Path, stamp: FileStamp, frame: &FrameRecord) -> bool {
+    fn may_be_growing(&self, file: &Path, stamp: FileStamp, frame: &JournaledFrame) -> bool {
         self.has_daemon
             && stamp.size > frame.stamp.size
             && !self.taken.contains(&(file, stamp.without_status_change()))
@@ -268,7 +270,7 @@ impl<'a> Files<'a> {
 }
 
 impl DaemonStatus {
-    fn new(state: &State, holder: Holder) -> Option<DaemonStatus> {
+    fn new(state: &JournalState, holder: Holder) -> Option<DaemonStatus> {
         let record = state.daemon.as_ref();
         let (running, held_by) = match holder {
             Holder::Daemon(by) => (Some(true), Some(by)),
@@ -322,7 +324,7 @@ impl WaitingStatus {
 }
 
 impl FrameStatus {
-    fn new(input: &Path, frame: &FrameRecord) -> FrameStatus {
+    fn new(input: &Path, frame: &JournaledFrame) -> FrameStatus {
         FrameStatus {
             input: shown(input),
             outputs: frame.outputs.iter().map(|output| shown(&output.path)).collect(),

@@ -6,8 +6,8 @@ use crate::watch::journal::{DaemonRecord, OutputRecord, PlanRecord};
 
 use std::time::Duration;
 
-fn frame(standing: Standing, at_ms: u64) -> FrameRecord {
-    FrameRecord {
+fn frame(standing: Standing, at_ms: u64) -> JournaledFrame {
+    JournaledFrame {
         standing,
         stamp: FileStamp::default(),
         hash: None,
@@ -28,25 +28,25 @@ fn daemon(state: DaemonState) -> DaemonRecord {
 }
 
 /// A journal of 30 frames that are done, 25 that failed, and others.
-fn state() -> State {
-    let mut state = State { daemon: Some(daemon(DaemonState::Running)), ..State::default() };
+fn state() -> JournalState {
+    let mut state = JournalState { daemon: Some(daemon(DaemonState::Running)), ..JournalState::default() };
     let mut add =
         |name: String, record| state.frames.insert(Path::new("/sim").join(name).into(), Arc::new(record));
     for number in 1..=30 {
         let outputs = vec![OutputRecord::new(format!("/out/dam.{number}.glb").into(), 1, None)];
         let (particle_count, seconds) = (Some(250_000), Some(2.25));
         let done = frame(Standing::Done, 1000 * number);
-        add(format!("dam.{number}.ply"), FrameRecord { outputs, particle_count, seconds, ..done });
+        add(format!("dam.{number}.ply"), JournaledFrame { outputs, particle_count, seconds, ..done });
     }
     for number in 1..=25 {
         let reason = Some("PLY, at 12 bytes: no end".to_owned());
-        add(format!("bad.{number}.ply"), FrameRecord { reason, ..frame(Standing::Failed, 5000) });
+        add(format!("bad.{number}.ply"), JournaledFrame { reason, ..frame(Standing::Failed, 5000) });
     }
     let reason = Some("/sim/late.ply: cannot be read: busy".to_owned());
-    add("late.ply".into(), FrameRecord { reason, attempt_count: 3, ..frame(Standing::Retrying, 9000) });
+    add("late.ply".into(), JournaledFrame { reason, attempt_count: 3, ..frame(Standing::Retrying, 9000) });
     add("next.ply".into(), frame(Standing::Queued, 9000));
     let reason = Some("/sim/cut.ply: PLY, at byte 9: too short".to_owned());
-    add("cut.ply".into(), FrameRecord { reason, attempt_count: 4, ..frame(Standing::GivenUp, 9000) });
+    add("cut.ply".into(), JournaledFrame { reason, attempt_count: 4, ..frame(Standing::GivenUp, 9000) });
     state
 }
 
@@ -78,14 +78,14 @@ fn plan() -> PlanRecord {
     }
 }
 
-fn record(state: &State, holder: Holder) -> StatusRecord {
+fn record(state: &JournalState, holder: Holder) -> StatusRecord {
     StatusRecord::new(Path::new("/out"), Path::new("/out/.meniscus"), state, holder)
 }
 
 #[test]
 fn frames_are_counted_and_told_in_order() {
     let record = record(&state(), Holder::Daemon("pid 12 on render-04".into()));
-    assert_eq!(record.counts, Counts { done: 30, queued: 1, retrying: 1, failed: 26 });
+    assert_eq!(record.counts, StatusCounts { done: 30, queued: 1, retrying: 1, failed: 26 });
     let names = |frames: &[FrameStatus]| -> Vec<String> {
         frames.iter().map(|frame| frame.input.rsplit('/').next().expect("a name").to_owned()).collect()
     };
@@ -106,7 +106,8 @@ fn text_tells_what_json_tells() {
     assert_eq!(lines[23], "  and 6 more: --json has them all");
     assert_eq!(lines[25], "  /sim/late.ply: cannot be read: busy (3 attempts, 55s ago)");
     assert_eq!(lines[27], "  /sim/dam.30.ply: 250000 particles, 2.25 s, 34s ago");
-    let planned = record(&State { plan: Some(plan()), ..state() }, Holder::Nobody).lines(64_000).join("\n");
+    let planned =
+        record(&JournalState { plan: Some(plan()), ..state() }, Holder::Nobody).lines(64_000).join("\n");
     let watched: Vec<&str> = planned.lines().skip(2).take(3).collect();
     let all = "  /sim and its sub-folders, only dam.*, each when its {name}.ok is there, as glb, vdb";
     assert_eq!(watched, ["watched:", all, "  /sim, as glb, vdb"]);
@@ -128,7 +129,7 @@ fn text_tells_what_json_tells() {
         "{:?}",
         cut_short.lines(0)
     );
-    let damaged = State { damaged_line_count: 2, ..state() };
+    let damaged = JournalState { damaged_line_count: 2, ..state() };
     assert!(
         record(&damaged, Holder::Nobody)
             .lines(0)
@@ -157,17 +158,17 @@ fn whether_a_daemon_runs_is_asked_of_the_lock() {
         (Some(DaemonState::Stopped), by(), Some(true), "starting", "starting (pid 13"),
         (None, by(), Some(true), "starting", "starting (pid 13"),
     ] {
-        let state = State { daemon: state.map(daemon), ..State::default() };
+        let state = JournalState { daemon: state.map(daemon), ..JournalState::default() };
         let status = DaemonStatus::new(&state, holder).expect("a daemon");
         assert_eq!((status.running, status.state), (running, word));
         assert!(status.text(65_000).contains(text), "{} does not say {text}", status.text(65_000));
     }
-    assert_eq!(DaemonStatus::new(&State::default(), Holder::Nobody), None);
+    assert_eq!(DaemonStatus::new(&JournalState::default(), Holder::Nobody), None);
 }
 
 #[test]
 fn json_has_the_documented_fields() {
-    let state = State { plan: Some(plan()), ..state() };
+    let state = JournalState { plan: Some(plan()), ..state() };
     let record = record(&state, Holder::Daemon("pid 12 on render-04".into()));
     let json = serde_json::to_value(&record).expect("JSON");
     let keys: Vec<&String> = json.as_object().expect("an object").keys().collect();

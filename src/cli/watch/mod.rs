@@ -27,14 +27,14 @@ use crate::http::{Listen, Window};
 use crate::pipeline::stop_writing;
 use crate::surface::simd::level_warning;
 use crate::watch::status_store::StatusStore;
-use crate::watch::{self, Command, Ended, FailedFrame, Notice, Summary, Watch};
+use crate::watch::{self, DaemonRequest, EndReason, FailedFrame, Notice, Watch, WatchSummary};
 
-use super::Verdict;
+use super::CommandOutcome;
 use super::args::{LogChoice, WatchArgs};
 use super::render_session::level_sets_in;
 use super::wording::{FRAMES_IN_VIEW, counted, failed_validation, with_causes};
 
-use plan::Plan;
+use plan::WatchPlan;
 pub(super) use plan::make_plan;
 use service::Service;
 
@@ -42,7 +42,7 @@ use service::Service;
 ///
 /// # Errors
 /// When it cannot begin.
-pub(super) fn watch(args: &WatchArgs) -> Result<Verdict> {
+pub(super) fn watch(args: &WatchArgs) -> Result<CommandOutcome> {
     let mut plan = make_plan(args)?;
     log::start(plan.log)?;
     if let Some(warning) = level_warning() {
@@ -78,13 +78,13 @@ pub(super) fn watch(args: &WatchArgs) -> Result<Verdict> {
                 }
                 None => {
                     error!("{error}");
-                    return Ok(Verdict::NothingDone);
+                    return Ok(CommandOutcome::NothingDone);
                 }
             },
         };
         match control.next_plan() {
-            Some(next) if summary.ended == Ended::Reload => previous = Some(replace(&mut plan, next)),
-            _ if summary.ended == Ended::Reload && !control.is_finishing() => {}
+            Some(next) if summary.ended == EndReason::Reload => previous = Some(replace(&mut plan, next)),
+            _ if summary.ended == EndReason::Reload && !control.is_finishing() => {}
             _ => {
                 let once = args.once.then_some(args.allow_violations);
                 return Ok(conclude(once, &plan.config.watches, &summary));
@@ -111,19 +111,19 @@ fn give_up_what_is_under_way(once: bool) {
 
 /// Logs how the run ended, and returns the verdict. `once` is whether violations are allowed, of a run that converts what is
 /// there and ends.
-fn conclude(once: Option<bool>, watches: &[Watch], summary: &Summary) -> Verdict {
-    let Summary { ended, done_count, broken_count, failed, left_count } = summary;
+fn conclude(once: Option<bool>, watches: &[Watch], summary: &WatchSummary) -> CommandOutcome {
+    let WatchSummary { ended, done_count, broken_count, failed, left_count } = summary;
     if is_out_of_sight(failed) {
         for failure in failed {
             error!("failed: {}", failure.what);
         }
     }
-    if *ended == Ended::Drained && done_count + failed.len() + left_count == 0 {
+    if *ended == EndReason::Drained && done_count + failed.len() + left_count == 0 {
         warn!("there are no frames to convert{}", level_sets_left(watches));
     }
-    let why = if *ended == Ended::Drained { "nothing is left to do" } else { "asked to end" };
+    let why = if *ended == EndReason::Drained { "nothing is left to do" } else { "asked to end" };
     info!(done = done_count, failed = failed.len(), left = left_count, "ended: {why}");
-    let Some(allow_violations) = once else { return Verdict::Done };
+    let Some(allow_violations) = once else { return CommandOutcome::Done };
     if *broken_count > 0 {
         let what = failed_validation(*broken_count, *done_count, "");
         match allow_violations {
@@ -132,8 +132,10 @@ fn conclude(once: Option<bool>, watches: &[Watch], summary: &Summary) -> Verdict
         }
     }
     match done_count {
-        0 => Verdict::NothingDone,
-        _ => Verdict::of(*done_count, failed.len() + left_count, *broken_count > 0 && !allow_violations),
+        0 => CommandOutcome::NothingDone,
+        _ => {
+            CommandOutcome::of(*done_count, failed.len() + left_count, *broken_count > 0 && !allow_violations)
+        }
     }
 }
 
@@ -160,21 +162,21 @@ struct Control {
     log: LogChoice,
     /// A window is opened once.
     listen: Option<Listen>,
-    commands: Sender<Command>,
+    commands: Sender<DaemonRequest>,
     finishing: AtomicBool,
     /// One after the other.
     reloading: Mutex<()>,
     /// How long frames under way may take when it ends.
     stop_deadline: Mutex<Duration>,
     /// The plan of a reload that is under way.
-    next: Mutex<Option<Plan>>,
+    next: Mutex<Option<WatchPlan>>,
 }
 
 impl Control {
     fn new(
         args: WatchArgs,
         (log, listen): (LogChoice, Option<Listen>),
-        commands: Sender<Command>,
+        commands: Sender<DaemonRequest>,
     ) -> Control {
         Control {
             args,
@@ -194,7 +196,7 @@ impl Control {
         let again = self.finishing.swap(true, Ordering::SeqCst);
         if !again {
             // Where nobody listens any more, it has ended.
-            let _ = self.commands.send(Command::Finish);
+            let _ = self.commands.send(DaemonRequest::Finish);
         }
         again
     }
@@ -211,7 +213,7 @@ impl Control {
                 info!("asked to begin again with what the file says now");
                 let is_first = lock(&self.next).replace(plan).is_none();
                 if is_first {
-                    let _ = self.commands.send(Command::Reload);
+                    let _ = self.commands.send(DaemonRequest::Reload);
                 }
             }
             Err(error) => {
@@ -222,7 +224,7 @@ impl Control {
         }
     }
 
-    fn plan_again(&self) -> Result<Plan> {
+    fn plan_again(&self) -> Result<WatchPlan> {
         if self.args.config.is_none() {
             bail!("there is nothing to reload without a --config file");
         }
@@ -245,7 +247,7 @@ impl Control {
     }
 
     /// The plan to go on with, unless it is to end.
-    fn next_plan(&self) -> Option<Plan> {
+    fn next_plan(&self) -> Option<WatchPlan> {
         lock(&self.next).take().filter(|_| !self.is_finishing())
     }
 }

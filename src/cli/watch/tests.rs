@@ -1,32 +1,32 @@
 use super::*;
 use std::fs;
 
-fn summary(ended: Ended, done_count: usize, failed_count: usize, left_count: usize) -> Summary {
+fn summary(ended: EndReason, done_count: usize, failed_count: usize, left_count: usize) -> WatchSummary {
     let failed = FailedFrame { what: "f: why".to_owned(), frames_since: Some(0) };
-    Summary { ended, done_count, broken_count: 0, failed: vec![failed; failed_count], left_count }
+    WatchSummary { ended, done_count, broken_count: 0, failed: vec![failed; failed_count], left_count }
 }
 
 #[test]
 fn the_exit_status_is_that_of_convert_when_it_runs_once() {
     for (done, failed, left, expected) in [
-        (3, 0, 0, Verdict::Done),
-        (3, 1, 0, Verdict::SomeFailed),
-        (3, 0, 1, Verdict::SomeFailed),
-        (0, 1, 0, Verdict::NothingDone),
-        (0, 0, 0, Verdict::NothingDone),
+        (3, 0, 0, CommandOutcome::Done),
+        (3, 1, 0, CommandOutcome::SomeFailed),
+        (3, 0, 1, CommandOutcome::SomeFailed),
+        (0, 1, 0, CommandOutcome::NothingDone),
+        (0, 0, 0, CommandOutcome::NothingDone),
     ] {
-        assert_eq!(conclude(Some(false), &[], &summary(Ended::Drained, done, failed, left)), expected);
+        assert_eq!(conclude(Some(false), &[], &summary(EndReason::Drained, done, failed, left)), expected);
     }
     // A daemon that was asked to end, and ended, did what it was asked.
-    assert_eq!(conclude(None, &[], &summary(Ended::Finish, 0, 3, 3)), Verdict::Done);
+    assert_eq!(conclude(None, &[], &summary(EndReason::Finish, 0, 3, 3)), CommandOutcome::Done);
 }
 
 #[test]
 fn a_run_once_with_broken_frames_ends_with_status_1_unless_violations_are_allowed() {
-    let broken = Summary { broken_count: 1, ..summary(Ended::Drained, 3, 0, 0) };
-    assert_eq!(conclude(Some(false), &[], &broken), Verdict::SomeFailed);
-    assert_eq!(conclude(Some(true), &[], &broken), Verdict::Done);
-    assert_eq!(conclude(None, &[], &broken), Verdict::Done);
+    let broken = WatchSummary { broken_count: 1, ..summary(EndReason::Drained, 3, 0, 0) };
+    assert_eq!(conclude(Some(false), &[], &broken), CommandOutcome::SomeFailed);
+    assert_eq!(conclude(Some(true), &[], &broken), CommandOutcome::Done);
+    assert_eq!(conclude(None, &[], &broken), CommandOutcome::Done);
 }
 
 #[test]
@@ -46,7 +46,7 @@ fn what_was_just_told_is_not_told_again() {
 }
 
 /// Signals to a daemon with this file, and the commands that come of them.
-fn control(config: Option<&std::path::Path>) -> (Control, crossbeam::channel::Receiver<Command>) {
+fn control(config: Option<&std::path::Path>) -> (Control, crossbeam::channel::Receiver<DaemonRequest>) {
     let (sender, commands) = bounded(2);
     let args = WatchArgs { config: config.map(Into::into), ..WatchArgs::default() };
     (Control::new(args, (LogChoice::Text, None), sender), commands)
@@ -57,7 +57,7 @@ fn the_first_signal_finishes_and_the_second_ends() {
     let (control, commands) = control(None);
     assert!(!control.finish());
     assert!(control.finish());
-    assert_eq!(commands.try_iter().collect::<Vec<_>>(), [Command::Finish]);
+    assert_eq!(commands.try_iter().collect::<Vec<_>>(), [DaemonRequest::Finish]);
 }
 
 #[test]
@@ -77,7 +77,7 @@ fn a_reload_takes_the_file_as_it_is_by_then() {
         control.reload();
     }
     assert!(control.is_reloading());
-    assert_eq!(commands.try_iter().collect::<Vec<_>>(), [Command::Reload]);
+    assert_eq!(commands.try_iter().collect::<Vec<_>>(), [DaemonRequest::Reload]);
     let plan = control.next_plan().expect("a plan");
     assert!(plan.config.watches[0].outputs.folder.ends_with("last"));
     assert!(control.next_plan().is_none() && !control.is_reloading());
@@ -99,7 +99,7 @@ fn ending_wins_over_reloading() {
     control.reload();
     control.finish();
     control.reload();
-    assert_eq!(commands.try_iter().collect::<Vec<_>>(), [Command::Reload, Command::Finish]);
+    assert_eq!(commands.try_iter().collect::<Vec<_>>(), [DaemonRequest::Reload, DaemonRequest::Finish]);
     assert!(!control.is_reloading() && control.next_plan().is_none());
 }
 

@@ -17,7 +17,7 @@ use std::ops::Range;
 
 /// What a number in a name is, as far as the words around it say.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Role {
+enum NumberRole {
     Frame,
     Plain,
     Count,
@@ -41,7 +41,10 @@ const SUBFRAME_OF_DIGITS_MIN: usize = 4;
 pub(crate) fn frame_number(stem: &str) -> Option<Range<usize>> {
     let numbers = numbers(stem);
     let of_role = |role| numbers.iter().rev().find(|number| role_of(stem, number) == role);
-    let found = [Role::Frame, Role::Plain, Role::Count, Role::Version].into_iter().find_map(of_role)?.clone();
+    let found = [NumberRole::Frame, NumberRole::Plain, NumberRole::Count, NumberRole::Version]
+        .into_iter()
+        .find_map(of_role)?
+        .clone();
     Some(with_subframe(stem, &numbers, &found).unwrap_or(found))
 }
 
@@ -70,9 +73,9 @@ pub(crate) fn varying_number(stems: &[&str]) -> Option<Vec<Range<usize>>> {
     let &[column] = &varying[..] else { return None };
     let role = role_of(first, &first_numbers[column]);
     let is_frame = match role {
-        Role::Frame | Role::Plain => true,
-        Role::Version => false,
-        Role::Count => are_even((0..stems.len()).filter_map(|index| text(index, column)?.parse().ok())),
+        NumberRole::Frame | NumberRole::Plain => true,
+        NumberRole::Version => false,
+        NumberRole::Count => are_even((0..stems.len()).filter_map(|index| text(index, column)?.parse().ok())),
     };
     is_frame.then(|| all.iter().filter_map(|numbers| numbers.get(column).cloned()).collect())
 }
@@ -142,7 +145,7 @@ fn numbers(text: &str) -> Vec<Range<usize>> {
     numbers
 }
 
-fn role_of(stem: &str, number: &Range<usize>) -> Role {
+fn role_of(stem: &str, number: &Range<usize>) -> NumberRole {
     let (before, after) = (&stem[..number.start], &stem[number.end..]);
     let word_before = |text: &str| {
         let letters = text.bytes().rev().take_while(u8::is_ascii_alphabetic).count();
@@ -157,13 +160,13 @@ fn role_of(stem: &str, number: &Range<usize>) -> Role {
     let following = word_after(after.strip_prefix(SEPARATORS).unwrap_or(after));
     let is_padded = number.len() > 1 && stem[number.clone()].starts_with('0');
     if FRAME_WORDS.contains(&&*separated) {
-        Role::Frame
+        NumberRole::Frame
     } else if VERSION_WORDS.contains(&&*touching) {
-        Role::Version
+        NumberRole::Version
     } else if !is_padded && COUNT_WORDS.contains(&&*following) {
-        Role::Count
+        NumberRole::Count
     } else {
-        Role::Plain
+        NumberRole::Plain
     }
 }
 

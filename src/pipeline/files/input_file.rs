@@ -209,7 +209,7 @@ mod tests {
     use super::*;
     use std::fs;
 
-    use meniscus_formats::{Limits, ParticleBatch, ParticleBatches, ParticleFrame, Positions};
+    use meniscus_formats::{FilePositions, Limits, ParticleBatch, ParticleBatches, ParticleFrame};
     use rayon::prelude::*;
     use std::io::Write;
     use std::time::{Duration, SystemTime};
@@ -330,7 +330,7 @@ mod tests {
         let path = folder.path().join("f.bgeo");
         let positions: Vec<[f32; 3]> = (0..5000).map(|n| [n as f32, 0.5, -1.0]).collect();
         let frame =
-            ParticleFrame { positions: Positions::F32(positions.clone()), ..ParticleFrame::default() };
+            ParticleFrame { positions: FilePositions::F32(positions.clone()), ..ParticleFrame::default() };
         let mut bytes = Vec::new();
         meniscus_formats::bgeo::write(&frame, &mut bytes).expect("written");
         fs::write(&path, &bytes).expect("written");
@@ -342,15 +342,15 @@ mod tests {
             batches.read_batch(index, &mut batch).expect("there");
             batch.positions
         };
-        let found: Vec<Positions> = (0..batches.batch_count()).into_par_iter().map(read).collect();
+        let found: Vec<FilePositions> = (0..batches.batch_count()).into_par_iter().map(read).collect();
         let found: Vec<[f32; 3]> = found.into_iter().flat_map(single).collect();
         assert_eq!(found, positions);
     }
 
-    fn single(positions: Positions) -> Vec<[f32; 3]> {
+    fn single(positions: FilePositions) -> Vec<[f32; 3]> {
         match positions {
-            Positions::F32(positions) => positions,
-            Positions::F64(_) => Vec::new(),
+            FilePositions::F32(positions) => positions,
+            FilePositions::F64(_) => Vec::new(),
         }
     }
 }

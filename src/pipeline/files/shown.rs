@@ -17,14 +17,14 @@ pub fn show_as(copy: &Path, name: &str) {
 
 /// A path in a message or a report.
 pub fn shown(path: &Path) -> impl fmt::Display {
-    Shown(path, COPY.get())
+    Displayed(path, COPY.get())
 }
 
-struct Shown<'a>(&'a Path, Option<&'a (PathBuf, String)>);
+struct Displayed<'a>(&'a Path, Option<&'a (PathBuf, String)>);
 
-impl fmt::Display for Shown<'_> {
+impl fmt::Display for Displayed<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Shown(path, copy) = self;
+        let Displayed(path, copy) = self;
         match copy.and_then(|(copy, name)| Some((name, path.strip_prefix(copy).ok()?))) {
             Some((name, within)) if within.as_os_str().is_empty() => f.write_str(name),
             Some((name, within)) => write!(f, "{name}/{}", within.display()),
@@ -45,7 +45,7 @@ mod tests {
             ("/tmp/copy/stdin.ply/step=7", "standard input/step=7"),
             ("/tmp/copy/other.ply", "/tmp/copy/other.ply"),
         ] {
-            assert_eq!(Shown(Path::new(path), Some(&copy)).to_string(), expected);
+            assert_eq!(Displayed(Path::new(path), Some(&copy)).to_string(), expected);
         }
     }
 }

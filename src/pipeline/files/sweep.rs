@@ -5,7 +5,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::file_set::{Recovery, is_record_name, record_of_old_file, recover, remove_old_file};
+use super::file_set::{RecordRecovery, is_record_name, record_of_old_file, recover, remove_old_file};
 use super::temporary::{
     is_temporary_name, leave_behind, left_behind_count, lock_abandoned, remove_if_there, take_left_behind,
 };
@@ -100,9 +100,9 @@ pub fn sweep_temporaries(folder: &Path) -> Result<Swept, SweepError> {
     let (mut swept, mut is_other_at_it, mut failure) = (Swept::default(), false, None);
     for path in records {
         match recover(&path) {
-            Ok(Recovery::Done) => swept.count += 1,
-            Ok(Recovery::InUse) => is_other_at_it = true,
-            Ok(Recovery::Left(warning)) => {
+            Ok(RecordRecovery::Done) => swept.count += 1,
+            Ok(RecordRecovery::InUse) => is_other_at_it = true,
+            Ok(RecordRecovery::Left(warning)) => {
                 is_other_at_it = true;
                 swept.warnings.push(warning);
             }

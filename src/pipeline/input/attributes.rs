@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use meniscus_formats::columns::aliases;
-use meniscus_formats::{Attribute as FileAttribute, Role, Values};
+use meniscus_formats::{AttributeRole, FileAttribute, Values};
 
 use crate::surface::options::{Anisotropy, AttributeSelection, OwnRadii, Settings};
 use crate::surface::particles::{Attribute, AttributeValues, Meaning, attribute_of};
@@ -160,7 +160,7 @@ impl Wanted {
     pub(crate) fn has_velocity(&self, name: &str) -> bool {
         let asked = |asked: &String| {
             let is = |other: &str| asked.eq_ignore_ascii_case(other);
-            is(name) || aliases(Role::Velocity).iter().any(|alias| is(alias))
+            is(name) || aliases(AttributeRole::Velocity).iter().any(|alias| is(alias))
         };
         match &self.selected {
             None => false,
@@ -179,11 +179,12 @@ impl Wanted {
 fn attribute(attribute: FileAttribute) -> Attribute {
     let FileAttribute { name, arity, role, values } = attribute;
     let meaning = match role {
-        Some(Role::Velocity) => Meaning::Velocity,
-        Some(Role::Color) => Meaning::Color,
-        Some(Role::Radius) => Meaning::Radius,
-        Some(Role::Id) => Meaning::Id,
-        Some(Role::Normal | Role::Density | Role::Mass | Role::Kind) | None => Meaning::Other,
+        Some(AttributeRole::Velocity) => Meaning::Velocity,
+        Some(AttributeRole::Color) => Meaning::Color,
+        Some(AttributeRole::Radius) => Meaning::Radius,
+        Some(AttributeRole::Id) => Meaning::Id,
+        Some(AttributeRole::Normal | AttributeRole::Density | AttributeRole::Mass | AttributeRole::Kind)
+        | None => Meaning::Other,
     };
     let is_color = meaning == Meaning::Color;
     let values = match values {
@@ -207,15 +208,25 @@ mod tests {
     use super::*;
     use crate::surface::options::MethodOptions;
 
-    fn file_attribute(name: &str, role: Option<Role>, arity: usize, values: Values) -> FileAttribute {
+    fn file_attribute(
+        name: &str,
+        role: Option<AttributeRole>,
+        arity: usize,
+        values: Values,
+    ) -> FileAttribute {
         FileAttribute { name: name.to_owned(), arity, role, values }
     }
 
     fn two_particles() -> Vec<FileAttribute> {
         vec![
-            file_attribute("vel", Some(Role::Velocity), 3, Values::F64(vec![1.0, 2.0, 3.0, -1.0, 0.0, 0.5])),
-            file_attribute("rgb", Some(Role::Color), 3, Values::U8(vec![255, 0, 51, 0, 0, 0])),
-            file_attribute("pscale", Some(Role::Radius), 1, Values::F32(vec![0.5, 1.0])),
+            file_attribute(
+                "vel",
+                Some(AttributeRole::Velocity),
+                3,
+                Values::F64(vec![1.0, 2.0, 3.0, -1.0, 0.0, 0.5]),
+            ),
+            file_attribute("rgb", Some(AttributeRole::Color), 3, Values::U8(vec![255, 0, 51, 0, 0, 0])),
+            file_attribute("pscale", Some(AttributeRole::Radius), 1, Values::F32(vec![0.5, 1.0])),
             file_attribute("Kind", None, 1, Values::I32(vec![7, -1])),
         ]
     }
@@ -227,7 +238,9 @@ mod tests {
     /// The method knows no formats, so it has the names of its own: they must be those of the readers.
     #[test]
     fn velocities_and_colors_are_called_as_the_readers_call_them() {
-        for (role, meaning) in [(Role::Velocity, Meaning::Velocity), (Role::Color, Meaning::Color)] {
+        for (role, meaning) in
+            [(AttributeRole::Velocity, Meaning::Velocity), (AttributeRole::Color, Meaning::Color)]
+        {
             let values = AttributeValues::Numbers(vec![0.0; 3]);
             let attribute = Attribute { name: "some name".to_owned(), meaning, arity: 3, values };
             for alias in aliases(role) {
@@ -280,7 +293,8 @@ mod tests {
         )]);
         assert!(error.expect_err("words").contains("`kind` is text"));
         let useless = |values: &[f32]| {
-            let radii = file_attribute("pscale", Some(Role::Radius), 1, Values::F32(values.to_vec()));
+            let radii =
+                file_attribute("pscale", Some(AttributeRole::Radius), 1, Values::F32(values.to_vec()));
             by_radius("radius").of(vec![radii])
         };
         let error = useless(&[0.0, -1.0, f32::NAN, f32::INFINITY]).expect_err("no radius");

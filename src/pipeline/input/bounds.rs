@@ -12,7 +12,7 @@ use super::attributes::Wanted;
 use super::level_set_file::{LevelSetFile, is_level_set};
 use super::reading::{parse_particles, read_file};
 use crate::pipeline::error::{FrameError, Stage};
-use crate::pipeline::target::picture::Scene;
+use crate::pipeline::target::picture::PictureScene;
 use crate::surface::grid::{LeafMask, negative_masks};
 use crate::surface::particles::Particles;
 use crate::surface::space::{CoordBox, box_of, joined};
@@ -68,7 +68,7 @@ pub fn bounds_of_particles(particles: &Particles, radius: f64) -> Option<[DVec3;
     box_of(particles.len(), place).map(|[least, greatest]| [least - radius, greatest + radius])
 }
 
-impl Scene<'_> {
+impl PictureScene<'_> {
     /// The box that holds what is inside, without what strayed; world units, `None` if nothing is inside.
     pub fn bounds(&self) -> Option<[DVec3; 2]> {
         let inside = negative_masks(&self.band.phi);

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use glam::DVec3;
-use meniscus_formats::{Error, Limits, ParticleBatch, ParticleBatches, Positions};
+use meniscus_formats::{Error, FilePositions, Limits, ParticleBatch, ParticleBatches};
 
 use crate::surface::grid::Leaf;
 use crate::surface::level_set::NarrowBand;
@@ -210,8 +210,8 @@ impl ParticleSource for FrameInput {
                 let mut batch = ParticleBatch::default();
                 file.batches.read_batch(index, &mut batch).map_err(|error| file.cause(error))?;
                 Ok(match batch.positions {
-                    Positions::F32(positions) => particles::Positions::F32(Cow::Owned(positions)),
-                    Positions::F64(positions) => particles::Positions::F64(Cow::Owned(positions)),
+                    FilePositions::F32(positions) => particles::Positions::F32(Cow::Owned(positions)),
+                    FilePositions::F64(positions) => particles::Positions::F64(Cow::Owned(positions)),
                 })
             }
             FrameInput::LevelSet(_) => Ok(particles::Positions::F32(Cow::Borrowed(&[]))),

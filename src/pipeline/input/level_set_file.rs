@@ -17,7 +17,7 @@ use crate::surface::space::{INDEX_LIMIT, Lattice};
 use super::reading::read_file;
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::memory::default_memory_bytes;
-use crate::pipeline::target::picture::Scene;
+use crate::pipeline::target::picture::PictureScene;
 use crate::pipeline::warning::Warning;
 
 /// A level set that was read from a file.
@@ -104,8 +104,8 @@ impl LevelSetFile {
     }
 
     /// What there is to take pictures of.
-    pub fn scene(&self) -> Scene<'_> {
-        Scene {
+    pub fn scene(&self) -> PictureScene<'_> {
+        PictureScene {
             band: &self.band,
             lattice: self.lattice,
             origin: self.origin,

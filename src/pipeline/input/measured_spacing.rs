@@ -20,7 +20,8 @@ use serde::{Deserialize, Serialize};
 use crate::surface::options::{self, OwnRadii};
 use crate::surface::particles::{Attribute, Meaning};
 use crate::surface::spacing::{
-    CONFIDENCE_MIN, Estimate, Sample, SequenceEstimate, combine_estimates, estimate_spacing, median, rounded,
+    CONFIDENCE_MIN, SequenceEstimate, SourceSample, SpacingEstimate, combine_estimates, estimate_spacing,
+    median, rounded,
 };
 use crate::surface::words::significant;
 
@@ -54,9 +55,9 @@ pub struct MeasuredSpacing {
     pub warnings: Vec<String>,
 }
 
-impl From<&MeasuredSpacing> for options::Measured {
-    fn from(measured: &MeasuredSpacing) -> options::Measured {
-        options::Measured { spacing: measured.spacing, radius_median: measured.radius_median }
+impl From<&MeasuredSpacing> for options::SequenceSpacing {
+    fn from(measured: &MeasuredSpacing) -> options::SequenceSpacing {
+        options::SequenceSpacing { spacing: measured.spacing, radius_median: measured.radius_median }
     }
 }
 
@@ -164,26 +165,30 @@ pub(crate) fn measure_sequence(
 
 /// What was measured on a frame.
 #[derive(Debug)]
-struct Measured {
+struct FrameSpacing {
     path: PathBuf,
-    estimate: Estimate,
+    estimate: SpacingEstimate,
     /// An attribute with radii that do not fit the positions, and twice its median.
     doubted: Option<(String, f64)>,
     radius_median: Option<f64>,
 }
 
 /// Measures a frame; `None` where it has too few particles.
-fn measured(path: &Path, own_radii: Option<&OwnRadii>) -> Result<Option<Measured>, FrameError> {
+fn measured(path: &Path, own_radii: Option<&OwnRadii>) -> Result<Option<FrameSpacing>, FrameError> {
     let measure = || {
         if own_radii.is_none()
             && let Some(particles) = large_file(path)?
         {
             let failed = |cause| FrameError { path: path.to_owned(), during: Stage::Read, cause };
             let particles = FrameInput::OnDisk(Box::new(particles));
-            let sample = Sample::of(&particles, particles.len()).map_err(failed)?;
+            let sample = SourceSample::of(&particles, particles.len()).map_err(failed)?;
             let estimate = sample.estimate(&particles).map_err(failed)?;
-            let of_estimate =
-                |estimate| Measured { path: path.to_owned(), estimate, doubted: None, radius_median: None };
+            let of_estimate = |estimate| FrameSpacing {
+                path: path.to_owned(),
+                estimate,
+                doubted: None,
+                radius_median: None,
+            };
             return Ok(estimate.map(of_estimate));
         }
         let bytes = read_file(path)?;
@@ -209,21 +214,21 @@ fn large_file(path: &Path) -> Result<Option<FileParticles>, FrameError> {
 /// Files of this size and more are measured by a sample of their positions, without their radii.
 const SAMPLED_FROM_BYTES: u64 = 256 << 20;
 
-fn measured_of(path: &Path, read: &ReadFrame, own_radii: Option<&OwnRadii>) -> Option<Measured> {
+fn measured_of(path: &Path, read: &ReadFrame, own_radii: Option<&OwnRadii>) -> Option<FrameSpacing> {
     let by_positions = estimate_spacing(&read.cloud.positions);
     let radius = match own_radii {
         Some(own) => read.cloud.attribute_of(&own.attribute, 1),
         None => read.cloud.attributes.iter().find(|attribute| attribute.meaning == Meaning::Radius),
     };
     let by_radius = radius.and_then(|radius| Some((radius.name.clone(), 2.0 * median(positive(radius))?)));
-    let of_radius = |spacing| Estimate { spacing, confidence: 1.0 };
+    let of_radius = |spacing| SpacingEstimate { spacing, confidence: 1.0 };
     let (estimate, doubted) = match (by_positions, by_radius) {
         (Some(estimate), Some((name, spacing))) => {
             let ratio = spacing / estimate.spacing;
             let fits = (1.0 / RADIUS_FACTOR_MAX..=RADIUS_FACTOR_MAX).contains(&ratio);
             match (fits, estimate.confidence < CONFIDENCE_MIN) {
                 (true, _) => (of_radius(spacing), None),
-                (false, true) => (Estimate { spacing, ..estimate }, None),
+                (false, true) => (SpacingEstimate { spacing, ..estimate }, None),
                 (false, false) => (estimate, Some((name, spacing))),
             }
         }
@@ -232,7 +237,7 @@ fn measured_of(path: &Path, read: &ReadFrame, own_radii: Option<&OwnRadii>) -> O
         (None, None) => return None,
     };
     let radius_median = own_radii.and_then(|own| median(own.radii_min(&read.cloud.attributes)));
-    Some(Measured { path: path.to_owned(), estimate, doubted, radius_median })
+    Some(FrameSpacing { path: path.to_owned(), estimate, doubted, radius_median })
 }
 
 /// The positive values of an attribute.
@@ -248,9 +253,9 @@ fn positive(attribute: &Attribute) -> Vec<f64> {
 const RADIUS_FACTOR_MAX: f64 = 1.5;
 
 /// The spacing by these frames; `None` of no frames.
-fn combined(frames: &[Measured]) -> Option<MeasuredSpacing> {
+fn combined(frames: &[FrameSpacing]) -> Option<MeasuredSpacing> {
     let measured_on = frames.first()?.path.clone();
-    let estimates: Vec<Estimate> = frames.iter().map(|frame| frame.estimate).collect();
+    let estimates: Vec<SpacingEstimate> = frames.iter().map(|frame| frame.estimate).collect();
     let estimate = combine_estimates(&estimates)?;
     Some(MeasuredSpacing {
         spacing: rounded(estimate.spacing),
@@ -262,8 +267,8 @@ fn combined(frames: &[Measured]) -> Option<MeasuredSpacing> {
 }
 
 /// What makes the spacing of a sequence doubtful.
-fn warnings(frames: &[Measured], estimate: &SequenceEstimate) -> Vec<String> {
-    let order = |a: &&Measured, b: &&Measured| a.estimate.spacing.total_cmp(&b.estimate.spacing);
+fn warnings(frames: &[FrameSpacing], estimate: &SequenceEstimate) -> Vec<String> {
+    let order = |a: &&FrameSpacing, b: &&FrameSpacing| a.estimate.spacing.total_cmp(&b.estimate.spacing);
     let mut warnings = Vec::new();
     if let Some((frame, (name, spacing))) =
         frames.iter().find_map(|frame| Some((frame, frame.doubted.as_ref()?)))
@@ -278,7 +283,7 @@ fn warnings(frames: &[Measured], estimate: &SequenceEstimate) -> Vec<String> {
     if let (true, Some(least), Some(greatest)) =
         (estimate.frames_disagree(), frames.iter().min_by(order), frames.iter().max_by(order))
     {
-        let spacing = |frame: &Measured| significant(rounded(frame.estimate.spacing));
+        let spacing = |frame: &FrameSpacing| significant(rounded(frame.estimate.spacing));
         warnings.push(format!(
             "particles are {} apart in {} but {} in {}: give --spacing",
             spacing(least),

@@ -40,7 +40,7 @@ use crate::pipeline::warning::Warning;
 pub struct ObstacleFiles {
     paths: Vec<PathBuf>,
     /// What is known of those that stand still.
-    known: Mutex<Vec<Option<Known>>>,
+    known: Mutex<Vec<Option<LoadedObstacle>>>,
     /// The files beside a `.gltf`, and what that was when it told of them.
     beside: Mutex<HashMap<PathBuf, (FileStamp, Vec<PathBuf>)>>,
 }
@@ -56,14 +56,14 @@ pub struct ObstacleStamps {
 
 /// A file that was read.
 #[derive(Clone)]
-struct Known {
+struct LoadedObstacle {
     /// All files that it was read from, as they were.
     files: Vec<(PathBuf, FileStamp)>,
     hash: u128,
     obstacle: Arc<Obstacle>,
 }
 
-impl fmt::Debug for Known {
+impl fmt::Debug for LoadedObstacle {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Known").field("hash", &self.hash).finish_non_exhaustive()
     }
@@ -81,13 +81,13 @@ struct FoundObstacle {
     /// It, and those beside it, as they were.
     files: Vec<(PathBuf, FileStamp)>,
     hash: u128,
-    content: Content,
+    content: ObstacleShape,
     /// Where it is among the paths, if it stands still.
     still: Option<usize>,
 }
 
 /// What is there of it.
-enum Content {
+enum ObstacleShape {
     /// Its own bytes, and those of each file beside it.
     Bytes(Vec<u8>, HashMap<String, Vec<u8>>),
     Obstacle(Arc<Obstacle>),
@@ -221,7 +221,7 @@ impl ObstacleFiles {
                     path: at,
                     files: known.files,
                     hash: known.hash,
-                    content: Content::Obstacle(known.obstacle),
+                    content: ObstacleShape::Obstacle(known.obstacle),
                     still,
                 }),
                 _ => read(at, still),
@@ -243,13 +243,13 @@ impl ObstacleFiles {
         for file in found.found {
             all.paths.push(file.path.clone());
             let (data, file_bytes) = match file.content {
-                Content::Obstacle(obstacle) => {
+                ObstacleShape::Obstacle(obstacle) => {
                     all.all_bytes += obstacle.size_bytes_max() as u64;
                     all.open_edge_count += open_edges(obstacle.shape());
                     all.obstacles.members.push(obstacle);
                     continue;
                 }
-                Content::Bytes(bytes, beside) => {
+                ObstacleShape::Bytes(bytes, beside) => {
                     let left_bytes = memory_bytes.saturating_sub(all.all_bytes);
                     (parse(&file.path, &bytes, beside, left_bytes)?, bytes.len() as u64)
                 }
@@ -265,7 +265,11 @@ impl ObstacleFiles {
             all.all_bytes += bytes;
             match file.still {
                 Some(index) => {
-                    let known = Known { files: file.files, hash: file.hash, obstacle: Arc::clone(&obstacle) };
+                    let known = LoadedObstacle {
+                        files: file.files,
+                        hash: file.hash,
+                        obstacle: Arc::clone(&obstacle),
+                    };
                     if let Some(place) =
                         self.known.lock().unwrap_or_else(PoisonError::into_inner).get_mut(index)
                     {
@@ -279,12 +283,12 @@ impl ObstacleFiles {
         Ok(all)
     }
 
-    fn known_of(&self, index: usize) -> Option<Known> {
+    fn known_of(&self, index: usize) -> Option<LoadedObstacle> {
         self.known.lock().unwrap_or_else(PoisonError::into_inner).get(index).cloned().flatten()
     }
 }
 
-impl Known {
+impl LoadedObstacle {
     /// Whether none of its files was written since.
     fn is_as_it_was(&self) -> bool {
         self.files.iter().all(|(path, stamp)| stamp_of(path) == Some(*stamp))
@@ -364,7 +368,7 @@ fn read(path: PathBuf, still: Option<usize>) -> Result<FoundObstacle, ObstacleEr
         }
         hash ^= hasher.map_or(0, |hasher| hasher.finish_128());
     }
-    Ok(FoundObstacle { path, files, hash, content: Content::Bytes(bytes, contents), still })
+    Ok(FoundObstacle { path, files, hash, content: ObstacleShape::Bytes(bytes, contents), still })
 }
 
 /// Only these may have their buffers in files of their own.
@@ -485,7 +489,7 @@ mod tests {
             Settings::paper(0.1, &crate::surface::options::MethodOptions::default()).expect("settings");
         let files = ObstacleFiles::new(vec![path.clone()]);
         let find = || files.find(None).expect("both files");
-        let is_known = |found: &FoundObstacles| matches!(found.found[0].content, Content::Obstacle(_));
+        let is_known = |found: &FoundObstacles| matches!(found.found[0].content, ObstacleShape::Obstacle(_));
         let first = find();
         let (recorded, stamps) = (first.recorded(), files.stamps(None));
         let loaded = files.load(first, &settings, 1 << 24).expect("a triangle");

@@ -4,7 +4,7 @@ use std::io::{self, Read};
 use std::path::Path;
 
 use meniscus_formats::compression::read_head;
-use meniscus_formats::{Limits, ParticleFrame, Positions, Role, read_particles, refuse_foreign};
+use meniscus_formats::{AttributeRole, FilePositions, Limits, ParticleFrame, read_particles, refuse_foreign};
 
 use crate::surface::particles::{Cloud, Particles, Shapes};
 
@@ -95,7 +95,7 @@ pub fn parse_particles(path: &Path, bytes: &[u8], wanted: &Wanted) -> Result<Rea
         .map_err(|error| FrameError::file(path, Stage::Read, by_lines_of_file(path, error)))?;
     let ParticleFrame { positions, attributes, notes } = frame;
     let unfit = |what| FrameError { path: path.to_owned(), during: Stage::Read, cause: Cause::Missing(what) };
-    let velocity = attributes.iter().find(|attribute| attribute.role == Some(Role::Velocity));
+    let velocity = attributes.iter().find(|attribute| attribute.role == Some(AttributeRole::Velocity));
     let unused_velocity =
         velocity.map(|attribute| attribute.name.clone()).filter(|name| !wanted.has_velocity(name));
     let (attributes, missing) = wanted.of(attributes).map_err(unfit)?;
@@ -105,9 +105,9 @@ pub fn parse_particles(path: &Path, bytes: &[u8], wanted: &Wanted) -> Result<Rea
 }
 
 /// The same vectors under the method's own type.
-pub fn particles(positions: Positions) -> Particles {
+pub fn particles(positions: FilePositions) -> Particles {
     match positions {
-        Positions::F32(positions) => Particles::Single(positions),
-        Positions::F64(positions) => Particles::Double(positions),
+        FilePositions::F32(positions) => Particles::Single(positions),
+        FilePositions::F64(positions) => Particles::Double(positions),
     }
 }

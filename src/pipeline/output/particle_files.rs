@@ -2,7 +2,7 @@
 
 use std::io::Write;
 
-use meniscus_formats::{Error, ParticleFrame, Positions};
+use meniscus_formats::{Error, FilePositions, ParticleFrame};
 
 use crate::pipeline::target::outputs::OutputFormat;
 use crate::pipeline::warning::Warning;
@@ -36,9 +36,13 @@ pub(crate) fn particle_warnings(particles: &ParticleFrame, formats: &[OutputForm
     of_file.chain(of_positions).chain(of_formats).collect()
 }
 
-fn not_finite_count(positions: &Positions) -> usize {
+fn not_finite_count(positions: &FilePositions) -> usize {
     match positions {
-        Positions::F32(positions) => positions.iter().filter(|p| !p.iter().all(|x| x.is_finite())).count(),
-        Positions::F64(positions) => positions.iter().filter(|p| !p.iter().all(|x| x.is_finite())).count(),
+        FilePositions::F32(positions) => {
+            positions.iter().filter(|p| !p.iter().all(|x| x.is_finite())).count()
+        }
+        FilePositions::F64(positions) => {
+            positions.iter().filter(|p| !p.iter().all(|x| x.is_finite())).count()
+        }
     }
 }

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use meniscus_formats::{
-    BandGrid, Content, LeafValues, LevelSetView, MeshEncoder, MeshView, Provenance, Role, VertexAttribute,
-    VertexValues, vdb,
+    AttributeRole, BandGrid, Content, LeafValues, LevelSetView, MeshEncoder, MeshView, Provenance,
+    VertexAttribute, VertexValues, vdb,
 };
 
 use crate::surface::attributes::BandAttribute;
@@ -16,7 +16,7 @@ use crate::surface::mesh::Mesh;
 use crate::surface::options::Settings;
 use crate::surface::particles::{Attribute, AttributeValues, Meaning};
 use crate::surface::report::SkinReport;
-use crate::surface::skin::Surface;
+use crate::surface::skin::FrameSurface;
 use crate::surface::space::Lattice;
 
 use super::diagnostics::diagnose;
@@ -29,7 +29,7 @@ use crate::pipeline::records::certificate_file::{certificate_path, write_certifi
 use crate::pipeline::records::provenance::provenance;
 use crate::pipeline::scheduler::Scheduler;
 use crate::pipeline::target::outputs::{OutputFormat, OutputOptions, output_path};
-use crate::pipeline::target::picture::{PictureOptions, Scene, encode_picture, up_of, velocities};
+use crate::pipeline::target::picture::{PictureOptions, PictureScene, encode_picture, up_of, velocities};
 use crate::pipeline::target::stored::{checked_as, rounding};
 use crate::pipeline::warning::Warning;
 
@@ -37,7 +37,7 @@ use crate::pipeline::warning::Warning;
 pub(crate) const VDB_HALF_WIDTH_VOXELS: f32 = 3.0;
 
 /// The files of a frame.
-pub(crate) struct Written {
+pub(crate) struct WrittenFiles {
     pub(crate) paths: Vec<PathBuf>,
     pub(crate) sizes_bytes: Vec<u64>,
 }
@@ -52,7 +52,7 @@ pub(crate) fn write_files(
     frame: &Frame,
     write: impl Fn(OutputFormat, &mut BufWriter<&File>) -> meniscus_formats::Result<()>,
     certify: Option<(u128, &SkinReport)>,
-) -> Result<Written, FrameError> {
+) -> Result<WrittenFiles, FrameError> {
     let OutputOptions { folder, formats, .. } = &*frame.outputs;
     let fail = |path: &Path, error| FrameError::file(path, Stage::Write, error);
     fs::create_dir_all(folder).map_err(|error| fail(folder, error.into()))?;
@@ -70,7 +70,7 @@ pub(crate) fn write_files(
     }
     let sizes_bytes = staged.iter().map(StagedFile::size_bytes).collect();
     let paths = publish(staged).map_err(|(path, error)| fail(&path, error.into()))?;
-    Ok(Written { paths, sizes_bytes })
+    Ok(WrittenFiles { paths, sizes_bytes })
 }
 
 /// Writes one file of a frame. What takes computing is computed in the pool, as pieces that are whole before they
@@ -79,7 +79,7 @@ pub(crate) fn write_files(
 /// # Errors
 /// When the format has no place for so much, or the system refuses.
 pub(crate) fn write_surface<'env>(
-    surface: &Arc<Surface>,
+    surface: &Arc<FrameSurface>,
     (number, frame): (usize, &Frame),
     made_from: (u128, &str),
     format: OutputFormat,
@@ -118,7 +118,7 @@ pub(crate) fn write_surface<'env>(
 }
 
 fn write_picture<'env>(
-    surface: &Arc<Surface>,
+    surface: &Arc<FrameSurface>,
     (number, frame): (usize, &Frame),
     format: OutputFormat,
     provenance: Vec<(String, String)>,
@@ -130,7 +130,7 @@ fn write_picture<'env>(
     let encode = move || {
         let has_data = format.has_attributes();
         let velocity = if has_data { velocities(&surface) } else { None };
-        let scene = Scene { band: &surface.band, lattice, origin, velocity: velocity.as_ref() };
+        let scene = PictureScene { band: &surface.band, lattice, origin, velocity: velocity.as_ref() };
         let PictureOptions { size, camera } = outputs.picture;
         let bounds = scene.bounds().unwrap_or(NOTHING);
         let viewpoint = camera.viewpoint(bounds, outputs.picture.aspect(), up_of(outputs.up));
@@ -141,7 +141,7 @@ fn write_picture<'env>(
 }
 
 fn encode_levels(
-    surface: &Surface,
+    surface: &FrameSurface,
     frame: &Frame,
     provenance: &Provenance,
 ) -> meniscus_formats::Result<vdb::Encoded> {
@@ -159,7 +159,7 @@ fn encode_levels(
 /// # Errors
 /// When the format has no place for so much.
 pub fn encode_level_set(
-    surface: &Surface,
+    surface: &FrameSurface,
     settings: &Settings,
     options: &vdb::WriteOptions,
     provenance: &Provenance,
@@ -226,19 +226,19 @@ fn band_grids<'a>(voxels: &'a [Voxels<'a>]) -> Vec<BandGrid<'a>> {
     voxels.iter().map(grid).collect()
 }
 
-fn role(meaning: Meaning) -> Option<Role> {
+fn role(meaning: Meaning) -> Option<AttributeRole> {
     match meaning {
-        Meaning::Velocity => Some(Role::Velocity),
-        Meaning::Color => Some(Role::Color),
-        Meaning::Radius => Some(Role::Radius),
-        Meaning::Id => Some(Role::Id),
+        Meaning::Velocity => Some(AttributeRole::Velocity),
+        Meaning::Color => Some(AttributeRole::Color),
+        Meaning::Radius => Some(AttributeRole::Radius),
+        Meaning::Id => Some(AttributeRole::Id),
         Meaning::Other => None,
     }
 }
 
 /// Warnings about a surface and its files.
 pub(crate) fn surface_warnings(
-    surface: &Surface,
+    surface: &FrameSurface,
     outputs: &OutputOptions,
     settings: &Settings,
 ) -> Vec<Warning> {
@@ -248,7 +248,7 @@ pub(crate) fn surface_warnings(
 }
 
 /// Warnings about files that round positions too much.
-fn position_warnings(surface: &Surface, outputs: &OutputOptions, voxel_size: f64) -> Vec<Warning> {
+fn position_warnings(surface: &FrameSurface, outputs: &OutputOptions, voxel_size: f64) -> Vec<Warning> {
     let mesh = mesh_view(&surface.mesh, &[]);
     let warning = |format: OutputFormat| {
         let rounding = rounding(format, outputs).filter(|_| !mesh.triangles.is_empty())?;
@@ -268,7 +268,7 @@ fn written(outputs: &OutputOptions) -> impl Iterator<Item = OutputFormat> {
 const REPORTED_FROM_VOXELS: f64 = 0.02;
 
 /// Warnings about attributes that the files do not hold as they are.
-fn attribute_warnings(surface: &Surface, outputs: &OutputOptions) -> Vec<Warning> {
+fn attribute_warnings(surface: &FrameSurface, outputs: &OutputOptions) -> Vec<Warning> {
     let vertices = vertex_attributes(&surface.attributes.vertices);
     let mut warnings: Vec<Warning> = Vec::new();
     for mesh in written(outputs).filter_map(OutputFormat::mesh) {

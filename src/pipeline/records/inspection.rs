@@ -33,7 +33,7 @@ use crate::pipeline::target::outputs::{OutputFormat, output_path};
 
 /// What there is of a frame; a sentence where it is not all there should be.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum FrameState {
+pub enum InspectedState {
     /// All of it, as it was to be.
     Done,
     /// Not all files; and whether none of them is there.
@@ -64,7 +64,7 @@ pub(crate) struct MadeFrom {
 #[derive(Clone, Debug)]
 pub struct Inspection {
     /// What there is of its outputs.
-    pub state: FrameState,
+    pub state: InspectedState,
     /// Whether its input can be read, so that it could be compared.
     pub input_is_there: bool,
     /// The same of all its obstacles.
@@ -94,7 +94,7 @@ pub fn inspect(frame: &Frame) -> Inspection {
     let obstacle_fault =
         obstacle_fault.map(|fault| format!("{fault}; the results cannot be compared with their obstacle"));
     let state = match (state, input_fault.or(obstacle_fault)) {
-        (FrameState::Done | FrameState::Uncertified(_), Some(fault)) => FrameState::Stale(fault),
+        (InspectedState::Done | InspectedState::Uncertified(_), Some(fault)) => InspectedState::Stale(fault),
         (state, _) => state,
     };
     Inspection { state, input_is_there, obstacles_are_there }
@@ -137,13 +137,13 @@ fn hash_of_input(path: &Path) -> Result<u128, Error> {
 pub(crate) fn certified_fault(frame: &Frame, input_hash: u128, obstacles: &str) -> Option<Option<String>> {
     let made_from = MadeFrom { input_hash: Some(input_hash), obstacles: Some(obstacles.to_owned()) };
     match inspect_made_from(frame, &made_from) {
-        FrameState::Done => Some(None),
-        FrameState::Uncertified(why) => Some(Some(why)),
-        FrameState::Missing { .. } | FrameState::Damaged(_) | FrameState::Stale(_) => None,
+        InspectedState::Done => Some(None),
+        InspectedState::Uncertified(why) => Some(Some(why)),
+        InspectedState::Missing { .. } | InspectedState::Damaged(_) | InspectedState::Stale(_) => None,
     }
 }
 
-fn inspect_made_from(frame: &Frame, made_from: &MadeFrom) -> FrameState {
+fn inspect_made_from(frame: &Frame, made_from: &MadeFrom) -> InspectedState {
     let options = &*frame.outputs;
     let outputs: Vec<(OutputFormat, PathBuf)> = options
         .formats
@@ -157,20 +157,25 @@ fn inspect_made_from(frame: &Frame, made_from: &MadeFrom) -> FrameState {
         paths.iter().chain([&certificate_path]).filter(is_missing).map(|path| name_of(path)).collect();
     if !missing.is_empty() {
         let are_all = missing.len() == paths.len() + 1;
-        return FrameState::Missing { why: missing.join(", "), are_all };
+        return InspectedState::Missing { why: missing.join(", "), are_all };
     }
     let certified = read_certificate(&certificate_path)
-        .map_err(|why| FrameState::Damaged(format!("{}: {why}", name_of(&certificate_path))));
+        .map_err(|why| InspectedState::Damaged(format!("{}: {why}", name_of(&certificate_path))));
     let state = outputs
         .iter()
         .try_for_each(|(format, path)| look_at(frame, made_from, *format, path))
         .and_then(|()| certified.and_then(|certified| agrees(&certified, made_from, &paths)));
-    state.err().unwrap_or(FrameState::Done)
+    state.err().unwrap_or(InspectedState::Done)
 }
 
 /// Looks at a file by itself: its end, and what it says of itself.
-fn look_at(frame: &Frame, made_from: &MadeFrom, format: OutputFormat, path: &Path) -> Result<(), FrameState> {
-    let damaged = |why: String| FrameState::Damaged(format!("{}: {why}", name_of(path)));
+fn look_at(
+    frame: &Frame,
+    made_from: &MadeFrom,
+    format: OutputFormat,
+    path: &Path,
+) -> Result<(), InspectedState> {
+    let damaged = |why: String| InspectedState::Damaged(format!("{}: {why}", name_of(path)));
     let unreadable = |error: meniscus_formats::Error| damaged(error.to_string());
     let mut file = open_regular(path).map_err(|error| damaged(error.to_string()))?;
     let recorded = read_provenance(format, &file).map_err(unreadable)?;
@@ -182,7 +187,7 @@ fn look_at(frame: &Frame, made_from: &MadeFrom, format: OutputFormat, path: &Pat
     let wanted = provenance(frame, (hash, obstacles), format);
     match difference(&recorded, &wanted, (made_from, &frame.job)) {
         None => Ok(()),
-        Some(difference) => Err(FrameState::Stale(format!("{}: {difference}", name_of(path)))),
+        Some(difference) => Err(InspectedState::Stale(format!("{}: {difference}", name_of(path)))),
     }
 }
 
@@ -216,17 +221,17 @@ fn difference(
 }
 
 /// Whether a certificate is of these files and this input, and holds.
-fn agrees(certified: &CertifiedFrame, made_from: &MadeFrom, paths: &[PathBuf]) -> Result<(), FrameState> {
+fn agrees(certified: &CertifiedFrame, made_from: &MadeFrom, paths: &[PathBuf]) -> Result<(), InspectedState> {
     if !certified.is_about(paths) {
-        return Err(FrameState::Stale("the certificate is of other files".to_owned()));
+        return Err(InspectedState::Stale("the certificate is of other files".to_owned()));
     }
-    certified.check_bytes(paths).map_err(FrameState::Damaged)?;
+    certified.check_bytes(paths).map_err(InspectedState::Damaged)?;
     if made_from.input_hash.is_some_and(|hash| hash_text(hash) != certified.input_hash) {
-        return Err(FrameState::Stale("the certificate is of another state of the input".to_owned()));
+        return Err(InspectedState::Stale("the certificate is of another state of the input".to_owned()));
     }
     match &certified.fault {
         None => Ok(()),
-        Some(fault) => Err(FrameState::Uncertified(does_not_hold(fault))),
+        Some(fault) => Err(InspectedState::Uncertified(does_not_hold(fault))),
     }
 }
 

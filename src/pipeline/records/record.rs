@@ -59,7 +59,7 @@ struct FrameRecord {
     input: String,
     /// Index into the settings of this report.
     settings: usize,
-    status: Status,
+    status: OutcomeStatus,
     #[serde(flatten)]
     measured: Option<MeasuredRecord>,
     error: Option<String>,
@@ -67,7 +67,7 @@ struct FrameRecord {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-enum Status {
+enum OutcomeStatus {
     Converted,
     AlreadyDone,
     Failed,
@@ -201,46 +201,46 @@ impl RunRecord {
 
     /// Adds a frame that was found done without looking at its input.
     pub fn add_done(&mut self, frame: &Frame, sequence_index: usize) {
-        self.add(&frame.input, sequence_index, Status::AlreadyDone, None, None);
+        self.add(&frame.input, sequence_index, OutcomeStatus::AlreadyDone, None, None);
     }
 
     /// Adds a frame that went through the pipeline. Frames are reported in the order they are added.
     pub fn add_frame(&mut self, frame: &Frame, sequence_index: usize, outcome: &Outcome) {
         let (status, measured, error) = match outcome {
-            Outcome::Converted(report) => (Status::Converted, Some(measured(report)), None),
-            Outcome::AlreadyDone { .. } => (Status::AlreadyDone, None, None),
-            Outcome::Changed => (Status::Failed, None, Some(CHANGED.to_owned())),
-            Outcome::Failed(error) => (Status::Failed, None, Some(error.to_string())),
-            Outcome::NotStarted => (Status::NotStarted, None, None),
+            Outcome::Converted(report) => (OutcomeStatus::Converted, Some(measured(report)), None),
+            Outcome::AlreadyDone { .. } => (OutcomeStatus::AlreadyDone, None, None),
+            Outcome::Changed => (OutcomeStatus::Failed, None, Some(CHANGED.to_owned())),
+            Outcome::Failed(error) => (OutcomeStatus::Failed, None, Some(error.to_string())),
+            Outcome::NotStarted => (OutcomeStatus::NotStarted, None, None),
         };
         self.add(&frame.input, sequence_index, status, measured, error);
     }
 
     /// Adds a frame that had no settings to be converted with.
     pub fn add_failed(&mut self, input: &Path, sequence_index: usize, why: &str) {
-        self.add(input, sequence_index, Status::Failed, None, Some(why.to_owned()));
+        self.add(input, sequence_index, OutcomeStatus::Failed, None, Some(why.to_owned()));
     }
 
     /// Adds a frame that was not attempted.
     pub fn add_not_started(&mut self, input: &Path, sequence_index: usize) {
-        self.add(input, sequence_index, Status::NotStarted, None, None);
+        self.add(input, sequence_index, OutcomeStatus::NotStarted, None, None);
     }
 
     fn add(
         &mut self,
         input: &Path,
         settings: usize,
-        status: Status,
+        status: OutcomeStatus,
         measured: Option<MeasuredRecord>,
         error: Option<String>,
     ) {
         let summary = &mut self.summary;
         summary.frames += 1;
         *match status {
-            Status::Converted => &mut summary.converted,
-            Status::AlreadyDone => &mut summary.already_done,
-            Status::Failed => &mut summary.failed,
-            Status::NotStarted => &mut summary.not_started,
+            OutcomeStatus::Converted => &mut summary.converted,
+            OutcomeStatus::AlreadyDone => &mut summary.already_done,
+            OutcomeStatus::Failed => &mut summary.failed,
+            OutcomeStatus::NotStarted => &mut summary.not_started,
         } += 1;
         self.frames.push(FrameRecord { input: text(input), settings, status, measured, error });
     }

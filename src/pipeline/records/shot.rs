@@ -17,7 +17,7 @@ use std::fmt;
 use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-use meniscus_formats::gltf::{self, FrameFile as GlbFrame, SHOT_FRAMES, ShotFrame};
+use meniscus_formats::gltf::{self, SHOT_FRAMES, SequenceFrame as GlbFrame, ShotFrame};
 use meniscus_formats::usda;
 use meniscus_formats::{OutputFormat, read_provenance};
 

@@ -7,9 +7,11 @@ use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::input::frame::Frame;
 use crate::pipeline::input::steps::{by_lines_of_file, file_of};
 use crate::pipeline::method::Method;
-use crate::surface::skin::Surface;
+use crate::surface::skin::FrameSurface;
 
-use super::shared::{Finished, Inlet, InputInfo, Outlet, Place, Read, Staged, Stages, WorkItem, outcome_of};
+use super::shared::{
+    FinishedFrame, Inlet, InputInfo, LinkSlot, Outlet, Read, Staged, Stages, WorkItem, outcome_of,
+};
 
 impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
     /// From particles, or a level set, to a level set and its bounds. A frame gets its memory here.
@@ -17,7 +19,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         &self,
         from: &Receiver<WorkItem<'env, K, Read>>,
         to: &Outlet<WorkItem<'env, K, Staged<M::Rasterized>>>,
-        finished: &Sender<Finished<K>>,
+        finished: &Sender<FinishedFrame<K>>,
     ) {
         let shared = self.shared;
         loop {
@@ -43,7 +45,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         &self,
         from: &Inlet<WorkItem<'env, K, Staged<M::Rasterized>>>,
         to: &Outlet<WorkItem<'env, K, Staged<M::Smoothed>>>,
-        finished: &Sender<Finished<K>>,
+        finished: &Sender<FinishedFrame<K>>,
     ) {
         let shared = self.shared;
         loop {
@@ -69,8 +71,8 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
     pub(super) fn contour<K: Send + 'env>(
         &self,
         from: &Inlet<WorkItem<'env, K, Staged<M::Smoothed>>>,
-        to: &Outlet<WorkItem<'env, K, Staged<Surface>>>,
-        finished: &Sender<Finished<K>>,
+        to: &Outlet<WorkItem<'env, K, Staged<FrameSurface>>>,
+        finished: &Sender<FinishedFrame<K>>,
     ) {
         let shared = self.shared;
         loop {
@@ -97,7 +99,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         &self,
         stage: Stage,
         item: WorkItem<'env, K, A>,
-        (place, finished): (Place<WorkItem<'env, K, B>>, &Sender<Finished<K>>),
+        (place, finished): (LinkSlot<WorkItem<'env, K, B>>, &Sender<FinishedFrame<K>>),
         work: impl FnOnce(A, &Frame, &mut InputInfo<'env>) -> Result<B, FrameError> + Send + 'env,
     ) {
         let (shared, finished) = (self.shared, finished.clone());
@@ -109,7 +111,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
                 Err(error) => {
                     drop((place, info));
                     let outcome = outcome_of(error);
-                    shared.finish(number, &finished, Finished { key, frame, outcome });
+                    shared.finish(number, &finished, FinishedFrame { key, frame, outcome });
                 }
             }
         });

@@ -44,7 +44,7 @@ use crate::pipeline::observer::Observer;
 use crate::pipeline::records::output_states::OutputStates;
 use crate::pipeline::scheduler::{Scheduler, TaskQueue};
 
-use shared::{Finished, Shared, Stages, is_failure, link};
+use shared::{FinishedFrame, StageContext, Stages, is_failure, link};
 
 /// What to do when a frame fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -177,7 +177,7 @@ pub fn stream<M: Method, K: Send>(
     options: &PipelineOptions<'_>,
     finished: impl FnMut(K, Frame, Outcome),
 ) {
-    let shared = Shared::new(method, options);
+    let shared = StageContext::new(method, options);
     let tasks = TaskQueue::default();
     options.pool.in_place_scope(|scope| {
         let stages = Stages { shared: &shared, scheduler: Scheduler::new(scope, &tasks) };
@@ -219,7 +219,7 @@ fn drive<'scope, 'env: 'scope, M: Method, K: Send + 'env>(
         scope.spawn(move || stages.contour(&to_contour_from, &to_write, &done));
         // The stages end when the one before has: this thread's own end of a channel must not keep them.
         drop(to_write_from);
-        for Finished { key, frame, outcome } in outcomes {
+        for FinishedFrame { key, frame, outcome } in outcomes {
             finished(key, frame, outcome);
             // There is a token in it for each frame that is not finished.
             let _ = no_room.try_recv();

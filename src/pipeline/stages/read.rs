@@ -27,7 +27,7 @@ use crate::pipeline::warning::Warning;
 use crate::surface::options::Settings;
 
 use super::PipelineOptions;
-use super::shared::{Finished, InputInfo, Noted, Read, Stages, WorkItem, outcome_of};
+use super::shared::{FinishedFrame, InputInfo, Noted, Read, Stages, WorkItem, outcome_of};
 
 impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
     /// Reads frames until there are none, or the caller is gone.
@@ -36,7 +36,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         mut next: impl FnMut() -> Option<(K, Frame)>,
         room: &Sender<()>,
         to: &Sender<WorkItem<'env, K, Read>>,
-        finished: &Sender<Finished<K>>,
+        finished: &Sender<FinishedFrame<K>>,
     ) {
         // Sending fails when the caller is gone.
         for number in 0.. {
@@ -46,7 +46,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
             let Some((key, mut frame)) = next() else { return };
             let is_sent = match self.read_one(number, &mut frame) {
                 Ok((content, info)) => to.send(WorkItem { number, key, frame, info, content }).is_ok(),
-                Err(outcome) => self.shared.finish(number, finished, Finished { key, frame, outcome }),
+                Err(outcome) => self.shared.finish(number, finished, FinishedFrame { key, frame, outcome }),
             };
             if !is_sent {
                 return;

@@ -1,6 +1,6 @@
 //! What the stages share, and what goes from one to the next.
 //!
-//! A [`WorkItem`] goes from stage to stage until its frame is [`Finished`]. Between two stages it goes through a [link]: a
+//! A [`WorkItem`] goes from stage to stage until its frame is [`FinishedFrame`]. Between two stages it goes through a [link]: a
 //! bounded channel in which a place is reserved before a stage begins with a frame. So a stage that is slow holds back the one
 //! before it, and a thread of the pool never waits for room in a channel.
 
@@ -17,12 +17,12 @@ use crate::pipeline::input::obstacles::FrameObstacles;
 use crate::pipeline::scheduler::Scheduler;
 use crate::pipeline::semaphore::{Permit, Semaphore};
 use crate::pipeline::warning::Warning;
-use crate::surface::skin::Plan;
+use crate::surface::skin::MemoryPlan;
 
 use super::{OnError, PipelineOptions};
 
 /// What all stages share.
-pub(super) struct Shared<'env, M> {
+pub(super) struct StageContext<'env, M> {
     pub(super) method: &'env M,
     pub(super) options: &'env PipelineOptions<'env>,
     pub(super) budget: Budget,
@@ -32,7 +32,7 @@ pub(super) struct Shared<'env, M> {
 
 /// The stages of one call of [`stream`](super::stream): their threads borrow it.
 pub(super) struct Stages<'a, 'scope, 'env, M> {
-    pub(super) shared: &'env Shared<'env, M>,
+    pub(super) shared: &'env StageContext<'env, M>,
     pub(super) scheduler: Scheduler<'a, 'scope, 'env>,
 }
 
@@ -71,7 +71,7 @@ pub(super) struct Noted {
 /// What reading hands to the first stage that computes.
 pub(super) enum Read {
     /// For a surface, and how it will be computed.
-    Surface { input: Box<FrameInput>, obstacles: FrameObstacles, plan: Plan },
+    Surface { input: Box<FrameInput>, obstacles: FrameObstacles, plan: MemoryPlan },
     /// The bytes of a file of particles, to be written in another format.
     Particles(Vec<u8>),
 }
@@ -85,17 +85,17 @@ pub(super) enum Staged<T> {
 }
 
 /// A frame and its outcome.
-pub(super) struct Finished<K> {
+pub(super) struct FinishedFrame<K> {
     pub(super) key: K,
     pub(super) frame: Frame,
     pub(super) outcome: Outcome,
 }
 
-impl<'env, M> Shared<'env, M> {
+impl<'env, M> StageContext<'env, M> {
     /// The state before the first frame.
-    pub(super) fn new(method: &'env M, options: &'env PipelineOptions<'env>) -> Shared<'env, M> {
+    pub(super) fn new(method: &'env M, options: &'env PipelineOptions<'env>) -> StageContext<'env, M> {
         let budget = Budget::new(options.memory_bytes);
-        Shared { method, options, budget, failed_first: AtomicUsize::new(usize::MAX) }
+        StageContext { method, options, budget, failed_first: AtomicUsize::new(usize::MAX) }
     }
 
     /// Reports that a frame begins a stage.
@@ -106,7 +106,12 @@ impl<'env, M> Shared<'env, M> {
     }
 
     /// Reports the outcome of the frame with this number. Returns whether the caller still listens.
-    pub(super) fn finish<K>(&self, number: usize, to: &Sender<Finished<K>>, finished: Finished<K>) -> bool {
+    pub(super) fn finish<K>(
+        &self,
+        number: usize,
+        to: &Sender<FinishedFrame<K>>,
+        finished: FinishedFrame<K>,
+    ) -> bool {
         if is_failure(&finished.outcome) {
             self.failed_first.fetch_min(number, Ordering::Relaxed);
         }
@@ -146,19 +151,19 @@ pub(super) struct Outlet<T> {
 pub(super) struct Inlet<T>(Receiver<(Permit, T)>);
 
 /// A reserved place in a link: free again when it is dropped, or when what was sent is received.
-pub(super) struct Place<T> {
+pub(super) struct LinkSlot<T> {
     items: Sender<(Permit, T)>,
     permit: Permit,
 }
 
 impl<T> Outlet<T> {
     /// Waits for a free place.
-    pub(super) fn reserve(&self) -> Place<T> {
-        Place { items: self.items.clone(), permit: self.places.acquire() }
+    pub(super) fn reserve(&self) -> LinkSlot<T> {
+        LinkSlot { items: self.items.clone(), permit: self.places.acquire() }
     }
 }
 
-impl<T> Place<T> {
+impl<T> LinkSlot<T> {
     /// Sends, without waiting.
     pub(super) fn send(self, item: T) {
         // It fails only if the next stage is gone: then the caller is, too.

@@ -15,23 +15,23 @@ use crate::pipeline::files::open::require_no_links;
 use crate::pipeline::input::frame::{Frame, FrameReport, Job, Outcome, Seconds};
 use crate::pipeline::memory::peak_memory_bytes;
 use crate::pipeline::output::particle_files::{particle_warnings, write_particles};
-use crate::pipeline::output::writing::{Written, surface_warnings, write_files, write_surface};
+use crate::pipeline::output::writing::{WrittenFiles, surface_warnings, write_files, write_surface};
 use crate::pipeline::records::frame_warnings::fault;
 use crate::pipeline::records::provenance::provenance;
 use crate::pipeline::target::outputs::OutputFormat;
-use crate::pipeline::target::picture::Scene;
+use crate::pipeline::target::picture::PictureScene;
 use crate::pipeline::warning::Warning;
-use crate::surface::skin::Surface;
+use crate::surface::skin::FrameSurface;
 use crate::surface::space::Lattice;
 
-use super::shared::{Finished, Inlet, InputInfo, Noted, Shared, Staged, Stages, WorkItem};
+use super::shared::{FinishedFrame, Inlet, InputInfo, Noted, StageContext, Staged, Stages, WorkItem};
 
 impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
     /// Writes what frames became until there are none; nothing more once the caller is gone.
     pub(super) fn write<K>(
         &self,
-        from: &Inlet<WorkItem<'env, K, Staged<Surface>>>,
-        finished: &Sender<Finished<K>>,
+        from: &Inlet<WorkItem<'env, K, Staged<FrameSurface>>>,
+        finished: &Sender<FinishedFrame<K>>,
     ) {
         let mut is_abandoned = false;
         while let Some(WorkItem { number, key, frame, info, content }) = from.receive() {
@@ -46,7 +46,7 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
                 Staged::Surface(surface) => self.write_one((number, &frame), info, surface),
                 Staged::Particles(particles) => self.write_particles(&frame, info, &particles),
             };
-            is_abandoned = !self.shared.finish(number, finished, Finished { key, frame, outcome });
+            is_abandoned = !self.shared.finish(number, finished, FinishedFrame { key, frame, outcome });
         }
     }
 
@@ -75,7 +75,12 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
         }
     }
 
-    fn write_one(&self, (number, frame): (usize, &Frame), info: InputInfo<'_>, surface: Surface) -> Outcome {
+    fn write_one(
+        &self,
+        (number, frame): (usize, &Frame),
+        info: InputInfo<'_>,
+        surface: FrameSurface,
+    ) -> Outcome {
         let start = Instant::now();
         self.shared.begin(frame, Stage::Write);
         let made_from = (info.input.hash, info.obstacles.0.as_str());
@@ -127,7 +132,7 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
     }
 }
 
-impl<M> Shared<'_, M> {
+impl<M> StageContext<'_, M> {
     /// Refuses a folder that is reached through a link, where it mirrors one of inputs.
     pub(super) fn refuse_links(&self, folder: &Path) -> Result<(), FrameError> {
         let within = self.options.mirrors.iter().filter_map(|mirror| folder.strip_prefix(mirror).ok());
@@ -139,7 +144,11 @@ impl<M> Shared<'_, M> {
 }
 
 /// The report on a frame as far as it does not depend on what was written.
-fn report(frame: &Frame, info: InputInfo<'_>, (written, warnings): (Written, Vec<Warning>)) -> FrameReport {
+fn report(
+    frame: &Frame,
+    info: InputInfo<'_>,
+    (written, warnings): (WrittenFiles, Vec<Warning>),
+) -> FrameReport {
     let (obstacles, obstacle_open_edge_count) = info.obstacles;
     let Noted { warnings: of_input, unused_velocity } = info.noted;
     let has_attributes = frame.outputs.formats.iter().any(|format| format.has_attributes());
@@ -159,7 +168,7 @@ fn report(frame: &Frame, info: InputInfo<'_>, (written, warnings): (Written, Vec
 }
 
 /// The box that holds the surface, without what strayed.
-fn bounds_of(surface: &Surface, frame: &Frame) -> Option<[DVec3; 2]> {
+fn bounds_of(surface: &FrameSurface, frame: &Frame) -> Option<[DVec3; 2]> {
     let lattice = Lattice { voxel_size: frame.settings.voxel_size };
-    Scene { band: &surface.band, lattice, origin: frame.job.origin(), velocity: None }.bounds()
+    PictureScene { band: &surface.band, lattice, origin: frame.job.origin(), velocity: None }.bounds()
 }

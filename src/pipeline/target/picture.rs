@@ -7,7 +7,7 @@
 
 use glam::DVec3;
 use meniscus_formats::{
-    Content, Error, OutputFormat, PictureLayer, PictureView, Provenance, Samples, UpAxis,
+    Content, Error, OutputFormat, PictureLayer, PictureView, PixelSamples, Provenance, UpAxis,
 };
 
 use serde::{Deserialize, Serialize};
@@ -17,7 +17,7 @@ use crate::surface::attributes::BandAttribute;
 use crate::surface::grid::Field;
 use crate::surface::level_set::NarrowBand;
 use crate::surface::particles::Meaning;
-use crate::surface::skin::Surface;
+use crate::surface::skin::FrameSurface;
 use crate::surface::space::Lattice;
 
 use super::viewpoint::{CameraChoice, Viewpoint};
@@ -48,7 +48,7 @@ impl PictureOptions {
 
 /// A level set to take pictures of.
 #[derive(Clone, Copy, Debug)]
-pub struct Scene<'a> {
+pub struct PictureScene<'a> {
     /// The level set.
     pub band: &'a NarrowBand,
     /// Its voxels.
@@ -59,7 +59,7 @@ pub struct Scene<'a> {
     pub velocity: Option<&'a [Field; 3]>,
 }
 
-impl Scene<'_> {
+impl PictureScene<'_> {
     /// A picture from here, with what is known of its pixels if that is wanted.
     pub fn picture(&self, viewpoint: &Viewpoint, size: [usize; 2], data: bool) -> Picture {
         let view = viewpoint.moved(-self.origin).view(size);
@@ -78,7 +78,7 @@ impl Scene<'_> {
 }
 
 /// The velocities of a surface, if it has any, as pictures take them.
-pub fn velocities(surface: &Surface) -> Option<[Field; 3]> {
+pub fn velocities(surface: &FrameSurface) -> Option<[Field; 3]> {
     let is_velocity =
         |attribute: &&BandAttribute| attribute.meaning == Meaning::Velocity && attribute.arity == 3;
     let attribute = surface.attributes.band.iter().find(is_velocity)?;
@@ -125,13 +125,13 @@ pub fn encode_picture(
 
 fn layers(picture: &Picture) -> Vec<PictureLayer<'_>> {
     let layer = |name, channel, samples| PictureLayer { name, channel, samples };
-    let mut layers = vec![layer("coverage", "Y", Samples::HalfNumbers(&picture.coverage))];
+    let mut layers = vec![layer("coverage", "Y", PixelSamples::HalfNumbers(&picture.coverage))];
     if let Some(data) = &picture.data {
-        layers.push(layer("depth", "Z", Samples::Numbers(&data.depth)));
-        layers.push(layer("normals", "N", Samples::HalfVectors(&data.normals)));
-        layers.push(layer("position", "P", Samples::Vectors(&data.positions)));
-        layers.extend(data.velocities.iter().map(|v| layer("velocity", "V", Samples::Vectors(v))));
-        layers.push(layer("curvature", "Y", Samples::Numbers(&data.curvatures)));
+        layers.push(layer("depth", "Z", PixelSamples::Numbers(&data.depth)));
+        layers.push(layer("normals", "N", PixelSamples::HalfVectors(&data.normals)));
+        layers.push(layer("position", "P", PixelSamples::Vectors(&data.positions)));
+        layers.extend(data.velocities.iter().map(|v| layer("velocity", "V", PixelSamples::Vectors(v))));
+        layers.push(layer("curvature", "Y", PixelSamples::Numbers(&data.curvatures)));
     }
     layers
 }

@@ -2,14 +2,14 @@
 
 use std::sync::Arc;
 
-use meniscus_formats::{Content, OutputFormat, Rounding};
+use meniscus_formats::{Content, OutputFormat, PositionRounding};
 
 use crate::surface::skin::Stored;
 
 use super::outputs::OutputOptions;
 
 /// How a format rounds positions, if it does.
-pub(crate) fn rounding(format: OutputFormat, outputs: &OutputOptions) -> Option<&'static Rounding> {
+pub(crate) fn rounding(format: OutputFormat, outputs: &OutputOptions) -> Option<&'static PositionRounding> {
     (format.mesh()?.rounding)(&outputs.mesh(Arc::default()))
 }
 

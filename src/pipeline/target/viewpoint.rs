@@ -17,12 +17,12 @@ use std::str::FromStr;
 use glam::DVec3;
 use meniscus_formats::PictureCamera;
 
-use crate::render::{Camera, Placement, Up, View};
+use crate::render::{Camera, CameraPlacement, Up, View};
 
 /// Where to take pictures from, as it was asked for.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CameraChoice {
-    place: Place,
+    place: CameraPosition,
     /// The vertical angle of view, in degrees.
     view_degrees: Option<f64>,
     up: Option<Up>,
@@ -31,16 +31,16 @@ pub struct CameraChoice {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Place {
+enum CameraPosition {
     /// Around what is seen.
     Around { azimuth_degrees: Option<f64>, elevation_degrees: Option<f64>, zoom: Option<f64> },
     /// Fixed, in world units. `top` is what is up in the picture.
     At { eye: DVec3, target: DVec3, top: Option<DVec3> },
 }
 
-impl Default for Place {
-    fn default() -> Place {
-        Place::Around { azimuth_degrees: None, elevation_degrees: None, zoom: None }
+impl Default for CameraPosition {
+    fn default() -> CameraPosition {
+        CameraPosition::Around { azimuth_degrees: None, elevation_degrees: None, zoom: None }
     }
 }
 
@@ -72,19 +72,19 @@ impl CameraChoice {
     /// `aspect` times as wide as high. `up` is taken where none was asked for.
     pub fn viewpoint(&self, bounds: [DVec3; 2], aspect: f64, up: Up) -> Viewpoint {
         let up = self.up.unwrap_or(up);
-        let view_degrees = self.view_degrees.unwrap_or(Placement::AUTO.view_degrees);
+        let view_degrees = self.view_degrees.unwrap_or(CameraPlacement::AUTO.view_degrees);
         let ground = match self.ground {
             None => Some(bounds[0].dot(up.direction())),
             Some(Ground::At(height)) => Some(height),
             Some(Ground::None) => None,
         };
         let (eye, target, top) = match self.place {
-            Place::At { eye, target, top } => (eye, target, top.unwrap_or(up.direction())),
-            Place::Around { azimuth_degrees, elevation_degrees, zoom } => {
-                let placement = Placement {
-                    azimuth_degrees: azimuth_degrees.unwrap_or(Placement::AUTO.azimuth_degrees),
-                    elevation_degrees: elevation_degrees.unwrap_or(Placement::AUTO.elevation_degrees),
-                    zoom: zoom.unwrap_or(Placement::AUTO.zoom),
+            CameraPosition::At { eye, target, top } => (eye, target, top.unwrap_or(up.direction())),
+            CameraPosition::Around { azimuth_degrees, elevation_degrees, zoom } => {
+                let placement = CameraPlacement {
+                    azimuth_degrees: azimuth_degrees.unwrap_or(CameraPlacement::AUTO.azimuth_degrees),
+                    elevation_degrees: elevation_degrees.unwrap_or(CameraPlacement::AUTO.elevation_degrees),
+                    zoom: zoom.unwrap_or(CameraPlacement::AUTO.zoom),
                     view_degrees,
                     up,
                 };
@@ -102,12 +102,12 @@ impl CameraChoice {
 
     /// Whether the camera is placed around what is seen.
     pub(crate) fn is_around(&self) -> bool {
-        matches!(self.place, Place::Around { .. })
+        matches!(self.place, CameraPosition::Around { .. })
     }
 
     /// The same camera, but one that zooms in has all of the bounds in view.
     pub(crate) fn not_zoomed_in(mut self) -> CameraChoice {
-        if let Place::Around { zoom: Some(zoom), .. } = &mut self.place {
+        if let CameraPosition::Around { zoom: Some(zoom), .. } = &mut self.place {
             *zoom = zoom.min(1.0);
         }
         self
@@ -115,7 +115,7 @@ impl CameraChoice {
 
     /// Whether the bounds of what is seen matter.
     pub fn needs_bounds(&self) -> bool {
-        matches!(self.place, Place::Around { .. }) || self.ground.is_none()
+        matches!(self.place, CameraPosition::Around { .. }) || self.ground.is_none()
     }
 }
 
@@ -123,7 +123,7 @@ impl From<Viewpoint> for CameraChoice {
     fn from(viewpoint: Viewpoint) -> CameraChoice {
         let Viewpoint { eye, target, top, view_degrees, up, ground } = viewpoint;
         CameraChoice {
-            place: Place::At { eye, target, top: Some(top) },
+            place: CameraPosition::At { eye, target, top: Some(top) },
             view_degrees: Some(view_degrees),
             up: Some(up),
             ground: Some(ground.map_or(Ground::None, Ground::At)),
@@ -202,12 +202,12 @@ impl fmt::Display for CameraChoice {
             pairs.extend(value.map(|value| format!("{name}={value}")));
         };
         match self.place {
-            Place::Around { azimuth_degrees, elevation_degrees, zoom } => {
+            CameraPosition::Around { azimuth_degrees, elevation_degrees, zoom } => {
                 number("azimuth", azimuth_degrees);
                 number("elevation", elevation_degrees);
                 number("zoom", zoom);
             }
-            Place::At { eye, target, top } => {
+            CameraPosition::At { eye, target, top } => {
                 pairs.push(format!("eye={}", triple(eye)));
                 pairs.push(format!("target={}", triple(target)));
                 pairs.extend(top.map(|top| format!("top={}", triple(top))));
@@ -314,13 +314,15 @@ impl Typed {
             (Some(eye), Some(target)) if eye == target => {
                 return Err("eye and target: expected two different places".into());
             }
-            (Some(eye), Some(target)) => Place::At { eye, target, top },
+            (Some(eye), Some(target)) => CameraPosition::At { eye, target, top },
             (Some(_), None) => return Err("eye is there without target: expected both".into()),
             (None, Some(_)) => return Err("target is there without eye: expected both".into()),
             (None, None) if top.is_some() => {
                 return Err("top is there without eye and target: expected all".into());
             }
-            (None, None) => Place::Around { azimuth_degrees: azimuth, elevation_degrees: elevation, zoom },
+            (None, None) => {
+                CameraPosition::Around { azimuth_degrees: azimuth, elevation_degrees: elevation, zoom }
+            }
         };
         Ok(CameraChoice { place, view_degrees: view, up, ground })
     }

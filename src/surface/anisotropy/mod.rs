@@ -31,7 +31,7 @@ pub use velocity::{VelocityConfig, from_velocities};
 
 /// Particles with shapes.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Shaped {
+pub struct AnisotropicShapes {
     /// The shape of each particle, in order.
     pub shapes: Vec<Ellipsoid>,
     /// Number of particles with a half axis that was raised to the floor.

@@ -25,7 +25,7 @@ use rayon::prelude::*;
 use super::half_axes::{means, shapes};
 use super::moments::{MEAN_COUNT, MOMENT_COUNT, moments};
 use super::scale_of;
-use crate::surface::neighbors::{Neighbors, Surroundings};
+use crate::surface::neighbors::{NeighborPackets, Neighbors};
 use crate::surface::particles::{Ellipsoid, Particles};
 use crate::surface::simd::{Kernel, Lanes, Level, dispatch_at};
 
@@ -105,9 +105,9 @@ fn by_neighbors(
         .zip_eq(means.par_chunks_mut(PIECE))
         .zip_eq(pieces_of(&mut shapes, slots.len()))
         .map(|((slots, means), shapes)| {
-            dispatch_at(level, Piece { neighbors: &neighbors, scales, config, slots, means, shapes })
+            dispatch_at(level, ParticleRun { neighbors: &neighbors, scales, config, slots, means, shapes })
         })
-        .reduce(Counts::default, Counts::plus);
+        .reduce(ShapeCounts::default, ShapeCounts::plus);
     ByNeighbors {
         indices: slots.iter().map(|&slot| neighbors.indices()[slot as usize]).collect(),
         means,
@@ -128,19 +128,19 @@ fn pieces_of(shapes: &mut [Ellipsoid], count: usize) -> Vec<&mut [Ellipsoid]> {
 }
 
 #[derive(Clone, Copy, Default)]
-struct Counts {
+struct ShapeCounts {
     raised: usize,
     balls: usize,
 }
 
-impl Counts {
-    fn plus(self, other: Counts) -> Counts {
-        Counts { raised: self.raised + other.raised, balls: self.balls + other.balls }
+impl ShapeCounts {
+    fn plus(self, other: ShapeCounts) -> ShapeCounts {
+        ShapeCounts { raised: self.raised + other.raised, balls: self.balls + other.balls }
     }
 }
 
 /// Consecutive particles in the order of the grid.
-struct Piece<'a> {
+struct ParticleRun<'a> {
     neighbors: &'a Neighbors,
     scales: Option<&'a [f32]>,
     config: &'a NeighborConfig,
@@ -151,11 +151,11 @@ struct Piece<'a> {
     shapes: &'a mut [Ellipsoid],
 }
 
-impl Kernel for Piece<'_> {
-    type Output = Counts;
+impl Kernel for ParticleRun<'_> {
+    type Output = ShapeCounts;
 
     #[inline(always)]
-    fn run<V: Lanes>(self) -> Counts {
+    fn run<V: Lanes>(self) -> ShapeCounts {
         match self.config.stretch {
             Some(stretch) => self.run_with::<V, MOMENT_COUNT>(Some(stretch)),
             None => self.run_with::<V, MEAN_COUNT>(None),
@@ -163,13 +163,13 @@ impl Kernel for Piece<'_> {
     }
 }
 
-impl Piece<'_> {
+impl ParticleRun<'_> {
     /// Computes the first `COUNT` moments of each particle.
     #[inline(always)]
-    fn run_with<V: Lanes, const COUNT: usize>(mut self, stretch: Option<Stretch>) -> Counts {
-        let mut surroundings = Surroundings::default();
+    fn run_with<V: Lanes, const COUNT: usize>(mut self, stretch: Option<Stretch>) -> ShapeCounts {
+        let mut surroundings = NeighborPackets::default();
         let mut within = Vec::new();
-        let mut counts = Counts::default();
+        let mut counts = ShapeCounts::default();
         let mut waiting = [[0.0f32; 8]; COUNT];
         let mut waiting_count = 0;
         let [x, y, z] = self.neighbors.locals();
@@ -204,13 +204,13 @@ impl Piece<'_> {
         first: usize,
         count: usize,
         stretch: Option<Stretch>,
-    ) -> Counts {
+    ) -> ShapeCounts {
         let along = means::<V>(moments);
         for (k, mean) in self.means[first..first + count].iter_mut().enumerate() {
             *mean = [along[0][k], along[1][k], along[2][k]];
         }
         let (Some(stretch), Some(moments)) = (stretch, moments.first_chunk()) else {
-            return Counts::default();
+            return ShapeCounts::default();
         };
         let mut scales = [1.0; 8];
         for (scale, &slot) in scales.iter_mut().zip(&self.slots[first..first + count]) {
@@ -221,7 +221,7 @@ impl Piece<'_> {
         self.shapes[first..first + count].copy_from_slice(&eights.shapes[..count]);
         let bits = ((1u16 << count) - 1) as u8;
         let [raised, balls] = [eights.raised & bits, eights.balls & bits].map(u8::count_ones);
-        Counts { raised: raised as usize, balls: balls as usize }
+        ShapeCounts { raised: raised as usize, balls: balls as usize }
     }
 }
 

@@ -12,7 +12,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::half_axes::cube_root;
-use super::{RAISED_BELOW, Shaped, ball, scale_of};
+use super::{AnisotropicShapes, RAISED_BELOW, ball, scale_of};
 use crate::surface::particles::Ellipsoid;
 
 /// How velocities shape particles.
@@ -29,7 +29,11 @@ pub struct VelocityConfig {
 
 /// Shapes particles by their velocities: x, y and z per particle (paper, Eq. 16). `scales` has one entry per
 /// particle. A particle whose velocity is not finite is a ball.
-pub fn from_velocities(velocities: &[f32], scales: Option<&[f32]>, config: &VelocityConfig) -> Shaped {
+pub fn from_velocities(
+    velocities: &[f32],
+    scales: Option<&[f32]>,
+    config: &VelocityConfig,
+) -> AnisotropicShapes {
     let (velocities, rest) = velocities.as_chunks::<3>();
     assert!(rest.is_empty(), "three components for each particle");
     assert!(scales.is_none_or(|scales| scales.len() == velocities.len()), "a scale for each particle");
@@ -39,7 +43,7 @@ pub fn from_velocities(velocities: &[f32], scales: Option<&[f32]>, config: &Velo
         stretched(velocity, scale_of(scales, index), most, config)
     };
     let shapes: Vec<(Ellipsoid, bool)> = velocities.par_iter().enumerate().map(stretched).collect();
-    Shaped {
+    AnisotropicShapes {
         raised_count: shapes.iter().filter(|(_, is_raised)| *is_raised).count(),
         ball_count: velocities.iter().filter(|velocity| !is_finite(velocity)).count(),
         shapes: shapes.into_iter().map(|(shape, _)| shape).collect(),

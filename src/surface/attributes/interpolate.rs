@@ -8,7 +8,7 @@ use glam::{DVec3, IVec3, Vec3};
 
 use super::NO_PARTICLE;
 use super::source::{NumericAttribute, TransferSource};
-use crate::surface::neighbors::{Eight, Surroundings};
+use crate::surface::neighbors::{Eight, NeighborPackets};
 use crate::surface::simd::{Kernel, Lanes, dispatch};
 
 /// The result at some points.
@@ -23,7 +23,7 @@ pub(super) struct Interpolated {
 #[derive(Default)]
 pub(super) struct Scratch {
     points: Vec<CellPoint>,
-    around: Surroundings,
+    around: NeighborPackets,
     near: Vec<WeightedParticle>,
 }
 

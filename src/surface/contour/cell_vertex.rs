@@ -32,7 +32,7 @@
 
 use glam::{IVec3, Mat3, Vec3};
 
-use super::Placement;
+use super::MeshFrame;
 use super::cell_cycles::{corner_bit, edge_corners};
 use super::neighborhood::{BLOCK_STEP, PhiBlock};
 use super::normals::unit_or_zero;
@@ -56,7 +56,7 @@ const PROJECTION_LIMIT: f32 = 0.125;
 pub(super) const LANES: usize = 16;
 
 /// One value per vertex.
-type Column = [f32; LANES];
+type VertexArray = [f32; LANES];
 
 /// Pending vertices.
 pub(super) struct VertexBatch {
@@ -66,7 +66,7 @@ pub(super) struct VertexBatch {
     /// A mask of the edges that the vertex's cycle passes through.
     edges: [u32; LANES],
     /// φ at the cell's corners, followed by the outer neighbor of each corner along each axis.
-    stencil: [Column; STENCIL_COUNT],
+    stencil: [VertexArray; STENCIL_COUNT],
 }
 
 /// Output arrays: for each vertex, its position relative to its cell, its position in the mesh, and its
@@ -117,7 +117,7 @@ impl VertexBatch {
 
     /// Computes the pending vertices, writes them in the order they were added, and clears the batch.
     #[inline(always)]
-    pub(super) fn find(&mut self, placement: &Placement, vertices: Vertices) {
+    pub(super) fn find(&mut self, placement: &MeshFrame, vertices: Vertices) {
         let samples = self.samples();
         let mut points = self.nearest_points(&samples);
         for _ in 0..PROJECTION_STEPS {
@@ -125,7 +125,7 @@ impl VertexBatch {
         }
         let normals = unit_gradients(&samples, &points);
         let positions = self.positions(placement, &points);
-        let at = |columns: &[Column; 3], lane: usize| {
+        let at = |columns: &[VertexArray; 3], lane: usize| {
             Vec3::new(columns[0][lane], columns[1][lane], columns[2][lane])
         };
         let outputs = vertices.locals.iter_mut().zip(vertices.positions).zip(vertices.normals);
@@ -139,7 +139,7 @@ impl VertexBatch {
 
     /// φ, ∂ₓ, ∂ᵧ, ∂_z, ∂ₓₓ, ∂ᵧᵧ and ∂_zz at the corners.
     #[inline(always)]
-    fn samples(&self) -> Samples {
+    fn samples(&self) -> CornerSamples {
         let mut samples = [[[0.0; LANES]; 7]; 8];
         for (corner, samples) in samples.iter_mut().enumerate() {
             let here = &self.stencil[corner];
@@ -160,7 +160,7 @@ impl VertexBatch {
 
     /// The points that minimize the error function.
     #[inline(always)]
-    fn nearest_points(&self, samples: &Samples) -> [Column; 3] {
+    fn nearest_points(&self, samples: &CornerSamples) -> [VertexArray; 3] {
         let mut planes = [[0.0; LANES]; PLANE_SUMS];
         for edge in 0..12 {
             let (start, end) = edge_corners(edge);
@@ -188,7 +188,7 @@ impl VertexBatch {
 
     /// The mesh positions of points in the cells.
     #[inline(always)]
-    fn positions(&self, placement: &Placement, points: &[Column; 3]) -> [Column; 3] {
+    fn positions(&self, placement: &MeshFrame, points: &[VertexArray; 3]) -> [VertexArray; 3] {
         let mut positions = [[0.0; LANES]; 3];
         for lane in 0..LANES {
             let cell = IVec3::new(self.cells[0][lane], self.cells[1][lane], self.cells[2][lane]);
@@ -202,7 +202,7 @@ impl VertexBatch {
 
 /// The directions of ∇φ at points of the cells, or zero where the gradient vanishes.
 #[inline(always)]
-fn unit_gradients(samples: &Samples, points: &[Column; 3]) -> [Column; 3] {
+fn unit_gradients(samples: &CornerSamples, points: &[VertexArray; 3]) -> [VertexArray; 3] {
     let mut normals = [[0.0; LANES]; 3];
     for lane in 0..LANES {
         let point = Vec3::new(points[0][lane], points[1][lane], points[2][lane]);
@@ -214,7 +214,7 @@ fn unit_gradients(samples: &Samples, points: &[Column; 3]) -> [Column; 3] {
 }
 
 /// For each corner `4x + 2y + z` of a cell: φ, its gradient and its three second differences.
-type Samples = [[Column; 7]; 8];
+type CornerSamples = [[VertexArray; 7]; 8];
 
 /// Number of sums that determine the minimizer.
 const PLANE_SUMS: usize = 13;
@@ -252,7 +252,7 @@ fn nearest_point(sums: [f32; PLANE_SUMS]) -> Vec3 {
 
 /// Moves points along ∇φ toward the zero set of the curved interpolant.
 #[inline(always)]
-fn project(samples: &Samples, points: &mut [Column; 3]) {
+fn project(samples: &CornerSamples, points: &mut [VertexArray; 3]) {
     let [x, y, z] = points;
     for lane in 0..LANES {
         let point = Vec3::new(x[lane], y[lane], z[lane]);
@@ -269,7 +269,7 @@ fn project(samples: &Samples, points: &mut [Column; 3]) {
 
 /// Interpolates a sample trilinearly at a point of a lane's cell.
 #[inline(always)]
-fn interpolate(samples: &Samples, value: usize, lane: usize, point: Vec3) -> f32 {
+fn interpolate(samples: &CornerSamples, value: usize, lane: usize, point: Vec3) -> f32 {
     let at = |corner: usize| samples[corner][value][lane];
     let blend = |one: f32, other: f32, t: f32| one + (other - one) * t;
     let near = blend(blend(at(0), at(1), point.z), blend(at(2), at(3), point.z), point.y);

@@ -120,16 +120,16 @@ impl Kernel for VertexCurvatures<'_> {
 const LANES: usize = 16;
 
 /// One value per vertex.
-type Column = [f32; LANES];
+type VertexScalar = [f32; LANES];
 
 /// Pending vertices.
 struct CurvatureBatch {
     count: usize,
     vertices: [usize; LANES],
     /// Positions within their cells.
-    locals: [Column; 3],
+    locals: [VertexScalar; 3],
     /// φ around their cells, −1 to 2 on each axis, z fastest.
-    phi: [Column; 64],
+    phi: [VertexScalar; 64],
 }
 
 /// Strides along x, y and z within these 64 values.

@@ -55,14 +55,14 @@ use super::neighborhood::{LeafNeighborhood, PhiBlock, SignRows};
 use super::normals::unit_or_zero;
 use super::quads::Quads;
 use super::ring::{Ring, joined_segments, segment_key};
-use super::{Placement, split};
+use super::{MeshFrame, split};
 use crate::surface::grid::{LeafMask, negative_masks, voxel_in_leaf};
 use crate::surface::level_set::NarrowBand;
 use crate::surface::mesh::Mesh;
 use crate::surface::simd::{Kernel, Lanes, dispatch};
 
 /// The dual mesh of φ = 0. A normal is zero where φ does not define one.
-pub(super) fn dual_contour(band: &NarrowBand, placement: &Placement) -> Mesh {
+pub(super) fn dual_contour(band: &NarrowBand, placement: &MeshFrame) -> Mesh {
     let layout = MeshLayout::new(band);
     let mut positions = bytemuck::zeroed_vec(layout.vertex_count);
     let mut normals = bytemuck::zeroed_vec(layout.vertex_count);
@@ -270,7 +270,7 @@ impl Kernel for NewPatch<'_> {
 /// Kernel: computes the vertices of patches.
 struct PatchVertices<'a> {
     band: &'a NarrowBand,
-    placement: &'a Placement,
+    placement: &'a MeshFrame,
     layout: &'a MeshLayout,
     patches: &'a [Patch],
     /// Positions relative to the cells.

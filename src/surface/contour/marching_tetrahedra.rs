@@ -32,7 +32,7 @@ use rayon::prelude::*;
 
 use super::neighborhood::{BLOCK_STEP, LeafNeighborhood, PhiBlock, SignRows};
 use super::normals::unit_or_zero;
-use super::{Placement, split};
+use super::{MeshFrame, split};
 use crate::surface::grid::{LEAF_VOXELS, LeafMask, ROW_COUNT, negative_masks, offset_in_leaf, voxel_in_leaf};
 use crate::surface::level_set::NarrowBand;
 use crate::surface::mesh::Mesh;
@@ -43,7 +43,7 @@ use crate::surface::mesh::Mesh;
 const EDGE_MARGIN: f32 = 1.0 / 128.0;
 
 /// The surface φ = 0 in the tetrahedra. A normal is zero where φ does not define one.
-pub(super) fn march_tetrahedra(band: &NarrowBand, placement: &Placement) -> Mesh {
+pub(super) fn march_tetrahedra(band: &NarrowBand, placement: &MeshFrame) -> Mesh {
     let masks = negative_masks(&band.phi);
     let cases = tetrahedron_cases();
     let mut patches: Vec<TetPatch> = (0..band.topology.len())
@@ -125,7 +125,7 @@ impl TetPatch {
     fn find_vertices(
         &self,
         band: &NarrowBand,
-        placement: &Placement,
+        placement: &MeshFrame,
         positions: &mut [Vec3],
         normals: &mut [Vec3],
     ) {

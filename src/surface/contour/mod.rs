@@ -56,7 +56,7 @@ pub fn contour(band: &NarrowBand, lattice: &Lattice, contouring: Contouring) -> 
         band.topology.len(),
         "φ must have one leaf of values per leaf of the topology"
     );
-    let placement = Placement::new(&band.topology, lattice);
+    let placement = MeshFrame::new(&band.topology, lattice);
     let mut mesh = match contouring {
         Contouring::Dual => dual_contouring::dual_contour(band, &placement),
         Contouring::Tetrahedra => marching_tetrahedra::march_tetrahedra(band, &placement),
@@ -66,7 +66,7 @@ pub fn contour(band: &NarrowBand, lattice: &Lattice, contouring: Contouring) -> 
 }
 
 /// The origin of the mesh and the voxel size.
-struct Placement {
+struct MeshFrame {
     origin_index: IVec3,
     voxel_size: f64,
 }
@@ -78,10 +78,10 @@ const NEAR_ORIGIN: i32 = 16384;
 /// a moving sequence often share one.
 const ORIGIN_STEP: i32 = 1024;
 
-impl Placement {
+impl MeshFrame {
     /// Uses the world origin if all leaves are near it, and otherwise the median leaf. With the median, a
     /// single stray particle does not reduce the precision of all others.
-    fn new(topology: &Topology, lattice: &Lattice) -> Placement {
+    fn new(topology: &Topology, lattice: &Lattice) -> MeshFrame {
         let mut extent = CoordBox::EMPTY;
         for &origin in topology.origins() {
             extent.include(origin);
@@ -92,7 +92,7 @@ impl Placement {
                 && extent.max.cmple(IVec3::splat(NEAR_ORIGIN)).all();
         let origin_index =
             if is_near { IVec3::ZERO } else { (median(topology) + ORIGIN_STEP / 2) & !(ORIGIN_STEP - 1) };
-        Placement { origin_index, voxel_size: lattice.voxel_size }
+        MeshFrame { origin_index, voxel_size: lattice.voxel_size }
     }
 
     /// The world position that mesh positions are relative to.

@@ -18,7 +18,7 @@ use glam::IVec3;
 use rustc_hash::FxHashSet;
 
 use super::components::{Components, Connectivity};
-use super::flip::{Side, flip};
+use super::flip::{FlipSide, flip};
 use crate::surface::grid::{FACE_STEPS, LEAF_EDGE, LEAF_VOXELS, LeafMask, Topology, negative_masks};
 use crate::surface::level_set::NarrowBand;
 use crate::surface::space::CoordBox;
@@ -56,7 +56,7 @@ pub fn fill_cavities(
         }
     }
     let is_filled: Vec<bool> = search.states.iter().map(|state| *state == ComponentState::Enclosed).collect();
-    flip(band, &search.components.voxels_of(&is_filled), Side::Inside);
+    flip(band, &search.components.voxels_of(&is_filled), FlipSide::Inside);
     filled
 }
 

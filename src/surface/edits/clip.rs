@@ -15,7 +15,7 @@
 //!
 //! Where a cap meets the fluid's own surface in a sharp edge, a mesher locates the edge only to a fraction of
 //! a voxel and may place vertices slightly beyond the plane. So the mesh is clamped to the box afterwards
-//! ([`ClipBox::hold`]).
+//! ([`VoxelClip::hold`]).
 
 use std::sync::Arc;
 
@@ -29,14 +29,14 @@ use crate::surface::space::Lattice;
 
 /// A box in world units, both corners included. An infinite side has no plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ClipBox {
+pub struct VoxelClip {
     /// Minimum corner.
     pub min: DVec3,
     /// Maximum corner.
     pub max: DVec3,
 }
 
-impl ClipBox {
+impl VoxelClip {
     /// The signed distance of a world position to the box, negative inside.
     pub fn distance(&self, world: DVec3) -> f64 {
         distance((self.min - world).max(world - self.max))
@@ -76,7 +76,7 @@ pub struct Clipped {
 }
 
 /// Removes the fluid outside a box. The remaining surface is closed.
-pub fn clip(band: &mut NarrowBand, lattice: &Lattice, clip_box: &ClipBox) -> Clipped {
+pub fn clip(band: &mut NarrowBand, lattice: &Lattice, clip_box: &VoxelClip) -> Clipped {
     let cut = Cut {
         min: clip_box.min / lattice.voxel_size,
         max: clip_box.max / lattice.voxel_size,

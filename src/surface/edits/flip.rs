@@ -21,7 +21,7 @@ use crate::surface::space::CoordBox;
 
 /// A side of the surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Side {
+pub(super) enum FlipSide {
     /// φ < 0.
     Inside,
     /// φ ≥ 0.
@@ -29,7 +29,7 @@ pub(super) enum Side {
 }
 
 /// Changes whole components of the other side, given as a mask per leaf in order, to `side`.
-pub(super) fn flip(band: &mut NarrowBand, flipped: &[(usize, LeafMask)], side: Side) {
+pub(super) fn flip(band: &mut NarrowBand, flipped: &[(usize, LeafMask)], side: FlipSide) {
     if flipped.is_empty() {
         return;
     }
@@ -42,8 +42,8 @@ pub(super) fn flip(band: &mut NarrowBand, flipped: &[(usize, LeafMask)], side: S
             let old = &mut phi.values[offset];
             // A voxel that was on the other side counts as less than any distance.
             *old = match side {
-                Side::Inside => old.min(-distance),
-                Side::Outside => old.max(distance),
+                FlipSide::Inside => old.min(-distance),
+                FlipSide::Outside => old.max(distance),
             }
         }
     }
@@ -82,7 +82,7 @@ fn sweep(
     band: &NarrowBand,
     flipped: &[(usize, LeafMask)],
     near: &BTreeMap<usize, LeafMask>,
-    side: Side,
+    side: FlipSide,
 ) -> Vec<((usize, LeafMask), Leaf)> {
     let origins = band.topology.origins();
     let around = |(&leaf, _): (&usize, &LeafMask)| {
@@ -96,7 +96,7 @@ fn sweep(
         index.map_or(LeafMask::EMPTY, |index| flipped[index].1)
     };
     // Voxels that are on that side now.
-    let is_on_side = |phi: f32| (phi < 0.0) == (side == Side::Inside);
+    let is_on_side = |phi: f32| (phi < 0.0) == (side == FlipSide::Inside);
     let on_side = |&leaf: &usize| {
         let values = &band.phi.leaves[leaf].values;
         LeafMask::from_fn(|offset| is_on_side(values[offset])).or(&turned_in(leaf))
@@ -108,7 +108,7 @@ fn sweep(
         on_side[index].surrounded(topology.neighbors()[index].map(beyond)).and(&near)
     };
     let free: Vec<LeafMask> = (0..of_band.len()).into_par_iter().map(free).collect();
-    let start = if side == Side::Inside { -UNREACHED } else { UNREACHED };
+    let start = if side == FlipSide::Inside { -UNREACHED } else { UNREACHED };
     let values = |(&leaf, free): (&usize, &LeafMask)| {
         let mut values = band.phi.leaves[leaf];
         free.iter().for_each(|offset| values.values[offset] = start);

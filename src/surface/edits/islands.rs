@@ -9,7 +9,7 @@ use std::sync::Arc;
 use glam::{IVec3, Vec3};
 
 use super::components::{Components, Connectivity};
-use super::flip::{Side, flip};
+use super::flip::{FlipSide, flip};
 use crate::surface::grid::{LEAF_EDGE, Topology, negative_masks};
 use crate::surface::level_set::NarrowBand;
 
@@ -58,7 +58,7 @@ pub fn drop_islands<P: AsRef<[Vec3]>>(
     }
     let flipped = dropped.components.voxels_of(&dropped.is_dropped);
     dropped.voxel_count = flipped.iter().map(|(_, mask)| u64::from(mask.count())).sum();
-    flip(band, &flipped, Side::Outside);
+    flip(band, &flipped, FlipSide::Outside);
     dropped
 }
 

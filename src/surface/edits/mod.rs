@@ -30,5 +30,5 @@ mod flip;
 mod islands;
 
 pub use cavities::{FilledCavities, fill_cavities};
-pub use clip::{ClipBox, Clipped, clip};
+pub use clip::{Clipped, VoxelClip, clip};
 pub use islands::{DroppedIslands, drop_islands};

@@ -30,7 +30,7 @@ use crate::surface::obstacle::MeshDistance;
 use crate::surface::particles::Particles;
 
 pub use carry::CARRY_REACH;
-pub use summary::Summary;
+pub use summary::Distribution;
 
 use carry::carry;
 use sampling::samples;

@@ -73,8 +73,8 @@ fn of_ball(
     flicker([&frames[0], &frames[1], &frames[2]], carrier, SPACING, SAMPLES)
 }
 
-fn summary(found: &FrameFlicker) -> Summary {
-    Summary::of(found.points.iter().map(|point| point.value))
+fn summary(found: &FrameFlicker) -> Distribution {
+    Distribution::of(found.points.iter().map(|point| point.value))
 }
 
 const SECONDS: f64 = 0.25;
@@ -232,9 +232,9 @@ fn samples_are_even_by_area() {
 
 #[test]
 fn summary_matches_the_sorted_numbers() {
-    let found = Summary::of((1..=1000).map(|n| f64::from(if n % 2 == 0 { n } else { -n })));
+    let found = Distribution::of((1..=1000).map(|n| f64::from(if n % 2 == 0 { n } else { -n })));
     let square = 1001.0 * 2001.0 / 6.0;
     assert_eq!((found.count, found.median, found.percentile_99, found.max), (1000, 500.0, 990.0, 1000.0));
     assert!((found.rms - f64::sqrt(square)).abs() < 1e-9);
-    assert_eq!(Summary::of([]), Summary::default());
+    assert_eq!(Distribution::of([]), Distribution::default());
 }

@@ -44,17 +44,17 @@ impl<'a> Neighborhood<'a> {
 /// loops of the smoother are built on it. Parts that a loop does not use cost nothing.
 #[derive(Clone, Copy)]
 pub struct Slab<'a> {
-    rows: &'a Rows,
+    rows: &'a StencilRows,
     /// The slabs at x − 1, x + 1, x − 2 and x + 2.
-    across_x: [&'a Rows; 4],
+    across_x: [&'a StencilRows; 4],
     /// The slabs before and after along y, if they are stored.
-    beyond_y: [Option<&'a Rows>; 2],
+    beyond_y: [Option<&'a StencilRows>; 2],
     /// The slabs before and after along z, and the index in their rows adjacent to this one.
-    beyond_z: [(&'a Rows, usize); 2],
+    beyond_z: [(&'a StencilRows, usize); 2],
 }
 
 /// The rows at one x.
-type Rows = [Row; 8];
+type StencilRows = [Row; 8];
 
 /// A row shifted along one axis by −1 and +1, or by −2 and +2.
 type Shifted<V> = [V; 2];
@@ -171,7 +171,7 @@ impl<'a> Neighborhood<'a> {
 
 /// The rows at x modulo 8.
 #[inline(always)]
-fn rows_of(leaf: &Leaf, x: usize) -> &Rows {
+fn rows_of(leaf: &Leaf, x: usize) -> &StencilRows {
     let rows: &[Row; ROW_COUNT] = bytemuck::cast_ref(&leaf.values);
     &rows.as_chunks::<8>().0[x & 7]
 }

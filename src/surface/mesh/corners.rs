@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use super::{CHUNK, Mesh};
 
 /// The triangles of one chunk that touch one chunk of vertices.
-struct Run {
+struct CornerRun {
     vertex_chunk: u32,
     triangle_chunk: u32,
     /// Start in the list of the triangles' chunk.
@@ -29,7 +29,7 @@ pub(super) struct TouchingTriangles {
     /// touch.
     indices: Vec<Vec<u16>>,
     /// Sorted by chunk of vertices, then by chunk of triangles.
-    runs: Vec<Run>,
+    runs: Vec<CornerRun>,
 }
 
 impl TouchingTriangles {
@@ -37,7 +37,7 @@ impl TouchingTriangles {
         let chunks = mesh.triangles.par_chunks(CHUNK).enumerate();
         let lists = chunks.map(|(chunk, triangles)| list_of_chunk(triangles, chunk as u32));
         let (indices, runs): (Vec<_>, Vec<_>) = lists.unzip();
-        let mut runs: Vec<Run> = runs.into_iter().flatten().collect();
+        let mut runs: Vec<CornerRun> = runs.into_iter().flatten().collect();
         runs.par_sort_unstable_by_key(|run| (run.vertex_chunk, run.triangle_chunk));
         TouchingTriangles { indices, runs }
     }
@@ -59,7 +59,7 @@ impl TouchingTriangles {
 }
 
 /// The list of a chunk of triangles, and its runs.
-fn list_of_chunk(triangles: &[[u32; 3]], triangle_chunk: u32) -> (Vec<u16>, Vec<Run>) {
+fn list_of_chunk(triangles: &[[u32; 3]], triangle_chunk: u32) -> (Vec<u16>, Vec<CornerRun>) {
     let least = triangles.iter().flatten().fold(u32::MAX, |least, &vertex| least.min(vertex));
     let most = triangles.iter().flatten().fold(0, |most, &vertex| most.max(vertex));
     let [first, last] = [least, most].map(|vertex| vertex / CHUNK as u32);
@@ -71,7 +71,7 @@ fn list_of_chunk(triangles: &[[u32; 3]], triangle_chunk: u32) -> (Vec<u16>, Vec<
     let mut total = 0;
     for (vertex_chunk, end) in (first..).zip(&mut ends) {
         if *end > 0 {
-            runs.push(Run { vertex_chunk, triangle_chunk, start: total, count: *end });
+            runs.push(CornerRun { vertex_chunk, triangle_chunk, start: total, count: *end });
         }
         // Advances as indices are inserted.
         total += std::mem::replace(end, total);

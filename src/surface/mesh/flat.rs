@@ -14,7 +14,7 @@
 //!
 //! Flat triangles result from rounding positions: in 32 bits far from the mesh's origin, or in 16 bits. A
 //! triangle is flat if it has no area at the mesh's own positions or at the rounded positions of a file
-//! ([`Rounding`]).
+//! ([`RoundedPositions`]).
 //!
 //! Both operations keep the mesh closed and manifold: a vertex is collapsed into a neighbor only if they have
 //! exactly two common neighbors, and an edge is flipped only if its new ends are not yet connected. An
@@ -31,7 +31,7 @@ use super::triangles::{LANES, TriangleBatch};
 
 /// Maps positions, relative to an origin, to the positions that a reader gets from a file that rounds them,
 /// relative to the same origin.
-pub type Rounding = fn(&[[f32; 3]], [f64; 3]) -> Vec<[f32; 3]>;
+pub type RoundedPositions = fn(&[[f32; 3]], [f64; 3]) -> Vec<[f32; 3]>;
 
 /// Number of triangles per task.
 const CHUNK: usize = 4096;
@@ -55,7 +55,7 @@ impl Mesh {
     /// number of removed triangles. Leaves a mesh unchanged if a large part of it is flat.
     ///
     /// Panics if a triangle refers to a vertex that does not exist.
-    pub fn remove_flat_triangles(&mut self, roundings: &[Rounding]) -> usize {
+    pub fn remove_flat_triangles(&mut self, roundings: &[RoundedPositions]) -> usize {
         let before = self.triangles.len();
         // Triangles may flip over only if nothing else helps.
         let mut may_fold = false;
@@ -86,12 +86,12 @@ impl Mesh {
     }
 
     /// The positions that a reader gets from a file that rounds them, relative to the same origin.
-    pub fn rounded(&self, rounding: Rounding) -> Vec<Vec3> {
+    pub fn rounded(&self, rounding: RoundedPositions) -> Vec<Vec3> {
         bytemuck::cast_vec(rounding(bytemuck::cast_slice(&self.positions), self.origin.to_array()))
     }
 
     /// Number of triangles without area at rounded positions.
-    pub fn flat_count(&self, rounding: Rounding) -> usize {
+    pub fn flat_count(&self, rounding: RoundedPositions) -> usize {
         flat_triangles(&self.rounded(rounding), &self.triangles).len()
     }
 }
@@ -396,7 +396,7 @@ mod tests {
 
     #[test]
     fn triangles_flattened_by_rounding_are_removed() {
-        let coarse: Rounding =
+        let coarse: RoundedPositions =
             |positions, _| positions.iter().map(|p| p.map(|x| (x / 1.5).round() * 1.5)).collect();
         let mut mesh = cube(8);
         assert!(mesh.flat_count(coarse) > 0);
@@ -408,7 +408,7 @@ mod tests {
 
     #[test]
     fn mesh_that_rounding_mostly_flattens_is_unchanged() {
-        let coarse: Rounding =
+        let coarse: RoundedPositions =
             |positions, _| positions.iter().map(|p| p.map(|x| (x / 20.0).round() * 20.0)).collect();
         let mut mesh = cube(40);
         let before = mesh.clone();

@@ -34,7 +34,7 @@ use rayon::prelude::*;
 use crate::surface::simd::{Kernel, Lanes, dispatch};
 use corners::{Corners, TouchingTriangles};
 pub use decimate::{DecimateReport, decimate};
-pub use flat::Rounding;
+pub use flat::RoundedPositions;
 pub(crate) use triangles::{LANES, TriangleBatch};
 
 /// A triangle mesh in world units.

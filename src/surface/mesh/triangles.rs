@@ -8,7 +8,7 @@ use super::{Mesh, Sums};
 pub(crate) const LANES: usize = 16;
 
 /// One value per triangle.
-pub(crate) type Column = [f64; LANES];
+pub(crate) type TriangleScalar = [f64; LANES];
 
 /// The corners of some triangles, by corner and by axis. Unused lanes are zero.
 pub(crate) struct TriangleBatch {
@@ -42,7 +42,7 @@ impl TriangleBatch {
 
     /// The areas of the triangles.
     #[inline(always)]
-    pub(crate) fn areas(&self) -> Column {
+    pub(crate) fn areas(&self) -> TriangleScalar {
         let mut areas = [0.0; LANES];
         for (lane, area) in areas.iter_mut().enumerate() {
             let [a, b, c] = [self.corner(0, lane), self.corner(1, lane), self.corner(2, lane)];
@@ -53,7 +53,7 @@ impl TriangleBatch {
 
     /// Six times the volumes between the triangles and the origin.
     #[inline(always)]
-    fn products(&self) -> Column {
+    fn products(&self) -> TriangleScalar {
         let mut products = [0.0; LANES];
         for (lane, product) in products.iter_mut().enumerate() {
             let [a, b, c] = [self.corner(0, lane), self.corner(1, lane), self.corner(2, lane)];

@@ -27,7 +27,7 @@ use rustc_hash::FxHashMap;
 use crate::surface::particles::Particles;
 use crate::surface::space::{INDEX_LIMIT, Lattice};
 
-pub use surroundings::{Eight, NO_PARTICLE, Surroundings};
+pub use surroundings::{Eight, NO_PARTICLE, NeighborPackets};
 
 /// Particles sorted into cells.
 #[derive(Clone, Debug)]
@@ -50,7 +50,7 @@ pub struct Neighbors {
 
 /// The particles of a cell around another cell.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Run {
+pub struct CellRun {
     /// From the middle cell to this one: −1, 0 or 1 on each axis.
     pub step: IVec3,
     /// The indices of its particles in the sorted order.
@@ -124,12 +124,12 @@ impl Neighbors {
     /// The particles in a cell and its 26 neighbours, cell by cell, in cell order: all that are within an
     /// edge of any point in the cell. Add `run.step` to their positions to make them relative to the corner
     /// of this cell.
-    pub fn runs(&self, cell: IVec3) -> impl Iterator<Item = Run> {
+    pub fn runs(&self, cell: IVec3) -> impl Iterator<Item = CellRun> {
         COLUMNS.iter().flat_map(move |&[x, y]| {
             let column = self.columns.get(&[cell.x + x, cell.y + y]).cloned().unwrap_or_default();
             let first = column.start + self.coords[column.clone()].partition_point(|at| at.z < cell.z - 1);
             let near = (first..column.end).take_while(move |&other| self.coords[other].z <= cell.z + 1);
-            near.map(move |other| Run { step: self.coords[other] - cell, slots: self.slots(other) })
+            near.map(move |other| CellRun { step: self.coords[other] - cell, slots: self.slots(other) })
         })
     }
 }
@@ -142,33 +142,33 @@ const COLUMNS: [[i32; 2]; 9] = [[-1, -1], [-1, 0], [-1, 1], [0, -1], [0, 0], [0,
 
 /// A cell and the index of a particle in one number: x, y and z with 31 bits each, and the index with 35.
 /// Sorting the keys sorts by cell, then by index.
-type Key = u128;
+type CellKey = u128;
 
 const INDEX_BITS: u32 = 35;
 const COORD_BITS: u32 = 31;
 
-fn key_of(cell: IVec3, index: u32) -> Key {
+fn key_of(cell: IVec3, index: u32) -> CellKey {
     // Positions are in range, so no coordinate is negative after this.
-    let [x, y, z] = cell.to_array().map(|along| Key::from(along.wrapping_add(INDEX_LIMIT) as u32));
-    ((x << COORD_BITS | y) << COORD_BITS | z) << INDEX_BITS | Key::from(index)
+    let [x, y, z] = cell.to_array().map(|along| CellKey::from(along.wrapping_add(INDEX_LIMIT) as u32));
+    ((x << COORD_BITS | y) << COORD_BITS | z) << INDEX_BITS | CellKey::from(index)
 }
 
-fn index_of(key: Key) -> u32 {
+fn index_of(key: CellKey) -> u32 {
     key as u32
 }
 
-fn cell_of(key: Key) -> IVec3 {
+fn cell_of(key: CellKey) -> IVec3 {
     let along = |above: u32| ((key >> (INDEX_BITS + above)) as u32 & (u32::MAX >> 1)) as i32 - INDEX_LIMIT;
     IVec3::new(along(2 * COORD_BITS), along(COORD_BITS), along(0))
 }
 
-fn sorted_keys(particles: &Particles, cells: &Lattice) -> Vec<Key> {
+fn sorted_keys(particles: &Particles, cells: &Lattice) -> Vec<CellKey> {
     let count = u32::try_from(particles.len()).unwrap_or(u32::MAX);
     let key = |index: u32| {
         let (cell, _) = place_in(particles.position(index as usize), cells)?;
         Some(key_of(cell, index))
     };
-    let mut keys: Vec<Key> = (0..count).into_par_iter().filter_map(key).collect();
+    let mut keys: Vec<CellKey> = (0..count).into_par_iter().filter_map(key).collect();
     keys.par_sort_unstable();
     keys
 }
@@ -180,7 +180,7 @@ fn place_in(world: DVec3, cells: &Lattice) -> Option<(IVec3, Vec3)> {
 }
 
 /// The cells, and the position where each one's keys start.
-fn cells_of(keys: &[Key]) -> (Vec<IVec3>, Vec<usize>) {
+fn cells_of(keys: &[CellKey]) -> (Vec<IVec3>, Vec<usize>) {
     let (mut coords, mut starts) = (Vec::new(), Vec::new());
     for (slot, &key) in keys.iter().enumerate() {
         if slot == 0 || keys[slot - 1] >> INDEX_BITS != key >> INDEX_BITS {

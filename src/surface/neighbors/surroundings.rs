@@ -38,12 +38,12 @@ impl Eight {
 
 /// The particles in a cell and its 26 neighbours.
 #[derive(Clone, Debug, Default)]
-pub struct Surroundings {
+pub struct NeighborPackets {
     eights: Vec<Eight>,
     len: usize,
 }
 
-impl Surroundings {
+impl NeighborPackets {
     /// Replaces the contents by the particles around this cell, in the order of [`Neighbors::runs`]. Takes at
     /// most `cell_max` of each cell, except of one.
     pub fn gather(&mut self, neighbors: &Neighbors, cell: IVec3, cell_max: usize) {

@@ -16,7 +16,7 @@ fn cloud(count: usize, extent: f64, around: DVec3) -> Vec<[f64; 3]> {
 /// Indices of the particles within an edge of a point, in order.
 fn found(neighbors: &Neighbors, world: DVec3) -> Vec<u32> {
     let Some((cell, local)) = neighbors.locate(world) else { return Vec::new() };
-    let mut surroundings = Surroundings::default();
+    let mut surroundings = NeighborPackets::default();
     surroundings.gather(neighbors, cell, usize::MAX);
     let mut found = Vec::new();
     for eight in surroundings.eights() {
@@ -103,7 +103,7 @@ fn distant_particles_change_nothing() {
     more.extend(&here);
     let one = Neighbors::new(&Particles::Double(here), 0.3);
     let other = Neighbors::new(&Particles::Double(more), 0.3);
-    let (mut around, mut around_other) = (Surroundings::default(), Surroundings::default());
+    let (mut around, mut around_other) = (NeighborPackets::default(), NeighborPackets::default());
     for &cell in one.cells() {
         around.gather(&one, cell, 20);
         around_other.gather(&other, cell, 20);
@@ -119,7 +119,7 @@ fn crowded_cells_are_sampled() {
     let mut positions = vec![[0.5f32, 0.5, 0.5]; 1000];
     positions.push([1.5, 0.5, 0.5]);
     let neighbors = Neighbors::new(&Particles::Single(positions), 1.0);
-    let mut surroundings = Surroundings::default();
+    let mut surroundings = NeighborPackets::default();
     surroundings.gather(&neighbors, IVec3::ZERO, 64);
     assert_eq!((surroundings.len(), surroundings.is_empty(), surroundings.eights().len()), (65, false, 9));
     let total: f32 = surroundings.eights().iter().flat_map(|eight| eight.multiplicity).sum();

@@ -21,12 +21,12 @@ pub(super) struct LeafCache {
 
 #[derive(Default)]
 struct CacheShard {
-    leaves: FxHashMap<Key, ObstacleLeaf>,
+    leaves: FxHashMap<CacheKey, ObstacleLeaf>,
     size_bytes: usize,
 }
 
 /// Origin, voxel size and half width, as bits.
-type Key = (IVec3, u64, u32);
+type CacheKey = (IVec3, u64, u32);
 
 /// Number of shards: with more threads than this, some may wait for each other.
 const SHARDS: usize = 16;

@@ -7,7 +7,7 @@ use glam::{DVec3, IVec3};
 use super::inside_test::{WindingField, sign};
 use super::leaf::ObstacleLeaf;
 use super::surface::{MeshFindings, RepairedMesh};
-use super::triangle8::{Distances, Triangle8};
+use super::triangle8::{Triangle8, TriangleDistances};
 use super::winding::{WINDING_ERROR, winding, winding_gradient};
 use crate::surface::grid::LEAF_EDGE;
 use crate::surface::simd;
@@ -60,7 +60,7 @@ impl Solid {
             return side;
         }
         let packets = nearest.map_or(Vec::new(), |nearest| view.near(far, nearest + 2.0 * RADIUS));
-        let mut leaf = simd::dispatch(Distances { packets: &packets, most: half_width });
+        let mut leaf = simd::dispatch(TriangleDistances { packets: &packets, most: half_width });
         sign(&mut leaf, &view, view.slope_bound(RADIUS));
         ObstacleLeaf::of_values(Arc::new(leaf), half_width)
     }

@@ -68,7 +68,7 @@ impl RepairedMesh {
         let mut findings = MeshFindings::default();
         let (points, welded) = weld(positions);
         let mut faces = distinct_faces(&points, &welded, triangles, &mut findings);
-        let edges = Edges::new(&faces);
+        let edges = EdgeTriangles::new(&faces);
         let mut flipped = vec![false; faces.len()];
         let parts = orient(&points, &faces, &edges, &mut flipped);
         flip(&mut faces, &flipped);
@@ -182,14 +182,14 @@ fn distinct_faces(
 }
 
 /// The triangles at each edge.
-struct Edges {
+struct EdgeTriangles {
     /// Both ends, the lower index first; the triangle; whether it traverses the edge from the lower to the
     /// higher index.
     uses: Vec<([u32; 2], u32, bool)>,
 }
 
-impl Edges {
-    fn new(faces: &[[u32; 3]]) -> Edges {
+impl EdgeTriangles {
+    fn new(faces: &[[u32; 3]]) -> EdgeTriangles {
         let mut uses: Vec<([u32; 2], u32, bool)> = Vec::with_capacity(3 * faces.len());
         for (face, &[a, b, c]) in faces.iter().enumerate() {
             for [from, to] in [[a, b], [b, c], [c, a]] {
@@ -197,7 +197,7 @@ impl Edges {
             }
         }
         uses.sort_unstable();
-        Edges { uses }
+        EdgeTriangles { uses }
     }
 
     /// The edges, each with its uses.
@@ -207,7 +207,7 @@ impl Edges {
 }
 
 /// Decides which triangles to flip so that neighbours agree. Returns the part of each triangle.
-fn orient(points: &[DVec3], faces: &[[u32; 3]], edges: &Edges, flipped: &mut [bool]) -> Vec<u32> {
+fn orient(points: &[DVec3], faces: &[[u32; 3]], edges: &EdgeTriangles, flipped: &mut [bool]) -> Vec<u32> {
     const NONE: u32 = u32::MAX;
     let mut neighbors = vec![[(NONE, false); 3]; faces.len()];
     for uses in edges.iter() {
@@ -318,7 +318,7 @@ fn are_cavities(
 
 /// The edges that are not traversed equally often in both directions.
 fn boundary(points: &[DVec3], faces: &[[u32; 3]]) -> Vec<[DVec3; 2]> {
-    let edges = Edges::new(faces);
+    let edges = EdgeTriangles::new(faces);
     let is_open = |uses: &&[([u32; 2], u32, bool)]| {
         uses.iter().map(|(_, _, up)| if *up { 1 } else { -1 }).sum::<i32>() != 0
     };

@@ -81,7 +81,7 @@ fn put(numbers: &mut [f32; VALUE_COUNT], at: usize, direction: DVec3, offset: f6
 }
 
 /// Computes the distances from the voxels of a leaf, in voxels, limited to `most`.
-pub(super) struct Distances<'a> {
+pub(super) struct TriangleDistances<'a> {
     /// The triangles, relative to the centre of the leaf and in voxels.
     pub(super) packets: &'a [Triangle8],
     pub(super) most: f32,
@@ -90,12 +90,12 @@ pub(super) struct Distances<'a> {
 /// Added when distances are compared: more than their rounding error.
 const ROUNDING: f32 = 1e-3;
 
-impl Kernel for Distances<'_> {
+impl Kernel for TriangleDistances<'_> {
     type Output = Leaf;
 
     #[inline(always)]
     fn run<V: Lanes>(self) -> Leaf {
-        let Distances { packets, most } = self;
+        let TriangleDistances { packets, most } = self;
         let all: Vec<(u32, u8)> =
             packets.iter().zip(0..).map(|(eight, index)| (index, eight.lanes)).collect();
         let (mut near_four, mut near_two) = (Vec::with_capacity(all.len()), Vec::with_capacity(all.len()));

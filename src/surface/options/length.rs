@@ -9,7 +9,7 @@ use super::presets::tidy;
 /// A length in one of the units that options take.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-#[cfg_attr(feature = "serde", serde(into = "Written", try_from = "Written"))]
+#[cfg_attr(feature = "serde", serde(into = "LengthText", try_from = "LengthText"))]
 pub struct Length {
     /// The number of units.
     pub value: f64,
@@ -107,26 +107,26 @@ impl FromStr for Length {
 #[cfg(feature = "serde")]
 #[derive(serde::Serialize, serde::Deserialize)]
 #[serde(untagged)]
-enum Written {
+enum LengthText {
     Number(f64),
     Text(String),
 }
 
 #[cfg(feature = "serde")]
-impl From<Length> for Written {
-    fn from(length: Length) -> Written {
-        length.world().map_or_else(|| Written::Text(length.to_string()), Written::Number)
+impl From<Length> for LengthText {
+    fn from(length: Length) -> LengthText {
+        length.world().map_or_else(|| LengthText::Text(length.to_string()), LengthText::Number)
     }
 }
 
 #[cfg(feature = "serde")]
-impl TryFrom<Written> for Length {
+impl TryFrom<LengthText> for Length {
     type Error = String;
 
-    fn try_from(written: Written) -> Result<Length, String> {
+    fn try_from(written: LengthText) -> Result<Length, String> {
         match written {
-            Written::Number(value) => Ok(value.into()),
-            Written::Text(text) => text.parse(),
+            LengthText::Number(value) => Ok(value.into()),
+            LengthText::Text(text) => text.parse(),
         }
     }
 }

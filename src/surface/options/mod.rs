@@ -25,7 +25,7 @@ pub(crate) use fields::{expected, ranged};
 pub use length::{Length, LengthUnit};
 pub use pairs::Pairs;
 use presets::{InitialRadius, Recipe, Scale, Unit, tidy};
-pub use presets::{Measured, Preset};
+pub use presets::{Preset, SequenceSpacing};
 pub use values::{AnisotropyKind, AttributeSelection, ClipBox};
 
 /// All settings of a sequence, checked.
@@ -200,7 +200,10 @@ impl Settings {
     /// # Errors
     /// If a number is not finite or out of its range, if the radii are out of order, or if neither spacing
     /// nor voxel size is known.
-    pub fn resolve(options: &MethodOptions, measured: Option<Measured>) -> Result<Settings, SettingsError> {
+    pub fn resolve(
+        options: &MethodOptions,
+        measured: Option<SequenceSpacing>,
+    ) -> Result<Settings, SettingsError> {
         options.check_ranges()?;
         let recipe = options.recipe();
         let scale = Scale::new(options, measured)?;
@@ -384,7 +387,7 @@ impl Settings {
             }),
             ..options.clone()
         };
-        Settings::resolve(&options, Some(Measured::from(spacing))).map(|_| ())
+        Settings::resolve(&options, Some(SequenceSpacing::from(spacing))).map(|_| ())
     }
 
     /// Warnings to show before work begins, one sentence each.

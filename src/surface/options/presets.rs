@@ -217,7 +217,10 @@ impl Scale {
     ///
     /// # Errors
     /// If a length is not positive, or neither length is known.
-    pub(super) fn new(options: &MethodOptions, measured: Option<Measured>) -> Result<Scale, SettingsError> {
+    pub(super) fn new(
+        options: &MethodOptions,
+        measured: Option<SequenceSpacing>,
+    ) -> Result<Scale, SettingsError> {
         let recipe = options.recipe();
         let in_world_units = options.voxel_size.and_then(Length::world);
         in_world_units.map_or(Ok(0.0), |h| super::positive("voxel size", h))?;
@@ -281,7 +284,7 @@ const VOXELS_PER_SPACING_MAX: f64 = 8.0;
 
 /// Measurements of the particles of a sequence.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Measured {
+pub struct SequenceSpacing {
     /// The particle spacing d, world units.
     pub spacing: f64,
     /// The median r_min of particles with per-particle radii, world units. The default voxel size is small
@@ -289,8 +292,8 @@ pub struct Measured {
     pub radius_median: Option<f64>,
 }
 
-impl From<f64> for Measured {
-    fn from(spacing: f64) -> Measured {
-        Measured { spacing, radius_median: None }
+impl From<f64> for SequenceSpacing {
+    fn from(spacing: f64) -> SequenceSpacing {
+        SequenceSpacing { spacing, radius_median: None }
     }
 }

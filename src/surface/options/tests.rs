@@ -30,7 +30,7 @@ fn settings_resolve_again_from_their_own_options() {
     let all: Vec<Settings> = presets
         .iter()
         .chain(&others)
-        .map(|choices| Settings::resolve(choices, Some(Measured::from(1.0))).expect("sound"))
+        .map(|choices| Settings::resolve(choices, Some(SequenceSpacing::from(1.0))).expect("sound"))
         .collect();
     for (index, settings) in all.iter().enumerate() {
         assert_eq!(Settings::resolve(&settings.to_options(), None).as_ref(), Ok(settings));
@@ -135,7 +135,7 @@ fn given_spacing_overrides_the_measured_one() {
         ..MethodOptions::default()
     };
     let resolved = |choices: &MethodOptions, measured: Option<f64>| {
-        let settings = Settings::resolve(choices, measured.map(Measured::from))?;
+        let settings = Settings::resolve(choices, measured.map(SequenceSpacing::from))?;
         Ok::<_, SettingsError>((settings.spacing, settings.voxel_size))
     };
     assert_eq!(resolved(&choices(Some(0.2), None, FLUID), Some(0.5)), Ok((0.2, 0.08)));
@@ -153,7 +153,7 @@ fn given_spacing_overrides_the_measured_one() {
     // The voxel size follows small particle radii, but only down to a limit, in case the radii have another
     // unit.
     let of_radius = |radius| {
-        let measured = Measured { spacing: 1.0, radius_median: Some(radius) };
+        let measured = SequenceSpacing { spacing: 1.0, radius_median: Some(radius) };
         Settings::resolve(&choices(None, None, FLUID), Some(measured)).expect("sound").voxel_size
     };
     assert_eq!([of_radius(0.3 * 3f64.sqrt()), of_radius(2.0), of_radius(1e-6)], [0.3, 0.4, 0.125]);

@@ -66,7 +66,7 @@ pub(super) struct Cover<'a, const BALLS: usize> {
 
 /// Rows of octants along z, of the leaf and eight more on each side: bit 8 is the leaf's first octant. Row
 /// (x, y) is at `[x + 8][(y + 8) % 2][(y + 8) / 2]`, so that rows with the same parity of y are contiguous.
-type Rows = [[[u32; 16]; 2]; 32];
+type OctantRows = [[[u32; 16]; 2]; 32];
 
 impl<const BALLS: usize> Kernel for Cover<'_, BALLS> {
     type Output = [LeafMask; BALLS];
@@ -101,7 +101,7 @@ impl<const BALLS: usize> Kernel for Cover<'_, BALLS> {
 
 impl<const BALLS: usize> Cover<'_, BALLS> {
     #[inline(always)]
-    fn gather(&self) -> Rows {
+    fn gather(&self) -> OctantRows {
         let mut rows = [[[0; 16]; 2]; 32];
         for (x, rows) in rows.iter_mut().enumerate() {
             for y in 0..32 {

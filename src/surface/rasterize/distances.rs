@@ -31,7 +31,7 @@ pub(super) enum SphereUnion {
 }
 
 /// Distances in voxels, by leaf.
-pub(super) enum Distances {
+pub(super) enum SphereDistances {
     /// To the nearest center; [`OUT_OF_REACH`](super::sphere::OUT_OF_REACH) beyond the reach.
     Nearest(Field),
     /// To S_max, S_0 and S_min, negative inside. Deep inside, any negative number; beyond the reach,
@@ -73,8 +73,8 @@ impl<'a> DistanceSolver<'a> {
         &self,
         leaves: &Topology,
         culling: &Culling,
-        known: Option<(&Topology, &Distances)>,
-    ) -> Distances {
+        known: Option<(&Topology, &SphereDistances)>,
+    ) -> SphereDistances {
         let settled = |origin| culling.settled(origin);
         match self {
             DistanceSolver::Centers(packets, reach) => {
@@ -82,42 +82,45 @@ impl<'a> DistanceSolver<'a> {
                     let (topology, distances) = known?;
                     topology.find(origin).map(|leaf| &distances.field(SphereUnion::Max).leaves[leaf])
                 };
-                Distances::Nearest(nearest_distances(packets, leaves, *reach, settled, known))
+                SphereDistances::Nearest(nearest_distances(packets, leaves, *reach, settled, known))
             }
             DistanceSolver::Balls(primitives) => {
                 let fields = primitives.distances(leaves, settled, |origin| known_leaves(known, origin));
-                Distances::Signed { fields, is_exact_outside: true }
+                SphereDistances::Signed { fields, is_exact_outside: true }
             }
             DistanceSolver::Ellipsoids(primitives) => {
                 let fields = primitives.distances(leaves, settled, |origin| known_leaves(known, origin));
-                Distances::Signed { fields, is_exact_outside: false }
+                SphereDistances::Signed { fields, is_exact_outside: false }
             }
         }
     }
 }
 
 /// The three known leaves at an origin, if any.
-fn known_leaves<'k>(known: Option<(&Topology, &'k Distances)>, origin: glam::IVec3) -> Option<[&'k Leaf; 3]> {
+fn known_leaves<'k>(
+    known: Option<(&Topology, &'k SphereDistances)>,
+    origin: glam::IVec3,
+) -> Option<[&'k Leaf; 3]> {
     let (topology, distances) = known?;
     let leaf = topology.find(origin)?;
-    let Distances::Signed { fields, .. } = distances else { return None };
+    let SphereDistances::Signed { fields, .. } = distances else { return None };
     Some(fields.each_ref().map(|field| &field.leaves[leaf]))
 }
 
-impl Distances {
+impl SphereDistances {
     /// The field that holds the distances to a union.
     pub(super) fn field(&self, sphere: SphereUnion) -> &Field {
         match self {
-            Distances::Nearest(nearest) => nearest,
-            Distances::Signed { fields, .. } => &fields[sphere as usize],
+            SphereDistances::Nearest(nearest) => nearest,
+            SphereDistances::Signed { fields, .. } => &fields[sphere as usize],
         }
     }
 
     /// The same field, by value, for its last use.
     pub(super) fn take(&mut self, sphere: SphereUnion) -> Field {
         match self {
-            Distances::Nearest(nearest) => std::mem::replace(nearest, Field { leaves: Vec::new() }),
-            Distances::Signed { fields, .. } => {
+            SphereDistances::Nearest(nearest) => std::mem::replace(nearest, Field { leaves: Vec::new() }),
+            SphereDistances::Signed { fields, .. } => {
                 std::mem::replace(&mut fields[sphere as usize], Field { leaves: Vec::new() })
             }
         }
@@ -126,15 +129,15 @@ impl Distances {
     /// True if this is the last use of the union's field. The unions are used in the order S_0, S_max, S_min.
     pub(super) fn is_last(&self, sphere: SphereUnion) -> bool {
         match self {
-            Distances::Nearest(_) => sphere == SphereUnion::Min,
-            Distances::Signed { .. } => true,
+            SphereDistances::Nearest(_) => sphere == SphereUnion::Min,
+            SphereDistances::Signed { .. } => true,
         }
     }
 
     /// The value to subtract from the field so that it is negative inside a union.
     pub(super) fn level(&self, sphere: SphereUnion, radii: Radii) -> f32 {
         match (self, sphere) {
-            (Distances::Signed { .. }, _) => 0.0,
+            (SphereDistances::Signed { .. }, _) => 0.0,
             (_, SphereUnion::Max) => radii.max,
             (_, SphereUnion::Init) => radii.init,
             (_, SphereUnion::Min) => radii.min,
@@ -143,7 +146,7 @@ impl Distances {
 
     /// True if all values outside are exact, rather than only those adjacent to an inside voxel.
     pub(super) fn is_exact_outside(&self) -> bool {
-        !matches!(self, Distances::Signed { is_exact_outside: false, .. })
+        !matches!(self, SphereDistances::Signed { is_exact_outside: false, .. })
     }
 
     /// The voxels inside a union.
@@ -156,8 +159,8 @@ impl Distances {
     /// Keeps only these leaves, in order.
     pub(super) fn keep(&mut self, kept: &[usize]) {
         match self {
-            Distances::Nearest(nearest) => keep(nearest, kept),
-            Distances::Signed { fields, .. } => {
+            SphereDistances::Nearest(nearest) => keep(nearest, kept),
+            SphereDistances::Signed { fields, .. } => {
                 // Fields that were taken are empty.
                 let fields = fields.iter_mut().filter(|field| !field.leaves.is_empty());
                 fields.for_each(|field| keep(field, kept));

@@ -61,7 +61,7 @@ pub(super) trait ParticleShape: Copy + Sync + Send {
 
     /// Lowers the values of a leaf to those of the particle at `center`, in voxels from the leaf's first
     /// voxel.
-    fn lower<V: Lanes>(&self, values: &mut LeafValues, center: Vec3, extents: Vec3);
+    fn lower<V: Lanes>(&self, values: &mut EllipsoidDistances, center: Vec3, extents: Vec3);
 }
 
 /// A ball: its radius relative to the settings' radii.
@@ -299,7 +299,7 @@ impl<F: ParticleShape> Kernel for Signed<'_, F> {
         for around in self.around {
             axes = axes.with(around.axes);
         }
-        let mut values = LeafValues::new::<V>(self.settled, self.radii, axes);
+        let mut values = EllipsoidDistances::new::<V>(self.settled, self.radii, axes);
         for around in self.around {
             for (eight, boxes) in around.boxes.iter().enumerate() {
                 for lane in Bits(near_bits::<V>(boxes, around.step)) {
@@ -330,7 +330,7 @@ impl<F: ParticleShape> Kernel for Signed<'_, F> {
 /// for negative v. Here c and a bound its half axes from below and above, and so q/|T²(x − p)| too. Values
 /// below −[`DEEP`] are deep enough, and voxels farther outside than [`ELLIPSOID_MARGIN`] have no inside
 /// neighbor.
-pub(super) struct LeafValues {
+pub(super) struct EllipsoidDistances {
     leaves: [Leaf; 3],
     radii: [f32; 3],
     axes: HalfAxisRange,
@@ -340,12 +340,12 @@ pub(super) struct LeafValues {
     row_limits: [f32; ROW_COUNT],
 }
 
-impl LeafValues {
+impl EllipsoidDistances {
     #[inline(always)]
-    fn new<V: Lanes>(settled: &LeafMask, radii: [f32; 3], axes: HalfAxisRange) -> LeafValues {
+    fn new<V: Lanes>(settled: &LeafMask, radii: [f32; 3], axes: HalfAxisRange) -> EllipsoidDistances {
         let leaves = [Leaf::splat(OUT_OF_REACH); 3];
         let limits = Leaf::splat(0.0);
-        let mut values = LeafValues { leaves, radii, axes, limits, row_limits: [0.0; ROW_COUNT] };
+        let mut values = EllipsoidDistances { leaves, radii, axes, limits, row_limits: [0.0; ROW_COUNT] };
         for row in 0..ROW_COUNT {
             let settled = V::mask(settled.row(row));
             for leaf in &mut values.leaves {
@@ -441,7 +441,7 @@ impl ParticleShape for BallShape {
     }
 
     #[inline(always)]
-    fn lower<V: Lanes>(&self, values: &mut LeafValues, center: Vec3, extents: Vec3) {
+    fn lower<V: Lanes>(&self, values: &mut EllipsoidDistances, center: Vec3, extents: Vec3) {
         let reach_squared = extents.x * extents.x;
         let dz = along_z::<V>(center.z);
         let dz_squared = dz.mul(dz);
@@ -485,7 +485,7 @@ impl ParticleShape for EllipsoidShape {
     }
 
     #[inline(always)]
-    fn lower<V: Lanes>(&self, values: &mut LeafValues, center: Vec3, extents: Vec3) {
+    fn lower<V: Lanes>(&self, values: &mut EllipsoidDistances, center: Vec3, extents: Vec3) {
         let EllipsoidShape { ellipsoid, row_form, ratio_min } = self;
         let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball;
         let dz = along_z::<V>(center.z);

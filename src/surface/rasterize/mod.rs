@@ -50,7 +50,7 @@ use rayon::prelude::*;
 pub use bin::ParticleBins;
 pub use footprint::{Footprint, NearSurface, footprint};
 pub use occupancy::Occupancy;
-pub use vicinity::{Block, Gathered, Vicinity};
+pub use vicinity::{GatherBlock, Gathered, Vicinity};
 
 use crate::surface::grid::{FACE_STEPS, Field, LEAF_EDGE, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
 use crate::surface::level_set::{Bounds, NarrowBand};
@@ -59,7 +59,7 @@ use crate::surface::particles::ParticleSource;
 use crate::surface::simd::{self, Kernel, Lanes};
 use crate::surface::space::{CoordBox, Lattice};
 use culling::{Culling, leaves_of_boxes};
-use distances::{DistanceSolver, Distances, SphereUnion};
+use distances::{DistanceSolver, SphereDistances, SphereUnion};
 use region::Regions;
 use signed_distance::signed_distance;
 
@@ -189,7 +189,7 @@ const OBSTACLE_MARGIN: f32 = 1.5;
 
 /// Result of rasterization.
 #[derive(Clone, Debug)]
-pub struct Rasterized {
+pub struct RasterFields {
     /// The particles that matter.
     pub bins: ParticleBins,
     /// The band around the initial surface, with φ_0.
@@ -204,7 +204,7 @@ pub struct Rasterized {
 ///
 /// # Errors
 /// Returns the source's error if a batch cannot be read.
-pub fn rasterize<S: ParticleSource>(source: &S, scene: &Scene) -> Result<Rasterized, S::Error> {
+pub fn rasterize<S: ParticleSource>(source: &S, scene: &Scene) -> Result<RasterFields, S::Error> {
     let occupancy = Occupancy::new(source, &scene.lattice)?;
     let regions = Regions::new(CoordBox::ALL, scene.radii, occupancy.longest());
     let measured = measure(source, &occupancy, scene, &regions)?;
@@ -222,7 +222,7 @@ pub fn rasterize_window<S: ParticleSource>(
     occupancy: &Occupancy,
     scene: &Scene,
     window: CoordBox,
-) -> Result<Rasterized, S::Error> {
+) -> Result<RasterFields, S::Error> {
     let regions = Regions::new(window, scene.radii, occupancy.longest());
     let measured = measure(source, occupancy, scene, &regions)?;
     Ok(level_sets(measured, scene, &regions))
@@ -244,10 +244,10 @@ pub fn particles_of_window<S: ParticleSource>(
 }
 
 /// The leaves around the surface, with the distances from their voxels to the particles.
-struct Measured {
+struct NearDistances {
     bins: ParticleBins,
     topology: Topology,
-    distances: Distances,
+    distances: SphereDistances,
 }
 
 fn measure<S: ParticleSource>(
@@ -255,14 +255,14 @@ fn measure<S: ParticleSource>(
     occupancy: &Occupancy,
     scene: &Scene,
     regions: &Regions,
-) -> Result<Measured, S::Error> {
+) -> Result<NearDistances, S::Error> {
     let culling = Culling::new(occupancy, scene, regions);
     let bins = ParticleBins::new(source, &scene.lattice, occupancy, &culling, regions)?;
     let solver = DistanceSolver::new(&bins, scene.radii);
     let near = solver.distances(&culling.near, &culling, None);
     let topology = Topology::new(leaves_near_surface(&culling, &near, scene, regions));
     let distances = solver.distances(&topology, &culling, Some((&culling.near, &near)));
-    Ok(Measured { bins, topology, distances })
+    Ok(NearDistances { bins, topology, distances })
 }
 
 /// Origins of the leaves with a voxel within the band's margin, per axis, of a voxel inside S_0 that has a
@@ -272,7 +272,7 @@ fn measure<S: ParticleSource>(
 /// than the offset is not lost.
 fn leaves_near_surface(
     culling: &Culling,
-    distances: &Distances,
+    distances: &SphereDistances,
     scene: &Scene,
     regions: &Regions,
 ) -> Vec<IVec3> {
@@ -324,8 +324,8 @@ fn remove_obstacle(inside: &mut LeafMask, obstacle: &ObstacleLeaf) {
 }
 
 /// φ_0 and the bounds, on the leaves with a value of φ_0 within the half width.
-fn level_sets(measured: Measured, scene: &Scene, regions: &Regions) -> Rasterized {
-    let Measured { bins, topology, mut distances } = measured;
+fn level_sets(measured: NearDistances, scene: &Scene, regions: &Regions) -> RasterFields {
+    let NearDistances { bins, topology, mut distances } = measured;
     let radii = scene.radii;
     let half_width = radii.half_width();
     let mut phi = signed_distance(&topology, &mut distances, SphereUnion::Init, radii);
@@ -366,7 +366,7 @@ fn level_sets(measured: Measured, scene: &Scene, regions: &Regions) -> Rasterize
             &mut bounds,
         ),
     };
-    Rasterized { bins, band, bounds, contact }
+    RasterFields { bins, band, bounds, contact }
 }
 
 /// True if a leaf has a value within the half width after obstacles are cut out (Eq. 12).

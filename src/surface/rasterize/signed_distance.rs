@@ -9,7 +9,7 @@
 
 use rayon::prelude::*;
 
-use super::distances::{Distances, SphereUnion};
+use super::distances::{SphereDistances, SphereUnion};
 use super::sphere::OUT_OF_REACH;
 use super::{Radii, sweep_count};
 use crate::surface::grid::{Field, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
@@ -21,7 +21,7 @@ use crate::surface::simd::{self, Kernel, Lanes};
 /// S_min.
 pub(super) fn signed_distance(
     topology: &Topology,
-    distances: &mut Distances,
+    distances: &mut SphereDistances,
     sphere: SphereUnion,
     radii: Radii,
 ) -> Field {
@@ -45,7 +45,7 @@ pub(super) fn signed_distance(
 /// The voxels whose signed distance is known. Missing neighbor leaves contribute no adjacent voxels.
 fn known_voxels(
     topology: &Topology,
-    distances: &Distances,
+    distances: &SphereDistances,
     sphere: SphereUnion,
     radii: Radii,
 ) -> Vec<LeafMask> {

@@ -37,21 +37,25 @@ pub(super) fn nearest_distances<'a>(
             return *leaf;
         }
         let in_leaf = |&step: &IVec3| Some((step.as_vec3(), packets.in_leaf(origin + step)?));
-        let around: Vec<(Vec3, &[ParticlePacket])> = steps.iter().filter_map(in_leaf).collect();
-        simd::dispatch(Nearest { around: &around, reach_squared: reach * reach, settled: settled(origin) })
+        let around: Vec<(Vec3, &[Centers8])> = steps.iter().filter_map(in_leaf).collect();
+        simd::dispatch(NearestDistances {
+            around: &around,
+            reach_squared: reach * reach,
+            settled: settled(origin),
+        })
     };
     Field { leaves: leaves.origins().par_iter().map(nearest).collect() }
 }
 
 /// Eight particles of a leaf: x, y and z, relative to its origin. Unused lanes are infinite.
-type ParticlePacket = [[f32; 8]; 3];
+type Centers8 = [[f32; 8]; 3];
 
 /// The particles of each leaf in packets of eight.
 pub(super) struct ParticlePackets<'a> {
     topology: &'a Topology,
     /// Start of each leaf's packets; one entry more than there are leaves.
     starts: Vec<usize>,
-    packets: Vec<ParticlePacket>,
+    packets: Vec<Centers8>,
 }
 
 impl<'a> ParticlePackets<'a> {
@@ -66,13 +70,13 @@ impl<'a> ParticlePackets<'a> {
         ParticlePackets { topology: &bins.topology, starts, packets }
     }
 
-    fn in_leaf(&self, origin: IVec3) -> Option<&[ParticlePacket]> {
+    fn in_leaf(&self, origin: IVec3) -> Option<&[Centers8]> {
         let leaf = self.topology.find(origin)?;
         Some(&self.packets[self.starts[leaf]..self.starts[leaf + 1]])
     }
 }
 
-fn packets_of(locals: &[Vec3]) -> impl Iterator<Item = ParticlePacket> {
+fn packets_of(locals: &[Vec3]) -> impl Iterator<Item = Centers8> {
     locals.chunks(8).map(|particles| {
         let mut eight = [[f32::INFINITY; 8]; 3];
         for (lane, particle) in particles.iter().enumerate() {
@@ -83,14 +87,14 @@ fn packets_of(locals: &[Vec3]) -> impl Iterator<Item = ParticlePacket> {
 }
 
 /// Kernel: the distances of one leaf.
-struct Nearest<'a> {
+struct NearestDistances<'a> {
     /// Leaves around it: the step to each, and its particles.
-    around: &'a [(Vec3, &'a [ParticlePacket])],
+    around: &'a [(Vec3, &'a [Centers8])],
     reach_squared: f32,
     settled: &'a LeafMask,
 }
 
-impl Kernel for Nearest<'_> {
+impl Kernel for NearestDistances<'_> {
     type Output = Leaf;
 
     #[inline(always)]
@@ -131,7 +135,7 @@ const LIMIT_PARTICLES: usize = 32;
 
 /// Bit mask of the eight particles within a squared distance of the box of a leaf's voxels.
 #[inline(always)]
-fn near_bits<V: Lanes>(eight: &ParticlePacket, step: Vec3, limit: f32) -> u8 {
+fn near_bits<V: Lanes>(eight: &Centers8, step: Vec3, limit: f32) -> u8 {
     let x = squares_aside(V::load(&eight[0]).add(V::splat(step.x)));
     let y = squares_aside(V::load(&eight[1]).add(V::splat(step.y)));
     let z = squares_aside(V::load(&eight[2]).add(V::splat(step.z)));
@@ -270,14 +274,14 @@ mod tests {
                 .iter()
                 .flat_map(|(step, locals)| locals.iter().map(move |&local| local + step))
                 .collect();
-            let packets: Vec<(Vec3, Vec<ParticlePacket>)> =
+            let packets: Vec<(Vec3, Vec<Centers8>)> =
                 around.iter().map(|(step, locals)| (*step, packets_of(locals).collect())).collect();
-            let around: Vec<(Vec3, &[ParticlePacket])> =
+            let around: Vec<(Vec3, &[Centers8])> =
                 packets.iter().map(|(step, packets)| (*step, packets.as_slice())).collect();
             for settled in [&LeafMask::EMPTY, &some] {
                 let expected = expected(&all, reach, settled).values.map(f32::to_bits);
                 for level in Level::ALL {
-                    let nearest = Nearest { around: &around, reach_squared: reach * reach, settled };
+                    let nearest = NearestDistances { around: &around, reach_squared: reach * reach, settled };
                     let found = dispatch_at(level, nearest).values.map(f32::to_bits);
                     assert_eq!(found, expected, "{count} particles a leaf within {reach}, {level:?}");
                 }

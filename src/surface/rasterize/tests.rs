@@ -207,7 +207,7 @@ pub(super) fn values(band: &NarrowBand, bounds: &Bounds) -> LeafBits {
     band.topology.origins().iter().enumerate().map(|(leaf, &origin)| (origin, of_leaf(leaf))).collect()
 }
 
-pub(super) fn values_of(rasterized: &Rasterized) -> LeafBits {
+pub(super) fn values_of(rasterized: &RasterFields) -> LeafBits {
     values(&rasterized.band, &rasterized.bounds)
 }
 

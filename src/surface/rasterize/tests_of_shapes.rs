@@ -126,7 +126,7 @@ fn surface_stays_in_the_band_if_bounds_exceed_it() {
     let positions = [[0.2, 0.1, 5.3], [27.4, 21.6, 53.5], [30.6, 22.3, 49.7]];
     let radii = Radii::of_balls(1.75, 2.6, 3.5);
     let source = cloud(&positions, Shapes::Scaled(vec![18.0, 1.0, 1.0]));
-    let Ok(Rasterized { band, bounds, .. }) = rasterize(&source, &Scene::open(LATTICE, radii));
+    let Ok(RasterFields { band, bounds, .. }) = rasterize(&source, &Scene::open(LATTICE, radii));
     let mut held_count = 0;
     for (leaf, &origin) in band.topology.origins().iter().enumerate() {
         for offset in 0..512 {

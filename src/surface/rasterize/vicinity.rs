@@ -37,7 +37,7 @@ pub struct Vicinity {
 }
 
 /// Leaves of the vicinity whose particles are processed together, with the leaves they depend on.
-pub struct Block {
+pub struct GatherBlock {
     own: FxHashSet<IVec3>,
     /// Their leaves, and all leaves within a margin.
     gathered: FxHashSet<IVec3>,
@@ -57,9 +57,9 @@ pub struct Gathered {
     pub scales: Vec<f32>,
 }
 
-impl Default for Block {
-    fn default() -> Block {
-        Block { own: FxHashSet::default(), gathered: FxHashSet::default(), voxels: CoordBox::EMPTY }
+impl Default for GatherBlock {
+    fn default() -> GatherBlock {
+        GatherBlock { own: FxHashSet::default(), gathered: FxHashSet::default(), voxels: CoordBox::EMPTY }
     }
 }
 
@@ -123,7 +123,7 @@ impl Vicinity {
 
     /// Splits the vicinity into blocks that gather about `particles_max` particles each, or more if a single
     /// leaf has more. Blocks follow the order of the source if that is spatially sorted.
-    pub fn blocks(&self, particles_max: usize) -> Vec<Block> {
+    pub fn blocks(&self, particles_max: usize) -> Vec<GatherBlock> {
         let margin = self.margin;
         let leaves = &self.occupancy.topology;
         let count_of = |origin: IVec3| self.occupancy.count_of(origin).unwrap_or((0, 0));
@@ -135,14 +135,14 @@ impl Vicinity {
             let voxels = self.cells[leaf].bounding_box().expanded(margin);
             leaves_of_boxes(&[(leaves.origins()[leaf], voxels)], |origin| leaves.find(origin).is_some())
         };
-        let mut blocks: Vec<Block> = Vec::new();
+        let mut blocks: Vec<GatherBlock> = Vec::new();
         let mut count = usize::MAX;
         let across = (2 * margin.max(0) as usize).div_ceil(LEAF_EDGE as usize) + 2;
         for near in near.chunks((LISTED_MAX / across.pow(3)).max(1)) {
             let all_around: Vec<Vec<IVec3>> = near.par_iter().map(around).collect();
             for (&leaf, around) in near.iter().zip(all_around) {
                 if count >= particles_max {
-                    blocks.push(Block::default());
+                    blocks.push(GatherBlock::default());
                     count = 0;
                 }
                 let Some(block) = blocks.last_mut() else { continue };
@@ -174,7 +174,7 @@ impl Vicinity {
     /// Returns the source's error if a batch cannot be read.
     pub fn gather<S: ParticleSource>(
         &self,
-        block: &Block,
+        block: &GatherBlock,
         source: &S,
         lattice: &Lattice,
     ) -> Result<Gathered, S::Error> {

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use super::{Surface, lattice};
+use super::{FrameSurface, lattice};
 use crate::surface::attributes::{BandAttribute, Support, to_band, to_vertices};
 use crate::surface::options::Settings;
 use crate::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Positions, Shapes};
@@ -40,7 +40,7 @@ pub struct Targets {
 }
 
 /// Transfers the attributes selected in the settings from the particles to the surface.
-pub fn transfer(surface: &mut Surface, cloud: &Cloud, settings: &Settings, targets: Targets) {
+pub fn transfer(surface: &mut FrameSurface, cloud: &Cloud, settings: &Settings, targets: Targets) {
     let particles = (Positions::from(&cloud.positions), &cloud.shapes, &*cloud.attributes);
     transfer_from(particles, surface, settings, targets);
 }
@@ -48,7 +48,7 @@ pub fn transfer(surface: &mut Surface, cloud: &Cloud, settings: &Settings, targe
 /// Like [`transfer`], for particles that may be borrowed: positions, shapes and attributes.
 pub(crate) fn transfer_from(
     (positions, shapes, attributes): (Positions<'_>, &Shapes, &[Attribute]),
-    surface: &mut Surface,
+    surface: &mut FrameSurface,
     settings: &Settings,
     targets: Targets,
 ) {

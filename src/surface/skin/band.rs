@@ -16,7 +16,7 @@ use rayon::prelude::*;
 
 use super::finish::{Stored, StoredMesh};
 use super::plan::{FIELD_BYTES, mesh_bytes, smoothing_fields};
-use super::{Surface, SurfaceAttributes, TOPOLOGY_LEAF_BYTES, finish, lattice, smooth_config};
+use super::{FrameSurface, SurfaceAttributes, TOPOLOGY_LEAF_BYTES, finish, lattice, smooth_config};
 use crate::surface::contour;
 use crate::surface::grid::{Field, negative_masks};
 use crate::surface::level_set::{
@@ -25,7 +25,7 @@ use crate::surface::level_set::{
 use crate::surface::options::Settings;
 use crate::surface::report::SkinReport;
 use crate::surface::smooth;
-use crate::surface::validation::{Part, certificate};
+use crate::surface::validation::{CheckedRegion, certificate};
 
 /// Maximum slack, in voxels: the stored band around the surface is not wider.
 pub const SLACK_MAX_VOXELS: f32 = 3.0;
@@ -46,7 +46,7 @@ pub fn resurface(
     slack_voxels: f32,
     settings: &Settings,
     stored: &[Stored],
-) -> Surface {
+) -> FrameSurface {
     bound(band, translation, slack_voxels, settings).smooth(settings, &mut |_| {}).contour(settings, stored)
 }
 
@@ -101,7 +101,7 @@ impl BoundedBand {
     }
 
     /// Third stage: the mesh and its validation, for each storage format.
-    pub fn contour(self, settings: &Settings, stored: &[Stored]) -> Surface {
+    pub fn contour(self, settings: &Settings, stored: &[Stored]) -> FrameSurface {
         let BoundedBand { mut band, bounds, translation, mut report, .. } = self;
         let bound_violation_count = bounds.violation_count(&band.phi);
         drop(bounds);
@@ -116,12 +116,12 @@ impl BoundedBand {
         // Files may store world positions, so rounding depends on where the mesh is.
         mesh.origin += translation;
         // A level set has no particles to check.
-        let no_part = |_: &StoredMesh, _: &mut dyn FnMut(&Part)| Ok::<(), Infallible>(());
+        let no_part = |_: &StoredMesh, _: &mut dyn FnMut(&CheckedRegion)| Ok::<(), Infallible>(());
         let Ok(checks) = finish::finalize(&mut mesh, (settings, stored), &mut report, no_part);
         let counts = (bound_violation_count, 0);
         report.certificate =
             certificate(checks, counts, (None, settings.offset), &mesh, &report.mesh, &lattice);
-        Surface { band, mesh, attributes: SurfaceAttributes::default(), report }
+        FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report }
     }
 }
 

@@ -71,7 +71,7 @@ pub(super) fn changed_bytes(is_moved: bool, is_stretched: bool) -> [f64; 2] {
 
 /// The changes that neighbors make to a source's particles.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Changes {
+pub(super) struct NeighborChanges {
     /// How far a mean at distance R moves a particle, in world units: λR.
     step_world: f64,
     /// Scale given to particles without one that are not stretched; `None` if particles keep their
@@ -88,7 +88,7 @@ pub(super) struct Changes {
     shapes: Vec<Ellipsoid>,
 }
 
-impl Changes {
+impl NeighborChanges {
     /// Sorts the changes of all blocks into source order. Frees each block once it is copied. `count_of`
     /// returns the number of particles of a batch.
     pub(super) fn new(
@@ -96,7 +96,7 @@ impl Changes {
         (step_world, ball): (f64, Option<f32>),
         batch_count: usize,
         count_of: impl Fn(usize) -> usize,
-    ) -> Changes {
+    ) -> NeighborChanges {
         let mut starts = vec![[0; 2]; batch_count + 1];
         for batch in 0..batch_count {
             starts[batch + 1][0] = starts[batch][0] + count_of(batch).div_ceil(64);
@@ -134,7 +134,7 @@ impl Changes {
         for start in &mut starts {
             start[1] = before.get(start[0]).copied().unwrap_or(count);
         }
-        Changes { step_world, ball, starts, changed, means, shapes }
+        NeighborChanges { step_world, ball, starts, changed, means, shapes }
     }
 
     /// True if particles are moved.
@@ -215,7 +215,7 @@ impl Changes {
 
     /// Memory used, in bytes.
     pub(super) fn size_bytes(&self) -> usize {
-        let Changes { starts, changed, means, shapes, .. } = self;
+        let NeighborChanges { starts, changed, means, shapes, .. } = self;
         size_of_val(&**starts) + size_of_val(&**changed) + size_of_val(&**means) + size_of_val(&**shapes)
     }
 }

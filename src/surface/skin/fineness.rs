@@ -18,7 +18,7 @@ use crate::surface::options::Settings;
 use crate::surface::particles::{ParticleSource, Particles};
 use crate::surface::rasterize::Footprint;
 use crate::surface::space::INDEX_LIMIT;
-use crate::surface::spacing::{Sample, median};
+use crate::surface::spacing::{SourceSample, median};
 use crate::surface::words::significant;
 
 /// Upper limit of the median distance of particles from their median position, in voxels. Beyond it, 32-bit
@@ -94,7 +94,7 @@ pub(super) fn too_fine<S: ParticleSource>(
     if spread_voxels <= SPREAD_MAX_VOXELS && dropped_count <= particle_count {
         return Ok(None);
     }
-    let sample = Sample::of(source, particle_count + dropped_count)?;
+    let sample = SourceSample::of(source, particle_count + dropped_count)?;
     let Some(estimate) = sample.estimate(source)? else { return Ok(None) };
     let spacing = estimate.spacing;
     let (voxel_size, (least, limit)) = (settings.voxel_size, least_voxel_size(&sample.particles));

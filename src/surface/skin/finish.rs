@@ -24,17 +24,17 @@ use crate::surface::contour;
 use crate::surface::edits::{self, DroppedIslands};
 use crate::surface::grid::{LEAF_EDGE, LeafMask, offset_in_leaf};
 use crate::surface::level_set::{NarrowBand, offset_surface};
-use crate::surface::mesh::{Mesh, Rounding, decimate};
+use crate::surface::mesh::{Mesh, RoundedPositions, decimate};
 use crate::surface::obstacle::ObstacleLeaf;
 use crate::surface::options::Settings;
 use crate::surface::report::{DepthTally, EditReport, SkinReport};
-use crate::surface::validation::{self, Exempt, Part, ParticleChecks};
+use crate::surface::validation::{self, CheckedRegion, Exempt, ParticleChecks};
 
 /// What edits removed from the level set.
 #[derive(Default)]
 pub(super) struct Edits {
     islands: Option<DroppedIslands>,
-    clip: Option<edits::ClipBox>,
+    clip: Option<edits::VoxelClip>,
 }
 
 /// True if the settings request any edit.
@@ -88,7 +88,7 @@ pub(super) fn edit<P: AsRef<[Vec3]>>(
         report.cavity_voxel_count = filled.voxel_count;
     }
     if let Some(clip) = &settings.clip {
-        let clip = edits::ClipBox { min: DVec3::from(clip.min), max: DVec3::from(clip.max) };
+        let clip = edits::VoxelClip { min: DVec3::from(clip.min), max: DVec3::from(clip.max) };
         report.clipped_voxel_count = edits::clip(band, &scene.lattice, &clip).voxel_count;
         edits.clip = Some(clip);
     }
@@ -118,7 +118,7 @@ pub enum Stored {
     /// Unchanged: 32 bits, relative to the mesh's origin.
     AsTheyAre,
     /// With this rounding.
-    Rounded(Rounding),
+    Rounded(RoundedPositions),
 }
 
 /// Number of times that vertices are moved back into their bounds. Any left outside are then reported as
@@ -133,7 +133,7 @@ pub(super) fn finalize<E>(
     mesh: &mut Mesh,
     (settings, stored): (&Settings, &[Stored]),
     report: &mut SkinReport,
-    mut each_part: impl FnMut(&StoredMesh, &mut dyn FnMut(&Part)) -> Result<(), E>,
+    mut each_part: impl FnMut(&StoredMesh, &mut dyn FnMut(&CheckedRegion)) -> Result<(), E>,
 ) -> Result<ParticleChecks, E> {
     let lattice = lattice(settings);
     if settings.decimate > 0.0 {
@@ -145,7 +145,7 @@ pub(super) fn finalize<E>(
         Stored::AsTheyAre => None,
         Stored::Rounded(rounding) => Some(*rounding),
     };
-    let roundings: Vec<Rounding> = stored.iter().filter_map(rounding).collect();
+    let roundings: Vec<RoundedPositions> = stored.iter().filter_map(rounding).collect();
     report.flat_triangles_removed = mesh.remove_flat_triangles(&roundings);
     let has_unrounded = roundings.len() < stored.len();
     let mut checks = ParticleChecks::NOTHING;

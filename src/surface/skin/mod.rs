@@ -25,7 +25,7 @@ pub use field_store::{SHELF_COUNT, Storage};
 pub use fineness::{Limit, SPREAD_MAX_VOXELS, TooFine};
 pub use finish::Stored;
 pub(crate) use plan::plan_whole;
-pub use plan::{Plan, Surroundings, TooLarge, Unfit, plan};
+pub use plan::{MemoryPlan, PlanInputs, TooLarge, Unfit, plan};
 pub(crate) use shape::shapes_by_attributes;
 pub use shape::{ShapedSource, shape, shape_by_attributes, shape_by_neighbors};
 
@@ -40,12 +40,14 @@ use crate::surface::rasterize::{self, ParticleBins, Radii, Scene};
 use crate::surface::report::{Phase, Shaping, SkinReport};
 use crate::surface::smooth;
 use crate::surface::space::{CoordBox, Lattice};
-use crate::surface::validation::{GivenPlace, MeshCells, Part, certificate, doubtful_places, given_outside};
+use crate::surface::validation::{
+    CheckedRegion, GivenPlace, MeshCells, certificate, doubtful_places, given_outside,
+};
 use finish::{Edits, Exemptions, StoredMesh};
 
 /// The surface of one frame.
 #[derive(Clone, Debug)]
-pub struct Surface {
+pub struct FrameSurface {
     /// The level set that was meshed.
     pub band: NarrowBand,
     /// The mesh.
@@ -56,7 +58,7 @@ pub struct Surface {
     pub report: SkinReport,
 }
 
-impl Surface {
+impl FrameSurface {
     /// Memory used, in bytes.
     pub fn size_bytes(&self) -> u64 {
         let leaves = self.band.phi.leaves.len() * (size_of::<Leaf>() + TOPOLOGY_LEAF_BYTES);
@@ -124,12 +126,16 @@ impl Smoothed {
 /// assert_eq!(drop.mesh.measure().euler_characteristic, 2);
 /// # Ok::<(), meniscus::surface::options::SettingsError>(())
 /// ```
-pub fn skin(particles: &Particles, settings: &Settings) -> Surface {
+pub fn skin(particles: &Particles, settings: &Settings) -> FrameSurface {
     skin_observed(particles, settings, &mut |_| {})
 }
 
 /// Like [`skin`]; `entered` is called at the start of each phase.
-pub fn skin_observed(particles: &Particles, settings: &Settings, entered: &mut dyn FnMut(Phase)) -> Surface {
+pub fn skin_observed(
+    particles: &Particles,
+    settings: &Settings,
+    entered: &mut dyn FnMut(Phase),
+) -> FrameSurface {
     entered(Phase::Rasterize);
     let Ok((shaped, shaping)) = shape_by_neighbors(particles, Shaping::default(), settings);
     let Ok(rasterized) = rasterize(&shaped, settings, shaping, Obstacles::default());
@@ -141,7 +147,7 @@ pub fn skin_observed(particles: &Particles, settings: &Settings, entered: &mut d
 
 /// Surfaces one frame of particles with attributes, among obstacles, and transfers the selected attributes to
 /// the vertices.
-pub fn skin_cloud(cloud: Cloud, settings: &Settings, obstacles: &Obstacles) -> Surface {
+pub fn skin_cloud(cloud: Cloud, settings: &Settings, obstacles: &Obstacles) -> FrameSurface {
     let (shaped, shaping) = shape(cloud, settings);
     let Ok(rasterized) = rasterize(&shaped, settings, shaping, obstacles.clone());
     let mut surface = contour(smooth(rasterized, settings), settings, &[Stored::AsTheyAre]);
@@ -165,7 +171,7 @@ pub fn rasterize<S: ParticleSource>(
     obstacles: Obstacles,
 ) -> Result<Rasterized, S::Error> {
     let scene = scene(settings, &obstacles);
-    let rasterize::Rasterized { bins, band, bounds, contact } = rasterize::rasterize(source, &scene)?;
+    let rasterize::RasterFields { bins, band, bounds, contact } = rasterize::rasterize(source, &scene)?;
     let contact = ContactTally { particle_count: inside_obstacles(source, &scene)?, ..contact };
     let given = match source.has_moved() {
         true => {
@@ -232,7 +238,7 @@ fn report_smoothing(report: &mut SkinReport, smoothed: smooth::SmoothReport, set
 }
 
 /// Third stage: the mesh, its measures, and the certificate, which validates the mesh as each file stores it.
-pub fn contour(smoothed: Smoothed, settings: &Settings, stored: &[Stored]) -> Surface {
+pub fn contour(smoothed: Smoothed, settings: &Settings, stored: &[Stored]) -> FrameSurface {
     let ControlFlow::Continue(surface) =
         contour_while::<Infallible>(smoothed, settings, stored, &|| ControlFlow::Continue(()));
     surface
@@ -244,7 +250,7 @@ pub(crate) fn contour_while<B>(
     settings: &Settings,
     stored: &[Stored],
     go_on: &dyn Fn() -> ControlFlow<B>,
-) -> ControlFlow<B, Surface> {
+) -> ControlFlow<B, FrameSurface> {
     let Smoothed { bins, mut band, bounds, obstacles, given, mut report } = smoothed;
     let scene = scene(settings, &obstacles);
     let Scene { lattice, radii, .. } = scene;
@@ -267,7 +273,7 @@ pub(crate) fn contour_while<B>(
         let StoredMesh { mesh, rounding } = *checked;
         let (bins, band, lattice) = (&bins, &band, &lattice);
         let cells = &MeshCells::new(mesh, band, lattice);
-        check(&Part { bins, radii, band, mesh, cells, rounding, lattice, owned, exempt });
+        check(&CheckedRegion { bins, radii, band, mesh, cells, rounding, lattice, owned, exempt });
         Ok(())
     });
     let checks = match settled {
@@ -279,7 +285,7 @@ pub(crate) fn contour_while<B>(
         certificate(checks, counts, (Some(&radii), settings.offset), &mesh, &report.mesh, &lattice);
     report.certificate.given_outside =
         given.map(|given| given_outside(&given, &band, (&lattice, radii.offset), exempt));
-    ControlFlow::Continue(Surface { band, mesh, attributes: SurfaceAttributes::default(), report })
+    ControlFlow::Continue(FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report })
 }
 
 fn lattice(settings: &Settings) -> Lattice {
@@ -329,8 +335,8 @@ fn longest_of(shaping: &Shaping) -> f32 {
     if *shaping == Shaping::default() { 1.0 } else { shaping.longest }
 }
 
-fn smooth_config(settings: &Settings) -> smooth::Config {
-    smooth::Config {
+fn smooth_config(settings: &Settings) -> smooth::SmoothConfig {
+    smooth::SmoothConfig {
         laplacian_steps: settings.laplacian_steps,
         integrator: settings.integrator,
         steps: settings.steps,

@@ -16,7 +16,7 @@ use crate::surface::rasterize::{self, Footprint};
 
 /// How a frame is surfaced.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Plan {
+pub struct MemoryPlan {
     /// Upper estimate of the peak memory, in bytes, excluding the given particles: at most half as much again
     /// as the actual peak.
     pub memory_bytes: u64,
@@ -62,7 +62,7 @@ const TILE_EDGES: [i32; 4] = [128, 64, 32, 16];
 
 /// Inputs besides the particles that need memory.
 #[derive(Clone, Copy)]
-pub struct Surroundings<'a> {
+pub struct PlanInputs<'a> {
     /// The obstacles.
     pub obstacles: &'a Obstacles,
     /// Bytes per particle of the transferred attributes.
@@ -87,9 +87,9 @@ pub enum Unfit {
 pub fn plan<S: ParticleSource>(
     source: &S,
     settings: &Settings,
-    surroundings: Surroundings,
+    surroundings: PlanInputs,
     allowed_bytes: u64,
-) -> Result<Result<Plan, Unfit>, S::Error> {
+) -> Result<Result<MemoryPlan, Unfit>, S::Error> {
     plan_with_tiles(source, settings, surroundings, allowed_bytes, &TILE_EDGES)
 }
 
@@ -97,27 +97,27 @@ pub fn plan<S: ParticleSource>(
 pub(crate) fn plan_whole<S: ParticleSource>(
     source: &S,
     settings: &Settings,
-    surroundings: Surroundings,
+    surroundings: PlanInputs,
     allowed_bytes: u64,
-) -> Result<Result<Plan, Unfit>, S::Error> {
+) -> Result<Result<MemoryPlan, Unfit>, S::Error> {
     plan_with_tiles(source, settings, surroundings, allowed_bytes, &[])
 }
 
 fn plan_with_tiles<S: ParticleSource>(
     source: &S,
     settings: &Settings,
-    surroundings: Surroundings,
+    surroundings: PlanInputs,
     allowed_bytes: u64,
     tile_edges: &[i32],
-) -> Result<Result<Plan, Unfit>, S::Error> {
-    let Surroundings { obstacles, attribute_bytes } = surroundings;
+) -> Result<Result<MemoryPlan, Unfit>, S::Error> {
+    let PlanInputs { obstacles, attribute_bytes } = surroundings;
     let footprint = rasterize::footprint(source, &scene(settings, obstacles), shape::near_surface(settings))?;
     if let Some(too_fine) = too_fine(source, settings, &footprint)? {
         return Ok(Err(Unfit::TooFine(too_fine)));
     }
     let whole = whole_bytes(&footprint, settings, attribute_bytes);
     if whole <= allowed_bytes {
-        return Ok(Ok(Plan { memory_bytes: whole, tile_leaves: None, whole_bytes: whole }));
+        return Ok(Ok(MemoryPlan { memory_bytes: whole, tile_leaves: None, whole_bytes: whole }));
     }
     if matches!(settings.integrator, Integrator::Implicit | Integrator::Adaptive) {
         let too_large = TooLarge { least_bytes: whole, allowed_bytes, is_coupled: true };
@@ -128,7 +128,7 @@ fn plan_with_tiles<S: ParticleSource>(
         let memory_bytes = tiled_bytes(&footprint, settings, attribute_bytes, tile_leaves);
         if memory_bytes <= allowed_bytes {
             let tile_leaves = Some(tile_leaves);
-            return Ok(Ok(Plan { memory_bytes, tile_leaves, whole_bytes: whole }));
+            return Ok(Ok(MemoryPlan { memory_bytes, tile_leaves, whole_bytes: whole }));
         }
         least_bytes = least_bytes.min(memory_bytes);
     }

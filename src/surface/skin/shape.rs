@@ -20,7 +20,7 @@ use std::borrow::Cow;
 
 use glam::DVec3;
 
-use super::changes::{BlockChanges, Changes, changed_bytes};
+use super::changes::{BlockChanges, NeighborChanges, changed_bytes};
 use super::lattice;
 use crate::surface::anisotropy::{
     ByNeighbors, NeighborConfig, RadiusScales, Stretch, VelocityConfig, from_neighbors, from_velocities,
@@ -105,7 +105,7 @@ fn in_blocks<S: ParticleSource>(
     gathered_max: usize,
 ) -> Result<(ShapedSource<S>, Shaping), S::Error> {
     if !settings.uses_neighbors() {
-        return Ok((ShapedSource { given, changes: Changes::default() }, shaping));
+        return Ok((ShapedSource { given, changes: NeighborChanges::default() }, shaping));
     }
     let stretch = stretch(settings);
     let lattice = lattice(settings);
@@ -134,7 +134,8 @@ fn in_blocks<S: ParticleSource>(
     drop(vicinity);
     let step_world = settings.position_smoothing * settings.neighbor_radius;
     let ball = stretch.is_some().then_some(depth.ball);
-    let changes = Changes::new(found, (step_world, ball), given.batch_count(), |batch| given.count_of(batch));
+    let changes =
+        NeighborChanges::new(found, (step_world, ball), given.batch_count(), |batch| given.count_of(batch));
     Ok((ShapedSource { given, changes }, shaping))
 }
 
@@ -221,7 +222,7 @@ pub(super) fn shape_reach(settings: &Settings, longest: f32) -> u32 {
 #[derive(Clone, Debug)]
 pub struct ShapedSource<S> {
     given: S,
-    changes: Changes,
+    changes: NeighborChanges,
 }
 
 impl<S> ShapedSource<S> {
@@ -380,7 +381,7 @@ mod tests {
     use crate::surface::obstacle::Obstacles;
     use crate::surface::options::{AnisotropyKind, MethodOptions};
     use crate::surface::particles::Ellipsoid;
-    use crate::surface::skin::{Stored, Surface, contour, rasterize, smooth};
+    use crate::surface::skin::{FrameSurface, Stored, contour, rasterize, smooth};
 
     /// A source with batches of a given size, as from a file.
     struct Batches<'a> {
@@ -488,7 +489,7 @@ mod tests {
         }
     }
 
-    fn skinned<S: ParticleSource>(source: &S, shaping: Shaping, settings: &Settings) -> Surface {
+    fn skinned<S: ParticleSource>(source: &S, shaping: Shaping, settings: &Settings) -> FrameSurface {
         let Ok(rasterized) = rasterize(source, settings, shaping, Obstacles::default()) else {
             panic!("in memory")
         };

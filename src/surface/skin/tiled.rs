@@ -11,7 +11,7 @@ use glam::IVec3;
 use super::field_store::{FieldStore, Storage};
 use super::finish::{self, Edits, Exemptions, Stored, StoredMesh};
 use super::tiles::{self, HALO_LEAVES, Tiling, tile_voxels, tiles_around};
-use super::{Surface, SurfaceAttributes, inside_obstacles, report_smoothing, scene, smooth_config};
+use super::{FrameSurface, SurfaceAttributes, inside_obstacles, report_smoothing, scene, smooth_config};
 use crate::surface::contour;
 use crate::surface::grid::LEAF_EDGE;
 use crate::surface::level_set::{Bounds, NarrowBand};
@@ -20,7 +20,7 @@ use crate::surface::options::Settings;
 use crate::surface::particles::ParticleSource;
 use crate::surface::rasterize::{self, Occupancy, Scene};
 use crate::surface::report::{Shaping, SkinReport};
-use crate::surface::validation::{MeshCells, Part, certificate, given_outside_of};
+use crate::surface::validation::{CheckedRegion, MeshCells, certificate, given_outside_of};
 
 /// Error of a tiled frame.
 #[derive(Debug)]
@@ -91,7 +91,7 @@ pub fn rasterize<S: ParticleSource>(
         let window = tile_voxels(IVec3::from(tile), tile_leaves);
         let rasterized = rasterize::rasterize_window(&source, &occupancy, &scene, window);
         let rasterized = rasterized.map_err(TiledError::Source)?;
-        let rasterize::Rasterized { band, bounds, contact: of_tile, .. } = rasterized;
+        let rasterize::RasterFields { band, bounds, contact: of_tile, .. } = rasterized;
         contact = contact.and(of_tile);
         store.put(origins.len(), [&band.phi, &bounds.lower, &bounds.upper])?;
         origins.extend_from_slice(band.topology.origins());
@@ -143,7 +143,7 @@ pub fn contour<S: ParticleSource>(
     frame: TiledFrame<S>,
     settings: &Settings,
     stored: &[Stored],
-) -> Result<(Surface, S), TiledError<S::Error>> {
+) -> Result<(FrameSurface, S), TiledError<S::Error>> {
     let TiledFrame {
         source,
         obstacles,
@@ -187,7 +187,7 @@ pub fn contour<S: ParticleSource>(
         for &tile in &tiles {
             let (owned, bins) = tile_particles(tile)?;
             let (bins, band, lattice) = (&bins, &band, &lattice);
-            check(&Part { bins, radii, band, mesh, cells, rounding, lattice, owned, exempt });
+            check(&CheckedRegion { bins, radii, band, mesh, cells, rounding, lattice, owned, exempt });
         }
         Ok::<(), TiledError<S::Error>>(())
     })?;
@@ -199,7 +199,7 @@ pub fn contour<S: ParticleSource>(
         let outside = given_outside_of(&source, &band, how, exempt).map_err(TiledError::Source)?;
         report.certificate.given_outside = Some(outside);
     }
-    Ok((Surface { band, mesh, attributes: SurfaceAttributes::default(), report }, source))
+    Ok((FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report }, source))
 }
 
 /// Number of values outside their bounds.
@@ -286,7 +286,7 @@ mod tests {
         frame
     }
 
-    fn finished(frame: TiledFrame<Particles>, settings: &Settings) -> Surface {
+    fn finished(frame: TiledFrame<Particles>, settings: &Settings) -> FrameSurface {
         let smoothed = smooth(frame, settings, &mut |_| {}).expect("in memory");
         contour(smoothed, settings, &[Stored::AsTheyAre]).expect("in memory").0
     }

@@ -25,7 +25,7 @@ use super::field_store::FieldStore;
 use crate::surface::grid::{Field, LEAF_EDGE, Topology};
 use crate::surface::level_set::{Bounds, NarrowBand};
 use crate::surface::smooth::{
-    Config, SmoothContext, SmoothOp, SmoothReport, SmoothStats, Workspace, schedule,
+    SmoothConfig, SmoothContext, SmoothOp, SmoothReport, SmoothStats, Workspace, schedule,
 };
 use crate::surface::space::CoordBox;
 
@@ -38,10 +38,10 @@ pub(super) struct Tiling {
     /// Slot of each leaf.
     slots: Vec<u32>,
     /// For each tile, its own leaves and those of its halo, in the order of the topology.
-    tiles: Vec<Tile>,
+    tiles: Vec<LeafTile>,
 }
 
-struct Tile {
+struct LeafTile {
     /// Leaves of the tile and of its halo.
     leaves: Vec<u32>,
     /// For each of these leaves, true if it is the tile's own.
@@ -79,11 +79,11 @@ impl Tiling {
         for (slot, &origin) in origins.iter().enumerate() {
             slots[topology.find(origin).expect("the topology contains every origin")] = slot as u32;
         }
-        let mut tiles: BTreeMap<[i32; 3], Tile> = BTreeMap::new();
+        let mut tiles: BTreeMap<[i32; 3], LeafTile> = BTreeMap::new();
         for (leaf, &origin) in topology.origins().iter().enumerate() {
             let own = tile_of(origin, tile_leaves);
             for tile in tiles_around(origin, halo_leaves, tile_leaves) {
-                let empty = || Tile { leaves: Vec::new(), own: Vec::new() };
+                let empty = || LeafTile { leaves: Vec::new(), own: Vec::new() };
                 let entry = tiles.entry(tile.to_array()).or_insert_with(empty);
                 entry.leaves.push(leaf as u32);
                 entry.own.push(tile == own);
@@ -122,7 +122,7 @@ impl Tiling {
     }
 
     /// The tile's own leaves as runs with consecutive slots, each with its first slot.
-    fn own_runs(&self, tile: &Tile) -> Vec<(Range<usize>, usize)> {
+    fn own_runs(&self, tile: &LeafTile) -> Vec<(Range<usize>, usize)> {
         let mut runs: Vec<(Range<usize>, usize)> = Vec::new();
         for (index, &leaf) in tile.leaves.iter().enumerate().filter(|&(index, _)| tile.own[index]) {
             let slot = self.slots[leaf as usize] as usize;
@@ -148,7 +148,7 @@ pub(super) fn smooth(
     store: &mut FieldStore,
     tiling: &Tiling,
     half_width: f32,
-    config: &Config,
+    config: &SmoothConfig,
     advanced: &mut dyn FnMut(f64),
 ) -> io::Result<SmoothReport> {
     let mut report = SmoothReport::new(config);
@@ -173,9 +173,9 @@ pub(super) fn smooth(
 fn apply(
     store: &FieldStore,
     tiling: &Tiling,
-    tile: &Tile,
+    tile: &LeafTile,
     half_width: f32,
-    config: &Config,
+    config: &SmoothConfig,
     op: SmoothOp,
 ) -> io::Result<SmoothStats> {
     let runs = tiling.runs(tile.leaves.iter().copied());

@@ -22,7 +22,7 @@ pub(super) struct Solver {
 }
 
 /// Result of an iteration.
-pub(super) enum Outcome {
+pub(super) enum SolveOutcome {
     /// x moved within its bounds.
     Advanced {
         /// δ after the iteration.
@@ -64,7 +64,7 @@ impl Solver {
         bounds: &Bounds,
         residual: f64,
         laplacian: &mut Field,
-    ) -> Outcome {
+    ) -> SolveOutcome {
         self.apply(band, Operand::Direction, laplacian);
         let (d, q) = (&self.d, &self.q);
         // q holds Δt ∇⁴ d: A d = d + q.
@@ -91,7 +91,7 @@ impl Solver {
             .sum();
         if met > 0 {
             self.region.recount_free_rows();
-            return Outcome::MetBounds;
+            return SolveOutcome::MetBounds;
         }
         let residual_now = sum(self.r.leaves.par_iter().map(|r| dot(r, r)));
         let beta = (residual_now / residual) as f32;
@@ -100,7 +100,7 @@ impl Solver {
                 *d = r + beta * *d;
             }
         });
-        Outcome::Advanced { residual: residual_now }
+        SolveOutcome::Advanced { residual: residual_now }
     }
 
     /// q = Δt ∇⁴ of the solution or of the search direction, on the free voxels.

@@ -11,7 +11,7 @@
 //! the constrained minimum, not at it. The dot products couple all voxels. They are summed leaf by leaf in a
 //! fixed order, so the result does not depend on the number of threads.
 
-use super::conjugate_gradient::{Outcome, Solver};
+use super::conjugate_gradient::{SolveOutcome, Solver};
 use super::free_voxels::FreeVoxels;
 use crate::surface::grid::Field;
 use crate::surface::level_set::{Bounds, NarrowBand};
@@ -68,8 +68,8 @@ pub(super) fn step(
     while !convergence.reached && convergence.iterations < ITERATIONS_MAX {
         convergence.iterations += 1;
         match solver.iterate(band, bounds, residual, laplacian) {
-            Outcome::Advanced { residual: now } => residual = now,
-            Outcome::MetBounds => {
+            SolveOutcome::Advanced { residual: now } => residual = now,
+            SolveOutcome::MetBounds => {
                 convergence.restarts += 1;
                 restart = solver.restart(band, laplacian);
                 residual = restart;

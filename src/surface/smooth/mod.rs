@@ -60,7 +60,7 @@ impl Integrator {
 
 /// Configuration, in units of voxels and of the time h⁴.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Config {
+pub struct SmoothConfig {
     /// Number of Laplacian steps before the biharmonic ones. If 0, φ is redistanced instead.
     pub laplacian_steps: u32,
     /// The integrator of the biharmonic steps.
@@ -101,7 +101,7 @@ pub struct SmoothReport {
 }
 
 /// Smooths `band` within `bounds`.
-pub fn smooth(band: &mut NarrowBand, bounds: &Bounds, config: &Config) -> SmoothReport {
+pub fn smooth(band: &mut NarrowBand, bounds: &Bounds, config: &SmoothConfig) -> SmoothReport {
     let ControlFlow::Continue(report) =
         smooth_while::<Infallible>(band, bounds, config, &mut |_| ControlFlow::Continue(()));
     report
@@ -112,7 +112,7 @@ pub fn smooth(band: &mut NarrowBand, bounds: &Bounds, config: &Config) -> Smooth
 pub fn smooth_while<B>(
     band: &mut NarrowBand,
     bounds: &Bounds,
-    config: &Config,
+    config: &SmoothConfig,
     advanced: &mut dyn FnMut(f64) -> ControlFlow<B>,
 ) -> ControlFlow<B, SmoothReport> {
     let mut report = SmoothReport::new(config);
@@ -149,7 +149,7 @@ pub fn radius_after_laplacian(radius_voxels: f64, steps: u32) -> f64 {
 /// redistanced and clamped every 50 steps and at the end.
 pub fn smooth_laplacian_only(band: &mut NarrowBand, bounds: &Bounds, steps: u32) {
     const REDISTANCE_EVERY: u32 = 50;
-    let config = Config {
+    let config = SmoothConfig {
         laplacian_steps: steps,
         integrator: Integrator::Explicit,
         steps: 0,

@@ -16,7 +16,7 @@ use super::heavy_ball::{HeavyBall, StepParams};
 use super::implicit::Convergence;
 use super::peaks::{PEAK_REACH, pinned_peaks};
 use super::thickness::THICKNESS_REACH;
-use super::{Config, Integrator, SmoothReport, explicit, implicit, keep_off_zero, laplacian};
+use super::{Integrator, SmoothConfig, SmoothReport, explicit, implicit, keep_off_zero, laplacian};
 use crate::surface::grid::{Field, Topology};
 use crate::surface::level_set::{Bounds, NarrowBand, Sweeps, extend_distances, redistance_in};
 
@@ -130,7 +130,7 @@ impl SmoothOp {
 
 /// The schedule of a smoothing. The reach of each operation is at most `reach_max` voxels (at least 32), if
 /// possible.
-pub fn schedule(config: &Config, reach_max: u32) -> Vec<SmoothOp> {
+pub fn schedule(config: &SmoothConfig, reach_max: u32) -> Vec<SmoothOp> {
     let mut schedule = Vec::new();
     match config.laplacian_steps {
         // Noise in the values that the first step holds fixed must be removed: it would cost a sphere of
@@ -188,7 +188,7 @@ fn portions(total: u32, most: u32) -> impl Iterator<Item = (u32, u32)> {
     (0..total.div_ceil(most)).map(move |index| (index * most, most.min(total - index * most)))
 }
 
-fn params(config: &Config, step: u32) -> StepParams {
+fn params(config: &SmoothConfig, step: u32) -> StepParams {
     StepParams::new(config.step_size, step + 1 == config.steps)
 }
 
@@ -211,7 +211,7 @@ impl Workspace {
 /// What an operation works on: a frame, or a tile with its halo.
 pub struct SmoothContext<'a> {
     /// The configuration.
-    pub config: &'a Config,
+    pub config: &'a SmoothConfig,
     /// φ, which is smoothed in place.
     pub band: &'a mut NarrowBand,
     /// The bounds of φ.
@@ -343,7 +343,7 @@ fn free_region(topology: &Topology, phi: &Field, pins_peaks: bool) -> FreeVoxels
     }
 }
 
-fn sweeps_after(config: &Config) -> Sweeps {
+fn sweeps_after(config: &SmoothConfig) -> Sweeps {
     match config.integrator.is_implicit() && !config.pin_isolated_spheres {
         true => Sweeps { count: REDISTANCE_SWEEPS, second_order_within: IMPLICIT_SECOND_ORDER_WITHIN },
         false => Sweeps::accurate(REDISTANCE_SWEEPS),
@@ -368,7 +368,7 @@ impl SmoothStats {
 
 impl SmoothReport {
     /// An empty report.
-    pub fn new(config: &Config) -> SmoothReport {
+    pub fn new(config: &SmoothConfig) -> SmoothReport {
         let mut whole = schedule(config, u32::MAX).into_iter();
         let reach_voxels = whole.try_fold(0u32, |sum, op| Some(sum.saturating_add(op.reach_voxels()?)));
         SmoothReport { reach_voxels, ..SmoothReport::default() }
@@ -396,9 +396,9 @@ impl SmoothReport {
 mod tests {
     use super::*;
 
-    fn config(integrator: Integrator, steps: u32, redistance_every: u32) -> Config {
+    fn config(integrator: Integrator, steps: u32, redistance_every: u32) -> SmoothConfig {
         let step_size = if integrator == Integrator::Explicit { 0.01 } else { 20.0 };
-        Config {
+        SmoothConfig {
             laplacian_steps: 15,
             integrator,
             steps,
@@ -417,7 +417,7 @@ mod tests {
             (Integrator::Fast, 4, 3, true),
             (Integrator::Explicit, 120, 50, false),
         ] {
-            let config = Config { pin_isolated_spheres, ..config(integrator, steps, every) };
+            let config = SmoothConfig { pin_isolated_spheres, ..config(integrator, steps, every) };
             let sum = |schedule: &[SmoothOp]| -> (u32, u32, usize) {
                 let laplacian =
                     schedule.iter().map(|op| if let SmoothOp::Laplacian { steps } = op { *steps } else { 0 });
@@ -441,7 +441,7 @@ mod tests {
     #[test]
     fn schedule_ends_with_exact_distances_if_requested() {
         let last = |integrator, steps, laplacian_steps, distances_voxels| {
-            let config = Config { distances_voxels, laplacian_steps, ..config(integrator, steps, 1) };
+            let config = SmoothConfig { distances_voxels, laplacian_steps, ..config(integrator, steps, 1) };
             let schedule = schedule(&config, 48);
             schedule[schedule.len().saturating_sub(3)..].to_vec()
         };

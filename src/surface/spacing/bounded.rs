@@ -11,7 +11,7 @@ use glam::DVec3;
 
 use crate::surface::particles::{ParticleSource, Particles, Positions};
 
-use super::{Estimate, estimate_spacing};
+use super::{SpacingEstimate, estimate_spacing};
 
 /// A sample of this size is as good as all particles. At most twice as many are kept.
 const SAMPLE_MAX: usize = 1 << 20;
@@ -25,26 +25,26 @@ const HALF_EDGE_SPACINGS: f64 = 8.0;
 
 /// Every n-th particle of a source, in its order.
 #[derive(Debug)]
-pub(crate) struct Sample {
+pub(crate) struct SourceSample {
     /// The finite ones.
     pub(crate) particles: Particles,
     /// n: one of this many particles is in the sample.
     every: usize,
 }
 
-impl Sample {
+impl SourceSample {
     /// Samples a source of `particle_count` particles; takes all of them if they are few.
     ///
     /// # Errors
     /// Those of the source.
-    pub(crate) fn of<S: ParticleSource>(source: &S, particle_count: usize) -> Result<Sample, S::Error> {
+    pub(crate) fn of<S: ParticleSource>(source: &S, particle_count: usize) -> Result<SourceSample, S::Error> {
         let every = particle_count.div_ceil(SAMPLE_MAX).max(1);
         let mut passed = 0;
         let particles = collect_wanted(source, |_| {
             passed += 1;
             (passed - 1) % every == 0
         })?;
-        Ok(Sample { particles, every })
+        Ok(SourceSample { particles, every })
     }
 
     /// Estimates the spacing of all particles of the source that this is a sample of. `None` as in
@@ -52,7 +52,10 @@ impl Sample {
     ///
     /// # Errors
     /// Those of the source.
-    pub(crate) fn estimate<S: ParticleSource>(&self, source: &S) -> Result<Option<Estimate>, S::Error> {
+    pub(crate) fn estimate<S: ParticleSource>(
+        &self,
+        source: &S,
+    ) -> Result<Option<SpacingEstimate>, S::Error> {
         let Some(of_sample) = estimate_spacing(&self.particles) else { return Ok(None) };
         if self.every == 1 {
             return Ok(Some(of_sample));
@@ -114,7 +117,7 @@ mod tests {
         // A body and a sheet; every second or third particle of each is sampled.
         for counts in [[130, 130, 130], [1700, 1700, 1]] {
             let particles = lattice(counts, 0.25);
-            let Ok(sample) = Sample::of(&particles, particles.len());
+            let Ok(sample) = SourceSample::of(&particles, particles.len());
             assert!(sample.every > 1 && sample.particles.len() <= SAMPLE_MAX);
             let Ok(estimate) = sample.estimate(&particles);
             let found = estimate.expect("enough").spacing;

@@ -28,7 +28,7 @@ use rayon::prelude::*;
 
 use crate::surface::particles::Positions;
 
-pub(crate) use bounded::Sample;
+pub(crate) use bounded::SourceSample;
 use local::Local;
 use sample::sample;
 use tree::KdNode;
@@ -64,7 +64,7 @@ pub const CONFIDENCE_MIN: f64 = 0.5;
 /// The particle spacing of one frame, by [`estimate_spacing`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
-pub struct Estimate {
+pub struct SpacingEstimate {
     /// The distance between neighbouring particles, world units; positive.
     pub spacing: f64,
     /// From 0 to 1: the share of the measured particles whose own spacing differs from this one by at most a
@@ -76,7 +76,7 @@ pub struct Estimate {
 /// [`Options::spacing`](crate::surface::Options::spacing), up to rounding.
 ///
 /// `None` if fewer than two positions are finite and distinct, or if the spacing does not fit into an `f64`.
-pub fn estimate_spacing<'a>(positions: impl Into<Positions<'a>>) -> Option<Estimate> {
+pub fn estimate_spacing<'a>(positions: impl Into<Positions<'a>>) -> Option<SpacingEstimate> {
     let mut points = finite_positions(&positions.into());
     let sample = sample(&points, SAMPLE_COUNT);
     let tree = KdNode::build(&mut points);
@@ -87,7 +87,7 @@ pub fn estimate_spacing<'a>(positions: impl Into<Positions<'a>>) -> Option<Estim
     let agrees = |local: &&Local| (local.spacing() - spacing).abs() <= AGREEMENT * spacing;
     let count = locals.len() as f64;
     let share = locals.iter().filter(agrees).count() as f64 / count;
-    Some(Estimate { spacing, confidence: share * (1.0 - 1.0 / count.sqrt()) })
+    Some(SpacingEstimate { spacing, confidence: share * (1.0 - 1.0 / count.sqrt()) })
 }
 
 /// The particle spacing of a sequence, by [`combine_estimates`].
@@ -112,15 +112,15 @@ impl SequenceEstimate {
 
 /// Combines the estimates of some frames of a sequence, in any order: their median, weighted by confidence.
 /// `None` without frames.
-pub fn combine_estimates(estimates: &[Estimate]) -> Option<SequenceEstimate> {
+pub fn combine_estimates(estimates: &[SpacingEstimate]) -> Option<SequenceEstimate> {
     let mut sorted = estimates.to_vec();
-    let order = |a: &Estimate, b: &Estimate| {
+    let order = |a: &SpacingEstimate, b: &SpacingEstimate| {
         a.spacing.total_cmp(&b.spacing).then(a.confidence.total_cmp(&b.confidence))
     };
     sorted.sort_by(order);
     let (least, greatest) = (sorted.first()?.spacing, sorted.last()?.spacing);
     // Give every frame some weight: without it, frames of zero confidence would have no median.
-    let weight = |estimate: &Estimate| estimate.confidence.max(0.01);
+    let weight = |estimate: &SpacingEstimate| estimate.confidence.max(0.01);
     let half = 0.5 * sorted.iter().map(weight).sum::<f64>();
     let (mut below, mut spacing) = (0.0, greatest);
     for (index, estimate) in sorted.iter().enumerate() {

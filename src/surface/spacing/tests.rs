@@ -15,7 +15,7 @@ fn random(count: u64) -> Vec<[f64; 3]> {
     (0..count).map(|i| [unit(3 * i), unit(3 * i + 1), unit(3 * i + 2)]).collect()
 }
 
-fn measured(points: Vec<[f64; 3]>) -> Estimate {
+fn measured(points: Vec<[f64; 3]>) -> SpacingEstimate {
     estimate_spacing(Particles::Double(points)).expect("enough particles")
 }
 
@@ -153,8 +153,8 @@ fn confidence_grows_with_the_number_of_agreeing_particles() {
 }
 
 /// Estimates with these spacings and confidences.
-fn frames(of: &[(f64, f64)]) -> Vec<Estimate> {
-    of.iter().map(|&(spacing, confidence)| Estimate { spacing, confidence }).collect()
+fn frames(of: &[(f64, f64)]) -> Vec<SpacingEstimate> {
+    of.iter().map(|&(spacing, confidence)| SpacingEstimate { spacing, confidence }).collect()
 }
 
 #[test]

@@ -44,12 +44,12 @@ impl<'a> KdNode<'a> {
     /// Up to `count` nearest distinct positions other than `from`, as offsets from it, the nearest first.
     /// Ties are sorted by coordinates, so the order of the points does not matter.
     pub(super) fn neighbors(&self, from: DVec3, count: usize) -> Vec<DVec3> {
-        let mut nearest = Nearest { from, count, found: Vec::with_capacity(count + 1) };
+        let mut nearest = NearestPositions { from, count, found: Vec::with_capacity(count + 1) };
         self.search(&mut nearest);
         nearest.found.into_iter().map(|(_, point)| point - from).collect()
     }
 
-    fn search(&self, nearest: &mut Nearest) {
+    fn search(&self, nearest: &mut NearestPositions) {
         match &self.halves {
             None if self.lower == self.upper => nearest.offer(self.lower),
             None => self.points.iter().for_each(|&point| nearest.offer(point)),
@@ -74,13 +74,13 @@ impl<'a> KdNode<'a> {
 }
 
 /// The nearest distinct positions found so far, nearest first.
-struct Nearest {
+struct NearestPositions {
     from: DVec3,
     count: usize,
     found: Vec<(f64, DVec3)>,
 }
 
-impl Nearest {
+impl NearestPositions {
     /// The largest squared distance that a further neighbour may have.
     fn limit(&self) -> f64 {
         if self.found.len() < self.count { f64::INFINITY } else { self.found[self.count - 1].0 }

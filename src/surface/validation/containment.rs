@@ -16,7 +16,7 @@ use rayon::prelude::*;
 
 use super::distances::is_inside_one;
 use super::mesh_cells::{corner, with_all_corners};
-use super::particle_checks::Part;
+use super::particle_checks::CheckedRegion;
 use super::rays::not_enclosed;
 use super::surfaces::ShapedParticles;
 use crate::surface::grid::{LEAF_EDGE, LeafMask, offset_in_leaf};
@@ -25,7 +25,7 @@ use crate::surface::simd::{Kernel, Lanes, dispatch};
 
 /// The particles of a part that the mesh does not enclose, in voxels relative to the origin of their leaf,
 /// and the number of exempt particles.
-pub(super) fn particles_outside(part: &Part) -> (Vec<(IVec3, Vec3)>, usize) {
+pub(super) fn particles_outside(part: &CheckedRegion) -> (Vec<(IVec3, Vec3)>, usize) {
     let shaped = ShapedParticles::of(part.bins);
     let shaped = shaped.as_ref();
     let origins = part.bins.topology.origins().par_iter().enumerate();
@@ -74,7 +74,7 @@ struct Undecided {
 
 /// Finds the particles of a leaf that may be outside.
 struct LeafParticles<'a> {
-    part: &'a Part<'a>,
+    part: &'a CheckedRegion<'a>,
     leaf: usize,
     origin: IVec3,
 }
@@ -90,7 +90,7 @@ impl Kernel for LeafParticles<'_> {
         };
         let exempt = self.part.exempt;
         let mut unsettled = Undecided { origin: self.origin, particles: Vec::new(), exempt_count: 0 };
-        let Part { bins, radii, .. } = self.part;
+        let CheckedRegion { bins, radii, .. } = self.part;
         for (index, &particle) in bins.range(self.leaf).zip(bins.in_leaf(self.leaf)) {
             // Removed regions are not checked: without stored values, nothing is known about them.
             if !exempt.is_nothing() && exempt.particle(self.origin, particle) {
@@ -119,7 +119,7 @@ impl LeafParticles<'_> {
     /// stored, and where it is not.
     #[inline(always)]
     fn inside_cells(&self) -> [LeafMask; 2] {
-        let Part { band, cells, bins, .. } = self.part;
+        let CheckedRegion { band, cells, bins, .. } = self.part;
         [LeafMask::EMPTY, LeafMask::FULL].map(|unstored| {
             let masks = std::array::from_fn(|number| {
                 let origin = self.origin + corner(number) * LEAF_EDGE;
@@ -140,7 +140,7 @@ impl LeafParticles<'_> {
 
 /// Whether φ is negative at a voxel. If φ is not stored, no surface is near: the voxel is inside if φ_0 is
 /// negative, and outside otherwise, as around spheres so small that they fall between voxels.
-pub(super) fn is_voxel_inside(part: &Part, shaped: Option<&ShapedParticles>, voxel: IVec3) -> bool {
+pub(super) fn is_voxel_inside(part: &CheckedRegion, shaped: Option<&ShapedParticles>, voxel: IVec3) -> bool {
     if let Some((leaf, local)) = part.band.topology.find_voxel(voxel) {
         return part.cells.signs[leaf].contains(offset_in_leaf(local));
     }

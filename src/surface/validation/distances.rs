@@ -9,7 +9,7 @@ use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::DistanceLimits;
-use super::particle_checks::{Part, ParticleChecks};
+use super::particle_checks::{CheckedRegion, ParticleChecks};
 use super::strays::{MOVE_MAX, Stray, corrected_position};
 use super::surfaces::{ShapedParticles, Sides};
 use crate::surface::grid::{LEAF_EDGE, leaf_steps_within};
@@ -26,11 +26,11 @@ const CHUNK: usize = 4096;
 pub(super) const LANES: usize = 8;
 
 /// One coordinate of these vertices.
-pub(super) type Column = [f32; LANES];
+pub(super) type VertexCoordinate = [f32; LANES];
 
 /// Checks how far the vertices of a part are from its particles. Returns the checks, and corrected positions
 /// for vertices that are out of bounds.
-pub(super) fn check_vertices(part: &Part) -> (ParticleChecks, Vec<Stray>) {
+pub(super) fn check_vertices(part: &CheckedRegion) -> (ParticleChecks, Vec<Stray>) {
     let shaped = ShapedParticles::of(part.bins);
     let longest = shaped.as_ref().map_or(1.0, ShapedParticles::longest);
     let reach = part.radii.max * longest + part.radii.outward();
@@ -47,7 +47,7 @@ pub(super) fn check_vertices(part: &Part) -> (ParticleChecks, Vec<Stray>) {
 
 /// The kernel that checks some vertices.
 struct PieceChecks<'a> {
-    part: &'a Part<'a>,
+    part: &'a CheckedRegion<'a>,
     /// The particles, if they differ in shape.
     shaped: Option<&'a ShapedParticles<'a>>,
     steps: &'a [IVec3],
@@ -122,14 +122,14 @@ impl PieceChecks<'_> {
     #[cold]
     fn stray(&self, near: &NearLeaves, vertex: usize, origin: IVec3, local: Vec3) -> Option<Stray> {
         let corrected = origin.as_dvec3() + corrected_position(self.part, near, local)?.as_dvec3();
-        let Part { mesh, lattice, .. } = self.part;
+        let CheckedRegion { mesh, lattice, .. } = self.part;
         Some(Stray { vertex, position: (corrected * lattice.voxel_size - mesh.origin).as_vec3() })
     }
 }
 
 /// The origin of the leaf of a vertex, and its position relative to that, in voxels.
 #[inline(always)]
-fn place_of(part: &Part, position: Vec3) -> (IVec3, Vec3) {
+fn place_of(part: &CheckedRegion, position: Vec3) -> (IVec3, Vec3) {
     let index = (part.mesh.origin + position.as_dvec3()) / part.lattice.voxel_size;
     let edge = f64::from(LEAF_EDGE);
     let origin: DVec3 = (index / edge).floor() * edge;
@@ -138,8 +138,8 @@ fn place_of(part: &Part, position: Vec3) -> (IVec3, Vec3) {
 
 /// Whether a vertex is exempt from the distance limits.
 #[inline(always)]
-fn is_exempt(part: &Part, position: Vec3) -> bool {
-    let Part { exempt, mesh, lattice, .. } = part;
+fn is_exempt(part: &CheckedRegion, position: Vec3) -> bool {
+    let CheckedRegion { exempt, mesh, lattice, .. } = part;
     !exempt.is_nothing() && exempt.vertex((mesh.origin + position.as_dvec3()) / lattice.voxel_size)
 }
 
@@ -171,7 +171,7 @@ impl NearLeaves {
 
     /// The distances from points, relative to the leaf, to the nearest particle in these leaves.
     #[inline(always)]
-    fn distances(&self, bins: &ParticleBins, points: &[Column; 3]) -> Column {
+    fn distances(&self, bins: &ParticleBins, points: &[VertexCoordinate; 3]) -> VertexCoordinate {
         let mut nearest = [f32::INFINITY; LANES];
         for &(step, leaf) in &self.leaves {
             let mut locals = *points;
@@ -200,7 +200,7 @@ impl NearLeaves {
 /// The squared distance between a leaf and the box around points given relative to it. It is a lower bound
 /// for every computed distance between a point and a particle of the leaf, because rounding is monotonic.
 #[inline(always)]
-pub(super) fn squared_gap(points: &[Column; 3]) -> f32 {
+pub(super) fn squared_gap(points: &[VertexCoordinate; 3]) -> f32 {
     let gap = |axis: usize| {
         let column = &points[axis];
         let (mut least, mut most) = (column[0], column[0]);

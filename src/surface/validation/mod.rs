@@ -38,7 +38,7 @@ use rayon::prelude::*;
 
 pub use given::{GivenPlace, doubtful_places, given_outside, given_outside_of};
 pub use mesh_cells::MeshCells;
-pub use particle_checks::{Part, ParticleChecks, check};
+pub use particle_checks::{CheckedRegion, ParticleChecks, check};
 pub use strays::Stray;
 
 use crate::surface::mesh::{Mesh, MeshMeasures};

@@ -20,7 +20,7 @@ use crate::surface::space::{CoordBox, Lattice};
 
 /// A part of a frame: the leaves whose origins are in a box.
 #[derive(Clone, Copy)]
-pub struct Part<'a> {
+pub struct CheckedRegion<'a> {
     /// The particles in these leaves, and around them as far as r_max, an outward offset and two voxels
     /// reach. Particles so deep inside that no voxel near them is stored may be missing.
     pub bins: &'a ParticleBins,
@@ -102,7 +102,7 @@ impl ParticleChecks {
 
 /// Checks a part of a frame. Returns the checks, and corrected positions for vertices that are out of bounds,
 /// if one exists within a voxel.
-pub fn check(part: &Part) -> (ParticleChecks, Vec<Stray>) {
+pub fn check(part: &CheckedRegion) -> (ParticleChecks, Vec<Stray>) {
     let (vertices, strays) = distances::check_vertices(part);
     let (outside, particles_exempt) = containment::particles_outside(part);
     let depth = |&(origin, local): &(IVec3, Vec3)| containment::depth_outside(part.band, origin, local);
@@ -117,7 +117,7 @@ mod tests {
     use super::*;
     use crate::surface::contour::{Contouring, contour};
     use crate::surface::particles::{Cloud, Particles, Shapes};
-    use crate::surface::rasterize::{Rasterized, Scene, rasterize};
+    use crate::surface::rasterize::{RasterFields, Scene, rasterize};
     use crate::surface::validation::NothingExempt;
 
     /// Particles in a wavy sheet, and a few beside it.
@@ -133,17 +133,27 @@ mod tests {
     fn the_parts_of_a_frame_make_the_whole() {
         let lattice = Lattice { voxel_size: 1.0 };
         let made = Radii::of_balls(1.7, 2.6, 3.4);
-        let Ok(Rasterized { bins, band, .. }) = rasterize(&particles(1.9), &Scene::open(lattice, made));
+        let Ok(RasterFields { bins, band, .. }) = rasterize(&particles(1.9), &Scene::open(lattice, made));
         let mesh = contour(&band, &lattice, Contouring::Dual);
         // The surface of these particles passes; with other particles or radii, every check fails.
-        let Ok(Rasterized { bins: others, .. }) = rasterize(&particles(2.3), &Scene::open(lattice, made));
+        let Ok(RasterFields { bins: others, .. }) = rasterize(&particles(2.3), &Scene::open(lattice, made));
         let other_radii = Radii::of_balls(3.0, 1.0, 2.2);
         for (bins, radii, holds) in [(&bins, made, true), (&others, other_radii, false)] {
             let cells = &MeshCells::new(&mesh, &band, &lattice);
             let part = |owned: CoordBox| -> ParticleChecks {
                 let (exempt, mesh, lattice) = (&NothingExempt, &mesh, &lattice);
-                check(&Part { bins, radii, band: &band, mesh, cells, rounding: 0.0, lattice, owned, exempt })
-                    .0
+                check(&CheckedRegion {
+                    bins,
+                    radii,
+                    band: &band,
+                    mesh,
+                    cells,
+                    rounding: 0.0,
+                    lattice,
+                    owned,
+                    exempt,
+                })
+                .0
             };
             let whole = part(CoordBox::ALL);
             let counts = [whole.vertices_inside_min, whole.vertices_outside_max, whole.particles_outside];
@@ -181,7 +191,7 @@ mod tests {
         let cloud = Cloud { shapes, ..Cloud::from(Particles::Double(positions)) };
         let lattice = Lattice { voxel_size: 1.0 };
         let radii = Radii { shortest: 0.3, ..Radii::of_balls(3.0, 4.0, 5.0) };
-        let Ok(Rasterized { bins, band, .. }) = rasterize(&cloud, &Scene::open(lattice, radii));
+        let Ok(RasterFields { bins, band, .. }) = rasterize(&cloud, &Scene::open(lattice, radii));
         assert!(bins.len() < bins.particle_count, "none was left out");
         let has_small = |leaf: usize| bins.range(leaf).any(|index| bins.shapes.held(index) < 0.5);
         let mut leaves = bins.topology.origins().iter().enumerate();
@@ -189,8 +199,17 @@ mod tests {
         let mesh = &contour(&band, &lattice, Contouring::Dual);
         let cells = &MeshCells::new(mesh, &band, &lattice);
         let (owned, exempt, lattice) = (CoordBox::ALL, &NothingExempt, &lattice);
-        let part =
-            Part { bins: &bins, radii, band: &band, mesh, cells, rounding: 0.0, lattice, owned, exempt };
+        let part = CheckedRegion {
+            bins: &bins,
+            radii,
+            band: &band,
+            mesh,
+            cells,
+            rounding: 0.0,
+            lattice,
+            owned,
+            exempt,
+        };
         assert_eq!(check(&part).0.particles_outside, 0);
     }
 }

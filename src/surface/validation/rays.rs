@@ -16,7 +16,7 @@ use rustc_hash::FxHashMap;
 
 use super::containment::is_voxel_inside;
 use super::mesh_cells::{cells_of_box, corner, corners};
-use super::particle_checks::Part;
+use super::particle_checks::CheckedRegion;
 use super::surfaces::ShapedParticles;
 use crate::surface::grid::LEAF_EDGE;
 
@@ -25,7 +25,7 @@ const REACH: i32 = 32;
 
 /// A ray from a particle along an axis.
 #[derive(Clone, Copy)]
-struct Ray {
+struct AxisRay {
     from: DVec3,
     axis: usize,
     /// Its end on the axis: the middle of a clear cell.
@@ -36,27 +36,32 @@ struct Ray {
 
 /// The particles, relative to the origin of a leaf and in voxels, that the mesh does not enclose.
 pub(super) fn not_enclosed(
-    part: &Part,
+    part: &CheckedRegion,
     shaped: Option<&ShapedParticles>,
     particles: &[(IVec3, Vec3)],
 ) -> Vec<(IVec3, Vec3)> {
     if particles.is_empty() {
         return Vec::new();
     }
-    let ray = |&(origin, local): &(IVec3, Vec3)| Ray::new(part, shaped, origin, local);
-    let rays: Vec<Option<Ray>> = particles.par_iter().map(ray).collect();
-    let mut leaves: Vec<IVec3> = rays.iter().flatten().flat_map(Ray::leaves).collect();
+    let ray = |&(origin, local): &(IVec3, Vec3)| AxisRay::new(part, shaped, origin, local);
+    let rays: Vec<Option<AxisRay>> = particles.par_iter().map(ray).collect();
+    let mut leaves: Vec<IVec3> = rays.iter().flatten().flat_map(AxisRay::leaves).collect();
     leaves.par_sort_unstable_by_key(|leaf| leaf.to_array());
     leaves.dedup();
     let triangles = TrianglesByLeaf::new(part, &leaves);
-    let is_inside = |ray: &Option<Ray>| ray.is_some_and(|ray| ray.is_inside(part, &triangles));
+    let is_inside = |ray: &Option<AxisRay>| ray.is_some_and(|ray| ray.is_inside(part, &triangles));
     let outside = rays.par_iter().zip(particles).filter(|(ray, _)| !is_inside(ray));
     outside.map(|(_, particle)| *particle).collect()
 }
 
-impl Ray {
+impl AxisRay {
     /// The shortest ray that ends in a clear cell.
-    fn new(part: &Part, shaped: Option<&ShapedParticles>, origin: IVec3, local: Vec3) -> Option<Ray> {
+    fn new(
+        part: &CheckedRegion,
+        shaped: Option<&ShapedParticles>,
+        origin: IVec3,
+        local: Vec3,
+    ) -> Option<AxisRay> {
         let from = origin.as_dvec3() + local.as_dvec3();
         let cell = from.floor().as_ivec3();
         let is_inside = |voxel| is_voxel_inside(part, shaped, voxel);
@@ -73,7 +78,7 @@ impl Ray {
                 let (axis, sign) = (direction / 2, if direction % 2 == 0 { steps } else { -steps });
                 let end = cell + IVec3::AXES[axis] * sign;
                 let is_end_inside = clear_side(end)?;
-                Some(Ray { from, axis, to: f64::from(end[axis]) + 0.5, is_end_inside })
+                Some(AxisRay { from, axis, to: f64::from(end[axis]) + 0.5, is_end_inside })
             })
         })
     }
@@ -96,7 +101,7 @@ impl Ray {
         })
     }
 
-    fn is_inside(&self, part: &Part, triangles: &TrianglesByLeaf) -> bool {
+    fn is_inside(&self, part: &CheckedRegion, triangles: &TrianglesByLeaf) -> bool {
         let [low, high] = self.range();
         let mut winding = i32::from(self.is_end_inside);
         for leaf in self.leaves() {
@@ -154,7 +159,7 @@ struct TrianglesByLeaf {
 const CHUNK: usize = 4096;
 
 impl TrianglesByLeaf {
-    fn new(part: &Part, leaves: &[IVec3]) -> TrianglesByLeaf {
+    fn new(part: &CheckedRegion, leaves: &[IVec3]) -> TrianglesByLeaf {
         let leaf_indices: FxHashMap<IVec3, u32> = leaves.iter().copied().zip(0..).collect();
         let pieces = part.mesh.triangles.par_chunks(CHUNK).enumerate();
         let mut triangles: Vec<(u32, u32)> = pieces

@@ -10,7 +10,7 @@ use glam::Vec3;
 
 use super::DistanceLimits;
 use super::distances::{CELL_MARGIN, NearLeaves};
-use super::particle_checks::Part;
+use super::particle_checks::CheckedRegion;
 use super::surfaces::distances_and_outward;
 
 /// A vertex that is out of bounds, and the nearest position within them.
@@ -24,7 +24,7 @@ pub struct Stray {
 
 /// The corrected position of a vertex that is out of bounds, relative to the leaf around which `near` was
 /// collected; `None` if no position within a voxel is valid.
-pub(super) fn corrected_position(part: &Part, near: &NearLeaves, local: Vec3) -> Option<Vec3> {
+pub(super) fn corrected_position(part: &CheckedRegion, near: &NearLeaves, local: Vec3) -> Option<Vec3> {
     let mut point = local;
     for _ in 0..STEPS_MAX {
         match step(part, near, point) {
@@ -49,8 +49,8 @@ const STEPS_MAX: usize = 8;
 const SLACK: f32 = 2e-3;
 
 /// The step from a position to the bound that it violates; `None` if it violates none.
-fn step(part: &Part, near: &NearLeaves, point: Vec3) -> Option<Vec3> {
-    let Part { bins, radii, rounding, .. } = *part;
+fn step(part: &CheckedRegion, near: &NearLeaves, point: Vec3) -> Option<Vec3> {
+    let CheckedRegion { bins, radii, rounding, .. } = *part;
     let DistanceLimits { radii: [min, max], from_spheres: [from_min, from_max] } =
         DistanceLimits::new(&radii).with_margin(CELL_MARGIN);
     let slack = SLACK + rounding;
@@ -87,7 +87,7 @@ mod tests {
     use super::*;
     use crate::surface::contour::{Contouring, contour};
     use crate::surface::particles::{Cloud, Ellipsoid, Particles, Shapes};
-    use crate::surface::rasterize::{Radii, Rasterized, Scene, rasterize};
+    use crate::surface::rasterize::{Radii, RasterFields, Scene, rasterize};
     use crate::surface::space::{CoordBox, Lattice};
     use crate::surface::validation::{MeshCells, NothingExempt, check};
 
@@ -101,7 +101,7 @@ mod tests {
         for (shapes, pushed_voxels) in shapes.into_iter().zip([2.4, 2.7, 2.0]) {
             let positions = Particles::Double(vec![[0.1, 0.2, 0.3], [1.4, 0.5, 0.1]]);
             let cloud = Cloud { positions, shapes, attributes: Vec::new() };
-            let Ok(Rasterized { bins, band, .. }) = rasterize(&cloud, &Scene::open(lattice, radii));
+            let Ok(RasterFields { bins, band, .. }) = rasterize(&cloud, &Scene::open(lattice, radii));
             let mut mesh = contour(&band, &lattice, Contouring::Dual);
             // The bounds are at 1.5 and 0.5 voxels for half axes of 1; the half axis along y is 0.7.
             let by_height =
@@ -114,7 +114,7 @@ mod tests {
             }
             let (owned, exempt) = (CoordBox::ALL, &NothingExempt);
             let cells = &MeshCells::new(&mesh, &band, &lattice);
-            let part = Part {
+            let part = CheckedRegion {
                 bins: &bins,
                 radii,
                 band: &band,
@@ -131,7 +131,7 @@ mod tests {
             for stray in &found {
                 mended.positions[stray.vertex] = stray.position;
             }
-            let (after, _) = check(&Part { mesh: &mended, ..part });
+            let (after, _) = check(&CheckedRegion { mesh: &mended, ..part });
             assert_eq!(found.len(), 2, "{found:?}");
             assert_eq!(after.vertices_inside_min + after.vertices_outside_max, 0, "{after:?}");
         }

@@ -6,7 +6,7 @@
 use glam::{DMat3, DVec3, Vec3};
 
 use super::DistanceLimits;
-use super::distances::{Column, LANES, NearLeaves};
+use super::distances::{LANES, NearLeaves, VertexCoordinate};
 use crate::surface::particles::{Ellipsoid, Shapes};
 use crate::surface::rasterize::ParticleBins;
 
@@ -35,7 +35,12 @@ impl<'a> ShapedParticles<'a> {
     /// Which of the points, relative to a leaf, are closer to the inner surface of a particle than the limits
     /// allow, and which are close enough to an outer one.
     #[inline(always)]
-    pub(super) fn sides(&self, near: &NearLeaves, points: &[Column; 3], limits: &DistanceLimits) -> Sides {
+    pub(super) fn sides(
+        &self,
+        near: &NearLeaves,
+        points: &[VertexCoordinate; 3],
+        limits: &DistanceLimits,
+    ) -> Sides {
         let DistanceLimits { radii: [min, max], from_spheres: [from_min, from_max] } = *limits;
         // Distances beyond these do not matter.
         let beyond = [from_max, from_min.max(0.0)];

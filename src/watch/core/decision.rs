@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 
 use crate::pipeline::FileStamp;
 
-use crate::watch::journal::{FrameRecord, Standing};
+use crate::watch::journal::{JournaledFrame, Standing};
 
 /// What is to become of a frame, and why. Displays as the reason: a clause without its full stop.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -63,7 +63,7 @@ pub enum ConvertReason {
 /// Decides about a frame by its record, its stamp, the fingerprint of the settings it would be converted with now, the first
 /// output that is missing or damaged, and the hash of its content, where that is known.
 pub fn decide(
-    record: Option<&FrameRecord>,
+    record: Option<&JournaledFrame>,
     stamp: &FileStamp,
     settings: &str,
     missing_output: Option<&Path>,
@@ -147,8 +147,8 @@ mod tests {
     const SETTINGS: &str = "as before";
     const HASH: u128 = 7;
 
-    fn record(standing: Standing) -> FrameRecord {
-        FrameRecord {
+    fn record(standing: Standing) -> JournaledFrame {
+        JournaledFrame {
             standing,
             stamp: stamp(),
             hash: Some(HASH),
@@ -253,7 +253,7 @@ mod tests {
     #[test]
     fn record_without_status_change_time_is_not_compared_in_it() {
         let old = FileStamp { changed_ns: None, ..stamp() };
-        let record = FrameRecord { stamp: old, ..record(Standing::Done) };
+        let record = JournaledFrame { stamp: old, ..record(Standing::Done) };
         let decision = decide(Some(&record), &stamp(), SETTINGS, None, None);
         assert_eq!(decision, Decision::Skip(SkipReason::Done));
     }
@@ -261,7 +261,7 @@ mod tests {
     #[test]
     fn without_a_hash_another_stamp_is_another_input() {
         for standing in [Standing::Done, Standing::Failed] {
-            let record = FrameRecord { hash: None, ..record(standing) };
+            let record = JournaledFrame { hash: None, ..record(standing) };
             let decision = decide(Some(&record), &touched().stamp, SETTINGS, None, None);
             assert_eq!(decision, Decision::Convert(ConvertReason::InputChanged));
         }

@@ -16,11 +16,11 @@ use std::time::Instant;
 
 use crate::pipeline::{FileFrames, FileStamp, Frame, FrameError, ObstacleStamps, Outcome};
 use crate::surface::options::Settings;
-use crate::watch::journal::{Entry, FrameRecord, OutputCheck, OutputRecord};
+use crate::watch::journal::{Entry, JournaledFrame, OutputCheck, OutputRecord};
 
 use super::completeness::{Candidate, Proof, Seen, WaitReason};
 use super::frames::FrameId;
-use super::sequences::{MeasureOrder, Measured};
+use super::sequences::{MeasureOrder, SpacingResult};
 
 /// The time, by both clocks.
 #[derive(Clone, Copy, Debug)]
@@ -50,7 +50,7 @@ pub(crate) enum Event {
     /// The result of [`RootRequest::StampObstacles`].
     ObstaclesStamped { root: usize, stamps: FoundObstacleStamps },
     /// A sequence was measured.
-    Measured(Box<Measured>),
+    Measured(Box<SpacingResult>),
     /// A file was searched for steps.
     StepsFound(FoundSteps),
     /// A pipeline has room for one more frame.
@@ -58,7 +58,7 @@ pub(crate) enum Event {
     /// A pipeline cannot begin a frame that it got, because its outputs cannot be written now.
     FrameReturned { id: FrameId, frame: Box<Frame>, found: OutputDirState },
     /// A pipeline has finished with a frame.
-    FrameFinished(Box<Finished>),
+    FrameFinished(Box<FrameFinished>),
     /// All frames of a pipeline are finished, and it has ended.
     PipelineEnded { pipeline: usize },
     /// The state of a folder of outputs.
@@ -124,7 +124,7 @@ pub(crate) enum FoundObstacleStamps {
 
 /// A frame that a pipeline has finished with.
 #[derive(Debug)]
-pub(crate) struct Finished {
+pub(crate) struct FrameFinished {
     pub(crate) id: FrameId,
     /// Its outputs, if they are there.
     pub(crate) outputs: Vec<OutputRecord>,
@@ -154,7 +154,7 @@ pub(crate) struct Inspect {
 /// A frame that stays as it is while its outputs are as they were written, and its obstacles too.
 #[derive(Debug)]
 pub(crate) struct Recorded {
-    pub(crate) record: Arc<FrameRecord>,
+    pub(crate) record: Arc<JournaledFrame>,
     /// The settings of its sequence, if only its obstacles can tell whether they are those recorded.
     pub(crate) settings: Option<(Arc<Settings>, Arc<str>)>,
 }
@@ -164,14 +164,14 @@ pub(crate) struct Recorded {
 pub(crate) struct Inspected {
     pub(crate) id: FrameId,
     pub(crate) number: u64,
-    pub(crate) found: Found,
+    pub(crate) found: InspectionResult,
     /// The files of its obstacles; `None` without obstacles.
     pub(crate) obstacles: Option<Arc<ObstacleStamps>>,
 }
 
 /// What an inspection found.
 #[derive(Debug)]
-pub(crate) enum Found {
+pub(crate) enum InspectionResult {
     /// The file is gone.
     Gone,
     /// The system refuses to say what it is.
@@ -197,14 +197,14 @@ pub(crate) struct Complete {
     pub(crate) proof: Option<Proof>,
     /// A recorded output that is not as it was written.
     pub(crate) changed_output: Option<(PathBuf, OutputCheck)>,
-    pub(crate) contents: Contents,
+    pub(crate) contents: FileContents,
     /// A file that its outputs would replace: why the frame is refused.
     pub(crate) conflict: Option<String>,
 }
 
 /// What a file is, by its first bytes.
 #[derive(Debug)]
-pub(crate) enum Contents {
+pub(crate) enum FileContents {
     /// A frame, or a step of a file.
     Frame,
     /// Of a kind that may have several steps.

@@ -70,7 +70,7 @@ impl FrameId {
 
 /// All frames.
 #[derive(Debug, Default)]
-pub(crate) struct Frames {
+pub(crate) struct FrameTable {
     all: HashMap<FrameId, FrameState>,
     alarms: BinaryHeap<Reverse<(Instant, FrameId)>>,
     /// How many frames of each sequence are being inspected.
@@ -83,7 +83,7 @@ pub(crate) struct Frames {
 pub(crate) struct FrameState {
     /// The index of its sequence.
     pub(crate) sequence: usize,
-    pub(crate) phase: Phase,
+    pub(crate) phase: FramePhase,
     /// Its file, as it was when it came into this phase.
     pub(crate) stamp: FileStamp,
     /// Whether it was found to have too few particles to measure the spacing of its sequence.
@@ -106,13 +106,13 @@ pub(crate) struct FrameState {
 impl FrameState {
     /// Whether it is not complete, and time alone does not help: it waits for another file.
     pub(crate) fn is_stuck(&self) -> bool {
-        matches!(self.phase, Phase::Settling(_)) && self.alarm_at.is_none() && self.inspection.is_none()
+        matches!(self.phase, FramePhase::Settling(_)) && self.alarm_at.is_none() && self.inspection.is_none()
     }
 }
 
 /// How far a frame is.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Phase {
+pub(crate) enum FramePhase {
     /// Its file may still be written.
     Settling(Candidate),
     /// Complete; its sequence has no settings yet.
@@ -157,7 +157,7 @@ pub(crate) struct FrameCounts {
     /// Of these, those that time does not help: they wait for another file.
     pub(crate) stuck: usize,
     pub(crate) held: usize,
-    /// [`Phase::Queued`] or [`Phase::UnderWay`].
+    /// [`FramePhase::Queued`] or [`FramePhase::UnderWay`].
     pub(crate) queued: usize,
     /// Files whose steps are being found.
     pub(crate) finding_steps: usize,
@@ -173,7 +173,7 @@ impl FrameCounts {
     }
 }
 
-impl Frames {
+impl FrameTable {
     pub(crate) fn get(&self, id: &FrameId) -> Option<&FrameState> {
         self.all.get(id)
     }
@@ -182,7 +182,7 @@ impl Frames {
         self.all.get_mut(id)
     }
 
-    pub(crate) fn phase(&self, id: &FrameId) -> Option<Phase> {
+    pub(crate) fn phase(&self, id: &FrameId) -> Option<FramePhase> {
         self.all.get(id).map(|frame| frame.phase)
     }
 
@@ -190,7 +190,7 @@ impl Frames {
     pub(crate) fn insert(&mut self, id: &FrameId, sequence: usize, candidate: Candidate, scan_count: u64) {
         let state = FrameState {
             sequence,
-            phase: Phase::Settling(candidate),
+            phase: FramePhase::Settling(candidate),
             stamp: *candidate.stamp(),
             is_sparse: false,
             made_with: String::new(),
@@ -258,7 +258,7 @@ impl Frames {
         self.all.iter()
     }
 
-    /// Has [`Frames::next_alarm`] name the frame at this time, unless it will be named before.
+    /// Has [`FrameTable::next_alarm`] name the frame at this time, unless it will be named before.
     pub(crate) fn set_alarm(&mut self, id: &FrameId, at: Instant) {
         if let Some(frame) = self.all.get_mut(id)
             && frame.alarm_at.is_none_or(|earlier| at < earlier)
@@ -291,17 +291,17 @@ impl Frames {
         let mut counts = FrameCounts::default();
         for frame in self.all.values() {
             match frame.phase {
-                Phase::Settling(_) => {
+                FramePhase::Settling(_) => {
                     counts.settling += 1;
                     counts.stuck += usize::from(frame.is_stuck());
                 }
-                Phase::Held => counts.held += 1,
-                Phase::Queued | Phase::UnderWay(_) => counts.queued += 1,
-                Phase::FindingSteps => counts.finding_steps += 1,
-                Phase::Retrying(_) => counts.retrying += 1,
-                Phase::Done => counts.done += 1,
-                Phase::Failed => counts.failed += 1,
-                Phase::Ignored | Phase::Steps => {}
+                FramePhase::Held => counts.held += 1,
+                FramePhase::Queued | FramePhase::UnderWay(_) => counts.queued += 1,
+                FramePhase::FindingSteps => counts.finding_steps += 1,
+                FramePhase::Retrying(_) => counts.retrying += 1,
+                FramePhase::Done => counts.done += 1,
+                FramePhase::Failed => counts.failed += 1,
+                FramePhase::Ignored | FramePhase::Steps => {}
             }
         }
         counts

@@ -5,11 +5,11 @@ use std::path::Path;
 use std::time::Instant;
 
 use crate::pipeline::natural_order;
-use crate::watch::api::{Ended, FailedFrame, Summary};
+use crate::watch::api::{EndReason, FailedFrame, WatchSummary};
 
 use super::completeness::path_of_sentinel;
 use super::events::{Effect, Event, Now, OutputDirState, OutputRequest, Presence, Start, Worker};
-use super::frames::{FrameCounts, FrameId, FrameState, Phase};
+use super::frames::{FrameCounts, FrameId, FramePhase, FrameState};
 use super::state::{Core, RootState, STALL_AFTER};
 
 impl Core {
@@ -30,7 +30,7 @@ impl Core {
             Event::FrameWanted { pipeline } => self.wanting.push_back(pipeline),
             Event::FrameReturned { id, frame, found } => {
                 if let Some(state) = self.frames.get_mut(&id) {
-                    state.phase = Phase::Queued;
+                    state.phase = FramePhase::Queued;
                     self.queue.push(&id, frame, state.stamp.modified_ns);
                 }
                 self.on_output_dir_checked(found);
@@ -83,7 +83,7 @@ impl Core {
             let Some((id, frame)) = self.queue.pop(|root| may_begin[root]) else { return };
             self.wanting.pop_front();
             if let Some(state) = self.frames.get_mut(&id) {
-                state.phase = Phase::UnderWay(pipeline);
+                state.phase = FramePhase::UnderWay(pipeline);
             }
             let record = self.record_of(&id);
             let known_outputs = record.map_or(Vec::new(), |record| record.outputs.clone());
@@ -98,7 +98,7 @@ impl Core {
             return;
         }
         let hangs = |(id, frame): (&FrameId, &FrameState)| {
-            frame.phase == Phase::UnderWay(self.pipeline) && !self.may_begin(id.root)
+            frame.phase == FramePhase::UnderWay(self.pipeline) && !self.may_begin(id.root)
         };
         if !self.frames.iter().any(hangs) {
             return;
@@ -187,8 +187,9 @@ impl Core {
     }
 
     fn give_up_on_held(&mut self, stuck_sequences: &HashSet<usize>) {
-        let is_meant =
-            |frame: &FrameState| frame.phase == Phase::Held && !stuck_sequences.contains(&frame.sequence);
+        let is_meant = |frame: &FrameState| {
+            frame.phase == FramePhase::Held && !stuck_sequences.contains(&frame.sequence)
+        };
         for id in self.frames.ids_of(|_, frame| is_meant(frame)) {
             self.refuse(&id, TOO_SPARSE.to_owned());
         }
@@ -202,7 +203,7 @@ impl Core {
     /// Whether frames are under way that do not hang.
     pub(crate) fn has_frames_under_way(&self, with_stalled: bool) -> bool {
         let is_under_way = |(id, frame): (&FrameId, &FrameState)| {
-            matches!(frame.phase, Phase::UnderWay(_)) && (with_stalled || self.may_begin(id.root))
+            matches!(frame.phase, FramePhase::UnderWay(_)) && (with_stalled || self.may_begin(id.root))
         };
         self.frames.iter().any(is_under_way)
     }
@@ -226,7 +227,7 @@ impl Core {
     }
 
     /// What came of all frames; failures in natural order.
-    pub(crate) fn summary(&self, ended: Ended) -> Summary {
+    pub(crate) fn summary(&self, ended: EndReason) -> WatchSummary {
         let counts = self.frames.counts();
         let mut failed: Vec<_> = self.failed.iter().collect();
         failed.sort_by(|(a, _), (b, _)| natural_order(&a.path.to_string_lossy(), &b.path.to_string_lossy()));
@@ -239,7 +240,7 @@ impl Core {
             what: about(path, why),
             frames_since: Some(self.finished_count),
         });
-        Summary {
+        WatchSummary {
             ended,
             done_count: counts.done,
             broken_count: self.broken_count(),
@@ -252,7 +253,7 @@ impl Core {
     fn broken_count(&self) -> usize {
         let is_broken = |(id, frame): &(&FrameId, &FrameState)| {
             let figures = self.record_of(id).and_then(|record| record.figures.as_ref());
-            frame.phase == Phase::Done && figures.is_some_and(|figures| !figures.certificate.holds)
+            frame.phase == FramePhase::Done && figures.is_some_and(|figures| !figures.certificate.holds)
         };
         self.frames.iter().filter(is_broken).count()
     }

@@ -17,14 +17,15 @@ use std::time::{Duration, Instant};
 
 use crate::pipeline::{Frame, Job, ObstacleStamps, OutputOptions, output_path};
 use crate::surface::options::Settings;
-use crate::watch::journal::{FrameRecord, OutputCheck, Standing};
+use crate::watch::journal::{JournaledFrame, OutputCheck, Standing};
 
 use super::completeness::{Candidate, Seen, path_of_sentinel};
 use super::decision::{Decision, decide};
 use super::events::{
-    Complete, Contents, Found, FoundObstacleStamps, Inspect, Inspected, Recorded, RootRequest, Scan,
+    Complete, FileContents, FoundObstacleStamps, Inspect, Inspected, InspectionResult, Recorded, RootRequest,
+    Scan,
 };
-use super::frames::{FrameId, FrameState, Phase};
+use super::frames::{FrameId, FramePhase, FrameState};
 use super::sequences::SequenceSettings;
 use super::state::{Core, Failure};
 
@@ -44,16 +45,16 @@ impl Core {
         frame.scan_count = self.scan_count;
         let is_same = frame.stamp == seen.stamp;
         match frame.phase {
-            Phase::Settling(mut candidate) => {
+            FramePhase::Settling(mut candidate) => {
                 candidate.see(at, seen, renamed);
-                (frame.phase, frame.stamp) = (Phase::Settling(candidate), seen.stamp);
+                (frame.phase, frame.stamp) = (FramePhase::Settling(candidate), seen.stamp);
             }
-            Phase::Done if is_same => return self.check_outputs(id),
-            Phase::Steps if is_same => return self.check_steps(id),
+            FramePhase::Done if is_same => return self.check_outputs(id),
+            FramePhase::Steps if is_same => return self.check_steps(id),
             // It is inspected again when its outcome comes.
-            Phase::UnderWay(_) => return,
+            FramePhase::UnderWay(_) => return,
             _ if is_same => return,
-            Phase::Steps => {
+            FramePhase::Steps => {
                 self.unqueue_steps(id, seen, at);
                 self.settle(id, candidate);
             }
@@ -145,7 +146,7 @@ impl Core {
     pub(super) fn on_sentinel_seen(&mut self, root: usize, path: &Path) {
         let watch = &self.config.watches[root];
         let is_waiting = |id: &FrameId, frame: &FrameState| {
-            matches!(frame.phase, Phase::Settling(_))
+            matches!(frame.phase, FramePhase::Settling(_))
                 && id.root == root
                 && id.path.parent() == path.parent()
                 && path_of_sentinel(watch, &id.path) == path
@@ -158,7 +159,7 @@ impl Core {
     /// A file changed: whatever is known of the frame is of an earlier one.
     pub(super) fn settle(&mut self, id: &FrameId, candidate: Candidate) {
         self.unqueue(id);
-        self.set_phase(id, Phase::Settling(candidate));
+        self.set_phase(id, FramePhase::Settling(candidate));
         self.failed.remove(id);
         if let Some(frame) = self.frames.get_mut(id) {
             (frame.stamp, frame.attempt_count, frame.is_sparse) = (*candidate.stamp(), 0, false);
@@ -166,7 +167,7 @@ impl Core {
     }
 
     fn unqueue(&mut self, id: &FrameId) {
-        if let Some(FrameState { phase: Phase::Queued, stamp, .. }) = self.frames.get(id) {
+        if let Some(FrameState { phase: FramePhase::Queued, stamp, .. }) = self.frames.get(id) {
             self.queue.remove(id, stamp.modified_ns);
         }
     }
@@ -174,7 +175,7 @@ impl Core {
     /// A file is not there any more. A frame that is under way is finished: its outcome says what to do.
     pub(super) fn forget(&mut self, id: &FrameId) {
         let Some(frame) = self.frames.get(id) else { return };
-        if matches!(frame.phase, Phase::UnderWay(_)) {
+        if matches!(frame.phase, FramePhase::UnderWay(_)) {
             return;
         }
         // Frames that waited for its settings need not wait any longer.
@@ -205,7 +206,7 @@ impl Core {
     /// Inspects a file that may still be written.
     pub(super) fn inspect_candidate(&mut self, id: &FrameId) {
         if let Some(frame) = self.frames.get(id)
-            && let Phase::Settling(candidate) = frame.phase
+            && let FramePhase::Settling(candidate) = frame.phase
         {
             // The file of a step is inspected instead of the step.
             let candidate = (!id.is_step()).then_some(candidate);
@@ -278,19 +279,21 @@ impl Core {
             return;
         }
         let Some(frame) = self.frames.get_mut(&id) else { return };
-        let is_settling = matches!(frame.phase, Phase::Settling(_));
+        let is_settling = matches!(frame.phase, FramePhase::Settling(_));
         let bytes = frame.stamp.size;
         frame.obstacles = obstacles;
         // Its sequence may have waited for this.
         self.dirty_sequences.insert(frame.sequence);
         match found {
-            Found::Gone => self.forget(&id),
-            Found::Unreadable(error) => self.on_file_unreadable(&id, error),
-            Found::Changed(seen, at) => self.on_file_seen(&id, &seen, at, false),
-            Found::AsRecorded if is_settling => self.take_record(&id),
-            Found::OutputsAway if is_settling => self.frames.set_alarm(&id, self.now.at + AWAY_RETRY),
-            Found::Same | Found::AsRecorded | Found::OutputsAway => {}
-            Found::Waiting { until, why } => {
+            InspectionResult::Gone => self.forget(&id),
+            InspectionResult::Unreadable(error) => self.on_file_unreadable(&id, error),
+            InspectionResult::Changed(seen, at) => self.on_file_seen(&id, &seen, at, false),
+            InspectionResult::AsRecorded if is_settling => self.take_record(&id),
+            InspectionResult::OutputsAway if is_settling => {
+                self.frames.set_alarm(&id, self.now.at + AWAY_RETRY)
+            }
+            InspectionResult::Same | InspectionResult::AsRecorded | InspectionResult::OutputsAway => {}
+            InspectionResult::Waiting { until, why } => {
                 self.log_about(
                     &*id.path,
                     move |frame| tracing::debug!(%frame, bytes, "waiting because {why}"),
@@ -299,7 +302,7 @@ impl Core {
                     self.frames.set_alarm(&id, until);
                 }
             }
-            Found::Complete(complete) => self.on_complete(&id, complete),
+            InspectionResult::Complete(complete) => self.on_complete(&id, complete),
         }
     }
 
@@ -308,12 +311,12 @@ impl Core {
         let Some(record) = self.record_of(id).map(Arc::clone) else { return };
         let phase = match record.standing {
             // Its outputs are its own, also when another input comes that would have the same.
-            Standing::Done if self.claim_outputs(id, None) => Phase::Done,
+            Standing::Done if self.claim_outputs(id, None) => FramePhase::Done,
             Standing::Done => return,
             _ => {
                 let reason = record.reason.clone().unwrap_or_default();
                 self.failed.insert(id.clone(), Failure { reason, logged_at: None, is_refusal: false });
-                Phase::Failed
+                FramePhase::Failed
             }
         };
         // Obstacles may be written again later.
@@ -328,7 +331,7 @@ impl Core {
     /// A file is complete.
     fn on_complete(&mut self, id: &FrameId, complete: Complete) {
         let Complete { proof, changed_output, contents, conflict } = complete;
-        let is_done = self.frames.phase(id) == Some(Phase::Done);
+        let is_done = self.frames.phase(id) == Some(FramePhase::Done);
         self.log_about(&*id.path, move |frame| match (proof, changed_output) {
             (Some(proof), _) => tracing::debug!(%frame, "ready: {proof}"),
             (None, Some((output, check))) if is_done => {
@@ -341,14 +344,14 @@ impl Core {
             _ => {}
         });
         match contents {
-            Contents::NotParticles => {
+            FileContents::NotParticles => {
                 self.forget_steps(id);
-                self.set_phase(id, Phase::Ignored);
+                self.set_phase(id, FramePhase::Ignored);
             }
-            Contents::MaybeSteps => self.find_steps(id, conflict),
+            FileContents::MaybeSteps => self.find_steps(id, conflict),
             // It may pass: the steps are not forgotten for it.
-            Contents::Unreadable(error) => self.on_file_unreadable(id, error),
-            Contents::Frame => {
+            FileContents::Unreadable(error) => self.on_file_unreadable(id, error),
+            FileContents::Frame => {
                 if !id.is_step() {
                     self.forget_steps(id);
                 }
@@ -360,7 +363,7 @@ impl Core {
     /// A frame is there to be converted, unless its outputs would replace another file.
     pub(super) fn hold(&mut self, id: &FrameId, conflict: Option<String>) {
         if self.claim_outputs(id, conflict) {
-            self.set_phase(id, Phase::Held);
+            self.set_phase(id, FramePhase::Held);
             self.release(id);
         }
     }
@@ -394,7 +397,7 @@ impl Core {
             obstacles: Arc::clone(&self.roots[id.root].obstacles),
             framing,
         };
-        self.set_phase(id, Phase::Queued);
+        self.set_phase(id, FramePhase::Queued);
         self.note(id, Standing::Queued, None, None);
         self.queue.push(id, Box::new(frame), modified_ns);
     }
@@ -486,7 +489,7 @@ impl Core {
         folder.join(id.frame_file().stem())
     }
 
-    pub(super) fn set_phase(&mut self, id: &FrameId, phase: Phase) {
+    pub(super) fn set_phase(&mut self, id: &FrameId, phase: FramePhase) {
         self.frames.end_inspection(id);
         let Some(frame) = self.frames.get_mut(id) else { return };
         frame.phase = phase;
@@ -498,12 +501,12 @@ impl Core {
     }
 
     /// The record of a frame, if there is one.
-    pub(super) fn record_of(&self, id: &FrameId) -> Option<&Arc<FrameRecord>> {
+    pub(super) fn record_of(&self, id: &FrameId) -> Option<&Arc<JournaledFrame>> {
         self.output(id.root).journal.frames.get(&*id.path)
     }
 }
 
 /// Whether a frame is done, or has failed.
 fn has_ended(frame: &FrameState) -> bool {
-    matches!(frame.phase, Phase::Done | Phase::Failed)
+    matches!(frame.phase, FramePhase::Done | FramePhase::Failed)
 }

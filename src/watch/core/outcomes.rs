@@ -6,23 +6,23 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use crate::pipeline::{FrameError, FrameReport, Outcome, ReadInput, Scope, Stage, Warning};
-use crate::watch::journal::{Entry, FrameRecord, OutputRecord, Standing};
+use crate::watch::journal::{Entry, JournaledFrame, OutputRecord, Standing};
 use crate::watch::status_store::Figures;
 
 use super::completeness::{Candidate, Seen};
-use super::events::{Finished, Log};
-use super::frames::{FrameId, FrameState, Phase};
-use super::retry::{Recovery, backoff, recovery};
+use super::events::{FrameFinished, Log};
+use super::frames::{FrameId, FramePhase, FrameState};
+use super::retry::{RetryAction, backoff, recovery};
 use super::state::{Core, Failure};
 
 impl Core {
     /// A pipeline is finished with a frame.
-    pub(super) fn on_finished(&mut self, finished: Finished) {
-        let Finished { id, outputs, outcome, free_bytes } = finished;
+    pub(super) fn on_finished(&mut self, finished: FrameFinished) {
+        let FrameFinished { id, outputs, outcome, free_bytes } = finished;
         self.finished_count += 1;
         let Some(frame) = self.frames.get_mut(&id) else { return };
         // Also if the pipeline was closed before it began the frame.
-        frame.phase = Phase::Queued;
+        frame.phase = FramePhase::Queued;
         match outcome {
             Outcome::Converted(report) => self.on_converted(&id, &report, outputs),
             Outcome::AlreadyDone { input, .. } => self.on_already_done(&id, &input, outputs),
@@ -47,7 +47,7 @@ impl Core {
         let seconds = report.seconds.total();
         let figures = Arc::new(Figures::of(report));
         self.counters.add_converted(&figures, report.input.stamp.size, report.output_bytes.iter().sum());
-        let record = FrameRecord {
+        let record = JournaledFrame {
             outputs,
             hash: Some(report.input.hash),
             particle_count: Some(skin.particle_count),
@@ -105,18 +105,18 @@ impl Core {
         // What was measured when these very outputs were written is still true of them.
         let known = self.record_of(id).filter(|known| are_the_same(&known.outputs, &outputs));
         let record = with_measurements(record, known);
-        let record = FrameRecord { stamp: input.stamp, hash: Some(input.hash), outputs, ..record };
+        let record = JournaledFrame { stamp: input.stamp, hash: Some(input.hash), outputs, ..record };
         self.counters.found_done += 1;
         let (path, queue) = (Arc::clone(&id.path), self.queue.len());
         let log = Log::new(move || tracing::info!(frame = %path.display(), queue, "was done already"));
         self.note_done(id, record, log);
     }
 
-    fn note_done(&mut self, id: &FrameId, record: FrameRecord, log: Log) {
+    fn note_done(&mut self, id: &FrameId, record: JournaledFrame, log: Log) {
         let Some(frame) = self.frames.get_mut(id) else { return };
         (frame.stamp, frame.attempt_count) = (record.stamp, 0);
         self.failed.remove(id);
-        self.set_phase(id, Phase::Done);
+        self.set_phase(id, FramePhase::Done);
         let entry = Entry::Frame { input: Arc::clone(&id.path), record: Arc::new(record) };
         self.record(self.output_of[id.root], entry, Some(log));
     }
@@ -125,12 +125,12 @@ impl Core {
     pub(super) fn failed_frame(&mut self, id: &FrameId, error: &FrameError, free_bytes: Option<u64>) {
         let (now, reason) = (self.now.at, error.to_string());
         match recovery(error) {
-            Recovery::Forget => {
+            RetryAction::Forget => {
                 self.log_about(&*id.path, |frame| tracing::info!(%frame, "is gone"));
-                self.set_phase(id, Phase::Failed);
+                self.set_phase(id, FramePhase::Failed);
                 self.forget(id);
             }
-            Recovery::AwaitSpace => {
+            RetryAction::AwaitSpace => {
                 let folder = error.path.parent().unwrap_or(Path::new("."));
                 // What was free before says nothing any more.
                 let output = &mut self.outputs[self.output_of[id.root]];
@@ -143,9 +143,9 @@ impl Core {
                     tracing::warn!(frame = %path.display(), "{why}: paused until that has changed");
                 });
             }
-            Recovery::Retry => self.fail_for_now(id, reason, now),
-            Recovery::AwaitRestart => self.fail(id, Standing::GivenUp, reason),
-            Recovery::GiveUp => self.fail_for_good(id, reason),
+            RetryAction::Retry => self.fail_for_now(id, reason, now),
+            RetryAction::AwaitRestart => self.fail(id, Standing::GivenUp, reason),
+            RetryAction::GiveUp => self.fail_for_good(id, reason),
         }
     }
 
@@ -169,7 +169,7 @@ impl Core {
         log: impl FnOnce(&Path, &str) + Send + 'static,
     ) {
         self.counters.retries += 1;
-        self.set_phase(id, Phase::Retrying(at));
+        self.set_phase(id, FramePhase::Retrying(at));
         let (path, why) = (Arc::clone(&id.path), reason.to_owned());
         let log = Log::new(move || log(&path, &why));
         self.note(id, Standing::Retrying, Some(reason.to_owned()), Some(log));
@@ -190,7 +190,7 @@ impl Core {
 
     /// A frame is not tried again until its file changes, or, as its standing says, after a restart.
     fn fail(&mut self, id: &FrameId, standing: Standing, reason: String) {
-        self.set_phase(id, Phase::Failed);
+        self.set_phase(id, FramePhase::Failed);
         let attempts = self.frames.get(id).map_or(0, |frame| frame.attempt_count);
         let (path, why) = (Arc::clone(&id.path), reason.clone());
         let log = Log::new(move || match standing {
@@ -208,9 +208,9 @@ impl Core {
     /// A frame asked to be inspected now.
     pub(super) fn on_alarm(&mut self, id: &FrameId) {
         match self.frames.phase(id) {
-            Some(Phase::Settling(_)) => self.inspect_candidate(id),
-            Some(Phase::Retrying(at)) if at > self.now.at => self.frames.set_alarm(id, at),
-            Some(Phase::Retrying(_)) => self.inspect(id, None, None),
+            Some(FramePhase::Settling(_)) => self.inspect_candidate(id),
+            Some(FramePhase::Retrying(at)) if at > self.now.at => self.frames.set_alarm(id, at),
+            Some(FramePhase::Retrying(_)) => self.inspect(id, None, None),
             _ => {}
         }
     }
@@ -225,8 +225,8 @@ impl Core {
     /// A file that was under way may have been written again meanwhile, or be gone.
     pub(super) fn check_again(&mut self, id: &FrameId) {
         match self.frames.phase(id) {
-            Some(Phase::Done) => self.check_outputs(id),
-            Some(Phase::Settling(_)) | None => {}
+            Some(FramePhase::Done) => self.check_outputs(id),
+            Some(FramePhase::Settling(_)) | None => {}
             Some(_) => self.check_stamp(id),
         }
     }
@@ -253,7 +253,7 @@ impl Core {
         let known = self.record_of(id).filter(|_| is_kept);
         let outputs = known.map_or(Vec::new(), |known| known.outputs.clone());
         let record = with_measurements(self.new_record(id, standing), known);
-        let record = FrameRecord { reason, outputs, ..record };
+        let record = JournaledFrame { reason, outputs, ..record };
         let entry = Entry::Frame { input: Arc::clone(&id.path), record: Arc::new(record) };
         self.record(self.output_of[id.root], entry, log);
         self.changed.insert(id.clone());
@@ -268,9 +268,9 @@ impl Core {
         }
     }
 
-    fn new_record(&self, id: &FrameId, standing: Standing) -> FrameRecord {
+    fn new_record(&self, id: &FrameId, standing: Standing) -> JournaledFrame {
         let frame = self.frames.get(id);
-        FrameRecord {
+        JournaledFrame {
             standing,
             stamp: frame.map(|frame| frame.stamp).unwrap_or_default(),
             hash: None,
@@ -288,10 +288,10 @@ impl Core {
 }
 
 /// The record with what was measured when the known one was made.
-fn with_measurements(record: FrameRecord, known: Option<&Arc<FrameRecord>>) -> FrameRecord {
+fn with_measurements(record: JournaledFrame, known: Option<&Arc<JournaledFrame>>) -> JournaledFrame {
     let Some(known) = known else { return record };
-    let FrameRecord { particle_count, seconds, flaws, figures, .. } = FrameRecord::clone(known);
-    FrameRecord { particle_count, seconds, flaws, figures, ..record }
+    let JournaledFrame { particle_count, seconds, flaws, figures, .. } = JournaledFrame::clone(known);
+    JournaledFrame { particle_count, seconds, flaws, figures, ..record }
 }
 
 /// Whether these are the same files with the same bytes.

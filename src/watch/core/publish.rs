@@ -7,11 +7,13 @@ use std::path::{Component, Path};
 use serde_json::{Value, json};
 
 use crate::pipeline::{SequenceRecord, text_of_name};
-use crate::watch::config::{Config, Order, Poll, Watch};
-use crate::watch::journal::{FrameRecord, Standing};
-use crate::watch::status_store::{FrameState, FrameSummary, FrameView, OutputView, Status, StatusStore};
+use crate::watch::config::{Order, Poll, Watch, WatchConfig};
+use crate::watch::journal::{JournaledFrame, Standing};
+use crate::watch::status_store::{
+    FrameProgress, FrameSummary, FrameView, LiveStatus, OutputView, StatusStore,
+};
 
-use super::frames::{FrameCounts, FrameId, Phase};
+use super::frames::{FrameCounts, FrameId, FramePhase};
 use super::sequences::SequenceSettings;
 use super::state::Core;
 
@@ -38,7 +40,7 @@ impl Core {
         let record = self.record_of(id).map(|record| &**record);
         // That of an earlier file, or of an earlier failure, says nothing of this one.
         let record = record.filter(|record| is_about(record, frame.phase));
-        let done = record.filter(|_| state == FrameState::Done);
+        let done = record.filter(|_| state == FrameProgress::Done);
         let outputs: Vec<OutputView> = done.map_or_else(Vec::new, |record| self.shown_outputs(id, record));
         let failure = self.failed.get(id).map(|failure| failure.reason.clone());
         let reason = failure.or_else(|| record.and_then(|record| record.reason.clone()));
@@ -50,7 +52,7 @@ impl Core {
                 name: name.into(),
                 state,
                 stage: None,
-                reason: reason.filter(|_| state != FrameState::Done),
+                reason: reason.filter(|_| state != FrameProgress::Done),
                 since_ms: done.map_or(self.now.unix_ms, |done| done.at_ms),
                 particles: done.and_then(|record| record.particle_count),
                 seconds: done.and_then(|record| record.seconds),
@@ -67,7 +69,7 @@ impl Core {
 
     /// Outputs as they are shown. One that is elsewhere, which the journal may say, has no name here, and nobody is to
     /// read it through the status store.
-    fn shown_outputs(&self, id: &FrameId, record: &FrameRecord) -> Vec<OutputView> {
+    fn shown_outputs(&self, id: &FrameId, record: &JournaledFrame) -> Vec<OutputView> {
         let folder = &self.output(id.root).folder;
         let inside = record.outputs.iter().filter(|output| is_inside(&output.path, folder));
         let shown = inside.map(|output| OutputView {
@@ -108,8 +110,8 @@ impl Core {
     }
 
     /// How the daemon is.
-    pub(crate) fn status(&self, memory_bytes: Option<u64>) -> Status {
-        Status {
+    pub(crate) fn status(&self, memory_bytes: Option<u64>) -> LiveStatus {
+        LiveStatus {
             paused: self.guard.reason(),
             unavailable: self.unavailable().map(|(path, why)| format!("{}: {why}", path.display())).collect(),
             stopping: self.is_stopping,
@@ -158,14 +160,14 @@ impl Core {
 const STALLED: &str = "its file system does not answer";
 
 /// How far a frame is; `None` if it is no frame.
-fn state_of(phase: Phase) -> Option<FrameState> {
+fn state_of(phase: FramePhase) -> Option<FrameProgress> {
     Some(match phase {
-        Phase::Settling(_) | Phase::Held | Phase::FindingSteps => FrameState::Waiting,
-        Phase::Queued | Phase::UnderWay(_) => FrameState::Queued,
-        Phase::Retrying(_) => FrameState::Retrying,
-        Phase::Done => FrameState::Done,
-        Phase::Failed => FrameState::Failed,
-        Phase::Ignored | Phase::Steps => return None,
+        FramePhase::Settling(_) | FramePhase::Held | FramePhase::FindingSteps => FrameProgress::Waiting,
+        FramePhase::Queued | FramePhase::UnderWay(_) => FrameProgress::Queued,
+        FramePhase::Retrying(_) => FrameProgress::Retrying,
+        FramePhase::Done => FrameProgress::Done,
+        FramePhase::Failed => FrameProgress::Failed,
+        FramePhase::Ignored | FramePhase::Steps => return None,
     })
 }
 
@@ -176,17 +178,17 @@ fn is_inside(path: &Path, folder: &Path) -> bool {
 }
 
 /// Whether a record is about the frame as it is now.
-fn is_about(record: &FrameRecord, phase: Phase) -> bool {
+fn is_about(record: &JournaledFrame, phase: FramePhase) -> bool {
     match record.standing {
-        Standing::Done => phase == Phase::Done,
-        Standing::Queued => matches!(phase, Phase::Queued | Phase::UnderWay(_) | Phase::Held),
-        Standing::Retrying => matches!(phase, Phase::Retrying(_)),
-        Standing::Failed | Standing::Refused | Standing::GivenUp => phase == Phase::Failed,
+        Standing::Done => phase == FramePhase::Done,
+        Standing::Queued => matches!(phase, FramePhase::Queued | FramePhase::UnderWay(_) | FramePhase::Held),
+        Standing::Retrying => matches!(phase, FramePhase::Retrying(_)),
+        Standing::Failed | Standing::Refused | Standing::GivenUp => phase == FramePhase::Failed,
     }
 }
 
 /// What the daemon was asked for. Times in seconds, sizes in bytes.
-fn plan_of(config: &Config) -> Value {
+fn plan_of(config: &WatchConfig) -> Value {
     let watch = |watch: &Watch| {
         let choices: serde_json::Map<String, Value> = watch
             .choices

@@ -15,12 +15,12 @@ use super::frames::FrameId;
 #[derive(Debug)]
 pub(crate) struct Queue {
     order: Order,
-    waiting: BTreeMap<Rank, Box<Frame>>,
+    waiting: BTreeMap<QueueRank, Box<Frame>>,
 }
 
 /// Where a frame stands among those that wait.
 #[derive(Clone, Debug, PartialEq, Eq)]
-struct Rank {
+struct QueueRank {
     /// Smaller is sooner, before anything else counts.
     urgency: i64,
     id: FrameId,
@@ -53,17 +53,17 @@ impl Queue {
         self.waiting.len()
     }
 
-    fn rank(&self, id: &FrameId, modified_ns: i64) -> Rank {
+    fn rank(&self, id: &FrameId, modified_ns: i64) -> QueueRank {
         let urgency = match self.order {
             Order::Natural => 0,
             Order::Latest => -modified_ns,
         };
-        Rank { urgency, id: id.clone() }
+        QueueRank { urgency, id: id.clone() }
     }
 }
 
-impl Ord for Rank {
-    fn cmp(&self, other: &Rank) -> Ordering {
+impl Ord for QueueRank {
+    fn cmp(&self, other: &QueueRank) -> Ordering {
         let (one, two) = (&self.id, &other.id);
         let by_name = || natural_order(&one.path.to_string_lossy(), &two.path.to_string_lossy());
         // Names that are not text may look alike.
@@ -72,8 +72,8 @@ impl Ord for Rank {
     }
 }
 
-impl PartialOrd for Rank {
-    fn partial_cmp(&self, other: &Rank) -> Option<Ordering> {
+impl PartialOrd for QueueRank {
+    fn partial_cmp(&self, other: &QueueRank) -> Option<Ordering> {
         Some(self.cmp(other))
     }
 }

@@ -9,7 +9,7 @@ use crate::pipeline::{Cause, FrameError, ObstacleError, Stage};
 
 /// What to do about a frame that failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Recovery {
+pub(crate) enum RetryAction {
     /// The file is gone: forget it.
     Forget,
     /// Nothing can be written into the folder of the outputs: wait until that has changed, then go on.
@@ -23,36 +23,38 @@ pub(crate) enum Recovery {
 }
 
 /// What to do about this error.
-pub(crate) fn recovery(error: &FrameError) -> Recovery {
+pub(crate) fn recovery(error: &FrameError) -> RetryAction {
     match &error.cause {
-        _ if error.is_disk_full() => Recovery::AwaitSpace,
+        _ if error.is_disk_full() => RetryAction::AwaitSpace,
         Cause::File(source) => recovery_of_file(error.during, source),
         // These are where the outputs will be: who cannot write them could not write those.
-        Cause::Scratch(refusal) if concerns_all(refusal.kind()) => Recovery::AwaitSpace,
-        Cause::Scratch(_) | Cause::Changed => Recovery::Retry,
+        Cause::Scratch(refusal) if concerns_all(refusal.kind()) => RetryAction::AwaitSpace,
+        Cause::Scratch(_) | Cause::Changed => RetryAction::Retry,
         Cause::Obstacle(error) => recovery_of_obstacle(error),
-        Cause::TooLarge(_) => Recovery::AwaitRestart,
-        Cause::TooFine(_) | Cause::Missing(_) | Cause::Panic(_) => Recovery::GiveUp,
+        Cause::TooLarge(_) => RetryAction::AwaitRestart,
+        Cause::TooFine(_) | Cause::Missing(_) | Cause::Panic(_) => RetryAction::GiveUp,
     }
 }
 
 /// An obstacle that is not there may come, or be written yet; nobody watches for another one.
-fn recovery_of_obstacle(error: &ObstacleError) -> Recovery {
+fn recovery_of_obstacle(error: &ObstacleError) -> RetryAction {
     match &error.source {
-        Some(source) if !matches!(source, Error::Io(_)) && !source.is_short() => Recovery::AwaitRestart,
-        _ => Recovery::Retry,
+        Some(source) if !matches!(source, Error::Io(_)) && !source.is_short() => RetryAction::AwaitRestart,
+        _ => RetryAction::Retry,
     }
 }
 
-fn recovery_of_file(during: Stage, source: &Error) -> Recovery {
+fn recovery_of_file(during: Stage, source: &Error) -> RetryAction {
     match source {
         Error::Io(refusal) if during == Stage::Read && refusal.kind() == io::ErrorKind::NotFound => {
-            Recovery::Forget
+            RetryAction::Forget
         }
-        Error::Io(refusal) if during == Stage::Write && concerns_all(refusal.kind()) => Recovery::AwaitSpace,
-        Error::Io(_) => Recovery::Retry,
-        source if source.is_short() => Recovery::Retry,
-        _ => Recovery::GiveUp,
+        Error::Io(refusal) if during == Stage::Write && concerns_all(refusal.kind()) => {
+            RetryAction::AwaitSpace
+        }
+        Error::Io(_) => RetryAction::Retry,
+        source if source.is_short() => RetryAction::Retry,
+        _ => RetryAction::GiveUp,
     }
 }
 
@@ -91,44 +93,44 @@ const ATTEMPTS_MAX_ONCE: u32 = 4;
 mod tests {
     use super::*;
     use crate::surface::skin::TooLarge;
-    use meniscus_formats::Place;
+    use meniscus_formats::Position;
     use std::path::Path;
 
-    fn after(during: Stage, source: Error) -> Recovery {
+    fn after(during: Stage, source: Error) -> RetryAction {
         recovery(&FrameError::file(Path::new("a"), during, source))
     }
 
     #[test]
     fn each_error_has_its_recovery() {
         let io = |kind: io::ErrorKind| Error::Io(kind.into());
-        assert_eq!(after(Stage::Read, io(io::ErrorKind::NotFound)), Recovery::Forget);
-        assert_eq!(after(Stage::Write, io(io::ErrorKind::NotFound)), Recovery::Retry);
-        assert_eq!(after(Stage::Read, io(io::ErrorKind::PermissionDenied)), Recovery::Retry);
-        assert_eq!(after(Stage::Write, io(io::ErrorKind::StorageFull)), Recovery::AwaitSpace);
-        assert_eq!(after(Stage::Write, io(io::ErrorKind::QuotaExceeded)), Recovery::AwaitSpace);
-        assert_eq!(after(Stage::Write, io(io::ErrorKind::ReadOnlyFilesystem)), Recovery::AwaitSpace);
-        assert_eq!(after(Stage::Read, io(io::ErrorKind::StaleNetworkFileHandle)), Recovery::Retry);
-        assert_eq!(after(Stage::Write, io(io::ErrorKind::IsADirectory)), Recovery::Retry);
-        assert_eq!(after(Stage::Read, Error::invalid("PLY", Place::File, "no")), Recovery::GiveUp);
-        assert_eq!(after(Stage::Read, Error::unsupported("PLY", "no")), Recovery::GiveUp);
-        assert_eq!(after(Stage::Read, Error::too_large("PLY", "no")), Recovery::GiveUp);
+        assert_eq!(after(Stage::Read, io(io::ErrorKind::NotFound)), RetryAction::Forget);
+        assert_eq!(after(Stage::Write, io(io::ErrorKind::NotFound)), RetryAction::Retry);
+        assert_eq!(after(Stage::Read, io(io::ErrorKind::PermissionDenied)), RetryAction::Retry);
+        assert_eq!(after(Stage::Write, io(io::ErrorKind::StorageFull)), RetryAction::AwaitSpace);
+        assert_eq!(after(Stage::Write, io(io::ErrorKind::QuotaExceeded)), RetryAction::AwaitSpace);
+        assert_eq!(after(Stage::Write, io(io::ErrorKind::ReadOnlyFilesystem)), RetryAction::AwaitSpace);
+        assert_eq!(after(Stage::Read, io(io::ErrorKind::StaleNetworkFileHandle)), RetryAction::Retry);
+        assert_eq!(after(Stage::Write, io(io::ErrorKind::IsADirectory)), RetryAction::Retry);
+        assert_eq!(after(Stage::Read, Error::invalid("PLY", Position::File, "no")), RetryAction::GiveUp);
+        assert_eq!(after(Stage::Read, Error::unsupported("PLY", "no")), RetryAction::GiveUp);
+        assert_eq!(after(Stage::Read, Error::too_large("PLY", "no")), RetryAction::GiveUp);
         let smoothing = |cause| recovery(&FrameError { path: "a".into(), during: Stage::Smooth, cause });
         let scratch = |kind: io::ErrorKind| smoothing(Cause::Scratch(kind.into()));
-        assert_eq!(scratch(io::ErrorKind::StorageFull), Recovery::AwaitSpace);
-        assert_eq!(scratch(io::ErrorKind::QuotaExceeded), Recovery::AwaitSpace);
-        assert_eq!(scratch(io::ErrorKind::ReadOnlyFilesystem), Recovery::AwaitSpace);
-        assert_eq!(scratch(io::ErrorKind::PermissionDenied), Recovery::Retry);
-        assert_eq!(scratch(io::ErrorKind::NotFound), Recovery::Retry);
-        assert_eq!(smoothing(Cause::Changed), Recovery::Retry);
+        assert_eq!(scratch(io::ErrorKind::StorageFull), RetryAction::AwaitSpace);
+        assert_eq!(scratch(io::ErrorKind::QuotaExceeded), RetryAction::AwaitSpace);
+        assert_eq!(scratch(io::ErrorKind::ReadOnlyFilesystem), RetryAction::AwaitSpace);
+        assert_eq!(scratch(io::ErrorKind::PermissionDenied), RetryAction::Retry);
+        assert_eq!(scratch(io::ErrorKind::NotFound), RetryAction::Retry);
+        assert_eq!(smoothing(Cause::Changed), RetryAction::Retry);
         let too_large = TooLarge { least_bytes: 2, allowed_bytes: 1, is_coupled: false };
-        assert_eq!(smoothing(Cause::TooLarge(too_large)), Recovery::AwaitRestart);
-        assert_eq!(smoothing(Cause::Panic("no".into())), Recovery::GiveUp);
+        assert_eq!(smoothing(Cause::TooLarge(too_large)), RetryAction::AwaitRestart);
+        assert_eq!(smoothing(Cause::Panic("no".into())), RetryAction::GiveUp);
         let obstacle =
             |source| smoothing(Cause::Obstacle(Box::new(ObstacleError { path: "b".into(), source })));
-        assert_eq!(obstacle(Some(io(io::ErrorKind::NotFound))), Recovery::Retry);
-        assert_eq!(obstacle(None), Recovery::Retry);
-        let invalid = Error::invalid("OBJ", Place::Line(3), "no");
-        assert_eq!(obstacle(Some(invalid)), Recovery::AwaitRestart);
+        assert_eq!(obstacle(Some(io(io::ErrorKind::NotFound))), RetryAction::Retry);
+        assert_eq!(obstacle(None), RetryAction::Retry);
+        let invalid = Error::invalid("OBJ", Position::Line(3), "no");
+        assert_eq!(obstacle(Some(invalid)), RetryAction::AwaitRestart);
     }
 
     #[test]

@@ -24,14 +24,14 @@ use crate::pipeline::{
 };
 use crate::surface::options::{self, OwnRadii, Settings};
 use crate::watch::config::Watch;
-use crate::watch::journal::{SequenceCamera, SequenceKey, SequenceRecord};
+use crate::watch::journal::{JournaledSequence, SequenceCamera, SequenceKey};
 
 use super::frames::FrameId;
 
 /// All sequences that were met.
 #[derive(Debug, Default)]
 pub(crate) struct Sequences {
-    all: Vec<Sequence>,
+    all: Vec<WatchedSequence>,
     index_of: HashMap<(usize, PathBuf, String), usize>,
     /// What files have in common whose names differ in their numbers only: their root and [`FrameFile::kin`].
     kin: HashMap<(usize, PathBuf, String), Kin>,
@@ -48,7 +48,7 @@ struct Kin {
 
 /// Frames whose names differ in their number only.
 #[derive(Debug)]
-pub(crate) struct Sequence {
+pub(crate) struct WatchedSequence {
     /// What the journal knows it by.
     pub(crate) key: SequenceKey,
     /// The index of its root.
@@ -67,7 +67,7 @@ pub(crate) struct Sequence {
     pub(crate) has_reported_velocity: bool,
 }
 
-impl Sequence {
+impl WatchedSequence {
     /// The fingerprint of the settings and of the obstacles of a frame; empty while there are no settings.
     pub(crate) fn fingerprint(&self, obstacles: Option<&ObstacleStamps>) -> String {
         match &self.settings {
@@ -99,7 +99,7 @@ impl Sequences {
         &mut self,
         id: &FrameId,
         watch: &Watch,
-        remembered: impl FnOnce(&SequenceKey) -> Option<SequenceRecord>,
+        remembered: impl FnOnce(&SequenceKey) -> Option<JournaledSequence>,
     ) -> usize {
         let file = id.frame_file();
         let (folder, name) = file.sequence();
@@ -123,7 +123,7 @@ impl Sequences {
         let remembered = remembered(&key);
         let settings = SequenceSettings::new(watch, remembered.as_ref());
         let framing = framing_of(watch, remembered.as_ref());
-        self.all.push(Sequence {
+        self.all.push(WatchedSequence {
             key,
             root: id.root,
             single_in,
@@ -153,7 +153,7 @@ impl Sequences {
         folders
     }
 
-    pub(crate) fn get(&self, index: usize) -> &Sequence {
+    pub(crate) fn get(&self, index: usize) -> &WatchedSequence {
         &self.all[index]
     }
 
@@ -162,7 +162,7 @@ impl Sequences {
         self.all.len()
     }
 
-    pub(crate) fn get_mut(&mut self, index: usize) -> &mut Sequence {
+    pub(crate) fn get_mut(&mut self, index: usize) -> &mut WatchedSequence {
         &mut self.all[index]
     }
 }
@@ -170,8 +170,9 @@ impl Sequences {
 impl SequenceSettings {
     /// The settings, where they need no measuring: the particle spacing was given, or is remembered, and so is the camera if
     /// there are to be pictures.
-    pub(crate) fn new(watch: &Watch, remembered: Option<&SequenceRecord>) -> SequenceSettings {
-        let measured = remembered.and_then(|record| record.measured.as_ref()).map(options::Measured::from);
+    pub(crate) fn new(watch: &Watch, remembered: Option<&JournaledSequence>) -> SequenceSettings {
+        let measured =
+            remembered.and_then(|record| record.measured.as_ref()).map(options::SequenceSpacing::from);
         let lacks_camera = watch.outputs.needs_camera() && framing_of(watch, remembered).is_none();
         let unknown = || watch.choices.own_radii().map(SequenceSettings::Unknown);
         let resolved = || match watch.job() {
@@ -194,7 +195,7 @@ impl SequenceSettings {
 }
 
 /// The camera that is remembered for the pictures of a sequence, if one was placed for what is asked for now.
-pub(crate) fn framing_of(watch: &Watch, remembered: Option<&SequenceRecord>) -> Option<Arc<Framing>> {
+pub(crate) fn framing_of(watch: &Watch, remembered: Option<&JournaledSequence>) -> Option<Arc<Framing>> {
     let SequenceCamera { asked, framed } = remembered?.camera.as_ref()?;
     let is_asked = watch.outputs.needs_camera() && *asked == asked_camera(&watch.outputs);
     is_asked.then(|| Arc::new(Framing::new(&watch.outputs, framed.clone())))
@@ -228,18 +229,18 @@ pub(crate) struct MeasureOrder {
     /// Where its particles have radii of their own.
     pub(crate) own_radii: Option<OwnRadii>,
     /// What is known already: the particle spacing, where only the camera is not.
-    pub(crate) known: Option<SequenceRecord>,
+    pub(crate) known: Option<JournaledSequence>,
     /// What was asked for.
     pub(crate) watch: Watch,
 }
 
 /// What came of it.
 #[derive(Debug)]
-pub(crate) struct Measured {
+pub(crate) struct SpacingResult {
     /// Which sequence.
     pub(crate) sequence: usize,
     /// The particle spacing and where it is from, if one of the files tells.
-    pub(crate) record: Option<SequenceRecord>,
+    pub(crate) record: Option<JournaledSequence>,
     /// Files with too few particles.
     pub(crate) sparse: Vec<(FrameId, FileStamp)>,
     /// Files that cannot be read.

@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use crate::pipeline::{FileStamp, Job, natural_order, order_subframes, single_frames_note};
 use crate::watch::config::Watch;
-use crate::watch::journal::{Entry, SequenceRecord, Standing};
+use crate::watch::journal::{Entry, JournaledSequence, Standing};
 
 use super::events::{Effect, Log, SlowRequest};
-use super::frames::{FrameId, FrameState, Phase};
-use super::sequences::{MeasureOrder, Measured, SequenceSettings, framing_of};
+use super::frames::{FrameId, FramePhase, FrameState};
+use super::sequences::{MeasureOrder, SequenceSettings, SpacingResult, framing_of};
 use super::state::Core;
 
 impl Core {
@@ -57,8 +57,8 @@ impl Core {
     /// Whether a frame of a sequence that is to be measured may soon be complete.
     fn awaits_frames(&self, index: usize) -> bool {
         let awaited = |frame: &FrameState| match frame.phase {
-            Phase::Settling(_) => !frame.is_stuck(),
-            Phase::FindingSteps | Phase::Retrying(_) => true,
+            FramePhase::Settling(_) => !frame.is_stuck(),
+            FramePhase::FindingSteps | FramePhase::Retrying(_) => true,
             _ => false,
         };
         matches!(self.sequences.get(index).settings, SequenceSettings::Unknown(_))
@@ -75,8 +75,10 @@ impl Core {
             .iter()
             .filter(|(_, frame)| frame.sequence == index && !frame.is_sparse)
             .filter_map(|(id, frame)| match frame.phase {
-                Phase::Held => Some((id, Some(frame.stamp))),
-                Phase::Settling(_) | Phase::FindingSteps | Phase::Retrying(_) => Some((id, None)),
+                FramePhase::Held => Some((id, Some(frame.stamp))),
+                FramePhase::Settling(_) | FramePhase::FindingSteps | FramePhase::Retrying(_) => {
+                    Some((id, None))
+                }
                 _ => None,
             })
             .collect();
@@ -86,18 +88,18 @@ impl Core {
             members.into_iter().map_while(|(id, stamp)| Some((id.clone(), stamp?))).collect();
         let watch = self.config.watches[sequence.root].clone();
         let remembered = self.output(sequence.root).journal.sequences.get(&sequence.key).cloned();
-        let given = (!watch.needs_spacing()).then(SequenceRecord::default);
+        let given = (!watch.needs_spacing()).then(JournaledSequence::default);
         let (own_radii, known) = (own_radii.clone(), given.or(remembered));
         (!files.is_empty()).then_some(MeasureOrder { sequence: index, files, own_radii, known, watch })
     }
 
     /// A sequence was measured, or could not be.
-    pub(super) fn on_measured(&mut self, measured: Measured) {
+    pub(super) fn on_measured(&mut self, measured: SpacingResult) {
         self.measuring_count -= 1;
-        let Measured { sequence: index, record, sparse, unreadable, changed, warnings } = measured;
+        let SpacingResult { sequence: index, record, sparse, unreadable, changed, warnings } = measured;
         let root = self.sequences.get(index).root;
         // Of a file that was written again since, this says nothing.
-        let sparse = sparse.into_iter().filter(|(id, stamp)| self.is_still(id, Phase::Held, stamp));
+        let sparse = sparse.into_iter().filter(|(id, stamp)| self.is_still(id, FramePhase::Held, stamp));
         let sparse: Vec<FrameId> = sparse.map(|(id, _)| id).collect();
         for id in &sparse {
             if let Some(frame) = self.frames.get_mut(id) {
@@ -112,7 +114,7 @@ impl Core {
             self.log_sparse(index, &sparse);
         }
         for (id, stamp, error) in &unreadable {
-            if self.is_still(id, Phase::Held, stamp) {
+            if self.is_still(id, FramePhase::Held, stamp) {
                 self.failed_frame(id, error, None);
             }
         }
@@ -124,7 +126,9 @@ impl Core {
             let log = self.log_of_settings(index, warnings);
             self.record(self.output_of[root], Entry::Sequence { key, record: Box::new(record) }, log);
             self.changed_sequences.push(index);
-            for id in self.frames.ids_of(|_, frame| frame.sequence == index && frame.phase == Phase::Held) {
+            for id in
+                self.frames.ids_of(|_, frame| frame.sequence == index && frame.phase == FramePhase::Held)
+            {
                 self.release(&id);
             }
         }
@@ -190,7 +194,7 @@ impl Core {
     }
 
     /// Whether a frame is still in this phase, and its file still this one.
-    pub(super) fn is_still(&self, id: &FrameId, phase: Phase, stamp: &FileStamp) -> bool {
+    pub(super) fn is_still(&self, id: &FrameId, phase: FramePhase, stamp: &FileStamp) -> bool {
         self.frames.get(id).is_some_and(|frame| frame.phase == phase && frame.stamp == *stamp)
     }
 }

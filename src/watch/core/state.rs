@@ -6,27 +6,27 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::pipeline::{ObstacleFiles, OutputOptions};
-use crate::watch::config::{Config, Watch};
-use crate::watch::journal::{DaemonRecord, DaemonState, Entry, PlanRecord, State as JournalState};
+use crate::watch::config::{Watch, WatchConfig};
+use crate::watch::journal::{DaemonRecord, DaemonState, Entry, JournalState, PlanRecord};
 use crate::watch::status_store::Counters;
 
 use super::disk_guard::{DiskGuard, FoundSpace};
 use super::events::{Effect, Log, Now, OutputRequest, RootRequest};
-use super::frames::{FileSteps, FrameId, Frames};
+use super::frames::{FileSteps, FrameId, FrameTable};
 use super::queue::Queue;
 use super::sequences::Sequences;
 
 /// The state of the daemon, and what it decides: pure, so no file, clock or thread is used here. Time comes with each
 /// event; what is to be done is collected as effects.
 pub(crate) struct Core {
-    pub(super) config: Arc<Config>,
+    pub(super) config: Arc<WatchConfig>,
     /// Which daemon this is, for the journal.
     identity: DaemonRecord,
     pub(super) roots: Vec<RootState>,
-    pub(super) outputs: Vec<OutputDir>,
+    pub(super) outputs: Vec<OutputFolder>,
     /// The index of the folder of outputs of each watch.
     pub(super) output_of: Vec<usize>,
-    pub(super) frames: Frames,
+    pub(super) frames: FrameTable,
     /// The steps of each file that has several.
     pub(super) steps_of: HashMap<FrameId, FileSteps>,
     pub(super) sequences: Sequences,
@@ -75,7 +75,7 @@ pub(crate) struct RootState {
 }
 
 /// A folder of outputs.
-pub(crate) struct OutputDir {
+pub(crate) struct OutputFolder {
     /// Absolute.
     pub(super) folder: PathBuf,
     pub(super) journal: JournalState,
@@ -101,7 +101,7 @@ impl Core {
     /// The state at the start: `roots` are the absolute paths of the watched folders, and `outputs` the folders of outputs
     /// with their journals.
     pub(crate) fn new(
-        config: Arc<Config>,
+        config: Arc<WatchConfig>,
         identity: DaemonRecord,
         roots: Vec<(PathBuf, Arc<ObstacleFiles>)>,
         outputs: Vec<(PathBuf, JournalState)>,
@@ -116,7 +116,7 @@ impl Core {
             was_scanned: false,
             unreadable: BTreeMap::new(),
         };
-        let new_output = |(folder, journal)| OutputDir {
+        let new_output = |(folder, journal)| OutputFolder {
             folder,
             journal,
             is_there: true,
@@ -131,7 +131,7 @@ impl Core {
             roots: roots.into_iter().map(new_root).collect(),
             outputs: outputs.into_iter().map(new_output).collect(),
             output_of,
-            frames: Frames::default(),
+            frames: FrameTable::default(),
             steps_of: HashMap::new(),
             sequences: Sequences::default(),
             dirty_sequences: HashSet::new(),
@@ -186,7 +186,7 @@ impl Core {
     }
 
     /// The folder of outputs of a root.
-    pub(super) fn output(&self, root: usize) -> &OutputDir {
+    pub(super) fn output(&self, root: usize) -> &OutputFolder {
         &self.outputs[self.output_of[root]]
     }
 

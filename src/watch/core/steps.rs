@@ -21,14 +21,14 @@ use crate::pipeline::{FileFrames, FileStamp};
 
 use super::completeness::{Candidate, Seen};
 use super::events::{Effect, FoundSteps, SlowRequest, StepsOrder};
-use super::frames::{FileSteps, FrameId, Phase};
+use super::frames::{FileSteps, FrameId, FramePhase};
 use super::state::Core;
 
 impl Core {
     /// Has a complete file searched for steps.
     pub(super) fn find_steps(&mut self, id: &FrameId, conflict: Option<String>) {
         let Some(stamp) = self.frames.get(id).map(|frame| frame.stamp) else { return };
-        self.set_phase(id, Phase::FindingSteps);
+        self.set_phase(id, FramePhase::FindingSteps);
         let order = StepsOrder { id: id.clone(), stamp, conflict };
         self.effects.push(Effect::Slow(id.root, SlowRequest::FindSteps(order)));
     }
@@ -37,7 +37,7 @@ impl Core {
     pub(super) fn on_steps_found(&mut self, found: FoundSteps) {
         let FoundSteps { order: StepsOrder { id, stamp, conflict }, frames } = found;
         // Of a file that was written again since, this says nothing.
-        if !self.is_still(&id, Phase::FindingSteps, &stamp) {
+        if !self.is_still(&id, FramePhase::FindingSteps, &stamp) {
             return;
         }
         match frames {
@@ -67,7 +67,7 @@ impl Core {
             self.forget(&step);
         }
         self.release_claim(id);
-        self.set_phase(id, Phase::Steps);
+        self.set_phase(id, FramePhase::Steps);
         for step in &steps {
             self.take_step(id, step, stamp);
         }
@@ -82,15 +82,15 @@ impl Core {
         let is_same = frame.stamp == stamp;
         let is_kept = || self.steps_of.get(file).is_some_and(|steps| steps.is_kept_since(id, &frame.stamp));
         match frame.phase {
-            Phase::Done if is_same => return self.check_outputs(id),
-            Phase::Done if is_kept() => {
+            FramePhase::Done if is_same => return self.check_outputs(id),
+            FramePhase::Done if is_kept() => {
                 frame.stamp = stamp;
-                self.set_phase(id, Phase::Done);
+                self.set_phase(id, FramePhase::Done);
                 return self.check_outputs(id);
             }
-            Phase::Settling(_) => {}
+            FramePhase::Settling(_) => {}
             // It is inspected again when its outcome comes.
-            Phase::UnderWay(_) => return,
+            FramePhase::UnderWay(_) => return,
             _ if is_same => return,
             _ => {}
         }
@@ -103,8 +103,10 @@ impl Core {
         let is_step = self.steps_of.get(file).is_some_and(|steps| steps.index_of.contains_key(id));
         match self.frames.get(file) {
             Some(frame) if frame.stamp == seen.stamp => match frame.phase {
-                Phase::Steps if is_step => self.take_step(file, id, seen.stamp),
-                Phase::Settling(_) | Phase::FindingSteps => self.on_file_seen(file, seen, at, false),
+                FramePhase::Steps if is_step => self.take_step(file, id, seen.stamp),
+                FramePhase::Settling(_) | FramePhase::FindingSteps => {
+                    self.on_file_seen(file, seen, at, false)
+                }
                 // The file has no such step any more.
                 _ => self.forget(id),
             },
@@ -115,7 +117,7 @@ impl Core {
     /// The file of these steps was written again. Those that are not under way wait until it is known where they are now.
     pub(super) fn unqueue_steps(&mut self, file: &FrameId, seen: &Seen, at: Instant) {
         for step in self.known_steps(file) {
-            if self.frames.phase(&step) == Some(Phase::Queued) {
+            if self.frames.phase(&step) == Some(FramePhase::Queued) {
                 self.settle(&step, Candidate::new(at, seen, false));
             }
         }
@@ -124,7 +126,7 @@ impl Core {
     /// Steps that are done stay so only while their outputs are there.
     pub(super) fn check_steps(&mut self, file: &FrameId) {
         for step in self.known_steps(file) {
-            if self.frames.phase(&step) == Some(Phase::Done) {
+            if self.frames.phase(&step) == Some(FramePhase::Done) {
                 self.check_outputs(&step);
             }
         }

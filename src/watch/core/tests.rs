@@ -13,20 +13,20 @@ use crate::pipeline::{
     ReadInput, Stage,
 };
 use crate::surface::options::MethodOptions;
-use crate::watch::api::Ended;
-use crate::watch::config::{Config, Order, Patience, Poll, Watch};
+use crate::watch::api::EndReason;
+use crate::watch::config::{Order, Patience, Poll, Watch, WatchConfig};
 use crate::watch::journal::{
-    DaemonRecord, DaemonState, Entry, FrameRecord, OutputCheck, OutputRecord, SequenceRecord, Standing,
-    State as JournalState,
+    DaemonRecord, DaemonState, Entry, JournalState, JournaledFrame, JournaledSequence, OutputCheck,
+    OutputRecord, Standing,
 };
 
 use super::completeness::{Proof, Seen, WaitReason};
 use super::events::{
-    Complete, Contents, Effect, Event, Finished, Found, Inspect, Inspected, Now, OutputDirState,
-    OutputRequest, Presence, RootRequest, Scan, SlowRequest, Start, Worker,
+    Complete, Effect, Event, FileContents, FrameFinished, Inspect, Inspected, InspectionResult, Now,
+    OutputDirState, OutputRequest, Presence, RootRequest, Scan, SlowRequest, Start, Worker,
 };
 use super::frames::FrameId;
-use super::sequences::{MeasureOrder, Measured};
+use super::sequences::{MeasureOrder, SpacingResult};
 use super::state::Core;
 
 const GIB: u64 = 1 << 30;
@@ -51,7 +51,7 @@ struct Rig {
     ended_pipelines: Vec<usize>,
 }
 
-fn config(root_count: usize, choices: &MethodOptions) -> Config {
+fn config(root_count: usize, choices: &MethodOptions) -> WatchConfig {
     let watch = |root: usize| Watch {
         input: format!("/in{root}").into(),
         pattern: None,
@@ -61,7 +61,7 @@ fn config(root_count: usize, choices: &MethodOptions) -> Config {
         choices: choices.clone(),
         obstacles: Vec::new(),
     };
-    Config {
+    WatchConfig {
         watches: (0..root_count).map(watch).collect(),
         once: false,
         order: Order::Natural,
@@ -88,7 +88,7 @@ impl Rig {
         Rig::with(config(root_count, &choices), JournalState::default())
     }
 
-    fn with(config: Config, journal: JournalState) -> Rig {
+    fn with(config: WatchConfig, journal: JournalState) -> Rig {
         let now = Now { at: Instant::now(), unix_ms: 1000 };
         let count = config.watches.len();
         let identity = DaemonRecord {
@@ -158,30 +158,37 @@ impl Rig {
     /// What a worker would answer.
     fn answer(&self, inspect: &Inspect) -> Event {
         let found = match self.files.get(&*inspect.id.path) {
-            None => Found::Gone,
-            Some((stamp, _)) if *stamp != inspect.stamp => Found::Changed(seen(*stamp), self.now.at),
-            Some(_) if inspect.only_stamp => Found::Same,
+            None => InspectionResult::Gone,
+            Some((stamp, _)) if *stamp != inspect.stamp => {
+                InspectionResult::Changed(seen(*stamp), self.now.at)
+            }
+            Some(_) if inspect.only_stamp => InspectionResult::Same,
             Some((_, waits)) => self.found(inspect, *waits),
         };
         let (id, number) = (inspect.id.clone(), inspect.number);
         Event::Inspected(Box::new(Inspected { id, number, found, obstacles: None }))
     }
 
-    fn found(&self, inspect: &Inspect, waits: Option<WaitReason>) -> Found {
+    fn found(&self, inspect: &Inspect, waits: Option<WaitReason>) -> InspectionResult {
         let mut changed_output = None;
         if let Some(recorded) = &inspect.recorded {
             let gone = recorded.record.outputs.iter().find(|output| !self.outputs.contains(&output.path));
             match gone {
-                None => return Found::AsRecorded,
+                None => return InspectionResult::AsRecorded,
                 Some(gone) => changed_output = Some((gone.path.clone(), OutputCheck::Missing)),
             }
         }
         if let Some(why) = waits.filter(|_| inspect.candidate.is_some()) {
-            return Found::Waiting { until: Some(self.now.at + Duration::from_secs(1)), why };
+            return InspectionResult::Waiting { until: Some(self.now.at + Duration::from_secs(1)), why };
         }
         let conflict = inspect.outputs.iter().find_map(|output| self.conflicts.get(output)).cloned();
         let proof = inspect.candidate.map(|_| Proof::Format);
-        Found::Complete(Complete { proof, changed_output, contents: Contents::Frame, conflict })
+        InspectionResult::Complete(Complete {
+            proof,
+            changed_output,
+            contents: FileContents::Frame,
+            conflict,
+        })
     }
 
     fn pass(&mut self, time: Duration) {
@@ -229,7 +236,7 @@ impl Rig {
             _ => Vec::new(),
         };
         self.outputs.extend(outputs.iter().map(|output| output.path.clone()));
-        let finished = Finished { id: id(path), outputs, outcome, free_bytes: Some(0) };
+        let finished = FrameFinished { id: id(path), outputs, outcome, free_bytes: Some(0) };
         self.event(Event::FrameFinished(Box::new(finished)));
     }
 
@@ -455,7 +462,7 @@ fn unmounted_outputs_are_waited_for_and_removed_ones_made_again() {
     rig.want(0);
     rig.scan(0);
     assert!(rig.started().is_empty(), "what is not mounted is not missing");
-    assert_eq!(rig.core.summary(Ended::Finish).done_count, 1);
+    assert_eq!(rig.core.summary(EndReason::Finish).done_count, 1);
     rig.outputs = outputs;
     rig.output_dir(0, Presence::There, 2 * GIB);
     rig.scan(0);
@@ -512,7 +519,7 @@ fn outputs_claimed_twice_belong_to_the_first_until_it_is_gone() {
     rig.files.remove(Path::new("/in0/a.1.ply"));
     rig.tell("/in0/a.1.ply");
     assert_eq!(rig.started(), ["a.1.csv"]);
-    let refused = rig.core.summary(Ended::Finish).failed;
+    let refused = rig.core.summary(EndReason::Finish).failed;
     assert!(refused.is_empty(), "{refused:?}");
 }
 
@@ -534,8 +541,10 @@ fn journal(standing: Standing) -> JournalState {
     rig.convert("/in0/a.1.ply");
     let Some(Entry::Frame { input: path, record }) = rig.records.pop() else { panic!("no record") };
     let mut journal = JournalState::default();
-    journal
-        .take(Entry::Frame { input: path, record: Arc::new(FrameRecord { standing, ..(*record).clone() }) });
+    journal.take(Entry::Frame {
+        input: path,
+        record: Arc::new(JournaledFrame { standing, ..(*record).clone() }),
+    });
     journal
 }
 
@@ -573,7 +582,7 @@ fn after_a_reload_only_unfinished_frames_are_converted() {
 #[test]
 fn run_that_ends_when_all_is_done_waits_for_all_of_it() {
     let choices = MethodOptions { spacing: Some(0.1), ..MethodOptions::default() };
-    let mut rig = Rig::with(Config { once: true, ..config(1, &choices) }, JournalState::default());
+    let mut rig = Rig::with(WatchConfig { once: true, ..config(1, &choices) }, JournalState::default());
     assert!(!rig.core.is_drained(), "nothing was looked at yet");
     rig.files.insert("/in0/a.1.ply".into(), (stamp(1), None));
     rig.holds_inspections = true;
@@ -601,7 +610,7 @@ fn stopping_begins_no_further_frame() {
     assert!(rig.core.has_frames_under_way(true));
     rig.convert("/in0/a.1.ply");
     assert!(!rig.core.has_frames_under_way(true) && rig.started().is_empty());
-    let tally = rig.core.summary(Ended::Finish);
+    let tally = rig.core.summary(EndReason::Finish);
     assert_eq!((tally.done_count, tally.left_count), (1, 1));
 }
 
@@ -672,9 +681,9 @@ fn sequence_is_measured_when_all_its_frames_were_looked_at() {
         measured_on: "/in0/a.1.ply".into(),
         warnings: Vec::new(),
     };
-    rig.event(Event::Measured(Box::new(Measured {
+    rig.event(Event::Measured(Box::new(SpacingResult {
         sequence: order.sequence,
-        record: Some(SequenceRecord { measured: Some(measured), camera: None }),
+        record: Some(JournaledSequence { measured: Some(measured), camera: None }),
         sparse: Vec::new(),
         unreadable: Vec::new(),
         changed: None,

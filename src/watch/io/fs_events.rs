@@ -98,7 +98,7 @@ impl Watcher {
     /// # Errors
     /// When the folder is not there, or the system refuses.
     pub fn watch(&mut self, folder: &Path) -> Result<(), WatchError> {
-        let place = Place::of(folder).map_err(|error| match error.kind() {
+        let place = WatchedFolder::of(folder).map_err(|error| match error.kind() {
             io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => WatchError::Gone,
             _ => WatchError::Other(error.to_string()),
         })?;
@@ -129,33 +129,33 @@ impl Watcher {
 #[derive(Debug, Default)]
 struct Folders {
     /// Where each path leads.
-    place_of: HashMap<PathBuf, Place>,
+    place_of: HashMap<PathBuf, WatchedFolder>,
     /// The paths that lead to each true name.
     paths_to: HashMap<PathBuf, Vec<PathBuf>>,
 }
 
 /// A folder, by whatever path it was reached.
 #[derive(Clone, Debug, PartialEq, Eq)]
-struct Place {
+struct WatchedFolder {
     /// Its true name.
     path: PathBuf,
     /// Which folder that is; 0 where there is no such number.
     inode: u64,
 }
 
-impl Place {
-    fn of(folder: &Path) -> io::Result<Place> {
+impl WatchedFolder {
+    fn of(folder: &Path) -> io::Result<WatchedFolder> {
         let path = folder.canonicalize()?;
         let metadata = fs::metadata(&path)?;
         match metadata.is_dir() {
-            true => Ok(Place { path, inode: FileStamp::of(&metadata).inode }),
+            true => Ok(WatchedFolder { path, inode: FileStamp::of(&metadata).inode }),
             false => Err(io::ErrorKind::NotADirectory.into()),
         }
     }
 }
 
 impl Folders {
-    fn add(&mut self, folder: &Path, place: Place) {
+    fn add(&mut self, folder: &Path, place: WatchedFolder) {
         let paths = self.paths_to.entry(place.path.clone()).or_default();
         if !paths.iter().any(|path| path == folder) {
             paths.push(folder.to_owned());
@@ -165,7 +165,7 @@ impl Folders {
 
     /// Forgets a path; tells the true name if no other leads there.
     fn remove(&mut self, folder: &Path) -> Option<PathBuf> {
-        let Place { path, .. } = self.place_of.remove(folder)?;
+        let WatchedFolder { path, .. } = self.place_of.remove(folder)?;
         let paths = self.paths_to.get_mut(&path)?;
         paths.retain(|path| path != folder);
         if !paths.is_empty() {
@@ -515,7 +515,7 @@ mod tests {
         fn new(capacity: usize) -> Rig {
             let (queue, hints) = bounded(capacity);
             let mut folders = Folders::default();
-            folders.add(Path::new("/f"), Place { path: "/true".into(), inode: 1 });
+            folders.add(Path::new("/f"), WatchedFolder { path: "/true".into(), inode: 1 });
             let folders = Arc::new(Mutex::new(folders));
             Rig { handler: EventHandler { queue, capacity, last: None, folders }, hints }
         }

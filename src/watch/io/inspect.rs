@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use crate::pipeline::{ObstacleStamps, may_hold_several};
 use crate::watch::core::completeness::Readiness;
-use crate::watch::core::events::{Complete, Contents, Found, Inspect, Inspected, Recorded};
+use crate::watch::core::events::{Complete, FileContents, Inspect, Inspected, InspectionResult, Recorded};
 use crate::watch::core::frames::FrameId;
 use crate::watch::core::sequences::fingerprint_with;
 use crate::watch::journal::OutputCheck;
@@ -14,7 +14,7 @@ use crate::watch::journal::OutputCheck;
 use super::evidence::readiness_of;
 use super::root::Root;
 use super::scan::look;
-use super::selection::{Content, content};
+use super::selection::{SniffedContent, content};
 
 impl Root {
     /// Looks at a file.
@@ -26,29 +26,29 @@ impl Root {
         Inspected { id: request.id, number: request.number, found, obstacles }
     }
 
-    fn find(&self, request: &Inspect, obstacles: Option<&ObstacleStamps>) -> Found {
+    fn find(&self, request: &Inspect, obstacles: Option<&ObstacleStamps>) -> InspectionResult {
         let Inspect { id, stamp, outputs, .. } = request;
         let file = id.file_path();
         let seen = match look(file, self.trust_clock()) {
             Ok(Some(seen)) => seen,
-            Ok(None) => return Found::Gone,
-            Err(error) => return Found::Unreadable(error),
+            Ok(None) => return InspectionResult::Gone,
+            Err(error) => return InspectionResult::Unreadable(error),
         };
         let at = Instant::now();
         if seen.stamp != *stamp {
-            return Found::Changed(seen, at);
+            return InspectionResult::Changed(seen, at);
         }
         if request.only_stamp {
-            return Found::Same;
+            return InspectionResult::Same;
         }
         let mut changed_output = None;
         if let Some(recorded) = &request.recorded {
             changed_output = changed_output_of(recorded);
             if changed_output.is_none() && has_recorded_settings(recorded, obstacles) {
-                return Found::AsRecorded;
+                return InspectionResult::AsRecorded;
             }
             if changed_output.is_some() && !self.output.is_in_place() {
-                return Found::OutputsAway;
+                return InspectionResult::OutputsAway;
             }
         }
         let mut proof = None;
@@ -56,21 +56,21 @@ impl Root {
             candidate.see(at, &seen, false);
             match readiness_of(file, &candidate, at, &self.watch, &self.patience()) {
                 Readiness::Ready(found) => proof = Some(found),
-                Readiness::Waiting { until, why } => return Found::Waiting { until, why },
+                Readiness::Waiting { until, why } => return InspectionResult::Waiting { until, why },
             }
         }
         let contents = contents_of(id);
         let conflict = match contents {
-            Contents::Frame | Contents::MaybeSteps => self.conflict_of(outputs),
-            Contents::NotParticles | Contents::Unreadable(_) => None,
+            FileContents::Frame | FileContents::MaybeSteps => self.conflict_of(outputs),
+            FileContents::NotParticles | FileContents::Unreadable(_) => None,
         };
-        Found::Complete(Complete { proof, changed_output, contents, conflict })
+        InspectionResult::Complete(Complete { proof, changed_output, contents, conflict })
     }
 
     /// The file that outputs would replace and may not: one of particles, or an obstacle of any folder.
     fn conflict_of(&self, outputs: &[PathBuf]) -> Option<String> {
         for output in outputs {
-            if output.symlink_metadata().is_ok() && matches!(content(output), Ok(Content::Particles)) {
+            if output.symlink_metadata().is_ok() && matches!(content(output), Ok(SniffedContent::Particles)) {
                 return Some(format!(
                     "its output {} would replace a file of particles: choose another folder or format",
                     output.display()
@@ -100,17 +100,17 @@ fn has_recorded_settings(recorded: &Recorded, obstacles: Option<&ObstacleStamps>
     })
 }
 
-fn contents_of(id: &FrameId) -> Contents {
-    if let Ok(Content::OwnOutput | Content::NotParticles) = content(id.file_path()) {
-        return Contents::NotParticles;
+fn contents_of(id: &FrameId) -> FileContents {
+    if let Ok(SniffedContent::OwnOutput | SniffedContent::NotParticles) = content(id.file_path()) {
+        return FileContents::NotParticles;
     }
     // One that cannot be read is a frame: reading it will say what is wrong.
     if id.is_step() {
-        return Contents::Frame;
+        return FileContents::Frame;
     }
     match may_hold_several(&id.path) {
-        Ok(true) => Contents::MaybeSteps,
-        Ok(false) => Contents::Frame,
-        Err(error) => Contents::Unreadable(error),
+        Ok(true) => FileContents::MaybeSteps,
+        Ok(false) => FileContents::Frame,
+        Err(error) => FileContents::Unreadable(error),
     }
 }

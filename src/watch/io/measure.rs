@@ -7,12 +7,12 @@ use glam::DVec3;
 use crate::pipeline::{Attempt, FileStamp, Framed, measure_sequence, sequence_bounds};
 use crate::surface::options::{self, Settings};
 use crate::watch::core::frames::FrameId;
-use crate::watch::core::sequences::{MeasureOrder, Measured, asked_camera};
-use crate::watch::journal::{SequenceCamera, SequenceRecord};
+use crate::watch::core::sequences::{MeasureOrder, SpacingResult, asked_camera};
+use crate::watch::journal::{JournaledSequence, SequenceCamera};
 
 /// Measures the spacing, unless the voxel size is known, and places the camera of pictures.
-pub(super) fn measure(order: MeasureOrder) -> Measured {
-    let mut measured = Measured {
+pub(super) fn measure(order: MeasureOrder) -> SpacingResult {
+    let mut measured = SpacingResult {
         sequence: order.sequence,
         record: None,
         sparse: Vec::new(),
@@ -28,7 +28,7 @@ pub(super) fn measure(order: MeasureOrder) -> Measured {
             let found = measure_sequence(&paths, order.own_radii.as_ref(), note);
             found.map(|found| {
                 measured.warnings.clone_from(&found.warnings);
-                SequenceRecord { measured: Some(found), camera: None }
+                JournaledSequence { measured: Some(found), camera: None }
             })
         }
     };
@@ -41,7 +41,7 @@ pub(super) fn measure(order: MeasureOrder) -> Measured {
 }
 
 /// Notes what came of a frame, unless it has changed since it was found complete.
-fn note(measured: &mut Measured, path: &Path, attempt: Attempt, order: &MeasureOrder) {
+fn note(measured: &mut SpacingResult, path: &Path, attempt: Attempt, order: &MeasureOrder) {
     let found = order.files.iter().find(|(id, _)| &*id.path == path);
     let Some((id, stamp)) = found else { return };
     if FileStamp::of_path(id.file_path()).ok() != Some(*stamp) {
@@ -58,13 +58,13 @@ fn note(measured: &mut Measured, path: &Path, attempt: Attempt, order: &MeasureO
 /// The record with the camera that the first frame asks for, of those that were not skipped when the spacing was measured;
 /// `None` if there is no such frame.
 fn with_camera(
-    record: SequenceRecord,
+    record: JournaledSequence,
     order: &MeasureOrder,
-    measured: &mut Measured,
-) -> Option<SequenceRecord> {
+    measured: &mut SpacingResult,
+) -> Option<JournaledSequence> {
     let outputs = &order.watch.outputs;
     // Settings that make no sense end the sequence in another place.
-    let spacing = record.measured.as_ref().map(options::Measured::from);
+    let spacing = record.measured.as_ref().map(options::SequenceSpacing::from);
     let settings = Settings::resolve(&order.watch.choices, spacing);
     let radius = settings.map_or(0.0, |settings| settings.resting_height());
     let measured_on = record.measured.as_ref().map(|measured| &measured.measured_on);
@@ -80,7 +80,7 @@ fn with_camera(
         if let Some(bounds) = bounds {
             let framed = Framed::around(widened(bounds, outputs.up().direction()), outputs);
             let camera = Some(SequenceCamera { asked: asked_camera(outputs), framed });
-            return Some(SequenceRecord { camera, ..record });
+            return Some(JournaledSequence { camera, ..record });
         }
         if measured.changed.is_some() {
             return None;

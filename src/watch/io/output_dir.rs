@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::pipeline::{make_out_folder, remove_left_behind, sweep_temporaries};
-use crate::watch::config::Config;
+use crate::watch::config::WatchConfig;
 use crate::watch::core::events::{Event, OutputDirState, OutputRequest, Presence};
 use crate::watch::journal::{FILE_NAME as JOURNAL_FILE_NAME, Journal, STATE_FOLDER};
 
@@ -56,7 +56,7 @@ const CHECK_EVERY: Duration = Duration::from_secs(1);
 ///
 /// # Errors
 /// When a folder cannot be made, or another daemon has it.
-pub(super) fn open_outputs(config: &Config) -> Result<(Vec<OutputDir>, Vec<usize>), DaemonError> {
+pub(super) fn open_outputs(config: &WatchConfig) -> Result<(Vec<OutputDir>, Vec<usize>), DaemonError> {
     let (mut all, mut output_of): (Vec<OutputDir>, Vec<usize>) = (Vec::new(), Vec::new());
     for watch in &config.watches {
         let folder = open_folder(&watch.outputs.folder)?;
@@ -75,7 +75,7 @@ fn open_folder(folder: &Path) -> Result<PathBuf, DaemonError> {
 }
 
 impl OutputDir {
-    fn open(index: usize, folder: PathBuf, config: &Config) -> Result<OutputDir, DaemonError> {
+    fn open(index: usize, folder: PathBuf, config: &WatchConfig) -> Result<OutputDir, DaemonError> {
         let lock = OutputLock::take(&folder).map_err(DaemonError::Locked)?;
         // What was asked for may be a link, and what has a name of ours may not.
         let asked = config.journal.as_deref();

@@ -15,8 +15,8 @@ use crate::pipeline::{
     Frame, FrameError, LevelSetSkinning, Observer, OnError, Outcome, OutputStates, PipelineOptions, Stage,
     StepsFoundBy, stream,
 };
-use crate::watch::config::Config;
-use crate::watch::core::events::{Event, Finished, Start};
+use crate::watch::config::WatchConfig;
+use crate::watch::core::events::{Event, FrameFinished, Start};
 use crate::watch::core::frames::FrameId;
 use crate::watch::journal::OutputRecord;
 use crate::watch::status_store::StatusStore;
@@ -27,7 +27,7 @@ use super::output_dir::OutputGuard;
 /// What all pipelines have in common.
 #[derive(Clone)]
 pub(crate) struct PipelineContext {
-    pub(crate) config: Arc<Config>,
+    pub(crate) config: Arc<WatchConfig>,
     pub(crate) store: Option<Arc<StatusStore>>,
     /// The folder of outputs of each root, and its index.
     pub(crate) outputs: Arc<Vec<(usize, Arc<OutputGuard>)>>,
@@ -47,15 +47,15 @@ pub(crate) fn start(index: usize, context: PipelineContext) -> io::Result<Sender
     let (sender, frames) = bounded(1);
     thread::Builder::new().name(format!("pipeline {index}")).spawn(move || {
         // Whatever ends it: the core must know.
-        let _ended = Ended(index, context.events.clone());
+        let _ended = PipelineEnded(index, context.events.clone());
         run(index, &pool, &frames, &context);
     })?;
     Ok(sender)
 }
 
-struct Ended(usize, Sender<Event>);
+struct PipelineEnded(usize, Sender<Event>);
 
-impl Drop for Ended {
+impl Drop for PipelineEnded {
     fn drop(&mut self) {
         // Nobody listens only when the daemon has ended.
         let _ = self.1.send(Event::PipelineEnded { pipeline: self.0 });
@@ -115,7 +115,7 @@ impl Observer for StatusStore {
     }
 }
 
-fn finished(id: FrameId, frame: &Frame, outcome: Outcome, output_states: &OutputStates) -> Finished {
+fn finished(id: FrameId, frame: &Frame, outcome: Outcome, output_states: &OutputStates) -> FrameFinished {
     let outputs = match &outcome {
         Outcome::Converted(report) => {
             let record = |path: &PathBuf, &size_bytes: &u64| {
@@ -133,7 +133,7 @@ fn finished(id: FrameId, frame: &Frame, outcome: Outcome, output_states: &Output
         Outcome::Failed(error) if error.is_disk_full() => free_bytes_at(error),
         _ => None,
     };
-    Finished { id, outputs, outcome, free_bytes }
+    FrameFinished { id, outputs, outcome, free_bytes }
 }
 
 fn free_bytes_at(error: &FrameError) -> Option<u64> {

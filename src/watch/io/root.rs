@@ -14,7 +14,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::pipeline::ObstacleFiles;
-use crate::watch::config::{Config, Patience, Poll, Watch};
+use crate::watch::config::{Patience, Poll, Watch, WatchConfig};
 use crate::watch::core::completeness::may_be_sentinel;
 use crate::watch::core::events::{Event, FoundObstacleStamps, RootRequest, Scan};
 use crate::watch::core::frames::FrameId;
@@ -24,7 +24,7 @@ use super::mounts::network_file_system;
 use super::output_dir::OutputGuard;
 use super::rescan_backoff::RescanBackoff;
 use super::scan::{FolderIdentity, look, scan_with};
-use super::selection::Selection;
+use super::selection::FileFilter;
 use super::worker::{Pulse, Work};
 
 /// A watched folder.
@@ -35,7 +35,7 @@ pub(super) struct Root {
     pub(super) watch: Watch,
     /// Absolute.
     path: PathBuf,
-    selection: Selection,
+    selection: FileFilter,
     pub(super) obstacles: Vec<Arc<ObstacleFiles>>,
     pub(super) output: Arc<OutputGuard>,
     watcher: Option<Watcher>,
@@ -83,8 +83,8 @@ impl Root {
     /// A folder that was not scanned yet. It need not be there. Without a watcher it is scanned every so often.
     pub(super) fn new(
         index: usize,
-        (path, selection): (PathBuf, Selection),
-        config: &Config,
+        (path, selection): (PathBuf, FileFilter),
+        config: &WatchConfig,
         obstacles: Vec<Arc<ObstacleFiles>>,
         output: Arc<OutputGuard>,
         watcher: Result<Option<Watcher>, WatchError>,

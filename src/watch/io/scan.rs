@@ -20,7 +20,7 @@ use crate::pipeline::{FileStamp, file_of, is_link_loop};
 use crate::watch::core::completeness::Seen;
 use crate::watch::core::events::Scan;
 
-use super::selection::{Selection, is_hidden};
+use super::selection::{FileFilter, is_hidden};
 
 /// Looks at one file; links are followed. `None` if it is gone, or is no regular file.
 ///
@@ -41,7 +41,12 @@ pub(crate) fn look(path: &Path, trust_clock: bool) -> io::Result<Option<Seen>> {
 ///
 /// # Errors
 /// When `folder` itself cannot be looked into. Whatever else cannot is told in [`Scan::problems`].
-pub(crate) fn scan(folder: &Path, root: &Path, selection: &Selection, trust_clock: bool) -> io::Result<Scan> {
+pub(crate) fn scan(
+    folder: &Path,
+    root: &Path,
+    selection: &FileFilter,
+    trust_clock: bool,
+) -> io::Result<Scan> {
     scan_with(folder, root, selection, trust_clock, &|| {})
 }
 
@@ -49,12 +54,12 @@ pub(crate) fn scan(folder: &Path, root: &Path, selection: &Selection, trust_cloc
 pub(super) fn scan_with(
     folder: &Path,
     root: &Path,
-    selection: &Selection,
+    selection: &FileFilter,
     trust_clock: bool,
     progress: &dyn Fn(),
 ) -> io::Result<Scan> {
-    let edges = Edges::new(root, selection)?;
-    let mut walk = Walk { root, selection, trust_clock, progress, edges, scan: Scan::default() };
+    let edges = ScanLimits::new(root, selection)?;
+    let mut walk = FolderScan { root, selection, trust_clock, progress, edges, scan: Scan::default() };
     if folder != root && !selection.enters(root, folder) {
         return Ok(walk.scan);
     }
@@ -81,16 +86,16 @@ fn folders_around(folder: &Path, root: &Path) -> io::Result<Vec<FolderIdentity>>
 }
 
 /// A scan under way.
-struct Walk<'a> {
+struct FolderScan<'a> {
     root: &'a Path,
-    selection: &'a Selection,
+    selection: &'a FileFilter,
     trust_clock: bool,
     progress: &'a dyn Fn(),
-    edges: Edges,
+    edges: ScanLimits,
     scan: Scan,
 }
 
-impl Walk<'_> {
+impl FolderScan<'_> {
     /// Looks into one folder, unless it must not be entered. `around` are the folders that it lies in.
     fn enter(
         &mut self,
@@ -150,17 +155,17 @@ impl Walk<'_> {
 }
 
 /// Where a scan ends: the root and the excluded folders, by their true names.
-struct Edges {
+struct ScanLimits {
     root: PathBuf,
     excluded: Vec<PathBuf>,
 }
 
-impl Edges {
-    fn new(root: &Path, selection: &Selection) -> io::Result<Edges> {
+impl ScanLimits {
+    fn new(root: &Path, selection: &FileFilter) -> io::Result<ScanLimits> {
         let root = root.canonicalize()?;
         // One that is not there keeps nobody out; nor does one around the root.
         let excluded = selection.excluded().iter().filter_map(|folder| folder.canonicalize().ok());
-        Ok(Edges { excluded: excluded.collect(), root })
+        Ok(ScanLimits { excluded: excluded.collect(), root })
     }
 
     /// Whether the innermost folder around this one that counts is an excluded one.
@@ -249,12 +254,12 @@ mod tests {
         folder
     }
 
-    fn selection(pattern: Option<&str>, excluded: &[PathBuf]) -> Selection {
-        Selection::new(pattern, true, excluded.to_vec()).expect("a pattern")
+    fn selection(pattern: Option<&str>, excluded: &[PathBuf]) -> FileFilter {
+        FileFilter::new(pattern, true, excluded.to_vec()).expect("a pattern")
     }
 
     /// The paths that a scan finds within its root, sorted; it must have no problems.
-    fn found(root: &Path, selection: &Selection) -> Vec<String> {
+    fn found(root: &Path, selection: &FileFilter) -> Vec<String> {
         let scan = scan(root, root, selection, true).expect("readable");
         assert!(scan.problems.is_empty(), "{:?}", scan.problems);
         names(root, scan.files.iter().map(|file| &*file.0))
@@ -292,14 +297,14 @@ mod tests {
             (Some("**/a.[13].ply"), true, &["a.1.ply", "b/c/a.3.ply"]),
             (Some("frame.????"), true, &["frame.0001"]),
         ] {
-            let selection = Selection::new(pattern, recursive, excluded.to_vec()).expect("a pattern");
+            let selection = FileFilter::new(pattern, recursive, excluded.to_vec()).expect("a pattern");
             assert_eq!(found(root, &selection), expected, "{pattern:?}");
             let taken =
                 paths.map(|path| root.join(path)).into_iter().filter(|path| selection.takes(root, path));
             let taken: Vec<PathBuf> = taken.collect();
             assert_eq!(names(root, taken.iter().map(|path| &**path)), expected, "{pattern:?}");
         }
-        let flat = Selection::new(None, false, Vec::new()).expect("no pattern");
+        let flat = FileFilter::new(None, false, Vec::new()).expect("no pattern");
         let scan = scan(root, root, &flat, true).expect("readable");
         assert_eq!(scan.folders, [root]);
     }

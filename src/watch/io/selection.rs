@@ -28,7 +28,7 @@ use crate::watch::config::names_level_sets;
 
 /// Which files are frames, as far as their names tell.
 #[derive(Clone, Debug)]
-pub struct Selection {
+pub struct FileFilter {
     pattern: Option<Pattern>,
     recursive: bool,
     excluded: Vec<PathBuf>,
@@ -42,7 +42,7 @@ pub struct PatternError {
 
 /// What a file is, by a look at its first bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Content {
+pub enum SniffedContent {
     /// A frame, or what its name promises to be one: to be read, if only to say what is wrong with it.
     Particles,
     /// Something that this program wrote.
@@ -59,7 +59,7 @@ impl fmt::Display for PatternError {
 
 impl std::error::Error for PatternError {}
 
-impl Selection {
+impl FileFilter {
     /// Takes what `pattern` matches: a glob, for the file's name if there is no `/` in it, else for its
     /// path within the root. Without a pattern, names that end like those of particles.
     ///
@@ -72,9 +72,9 @@ impl Selection {
         pattern: Option<&str>,
         recursive: bool,
         excluded: Vec<PathBuf>,
-    ) -> Result<Selection, PatternError> {
+    ) -> Result<FileFilter, PatternError> {
         let pattern = pattern.map(|text| parse_pattern(text, recursive)).transpose()?;
-        Ok(Selection { pattern, recursive, excluded })
+        Ok(FileFilter { pattern, recursive, excluded })
     }
 
     /// Whether the name of a file within `root` says that it is a frame. Excluded folders are known by
@@ -131,20 +131,20 @@ fn parse_pattern(text: &str, recursive: bool) -> Result<Pattern, PatternError> {
 ///
 /// # Errors
 /// When it cannot be read.
-pub fn content(path: &Path) -> io::Result<Content> {
+pub fn content(path: &Path) -> io::Result<SniffedContent> {
     const HEAD_BYTES: u64 = 64 << 10; // holds the provenance of every output
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     if !path.metadata()?.is_file() {
-        return Ok(Content::NotParticles);
+        return Ok(SniffedContent::NotParticles);
     }
     let head = read_head(open_regular(path)?, HEAD_BYTES)?;
     let promises = promises_particles(&name) || is_level_set(path);
     Ok(if is_own_output(&head, &name) {
-        Content::OwnOutput
+        SniffedContent::OwnOutput
     } else if promises || looks_like_particles(&head, &name) {
-        Content::Particles
+        SniffedContent::Particles
     } else {
-        Content::NotParticles
+        SniffedContent::NotParticles
     })
 }
 
@@ -204,7 +204,7 @@ mod tests {
             (Some("**/*.vdb"), "/frames/b/dam.1.VDB", false),
             (Some("*.vdb"), "/frames/dam.1.ply", false),
         ] {
-            let selection = Selection::new(pattern, true, Vec::new()).expect("a pattern");
+            let selection = FileFilter::new(pattern, true, Vec::new()).expect("a pattern");
             assert_eq!(selection.takes(root, Path::new(path)), expected, "{pattern:?} {path}");
         }
     }
@@ -214,7 +214,7 @@ mod tests {
         for (pattern, recursive, words) in
             [("a[", true, "`a[` is no pattern"), ("b/*.ply", false, "sub-folders")]
         {
-            let error = Selection::new(Some(pattern), recursive, Vec::new()).expect_err(pattern).to_string();
+            let error = FileFilter::new(Some(pattern), recursive, Vec::new()).expect_err(pattern).to_string();
             assert!(error.contains(words), "{error}");
         }
     }
@@ -228,13 +228,13 @@ mod tests {
             fs::write(&path, bytes).expect("written");
             content(&path).expect("readable")
         };
-        assert_eq!(of("a.ply", b"ply\nformat ascii 1.0\ncomment by hand\n"), Content::Particles);
-        assert_eq!(of("broken.ply", b"what is this"), Content::Particles);
-        assert_eq!(of("empty.bgeo", b""), Content::Particles);
-        assert_eq!(of("table.txt", b"x y z\n1 2 3\n"), Content::Particles);
-        assert_eq!(of("frame.0001", b"BgeoV\0\0\0\x05"), Content::Particles);
-        assert_eq!(of("readme.txt", b"Read me, please.\n"), Content::NotParticles);
-        assert_eq!(of("mesh.obj", b"v 1 2 3\nv 4 5 6\n"), Content::NotParticles);
+        assert_eq!(of("a.ply", b"ply\nformat ascii 1.0\ncomment by hand\n"), SniffedContent::Particles);
+        assert_eq!(of("broken.ply", b"what is this"), SniffedContent::Particles);
+        assert_eq!(of("empty.bgeo", b""), SniffedContent::Particles);
+        assert_eq!(of("table.txt", b"x y z\n1 2 3\n"), SniffedContent::Particles);
+        assert_eq!(of("frame.0001", b"BgeoV\0\0\0\x05"), SniffedContent::Particles);
+        assert_eq!(of("readme.txt", b"Read me, please.\n"), SniffedContent::NotParticles);
+        assert_eq!(of("mesh.obj", b"v 1 2 3\nv 4 5 6\n"), SniffedContent::NotParticles);
         let mesh = MeshView {
             positions: &[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
             normals: &[[0.0, 0.0, 1.0]; 3],
@@ -245,16 +245,16 @@ mod tests {
         let maker = [("generator".to_owned(), "meniscus".to_owned())];
         let mut bytes = Vec::new();
         ply::write::write_mesh(&mesh, &maker, &mut bytes).expect("written");
-        assert_eq!(of("surface.ply", &bytes), Content::OwnOutput);
+        assert_eq!(of("surface.ply", &bytes), SniffedContent::OwnOutput);
         bytes.clear();
         ply::write::write_mesh(&mesh, &[], &mut bytes).expect("written");
-        assert_eq!(of("foreign.ply", &bytes), Content::Particles);
+        assert_eq!(of("foreign.ply", &bytes), SniffedContent::Particles);
         bytes.clear();
         OutputFormat::Obj.write_mesh(&mesh, &MeshOptions::default(), &maker, &mut bytes).expect("written");
-        assert_eq!(of("surface.obj", &bytes), Content::OwnOutput);
+        assert_eq!(of("surface.obj", &bytes), SniffedContent::OwnOutput);
         bytes.clear();
         gltf::write_glb(&mesh, &MeshOptions::default(), &maker, &mut bytes).expect("written");
-        assert_eq!(of("surface.glb", &bytes), Content::OwnOutput);
+        assert_eq!(of("surface.glb", &bytes), SniffedContent::OwnOutput);
         assert!(content(&folder.path().join("gone.ply")).is_err());
     }
 }

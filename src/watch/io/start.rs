@@ -7,7 +7,7 @@ use std::time::Instant;
 use crossbeam::channel::Sender;
 
 use crate::pipeline::ObstacleFiles;
-use crate::watch::config::Config;
+use crate::watch::config::WatchConfig;
 use crate::watch::core::events::{Event, Now, OutputRequest, RootRequest, SlowRequest, Worker};
 use crate::watch::core::state::Core;
 use crate::watch::journal::{DaemonRecord, DaemonState, now_ms};
@@ -20,7 +20,7 @@ use super::lock::host_name;
 use super::output_dir::{OutputGuard, open_outputs};
 use super::pipeline::PipelineContext;
 use super::root::Root;
-use super::selection::Selection;
+use super::selection::FileFilter;
 use super::slow;
 use super::worker::{Pulse, StallMonitor, spawn};
 
@@ -48,7 +48,7 @@ impl Drop for Workers {
 /// # Errors
 /// When a folder of outputs cannot be had, a pattern is invalid, or the system has no more threads.
 pub(crate) fn start(
-    config: &Arc<Config>,
+    config: &Arc<WatchConfig>,
     store: Option<Arc<StatusStore>>,
     events: &Sender<Event>,
 ) -> Result<(Core, Workers, PipelineContext), DaemonError> {
@@ -60,7 +60,7 @@ pub(crate) fn start(
     let mut paths = Vec::new();
     for watch in &config.watches {
         let path = known_path(&watch.input).unwrap_or_else(|_| watch.input.clone());
-        let selection = Selection::new(watch.pattern.as_deref(), watch.recursive, folders.clone());
+        let selection = FileFilter::new(watch.pattern.as_deref(), watch.recursive, folders.clone());
         paths.push((path, selection.map_err(DaemonError::Pattern)?));
     }
     let journals =

@@ -51,8 +51,8 @@ mod tests {
     use glam::DVec3;
 
     use super::super::state::{
-        DaemonRecord, DaemonState, FrameRecord, OutputRecord, SequenceCamera, SequenceKey, SequenceRecord,
-        Standing,
+        DaemonRecord, DaemonState, JournaledFrame, JournaledSequence, OutputRecord, SequenceCamera,
+        SequenceKey, Standing,
     };
     use super::*;
     use crate::pipeline::{FileStamp, Framed, MeasuredSpacing, OutputState};
@@ -68,7 +68,7 @@ mod tests {
     }
 
     fn frame(input: impl Into<PathBuf>, standing: Standing) -> Entry {
-        let record = FrameRecord {
+        let record = JournaledFrame {
             standing,
             stamp: FileStamp {
                 size: u64::MAX,
@@ -119,7 +119,7 @@ mod tests {
             comes_back(&frame("/sim/dam.0001.bgeo", standing));
         }
         let Entry::Frame { input, record } = frame("a b\n", Standing::Queued) else { unreachable!() };
-        let bare = FrameRecord {
+        let bare = JournaledFrame {
             hash: None,
             outputs: Vec::new(),
             reason: None,
@@ -160,7 +160,7 @@ mod tests {
                 name: "dam.{}.bgeo".to_owned(),
                 choices: "fast".to_owned(),
             };
-            let record = SequenceRecord {
+            let record = JournaledSequence {
                 measured: Some(MeasuredSpacing {
                     spacing,
                     confidence: 0.1,

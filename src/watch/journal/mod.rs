@@ -17,7 +17,7 @@
 //! version is set aside. The one thing that must not be is a record that was never made: each line
 //! has a checksum.
 //!
-//! **The disk may fill up.** [`State`] in memory is always right. A record that could not be written
+//! **The disk may fill up.** [`JournalState`] in memory is always right. A record that could not be written
 //! stays pending, and goes out with the next one; what half of it reached the disk is cut off first.
 //! The same holds where the file is taken away under a running daemon: it is written anew.
 //!
@@ -43,11 +43,11 @@ use crate::pipeline::{FileStamp, has_other_names, is_disk_full, open_own, replac
 
 use line::{parse_line, push_line};
 pub(in crate::watch) use state::Entry;
-use state::Key;
+use state::RecordKey;
 
 pub use state::{
-    DaemonRecord, DaemonState, FrameRecord, OutputCheck, OutputRecord, PlanRecord, SequenceCamera,
-    SequenceKey, SequenceRecord, Standing, State,
+    DaemonRecord, DaemonState, JournalState, JournaledFrame, JournaledSequence, OutputCheck, OutputRecord,
+    PlanRecord, SequenceCamera, SequenceKey, Standing,
 };
 
 /// The folder, in that of the outputs, of what the daemon keeps for itself.
@@ -75,9 +75,9 @@ const COMPACTED_LINES_MIN: usize = 1000;
 #[derive(Debug)]
 pub struct Journal {
     path: PathBuf,
-    state: State,
+    state: JournalState,
     /// What the state knows and the disk does not.
-    pending: HashSet<Key>,
+    pending: HashSet<RecordKey>,
     /// Where lines are added; `None` until the first one, and after a write that failed.
     file: Option<File>,
     /// Which file that is.
@@ -101,8 +101,8 @@ impl Journal {
         fs::create_dir_all(folder)?;
         let path = folder.join(FILE_NAME);
         let loaded = match load(&path)? {
-            Found::Journal(loaded) => *loaded,
-            Found::OtherVersion => {
+            JournalFile::Journal(loaded) => *loaded,
+            JournalFile::OtherVersion => {
                 set_aside(&path)?;
                 Loaded::default()
             }
@@ -137,10 +137,10 @@ impl Journal {
     ///
     /// # Errors
     /// When the system refuses, or the journal is of another version.
-    pub fn read(folder: &Path) -> io::Result<State> {
+    pub fn read(folder: &Path) -> io::Result<JournalState> {
         match load(&folder.join(FILE_NAME))? {
-            Found::Journal(loaded) => Ok(loaded.state),
-            Found::OtherVersion => {
+            JournalFile::Journal(loaded) => Ok(loaded.state),
+            JournalFile::OtherVersion => {
                 let what = "the journal was written by another version of meniscus";
                 Err(io::Error::new(io::ErrorKind::InvalidData, what))
             }
@@ -148,7 +148,7 @@ impl Journal {
     }
 
     /// All that is remembered, also what could not be written yet.
-    pub fn state(&self) -> &State {
+    pub fn state(&self) -> &JournalState {
         &self.state
     }
 
@@ -178,7 +178,7 @@ impl Journal {
     ///
     /// # Errors
     /// When it is not on the disk.
-    pub fn note_frame(&mut self, input: &Path, record: FrameRecord) -> io::Result<()> {
+    pub fn note_frame(&mut self, input: &Path, record: JournaledFrame) -> io::Result<()> {
         self.note(Entry::Frame { input: input.into(), record: record.into() })
     }
 
@@ -285,7 +285,7 @@ impl Journal {
 }
 
 /// What there is under the name of a journal.
-enum Found {
+enum JournalFile {
     Journal(Box<Loaded>),
     OtherVersion,
 }
@@ -293,7 +293,7 @@ enum Found {
 /// A journal that was read.
 #[derive(Default)]
 struct Loaded {
-    state: State,
+    state: JournalState,
     /// Without a torn line at the end.
     whole_bytes: u64,
     /// Lines after the first.
@@ -301,29 +301,29 @@ struct Loaded {
 }
 
 /// Reads the journal at `path`; where there is none, an empty one.
-fn load(path: &Path) -> io::Result<Found> {
+fn load(path: &Path) -> io::Result<JournalFile> {
     match open_own(path, OpenOptions::new().read(true)) {
         Ok(file) => parse(BufReader::new(file)),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Found::Journal(Box::default())),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(JournalFile::Journal(Box::default())),
         Err(error) => Err(error),
     }
 }
 
 /// Reads a journal, whole lines only.
-fn parse(mut reader: impl BufRead) -> io::Result<Found> {
+fn parse(mut reader: impl BufRead) -> io::Result<JournalFile> {
     let mut loaded = Box::<Loaded>::default();
     let mut line = Vec::new();
     reader.read_until(b'\n', &mut line)?;
     if line != VERSION_LINE {
         // Whoever began it was stopped before the end of the first line: nothing is in it.
         let is_torn = VERSION_LINE.starts_with(&line);
-        return Ok(if is_torn { Found::Journal(loaded) } else { Found::OtherVersion });
+        return Ok(if is_torn { JournalFile::Journal(loaded) } else { JournalFile::OtherVersion });
     }
     loop {
         loaded.whole_bytes += line.len() as u64;
         line.clear();
         reader.read_until(b'\n', &mut line)?;
-        let Some(record) = line.strip_suffix(b"\n") else { return Ok(Found::Journal(loaded)) };
+        let Some(record) = line.strip_suffix(b"\n") else { return Ok(JournalFile::Journal(loaded)) };
         loaded.line_count += 1;
         match parse_line(record) {
             Some(entry) => loaded.state.take(entry),
@@ -344,7 +344,7 @@ fn set_aside(path: &Path) -> io::Result<()> {
 }
 
 /// Writes a journal of one line per record. Returns its size.
-fn write_fresh(out: &mut impl Write, state: &State) -> io::Result<u64> {
+fn write_fresh(out: &mut impl Write, state: &JournalState) -> io::Result<u64> {
     let mut whole_bytes = VERSION_LINE.len() as u64;
     out.write_all(VERSION_LINE)?;
     let mut line = Vec::new();

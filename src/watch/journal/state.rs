@@ -18,11 +18,11 @@ use crate::watch::status_store::Figures;
 
 /// All that is remembered.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct State {
+pub struct JournalState {
     /// By the path of the input.
-    pub frames: HashMap<Arc<Path>, Arc<FrameRecord>>,
+    pub frames: HashMap<Arc<Path>, Arc<JournaledFrame>>,
     /// The settings that sequences were given by their first frame.
-    pub sequences: HashMap<SequenceKey, SequenceRecord>,
+    pub sequences: HashMap<SequenceKey, JournaledSequence>,
     /// The daemon that wrote last. That it says "running" is no proof that it is.
     pub daemon: Option<DaemonRecord>,
     /// What it was asked for.
@@ -33,7 +33,7 @@ pub struct State {
 
 /// What became of a frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct FrameRecord {
+pub struct JournaledFrame {
     /// How far it has come.
     pub standing: Standing,
     /// The input, as it was when this was recorded.
@@ -164,7 +164,7 @@ pub struct SequenceKey {
 
 /// What some frames of a sequence have fixed for all of them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct SequenceRecord {
+pub struct JournaledSequence {
     /// The particle spacing, where it was not given.
     #[serde(flatten)]
     pub measured: Option<MeasuredSpacing>,
@@ -290,7 +290,7 @@ impl fmt::Display for DaemonState {
 
 /// What a record is about: a later one of the same key replaces an earlier one.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub(super) enum Key {
+pub(super) enum RecordKey {
     Frame(Arc<Path>),
     Sequence(SequenceKey),
     Daemon,
@@ -305,30 +305,30 @@ pub(in crate::watch) enum Entry {
         #[serde(with = "path")]
         input: Arc<Path>,
         #[serde(flatten)]
-        record: Arc<FrameRecord>,
+        record: Arc<JournaledFrame>,
     },
     Sequence {
         #[serde(flatten)]
         key: SequenceKey,
         #[serde(flatten)]
-        record: Box<SequenceRecord>,
+        record: Box<JournaledSequence>,
     },
     Daemon(DaemonRecord),
     Plan(PlanRecord),
 }
 
 impl Entry {
-    pub(super) fn key(&self) -> Key {
+    pub(super) fn key(&self) -> RecordKey {
         match self {
-            Entry::Frame { input, .. } => Key::Frame(Arc::clone(input)),
-            Entry::Sequence { key, .. } => Key::Sequence(key.clone()),
-            Entry::Daemon(_) => Key::Daemon,
-            Entry::Plan(_) => Key::Plan,
+            Entry::Frame { input, .. } => RecordKey::Frame(Arc::clone(input)),
+            Entry::Sequence { key, .. } => RecordKey::Sequence(key.clone()),
+            Entry::Daemon(_) => RecordKey::Daemon,
+            Entry::Plan(_) => RecordKey::Plan,
         }
     }
 }
 
-impl State {
+impl JournalState {
     /// Takes a record in, in place of the one before it.
     pub(in crate::watch) fn take(&mut self, entry: Entry) {
         match entry {
@@ -344,12 +344,12 @@ impl State {
     }
 
     /// The record of this key.
-    pub(super) fn entry(&self, key: &Key) -> Option<Entry> {
+    pub(super) fn entry(&self, key: &RecordKey) -> Option<Entry> {
         match key {
-            Key::Frame(input) => self.frames.get_key_value(input).map(frame_entry),
-            Key::Sequence(key) => self.sequences.get_key_value(key).map(sequence_entry),
-            Key::Daemon => self.daemon.clone().map(Entry::Daemon),
-            Key::Plan => self.plan.clone().map(Entry::Plan),
+            RecordKey::Frame(input) => self.frames.get_key_value(input).map(frame_entry),
+            RecordKey::Sequence(key) => self.sequences.get_key_value(key).map(sequence_entry),
+            RecordKey::Daemon => self.daemon.clone().map(Entry::Daemon),
+            RecordKey::Plan => self.plan.clone().map(Entry::Plan),
         }
     }
 
@@ -368,10 +368,10 @@ impl State {
     }
 }
 
-fn frame_entry((input, record): (&Arc<Path>, &Arc<FrameRecord>)) -> Entry {
+fn frame_entry((input, record): (&Arc<Path>, &Arc<JournaledFrame>)) -> Entry {
     Entry::Frame { input: Arc::clone(input), record: Arc::clone(record) }
 }
 
-fn sequence_entry((key, record): (&SequenceKey, &SequenceRecord)) -> Entry {
+fn sequence_entry((key, record): (&SequenceKey, &JournaledSequence)) -> Entry {
     Entry::Sequence { key: key.clone(), record: Box::new(record.clone()) }
 }

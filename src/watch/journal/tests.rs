@@ -9,7 +9,7 @@ use crate::watch::config::Patience;
 use super::*;
 
 impl Journal {
-    fn note_sequence(&mut self, key: &SequenceKey, record: SequenceRecord) -> io::Result<()> {
+    fn note_sequence(&mut self, key: &SequenceKey, record: JournaledSequence) -> io::Result<()> {
         self.note(Entry::Sequence { key: key.clone(), record: record.into() })
     }
 
@@ -18,7 +18,7 @@ impl Journal {
     }
 }
 
-fn frame_entry(input: &Path, record: FrameRecord) -> Entry {
+fn frame_entry(input: &Path, record: JournaledFrame) -> Entry {
     Entry::Frame { input: input.into(), record: record.into() }
 }
 
@@ -30,8 +30,8 @@ fn open(folder: &Path) -> Journal {
     Journal::open(folder).expect("a journal")
 }
 
-fn frame_record(standing: Standing, attempt_count: u32) -> FrameRecord {
-    FrameRecord {
+fn frame_record(standing: Standing, attempt_count: u32) -> JournaledFrame {
+    JournaledFrame {
         standing,
         stamp: FileStamp {
             size: 12_345,
@@ -56,10 +56,10 @@ fn input(number: usize) -> PathBuf {
     format!("/sim/water/dam.{number:04}.bgeo").into()
 }
 
-fn sequence() -> (SequenceKey, SequenceRecord) {
+fn sequence() -> (SequenceKey, JournaledSequence) {
     let key =
         SequenceKey { folder: "/sim".into(), name: "dam.{}.bgeo".to_owned(), choices: "fast".to_owned() };
-    let record = SequenceRecord {
+    let record = JournaledSequence {
         measured: Some(MeasuredSpacing {
             spacing: 0.2,
             confidence: 0.9,
@@ -83,7 +83,7 @@ fn plan_record() -> PlanRecord {
 }
 
 /// Some of everything, and the states there were on the way, the empty one first.
-fn write_some(folder: &Path) -> Vec<State> {
+fn write_some(folder: &Path) -> Vec<JournalState> {
     let mut journal = open(folder);
     let mut states = vec![journal.state().clone()];
     let mut remember = |journal: &Journal| states.push(journal.state().clone());
@@ -115,7 +115,7 @@ fn line_count(folder: &Path) -> usize {
 fn what_was_noted_is_there_the_next_time() {
     let folder = folder();
     let folder = folder.path().join("not/there/yet");
-    assert_eq!(Journal::read(&folder).expect("no journal"), State::default());
+    assert_eq!(Journal::read(&folder).expect("no journal"), JournalState::default());
     let states = write_some(&folder);
     let last = states.last().expect("states");
     assert_eq!(last.frames.len(), 3);
@@ -168,11 +168,11 @@ fn no_flipped_bit_makes_a_record_that_never_was() {
         for bit in 0..8 {
             bytes[index] ^= 1 << bit;
             match parse(&*bytes).expect("memory can be read") {
-                Found::Journal(loaded) => {
+                JournalFile::Journal(loaded) => {
                     check_was_written(&loaded.state, &states);
                     damaged_count += usize::from(loaded.state.damaged_line_count > 0);
                 }
-                Found::OtherVersion => set_aside_count += 1,
+                JournalFile::OtherVersion => set_aside_count += 1,
             }
             bytes[index] ^= 1 << bit;
         }
@@ -185,7 +185,7 @@ fn no_flipped_bit_makes_a_record_that_never_was() {
     );
 }
 
-fn check_was_written(state: &State, states: &[State]) {
+fn check_was_written(state: &JournalState, states: &[JournalState]) {
     for (input, record) in &state.frames {
         assert!(states.iter().any(|state| state.frames.get(input) == Some(record)), "{record:?}");
     }
@@ -402,7 +402,7 @@ fn a_reader_goes_on_while_it_is_made_shorter() {
     let before = journal.state().clone();
     journal.rewrite().expect("a fresh file");
     reader.seek(SeekFrom::Start(0)).expect("the beginning");
-    let Found::Journal(loaded) = parse(BufReader::new(reader)).expect("the old file") else {
+    let JournalFile::Journal(loaded) = parse(BufReader::new(reader)).expect("the old file") else {
         panic!("of this version")
     };
     assert_eq!(loaded.state, before);

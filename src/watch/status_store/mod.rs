@@ -31,7 +31,9 @@ use crate::pipeline::{SequenceRecord, Stage, natural_order};
 
 pub use figures::Figures;
 pub use metrics::{BUCKETS_S, Counters, Histogram, STAGES};
-pub use view::{Counts, Forecast, FrameState, FrameSummary, FrameView, OutputView, Sample, Status};
+pub use view::{
+    Forecast, FrameProgress, FrameSummary, FrameView, LiveStatus, OutputView, StateCounts, StatusSample,
+};
 
 /// What clients can see of one daemon.
 #[derive(Debug)]
@@ -41,47 +43,47 @@ pub struct StatusStore {
     version: AtomicU64,
     /// When the daemon last said that it is not stuck, in milliseconds since 1970.
     alive_ms: AtomicU64,
-    state: Mutex<State>,
+    state: Mutex<StoreState>,
 }
 
 #[derive(Debug, Default)]
-struct State {
-    frames: BTreeMap<Rank, Arc<FrameView>>,
+struct StoreState {
+    frames: BTreeMap<NameOrder, Arc<FrameView>>,
     /// The name of the frame whose outputs are called so.
-    by_stem: HashMap<PathBuf, Rank>,
+    by_stem: HashMap<PathBuf, NameOrder>,
     /// Which frame an output is of, by the name of the output.
-    by_output: HashMap<String, Rank>,
-    counts: Counts,
-    changes: VecDeque<Change>,
+    by_output: HashMap<String, NameOrder>,
+    counts: StateCounts,
+    changes: VecDeque<StatusChange>,
     version: u64,
-    status: Arc<Status>,
+    status: Arc<LiveStatus>,
     is_ready: bool,
     plan: Arc<Value>,
     sequences: BTreeMap<String, Arc<SequenceRecord>>,
-    samples: VecDeque<Sample>,
+    samples: VecDeque<StatusSample>,
     counters: Counters,
 }
 
 /// A frame's name, in natural order.
 #[derive(Clone, Debug, PartialEq, Eq)]
-struct Rank(Arc<str>);
+struct NameOrder(Arc<str>);
 
-impl Ord for Rank {
-    fn cmp(&self, other: &Rank) -> std::cmp::Ordering {
+impl Ord for NameOrder {
+    fn cmp(&self, other: &NameOrder) -> std::cmp::Ordering {
         natural_order(&self.0, &other.0).then_with(|| self.0.cmp(&other.0))
     }
 }
 
-impl PartialOrd for Rank {
-    fn partial_cmp(&self, other: &Rank) -> Option<std::cmp::Ordering> {
+impl PartialOrd for NameOrder {
+    fn partial_cmp(&self, other: &NameOrder) -> Option<std::cmp::Ordering> {
         Some(self.cmp(other))
     }
 }
 
 #[derive(Clone, Debug)]
-enum Change {
+enum StatusChange {
     /// Of a frame, or that it is gone.
-    Frame(Rank),
+    Frame(NameOrder),
     Status,
     Settings,
     /// Everything.
@@ -103,7 +105,7 @@ pub struct Page {
 
 /// What has changed since somebody looked.
 #[derive(Clone, Debug)]
-pub enum Changes {
+pub enum StatusChanges {
     /// So much that it is not known any more: look at everything again, and go on from this version.
     Lost(u64),
     /// This.
@@ -115,7 +117,7 @@ pub enum Changes {
         /// Names of frames that are gone.
         removed: Vec<Arc<str>>,
         /// How the daemon is, if that has changed.
-        status: Option<Arc<Status>>,
+        status: Option<Arc<LiveStatus>>,
         /// Whether settings have changed.
         settings: bool,
     },
@@ -159,14 +161,14 @@ impl StatusStore {
         let mut state = self.lock();
         // What was counted goes on: it is of the process.
         let old = std::mem::take(&mut *state);
-        *state = State {
+        *state = StoreState {
             version: old.version,
             plan: Arc::new(plan),
             counters: old.counters,
             samples: old.samples,
-            ..State::default()
+            ..StoreState::default()
         };
-        self.note(&mut state, Change::All);
+        self.note(&mut state, StatusChange::All);
     }
 
     /// Everything was looked at once.
@@ -182,7 +184,7 @@ impl StatusStore {
     /// Shows a frame, in place of what was shown of it. Figures of one that is still done stay.
     pub fn update(&self, mut view: FrameView) {
         let mut state = self.lock();
-        let rank = Rank(view.summary.name.clone());
+        let rank = NameOrder(view.summary.name.clone());
         let old = state.frames.remove(&rank);
         if let Some(old) = &old {
             state.unlink(old);
@@ -198,17 +200,17 @@ impl StatusStore {
         state.link(&rank, &view);
         state.frames.insert(rank.clone(), Arc::new(view));
         if is_news {
-            self.note(&mut state, Change::Frame(rank));
+            self.note(&mut state, StatusChange::Frame(rank));
         }
     }
 
     /// A frame is gone, or is none.
     pub fn remove(&self, name: &str) {
         let mut state = self.lock();
-        let rank = Rank(name.into());
+        let rank = NameOrder(name.into());
         if let Some(old) = state.frames.remove(&rank) {
             state.unlink(&old);
-            self.note(&mut state, Change::Frame(rank));
+            self.note(&mut state, StatusChange::Frame(rank));
         }
     }
 
@@ -219,27 +221,27 @@ impl StatusStore {
         let Some(mut frame) = state.frames.remove(&rank) else { return };
         state.unlink(&frame);
         let view = Arc::make_mut(&mut frame);
-        view.summary.state = FrameState::Working;
+        view.summary.state = FrameProgress::Working;
         view.summary.stage = Some(STAGES[stage as usize]);
         view.summary.since_ms = now_ms();
         state.link(&rank, &frame);
         state.frames.insert(rank.clone(), frame);
-        self.note(&mut state, Change::Frame(rank));
+        self.note(&mut state, StatusChange::Frame(rank));
     }
 
     /// Shows the settings of a sequence.
     pub fn set_sequence(&self, name: String, record: SequenceRecord) {
         let mut state = self.lock();
         state.sequences.insert(name, Arc::new(record));
-        self.note(&mut state, Change::Settings);
+        self.note(&mut state, StatusChange::Settings);
     }
 
     /// How the daemon is. Comes about once a second, and makes a sample for the chart.
-    pub fn set_status(&self, status: Status) {
+    pub fn set_status(&self, status: LiveStatus) {
         self.pulse();
         let mut state = self.lock();
-        let Counts { waiting, queued, working, failed, .. } = state.counts;
-        let sample = Sample {
+        let StateCounts { waiting, queued, working, failed, .. } = state.counts;
+        let sample = StatusSample {
             at_ms: now_ms(),
             waiting,
             queued,
@@ -254,7 +256,7 @@ impl StatusStore {
         state.samples.push_back(sample);
         if *state.status != status {
             state.status = Arc::new(status);
-            self.note(&mut state, Change::Status);
+            self.note(&mut state, StatusChange::Status);
         }
     }
 
@@ -267,9 +269,9 @@ impl StatusStore {
     pub fn page(&self, after: Option<&str>, limit: usize) -> Page {
         let state = self.lock();
         let frames = match after {
-            None => state.frames.range::<Rank, _>(..),
+            None => state.frames.range::<NameOrder, _>(..),
             Some(name) => {
-                let after = std::ops::Bound::Excluded(Rank(name.into()));
+                let after = std::ops::Bound::Excluded(NameOrder(name.into()));
                 state.frames.range((after, std::ops::Bound::Unbounded))
             }
         };
@@ -285,7 +287,7 @@ impl StatusStore {
 
     /// The frame of this name.
     pub fn frame(&self, name: &str) -> Option<Arc<FrameView>> {
-        self.lock().frames.get(&Rank(name.into())).map(Arc::clone)
+        self.lock().frames.get(&NameOrder(name.into())).map(Arc::clone)
     }
 
     /// Where the output of this name is.
@@ -302,7 +304,7 @@ impl StatusStore {
     }
 
     /// How the daemon is.
-    pub fn status(&self) -> (Arc<Status>, Counts) {
+    pub fn status(&self) -> (Arc<LiveStatus>, StateCounts) {
         let state = self.lock();
         (Arc::clone(&state.status), state.counts)
     }
@@ -314,7 +316,7 @@ impl StatusStore {
     }
 
     /// How it was in the last quarter of an hour.
-    pub fn samples(&self) -> Vec<Sample> {
+    pub fn samples(&self) -> Vec<StatusSample> {
         self.lock().samples.iter().copied().collect()
     }
 
@@ -334,21 +336,21 @@ impl StatusStore {
     }
 
     /// What has changed after `version`, or the first part of it: no more than `limit` changes are looked at.
-    pub fn changes_since(&self, version: u64, limit: usize) -> Changes {
+    pub fn changes_since(&self, version: u64, limit: usize) -> StatusChanges {
         let state = self.lock();
         let first = state.version - state.changes.len() as u64;
         if version < first || state.version < version {
-            return Changes::Lost(state.version);
+            return StatusChanges::Lost(state.version);
         }
         let news = state.changes.iter().skip((version - first) as usize).take(limit);
         let version = state.version.min(version + limit as u64);
         let (mut ranks, mut is_status, mut settings) = (BTreeSet::new(), false, false);
         for change in news {
             match change {
-                Change::All => return Changes::Lost(state.version),
-                Change::Frame(rank) => drop(ranks.insert(rank)),
-                Change::Status => is_status = true,
-                Change::Settings => settings = true,
+                StatusChange::All => return StatusChanges::Lost(state.version),
+                StatusChange::Frame(rank) => drop(ranks.insert(rank)),
+                StatusChange::Status => is_status = true,
+                StatusChange::Settings => settings = true,
             }
         }
         let (mut frames, mut removed) = (Vec::new(), Vec::new());
@@ -359,10 +361,10 @@ impl StatusStore {
             }
         }
         let status = is_status.then(|| Arc::clone(&state.status));
-        Changes::Known { version, frames, removed, status, settings }
+        StatusChanges::Known { version, frames, removed, status, settings }
     }
 
-    fn note(&self, state: &mut State, change: Change) {
+    fn note(&self, state: &mut StoreState, change: StatusChange) {
         if state.changes.len() == CHANGES_MAX {
             state.changes.pop_front();
         }
@@ -371,14 +373,14 @@ impl StatusStore {
         self.version.store(state.version, Ordering::Release);
     }
 
-    fn lock(&self) -> MutexGuard<'_, State> {
+    fn lock(&self) -> MutexGuard<'_, StoreState> {
         // What a panic left half done is replaced with the next change of the frame.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl State {
-    fn link(&mut self, rank: &Rank, view: &FrameView) {
+impl StoreState {
+    fn link(&mut self, rank: &NameOrder, view: &FrameView) {
         *self.counts.of(view.summary.state) += 1;
         self.by_stem.insert(view.stem.clone(), rank.clone());
         for output in &view.outputs {
@@ -388,7 +390,7 @@ impl State {
 
     fn unlink(&mut self, view: &FrameView) {
         *self.counts.of(view.summary.state) -= 1;
-        let is_own = |owner: &Rank| owner.0 == view.summary.name;
+        let is_own = |owner: &NameOrder| owner.0 == view.summary.name;
         if self.by_stem.get(&view.stem).is_some_and(is_own) {
             self.by_stem.remove(&view.stem);
         }

@@ -1,6 +1,6 @@
 use super::*;
 
-fn view(name: &str, state: FrameState) -> FrameView {
+fn view(name: &str, state: FrameProgress) -> FrameView {
     let output = |extension: &str| OutputView {
         name: format!("{name}.{extension}"),
         size_bytes: 1,
@@ -20,7 +20,7 @@ fn view(name: &str, state: FrameState) -> FrameView {
         },
         attempts: 0,
         input_bytes: 0,
-        outputs: if state == FrameState::Done { vec![output("glb"), output("vdb")] } else { Vec::new() },
+        outputs: if state == FrameProgress::Done { vec![output("glb"), output("vdb")] } else { Vec::new() },
         figures: None,
         stem: format!("/out/{name}").into(),
     }
@@ -33,8 +33,8 @@ fn names(frames: &[Arc<FrameView>]) -> Vec<&str> {
 /// The names of frames that changed, and of those that are gone.
 fn news(store: &StatusStore, version: u64) -> Option<(u64, Vec<String>, Vec<String>)> {
     match store.changes_since(version, 100) {
-        Changes::Lost(_) => None,
-        Changes::Known { version, frames, removed, .. } => {
+        StatusChanges::Lost(_) => None,
+        StatusChanges::Known { version, frames, removed, .. } => {
             let frames = names(&frames).into_iter().map(str::to_owned).collect();
             Some((version, frames, removed.iter().map(|name| (**name).to_owned()).collect()))
         }
@@ -45,7 +45,7 @@ fn news(store: &StatusStore, version: u64) -> Option<(u64, Vec<String>, Vec<Stri
 fn pages_are_in_natural_order() {
     let store = StatusStore::new();
     for number in [10, 9, 1, 100, 2] {
-        store.update(view(&format!("a.{number}"), FrameState::Queued));
+        store.update(view(&format!("a.{number}"), FrameProgress::Queued));
     }
     let page = store.page(None, 3);
     assert_eq!((names(&page.frames), page.total, page.has_more), (vec!["a.1", "a.2", "a.9"], 5, true));
@@ -58,28 +58,28 @@ fn pages_are_in_natural_order() {
 #[test]
 fn a_frame_is_told_once_as_it_is_now() {
     let store = StatusStore::new();
-    store.update(view("a", FrameState::Waiting));
-    store.update(view("b", FrameState::Waiting));
-    store.update(view("a", FrameState::Queued));
+    store.update(view("a", FrameProgress::Waiting));
+    store.update(view("b", FrameProgress::Waiting));
+    store.update(view("a", FrameProgress::Queued));
     store.stage_began(Path::new("/out/a"), Stage::Smooth);
     store.remove("b");
     let (version, frames, removed) = news(&store, 0).expect("known");
     assert_eq!((version, frames, removed), (store.version(), vec!["a".to_owned()], vec!["b".to_owned()]));
     let frame = store.frame("a").expect("shown");
-    assert_eq!((frame.summary.state, frame.summary.stage), (FrameState::Working, Some("smooth")));
-    assert_eq!(store.status().1, Counts { working: 1, ..Counts::default() });
+    assert_eq!((frame.summary.state, frame.summary.stage), (FrameProgress::Working, Some("smooth")));
+    assert_eq!(store.status().1, StateCounts { working: 1, ..StateCounts::default() });
     assert_eq!(news(&store, version).expect("known").1, [""; 0]);
 }
 
 #[test]
 fn what_does_not_change_is_no_news() {
     let store = StatusStore::new();
-    store.update(FrameView { figures: Some(Arc::default()), ..view("a", FrameState::Done) });
+    store.update(FrameView { figures: Some(Arc::default()), ..view("a", FrameProgress::Done) });
     let version = store.version();
-    store.update(view("a", FrameState::Done));
+    store.update(view("a", FrameProgress::Done));
     assert_eq!(store.version(), version);
     assert!(store.frame("a").expect("shown").figures.is_some());
-    store.update(view("a", FrameState::Queued));
+    store.update(view("a", FrameProgress::Queued));
     assert!(store.frame("a").expect("shown").figures.is_none());
 }
 
@@ -87,7 +87,7 @@ fn what_does_not_change_is_no_news() {
 fn who_comes_too_late_is_told_so() {
     let store = StatusStore::new();
     for number in 0..=CHANGES_MAX {
-        store.update(view(&number.to_string(), FrameState::Queued));
+        store.update(view(&number.to_string(), FrameProgress::Queued));
     }
     assert!(news(&store, 0).is_none());
     assert_eq!(news(&store, 1).expect("known").0, 101);
@@ -101,12 +101,12 @@ fn who_comes_too_late_is_told_so() {
 #[test]
 fn only_outputs_of_frames_are_found_by_name() {
     let store = StatusStore::new();
-    store.update(view("a", FrameState::Done));
+    store.update(view("a", FrameProgress::Done));
     assert_eq!(store.file("a.glb"), Some("/out/a.glb".into()));
     for name in ["/out/a.glb", "a", "../a.glb", "a.glb/", ""] {
         assert_eq!(store.file(name), None, "{name}");
     }
-    store.update(view("a", FrameState::Queued));
+    store.update(view("a", FrameProgress::Queued));
     assert_eq!(store.file("a.glb"), None);
 }
 
@@ -121,8 +121,8 @@ fn a_value_is_in_the_first_bucket_that_holds_it() {
 
 #[test]
 fn forecast_takes_the_rate_of_times_with_work() {
-    let counts = Counts { queued: 6, working: 2, done: 10, failed: 3, ..Counts::default() };
-    let sample = |at_s: u64, converted: u64, queued: usize| Sample {
+    let counts = StateCounts { queued: 6, working: 2, done: 10, failed: 3, ..StateCounts::default() };
+    let sample = |at_s: u64, converted: u64, queued: usize| StatusSample {
         at_ms: at_s * 1000,
         waiting: 0,
         queued,
@@ -137,7 +137,7 @@ fn forecast_takes_the_rate_of_times_with_work() {
     assert_eq!(forecast, Forecast { expected_count: 18, seconds_left: Some(40.0) });
     let unknown = Forecast { expected_count: 18, seconds_left: None };
     assert_eq!(Forecast::new(&counts, samples[..2].iter()), unknown);
-    let over = Counts { done: 10, ..Counts::default() };
+    let over = StateCounts { done: 10, ..StateCounts::default() };
     let expected = Forecast { expected_count: 10, seconds_left: None };
     assert_eq!(Forecast::new(&over, samples.iter()), expected);
 }

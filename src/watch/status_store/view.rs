@@ -10,7 +10,7 @@ use super::figures::Figures;
 /// How far a frame is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum FrameState {
+pub enum FrameProgress {
     /// Its file may still be written, or its sequence has no settings yet.
     Waiting,
     /// It waits for its turn.
@@ -31,7 +31,7 @@ pub struct FrameSummary {
     /// Its path within the watched folder; with several folders, their numbers from 1 before it.
     pub name: Arc<str>,
     /// How far it is.
-    pub state: FrameState,
+    pub state: FrameProgress,
     /// The stage it is in, if it is in one: one of [`STAGES`](super::STAGES).
     pub stage: Option<&'static str>,
     /// Why it failed, or waits.
@@ -81,37 +81,37 @@ pub struct OutputView {
 
 /// How many frames are how far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Counts {
-    /// [`FrameState::Waiting`].
+pub struct StateCounts {
+    /// [`FrameProgress::Waiting`].
     pub waiting: usize,
-    /// [`FrameState::Queued`].
+    /// [`FrameProgress::Queued`].
     pub queued: usize,
-    /// [`FrameState::Working`].
+    /// [`FrameProgress::Working`].
     pub working: usize,
-    /// [`FrameState::Retrying`].
+    /// [`FrameProgress::Retrying`].
     pub retrying: usize,
-    /// [`FrameState::Done`].
+    /// [`FrameProgress::Done`].
     pub done: usize,
-    /// [`FrameState::Failed`].
+    /// [`FrameProgress::Failed`].
     pub failed: usize,
 }
 
-impl Counts {
-    pub(super) fn of(&mut self, state: FrameState) -> &mut usize {
+impl StateCounts {
+    pub(super) fn of(&mut self, state: FrameProgress) -> &mut usize {
         match state {
-            FrameState::Waiting => &mut self.waiting,
-            FrameState::Queued => &mut self.queued,
-            FrameState::Working => &mut self.working,
-            FrameState::Retrying => &mut self.retrying,
-            FrameState::Done => &mut self.done,
-            FrameState::Failed => &mut self.failed,
+            FrameProgress::Waiting => &mut self.waiting,
+            FrameProgress::Queued => &mut self.queued,
+            FrameProgress::Working => &mut self.working,
+            FrameProgress::Retrying => &mut self.retrying,
+            FrameProgress::Done => &mut self.done,
+            FrameProgress::Failed => &mut self.failed,
         }
     }
 }
 
 /// How the daemon is.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Status {
+pub struct LiveStatus {
     /// Why it begins no frame, while it begins none.
     pub paused: Option<String>,
     /// Watched folders that are not there, and why.
@@ -136,11 +136,14 @@ pub struct Forecast {
 
 impl Forecast {
     /// By the counts and the last samples. The rate is that of the last minutes in which there was work.
-    pub(super) fn new<'a>(counts: &Counts, samples: impl DoubleEndedIterator<Item = &'a Sample>) -> Forecast {
-        let Counts { waiting, queued, working, retrying, done, failed: _ } = *counts;
+    pub(super) fn new<'a>(
+        counts: &StateCounts,
+        samples: impl DoubleEndedIterator<Item = &'a StatusSample>,
+    ) -> Forecast {
+        let StateCounts { waiting, queued, working, retrying, done, failed: _ } = *counts;
         let left_count = waiting + queued + working + retrying;
         let (mut converted_count, mut work_ms) = (0, 0);
-        let mut later: Option<&Sample> = None;
+        let mut later: Option<&StatusSample> = None;
         for sample in samples.rev() {
             if let Some(later) = later.filter(|_| sample.queued + sample.working > 0) {
                 converted_count += later.converted.saturating_sub(sample.converted);
@@ -163,7 +166,7 @@ const RATE_OVER_MS: u64 = 300_000;
 
 /// How it was at one moment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub struct Sample {
+pub struct StatusSample {
     /// Milliseconds since 1970.
     pub at_ms: u64,
     /// Frames that are still written.

@@ -12,7 +12,7 @@ use std::path::PathBuf;
 use glam::{DVec3, Vec3};
 use meniscus::surface::level_set::NarrowBand;
 use meniscus::surface::smooth::Integrator;
-use meniscus_formats::{Limits, Positions};
+use meniscus_formats::{FilePositions, Limits};
 
 use crate::shapes::{
     ball_with_finger, default_radii, rasterized, sheet_and_drops, skinned, two_balls, value_at,
@@ -112,7 +112,7 @@ fn fast_steps_come_near_the_converged_solution_on_a_dam_break() {
     };
     let bytes = std::fs::read(path).unwrap();
     let frame = meniscus_formats::read_particles(&bytes, "dam_break.bgeo", &Limits::default()).unwrap();
-    let Positions::F32(positions) = frame.positions else { panic!("positions in single precision") };
+    let FilePositions::F32(positions) = frame.positions else { panic!("positions in single precision") };
     let positions: Vec<DVec3> =
         positions.into_iter().map(|position| Vec3::from(position).as_dvec3() / VOXEL_SIZE).collect();
     assert_fast_is_near_converged("dam break", &positions);

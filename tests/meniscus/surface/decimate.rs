@@ -4,7 +4,7 @@ use std::collections::HashSet;
 
 use glam::{DVec3, IVec3, Vec3};
 use meniscus::surface::contour::{Contouring, contour};
-use meniscus::surface::edits::{ClipBox, clip};
+use meniscus::surface::edits::{VoxelClip, clip};
 use meniscus::surface::mesh::{DecimateReport, Mesh, MeshMeasures, decimate};
 
 use super::bands::{band, block_band, sphere, torus};
@@ -100,7 +100,7 @@ fn balls_and_tori_stay_within_the_error_both_ways() {
 #[test]
 fn flat_caps_become_few_triangles() {
     let mut ball = band(IVec3::splat(-40), IVec3::splat(40), sphere([0.3, -0.2, 0.4], 30.0));
-    let clip_box = ClipBox { min: DVec3::splat(-15.3), max: DVec3::splat(15.6) };
+    let clip_box = VoxelClip { min: DVec3::splat(-15.3), max: DVec3::splat(15.6) };
     clip(&mut ball, &UNIT, &clip_box);
     let (mesh, before) = sound(&ball, &UNIT, Contouring::Dual);
     let (_, after, _) = decimated(&mesh, 0.15);

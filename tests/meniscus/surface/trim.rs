@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use glam::{DVec3, IVec3, Vec3};
 use meniscus::surface::contour::Contouring;
-use meniscus::surface::edits::{ClipBox, Clipped, clip, drop_islands, fill_cavities};
+use meniscus::surface::edits::{Clipped, VoxelClip, clip, drop_islands, fill_cavities};
 use meniscus::surface::grid::{LEAF_EDGE, offset_in_leaf, voxel_in_leaf};
 use meniscus::surface::level_set::NarrowBand;
 use meniscus::surface::space::Lattice;
@@ -165,7 +165,7 @@ fn what_is_within_what_is_judged_by_itself() {
 }
 
 /// Clips a ball of radius 30 about (0.3, −0.2, 0.4) in voxels of edge `h`, and checks the mesh.
-fn clipped_ball(h: f64, clip_box: ClipBox, contouring: Contouring) -> (f64, Clipped, Vec<DVec3>) {
+fn clipped_ball(h: f64, clip_box: VoxelClip, contouring: Contouring) -> (f64, Clipped, Vec<DVec3>) {
     let mut band = band(IVec3::splat(-40), IVec3::splat(40), sphere([0.3, -0.2, 0.4], 30.0));
     let lattice = Lattice { voxel_size: h };
     let clipped = clip(&mut band, &lattice, &clip_box);
@@ -185,7 +185,7 @@ fn a_ball_cut_by_planes_has_the_volume_that_is_left() {
     for (low, high) in [(-12.37, 9.61), (-12.0, 10.0), (-12.0 + 1e-4, 10.0 + 1e-4)] {
         for contouring in BOTH {
             let h = 0.25;
-            let clip_box = ClipBox {
+            let clip_box = VoxelClip {
                 min: DVec3::new(f64::NEG_INFINITY, f64::NEG_INFINITY, low * h),
                 max: DVec3::new(f64::INFINITY, f64::INFINITY, high * h),
             };
@@ -210,7 +210,7 @@ fn a_ball_cut_by_planes_has_the_volume_that_is_left() {
 #[test]
 fn a_box_in_the_deep_inside_comes_out_whole() {
     for contouring in BOTH {
-        let clip_box = ClipBox { min: DVec3::new(-10.3, -9.6, -8.2), max: DVec3::new(9.4, 10.7, 11.9) };
+        let clip_box = VoxelClip { min: DVec3::new(-10.3, -9.6, -8.2), max: DVec3::new(9.4, 10.7, 11.9) };
         let (volume, clipped, vertices) = clipped_ball(1.0, clip_box, contouring);
         let expected = (clip_box.max - clip_box.min).element_product();
         assert!((volume / expected - 1.0).abs() < 0.01, "{volume} {expected}");
@@ -222,7 +222,7 @@ fn a_box_in_the_deep_inside_comes_out_whole() {
 
 #[test]
 fn boxes_that_cut_all_or_nothing() {
-    let everywhere = ClipBox { min: DVec3::splat(-1e300), max: DVec3::splat(f64::INFINITY) };
+    let everywhere = VoxelClip { min: DVec3::splat(-1e300), max: DVec3::splat(f64::INFINITY) };
     let ball = band(IVec3::splat(-40), IVec3::splat(40), sphere([0.3, -0.2, 0.4], 30.0));
     let mut band = ball.clone();
     assert_eq!(clip(&mut band, &UNIT, &everywhere), Clipped::default());
@@ -233,7 +233,7 @@ fn boxes_that_cut_all_or_nothing() {
         (DVec3::NAN, DVec3::splat(f64::NEG_INFINITY)),
     ] {
         let mut band = ball.clone();
-        let clipped = clip(&mut band, &UNIT, &ClipBox { min, max });
+        let clipped = clip(&mut band, &UNIT, &VoxelClip { min, max });
         assert!((clipped.voxel_count as f64 / (4.0 / 3.0 * PI * 27_000.0) - 1.0).abs() < 0.01, "{clipped:?}");
         assert_eq!(sound(&band, &UNIT, Contouring::Dual).1.triangle_count, 0);
     }
@@ -260,7 +260,7 @@ fn noise_is_trimmed_as_well() {
             let given = given.iter().map(|(origin, locals)| (*origin, locals));
             let dropped = drop_islands(&mut band, 20, given);
             let filled = fill_cavities(&mut band, 50.0, None);
-            let clip_box = ClipBox { min: DVec3::splat(-6.2), max: DVec3::splat(12.1) };
+            let clip_box = VoxelClip { min: DVec3::splat(-6.2), max: DVec3::splat(12.1) };
             let clipped = clip(&mut band, &UNIT, &clip_box);
             sound(&band, &UNIT, Contouring::Tetrahedra);
             let (mesh, _) = sound(&band, &UNIT, Contouring::Dual);
@@ -283,7 +283,7 @@ fn far_changes_stay_far() {
         let all = particles(min, max, balls(scene));
         drop_islands(&mut band, 40, all.iter().map(|(origin, locals)| (*origin, locals)));
         fill_cavities(&mut band, 100.0, None);
-        let clip_box = ClipBox { min: DVec3::splat(-30.0), max: DVec3::new(130.0, 12.5, 30.0) };
+        let clip_box = VoxelClip { min: DVec3::splat(-30.0), max: DVec3::new(130.0, 12.5, 30.0) };
         clip(&mut band, &UNIT, &clip_box);
         band
     };

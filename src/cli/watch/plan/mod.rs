@@ -22,17 +22,17 @@ use crate::cli::config_file::{ConfigFile, WatchBlock, read_config_file};
 use crate::cli::destination::refuse_file_name;
 use crate::cli::level_sets::{Use, refuse_options};
 use crate::cli::machine::{memory_bytes, thread_count};
-use crate::http::{Listen, Token};
+use crate::http::{AccessToken, Listen};
 use crate::pipeline::{default_in_flight, read_regular_text, refuse_file_for_folder};
 use crate::surface::options::Settings;
 use crate::watch::place::known_path;
-use crate::watch::selection::Selection;
-use crate::watch::{Config, Order, Patience, Poll, Watch, names_level_sets};
+use crate::watch::selection::FileFilter;
+use crate::watch::{Order, Patience, Poll, Watch, WatchConfig, names_level_sets};
 
 /// What to do, and what to say of it before.
 #[derive(Clone, Debug)]
-pub(in crate::cli) struct Plan {
-    pub(in crate::cli) config: Config,
+pub(in crate::cli) struct WatchPlan {
+    pub(in crate::cli) config: WatchConfig,
     pub(in crate::cli) log: LogChoice,
     /// Where it is shown what is going on.
     pub(in crate::cli) listen: Option<Listen>,
@@ -44,7 +44,7 @@ pub(in crate::cli) struct Plan {
 ///
 /// # Errors
 /// When the file cannot be read, or something does not make sense.
-pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<Plan> {
+pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<WatchPlan> {
     let file = args.config.as_deref().map(read_config_file).transpose()?;
     let (mut watches, mut warnings) = (Vec::new(), Vec::new());
     for Folder { input, output, frames, place } in folders(args, file.as_ref())? {
@@ -59,7 +59,7 @@ pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<Plan> {
     refuse_shared_journal(&watches, daemon.journal.as_deref())?;
     let config = config(watches, args.once, &daemon)?;
     let listen = listen(&daemon, args.token.as_deref())?;
-    Ok(Plan { config, log: daemon.log.unwrap_or(LogChoice::Text), listen, warnings })
+    Ok(WatchPlan { config, log: daemon.log.unwrap_or(LogChoice::Text), listen, warnings })
 }
 
 /// A folder to watch, as it was asked for.
@@ -137,7 +137,7 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
     refuse_file_name(output)?;
     let outputs = frames.formats.outputs(absolute(output)?)?;
     warnings.extend(ignored(&frames.method, &frames.formats, &outputs.formats));
-    Selection::new(frames.pattern.as_deref(), frames.recursive, Vec::new())?;
+    FileFilter::new(frames.pattern.as_deref(), frames.recursive, Vec::new())?;
     if let Some(sentinel) = &frames.sentinel {
         check_sentinel(sentinel)?;
     }
@@ -203,9 +203,9 @@ fn same_folder(a: &Path, b: &Path) -> bool {
     a == b || real(a) == real(b)
 }
 
-fn config(watches: Vec<Watch>, once: bool, daemon: &DaemonArgs) -> Result<Config> {
+fn config(watches: Vec<Watch>, once: bool, daemon: &DaemonArgs) -> Result<WatchConfig> {
     let threads = thread_count(daemon.run.threads);
-    Ok(Config {
+    Ok(WatchConfig {
         watches,
         once,
         order: daemon.order.unwrap_or(Order::Natural),
@@ -242,7 +242,7 @@ fn patience(once: bool, daemon: &DaemonArgs) -> Result<Patience> {
 /// Where to show what is going on, and to whom.
 fn listen(daemon: &DaemonArgs, token: Option<&str>) -> Result<Option<Listen>> {
     let token = match (token, &daemon.token_file) {
-        (Some(token), _) => Some(Token::new(token).context("--token")?),
+        (Some(token), _) => Some(AccessToken::new(token).context("--token")?),
         (None, Some(path)) => Some(token_in(path)?),
         (None, None) => None,
     };
@@ -261,10 +261,10 @@ fn listen(daemon: &DaemonArgs, token: Option<&str>) -> Result<Option<Listen>> {
     Ok(Some(Listen { address, token }))
 }
 
-fn token_in(path: &Path) -> Result<Token> {
+fn token_in(path: &Path) -> Result<AccessToken> {
     let text = read_regular_text(path).with_context(|| format!("cannot read {}", path.display()))?;
     let line = text.lines().next().unwrap_or_default();
-    Token::new(line.trim()).with_context(|| format!("the first line of {}", path.display()))
+    AccessToken::new(line.trim()).with_context(|| format!("the first line of {}", path.display()))
 }
 
 /// The same from wherever the daemon is started: its journal must know the frames.

@@ -22,7 +22,7 @@ impl Bench {
     }
 
     /// The plan with this file and these options.
-    fn plan(&self, options: &[&str]) -> Result<Plan> {
+    fn plan(&self, options: &[&str]) -> Result<WatchPlan> {
         let config = self.config_path();
         plan(&[&["--config", config.to_str().expect("text")], options].concat())
     }
@@ -32,13 +32,13 @@ impl Bench {
     }
 }
 
-fn plan(options: &[&str]) -> Result<Plan> {
+fn plan(options: &[&str]) -> Result<WatchPlan> {
     let typed = Cli::try_parse_from([&["meniscus", "watch"], options].concat())?;
     let Command::Watch(args) = typed.command else { panic!("another command") };
     make_plan(&args)
 }
 
-fn assert_refused(plan: Result<Plan>, words: &[&str]) {
+fn assert_refused(plan: Result<WatchPlan>, words: &[&str]) {
     let error = format!("{:#}", plan.map(|_| ()).expect_err("it is refused"));
     for word in words {
         assert!(error.contains(word), "{error} does not say {word}");
@@ -47,7 +47,7 @@ fn assert_refused(plan: Result<Plan>, words: &[&str]) {
 
 #[test]
 fn defaults_are_filled_in() {
-    let Plan { config, log, listen, warnings } = plan(&["in", "--out", "out"]).expect("a plan");
+    let WatchPlan { config, log, listen, warnings } = plan(&["in", "--out", "out"]).expect("a plan");
     assert_eq!((log, listen, warnings.len(), config.once), (LogChoice::Text, None, 0, false));
     assert_eq!((config.order, config.poll), (Order::Natural, Poll::Auto));
     assert_eq!(config.disk_floor_bytes, 1 << 30);

@@ -423,7 +423,7 @@ fn is_number(text: &str) -> bool {
 
 /// What became of a record.
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) enum Recovery {
+pub(crate) enum RecordRecovery {
     /// The set was completed, undone or superseded, and the record removed.
     Done,
     /// Another process is using the record.
@@ -436,11 +436,11 @@ pub(crate) enum Recovery {
 ///
 /// # Errors
 /// When the system refuses: then all that is needed stays, and it can be tried again.
-pub(crate) fn recover(record_path: &Path) -> io::Result<Recovery> {
-    let Some(mut file) = lock_abandoned(record_path)? else { return Ok(Recovery::InUse) };
+pub(crate) fn recover(record_path: &Path) -> io::Result<RecordRecovery> {
+    let Some(mut file) = lock_abandoned(record_path)? else { return Ok(RecordRecovery::InUse) };
     let left = |why: &str| {
         let (path, name) = (record_path.display(), record_path.file_name().unwrap_or_default().display());
-        Recovery::Left(format!(
+        RecordRecovery::Left(format!(
             "{path}: {why}; left in place with the files {name}.0, {name}.1, …, which may be the only copies of replaced outputs"
         ))
     };
@@ -476,7 +476,7 @@ pub(crate) fn recover(record_path: &Path) -> io::Result<Recovery> {
         completed => completed?,
     };
     if !kept.is_empty() {
-        return Ok(Recovery::Left(format!(
+        return Ok(RecordRecovery::Left(format!(
             "{}: record of an interrupted conversion: {}; to restore one, rename it, then remove the record",
             record_path.display(),
             said_of_kept(&kept)
@@ -485,7 +485,7 @@ pub(crate) fn recover(record_path: &Path) -> io::Result<Recovery> {
     sync_folder(record_path.parent().unwrap_or(Path::new("")));
     change::remove(record_path)?;
     set.remove_old_files();
-    Ok(Recovery::Done)
+    Ok(RecordRecovery::Done)
 }
 
 /// Removes an old file whose set is complete; whether it was.

@@ -19,7 +19,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use meniscus_formats::compression::{read_head, unpacked};
 use meniscus_formats::steps::{FoundStep, find_more_steps, find_steps, may_have_steps};
-use meniscus_formats::{Kind, Limits, Probe, Result, probe};
+use meniscus_formats::{Limits, Probe, ProbedKind, Result, probe};
 use twox_hash::XxHash3_128;
 
 use crate::pipeline::files::open::open_regular;
@@ -27,32 +27,32 @@ use crate::pipeline::files::stamp::FileStamp;
 
 /// What is known of a file.
 #[derive(Debug)]
-pub(super) struct Contents {
+pub(super) struct StepContents {
     /// The file that it is known of.
     pub(super) stamp: FileStamp,
     /// Memory that unpacking takes, in bytes; `None` where the file is not packed.
     pub(super) unpacking_bytes: Option<u64>,
     /// In their order.
-    pub(super) steps: Vec<Step>,
+    pub(super) steps: Vec<FileStep>,
     /// The indices of the steps, sorted by what their names are made of.
     by_name: Vec<u32>,
-    kind: Kind,
+    kind: ProbedKind,
     /// `None` where nobody can tell later whether it was appended to: it is packed, or became shorter meanwhile.
-    edges: Option<Edges>,
+    edges: Option<FileEnds>,
     /// What it was before it grew, the latest last, and how many of the first steps are as they were then.
     before: Vec<(FileStamp, usize)>,
 }
 
 /// A step of a file. A file may have a million, so the name is not stored.
 #[derive(Debug)]
-pub(super) struct Step {
+pub(super) struct FileStep {
     /// Where it is, in the unpacked file.
     pub(super) found: FoundStep,
     /// 1 for the first step with its number, 2 for the second, ..
     count: u32,
 }
 
-impl Step {
+impl FileStep {
     /// What tells it from the others: its number, and for the second with that number and later ones, which it is.
     pub(super) fn name(&self) -> String {
         let number = self.found.number.map_or_else(|| UNNUMBERED.to_owned(), |number| number.to_string());
@@ -78,18 +78,18 @@ fn key_of(name: &str) -> Option<(Option<i64>, u32)> {
 /// More states of a file are not remembered. Whoever knows an older one looks at its steps again.
 const BEFORE_MAX: usize = 16;
 
-impl Contents {
-    fn new(stamp: FileStamp, kind: Kind, steps: Vec<FoundStep>) -> Contents {
+impl StepContents {
+    fn new(stamp: FileStamp, kind: ProbedKind, steps: Vec<FoundStep>) -> StepContents {
         let steps = counted(steps);
         // Limits keep the number of steps far below 2³².
         let mut by_name: Vec<u32> = (0..steps.len() as u32).collect();
         by_name.sort_by_key(|&index| steps[index as usize].key());
-        Contents { stamp, unpacking_bytes: None, steps, by_name, kind, edges: None, before: Vec::new() }
+        StepContents { stamp, unpacking_bytes: None, steps, by_name, kind, edges: None, before: Vec::new() }
     }
 
     /// Those of what has no steps.
-    pub(super) fn none(stamp: FileStamp) -> Contents {
-        Contents::new(stamp, Kind::Unknown, Vec::new())
+    pub(super) fn none(stamp: FileStamp) -> StepContents {
+        StepContents::new(stamp, ProbedKind::Unknown, Vec::new())
     }
 
     /// The step by this name.
@@ -114,7 +114,7 @@ impl Contents {
     }
 
     /// Whether a file with this stamp is this one with something appended.
-    fn has_become(&self, file: &mut File, stamp: &FileStamp, kind: Kind) -> bool {
+    fn has_become(&self, file: &mut File, stamp: &FileStamp, kind: ProbedKind) -> bool {
         let is_larger = stamp.inode == self.stamp.inode && stamp.size > self.stamp.size;
         let mut is_as_before =
             || self.edges.as_ref().is_some_and(|edges| edges.are_in(file).unwrap_or(false));
@@ -126,12 +126,16 @@ impl Contents {
 ///
 /// # Errors
 /// When the system refuses, there are too many steps, or `is_over`.
-pub(super) fn look_through(path: &Path, before: Option<&Contents>, is_over: &AtomicBool) -> Result<Contents> {
+pub(super) fn look_through(
+    path: &Path,
+    before: Option<&StepContents>,
+    is_over: &AtomicBool,
+) -> Result<StepContents> {
     let mut file = open_regular(path)?;
     let stamp = FileStamp::of(&file.metadata()?);
     let Probe { kind, codec } = probe_head(&mut file, path)?;
     if !may_have_steps(kind) {
-        return Ok(Contents::none(stamp));
+        return Ok(StepContents::none(stamp));
     }
     let before = before.filter(|before| before.has_become(&mut file, &stamp, kind));
     let mut known: Vec<FoundStep> =
@@ -149,7 +153,7 @@ pub(super) fn look_through(path: &Path, before: Option<&Contents>, is_over: &Ato
         &mut known,
         &Limits::default(),
     )?;
-    let mut contents = Contents::new(stamp, kind, known);
+    let mut contents = StepContents::new(stamp, kind, known);
     let head = before.and_then(|before| before.edges.as_ref()).map(|edges| edges.head);
     contents.edges = source.edges(start, head).filter(|edges| edges.tail.end == stamp.size);
     if let Some(before) = before {
@@ -162,13 +166,13 @@ pub(super) fn look_through(path: &Path, before: Option<&Contents>, is_over: &Ato
     Ok(contents)
 }
 
-fn look_through_packed(mut source: impl Read, stamp: FileStamp, kind: Kind) -> Result<Contents> {
+fn look_through_packed(mut source: impl Read, stamp: FileStamp, kind: ProbedKind) -> Result<StepContents> {
     let mut bytes = Vec::new();
     source.read_to_end(&mut bytes)?;
     let unpacked = unpacked(&bytes, &Limits::default())?;
     let found = find_steps(kind, &*unpacked, &Limits::default())?;
     let unpacking_bytes = Some((bytes.len() + unpacked.len()) as u64);
-    Ok(Contents { unpacking_bytes, ..Contents::new(stamp, kind, found) })
+    Ok(StepContents { unpacking_bytes, ..StepContents::new(stamp, kind, found) })
 }
 
 /// What the first bytes of a file say.
@@ -185,7 +189,7 @@ const BUFFER_BYTES: usize = 1 << 18;
 
 /// The first bytes of a file, and the last of those that were gone through.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Edges {
+struct FileEnds {
     head: Edge,
     tail: Edge,
 }
@@ -201,7 +205,7 @@ struct Edge {
 /// A thousand rows, about: nobody writes them twice but by copying.
 const TAIL_BYTES: usize = 64 << 10;
 
-impl Edges {
+impl FileEnds {
     /// Whether a file still has the same bytes there.
     fn are_in(&self, file: &mut File) -> io::Result<bool> {
         let mut is_in = |edge: Edge| {
@@ -238,11 +242,11 @@ impl<'a, R> Watched<'a, R> {
     }
 
     /// The edges of the file, which was read from this byte on; its head is known if that is not its first.
-    fn edges(&self, start: u64, head: Option<Edge>) -> Option<Edges> {
+    fn edges(&self, start: u64, head: Option<Edge>) -> Option<FileEnds> {
         let head = head.or_else(|| (start == 0).then(|| Edge::of(0, &self.head)))?;
         let kept = &self.tail[self.tail.len().saturating_sub(TAIL_BYTES)..];
         let tail_start = start + self.count - kept.len() as u64;
-        Some(Edges { head, tail: Edge::of(tail_start, kept) })
+        Some(FileEnds { head, tail: Edge::of(tail_start, kept) })
     }
 
     fn keep(&mut self, bytes: &[u8]) {
@@ -269,12 +273,12 @@ impl<R: Read> Read for Watched<'_, R> {
 }
 
 /// The steps, each with how many have had its number up to it.
-fn counted(found: Vec<FoundStep>) -> Vec<Step> {
+fn counted(found: Vec<FoundStep>) -> Vec<FileStep> {
     let mut counts: HashMap<Option<i64>, u32> = HashMap::new();
     let counted = found.into_iter().map(|found| {
         let count = counts.entry(found.number).or_insert(0);
         *count += 1;
-        Step { count: *count, found }
+        FileStep { count: *count, found }
     });
     counted.collect()
 }
@@ -284,11 +288,11 @@ pub(super) const UNNUMBERED: &str = "unnumbered";
 
 /// The contents of some file with so many steps.
 #[cfg(test)]
-pub(super) fn of_count(stamp: FileStamp, count: usize) -> Contents {
+pub(super) fn of_count(stamp: FileStamp, count: usize) -> StepContents {
     let found =
         |number: usize| FoundStep { number: i64::try_from(number).ok(), range: 0..1, lines_before: 0 };
-    let kind = Kind::Format(meniscus_formats::Format::LammpsDump);
-    Contents::new(stamp, kind, (0..count).map(found).collect())
+    let kind = ProbedKind::Format(meniscus_formats::Format::LammpsDump);
+    StepContents::new(stamp, kind, (0..count).map(found).collect())
 }
 
 #[cfg(test)]
@@ -304,15 +308,18 @@ mod tests {
     static GOES_ON: AtomicBool = AtomicBool::new(false);
 
     /// A step of a dump, or of a trajectory, with so many rows.
-    fn step(kind: Kind, number: usize, rows: usize) -> String {
+    fn step(kind: ProbedKind, number: usize, rows: usize) -> String {
         let mut text = match kind {
-            Kind::Format(Format::LammpsDump) => {
+            ProbedKind::Format(Format::LammpsDump) => {
                 format!("ITEM: TIMESTEP\n{number}\nITEM: NUMBER OF ATOMS\n{rows}\nITEM: ATOMS x y z\n")
             }
             _ => format!("{rows}\nstep {number}\n"),
         };
-        let row =
-            if kind == Kind::Format(Format::LammpsDump) { "0.5 0.25 0.125\n" } else { "O 0.5 0.25 0.125\n" };
+        let row = if kind == ProbedKind::Format(Format::LammpsDump) {
+            "0.5 0.25 0.125\n"
+        } else {
+            "O 0.5 0.25 0.125\n"
+        };
         text.extend(iter::repeat_n(row, rows));
         text
     }
@@ -333,20 +340,21 @@ mod tests {
             file.and_then(|mut file| file.write_all(text.as_bytes())).expect("appended");
         }
 
-        fn look(&self, before: Option<&Contents>) -> Contents {
+        fn look(&self, before: Option<&StepContents>) -> StepContents {
             look_through(&self.path, before, &GOES_ON).expect("steps")
         }
     }
 
-    fn found(contents: &Contents) -> Vec<(String, &FoundStep)> {
+    fn found(contents: &StepContents) -> Vec<(String, &FoundStep)> {
         contents.steps.iter().map(|step| (step.name(), &step.found)).collect()
     }
 
     #[test]
     fn of_what_is_appended_only_that_is_gone_through() {
-        for (kind, name) in
-            [(Kind::Format(Format::LammpsDump), "d.dump"), (Kind::Format(Format::XyzAtoms), "d.xyz")]
-        {
+        for (kind, name) in [
+            (ProbedKind::Format(Format::LammpsDump), "d.dump"),
+            (ProbedKind::Format(Format::XyzAtoms), "d.xyz"),
+        ] {
             let file = Growing::new(name);
             let cut = step(kind, 2, 2000);
             let (start, rest) = cut.split_at(cut.len() / 3);
@@ -379,7 +387,7 @@ mod tests {
     fn what_was_written_anew_is_gone_through_from_its_beginning() {
         let file = Growing::new("d.dump");
         let dump = |numbers: &[usize]| -> String {
-            numbers.iter().map(|&number| step(Kind::Format(Format::LammpsDump), number, 100)).collect()
+            numbers.iter().map(|&number| step(ProbedKind::Format(Format::LammpsDump), number, 100)).collect()
         };
         file.append(&dump(&[10, 20]));
         let first = file.look(None);
@@ -409,7 +417,7 @@ mod tests {
     fn what_is_written_anew_meanwhile_is_gone_through_from_its_beginning() {
         let file = Growing::new("d.dump");
         let dump = |numbers: &[usize]| -> String {
-            numbers.iter().map(|&number| step(Kind::Format(Format::LammpsDump), number, 6000)).collect()
+            numbers.iter().map(|&number| step(ProbedKind::Format(Format::LammpsDump), number, 6000)).collect()
         };
         let (old, new) = (dump(&[10, 20]), dump(&[11, 21, 30]));
         for cut in ["ITEM: TIMESTEP\n10".len(), HEAD_BYTES as usize, old.len() / 2, old.len() - 1] {
@@ -420,13 +428,13 @@ mod tests {
             let mut source = Watched::new(&*seen, &GOES_ON);
             let mut known = Vec::new();
             find_more_steps(
-                Kind::Format(Format::LammpsDump),
+                ProbedKind::Format(Format::LammpsDump),
                 BufReader::new(&mut source),
                 &mut known,
                 &Limits::default(),
             )
             .expect("steps");
-            let mut first = Contents::new(stamp, Kind::Format(Format::LammpsDump), known);
+            let mut first = StepContents::new(stamp, ProbedKind::Format(Format::LammpsDump), known);
             first.edges = source.edges(0, None);
             fs::write(&file.path, &new).expect("written");
             let second = file.look(Some(&first));
@@ -460,10 +468,10 @@ mod tests {
     #[test]
     fn of_many_states_the_latest_are_remembered() {
         let file = Growing::new("d.dump");
-        file.append(&step(Kind::Format(Format::LammpsDump), 0, 1));
+        file.append(&step(ProbedKind::Format(Format::LammpsDump), 0, 1));
         let mut all = vec![file.look(None)];
         for number in 1..=BEFORE_MAX + 3 {
-            file.append(&step(Kind::Format(Format::LammpsDump), number, 1));
+            file.append(&step(ProbedKind::Format(Format::LammpsDump), number, 1));
             let next = file.look(all.last());
             all.push(next);
         }
@@ -485,7 +493,7 @@ mod tests {
         let over = source.read_exact(&mut piece).expect_err("over").to_string();
         assert!(over.contains("not looked for any more"), "{over}");
         let file = Growing::new("d.dump");
-        file.append(&step(Kind::Format(Format::LammpsDump), 0, 1));
+        file.append(&step(ProbedKind::Format(Format::LammpsDump), 0, 1));
         look_through(&file.path, None, &is_over).expect_err("over");
     }
 }

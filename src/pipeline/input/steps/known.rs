@@ -11,10 +11,10 @@ use meniscus_formats::Result;
 
 use crate::pipeline::files::stamp::FileStamp;
 
-use super::contents::{Contents, look_through};
+use super::contents::{StepContents, look_through};
 
 /// The files that were asked for last.
-static KNOWN: LazyLock<Mutex<Known>> = LazyLock::new(Mutex::default);
+static KNOWN: LazyLock<Mutex<StepIndex>> = LazyLock::new(Mutex::default);
 
 /// No more steps are remembered, but for those of one file: some 40 MB.
 const KNOWN_STEPS_MAX: usize = 1 << 18;
@@ -26,12 +26,12 @@ const KNOWN_FILES_MAX: usize = 1 << 10;
 ///
 /// # Errors
 /// When it cannot be gone through, or `is_over`.
-pub(super) fn contents_unless(file: &Path, is_over: &AtomicBool) -> Result<Arc<Contents>> {
+pub(super) fn contents_unless(file: &Path, is_over: &AtomicBool) -> Result<Arc<StepContents>> {
     let metadata = file.metadata()?;
     let stamp = FileStamp::of(&metadata);
     // A pipe can be read once, and not only for what it is.
     if !metadata.is_file() {
-        return Ok(Arc::new(Contents::none(stamp)));
+        return Ok(Arc::new(StepContents::none(stamp)));
     }
     let (pass, before) = with_known(|known| known.pass(file, stamp));
     // A panic leaves nothing half done behind these locks.
@@ -51,7 +51,7 @@ pub(super) fn contents_unless(file: &Path, is_over: &AtomicBool) -> Result<Arc<C
 ///
 /// # Errors
 /// When it cannot be gone through.
-pub(super) fn contents_unless_changed(file: &Path) -> Result<Option<Arc<Contents>>> {
+pub(super) fn contents_unless_changed(file: &Path) -> Result<Option<Arc<StepContents>>> {
     let stamp = FileStamp::of_path(file)?;
     match with_known(|known| known.contents_of(file)) {
         Some(contents) if contents.stamp == stamp => Ok(Some(contents)),
@@ -61,17 +61,17 @@ pub(super) fn contents_unless_changed(file: &Path) -> Result<Option<Arc<Contents
 }
 
 /// What a file held when it was gone through last.
-pub(super) fn contents_known(file: &Path) -> Option<Arc<Contents>> {
+pub(super) fn contents_known(file: &Path) -> Option<Arc<StepContents>> {
     with_known(|known| known.contents_of(file))
 }
 
-fn with_known<T>(work: impl FnOnce(&mut Known) -> T) -> T {
+fn with_known<T>(work: impl FnOnce(&mut StepIndex) -> T) -> T {
     work(&mut KNOWN.lock().unwrap_or_else(PoisonError::into_inner))
 }
 
 /// What is remembered of files.
 #[derive(Debug, Default)]
-struct Known {
+struct StepIndex {
     files: HashMap<PathBuf, KnownFile>,
     /// How often something was asked for.
     asked_count: u64,
@@ -83,17 +83,17 @@ struct KnownFile {
     stamp: FileStamp,
     pass: Pass,
     /// What it held when it was gone through last.
-    contents: Option<Arc<Contents>>,
+    contents: Option<Arc<StepContents>>,
     /// The count of what was asked for when it was asked for last.
     asked_at: u64,
 }
 
 /// What a file with one stamp holds; locked by whoever goes through it.
-type Pass = Arc<Mutex<Option<Arc<Contents>>>>;
+type Pass = Arc<Mutex<Option<Arc<StepContents>>>>;
 
-impl Known {
+impl StepIndex {
     /// Where that is, or will be, which a file with this stamp holds; and what it held before.
-    fn pass(&mut self, file: &Path, stamp: FileStamp) -> (Pass, Option<Arc<Contents>>) {
+    fn pass(&mut self, file: &Path, stamp: FileStamp) -> (Pass, Option<Arc<StepContents>>) {
         self.asked_count += 1;
         let new = || KnownFile { stamp, pass: Arc::default(), contents: None, asked_at: 0 };
         let known = self.files.entry(file.to_owned()).or_insert_with(new);
@@ -104,7 +104,7 @@ impl Known {
         (Arc::clone(&known.pass), known.contents.clone())
     }
 
-    fn contents_of(&mut self, file: &Path) -> Option<Arc<Contents>> {
+    fn contents_of(&mut self, file: &Path) -> Option<Arc<StepContents>> {
         self.asked_count += 1;
         let known = self.files.get_mut(file)?;
         known.asked_at = self.asked_count;
@@ -112,7 +112,7 @@ impl Known {
     }
 
     /// A file was gone through, with that stamp if it could be. What has no steps is not remembered: its head tells that.
-    fn note(&mut self, file: &Path, asked: FileStamp, found: Option<&Arc<Contents>>) {
+    fn note(&mut self, file: &Path, asked: FileStamp, found: Option<&Arc<StepContents>>) {
         let Some(known) = self.files.get_mut(file).filter(|known| known.stamp == asked) else { return };
         match found.filter(|contents| !contents.steps.is_empty()) {
             None => drop(self.files.remove(file)),
@@ -157,7 +157,7 @@ mod tests {
             |number| format!("ITEM: TIMESTEP\n{number}\nITEM: NUMBER OF ATOMS\n0\nITEM: ATOMS x y z\n");
         fs::write(&file, (0..2000).map(step).collect::<String>()).expect("written");
         let ask = || contents_unless(&file, &AtomicBool::new(false)).expect("steps");
-        let all: Vec<Arc<Contents>> = thread::scope(|scope| {
+        let all: Vec<Arc<StepContents>> = thread::scope(|scope| {
             let asking: Vec<_> = (0..8).map(|_| scope.spawn(ask)).collect();
             asking.into_iter().map(|asked| asked.join().expect("no panic")).collect()
         });
@@ -167,13 +167,13 @@ mod tests {
 
     #[test]
     fn what_was_not_asked_for_longest_is_forgotten() {
-        let mut known = Known::default();
+        let mut known = StepIndex::default();
         let stamp = FileStamp::default();
-        let ask = |known: &mut Known, name: &str, count: usize| {
+        let ask = |known: &mut StepIndex, name: &str, count: usize| {
             known.pass(Path::new(name), stamp);
             known.note(Path::new(name), stamp, Some(&Arc::new(of_count(stamp, count))));
         };
-        let has = |known: &Known, name: &str| known.files.contains_key(Path::new(name));
+        let has = |known: &StepIndex, name: &str| known.files.contains_key(Path::new(name));
         let some = KNOWN_STEPS_MAX / 4;
         for name in ["a", "b", "c", "d"] {
             ask(&mut known, name, some);

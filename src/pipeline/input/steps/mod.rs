@@ -34,7 +34,7 @@ use crate::pipeline::files::names::text_of_name;
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::files::stamp::FileStamp;
 
-use contents::{Contents, UNNUMBERED, probe_head};
+use contents::{StepContents, UNNUMBERED, probe_head};
 use known::{contents_known, contents_unless, contents_unless_changed};
 
 /// What the last part of the path of a step begins with; what tells it from others of its file follows.
@@ -93,7 +93,7 @@ pub fn frames_in(file: &Path) -> Result<Vec<PathBuf>> {
 #[derive(Clone, Debug)]
 pub struct FileFrames {
     file: PathBuf,
-    contents: Arc<Contents>,
+    contents: Arc<StepContents>,
 }
 
 impl FileFrames {
@@ -174,7 +174,7 @@ pub enum StepsFoundBy {
 }
 
 impl StepsFoundBy {
-    fn contents(self, file: &Path) -> Result<Option<Arc<Contents>>> {
+    fn contents(self, file: &Path) -> Result<Option<Arc<StepContents>>> {
         match self {
             StepsFoundBy::Reader => contents(file).map(Some),
             StepsFoundBy::Another => contents_unless_changed(file),
@@ -244,7 +244,7 @@ pub(crate) fn by_lines_of_file(frame: &Path, error: Error) -> Error {
 }
 
 /// What a file holds, as it is now.
-fn contents(file: &Path) -> Result<Arc<Contents>> {
+fn contents(file: &Path) -> Result<Arc<StepContents>> {
     contents_unless(file, &AtomicBool::new(false))
 }
 
