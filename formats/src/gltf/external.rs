@@ -15,7 +15,7 @@ use serde::Deserialize;
 
 use super::FORMAT;
 use super::buffer::invalid;
-use super::read::{chunks, parse};
+use super::chunks::{chunks, parse};
 use crate::error::{Error, Result};
 use crate::row::Beside;
 

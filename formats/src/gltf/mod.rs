@@ -21,6 +21,7 @@ use crate::row::Integrity;
 use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow, PositionRounding};
 
 mod buffer;
+mod chunks;
 mod external;
 mod frame_file;
 mod quantized;

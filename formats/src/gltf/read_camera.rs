@@ -5,7 +5,8 @@ use serde::Deserialize;
 use serde::de::IgnoredAny;
 
 use super::FORMAT;
-use super::read::{chunks, document, parse, placed};
+use super::chunks::{chunks, parse};
+use super::read::{document, placed};
 use crate::error::{Error, Position, Result};
 
 /// A perspective camera. The directions are not normalized.

@@ -26,8 +26,8 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 use serde_json::{Map, Value, json};
 
 use super::buffer::invalid;
+use super::chunks::{chunks, parse};
 use super::frame_file::SequenceFrame;
-use super::read::{chunks, parse};
 use super::read_provenance::read_provenance;
 use super::write::{glb_bytes, write_chunk_head};
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component};

@@ -9,7 +9,8 @@ use crate::named_arrays::NamedArray;
 use crate::number::{self, components, divided};
 
 use super::FORMAT;
-use super::tokens::{JsonToken, TokenWalk, text_count_max};
+use super::token::{JsonToken, text_count_max};
+use super::tokens::TokenWalk;
 use super::values::tuples;
 
 /// A point attribute, or the reason for skipping it.

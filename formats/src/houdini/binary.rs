@@ -19,7 +19,7 @@ use crate::error::{Error, Position, Result};
 use crate::number::NumberType;
 
 use super::FORMAT;
-use super::tokens::{JsonToken, text_count_max, widened_bytes_max};
+use super::token::{JsonToken, text_count_max, widened_bytes_max};
 
 /// The signature of files from little-endian machines, which are almost all.
 const SIGNATURE: [u8; 5] = *b"\x7fNSJb";

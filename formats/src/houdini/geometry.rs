@@ -9,7 +9,8 @@ use crate::named_arrays::{NamedArray, frame_of};
 
 use super::FORMAT;
 use super::attributes::{PointAttribute, point_attribute, positions};
-use super::tokens::{JsonToken, TokenWalk};
+use super::token::JsonToken;
+use super::tokens::TokenWalk;
 
 /// The content found so far.
 #[derive(Default)]

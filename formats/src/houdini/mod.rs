@@ -27,6 +27,7 @@ mod binary;
 mod container;
 mod geometry;
 mod text;
+mod token;
 mod tokens;
 mod values;
 

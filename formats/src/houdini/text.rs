@@ -6,7 +6,7 @@ use crate::error::{Error, Position, Result};
 use crate::text::line_number;
 
 use super::FORMAT;
-use super::tokens::JsonToken;
+use super::token::JsonToken;
 
 /// The lexer of the text form.
 pub(super) struct TextTokens<'a> {

@@ -17,7 +17,8 @@ use crate::limits::Limits;
 use crate::number::{self, NumberType, interleaved};
 
 use super::FORMAT;
-use super::tokens::{JsonToken, TokenWalk};
+use super::token::JsonToken;
+use super::tokens::TokenWalk;
 
 /// The storage type of numbers, which determines their type in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -8,17 +8,15 @@
 //! counted; then all parts are read in parallel, each into its own range of the vectors. If there are errors,
 //! that of the first part that has one is returned, which is the first in the file.
 
-use fast_float2::FastFloat;
 use rayon::prelude::*;
 
-use crate::error::{Error, Position, Result};
+use crate::error::Result;
 use crate::scalar::Scalar;
-use crate::text::{line_number, parse_number};
 
-use super::FORMAT;
+use super::body_lines::BodyLines;
 use super::header::{Element, PropertyType};
-use super::read::{Slots, Target};
 use super::rows::RecordReader;
+use super::target::{Slots, Target};
 
 /// Large enough to make the cost of starting a part negligible, small enough to share the work.
 const PART_BYTES: usize = 1 << 20;
@@ -131,138 +129,6 @@ fn places(element: &Element, targets: &[Target<'_>]) -> Vec<Option<(usize, usize
         }
     }
     places
-}
-
-/// A position in the body.
-#[derive(Clone, Copy)]
-pub(super) struct BodyLines<'a> {
-    bytes: &'a [u8],
-    at: usize,
-}
-
-impl<'a> BodyLines<'a> {
-    pub(super) fn new(bytes: &'a [u8], at: usize) -> BodyLines<'a> {
-        BodyLines { bytes, at: at.min(bytes.len()) }
-    }
-
-    pub(super) fn at(&self) -> usize {
-        self.at
-    }
-
-    pub(super) fn remaining(&self) -> usize {
-        self.bytes.len() - self.at
-    }
-
-    /// Skips empty lines and the spaces before the first value.
-    pub(super) fn start(&mut self) -> Result<()> {
-        self.skip_while(|byte| matches!(byte, b' ' | b'\t' | b'\r' | b'\n'));
-        Ok(())
-    }
-
-    /// Skips the spaces after the last value, and checks that the line ends there.
-    pub(super) fn finish(&mut self) -> Result<()> {
-        match self.peek() {
-            None | Some(b'\n' | b'\r') => Ok(()),
-            Some(_) => Err(self.invalid("the line has more values than the header declares".into())),
-        }
-    }
-
-    /// Skips one value.
-    pub(super) fn skip(&mut self, what: &str) -> Result<()> {
-        match self.peek() {
-            None | Some(b'\n' | b'\r') => Err(self.missing(what)),
-            Some(_) => {
-                self.skip_while(|byte| !matches!(byte, b' ' | b'\t' | b'\r' | b'\n'));
-                Ok(())
-            }
-        }
-    }
-
-    /// Parses the next value as an integer of the given type.
-    pub(super) fn integer(&mut self, scalar: Scalar, what: &str) -> Result<i64> {
-        self.bounded(scalar, what)
-    }
-
-    /// Parses the next value and checks the range of the declared type.
-    fn bounded<T: TryFrom<i64>>(&mut self, scalar: Scalar, what: &str) -> Result<T> {
-        let start = self.at;
-        let value: f64 = self.number(what)?;
-        let range = match scalar {
-            Scalar::I8 => -128.0..=127.0,
-            Scalar::U8 => 0.0..=255.0,
-            Scalar::I16 => -32_768.0..=32_767.0,
-            Scalar::U16 => 0.0..=65_535.0,
-            Scalar::I32 => f64::from(i32::MIN)..=f64::from(i32::MAX),
-            _ => 0.0..=f64::from(u32::MAX),
-        };
-        if range.contains(&value) && value.fract() == 0.0 {
-            #[expect(clippy::cast_possible_truncation, reason = "an integer within 32 bits")]
-            if let Ok(value) = T::try_from(value as i64) {
-                return Ok(value);
-            }
-        }
-        self.at = start;
-        let (least, most) = range.into_inner();
-        Err(self.wrong_value(format!("`{what}` must be an integer from {least} to {most}, found {value}")))
-    }
-
-    /// Parses the next value as a float, or as an integer that is stored as a float.
-    fn float<T: FastFloat>(&mut self, scalar: Scalar, what: &str) -> Result<T> {
-        if !matches!(scalar, Scalar::F32 | Scalar::F64) {
-            let start = self.at;
-            self.bounded::<i64>(scalar, what)?;
-            self.at = start;
-        }
-        self.number(what)
-    }
-
-    fn number<T: FastFloat>(&mut self, what: &str) -> Result<T> {
-        match self.peek() {
-            None | Some(b'\n' | b'\r') => Err(self.missing(what)),
-            Some(_) => match parse_number(&self.bytes[self.at..]) {
-                Some((value, length)) => {
-                    self.at += length;
-                    Ok(value)
-                }
-                None => Err(self.wrong_value(format!("expected a number for `{what}`"))),
-            },
-        }
-    }
-
-    /// The next byte that is not a space, without consuming it.
-    fn peek(&mut self) -> Option<u8> {
-        self.skip_while(|byte| matches!(byte, b' ' | b'\t'));
-        self.bytes.get(self.at).copied()
-    }
-
-    fn skip_while(&mut self, skipped: impl Fn(u8) -> bool) {
-        while self.bytes.get(self.at).is_some_and(|&byte| skipped(byte)) {
-            self.at += 1;
-        }
-    }
-
-    fn missing(&self, what: &str) -> Error {
-        match self.at == self.bytes.len() {
-            true => self.short(format!("the file ends where a value of `{what}` was expected")),
-            false => self.invalid(format!("the line ends where a value of `{what}` was expected")),
-        }
-    }
-
-    /// An error in the value at the current position, which may be truncated.
-    fn wrong_value(&self, what: String) -> Error {
-        match self.bytes[self.at..].iter().any(u8::is_ascii_whitespace) {
-            true => self.invalid(what),
-            false => self.short(what),
-        }
-    }
-
-    pub(super) fn short(&self, what: String) -> Error {
-        Error::short(FORMAT, Position::Line(line_number(self.bytes, self.at)), what)
-    }
-
-    pub(super) fn invalid(&self, what: String) -> Error {
-        Error::invalid(FORMAT, Position::Line(line_number(self.bytes, self.at)), what)
-    }
 }
 
 #[cfg(test)]

@@ -12,8 +12,9 @@ use crate::scalar::Scalar;
 use super::FORMAT;
 use super::binary::{gather_part, scalar_offsets};
 use super::header::{Element, PlyHeader};
-use super::read::{Slots, Target, VertexElement, fits_f32, note_on_faces, notes, scalar_of, vertices};
+use super::read::{VertexElement, fits_f32, note_on_faces, notes, scalar_of, vertices};
 use super::rows::{check_limit, checked_binary_count};
+use super::target::{Slots, Target};
 
 /// Locates the vertices of a file of `file_bytes`; `None` if their offsets cannot be computed: in text, and
 /// after lists.

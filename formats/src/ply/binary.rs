@@ -15,8 +15,8 @@ use crate::error::Result;
 use crate::scalar::Scalar;
 
 use super::header::{Element, PropertyType};
-use super::read::{Slots, Target};
 use super::rows::RecordReader;
+use super::target::{Slots, Target};
 
 /// Bytes of records per block: they fit into the second-level cache along with the targets.
 const BLOCK_BYTES: usize = 128 << 10;

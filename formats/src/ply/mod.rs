@@ -26,10 +26,12 @@ use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow, Particl
 mod ascii;
 mod batches;
 mod binary;
+mod body_lines;
 mod header;
 mod mesh;
 mod read;
 mod rows;
+mod target;
 mod vertex_data;
 pub mod write;
 mod write_particles;

@@ -8,7 +8,7 @@ use crate::limits::Limits;
 use crate::scalar::Scalar;
 
 use super::FORMAT;
-use super::ascii::BodyLines;
+use super::body_lines::BodyLines;
 use super::header::{Element, PlyHeader, Property, PropertyType};
 
 /// A position in the body.

@@ -36,13 +36,15 @@ mod metadata;
 mod read;
 mod read_tree;
 mod sign_flood;
+mod transform;
 mod tree;
 mod uuid;
 mod write;
 
 pub use metadata::MetaValue;
-pub use read::{GridInfo, Transform, grids, read_level_set, read_vectors};
+pub use read::{GridInfo, grids, read_level_set, read_vectors};
 pub use read_tree::{ConstantTile, GridData, LevelSetData, VectorGridData};
+pub use transform::Transform;
 pub use write::{Encoded, WriteOptions, encode, grid_notes, write};
 
 use read::{first_grid_metadata, last_grid_end};

@@ -11,6 +11,7 @@ use super::read_tree::{
     GridData, LevelSetData, TreeBudget, ValueStorage, VectorGridData, VoxelValue, count_tree, pass_tree,
     read_tree,
 };
+use super::transform::Transform;
 use crate::error::{Error, Position, Result};
 use crate::excerpt::excerpt;
 use crate::limits::Limits;
@@ -36,22 +37,6 @@ pub struct GridInfo {
     pub active_voxel_count: Option<u64>,
     /// All metadata of the grid, including the source of the above.
     pub metadata: Vec<(String, MetaValue)>,
-}
-
-/// An affine map: voxel (i, j, k) is centred on `translation + i·axes[0] + j·axes[1] + k·axes[2]`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Transform {
-    /// Steps from a voxel to the next along each index, world units.
-    pub axes: [[f64; 3]; 3],
-    /// World position of voxel (0, 0, 0).
-    pub translation: [f64; 3],
-}
-
-impl Transform {
-    /// The lengths of the steps along each index, world units.
-    pub fn voxel_size(&self) -> [f64; 3] {
-        self.axes.map(|[x, y, z]| (x * x + y * y + z * z).sqrt())
-    }
 }
 
 /// The grids of a file, in file order.

@@ -12,7 +12,7 @@ use super::layout::{
     NODE5_VOXELS_LOG2, count_ones, inactive, is_on, ones, slot_coord,
 };
 use super::metadata::MetaValue;
-use super::read::Transform;
+use super::transform::Transform;
 use crate::blosc::{BloscError, decode_frame, inflate_into};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;

@@ -228,7 +228,7 @@ impl MethodOptions {
     }
 
     /// The description of the option with this name.
-    pub fn info(name: &str) -> Option<&'static OptionInfo> {
+    pub fn info(name: &str) -> Option<&'static OptionInfo<MethodOptions>> {
         MethodOptions::ALL.iter().find(|info| info.name == name)
     }
 
@@ -284,7 +284,7 @@ impl MethodOptions {
     /// whether there are obstacles.
     pub fn without_effect(&self, has_obstacles: bool) -> Vec<(&'static str, &'static str)> {
         let unmet = |name: &'static str| {
-            let need = MethodOptions::info(name)?.need?;
+            let need = MethodOptions::info(name)?.need.as_ref()?;
             (!(need.is_met)(self, has_obstacles)).then_some((name, need.what))
         };
         self.to_pairs().into_iter().filter_map(|(name, _)| unmet(name)).collect()

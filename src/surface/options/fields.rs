@@ -46,17 +46,17 @@ pub enum ValueKind {
 }
 
 /// What an option needs to have an effect.
-#[derive(Clone, Copy, Debug)]
-pub struct Need {
+#[derive(Debug)]
+pub struct Need<Options> {
     /// What has to be given, as it is typed.
     pub what: &'static str,
     /// Whether it is, with these options, and with obstacles or without.
-    pub(super) is_met: fn(&super::MethodOptions, bool) -> bool,
+    pub(super) is_met: fn(&Options, bool) -> bool,
 }
 
 /// The description of an option, without its value.
-#[derive(Clone, Copy, Debug)]
-pub struct OptionInfo {
+#[derive(Debug)]
+pub struct OptionInfo<Options: 'static> {
     /// The name of its field, and its key in files. The command line has hyphens instead of underscores.
     pub name: &'static str,
     /// Its group.
@@ -64,7 +64,7 @@ pub struct OptionInfo {
     /// How its value is written.
     pub kind: ValueKind,
     /// What it needs; `None` of one that has an effect by itself.
-    pub need: Option<Need>,
+    pub need: Option<Need<Options>>,
 }
 
 /// The value of an option. Its text on the command line, in journals and in plans parses as the same value.
@@ -174,7 +174,7 @@ macro_rules! method_options {
 
         impl $options {
             /// All options, in the order of `--help` and of files.
-            pub const ALL: &'static [OptionInfo] = &[$($(OptionInfo {
+            pub const ALL: &'static [OptionInfo<$options>] = &[$($(OptionInfo {
                 name: stringify!($name),
                 group: OptionGroup::$group,
                 kind: <$value as OptionValue>::KIND,

@@ -23,12 +23,8 @@ const KNOWN_CYCLES: &[&str] = &[
     "src/surface/obstacle: surface, tree, winding",
     "src/surface/options: definition, length, pairs, presets, values",
     "src/surface/rasterize: distances, signed_distance",
-    "src/surface/smooth: acts, explicit",
+    "src/surface/smooth: explicit, schedule",
     "src/surface/validation: containment, distances, particle_checks, rays, strays, surfaces",
-    "formats/src/gltf: external, read",
-    "formats/src/houdini: binary, text, tokens",
-    "formats/src/ply: ascii, binary, read, rows",
-    "formats/src/vdb: read, read_tree",
 ];
 
 fn root(folder: &str) -> PathBuf {
