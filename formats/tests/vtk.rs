@@ -237,7 +237,7 @@ fn invalid_legacy_lines_are_errors() {
         (format!("{points}POINT_DATA 1\nPOINTS 2 float\n1 2 3 4 5 6\n"), "the file has POINTS twice"),
         (format!("{points}WHAT 1\n"), "found `WHAT`"),
         (points.replace("POLYDATA", "STRUCTURED_POINTS"), "STRUCTURED_POINTS, which is not supported"),
-        (points.replace("3.0", "9.0"), "version \"9.0\""),
+        (points.replace("3.0", "9.0"), "the version is \"9.0\""),
         (points.replace("ASCII", "TEXT"), "expected ASCII or BINARY, found `TEXT`"),
         (points.replace("POINTS 1", "POINTS 5000000000"), "more than the limit"),
     ];
