@@ -58,7 +58,7 @@ const AGREEMENT: f64 = 0.25;
 /// Frames disagree if their spacings differ by more than this share.
 pub const SPREAD_MAX: f64 = 0.1;
 
-/// An estimate with less [confidence](Estimate::confidence) causes a warning.
+/// An estimate with less [confidence](SpacingEstimate::confidence) causes a warning.
 pub const CONFIDENCE_MIN: f64 = 0.5;
 
 /// The particle spacing of one frame, by [`estimate_spacing`].
