@@ -577,7 +577,7 @@ fn edits() -> Vec<(&'static str, Value, &'static str)> {
         ("/generator", json!("meniscus 0.0.1"), "/generator: this is a plan of `meniscus 0.0.1`"),
         ("/out", json!("out"), "/out: `out` is no absolute path"),
         ("/out", Value::Null, "invalid type: null"),
-        ("/outputs/formats", json!(["glb", "exe"]), "`exe` is not a format"),
+        ("/outputs/formats", json!(["glb", "exe"]), "unknown format `exe`"),
         ("/outputs/formats", json!([]), "/outputs/formats: there are none"),
         ("/outputs/up", json!("x"), "unknown variant `x`"),
         ("/outputs/picture_size", json!([1, 99999999]), "/outputs/picture_size: each must be 16 to 8192"),

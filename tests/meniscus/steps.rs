@@ -160,7 +160,7 @@ fn more_steps_than_there_may_be_are_told() {
     for command in [&["convert", "many.xyz", "--out=out"][..], &["info", "many.xyz"]] {
         let ran = meniscus(folder, command);
         assert_eq!(ran.status, 2, "{command:?}: {}{}", ran.out, ran.err);
-        let told = "many.xyz: XYZ atoms: more steps than the limit of 1000000";
+        let told = "many.xyz: XYZ atoms: the file has more steps than the limit of 1000000";
         assert!(ran.err.contains(told), "{command:?}: {}", ran.err);
     }
     assert!(!folder.join("out").exists());
@@ -168,7 +168,7 @@ fn more_steps_than_there_may_be_are_told() {
     write_dump(folder, &[1, 2]);
     let ran = convert(folder, &["many.xyz", "d.lammpstrj"]);
     assert_eq!(ran.status, 1, "{}{}", ran.out, ran.err);
-    assert!(ran.err.contains("error: many.xyz: XYZ atoms: more steps than the limit"), "{}", ran.err);
+    assert!(ran.err.contains("error: many.xyz: XYZ atoms: the file has more steps than the limit"), "{}", ran.err);
     assert!(folder.join("out/d.2.obj").exists(), "{}", ran.out);
 }
 
