@@ -168,7 +168,11 @@ fn more_steps_than_there_may_be_are_told() {
     write_dump(folder, &[1, 2]);
     let ran = convert(folder, &["many.xyz", "d.lammpstrj"]);
     assert_eq!(ran.status, 1, "{}{}", ran.out, ran.err);
-    assert!(ran.err.contains("error: many.xyz: XYZ atoms: the file has more steps than the limit"), "{}", ran.err);
+    assert!(
+        ran.err.contains("error: many.xyz: XYZ atoms: the file has more steps than the limit"),
+        "{}",
+        ran.err
+    );
     assert!(folder.join("out/d.2.obj").exists(), "{}", ran.out);
 }
 

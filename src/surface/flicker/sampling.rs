@@ -26,8 +26,8 @@ pub(super) fn samples(triangles: &[[DVec3; 3]], count: usize) -> Vec<(DVec3, DVe
     }
     let sample = |index: usize| {
         let along = area * (index as f64 + 0.5) / count as f64;
-        let index = ends.partition_point(|&end| end <= along).min(triangles.len() - 1);
-        let [a, b, c] = triangles[index];
+        let triangle = ends.partition_point(|&end| end <= along).min(triangles.len() - 1);
+        let [a, b, c] = triangles[triangle];
         let [mut u, mut v] = STEPS.map(|step| (0.5 + step * index as f64).fract());
         // Mirror the other half of the parallelogram onto this triangle.
         if u + v > 1.0 {

@@ -216,6 +216,16 @@ fn thread_count_does_not_change_the_result() {
 }
 
 #[test]
+fn samples_of_one_triangle_spread_over_it() {
+    let triangle = [DVec3::ZERO, DVec3::X, DVec3::Y];
+    let points = samples(&[triangle], 400);
+    // Of 100 squares that part the triangle's bounding box, 45 are inside and 10 are halves at its edge.
+    let squares: std::collections::HashSet<[i32; 2]> =
+        points.iter().map(|(point, _)| [(10.0 * point.x) as i32, (10.0 * point.y) as i32]).collect();
+    assert!(squares.len() >= 50, "{}", squares.len());
+}
+
+#[test]
 fn samples_are_even_by_area() {
     let surface = sphere(1.0, DVec3::ZERO, 24);
     let points = samples(surface.triangles(), 10_000);
