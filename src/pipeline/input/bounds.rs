@@ -1,8 +1,8 @@
-//! What a camera looks at: the box of a frame, and of a sequence.
+//! Bounding boxes for cameras: of one frame, and of a sequence.
 //!
-//! Of a sequence the first, the middle and the last frame are looked at. A fluid seldom leaves their box, and a part of
-//! a sequence has the same camera as the whole. A single drop that flew off would make all else tiny: what strayed is
-//! left out.
+//! The box of a sequence covers its first, middle and last frame. A fluid seldom leaves that box, and a part
+//! of a sequence gets the same camera as the whole. The box excludes outliers: otherwise a single drop that
+//! flew off would make everything else tiny.
 
 use std::path::Path;
 
@@ -17,14 +17,14 @@ use crate::surface::grid::{LeafMask, negative_masks};
 use crate::surface::particles::Particles;
 use crate::surface::space::{CoordBox, box_of, joined};
 
-/// What is looked at where there is nothing to see.
+/// The box that a camera shows if a frame is empty.
 pub const NOTHING: [DVec3; 2] = [DVec3::NEG_ONE, DVec3::ONE];
 
-/// The box that holds the first, the middle and the last of these files, least and greatest corner in world units;
-/// `None` if there is nothing in them. Particles are balls of this radius. A file that cannot be read is passed over.
+/// The bounding box of the first, the middle and the last of these files: minimum and maximum corner in world
+/// units, or `None` if they are empty. Particles are balls of this radius. Skips files that cannot be read.
 ///
 /// # Errors
-/// That of the first file, if none of all can be read.
+/// The error of the first file, if no file can be read.
 pub fn sequence_bounds(paths: &[&Path], radius: f64) -> Result<Option<[DVec3; 2]>, FrameError> {
     let mut indices = vec![0, paths.len() / 2, paths.len().saturating_sub(1)];
     indices.dedup();
@@ -51,7 +51,7 @@ pub fn sequence_bounds(paths: &[&Path], radius: f64) -> Result<Option<[DVec3; 2]
     }
 }
 
-/// The box that holds what is in a file: a level set in a .vdb, or particles.
+/// The bounding box of the contents of a file: of a level set in a .vdb, or of particles.
 fn file_bounds(path: &Path, radius: f64) -> Result<Option<[DVec3; 2]>, FrameError> {
     if is_level_set(path) {
         return Ok(LevelSetFile::read(path, false)?.scene().bounds());
@@ -61,15 +61,15 @@ fn file_bounds(path: &Path, radius: f64) -> Result<Option<[DVec3; 2]>, FrameErro
     Ok(bounds_of_particles(&read.cloud.positions, radius))
 }
 
-/// The box that holds balls of this radius at the particles, without those that strayed; world units, `None` if there is
-/// no particle.
+/// The bounding box of balls of this radius at the particles, without outliers; world units, `None` without
+/// particles.
 pub fn bounds_of_particles(particles: &Particles, radius: f64) -> Option<[DVec3; 2]> {
     let place = |index: usize| [particles.position(index); 2];
     box_of(particles.len(), place).map(|[least, greatest]| [least - radius, greatest + radius])
 }
 
 impl PictureScene<'_> {
-    /// The box that holds what is inside, without what strayed; world units, `None` if nothing is inside.
+    /// The bounding box of the inside, without outliers; world units, `None` if the inside is empty.
     pub fn bounds(&self) -> Option<[DVec3; 2]> {
         let inside = negative_masks(&self.band.phi);
         let leaves: Vec<(&LeafMask, _)> =

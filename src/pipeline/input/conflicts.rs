@@ -1,4 +1,4 @@
-//! Which outputs would replace an input, an obstacle or each other.
+//! Finds outputs that would replace an input, an obstacle or each other.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -9,7 +9,7 @@ use super::steps::file_of;
 use crate::pipeline::files::path_identity::{Identity, entry, identities};
 use crate::pipeline::target::outputs::{OutputOptions, output_path};
 
-/// Why a run must not begin.
+/// Why a run cannot begin.
 #[derive(Debug)]
 pub enum Conflict {
     /// An output would replace an input.
@@ -19,27 +19,27 @@ pub enum Conflict {
         /// The input.
         input: PathBuf,
     },
-    /// An output would replace an obstacle, or what is taken for one later.
+    /// An output would replace an obstacle, or would later be read as one.
     ReplacesObstacle {
         /// The output.
         output: PathBuf,
-        /// The obstacle, as it was asked for.
+        /// The obstacle's path or pattern, as given.
         obstacle: PathBuf,
     },
-    /// Two inputs have outputs of one name.
+    /// Two inputs have outputs with the same name.
     SameOutput {
         /// The output.
         output: PathBuf,
-        /// What it would be made from, twice.
+        /// The two inputs.
         makers: [PathBuf; 2],
     },
-    /// Something else that is written, such as the report, has the name of an output.
+    /// Another written file, such as the report, has the name of an output.
     ReplacesOutput {
         /// The output.
         output: PathBuf,
-        /// The input that it would be made from.
+        /// The input of that output.
         input: PathBuf,
-        /// What else.
+        /// The other file.
         what: &'static str,
     },
 }
@@ -78,9 +78,9 @@ impl fmt::Display for Conflict {
 
 impl std::error::Error for Conflict {}
 
-/// Checks that the outputs of all planned frames (input and stem), and whatever else is written (what it is, and where),
-/// replace neither one of `inputs` nor an obstacle nor each other. The folder must exist: only then is it known
-/// where its path leads.
+/// Checks that the outputs of all planned frames (input and stem), and all other written files (description
+/// and path), do not replace one of `inputs`, an obstacle, or each other. The folder must exist, because only
+/// then can its path be resolved.
 ///
 /// # Errors
 /// The first conflict found.
@@ -93,7 +93,7 @@ pub fn check_outputs(
 ) -> Result<(), Conflict> {
     let mut input_of: HashMap<Identity, &Path> = HashMap::new();
     let mut files: Vec<&Path> = inputs.iter().map(|input| file_of(input)).collect();
-    files.dedup(); // the steps of one stand together
+    files.dedup(); // the steps of one file are adjacent
     for input in files {
         input_of.extend(identities(input).into_iter().map(|identity| (identity, input)));
     }
@@ -124,10 +124,10 @@ pub fn check_outputs(
 }
 
 impl ObstacleFiles {
-    /// Refuses an output that would replace an obstacle, or would be taken for one.
+    /// Refuses an output that would replace an obstacle, or would be read as one.
     ///
     /// # Errors
-    /// Which obstacle that is.
+    /// The obstacle.
     pub fn refuse_output(&self, output: &Path) -> Result<(), Conflict> {
         let conflict = |obstacle: &Path| Conflict::ReplacesObstacle {
             output: output.to_owned(),

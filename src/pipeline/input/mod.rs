@@ -1,4 +1,4 @@
-//! What frames are made from: files, their steps and sequences, and what stands in the way.
+//! Inputs of frames: files, their steps and sequences, and obstacles.
 //!
 //! ```text
 //!   source      which files are frames, in which order, of which sequence    steps  of a file that has several

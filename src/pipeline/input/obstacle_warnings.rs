@@ -1,14 +1,14 @@
-//! What is odd about the files of obstacles.
+//! Checks for likely mistakes in obstacle files.
 
 use crate::surface::obstacle::{MeshFindings, Shape};
 use crate::surface::options::Settings;
 
 use crate::pipeline::warning::ObstacleFinding;
 
-/// A level set with a band that is narrower than this, in units of h, tells little of where it is.
+/// A level set with a narrower band than this, in units of h, hardly shows where its surface is.
 const KNOWN_MIN: f64 = 1.0;
 
-/// What is odd about an obstacle.
+/// The likely mistakes in an obstacle.
 pub(crate) fn findings_of(shape: &Shape, settings: &Settings) -> Vec<ObstacleFinding> {
     let mut found = Vec::new();
     match shape {

@@ -1,15 +1,14 @@
-//! The files of what stands in the way: which of them are a frame's, and what is in them.
+//! Obstacle files: finds those of a frame, hashes them and loads them.
 //!
 //! ```text
-//!   floor.obj          in the way of every frame; read once, and again when the file was written again
-//!   body.####.obj      moves: each frame has the file with its own number, or fails
+//!   floor.obj          an obstacle of every frame; read once, and again after a change
+//!   body.####.obj      moves: each frame needs the file with its own number, or fails
 //! ```
 //!
-//! Of a frame they are found and hashed first. Only if it is not done already is there any need to know what is
-//! in them.
+//! The files of a frame are found and hashed first. They are parsed only if the frame is not done already.
 //!
-//! The buffers of a `.gltf` may be files beside it. They are a part of it: hashed with it, and read again when one of
-//! them was written again.
+//! The buffers of a `.gltf` may be separate files. They belong to the obstacle: their bytes are hashed with
+//! it, and a change of one of them reloads it.
 
 use std::collections::{HashMap, HashSet};
 use std::fmt;
@@ -39,25 +38,25 @@ use crate::pipeline::warning::Warning;
 #[derive(Debug, Default)]
 pub struct ObstacleFiles {
     paths: Vec<PathBuf>,
-    /// What is known of those that stand still.
+    /// The loaded obstacles that do not move, by the index of their path.
     known: Mutex<Vec<Option<LoadedObstacle>>>,
-    /// The files beside a `.gltf`, and what that was when it told of them.
+    /// The buffer files of each `.gltf`, and the stamp of the `.gltf` that named them.
     beside: Mutex<HashMap<PathBuf, (FileStamp, Vec<PathBuf>)>>,
 }
 
-/// What the files of a frame are at a time.
+/// The state of a frame's obstacle files at one time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ObstacleStamps {
-    /// In short: equal ones mean that none was written since.
+    /// The stamps as short text: equal texts mean that no file was written in between.
     pub text: String,
-    /// Whether none is missing.
+    /// Whether every file exists.
     pub are_all_there: bool,
 }
 
-/// A file that was read.
+/// An obstacle that was loaded.
 #[derive(Clone)]
 struct LoadedObstacle {
-    /// All files that it was read from, as they were.
+    /// All files that it was read from, with their stamps at that time.
     files: Vec<(PathBuf, FileStamp)>,
     hash: u128,
     obstacle: Arc<Obstacle>,
@@ -75,66 +74,66 @@ pub(crate) struct FoundObstacles {
     found: Vec<FoundObstacle>,
 }
 
-/// A file of these.
+/// One of these files.
 struct FoundObstacle {
     path: PathBuf,
-    /// It, and those beside it, as they were.
+    /// The file and its buffer files, with their stamps.
     files: Vec<(PathBuf, FileStamp)>,
     hash: u128,
     content: ObstacleShape,
-    /// Where it is among the paths, if it stands still.
+    /// The index of its path, if the obstacle does not move.
     still: Option<usize>,
 }
 
-/// What is there of it.
+/// The contents of an obstacle file: bytes, or the obstacle that was loaded from them earlier.
 enum ObstacleShape {
-    /// Its own bytes, and those of each file beside it.
+    /// The bytes of the file, and those of each of its buffer files.
     Bytes(Vec<u8>, HashMap<String, Vec<u8>>),
     Obstacle(Arc<Obstacle>),
 }
 
-/// What a frame is to go around.
+/// The obstacles of a frame, ready for the reconstruction.
 #[derive(Clone, Default)]
 pub struct FrameObstacles {
-    /// All of them.
+    /// All obstacles.
     pub obstacles: Obstacles,
-    /// What a user should know of those that were read for this frame.
+    /// Warnings about the obstacles that were read for this frame.
     pub(crate) warnings: Vec<Warning>,
-    /// The file of each of them.
+    /// The path of each obstacle.
     pub(crate) paths: Vec<PathBuf>,
-    /// What is recorded of them: names and hashes. Empty if there is none.
+    /// The names and hashes that records contain; empty without obstacles.
     pub(crate) recorded: String,
-    /// Edges at which meshes are open.
+    /// The number of boundary edges of the meshes.
     pub(crate) open_edge_count: usize,
-    /// Memory that those take which are this frame's only, and that all take, in bytes.
+    /// The memory of the obstacles that only this frame has, and of all of them, in bytes.
     pub(crate) own_bytes: u64,
     pub(crate) all_bytes: u64,
 }
 
 impl ObstacleFiles {
-    /// Obstacles at these paths. Where there is no such file, and the name has a place for a number as in
-    /// `body.####.obj`, each frame has the file with its own.
+    /// Obstacles at these paths. If a path does not exist and its name has a placeholder for a number, as in
+    /// `body.####.obj`, each frame has the file with its own number.
     pub fn new(mut paths: Vec<PathBuf>) -> ObstacleFiles {
-        // What stands in the way twice is there once, and what is wrong with it is told once.
+        // Duplicate paths are loaded, and warned about, once.
         let mut seen = HashSet::new();
         paths.retain(|path| seen.insert(absolute(path).unwrap_or_else(|_| path.clone())));
         let known = Mutex::new(vec![None; paths.len()]);
         ObstacleFiles { paths, known, beside: Mutex::default() }
     }
 
-    /// Whether there is none.
+    /// Whether there are no obstacles.
     pub fn is_empty(&self) -> bool {
         self.paths.is_empty()
     }
 
-    /// The first path that no frame can have: there is no such file, and no place for a number in its name.
+    /// The first path that is missing for every frame: no such file exists, and its name has no placeholder.
     pub fn missing(&self) -> Option<&Path> {
         let is_missing = |path: &&PathBuf| !path.is_file() && pattern_of(path).is_none();
         self.paths.iter().find(is_missing).map(PathBuf::as_path)
     }
 
-    /// The obstacle that an output would replace, or would be taken for: of those that move, that is any file with a number of
-    /// theirs.
+    /// The obstacle that an output would replace, or that the output would be mistaken for: for a moving
+    /// obstacle, any file that matches its pattern.
     pub(crate) fn replaced_by(&self, output: &Path) -> Option<&Path> {
         let is_member = |path: &Path, pattern: NumberPattern| {
             let (entry, of_pattern) = (entry(output), entry(path));
@@ -149,12 +148,12 @@ impl ObstacleFiles {
         self.paths.iter().find(is_in_the_way).map(PathBuf::as_path)
     }
 
-    /// Whether all of them stand still: then each frame has the same.
+    /// Whether no obstacle moves, so that all frames share the same ones.
     pub fn stand_still(&self) -> bool {
         self.paths.iter().all(|path| may_be_file(path) || pattern_of(path).is_none())
     }
 
-    /// What the files of a frame are now.
+    /// The current state of a frame's obstacle files.
     pub fn stamps(&self, number: Option<u64>) -> ObstacleStamps {
         let mut stamps = ObstacleStamps { text: String::new(), are_all_there: true };
         let mut tell = |path: &Path, stamp: Option<FileStamp>| {
@@ -173,7 +172,7 @@ impl ObstacleFiles {
         stamps
     }
 
-    /// The files beside one, as far as it can be read now.
+    /// The buffer files of an obstacle, as far as it can be read now.
     fn files_beside(&self, path: &Path) -> Vec<PathBuf> {
         if !is_gltf_text(path) {
             return Vec::new();
@@ -191,7 +190,7 @@ impl ObstacleFiles {
         files
     }
 
-    /// Memory that it may take to load those of a frame that are not known yet, in bytes.
+    /// The memory that loading a frame's obstacles may take, without those that are loaded already, in bytes.
     pub(crate) fn loading_bytes(&self, number: Option<u64>) -> u64 {
         let size = |path: &Path| path.metadata().map_or(0, |metadata| metadata.len());
         let of_one = |(index, path): (usize, &PathBuf)| {
@@ -206,12 +205,12 @@ impl ObstacleFiles {
         self.paths.iter().enumerate().map(of_one).fold(0, u64::saturating_add)
     }
 
-    /// Whether all obstacles of the frame of this number are there.
+    /// Whether all obstacles of the frame with this number exist.
     pub fn are_there(&self, number: Option<u64>) -> bool {
         self.stamps(number).are_all_there
     }
 
-    /// Finds and hashes those of a frame.
+    /// Finds and hashes the obstacles of a frame.
     pub(crate) fn find(&self, number: Option<u64>) -> Result<FoundObstacles, ObstacleError> {
         let found = self.paths.iter().enumerate().map(|(index, path)| {
             let at = file_of(path, number)?;
@@ -230,8 +229,8 @@ impl ObstacleFiles {
         Ok(FoundObstacles { found: found.collect::<Result<_, _>>()? })
     }
 
-    /// What is in them. Reading a level set, beside the obstacles before it, may take no more than `memory_bytes`, and the
-    /// leaves that are kept of all together a small part of that.
+    /// Loads the obstacles. Reading a level set, together with the obstacles before it, may take
+    /// `memory_bytes` at most; the cached leaves of all obstacles may take a small part of that.
     pub(crate) fn load(
         &self,
         found: FoundObstacles,
@@ -289,26 +288,26 @@ impl ObstacleFiles {
 }
 
 impl LoadedObstacle {
-    /// Whether none of its files was written since.
+    /// Whether none of its files has changed since.
     fn is_as_it_was(&self) -> bool {
         self.files.iter().all(|(path, stamp)| stamp_of(path) == Some(*stamp))
     }
 }
 
 impl FoundObstacles {
-    /// What is recorded of them: the same from wherever they are read.
+    /// The text that records contain: independent of the folder that the files are in.
     pub(crate) fn recorded(&self) -> String {
         let one = |file: &FoundObstacle| format!("{} xxh3-128:{:032x}", name_of(&file.path), file.hash);
         self.found.iter().map(one).collect::<Vec<_>>().join(", ")
     }
 }
 
-/// The pattern that a path's name is.
+/// The pattern in a path's name.
 fn pattern_of(path: &Path) -> Option<NumberPattern<'_>> {
     NumberPattern::find(path.file_name()?.to_str()?)
 }
 
-/// The file that a path stands for in a frame with this number.
+/// The file of a path for the frame with this number.
 fn file_of(path: &Path, number: Option<u64>) -> Result<PathBuf, ObstacleError> {
     let missing =
         |path: &Path, what: String| Err(failed(path, io::Error::new(io::ErrorKind::NotFound, what).into()));
@@ -334,8 +333,9 @@ fn stamp_of(path: &Path) -> Option<FileStamp> {
     FileStamp::of_path(path).ok()
 }
 
-/// A stamp within the fingerprint of a frame's settings. Journals remember that, so this text may not change. It lacks the
-/// status change time: `chmod` and new hard links, which change no content, would have every frame converted again.
+/// A stamp as part of the fingerprint of a frame's settings. Journals store it, so this text must not change.
+/// It leaves out the status change time: `chmod` and new hard links change no content, and must not cause
+/// every frame to be converted again.
 fn text_of(stamp: &FileStamp) -> String {
     let FileStamp { size, modified_ns, inode, changed_ns: _ } = stamp;
     format!("FileStamp {{ size: {size}, modified_ns: {modified_ns}, inode: {inode} }}")
@@ -371,12 +371,12 @@ fn read(path: PathBuf, still: Option<usize>) -> Result<FoundObstacle, ObstacleEr
     Ok(FoundObstacle { path, files, hash, content: ObstacleShape::Bytes(bytes, contents), still })
 }
 
-/// Only these may have their buffers in files of their own.
+/// Whether the buffers may be separate files: only a `.gltf` has those.
 fn is_gltf_text(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gltf"))
 }
 
-/// What is in the bytes of a file, with those of the files beside it.
+/// Parses the bytes of a file, with those of its buffer files.
 fn parse(
     path: &Path,
     bytes: &[u8],
@@ -384,7 +384,7 @@ fn parse(
     memory_bytes: u64,
 ) -> Result<ObstacleData, ObstacleError> {
     let beside = Mutex::new(beside);
-    // Each is asked for once.
+    // Each file is requested once.
     let take = |relative: &str| {
         let bytes = beside.lock().unwrap_or_else(PoisonError::into_inner).remove(relative);
         bytes.ok_or_else(|| {
@@ -395,7 +395,7 @@ fn parse(
         .map_err(|error| failed(path, error))
 }
 
-/// What is in the way; `memory_bytes` is for a level set and for all that rebuilding it takes.
+/// The obstacle in the data; `memory_bytes` limits a level set, including all memory for rebuilding it.
 fn shape_of(data: ObstacleData, memory_bytes: u64) -> Result<Shape, String> {
     Ok(match data {
         ObstacleData::Mesh(mesh) => Shape::Solid(Solid::new(&mesh.positions, &mesh.triangles)),
@@ -422,17 +422,17 @@ fn source_of(data: LevelSetData) -> LevelSetSource {
     }
 }
 
-/// What leaves of obstacles are kept may take one part in so many of the memory that a frame may take.
+/// The cached leaves of obstacles may take this fraction of the memory for a frame.
 const OBSTACLE_SHARE: u64 = 16;
 
-/// Memory for reading an obstacle and making it one, in sizes of its file: about 320 bytes for a triangle. Measured on
-/// two million of them, and on a level set of 15 million values.
+/// The memory for loading an obstacle, as a multiple of the file size: about 320 bytes for a triangle.
+/// Measured with two million triangles, and with a level set of 15 million values.
 fn loading_factor(path: &Path) -> u64 {
     let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     match &*extension {
         "vdb" => 5,
         "obj" => 9,
-        // Of what is packed nobody knows before how large it is.
+        // The unpacked size of compressed files is unknown in advance.
         "gz" | "vtp" | "vtu" => 45,
         _ => 18,
     }
@@ -468,7 +468,7 @@ mod tests {
     }
     use std::fs;
 
-    /// A triangle in a file beside the document.
+    /// A document with one triangle, whose buffer is a separate file.
     const DOCUMENT: &str = r#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],"nodes":[{"mesh":0}],
         "meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}],
         "accessors":[{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"}],
@@ -480,7 +480,7 @@ mod tests {
     }
 
     #[test]
-    fn files_beside_are_a_part_of_the_obstacle() {
+    fn changed_buffer_file_reloads_the_obstacle() {
         let folder = tempfile::tempdir().expect("a folder");
         let (path, buffer) = (folder.path().join("a.gltf"), folder.path().join("a.bin"));
         fs::write(&path, DOCUMENT.replace("URI", "a.bin")).expect("written");
@@ -497,7 +497,7 @@ mod tests {
         let again = find();
         assert!(is_known(&again));
         assert_eq!((again.recorded(), files.stamps(None)), (recorded.clone(), stamps.clone()));
-        // Longer than the buffer: what is behind it is not read, but the file is another.
+        // Longer than the buffer: the extra bytes are never read, but the file has changed.
         fs::write(&buffer, [triangle(1.0), vec![1; 8]].concat()).expect("written");
         assert_ne!(files.stamps(None), stamps);
         let longer = find();
@@ -507,12 +507,12 @@ mod tests {
         let other = find();
         assert!(!is_known(&other));
         assert_ne!(other.recorded(), recorded);
-        // Who did not see it before knows of it, too.
+        // A new instance computes the same stamps.
         assert_eq!(ObstacleFiles::new(vec![path]).stamps(None), files.stamps(None));
     }
 
     #[test]
-    fn outputs_that_would_be_obstacles_are_refused() {
+    fn output_that_replaces_an_obstacle_is_refused() {
         let folder = tempfile::tempdir().expect("a folder");
         let at = |name: &str| folder.path().join(name);
         fs::create_dir(at("inner")).expect("made");
@@ -542,7 +542,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_given_twice_is_there_once() {
+    fn duplicate_path_is_loaded_once() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("a.obj");
         fs::write(&path, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").expect("written");
@@ -551,7 +551,7 @@ mod tests {
             Settings::paper(0.1, &crate::surface::options::MethodOptions::default()).expect("settings");
         let loaded = files.load(files.find(None).expect("there"), &settings, 1 << 24).expect("a triangle");
         assert_eq!(loaded.obstacles.members.len(), 1);
-        // What is known needs no more memory to be loaded, until it is another.
+        // A loaded obstacle needs no more memory, until its file changes.
         let size = path.metadata().expect("there").len();
         assert_eq!(ObstacleFiles::new(vec![path.clone()]).loading_bytes(None), 9 * size);
         assert_eq!(files.loading_bytes(None), 0);
@@ -564,7 +564,7 @@ mod tests {
     }
 
     #[test]
-    fn a_document_names_no_files_elsewhere() {
+    fn buffer_outside_the_folder_is_refused() {
         let folder = tempfile::tempdir().expect("a folder");
         let inner = folder.path().join("inner");
         fs::create_dir_all(inner.join("b.bin")).expect("made");
@@ -581,7 +581,7 @@ mod tests {
             let error = ObstacleFiles::new(vec![path.clone()]).find(None).err().expect(uri).to_string();
             assert!(error.contains(word), "{error}");
         }
-        // Under another name it is asked for nothing.
+        // A file with another extension may not have buffer files.
         let path = inner.join("a.json");
         fs::write(&path, DOCUMENT.replace("URI", "a.bin")).expect("written");
         fs::write(inner.join("a.bin"), triangle(1.0)).expect("written");

@@ -1,10 +1,11 @@
-//! Which obstacles are nowhere near the particles.
+//! Finds obstacles that are too far away to affect a frame.
 //!
-//! An obstacle in other units, or with another axis up, is no error: the surface simply does not meet it. Boxes tell:
+//! An obstacle in other units, or with another up axis, is not an error: the surface simply does not meet it.
+//! Bounding boxes show that:
 //!
 //! ```text
 //!   ┌────────────┐               ┌───┐
-//!   │ particles  │◀── reach ──▶  │   │     farther than anything of the frame can come: it touches nothing
+//!   │ particles  │◀── reach ──▶  │   │     beyond the reach of every part of the frame: has no effect
 //!   └────────────┘               └───┘
 //! ```
 
@@ -19,7 +20,7 @@ use super::obstacles::FrameObstacles;
 use crate::pipeline::error::Cause;
 use crate::pipeline::warning::{ObstacleFinding, Warning};
 
-/// A warning for each obstacle that nothing of a frame can touch.
+/// A warning for each obstacle that is out of reach of every part of a frame.
 ///
 /// # Errors
 /// Those of reading the particles.
@@ -46,7 +47,7 @@ pub(crate) fn out_of_reach(
     Ok(warnings.collect())
 }
 
-/// How far from a particle anything is done, at most, in world units.
+/// The largest distance from a particle at which anything is computed, in world units.
 fn reach(settings: &Settings) -> f64 {
     let h = settings.voxel_size;
     let radius = match settings.own_radii {
@@ -61,10 +62,10 @@ fn reach(settings: &Settings) -> f64 {
     radius * stretch + moved + (settings.void_threshold + BAND_VOXELS) * h
 }
 
-/// Half the thickness of what is written of a level set, in voxels.
+/// Half the width of the band that is written for a level set, in voxels.
 const BAND_VOXELS: f64 = 3.0;
 
-/// The least and the greatest corner of the box around the particles that are somewhere.
+/// The bounding box (minimum and maximum corner) of the particles with finite positions.
 fn box_of(particles: &FrameInput) -> Result<Option<[DVec3; 2]>, Cause> {
     fn around(points: impl Iterator<Item = DVec3>) -> Option<[DVec3; 2]> {
         points.filter(|point| point.is_finite()).map(|point| [point; 2]).reduce(both)
@@ -79,7 +80,7 @@ fn box_of(particles: &FrameInput) -> Result<Option<[DVec3; 2]>, Cause> {
     of_batches.try_reduce(|| None, |one, other| Ok(one.into_iter().chain(other).reduce(both)))
 }
 
-/// The box around two boxes.
+/// The bounding box of two boxes.
 fn both(one: [DVec3; 2], other: [DVec3; 2]) -> [DVec3; 2] {
     [one[0].min(other[0]), one[1].max(other[1])]
 }

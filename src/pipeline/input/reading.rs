@@ -1,4 +1,4 @@
-//! From a file to particles.
+//! Reads files, and parses particles.
 
 use std::io::{self, Read};
 use std::path::Path;
@@ -16,21 +16,21 @@ use crate::pipeline::files::open::open_regular;
 use crate::pipeline::files::stamp::FileStamp;
 use crate::pipeline::warning::Warning;
 
-/// What the pipeline needs of a file.
+/// The contents of a particle file that the pipeline needs.
 #[derive(Clone, Debug)]
 pub struct ReadFrame {
     /// The particles.
     pub cloud: Cloud,
-    /// What a user should know though the file was read.
+    /// Warnings about a file that could be read.
     pub warnings: Vec<Warning>,
-    /// The name of the velocities, where the file has some that are not wanted.
+    /// The name of the velocities, if the file has some that were not requested.
     pub unused_velocity: Option<String>,
 }
 
 /// The bytes of a file, or of a step of one.
 ///
 /// # Errors
-/// When the system refuses.
+/// When the system reports an error.
 pub fn read_file(path: &Path) -> Result<Vec<u8>, FrameError> {
     let fail = |error: meniscus_formats::Error| FrameError::file(path, Stage::Read, error);
     match step_of(path) {
@@ -45,10 +45,11 @@ pub fn read_file(path: &Path) -> Result<Vec<u8>, FrameError> {
     }
 }
 
-/// The bytes of a frame and the stamp of its file; `None` when that was written, replaced or removed meanwhile.
+/// The bytes of a frame and the stamp of its file; `None` if the file was written, replaced or removed
+/// meanwhile.
 ///
 /// # Errors
-/// When the system refuses, or there is no such step in the file.
+/// When the system reports an error, or the file has no such step.
 pub(crate) fn read_frame_unchanged(
     path: &Path,
     steps_found_by: StepsFoundBy,
@@ -62,7 +63,7 @@ pub(crate) fn read_frame_unchanged(
     }
 }
 
-/// Refuses a large file that nothing reads before all of it is in memory.
+/// Refuses a large file of an unknown format before all of it is read into memory.
 fn refuse_large_foreign(path: &Path) -> meniscus_formats::Result<()> {
     let metadata = path.metadata()?;
     if !metadata.is_file() || metadata.len() < LARGE_BYTES {
@@ -72,23 +73,23 @@ fn refuse_large_foreign(path: &Path) -> meniscus_formats::Result<()> {
     refuse_foreign(&head, &path.file_name().unwrap_or_default().to_string_lossy())
 }
 
-/// From here on a file is worth a look at its head.
+/// From this size on, the head of a file is checked first.
 const LARGE_BYTES: u64 = 1 << 20;
 
-/// More than any format needs to be recognized.
+/// More bytes than any format needs to be recognized.
 const LARGE_HEAD_BYTES: u64 = 1 << 16;
 
-/// The bytes of a file, which may change meanwhile.
+/// The bytes of a file, which may change during the read.
 fn read_unchecked(path: &Path) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     open_regular(path)?.read_to_end(&mut bytes)?;
     Ok(bytes)
 }
 
-/// The particles in the bytes of the file at `path`, with the attributes that are wanted.
+/// Parses particles from the bytes of the file at `path`, with the requested attributes.
 ///
 /// # Errors
-/// When they are no particles that can be read, or lack what is needed.
+/// When the bytes are not valid particles, or lack a required attribute.
 pub fn parse_particles(path: &Path, bytes: &[u8], wanted: &Wanted) -> Result<ReadFrame, FrameError> {
     let name = file_of(path).file_name().unwrap_or_default().to_string_lossy();
     let frame = read_particles(bytes, &name, &Limits::default())
@@ -104,7 +105,7 @@ pub fn parse_particles(path: &Path, bytes: &[u8], wanted: &Wanted) -> Result<Rea
     Ok(ReadFrame { cloud, warnings, unused_velocity })
 }
 
-/// The same vectors under the method's own type.
+/// Converts positions to the type of the reconstruction.
 pub fn particles(positions: FilePositions) -> Particles {
     match positions {
         FilePositions::F32(positions) => Particles::Single(positions),

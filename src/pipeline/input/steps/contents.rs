@@ -1,15 +1,15 @@
-//! What is in a file that may have several frames, found out by going through it.
+//! Indexes the steps of a file with one pass over it.
 //!
 //! ```text
 //!   before   │ step=0 │ step=1000 │ step=20..│
 //!            ▲ head                    tail ▲      the same bytes at the same places
 //!   now      │ step=0 │ step=1000 │ step=2000 │ step=3000 │
-//!              kept     kept      ▲ from here on it is gone through
+//!              kept     kept      ▲ the pass starts here
 //! ```
 //!
-//! A file that grew is taken to have been appended to where it begins as it did, and still has what stood before its old end.
-//! Its last step may have been cut off then, so that one is looked at again, and those before it are known. So a simulation
-//! may append more often than the whole file could be gone through.
+//! A file that grew counts as appended to if its head is unchanged and the bytes before its old end are still
+//! there. Its last step may have been incomplete, so the pass reads that step again and keeps those before
+//! it. So a simulation may append more often than a pass over the whole file would allow.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -25,47 +25,49 @@ use twox_hash::XxHash3_128;
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::files::stamp::FileStamp;
 
-/// What is known of a file.
+/// The index of a file.
 #[derive(Debug)]
 pub(super) struct StepContents {
-    /// The file that it is known of.
+    /// The stamp of the indexed file.
     pub(super) stamp: FileStamp,
-    /// Memory that unpacking takes, in bytes; `None` where the file is not packed.
+    /// Memory for decompression, in bytes; `None` if the file is not compressed.
     pub(super) unpacking_bytes: Option<u64>,
-    /// In their order.
+    /// In the order of the file.
     pub(super) steps: Vec<FileStep>,
-    /// The indices of the steps, sorted by what their names are made of.
+    /// The indices of the steps, sorted by the keys of their names.
     by_name: Vec<u32>,
     kind: ProbedKind,
-    /// `None` where nobody can tell later whether it was appended to: it is packed, or became shorter meanwhile.
+    /// `None` if a later pass cannot check whether the file was appended to: it is compressed, or shrank
+    /// meanwhile.
     edges: Option<FileEnds>,
-    /// What it was before it grew, the latest last, and how many of the first steps are as they were then.
+    /// Earlier states of the file, the latest last, with the number of leading steps that are unchanged
+    /// since.
     before: Vec<(FileStamp, usize)>,
 }
 
-/// A step of a file. A file may have a million, so the name is not stored.
+/// A step of a file. A file may have a million steps, so the name is not stored.
 #[derive(Debug)]
 pub(super) struct FileStep {
-    /// Where it is, in the unpacked file.
+    /// Its position in the uncompressed file.
     pub(super) found: FoundStep,
     /// 1 for the first step with its number, 2 for the second, ..
     count: u32,
 }
 
 impl FileStep {
-    /// What tells it from the others: its number, and for the second with that number and later ones, which it is.
+    /// The unique name of the step: its number, and from the second step with that number on also the count.
     pub(super) fn name(&self) -> String {
         let number = self.found.number.map_or_else(|| UNNUMBERED.to_owned(), |number| number.to_string());
         if self.count == 1 { number } else { format!("{number}.{}", self.count) }
     }
 
-    /// What the name is made of.
+    /// The key of the name.
     fn key(&self) -> (Option<i64>, u32) {
         (self.found.number, self.count)
     }
 }
 
-/// What a name is made of; `None` for text that no step is called.
+/// The key of a name; `None` for text that cannot be the name of a step.
 fn key_of(name: &str) -> Option<(Option<i64>, u32)> {
     let (number, count) = match name.split_once('.') {
         Some((number, count)) => (number, count.parse().ok()?),
@@ -75,7 +77,7 @@ fn key_of(name: &str) -> Option<(Option<i64>, u32)> {
     Some((number, count))
 }
 
-/// More states of a file are not remembered. Whoever knows an older one looks at its steps again.
+/// The number of earlier states that are stored. A caller with an older state must read all steps again.
 const BEFORE_MAX: usize = 16;
 
 impl StepContents {
@@ -87,17 +89,17 @@ impl StepContents {
         StepContents { stamp, unpacking_bytes: None, steps, by_name, kind, edges: None, before: Vec::new() }
     }
 
-    /// Those of what has no steps.
+    /// The index of a file without steps.
     pub(super) fn none(stamp: FileStamp) -> StepContents {
         StepContents::new(stamp, ProbedKind::Unknown, Vec::new())
     }
 
-    /// The step by this name.
+    /// The step with this name.
     pub(super) fn step(&self, name: &str) -> io::Result<&FoundStep> {
         let step_at = |index: &u32| &self.steps[*index as usize];
         let found = key_of(name).and_then(|key| {
             let place = self.by_name.binary_search_by_key(&key, |index| step_at(index).key()).ok()?;
-            // Of `7` and `07` one is the name of a step.
+            // Only one of `7` and `07` is the name of a step.
             Some(step_at(&self.by_name[place])).filter(|step| step.name() == name)
         });
         found.map(|step| &step.found).ok_or_else(|| {
@@ -105,7 +107,7 @@ impl StepContents {
         })
     }
 
-    /// So many of the first steps are as they were when the file had this stamp.
+    /// The number of leading steps that are unchanged since the file had this stamp.
     pub(super) fn kept_since(&self, stamp: &FileStamp) -> usize {
         match *stamp == self.stamp {
             true => self.steps.len(),
@@ -113,7 +115,7 @@ impl StepContents {
         }
     }
 
-    /// Whether a file with this stamp is this one with something appended.
+    /// Whether the file with this stamp is the indexed file plus appended bytes.
     fn has_become(&self, file: &mut File, stamp: &FileStamp, kind: ProbedKind) -> bool {
         let is_larger = stamp.inode == self.stamp.inode && stamp.size > self.stamp.size;
         let mut is_as_before =
@@ -122,10 +124,10 @@ impl StepContents {
     }
 }
 
-/// Goes through a file; what is known of how it was `before` spares the beginning of it.
+/// Indexes a file. If the index from `before` still applies, the pass skips the beginning of the file.
 ///
 /// # Errors
-/// When the system refuses, there are too many steps, or `is_over`.
+/// When the system reports an error, the file has too many steps, or `is_over` is set.
 pub(super) fn look_through(
     path: &Path,
     before: Option<&StepContents>,
@@ -142,7 +144,7 @@ pub(super) fn look_through(
         before.map_or_else(Vec::new, |before| before.steps.iter().map(|step| step.found.clone()).collect());
     let start = known.last().map_or(0, |last| last.range.start);
     file.seek(SeekFrom::Start(start))?;
-    // What is appended meanwhile belongs to the next look.
+    // The next pass reads what is appended during this one.
     let mut source = Watched::new((&file).take(stamp.size.saturating_sub(start)), is_over);
     if codec.is_some() {
         return look_through_packed(source, stamp, kind);
@@ -175,26 +177,26 @@ fn look_through_packed(mut source: impl Read, stamp: FileStamp, kind: ProbedKind
     Ok(StepContents { unpacking_bytes, ..StepContents::new(stamp, kind, found) })
 }
 
-/// What the first bytes of a file say.
+/// Probes the first bytes of a file.
 pub(super) fn probe_head(file: &mut File, path: &Path) -> io::Result<Probe> {
     let head = read_head(file, HEAD_BYTES)?;
     Ok(probe(&head, &path.file_name().unwrap_or_default().to_string_lossy()))
 }
 
-/// As much as tells what a file is.
+/// Enough bytes to recognize the format.
 const HEAD_BYTES: u64 = 8 << 10;
 
-/// A buffer that makes the system's calls not matter.
+/// Large enough that the cost of system calls does not matter.
 const BUFFER_BYTES: usize = 1 << 18;
 
-/// The first bytes of a file, and the last of those that were gone through.
+/// The first bytes of a file, and the last ones that the pass read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct FileEnds {
     head: Edge,
     tail: Edge,
 }
 
-/// Bytes of a file: where they are, and their hash.
+/// A range of bytes in a file, and their hash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Edge {
     start: u64,
@@ -202,11 +204,11 @@ struct Edge {
     hash: u128,
 }
 
-/// A thousand rows, about: nobody writes them twice but by copying.
+/// About a thousand rows: only a copy of them would have the same bytes.
 const TAIL_BYTES: usize = 64 << 10;
 
 impl FileEnds {
-    /// Whether a file still has the same bytes there.
+    /// Whether the file still has the same bytes in this range.
     fn are_in(&self, file: &mut File) -> io::Result<bool> {
         let mut is_in = |edge: Edge| {
             file.seek(SeekFrom::Start(edge.start))?;
@@ -224,15 +226,15 @@ impl Edge {
     }
 }
 
-/// A source that is read until that is not wanted any more, and of which the edges are kept. Those are of the bytes that were
-/// gone through: who reads them afterwards may read what was written over them meanwhile.
+/// A source that can be cancelled, and that keeps the first and last bytes it read. These are the bytes that
+/// the pass has seen: a later read could return what another process has written over them meanwhile.
 struct Watched<'a, R> {
     source: R,
     is_over: &'a AtomicBool,
-    /// So many bytes were read.
+    /// The number of bytes that were read.
     count: u64,
     head: Vec<u8>,
-    /// The last bytes, and some before them.
+    /// The last bytes that were read, at least `TAIL_BYTES` of them if there were as many.
     tail: Vec<u8>,
 }
 
@@ -241,7 +243,7 @@ impl<'a, R> Watched<'a, R> {
         Watched { source, is_over, count: 0, head: Vec::new(), tail: Vec::new() }
     }
 
-    /// The edges of the file, which was read from this byte on; its head is known if that is not its first.
+    /// The edges of the file, which was read from byte `start` on; needs the known head if `start` is not 0.
     fn edges(&self, start: u64, head: Option<Edge>) -> Option<FileEnds> {
         let head = head.or_else(|| (start == 0).then(|| Edge::of(0, &self.head)))?;
         let kept = &self.tail[self.tail.len().saturating_sub(TAIL_BYTES)..];
@@ -254,7 +256,7 @@ impl<'a, R> Watched<'a, R> {
         let missing = (HEAD_BYTES as usize).saturating_sub(self.head.len());
         self.head.extend(&bytes[..bytes.len().min(missing)]);
         self.tail.extend(&bytes[bytes.len().saturating_sub(TAIL_BYTES)..]);
-        // Not each time: what moves is as much as stays.
+        // Not on each read, so that the moved bytes stay proportional to the kept ones.
         if self.tail.len() > 2 * TAIL_BYTES {
             self.tail.drain(..self.tail.len() - TAIL_BYTES);
         }
@@ -264,7 +266,7 @@ impl<'a, R> Watched<'a, R> {
 impl<R: Read> Read for Watched<'_, R> {
     fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
         if self.is_over.load(Ordering::Relaxed) {
-            return Err(io::Error::other("its steps are not looked for any more"));
+            return Err(io::Error::other("the search for its steps was cancelled"));
         }
         let count = self.source.read(bytes)?;
         self.keep(&bytes[..count]);
@@ -272,7 +274,7 @@ impl<R: Read> Read for Watched<'_, R> {
     }
 }
 
-/// The steps, each with how many have had its number up to it.
+/// The steps, each with its count among the steps with the same number.
 fn counted(found: Vec<FoundStep>) -> Vec<FileStep> {
     let mut counts: HashMap<Option<i64>, u32> = HashMap::new();
     let counted = found.into_iter().map(|found| {
@@ -283,10 +285,10 @@ fn counted(found: Vec<FoundStep>) -> Vec<FileStep> {
     counted.collect()
 }
 
-/// What a step without a number is called.
+/// The name of a step without a number.
 pub(super) const UNNUMBERED: &str = "unnumbered";
 
-/// The contents of some file with so many steps.
+/// The index of some file with `n` steps.
 #[cfg(test)]
 pub(super) fn of_count(stamp: FileStamp, count: usize) -> StepContents {
     let found =
@@ -307,7 +309,7 @@ mod tests {
 
     static GOES_ON: AtomicBool = AtomicBool::new(false);
 
-    /// A step of a dump, or of a trajectory, with so many rows.
+    /// A step of a dump or of a trajectory, with this number of rows.
     fn step(kind: ProbedKind, number: usize, rows: usize) -> String {
         let mut text = match kind {
             ProbedKind::Format(Format::LammpsDump) => {
@@ -350,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn of_what_is_appended_only_that_is_gone_through() {
+    fn appended_file_is_read_from_its_last_step_on() {
         for (kind, name) in [
             (ProbedKind::Format(Format::LammpsDump), "d.dump"),
             (ProbedKind::Format(Format::XyzAtoms), "d.xyz"),
@@ -373,7 +375,7 @@ mod tests {
             assert_eq!(found(&third), found(&file.look(None)), "{name}");
             let kept = [&first, &second, &third].map(|before| third.kept_since(&before.stamp));
             assert_eq!(kept, [2, 3, 5], "{name}");
-            // What lies before it is not looked at: a step that begins there now is not seen.
+            // The bytes before the last step are not read again: a step that begins there now is not found.
             let mut bytes = fs::read(&file.path).expect("there");
             let at = bytes.len() / 4;
             bytes[at..at + 10].fill(b'\n');
@@ -384,7 +386,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_written_anew_is_gone_through_from_its_beginning() {
+    fn rewritten_file_is_read_from_its_beginning() {
         let file = Growing::new("d.dump");
         let dump = |numbers: &[usize]| -> String {
             numbers.iter().map(|&number| step(ProbedKind::Format(Format::LammpsDump), number, 100)).collect()
@@ -399,7 +401,7 @@ mod tests {
             ("another kind", "1\n\nO 0 0 0\n".repeat(1000)),
         ] {
             fs::write(&file.path, &text).expect("written");
-            // The clock of a file system may stand still for as long as this takes.
+            // The file system's clock may not advance in the time that this takes.
             let later = SystemTime::now() + Duration::from_secs(1);
             File::options()
                 .write(true)
@@ -412,9 +414,9 @@ mod tests {
         }
     }
 
-    /// The edges are of the bytes that the steps were found in, not of those that stand there when it is at the end.
+    /// The edges come from the bytes in which the steps were found, not from those at the end of the pass.
     #[test]
-    fn what_is_written_anew_meanwhile_is_gone_through_from_its_beginning() {
+    fn file_rewritten_during_a_pass_is_read_from_its_beginning() {
         let file = Growing::new("d.dump");
         let dump = |numbers: &[usize]| -> String {
             numbers.iter().map(|&number| step(ProbedKind::Format(Format::LammpsDump), number, 6000)).collect()
@@ -423,7 +425,7 @@ mod tests {
         for cut in ["ITEM: TIMESTEP\n10".len(), HEAD_BYTES as usize, old.len() / 2, old.len() - 1] {
             file.append(&old);
             let stamp = FileStamp::of(&fs::metadata(&file.path).expect("there"));
-            // What a pass sees that has come so far when the file is written anew in its place.
+            // The bytes that a pass sees if the file is rewritten in place when it has read `cut` bytes.
             let seen = [&old.as_bytes()[..cut], &new.as_bytes()[cut..old.len()]].concat();
             let mut source = Watched::new(&*seen, &GOES_ON);
             let mut known = Vec::new();
@@ -445,7 +447,7 @@ mod tests {
     }
 
     #[test]
-    fn the_edges_of_what_was_read_are_those_of_the_file() {
+    fn edges_of_the_read_bytes_equal_those_of_the_file() {
         let file = Growing::new("d.dump");
         let bytes: Vec<u8> = (0..3 * TAIL_BYTES).map(|index| ((index * index) >> 7) as u8).collect();
         for (size, piece) in
@@ -459,14 +461,14 @@ mod tests {
             let tail_start = size.saturating_sub(TAIL_BYTES);
             assert_eq!(edges.tail, Edge::of(tail_start as u64, &bytes[tail_start..size]), "{size}");
             assert!(edges.are_in(&mut File::open(&file.path).expect("there")).expect("read"), "{size}");
-            // What is read from later on has the head that is known, or none.
+            // A pass from a later position needs the known head.
             assert_eq!(source.edges(5, None), None);
             assert_eq!(source.edges(5, Some(edges.head)).map(|later| later.tail.end), Some(5 + size as u64));
         }
     }
 
     #[test]
-    fn of_many_states_the_latest_are_remembered() {
+    fn only_the_latest_states_are_kept() {
         let file = Growing::new("d.dump");
         file.append(&step(ProbedKind::Format(Format::LammpsDump), 0, 1));
         let mut all = vec![file.look(None)];
@@ -484,14 +486,14 @@ mod tests {
     }
 
     #[test]
-    fn a_file_need_not_be_gone_through_to_its_end() {
+    fn pass_can_be_cancelled() {
         let is_over = AtomicBool::new(false);
         let mut source = Watched::new(io::repeat(b'x'), &is_over);
         let mut piece = [0; 8];
         source.read_exact(&mut piece).expect("it goes on");
         is_over.store(true, Ordering::Relaxed);
         let over = source.read_exact(&mut piece).expect_err("over").to_string();
-        assert!(over.contains("not looked for any more"), "{over}");
+        assert!(over.contains("was cancelled"), "{over}");
         let file = Growing::new("d.dump");
         file.append(&step(ProbedKind::Format(Format::LammpsDump), 0, 1));
         look_through(&file.path, None, &is_over).expect_err("over");

@@ -1,6 +1,6 @@
-//! What is remembered of files with several steps: whoever asks for one step asks for the next.
+//! A cache of step indices: a caller that reads one step usually reads the next.
 //!
-//! Of several who ask for a file at once, one goes through it, and the others wait for what that finds.
+//! If several threads request one file at once, one of them indexes it, and the others wait for the result.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -13,44 +13,44 @@ use crate::pipeline::files::stamp::FileStamp;
 
 use super::contents::{StepContents, look_through};
 
-/// The files that were asked for last.
+/// The most recently used files.
 static KNOWN: LazyLock<Mutex<StepIndex>> = LazyLock::new(Mutex::default);
 
-/// No more steps are remembered, but for those of one file: some 40 MB.
+/// The cache is limited to this number of steps, not counting the steps of the file in use: about 40 MB.
 const KNOWN_STEPS_MAX: usize = 1 << 18;
 
-/// Nor more files.
+/// The cache is limited to this number of files.
 const KNOWN_FILES_MAX: usize = 1 << 10;
 
-/// What a file holds, as it is now.
+/// The index of a file in its current state.
 ///
 /// # Errors
-/// When it cannot be gone through, or `is_over`.
+/// When the file cannot be indexed, or `is_over` is set.
 pub(super) fn contents_unless(file: &Path, is_over: &AtomicBool) -> Result<Arc<StepContents>> {
     let metadata = file.metadata()?;
     let stamp = FileStamp::of(&metadata);
-    // A pipe can be read once, and not only for what it is.
+    // A pipe can be read only once, so it cannot be probed.
     if !metadata.is_file() {
         return Ok(Arc::new(StepContents::none(stamp)));
     }
     let (pass, before) = with_known(|known| known.pass(file, stamp));
-    // A panic leaves nothing half done behind these locks.
+    // A panic leaves no partial change under these locks.
     let mut found = pass.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(contents) = &*found {
         return Ok(Arc::clone(contents));
     }
     let looked = look_through(file, before.as_deref(), is_over).map(Arc::new);
     with_known(|known| known.note(file, stamp, looked.as_ref().ok()));
-    // It may be of a later file than was asked for: whoever reads it compares.
+    // The file may have changed since the request: readers compare the stamp.
     let contents = looked?;
     *found = Some(Arc::clone(&contents));
     Ok(contents)
 }
 
-/// The same, but for a file that was gone through and written again since: that is `None`, and does not wait for anybody.
+/// The same, but returns `None` without waiting for a file that was indexed and has changed since.
 ///
 /// # Errors
-/// When it cannot be gone through.
+/// When the file cannot be indexed.
 pub(super) fn contents_unless_changed(file: &Path) -> Result<Option<Arc<StepContents>>> {
     let stamp = FileStamp::of_path(file)?;
     match with_known(|known| known.contents_of(file)) {
@@ -60,7 +60,7 @@ pub(super) fn contents_unless_changed(file: &Path) -> Result<Option<Arc<StepCont
     }
 }
 
-/// What a file held when it was gone through last.
+/// The result of the last pass over a file.
 pub(super) fn contents_known(file: &Path) -> Option<Arc<StepContents>> {
     with_known(|known| known.contents_of(file))
 }
@@ -69,30 +69,30 @@ fn with_known<T>(work: impl FnOnce(&mut StepIndex) -> T) -> T {
     work(&mut KNOWN.lock().unwrap_or_else(PoisonError::into_inner))
 }
 
-/// What is remembered of files.
+/// The cached indices.
 #[derive(Debug, Default)]
 struct StepIndex {
     files: HashMap<PathBuf, KnownFile>,
-    /// How often something was asked for.
+    /// The number of requests so far.
     asked_count: u64,
 }
 
-/// A file that is known, or being gone through.
+/// A file that is indexed, or being indexed.
 #[derive(Debug)]
 struct KnownFile {
     stamp: FileStamp,
     pass: Pass,
-    /// What it held when it was gone through last.
+    /// The result of the last pass over it.
     contents: Option<Arc<StepContents>>,
-    /// The count of what was asked for when it was asked for last.
+    /// The value of the request counter at the last request for this file.
     asked_at: u64,
 }
 
-/// What a file with one stamp holds; locked by whoever goes through it.
+/// The index of a file with one stamp; the thread that indexes the file holds the lock.
 type Pass = Arc<Mutex<Option<Arc<StepContents>>>>;
 
 impl StepIndex {
-    /// Where that is, or will be, which a file with this stamp holds; and what it held before.
+    /// The slot for the index of the file with this stamp, and the earlier index.
     fn pass(&mut self, file: &Path, stamp: FileStamp) -> (Pass, Option<Arc<StepContents>>) {
         self.asked_count += 1;
         let new = || KnownFile { stamp, pass: Arc::default(), contents: None, asked_at: 0 };
@@ -111,7 +111,8 @@ impl StepIndex {
         known.contents.clone()
     }
 
-    /// A file was gone through, with that stamp if it could be. What has no steps is not remembered: its head tells that.
+    /// Stores the result of a pass, with the file's stamp if the pass succeeded. Files without steps are not
+    /// stored: their head alone identifies them.
     fn note(&mut self, file: &Path, asked: FileStamp, found: Option<&Arc<StepContents>>) {
         let Some(known) = self.files.get_mut(file).filter(|known| known.stamp == asked) else { return };
         match found.filter(|contents| !contents.steps.is_empty()) {
@@ -124,8 +125,8 @@ impl StepIndex {
         }
     }
 
-    /// Forgets what was not asked for longest, but not this file. Files with one step give way to those with several, which
-    /// are asked for again and again, and take no room from their steps.
+    /// Evicts the least recently used files, but not this one. Files with one step are evicted before those
+    /// with several, which are requested repeatedly, so single steps cannot displace them.
     fn make_room(&mut self, kept: &Path) {
         let step_count =
             |known: &KnownFile| known.contents.as_ref().map_or(0, |contents| contents.steps.len());
@@ -150,7 +151,7 @@ mod tests {
     use std::thread;
 
     #[test]
-    fn those_who_ask_at_once_have_it_gone_through_once() {
+    fn concurrent_requests_index_a_file_once() {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("d.dump");
         let step =
@@ -166,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_not_asked_for_longest_is_forgotten() {
+    fn least_recently_used_file_is_evicted() {
         let mut known = StepIndex::default();
         let stamp = FileStamp::default();
         let ask = |known: &mut StepIndex, name: &str, count: usize| {
@@ -181,12 +182,12 @@ mod tests {
         known.contents_of(Path::new("a"));
         ask(&mut known, "e", some);
         assert!(has(&known, "a") && !has(&known, "b") && has(&known, "c") && has(&known, "e"));
-        // The one that is asked for stays, whatever it has.
+        // The requested file stays, whatever its size.
         ask(&mut known, "large", KNOWN_STEPS_MAX + 1);
         assert_eq!(known.files.len(), 1);
         ask(&mut known, "none", 0);
         assert!(has(&known, "large") && !has(&known, "none"));
-        // Nor do many files with one step put it out: some of those are remembered beside it.
+        // Many files with one step do not evict it either: some of them stay in the cache beside it.
         (0..2 * KNOWN_FILES_MAX).for_each(|number| ask(&mut known, &format!("single {number}"), 1));
         let last = format!("single {}", 2 * KNOWN_FILES_MAX - 1);
         assert!(has(&known, "large") && has(&known, &last) && !has(&known, "single 0"));

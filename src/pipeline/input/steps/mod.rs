@@ -1,18 +1,20 @@
-//! The frames of a file that has several.
+//! Files with several frames.
 //!
 //! ```text
 //!   in/dump.lammpstrj               a file with three time steps
-//!   in/dump.lammpstrj/step=1000     the frame that is one of them ─▶ out/dump.1000.glb
+//!   in/dump.lammpstrj/step=1000     the frame of one of these time steps ─▶ out/dump.1000.glb
 //! ```
 //!
-//! A frame is known by its path: in journals, plans and reports, and to whoever types it. So a step has one as well, as though
-//! its file were a folder. Nothing else can be at such a path, for a file is no folder; and a file `step=1000` in a folder is a file.
+//! A path identifies a frame in journals, plans, reports and on the command line. So a step has a path as
+//! well, as if its file were a folder. Nothing else can have such a path, because a file is not a folder; and
+//! a file named `step=1000` in a folder is an ordinary file.
 //!
-//! Where the steps lie is found out by going through the file once, and remembered for as long as the file stays as it is:
-//! each is then read by itself. What is packed has no places, and is unpacked for each step.
+//! One pass over the file finds the positions of the steps, and a cache keeps them until the file changes, so
+//! that each step can be read alone. A compressed file has no such positions: it is decompressed for each
+//! step.
 //!
 //! ```text
-//!   contents   what is in a file, and in one that grew       known   what is remembered of files
+//!   contents   the step index of a file, also of one that grew       known   the cache of these indices
 //! ```
 
 mod contents;
@@ -37,21 +39,21 @@ use crate::pipeline::files::stamp::FileStamp;
 use contents::{StepContents, UNNUMBERED, probe_head};
 use known::{contents_known, contents_unless, contents_unless_changed};
 
-/// What the last part of the path of a step begins with; what tells it from others of its file follows.
+/// The prefix of the last part of a step's path; the name of the step follows.
 pub(crate) const STEP: &str = "step=";
 
-/// The file that a frame is read from: itself, or that which the frame is a step of.
+/// The file that a frame is read from: the frame itself, or the file that the frame is a step of.
 pub fn file_of(frame: &Path) -> &Path {
     step_of(frame).map_or(frame, |(file, _)| file)
 }
 
-/// The file of a step, and what tells it from others of this file; `None` for a frame that is a file.
+/// The file and the name of a step; `None` for a frame that is a whole file.
 pub fn step_of(frame: &Path) -> Option<(&Path, &str)> {
-    // A folder has files, and no steps, whatever these are called.
+    // A folder contains files and not steps, whatever their names are.
     step_in(frame, true).filter(|(file, _)| !file.is_dir())
 }
 
-/// The same by the path alone, where it is known whether it is that of a step.
+/// The same from the path alone, if the caller knows whether it is the path of a step.
 pub(crate) fn step_in(frame: &Path, is_step: bool) -> Option<(&Path, &str)> {
     let step =
         frame.file_name()?.to_str()?.strip_prefix(STEP).filter(|step| is_step && may_be_named(step))?;
@@ -59,7 +61,7 @@ pub(crate) fn step_in(frame: &Path, is_step: bool) -> Option<(&Path, &str)> {
     Some((file, step))
 }
 
-/// Whether this tells a step from others: a number or none, and which of those that have it.
+/// Whether the text can be the name of a step: a number or `unnumbered`, and the count among equal numbers.
 fn may_be_named(step: &str) -> bool {
     let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
     let (number, count) = step.split_once('.').map_or((step, None), |(number, count)| (number, Some(count)));
@@ -67,12 +69,12 @@ fn may_be_named(step: &str) -> bool {
     is_named && count.is_none_or(is_number)
 }
 
-/// What a frame is called, without the folder of its file.
+/// The name of a frame without the folder of its file.
 pub fn frame_name(frame: &Path) -> String {
     name_of(frame, step_of(frame).is_some())
 }
 
-/// The same where it is known whether the path is that of a step.
+/// The same if the caller knows whether the path is the path of a step.
 pub(crate) fn name_of(frame: &Path, is_step: bool) -> String {
     let name = |file: &Path| text_of_name(file.file_name().unwrap_or_default());
     match step_in(frame, is_step) {
@@ -81,15 +83,15 @@ pub(crate) fn name_of(frame: &Path, is_step: bool) -> String {
     }
 }
 
-/// The frames of a file: it, or the steps that it has. A file with one step is a frame by its own name.
+/// The frames of a file: its steps, or the file itself if it has only one.
 ///
 /// # Errors
-/// When the file cannot be gone through.
+/// When the file cannot be indexed.
 pub fn frames_in(file: &Path) -> Result<Vec<PathBuf>> {
     Ok(frames_in_unless(file, &AtomicBool::new(false))?.paths().collect())
 }
 
-/// The frames of a file, and what is known of how they were before it was written again.
+/// The frames of a file, and its known earlier states.
 #[derive(Clone, Debug)]
 pub struct FileFrames {
     file: PathBuf,
@@ -97,12 +99,12 @@ pub struct FileFrames {
 }
 
 impl FileFrames {
-    /// Whether the file has several steps, and is no frame itself.
+    /// Whether the file has several steps, and so is not itself a frame.
     pub fn has_several(&self) -> bool {
         self.contents.steps.len() > 1
     }
 
-    /// The file, or the steps that it has. Paths are made one by one: a file may have a million steps.
+    /// The file, or its steps. An iterator, because a file may have a million steps.
     pub fn paths(&self) -> impl Iterator<Item = PathBuf> + use<> {
         let FileFrames { file, contents } = self.clone();
         let count = contents.steps.len().max(1);
@@ -112,33 +114,34 @@ impl FileFrames {
         })
     }
 
-    /// So many of the first frames are as they were when the file had this stamp: since then something was appended to it.
+    /// The number of leading frames that are unchanged since the file had this stamp, because data was only
+    /// appended.
     pub fn kept_since(&self, stamp: &FileStamp) -> usize {
         self.contents.kept_since(stamp)
     }
 }
 
-/// The same for whoever may not wait for the end of a large file: as soon as `is_over`, it is an error.
+/// The same for a caller that cannot wait for the end of a large file: fails as soon as `is_over` is set.
 ///
 /// # Errors
-/// When the file cannot be gone through, or need not be any more.
+/// When the file cannot be indexed, or the pass was cancelled.
 pub fn frames_in_unless(file: &Path, is_over: &AtomicBool) -> Result<FileFrames> {
     Ok(FileFrames { file: file.to_owned(), contents: contents_unless(file, is_over)? })
 }
 
-/// Whether a file is of a kind that may hold several frames, by its first bytes.
+/// Whether a file has a format that can hold several frames, judged by its first bytes.
 ///
 /// # Errors
-/// When the system refuses.
+/// When the system reports an error.
 pub fn may_hold_several(file: &Path) -> io::Result<bool> {
     Ok(file.metadata()?.is_file() && may_have_steps(probe_head(&mut open_regular(file)?, file)?.kind))
 }
 
-/// Whether a frame is a step that its file, which is there, does not have. One with a single step has none: it is the
-/// frame itself.
+/// Whether a frame is a step that its existing file does not have. A file with a single step has no step
+/// paths: it is itself the frame.
 ///
 /// # Errors
-/// When the file cannot be gone through.
+/// When the file cannot be indexed.
 pub fn is_missing_step(frame: &Path) -> Result<bool> {
     match step_of(frame) {
         None => Ok(false),
@@ -149,10 +152,10 @@ pub fn is_missing_step(frame: &Path) -> Result<bool> {
     }
 }
 
-/// The size of a frame: of its file, or of the step within, unpacked.
+/// The size of a frame in bytes: of its file, or of the step in it, uncompressed.
 ///
 /// # Errors
-/// When the system refuses, or there is no such step.
+/// When the system reports an error, or the file has no such step.
 pub fn size_bytes(frame: &Path) -> Result<u64> {
     match step_of(frame) {
         None => Ok(frame.metadata()?.len()),
@@ -164,12 +167,12 @@ pub fn size_bytes(frame: &Path) -> Result<u64> {
     }
 }
 
-/// Who finds out where the steps are in a file that was written again.
+/// Who indexes a file again after a change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StepsFoundBy {
-    /// Whoever reads one of them.
+    /// The reader of a step.
     Reader,
-    /// Somebody else: for the reader they have changed.
+    /// Another thread: the reader treats the steps as changed.
     Another,
 }
 
@@ -182,7 +185,7 @@ impl StepsFoundBy {
     }
 }
 
-/// Memory that it takes to have the bytes of a frame, in bytes; 0 where they cannot be had.
+/// The memory for reading the bytes of a frame, in bytes; 0 if they cannot be read.
 pub(crate) fn reading_bytes(frame: &Path, by: StepsFoundBy) -> u64 {
     let of_step = |(file, step): (&Path, &str)| {
         let contents = by.contents(file).ok()??;
@@ -195,10 +198,11 @@ pub(crate) fn reading_bytes(frame: &Path, by: StepsFoundBy) -> u64 {
     }
 }
 
-/// The bytes of a step, and the stamp of its file; `None` when that was written, replaced or removed meanwhile.
+/// The bytes of a step, and the stamp of its file; `None` if the file was written, replaced or removed
+/// meanwhile.
 ///
 /// # Errors
-/// When the system refuses, there is no such step, or it cannot be unpacked.
+/// When the system reports an error, the file has no such step, or the step cannot be decompressed.
 pub(crate) fn read_step(
     (file, step): (&Path, &str),
     by: StepsFoundBy,
@@ -213,7 +217,7 @@ pub(crate) fn read_step(
         let length = usize::try_from(range.end - range.start).map_err(io::Error::other)?;
         let mut bytes = vec![0; length];
         match input.read_exact_at(&mut bytes, range.start) {
-            // It became shorter since it was looked at.
+            // The file shrank since it was indexed.
             Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Ok(None),
             read => read.map(|()| Some(bytes)),
         }
@@ -225,7 +229,7 @@ pub(crate) fn read_step(
     let bytes = if is_packed {
         let whole = unpacked(&bytes, &Limits::default())?;
         let [start, end] = [range.start, range.end].map(|at| usize::try_from(at).unwrap_or(usize::MAX));
-        // What lies elsewhere than it did is another file.
+        // The step has moved, so the file has changed.
         let Some(step) = whole.get(start..end) else { return Ok(None) };
         step.to_vec()
     } else {
@@ -236,14 +240,14 @@ pub(crate) fn read_step(
     Ok(input.is_unchanged_or(has_same_bytes)?.then_some((bytes, contents.stamp)))
 }
 
-/// An error of a frame: if that is a step, by the lines of its file, where a user looks for it.
+/// The error of a frame; for a step, with line numbers of the whole file, where a user looks for the line.
 pub(crate) fn by_lines_of_file(frame: &Path, error: Error) -> Error {
     let lines_before =
         |(file, step): (&Path, &str)| Some(contents_known(file)?.step(step).ok()?.lines_before);
     error.lines_later(step_of(frame).and_then(lines_before).unwrap_or(0))
 }
 
-/// What a file holds, as it is now.
+/// The index of a file in its current state.
 fn contents(file: &Path) -> Result<Arc<StepContents>> {
     contents_unless(file, &AtomicBool::new(false))
 }
@@ -256,7 +260,7 @@ mod tests {
 
     const BY: StepsFoundBy = StepsFoundBy::Reader;
 
-    /// Rows that cannot be packed well: the first of several steps is longer than a look at the head of a file.
+    /// Rows that hardly compress, so that the first step is longer than the head that is probed.
     fn step(number: &str, x: f64) -> String {
         let rows = (0..400).map(|row| {
             let mixed = (f64::from(row) * x * 12.9898).sin() * 43758.5453;
@@ -268,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn a_step_has_a_path() {
+    fn step_paths_name_their_file_and_step() {
         let step = Path::new("in/dump.7.lammpstrj/step=1000.2");
         assert_eq!(step_of(step), Some((Path::new("in/dump.7.lammpstrj"), "1000.2")));
         assert_eq!(file_of(step), Path::new("in/dump.7.lammpstrj"));
@@ -291,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn steps_are_read_one_by_one_packed_or_not() {
+    fn steps_of_plain_and_compressed_files_are_read_alone() {
         let folder = tempfile::tempdir().expect("a folder");
         let steps =
             [step("1000", 1.0), step("x", 2.0), step("1000", 3.0), step("-5", 4.0), step("1000", 5.0)];
@@ -314,7 +318,7 @@ mod tests {
                 assert_eq!(size_bytes(frame).expect("there"), text.len() as u64);
                 assert!(reading_bytes(frame, BY) >= text.len() as u64);
             }
-            // What is known is known of the file as it was.
+            // The index describes the old state of the file.
             write(&[step("1", 1.0), step("2000", 2.0)]);
             let gone = read_step(step_of(&frames[0]).expect("a step"), BY).expect_err("gone");
             assert!(matches!(&gone, Error::Io(error) if error.kind() == io::ErrorKind::NotFound));
@@ -328,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_was_written_again_is_gone_through_by_whoever_may() {
+    fn only_an_allowed_reader_indexes_a_changed_file() {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("d.dump");
         fs::write(&file, step("1", 1.0) + &step("2", 1.0)).expect("written");
