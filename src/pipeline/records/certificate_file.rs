@@ -1,16 +1,18 @@
-//! What is recorded beside the outputs of a frame: that what was made was checked, and which bytes that is said of.
+//! The certificate file beside the outputs of a frame: the results of the checks, and hashes of the checked
+//! files.
 //!
 //! ```text
-//!   dam.0012.glb                 says what it was made from, and how
+//!   dam.0012.glb                 records its input and settings
 //!   dam.0012.vdb                 the same
-//!   dam.0012.certificate.json    says what was checked of them, and has the hash of each
+//!   dam.0012.certificate.json    records what was checked of them, and the hash of each
 //! ```
 //!
-//! An output cannot tell whether its certificate held without other bytes than it has, and a log of a run may be lost, or be
-//! that of another run. A hash binds the certificate to the very bytes that it is about; whoever comes later needs neither the run
-//! nor its machine to trust it. It appears in a row with the outputs, and after them: where it is, they are.
+//! An output would need other bytes to record whether its checks passed, and the log of a run may be lost or
+//! belong to another run. The hashes bind the certificate to the exact bytes that were checked, so later
+//! readers need neither the run nor its machine to trust them. The certificate appears after the outputs: if
+//! it exists, they do.
 //!
-//! Like all outputs it depends on nothing but the input, the settings and the version of this program.
+//! Like all outputs, it depends only on the input, the settings and the version of this program.
 
 use std::borrow::Cow;
 use std::fs;
@@ -30,24 +32,24 @@ use crate::pipeline::files::sink::stage;
 use crate::pipeline::files::staged_file::StagedFile;
 use crate::pipeline::input::steps::frame_name;
 
-/// Another number, another form of the file.
+/// A change of the file's format needs another number.
 const VERSION: u32 = 3;
 
-/// One with more bytes is none.
+/// A larger file is not a certificate.
 const SIZE_MAX_BYTES: u64 = 1 << 20;
 
 /// The certificate of a frame, as it was read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct CertifiedFrame {
-    /// The hash of the input, as it stands in provenance.
+    /// The hash of the input, as in provenance.
     pub(crate) input_hash: String,
-    /// What of it did not hold, in words; `None` where all that was checked did.
+    /// The failed checks, in words; `None` if all passed.
     pub(crate) fault: Option<String>,
-    /// What it is about.
+    /// The files that it describes.
     pub(crate) outputs: Vec<CertifiedOutput>,
 }
 
-/// A file that a certificate is about.
+/// A file that a certificate describes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct CertifiedOutput {
@@ -55,13 +57,13 @@ pub(crate) struct CertifiedOutput {
     pub(crate) file: String,
     /// Its size.
     pub(crate) size_bytes: u64,
-    /// Its hash, as it stands in provenance.
+    /// Its hash, as in provenance.
     pub(crate) hash: String,
-    /// What of it the certificate is about, in words.
+    /// What was checked, in words.
     pub(crate) checked: String,
 }
 
-/// The file. What this program did not write is an error: a certificate leaves nothing to interpret.
+/// The file. Anything that this program does not write is an error, so that no certificate is ambiguous.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct CertificateFile {
@@ -73,21 +75,22 @@ struct CertificateFile {
     outputs: Vec<CertifiedOutput>,
 }
 
-/// Which form the file has.
+/// The version of the file's format.
 #[derive(Deserialize)]
 struct Form {
     meniscus_certificate: u32,
 }
 
-/// Where the certificate of the frame called `stem` goes.
+/// The path of the certificate of the frame with this stem.
 pub fn certificate_path(folder: &Path, stem: &str) -> PathBuf {
     folder.join(name_of_text(&format!("{stem}.certificate.json")))
 }
 
-/// Writes the certificate of a frame whose outputs are on the disk and not yet to be seen, each with what of it was checked.
+/// Writes the certificate of a frame whose outputs are staged and not yet renamed; each comes with a
+/// description of what was checked.
 ///
 /// # Errors
-/// When an output cannot be read back, or the system refuses.
+/// When an output cannot be read back, or the system reports an error.
 pub(crate) fn write_certificate(
     path: &Path,
     (input, input_hash): (&Path, u128),
@@ -105,7 +108,7 @@ pub(crate) fn write_certificate(
     stage(path, |out| Ok(write_json(out, &written)?))
 }
 
-/// What is said of an output: of its bytes as they can be read, not as they were meant to be.
+/// The entry for an output: the hash is of the bytes on disk, not of those in memory.
 fn certified((output, checked): &(&StagedFile, &'static str)) -> io::Result<CertifiedOutput> {
     let file = name_of(output.path()).into_owned();
     let hash = hash_text(InputFile::open(output.written_path())?.hash()?);
@@ -115,7 +118,7 @@ fn certified((output, checked): &(&StagedFile, &'static str)) -> io::Result<Cert
 /// Reads a certificate.
 ///
 /// # Errors
-/// Why it is none that this program wrote.
+/// Why it is not a valid certificate of this program.
 pub(crate) fn read_certificate(path: &Path) -> Result<CertifiedFrame, String> {
     let bytes = read_start_unchanged(path, SIZE_MAX_BYTES).map_err(|error| error.to_string())?;
     let (bytes, _) = bytes.ok_or("written while it was read")?;
@@ -138,24 +141,24 @@ pub(crate) fn read_certificate(path: &Path) -> Result<CertifiedFrame, String> {
 }
 
 impl CertifiedFrame {
-    /// Whether it is about files of these names, and no others.
+    /// Whether it describes files with exactly these names.
     pub(crate) fn is_about(&self, paths: &[PathBuf]) -> bool {
         let is_named = |path: &PathBuf| self.outputs.iter().any(|output| *output.file == *name_of(path));
         self.outputs.len() == paths.len() && paths.iter().all(is_named)
     }
 
-    /// Whether these files are there to the last byte.
+    /// Whether these files have exactly the certified bytes.
     ///
     /// # Errors
-    /// What is wrong with the first that is not, in a sentence.
+    /// A description of the first that has not.
     pub(crate) fn check_bytes(&self, paths: &[PathBuf]) -> Result<(), String> {
         for path in paths {
             let name = name_of(path);
             let output = self.outputs.iter().find(|output| output.file == name);
-            let output = output.ok_or_else(|| format!("the certificate is not about {name}"))?;
+            let output = output.ok_or_else(|| format!("the certificate has no entry for {name}"))?;
             let size_bytes = fs::metadata(path).map_err(|error| format!("{name}: {error}"))?.len();
             if size_bytes != output.size_bytes {
-                return Err(format!("{name} has {size_bytes} bytes, and {} were written", output.size_bytes));
+                return Err(format!("{name} has {size_bytes} bytes, expected {}", output.size_bytes));
             }
             let hash = InputFile::open(path).and_then(|file| file.hash());
             if hash_text(hash.map_err(|error| format!("{name}: {error}"))?) != output.hash {

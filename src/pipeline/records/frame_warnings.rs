@@ -1,4 +1,4 @@
-//! Which warnings a frame's measurements give.
+//! Derives warnings from a frame's measurements.
 
 use crate::pipeline::input::frame::FrameReport;
 use crate::pipeline::warning::Warning;
@@ -6,7 +6,7 @@ use crate::surface::report::{SkinReport, TransferReport};
 use crate::surface::validation::ParticlesOutside;
 
 impl FrameReport {
-    /// All that a user should know of the frame though it was converted.
+    /// All warnings about a frame that was converted.
     pub fn all_warnings(&self) -> Vec<Warning> {
         let skin = &self.skin;
         let mut warnings = self.warnings.clone();
@@ -32,13 +32,14 @@ impl FrameReport {
         warnings
     }
 
-    /// Whether all that is promised of the frame's result holds.
+    /// Whether all guarantees for the frame's result hold.
     pub fn keeps_guarantees(&self) -> bool {
         self.skin.certificate.holds()
     }
 }
 
-/// How many of the particles are outside the surface, where an offset or smoothed positions leave more than a few there.
+/// The number of particles outside the surface, if an offset or smoothed positions leave more than a few
+/// there.
 fn outside(report: &SkinReport) -> Option<Warning> {
     let certificate = &report.certificate;
     let of_offset = certificate.may_leave_particles_outside.then_some(certificate.particles_outside);
@@ -48,23 +49,24 @@ fn outside(report: &SkinReport) -> Option<Warning> {
         .then_some(Warning::ParticlesOutside { count, particle_count })
 }
 
-/// A larger part of the particles outside is worth a warning.
+/// A smaller fraction of particles outside gives no warning.
 const OUTSIDE_REPORTED_FROM: f64 = 0.02;
 
-/// Less is not worth a warning, in voxels.
+/// A smaller rounding error gives no warning, in voxels.
 const ROUNDING_REPORTED_FROM: f64 = 1.0 / 256.0;
 
-/// Which particles are not in the surface, if any.
+/// The particles that are not in the surface, if any.
 pub(crate) fn left_out(report: &SkinReport) -> Option<Warning> {
     let count = report.dropped_count;
     (count > 0).then_some(Warning::LeftOut { count, near: report.stray })
 }
 
-/// Warnings about the shapes of particles. That stretched ones are raised to what the grid can hold is not one: at the default
-/// radii nearly all are. Nor is it that some are not stretched: drops fly alone.
+/// Warnings about the shapes of particles. There is no warning about thin ellipsoids that are widened to the
+/// grid's resolution, because at the default radii nearly all are, nor about a few unstretched particles:
+/// drops are isolated.
 fn shape_warnings(report: &SkinReport) -> impl Iterator<Item = Warning> {
     let shaping = &report.shaping;
-    // Where neighbours were looked at, lone particles are no news.
+    // If the neighbour search found near particles, isolated ones are normal.
     let is_unstretched = shaping.near_count == 0 && 2 * shaping.ball_count > report.particle_count;
     let not_stretched = if is_unstretched { shaping.ball_count } else { 0 };
     let warnings = [
@@ -88,12 +90,12 @@ fn transfer_warnings(
     warnings.into_iter().filter(Warning::is_about_any)
 }
 
-/// What does not hold of a frame's result; `None` where all does.
+/// A description of the failed checks of a frame; `None` if all hold.
 pub(crate) fn fault(report: &SkinReport) -> Option<String> {
     (!report.certificate.holds()).then(|| does_not_hold(&report.certificate.fault()))
 }
 
-/// Says that the certificate of a frame does not hold.
+/// The message for a certificate that does not hold.
 pub(crate) fn does_not_hold(fault: &str) -> String {
     format!("the certificate does not hold: {fault}")
 }
@@ -127,7 +129,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn guarantees_that_broke_are_sentences() {
+    fn broken_guarantees_become_warnings() {
         let mut report = FrameReport::default();
         assert_eq!(report.all_warnings(), []);
         report.skin.certificate.particles_outside.count = 2;

@@ -1,18 +1,18 @@
-//! What there is of a frame: whether its outputs are there, whole, made as they were to be, and certified.
+//! Inspects the outputs of a frame: whether they exist, are complete, up to date and certified.
 //!
 //! ```text
 //!   a file is missing             ─▶ Missing      ┐
 //!   the end of one is missing,                    │
-//!   or its bytes are not those                    ├ to be made again
+//!   or its bytes are not those                    ├ converted again
 //!   that were certified           ─▶ Damaged      │
 //!   made from another input, or                   │
-//!   by other settings             ─▶ Stale        ┘
-//!   the certificate did not hold  ─▶ Uncertified    made again it would be the same
+//!   with other settings           ─▶ Stale        ┘
+//!   the certificate did not hold  ─▶ Uncertified    another conversion would give the same result
 //!   else                          ─▶ Done
 //! ```
 //!
-//! A shard asks this before it converts a frame, and the whole is asked the same once all shards are through: so what is found
-//! wanting in the end is what a shard that runs again makes again, and nothing else.
+//! A shard inspects a frame before it converts it, and `verify` runs the same inspection for all shards. So a
+//! shard that runs again converts exactly those frames that `verify` reports.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -31,50 +31,50 @@ use crate::pipeline::input::level_set_file::LevelSetFile;
 use crate::pipeline::input::steps::{StepsFoundBy, read_step, step_of};
 use crate::pipeline::target::outputs::{OutputFormat, output_path};
 
-/// What there is of a frame; a sentence where it is not all there should be.
+/// The result of an inspection, with a reason if the frame is not done.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum InspectedState {
-    /// All of it, as it was to be.
+    /// All outputs are complete and up to date.
     Done,
-    /// Not all files; and whether none of them is there.
+    /// Some outputs do not exist.
     Missing {
-        /// Which.
+        /// Which ones.
         why: String,
-        /// As though it had never been made.
+        /// Whether none of them exists, as if the frame had never been converted.
         are_all: bool,
     },
-    /// A file has lost bytes, or has others.
+    /// A file was truncated or changed.
     Damaged(String),
     /// A file was made from another state of the input, by other settings, or by another version.
     Stale(String),
-    /// All of it; and what was checked did not hold.
+    /// All outputs are complete and up to date, but a check failed.
     Uncertified(String),
 }
 
-/// What is known of the input of a frame; `None` is not known, and not compared.
+/// The known inputs of a frame; `None` is unknown, and not compared.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct MadeFrom {
     /// The hash of the file.
     pub(crate) input_hash: Option<u128>,
-    /// What is recorded of obstacles.
+    /// The record of its obstacles.
     pub(crate) obstacles: Option<String>,
 }
 
-/// What there is of a frame, and of what it is made from.
+/// The state of a frame's outputs and inputs.
 #[derive(Clone, Debug)]
 pub struct Inspection {
-    /// What there is of its outputs.
+    /// The state of its outputs.
     pub state: InspectedState,
-    /// Whether its input can be read, so that it could be compared.
+    /// Whether its input could be read, and so was compared.
     pub input_is_there: bool,
-    /// The same of all its obstacles.
+    /// Whether all its obstacles could be read.
     pub obstacles_are_there: bool,
 }
 
-/// Looks at the outputs of a frame, and at its input and obstacles as far as they are there.
+/// Inspects the outputs of a frame, and compares them with its input and obstacles if these exist.
 ///
-/// Only an input or obstacle that does not exist is left out of the comparison: its user may have removed it. If it exists
-/// and cannot be read, the outputs may be of another state of it, so the frame is not done.
+/// Only an input or obstacle that does not exist is left out of the comparison: the user may have removed it.
+/// If it exists and cannot be read, the outputs may be of another state of it, so the frame is not done.
 pub fn inspect(frame: &Frame) -> Inspection {
     let (input_hash, input_fault) = match hash_of_input(&frame.input) {
         Ok(hash) => (Some(hash), None),
@@ -100,7 +100,7 @@ pub fn inspect(frame: &Frame) -> Inspection {
     Inspection { state, input_is_there, obstacles_are_there }
 }
 
-/// A frame of a level set with the voxel size of its file, as far as that can be read; any other as it is.
+/// A level-set frame with the voxel size of its file, if that can be read; any other frame unchanged.
 fn with_voxel_size_of_input(frame: &Frame) -> Frame {
     let read = |frame: &Frame| {
         let voxel_size = LevelSetFile::read(&frame.input, false).ok()?.scene().lattice.voxel_size;
@@ -117,7 +117,7 @@ fn is_not_found(error: &Error) -> bool {
 /// The hash of an input.
 ///
 /// # Errors
-/// When it cannot be read, is not a regular file, has no such step, or changes meanwhile.
+/// When it cannot be read, is not a regular file, has no such step, or changes during the read.
 fn hash_of_input(path: &Path) -> Result<u128, Error> {
     let changed = || io::Error::other("the file changed while it was read");
     let Some(step) = step_of(path) else {
@@ -132,8 +132,8 @@ fn hash_of_input(path: &Path) -> Result<u128, Error> {
     Ok(XxHash3_128::oneshot(&bytes))
 }
 
-/// The same, of a frame of whose input all is known: `None` if it must be made again, and else what its certificate says
-/// does not hold.
+/// The same for a frame whose inputs are all known: `None` if it must be converted again, or else the failed
+/// checks in its certificate.
 pub(crate) fn certified_fault(frame: &Frame, input_hash: u128, obstacles: &str) -> Option<Option<String>> {
     let made_from = MadeFrom { input_hash: Some(input_hash), obstacles: Some(obstacles.to_owned()) };
     match inspect_made_from(frame, &made_from) {
@@ -168,7 +168,7 @@ fn inspect_made_from(frame: &Frame, made_from: &MadeFrom) -> InspectedState {
     state.err().unwrap_or(InspectedState::Done)
 }
 
-/// Looks at a file by itself: its end, and what it says of itself.
+/// Inspects one file: its end, and its provenance.
 fn look_at(
     frame: &Frame,
     made_from: &MadeFrom,
@@ -180,7 +180,7 @@ fn look_at(
     let mut file = open_regular(path).map_err(|error| damaged(error.to_string()))?;
     let recorded = read_provenance(format, &file).map_err(unreadable)?;
     if !is_whole(format, &mut file).map_err(unreadable)? {
-        return Err(damaged("its end is missing, or something follows it".to_owned()));
+        return Err(damaged("its end is missing, or more bytes follow it".to_owned()));
     }
     let hash = made_from.input_hash.unwrap_or_default();
     let obstacles = made_from.obstacles.as_deref().unwrap_or_default();
@@ -191,7 +191,7 @@ fn look_at(
     }
 }
 
-/// The first thing that a file says of itself other than it was to be.
+/// The first entry in a file's provenance that differs from the expected one.
 fn difference(
     recorded: &[(String, String)],
     wanted: &[(String, String)],
@@ -199,7 +199,7 @@ fn difference(
 ) -> Option<String> {
     let is_level_set = matches!(job, Job::LevelSet { .. });
     let is_compared = |name: &str| match name {
-        // The input says it; and .stl has one hash of all settings.
+        // The input file has it; and .stl has a single hash of all settings.
         "voxel_size" | "settings" if is_level_set => made_from.input_hash.is_some(),
         "input_hash" => made_from.input_hash.is_some(),
         "obstacles" | "void_threshold" => made_from.obstacles.is_some(),
@@ -214,13 +214,13 @@ fn difference(
     Some(match (name, value_in(recorded, name), value_in(wanted, name)) {
         ("input_hash", Some(_), Some(_)) => "made from another state of the input".to_owned(),
         ("obstacles", Some(_), Some(_)) => "made among another state of the obstacles".to_owned(),
-        (_, Some(was), Some(wanted)) => format!("{name} is {was}, and was to be {wanted}"),
-        (_, None, Some(wanted)) => format!("{name} is not recorded, and was to be {wanted}"),
-        (_, was, _) => format!("{name} is {}, and was not asked for", was.unwrap_or_default()),
+        (_, Some(was), Some(wanted)) => format!("{name} is {was}, expected {wanted}"),
+        (_, None, Some(wanted)) => format!("{name} is not recorded, expected {wanted}"),
+        (_, was, _) => format!("{name} is {}, but is not set now", was.unwrap_or_default()),
     })
 }
 
-/// Whether a certificate is of these files and this input, and holds.
+/// Whether a certificate describes these files and this input, and holds.
 fn agrees(certified: &CertifiedFrame, made_from: &MadeFrom, paths: &[PathBuf]) -> Result<(), InspectedState> {
     if !certified.is_about(paths) {
         return Err(InspectedState::Stale("the certificate is of other files".to_owned()));

@@ -1,8 +1,8 @@
-//! What is recorded: in outputs, beside them, and of a run.
+//! Records: in outputs, beside them, and of a run.
 //!
 //! ```text
-//!   provenance        what made an output, in it         certificate_file  what was checked of a frame, beside it
-//!   inspection        what there is of a frame already   output_states     finds outputs with damaged bytes
+//!   provenance        the origin of an output, in it     certificate_file  the checks of a frame, beside it
+//!   inspection        the state of a frame's outputs     output_states     finds outputs with damaged bytes
 //!   record            the report of a run                frame_warnings    warnings from measurements
 //!   shot              all frames in one file             picture_file      pictures from .png
 //! ```

@@ -1,4 +1,4 @@
-//! Remembers which bytes outputs were written with, so that later damage is noticed.
+//! Stores the hashes of written outputs, so that later damage is detected.
 //!
 //! ```text
 //!   stamp as recorded            ─▶ unchanged, not read
@@ -6,13 +6,13 @@
 //!   another stamp, another hash  ─▶ damaged: the frame is converted again
 //! ```
 //!
-//! What an output says about its origin cannot reveal a flipped byte in its middle; its hash can. Hashes are only
+//! The provenance of an output cannot reveal a flipped byte in its middle; its hash can. Hashes are only
 //! computed when an output is written and when its stamp differs from the recorded one.
 //!
-//! The daemon keeps these records in its journal. `convert --skip-done` keeps them in `.meniscus/outputs.json` in the
-//! folder of the outputs, together with what did not hold when they were checked, so that a skipped frame that failed
-//! validation fails it again. A plain `convert` records the outputs of frames that failed validation, and those that have a
-//! record already. Without that file these checks are not made.
+//! The daemon keeps these records in its journal. `convert --skip-done` keeps them in
+//! `.meniscus/outputs.json` in the folder of the outputs, together with failed checks, so that a skipped
+//! frame that failed validation fails it again. A plain `convert` records the outputs of frames that failed
+//! validation, and outputs that have a record already. Without that file there are no such comparisons.
 //!
 //! `watch` and older versions replace outputs without this file. So each record has the hash of the output's provenance,
 //! which names the input and the settings: a record of other provenance is of an earlier file, and is ignored.
@@ -48,10 +48,10 @@ pub struct OutputState {
 }
 
 impl OutputState {
-    /// The state of the file at `path`; its bytes are read.
+    /// Reads the file at `path` and returns its state.
     ///
     /// # Errors
-    /// When the system refuses, or the file is not a regular file or changes meanwhile.
+    /// When the system reports an error, or the file is not a regular file or changes during the read.
     pub fn of_path(path: &Path) -> io::Result<OutputState> {
         let file = InputFile::open(path)?;
         let state = OutputState { stamp: file.stamp(), hash: file.hash()? };
@@ -61,8 +61,8 @@ impl OutputState {
         }
     }
 
-    /// The present state of the file at `path`, of which this state was recorded. If it has the recorded stamp, it is not
-    /// read: this state is returned.
+    /// The current state of the file at `path`, which was recorded with this state. If its stamp is
+    /// unchanged, the file is not read, and this state is returned.
     ///
     /// # Errors
     /// Those of [`of_path`](OutputState::of_path).
@@ -84,12 +84,12 @@ pub struct OutputStates {
 struct Record {
     #[serde(flatten)]
     state: OutputState,
-    /// The hash of the output's provenance, in hexadecimal digits; empty where the caller has compared it.
+    /// The hash of the output's provenance, in hexadecimal digits; empty if the caller has compared it.
     made_from: String,
-    /// What did not hold when its frame was checked; `None` where all held.
+    /// The failed checks of its frame; `None` if all passed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     fault: Option<String>,
-    /// Whether it was read from a file of records, and is still what that file says.
+    /// Whether it was loaded from a file of records, and that file still has it.
     #[serde(skip)]
     is_loaded: bool,
 }
@@ -126,8 +126,8 @@ impl OutputStates {
         paths.iter().any(|path| known.contains_key(path))
     }
 
-    /// Records the states of the outputs of a frame that were just written, and what did not hold when the frame was
-    /// checked. An output that cannot be read back is left unrecorded.
+    /// Records the states of the outputs of a frame that were just written, and its failed checks. Skips
+    /// outputs that cannot be read back.
     pub(crate) fn record(&self, paths: &[PathBuf], fault: Option<&str>) {
         for path in paths {
             match OutputState::of_path(path) {
@@ -137,9 +137,9 @@ impl OutputStates {
         }
     }
 
-    /// Compares the outputs of a frame with their records: `None` if one has other bytes, and else what did not hold when
-    /// the frame was checked. Of an output without a record, or with the record of a file of other provenance, the present
-    /// state is recorded.
+    /// Compares the outputs of a frame with their records: `None` if the bytes of one differ, or else the
+    /// failed checks of the frame. If an output has no record, or one of a file with other provenance,
+    /// records the current state.
     pub(crate) fn recorded_fault(&self, paths: &[PathBuf]) -> Option<Option<String>> {
         let mut faults = Vec::new();
         for path in paths {
@@ -186,18 +186,18 @@ impl OutputStates {
         self.known().extend(records.map(|(file, record)| (folder.join(file), record)));
     }
 
-    /// Writes the records of the outputs in a folder that still exist, whole or not at all. Records that another process
-    /// has written since they were loaded are kept, unless they are of outputs that this one has written or compared since
-    /// it last saved.
+    /// Writes the records of the outputs in a folder that still exist, atomically. Keeps records that another
+    /// process has written since they were loaded, unless this process has written or compared their outputs
+    /// since it last saved.
     ///
     /// # Errors
-    /// When the system refuses, or another process keeps the records locked.
+    /// When the system reports an error, or another process keeps the records locked.
     pub fn save(&self, folder: &Path) -> io::Result<()> {
         let is_own =
             |(path, record): &(&PathBuf, &Record)| path.parent() == Some(folder) && !record.is_loaded;
         let own: Vec<(PathBuf, Record)> =
             self.known().iter().filter(is_own).map(|(path, record)| (path.clone(), record.clone())).collect();
-        // JSON has no form for names that are not text: those go without a record.
+        // JSON cannot represent names that are not Unicode, so these have no record.
         let named = |(path, record): &(PathBuf, Record)| {
             Some((path.file_name()?.to_str()?.to_owned(), record.clone()))
         };
@@ -234,15 +234,16 @@ impl OutputStates {
     }
 }
 
-/// How often a lock that another process holds is tried again, and how long to wait between.
+/// How often to retry a lock that another process holds.
 const LOCK_ATTEMPTS_MAX: usize = 100;
 const LOCK_PAUSE: Duration = Duration::from_millis(20);
 
-/// Locks the records of a folder against other processes until the file is dropped. A file system without locks is written
-/// to without one.
+/// Locks the records of a folder against other processes until the file is dropped. A file system without
+/// locks is used without one.
 ///
 /// # Errors
-/// When the system refuses; [`io::ErrorKind::WouldBlock`] if another process has held the lock for seconds.
+/// When the system reports an error; [`io::ErrorKind::WouldBlock`] if another process has held the lock for
+/// seconds.
 fn lock_records(records: &Path) -> io::Result<File> {
     let mut options = OpenOptions::new();
     let options = options.read(true).write(true).create(true).truncate(false);
@@ -260,7 +261,7 @@ fn lock_records(records: &Path) -> io::Result<File> {
     Err(io::Error::new(io::ErrorKind::WouldBlock, "another process keeps the records locked"))
 }
 
-/// The hash of what an output says about its input and settings, in hexadecimal digits; empty if it cannot be read.
+/// The hash of an output's provenance, in hexadecimal digits; empty if it cannot be read.
 fn made_from(path: &Path) -> String {
     let read = || {
         let format = OutputFormat::from_extension(path.extension()?.to_str()?)?;
@@ -271,7 +272,7 @@ fn made_from(path: &Path) -> String {
     format!("{:032x}", XxHash3_128::oneshot(text.as_bytes()))
 }
 
-/// The records in the file of a folder, by the names of the outputs; none if it cannot be read.
+/// The records in the file of a folder, by the names of the outputs; empty if it cannot be read.
 fn read_records(folder: &Path) -> BTreeMap<String, Record> {
     let Ok(Some((bytes, _))) = read_start_unchanged(&records_path(folder), SIZE_MAX_BYTES) else {
         return BTreeMap::new();
@@ -285,7 +286,7 @@ fn read_records(folder: &Path) -> BTreeMap<String, Record> {
     loaded.map(|NamedRecord { file, record }| (file, Record { is_loaded: true, ..record })).collect()
 }
 
-/// A larger file is not one of ours.
+/// A larger file is not written by this program.
 const SIZE_MAX_BYTES: u64 = 1 << 30;
 
 /// A change of the file's format needs another number.
@@ -345,7 +346,7 @@ mod tests {
         assert_eq!(loaded.take(&path), None);
     }
 
-    /// A mesh that says what it was made from.
+    /// A mesh with provenance.
     fn write_output(path: &Path, input_hash: &str, end: &str) {
         let text = format!("# meniscus 0.1.0\n# meniscus_input_hash: {input_hash}\n{end}\n");
         fs::write(path, text).expect("written");

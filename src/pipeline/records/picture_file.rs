@@ -1,4 +1,4 @@
-//! From a .png to a picture, for sheets of pictures that are there already.
+//! Reads existing .png pictures for sheets.
 
 use std::io::Read;
 use std::path::Path;
@@ -13,10 +13,10 @@ use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::input::reading::read_file;
 
-/// Reads the colours of a picture. Transparency is left out.
+/// Reads the colours of a picture, without transparency.
 ///
 /// # Errors
-/// When the system refuses, or it is no such picture, or one that is too large.
+/// When the system reports an error, the file is not such a picture, or the picture is too large.
 pub fn read_picture(path: &Path) -> Result<Picture, FrameError> {
     let bytes = read_file(path)?;
     let ColorPicture { size, color } = FrameError::catch(path, Stage::Read, || png::read(&bytes))?
@@ -24,7 +24,7 @@ pub fn read_picture(path: &Path) -> Result<Picture, FrameError> {
     Ok(Picture { size, coverage: vec![1.0; color.len()], color, data: None })
 }
 
-/// Where the picture of a frame was taken from, if it is one of this program and no sheet.
+/// The viewpoint of the picture of a frame; `None` for a sheet, or a picture of another program.
 pub fn camera_of_picture(path: &Path) -> Option<String> {
     let is_png = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png"));
     if !is_png {

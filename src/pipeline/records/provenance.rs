@@ -1,8 +1,8 @@
-//! What made an output, recorded in it: the version of this program, the settings, the input.
+//! The provenance that an output records: the version of this program, the settings, and the input.
 //!
-//! Nothing here depends on when, where or on which machine it was made: the same input and settings
-//! give the same bytes. And an output that records what this run would record need not be made
-//! again; whatever else it records, or nothing at all, means that it must.
+//! Provenance does not depend on the time, the folder or the machine: the same input and settings give the
+//! same bytes. An output is up to date if it records exactly what this run would record. With any other
+//! record, or none, the frame must be converted again.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -19,21 +19,23 @@ use crate::pipeline::target::framing::Framed;
 use crate::pipeline::target::outputs::{OutputFormat, OutputOptions, output_path};
 use crate::pipeline::target::picture::PictureOptions;
 
-/// What an output's generator begins with; the version follows.
+/// The prefix of the generator in an output; the version follows.
 const GENERATOR: &str = "meniscus ";
 
-/// The provenance of an output is within this much from its start, unless the input's name is very long.
+/// The provenance is within this many bytes from the start of an output, unless the input's name is very
+/// long.
 pub(crate) const HEAD_BYTES: u64 = 16 << 10;
 
-/// This program and its version, as outputs have them.
+/// This program and its version, as in outputs.
 pub const GENERATOR_AND_VERSION: &str = concat!("meniscus ", env!("CARGO_PKG_VERSION"));
 
-/// A hash as provenance has it.
+/// A hash as text in provenance.
 pub(crate) fn hash_text(hash: u128) -> String {
     format!("xxh3-128:{hash:032x}")
 }
 
-/// Names and values for an output in `format`, made from the frame's input with this hash, among these obstacles.
+/// The provenance (names and values) of an output in `format`, from the frame's input with this hash and
+/// these obstacles.
 pub(crate) fn provenance(
     frame: &Frame,
     (hash, obstacles): (u128, &str),
@@ -55,8 +57,7 @@ pub(crate) fn provenance(
     owned(if format == OutputFormat::Stl { condensed(pairs) } else { pairs })
 }
 
-/// The same where there is room for 80 characters: what the input and the obstacles were is told by hashes, and so is all
-/// else together.
+/// The same in 80 characters: hashes stand for the input, the obstacles, and everything else together.
 fn condensed(pairs: Pairs) -> Pairs {
     const OF_OBSTACLES: [&str; 2] = ["void_threshold", "obstacles"];
     let hash = |pairs: &[&(&str, String)], digits: usize| {
@@ -71,7 +72,7 @@ fn condensed(pairs: Pairs) -> Pairs {
     kept.into_iter().cloned().chain([("settings", hash(&settings, 12))]).chain(obstacles).collect()
 }
 
-/// The settings of a surface of a level set that is at most this many voxels away from it: those that have a say.
+/// The settings that affect the surface of a level set if it may move by this many voxels.
 pub(crate) fn level_set_pairs(settings: &Settings, slack_voxels: f64, format: OutputFormat) -> Pairs {
     let has_say = |name: &str| match MethodOptions::info(name).map(|info| info.group) {
         Some(OptionGroup::Mesh) => true,
@@ -82,8 +83,8 @@ pub(crate) fn level_set_pairs(settings: &Settings, slack_voxels: f64, format: Ou
     [("band_slack", slack_voxels.to_string())].into_iter().chain(pairs).collect()
 }
 
-/// Names and values for a picture of a file with this hash; with the settings by which it was skinned, among these
-/// obstacles, if it was.
+/// The provenance of a picture of a file with this hash; with the settings and obstacles of the
+/// reconstruction, if there was one.
 pub fn picture_provenance(
     input: &Path,
     hash: u128,
@@ -99,22 +100,22 @@ pub fn picture_provenance(
     owned(pairs)
 }
 
-/// A part of a sheet, and what it was made from.
+/// A part of a sheet, and its source.
 #[derive(Clone, Debug)]
 pub struct SheetPart {
     /// The name of the sequence or the file.
     pub name: String,
-    /// A hash of the file, if it is one.
+    /// A hash of the file, if the part is a single file.
     pub hash: Option<u128>,
-    /// What of it is shown, such as `60 of 240 frames, from pictures`.
+    /// What the part shows, such as `60 of 240 frames, from pictures`.
     pub what: String,
-    /// The settings by which it was skinned, if it was by one.
+    /// The settings of the reconstruction, if all of it has the same.
     pub settings: Option<Settings>,
-    /// How its pictures were taken, if that was for the sheet.
+    /// The options of its pictures, if they were rendered for the sheet.
     pub options: Option<PictureOptions>,
 }
 
-/// Names and values for a sheet of this kind, part by part.
+/// The provenance of a sheet of this kind, part by part.
 pub fn sheet_provenance(kind: &str, parts: &[SheetPart]) -> Vec<(String, String)> {
     let mut pairs = vec![("generator", GENERATOR_AND_VERSION.to_owned()), (SHEET, kind.to_owned())];
     for part in parts {
@@ -146,12 +147,12 @@ fn owned(pairs: Pairs) -> Vec<(String, String)> {
     pairs.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
 }
 
-/// Whether every output of a frame is there, whole, and records what this run would record. Whole
-/// is one that has its end; bytes overwritten in the middle are not found out.
+/// Whether every output of a frame is complete and records what this run would record. Complete means that
+/// the end of the file is present; overwritten bytes in the middle are not detected.
 pub(crate) fn is_done(frame: &Frame, hash: u128, obstacles: &str) -> bool {
     match frame.framing.as_ref().filter(|_| frame.has_pictures()) {
         None => records_all(frame, hash, obstacles),
-        // A picture that was taken before the camera of the sequence was refitted is as good as a new one.
+        // A picture with an earlier camera of the sequence is still valid.
         Some(framing) => {
             let Framed { camera, earlier, .. } = framing.framed();
             let mut cameras = std::iter::once(camera).chain(earlier);
@@ -160,7 +161,7 @@ pub(crate) fn is_done(frame: &Frame, hash: u128, obstacles: &str) -> bool {
     }
 }
 
-/// Whether every output of a frame is there, whole, and records exactly this.
+/// Whether every output of a frame is complete and records exactly this provenance.
 fn records_all(frame: &Frame, hash: u128, obstacles: &str) -> bool {
     let options = &*frame.outputs;
     options.formats.iter().all(|&format| {
@@ -170,20 +171,20 @@ fn records_all(frame: &Frame, hash: u128, obstacles: &str) -> bool {
     })
 }
 
-/// Whether a file records `wanted` and nothing else, and is whole.
+/// Whether a file is complete and records exactly `wanted`.
 pub(crate) fn records(
     path: &Path,
     format: OutputFormat,
     wanted: &[(String, String)],
 ) -> meniscus_formats::Result<bool> {
-    // What was asked for then, and is not now, has a name that is not wanted.
+    // An option that was set then and is not set now has a name that is not in `wanted`.
     let is_wanted = |(name, _): &(String, String)| wanted.iter().any(|(wanted, _)| wanted == name);
     is_whole_and(path, format, |recorded| {
         recorded.iter().all(is_wanted) && wanted.iter().all(|pair| recorded.contains(pair))
     })
 }
 
-/// Whether a file is whole, and what it records is what is meant.
+/// Whether a file is complete, and its provenance is as `is_meant` requires.
 fn is_whole_and(
     path: &Path,
     format: OutputFormat,
@@ -194,8 +195,8 @@ fn is_whole_and(
     Ok(is_meant(&recorded) && is_whole(format, &mut file)?)
 }
 
-/// The files in a folder that have this stem, are in a format of outputs, are whole, and say that they were made from an input with the
-/// hash that `hash` finds, which is not asked where there are no such files. With which settings is not looked at.
+/// The files in a folder that have this stem and an output format, are complete, and record an input with the
+/// hash that `hash` returns; `hash` is not called without such files. Ignores the settings.
 pub fn outputs_made_from<E>(
     folder: &Path,
     stem: &str,
@@ -214,8 +215,8 @@ pub fn outputs_made_from<E>(
     Ok(outputs.into_iter().filter(is_made_from).map(|(_, path)| path).collect())
 }
 
-/// Whether a file is an output of this program, of whatever version, by what it says of itself; what cannot
-/// be read is none. Only the head of the file is looked at.
+/// Whether a file is an output of this program, of any version, according to its provenance; `false` for a
+/// file that cannot be read. Reads only the head of the file.
 pub fn is_own_output(path: &Path) -> bool {
     let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     let Some(format) = OutputFormat::from_extension(&extension) else { return false };
@@ -226,17 +227,17 @@ pub fn is_own_output(path: &Path) -> bool {
     recorded.is_ok_and(|pairs| pairs.iter().any(is_generator) && !are_particles(&pairs))
 }
 
-/// Whether a file that this program wrote holds particles, and may be a frame.
+/// Whether a file with this provenance holds particles, and so may be an input.
 pub fn are_particles(recorded: &[(String, String)]) -> bool {
     recorded.iter().any(|(name, value)| name == CONTENTS && value == PARTICLES)
 }
 
-/// What says that an output holds particles and no surface.
+/// The name whose value marks an output that holds particles and not a surface.
 const CONTENTS: &str = "contents";
 const PARTICLES: &str = "particles";
 
-/// All that outputs depend on but the input, in short: the settings, the formats and how they are written,
-/// the version of this program. Equal ones mean that an output need not be made again.
+/// A hash of everything that outputs depend on except the input: the settings, the formats and their options,
+/// and the version of this program. If it is unchanged, an output need not be written again.
 pub fn settings_fingerprint(settings: &Settings, options: &OutputOptions) -> String {
     let mut formats = options.formats.clone();
     formats.sort_by_key(|format| format.extension());
@@ -251,7 +252,7 @@ pub fn settings_fingerprint(settings: &Settings, options: &OutputOptions) -> Str
     format!("{:016x}", XxHash3_64::oneshot(text.as_bytes()))
 }
 
-/// How an output in `format` is written, as far as that can be chosen.
+/// The options of an output in `format`.
 fn option_pairs(options: &OutputOptions, format: OutputFormat) -> Pairs {
     let is_recorded = |option: &WriteOption| match option {
         WriteOption::Quads | WriteOption::Quantize => false,
@@ -260,14 +261,14 @@ fn option_pairs(options: &OutputOptions, format: OutputFormat) -> Pairs {
     };
     let of_format = format.options().iter().copied().filter(is_recorded);
     let mut pairs: Pairs = of_format.map(|option| (option.name(), options.value(option))).collect();
-    // The mesh of all formats lacks the triangles that have no area in 16 bits.
+    // The meshes of all formats lack the triangles that have no area in 16 bits.
     if format.is_mesh() && options.quantize && options.has_option(WriteOption::Quantize) {
         pairs.push((WriteOption::Quantize.name(), options.value(WriteOption::Quantize)));
     }
     pairs
 }
 
-/// How a picture is taken.
+/// The options of a picture.
 fn picture_pairs(options: &PictureOptions) -> Pairs {
     let outputs = OutputOptions { picture: *options, ..OutputOptions::new("", &[]) };
     OF_PICTURES.map(|option| (option.name(), outputs.value(option))).to_vec()
@@ -275,17 +276,17 @@ fn picture_pairs(options: &PictureOptions) -> Pairs {
 
 const OF_PICTURES: [WriteOption; 2] = [WriteOption::Size, WriteOption::Camera];
 
-/// The name of what says that a picture is a sheet of others, and of which kind.
+/// The name whose value is the kind of a sheet of pictures.
 pub(crate) const SHEET: &str = "sheet";
 
-/// The name of what says where a picture was taken from.
+/// The name whose value is the viewpoint of a picture.
 pub const CAMERA: &str = "camera";
 
-/// Of how outputs are written, what is not the default; and how pictures are taken.
+/// The output options that are not default, and the options of pictures.
 pub(crate) fn chosen_options(options: &OutputOptions, settings: &Settings) -> Pairs {
     let is_chosen = |option: WriteOption| match option {
         WriteOption::Quads => settings.quads && options.has_option(option),
-        // Pictures say it themselves.
+        // Pictures record it in their camera.
         WriteOption::Up => {
             let has_up = |format: &OutputFormat| !format.is_picture() && format.has_option(option);
             options.formats.iter().any(has_up) && !options.is_default(option)
@@ -298,8 +299,8 @@ pub(crate) fn chosen_options(options: &OutputOptions, settings: &Settings) -> Pa
     chosen.map(|option| (name(option), options.value(option))).collect()
 }
 
-/// Every setting that matters to an output in `format`. A level set is written as it is, before it becomes a mesh;
-/// obstacles have [their own](obstacle_pairs).
+/// The settings that affect an output in `format`. A level set is written before it becomes a mesh; obstacles
+/// have [separate pairs](obstacle_pairs).
 fn settings_pairs(settings: &Settings, format: OutputFormat) -> Pairs {
     settings.pairs(|name| match MethodOptions::info(name).map(|info| info.group) {
         Some(OptionGroup::Obstacles) => false,

@@ -1,7 +1,7 @@
 //! The report of a run, as JSON.
 //!
-//! What the method measures is written as the method has it, under the names that its types give to serde. Lengths are in world units unless the name says
-//! otherwise; what is infinite or unknown is null.
+//! Measurements of the method are written with the serde names of its types. Lengths are in world units
+//! unless the name says otherwise; infinite or unknown values are null.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -25,10 +25,10 @@ use crate::pipeline::input::measured_spacing::MeasuredSpacing;
 use crate::pipeline::input::obstacles::ObstacleFiles;
 use crate::pipeline::target::outputs::{OutputFormat, OutputOptions};
 
-/// What is told of a frame whose file was not left alone.
+/// Reported for a frame whose file changed while it was read.
 const CHANGED: &str = "the file was written while it was read";
 
-/// Everything that is reported of a run.
+/// The contents of the report.
 #[derive(Clone, Debug, Serialize)]
 pub struct RunRecord {
     version: &'static str,
@@ -43,11 +43,11 @@ pub struct SequenceRecord {
     sequence: String,
     /// Null where there are no settings.
     spacing: Option<f64>,
-    /// From 0 to 1; null where the spacing was given, or is not needed.
+    /// From 0 to 1; null if the spacing was given, or is not needed.
     spacing_confidence: Option<f64>,
-    /// Null likewise.
+    /// Null in the same cases.
     spacing_measured_on: Option<String>,
-    /// Of particles with radii of their own, where the spacing was measured; else null.
+    /// The median of per-particle radii, if the spacing was measured; else null.
     radius_median: Option<f64>,
     #[serde(flatten)]
     settings: Option<Object>,
@@ -78,16 +78,16 @@ enum OutcomeStatus {
 struct MeasuredRecord {
     outputs: Vec<String>,
     notes: Vec<String>,
-    /// Of a level set, whose file says it.
+    /// For level sets, from their file.
     #[serde(skip_serializing_if = "Option::is_none")]
     voxel_size: Option<f64>,
     particles: usize,
     dropped: usize,
-    /// Null where all particles are alike.
+    /// Null if all particles are balls of the same size.
     shapes: Option<Shaping>,
-    /// Null where nothing was taken away or added.
+    /// Null if no edit changed the surface.
     edits: Option<EditReport>,
-    /// Null where nothing stood in the way.
+    /// Null without obstacles.
     obstacles: Option<ObstaclesRecord>,
     leaves: usize,
     voxels: usize,
@@ -97,7 +97,7 @@ struct MeasuredRecord {
     reach_voxels: Option<u32>,
     convergence: Option<Convergence>,
     cfl_exceeded: usize,
-    /// Only where attributes were asked for.
+    /// Only if attributes were requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     attributes: Option<TransferReport>,
     seconds: Seconds,
@@ -108,60 +108,62 @@ struct MeasuredRecord {
     mesh: MeshMeasures,
 }
 
-/// What stood in the way, and what it changed.
+/// The obstacles, and what they changed.
 #[derive(Clone, Debug, Serialize)]
 struct ObstaclesRecord {
     files: String,
     open_edges: usize,
     particles_inside: usize,
-    /// Voxels that were filled since the gap to an obstacle was too narrow.
+    /// Voxels that were filled because the gap to an obstacle was too narrow.
     void_voxels_filled: u64,
-    /// Voxels inside that obstacles took from the inner spheres of particles.
+    /// Inner voxels of particles that obstacles removed.
     voxels_taken: u64,
-    /// How deep the deepest vertex is in an obstacle; 0 if none is.
+    /// How deep the deepest vertex is in an obstacle; 0 if none is inside.
     deepest_vertex_voxels: f64,
-    /// Vertices that were moved out, where an obstacle is sharper than the grid.
+    /// Vertices that were moved out of an obstacle that is sharper than the grid.
     vertices_cleared: u64,
 }
 
-/// What was checked, and what came of it.
+/// The checks of a frame and their results.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct CertificateRecord {
     holds: bool,
-    /// How far the surface was moved outward after its bounds were checked, a length; negative inward.
+    /// How far the surface was moved outward after the check of its bounds, a length; negative inward.
     offset: f64,
-    /// The least and the greatest distance, lengths, that vertices were to have to the nearest particle. Null for surfaces of level
-    /// sets.
+    /// The required minimum and maximum distance from a vertex to the nearest particle, lengths. Null for
+    /// surfaces of level sets.
     distance_limits: Option<[f64; 2]>,
     bound_violations: usize,
     /// Null for an empty mesh.
     vertex_distance_min_voxels: Option<f64>,
-    /// Null where a vertex has no particle near it: its distance is infinite.
+    /// Null if a vertex has no particle near it: its distance is infinite.
     vertex_distance_max_voxels: Option<f64>,
     vertices_inside_min: usize,
     vertices_outside_max: usize,
-    /// Not finite, or too far from the others: the surface is that of the rest.
+    /// Particles that are not finite or are too far from the others: the surface is of the rest.
     particles_left_out: usize,
     /// The positions that were checked.
     positions: CheckedPositions,
     particles_outside: ParticlesOutside,
-    /// The offset is so far inward that particles outside are no violation.
+    /// The offset is so far inward that particles outside are not a violation.
     particles_may_be_outside: bool,
-    /// Null where positions are those that were given.
+    /// Null if the particles have their given positions.
     given_outside: Option<ParticlesOutside>,
-    /// Not asked: in an island that was dropped, beyond or beside a box's faces, in or beside an obstacle.
+    /// Particles that were not checked: in a dropped island, beyond or beside a box's faces, in or beside an
+    /// obstacle.
     particles_exempt: usize,
     /// Vertices that were out of their bounds, and were moved back.
     vertices_returned: usize,
-    /// Triangles without area at the positions that are written, which were taken out.
+    /// Triangles that were removed because they have no area at the written positions.
     flat_triangles_removed: usize,
-    /// Each edge in two triangles, the triangles around each vertex in one ring, none without area.
+    /// Every edge is in two triangles, the triangles around every vertex form one ring, and every triangle
+    /// has an area.
     closed_manifold: bool,
     position_rounding_voxels: f64,
 }
 
-/// Which positions of particles a certificate is about.
+/// Which positions of the particles a certificate describes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum CheckedPositions {
@@ -183,7 +185,7 @@ struct Summary {
 }
 
 impl RunRecord {
-    /// The record of a run that has not begun.
+    /// An empty report for a run.
     pub fn new(thread_count: usize) -> RunRecord {
         RunRecord {
             version: env!("CARGO_PKG_VERSION"),
@@ -193,7 +195,7 @@ impl RunRecord {
         }
     }
 
-    /// Adds a sequence; its index is what frames refer to.
+    /// Adds a sequence; frames refer to it by the returned index.
     pub fn add_sequence(&mut self, sequence: SequenceRecord) -> usize {
         self.settings.push(sequence);
         self.settings.len() - 1
@@ -216,7 +218,7 @@ impl RunRecord {
         self.add(&frame.input, sequence_index, status, measured, error);
     }
 
-    /// Adds a frame that had no settings to be converted with.
+    /// Adds a frame that could not be converted because it has no settings.
     pub fn add_failed(&mut self, input: &Path, sequence_index: usize, why: &str) {
         self.add(input, sequence_index, OutcomeStatus::Failed, None, Some(why.to_owned()));
     }
@@ -245,10 +247,10 @@ impl RunRecord {
         self.frames.push(FrameRecord { input: text(input), settings, status, measured, error });
     }
 
-    /// Writes the record, whole or not at all.
+    /// Writes the report atomically.
     ///
     /// # Errors
-    /// When the system refuses.
+    /// When the system reports an error.
     pub fn write(mut self, path: &Path, seconds: f64) -> meniscus_formats::Result<()> {
         self.summary.seconds = seconds;
         write_whole(path, |out| Ok(write_json(out, &self)?))
@@ -256,8 +258,8 @@ impl RunRecord {
 }
 
 impl SequenceRecord {
-    /// A sequence with settings, and where its voxel size is from unless it was given; what is written, and what stands
-    /// in the way.
+    /// A sequence with its settings, the source of its voxel size unless that was given, its outputs, and its
+    /// obstacles.
     pub fn new(
         name: &str,
         job: &Job,
@@ -279,7 +281,7 @@ impl SequenceRecord {
         }
     }
 
-    /// A sequence for which there are no settings.
+    /// A sequence without settings.
     pub fn without_settings(name: &str, why: &str) -> SequenceRecord {
         SequenceRecord { error: Some(why.to_owned()), ..SequenceRecord::named(name) }
     }
@@ -297,7 +299,7 @@ impl SequenceRecord {
     }
 }
 
-/// A JSON object whose keys have this order.
+/// A JSON object whose keys keep this order.
 #[derive(Clone, Debug)]
 struct Object(Vec<(&'static str, Value)>);
 
@@ -307,7 +309,7 @@ impl Serialize for Object {
     }
 }
 
-/// The settings of particles: some as numbers, and beyond these what was asked for, by name, as it is typed.
+/// The settings for particles: some as numbers, and the other ones that were given as text, by name.
 fn settings_of_particles(
     settings: &Settings,
     (outputs, obstacles): (&OutputOptions, &ObstacleFiles),
@@ -325,7 +327,7 @@ fn settings_of_particles(
         ("cg_tolerance", json!(settings.cg_tolerance)),
         ("contour", json!(settings.contouring.name())),
     ];
-    // Those depend on the outputs, and on whether there are obstacles.
+    // These depend on the outputs, and on the obstacles.
     let is_other = |name: &str| name == "quads" || name == "void_threshold";
     let more = settings.pairs(|name| !is_other(name) && named.iter().all(|(named, _)| *named != name));
     let mut more: BTreeMap<&str, String> = more.into_iter().collect();
@@ -337,7 +339,7 @@ fn settings_of_particles(
     Object(named)
 }
 
-/// The settings of level sets, each of which has its own voxel size.
+/// The settings for level sets, each of which has a voxel size of its own file.
 fn settings_of_level_sets(settings: &Settings, slack_voxels: f64, outputs: &OutputOptions) -> Object {
     let pairs = level_set_pairs(settings, slack_voxels, OutputFormat::Glb);
     let is_shared = |(name, _): &(&str, String)| !["band_slack", "voxel_size"].contains(name);
@@ -388,10 +390,10 @@ fn obstacles_record(report: &FrameReport) -> Option<ObstaclesRecord> {
 }
 
 impl CertificateRecord {
-    /// What does not hold, in words; `None` where all does.
+    /// A description of the failed checks; `None` if all hold.
     ///
     /// # Errors
-    /// Where what it says of the whole is not what its counts say.
+    /// When its verdict contradicts its counts.
     pub(crate) fn fault(&self) -> Result<Option<String>, String> {
         let certificate = Certificate {
             bound_violation_count: self.bound_violations,

@@ -1,17 +1,18 @@
-//! A whole shot in one file, gathered from the `.glb` of its frames.
+//! Combines the `.glb` files of all frames into one file.
 //!
 //! ```text
 //!   out/dam.0012.glb  out/dam.0013.glb  ..  ──▶  dam.glb     plays in a browser, and in Blender
 //!                                           ──▶  dam.usda    one mesh with time samples
 //! ```
 //!
-//! Frames are taken from their files and from nowhere else: so a shot is the same whether one process made its frames, or many
-//! machines, or some today and some yesterday; and it takes no memory that would depend on how many there are.
+//! Frames are read only from their files. So a shot is the same whether one process converted its frames,
+//! many machines did, or they were converted on different days; and its memory does not depend on the number
+//! of frames.
 //!
-//! When a frame is shown is told by its number. In a `.usda` that is the time code, for other programs count by it too. In a
-//! `.glb`, which has seconds and no numbers, the greatest step that divides all differences of the numbers is one frame of the
-//! shot: a simulation that writes every hundredth step plays as one that writes each. What is missing leaves its time to the frame
-//! before it.
+//! The number of a frame determines when it is shown. In a `.usda` it is the time code, because other
+//! programs use it too. In a `.glb`, which has seconds and no numbers, the greatest common divisor of the
+//! differences between numbers is one frame of the shot: a simulation that writes every hundredth step plays
+//! like one that writes every step. The frame before a missing frame is shown in its place.
 
 use std::fmt;
 use std::io::{self, BufReader, Read};
@@ -37,7 +38,7 @@ pub enum ShotFormat {
 }
 
 impl ShotFormat {
-    /// The format that the name of a file asks for.
+    /// The format for the extension of a path.
     pub fn of(path: &Path) -> Option<ShotFormat> {
         let extension = path.extension()?.to_string_lossy().to_ascii_lowercase();
         match extension.as_str() {
@@ -51,35 +52,35 @@ impl ShotFormat {
 /// The `.glb` of a frame, and its number.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ShotSource {
-    /// Where it is.
+    /// Its path.
     pub path: PathBuf,
-    /// The frame's number, where it has one.
+    /// The frame's number, if it has one.
     pub number: Option<u64>,
 }
 
-/// How a shot plays in other programs.
+/// The timing and units of a shot in other programs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShotOptions {
     /// Frames per second.
     pub fps: f64,
-    /// The length of a world unit in metres, which a .usda says.
+    /// The length of a world unit in metres, recorded in a .usda.
     pub meters_per_unit: f64,
 }
 
-/// What came of a shot.
+/// The result of writing a shot.
 #[derive(Debug, Default)]
 pub struct ShotReport {
-    /// Frames that are in it.
+    /// The number of frames in the file.
     pub frame_count: usize,
     /// The size of the file.
     pub size_bytes: u64,
-    /// Frames that are not, and why.
+    /// Frames that could not be read, and why.
     pub left_out: Vec<(PathBuf, String)>,
-    /// What a user should know though the shot was written.
+    /// Warnings about a shot that was written.
     pub notes: Vec<String>,
 }
 
-/// Why there is no shot.
+/// Why no shot could be written.
 #[derive(Debug)]
 pub struct ShotError {
     path: PathBuf,
@@ -94,12 +95,11 @@ impl fmt::Display for ShotError {
 
 impl std::error::Error for ShotError {}
 
-/// Gathers the frames, in this order, into the file at `path`, which appears whole. A frame that cannot be read is left out,
-/// and told.
+/// Combines the frames, in this order, into the file at `path`, which is written atomically. Frames that
+/// cannot be read are skipped and reported.
 ///
-/// # Errors
-/// When no frame can be read, the format has no room for all of them, one of them is written meanwhile, or the file cannot be
-/// written.
+/// When no frame can be read, the format cannot hold all frames, a frame is written meanwhile, or the file
+/// cannot be written.
 pub fn write_shot(
     path: &Path,
     format: ShotFormat,
@@ -145,14 +145,14 @@ pub fn write_shot(
     Ok(report)
 }
 
-/// A frame, and what its file was when it was looked at.
+/// A frame, and the stamp of its file when it was opened.
 struct SourceFrame<'a> {
     source: &'a ShotSource,
     stamp: FileStamp,
     file: GlbFrame,
 }
 
-/// What can be read of the frames, and what cannot, and why.
+/// Opens the frames; returns those that cannot be read with the reason.
 fn read_frames(sources: &[ShotSource]) -> (Vec<SourceFrame<'_>>, Vec<(PathBuf, String)>) {
     let read = |path: &Path| -> Result<(FileStamp, GlbFrame), meniscus_formats::Error> {
         let file = open_regular(path)?;
@@ -169,7 +169,7 @@ fn read_frames(sources: &[ShotSource]) -> (Vec<SourceFrame<'_>>, Vec<(PathBuf, S
     (there, left_out)
 }
 
-/// The data of a frame are read long after what says where they are.
+/// The data of a frame are read long after their layout, so the file must not change in between.
 fn refuse_written(opened: &[(&PathBuf, FileStamp)]) -> io::Result<()> {
     for (path, stamp) in opened {
         if FileStamp::of_path(path)? != *stamp {
@@ -179,20 +179,20 @@ fn refuse_written(opened: &[(&PathBuf, FileStamp)]) -> io::Result<()> {
     Ok(())
 }
 
-/// Says of the first frame why it is none.
+/// The error if no frame can be read, with the reason for the first.
 fn no_frame(left_out: &[(PathBuf, String)], shot: &Path) -> ShotError {
-    let nothing = "there is no frame to gather";
+    let nothing = "there are no frames for the shot";
     match left_out {
         [] => ShotError { path: shot.to_owned(), what: nothing.to_owned() },
         [(path, why)] => ShotError { path: path.clone(), what: format!("{why}; {nothing}") },
         [(path, why), others @ ..] => {
-            let what = format!("{why}; nor can {} others be read: {nothing}", others.len());
+            let what = format!("{why}; {} others cannot be read either: {nothing}", others.len());
             ShotError { path: path.clone(), what }
         }
     }
 }
 
-/// Whether a file is a shot that this program wrote, by what it says of itself.
+/// Whether a file is a shot of this program, according to its provenance.
 pub fn is_shot(path: &Path) -> bool {
     let recorded = open_regular(path)
         .ok()
@@ -200,7 +200,7 @@ pub fn is_shot(path: &Path) -> bool {
     recorded.is_some_and(|pairs| pairs.iter().any(|(name, _)| name == SHOT_FRAMES))
 }
 
-/// What made the shot; what made each frame is with its mesh.
+/// The provenance of the shot; the meshes have the provenance of their frames.
 fn provenance(numbers: &[u64], fps: f64) -> Vec<(String, String)> {
     let pair = |name: &str, value: String| (name.to_owned(), value);
     let number = |number: Option<&u64>| number.copied().unwrap_or_default().to_string();
@@ -213,15 +213,16 @@ fn provenance(numbers: &[u64], fps: f64) -> Vec<(String, String)> {
     ]
 }
 
-/// The numbers of the frames. Where some have none, or they do not grow, frames are counted from 1.
+/// The numbers of the frames. If some have none, or they do not increase, frames are counted from 1.
 fn increasing(numbers: &[Option<u64>]) -> Vec<u64> {
     let known = numbers.iter().copied().collect::<Option<Vec<u64>>>();
     let increasing = known.filter(|known| known.windows(2).all(|pair| pair[0] < pair[1]));
     increasing.unwrap_or_else(|| (1..=numbers.len() as u64).collect())
 }
 
-/// Which frames of the shot those with these numbers, which grow, are: as they are numbered where the numbers grow by one at least
-/// once, and in steps of the greatest number that divides all differences where they do not.
+/// The positions in the shot of frames with these increasing numbers: the numbers themselves if any two
+/// neighbours differ by one, and otherwise the numbers divided by the greatest common divisor of their
+/// differences.
 fn in_steps(numbers: &[u64]) -> Vec<u64> {
     let step = numbers.windows(2).map(|pair| pair[1] - pair[0]).fold(0, common_divisor).max(1);
     let Some(&first) = numbers.first() else { return Vec::new() };
@@ -238,7 +239,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_greatest_common_step_is_a_frame() {
+    fn greatest_common_step_becomes_one_frame() {
         assert_eq!(in_steps(&[1001, 1002, 1004]), [1001, 1002, 1004]);
         assert_eq!(in_steps(&[0, 1, 2]), [0, 1, 2]);
         assert_eq!(in_steps(&[1000, 2000, 4000]), [1, 2, 4]);
@@ -249,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_without_an_order_of_their_own_are_counted() {
+    fn frames_without_increasing_numbers_are_counted_from_1() {
         let of = |numbers: &[u64]| increasing(&numbers.iter().copied().map(Some).collect::<Vec<_>>());
         assert_eq!(of(&[0, 100, 200]), [0, 100, 200]);
         assert_eq!(of(&[3, 2, 9]), [1, 2, 3]);
@@ -259,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_that_is_written_meanwhile_is_noticed() {
+    fn frame_written_meanwhile_is_an_error() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("dam.1.glb");
         std::fs::write(&path, b"one").expect("written");

@@ -1,13 +1,14 @@
-//! The part of a frame that a close-up shows: where most edges, sheets and drops are seen.
+//! Selects the part of a frame that a close-up shows: the one with the most visible edges, sheets and drops.
 //!
 //! ```text
-//!   ∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙     cells with particles and, on the way to the eye, no other ones: seen
+//!   ∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙     visible cells: they have particles, and no other cell hides them from the
+//!   camera
 //!   ∙∙∙∙∙┌──────┐∙∙∙∙∙∙
-//!   ▒▒▒▒▒│▚▞▘▝▞▚│▒▒▒▒▒▒     the box with the most of them: a crown has more than calm water
+//!   ▒▒▒▒▒│▚▞▘▝▞▚│▒▒▒▒▒▒     the box with the highest count: a crown has more than calm water
 //!   ▒▒▒▒▒└──────┘▒▒▒▒▒▒
 //! ```
 //!
-//! A cell counts as often as it has free faces, but for one: calm water has no more.
+//! A cell counts its free faces minus one, because calm water has one.
 
 use std::collections::BTreeMap;
 
@@ -17,17 +18,17 @@ use rayon::prelude::*;
 use crate::surface::grid::FACE_STEPS;
 use crate::surface::particles::Particles;
 
-/// Edge of a cell, in particle spacings: so wide that the cells of a body have no gaps.
+/// Edge of a cell, in particle spacings: wide enough that the cells of a body have no gaps.
 const CELL_SPACINGS: f64 = 2.0;
 
 /// Edge of the box, in cells. Boxes overlap by half.
 const BOX_CELLS: i32 = 8;
 
-/// How far something in front hides a cell, in cells.
+/// The distance up to which a cell in front hides a cell, in cells.
 const HIDING_CELLS: i32 = 3 * BOX_CELLS;
 
-/// The box of a close-up of these particles, seen from the direction `to_eye`: least and greatest corner in world units.
-/// `None` where all particles are in a box of twice its edge, or there is none.
+/// The box of a close-up of these particles, seen from the direction `to_eye`: minimum and maximum corner in
+/// world units. `None` if all particles are in a box of twice its edge, or there are none.
 pub fn close_up(particles: &Particles, spacing: f64, to_eye: DVec3) -> Option<[DVec3; 2]> {
     let edge = CELL_SPACINGS * spacing;
     let cell = |index: usize| (particles.position(index) / edge).floor().as_ivec3().to_array();
@@ -69,7 +70,7 @@ pub fn close_up(particles: &Particles, spacing: f64, to_eye: DVec3) -> Option<[D
             *counts.entry(last.saturating_sub(back).to_array()).or_default() += count;
         }
     }
-    // Of several the first: the last that is not less, backward.
+    // The first of several maxima: backward, the last that is not less.
     let (most, _) = counts.iter().rev().max_by_key(|(_, count)| **count)?;
     let least = IVec3::from(*most).as_dvec3() * f64::from(half) * edge;
     Some([least, least + f64::from(BOX_CELLS) * edge])
@@ -87,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn a_crown_in_a_pool_is_what_is_shown() {
+    fn close_up_of_a_pool_shows_its_crown() {
         let crown = (0..300).map(|index| {
             let (angle, height) = (f64::from(index % 60) / 60.0 * std::f64::consts::TAU, index / 60);
             [7.0 + 0.6 * angle.cos(), 0.3 + 0.1 * f64::from(height), 3.0 + 0.6 * angle.sin()]
@@ -100,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_hidden_does_not_count() {
+    fn hidden_cells_do_not_count() {
         // Loose particles below the pool, and fewer of them above.
         let loose = |count: usize, x: f64, y: f64| {
             (0..count).map(move |index| {
@@ -114,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn a_small_frame_is_shown_whole() {
+    fn small_frame_has_no_close_up() {
         assert_eq!(close_up(&Particles::Double(Vec::new()), 0.1, DVec3::Y), None);
         let few = Particles::Double((0..30).map(|index| [f64::from(index) * 0.1, 0.0, 0.0]).collect());
         assert_eq!(close_up(&few, 0.1, DVec3::Y), None);

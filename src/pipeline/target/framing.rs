@@ -1,14 +1,14 @@
-//! The camera of a sequence whose frames are not all known yet: it stays while frames fit into its picture, and is
-//! refitted when one does not.
+//! The camera of a sequence whose frames are not all known yet: it stays while frames fit into the picture,
+//! and is refitted when one does not.
 //!
 //! ```text
 //!   frame in the picture      ─▶ the camera stays
-//!   frame would be cropped    ─▶ refit around all that was in view and the frame, with a margin where it grew
+//!   frame would be cropped    ─▶ refit around the previous bounds and the frame, with a margin where it grew
 //! ```
 //!
-//! The margin makes refits rare: a splash that goes on growing at the same pace needs one each time it has grown by a
-//! quarter. Earlier pictures stay as they are. Which camera a frame gets depends on the frames that were written before
-//! it, so with several of them under way it may differ between runs.
+//! The margin makes refits rare: a splash that keeps growing at the same pace causes one refit for each
+//! quarter that it grows. Earlier pictures stay as they are. The camera of a frame depends on the frames
+//! written before it, so it may differ between runs if several frames are in flight.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -20,10 +20,10 @@ use crate::surface::space::joined;
 use super::outputs::OutputOptions;
 use super::viewpoint::CameraChoice;
 
-/// The camera of a sequence, shared by the frames under way.
+/// The camera of a sequence, shared by the frames in flight.
 #[derive(Debug)]
 pub struct Framing {
-    /// What the user asked for.
+    /// The requested camera.
     asked: CameraChoice,
     aspect: f64,
     up: Up,
@@ -33,19 +33,19 @@ pub struct Framing {
 /// The camera of a sequence at one moment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Framed {
-    /// Where pictures are taken from now.
+    /// The current camera.
     pub camera: CameraChoice,
-    /// What the camera was placed around, world units; `None` in journals of older versions.
+    /// The bounds that the camera was placed around, world units; `None` in journals of older versions.
     pub around: Option<[DVec3; 2]>,
     /// The cameras before this one: pictures taken by them are still valid.
     pub earlier: Vec<CameraChoice>,
 }
 
-/// On a side on which what is seen grew, the camera has so much of its extent in view beyond it.
+/// The margin on a side on which the bounds grew, as a fraction of their extent.
 const GROWTH: f64 = 0.25;
 
 impl Framed {
-    /// The camera for what is within these bounds, as it was asked for in `outputs`.
+    /// The camera for these bounds, as requested in `outputs`.
     pub fn around(bounds: [DVec3; 2], outputs: &OutputOptions) -> Framed {
         let camera = outputs.with_camera_around(bounds).picture.camera;
         Framed { camera, around: Some(bounds), earlier: Vec::new() }
@@ -53,7 +53,7 @@ impl Framed {
 }
 
 impl Framing {
-    /// Goes on from `framed`, by what is asked for in `outputs`.
+    /// Continues from `framed`, with the camera that `outputs` requests.
     pub fn new(outputs: &OutputOptions, framed: Framed) -> Framing {
         Framing {
             asked: outputs.picture.camera,
@@ -63,12 +63,12 @@ impl Framing {
         }
     }
 
-    /// The camera as it is now.
+    /// The current camera.
     pub fn framed(&self) -> Framed {
         self.lock().clone()
     }
 
-    /// The camera for a frame within these bounds, which is refitted if the frame does not fit into its picture.
+    /// The camera for a frame with these bounds; refits it if the frame does not fit into the picture.
     pub(crate) fn camera_for(&self, bounds: Option<[DVec3; 2]>) -> CameraChoice {
         let mut framed = self.lock();
         let Some(bounds) = bounds.filter(|bounds| !self.holds(&framed, *bounds)) else {
@@ -83,13 +83,13 @@ impl Framing {
         camera
     }
 
-    /// Whether what is within these bounds is in the picture.
+    /// Whether these bounds are in the picture.
     fn holds(&self, framed: &Framed, bounds: [DVec3; 2]) -> bool {
         if !self.asked.is_around() {
             return true;
         }
         let viewpoint = match framed.around {
-            // A user who zooms in wants less than all of it in the picture.
+            // A user who zooms in wants only a part in the picture.
             Some(around) => self.asked.not_zoomed_in().viewpoint(around, self.aspect, self.up),
             None => framed.camera.viewpoint(bounds, self.aspect, self.up),
         };
@@ -152,14 +152,14 @@ mod tests {
             }
             let Framed { earlier, around, .. } = framing.framed();
             assert!(earlier.len() < 20, "{asked}: {} refits", earlier.len());
-            // What was in view before still is.
+            // Everything that was in view before still is.
             let around = around.expect("known");
             assert!(around[0].cmple(DVec3::ZERO).all() && around[1].cmpge(DVec3::ONE).all());
         }
     }
 
     #[test]
-    fn zoomed_or_fixed_camera_is_not_refitted_for_what_it_was_to_crop() {
+    fn zoomed_or_fixed_camera_is_not_refitted_when_it_crops() {
         let zoomed = framing("zoom=3");
         assert_eq!(zoomed.camera_for(Some(boxed(0.0, 1.0))), zoomed.framed().camera);
         assert!(zoomed.framed().earlier.is_empty());

@@ -1,9 +1,9 @@
-//! What is written of each frame: formats, pictures, and the camera of these.
+//! Outputs of a frame: formats, pictures, and their camera.
 //!
 //! ```text
 //!   outputs     formats and their options                stored       positions as files hold them
-//!   picture     surfaces to pictures                     viewpoint    where they are taken from
-//!   framing     the camera of a sequence                 close_up     the part of a picture worth a look
+//!   picture     renders surfaces                         viewpoint    cameras of pictures
+//!   framing     the camera of a sequence                 close_up     the most detailed part of a picture
 //! ```
 
 pub(super) mod close_up;

@@ -1,4 +1,4 @@
-//! What is written of each frame, and where.
+//! The outputs of a frame, and their folder.
 
 use std::ops::{Not, RangeInclusive};
 use std::path::{Path, PathBuf};
@@ -16,30 +16,30 @@ use super::picture::{PictureOptions, up_of};
 use crate::pipeline::files::json::{path, text};
 use crate::pipeline::files::names::name_of_text;
 
-/// How many metres a world unit may have: from a nanometre to a million kilometres.
+/// The allowed length of a world unit in metres: from a nanometre to a million kilometres.
 pub const METERS_PER_UNIT: RangeInclusive<f64> = 1e-9..=1e9;
 
-/// What is written of each frame, and where.
+/// The outputs of a frame, and their folder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct OutputOptions {
-    /// The folder of all outputs. It is made where it is missing.
+    /// The folder of all outputs, created if it is missing.
     #[serde(with = "path")]
     pub folder: PathBuf,
-    /// One file for each.
+    /// One file in each of these formats.
     pub formats: Vec<OutputFormat>,
-    /// Which axis of the particles points up, for glTF, where it must be y, and for USD, which asks.
+    /// The up axis of the particles: glTF requires y, and USD records it.
     pub up: UpAxis,
-    /// The length of a world unit in metres, positive and finite: USD says it.
+    /// The length of a world unit in metres, positive and finite: USD records it.
     #[serde(with = "text", default = "meter", skip_serializing_if = "is_meter")]
     pub meters_per_unit: f64,
-    /// Small integers in .glb.
+    /// Quantized integers in .glb.
     #[serde(default, skip_serializing_if = "Not::not")]
     pub quantize: bool,
     /// 16-bit values in .vdb.
     pub vdb_half: bool,
-    /// How values are packed in .vdb.
+    /// The compression of values in .vdb.
     pub vdb_compression: vdb::Compression,
-    /// How pictures are taken.
+    /// The size and camera of pictures.
     #[serde(default)]
     pub picture: PictureOptions,
 }
@@ -54,8 +54,8 @@ fn is_meter(meters: &f64) -> bool {
 }
 
 impl OutputOptions {
-    /// These formats in this folder, and all else as `meniscus convert` has it where nobody asks for anything: y is up,
-    /// nothing is rounded, and .vdb is packed by Blosc.
+    /// These formats in this folder, with the defaults of `meniscus convert`: y is up, nothing is rounded,
+    /// and .vdb uses Blosc.
     pub fn new(folder: impl Into<PathBuf>, formats: &[OutputFormat]) -> OutputOptions {
         OutputOptions {
             folder: folder.into(),
@@ -74,17 +74,18 @@ impl OutputOptions {
         self.formats.iter().any(|format| format.is_picture())
     }
 
-    /// Whether pictures are written whose camera is not fixed yet.
+    /// Whether there are pictures whose camera is not fixed yet.
     pub fn needs_camera(&self) -> bool {
         self.has_pictures() && self.picture.camera.needs_bounds()
     }
 
-    /// Whether an option changes any of the files that are written.
+    /// Whether an option affects any of the output formats.
     pub fn has_option(&self, option: WriteOption) -> bool {
         self.formats.iter().any(|format| format.has_option(option))
     }
 
-    /// The value of an option as text, as it is typed and recorded. Quads are a setting of the method: on, if given.
+    /// The value of an option as text, as on the command line and in records. Quads are a setting of the
+    /// method.
     pub fn value(&self, option: WriteOption) -> String {
         match option {
             WriteOption::Quads => true.to_string(),
@@ -101,23 +102,23 @@ impl OutputOptions {
         }
     }
 
-    /// Whether an option has the value that it has where it is not given.
+    /// Whether an option has its default value.
     pub fn is_default(&self, option: WriteOption) -> bool {
         self.value(option) == OutputOptions::new("", &[]).value(option)
     }
 
-    /// How meshes are written, with these triangles as halves of quads.
+    /// The options for writing meshes, with these triangles as halves of quads.
     pub(crate) fn mesh(&self, quads: Arc<[bool]>) -> MeshOptions {
         let OutputOptions { up, meters_per_unit, quantize, .. } = *self;
         MeshOptions { up, meters_per_unit, quantize, quads, ..MeshOptions::default() }
     }
 
-    /// Which way is up.
+    /// The up axis.
     pub fn up(&self) -> Up {
         self.picture.camera.up_or(up_of(self.up))
     }
 
-    /// The same, with a camera that has what is within these bounds, least and greatest corner in world units.
+    /// The same, with a camera that shows these bounds (minimum and maximum corner in world units).
     pub fn with_camera_around(&self, bounds: [DVec3; 2]) -> OutputOptions {
         let PictureOptions { size, camera } = self.picture;
         let viewpoint = camera.viewpoint(bounds, self.picture.aspect(), up_of(self.up));
@@ -125,7 +126,7 @@ impl OutputOptions {
     }
 }
 
-/// Where the output in `format` of the frame called `stem` goes.
+/// The path of the output in `format` of the frame with this stem.
 pub fn output_path(folder: &Path, stem: &str, format: OutputFormat) -> PathBuf {
     folder.join(name_of_text(&format!("{stem}.{}", format.extension())))
 }

@@ -23,12 +23,12 @@ use crate::surface::space::Lattice;
 use super::viewpoint::{CameraChoice, Viewpoint};
 use crate::pipeline::files::json::text;
 
-/// How pictures are taken.
+/// The size and camera of pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PictureOptions {
     /// Width and height, pixels.
     pub size: [usize; 2],
-    /// Where from. One that is not fixed is placed by the bounds of each frame.
+    /// The camera. If it is not fixed, the bounds of each frame place it.
     #[serde(with = "text")]
     pub camera: CameraChoice,
 }
@@ -40,27 +40,27 @@ impl Default for PictureOptions {
 }
 
 impl PictureOptions {
-    /// How many times as wide as high.
+    /// The width divided by the height.
     pub fn aspect(&self) -> f64 {
         self.size[0] as f64 / self.size[1] as f64
     }
 }
 
-/// A level set to take pictures of.
+/// A level set to render.
 #[derive(Clone, Copy, Debug)]
 pub struct PictureScene<'a> {
     /// The level set.
     pub band: &'a NarrowBand,
     /// Its voxels.
     pub lattice: Lattice,
-    /// Where voxel (0, 0, 0) is, world units.
+    /// The position of voxel (0, 0, 0), world units.
     pub origin: DVec3,
     /// Velocities at the voxels of the band, x, y and z, world units per second.
     pub velocity: Option<&'a [Field; 3]>,
 }
 
 impl PictureScene<'_> {
-    /// A picture from here, with what is known of its pixels if that is wanted.
+    /// Renders a picture, with the data of its pixels if `data` is set.
     pub fn picture(&self, viewpoint: &Viewpoint, size: [usize; 2], data: bool) -> Picture {
         let view = viewpoint.moved(-self.origin).view(size);
         let mut picture =
@@ -77,7 +77,7 @@ impl PictureScene<'_> {
     }
 }
 
-/// The velocities of a surface, if it has any, as pictures take them.
+/// The velocities of a surface as the renderer takes them, if it has any.
 pub fn velocities(surface: &FrameSurface) -> Option<[Field; 3]> {
     let is_velocity =
         |attribute: &&BandAttribute| attribute.meaning == Meaning::Velocity && attribute.arity == 3;
@@ -94,10 +94,10 @@ pub fn velocities(surface: &FrameSurface) -> Option<[Field; 3]> {
     Some(fields)
 }
 
-/// The bytes of a picture's file. `camera` is where it was taken from, if that is one place.
+/// Encodes a picture's file. `camera` is the viewpoint, if the picture has a single one.
 ///
 /// # Errors
-/// When the format is not one of pictures, or has no place for it.
+/// When the format is not a picture format, or cannot hold the picture.
 pub fn encode_picture(
     picture: &Picture,
     camera: Option<&Viewpoint>,
@@ -117,7 +117,7 @@ pub fn encode_picture(
     match format.content() {
         Content::Picture(write) => write(&view, &mut bytes)?,
         Content::Mesh(_) | Content::LevelSet => {
-            return Err(Error::unsupported("picture", format!(".{format} is not a format of pictures")));
+            return Err(Error::unsupported("picture", format!(".{format} is not a picture format")));
         }
     }
     Ok(bytes)
@@ -136,7 +136,7 @@ fn layers(picture: &Picture) -> Vec<PictureLayer<'_>> {
     layers
 }
 
-/// Which way is up for particles whose up is this axis.
+/// The up direction for particles with this up axis.
 pub fn up_of(axis: UpAxis) -> Up {
     match axis {
         UpAxis::Y => Up::Y,

@@ -1,4 +1,4 @@
-//! How files round the positions of a mesh: the certificate is about these.
+//! The position rounding of file formats: certificates describe the rounded positions.
 
 use std::sync::Arc;
 
@@ -8,12 +8,12 @@ use crate::surface::skin::Stored;
 
 use super::outputs::OutputOptions;
 
-/// How a format rounds positions, if it does.
+/// The rounding of a format, if it rounds positions.
 pub(crate) fn rounding(format: OutputFormat, outputs: &OutputOptions) -> Option<&'static PositionRounding> {
     (format.mesh()?.rounding)(&outputs.mesh(Arc::default()))
 }
 
-/// How the files that are written store the mesh, each way once. Where no file has it, it is checked as it is.
+/// The distinct roundings of the output formats. If no format holds the mesh, it is checked unrounded.
 pub(crate) fn stored(outputs: &OutputOptions) -> Vec<Stored> {
     let mut stored = Vec::new();
     let mut is_rounded_always = true;
@@ -29,12 +29,12 @@ pub(crate) fn stored(outputs: &OutputOptions) -> Vec<Stored> {
     stored
 }
 
-/// What of a file was checked, as its certificate says it.
+/// What was checked for a file, in the words of its certificate.
 pub(crate) fn checked_as(format: OutputFormat, outputs: &OutputOptions) -> &'static str {
     match format.content() {
         Content::LevelSet if outputs.vdb_half => "level set, before its values are rounded to 16 bits",
         Content::LevelSet => "level set",
-        Content::Picture(_) => "level set, of which it is a picture",
+        Content::Picture(_) => "level set that the picture shows",
         Content::Mesh(_) => rounding(format, outputs)
             .map_or("mesh, at its positions relative to its origin", |rounding| rounding.certified_as),
     }

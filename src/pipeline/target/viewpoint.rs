@@ -1,15 +1,15 @@
-//! Where pictures are taken from, as text: as it is typed, kept in the journal and written into pictures.
+//! Camera options and viewpoints as text: on the command line, in the journal and in pictures.
 //!
 //! ```text
-//!   azimuth=32,elevation=22,view=30,zoom=1,up=z      around what is seen: fits the bounds of the frames
+//!   azimuth=32,elevation=22,view=30,zoom=1,up=z      around the subject: fits the bounds of the frames
 //!   eye=1:2:3,target=0:0:0,view=40,up=y              fixed
 //!                 │ with bounds
 //!                 ▼
-//!   eye=…,target=…,top=…,view=…,up=y,ground=0        a viewpoint: the same picture, whatever the bounds
+//!   eye=…,target=…,top=…,view=…,up=y,ground=0        a viewpoint: the same picture for any bounds
 //! ```
 //!
-//! A picture's camera is made from the text of its viewpoint, and of nothing else: numbers are in the shortest form
-//! that reads back as the same number, so whoever has the text takes the same picture.
+//! The text of a viewpoint fully determines a picture's camera. Numbers have the shortest form that reads
+//! back as the same number, so the same text always gives the same picture.
 
 use std::fmt;
 use std::str::FromStr;
@@ -19,22 +19,22 @@ use meniscus_formats::PictureCamera;
 
 use crate::render::{Camera, CameraPlacement, Up, View};
 
-/// Where to take pictures from, as it was asked for.
+/// The camera that the user requested.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CameraChoice {
     place: CameraPosition,
     /// The vertical angle of view, in degrees.
     view_degrees: Option<f64>,
     up: Option<Up>,
-    /// How high the ground is, world units; at the lowest of the bounds by default.
+    /// The height of the ground, world units; by default the minimum of the bounds.
     ground: Option<Ground>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum CameraPosition {
-    /// Around what is seen.
+    /// Around the subject.
     Around { azimuth_degrees: Option<f64>, elevation_degrees: Option<f64>, zoom: Option<f64> },
-    /// Fixed, in world units. `top` is what is up in the picture.
+    /// Fixed, in world units. `top` is the up direction of the picture.
     At { eye: DVec3, target: DVec3, top: Option<DVec3> },
 }
 
@@ -50,26 +50,26 @@ enum Ground {
     At(f64),
 }
 
-/// A place that pictures are taken from, and what they show beside the surface.
+/// A camera position, and what a picture shows beside the surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Viewpoint {
-    /// Where the camera is, world units.
+    /// The position of the camera, world units.
     pub eye: DVec3,
-    /// What is in the middle of the picture, world units.
+    /// The point in the middle of the picture, world units.
     pub target: DVec3,
-    /// What is up in the picture, as far as it can be.
+    /// The up direction of the picture, as close as the direction of view allows.
     pub top: DVec3,
     /// The vertical angle of view, in degrees.
     pub view_degrees: f64,
-    /// Which way is up in the world.
+    /// The up axis of the world.
     pub up: Up,
-    /// How high the ground is, world units; `None` for no ground.
+    /// The height of the ground, world units; `None` for no ground.
     pub ground: Option<f64>,
 }
 
 impl CameraChoice {
-    /// The viewpoint for what is within these bounds, least and greatest corner in world units, in pictures that are
-    /// `aspect` times as wide as high. `up` is taken where none was asked for.
+    /// The viewpoint that shows these bounds (minimum and maximum corner in world units) in pictures of this
+    /// aspect ratio (width over height). `up` is the default up axis.
     pub fn viewpoint(&self, bounds: [DVec3; 2], aspect: f64, up: Up) -> Viewpoint {
         let up = self.up.unwrap_or(up);
         let view_degrees = self.view_degrees.unwrap_or(CameraPlacement::AUTO.view_degrees);
@@ -95,17 +95,17 @@ impl CameraChoice {
         Viewpoint { eye, target, top, view_degrees, up, ground }
     }
 
-    /// Which way is up, where it was said; else this.
+    /// The requested up axis, or else `up`.
     pub fn up_or(&self, up: Up) -> Up {
         self.up.unwrap_or(up)
     }
 
-    /// Whether the camera is placed around what is seen.
+    /// Whether the camera is placed around the subject.
     pub(crate) fn is_around(&self) -> bool {
         matches!(self.place, CameraPosition::Around { .. })
     }
 
-    /// The same camera, but one that zooms in has all of the bounds in view.
+    /// The same camera; one that zooms in is moved back until all of the bounds are in view.
     pub(crate) fn not_zoomed_in(mut self) -> CameraChoice {
         if let CameraPosition::Around { zoom: Some(zoom), .. } = &mut self.place {
             *zoom = zoom.min(1.0);
@@ -113,7 +113,7 @@ impl CameraChoice {
         self
     }
 
-    /// Whether the bounds of what is seen matter.
+    /// Whether the viewpoint depends on the bounds of the subject.
     pub fn needs_bounds(&self) -> bool {
         matches!(self.place, CameraPosition::Around { .. }) || self.ground.is_none()
     }
@@ -132,7 +132,7 @@ impl From<Viewpoint> for CameraChoice {
 }
 
 impl Viewpoint {
-    /// What is seen from here.
+    /// The view from here.
     pub fn view(&self, size: [usize; 2]) -> View {
         View { size, camera: self.camera(), up: self.up, ground: self.ground }
     }
@@ -143,7 +143,7 @@ impl Viewpoint {
         Camera { eye: self.eye, ..camera }
     }
 
-    /// Whether all that is within these bounds is in pictures that are `aspect` times as wide as high.
+    /// Whether pictures with this aspect ratio (width over height) show all of these bounds.
     pub(crate) fn holds(&self, [least, greatest]: [DVec3; 2], aspect: f64) -> bool {
         let Camera { eye, right, up, forward, tan_half_view } = self.camera();
         (0..8).all(|corner| {
@@ -154,24 +154,24 @@ impl Viewpoint {
         })
     }
 
-    /// The same around what is in the middle, so many degrees to the right.
+    /// The same viewpoint, turned to the right around its target by this many degrees.
     pub fn turned(&self, degrees: f64) -> Viewpoint {
         let turn = glam::DQuat::from_axis_angle(self.up.direction(), degrees.to_radians());
         Viewpoint { eye: self.target + turn * (self.eye - self.target), top: turn * self.top, ..*self }
     }
 
-    /// The same in a world whose origin is elsewhere.
+    /// The same viewpoint in a world whose origin is elsewhere.
     pub fn moved(&self, by: DVec3) -> Viewpoint {
         let ground = self.ground.map(|height| height + by.dot(self.up.direction()));
         Viewpoint { eye: self.eye + by, target: self.target + by, ground, ..*self }
     }
 
-    /// The matrices for pictures that are `aspect` times as wide as high.
+    /// The matrices for pictures with this aspect ratio (width over height).
     pub fn matrices(&self, aspect: f64) -> PictureCamera {
         let Camera { eye, right, up, forward, tan_half_view } = self.camera();
         let camera = [right, up, forward].map(|axis| [axis.x, axis.y, axis.z, -axis.dot(eye)]);
         let [across, along, depth] = camera;
-        // To the right from 0 to 1, downwards from 0 to 1, once divided by the depth.
+        // To the right from 0 to 1, downwards from 0 to 1, after the division by the depth.
         let ndc = |axis: [f64; 4], scale: f64| -> [f64; 4] {
             std::array::from_fn(|i| 0.5 * depth[i] + axis[i] * scale)
         };
@@ -184,7 +184,7 @@ impl Viewpoint {
     }
 }
 
-/// The matrix with these columns, row by row.
+/// The matrix with these columns, in row-major order.
 fn columns(columns: [[f64; 4]; 4]) -> [f32; 16] {
     std::array::from_fn(|index| columns[index % 4][index / 4] as f32)
 }
@@ -230,10 +230,10 @@ fn triple(v: DVec3) -> String {
     format!("{}:{}:{}", v.x, v.y, v.z)
 }
 
-/// Nothing is farther from the origin than this, world units: beyond, a camera could not be turned.
+/// The largest allowed coordinate, world units: beyond it, a camera could not be turned.
 const PLACE_MAX: f64 = 1e15;
 
-/// The camera that fits what is seen.
+/// The camera that fits the subject.
 const AUTO: &str = "auto";
 
 impl FromStr for CameraChoice {
@@ -253,7 +253,7 @@ impl FromStr for CameraChoice {
     }
 }
 
-/// The keys that were there.
+/// The keys that have been parsed.
 #[derive(Default)]
 struct Typed {
     azimuth: Option<f64>,
@@ -276,7 +276,7 @@ impl Typed {
         };
         let is_near = |place: &DVec3| place.abs().max_element() <= PLACE_MAX;
         let place = || {
-            let expected = "three numbers with colons between, such as 1:2:3, none beyond 1e15";
+            let expected = "three numbers separated by colons, such as 1:2:3, each at most 1e15";
             vector(value).filter(is_near).ok_or_else(|| wrong(expected))
         };
         match key {
@@ -298,7 +298,7 @@ impl Typed {
                     number().ok_or_else(|| wrong("a height in the particles' unit of length, or none"))?;
                 put(&mut self.ground, key, Ground::At(height))
             }
-            _ => Err(format!("there is no key `{key}`: expected one of {KEYS}")),
+            _ => Err(format!("unknown key `{key}`: expected one of {KEYS}")),
         }
     }
 
@@ -308,17 +308,17 @@ impl Typed {
         let place = match (eye, target) {
             (Some(_), Some(_)) if is_around => {
                 return Err(
-                    "eye and target say where the camera is: leave out azimuth, elevation and zoom".into()
+                    "eye and target fix the camera: leave out azimuth, elevation and zoom".into()
                 );
             }
             (Some(eye), Some(target)) if eye == target => {
                 return Err("eye and target: expected two different places".into());
             }
             (Some(eye), Some(target)) => CameraPosition::At { eye, target, top },
-            (Some(_), None) => return Err("eye is there without target: expected both".into()),
-            (None, Some(_)) => return Err("target is there without eye: expected both".into()),
+            (Some(_), None) => return Err("eye without target: expected both".into()),
+            (None, Some(_)) => return Err("target without eye: expected both".into()),
             (None, None) if top.is_some() => {
-                return Err("top is there without eye and target: expected all".into());
+                return Err("top without eye and target: expected all three".into());
             }
             (None, None) => {
                 CameraPosition::Around { azimuth_degrees: azimuth, elevation_degrees: elevation, zoom }
@@ -331,7 +331,7 @@ impl Typed {
 fn put<T>(into: &mut Option<T>, key: &str, value: T) -> Result<(), String> {
     match into.replace(value) {
         None => Ok(()),
-        Some(_) => Err(format!("{key} is there twice")),
+        Some(_) => Err(format!("{key} is given twice")),
     }
 }
 
@@ -353,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn text_comes_back() {
+    fn formatted_camera_parses_to_the_same_camera() {
         for text in [
             "auto",
             "azimuth=10,elevation=-20.5,zoom=2,view=40,up=z,ground=none",
@@ -364,11 +364,11 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named_with_what_was_expected() {
+    fn invalid_camera_names_its_fault_and_the_expected_value() {
         for (text, told) in [
             ("", "key=value"),
             ("zoom", "`zoom`: expected auto, or a list"),
-            ("azimut=3", "no key `azimut`: expected one of azimuth"),
+            ("azimut=3", "unknown key `azimut`: expected one of azimuth"),
             ("azimuth=east", "azimuth=`east`: expected degrees"),
             ("view=0", "view=`0`: expected degrees from 1"),
             ("up=x", "up=`x`: expected y or z"),
@@ -377,7 +377,7 @@ mod tests {
             ("eye=1:2:3", "without target"),
             ("eye=1:1:1,target=1:1:1", "two different places"),
             ("eye=1:2:3,target=0:0:0,zoom=2", "leave out"),
-            ("zoom=2,zoom=3", "zoom is there twice"),
+            ("zoom=2,zoom=3", "zoom is given twice"),
         ] {
             let error = text.parse::<CameraChoice>().expect_err(text);
             assert!(error.contains(told), "{text}: {error}");
@@ -385,7 +385,7 @@ mod tests {
     }
 
     #[test]
-    fn a_viewpoint_is_the_same_from_its_text() {
+    fn viewpoint_parses_from_its_text() {
         let bounds = [DVec3::new(-1.1, 0.3, 2.7), DVec3::new(5.2, 1.9, 3.3)];
         for text in ["auto", "azimuth=117.3,elevation=90,up=z", "eye=1:2:3,target=0.1:0:0,view=40"] {
             let viewpoint = parsed(text).viewpoint(bounds, 16.0 / 9.0, Up::Y);
@@ -396,7 +396,7 @@ mod tests {
     }
 
     #[test]
-    fn matrices_lead_to_the_middle_and_to_the_corner() {
+    fn matrices_project_target_to_the_middle_and_a_corner_to_the_corner() {
         let viewpoint = parsed("eye=0:0:5,target=0:0:0,view=90").viewpoint([DVec3::ZERO; 2], 2.0, Up::Y);
         let matrices = viewpoint.matrices(2.0);
         let apply = |m: &[f32; 16], p: [f32; 4]| -> [f32; 4] {
@@ -404,12 +404,12 @@ mod tests {
         };
         assert_eq!(apply(&matrices.world_to_camera, [1.0, 2.0, 3.0, 1.0]), [1.0, 2.0, 2.0, 1.0]);
         let [x, y, _, w] = apply(&matrices.world_to_ndc, [10.0, 5.0, 0.0, 1.0]);
-        // The angle of view is a right one, so half the height is seen as far away as it is high.
+        // The angle of view is 90 degrees, so the camera is as far away as half the picture is high.
         assert!((x / w - 1.0).abs() < 1e-6 && (y / w).abs() < 1e-6, "{x} {y} {w}");
     }
 
     #[test]
-    fn a_whole_turn_leads_back() {
+    fn full_turn_returns_to_the_start() {
         let viewpoint = parsed("auto").viewpoint([DVec3::ZERO, DVec3::ONE], 1.0, Up::Z);
         assert!(viewpoint.turned(360.0).eye.distance(viewpoint.eye) < 1e-12);
         let half = viewpoint.turned(180.0);
