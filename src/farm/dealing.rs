@@ -1,12 +1,12 @@
-//! Frames dealt into contiguous chunks.
+//! Partitions frames into contiguous chunks.
 
 use std::ops::Range;
 
-/// More shards are a mistake: Slurm has no larger arrays, either.
+/// A larger number is probably a mistake: Slurm does not support larger arrays either.
 pub const SHARDS_MAX: usize = 100_000;
 
-/// Deals `frame_count` frames to `shard_count` shards, at least one: neighbours to the same, as many to each as to any
-/// other or one more. Where there are more shards than frames, the last have none.
+/// Partitions `frame_count` frames into contiguous chunks for `shard_count` shards (at least one). The sizes
+/// of the chunks differ by one at most. If there are more shards than frames, the last ones are empty.
 pub fn deal(frame_count: usize, shard_count: usize) -> Vec<Range<usize>> {
     let (each, more) = (frame_count / shard_count, frame_count % shard_count);
     let first_of = |shard: usize| shard * each + shard.min(more);
@@ -18,7 +18,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_frame_is_dealt_once_and_evenly() {
+    fn frames_are_partitioned_into_even_chunks() {
         for frame_count in [0, 1, 2, 7, 8, 9, 240, 1001] {
             for shard_count in [1, 2, 3, 8, 16, 300] {
                 let shards = deal(frame_count, shard_count);

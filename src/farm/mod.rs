@@ -1,4 +1,4 @@
-//! Frames dealt to machines that share nothing but folders.
+//! Distributes frames over machines that share only folders.
 //!
 //! ```text
 //!                         ┌─▶ shard 0   frames 0 1 2   ─┐
@@ -6,13 +6,15 @@
 //!                         └─▶ shard 2   frames 6 7     ─┘
 //! ```
 //!
-//! What all frames of a sequence share (the voxel size, the camera of pictures) is found out once, and stands in the plan:
-//! so any number of shards makes the bytes that one process makes. Shards have no journal and no lock in common. What is done is
-//! seen from the outputs themselves ([`crate::pipeline::inspect`]); outputs appear by rename, whole; and whoever makes a frame
-//! makes the same bytes. So a shard may be killed and run again, or twice at the same time, and a plan may be run by
-//! any scheduler that can count.
+//! The plan contains all values that are computed once for a sequence (the voxel size, the camera of
+//! pictures), so any number of shards writes the same bytes as a single process. Shards share neither a
+//! journal nor a lock. A shard finds out from the outputs themselves which frames are done
+//! ([`crate::pipeline::inspect`]): outputs appear by rename, complete, and every shard writes the same bytes
+//! for a frame. So a shard may be killed and run again, or run twice at the same time, and any scheduler that
+//! can count can run a plan.
 //!
-//! A plan is read as strictly as any file: it names what to read, and its outputs lie in one folder.
+//! Plans are parsed as strictly as any input: a plan names the files to read, and all outputs are in one
+//! folder.
 
 mod dealing;
 mod plan;

@@ -1,4 +1,4 @@
-//! What is to be made of which frames, and by which shard.
+//! A plan: which frames to convert, with which settings, and in which shard.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -12,43 +12,45 @@ use crate::pipeline::{
 };
 use crate::surface::options::Settings;
 
-/// All that a shard needs to know.
+/// A plan for all shards.
 #[derive(Clone, Debug)]
 pub struct ShardPlan {
     /// In the order of the report.
     pub sequences: Vec<PlannedSequence>,
-    /// In the order in which they are dealt.
+    /// In the order of the shards.
     pub frames: Vec<PlannedFrame>,
-    /// The frames of each shard, by their index: one follows the other, and each frame has one.
+    /// The frames of each shard, as a range of indices: the ranges are contiguous, and together they cover
+    /// all frames.
     pub shards: Vec<Range<usize>>,
-    /// What stands in the way of all frames: paths and patterns, absolute.
+    /// The obstacles of all frames: absolute paths and patterns.
     pub obstacles: Vec<PathBuf>,
 }
 
 /// Frames that share their settings.
 #[derive(Clone, Debug)]
 pub struct PlannedSequence {
-    /// What to call it.
+    /// The name for messages.
     pub name: String,
-    /// What is made of its frames.
+    /// The kind of conversion.
     pub job: Job,
-    /// Its settings; of level sets, for any voxel size.
+    /// The settings; for level sets, they apply to any voxel size.
     pub settings: Arc<Settings>,
-    /// Where the voxel size is from, unless it was given.
+    /// The source of the voxel size, unless it was given.
     pub measured: Option<MeasuredSpacing>,
-    /// What is written of it, and where: the folder, absolute, is the same for all sequences. A camera that is needed is fixed.
+    /// The output options. The folder is absolute, and the same for all sequences; a camera, if there is one,
+    /// is fixed.
     pub outputs: Arc<OutputOptions>,
 }
 
-/// A frame, and to which sequence it belongs.
+/// A frame, and the sequence that it belongs to.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlannedFrame {
-    /// The file of particles, absolute.
+    /// The particle file, absolute.
     pub input: PathBuf,
-    /// What its outputs are called: a file name, without folder and extension.
+    /// The base name of its outputs: a file name without folder and extension.
     pub stem: String,
-    /// Its number, where it has one.
+    /// Its number, if it has one.
     pub number: Option<u64>,
     /// The size of the file when the plan was made.
     pub size_bytes: u64,
@@ -62,7 +64,7 @@ impl ShardPlan {
         self.sequences.first().map(|sequence| sequence.outputs.folder.as_path())
     }
 
-    /// The same plan for outputs that lie elsewhere.
+    /// The same plan with another output folder.
     pub fn with_out(mut self, folder: &Path) -> ShardPlan {
         for sequence in &mut self.sequences {
             Arc::make_mut(&mut sequence.outputs).folder = folder.to_owned();
@@ -70,7 +72,8 @@ impl ShardPlan {
         self
     }
 
-    /// Whether a path is that of an input, an output or a certificate: what nothing else may be written over.
+    /// Whether a path is an input, an output or a certificate of the plan, which other files must not
+    /// replace.
     pub fn names(&self, path: &Path) -> bool {
         let path = entry(path);
         let is_output = |planned: &PlannedFrame| {
@@ -79,21 +82,21 @@ impl ShardPlan {
         let folder = self.out().and_then(|folder| folder.canonicalize().ok());
         let is_input = |planned: &PlannedFrame| {
             let input = file_of(&planned.input);
-            // Looking at all files of a shot would keep a file server busy.
+            // A stat call for every file of a shot would load a file server.
             input.file_name() == path.file_name() && are_one_file(input, &path)
         };
         self.frames.iter().any(is_input)
             || (folder.as_deref() == path.parent() && self.frames.iter().any(is_output))
     }
 
-    /// The files that a frame becomes: its outputs, and its certificate.
+    /// The files that a frame writes: its outputs, and its certificate.
     pub(super) fn outputs(&self, planned: &PlannedFrame) -> impl Iterator<Item = PathBuf> {
         let OutputOptions { folder, formats, .. } = &*self.sequences[planned.sequence].outputs;
         let outputs = formats.iter().map(|&format| output_path(folder, &planned.stem, format));
         outputs.chain([certificate_path(folder, &planned.stem)])
     }
 
-    /// A frame as the pipeline takes it.
+    /// The frame in the form that the pipeline takes.
     pub fn frame(&self, planned: &PlannedFrame, obstacles: &Arc<ObstacleFiles>) -> Frame {
         let sequence = &self.sequences[planned.sequence];
         Frame {

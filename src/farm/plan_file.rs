@@ -1,11 +1,10 @@
-//! A plan as a file: JSON, as `docs/farm.md` tells it.
+//! Reads and writes plans as JSON; `docs/farm.md` describes the format.
 //!
-//! The structs here are the file's own. Numbers that results depend on are text, in the shortest form that reads back as the
-//! same number: many a program that reads JSON and writes it again has another idea of their last digits.
+//! The structs here mirror the file. Numbers that affect results are text, in the shortest form that reads
+//! back as the same number, because many programs that rewrite JSON change the last digits of numbers.
 //!
-//! Nothing is taken on trust. What is not understood is an error that names the line, or the place as a JSON pointer; nothing
-//! that is missing has a default; and as every output is called by a plain name in one folder, a plan cannot have a
-//! file written elsewhere.
+//! A plan is not trusted. Anything unknown is an error with the line or a JSON pointer; missing values have
+//! no defaults; and every output has a plain name in one folder, so a plan cannot write a file elsewhere.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fmt;
@@ -29,13 +28,13 @@ use crate::surface::skin::SLACK_MAX_VOXELS;
 use super::dealing::SHARDS_MAX;
 use super::plan::{PlannedFrame, PlannedSequence, ShardPlan};
 
-/// Another number, another form of the file.
+/// A change of the file's format needs another number.
 const VERSION: u64 = 1;
 
-/// A file with more bytes is no plan: a million frames take a third of it.
+/// A larger file is not a plan: a million frames take a third of it.
 const SIZE_MAX_BYTES: u64 = 1 << 30;
 
-/// Edges of pictures, pixels.
+/// The allowed edges of pictures, pixels.
 const PICTURE_EDGES: std::ops::RangeInclusive<usize> = 16..=8192;
 
 #[derive(Serialize, Deserialize)]
@@ -51,7 +50,7 @@ struct PlanFile {
     frames: Vec<PlannedFrame>,
 }
 
-/// What tells a plan from other files, and which form it has.
+/// The fields that identify a plan and its version.
 #[derive(Deserialize)]
 struct Head {
     meniscus_plan: Option<u64>,
@@ -75,14 +74,14 @@ struct Outputs {
 #[serde(deny_unknown_fields)]
 struct SequenceEntry {
     name: String,
-    /// By name, as text: see [`MethodOptions::to_pairs`].
+    /// As text, by name: see [`MethodOptions::to_pairs`].
     settings: BTreeMap<String, String>,
-    /// Of level sets: by how many voxels smoothing may move their surfaces.
+    /// For level sets: by how many voxels smoothing may move their surfaces.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     band_slack: Option<String>,
-    /// Where pictures are written.
+    /// Only with pictures.
     camera: Option<String>,
-    /// Where the particle spacing was measured.
+    /// The source of the measured particle spacing.
     measured: Option<PlannedSpacing>,
 }
 
@@ -102,12 +101,12 @@ struct ShardEntry {
     count: usize,
 }
 
-/// What is wrong with a plan.
+/// An error in a plan.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PlanError {
-    /// Where: a JSON pointer, empty for the whole file; errors of the form have their line in the sentence.
+    /// A JSON pointer, empty for the whole file; syntax errors have their line in the message.
     pub place: String,
-    /// A sentence.
+    /// The message.
     pub what: String,
 }
 
@@ -129,10 +128,10 @@ impl fmt::Display for PlanError {
 impl std::error::Error for PlanError {}
 
 impl ShardPlan {
-    /// Reads the plan in a file.
+    /// Reads a plan from a file.
     ///
     /// # Errors
-    /// When it cannot be read, or is no plan of this version of the program.
+    /// When the file cannot be read, or is not a plan of this version of the program.
     pub fn read(path: &Path) -> Result<ShardPlan, PlanError> {
         let cannot = |error: io::Error| PlanError::at("", format!("cannot be read: {error}"));
         let mut bytes = Vec::new();
@@ -140,15 +139,15 @@ impl ShardPlan {
             .and_then(|file| file.take(SIZE_MAX_BYTES + 1).read_to_end(&mut bytes))
             .map_err(cannot)?;
         if bytes.len() as u64 > SIZE_MAX_BYTES {
-            return Err(PlanError::at("", "more than 1 GiB: this is no plan"));
+            return Err(PlanError::at("", "more than 1 GiB: this is not a plan"));
         }
         parse(&bytes)
     }
 
-    /// Writes the plan, whole or not at all.
+    /// Writes the plan atomically.
     ///
     /// # Errors
-    /// When a path is not Unicode, or the system refuses.
+    /// When a path is not Unicode, or the system reports an error.
     pub fn write(&self, path: &Path) -> Result<(), PlanError> {
         let file = PlanFile::of(self)?;
         let written = write_whole(path, |out| Ok(write_json(out, &file)?));
@@ -156,27 +155,27 @@ impl ShardPlan {
     }
 }
 
-/// The plan in the bytes of a file.
+/// Parses the bytes of a plan file.
 ///
 /// # Errors
-/// What is wrong with it, and where.
+/// The first error, and its place.
 pub fn parse(bytes: &[u8]) -> Result<ShardPlan, PlanError> {
     let of_form = |error: serde_json::Error| PlanError::at("", error.to_string());
     if !bytes.trim_ascii_start().starts_with(b"{") {
-        return Err(PlanError::at("", "this is no plan of meniscus, which is a JSON object"));
+        return Err(PlanError::at("", "this is not a meniscus plan: expected a JSON object"));
     }
     let head: Head = serde_json::from_slice(bytes).map_err(of_form)?;
     match head.meniscus_plan {
-        None => return Err(PlanError::at("/meniscus_plan", "missing: this is no plan of meniscus")),
+        None => return Err(PlanError::at("/meniscus_plan", "missing: this is not a meniscus plan")),
         Some(VERSION) => {}
         Some(other) => {
             return Err(PlanError::at(
                 "/meniscus_plan",
-                format!("the form of this plan is number {other}, and only {VERSION} is known here"),
+                format!("plan version {other} is not supported (expected {VERSION})"),
             ));
         }
     }
-    // Another version may make other bytes, and shards of one plan must make the same.
+    // Another version may write other bytes, and all shards of a plan must write the same.
     let generator = head.generator.unwrap_or_default();
     if generator != GENERATOR_AND_VERSION {
         return Err(PlanError::at(
@@ -189,7 +188,7 @@ pub fn parse(bytes: &[u8]) -> Result<ShardPlan, PlanError> {
 
 impl PlanFile {
     fn of(plan: &ShardPlan) -> Result<PlanFile, PlanError> {
-        let first = plan.sequences.first().ok_or_else(|| PlanError::at("/sequences", "there are none"))?;
+        let first = plan.sequences.first().ok_or_else(|| PlanError::at("/sequences", "must not be empty"))?;
         plan.frames.iter().try_for_each(|frame| text(&frame.input).map(drop))?;
         Ok(PlanFile {
             meniscus_plan: VERSION,
@@ -213,7 +212,7 @@ impl PlanFile {
             .map(|(index, entry)| entry.into_sequence(&format!("/sequences/{index}"), &outputs))
             .collect::<Result<Vec<_>, _>>()?;
         if sequences.is_empty() {
-            return Err(PlanError::at("/sequences", "there are none"));
+            return Err(PlanError::at("/sequences", "must not be empty"));
         }
         let shards = shards(&self.shards, self.frames.len())?;
         check_frames(&self.frames, sequences.len())?;
@@ -224,13 +223,13 @@ impl PlanFile {
             obstacles: obstacles.collect::<Result<_, _>>()?,
         };
         match replaced_input(&plan) {
-            Some(index) => Err(PlanError::at(format!("/frames/{index}/input"), "it is an output, too")),
+            Some(index) => Err(PlanError::at(format!("/frames/{index}/input"), "it is also an output")),
             None => Ok(plan),
         }
     }
 }
 
-/// The index of a frame whose input would be replaced by an output of the plan.
+/// The index of a frame whose input an output of the plan would replace.
 fn replaced_input(plan: &ShardPlan) -> Option<usize> {
     let outputs: HashSet<PathBuf> = plan.frames.iter().flat_map(|planned| plan.outputs(planned)).collect();
     plan.frames.iter().position(|planned| outputs.contains(file_of(&planned.input)))
@@ -256,10 +255,10 @@ impl Outputs {
         let Outputs { formats, up, meters_per_unit, quantize, vdb_half, vdb_compression, picture_size } =
             self;
         if formats.is_empty() {
-            return Err(PlanError::at("/outputs/formats", "there are none"));
+            return Err(PlanError::at("/outputs/formats", "must not be empty"));
         }
         if let Some(index) = (1..formats.len()).find(|&index| formats[..index].contains(&formats[index])) {
-            let what = format!("`{}` is there already", formats[index]);
+            let what = format!("`{}` is listed twice", formats[index]);
             return Err(PlanError::at(format!("/outputs/formats/{index}"), what));
         }
         if !picture_size.iter().all(|edge| PICTURE_EDGES.contains(edge)) {
@@ -329,19 +328,19 @@ impl SequenceEntry {
         for (name, value) in &self.settings {
             options.set(name, value).ok_or_else(|| {
                 let place = format!("{place}/settings/{}", escaped(name));
-                PlanError::at(place, format!("`{value}` is no value for it, or there is no such setting"))
+                PlanError::at(place, format!("unknown setting, or invalid value `{value}`"))
             })?;
         }
         let settings = Settings::resolve(&options, None)
             .map_err(|error| PlanError::at(format!("{place}/settings"), error.to_string()))?;
-        // Whatever a default would fill in may be another one for another shard.
+        // The default of a missing setting may be different for another shard.
         let needed = settings.to_options().to_pairs();
         let place = |name: &str| format!("{place}/settings/{}", escaped(name));
         if let Some((name, _)) = needed.iter().find(|(name, _)| !self.settings.contains_key(*name)) {
             return Err(PlanError::at(place(name), "missing: a plan has every setting"));
         }
         match self.settings.keys().find(|key| needed.iter().all(|(name, _)| name != key)) {
-            Some(name) => Err(PlanError::at(place(name), "it has no use beside the other settings")),
+            Some(name) => Err(PlanError::at(place(name), "it has no effect with the other settings")),
             None => Ok(settings),
         }
     }
@@ -361,7 +360,7 @@ impl PlannedSpacing {
     }
 }
 
-/// What is made of level sets with this slack.
+/// The job for level sets with this slack.
 fn level_set_job(place: &str, slack: &str) -> Result<Job, PlanError> {
     let slack_voxels = number(place, slack)?;
     match (0.0..=f64::from(SLACK_MAX_VOXELS)).contains(&slack_voxels) {
@@ -380,24 +379,24 @@ fn with_camera(
     let has_pictures = outputs.has_pictures();
     let camera = match (camera, has_pictures) {
         (None, false) => return Ok(outputs.clone()),
-        (None, true) => return Err(PlanError::at(place, "missing, and there are pictures to take")),
-        (Some(_), false) => return Err(PlanError::at(place, "there are no pictures to take")),
+        (None, true) => return Err(PlanError::at(place, "missing: the pictures need a camera")),
+        (Some(_), false) => return Err(PlanError::at(place, "not allowed, because no format is a picture")),
         (Some(camera), true) => camera,
     };
     let camera: CameraChoice = camera.parse().map_err(|why: String| PlanError::at(&*place, why))?;
     if camera.needs_bounds() {
-        return Err(PlanError::at(place, "it must be fixed, or each frame has another"));
+        return Err(PlanError::at(place, "it must be fixed: this camera depends on the frame"));
     }
     let picture = PictureOptions { camera, ..outputs.picture };
     Ok(OutputOptions { picture, ..outputs.clone() })
 }
 
-/// Chunks that follow each other and have all frames.
+/// Checks that the chunks are contiguous and cover all frames.
 fn shards(entries: &[ShardEntry], frame_count: usize) -> Result<Vec<Range<usize>>, PlanError> {
     if !(1..=SHARDS_MAX).contains(&entries.len()) {
         return Err(PlanError::at(
             "/shards",
-            format!("there are {}: 1 to {SHARDS_MAX} may be", entries.len()),
+            format!("there are {}, expected 1 to {SHARDS_MAX}", entries.len()),
         ));
     }
     let mut next = 0;
@@ -417,14 +416,14 @@ fn shards(entries: &[ShardEntry], frame_count: usize) -> Result<Vec<Range<usize>
     }
     match next == frame_count {
         true => Ok(shards),
-        false => Err(PlanError::at("/shards", format!("frames from {next} on are in no shard"))),
+        false => Err(PlanError::at("/shards", format!("no shard has the frames from {next} on"))),
     }
 }
 
-/// Refuses frames that no plan may have.
+/// Checks the frames of a plan.
 fn check_frames(frames: &[PlannedFrame], sequence_count: usize) -> Result<(), PlanError> {
     if frames.is_empty() {
-        return Err(PlanError::at("/frames", "there are none"));
+        return Err(PlanError::at("/frames", "must not be empty"));
     }
     let mut index_of: HashMap<&str, usize> = HashMap::with_capacity(frames.len());
     for (index, PlannedFrame { input, stem, sequence, .. }) in frames.iter().enumerate() {
@@ -434,10 +433,10 @@ fn check_frames(frames: &[PlannedFrame], sequence_count: usize) -> Result<(), Pl
             return Err(PlanError::at(place("sequence"), what));
         }
         if !is_plain_name(stem) {
-            return Err(PlanError::at(place("stem"), format!("`{stem}` is no plain name of a file")));
+            return Err(PlanError::at(place("stem"), format!("`{stem}` is not a plain file name")));
         }
         if let Some(other) = index_of.insert(stem, index) {
-            let what = format!("`{stem}` is what the outputs of frame {other} are called");
+            let what = format!("`{stem}` is already the stem of frame {other}");
             return Err(PlanError::at(place("stem"), what));
         }
         absolute(&place("input"), &text(input)?)?;
@@ -445,31 +444,31 @@ fn check_frames(frames: &[PlannedFrame], sequence_count: usize) -> Result<(), Pl
     Ok(())
 }
 
-/// A name that stays in its folder, on any system.
+/// Whether a name stays in its folder, on any system.
 fn is_plain_name(stem: &str) -> bool {
     !stem.is_empty() && !stem.contains(['/', '\\', ':', '\0']) && stem != "." && stem != ".."
 }
 
 fn absolute(place: &str, text: &str) -> Result<PathBuf, PlanError> {
     let path = PathBuf::from(text);
-    // Relative to what, each shard would see in its own way.
+    // Each shard could resolve a relative path differently.
     match path.is_absolute() && !text.contains('\0') {
         true => Ok(path),
-        false => Err(PlanError::at(place, format!("`{text}` is no absolute path"))),
+        false => Err(PlanError::at(place, format!("`{text}` is not an absolute path"))),
     }
 }
 
 fn number(place: &str, text: &str) -> Result<f64, PlanError> {
     let number = text.parse::<f64>().ok().filter(|number| number.is_finite() && *number > 0.0);
-    number.ok_or_else(|| PlanError::at(place, format!("`{text}` is no positive number")))
+    number.ok_or_else(|| PlanError::at(place, format!("`{text}` is not a positive number")))
 }
 
 fn text(path: &Path) -> Result<String, PlanError> {
     let text = path.to_str().map(str::to_owned);
-    text.ok_or_else(|| PlanError::at("", format!("{}: a plan can name only what is Unicode", path.display())))
+    text.ok_or_else(|| PlanError::at("", format!("{}: the path is not Unicode", path.display())))
 }
 
-/// A key as it stands in a JSON pointer.
+/// A key in the form that JSON pointers need.
 fn escaped(key: &str) -> String {
     key.replace('~', "~0").replace('/', "~1")
 }

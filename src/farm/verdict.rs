@@ -1,4 +1,4 @@
-//! Whether what was planned is there.
+//! Verifies the outputs of a plan.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -11,27 +11,27 @@ use crate::pipeline::{InspectedState, Inspection, ObstacleFiles, inspect, write_
 
 use super::plan::ShardPlan;
 
-/// What there is of each frame of a plan.
+/// The verdict on each frame of a plan.
 #[derive(Clone, Debug)]
 pub struct Verdicts {
     /// In the order of the plan.
     pub frames: Vec<FrameVerdict>,
 }
 
-/// What there is of a frame.
+/// The verdict on a frame.
 #[derive(Clone, Debug)]
 pub struct FrameVerdict {
-    /// Which shard has it.
+    /// The shard of the frame.
     pub shard: usize,
-    /// What there is.
+    /// The state of its outputs.
     pub state: InspectedState,
-    /// Whether its input was there, and could be compared with what the outputs were made from.
+    /// Whether its input exists, and so was compared with the provenance of the outputs.
     pub input_is_there: bool,
-    /// The same of its obstacles.
+    /// Whether all its obstacles exist.
     pub obstacles_are_there: bool,
 }
 
-/// Looks at every output of a plan: from its first byte to its last, and at the inputs that are there. Nothing is written.
+/// Checks all bytes of every output of a plan, and the inputs that exist. Writes nothing.
 pub fn verify(plan: &ShardPlan) -> Verdicts {
     let obstacles = Arc::new(ObstacleFiles::new(plan.obstacles.clone()));
     let shards = plan.shards.par_iter().enumerate();
@@ -47,7 +47,7 @@ pub fn verify(plan: &ShardPlan) -> Verdicts {
 }
 
 impl FrameVerdict {
-    /// What became of the frame, in a word.
+    /// The state in one word.
     pub fn status(&self) -> &'static str {
         match self.state {
             InspectedState::Done => "done",
@@ -58,7 +58,7 @@ impl FrameVerdict {
         }
     }
 
-    /// Why it is not done; nothing of one that is.
+    /// Why the frame is not done; `None` if it is.
     pub fn why(&self) -> Option<&str> {
         match &self.state {
             InspectedState::Done => None,
@@ -69,28 +69,28 @@ impl FrameVerdict {
         }
     }
 
-    /// Whether its shard would make it again.
+    /// Whether its shard would convert it again.
     pub fn is_to_be_made(&self) -> bool {
         !matches!(self.state, InspectedState::Done | InspectedState::Uncertified(_))
     }
 }
 
-/// All words for what becomes of a frame.
+/// All values of [`FrameVerdict::status`].
 const STATUSES: [&str; 5] = ["done", "missing", "damaged", "stale", "uncertified"];
 
 impl Verdicts {
-    /// How many frames became what, in a fixed order.
+    /// The number of frames with each status, in a fixed order.
     pub fn counts(&self) -> [(&'static str, usize); 5] {
         let count = |status| self.frames.iter().filter(|frame| frame.status() == status).count();
         STATUSES.map(|status| (status, count(status)))
     }
 
-    /// Frames that are as they were to be.
+    /// The number of frames that are done.
     pub fn done_count(&self) -> usize {
         self.frames.iter().filter(|frame| frame.state == InspectedState::Done).count()
     }
 
-    /// The shards that have something to do, in order.
+    /// The shards that have frames to convert, in order.
     pub fn shards_to_run(&self) -> Vec<usize> {
         let open = self.frames.iter().filter(|frame| frame.is_to_be_made());
         let mut shards: Vec<usize> = open.map(|frame| frame.shard).collect();
@@ -98,18 +98,18 @@ impl Verdicts {
         shards
     }
 
-    /// Frames whose input is not there any more.
+    /// The number of frames whose input is missing.
     pub fn input_missing_count(&self) -> usize {
         self.frames.iter().filter(|frame| !frame.input_is_there).count()
     }
 
-    /// Frames of whose obstacles one is not there any more.
+    /// The number of frames with a missing obstacle.
     pub fn obstacle_missing_count(&self) -> usize {
         self.frames.iter().filter(|frame| !frame.obstacles_are_there).count()
     }
 }
 
-/// The verdicts as a file.
+/// The verdicts as a JSON file.
 #[derive(Debug, Serialize)]
 pub struct VerdictRecord<'a> {
     version: &'static str,
@@ -144,7 +144,7 @@ struct VerifiedFrame<'a> {
 }
 
 impl<'a> VerdictRecord<'a> {
-    /// The verdicts on the plan in the file at `path`, of the outputs in `folder`.
+    /// The verdicts on the plan in the file at `path`, for the outputs in `folder`.
     pub fn new(plan: &'a ShardPlan, verdicts: &'a Verdicts, path: &Path, folder: &Path) -> VerdictRecord<'a> {
         let [done, missing, damaged, stale, uncertified] = verdicts.counts().map(|(_, count)| count);
         let frames = plan.frames.iter().zip(&verdicts.frames).map(|(planned, verdict)| VerifiedFrame {
@@ -175,10 +175,10 @@ impl<'a> VerdictRecord<'a> {
         }
     }
 
-    /// Writes the record, whole or not at all.
+    /// Writes the file atomically.
     ///
     /// # Errors
-    /// When the system refuses.
+    /// When the system reports an error.
     pub fn write(&self, path: &Path) -> meniscus_formats::Result<()> {
         write_whole(path, |out| Ok(write_json(out, self)?))
     }

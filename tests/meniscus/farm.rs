@@ -200,7 +200,7 @@ fn a_plan_replaces_none_of_its_inputs() {
     fs::write(&path, plan.to_string()).expect("written");
     let ran = shard(folder.path(), 1);
     assert_eq!(ran.status, 2);
-    assert!(ran.err.contains("/frames/0/input: it is an output, too"), "{}", ran.err);
+    assert!(ran.err.contains("/frames/0/input: it is also an output"), "{}", ran.err);
 }
 
 #[test]
@@ -459,7 +459,7 @@ const CASES: [Case; 12] = [
             let arguments = ["convert", "in/dam.1.ply", "--out=out", "--voxel-size=0.07", "--format=glb"];
             succeeded(&meniscus(f, &arguments));
         },
-        "dam.1.glb: voxel_size is 0.07, and was to be 0.04",
+        "dam.1.glb: voxel_size is 0.07, expected 0.04",
     ),
     ("stale", |f| write_ply(&f.join("in/dam.1.ply"), &block(5, 0.0)), "made from another state of the input"),
     (
@@ -572,37 +572,37 @@ fn outputs_are_verified_wherever_they_lie() {
 /// Edits of a good plan, by JSON pointer, and what is told of them.
 fn edits() -> Vec<(&'static str, Value, &'static str)> {
     vec![
-        ("/meniscus_plan", json!(2), "/meniscus_plan: the form of this plan is number 2"),
+        ("/meniscus_plan", json!(2), "/meniscus_plan: plan version 2 is not supported"),
         ("/meniscus_plan", json!("1"), "invalid type: string"),
         ("/generator", json!("meniscus 0.0.1"), "/generator: this is a plan of `meniscus 0.0.1`"),
-        ("/out", json!("out"), "/out: `out` is no absolute path"),
+        ("/out", json!("out"), "/out: `out` is not an absolute path"),
         ("/out", Value::Null, "invalid type: null"),
         ("/outputs/formats", json!(["glb", "exe"]), "unknown format `exe`"),
-        ("/outputs/formats", json!([]), "/outputs/formats: there are none"),
+        ("/outputs/formats", json!([]), "/outputs/formats: must not be empty"),
         ("/outputs/up", json!("x"), "unknown variant `x`"),
         ("/outputs/picture_size", json!([1, 99999999]), "/outputs/picture_size: each must be 16 to 8192"),
-        ("/sequences", json!([]), "/sequences: there are none"),
+        ("/sequences", json!([]), "/sequences: must not be empty"),
         (
             "/sequences/0/settings/voxel_size",
             json!("wide"),
-            "/sequences/0/settings/voxel_size: `wide` is no value",
+            "/sequences/0/settings/voxel_size: unknown setting, or invalid value `wide`",
         ),
         ("/sequences/0/settings/voxel_size", json!("-1"), "/sequences/0/settings: the voxel size is -1"),
-        ("/sequences/0/settings/steps", json!("1e99"), "/sequences/0/settings/steps: `1e99` is no value"),
+        ("/sequences/0/settings/steps", json!("1e99"), "/sequences/0/settings/steps: unknown setting, or"),
         ("/sequences/0/settings/step_size", json!("-1"), "/sequences/0/settings: step_size is -1"),
         ("/sequences/0/settings", json!({}), "/sequences/0/settings: the particle spacing is unknown"),
-        ("/sequences/0/camera", json!("auto"), "/sequences/0/camera: there are no pictures"),
+        ("/sequences/0/camera", json!("auto"), "/sequences/0/camera: not allowed, because no format"),
         ("/shards", json!([]), "/shards: there are 0"),
         ("/shards/1/first", json!(0), "/shards/1: "),
         ("/shards/1/count", json!(u64::MAX), "/shards/1: "),
-        ("/shards/1/count", json!(0), "/shards: frames from 2 on are in no shard"),
+        ("/shards/1/count", json!(0), "/shards: no shard has the frames from 2 on"),
         ("/shards/1/count", json!(-1), "invalid value"),
         ("/frames", json!([]), "end within 0 frames"),
-        ("/frames/0/stem", json!("../dam"), "/frames/0/stem: `../dam` is no plain name"),
-        ("/frames/0/stem", json!("/tmp/dam"), "/frames/0/stem: `/tmp/dam` is no plain name"),
-        ("/frames/1/stem", json!("dam.1"), "/frames/1/stem: `dam.1` is what the outputs of frame 0"),
+        ("/frames/0/stem", json!("../dam"), "/frames/0/stem: `../dam` is not a plain file name"),
+        ("/frames/0/stem", json!("/tmp/dam"), "/frames/0/stem: `/tmp/dam` is not a plain file name"),
+        ("/frames/1/stem", json!("dam.1"), "/frames/1/stem: `dam.1` is already the stem of frame 0"),
         ("/frames/1/sequence", json!(7), "/frames/1/sequence: there is no sequence 7"),
-        ("/frames/1/input", json!("in/dam.2.ply"), "/frames/1/input: `in/dam.2.ply` is no absolute path"),
+        ("/frames/1/input", json!("in/dam.2.ply"), "/frames/1/input: `in/dam.2.ply` is not an absolute path"),
         ("/frames/1/size_bytes", json!(1.5), "invalid type: floating point"),
     ]
 }
@@ -629,12 +629,12 @@ fn a_plan_is_taken_as_it_is_or_not_at_all() {
     refused(&serde_json::to_vec(&plan).expect("JSON"), "unknown field `voxel_size`");
     let mut plan: Value = serde_json::from_str(&text).expect("JSON");
     plan["sequences"][0]["settings"]["cg_tolerance"] = json!("0.1");
-    refused(&serde_json::to_vec(&plan).expect("JSON"), "/sequences/0/settings/cg_tolerance: it has no use");
+    refused(&serde_json::to_vec(&plan).expect("JSON"), "/sequences/0/settings/cg_tolerance: it has no");
     for end in [1, text.len() / 2, text.len() - 3] {
         refused(&text.as_bytes()[..end], "EOF while parsing");
     }
     for other in [&b""[..], b"[]", b"ply\nformat ascii 1.0\n"] {
-        refused(other, "this is no plan of meniscus");
+        refused(other, "this is not a meniscus plan");
     }
     refused(b"{}", "/meniscus_plan: missing");
     refused(&[br#"{"a":"#.to_vec(), b"[".repeat(100_000)].concat(), "at line 1");

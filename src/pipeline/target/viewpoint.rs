@@ -307,9 +307,7 @@ impl Typed {
         let is_around = azimuth.is_some() || elevation.is_some() || zoom.is_some();
         let place = match (eye, target) {
             (Some(_), Some(_)) if is_around => {
-                return Err(
-                    "eye and target fix the camera: leave out azimuth, elevation and zoom".into()
-                );
+                return Err("eye and target fix the camera: leave out azimuth, elevation and zoom".into());
             }
             (Some(eye), Some(target)) if eye == target => {
                 return Err("eye and target: expected two different places".into());
