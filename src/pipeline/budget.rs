@@ -1,24 +1,26 @@
-//! How much memory the frames under way may take together.
+//! The memory budget of the frames in flight.
 //!
 //! ```text
-//!   reserve_input    before reading: about what the file is large      waits for room, or until nothing else is reserved
+//!   reserve_input    before reading: about the size of the file        waits for room, or until nothing else
+//!   is reserved
 //!   resize           after reading: the input
-//!   reserve_compute  before computing: all that the frame will take    waits for room, or until no other frame computes
+//!   reserve_compute  before computing: the peak of the frame           waits for room, or until no other
+//!   frame computes
 //!   resize           after computing: the surface
 //!   drop             after writing
 //! ```
 //!
-//! Every wait ends. A frame that computes never waits for memory again, so it ends and
-//! gives back what it has; when none computes, the one that waits may. For that, one thread reserves for input and one
-//! for computing: then at most two frames have memory and do not compute, of which the earlier is next.
+//! Every wait ends. A frame that computes never waits for memory again, so it finishes and releases its
+//! memory; when no frame computes, a waiting one may start. For that, one thread reserves for input and one
+//! for computing: then at most two frames hold memory without computing, and the earlier one is next.
 //!
-//! A plan that is larger than the whole budget so runs alone, beside at most the particles of the next. The
-//! method makes none such: it skins in tiles what does not fit, or says that it cannot.
+//! So a plan that is larger than the whole budget runs alone, next to at most the particles of the next
+//! frame. The method makes no such plan: it uses tiles for frames that do not fit, or returns an error.
 
 use std::collections::HashMap;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
-/// Memory to be shared, in bytes.
+/// A limit on shared memory, in bytes.
 pub(super) struct Budget {
     limit: u64,
     taken: Mutex<Taken>,
@@ -27,14 +29,14 @@ pub(super) struct Budget {
 
 #[derive(Default)]
 struct Taken {
-    /// Wide enough for any sum of sizes that somebody claims.
+    /// Wide enough for any sum of 64-bit sizes.
     bytes: u128,
     admitted_count: usize,
-    /// What is there for all frames: by whom, and how much.
+    /// Memory that all frames share, by owner, in bytes.
     aside: HashMap<usize, u64>,
 }
 
-/// A frame's part of the budget, given back when it is dropped.
+/// A frame's share of the budget, released on drop.
 pub(super) struct Reservation<'a> {
     budget: &'a Budget,
     bytes: u64,
@@ -42,20 +44,20 @@ pub(super) struct Reservation<'a> {
 }
 
 impl Budget {
-    /// A budget of so many bytes.
+    /// A budget of `limit` bytes.
     pub(super) fn new(limit: u64) -> Budget {
         Budget { limit, taken: Mutex::default(), given_back: Condvar::new() }
     }
 
-    /// Waits until there is room for so much more, or nothing is taken.
+    /// Waits until `bytes` more fit, or nothing is reserved.
     pub(super) fn reserve_input(&self, bytes: u64) -> Reservation<'_> {
         let mut taken = self.wait_while(|taken| taken.bytes > 0 && !self.fits(taken, 0, bytes));
         taken.bytes += u128::from(bytes);
         Reservation { budget: self, bytes, is_admitted: false }
     }
 
-    /// Counts what is there for all frames, as long as there are any, in place of what `owner` had before. That there
-    /// is less room then makes nobody wait for ever: who waits still waits for other frames only.
+    /// Sets the memory that `owner` shares with all frames, while there are any. The smaller remaining budget
+    /// cannot cause a deadlock: waiting frames still wait only for other frames.
     pub(super) fn set_shared(&self, owner: usize, bytes: u64) {
         self.taken().aside.insert(owner, bytes);
         self.given_back.notify_all();
@@ -71,14 +73,14 @@ impl Budget {
         waited.unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Two numbers are in order whatever panicked beside them.
+    /// Both numbers are consistent at any time, so a poisoned lock is, too.
     fn taken(&self) -> MutexGuard<'_, Taken> {
         self.taken.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Reservation<'_> {
-    /// Takes so much from now on, whether there is room or not: what is there cannot be argued with.
+    /// Records memory that is already allocated; may exceed the limit.
     pub(super) fn resize(&mut self, bytes: u64) {
         let mut taken = self.budget.taken();
         taken.bytes = taken.bytes - u128::from(self.bytes) + u128::from(bytes);
@@ -86,8 +88,7 @@ impl Reservation<'_> {
         self.budget.given_back.notify_all();
     }
 
-    /// Waits until there is room for so much in place of what is taken already, or until no other
-    /// frame is admitted.
+    /// Waits until `bytes` fit in place of the current reservation, or until no other frame computes.
     pub(super) fn reserve_compute(&mut self, bytes: u64) {
         let budget = self.budget;
         let own = u128::from(self.bytes);
@@ -114,9 +115,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_set_aside_is_room_for_nobody() {
+    fn shared_memory_reduces_the_budget() {
         let budget = Budget::new(10);
-        // Who is alone never waits.
+        // A frame that is alone never waits.
         budget.set_shared(1, 20);
         drop(budget.reserve_input(30));
         for (owner, bytes) in [(1, 3), (2, 1)] {

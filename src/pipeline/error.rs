@@ -11,7 +11,7 @@ use crate::surface::skin::{TooFine, TooLarge};
 use crate::pipeline::files::out_folder::is_disk_full;
 use crate::pipeline::files::shown::shown;
 
-/// The stages of a frame, as users know them.
+/// The stages of a frame, as shown to users.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
     /// File to particles.
@@ -44,8 +44,8 @@ impl fmt::Display for Stage {
 /// Why a frame was not converted.
 #[derive(Debug)]
 pub struct FrameError {
-    /// The file at fault: the input, or the output that could not be written. Of [`Cause::Scratch`], the
-    /// outputs without their extension: they lie where what does not fit into memory was to be.
+    /// The file that caused the error: the input, or the output that could not be written. For
+    /// [`Cause::Scratch`], the outputs without their extension: scratch files go into the same folder.
     pub path: PathBuf,
     /// The stage that failed.
     pub during: Stage,
@@ -53,33 +53,33 @@ pub struct FrameError {
     pub cause: Cause,
 }
 
-/// What went wrong.
+/// The cause of an error.
 #[derive(Debug)]
 pub enum Cause {
-    /// The file: its content, or the system's refusal.
+    /// The file: its content, or an error of the system.
     File(meniscus_formats::Error),
     /// The input was written, replaced or removed while it was read.
     Changed,
     /// An obstacle.
     Obstacle(Box<ObstacleError>),
-    /// The particles lack an attribute, or any use of it, without which they cannot be skinned as asked.
+    /// The particles lack an attribute that the settings require, or its values are unusable.
     Missing(String),
-    /// The frame does not fit into the memory that it may take.
+    /// The frame does not fit into the memory limit.
     TooLarge(TooLarge),
     /// The voxels are too small for the frame.
     TooFine(TooFine),
-    /// What does not fit into memory could not be put on the disk, beside the outputs.
+    /// Scratch files could not be written to disk beside the outputs.
     Scratch(io::Error),
-    /// This program: a broken invariant, told by the panic's message.
+    /// A bug in this program: a broken invariant, with the panic's message.
     Panic(String),
 }
 
-/// What is wrong with an obstacle of a frame.
+/// An error in an obstacle of a frame.
 #[derive(Debug)]
 pub struct ObstacleError {
-    /// Its file; of those that move, the one that the frame was to have.
+    /// Its file; for a moving obstacle, the one for this frame.
     pub path: PathBuf,
-    /// Why it cannot be read; `None` if it was written while it was read.
+    /// Why it cannot be read; `None` if it was written during the read.
     pub source: Option<meniscus_formats::Error>,
 }
 
@@ -94,13 +94,13 @@ impl fmt::Display for ObstacleError {
 }
 
 impl FrameError {
-    /// A failure on account of a file.
+    /// An error caused by a file.
     pub fn file(path: &Path, during: Stage, source: impl Into<meniscus_formats::Error>) -> FrameError {
         FrameError { path: path.to_owned(), during, cause: Cause::File(source.into()) }
     }
 
-    /// Whether an output could not be written because the disk, or what its owner may use of it, is
-    /// full: it will go better once there is room.
+    /// Whether an output could not be written because the disk or a quota is full: the write can succeed once
+    /// there is space.
     pub fn is_disk_full(&self) -> bool {
         let source = match &self.cause {
             Cause::File(meniscus_formats::Error::Io(source)) if self.during == Stage::Write => source,
@@ -110,12 +110,12 @@ impl FrameError {
         is_disk_full(source)
     }
 
-    /// Does `work` on the frame at `path`; a panic becomes an error of this frame.
+    /// Runs `work` on the frame at `path`; a panic becomes an error of this frame.
     ///
     /// # Errors
     /// The panic's message.
     pub fn catch<T>(path: &Path, during: Stage, work: impl FnOnce() -> T) -> Result<T, FrameError> {
-        // What was under way when the panic came is dropped with the frame: nobody sees it broken.
+        // All state of the work is dropped with the frame, so no other code sees it broken.
         catch_unwind(AssertUnwindSafe(work)).map_err(|payload| FrameError {
             path: path.to_owned(),
             during,

@@ -1,21 +1,21 @@
-//! How much memory this process has held at most, and how much it may take.
+//! Measures the memory of this process, and its limits.
 
 use std::path::{Path, PathBuf};
 
-/// The largest resident size of this process until now; `None` where the system does not tell.
+/// The peak resident size of this process; `None` if the system does not report it.
 pub(super) fn peak_memory_bytes() -> Option<u64> {
     // Linux only: elsewhere the file does not exist.
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     parse_peak(&status)
 }
 
-/// What this process holds now; `None` where the system does not tell.
+/// The resident size of this process; `None` if the system does not report it.
 pub fn resident_memory_bytes() -> Option<u64> {
     parse_kibibytes(&std::fs::read_to_string("/proc/self/status").ok()?, "VmRSS:")
 }
 
-/// Half of the memory of this machine, or of what its control groups allow this process: what the frames
-/// under way take unless somebody says otherwise. Where the system tells neither, 4 GiB.
+/// The default memory for frames in flight: half of the memory of this machine, or of the limit of this
+/// process's control groups. 4 GiB if the system reports neither.
 pub fn default_memory_bytes() -> u64 {
     let read = |path: &Path| std::fs::read_to_string(path).ok();
     let machine = read(Path::new("/proc/meminfo")).and_then(|text| parse_total(&text));
@@ -24,15 +24,15 @@ pub fn default_memory_bytes() -> u64 {
     machine.into_iter().chain(allowed).min().unwrap_or(UNKNOWN_BYTES) / 2
 }
 
-/// Of a machine that does not say.
+/// The assumed memory of a machine that does not report it.
 const UNKNOWN_BYTES: u64 = 8 << 30;
 
 fn parse_total(meminfo: &str) -> Option<u64> {
     parse_kibibytes(meminfo, "MemTotal:")
 }
 
-/// The files in which the limits of a process's control groups may stand, by its `/proc/self/cgroup`. Each
-/// group is bound by those it lies in; within a container the path may be that outside.
+/// The files that may contain the limits of a process's control groups, according to its `/proc/self/cgroup`.
+/// The limits of parent groups apply to a group as well; in a container the path may be the one outside.
 fn limit_files(groups: &str) -> Vec<PathBuf> {
     let mut files = Vec::new();
     for line in groups.lines() {
@@ -51,7 +51,7 @@ fn limit_files(groups: &str) -> Vec<PathBuf> {
     files
 }
 
-/// A limit in bytes. `max`, or a number beyond any machine, is none.
+/// A limit in bytes; `None` for `max`, or for a number that exceeds any machine.
 fn parse_limit(text: &str) -> Option<u64> {
     text.trim().parse().ok().filter(|&bytes: &u64| bytes < 1 << 60)
 }
@@ -60,7 +60,7 @@ fn parse_peak(status: &str) -> Option<u64> {
     parse_kibibytes(status, "VmHWM:")
 }
 
-/// The number of bytes in the line of a file of the system that begins with `name`.
+/// The number of bytes in the line of a system file that begins with `name`.
 fn parse_kibibytes(text: &str, name: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     let kibibytes: u64 = line.trim().strip_suffix("kB")?.trim_end().parse().ok()?;
@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn limits_are_those_of_the_group_and_of_all_it_lies_in() {
+    fn limits_of_parent_groups_apply() {
         let groups = "8:cpu,cpuacct:/a\n4:memory:/b/c\n0::/d\n";
         let files = limit_files(groups);
         let expected = [
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn half_of_the_machine_is_a_sensible_amount() {
+    fn default_memory_is_plausible() {
         let bytes = default_memory_bytes();
         assert!(bytes >= 64 << 20, "{bytes} bytes");
     }

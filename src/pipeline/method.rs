@@ -1,4 +1,4 @@
-//! The three stages of the method, as the pipeline sees them.
+//! The three stages of the method, in the form that the pipeline calls.
 
 use std::fs::File;
 use std::io;
@@ -20,18 +20,18 @@ use crate::pipeline::output::writing::VDB_HALF_WIDTH_VOXELS;
 use crate::pipeline::target::outputs::{OutputFormat, OutputOptions};
 use crate::pipeline::target::stored::stored;
 
-/// The three stages of the method. Tests put a quick or a failing one in its place.
+/// The three stages of the method. Tests replace them by quick or failing ones.
 ///
 /// # Errors
-/// Each call fails when its particles are on disk and cannot be read or were changed, when there is too little
-/// memory, or when there is no room on the disk for what does not fit into it.
+/// Each call fails if the particles are on disk and cannot be read or have changed, if there is too little
+/// memory, or if the disk has no room for scratch files.
 pub trait Method: Sync {
-    /// What rasterization hands to smoothing.
+    /// The result of rasterization.
     type Rasterized: Send;
-    /// What smoothing hands to contouring.
+    /// The result of smoothing.
     type Smoothed: Send;
 
-    /// How the frame is to be skinned in so much memory.
+    /// Plans the reconstruction of the frame within a memory limit.
     fn plan(
         &self,
         particles: &FrameInput,
@@ -39,7 +39,8 @@ pub trait Method: Sync {
         settings: &Settings,
         allowed_bytes: u64,
     ) -> Result<MemoryPlan, Cause>;
-    /// The first stage, among obstacles. What does not fit into memory may be written to files without a name in `scratch`.
+    /// The first stage, with obstacles. Data that do not fit into memory may go into unnamed files in
+    /// `scratch`.
     fn rasterize(
         &self,
         particles: FrameInput,
@@ -48,14 +49,14 @@ pub trait Method: Sync {
         plan: &MemoryPlan,
         scratch: &Path,
     ) -> Result<Self::Rasterized, Cause>;
-    /// The second stage; `advanced` hears how much of it is done, from 0 to 1.
+    /// The second stage; `advanced` receives its progress, from 0 to 1.
     fn smooth(
         &self,
         rasterized: Self::Rasterized,
         settings: &Settings,
         advanced: &mut dyn FnMut(f64),
     ) -> Result<Self::Smoothed, Cause>;
-    /// The third stage, for what is to be written.
+    /// The third stage, for the outputs that are written.
     fn contour(
         &self,
         smoothed: Self::Smoothed,
@@ -64,17 +65,17 @@ pub trait Method: Sync {
     ) -> Result<FrameSurface, Cause>;
 }
 
-/// The method that this program is for.
+/// The method of this program.
 #[derive(Clone, Copy, Debug)]
 pub struct LevelSetSkinning;
 
 /// A frame between two stages: in memory, or in tiles on disk.
 pub enum StagedSurface<T> {
-    /// Whole; and its particles, where their attributes are wanted later.
+    /// In one piece, with its particles if their attributes are needed later.
     Whole(T, Option<ShapedSource<FrameInput>>),
     /// In tiles.
     Tiled(Box<TiledFrame<ShapedSource<FrameInput>>>),
-    /// From a level set that was given.
+    /// From a level-set file.
     OfLevelSet(Box<BoundedBand>),
 }
 
@@ -96,7 +97,7 @@ impl Method for LevelSetSkinning {
             let memory_bytes = whole_bytes.saturating_sub(particles.size_bytes());
             return Ok(MemoryPlan { memory_bytes, tile_leaves: None, whole_bytes });
         }
-        // What is given is there beside what the plan takes.
+        // The input needs memory in addition to the plan.
         let given_bytes = particles.size_bytes().saturating_add(obstacles.all_bytes);
         let planned = skin::plan(
             particles,
@@ -143,7 +144,7 @@ impl Method for LevelSetSkinning {
         let storages = storages.map_err(Cause::Scratch)?;
         let mut frame = tiled::rasterize(particles, settings, shaping, obstacles, tile_leaves, storages)?;
         frame.report_mut().seconds.rasterize = started.elapsed().as_secs_f64();
-        // It will be read once more; but what follows takes a while.
+        // It will be read again, but the next steps take a while.
         frame.source().given().check_unchanged()?;
         Ok(StagedSurface::Tiled(Box::new(frame)))
     }
@@ -193,7 +194,7 @@ impl Method for LevelSetSkinning {
             StagedSurface::OfLevelSet(band) => (band.contour(settings, &stored(outputs)), None),
         };
         surface.report.seconds.contour = started.elapsed().as_secs_f64();
-        // Those on disk have no attributes that are wanted.
+        // Particles on disk have no selected attributes.
         let in_memory = |given| match given {
             FrameInput::InMemory(cloud) => Some(cloud),
             FrameInput::OnDisk(_) | FrameInput::LevelSet(_) => None,
@@ -211,7 +212,7 @@ impl Method for LevelSetSkinning {
     }
 }
 
-/// Where the files that are to be written have places for attributes.
+/// The targets for attributes in the output files.
 fn targets(outputs: &OutputOptions) -> Targets {
     let has_voxels = |format: &OutputFormat| !format.is_mesh() && format.has_attributes();
     Targets {
@@ -229,12 +230,12 @@ impl From<TiledError<Cause>> for Cause {
     }
 }
 
-/// A file without a name, which is gone when it is closed: when the process ends, however it ends.
+/// An unnamed file, which disappears when it is closed: also when the process ends, in whatever way.
 struct ScratchFile(File);
 
 impl ScratchFile {
     fn storage(folder: &Path) -> io::Result<Box<dyn Storage>> {
-        // Outputs come later: their folder may not be there yet.
+        // Outputs are written later, so their folder may not exist yet.
         std::fs::create_dir_all(folder)?;
         Ok(Box::new(ScratchFile(tempfile::tempfile_in(folder)?)))
     }
@@ -251,7 +252,8 @@ impl Storage for ScratchFile {
     }
 }
 
-/// Where reading at a place moves the file's own: tiles come one after the other, so nobody minds.
+/// On systems where a positioned read moves the file's cursor: tiles are read in sequence, so that does not
+/// matter.
 #[cfg(not(unix))]
 impl Storage for ScratchFile {
     fn read(&self, offset: u64, bytes: &mut [u8]) -> io::Result<()> {

@@ -1,25 +1,25 @@
-//! Frames through the stages: from files to files, several at once.
+//! Converts frames through a sequence of stages: from files to files, several at once.
 //!
 //! ```text
-//!   files        names and stamps of files; how they appear whole, together, or not at all
-//!   target       what is written of a frame: formats, pictures, and where these are taken from
-//!   input        what frames are made from: files and their steps, particles, level sets, obstacles
-//!   records      what is recorded: in outputs, beside them, and of a run
-//!   output       surfaces and particles to bytes
-//!   error        why a frame was not converted          warning    what a user should know though it was
+//!   files        names and stamps of files; atomic writes of files and sets of files
+//!   target       the outputs of a frame: formats, pictures, and their camera
+//!   input        the inputs of frames: files and their steps, particles, level sets, obstacles
+//!   records      records in outputs, beside them, and of a run
+//!   output       encodes surfaces and particles
+//!   error        why a frame was not converted          warning    likely mistakes in a converted frame
 //!
-//!   stages       read ─▶ rasterize ─▶ smooth ─▶ contour ─▶ write, several frames side by side
-//!   scheduler    which frame computes next              budget     which frame may take how much memory
-//!   semaphore    places in the channels between stages  memory     how much there is
-//!   method       the three stages in the middle         observer   is notified while frames advance
-//!   reconstruct  one frame in memory, and no files
+//!   stages       read ─▶ rasterize ─▶ smooth ─▶ contour ─▶ write, several frames in parallel
+//!   scheduler    which frame computes next              budget     memory limits of frames in flight
+//!   semaphore    slots in the channels between stages   memory     the memory of the machine and the process
+//!   method       the three compute stages               observer   receives progress
+//!   reconstruct  one frame in memory, without files
 //! ```
 //!
-//! One command for one file, a sequence and a daemon run this same pipeline; they differ only in
-//! where frames come from. The pipeline knows nothing of flags, terminals or how the method works.
+//! Conversion of a single file, of a sequence, and by the daemon all run this pipeline; they differ only in
+//! the source of frames. The pipeline knows nothing of flags, terminals or how the method works.
 //!
-//! Whoever has files gives them to [`sequences`], finds the settings of each sequence, makes a [`Frame`] of each file,
-//! and [`run`]s them; [`stream`] takes them one by one, as they come.
+//! To convert files, pass them to [`sequences`], resolve the settings of each sequence, create a [`Frame`]
+//! for each file, and call [`run`]; [`stream`] takes frames one at a time, as they arrive.
 //!
 //! ```
 //! use std::sync::Arc;

@@ -1,10 +1,10 @@
-//! How long each phase of the method takes: the method itself has no clock.
+//! Measures the duration of each phase of the method, which itself reads no clock.
 
 use std::time::Instant;
 
 use crate::surface::report::{Phase, StageSeconds};
 
-/// Measures phases by the moments at which they begin.
+/// Measures phases by their start times.
 #[derive(Debug, Default)]
 pub struct PhaseTimer {
     seconds: StageSeconds,
@@ -12,13 +12,13 @@ pub struct PhaseTimer {
 }
 
 impl PhaseTimer {
-    /// Ends the phase before, if there is one, and begins this one.
+    /// Ends the current phase, if there is one, and starts this one.
     pub fn enter(&mut self, phase: Phase) {
         self.end();
         self.current = Some((phase, Instant::now()));
     }
 
-    /// Ends the last phase: the seconds of each.
+    /// Ends the last phase and returns the seconds of each.
     pub fn finish(mut self) -> StageSeconds {
         self.end();
         self.seconds

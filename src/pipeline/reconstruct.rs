@@ -1,4 +1,4 @@
-//! One frame through the method by itself: for whoever wants its surface, and no files.
+//! Reconstructs a single frame in memory, without output files.
 
 use std::path::{Path, PathBuf};
 
@@ -19,7 +19,7 @@ use crate::pipeline::records::frame_warnings::left_out;
 use crate::pipeline::target::outputs::OutputOptions;
 use crate::pipeline::warning::Warning;
 
-/// A frame that was read, to be skinned any number of times.
+/// A frame that was read, and can be reconstructed any number of times.
 #[derive(Debug)]
 pub struct LoadedFrame {
     path: PathBuf,
@@ -29,22 +29,22 @@ pub struct LoadedFrame {
     warnings: Vec<Warning>,
 }
 
-/// A frame that was skinned.
+/// A reconstructed frame.
 #[derive(Debug)]
 pub struct Reconstruction {
     /// Its surface.
     pub surface: FrameSurface,
-    /// What stood in the way: names and hashes of files. Empty if nothing did.
+    /// The names and hashes of its obstacle files; empty without obstacles.
     pub obstacles: String,
-    /// What a user should know though it was skinned.
+    /// Warnings about the reconstruction.
     pub warnings: Vec<Warning>,
 }
 
 impl LoadedFrame {
-    /// Reads the frame in a file, with those attributes that the settings ask for.
+    /// Reads the frame in a file, with the attributes that the settings require.
     ///
     /// # Errors
-    /// When the system refuses, or there are no particles that are read.
+    /// When the system reports an error, or the file has no readable particles.
     pub fn read(
         (path, number): (&Path, Option<u64>),
         settings: &Settings,
@@ -63,7 +63,7 @@ impl LoadedFrame {
         &self.path
     }
 
-    /// Its particles, as they were read.
+    /// Its particles, unmodified.
     pub fn particles(&self) -> &Particles {
         &self.cloud.positions
     }
@@ -73,9 +73,9 @@ impl LoadedFrame {
         self.hash
     }
 
-    /// Skins it, on the threads of the pool that this is called in, and in so much memory if that can be. What does not
-    /// fit is put into the folder of the outputs for a while. The settings ask for no attributes that were not asked
-    /// for when it was read.
+    /// Reconstructs the surface on the current thread pool, within the memory limit if possible. A frame that
+    /// does not fit writes scratch files into the folder of the outputs. The settings must not require
+    /// attributes that were not requested when the frame was read.
     ///
     /// # Errors
     /// Those of every stage.
@@ -108,7 +108,7 @@ impl LoadedFrame {
     }
 }
 
-/// A stage of the frame at `path`; a panic becomes an error of this frame.
+/// Runs a stage of the frame at `path`; a panic becomes an error of this frame.
 fn stage<T>(path: &Path, during: Stage, work: impl FnOnce() -> Result<T, Cause>) -> Result<T, FrameError> {
     let failed = |cause| FrameError { path: path.to_owned(), during, cause };
     FrameError::catch(path, during, work)?.map_err(failed)

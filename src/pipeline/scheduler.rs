@@ -1,18 +1,19 @@
-//! Which task a thread of the pool does next: that of the earliest frame.
+//! Schedules the tasks of frames on the threads of a pool: the earliest frame comes first.
 //!
-//! Each stage of each frame is a task. A thread of the pool that has nothing to do takes the waiting task of
-//! the earliest frame; only when none waits does it help with the loops of those that are running. So with
-//! many frames each thread has its own, and with one frame they share it.
+//! Each stage of each frame is a task. An idle thread of the pool takes the waiting task of the earliest
+//! frame; only if none waits, it helps with the loops of running tasks. So with many frames each thread has a
+//! separate frame, and with one frame all threads share it.
 //!
 //! ```text
-//!   queue        8 smooth   9 parse              waiting, the earliest frame first
+//!   queue        8 smooth   9 parse              waiting, earliest frame first
 //!                   ▼
-//!   threads      7 smooth   6 contour   6 ┄┄     at work; the third helps the second
+//!   threads      7 smooth   6 contour   6 ┄┄     running; the third helps the second
 //! ```
 //!
-//! `ThreadPool::install` for each stage would not do. A thread that waits for a piece of its
-//! frame's loop, which another has taken, looks for something else meanwhile, and would begin with another
-//! frame's stage on top of its own; in that, with yet another. Of 10 frames on 2 threads the first was so
+//! `ThreadPool::install` for each stage would not do. A thread that waits for a part of its frame's loop,
+//! taken by another thread, steals other work meanwhile, and would start another frame's stage on top of its
+//! own; within that, yet another. That way, the first of 10 frames on 2 threads sometimes finished last.
+//! Here, a thread within a task takes no second one.
 //! finished last, now and then. Here a thread that is within a task takes no second one.
 
 use std::cell::Cell;
@@ -30,7 +31,7 @@ pub(super) struct TaskQueue<'env> {
     waiting: Mutex<BinaryHeap<Task<'env>>>,
 }
 
-/// Gives tasks to the threads of a pool.
+/// Assigns tasks to the threads of a pool.
 #[derive(Clone, Copy)]
 pub(super) struct Scheduler<'a, 'scope, 'env> {
     scope: &'a Scope<'scope>,
@@ -57,7 +58,7 @@ impl<'a, 'scope, 'env: 'scope> Scheduler<'a, 'scope, 'env> {
         call(self.scope, self.tasks);
     }
 
-    /// Does a frame's work on one of the threads, and waits for it. A panic comes back as one.
+    /// Runs a frame's work on one of the threads, and waits for it. Propagates a panic.
     pub(super) fn run<R: Send + 'env>(
         &self,
         frame_number: usize,
@@ -65,7 +66,7 @@ impl<'a, 'scope, 'env: 'scope> Scheduler<'a, 'scope, 'env> {
     ) -> R {
         let (done, result) = bounded(1);
         self.spawn(frame_number, move || {
-            // It waits below.
+            // The receiver waits below.
             let _ = done.send(catch_unwind(AssertUnwindSafe(work)));
         });
         match result.recv().expect("each task is run") {
@@ -75,13 +76,13 @@ impl<'a, 'scope, 'env: 'scope> Scheduler<'a, 'scope, 'env> {
     }
 }
 
-/// Lets every thread have a look at the tasks as soon as it has nothing else to do.
+/// Wakes every thread to check the queue as soon as it is idle.
 fn call<'scope, 'env: 'scope>(scope: &Scope<'scope>, tasks: &'scope TaskQueue<'env>) {
     scope.spawn_broadcast(|scope, _| run_next(scope, tasks));
 }
 
 thread_local! {
-    /// Which tasks this thread is within one of: their address, or zero.
+    /// The task queue whose task this thread is running: its address, or zero.
     static WITHIN: Cell<usize> = const { Cell::new(0) };
 }
 
@@ -94,21 +95,21 @@ fn run_next<'scope, 'env: 'scope>(scope: &Scope<'scope>, tasks: &'scope TaskQueu
     let outer = WITHIN.replace(own);
     (task.work)();
     WITHIN.set(outer);
-    // Those that were called while they were within a task have not looked. And not a second one here: this
-    // may be a thread that only helps a frame, which waits for it.
+    // Threads that were woken within a task did not check the queue. This thread must not run a second task
+    // here: it may only be helping a frame that waits for it.
     if !tasks.waiting().is_empty() {
         call(scope, tasks);
     }
 }
 
 impl<'env> TaskQueue<'env> {
-    /// A heap is in order whatever panicked beside it.
+    /// Each update is a single push or pop, so a heap whose lock is poisoned is still consistent.
     fn waiting(&self) -> MutexGuard<'_, BinaryHeap<Task<'env>>> {
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// The greatest task is the one to do next: that of the earliest frame.
+/// The greatest task is the next one: that of the earliest frame.
 impl Ord for Task<'_> {
     fn cmp(&self, other: &Self) -> std::cmp::Ordering {
         Reverse(self.frame_number).cmp(&Reverse(other.frame_number))

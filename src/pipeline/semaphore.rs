@@ -21,7 +21,7 @@ impl Semaphore {
 
     /// Waits for a permit.
     pub(super) fn acquire(&self) -> Permit {
-        // It fails only without a receiver, and there is one in here.
+        // This fails only without a receiver, and `self` has one.
         let _ = self.acquired.send(());
         Permit(self.released.clone())
     }

@@ -1,4 +1,4 @@
-//! A file that is read while others may write it: nothing is known of it until it is looked at again.
+//! A file that other processes may write during a read: its stamp is checked again after the read.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -12,10 +12,10 @@ use twox_hash::xxhash3_128::Hasher;
 use super::open::{open_regular, require_regular};
 use super::stamp::FileStamp;
 
-/// The bytes of a file and its stamp; `None` when it was written, replaced or removed meanwhile.
+/// Reads a file, and returns its bytes and stamp; `None` if it was written, replaced or removed meanwhile.
 ///
 /// # Errors
-/// When the system refuses.
+/// When the system reports an error.
 pub(crate) fn read_unchanged(path: &Path) -> io::Result<Option<(Vec<u8>, FileStamp)>> {
     read_between_stamps(path, |file| {
         let mut bytes = Vec::new();
@@ -24,11 +24,12 @@ pub(crate) fn read_unchanged(path: &Path) -> io::Result<Option<(Vec<u8>, FileSta
     })
 }
 
-/// The first bytes of a file, no more than `most`, and its stamp; `None` when it was written, replaced or removed
-/// meanwhile.
+/// Reads the first `most` bytes of a file, and returns them with its stamp; `None` if it was written,
+/// replaced or removed meanwhile.
 ///
 /// # Errors
-/// When the system refuses; `InvalidInput` for what is no regular file, such as a pipe, which may have no end.
+/// When the system reports an error; `InvalidInput` if the file is not a regular file, for example a pipe,
+/// which may have no end.
 pub(crate) fn read_start_unchanged(path: &Path, most: u64) -> io::Result<Option<(Vec<u8>, FileStamp)>> {
     require_regular(&path.metadata()?)?;
     read_start_between_stamps(path, most, |file| {
@@ -38,7 +39,7 @@ pub(crate) fn read_start_unchanged(path: &Path, most: u64) -> io::Result<Option<
     })
 }
 
-/// Reads between two looks at the file.
+/// Reads between two checks of the file's stamp.
 fn read_between_stamps(
     path: &Path,
     read: impl FnOnce(&mut &File) -> io::Result<Vec<u8>>,
@@ -46,7 +47,7 @@ fn read_between_stamps(
     read_start_between_stamps(path, u64::MAX, read)
 }
 
-/// The same of no more than so many bytes.
+/// The same with a limit on the number of bytes.
 fn read_start_between_stamps(
     path: &Path,
     most: u64,
@@ -59,18 +60,18 @@ fn read_start_between_stamps(
     Ok((is_whole && input.is_unchanged_or(has_same_bytes)?).then_some((bytes, input.stamp)))
 }
 
-/// A file of particles that is open, and can be read at any place by several threads at once.
+/// An open particle file that several threads can read at any position at once.
 ///
-/// Nothing is known of a file that may be written meanwhile until it is looked at again:
-/// [`is_unchanged`](InputFile::is_unchanged) comes after the last byte that was read.
+/// Other processes may write the file, so call [`is_unchanged`](InputFile::is_unchanged) after reading the
+/// last byte.
 #[derive(Debug)]
 pub struct InputFile {
     file: File,
     path: PathBuf,
     stamp: FileStamp,
-    /// A pipe has no state that it could be in again, and no places.
+    /// Whether it is a regular file: a pipe has no positions, and no state to compare.
     is_regular: bool,
-    /// The hash of the whole file, once it was computed.
+    /// The hash of the whole file, once it is computed.
     known_hash: OnceLock<u128>,
 }
 
@@ -86,22 +87,22 @@ impl InputFile {
         Ok(InputFile { file, path: path.to_owned(), stamp, is_regular, known_hash: OnceLock::new() })
     }
 
-    /// What the file system said of it when it was opened.
+    /// The stamp of the file when it was opened.
     pub fn stamp(&self) -> FileStamp {
         self.stamp
     }
 
-    /// Whether it has places, unlike a pipe.
+    /// Whether it can be read at any position, unlike a pipe.
     pub fn is_regular(&self) -> bool {
         self.is_regular
     }
 
-    /// Whether it was neither written, replaced nor removed since it was opened, as far as the open file and
-    /// what its name leads to can tell. Where only the status change time differs, the bytes are compared if
-    /// [`hash`](InputFile::hash) was called before.
+    /// Whether the file has not been written, replaced or removed since it was opened, according to the open
+    /// file and its path. If only the status change time differs, and [`hash`](InputFile::hash) was called
+    /// before, compares the bytes.
     ///
     /// # Errors
-    /// When the system refuses.
+    /// When the system reports an error.
     pub fn is_unchanged(&self) -> io::Result<bool> {
         self.is_unchanged_or(|| match self.known_hash.get() {
             Some(&known) => Ok(self.hash_of_start(self.stamp.size)? == known),
@@ -109,17 +110,18 @@ impl InputFile {
         })
     }
 
-    /// The same. `has_same_bytes` reads the open file again and compares: it is called where only the status change time
-    /// differs. `chmod` and new hard links change that, and so does a write whose modification time was set back.
+    /// The same. `has_same_bytes` reads the open file again and compares; it is called if only the status
+    /// change time differs. `chmod` and new hard links change that time, and so does a write whose
+    /// modification time was set back.
     ///
     /// # Errors
-    /// When the system refuses.
+    /// When the system reports an error.
     pub(crate) fn is_unchanged_or(&self, has_same_bytes: impl Fn() -> io::Result<bool>) -> io::Result<bool> {
         if !self.is_regular {
             return Ok(true);
         }
         let mut seen = self.stamp;
-        // A backup makes a hard link and removes it later: that may happen while the bytes are compared.
+        // A backup creates a hard link and removes it later, perhaps during the comparison.
         for _ in 0..COMPARISONS_MAX {
             match self.stamp_now()? {
                 Some(now) if now == seen => return Ok(true),
@@ -136,7 +138,7 @@ impl InputFile {
         Ok(self.stamp_now()? == Some(seen))
     }
 
-    /// The present stamp; `None` if the name leads to another file, or to none.
+    /// The current stamp; `None` if the path leads to another file, or to none.
     fn stamp_now(&self) -> io::Result<Option<FileStamp>> {
         let at_name = match FileStamp::of_path(&self.path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
@@ -146,17 +148,16 @@ impl InputFile {
         Ok((open == at_name).then_some(open))
     }
 
-    /// The hash of the whole file, the same as of its bytes in memory. It is never there whole: a piece is read
-    /// after the other.
+    /// The hash of the whole file, equal to that of its bytes in memory. Reads the file piece by piece.
     ///
     /// # Errors
-    /// When the system refuses; `UnexpectedEof` if the file has become shorter.
+    /// When the system reports an error; `UnexpectedEof` if the file has become shorter.
     pub fn hash(&self) -> io::Result<u128> {
         let hash = self.hash_of_start(self.stamp.size)?;
         Ok(*self.known_hash.get_or_init(|| hash))
     }
 
-    /// The hash of the first bytes.
+    /// The hash of the first `byte_count` bytes.
     fn hash_of_start(&self, byte_count: u64) -> io::Result<u128> {
         let mut hasher = Hasher::new();
         let mut piece = vec![0; HASHED_BYTES];
@@ -171,7 +172,7 @@ impl InputFile {
     }
 }
 
-/// So often the bytes of a file are compared whose status change time goes on changing.
+/// The maximum number of comparisons for a file whose status change time keeps changing.
 const COMPARISONS_MAX: usize = 4;
 
 impl ReadAt for InputFile {
@@ -201,7 +202,8 @@ impl ReadAt for InputFile {
     }
 }
 
-/// Bytes that are hashed at once: few enough to be in the cache, many enough for the system's calls not to matter.
+/// Bytes per hashed piece: few enough to fit into the cache, many enough that the cost of system calls does
+/// not matter.
 const HASHED_BYTES: usize = 1 << 18;
 
 #[cfg(test)]
@@ -214,7 +216,7 @@ mod tests {
     use std::io::Write;
     use std::time::{Duration, SystemTime};
 
-    /// Reads the file, which `meddle` changes when it is half read.
+    /// Reads the file while `meddle` changes it halfway.
     fn read_while(path: &Path, meddle: impl FnOnce()) -> Option<Vec<u8>> {
         let read = read_between_stamps(path, |file| {
             let mut bytes = vec![0; 2];
@@ -227,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_changes_while_it_is_read_is_found_out() {
+    fn change_during_a_read_is_detected() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("f.ply");
         let other = folder.path().join("other.ply");
@@ -244,7 +246,7 @@ mod tests {
         #[cfg(unix)]
         let write_unseen = || {
             let modified = fs::metadata(&path).expect("there").modified().expect("a time");
-            // Until the clock of the file system goes on, a change has the time of the one before.
+            // Until the file system's clock advances, a change has the same time as the one before.
             let changed = || FileStamp::of_path(&path).expect("there").changed_ns;
             let before = changed();
             while changed() == before {
@@ -279,7 +281,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn chmod_while_a_file_is_read_is_no_change() {
+    fn chmod_during_a_read_is_not_a_change() {
         use std::os::unix::fs::PermissionsExt;
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("f.ply");
@@ -308,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_has_the_hash_of_its_bytes() {
+    fn file_hash_equals_the_hash_of_its_bytes() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("f.ply");
         for length in [0, 1, 17, 240, 241, HASHED_BYTES, HASHED_BYTES + 1, 3 * HASHED_BYTES + 12_345] {
@@ -325,7 +327,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_is_read_in_batches_by_several_threads() {
+    fn several_threads_read_a_file_in_batches() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("f.bgeo");
         let positions: Vec<[f32; 3]> = (0..5000).map(|n| [n as f32, 0.5, -1.0]).collect();

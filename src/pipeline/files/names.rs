@@ -1,22 +1,22 @@
-//! Names of files as text, and back: also those that are no text.
+//! Converts file names to text and back, including names that are not Unicode.
 //!
 //! ```text
-//!   gr\xf6\xdfe.1.ply     bytes, as disks from before UTF-8 have them
-//!   gr··e.1               the stem: each byte that is no text is a character for private use, U+F700 and the byte
+//!   gr\xf6\xdfe.1.ply     bytes that are not UTF-8, from an old disk
+//!   gr··e.1               the stem: each invalid byte becomes a private-use character, U+F700 plus the byte
 //!   gr\xf6\xdfe.1.obj     the name of the output: the same bytes
 //! ```
 //!
-//! So two names that differ differ as text, and names can be cut and joined as text. A character of that range which
-//! a name has already stands for its own bytes, so that the way back is never in doubt.
+//! So different names become different texts, and code can cut and join names as text. A character of that
+//! range that is already in a name is encoded byte by byte, so that the conversion back is unambiguous.
 
 use std::ffi::{OsStr, OsString};
 
-/// The name as text.
+/// The text of a name.
 pub(crate) fn text_of_name(name: &OsStr) -> String {
     escaped(name.as_encoded_bytes())
 }
 
-/// The name that a text stands for.
+/// The name for a text.
 pub(crate) fn name_of_text(text: &str) -> OsString {
     let mut bytes = Vec::with_capacity(text.len());
     for letter in text.chars() {
@@ -48,7 +48,7 @@ fn escape(byte: u8) -> char {
     char::from_u32(ESCAPES_START + u32::from(byte)).unwrap_or(char::REPLACEMENT_CHARACTER)
 }
 
-/// The byte that a character stands for.
+/// The byte that a character encodes.
 fn byte_of(letter: char) -> Option<u8> {
     u8::try_from(u32::from(letter).checked_sub(ESCAPES_START)?).ok()
 }
@@ -58,7 +58,7 @@ fn from_bytes(bytes: Vec<u8>) -> OsString {
     std::os::unix::ffi::OsStringExt::from_vec(bytes)
 }
 
-/// Where names are no bytes, what is no text cannot come back as it was.
+/// On systems whose names are not bytes, an invalid name cannot be restored exactly.
 #[cfg(not(unix))]
 fn from_bytes(bytes: Vec<u8>) -> OsString {
     String::from_utf8_lossy(&bytes).into_owned().into()
@@ -69,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_of_text_stay_as_they_are() {
+    fn unicode_names_are_unchanged() {
         for name in ["", "dam.0001", "größe ∞", "\u{e000}\u{fffd}"] {
             assert_eq!(text_of_name(OsStr::new(name)), name);
             assert_eq!(name_of_text(name), name);
@@ -78,7 +78,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn names_that_are_no_text_come_back() {
+    fn non_unicode_names_round_trip() {
         use std::os::unix::ffi::OsStrExt;
         let names: [&[u8]; 6] = [
             b"gr\xf6\xdfe.1",
@@ -86,7 +86,7 @@ mod tests {
             b"\xff\xfe\x80",
             b"\xe2\x82", // the beginning of a character
             "\u{f7f6}".as_bytes(),
-            b"\xf6\xef\x9f\xb6", // the byte, and what stands for it
+            b"\xf6\xef\x9f\xb6", // the byte, and its encoded form
         ];
         let texts = names.map(|name| text_of_name(OsStr::from_bytes(name)));
         for (index, (text, name)) in texts.iter().zip(names).enumerate() {

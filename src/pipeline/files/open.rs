@@ -1,9 +1,9 @@
-//! How files are opened: never waiting at a named pipe, and this program's own files never through a link.
+//! Opens files: never blocks on a named pipe, and never opens this program's own files through a link.
 //!
 //! ```text
 //!   inputs, outputs, plans, settings    open_regular   links are followed; only a regular file is opened
 //!   temporary files, served outputs     open_itself    the last part of the path is not a link, either
-//!   lock, journal                       open_own       nor is the folder that it lies in
+//!   lock, journal                       open_own       nor is the folder that contains it
 //! ```
 //!
 //! Opening a named pipe waits until a process opens its other end, which may be never. Opening a file for writing through a
@@ -14,23 +14,24 @@ use std::fs::{File, FileType, Metadata, OpenOptions};
 use std::io::{self, Read};
 use std::path::Path;
 
-/// Opens a regular file for reading. Links are followed. A pipe is opened only where this process has it open already: shells
-/// write `<(zcat dam.ply.gz)` as `/dev/fd/63`.
+/// Opens a regular file for reading. Follows links. Opens a pipe only if this process has it open already:
+/// shells write `<(zcat dam.ply.gz)` as `/dev/fd/63`.
 ///
 /// # Errors
-/// When the system refuses; `InvalidInput` for what is not a regular file.
+/// When the system reports an error; `InvalidInput` if the file is not a regular file.
 pub fn open_regular(path: &Path) -> io::Result<File> {
     if is_own_descriptor(path) {
         return File::open(path);
     }
-    // Looked at first: opening a pipe lets the process at its other end go on, and opening a device may act on it.
+    // Checked first, because opening a pipe lets the process at its other end continue, and opening a device
+    // may act on it.
     require_regular(&path.metadata()?)?;
     let file = match without_waiting(File::options().read(true)).open(path) {
-        // A file server has lent the file to a client, and asks for it back now: that takes a moment.
+        // A file server is recalling the file from another client, which takes a moment.
         Err(error) if error.kind() == io::ErrorKind::WouldBlock => File::open(path),
         file => file,
     }?;
-    // Another file may have taken its place meanwhile.
+    // Another file may have replaced it meanwhile.
     require_regular(&file.metadata()?)?;
     Ok(file)
 }
@@ -42,7 +43,7 @@ fn is_own_descriptor(path: &Path) -> bool {
             || path.starts_with("/proc/self/fd"))
 }
 
-/// The bytes of a regular file. Links are followed.
+/// Reads a regular file. Follows links.
 ///
 /// # Errors
 /// Those of [`open_regular`], and when the file cannot be read.
@@ -52,24 +53,24 @@ pub fn read_regular(path: &Path) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// The text of a regular file. Links are followed.
+/// Reads the text of a regular file. Follows links.
 ///
 /// # Errors
-/// Those of [`read_regular`]; `InvalidData` for what is not UTF-8.
+/// Those of [`read_regular`]; `InvalidData` if the text is not UTF-8.
 pub fn read_regular_text(path: &Path) -> io::Result<String> {
     let mut text = String::new();
     open_regular(path)?.read_to_string(&mut text)?;
     Ok(text)
 }
 
-/// Opens a regular file, and not the file that a link in its place leads to.
+/// Opens a regular file; a link at its path is not followed.
 ///
 /// # Errors
-/// When the system refuses; `InvalidInput` for what is not a regular file.
+/// When the system reports an error; `InvalidInput` if the file is not a regular file.
 pub fn open_itself(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     match path.symlink_metadata() {
         Ok(metadata) => require_regular(&metadata)?,
-        // It may be created.
+        // The options may create it.
         Err(error) if error.kind() == io::ErrorKind::NotFound => {}
         Err(error) => return Err(error),
     }
@@ -78,15 +79,15 @@ pub fn open_itself(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     Ok(file)
 }
 
-/// Opens a file that only this program writes, under a name that everybody knows: neither it nor the folder that it lies in
-/// may be a link.
+/// Opens a file that only this program writes, under a well-known name: neither the file nor its folder may
+/// be a link.
 ///
 /// # Errors
-/// When the system refuses; `InvalidInput` for a link and for what is not a regular file.
+/// When the system reports an error; `InvalidInput` for a link, or if the file is not a regular file.
 pub fn open_own(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     require_own_folder(path)?;
     let file = open_itself(path, options)?;
-    // Whoever exchanged the folder for a link while the file was opened has to be found out before anything is written.
+    // Detects a folder that was replaced by a link during the open, before anything is written.
     require_own_folder(path)?;
     let [there, opened] = [path.symlink_metadata()?, file.metadata()?];
     if !is_same_file(&there, &opened) {
@@ -95,10 +96,10 @@ pub fn open_own(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     Ok(file)
 }
 
-/// Requires the folder of a file to be a folder, and not a link to one.
+/// Requires that the folder of a file is a folder, and not a link to one.
 ///
 /// # Errors
-/// When the system refuses; `InvalidInput` for a link.
+/// When the system reports an error; `InvalidInput` for a link.
 pub(crate) fn require_own_folder(path: &Path) -> io::Result<()> {
     let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) else { return Ok(()) };
     if folder.symlink_metadata()?.is_symlink() {
@@ -108,10 +109,10 @@ pub(crate) fn require_own_folder(path: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Requires the last `depth` folders of this path to be no links, as far as they exist.
+/// Requires that the last `depth` folders of this path are not links, if they exist.
 ///
 /// # Errors
-/// When the system refuses; `InvalidInput` for a link.
+/// When the system reports an error; `InvalidInput` for a link.
 pub(crate) fn require_no_links(folder: &Path, depth: usize) -> io::Result<()> {
     for part in folder.ancestors().take(depth) {
         match part.symlink_metadata() {
@@ -127,13 +128,13 @@ pub(crate) fn require_no_links(folder: &Path, depth: usize) -> io::Result<()> {
     Ok(())
 }
 
-/// Whether the file has other names as well: what is written into it changes those, too.
+/// Whether the file has other hard links: a write changes those, too.
 #[cfg(unix)]
 pub fn has_other_names(metadata: &Metadata) -> bool {
     std::os::unix::fs::MetadataExt::nlink(metadata) > 1
 }
 
-/// Whether the file has other names as well: what is written into it changes those, too.
+/// Whether the file has other hard links: a write changes those, too.
 #[cfg(not(unix))]
 pub fn has_other_names(_metadata: &Metadata) -> bool {
     false
@@ -142,7 +143,7 @@ pub fn has_other_names(_metadata: &Metadata) -> bool {
 /// Requires a regular file.
 ///
 /// # Errors
-/// What it is instead.
+/// The kind of file that it is instead.
 pub(crate) fn require_regular(metadata: &Metadata) -> io::Result<()> {
     if metadata.is_file() {
         return Ok(());
@@ -223,7 +224,7 @@ mod tests {
 
     use rustix::fs::{CWD, Mode, mkfifoat};
 
-    /// The result, of something that must not wait.
+    /// The result of a function that must not block.
     #[track_caller]
     fn at_once<T: Send + 'static>(act: impl FnOnce() -> T + Send + 'static) -> T {
         let (sender, result) = channel();
@@ -268,7 +269,7 @@ mod tests {
         );
         let open = |path: &Path| open_own(path, OpenOptions::new().write(true).create(true).truncate(true));
         assert_eq!(words(open(&path("link"))), "not a regular file: a symbolic link");
-        // A link that leads nowhere would make a file there.
+        // Opening a dangling link would create a file at its target.
         symlink(path("nowhere"), path("dangling")).expect("a link");
         assert!(open(&path("dangling")).is_err() && !path("nowhere").exists());
         fs::create_dir(path("inner")).expect("made");

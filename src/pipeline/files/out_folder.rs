@@ -1,6 +1,6 @@
-//! The folder of the results: made, and known to take files, before any frame is read.
+//! The results folder: created, and checked for write access, before any frame is read.
 //!
-//! Without it every frame would be read and skinned, and fail when it is written.
+//! Without this check, every frame would be read and reconstructed, and would fail only when it is written.
 
 use std::fmt;
 use std::fs;
@@ -10,31 +10,31 @@ use std::path::{Path, PathBuf};
 use super::sweep::{SweepError, sweep_temporaries};
 use super::temporary::Temporary;
 
-/// Why a folder takes no results.
+/// Why a folder cannot take results.
 #[derive(Debug)]
 pub enum OutFolderError {
-    /// A file is in its place, or in that of a folder which it would lie in.
+    /// A file has its path, or the path of one of its parent folders.
     File {
         /// The folder.
         folder: PathBuf,
         /// The file.
         file: PathBuf,
     },
-    /// The system refuses to make it.
+    /// The folder cannot be created.
     Make {
         /// The folder.
         folder: PathBuf,
         /// Why.
         source: io::Error,
     },
-    /// It is there, and the system refuses to write into it.
+    /// The folder exists, but is not writable.
     Write {
         /// The folder.
         folder: PathBuf,
         /// Why.
         source: io::Error,
     },
-    /// What an interrupted process left in it cannot be recovered.
+    /// The files of an interrupted process in the folder cannot be recovered.
     Recover {
         /// The folder.
         folder: PathBuf,
@@ -43,29 +43,28 @@ pub enum OutFolderError {
     },
 }
 
-/// Makes a folder, and those that it lies in, where they are missing, and sees that files can be written into it. A disk
-/// that is too full to make it is an error.
+/// Creates a folder with its parents if they are missing, and checks that files can be written into it. Fails
+/// if the disk is too full to create it.
 ///
 /// # Errors
-/// When it takes no results: what is wrong, and what was expected.
+/// When it cannot take results.
 pub fn make_out_folder(folder: &Path) -> Result<(), OutFolderError> {
     refuse_file_for_folder(folder)?;
     made(folder, fs::create_dir_all(folder))
 }
 
-/// What comes of a folder that was tried to be made, with this result.
+/// Interprets the result of an attempt to create a folder.
 fn made(folder: &Path, result: io::Result<()>) -> Result<(), OutFolderError> {
     match result {
-        // Not every system says of one that is there that it is.
+        // Not every system reports an existing folder as such.
         Err(source) if !folder.is_dir() => Err(OutFolderError::Make { folder: folder.to_owned(), source }),
         _ => check_out_folder(folder),
     }
 }
 
-/// Refuses what cannot be a folder, for a file is in its place, or in that of one which it would lie in. Nothing is made.
-///
+/// Refuses a path that cannot become a folder because it or one of its parents is a file. Creates nothing.
 /// # Errors
-/// Which file.
+/// The file.
 pub fn refuse_file_for_folder(folder: &Path) -> Result<(), OutFolderError> {
     let file = folder.ancestors().find(|part| part.metadata().is_ok_and(|there| !there.is_dir()));
     match file {
@@ -74,13 +73,14 @@ pub fn refuse_file_for_folder(folder: &Path) -> Result<(), OutFolderError> {
     }
 }
 
-/// Sees that files can be written into a folder that is there, as [`make_out_folder`] does. A full disk is no error here:
-/// there may be room in time.
+/// Checks that files can be written into an existing folder, as [`make_out_folder`] does. A full disk is not
+/// an error here: space may become free in time.
 ///
 /// # Errors
-/// When they cannot.
+/// When no file can be written.
 pub fn check_out_folder(folder: &Path) -> Result<(), OutFolderError> {
-    // As outputs are begun: rights alone do not say whether that can be.
+    // Creates a file in the same way as for an output, because permissions alone do not show whether that
+    // works.
     match Temporary::create(&folder.join(TRIED)) {
         Err(source) if !is_disk_full(&source) => {
             Err(OutFolderError::Write { folder: folder.to_owned(), source })
@@ -89,15 +89,15 @@ pub fn check_out_folder(folder: &Path) -> Result<(), OutFolderError> {
     }
 }
 
-/// Removes what a killed process left half written in a folder, and puts back the files that it replaced in part. Returns
-/// warnings about what it left in place.
+/// Removes the temporary files of a killed process from a folder, and completes or undoes its partial
+/// replacements. Returns warnings about files that were left in place.
 ///
 /// # Errors
-/// When they cannot be put back.
+/// When a partial replacement cannot be undone.
 pub fn recover_out_folder(folder: &Path) -> Result<Vec<String>, OutFolderError> {
     let shown = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     match sweep_temporaries(shown) {
-        // A folder that may be written into and not be listed has nothing that could be found.
+        // A folder that is writable but cannot be listed is treated as having nothing to recover.
         Err(SweepError::Folder(source)) if source.kind() == io::ErrorKind::PermissionDenied => Ok(Vec::new()),
         swept => swept
             .map(|swept| swept.warnings)
@@ -105,10 +105,10 @@ pub fn recover_out_folder(folder: &Path) -> Result<Vec<String>, OutFolderError> 
     }
 }
 
-/// A file that is never there under this name.
+/// No file ever gets this name.
 const TRIED: &str = "tried";
 
-/// Whether the disk, or what its owner may use of it, is full: it will go better once there is room.
+/// Whether the disk or a quota is full: the operation can succeed once there is space.
 pub fn is_disk_full(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
 }
@@ -123,7 +123,7 @@ impl fmt::Display for OutFolderError {
             OutFolderError::Recover { source: SweepError::Folder(source), .. } => {
                 return write!(f, "{}: cannot look for interrupted conversions: {source}", folder.display());
             }
-            // It names the record.
+            // The error names the record.
             OutFolderError::Recover { source, .. } => return source.fmt(f),
             _ => {}
         }
@@ -153,7 +153,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_takes_no_results_is_told_with_what_was_expected() {
+    fn unusable_folder_is_an_error_that_says_why() {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("file");
         fs::write(&file, "").expect("written");
@@ -163,7 +163,7 @@ mod tests {
             (file.clone(), "file: expected a folder for the results, and this is a file"),
             (file.join("deep"), "deep: expected a folder for the results, and it cannot be made: "),
         ] {
-            let error = make_out_folder(&place).expect_err("a file is in the way");
+            let error = make_out_folder(&place).expect_err("the path is a file");
             assert!(matches!(&error, OutFolderError::File { file: named, .. } if *named == file), "{error}");
             assert!(error.to_string().contains(words), "{error}");
         }

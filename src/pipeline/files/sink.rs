@@ -1,15 +1,15 @@
-//! Files that appear whole or not at all.
+//! Atomic file replacement: a file appears complete or not at all.
 //!
 //! ```text
-//!   .dam.0012.glb.tmp-9f3c…  written, flushed, on the disk
+//!   .dam.0012.glb.tmp-9f3c…  written, flushed, synced to disk
 //!            │ rename
 //!            ▼
-//!   dam.0012.glb             never seen half written, whatever stops the program
+//!   dam.0012.glb             never visible half written, whatever stops the program
 //! ```
 //!
-//! Files that belong together are all written before the first is renamed; then all are, in a row, and
-//! [`file_set`](super::file_set) sees that a failure leaves all the old files or all the new ones. A
-//! program that is about to be stopped takes its temporary files with it, by [`stop_writing`].
+//! Files that belong together are all written before the first of them is renamed; then all are renamed, and
+//! [`file_set`](super::file_set) ensures that a failure leaves all the old files or all the new ones.
+//! [`stop_writing`] removes the temporary files of a program that is about to be stopped.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter};
@@ -26,22 +26,22 @@ use super::staged_file::{StagedFile, sync_folder, write_temporary};
 use super::sweep::remove_left_behind;
 use super::temporary::under_way;
 
-/// Writes the file at `path`, replacing what is there, once `write` has written all of it.
+/// Writes the file at `path` atomically: it replaces an existing file once `write` has written everything.
 ///
 /// # Errors
-/// What `write` returns, or what the system refuses. Nothing is left behind then, and a file that
-/// was at `path` before is still there, untouched.
+/// The error of `write`, or of the system. Then nothing is left behind, and an existing file at `path` is
+/// unchanged.
 pub fn write_whole(path: &Path, write: impl FnOnce(&mut BufWriter<&File>) -> Result<()>) -> Result<()> {
     publish(vec![stage(path, write)?]).map_err(|(_, error)| error)?;
     Ok(())
 }
 
-/// Writes a file of this program's own, whose name everybody knows, once `write` has written all of it: as
-/// [`write_whole`] does, and not into a folder that a link has replaced. Returns what `write` returns.
+/// Writes a file of this program that has a well-known name: like [`write_whole`], but never into a folder
+/// that a link has replaced. Returns the result of `write`.
 ///
 /// # Errors
-/// What `write` returns, or what the system refuses. Nothing is left behind then, and a file that
-/// was at `path` before is still there, untouched.
+/// The error of `write`, or of the system. Then nothing is left behind, and an existing file at `path` is
+/// unchanged.
 pub fn replace_own<T>(
     path: &Path,
     write: impl FnOnce(&mut BufWriter<&File>) -> io::Result<T>,
@@ -54,10 +54,10 @@ pub fn replace_own<T>(
     Ok(written)
 }
 
-/// Writes what is to appear at `path` when it is [published](publish).
+/// Stages a file, which appears at `path` when it is [published](publish).
 ///
 /// # Errors
-/// What `write` returns, or what the system refuses. Nothing is left behind then.
+/// The error of `write`, or of the system. Then nothing is left behind.
 pub(crate) fn stage(
     path: &Path,
     write: impl FnOnce(&mut BufWriter<&File>) -> Result<()>,
@@ -66,7 +66,7 @@ pub(crate) fn stage(
     StagedFile::write(path, write)
 }
 
-/// Locked: a stop comes before or after.
+/// Holds the lock, so that a stop comes before or after the rename.
 fn rename_locked(from: &Path, to: &Path) -> io::Result<()> {
     let under_way = under_way();
     let renamed = fs::rename(from, to);
@@ -74,14 +74,13 @@ fn rename_locked(from: &Path, to: &Path) -> io::Result<()> {
     renamed
 }
 
-/// Lets files of one folder appear under their names, in a row, replacing what is there. Returns their
-/// paths.
+/// Renames the files of one folder to their final names, one after the other, and replaces existing files.
+/// Returns their paths.
 ///
 /// # Errors
-/// The path that cannot be replaced, and why; then none of the files appears, and those that they were to replace are
-/// there as before.
+/// The path that cannot be replaced, and why; then no new file appears, and all existing files are as before.
 pub(crate) fn publish(files: Vec<StagedFile>) -> std::result::Result<Vec<PathBuf>, (PathBuf, io::Error)> {
-    // What is sure to fail is found before anything is replaced.
+    // Failures that can be predicted are found before anything is replaced.
     if let Some(file) = files.iter().find(|file| file.path().symlink_metadata().is_ok_and(|m| m.is_dir())) {
         return Err((file.path().to_owned(), io::ErrorKind::IsADirectory.into()));
     }
@@ -94,28 +93,28 @@ pub(crate) fn publish(files: Vec<StagedFile>) -> std::result::Result<Vec<PathBuf
     Ok(files.iter().map(|file| file.path().to_owned()).collect())
 }
 
-/// Removes all files that are not yet whole, and lets no other begin or appear: for a process that ends
-/// at once. Whoever is writing waits from now on. A file system that does not answer is not waited for: what is left there
-/// is swept at the next start.
+/// Removes all temporary files and blocks all other writes and renames: for a process that exits at once.
+/// Every thread that writes waits from now on. This function does not wait for a file system that hangs: the
+/// next start sweeps what is left there.
 pub fn stop_writing() {
     let (done, is_done) = channel();
     let stop = move || {
         let under_way = under_way();
         for path in under_way.iter() {
-            // There is nobody left to tell.
+            // An error cannot be reported any more.
             let _ = fs::remove_file(path);
         }
         remove_left_behind();
         std::mem::forget(under_way);
         let _ = done.send(());
     };
-    // Without a thread nothing is removed; nor is anything when the time is up.
+    // Without a thread, or after the time limit, files stay.
     if thread::Builder::new().name("stop".into()).spawn(stop).is_ok() {
         let _ = is_done.recv_timeout(STOP_PATIENCE);
     }
 }
 
-/// Longer than a file system takes that answers.
+/// Longer than any file system takes that still responds.
 const STOP_PATIENCE: Duration = Duration::from_secs(5);
 
 #[cfg(test)]
@@ -135,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_appears_whole_and_replaces_the_one_before() {
+    fn file_appears_complete_and_replaces_the_old_one() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("a.glb");
         for text in ["first", "second"] {
@@ -146,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn a_writer_that_fails_leaves_nothing_and_the_old_file_as_it_was() {
+    fn failing_writer_leaves_the_old_file_unchanged() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("a.glb");
         write(&path, "old").expect("written");
@@ -162,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_in_the_way_leaves_nothing() {
+    fn folder_at_the_path_is_an_error_and_leaves_nothing() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("a.glb");
         fs::create_dir(&path).expect("made");
@@ -172,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn files_that_belong_together_appear_together_or_not_at_all() {
+    fn files_of_a_set_appear_together_or_not_at_all() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = |name: &str| folder.path().join(name);
         let unseen =
@@ -183,12 +182,12 @@ mod tests {
         assert_eq!(files[1].size_bytes(), 5);
         assert_eq!(publish(files).expect("published"), names.map(path));
         assert_eq!(names_in(folder.path()).len(), 3);
-        // A folder in the way is seen before anything is replaced; what can be seen only by trying
-        // leaves the others as they were.
+        // A folder at the path of an output is found before anything is replaced; a failure that only the
+        // rename shows leaves the other files as they were.
         fs::write(path("a.glb"), "old").expect("written");
         fs::remove_file(path("a.vdb")).expect("removed");
         fs::create_dir(path("a.vdb")).expect("made");
-        let (culprit, _) = publish(names.map(unseen).into()).expect_err("a folder is in the way");
+        let (culprit, _) = publish(names.map(unseen).into()).expect_err("the path is a folder");
         assert_eq!(culprit, path("a.vdb"));
         assert_eq!(fs::read_to_string(path("a.glb")).expect("readable"), "old");
         fs::remove_dir(path("a.vdb")).expect("removed");
@@ -227,7 +226,7 @@ mod tests {
     fn stop_does_not_wait_for_a_writer_that_hangs() {
         let name = "stop_does_not_wait_for_a_writer_that_hangs";
         if std::env::var_os(CHILD).is_some() {
-            // As one that is in a rename on a file system that does not answer.
+            // Like a writer in a rename on a file system that hangs.
             let _held = under_way();
             thread::spawn(|| {
                 stop_writing();
@@ -244,7 +243,7 @@ mod tests {
         while child.try_wait().expect("a child").is_none() && start.elapsed() < 12 * STOP_PATIENCE {
             thread::sleep(Duration::from_millis(10));
         }
-        // One that has ended does not mind.
+        // Killing a process that has exited does nothing.
         let _ = child.kill();
         assert_eq!(child.wait().expect("ended").code(), Some(3), "it waits");
     }

@@ -1,4 +1,4 @@
-//! Removes what processes left that were killed: temporary files, and sets of files that were replaced only in part.
+//! Cleans up after killed processes: removes temporary files, and completes or undoes partial replacements.
 
 use std::fmt;
 use std::fs;
@@ -10,9 +10,9 @@ use super::temporary::{
     is_temporary_name, leave_behind, left_behind_count, lock_abandoned, remove_if_there, take_left_behind,
 };
 
-/// Tries again to remove what could not be removed before. Returns how many files are left.
+/// Retries the removal of files that could not be removed before. Returns the number of remaining files.
 pub fn remove_left_behind() -> usize {
-    // Not locked meanwhile: the disk may take its time.
+    // The list is not locked meanwhile, because the disk may be slow.
     for path in take_left_behind() {
         let is_record = is_record_name(&path.file_name().unwrap_or_default().to_string_lossy());
         let removed = if is_record { recover(&path).map(|_| ()) } else { remove_if_there(&path) };
@@ -23,21 +23,21 @@ pub fn remove_left_behind() -> usize {
     left_behind_count()
 }
 
-/// What [`sweep_temporaries`] did.
+/// The result of [`sweep_temporaries`].
 #[derive(Debug, Default)]
 pub struct Swept {
-    /// How many temporary files it removed, and sets of files it completed or undid.
+    /// The number of temporary files it removed, plus the number of file sets it completed or undid.
     pub count: usize,
-    /// Records that it left in place: which, why, and what to do.
+    /// Records that it left in place, with the reason and the remedy.
     pub warnings: Vec<String>,
 }
 
 /// Why a folder cannot be swept.
 #[derive(Debug)]
 pub enum SweepError {
-    /// It cannot be listed.
+    /// The folder cannot be listed.
     Folder(io::Error),
-    /// Files that an interrupted process replaced only in part cannot be put back.
+    /// A partial replacement of an interrupted process cannot be undone.
     Recover {
         /// The record of these files.
         record: PathBuf,
@@ -68,17 +68,17 @@ impl std::error::Error for SweepError {
     }
 }
 
-/// Whether a file disappeared between two calls.
+/// Whether the error means that a file disappeared between two calls.
 fn is_gone(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::StaleNetworkFileHandle)
 }
 
-/// Removes the temporary files in a folder that nobody is writing, of whatever process or machine, after it has completed each
-/// set of files whose process was killed, or put the old files back. Where the file system has no locks, that is
-/// those that nobody has written to for a day. Those that may not be removed are left.
+/// Removes the abandoned temporary files in a folder, of any process or machine. Before that, completes or
+/// undoes each set of files whose process was killed. On a file system without locks, a file counts as
+/// abandoned if it was not written for a day. Leaves files that it may not remove.
 ///
 /// # Errors
-/// When the folder cannot be read, or files cannot be put back.
+/// When the folder cannot be read, or a partial replacement cannot be undone.
 pub fn sweep_temporaries(folder: &Path) -> Result<Swept, SweepError> {
     let (mut records, mut temporaries, mut old_files) = (Vec::new(), Vec::new(), Vec::new());
     for entry in fs::read_dir(folder).map_err(SweepError::Folder)? {
@@ -87,7 +87,7 @@ pub fn sweep_temporaries(folder: &Path) -> Result<Swept, SweepError> {
             entry => entry.map_err(SweepError::Folder)?,
         };
         let name = entry.file_name().to_string_lossy().into_owned();
-        // One whose type is unknown is gone, or cannot be opened, either.
+        // An entry of unknown type has disappeared, or cannot be opened either.
         let is_file = || entry.file_type().is_ok_and(|kind| kind.is_file());
         if let Some(record) = record_of_old_file(&entry.path()) {
             old_files.push((entry.path(), record));
@@ -106,14 +106,14 @@ pub fn sweep_temporaries(folder: &Path) -> Result<Swept, SweepError> {
                 is_other_at_it = true;
                 swept.warnings.push(warning);
             }
-            // It belongs to another account.
+            // The record belongs to another account.
             Err(error) if error.kind() == io::ErrorKind::PermissionDenied => is_other_at_it = true,
             // Another process, such as another shard, has just recovered it.
             Err(error) if is_gone(&error) => is_other_at_it = true,
             Err(source) => failure = Some(SweepError::Recover { record: path, source }),
         }
     }
-    // Whoever completes a set needs its temporary files.
+    // The process that completes a set needs its temporary files.
     if !is_other_at_it && failure.is_none() {
         swept.count += temporaries.iter().filter(|path| sweep(path).unwrap_or(false)).count();
     }
@@ -123,10 +123,10 @@ pub fn sweep_temporaries(folder: &Path) -> Result<Swept, SweepError> {
     failure.map_or(Ok(swept), Err)
 }
 
-/// Removes a temporary file that nobody is writing.
+/// Removes an abandoned temporary file.
 fn sweep(path: &Path) -> io::Result<bool> {
     let Some(_locked) = lock_abandoned(path)? else { return Ok(false) };
-    // Locked until it is gone: whoever created it just now finds that out.
+    // The lock is held until the file is removed, so that a process that has just created it notices.
     fs::remove_file(path)?;
     Ok(true)
 }
@@ -140,7 +140,7 @@ mod tests {
     use tempfile::tempdir;
 
     #[test]
-    fn only_what_nobody_writes_is_swept() {
+    fn only_abandoned_files_are_swept() {
         let folder = tempdir().expect("a folder");
         let path = folder.path().join("a.glb");
         let written = Temporary::create(&path).expect("created");
@@ -161,7 +161,7 @@ mod tests {
         assert_eq!(sweep_temporaries(folder.path()).expect("readable").count, 1);
         assert!(!left.exists() && written.path().exists());
         assert_eq!(fs::read_dir(folder.path()).expect("there").count(), others.len() + 2);
-        // As when its process was killed: the file stays and the lock goes.
+        // As if the process had been killed: the file stays and the lock is released.
         let killed = written.path().to_owned();
         written.file().unlock().expect("unlocked");
         assert_eq!(sweep_temporaries(folder.path()).expect("readable").count, 1);
@@ -181,7 +181,7 @@ mod tests {
         assert!(link.is_symlink() && precious.exists());
     }
 
-    /// The folder that it lies in is exchanged for a file: then nothing in it can be removed.
+    /// The folder is replaced by a file, so nothing in it can be removed.
     #[test]
     #[cfg(unix)]
     fn file_that_cannot_be_removed_is_removed_later() {
@@ -196,7 +196,7 @@ mod tests {
         assert!(away.join(&name).exists() && remove_left_behind() > 0);
         fs::remove_file(&inner).expect("removed");
         fs::rename(&away, &inner).expect("renamed");
-        // Any writer tries again.
+        // Other writers of this process may retry the removal as well.
         let start = std::time::Instant::now();
         while inner.join(&name).exists() {
             assert!(start.elapsed() < Duration::from_secs(60), "it is left");

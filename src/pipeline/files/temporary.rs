@@ -1,19 +1,20 @@
-//! Files that are being written, under names that nobody looks for.
+//! Temporary files, under names that other programs ignore.
 //!
-//! A temporary file lies in the folder of the file that it becomes, so that the rename stays within one file
-//! system. Its name begins with a dot: programs that watch for frames do not take it for one. It ends in a
-//! random number, because several machines may write into one shared folder, and what another one is writing
-//! must not be touched.
+//! A temporary file is in the folder of its final file, so that the rename stays within one file system. Its
+//! name begins with a dot, so that programs that watch for frames ignore it. It ends in a random number,
+//! because several machines may write into one shared folder, and must not touch each other's files.
 //!
 //! ```text
 //!   .dam.0012.glb.tmp-9f3c02d1a47be658
-//!   └ hidden      └ 16 hexadecimal digits, another number each time
+//!   └ hidden      └ 16 hexadecimal digits, random each time
 //! ```
 //!
-//! Who writes one holds an advisory lock on it until it is renamed. A process that is killed leaves its files
-//! and loses its locks: so [`sweep_temporaries`](super::sweep::sweep_temporaries) knows which nobody will finish.
+//! The writer holds an advisory lock on the file until it is renamed. A process that is killed leaves its
+//! files but loses its locks, so [`sweep_temporaries`](super::sweep::sweep_temporaries) can identify
+//! abandoned files.
 //!
-//! A file that cannot be removed is remembered; [`remove_left_behind`](super::sweep::remove_left_behind) tries again.
+//! A file that cannot be removed is recorded; [`remove_left_behind`](super::sweep::remove_left_behind) tries
+//! again.
 
 use std::collections::HashSet;
 use std::fs::{self, File, OpenOptions, TryLockError};
@@ -26,7 +27,7 @@ use std::time::{Duration, SystemTime};
 use super::open::open_itself;
 use super::stamp::FileStamp;
 
-/// A file that is removed unless it is renamed: also when the writer panics.
+/// A file that is removed when dropped unless it is renamed, also when the writer panics.
 pub(crate) struct Temporary {
     path: PathBuf,
     file: File,
@@ -36,18 +37,18 @@ impl Temporary {
     /// Creates a file beside `path`.
     ///
     /// # Errors
-    /// When the system refuses.
+    /// When the system reports an error.
     pub(crate) fn create(path: &Path) -> io::Result<Temporary> {
         let name = path.file_name().ok_or(io::ErrorKind::InvalidFilename)?.to_string_lossy();
         Temporary::create_named(path, || temporary_name(&name, random_number()))
     }
 
-    /// Creates a file beside `path`, under the first of these names that is free.
+    /// Creates a file beside `path`, under the first of these names that is not taken.
     ///
     /// # Errors
-    /// When the system refuses.
+    /// When the system reports an error.
     pub(crate) fn create_named(path: &Path, mut next_name: impl FnMut() -> String) -> io::Result<Temporary> {
-        // Locked until the file is known: a stop misses none.
+        // Locked until the file is registered, so that a stop misses none.
         let mut under_way = under_way();
         let mut attempt_count = 0;
         loop {
@@ -67,7 +68,7 @@ impl Temporary {
         }
     }
 
-    /// Where it is.
+    /// Its path.
     pub(crate) fn path(&self) -> &Path {
         &self.path
     }
@@ -77,7 +78,7 @@ impl Temporary {
         &self.file
     }
 
-    /// Gives up the lock and leaves the file to [`remove_left_behind`](super::sweep::remove_left_behind).
+    /// Releases the lock and leaves the file to [`remove_left_behind`](super::sweep::remove_left_behind).
     pub(crate) fn keep(mut self) {
         let path = std::mem::take(&mut self.path);
         under_way().remove(&path);
@@ -91,7 +92,7 @@ impl Drop for Temporary {
         if self.path.as_os_str().is_empty() {
             return;
         }
-        // The error that led here is the one worth telling; after a rename the file has another name.
+        // The original error is more useful than this one; after a rename the file has another name.
         if remove_if_there(&self.path).is_err() {
             leave_behind(self.path.clone());
         }
@@ -99,10 +100,10 @@ impl Drop for Temporary {
     }
 }
 
-/// Removes a file, if there is one.
+/// Removes a file, if it exists.
 ///
 /// # Errors
-/// When the system refuses.
+/// When the system reports an error.
 pub(crate) fn remove_if_there(path: &Path) -> io::Result<()> {
     match fs::remove_file(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
@@ -113,21 +114,21 @@ pub(crate) fn remove_if_there(path: &Path) -> io::Result<()> {
 /// Files of this process that could not be removed.
 fn left_behind() -> MutexGuard<'static, HashSet<PathBuf>> {
     static LEFT_BEHIND: LazyLock<Mutex<HashSet<PathBuf>>> = LazyLock::new(Mutex::default);
-    // As below.
+    // As in `under_way`.
     LEFT_BEHIND.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Takes all files of this process that could not be removed.
+/// Takes the list of all files of this process that could not be removed.
 pub(crate) fn take_left_behind() -> HashSet<PathBuf> {
     std::mem::take(&mut *left_behind())
 }
 
-/// How many files of this process are left that could not be removed.
+/// The number of files of this process that could not be removed.
 pub(crate) fn left_behind_count() -> usize {
     left_behind().len()
 }
 
-/// Remembers a file that could not be removed.
+/// Records a file that could not be removed.
 pub(crate) fn leave_behind(path: PathBuf) {
     left_behind().insert(path);
 }
@@ -135,36 +136,35 @@ pub(crate) fn leave_behind(path: PathBuf) {
 /// The temporary files of this process.
 pub(crate) fn under_way() -> MutexGuard<'static, HashSet<PathBuf>> {
     static UNDER_WAY: LazyLock<Mutex<HashSet<PathBuf>>> = LazyLock::new(Mutex::default);
-    // A set of names is in order whatever panicked beside it.
+    // Each update is a single insertion or removal, so a set whose lock is poisoned is still consistent.
     UNDER_WAY.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A new file with its lock; `None` where somebody swept it away before it was locked.
+/// Creates a locked file; `None` if another process swept it away before it was locked.
 fn create_locked(path: &Path) -> io::Result<Option<File>> {
-    // Only ever a new file: never one that somebody else is writing, and never through a link that
-    // somebody laid there.
+    // Never opens an existing file, which another process may be writing, or a link.
     let file = OpenOptions::new().write(true).create_new(true).open(path)?;
     match file.try_lock() {
         Err(TryLockError::WouldBlock) => return Ok(None),
         Ok(()) => {}
-        // A file system without locks: those who sweep see that, too.
+        // The file system has no locks; sweeping processes see that as well.
         Err(TryLockError::Error(_)) => {}
     }
     Ok(is_still_at(path, &file).then_some(file))
 }
 
-/// Whether the name leads to this file.
+/// Whether the name still leads to this file.
 fn is_still_at(path: &Path, file: &File) -> bool {
     let stamps = FileStamp::of_path(path).and_then(|there| Ok((there, FileStamp::of(&file.metadata()?))));
     stamps.is_ok_and(|(there, ours)| there.inode == ours.inode)
 }
 
-/// A file that a process has left, locked; `None` where its process lives.
+/// Locks a file that a process has abandoned; `None` while that process still runs.
 ///
 /// # Errors
-/// When the system refuses.
+/// When the system reports an error.
 pub(crate) fn lock_abandoned(path: &Path) -> io::Result<Option<File>> {
-    // Some file systems lock only what is open for writing.
+    // Some file systems only lock files that are open for writing.
     let file = match open_itself(path, OpenOptions::new().read(true).write(true)) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         file => file?,
@@ -182,7 +182,7 @@ fn is_abandoned(locked: Result<(), TryLockError>, age: Duration) -> bool {
     }
 }
 
-/// A hidden name for what will be called `name`; as much of that as fits.
+/// A hidden name for the file `name`, truncated if it is too long.
 pub(crate) fn temporary_name(name: &str, number: u64) -> String {
     let suffix = format!("{TEMPORARY_MARK}{number:016x}");
     let bytes_max = NAME_BYTES_MAX - 1 - suffix.len();
@@ -190,29 +190,29 @@ pub(crate) fn temporary_name(name: &str, number: u64) -> String {
     format!(".{}{suffix}", &name[..kept_bytes.unwrap_or(0)])
 }
 
-/// Whether a file may be called so only as a temporary one of this program.
+/// Whether only temporary files of this program have such a name.
 pub(crate) fn is_temporary_name(name: &str) -> bool {
     let is_digit = |byte: u8| matches!(byte, b'0'..=b'9' | b'a'..=b'f');
     let number = name.strip_prefix('.').and_then(|name| name.rsplit_once(TEMPORARY_MARK));
     number.is_some_and(|(_, number)| number.len() == 16 && number.bytes().all(is_digit))
 }
 
-/// Another number at each call, in each process and on each machine.
+/// A different number at each call, in each process and on each machine.
 pub(crate) fn random_number() -> u64 {
     // The keys of hash maps come from the system's randomness.
     RandomState::new().hash_one(std::process::id())
 }
 
-/// What stands before the number.
+/// The text before the number.
 const TEMPORARY_MARK: &str = ".tmp-";
 
 /// The longest file name on most file systems.
 const NAME_BYTES_MAX: usize = 255;
 
-/// Random names that are taken one after the other mean that something else is wrong.
+/// If this many random names are taken, something else is wrong.
 const ATTEMPTS_MAX: usize = 16;
 
-/// No frame takes so long to write.
+/// No frame takes this long to write.
 const UNLOCKED_AGE_MAX: Duration = Duration::from_secs(24 * 60 * 60);
 
 #[cfg(test)]
@@ -221,7 +221,7 @@ mod tests {
     use tempfile::tempdir;
 
     #[test]
-    fn what_somebody_else_is_writing_is_left_alone() {
+    fn file_of_another_writer_is_not_touched() {
         let folder = tempdir().expect("a folder");
         let path = folder.path().join("a.glb");
         let taken = folder.path().join(temporary_name("a.glb", 0));
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn without_locks_only_what_is_old_is_abandoned() {
+    fn without_locks_only_old_files_are_abandoned() {
         let unsupported = || Err(TryLockError::Error(io::ErrorKind::Unsupported.into()));
         assert!(!is_abandoned(unsupported(), Duration::from_secs(3600)));
         assert!(is_abandoned(unsupported(), Duration::from_secs(25 * 3600)));
@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_was_swept_before_it_was_locked_is_not_used() {
+    fn file_swept_before_it_was_locked_is_not_used() {
         let folder = tempdir().expect("a folder");
         let path = folder.path().join("a");
         let file = File::create(&path).expect("created");
@@ -261,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn long_names_are_no_hindrance() {
+    fn long_names_are_truncated() {
         let folder = tempdir().expect("a folder");
         for name in ["a".repeat(251) + ".glb", "ü".repeat(125) + ".glb", String::from("a")] {
             let temporary = Temporary::create(&folder.path().join(&name)).expect("created");

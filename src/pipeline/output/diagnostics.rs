@@ -1,12 +1,13 @@
-//! What tells of voxels and radii that do not fit the particles.
+//! Detects voxel sizes and radii that do not fit the particles.
 //!
 //! ```text
-//!   ●   ●   ●      spheres that do not touch: drops; that barely do: a sponge, or one that is full of hollows
+//!   ●   ●   ●      spheres that do not touch: drops; spheres that barely touch: a sponge, or many cavities
 //!   ●▬●▬▬●  ●
-//!   (●●●●●●●●)     spheres that overlap well: few holes, and nearly all of it in one piece, with or without spray
+//!   (●●●●●●●●)     spheres that overlap well: few holes, and nearly all in one piece, with or without spray
 //! ```
 //!
-//! It is told from the surface as it is. The spacing would say less: of spray it is large, and nothing is wrong.
+//! The diagnosis uses the actual surface. The spacing would be less reliable: for spray it is large, although
+//! nothing is wrong.
 
 use glam::Vec3;
 
@@ -16,18 +17,18 @@ use crate::surface::report::SkinReport;
 
 use crate::pipeline::warning::Warning;
 
-/// A warning about a surface that is empty, in pieces, full of holes, or one blob.
+/// A warning about a surface that is empty, fragmented, full of holes, or a single blob.
 pub(crate) fn diagnose(mesh: &Mesh, report: &SkinReport, settings: &Settings) -> Option<Warning> {
     why_empty(report, settings).or_else(|| misfit(mesh, report, settings.voxel_size))
 }
 
-/// Why nothing is left of the surface of a frame that has particles.
+/// Why the surface of a frame with particles is empty.
 fn why_empty(report: &SkinReport, settings: &Settings) -> Option<Warning> {
     let SkinReport { edits, contact, .. } = report;
     if report.particle_count == 0 || report.mesh.vertex_count > 0 {
         return None;
     }
-    // What came last had something left to take.
+    // The last edit had a surface to remove.
     Some(if edits.clipped_voxel_count > 0 {
         Warning::ClippedAway
     } else if edits.island_count > 0 {
@@ -35,14 +36,14 @@ fn why_empty(report: &SkinReport, settings: &Settings) -> Option<Warning> {
     } else if contact.particle_count > 0 || contact.taken_count > 0 {
         Warning::SurfaceInsideObstacles
     } else {
-        // Balls of √3 voxels and more hold voxels wherever they are. So these are smaller.
+        // Balls of √3 voxels or more always contain voxels, so these are smaller.
         let Settings { voxel_size, radius_min, radius_max, .. } = *settings;
         Warning::BetweenVoxels { voxel_size, radius_min, radius_max }
     })
 }
 
-/// What tells of voxels that do not fit the particles: most of these are drops by themselves, or the surface is torn, or
-/// all are one blob.
+/// Detects voxels that do not fit the particles: most particles are isolated drops, the surface is torn, or
+/// all of it is one blob.
 fn misfit(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> Option<Warning> {
     let SkinReport { edits, contact, .. } = report;
     let particle_count = report.particle_count;
@@ -67,12 +68,12 @@ fn misfit(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> Option<Warning> 
     })
 }
 
-/// What a surface is that came of spheres which do not overlap, where it looks so.
+/// The fault of a surface whose spheres seem not to overlap.
 fn torn(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> Option<Warning> {
     let (particle_count, measures) = (report.particle_count, &report.mesh);
     let few_pieces = particle_count / HOLED_ONE_IN;
     let few_holes = few_pieces.max(FEW_HOLES);
-    // Of all components together; of a mesh that is open it tells nothing.
+    // The total for all components; meaningless for an open mesh.
     let handle_count = (2 * measures.component_count as i64 - measures.euler_characteristic) / 2;
     let handle_count = usize::try_from(handle_count).unwrap_or(0);
     let is_whole = measures.component_count <= few_pieces && handle_count <= few_holes;
@@ -92,7 +93,7 @@ fn torn(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> Option<Warning> {
     is_torn.then_some(Warning::Torn { particle_count, piece_count, voxel_size })
 }
 
-/// Whether all particles are in one blob, as large as one particle's.
+/// Whether all particles are in one blob of the size of one particle's ball.
 fn is_blob(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> bool {
     if mesh.positions.is_empty() || mesh.positions.len() > BLOB_VERTICES {
         return false;
@@ -103,18 +104,20 @@ fn is_blob(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> bool {
     width - 2.0 * report.certificate.vertex_distance_min <= BLOB_VOXELS
 }
 
-/// Fewer particles may be drops, or one.
+/// Fewer particles may be drops, or a single one.
 const CROWD: usize = 33;
 
-/// A surface is torn that has a hole for so many particles. At half the spacing, of random particles, there is none.
+/// A surface with one hole for this number of particles is torn. At half the spacing of random particles,
+/// there are no holes.
 const HOLED_ONE_IN: usize = 50;
 
-/// Rings, shells and jugs have some that are their own.
+/// Rings, shells and jugs have a few holes by design.
 const FEW_HOLES: usize = 8;
 
-/// A surface may be torn that is in a piece for so many particles: it is where no piece is most of it.
+/// A surface with one piece for this number of particles may be torn: it is if no piece has most of it.
 const PIECES_ONE_IN: usize = 8;
 
-/// As wide as a blob is without what is around its particles, in voxels, and what its mesh has at most.
+/// The largest width of a blob in voxels, without the balls around its particles, and its largest number of
+/// vertices.
 const BLOB_VOXELS: f64 = 4.0;
 const BLOB_VERTICES: usize = 1 << 12;

@@ -1,8 +1,8 @@
-//! From surfaces and particles to files.
+//! Writes surfaces and particles to files.
 //!
 //! ```text
 //!   writing           surfaces, one file for each format
-//!   particle_files    particles as they are, and no surface
+//!   particle_files    particles without a surface
 //!   diagnostics       voxels and radii that do not fit the particles
 //! ```
 

@@ -1,4 +1,4 @@
-//! Particles as they are, in another format: what is written of them, and warnings about it.
+//! Converts particles to another format without a surface, and warns about losses.
 
 use std::io::Write;
 
@@ -10,7 +10,7 @@ use crate::pipeline::warning::Warning;
 /// Writes particles.
 ///
 /// # Errors
-/// When the format holds no particles, or the system refuses.
+/// When the format cannot hold particles, or the system reports an error.
 pub(crate) fn write_particles(
     particles: &ParticleFrame,
     format: OutputFormat,
@@ -19,11 +19,11 @@ pub(crate) fn write_particles(
 ) -> meniscus_formats::Result<()> {
     match format.particles() {
         Some(writer) => (writer.write)(particles, provenance, out),
-        None => Err(Error::unsupported("particles", format!("a .{format} holds no particles"))),
+        None => Err(Error::unsupported("particles", format!("a .{format} cannot hold particles"))),
     }
 }
 
-/// Warnings about the file and what became of it in these formats.
+/// Warnings about the file, and about its conversion to these formats.
 pub(crate) fn particle_warnings(particles: &ParticleFrame, formats: &[OutputFormat]) -> Vec<Warning> {
     let of_format = |format: &OutputFormat| {
         format.particles().map(|writer| (writer.notes)(particles)).unwrap_or_default()

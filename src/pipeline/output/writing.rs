@@ -1,4 +1,4 @@
-//! From a surface to files, one for each format.
+//! Writes a surface to files, one for each format.
 
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
@@ -33,7 +33,7 @@ use crate::pipeline::target::picture::{PictureOptions, PictureScene, encode_pict
 use crate::pipeline::target::stored::{checked_as, rounding};
 use crate::pipeline::warning::Warning;
 
-/// Half the thickness of the band in a .vdb, in voxels: what programs expect of a level set.
+/// Half the width of the band in a .vdb, in voxels: the width that programs expect of a level set.
 pub(crate) const VDB_HALF_WIDTH_VOXELS: f32 = 3.0;
 
 /// The files of a frame.
@@ -42,9 +42,9 @@ pub(crate) struct WrittenFiles {
     pub(crate) sizes_bytes: Vec<u64>,
 }
 
-/// Writes a frame in every format, each as `write` does it: all of these files appear, whole and
-/// together, or none; and with them, where `certify` is there, the certificate of the frame from an input with this hash.
-/// Their folder is made where it is missing.
+/// Writes a frame in every format with `write`: either all files appear, complete, or none. With `certify`,
+/// the certificate of the frame from an input with this hash appears with them. Creates their folder if it is
+/// missing.
 ///
 /// # Errors
 /// The first file that cannot be written.
@@ -73,11 +73,11 @@ pub(crate) fn write_files(
     Ok(WrittenFiles { paths, sizes_bytes })
 }
 
-/// Writes one file of a frame. What takes computing is computed in the pool, as pieces that are whole before they
-/// are written: threads that compute do not wait for the disk. No more than a piece is held beside the surface.
+/// Writes one file of a frame. The pool encodes it in pieces that are complete before they are written, so
+/// that compute threads do not wait for the disk. At most one piece is in memory beside the surface.
 ///
 /// # Errors
-/// When the format has no place for so much, or the system refuses.
+/// When the format cannot hold this amount of data, or the system reports an error.
 pub(crate) fn write_surface<'env>(
     surface: &Arc<FrameSurface>,
     (number, frame): (usize, &Frame),
@@ -153,11 +153,12 @@ fn encode_levels(
     encode_level_set(surface, &frame.settings, &options, provenance)
 }
 
-/// The level set of a surface as a .vdb, with those attributes that are known in its band: what is left is to
-/// [write](vdb::Encoded::write) it. The settings are those that it was skinned with: its values are in their voxels.
+/// Encodes the level set of a surface as a .vdb, with the attributes that are known in its band;
+/// [write](vdb::Encoded::write) the result. The settings must be those of the reconstruction: its values are
+/// in their voxels.
 ///
 /// # Errors
-/// When the format has no place for so much.
+/// When the format cannot hold this amount of data.
 pub fn encode_level_set(
     surface: &FrameSurface,
     settings: &Settings,
@@ -177,8 +178,8 @@ pub fn encode_level_set(
     vdb::encode(&levels, options, provenance)
 }
 
-/// A mesh as the writers of the formats take it: in world units, relative to its origin, with what is known of its
-/// [vertices](vertex_attributes): for each of them as many values as the attribute's arity, in the mesh's order.
+/// A mesh in the form that the writers of the formats take: in world units, relative to its origin, with the
+/// attributes of its [vertices](vertex_attributes), in the mesh's order.
 pub fn mesh_view<'a>(mesh: &'a Mesh, attributes: &'a [VertexAttribute<'a>]) -> MeshView<'a> {
     MeshView {
         positions: bytemuck::cast_slice(&mesh.positions),
@@ -193,7 +194,7 @@ fn leaf_origins(band: &NarrowBand) -> Vec<[i32; 3]> {
     band.topology.origins().iter().map(|origin| origin.to_array()).collect()
 }
 
-/// What is known of the vertices of a mesh, as the writers of the formats take it: a value for each vertex.
+/// The attributes of a mesh's vertices in the form that the writers of the formats take.
 pub fn vertex_attributes<'a>(attributes: &'a [Attribute]) -> Vec<VertexAttribute<'a>> {
     let view = |attribute: &'a Attribute| VertexAttribute {
         name: &attribute.name,
@@ -259,21 +260,21 @@ fn position_warnings(surface: &FrameSurface, outputs: &OutputOptions, voxel_size
     written(outputs).filter_map(warning).collect()
 }
 
-/// The formats that are written, in the order of the table.
+/// The output formats, in the order of the format table.
 fn written(outputs: &OutputOptions) -> impl Iterator<Item = OutputFormat> {
     OutputFormat::ALL.into_iter().filter(|format| outputs.formats.contains(format))
 }
 
-/// A file that moves vertices by more than this is worth a warning, in voxels.
+/// A file that moves vertices by more than this gives a warning, in voxels.
 const REPORTED_FROM_VOXELS: f64 = 0.02;
 
-/// Warnings about attributes that the files do not hold as they are.
+/// Warnings about attributes that the files cannot hold exactly.
 fn attribute_warnings(surface: &FrameSurface, outputs: &OutputOptions) -> Vec<Warning> {
     let vertices = vertex_attributes(&surface.attributes.vertices);
     let mut warnings: Vec<Warning> = Vec::new();
     for mesh in written(outputs).filter_map(OutputFormat::mesh) {
         for warning in (mesh.attribute_notes)(&vertices).into_iter().map(Warning::Sentence) {
-            // .glb and .gltf have the same to say.
+            // .glb and .gltf give the same warning.
             if !warnings.contains(&warning) {
                 warnings.push(warning);
             }

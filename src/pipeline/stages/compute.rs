@@ -1,4 +1,5 @@
-//! The three stages of the method: a thread for each, which starts frames in the pool and computes nothing itself.
+//! The three compute stages of the method: one thread each, which starts frames in the pool and computes
+//! nothing itself.
 
 use crossbeam::channel::{Receiver, Sender};
 use meniscus_formats::{Limits, read_particles};
@@ -14,7 +15,7 @@ use super::shared::{
 };
 
 impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
-    /// From particles, or a level set, to a level set and its bounds. A frame gets its memory here.
+    /// Turns particles, or a level set, into a level set and its bounds. Reserves the memory of a frame.
     pub(super) fn rasterize<K: Send + 'env>(
         &self,
         from: &Receiver<WorkItem<'env, K, Read>>,
@@ -31,7 +32,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
                 Read::Surface { input, obstacles, plan } => {
                     shared.begin(frame, Stage::Rasterize);
                     let scratch = &frame.outputs.folder;
-                    // A frame in tiles makes this folder and writes scratch files into it.
+                    // A frame in tiles creates this folder and writes scratch files into it.
                     shared.refuse_links(scratch)?;
                     let made = shared.method.rasterize(*input, obstacles, &frame.settings, &plan, scratch);
                     staged(made, frame, Stage::Rasterize)
@@ -40,7 +41,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         }
     }
 
-    /// From level sets to smooth ones.
+    /// Smooths level sets.
     pub(super) fn smooth<K: Send + 'env>(
         &self,
         from: &Inlet<WorkItem<'env, K, Staged<M::Rasterized>>>,
@@ -67,7 +68,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         }
     }
 
-    /// From level sets to surfaces. A frame gives back the memory that only computing takes.
+    /// Turns level sets into surfaces. Releases the memory that only computing needs.
     pub(super) fn contour<K: Send + 'env>(
         &self,
         from: &Inlet<WorkItem<'env, K, Staged<M::Smoothed>>>,
@@ -94,7 +95,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         }
     }
 
-    /// Has a thread of the pool do a stage of a frame and send it on, or report its failure.
+    /// Runs a stage of a frame in the pool and sends the result on, or reports the failure.
     fn start<K: Send + 'env, A: Send + 'env, B: Send + 'env>(
         &self,
         stage: Stage,
@@ -118,7 +119,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
     }
 }
 
-/// What a stage made of a surface, or why it failed.
+/// The result of a stage for a surface, or its error.
 fn staged<T>(made: Result<T, Cause>, frame: &Frame, stage: Stage) -> Result<Staged<T>, FrameError> {
     made.map(Staged::Surface).map_err(|cause| frame.failed(stage, cause))
 }
@@ -130,5 +131,5 @@ fn parsed<T>(bytes: &[u8], frame: &Frame) -> Result<Staged<T>, FrameError> {
     Ok(Staged::Particles(Box::new(particles)))
 }
 
-/// Memory for writing a surface, in sizes of the surface: itself, and its level set as it is packed, or not.
+/// The memory for writing a surface, as a multiple of its size: the surface, and its encoded level set.
 const WRITING_MEMORY: u64 = 2;

@@ -3,26 +3,28 @@
 //! ```text
 //!   next ──▶ read ──▶ rasterize ──▶ smooth ──▶ contour ──▶ write ──▶ finished
 //!    ▲                                                                   │
-//!    └──────────────── as many frames as may be in flight ───────────────┘
+//!    └────────── up to the maximum number of frames in flight ───────────┘
 //! ```
 //!
-//! Several frames are under way at once, each in another stage or several in one. A stage begins with a frame only when there
-//! is a place for what it makes in the channel behind it. So a slow stage holds back the stages before it, and in the end the
-//! caller, who is asked for the next frame only when there is room for it, and can decide late which it is.
+//! Several frames are in flight at once, in different stages or in the same one. A stage starts a frame only
+//! when the channel behind it has a free slot. So a slow stage blocks the stages before it, and in the end
+//! the caller, which is asked for the next frame only when there is room for it and so can choose that frame
+//! late.
 //!
-//! Reading has one thread, and writing has some, which wait for the disk. Rasterizing, smoothing and contouring have one thread
-//! each, which only decides when a frame may begin. All computing happens in the pool, where the earliest frame comes
-//! [first](super::scheduler): with many frames each thread of the pool has one of its own, and with one frame they share it.
+//! Reading has one thread and writing has several, which wait for the disk. Rasterizing, smoothing and
+//! contouring have one thread each, which only decides when a frame may start. All computing happens in the
+//! pool, where the earliest frame comes [first](super::scheduler): with many frames each thread of the pool
+//! has a separate frame, and with one frame all threads share it.
 //!
-//! The frames under way are bounded in number, by `in_flight`, and in bytes, by a [budget](super::budget).
+//! The frames in flight are limited in number, by `in_flight`, and in bytes, by a [budget](super::budget).
 //!
-//! Not every frame needs every stage: particles that are only written in another format are parsed by the first one, and go
-//! through the other two as they are.
+//! Not every frame needs every stage: particles that are only converted to another format are parsed by the
+//! first compute stage, and pass unchanged through the other two.
 //!
-//! Each stage runs under `catch_unwind`: a broken invariant costs its own frame only. A frame that failed,
-//! or was done already, leaves at once and overtakes others; [`run`] puts outcomes back in order.
+//! Each stage runs under `catch_unwind`: a broken invariant fails only its frame. A frame that failed, or was
+//! done already, leaves at once and overtakes others; [`run`] restores the order of outcomes.
 //!
-//! `shared` has what goes from stage to stage; `read`, `compute` and `write` are the stages.
+//! `shared` has the types that stages exchange; `read`, `compute` and `write` are the stages.
 
 mod compute;
 mod read;
@@ -55,42 +57,43 @@ pub enum OnError {
     Continue,
 }
 
-/// How frames are converted.
+/// The options of a conversion.
 #[derive(Clone, Copy, Debug)]
 pub struct PipelineOptions<'a> {
-    /// Where all computing happens.
+    /// The thread pool for all computing.
     pub pool: &'a ThreadPool,
-    /// What to do when a frame fails, or changes while it is read. To stop, frames keep their order: each stage has
-    /// one at a time.
+    /// What to do when a frame fails, or changes while it is read. With `Stop`, frames keep their order: each
+    /// stage has one at a time.
     pub on_error: OnError,
-    /// Leave frames alone whose outputs are there, made from the same input by the same settings
-    /// and the same version of this program.
+    /// Skip frames whose outputs exist, from the same input with the same settings and the same version of
+    /// this program.
     pub skip_done: bool,
-    /// Write the certificate of each frame beside its outputs, with their hashes. Then a frame is not done without it,
-    /// nor with other bytes than those it was written for.
+    /// Write a certificate with hashes of the outputs beside them. Then a frame without it, or with other
+    /// bytes than those it was written for, is not done.
     pub certificates: bool,
-    /// As many frames, at most, have been asked for and are not finished; at least one.
+    /// The maximum number of frames that were requested and are not finished; at least one.
     pub in_flight: usize,
-    /// As many bytes, about, the frames under way may take together. A frame that needs more by itself is
-    /// skinned in tiles that wait on disk; one that cannot be fails, and says what it needs.
+    /// The approximate limit on the memory of all frames in flight, in bytes. A frame that alone needs more
+    /// is reconstructed in tiles on disk; if that is impossible, it fails with the amount that it needs.
     pub memory_bytes: u64,
-    /// Who goes through a file with several frames that was written again. Where it is another, reading never waits for that.
+    /// Who indexes a file with several frames after it changed. If it is another thread, reading never waits
+    /// for the index.
     pub steps_found_by: StepsFoundBy,
-    /// Folders of outputs that mirror folders of inputs: links below them are not written through, for other accounts may
-    /// have made them.
+    /// Output folders that mirror input folders: the pipeline does not write through links below them,
+    /// because other accounts may have created those.
     pub mirrors: &'a [PathBuf],
-    /// The recorded states of outputs: a frame is not done if an output has other bytes than were recorded. What is written
-    /// is recorded; without `skip_done`, only where a frame fails validation or its outputs have records already. `None`:
-    /// bytes are neither recorded nor compared.
+    /// The recorded states of outputs: a frame is not done if the bytes of an output differ from its record.
+    /// New outputs are recorded; without `skip_done`, only if a frame fails validation or its outputs have
+    /// records already. `None`: bytes are neither recorded nor compared.
     pub output_states: Option<&'a OutputStates>,
-    /// Is notified of the stages that frames begin, and how they advance.
+    /// Receives the progress of frames.
     pub observer: Option<&'a dyn Observer>,
 }
 
 impl<'a> PipelineOptions<'a> {
-    /// On these threads, as `meniscus convert` does it where nobody asks for anything: it goes on when a frame fails,
-    /// makes again what is done, writes no certificates, and has [so many](default_in_flight) frames under way and
-    /// [so much](default_memory_bytes) memory.
+    /// The defaults of `meniscus convert` on this pool: continue when a frame fails, overwrite frames that
+    /// are done, write no certificates, and use the [default number](default_in_flight) of frames in flight
+    /// and the [default memory](default_memory_bytes).
     pub fn new(pool: &'a ThreadPool) -> PipelineOptions<'a> {
         PipelineOptions {
             pool,
@@ -106,14 +109,15 @@ impl<'a> PipelineOptions<'a> {
         }
     }
 
-    /// What is recorded of the outputs of a frame, as far as records are kept: `None` if one has other bytes than were
-    /// recorded, and else what did not hold when the frame was checked.
+    /// Compares the outputs of a frame with their records, if records are kept: `None` if the bytes of one
+    /// differ, or else the failed checks of the frame.
     pub(super) fn recorded_fault(&self, outputs: &[PathBuf]) -> Option<Option<String>> {
         self.output_states.map_or(Some(None), |states| states.recorded_fault(outputs))
     }
 
-    /// Records the outputs of a frame that were just written, and what did not hold when it was checked, if records are
-    /// kept. A fault is saved at once: after an interrupted run nothing else says that the frame failed validation.
+    /// Records the outputs of a frame that were just written, with its failed checks, if records are kept. A
+    /// failed check is saved at once: after an interrupted run, no other file would show that the frame
+    /// failed validation.
     pub(super) fn record(&self, outputs: &[PathBuf], fault: Option<&str>) {
         if let Some(states) = self.output_states
             && (self.skip_done || fault.is_some() || states.has_any(outputs))
@@ -122,25 +126,25 @@ impl<'a> PipelineOptions<'a> {
             if fault.is_some()
                 && let Some(folder) = outputs.first().and_then(|path| path.parent())
             {
-                // What fails here is tried again at the end of the run, and reported there.
+                // The end of the run saves again, and reports an error.
                 let _ = states.save(folder);
             }
         }
     }
 }
 
-/// How many frames it takes to keep this many threads busy: one for each, and some that are read or written.
+/// The number of frames that keep this many threads busy: one for each, plus some that are read or written.
 pub fn default_in_flight(threads: usize) -> usize {
     threads + writer_count(threads) + 1
 }
 
-/// Encoding takes a small part of the time of computing; waiting for the disk need not be waited for.
+/// Encoding takes little time compared to computing; more threads would only wait for the disk.
 fn writer_count(thread_count: usize) -> usize {
     thread_count / 2 + 1
 }
 
-/// Converts the frames of a list; `finished` hears of each, by its index and in order, as soon as all
-/// before it are finished.
+/// Converts the frames of a list. `finished` receives each outcome with the index of its frame, in order, as
+/// soon as all earlier frames are finished.
 pub fn run<M: Method>(
     method: &M,
     frames: &[Frame],
@@ -158,7 +162,7 @@ pub fn run<M: Method>(
         |index, _, outcome| {
             early.insert(index, outcome);
             while let Some(outcome) = early.remove(&finished_count) {
-                // A frame after the one that failed may have failed before it.
+                // A frame after the failed one may have failed first.
                 let outcome = if is_stopped { Outcome::NotStarted } else { outcome };
                 is_stopped |= options.on_error == OnError::Stop && is_failure(&outcome);
                 finished(finished_count, outcome);
@@ -168,9 +172,9 @@ pub fn run<M: Method>(
     );
 }
 
-/// Converts the frames that `next` returns, until it returns `None`. It is asked when there is room for one
-/// frame more, and may block. `K` is what the caller knows the frame by. `finished` hears of each frame as
-/// soon as its outcome is known, in whatever order, on the thread of the caller.
+/// Converts the frames that `next` returns, until it returns `None`. Calls `next` when there is room for one
+/// more frame; `next` may block. `K` identifies a frame for the caller. `finished` receives each outcome as
+/// soon as it is known, in any order, on the thread of the caller.
 pub fn stream<M: Method, K: Send>(
     method: &M,
     next: impl FnMut() -> Option<(K, Frame)> + Send,
@@ -193,7 +197,7 @@ fn drive<'scope, 'env: 'scope, M: Method, K: Send + 'env>(
 ) {
     let options = stages.shared.options;
     let in_flight = options.in_flight.max(1);
-    // As many frames at most, in each stage and behind it.
+    // The maximum number of frames in each stage and in the channel behind it.
     let width = match options.on_error {
         OnError::Stop => 1,
         OnError::Continue => options.pool.current_num_threads().min(in_flight),
@@ -217,11 +221,11 @@ fn drive<'scope, 'env: 'scope, M: Method, K: Send + 'env>(
         let of_stage = done.clone();
         scope.spawn(move || stages.smooth(&to_smooth_from, &to_contour, &of_stage));
         scope.spawn(move || stages.contour(&to_contour_from, &to_write, &done));
-        // The stages end when the one before has: this thread's own end of a channel must not keep them.
+        // A stage ends when the one before it has ended, so this thread must drop its ends of the channels.
         drop(to_write_from);
         for FinishedFrame { key, frame, outcome } in outcomes {
             finished(key, frame, outcome);
-            // There is a token in it for each frame that is not finished.
+            // The channel holds a token for each frame that is not finished.
             let _ = no_room.try_recv();
         }
     });

@@ -1,7 +1,7 @@
-//! From files to particles and level sets: one thread, which asks for the next frame when there is room for one.
+//! Reads particles and level sets: one thread, which requests the next frame when there is room for one.
 //!
-//! A file that is large, and of which positions are enough, is gone through batch by batch later; here it is hashed. Any
-//! other is read whole. Parsing and planning are work for the pool.
+//! A large file of which only positions are needed is streamed in batches later; this thread only hashes it.
+//! Other files are read whole. Parsing and planning happen in the pool.
 
 use std::io;
 use std::sync::Arc;
@@ -30,7 +30,7 @@ use super::PipelineOptions;
 use super::shared::{FinishedFrame, InputInfo, Noted, Read, Stages, WorkItem, outcome_of};
 
 impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
-    /// Reads frames until there are none, or the caller is gone.
+    /// Reads frames until `next` returns `None`, or the caller is gone.
     pub(super) fn read<K>(
         &self,
         mut next: impl FnMut() -> Option<(K, Frame)>,
@@ -59,7 +59,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         if shared.is_stopped_before(number) {
             return Err(Outcome::NotStarted);
         }
-        // A file that cannot be looked at will not be read either.
+        // A file without readable metadata cannot be read later either.
         let file_bytes = reading_bytes(&frame.input, shared.options.steps_found_by);
         let obstacle_bytes = frame.obstacles.loading_bytes(frame.number);
         let bytes = file_bytes.saturating_mul(reading_memory(&frame.job)).saturating_add(obstacle_bytes);
@@ -77,8 +77,9 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
             let (needed_bytes, obstacles) = (bytes, <(String, usize)>::default());
             return Ok((read, InputInfo { input, read_seconds, noted, obstacles, needed_bytes, memory }));
         };
-        // Those that stand still are there for the frames that follow, too. They are named by where they are, which the
-        // frames of this pipeline keep as it is; and nobody takes their room between this and the next.
+        // Obstacles that do not move are shared with the following frames. Their address identifies them, and
+        // does not change while this pipeline has frames; no other reservation can take their memory in
+        // between.
         let standing_bytes = obstacles.all_bytes - obstacles.own_bytes;
         shared.budget.set_shared(Arc::as_ptr(&frame.obstacles).addr(), standing_bytes);
         let given_bytes = given.size_bytes().saturating_add(obstacles.own_bytes);
@@ -91,14 +92,14 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         Ok((read, InputInfo { input, read_seconds, noted, obstacles, needed_bytes, memory }))
     }
 
-    /// The bytes of a frame that is written in another format.
+    /// The bytes of a frame that is converted to another particle format.
     fn bytes_of(&self, frame: &Frame) -> Result<(Read, ReadInput, Noted), Outcome> {
         let (bytes, input) = self.whole(frame)?;
         self.refuse_done(frame, input, "")?;
         Ok((Read::Particles(bytes), input, Noted::default()))
     }
 
-    /// The level set of a frame, which gets the voxel size and the origin of its file.
+    /// Reads the level set of a frame, and gives the frame the voxel size and the origin of its file.
     fn level_set_of(&self, number: usize, frame: &mut Frame) -> Result<(Read, ReadInput, Noted), Outcome> {
         let failed = |error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error));
         let memory_bytes = self.shared.options.memory_bytes;
@@ -131,7 +132,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         Ok((bytes, ReadInput { stamp, hash }))
     }
 
-    /// The particles of a frame, and the warnings about them.
+    /// Reads the particles of a frame, with the warnings about them.
     fn particles_of(&self, number: usize, frame: &Frame) -> Result<(Read, ReadInput, Noted), Outcome> {
         let failed = |error: meniscus_formats::Error| {
             Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error))
@@ -167,7 +168,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         self.planned(number, frame, parse, obstacles, input)
     }
 
-    /// The file of a frame that is better gone through twice, batch by batch, than read once.
+    /// The file of a frame that should be streamed twice in batches instead of being read at once.
     fn worth_streaming(&self, frame: &Frame) -> io::Result<Option<InputFile>> {
         if step_of(&frame.input).is_some() || !needs_positions_only(&frame.settings) {
             return Ok(None);
@@ -176,7 +177,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         Ok((file.is_regular() && file.stamp().size >= STREAMED_FROM_BYTES).then_some(file))
     }
 
-    /// Ends a frame that need not be made again, where such frames are skipped.
+    /// Ends a frame that is done already, if such frames are skipped.
     fn refuse_done(&self, frame: &Frame, input: ReadInput, obstacles: &str) -> Result<(), Outcome> {
         let options = self.shared.options;
         let PipelineOptions { skip_done, certificates, .. } = *options;
@@ -192,7 +193,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         fault.map_or(Ok(()), |fault| Err(Outcome::AlreadyDone { input, fault }))
     }
 
-    /// Has a frame parsed and planned in the pool; waiting for the disk before it is no work for that.
+    /// Parses and plans a frame in the pool; only the reading before it happens on this thread.
     fn planned(
         &self,
         number: usize,
@@ -223,22 +224,22 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
     }
 }
 
-/// Whether a frame needs nothing of its particles but their positions, and these not all at once.
+/// Whether a frame needs only the positions of its particles, and these in batches.
 fn needs_positions_only(settings: &Settings) -> bool {
     Wanted::by(settings).is_nothing()
 }
 
-/// Memory for reading a file, in sizes of the file: its bytes, and what is parsed from them.
+/// The memory for reading a file, as a multiple of its size: its bytes, and the parsed data.
 fn reading_memory(job: &Job) -> u64 {
     match job {
         Job::Surface => 2,
-        // With all that is known of them.
+        // With all attributes.
         Job::Particles => 3,
-        // Its values are packed, to about a quarter.
+        // Its values are compressed, to about a quarter.
         Job::LevelSet { .. } => 5,
     }
 }
 
-/// Files of this size and more are read batch by batch where their format allows it. Smaller ones are sooner read
-/// once than gone through twice.
+/// Files of this size and larger are read in batches if their format allows it. A smaller file is faster to
+/// read once than to stream twice.
 const STREAMED_FROM_BYTES: u64 = 16 << 20;

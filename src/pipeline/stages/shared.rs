@@ -1,8 +1,8 @@
-//! What the stages share, and what goes from one to the next.
+//! The shared state of the stages, and the types that they exchange.
 //!
-//! A [`WorkItem`] goes from stage to stage until its frame is [`FinishedFrame`]. Between two stages it goes through a [link]: a
-//! bounded channel in which a place is reserved before a stage begins with a frame. So a stage that is slow holds back the one
-//! before it, and a thread of the pool never waits for room in a channel.
+//! A [`WorkItem`] moves from stage to stage until its frame is a [`FinishedFrame`]. Between two stages it
+//! passes a [link]: a bounded channel in which a stage reserves a slot before it starts a frame. So a slow
+//! stage blocks the one before it, and a thread of the pool never waits for room in a channel.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -21,7 +21,7 @@ use crate::surface::skin::MemoryPlan;
 
 use super::{OnError, PipelineOptions};
 
-/// What all stages share.
+/// The state that all stages share.
 pub(super) struct StageContext<'env, M> {
     pub(super) method: &'env M,
     pub(super) options: &'env PipelineOptions<'env>,
@@ -38,49 +38,49 @@ pub(super) struct Stages<'a, 'scope, 'env, M> {
 
 /// A frame between two stages.
 pub(super) struct WorkItem<'env, K, T> {
-    /// Frames are counted as they are asked for.
+    /// The number of the frame, in the order of requests.
     pub(super) number: usize,
-    /// What the caller knows the frame by.
+    /// The caller's key for the frame.
     pub(super) key: K,
     pub(super) frame: Frame,
     pub(super) info: InputInfo<'env>,
-    /// What the last stage made of it.
+    /// The result of the last stage.
     pub(super) content: T,
 }
 
-/// What is known of a frame since it was read.
+/// Facts about a frame that are known since it was read.
 pub(super) struct InputInfo<'env> {
     pub(super) input: ReadInput,
     pub(super) read_seconds: f64,
     pub(super) noted: Noted,
-    /// What is recorded of its obstacles, and at how many edges they are open.
+    /// The record of its obstacles, and their number of boundary edges.
     pub(super) obstacles: (String, usize),
-    /// The memory that it may take for all stages, in bytes.
+    /// The peak memory of the frame in all stages, in bytes.
     pub(super) needed_bytes: u64,
     pub(super) memory: Reservation<'env>,
 }
 
-/// What a user should know of what was read.
+/// Warnings about the input.
 #[derive(Default)]
 pub(super) struct Noted {
     pub(super) warnings: Vec<Warning>,
-    /// The name of velocities that are not wanted.
+    /// The name of velocities that were not requested.
     pub(super) unused_velocity: Option<String>,
 }
 
-/// What reading hands to the first stage that computes.
+/// The result of reading.
 pub(super) enum Read {
-    /// For a surface, and how it will be computed.
+    /// For a surface, with the plan of its reconstruction.
     Surface { input: Box<FrameInput>, obstacles: FrameObstacles, plan: MemoryPlan },
-    /// The bytes of a file of particles, to be written in another format.
+    /// The bytes of a particle file, for conversion to another format.
     Particles(Vec<u8>),
 }
 
-/// What one of the stages after reading hands to the next.
+/// The result of a compute stage.
 pub(super) enum Staged<T> {
-    /// A surface, as far as it is.
+    /// A surface in progress.
     Surface(T),
-    /// Particles that become no surface.
+    /// Particles without a surface.
     Particles(Box<ParticleFrame>),
 }
 
@@ -105,7 +105,7 @@ impl<'env, M> StageContext<'env, M> {
         }
     }
 
-    /// Reports the outcome of the frame with this number. Returns whether the caller still listens.
+    /// Reports the outcome of the frame with this number. Returns whether the caller still receives outcomes.
     pub(super) fn finish<K>(
         &self,
         number: usize,
@@ -118,7 +118,7 @@ impl<'env, M> StageContext<'env, M> {
         to.send(finished).is_ok()
     }
 
-    /// Whether a frame before this one failed, and [`OnError::Stop`] was asked for.
+    /// Whether a frame before this one failed, under [`OnError::Stop`].
     pub(super) fn is_stopped_before(&self, number: usize) -> bool {
         self.options.on_error == OnError::Stop && self.failed_first.load(Ordering::Relaxed) < number
     }
@@ -134,7 +134,7 @@ pub(super) fn is_failure(outcome: &Outcome) -> bool {
     matches!(outcome, Outcome::Failed(_) | Outcome::Changed)
 }
 
-/// A bounded channel between two stages, whose places are reserved before they are used.
+/// A bounded channel between two stages, whose slots are reserved before use.
 pub(super) fn link<T>(capacity: usize) -> (Outlet<T>, Inlet<T>) {
     let (items, from) = bounded(capacity);
     (Outlet { items, places: Semaphore::new(capacity) }, Inlet(from))
@@ -150,14 +150,14 @@ pub(super) struct Outlet<T> {
 /// The end of a link that a stage receives from.
 pub(super) struct Inlet<T>(Receiver<(Permit, T)>);
 
-/// A reserved place in a link: free again when it is dropped, or when what was sent is received.
+/// A reserved slot in a link: it becomes free when it is dropped, or when the item is received.
 pub(super) struct LinkSlot<T> {
     items: Sender<(Permit, T)>,
     permit: Permit,
 }
 
 impl<T> Outlet<T> {
-    /// Waits for a free place.
+    /// Waits for a free slot.
     pub(super) fn reserve(&self) -> LinkSlot<T> {
         LinkSlot { items: self.items.clone(), permit: self.places.acquire() }
     }
@@ -166,7 +166,7 @@ impl<T> Outlet<T> {
 impl<T> LinkSlot<T> {
     /// Sends, without waiting.
     pub(super) fn send(self, item: T) {
-        // It fails only if the next stage is gone: then the caller is, too.
+        // This fails only if the next stage is gone, and then the caller is, too.
         let _ = self.items.try_send((self.permit, item));
     }
 }

@@ -1,4 +1,4 @@
-//! From surfaces and particles to files: threads that wait for the disk, so that none that computes does.
+//! Writes surfaces and particles to files, on threads that wait for the disk so that compute threads do not.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -27,7 +27,7 @@ use crate::surface::space::Lattice;
 use super::shared::{FinishedFrame, Inlet, InputInfo, Noted, StageContext, Staged, Stages, WorkItem};
 
 impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
-    /// Writes what frames became until there are none; nothing more once the caller is gone.
+    /// Writes frames until there are no more; discards them once the caller is gone.
     pub(super) fn write<K>(
         &self,
         from: &Inlet<WorkItem<'env, K, Staged<FrameSurface>>>,
@@ -35,12 +35,13 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
     ) {
         let mut is_abandoned = false;
         while let Some(WorkItem { number, key, frame, info, content }) = from.receive() {
-            // The stages before wait for places: frames are taken from the channel also when the caller is gone.
+            // The stages before wait for slots, so frames are taken from the channel even if the caller is
+            // gone.
             if is_abandoned {
                 continue;
             }
-            // Where frames keep their order, those before this one are past all other stages: what is
-            // written before a stop does not depend on timing.
+            // If frames keep their order, all earlier frames have passed the other stages, so the frames
+            // written before a stop do not depend on timing.
             let outcome = match content {
                 _ if self.shared.is_stopped_before(number) => Outcome::NotStarted,
                 Staged::Surface(surface) => self.write_one((number, &frame), info, surface),
@@ -86,7 +87,7 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
         let made_from = (info.input.hash, info.obstacles.0.as_str());
         let surface = Arc::new(surface);
         let preview_time = Mutex::new(Duration::ZERO);
-        // All of it: a panic in the framing, too, fails this frame alone.
+        // The whole write is covered: a panic in the framing also fails only this frame.
         let asked = frame;
         let written = FrameError::catch(&asked.input, Stage::Write, || {
             self.shared.refuse_links(&asked.outputs.folder)?;
@@ -133,7 +134,7 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
 }
 
 impl<M> StageContext<'_, M> {
-    /// Refuses a folder that is reached through a link, where it mirrors one of inputs.
+    /// Refuses a folder below a mirrored output folder if the path to it contains a link.
     pub(super) fn refuse_links(&self, folder: &Path) -> Result<(), FrameError> {
         let within = self.options.mirrors.iter().filter_map(|mirror| folder.strip_prefix(mirror).ok());
         let depth = within.map(|within| within.components().count()).min().unwrap_or(0);
@@ -143,7 +144,7 @@ impl<M> StageContext<'_, M> {
     }
 }
 
-/// The report on a frame as far as it does not depend on what was written.
+/// The part of a frame's report that does not depend on its files.
 fn report(
     frame: &Frame,
     info: InputInfo<'_>,
@@ -167,7 +168,7 @@ fn report(
     }
 }
 
-/// The box that holds the surface, without what strayed.
+/// The bounding box of the surface, without outliers.
 fn bounds_of(surface: &FrameSurface, frame: &Frame) -> Option<[DVec3; 2]> {
     let lattice = Lattice { voxel_size: frame.settings.voxel_size };
     PictureScene { band: &surface.band, lattice, origin: frame.job.origin(), velocity: None }.bounds()
