@@ -1,11 +1,9 @@
 //! The memory budget of the frames in flight.
 //!
 //! ```text
-//!   reserve_input    before reading: about the size of the file        waits for room, or until nothing else
-//!   is reserved
+//!   reserve_input    before reading: about the size of the file        waits for room, or for an empty budget
 //!   resize           after reading: the input
-//!   reserve_compute  before computing: the peak of the frame           waits for room, or until no other
-//!   frame computes
+//!   reserve_compute  before computing: the peak of the frame           waits for room, or for other frames
 //!   resize           after computing: the surface
 //!   drop             after writing
 //! ```

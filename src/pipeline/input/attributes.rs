@@ -1,4 +1,4 @@
-//! Which attributes of a file a frame needs, and their values as the method has them.
+//! Selects the attributes that a frame needs from its file, and converts their values for the method.
 
 use std::sync::Arc;
 
@@ -10,29 +10,29 @@ use crate::surface::particles::{Attribute, AttributeValues, Meaning, attribute_o
 
 use crate::pipeline::warning::Warning;
 
-/// What a frame needs of the attributes in its file.
+/// The attributes that a frame needs from its file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Wanted {
-    /// The attributes without which it cannot be skinned.
+    /// Attributes that the reconstruction requires.
     needed: Vec<Needed>,
-    /// Those that its surface is to have.
+    /// Attributes to transfer to the surface.
     selected: Option<AttributeSelection>,
 }
 
-/// An attribute without which a frame cannot be skinned.
+/// An attribute that the reconstruction requires.
 #[derive(Clone, Debug, PartialEq)]
 struct Needed {
     name: String,
-    /// Numbers for each particle.
+    /// The number of components for each particle.
     arity: usize,
-    /// What asks for it.
+    /// The option that requires it.
     option: &'static str,
-    /// Whether it must be a positive number for one particle at least.
+    /// Whether at least one particle needs a positive value.
     is_length: bool,
 }
 
 impl Needed {
-    /// What to say where it is not among these attributes.
+    /// The error if it is not one of these attributes.
     fn why_missing(&self, all: &[Attribute]) -> String {
         let Needed { name, arity, option, .. } = self;
         let kind = if *arity == 1 { "one number" } else { "a vector of three numbers" };
@@ -60,7 +60,7 @@ impl Needed {
         attribute.is_called(&self.name) && attribute.has_numbers(self.arity)
     }
 
-    /// What to say where it is there, and of no use for any particle.
+    /// The error if it exists, but has no usable value for any particle.
     fn why_useless(&self, attribute: &Attribute) -> Option<String> {
         let numbers = attribute.values.numbers().unwrap_or_default();
         let is_useful = |number: &f32| number.is_finite() && *number > 0.0;
@@ -74,7 +74,7 @@ impl Needed {
 }
 
 impl Wanted {
-    /// What these settings ask for.
+    /// The attributes that these settings require.
     pub fn by(settings: &Settings) -> Wanted {
         let mut needed = Wanted::radii(settings.own_radii.as_ref()).needed;
         if matches!(settings.anisotropy, Anisotropy::Velocity { .. }) {
@@ -84,7 +84,7 @@ impl Wanted {
         Wanted { needed, selected: settings.attributes.clone() }
     }
 
-    /// The particles' own radii only.
+    /// The per-particle radii only.
     pub(crate) fn radii(own: Option<&OwnRadii>) -> Wanted {
         let needed = |own: &OwnRadii| Needed {
             name: own.attribute.clone(),
@@ -95,20 +95,20 @@ impl Wanted {
         Wanted { needed: own.map(needed).into_iter().collect(), selected: None }
     }
 
-    /// These, and the particles' radii where there are any.
+    /// These, and the particles' radii if there are any.
     pub(crate) fn and_radius(self) -> Wanted {
         Wanted { selected: Some(AttributeSelection::Named(vec!["radius".to_owned()])), ..self }
     }
 
-    /// Whether positions are enough.
+    /// Whether only positions are needed.
     pub fn is_nothing(&self) -> bool {
         self.needed.is_empty() && self.selected.is_none()
     }
 
-    /// Those of a file's attributes that are wanted, and what a user should know of them.
+    /// Selects the requested attributes of a file, with warnings.
     ///
     /// # Errors
-    /// What is missing, or of no use, where the frame cannot be skinned without.
+    /// If a required attribute is missing or unusable.
     pub(crate) fn of(
         &self,
         attributes: Vec<FileAttribute>,
@@ -136,7 +136,7 @@ impl Wanted {
         let missing =
             missing.map(|name| Warning::MissingAttribute { name: name.clone(), available: available() });
         let missing: Vec<Warning> = missing.collect();
-        // Of `v` and `velocity`, `--attributes v` means the one that is called so, and not the one that means it.
+        // If a file has both `v` and `velocity`, `--attributes v` means the one with exactly that name.
         let has_own = |name: &String| all.iter().any(|attribute| attribute.name.eq_ignore_ascii_case(name));
         let is_named = |attribute: &Attribute| {
             named.iter().any(|name| match has_own(name) {
@@ -156,7 +156,7 @@ impl Wanted {
         Ok((kept.collect(), missing))
     }
 
-    /// Whether the surface is to have the velocities of the particles, which have this name.
+    /// Whether to transfer the particles' velocities, which have this name, to the surface.
     pub(crate) fn has_velocity(&self, name: &str) -> bool {
         let asked = |asked: &String| {
             let is = |other: &str| asked.eq_ignore_ascii_case(other);
@@ -169,13 +169,13 @@ impl Wanted {
         }
     }
 
-    /// Whether the surface is to have this attribute.
+    /// Whether to transfer this attribute to the surface.
     pub fn is_selected(&self, attribute: &Attribute) -> bool {
         self.selected.as_ref().is_some_and(|selection| selection.selects(attribute))
     }
 }
 
-/// A file's attribute as the method has it: reals in 32 bits, colours from 0 to 1.
+/// Converts a file's attribute for the method: 32-bit floats, colours from 0 to 1.
 fn attribute(attribute: FileAttribute) -> Attribute {
     let FileAttribute { name, arity, role, values } = attribute;
     let meaning = match role {
@@ -235,9 +235,9 @@ mod tests {
         Wanted::by(&Settings::paper(1.0, &choices).expect("sound"))
     }
 
-    /// The method knows no formats, so it has the names of its own: they must be those of the readers.
+    /// The method knows no formats, so it has a separate list of names, which must match the readers' list.
     #[test]
-    fn velocities_and_colors_are_called_as_the_readers_call_them() {
+    fn names_of_velocities_and_colors_match_the_readers() {
         for (role, meaning) in
             [(AttributeRole::Velocity, Meaning::Velocity), (AttributeRole::Color, Meaning::Color)]
         {
@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wanted_is_kept_under_any_of_its_names() {
+    fn selected_attribute_is_found_under_any_of_its_names() {
         let named = |names: &[&str]| {
             let names = names.iter().map(|&name| name.to_owned()).collect();
             wanted(MethodOptions {
@@ -274,14 +274,14 @@ mod tests {
     }
 
     #[test]
-    fn what_is_needed_must_be_there() {
+    fn missing_or_unusable_required_attribute_is_an_error() {
         let by_radius = |name: &str| {
             wanted(MethodOptions { radius_attribute: Some(name.to_owned()), ..MethodOptions::default() })
         };
         let (kept, _) = by_radius("radius").of(two_particles()).expect("there");
         assert_eq!(kept.len(), 1);
         assert_eq!(kept[0].values, AttributeValues::Numbers(vec![0.5, 1.0]));
-        // A whole number is one, a colour is none.
+        // An integer is a valid radius, a colour is not.
         assert!(by_radius("Kind").of(two_particles()).is_ok());
         let error = by_radius("rgb").of(two_particles()).expect_err("three numbers");
         assert!(error.contains("`rgb` has 3 numbers") && error.contains("needs one number"), "{error}");
@@ -299,14 +299,14 @@ mod tests {
         };
         let error = useless(&[0.0, -1.0, f32::NAN, f32::INFINITY]).expect_err("no radius");
         assert!(error.contains("`pscale` has no positive number") && error.contains("--radius-attribute"));
-        // One will do, and where there are no particles there are no radii.
+        // One positive value is enough; without particles none is needed.
         assert!(useless(&[0.0, 0.5]).is_ok() && useless(&[]).is_ok());
         let error = by_radius("size").of(two_particles()).expect_err("not there");
         assert!(error.contains("`size`") && error.contains("--radius-attribute"), "{error}");
     }
 
     #[test]
-    fn values_are_those_of_the_method() {
+    fn values_are_converted_for_the_method() {
         let all =
             wanted(MethodOptions { attributes: Some(AttributeSelection::All), ..MethodOptions::default() });
         let (kept, _) = all.of(two_particles()).expect("nothing is needed");

@@ -1,4 +1,4 @@
-//! What is to be done with a frame, and what came of it.
+//! Frames to convert, and their outcomes.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -20,20 +20,20 @@ use crate::pipeline::target::picture::PictureOptions;
 use crate::pipeline::target::viewpoint::CameraChoice;
 use crate::pipeline::warning::Warning;
 
-/// What a frame is made from, and what it becomes.
+/// The kind of conversion.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Job {
     /// Particles become a surface.
     #[default]
     Surface,
-    /// The level set in a .vdb becomes a surface. The settings of the frame get the voxel size of the file when it is read.
+    /// The level set in a .vdb becomes a surface. Reading sets the voxel size in the frame's settings.
     LevelSet {
-        /// By how much smoothing may move the surface, in voxels; 0 leaves it as it is.
+        /// By how much smoothing may move the surface, in voxels; 0 leaves it unchanged.
         slack_voxels: f64,
-        /// Where the level set's voxel (0, 0, 0) is, in world units: known when it is read.
+        /// The position of voxel (0, 0, 0) in world units: known once the file is read.
         origin: DVec3,
     },
-    /// Particles are written as they are, in formats that hold particles. The settings do not matter.
+    /// Particles are written unchanged, in formats that hold particles. The settings do not matter.
     Particles,
 }
 
@@ -43,7 +43,7 @@ impl Job {
         Job::LevelSet { slack_voxels, origin: DVec3::ZERO }
     }
 
-    /// How a file becomes a surface, by its name: a level set as it is.
+    /// The conversion of a file to a surface, by the file's name; a level set is not smoothed.
     pub fn of(path: &Path) -> Job {
         if is_level_set(path) { Job::level_set(0.0) } else { Job::Surface }
     }
@@ -52,7 +52,7 @@ impl Job {
         if let Job::LevelSet { slack_voxels, .. } = self { *slack_voxels } else { 0.0 }
     }
 
-    /// Where voxel (0, 0, 0) is, world units.
+    /// The position of voxel (0, 0, 0), world units.
     pub(crate) fn origin(&self) -> DVec3 {
         if let Job::LevelSet { origin, .. } = self { *origin } else { DVec3::ZERO }
     }
@@ -61,27 +61,27 @@ impl Job {
 /// One frame to convert.
 #[derive(Clone, Debug)]
 pub struct Frame {
-    /// The file of particles, or of a level set.
+    /// The particle file or level-set file.
     pub input: PathBuf,
-    /// What it becomes.
+    /// The kind of conversion.
     pub job: Job,
-    /// What the outputs are called, without folder and extension.
+    /// The base name of the outputs, without folder and extension.
     pub stem: String,
     /// The settings of its sequence.
     pub settings: Arc<Settings>,
-    /// What is written, and where.
+    /// The outputs, and their folder.
     pub outputs: Arc<OutputOptions>,
-    /// Its number, where it has one: of obstacles that move, it has the file with the same.
+    /// Its number, if it has one: a frame uses the files of moving obstacles with the same number.
     pub number: Option<u64>,
-    /// What stands in the way.
+    /// Its obstacles.
     pub obstacles: Arc<ObstacleFiles>,
-    /// The camera of its sequence, where frames that are not known yet may make it another one; else that of the
-    /// outputs is taken.
+    /// The camera of its sequence, if frames that are not known yet may change it; else the camera of the
+    /// outputs is used.
     pub framing: Option<Arc<Framing>>,
 }
 
 impl Frame {
-    /// The frame in a file, with nothing in its way. Its outputs are called what the file is called.
+    /// The frame in a file, without obstacles. Its outputs have the base name of the file.
     pub fn new(file: &FrameFile, settings: &Arc<Settings>, outputs: &Arc<OutputOptions>) -> Frame {
         Frame {
             input: file.path.clone(),
@@ -95,18 +95,18 @@ impl Frame {
         }
     }
 
-    /// The same frame with its pictures taken by this camera.
+    /// The same frame with this camera for its pictures.
     pub(crate) fn taken_by(&self, camera: CameraChoice) -> Frame {
         let picture = PictureOptions { camera, ..self.outputs.picture };
         Frame { outputs: Arc::new(OutputOptions { picture, ..(*self.outputs).clone() }), ..self.clone() }
     }
 
-    /// Whether a picture is made of it.
+    /// Whether a picture of it is written.
     pub(crate) fn has_pictures(&self) -> bool {
         self.outputs.has_pictures()
     }
 
-    /// A failure of a stage of the method on this frame.
+    /// The error of a stage of the method on this frame.
     pub(crate) fn failed(&self, during: Stage, cause: Cause) -> FrameError {
         let path = match cause {
             Cause::Scratch(_) => self.outputs.folder.join(&self.stem),
@@ -115,60 +115,61 @@ impl Frame {
         FrameError { path, during, cause }
     }
 
-    /// The files that the frame becomes.
+    /// The paths of the frame's outputs.
     pub fn output_paths(&self) -> Vec<PathBuf> {
         let OutputOptions { folder, formats, .. } = &*self.outputs;
         formats.iter().map(|&format| output_path(folder, &self.stem, format)).collect()
     }
 }
 
-/// Which state of a file was read.
+/// The state of a file that was read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ReadInput {
-    /// What the file system said of it, the same before and after reading.
+    /// The stamp of the file, the same before and after the read.
     pub stamp: FileStamp,
-    /// A hash of the file as it was on the disk. It tells files apart that are not made to be
-    /// confused; it is not a seal.
+    /// A hash of the file's bytes. It distinguishes files reliably, but is not secure against deliberate
+    /// collisions.
     pub hash: u128,
 }
 
-/// What came of a frame.
+/// The outcome of a frame.
 #[derive(Debug)]
 pub enum Outcome {
     /// All outputs were written.
     Converted(Box<FrameReport>),
-    /// All outputs were there already, made from the same input by the same settings.
+    /// All outputs existed already, from the same input with the same settings.
     AlreadyDone {
-        /// Which state of the input was read.
+        /// The state of the input that was read.
         input: ReadInput,
-        /// What did not hold when the frame was checked, by its certificate or the records of outputs; `None` where all
-        /// held, or neither knows.
+        /// The failed checks of the frame, according to its certificate or the records of outputs; `None` if
+        /// all passed, or neither exists.
         fault: Option<String>,
     },
-    /// The file was written while it was read: what was read is neither the old file nor the new
-    /// one. It is to be read again later.
+    /// The file was written while it was read, so the bytes are neither the old file nor the new one. The
+    /// caller has to read it again later.
     Changed,
     /// No output was written.
     Failed(FrameError),
-    /// Not attempted: an earlier frame failed, and that was to be the end.
+    /// Not attempted, because an earlier frame failed and the run stops at the first failure.
     NotStarted,
 }
 
-/// Wall-clock seconds in each stage. Frames overlap: with several of them each has a thread to itself where one alone has all, so
-/// these may add up to more than the run took. Only of a frame that is converted alone are they the cost.
+/// Wall-clock seconds in each stage. Frames overlap: each of several frames has one thread, and a single
+/// frame has all threads. So the seconds may add up to more than the run took, and only show the cost of a
+/// frame that is converted alone.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Seconds {
-    /// Of reading and parsing.
+    /// Reading and parsing.
     pub read: f64,
-    /// Of rasterizing.
+    /// Rasterizing.
     pub rasterize: f64,
-    /// Of smoothing.
+    /// Smoothing.
     pub smooth: f64,
-    /// Of contouring.
+    /// Contouring.
     pub contour: f64,
-    /// Of encoding and writing, without pictures.
+    /// Encoding and writing, without pictures.
     pub write: f64,
-    /// Of rendering and writing pictures.
+    /// Rendering and writing pictures.
     #[serde(default)]
     pub preview: f64,
 }
@@ -179,37 +180,36 @@ impl Seconds {
         [self.read, self.rasterize, self.smooth, self.contour, self.write, self.preview]
     }
 
-    /// Of all stages together.
+    /// The sum of all stages.
     pub fn total(&self) -> f64 {
         self.by_stage().iter().sum()
     }
 }
 
-/// What was measured on a frame that was converted.
+/// The measurements of a converted frame.
 #[derive(Clone, Debug, Default)]
 pub struct FrameReport {
-    /// What was read.
+    /// The state of the input that was read.
     pub input: ReadInput,
-    /// What the method measured.
+    /// The report of the method.
     pub skin: SkinReport,
-    /// What stood in the way: names and hashes of files. Empty if nothing did.
+    /// The names and hashes of its obstacle files; empty without obstacles.
     pub obstacles: String,
-    /// Edges at which the meshes of obstacles are open.
+    /// The number of boundary edges of the obstacle meshes.
     pub obstacle_open_edge_count: usize,
-    /// The voxel size of a level set, in world units; `None` where the settings of the frame say it.
+    /// The voxel size of a level set, in world units; `None` if the frame's settings have it.
     pub voxel_size: Option<f64>,
     /// Seconds in each stage.
     pub seconds: Seconds,
-    /// The most memory that this process has held at any time until the frame was written;
-    /// `None` where the system does not tell.
+    /// The peak memory of this process until the frame was written; `None` if the system does not report it.
     pub peak_memory_bytes: Option<u64>,
     /// The files that were written.
     pub outputs: Vec<PathBuf>,
     /// The size of each of them.
     pub output_bytes: Vec<u64>,
-    /// What a user should know though the frame was converted, beside what [was measured](FrameReport::all_warnings).
+    /// Warnings about the frame, without those from [measurements](FrameReport::all_warnings).
     pub warnings: Vec<Warning>,
-    /// The name of the particles' velocities, where there are some and the outputs could have them but do not.
+    /// The name of the particles' velocities, if the outputs could have velocities but do not.
     pub unused_velocity: Option<String>,
 }
 
@@ -221,9 +221,9 @@ mod tests {
     use crate::pipeline::OutputFormat;
     use crate::surface::options::MethodOptions;
 
-    /// Whoever waits for room looks at the folder of the path.
+    /// The retry after a full disk checks the folder of this path.
     #[test]
-    fn what_cannot_be_kept_is_told_of_where_it_was_to_be() {
+    fn scratch_error_names_the_path_of_the_outputs() {
         let settings = Settings::paper(0.1, &MethodOptions::default()).expect("settings");
         let outputs = OutputOptions::new("out", &[OutputFormat::Glb]);
         let file = FrameFile::new("in/dam.1.ply".into());

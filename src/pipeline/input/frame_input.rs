@@ -1,4 +1,4 @@
-//! What a frame is made from: particles in memory, or in the file that they are read from again and again; or a level set.
+//! The input of a frame: particles in memory, particles in a file that is read repeatedly, or a level set.
 
 use std::borrow::Cow;
 use std::io;
@@ -24,14 +24,14 @@ use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::target::outputs::OutputFormat;
 use crate::pipeline::warning::Warning;
 
-/// What a frame is made from.
+/// The input of a frame.
 #[derive(Debug)]
 pub enum FrameInput {
     /// All of its particles.
     InMemory(Cloud),
-    /// Those in a file whose records can be read one by one.
+    /// The particles in a file whose records can be read one by one.
     OnDisk(Box<FileParticles>),
-    /// A level set, and no particles.
+    /// A level set instead of particles.
     LevelSet(Box<LevelSetInput>),
 }
 
@@ -39,7 +39,7 @@ pub enum FrameInput {
 #[derive(Debug)]
 pub struct LevelSetInput {
     pub(crate) band: NarrowBand,
-    /// Where its voxel (0, 0, 0) is, world units.
+    /// The position of its voxel (0, 0, 0), world units.
     pub(crate) origin: DVec3,
     /// By how much smoothing may move its surface, in voxels.
     pub(crate) slack_voxels: f32,
@@ -55,11 +55,12 @@ impl LevelSetInput {
     }
 }
 
-/// The level set in the bytes of a frame's file, with no more memory than this; and the frame with the voxel size and the origin
-/// of the file.
+/// Reads the level set in the bytes of a frame's file, within a memory limit. Returns it with the frame,
+/// which gets the voxel size and the origin of the file.
 ///
 /// # Errors
-/// When there is no level set that is read, or its surface cannot be made with the settings or written in a format of the frame.
+/// When the file has no readable level set, or its surface cannot be made with the settings or written in a
+/// format of the frame.
 pub(crate) fn read_input(
     frame: &Frame,
     bytes: &[u8],
@@ -88,11 +89,11 @@ pub struct FileParticles {
     batches: ParticleBatches<Arc<InputFile>>,
 }
 
-/// Bytes of a file that are read at a time: some ten thousand particles.
+/// The number of bytes per batch: some ten thousand particles.
 const BATCH_BYTES: usize = 512 << 10;
 
 impl FileParticles {
-    /// The particles in an open file; `None` where it has to be read whole.
+    /// The particles in an open file; `None` if it has to be read whole.
     ///
     /// # Errors
     /// Those of the format's reader.
@@ -103,7 +104,7 @@ impl FileParticles {
         Ok(batches.map(|batches| FileParticles { file, batches }))
     }
 
-    /// What a user should know of the file.
+    /// Warnings about the file.
     pub(crate) fn warnings(&self) -> Vec<Warning> {
         self.batches.notes().iter().cloned().map(Warning::Sentence).collect()
     }
@@ -124,12 +125,12 @@ impl FrameInput {
         }
     }
 
-    /// Whether there is no particle.
+    /// Whether there are no particles.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Memory that is taken while they wait, in bytes.
+    /// The memory of the input while it waits, in bytes.
     pub(crate) fn size_bytes(&self) -> u64 {
         match self {
             FrameInput::InMemory(cloud) => cloud.size_bytes() as u64,
@@ -138,7 +139,7 @@ impl FrameInput {
         }
     }
 
-    /// Bytes of those attributes of a particle that its surface is to have.
+    /// The size of the selected attributes of a particle, in bytes.
     pub(crate) fn attribute_bytes(&self, settings: &Settings) -> f64 {
         let (FrameInput::InMemory(cloud), Some(selection)) = (self, &settings.attributes) else {
             return 0.0;
@@ -148,7 +149,7 @@ impl FrameInput {
         bytes as f64 / cloud.positions.len().max(1) as f64
     }
 
-    /// The same particles where and as the settings ask for them.
+    /// The same particles, moved and shaped as the settings require.
     ///
     /// # Errors
     /// When they are on disk and cannot be read.
@@ -173,10 +174,10 @@ impl FrameInput {
         }
     }
 
-    /// Fails if the file was written meanwhile. To be asked after the last batch.
+    /// Fails if the file was written meanwhile. Call it after the last batch.
     ///
     /// # Errors
-    /// [`Cause::Changed`], or the system's refusal.
+    /// [`Cause::Changed`], or an error of the system.
     pub fn check_unchanged(&self) -> Result<(), Cause> {
         match self {
             FrameInput::InMemory(_) | FrameInput::LevelSet(_) => Ok(()),
@@ -242,7 +243,7 @@ impl ParticleSource for FrameInput {
 }
 
 impl FileParticles {
-    /// A file that was whole when it was opened, and cannot be read now, was changed, as a rule.
+    /// A file that was complete when it was opened and cannot be read now has usually changed.
     fn cause(&self, error: meniscus_formats::Error) -> Cause {
         let is_changed = |unchanged: io::Result<bool>| unchanged.is_ok_and(|unchanged| !unchanged);
         if is_changed(self.file.is_unchanged()) { Cause::Changed } else { Cause::File(error) }

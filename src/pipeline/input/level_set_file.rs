@@ -1,4 +1,4 @@
-//! From a .vdb to a level set, as pictures and surfaces need it.
+//! Reads level sets from .vdb files, for pictures and surfaces.
 
 use std::ops::RangeInclusive;
 use std::path::Path;
@@ -27,29 +27,29 @@ pub struct LevelSetFile {
     lattice: Lattice,
     origin: DVec3,
     velocity: Option<[Field; 3]>,
-    /// What the grid is called.
+    /// The name of the grid.
     name: String,
-    /// What the file says that it is.
+    /// The class of the grid, according to the file.
     class: String,
     /// The XXH3 hash of the file, 128 bits.
     pub hash: u128,
-    /// What a user should know though the file was read.
+    /// Warnings about a file that could be read.
     pub warnings: Vec<Warning>,
 }
 
 impl LevelSetFile {
-    /// Reads the level set of a .vdb, and its velocities if they are wanted.
+    /// Reads the level set of a .vdb, with its velocities if `wants_velocity` is set.
     ///
     /// # Errors
-    /// When the system refuses, or there is no level set that is read.
+    /// When the system reports an error, or the file has no readable level set.
     pub fn read(path: &Path, wants_velocity: bool) -> Result<LevelSetFile, FrameError> {
         LevelSetFile::of_bytes(path, &read_file(path)?, wants_velocity, default_memory_bytes())
     }
 
-    /// The same of the bytes of the file, with so much memory.
+    /// The same from the bytes of the file, with a memory limit.
     ///
     /// # Errors
-    /// When there is no level set that is read, or it takes more memory.
+    /// When the file has no readable level set, or it needs more memory.
     pub(crate) fn of_bytes(
         path: &Path,
         bytes: &[u8],
@@ -77,7 +77,7 @@ impl LevelSetFile {
         Ok(file)
     }
 
-    /// The same, without the rest of the file.
+    /// The band without the other data of the file.
     pub(crate) fn into_band(self) -> NarrowBand {
         self.band
     }
@@ -87,10 +87,10 @@ impl LevelSetFile {
         self.lattice.voxel_size
     }
 
-    /// Fails where the file says that its grid is something else than a level set.
+    /// Fails if the file says that the class of its grid is not a level set.
     ///
     /// # Errors
-    /// What to do about it.
+    /// The remedy.
     pub(crate) fn require_level_set(&self) -> Result<(), String> {
         match &*self.class {
             "level set" => Ok(()),
@@ -98,12 +98,12 @@ impl LevelSetFile {
         }
     }
 
-    /// Where its voxel (0, 0, 0) is, world units.
+    /// The position of its voxel (0, 0, 0), world units.
     pub(crate) fn origin(&self) -> DVec3 {
         self.origin
     }
 
-    /// What there is to take pictures of.
+    /// The scene for a picture of it.
     pub fn scene(&self) -> PictureScene<'_> {
         PictureScene {
             band: &self.band,
@@ -114,27 +114,27 @@ impl LevelSetFile {
     }
 }
 
-/// Whether a file is a level set, by its name.
+/// Whether a file is a level set, judged by its name.
 pub fn is_level_set(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("vdb"))
 }
 
-/// A warning about a file with several grids: one was taken.
+/// A warning about a file with several grids, of which only one is read.
 pub(crate) fn other_grids(bytes: &[u8]) -> Option<Warning> {
     let grids = vdb::grids(bytes, &Limits::default()).unwrap_or_default();
     let count = grids.len().saturating_sub(1);
     (count > 0).then_some(Warning::OtherGrids { count })
 }
 
-/// What grids of velocities are called.
+/// The usual names of velocity grids.
 const VELOCITY_NAMES: [&str; 3] = ["velocity", "vel", "v"];
 
-/// What a level set may ask for with so much memory.
+/// The reader's limits for this amount of memory.
 pub(crate) fn level_set_limits(memory_bytes: u64) -> Limits {
     Limits { level_set_bytes: memory_bytes, ..Limits::default() }
 }
 
-/// A level set in voxels, its lattice and origin, and why it was rebuilt, if it was.
+/// A level set in voxels, its lattice and origin, and the reason if it was rebuilt.
 type InVoxels = (NarrowBand, Lattice, DVec3, Option<RebuildReason>);
 
 fn level_set(data: LevelSetData, rebuilt_leaf_count_max: usize) -> Result<InVoxels, String> {
@@ -207,7 +207,7 @@ fn velocities(
     }
     let mut fields = vectors.background.map(|number| Field::splat(band.topology.len(), number));
     for (&origin, values) in vectors.origins.iter().zip(&vectors.leaves) {
-        // Far from the surface nothing asks for them.
+        // No code reads velocities far from the surface.
         let Some(leaf) = band.topology.find(IVec3::from(origin)) else { continue };
         for (axis, field) in fields.iter_mut().enumerate() {
             field.leaves[leaf] = Leaf { values: values.map(|value| value[axis]) };
@@ -216,7 +216,7 @@ fn velocities(
     Ok(fields)
 }
 
-/// The edge of a voxel; `None` where they are no cubes along the axes.
+/// The edge of a voxel; `None` if the voxels are not axis-aligned cubes.
 fn voxel_size(transform: &Transform) -> Option<f64> {
     let [[x, a, b], [c, y, d], [e, f, z]] = transform.axes;
     let is_straight = [a, b, c, d, e, f].iter().all(|across| across.abs() <= SKEW_MAX * x);
@@ -225,9 +225,9 @@ fn voxel_size(transform: &Transform) -> Option<f64> {
     (VOXEL_SIZES.contains(&x) && is_straight && is_even && is_placed).then_some(x)
 }
 
-/// World units; others are the work of chance.
+/// World units; values outside this range are accidental.
 const VOXEL_SIZES: RangeInclusive<f64> = 1e-15..=1e15;
 const PLACE_MAX: f64 = 1e15;
 
-/// Steps that differ by more than this part are of different lengths, or not along the axes.
+/// A larger relative difference between the steps means that the voxels are not axis-aligned cubes.
 const SKEW_MAX: f64 = 1e-4;

@@ -1,15 +1,16 @@
-//! The particle spacing of a sequence, where nobody gave one.
+//! Estimates the particle spacing of a sequence if none is given.
 //!
-//! Twice the median radius, where the particles have an attribute with radii that fits their positions; else measured by
-//! these: on the first, the middle and the last frame that can be read, and then the same for all frames: a spacing of
-//! each frame's own would make the surface flicker. All frames of the sequence count, whichever are converted: a part of
-//! a sequence is converted like the whole.
+//! The spacing is twice the median radius if the particles have a radius attribute that is consistent with
+//! their positions, and otherwise an estimate from the positions. It is measured on the first, the middle and
+//! the last readable frame, and is the same for all frames, because a separate spacing for each frame would
+//! make the surface flicker. All frames of the sequence count, even if only some are converted, so a part of
+//! a sequence gets the same result as the whole.
 //!
 //! ```text
 //!   frame     1   2   3   4   5   6   7   8   9
-//!             ×   ●───┐         ●             ●         × one particle, or unreadable: the next one
+//!             ×   ●───┐         ●             ●         × one particle, or unreadable: use the next frame
 //!                     └────┬────┴─────────────┘
-//!                 median by confidence, rounded to two digits: 0.0498 ▶ 0.05
+//!                 median weighted by confidence, rounded to two digits: 0.0498 ▶ 0.05
 //! ```
 
 use std::fmt;
@@ -33,24 +34,24 @@ use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::json::{path, text};
 
-/// Frames that are read for the middle one, and for the last one, where others cannot be measured.
+/// The maximum number of frames to try for the middle one, and for the last one.
 const TRIES_MAX: usize = 8;
 
-/// The particle spacing of a sequence, and where it is from.
+/// The particle spacing of a sequence, and its source.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MeasuredSpacing {
     /// The particle spacing, world units, rounded to two significant digits.
     #[serde(with = "text")]
     pub spacing: f64,
-    /// How sure the spacing is, from 0 to 1: see [`SequenceEstimate::confidence`].
+    /// The confidence of the estimate, from 0 to 1: see [`SequenceEstimate::confidence`].
     pub confidence: f64,
-    /// The median r_min of particles with radii of their own, world units.
+    /// The median r_min of particles with per-particle radii, world units.
     #[serde(with = "text::option", default, skip_serializing_if = "Option::is_none")]
     pub radius_median: Option<f64>,
-    /// The first frame that it was measured on.
+    /// The first measured frame.
     #[serde(with = "path")]
     pub measured_on: PathBuf,
-    /// What should make a user check the spacing: frames that disagree, or little confidence. Not recorded.
+    /// Warnings about the spacing: frames that disagree, or a low confidence. Not recorded.
     #[serde(skip)]
     pub warnings: Vec<String>,
 }
@@ -61,14 +62,14 @@ impl From<&MeasuredSpacing> for options::SequenceSpacing {
     }
 }
 
-/// Why there is none.
+/// Why the spacing could not be measured.
 #[derive(Debug)]
 pub struct NoSpacing {
-    /// How many frames could be read, but had too few particles.
+    /// The number of readable frames with too few particles.
     pub sparse_count: usize,
-    /// How many could not be read.
+    /// The number of unreadable frames.
     pub unreadable_count: usize,
-    /// Why the first of those could not.
+    /// The error of the first unreadable frame.
     pub unreadable: Option<FrameError>,
 }
 
@@ -80,7 +81,7 @@ impl fmt::Display for NoSpacing {
                 "no frame has two particles in different places to measure their spacing on: \
                  give --spacing",
             ),
-            // A voxel size would not help: what is wrong is the files.
+            // A voxel size would not help, because the files are at fault.
             Some(error) if *sparse_count == 0 => match unreadable_count {
                 ..=1 => write!(f, "{error}"),
                 _ => write!(f, "{error}; none of the {unreadable_count} frames can be read"),
@@ -96,11 +97,11 @@ impl fmt::Display for NoSpacing {
 
 impl std::error::Error for NoSpacing {}
 
-/// The spacing of the particles in these frames of a sequence, in its order.
+/// Measures the spacing of the particles in these frames of a sequence, given in its order.
 ///
 /// # Errors
-/// When it can be measured on none of them. A frame that cannot be read, or lacks the radii, is skipped: converting it
-/// will say why.
+/// When no frame can be measured. Skips frames that cannot be read, or lack the radii: their conversion
+/// reports the reason.
 pub fn measure_spacing<'a>(
     files: impl IntoIterator<Item = &'a Path>,
     own_radii: Option<&OwnRadii>,
@@ -118,10 +119,10 @@ pub fn measure_spacing<'a>(
     measure_sequence(&files, own_radii, note).ok_or(none)
 }
 
-/// What came of measuring a frame.
+/// The result of measuring a frame.
 #[derive(Debug)]
 pub(crate) enum Attempt {
-    /// It counts.
+    /// The frame was measured.
     Measured,
     /// It has fewer than two particles in different places.
     Sparse,
@@ -129,8 +130,8 @@ pub(crate) enum Attempt {
     Unreadable(FrameError),
 }
 
-/// The particle spacing of a sequence by its first, middle and last frame, or those next to them where these cannot be
-/// measured; `note` gets every frame that was read. `None` where none can be measured.
+/// Estimates the spacing of a sequence from its first, middle and last frame, or their neighbours if these
+/// cannot be measured; `note` receives every frame that was read. `None` if none can be measured.
 pub(crate) fn measure_sequence(
     files: &[&Path],
     own_radii: Option<&OwnRadii>,
@@ -163,17 +164,17 @@ pub(crate) fn measure_sequence(
     combined(&[Some(first_frame), middle_frame, last_frame].into_iter().flatten().collect::<Vec<_>>())
 }
 
-/// What was measured on a frame.
+/// The measurements of a frame.
 #[derive(Debug)]
 struct FrameSpacing {
     path: PathBuf,
     estimate: SpacingEstimate,
-    /// An attribute with radii that do not fit the positions, and twice its median.
+    /// The name of a radius attribute that contradicts the positions, and twice its median.
     doubted: Option<(String, f64)>,
     radius_median: Option<f64>,
 }
 
-/// Measures a frame; `None` where it has too few particles.
+/// Measures a frame; `None` if it has too few particles.
 fn measured(path: &Path, own_radii: Option<&OwnRadii>) -> Result<Option<FrameSpacing>, FrameError> {
     let measure = || {
         if own_radii.is_none()
@@ -198,7 +199,7 @@ fn measured(path: &Path, own_radii: Option<&OwnRadii>) -> Result<Option<FrameSpa
     FrameError::catch(path, Stage::Read, measure).flatten()
 }
 
-/// The particles of a file that is so large that it is not read whole, if its format can be read in parts.
+/// Opens the particles of a file that is too large to read whole, if its format can be read in parts.
 fn large_file(path: &Path) -> Result<Option<FileParticles>, FrameError> {
     let failed = |error| FrameError::file(path, Stage::Read, error);
     if step_of(path).is_some() {
@@ -211,7 +212,7 @@ fn large_file(path: &Path) -> Result<Option<FileParticles>, FrameError> {
     }
 }
 
-/// Files of this size and more are measured by a sample of their positions, without their radii.
+/// In files of this size and larger, only a sample of the positions is measured, and no radii.
 const SAMPLED_FROM_BYTES: u64 = 256 << 20;
 
 fn measured_of(path: &Path, read: &ReadFrame, own_radii: Option<&OwnRadii>) -> Option<FrameSpacing> {
@@ -247,12 +248,12 @@ fn positive(attribute: &Attribute) -> Vec<f64> {
     numbers.filter(|number| number.is_finite() && *number > 0.0).collect()
 }
 
-/// Twice the radius is the spacing where it is so many times that of the positions, at most, or as small a part of it, at
-/// least: simulations set their particles' radius by the spacing, but some files have radii for another purpose. Positions that
-/// tell little have no say.
+/// Twice the radius is the spacing if it differs from the estimate by this factor at most: simulations derive
+/// the particle radius from the spacing, but some files have radii for another purpose. Positions with a low
+/// confidence are ignored.
 const RADIUS_FACTOR_MAX: f64 = 1.5;
 
-/// The spacing by these frames; `None` of no frames.
+/// Combines the measurements of these frames; `None` without frames.
 fn combined(frames: &[FrameSpacing]) -> Option<MeasuredSpacing> {
     let measured_on = frames.first()?.path.clone();
     let estimates: Vec<SpacingEstimate> = frames.iter().map(|frame| frame.estimate).collect();
@@ -266,7 +267,7 @@ fn combined(frames: &[FrameSpacing]) -> Option<MeasuredSpacing> {
     })
 }
 
-/// What makes the spacing of a sequence doubtful.
+/// The reasons to doubt the spacing of a sequence.
 fn warnings(frames: &[FrameSpacing], estimate: &SequenceEstimate) -> Vec<String> {
     let order = |a: &&FrameSpacing, b: &&FrameSpacing| a.estimate.spacing.total_cmp(&b.estimate.spacing);
     let mut warnings = Vec::new();
@@ -306,10 +307,10 @@ mod tests {
     use crate::surface::particles::{AttributeValues, Cloud, Particles};
 
     #[test]
-    fn radii_of_the_particles_own_have_a_median() {
+    fn median_of_per_particle_radii_is_measured() {
         let count = 6 * 6 * 6;
         let positions = (0..count).map(|i| [i % 6, i / 6 % 6, i / 36].map(f64::from)).collect();
-        // Radii that are none have no say.
+        // Invalid radii are ignored.
         let of_radii = |radii: [f32; 3]| {
             let mut values = vec![f32::NAN; count as usize];
             values.iter_mut().zip(radii.iter().cycle()).take(90).for_each(|(value, radius)| *value = *radius);
@@ -331,7 +332,7 @@ mod tests {
         assert_eq!(of_frame(&of_radii([3.0, 2.0, 1.0]), Some(&own)).radius_median, Some(4.0));
         assert_eq!(of_frame(&of_radii([0.0, -1.0, f32::NAN]), Some(&own)).radius_median, None);
         assert_eq!(of_frame(&of_radii([0.25, 0.01, 40.0]), None).radius_median, None);
-        // Twice the radius is the spacing where that is near to what positions say.
+        // Twice the radius is the spacing if it is close to the estimate from the positions.
         for (radius, spacing, is_doubted) in
             [(0.5, 1.0, false), (0.6, 1.2, false), (0.35, 0.7, false), (0.01, 1.0, true), (40.0, 1.0, true)]
         {

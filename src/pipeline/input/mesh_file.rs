@@ -1,4 +1,4 @@
-//! A mesh of any program from its file, with the buffers of a `.gltf` that are files beside it.
+//! Reads meshes of any supported format, with the buffer files of a `.gltf`.
 
 use std::io::{self, Read};
 use std::path::Path;
@@ -8,7 +8,7 @@ use meniscus_formats::{Limits, MeshData, gltf, read_mesh};
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::open::{open_regular, read_regular};
 
-/// Reads the mesh in a file of any format that has one. It may be empty.
+/// Reads the mesh in a file of any supported mesh format. It may be empty.
 ///
 /// # Errors
 /// When the file cannot be read, or holds no mesh.

@@ -1,13 +1,13 @@
-//! File names: which files are the frames of one sequence, and in which order.
+//! Groups files into sequences by their names, and orders the frames.
 //!
 //! ```text
 //!   dam.0012.bgeo.gz
 //!   └stem──┘└extension┘          the stem names the outputs: dam.0012.glb
-//!       └──┘                     the frame's number (`frame_number.rs` says which it is)
-//!   dam.{}.bgeo.gz               what is left when it is taken out names the sequence
+//!       └──┘                     the frame's number (`frame_number.rs` finds it)
+//!   dam.{}.bgeo.gz               the name without the number is the name of the sequence
 //!
-//!   dump.lammpstrj/step=1000     a step of a file with several: its outputs are called dump.1000, and its number is 1000
-//!   dump.lammpstrj/step={}       the steps of a file are a sequence of their own
+//!   dump.lammpstrj/step=1000     a step of a file with several: outputs dump.1000, number 1000
+//!   dump.lammpstrj/step={}       the steps of one file form a sequence
 //! ```
 //!
 //! Natural order compares runs of digits as numbers: frame 9 comes before frame 10.
@@ -25,34 +25,34 @@ use crate::pipeline::files::frame_number::{
 };
 use crate::pipeline::target::outputs::OutputFormat;
 
-/// A file that holds, or should hold, a frame of particles; or a step of one.
+/// A file that contains, or should contain, a frame of particles; or a step of such a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FrameFile {
-    /// Where it is, as it was asked for.
+    /// Its path, as given.
     pub path: PathBuf,
-    /// Where in the file name the frame's number stands, and its subframe: bytes of [`FrameFile::name`].
+    /// The bytes of [`FrameFile::name`] with the frame's number and subframe.
     number_span: Option<Range<usize>>,
-    /// A pattern says so, and not the name.
+    /// Whether a pattern defines the number, and not the name.
     is_number_given: bool,
-    /// What its outputs are called, where that is not what the file is called.
+    /// The base name of its outputs, if it differs from the file's.
     output_stem: Option<String>,
-    /// Whether it is a step of a file; the file system is asked once.
+    /// Whether it is a step of a file, stored to avoid more file-system calls.
     is_step: bool,
 }
 
 impl FrameFile {
-    /// A file whose name says which number is the frame's.
+    /// A file whose frame number is found in its name.
     pub fn new(path: PathBuf) -> FrameFile {
         let is_step = step_of(&path).is_some();
         FrameFile::known(path, is_step)
     }
 
-    /// The same where it is known whether the path is that of a step: the file system is not asked.
+    /// The same if the caller knows whether the path is the path of a step: makes no file-system call.
     pub fn known(path: PathBuf, is_step: bool) -> FrameFile {
         let name = name_of(&path, is_step);
         let number_span = match step_in(&path, is_step) {
             None => frame_number(numbered_part(&name)),
-            // What follows a dot tells steps of one number apart.
+            // The text after a dot distinguishes steps with the same number.
             Some((_, step)) => {
                 let start = name.len() - step.len();
                 let digits = step.find('.').unwrap_or(step.len());
@@ -63,28 +63,28 @@ impl FrameFile {
         FrameFile { path, number_span, is_number_given: false, output_stem: None, is_step }
     }
 
-    /// A file whose frame number stands at a known place: bytes of the file name, all digits.
+    /// A file whose frame number is at a known position: a range of bytes in the file name, all digits.
     pub fn with_number_at(path: PathBuf, number_span: Range<usize>) -> FrameFile {
         let is_step = step_of(&path).is_some();
         FrameFile { path, number_span: Some(number_span), is_number_given: true, output_stem: None, is_step }
     }
 
-    /// The same file, with outputs of this name.
+    /// The same file, with this base name for its outputs.
     pub fn with_output_stem(self, stem: String) -> FrameFile {
         FrameFile { output_stem: Some(stem), ..self }
     }
 
-    /// The file name, without its folder; of a step, what tells it from others behind that.
+    /// The file name without its folder; for a step, followed by the name of the step.
     pub fn name(&self) -> String {
         name_of(&self.path, self.is_step)
     }
 
-    /// The file of a step, and what tells it from others of this file; `None` for a frame that is a file.
+    /// The file and the name of a step; `None` for a frame that is a whole file.
     fn step(&self) -> Option<(&Path, &str)> {
         step_in(&self.path, self.is_step)
     }
 
-    /// What outputs are called: the file name without its extension, unless another name was given.
+    /// The base name of the outputs: the file name without its extension, unless another name was given.
     pub fn stem(&self) -> String {
         if let Some(stem) = &self.output_stem {
             return stem.clone();
@@ -93,33 +93,35 @@ impl FrameFile {
             Some((file, step)) => format!("{}.{step}", stem(&name_of(file, false))),
             None => {
                 let name = self.name();
-                // Level sets are no frames of particles, and lose their extension all the same.
+                // A level set is not a particle file, but its extension is removed as well.
                 strip_extension(&name, ".vdb").unwrap_or_else(|| stem(&name)).to_owned()
             }
         }
     }
 
-    /// The frame's number, where the name has one of up to 64 bits. Subframes have the number of their frame.
+    /// The frame's number, if the name has one that fits into 64 bits. Subframes have the number of their
+    /// frame.
     pub fn number(&self) -> Option<u64> {
         let span = self.number_span.clone()?;
         self.name().get(span)?.split('.').next()?.parse().ok()
     }
 
-    /// Whether the name has the digits of a subframe, zero or not.
+    /// Whether the name has a subframe, even if it is zero.
     fn has_subframe(&self) -> bool {
         let name = self.name();
         self.number_span.clone().and_then(|span| name.get(span)).is_some_and(|number| number.contains('.'))
     }
 
-    /// The digits of the subframe, which is a fraction of a frame: `5` of `dam.0001.50`. Empty for a whole frame.
+    /// The digits of the subframe, a fraction of a frame, without trailing zeros: `5` for `dam.0001.50`.
+    /// Empty for a whole frame.
     fn subframe(&self) -> String {
         let name = self.name();
         let number = self.number_span.clone().and_then(|span| name.get(span)).unwrap_or_default();
         number.split_once('.').map_or("", |(_, digits)| digits.trim_end_matches('0')).to_owned()
     }
 
-    /// The folder, and the name without its numbers: what files share that differ in their numbers only. `None` where a
-    /// pattern says which number is the frame's, of steps, and of names without a number.
+    /// The folder and the name without its numbers, which files have in common if they differ only in
+    /// numbers. `None` if a pattern defines the number, for steps, and for names without a number.
     pub fn kin(&self) -> Option<(PathBuf, String)> {
         if self.is_number_given || self.number_span.is_none() || self.is_step {
             return None;
@@ -127,7 +129,7 @@ impl FrameFile {
         Some((self.path.parent().map(Path::to_owned).unwrap_or_default(), without_numbers(&self.name())))
     }
 
-    /// What the files of a sequence share: their folder, and the name with `{}` for the frame's number.
+    /// The key of the sequence: the folder, and the name with `{}` in place of the frame's number.
     pub fn sequence(&self) -> (PathBuf, String) {
         if let Some((file, _)) = self.step() {
             return (
@@ -146,14 +148,14 @@ impl FrameFile {
 /// Files whose names differ only in the frame's number, ordered by it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Sequence {
-    /// What to call it: the file's name, or `dam.{}.bgeo` where there are several.
+    /// The name of the sequence: the file's name, or `dam.{}.bgeo` for several files.
     pub name: String,
     /// At least one frame.
     pub frames: Vec<FrameFile>,
 }
 
-/// Sorts files into sequences; the sequences, too, are in natural order. Which number of a name is the frame's depends on
-/// the other names: see `use_varying_numbers`.
+/// Groups files into sequences, in natural order. The other names determine which number of a name is the
+/// frame's: see `use_varying_numbers`.
 pub fn sequences(mut files: Vec<FrameFile>) -> Vec<Sequence> {
     use_varying_numbers(&mut files);
     files.sort_by(|a, b| natural_order(&a.path.to_string_lossy(), &b.path.to_string_lossy()));
@@ -176,7 +178,7 @@ pub fn sequences(mut files: Vec<FrameFile>) -> Vec<Sequence> {
     sequences
 }
 
-/// Puts the subframes of a sequence, which is in natural order, behind their frames.
+/// Moves the subframes of a sequence in natural order behind their frames.
 pub fn order_subframes<T>(frames: &mut [T], file: impl Fn(&T) -> FrameFile) {
     if frames.iter().any(|frame| !file(frame).subframe().is_empty()) {
         frames.sort_by_cached_key(|frame| {
@@ -186,10 +188,10 @@ pub fn order_subframes<T>(frames: &mut [T], file: impl Fn(&T) -> FrameFile) {
     }
 }
 
-/// Where the names of a folder say that another number than [`FrameFile::new`] found is the frame's, because it is the
-/// only one in which names differ, that one is taken: of `dam_0001_b7.ply` and `dam_0002_b7.ply` it is the first. Where
-/// they say that what it took for subframes are frames of a shot, the last is taken: of `shot.0100.9.ply` and
-/// `shot.0100.10.ply`.
+/// Corrects the frame numbers that [`FrameFile::new`] found by comparing the names in a folder. If another
+/// number is the only one that varies, that one is the frame's: the first in `dam_0001_b7.ply` and
+/// `dam_0002_b7.ply`. If apparent subframes are the frames of a shot, the last number is the frame's: as in
+/// `shot.0100.9.ply` and `shot.0100.10.ply`.
 fn use_varying_numbers(files: &mut [FrameFile]) {
     let mut kin: HashMap<(PathBuf, String), Vec<usize>> = HashMap::new();
     for (index, file) in files.iter().enumerate() {
@@ -223,7 +225,7 @@ fn use_varying_numbers(files: &mut [FrameFile]) {
     }
 }
 
-/// Folders in which most sequences of names that differ in their numbers only have one frame, and how many have.
+/// Folders in which most sequences with names that differ only in numbers have one frame, and how many do.
 pub fn single_frame_sequences(sequences: &[Sequence]) -> Vec<(PathBuf, usize)> {
     let mut counts: BTreeMap<(PathBuf, String), (usize, usize)> = BTreeMap::new();
     for sequence in sequences {
@@ -237,12 +239,12 @@ pub fn single_frame_sequences(sequences: &[Sequence]) -> Vec<(PathBuf, usize)> {
     fallen_apart.map(|((folder, _), (_, single_count))| (folder, single_count)).collect()
 }
 
-/// Whether of so many sequences, whose names differ in their numbers only, too many have a single frame.
+/// Whether too many of `count` sequences with names that differ only in numbers have a single frame.
 pub fn have_fallen_apart(count: usize, single_count: usize) -> bool {
     single_count > 1 && 2 * single_count > count
 }
 
-/// What to say of a folder that [`single_frame_sequences`] names.
+/// The warning for a folder that [`single_frame_sequences`] returns.
 pub fn single_frames_note(count: usize) -> String {
     format!(
         "{count} files form {count} sequences of one frame each, so each gets its own particle spacing; name the frame number with \
@@ -250,8 +252,8 @@ pub fn single_frames_note(count: usize) -> String {
     )
 }
 
-/// Compares text with its runs of digits as numbers, however long; equal numbers with fewer zeros
-/// in front come first.
+/// Compares text, with runs of digits as numbers of any length; of equal numbers, the one with fewer leading
+/// zeros comes first.
 pub fn natural_order(a: &str, b: &str) -> Ordering {
     let (mut left, mut right) = (a.as_bytes(), b.as_bytes());
     while let (Some(&l), Some(&r)) = (left.first(), right.first()) {
@@ -272,33 +274,33 @@ pub fn natural_order(a: &str, b: &str) -> Ordering {
     left.len().cmp(&right.len()).then_with(|| a.len().cmp(&b.len())).then_with(|| a.cmp(b))
 }
 
-/// Whether a file name ends like one of a file of particles.
+/// Whether a file name has the extension of a particle format.
 pub fn has_particle_extension(name: &str) -> bool {
     stem(name).len() < name.len()
 }
 
-/// Whether a file name promises particles so that one without any is broken, and no readme file or log: of names that
-/// these have, too, only the content tells.
+/// Whether the extension is specific to particles, so that a file without any is broken. Readme files and
+/// logs share the other extensions, so only their content shows what they are.
 pub fn promises_particles(name: &str) -> bool {
     let unpacked = unpacked_name(name).to_ascii_lowercase();
     let may_be_any_text = [".txt", ".dat", ".asc"].iter().any(|extension| unpacked.ends_with(extension));
     has_particle_extension(name) && !may_be_any_text
 }
 
-/// The file name without its particle extensions; all of it where it has none.
+/// The file name without its particle extensions, if it has any.
 fn stem(name: &str) -> &str {
     let unpacked = unpacked_name(name);
     PARTICLE_EXTENSIONS.iter().find_map(|extension| strip_extension(unpacked, extension)).unwrap_or(name)
 }
 
-/// The file name without its extension, be it one of particles or of results.
+/// The file name without its extension, for particle files and outputs.
 fn numbered_part(name: &str) -> &str {
     let of_result = |format: OutputFormat| name.strip_suffix(format.extension())?.strip_suffix('.');
     let found = OutputFormat::ALL.into_iter().find_map(of_result).filter(|left| !left.is_empty());
     found.unwrap_or_else(|| stem(name))
 }
 
-/// `name` without `extension` in any case, if something is left.
+/// `name` without `extension` (case-insensitive), if something is left.
 fn strip_extension<'a>(name: &'a str, extension: &str) -> Option<&'a str> {
     let cut = name.len().checked_sub(extension.len()).filter(|&cut| cut > 0)?;
     let (stem, end) = name.split_at_checked(cut)?;
@@ -314,8 +316,8 @@ fn without_zeros(digits: &[u8]) -> &[u8] {
     &digits[zeros..]
 }
 
-/// Longer ones first where one ends like another. What is read is decided by content; these only
-/// say where the stem ends, and which files of a folder are frames.
+/// Longer ones come before their suffixes. The content of a file determines its format; these extensions only
+/// determine where the stem ends, and which files in a folder are frames.
 const PARTICLE_EXTENSIONS: [&str; 21] = [
     ".bgeo.sc",
     ".geo.sc",
@@ -369,7 +371,7 @@ mod tests {
     }
 
     #[test]
-    fn the_last_number_is_the_frame() {
+    fn last_number_is_the_frame() {
         for (name, expected) in [
             ("dam.0012.bgeo", Some(12)),
             ("take2_frame7.ply", Some(7)),
@@ -385,7 +387,7 @@ mod tests {
 
     #[test]
     fn order_is_natural() {
-        // The page of the window sorts the same names (order.js), and is held to the same list.
+        // The web page sorts the same names (order.js) and uses the same test list.
         let sorted: Vec<&str> = include_str!("../../../tests/natural_order.txt").lines().collect();
         assert!(sorted.len() > 30);
         for (i, left) in sorted.iter().enumerate() {
@@ -398,7 +400,7 @@ mod tests {
     }
 
     #[test]
-    fn names_that_differ_in_the_last_number_are_a_sequence() {
+    fn names_that_differ_in_the_last_number_form_a_sequence() {
         let names = ["d/b.2.ply", "d/a.10.ply", "d/a.9.ply", "e/a.11.ply", "d/a.1.csv", "d/single.ply"];
         let found: Vec<(String, Vec<Option<u64>>)> = sequences(names.map(file).to_vec())
             .into_iter()
@@ -452,13 +454,13 @@ mod tests {
             ("dam.0010.ply", 10),
         ];
         assert_eq!(order, expected.map(|(name, number)| (name.to_owned(), Some(number))));
-        // Subframes of a single frame are its subframes, and no frames.
+        // Subframes of a single frame remain subframes.
         let names = ["dam.0001.25.ply", "dam.0001.50.ply"].map(file).to_vec();
         assert_eq!(sequences(names)[0].frames[1].number(), Some(1));
     }
 
     #[test]
-    fn frames_of_a_shot_are_one_sequence_in_counting_order() {
+    fn frames_of_a_shot_form_one_sequence_in_numeric_order() {
         for shot in ["shot.010", "shot.0100", "shot.1000"] {
             let names: Vec<String> = (1..=1200).map(|frame| format!("{shot}.{frame}.ply")).collect();
             let names: Vec<&str> = names.iter().map(String::as_str).collect();
@@ -484,7 +486,7 @@ mod tests {
             let found = sequences(names.map(file).to_vec());
             assert_eq!(single_frame_sequences(&found), [(PathBuf::new(), 2)], "{names:?}");
         }
-        // One pair that happens to share a number hides nothing.
+        // One pair that happens to share a number does not prevent the warning.
         let names = ["s_1_2.ply", "s_2_3.ply", "s_3_5.ply", "s_3_6.ply"].map(file).to_vec();
         assert_eq!(single_frame_sequences(&sequences(names)), [(PathBuf::new(), 2)]);
         for names in [&["a.1.ply", "a.2.ply"][..], &["a.ply", "b.ply"], &["s1.1.ply", "s2.1.ply", "s2.2.ply"]]
@@ -509,7 +511,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_may_stand_elsewhere() {
+    fn given_number_may_be_anywhere_in_the_name() {
         let numbered = |path: &str, span| FrameFile::with_number_at(path.into(), span);
         let found = sequences(vec![numbered("f23_900.ply", 1..3), numbered("f9_900.ply", 1..2)]);
         assert_eq!(found.len(), 1);

@@ -1,8 +1,7 @@
 //! Selects the part of a frame that a close-up shows: the one with the most visible edges, sheets and drops.
 //!
 //! ```text
-//!   ∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙     visible cells: they have particles, and no other cell hides them from the
-//!   camera
+//!   ∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙∙     visible cells: they have particles, and no other cell hides them
 //!   ∙∙∙∙∙┌──────┐∙∙∙∙∙∙
 //!   ▒▒▒▒▒│▚▞▘▝▞▚│▒▒▒▒▒▒     the box with the highest count: a crown has more than calm water
 //!   ▒▒▒▒▒└──────┘▒▒▒▒▒▒
