@@ -1,4 +1,4 @@
-//! Which number of a file name is the frame's.
+//! Finds the frame number in a file name.
 //!
 //! ```text
 //!   dam_0001_v003        0001    a version (v, ver, version, rev, take, wedge before the digits) is not a frame
@@ -9,13 +9,13 @@
 //!   take2_dam7              7    otherwise: the last number
 //! ```
 //!
-//! These rules need the name alone. Versions and counts are frames where a name has no other number. [`varying_number`]
-//! and [`numbers_behind_shots`] then look at names that differ in their numbers only.
+//! These rules use only the name itself. Versions and counts are frames if a name has no other number. After
+//! that, [`varying_number`] and [`numbers_behind_shots`] compare names that differ only in numbers.
 
 use std::collections::HashSet;
 use std::ops::Range;
 
-/// What a number in a name is, as far as the words around it say.
+/// The meaning of a number in a name, according to the words around it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum NumberRole {
     Frame,
@@ -37,7 +37,7 @@ const COUNT_WORDS: [&str; 9] =
 /// A number with fewer digits has no subframe: `take.2.1` and `shot.010.1` are frame 1.
 const SUBFRAME_OF_DIGITS_MIN: usize = 4;
 
-/// Where the frame's number stands in the stem of a file name; with its subframe, if it has one: `0001.50`.
+/// The range of the frame's number in the stem of a file name, with its subframe, if it has one: `0001.50`.
 pub(crate) fn frame_number(stem: &str) -> Option<Range<usize>> {
     let numbers = numbers(stem);
     let of_role = |role| numbers.iter().rev().find(|number| role_of(stem, number) == role);
@@ -48,8 +48,8 @@ pub(crate) fn frame_number(stem: &str) -> Option<Range<usize>> {
     Some(with_subframe(stem, &numbers, &found).unwrap_or(found))
 }
 
-/// The frame's number and the subframe behind it, where the stem ends in both and `found` is one of them: it is the frame
-/// where a word such as `frame` stands before that.
+/// The frame's number with the subframe behind it, if the stem ends in both and `found` is one of them; the
+/// former is the frame if a word such as `frame` precedes it.
 fn with_subframe(stem: &str, numbers: &[Range<usize>], found: &Range<usize>) -> Option<Range<usize>> {
     let [.., frame, last] = numbers else { return None };
     let follows_separator = stem[..frame.start].chars().next_back().is_none_or(|c| !c.is_alphanumeric());
@@ -61,9 +61,9 @@ fn with_subframe(stem: &str, numbers: &[Range<usize>], found: &Range<usize>) -> 
     is_subframe.then_some(frame.start..last.end)
 }
 
-/// Where the frame's numbers stand in stems that are equal but for their numbers, when [`frame_number`] takes one that is
-/// the same in all of them, and exactly one other number differs. A version is never taken; a count only where three
-/// or more follow each other in even steps, as frames do.
+/// The ranges of the frame's numbers in stems that differ only in numbers, if [`frame_number`] chose a number
+/// that is the same in all of them, and exactly one other number varies. Never a version; a count only if
+/// three or more values have equal differences, as frames have.
 pub(crate) fn varying_number(stems: &[&str]) -> Option<Vec<Range<usize>>> {
     let all: Vec<Vec<Range<usize>>> = stems.iter().map(|stem| numbers(stem)).collect();
     let (first, first_numbers) = (stems.first()?, all.first()?);
@@ -80,13 +80,13 @@ pub(crate) fn varying_number(stems: &[&str]) -> Option<Vec<Range<usize>>> {
     is_frame.then(|| all.iter().filter_map(|numbers| numbers.get(column).cloned()).collect())
 }
 
-/// Where the last numbers of stems stand, when what [`frame_number`] took for frames with subframes are shots with
-/// frames, as of `shot.0100.1` to `shot.0100.120`. The stems are equal but for their numbers, and `spans` is what it
-/// found in them.
+/// The ranges of the last numbers of stems, if [`frame_number`] mistook the frames of a shot for subframes,
+/// as in `shot.0100.1` to `shot.0100.120`. The stems differ only in numbers, and `spans` has the ranges that
+/// it found.
 ///
-/// Subframes are fractions: 1 and 10 would be the same one. They also have fewer digits than their frame, and do not
-/// count up, as 1 and 2 do, behind a frame that is the only one; `is_shot_possible` says that no whole frame shows that
-/// it is one.
+/// Subframes are fractions, so 1 and 10 would be the same. They also have fewer digits than their frame, and
+/// do not count up, as 1 and 2 do, behind a single frame. `is_shot_possible` is false if a whole frame proves
+/// that there are subframes.
 pub(crate) fn numbers_behind_shots(
     stems: &[&str],
     spans: &[Range<usize>],
@@ -113,7 +113,7 @@ pub(crate) fn numbers_behind_shots(
     (subframe_count > 0 && (is_contradicted || frames.len() == 1 && counts_up)).then_some(last)
 }
 
-/// Whether three or more numbers are the same step apart.
+/// Whether there are three or more numbers with equal differences.
 fn are_even(numbers: impl Iterator<Item = u64>) -> bool {
     let mut numbers: Vec<u64> = numbers.collect();
     numbers.sort_unstable();
@@ -121,7 +121,7 @@ fn are_even(numbers: impl Iterator<Item = u64>) -> bool {
     numbers.len() >= 3 && numbers.windows(3).all(|three| three[1] - three[0] == three[2] - three[1])
 }
 
-/// The text with `#` for each number: what names share that differ in their numbers only.
+/// The text with `#` in place of each number: equal for names that differ only in numbers.
 pub(crate) fn without_numbers(text: &str) -> String {
     let mut shared = String::with_capacity(text.len());
     let mut end = 0;
@@ -177,7 +177,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn words_tell_the_frame_number() {
+    fn words_determine_the_frame_number() {
         for (stem, expected) in [
             ("dam.0012", Some("0012")),
             ("dam_0001_v003", Some("0001")),
@@ -214,7 +214,7 @@ mod tests {
             ("frame.0001.50", "0001.50"),
             ("step.0001.5", "0001.5"),
             ("frame_0012.25", "0012.25"),
-            // A wedge, a take or a shot, and then the frame.
+            // A wedge, a take or a shot comes first, then the frame.
             ("cache.0.0001", "0001"),
             ("shot.010.0001", "0001"),
             ("shot.010.1", "1"),
@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn number_that_alone_varies_is_the_frame() {
+    fn only_varying_number_is_the_frame() {
         let taken = |stems: &[&'static str]| -> Option<Vec<&'static str>> {
             let spans = varying_number(stems)?;
             Some(stems.iter().zip(spans).map(|(stem, span)| &stem[span]).collect())

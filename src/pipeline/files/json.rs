@@ -1,19 +1,19 @@
-//! How values are written in JSON where it has no form for them, or where readers may round them. For `#[serde(with = …)]`.
+//! Serializes values that JSON cannot represent, or that readers may round. For `#[serde(with = …)]`.
 //!
 //! - [`text`]: the shortest text that reads back as the same value; a JSON parser may round the last bit of a number;
 //! - [`hex`]: a hash as 32 hexadecimal digits;
 //! - [`path`]: text, or, where a path is not Unicode, a list of its bytes (on Windows, of its 16-bit units).
 //!
-//! The modules inside are for fields that may be missing, and for lists.
+//! The inner modules are for optional fields, and for lists.
 
 use std::io::{self, Write};
 
 use serde::Serialize;
 
-/// Writes a value as indented JSON with a line feed behind it.
+/// Writes a value as indented JSON, followed by a line feed.
 ///
 /// # Errors
-/// When the system refuses.
+/// When the system reports an error.
 pub(crate) fn write_json(out: &mut impl Write, value: &impl Serialize) -> io::Result<()> {
     serde_json::to_writer_pretty(&mut *out, value)?;
     out.write_all(b"\n")
@@ -109,7 +109,7 @@ pub(crate) mod path {
     use serde::de::Error;
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-    /// A path as it stands in JSON.
+    /// The JSON form of a path.
     #[derive(Serialize, Deserialize)]
     #[serde(untagged)]
     enum PathForm {

@@ -1,13 +1,13 @@
-//! Files: their names, what they are, and how they appear whole or not at all.
+//! Files: names, identity, and atomic writes.
 //!
 //! ```text
 //!   names, number_pattern, frame_number   names, and the numbers in them    shown  paths as users see them
-//!   stamp       tells a file that was written again      open         opens files without waiting at pipes
-//!   input_file  a file that others may write meanwhile   path_identity  whether two names are one file
-//!   temporary   a file until it is whole                 staged_file  whole, and not under its name yet
-//!   file_set    replaces several files, or none          sink         files appear, whole, or do not
-//!   sweep       removes what a killed process left       out_folder   the folder of outputs before a run
-//!   json        values that JSON has no form for
+//!   stamp       detects that a file was written again    open         opens files without blocking on pipes
+//!   input_file  a file that may change during a read     path_identity  whether two paths are the same file
+//!   temporary   a file until it is complete              staged_file  complete, but without its final name
+//!   file_set    replaces several files, or none          sink         atomic writes
+//!   sweep       cleans up after killed processes         out_folder   checks the output folder before a run
+//!   json        values that JSON cannot represent
 //! ```
 
 pub(super) mod file_set;

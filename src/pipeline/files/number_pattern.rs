@@ -1,28 +1,28 @@
-//! File names with a number somewhere in them: `dam.####.bgeo`, `dam.%04d.bgeo`, `dam.{}.bgeo`.
+//! File names with a placeholder for a number: `dam.####.bgeo`, `dam.%04d.bgeo`, `dam.{}.bgeo`.
 
 use std::fs;
 use std::io;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// A file name with a frame number somewhere in it.
+/// A file name with a placeholder for the frame number.
 #[derive(Debug, PartialEq, Eq)]
 pub struct NumberPattern<'a> {
-    /// What comes before the number.
+    /// The text before the number.
     pub before: &'a str,
-    /// What comes after it.
+    /// The text after the number.
     pub after: &'a str,
-    /// Shorter numbers have zeros in front.
+    /// Shorter numbers are padded with zeros.
     pub width_min: usize,
 }
 
 impl<'a> NumberPattern<'a> {
-    /// The last `####`, `%04d`, `%d` or `{}` of a name; everything else in it is literal.
+    /// Finds the last `####`, `%04d`, `%d` or `{}` of a name; the rest of the name is literal.
     pub fn find(name: &'a str) -> Option<NumberPattern<'a>> {
         (0..name.len()).rev().filter(|&start| name.is_char_boundary(start)).find_map(|start| {
             let (length, width_min) = placeholder_at(&name[start..])?;
             let before = name[..start].trim_end_matches('#');
-            // The search met the last # of a run first: the run began earlier.
+            // The search found the last # of a run, which begins earlier.
             let run = start - before.len();
             let is_hashes = name[start..].starts_with('#');
             let (before, width_min) =
@@ -31,23 +31,23 @@ impl<'a> NumberPattern<'a> {
         })
     }
 
-    /// The name with this number, with no more zeros in front than it needs.
+    /// The name with this number, padded to the minimum width.
     pub fn name_of(&self, number: u64) -> String {
         let width = self.width_min;
         format!("{}{number:0width$}{}", self.before, self.after)
     }
 
-    /// The file of a folder that has this number, of several the first by name.
+    /// The file in a folder that has this number; the first by name if there are several.
     ///
     /// # Errors
-    /// When the folder cannot be looked into.
+    /// When the folder cannot be listed.
     pub fn file_of(&self, folder: &Path, number: u64) -> io::Result<Option<PathBuf>> {
         let padded = folder.join(self.name_of(number));
         let is_there = may_be_file(&padded);
         if self.width_min > 1 || is_there {
             return Ok(is_there.then_some(padded));
         }
-        // A number of any width may have any number of zeros in front.
+        // A number may have any number of leading zeros if the width is not fixed.
         let is_it = |path: &PathBuf| {
             let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
             let digits = self.span_in(name).and_then(|span| name.get(span));
@@ -56,11 +56,11 @@ impl<'a> NumberPattern<'a> {
         Ok(files_in(folder)?.into_iter().filter(is_it).min())
     }
 
-    /// Where the number stands in a name that matches.
+    /// The range of the number in a matching name.
     pub fn span_in(&self, name: &str) -> Option<Range<usize>> {
         let digits = name.strip_prefix(self.before)?.strip_suffix(self.after)?;
         let plain = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
-        // As printf does: padded to the width, and wider only as far as the number needs it.
+        // As printf does: padded to the width, and wider only if the number needs it.
         let padded = digits.len() == self.width_min || !digits.starts_with('0');
         let any_width = self.width_min <= 1;
         (plain && digits.len() >= self.width_min && (padded || any_width))
@@ -68,7 +68,7 @@ impl<'a> NumberPattern<'a> {
     }
 }
 
-/// The length of the placeholder that text begins with, and the least width of its number.
+/// The length of the placeholder at the start of the text, and the minimum width of its number.
 fn placeholder_at(text: &str) -> Option<(usize, usize)> {
     if text.starts_with("{}") {
         return Some((2, 1));
@@ -102,9 +102,9 @@ pub fn files_in(folder: &Path) -> io::Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Whether a path is a regular file, or something whose type the system does not reveal: a file behind EACCES, EIO or
-/// ESTALE, a link that leads nowhere. Opening the latter fails with the reason, so that such a frame is reported and not
-/// dropped. Only a path that does not exist, or that is known to be something else, is no file.
+/// Whether a path is a regular file, or its type is unknown: a file behind EACCES, EIO or ESTALE, a dangling
+/// link. Opening the latter fails with the reason, so that such a frame is reported and not dropped. The
+/// result is false only if the path does not exist, or is known to be something else.
 pub fn may_be_file(path: &Path) -> bool {
     match path.metadata() {
         Ok(metadata) => metadata.is_file(),
@@ -112,20 +112,20 @@ pub fn may_be_file(path: &Path) -> bool {
     }
 }
 
-/// Whether an error of `stat` means that nothing has this name. A link whose target is missing does exist.
+/// Whether an error of `stat` means that no file has this name. A link whose target is missing does exist.
 pub fn is_absent(path: &Path, error: &io::Error) -> bool {
     let is_missing =
         |error: &io::Error| matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory);
     is_missing(error) && path.symlink_metadata().is_err_and(|error| is_missing(&error))
 }
 
-/// Whether a path cannot be followed because links lead in a circle.
+/// Whether a path cannot be resolved because of a loop of links.
 #[cfg(unix)]
 pub fn is_link_loop(error: &io::Error) -> bool {
     error.raw_os_error() == Some(rustix::io::Errno::LOOP.raw_os_error())
 }
 
-/// Whether a path cannot be followed because links lead in a circle.
+/// Whether a path cannot be resolved because of a loop of links.
 #[cfg(not(unix))]
 pub fn is_link_loop(_error: &io::Error) -> bool {
     false
@@ -136,7 +136,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_last_placeholder_is_the_frame() {
+    fn last_placeholder_is_the_frame() {
         for (name, before, after, width_min) in [
             ("dam.####.bgeo", "dam.", ".bgeo", 4),
             ("dam.#.bgeo", "dam.", ".bgeo", 1),
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_match_as_printf_writes_them() {
+    fn numbers_match_as_printf_formats_them() {
         let matches = |pattern, name| NumberPattern::find(pattern).and_then(|p| p.span_in(name)).is_some();
         for (pattern, name, expected) in [
             ("a.####.ply", "a.0012.ply", true),

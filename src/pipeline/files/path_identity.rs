@@ -1,19 +1,19 @@
-//! Whether two names lead to one file.
+//! Checks whether two paths are the same file.
 //!
-//! Names are compared after links are followed, in two ways: the entry in its folder that a rename
-//! would replace, and the file that the name leads to. On Unix the file's own identity is compared
-//! too, which also sees through hard links, bind mounts and file systems that ignore case.
+//! Paths are compared after links are resolved, in two ways: the directory entry that a rename would replace,
+//! and the file that the path leads to. On Unix the device and inode are compared as well, which also detects
+//! hard links, bind mounts and file systems that ignore case.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Whether two paths name one file, be it there or not.
+/// Whether two paths are the same file, existing or not.
 pub fn are_one_file(one: &Path, other: &Path) -> bool {
     let identities = identities(one);
     self::identities(other).iter().any(|identity| identities.contains(identity))
 }
 
-/// Something that two names of one file have in common.
+/// A key that two paths of the same file have in common.
 #[derive(PartialEq, Eq, Hash)]
 pub(crate) enum Identity {
     Path(PathBuf),
@@ -21,7 +21,7 @@ pub(crate) enum Identity {
     Inode(u64, u64),
 }
 
-/// All that is known of the identity of a file, be it there or not.
+/// All keys of a file, existing or not.
 pub(crate) fn identities(path: &Path) -> Vec<Identity> {
     let mut identities = vec![Identity::Path(entry(path))];
     if let Ok(canonical) = path.canonicalize() {
@@ -35,14 +35,13 @@ pub(crate) fn identities(path: &Path) -> Vec<Identity> {
     identities
 }
 
-/// The entry in its folder that a path names: links in the folder's path are followed, the entry
-/// itself is not.
+/// The canonical directory entry of a path: resolves links in the folder's path, but not the entry itself.
 pub fn entry(path: &Path) -> PathBuf {
     let folder = match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
     };
-    // What cannot be resolved does not exist: nothing in it is replaced.
+    // A folder that cannot be resolved does not exist, so nothing in it can be replaced.
     let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
     folder.join(path.file_name().unwrap_or_default())
 }

@@ -1,4 +1,4 @@
-//! Paths as users see them: the copy of the standard input is called what it is a copy of.
+//! Paths in messages: the copy of the standard input is shown as the standard input.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ pub const STANDARD_INPUT: &str = "standard input";
 /// A file that is shown under another name.
 static COPY: OnceLock<(PathBuf, String)> = OnceLock::new();
 
-/// From now on messages and reports of this process call this file by this name. There is one such file.
+/// Sets the name of this file in all messages and reports of this process. Only one file can have one.
 pub fn show_as(copy: &Path, name: &str) {
     COPY.get_or_init(|| (copy.to_owned(), name.to_owned()));
 }
@@ -38,7 +38,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn copy_and_its_steps_are_shown_by_the_name_of_the_original() {
+    fn copy_of_the_standard_input_and_its_steps_are_shown_as_such() {
         let copy = ("/tmp/copy/stdin.ply".into(), STANDARD_INPUT.to_owned());
         for (path, expected) in [
             ("/tmp/copy/stdin.ply", "standard input"),

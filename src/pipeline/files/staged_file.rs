@@ -1,4 +1,4 @@
-//! Files that are whole and on the disk, and do not have their names yet.
+//! Complete files on disk that do not have their final names yet.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -7,13 +7,13 @@ use std::path::{Path, PathBuf};
 use super::stamp::FileStamp;
 use super::temporary::Temporary;
 
-/// Large enough that the system call does not matter beside the copy.
+/// Large enough that the cost of the system call does not matter.
 pub(crate) const BUFFER_BYTES: usize = 1 << 18;
 
-/// Writes a temporary file beside `path`, until all of it is on the disk. Returns what `write` returns, too.
+/// Writes a temporary file beside `path` and syncs it to disk. Also returns the result of `write`.
 ///
 /// # Errors
-/// What `write` returns, or what the system refuses. Nothing is left behind then.
+/// The error of `write`, or of the system. Then nothing is left behind.
 pub(crate) fn write_temporary<T, E: From<io::Error>>(
     path: &Path,
     write: impl FnOnce(&mut BufWriter<&File>) -> Result<T, E>,
@@ -23,12 +23,12 @@ pub(crate) fn write_temporary<T, E: From<io::Error>>(
     let written = write(&mut out)?;
     out.flush()?;
     drop(out);
-    // Else a crash of the machine could leave the name without the bytes.
+    // Otherwise a crash of the machine could leave the name without the bytes.
     temporary.file().sync_all()?;
     Ok((temporary, written))
 }
 
-/// A file that is whole and on the disk, and not yet to be seen under its name. It is removed unless it is
+/// A complete file on disk that does not have its final name yet. It is removed on drop unless it is
 /// published.
 pub(crate) struct StagedFile {
     temporary: Temporary,
@@ -37,10 +37,10 @@ pub(crate) struct StagedFile {
 }
 
 impl StagedFile {
-    /// Writes what is to appear at `path`.
+    /// Writes the file that will appear at `path`.
     ///
     /// # Errors
-    /// What `write` returns, or what the system refuses. Nothing is left behind then.
+    /// The error of `write`, or of the system. Then nothing is left behind.
     pub(crate) fn write<E: From<io::Error>>(
         path: &Path,
         write: impl FnOnce(&mut BufWriter<&File>) -> Result<(), E>,
@@ -55,24 +55,24 @@ impl StagedFile {
         self.stamp.size
     }
 
-    /// What the file system says of the file.
+    /// The stamp of the file.
     pub(crate) fn stamp(&self) -> FileStamp {
         self.stamp
     }
 
-    /// Where it is to appear.
+    /// The final path.
     pub(crate) fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Where it is until then.
+    /// The current path.
     pub(crate) fn written_path(&self) -> &Path {
         self.temporary.path()
     }
 }
 
-/// Puts the names in a folder on the disk, where the system can do such a thing. Where it cannot, or
-/// fails, a crash of the machine may cost names that are there already; it never shows half a file.
+/// Syncs the names in a folder to disk, if the system supports that. If not, or if it fails, a crash of the
+/// machine may lose new names, but it never leaves half a file.
 pub(crate) fn sync_folder(folder: &Path) {
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let _ = File::open(folder).and_then(|folder| folder.sync_all());

@@ -1,4 +1,4 @@
-//! What the file system says of a file, and how it tells a file that was written again.
+//! File stamps (size, times, inode), which show that a file was written again.
 
 use std::fs::Metadata;
 use std::io;
@@ -7,38 +7,38 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
 
-/// Size, times and inode of a file: two files with equal stamps are taken for the same one, unchanged.
+/// Size, times and inode of a file: two files with equal stamps are treated as the same, unchanged file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct FileStamp {
-    /// Bytes.
+    /// In bytes.
     #[serde(rename = "size_bytes")]
     pub size: u64,
-    /// Nanoseconds since 1970 of the last write; negative before.
+    /// The modification time in nanoseconds since 1970; negative before.
     #[serde(default)]
     pub modified_ns: i64,
-    /// The file's number on its file system; 0 where there is no such thing.
+    /// The inode number; 0 on systems without one.
     #[serde(default)]
     pub inode: u64,
-    /// Nanoseconds since 1970 of the last status change (ctime). A program can set the modification time back, but not
-    /// this one, so it reveals a file that was rewritten under its old modification time. `chmod`, new hard links and
-    /// restored backups change it, too: a difference in it alone is a reason to compare contents and no more.
-    /// `None` on systems without it, and in journals of older versions.
+    /// The status change time (ctime) in nanoseconds since 1970. A program can set the modification time
+    /// back, but not this one, so it reveals a file that was rewritten under its old modification time.
+    /// `chmod`, new hard links and restored backups change it, too, so if only this time differs, the
+    /// contents have to be compared. `None` on systems without it, and in journals of older versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub changed_ns: Option<i64>,
 }
 
 impl FileStamp {
-    /// The stamp of the file at `path`; links are followed.
+    /// The stamp of the file at `path`; follows links.
     ///
     /// # Errors
-    /// When the system refuses.
+    /// When the system reports an error.
     pub fn of_path(path: &Path) -> io::Result<FileStamp> {
         Ok(FileStamp::of(&path.metadata()?))
     }
 
     /// The stamp of a file with this metadata.
     pub fn of(metadata: &Metadata) -> FileStamp {
-        // On a system that keeps no times, the size and the number have to do.
+        // On a system without file times, only the size and the inode are compared.
         let modified = metadata.modified().ok().and_then(nanoseconds);
         FileStamp {
             size: metadata.len(),
@@ -48,8 +48,8 @@ impl FileStamp {
         }
     }
 
-    /// Whether a file with this stamp is still unchanged if it has the stamp `now`. A status change time that
-    /// either of them lacks is not compared.
+    /// Whether a file with this stamp is unchanged if its stamp is now `now`. The status change time is
+    /// compared only if both have it.
     pub fn still_holds(&self, now: &FileStamp) -> bool {
         let changes = self.changed_ns.zip(now.changed_ns);
         self.without_status_change() == now.without_status_change()
@@ -63,7 +63,7 @@ impl FileStamp {
     }
 }
 
-/// Since 1970; `None` some centuries from then.
+/// Nanoseconds since 1970; `None` for times that do not fit into 64 bits.
 fn nanoseconds(time: SystemTime) -> Option<i64> {
     match time.duration_since(UNIX_EPOCH) {
         Ok(after) => i64::try_from(after.as_nanos()).ok(),

@@ -1,33 +1,36 @@
-//! Files that replace others together: after a failure or a kill, the folder has all the old files or all the new ones.
+//! Replaces several files together: after a failure or a kill, the folder has all the old files or all the
+//! new ones.
 //!
-//! A rename replaces one file at once; several renames can be cut off between two of them. So before the first:
+//! A rename replaces a single file atomically, but a process may stop between two renames. So before the
+//! first rename:
 //!
 //! ```text
-//!   .meniscus-set-9f3c…       the record: the names, and which files will replace them; locked, and on the disk
+//!   .meniscus-set-9f3c…       the record: the names and their new files; locked, and synced to disk
 //!   .meniscus-set-9f3c….0     another name of the old dam.0012.glb      hard links
 //!   .meniscus-set-9f3c….1     another name of the old dam.0012.vdb
 //!            │
-//!            │ rename each new file, then put the folder on the disk
+//!             │ rename each new file, then sync the folder
 //!            ▼
 //!   remove the record         from here on the new files stay
 //!   remove the old files
 //! ```
 //!
-//! A rename that fails puts the old files back; a name that was free becomes free again. A process that is killed leaves its
-//! record without a lock: [`sweep_temporaries`](super::sweep::sweep_temporaries) finds it and goes on with the renames,
-//! so that no output that somebody has seen is taken away. Where that is impossible, for a new file is gone, it puts the old files back. That
-//! happens when a daemon starts, when `convert` begins, and when a shard begins, in their folder. Until then, and between two renames,
-//! readers can see a mixed set; a certificate, which has the hashes of all files of its frame, tells them.
+//! If a rename fails, the old files are restored; a name that was free becomes free again. A killed process
+//! leaves its record without a lock: [`sweep_temporaries`](super::sweep::sweep_temporaries) finds it and
+//! completes the renames, so that no output disappears that a reader has already seen. If that is impossible
+//! because a new file is missing, it restores the old files. The sweep runs in the output folder when a
+//! daemon, `convert` or a shard starts. Until then, and between two renames, readers can see a mixed set; the
+//! hashes in a certificate reveal that.
 //!
-//! A record is used only if this user made it, it has one name, and this version can read it. Any other is left in place with
-//! its old files, and the sweep returns a warning.
+//! A record is used only if this user created it, it has no second hard link, and this version can read it.
+//! Any other record is left in place with its old files, and the sweep returns a warning.
 //!
-//! The record has the size, the time of the last write and the inode of each new and old file. A file that is neither was
-//! written later, and stays. If all names have later files, the set is superseded, and its record and old files are removed:
-//! so it is when a run could not read the record and made the frame again. If only some names have, their old files stay, and
-//! so does the record.
+//! The record has the size, modification time and inode of each new and old file. A file that is neither was
+//! written later, and stays. If all names have later files, the set is superseded, and its record and old
+//! files are removed: that happens if a run could not read the record and converted the frame again. If only
+//! some names have later files, the old files of these names and the record stay.
 //!
-//! Where the file system has no hard links the old file is renamed instead, and for a moment its name does not exist.
+//! On a file system without hard links, the old file is renamed instead, so its name is missing for a moment.
 
 use std::collections::HashSet;
 use std::ffi::{OsStr, OsString};
@@ -42,37 +45,37 @@ use super::temporary::{
     Temporary, is_temporary_name, leave_behind, lock_abandoned, random_number, remove_if_there, under_way,
 };
 
-/// What the name of a record begins with; 16 hexadecimal digits follow.
+/// The prefix of a record's name; 16 hexadecimal digits follow.
 const RECORD_PREFIX: &str = ".meniscus-set-";
 
-/// The first words of a record.
+/// The start of a record.
 const RECORD_HEAD: &[u8] = b"meniscus set 2\0";
-/// The last word of one that is whole.
+/// The end of a complete record.
 const RECORD_END: &[u8] = b"end\0";
 
 /// Longer than any record: a frame has a dozen names.
 const RECORD_BYTES_MAX: u64 = 1 << 20;
 
-/// So often it is tried to put the old files back before that is left for later.
+/// The number of attempts to restore the old files before that is left for the next sweep.
 const UNDO_ATTEMPTS: usize = 3;
 
-/// A name, and the file that is to appear there. Stamps tell these files from others that have their names later; a rename keeps
-/// them, but for the status change time. Size and time alone would not do: on some file systems the time has a resolution of two
-/// seconds.
+/// A name, and its new file. Stamps distinguish these files from later ones with the same names: a rename
+/// changes only the status change time. Size and time alone are not enough, because some file systems have a
+/// time resolution of two seconds.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Member {
     name: Box<OsStr>,
-    /// The name of the new file until then.
+    /// The temporary name of the new file.
     temporary: Box<OsStr>,
     new: FileStamp,
-    /// Of the file that had the name before, if there was one.
+    /// The stamp of the old file, if there is one.
     old: Option<FileStamp>,
 }
 
-/// Lets several files of one folder appear under their names.
+/// Renames several files of one folder to their final names.
 ///
 /// # Errors
-/// The path that cannot be replaced, and why. All names have the files that they had before, unless the error says
+/// The path that cannot be replaced, and why. Then all names have their old files, unless the error says
 /// otherwise.
 pub(crate) fn replace_together(files: &[StagedFile]) -> Result<(), (PathBuf, io::Error)> {
     let Some(first) = files.first() else { return Ok(()) };
@@ -82,7 +85,7 @@ pub(crate) fn replace_together(files: &[StagedFile]) -> Result<(), (PathBuf, io:
     let record = write_record(folder, &members).map_err(at_first)?;
     let set = FileSet { record_path: record.path().to_owned(), members };
 
-    // Locked for all renames: a stop comes before the first or after the last.
+    // Locked during all renames, so that a stop comes before the first or after the last.
     let locked = under_way();
     let error = match set.replace(files) {
         Ok(()) => {
@@ -96,13 +99,13 @@ pub(crate) fn replace_together(files: &[StagedFile]) -> Result<(), (PathBuf, io:
                 Err(error) => at_first(error),
             }
         }
-        // Still locked: a stop that took the record now would take the way back.
+        // Still locked: if a stop removed the record now, the old files could not be restored.
         Err(error) => return Err(set.undo_after(error, record, locked)),
     };
     Err(set.undo_after(error, record, under_way()))
 }
 
-/// What is known of a file and of its name before anything is replaced.
+/// The stamps of a new file and of the file it will replace.
 fn member(file: &StagedFile) -> Result<Member, (PathBuf, io::Error)> {
     let failed = |error| (file.path().to_owned(), error);
     let name = file.path().file_name().ok_or_else(|| failed(io::ErrorKind::InvalidFilename.into()))?;
@@ -116,7 +119,8 @@ fn member(file: &StagedFile) -> Result<Member, (PathBuf, io::Error)> {
     })
 }
 
-/// Writes the record: onto the disk where files will be replaced, for a crash of the machine must not come between these.
+/// Writes the record, and syncs it if old files will be replaced, because the machine may crash between the
+/// renames.
 fn write_record(folder: &Path, members: &[Member]) -> io::Result<Temporary> {
     let record = Temporary::create_named(&folder.join("record"), || {
         format!("{RECORD_PREFIX}{:016x}", random_number())
@@ -144,14 +148,14 @@ fn record_bytes(members: &[Member]) -> Vec<u8> {
     bytes
 }
 
-/// What the bytes of a record say.
+/// The contents of a record.
 #[derive(Debug, PartialEq, Eq)]
 enum Parsed {
-    /// The files to replace.
+    /// A complete list of files to replace.
     Whole(Vec<Member>),
-    /// It is empty, or its end is missing: no file was replaced, or all were.
+    /// Empty or truncated: either no file was replaced, or all were.
     CutOff,
-    /// Another version of this program wrote it, or it is damaged.
+    /// Another version of this program wrote the record, or it is damaged.
     Unknown,
 }
 
@@ -176,7 +180,7 @@ fn parse_members(bytes: &[u8]) -> Option<Vec<Member>> {
 
 fn parse_member(parts: &[&[u8]]) -> Option<Member> {
     let &[name, temporary, new, old] = parts else { return None };
-    // Nothing outside the folder is touched, and nothing that is not ours is renamed, whoever wrote the record.
+    // Whoever wrote the record, only files in this folder and with this program's names are touched.
     let plain = |bytes: &[u8]| {
         name_of_bytes(bytes)
             .filter(|name| Path::new(name).file_name() == Some(name) && !bytes.contains(&b'/'))
@@ -209,7 +213,7 @@ fn name_of_bytes(bytes: &[u8]) -> Option<OsString> {
     str::from_utf8(bytes).ok().map(OsString::from)
 }
 
-/// Names that get other files together.
+/// Names whose files are replaced together.
 #[derive(Debug)]
 struct FileSet {
     record_path: PathBuf,
@@ -225,20 +229,20 @@ impl FileSet {
         self.record_path.with_file_name(&member.temporary)
     }
 
-    /// Where the old file of a member is kept.
+    /// The backup path for the old file of a member.
     fn old_path(&self, index: usize) -> PathBuf {
         let mut path = self.record_path.clone().into_os_string();
         path.push(format!(".{index}"));
         path.into()
     }
 
-    /// Keeps the old files, and renames the new ones.
+    /// Backs up the old files, and renames the new ones.
     fn replace(&self, files: &[StagedFile]) -> Result<(), (PathBuf, io::Error)> {
         let mut is_kept = vec![true; files.len()];
         for (index, file) in files.iter().enumerate() {
             if self.members[index].old.is_some() {
                 match change::hard_link(file.path(), &self.old_path(index)) {
-                    // Somebody else has just removed it.
+                    // Another process has just removed it.
                     Err(error) if error.kind() == io::ErrorKind::NotFound => {}
                     linked => is_kept[index] = linked.is_ok(),
                 }
@@ -255,9 +259,9 @@ impl FileSet {
         Ok(())
     }
 
-    /// From here on the new files stay.
+    /// Commits: from here on the new files stay.
     fn commit(&self, record: &Temporary) -> io::Result<()> {
-        // One that is not whole counts as none.
+        // A truncated record is ignored.
         change::remove(&self.record_path).or_else(|error| change::empty(record.file()).map_err(|_| error))
     }
 
@@ -270,7 +274,8 @@ impl FileSet {
         }
     }
 
-    /// Puts the old files back because of this error. Where that fails the record stays, so that it is done later.
+    /// Restores the old files after this error. If that fails, the record stays, so that a later sweep
+    /// restores them.
     fn undo_after(
         &self,
         (path, error): (PathBuf, io::Error),
@@ -283,7 +288,7 @@ impl FileSet {
         }
         let of_undo = match undone {
             Ok(kept) if kept.is_empty() => {
-                // Removing the record takes the lock.
+                // Removing the record needs the lock.
                 drop(locked);
                 return (path, error);
             }
@@ -291,7 +296,7 @@ impl FileSet {
             Err(of_undo) => of_undo,
         };
         for member in &self.members {
-            // Else the set could be completed later, which has failed.
+            // Otherwise a sweep could complete the set whose replacement failed.
             let _ = remove_if_there(&self.temporary_path(member));
         }
         locked.remove(&self.record_path);
@@ -301,7 +306,7 @@ impl FileSet {
         (path, io::Error::new(error.kind(), what))
     }
 
-    /// Whether some new files have their names, and the others can still get theirs.
+    /// Whether some new files already have their names, and the others can still get theirs.
     fn can_be_completed(&self) -> io::Result<bool> {
         let mut is_begun = false;
         for (index, member) in self.members.iter().enumerate() {
@@ -329,7 +334,7 @@ impl FileSet {
         Ok(true)
     }
 
-    /// Renames the new files that do not have their names yet.
+    /// Renames the remaining new files.
     fn complete(&self) -> io::Result<()> {
         for member in &self.members {
             let path = self.path(member);
@@ -340,9 +345,9 @@ impl FileSet {
         Ok(())
     }
 
-    /// Puts the old files back, as far as nobody else has replaced the new ones. May be done again, and after any part of
-    /// it. Returns the old files that another program's file kept from their names: they may be the only copies, so they and the
-    /// record have to stay.
+    /// Restores the old files where no other program has replaced the new ones. Can be repeated, also after
+    /// an interruption. Returns the old files whose names another program's files have: the old files may be
+    /// the only copies, so they and the record must stay.
     fn undo(&self) -> io::Result<Vec<PathBuf>> {
         let mut kept = Vec::new();
         for (index, member) in self.members.iter().enumerate() {
@@ -354,7 +359,7 @@ impl FileSet {
                     if is_new || found.is_none() {
                         change::rename(&old, &path)?;
                     }
-                    // Renaming one name of a file to another does nothing.
+                    // Renaming one hard link of a file to another does nothing.
                     let [named, backup] = [stamp_of(&path)?, stamp_of(&old)?];
                     if backup.is_none() || named == member.old || named == backup {
                         change::remove(&old)?;
@@ -363,7 +368,7 @@ impl FileSet {
                     }
                 }
                 (false, _) if is_new => change::remove(&path)?,
-                // Put back already, or not yet replaced.
+                // Already restored, or not yet replaced.
                 _ => {}
             }
         }
@@ -371,7 +376,7 @@ impl FileSet {
     }
 }
 
-/// What is wrong with these old files.
+/// The warning about these old files.
 fn said_of_kept(kept: &[PathBuf]) -> String {
     let kept: Vec<_> = kept.iter().map(|path| path.display().to_string()).collect();
     format!(
@@ -380,7 +385,7 @@ fn said_of_kept(kept: &[PathBuf]) -> String {
     )
 }
 
-/// What has this name; `None` if it is free.
+/// The stamp of the file with this name; `None` if the name is free.
 fn stamp_of(path: &Path) -> io::Result<Option<FileStamp>> {
     match path.symlink_metadata() {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
@@ -388,7 +393,7 @@ fn stamp_of(path: &Path) -> io::Result<Option<FileStamp>> {
     }
 }
 
-/// Whether this user made the file, and it has one name.
+/// Whether this user created the file, and it has no second hard link.
 #[cfg(unix)]
 fn is_own_file(metadata: &Metadata) -> bool {
     use std::os::unix::fs::MetadataExt;
@@ -400,7 +405,7 @@ fn is_own_file(_metadata: &Metadata) -> bool {
     true
 }
 
-/// Whether a name is taken.
+/// Whether a file has this name.
 fn exists(path: &Path) -> io::Result<bool> {
     Ok(stamp_of(path)?.is_some())
 }
@@ -410,7 +415,7 @@ pub(crate) fn is_record_name(name: &str) -> bool {
     name.strip_prefix(RECORD_PREFIX).is_some_and(is_number)
 }
 
-/// The path of the record, if this is an old file that is kept.
+/// The path of the record, if this is a backup of an old file.
 pub(crate) fn record_of_old_file(path: &Path) -> Option<PathBuf> {
     let (record, index) = path.file_name()?.to_str()?.rsplit_once('.')?;
     let is_index = !index.is_empty() && index.bytes().all(|byte| byte.is_ascii_digit());
@@ -421,21 +426,22 @@ fn is_number(text: &str) -> bool {
     text.len() == 16 && text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
 }
 
-/// What became of a record.
+/// The result of recovering a record.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum RecordRecovery {
     /// The set was completed, undone or superseded, and the record removed.
     Done,
     /// Another process is using the record.
     InUse,
-    /// The record cannot be trusted, or cannot be read. It and all its files were left in place. Says why, and what to do.
+    /// The record is not trusted or not readable. It and all its files were left in place. Contains the
+    /// reason and the remedy.
     Left(String),
 }
 
-/// Completes a set whose process was killed, or puts its old files back.
+/// Completes a set whose process was killed, or restores its old files.
 ///
 /// # Errors
-/// When the system refuses: then all that is needed stays, and it can be tried again.
+/// When the system reports an error; then everything needed for another attempt stays.
 pub(crate) fn recover(record_path: &Path) -> io::Result<RecordRecovery> {
     let Some(mut file) = lock_abandoned(record_path)? else { return Ok(RecordRecovery::InUse) };
     let left = |why: &str| {
@@ -444,7 +450,8 @@ pub(crate) fn recover(record_path: &Path) -> io::Result<RecordRecovery> {
             "{path}: {why}; left in place with the files {name}.0, {name}.1, …, which may be the only copies of replaced outputs"
         ))
     };
-    // A record has one name. In a shared folder another account could plant one, or link to one from elsewhere.
+    // A record has a single hard link. In a shared folder another account could plant one, or link to one
+    // from elsewhere.
     if !is_own_file(&file.metadata()?) {
         return Ok(left(
             "this record of an interrupted conversion belongs to another user or has a second name",
@@ -471,7 +478,7 @@ pub(crate) fn recover(record_path: &Path) -> io::Result<RecordRecovery> {
         set.undo()
     };
     let kept = match completed {
-        // Somebody else removed a new file meanwhile.
+        // Another process has removed a new file meanwhile.
         Err(error) if error.kind() == io::ErrorKind::NotFound => set.undo()?,
         completed => completed?,
     };
@@ -488,12 +495,12 @@ pub(crate) fn recover(record_path: &Path) -> io::Result<RecordRecovery> {
     Ok(RecordRecovery::Done)
 }
 
-/// Removes an old file whose set is complete; whether it was.
+/// Removes an old file if its set is complete; returns whether it did.
 ///
 /// # Errors
-/// When the system refuses.
+/// When the system reports an error.
 pub(crate) fn remove_old_file(old: &Path, record_path: &Path) -> io::Result<bool> {
-    // A record is there before the old files, and until they are not needed.
+    // The record exists before the old files do, and until they are not needed.
     if exists(record_path)? {
         return Ok(false);
     }
@@ -501,7 +508,7 @@ pub(crate) fn remove_old_file(old: &Path, record_path: &Path) -> io::Result<bool
     Ok(true)
 }
 
-/// What changes a folder. Tests let each of these fail, or the process end before it.
+/// The operations that change a folder. Tests make any of them fail, or end the process before it.
 mod change {
     use super::*;
 

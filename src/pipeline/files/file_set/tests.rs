@@ -1,4 +1,4 @@
-//! Sets of files whose replacement fails, or is cut off, at any step.
+//! Sets of files whose replacement fails or is interrupted at any step.
 
 use super::*;
 use std::cell::Cell;
@@ -10,18 +10,18 @@ use crate::pipeline::files::out_folder::recover_out_folder;
 use crate::pipeline::files::sink::{publish, stage};
 use crate::pipeline::files::sweep::sweep_temporaries;
 
-/// What becomes of changes in this thread.
+/// The injected faults of this thread.
 #[derive(Clone, Copy, Default)]
 struct Trouble {
-    /// Changes that are left until the trouble.
+    /// The number of changes before the fault.
     changes_left: usize,
-    /// How many changes fail then; `None` ends the process.
+    /// The number of changes that fail then; `None` ends the process.
     failures: Option<usize>,
-    /// No file system has hard links.
+    /// Simulates a file system without hard links.
     without_links: bool,
 }
 
-/// Held by tests whose changes fail: any thread takes up what another could not remove, which would cost it a failure.
+/// Held by tests whose changes fail: another thread that retries a removal would otherwise use up a failure.
 static ALONE: Mutex<()> = Mutex::new(());
 
 thread_local!(static TROUBLE: Cell<Option<Trouble>> = const { Cell::new(None) });
@@ -47,7 +47,7 @@ pub(super) fn before_change(is_link: bool) -> io::Result<()> {
 
 const NAMES: [&str; 3] = ["a.glb", "a.vdb", "a.json"];
 
-/// A folder in which the first files are there, and the others are not.
+/// Creates a folder with the first `count` of the old files.
 fn write_old(folder: &Path, count: usize) {
     for name in &NAMES[..count] {
         fs::write(folder.join(name), format!("old {name}")).expect("written");
@@ -62,7 +62,7 @@ fn publish_new(folder: &Path) -> Result<(), (PathBuf, io::Error)> {
     publish(unseen.into()).map(|_| ())
 }
 
-/// Puts back what can be, as another process would; any thread of this one may be at it already.
+/// Recovers like another process would; any thread of this process may be recovering as well.
 fn recover_all(folder: &Path) {
     let is_open = || contents(folder).iter().any(|(name, _)| name.starts_with('.'));
     let start = Instant::now();
@@ -72,12 +72,12 @@ fn recover_all(folder: &Path) {
     }
 }
 
-/// What the folder has, hidden files included.
+/// The files in the folder with their contents, hidden files included.
 fn contents(folder: &Path) -> Vec<(String, String)> {
     let entries = fs::read_dir(folder).expect("there").map(|entry| entry.expect("an entry"));
     let mut contents: Vec<_> = entries
         .map(|entry| {
-            // What goes meanwhile is gone.
+            // A file may disappear meanwhile.
             let text = fs::read_to_string(entry.path()).unwrap_or_default();
             (entry.file_name().into_string().expect("a name"), text)
         })
@@ -115,7 +115,7 @@ fn failure_of_any_change_leaves_all_old_or_all_new_files() {
 }
 
 #[test]
-fn lasting_failure_leaves_all_old_or_all_new_files_when_it_is_over() {
+fn lasting_failure_leaves_all_old_or_all_new_files_after_it_ends() {
     let _alone = ALONE.lock();
     for (old_count, without_links) in [(3, false), (3, true), (1, false), (0, false)] {
         for changes_left in 0..20 {
@@ -126,14 +126,14 @@ fn lasting_failure_leaves_all_old_or_all_new_files_when_it_is_over() {
             TROUBLE.set(None);
             recover_all(folder.path());
             let found = contents(folder.path());
-            // All new, where the last step before the end was the first that failed.
+            // All files are new if the first failure was in the last step.
             let is_good = found == expected(None) || result.is_err() && found == expected(Some(old_count));
             assert!(is_good, "{old_count} {without_links} {changes_left}: {found:?}");
         }
     }
 }
 
-/// Set in the child of the test below: the folder, and the trouble.
+/// Set in the child of the test below: the folder, and the fault.
 const CHILD: &str = "MENISCUS_TEST_FILE_SET";
 
 #[test]
@@ -175,7 +175,7 @@ fn process_killed_before_any_change_leaves_all_old_or_all_new_files() {
         }
         // Before each rename, and before the record is removed.
         assert!(killed_count >= 4 && restored_count >= 1, "{old_count}: {killed_count}, {restored_count}");
-        assert!(restored_count < killed_count, "what was begun is completed");
+        assert!(restored_count < killed_count, "a started replacement is completed");
     }
 }
 
@@ -190,7 +190,8 @@ fn example(name: &OsStr, old: Option<FileStamp>) -> Member {
 
 const OLD: Option<FileStamp> = Some(stamp(12, 1 << 60, 4));
 
-/// The record, old and new files of a set that another process left before any of these names had its present file.
+/// The record, old and new files of a set that another process abandoned before these names got their current
+/// files.
 fn write_abandoned(folder: &Path, names: &[&str]) -> FileSet {
     let members = names.iter().map(|name| example(OsStr::new(name), OLD)).collect();
     let set = FileSet { record_path: folder.join(".meniscus-set-0123456789abcdef"), members };
@@ -223,7 +224,7 @@ fn abandoned_set_of_which_some_names_have_later_files_keeps_the_old_files() {
     let mut found = contents(folder.path());
     assert!((0..3).all(|index| set.old_path(index).exists()));
     assert!(swept.warnings.len() == 1 && swept.warnings[0].contains("another program"), "{swept:?}");
-    // As the warning says.
+    // As the warning advises.
     fs::remove_file(&set.record_path).expect("removed");
     sweep_temporaries(folder.path()).expect("there");
     found.retain(|(name, _)| !name.starts_with('.') && name != "a.obj");
@@ -233,12 +234,12 @@ fn abandoned_set_of_which_some_names_have_later_files_keeps_the_old_files() {
 
 #[cfg(unix)]
 #[test]
-fn file_of_the_same_size_and_time_as_the_new_one_is_not_taken_for_it() {
+fn file_of_the_same_size_and_time_as_the_new_one_is_distinguished() {
     let folder = tempfile::tempdir().expect("a folder");
     write_old(folder.path(), 1);
     let path = folder.path().join(NAMES[0]);
     let ours = stamp_of(&path).expect("known").expect("there");
-    // On a file system with a coarse clock, another program's file can be that like.
+    // On a file system with a coarse clock, another program's file can have the same size and time.
     let new = FileStamp { inode: ours.inode + 1, ..ours };
     let members = vec![Member { new, ..example(OsStr::new(NAMES[0]), None) }];
     let record_path = folder.path().join(".meniscus-set-0123456789abcdef");
@@ -248,7 +249,7 @@ fn file_of_the_same_size_and_time_as_the_new_one_is_not_taken_for_it() {
 }
 
 #[test]
-fn set_whose_new_file_is_gone_is_put_back() {
+fn set_whose_new_file_is_missing_is_undone() {
     for old_count in [3, 1, 0] {
         let folder = tempfile::tempdir().expect("a folder");
         write_old(folder.path(), old_count);
@@ -285,7 +286,7 @@ fn set_of_a_living_process_is_left_alone() {
 }
 
 #[test]
-fn record_is_read_back_and_only_one_that_is_cut_off_is_void() {
+fn record_round_trips_and_only_a_truncated_one_is_ignored() {
     let mut members = vec![example(OsStr::new("a b.glb"), OLD), example(OsStr::new("ü\n.vdb"), None)];
     #[cfg(unix)]
     members.push(example(std::os::unix::ffi::OsStrExt::from_bytes(b"gr\xfc.vdb"), OLD));
