@@ -1,6 +1,6 @@
-//! What a user should know of a frame though it was converted.
+//! Warnings about frames that were converted.
 //!
-//! A warning states a fact. What to do about it depends on who asked: the command line adds the options that help.
+//! A warning states a fact. The remedy depends on the caller: the command line adds the options that help.
 
 use std::collections::HashSet;
 use std::fmt;
@@ -13,72 +13,72 @@ use crate::surface::level_set::RebuildReason;
 use crate::surface::mesh::MeshMeasures;
 use crate::surface::words::{counted, significant};
 
-/// What a user should know of a frame though it was converted. Displayed as a sentence.
+/// A warning about a converted frame. Its `Display` form is a sentence.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 #[expect(missing_docs, reason = "fields are what their names and the sentence say")]
 pub enum Warning {
-    /// A sentence of a reader or writer of a format, or of the settings.
+    /// A sentence from a reader or writer of a format, or about the settings.
     Sentence(String),
-    /// An attribute that the surface was to have is missing.
+    /// An attribute selected for the surface is missing.
     MissingAttribute { name: String, available: Vec<String> },
     /// The file has more grids than the one that was read.
     OtherGrids { count: usize },
-    /// The level set had no distances in places.
+    /// The level set had signs without distances in places, and was rebuilt.
     Rebuilt(RebuildReason),
     /// The velocities of a level set cannot be used.
     VelocitiesNotShown(String),
-    /// Positions that are infinite or not numbers were copied.
+    /// Positions that are infinite or NaN were copied.
     PositionsNotFinite { count: usize, particle_count: usize },
-    /// The frame was skinned in tiles.
+    /// The frame was reconstructed in tiles.
     Tiled { whole_bytes: u64 },
-    /// Something about an obstacle.
+    /// A likely mistake in an obstacle.
     Obstacle { path: PathBuf, finding: ObstacleFinding },
-    /// The clip box holds nothing of the surface.
+    /// The surface is completely outside the clip box.
     ClippedAway,
     /// Every island was dropped.
     IslandsDropped,
     /// All of the surface is inside obstacles.
     SurfaceInsideObstacles,
-    /// The particles are so small that no voxel is inside. Lengths in world units.
+    /// The particles are so small that no voxel is inside a ball. Lengths in world units.
     BetweenVoxels { voxel_size: f64, radius_min: f64, radius_max: f64 },
-    /// Most pieces of the surface have one particle.
+    /// Most pieces of the surface come from a single particle.
     Spray { particle_count: usize, piece_count: usize, voxel_size: f64 },
     /// The surface has many holes.
     Holes { particle_count: usize, hole_count: usize, voxel_size: f64 },
-    /// The surface is in many pieces, none of which is most of it.
+    /// The surface is in many pieces, and none of them has most of it.
     Torn { particle_count: usize, piece_count: usize, voxel_size: f64 },
     /// All particles are within this many voxels.
     Blob { particle_count: usize, width_voxels: f64, voxel_size: f64 },
-    /// A format rounds positions; `storage` says how it stores them.
+    /// A format rounds positions; `storage` describes how it stores them.
     RoundedPositions { voxels: f64, storage: &'static str },
-    /// An attribute that a .vdb cannot have.
+    /// An attribute that a .vdb cannot hold.
     NotInVdb { name: String },
-    /// r_min of the smallest one in world units.
+    /// Radii too small for the grid; r_min of the smallest one in world units.
     SmallRadii { count: usize, radius_min: f64 },
     /// Radii that are not positive numbers.
     InvalidRadii { count: usize },
-    /// Radii above what the grid holds.
+    /// Radii too large for the grid.
     LargeRadii { count: usize },
-    /// Particles that were to be stretched along their velocity.
+    /// Particles without a finite velocity, which could not be stretched along it.
     NotStretched { count: usize },
-    /// Values of attributes that were left out.
+    /// Attribute values that are not finite, and were ignored.
     ValuesNotFinite { count: usize },
-    /// Vertices that no particle gives attributes to.
+    /// Vertices without a particle in range of the attribute transfer.
     VerticesWithoutAttributes { count: usize },
-    /// Voxels of a .vdb that no particle gives attributes to.
+    /// Voxels of a .vdb without a particle in range of the attribute transfer.
     VoxelsWithoutAttributes { count: usize },
-    /// Particles that are not in the surface; about where one of them is.
+    /// Particles that the surface ignores, and the approximate position of one of them.
     LeftOut { count: usize, near: Option<DVec3> },
     /// Particles in obstacles.
     ParticlesInObstacles { count: usize, are_most: bool },
-    /// The conjugate gradients stopped early.
+    /// The conjugate gradients stopped before they converged.
     NotConverged,
-    /// Explicit steps beyond the CFL bound.
+    /// Explicit steps that exceed the CFL bound.
     CflExceeded { step_count: usize },
     /// The frame is so wide that 32-bit positions are coarse.
     CoarsePositions { voxels: f64 },
-    /// Particles outside, which an offset or smoothed positions allow.
+    /// Particles outside the surface, which an offset or smoothed positions allow.
     ParticlesOutside { count: usize, particle_count: usize },
     /// Breaks a guarantee: φ leaves its bounds.
     OutOfBounds { voxel_count: usize },
@@ -86,24 +86,24 @@ pub enum Warning {
     VerticesTooNear { count: usize, nearest_voxels: f64 },
     /// Breaks a guarantee: vertices farther from particles than r_max.
     VerticesTooFar { count: usize, farthest_voxels: f64 },
-    /// Breaks a guarantee: particles that are not inside.
+    /// Breaks a guarantee: particles that the surface does not enclose.
     NotEnclosed { count: usize },
     /// Breaks a guarantee: the mesh has these faults.
     NotClosed(Box<MeshMeasures>),
 }
 
-/// What is odd about an obstacle, or about where it is.
+/// A likely mistake in an obstacle, or in its position.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 #[expect(missing_docs, reason = "fields are what their names and the sentence say")]
 pub enum ObstacleFinding {
     /// Its mesh is open.
     Open { edge_count: usize, encloses_nothing: bool },
-    /// Triangles faced the other way.
+    /// Triangles with reversed orientation, which were flipped.
     Turned { triangle_count: usize },
-    /// Parts that seem to face inwards.
+    /// Parts that seem to face inwards, but were not changed.
     Unasked { part_count: usize },
-    /// Triangles with invalid corners.
+    /// Triangles with an invalid vertex.
     Broken { triangle_count: usize },
     /// No triangle has an area.
     Flat,
@@ -111,29 +111,29 @@ pub enum ObstacleFinding {
     Rebuilt(RebuildReason),
     /// Its level set has a narrow band.
     NarrowBand { known_voxels: f64 },
-    /// Nothing of the frame can touch it: least and greatest corners, world units.
+    /// It is out of reach of the whole frame: minimum and maximum corners, world units.
     OutOfReach { obstacle: [DVec3; 2], particles: [DVec3; 2] },
 }
 
-/// How many frames a warning is about.
+/// The frames that a warning applies to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scope {
-    /// This one.
+    /// Only this frame.
     Frame,
-    /// This one, and as a rule those after it: once for the sequence is enough.
+    /// This frame, and usually the later ones: one report for the sequence is enough.
     Sequence,
 }
 
-/// Which warnings of a sequence were reported already.
+/// The warnings of a sequence that were reported already.
 #[derive(Clone, Debug, Default)]
 pub struct ReportedWarnings(HashSet<(Discriminant<Warning>, Option<Discriminant<ObstacleFinding>>, String)>);
 
 impl ReportedWarnings {
-    /// Whether a warning is about something else than those before it. Of the same variant are the same warnings, whatever their
-    /// numbers; those about something with a name once for each name.
+    /// Whether no similar warning was reported before. Warnings of the same variant are similar, whatever
+    /// their numbers; warnings with a name are similar only if the name is the same.
     pub fn is_new(&mut self, warning: &Warning) -> bool {
         let (finding, subject) = match warning {
-            // Formats and settings have no variants: their sentences count without digits.
+            // Sentences of formats and settings have no variants, so they are compared without digits.
             Warning::Sentence(text) => {
                 (None, text.chars().filter(|c| !(c.is_ascii_digit() || ".-".contains(*c))).collect())
             }
@@ -149,7 +149,7 @@ impl ReportedWarnings {
 }
 
 impl Warning {
-    /// Whether it is about this frame alone.
+    /// The frames that the warning applies to.
     pub fn scope(&self) -> Scope {
         match self {
             Warning::LeftOut { .. }
@@ -163,7 +163,7 @@ impl Warning {
         }
     }
 
-    /// Whether the result is not what the program guarantees.
+    /// Whether the result breaks a guarantee of the program.
     pub fn breaks_guarantee(&self) -> bool {
         matches!(
             self,
@@ -175,7 +175,8 @@ impl Warning {
         )
     }
 
-    /// Whether something is wrong with the frame, whatever it was converted with: particles left out, or a broken guarantee.
+    /// Whether the frame has a fault, whatever it was converted with: ignored particles, or a broken
+    /// guarantee.
     pub fn is_flaw(&self) -> bool {
         matches!(self, Warning::LeftOut { .. }) || self.breaks_guarantee()
     }
@@ -195,8 +196,8 @@ impl fmt::Display for Warning {
                 write!(f, "no attribute `{name}` for the surface: it has ")?;
                 f.write_str(&if available.is_empty() { "none".to_owned() } else { available.join(", ") })
             }
-            Warning::OtherGrids { count: 1 } => f.write_str("1 more grid in the file is not kept"),
-            Warning::OtherGrids { count } => write!(f, "{count} more grids in the file are not kept"),
+            Warning::OtherGrids { count: 1 } => f.write_str("1 more grid in the file is ignored"),
+            Warning::OtherGrids { count } => write!(f, "{count} more grids in the file are ignored"),
             Warning::Rebuilt(reason) => reason.fmt(f),
             Warning::VelocitiesNotShown(why) => write!(f, "its velocities are not shown: {why}"),
             Warning::PositionsNotFinite { count, particle_count } => {
@@ -204,7 +205,7 @@ impl fmt::Display for Warning {
             }
             Warning::Tiled { whole_bytes } => {
                 let mebibytes = whole_bytes.div_ceil(1 << 20);
-                write!(f, "skinned in tiles, which takes longer: whole it needs {mebibytes} MiB")
+                write!(f, "skinned in tiles, which takes longer: without tiles it needs {mebibytes} MiB")
             }
             Warning::Obstacle { path, finding } => write!(f, "obstacle {}: {finding}", path.display()),
             _ => self.fmt_surface(f),
@@ -213,27 +214,27 @@ impl fmt::Display for Warning {
 }
 
 impl Warning {
-    /// How many there are of what, and what about them, of the warnings that say no more.
+    /// The count, the noun and the rest of the sentence, for warnings of that form.
     fn counted(&self) -> Option<(usize, &'static str, &'static str)> {
         Some(match *self {
             Warning::SmallRadii { count, .. } => {
-                (count, "particle", "too small for the grid: r_min = √3·h was taken")
+                (count, "particle", "too small for the grid: r_min was set to √3·h")
             }
             Warning::InvalidRadii { count } => {
-                (count, "particle", "without a radius that is a positive number: the least was taken")
+                (count, "particle", "without a radius that is a positive number: the smallest radius is used")
             }
             Warning::LargeRadii { count } => {
-                (count, "particle", "too large for the grid: the largest radius that it holds was taken")
+                (count, "particle", "too large for the grid: the largest possible radius is used")
             }
             Warning::NotStretched { count } => (count, "particle", "not stretched: no finite velocity"),
             Warning::ValuesNotFinite { count } => {
-                (count, "value", "of particles not finite: no part of the surface's attributes")
+                (count, "value", "of particle attributes ignored: not finite")
             }
             Warning::VerticesWithoutAttributes { count } => {
-                (count, "vertex", "too far from all particles for attributes: 0, or none")
+                (count, "vertex", "without a particle in range: attributes are 0 or missing")
             }
             Warning::VoxelsWithoutAttributes { count } => {
-                (count, "place", "in the .vdb too far from all particles for attributes: 0")
+                (count, "place", "in the .vdb without a particle in range: attributes are 0")
             }
             Warning::CflExceeded { step_count } => {
                 (step_count, "explicit step", "went beyond the CFL bound (Eq. 8)")
@@ -243,7 +244,7 @@ impl Warning {
         })
     }
 
-    /// Whether it is about one thing at least, and not about a count of 0.
+    /// Whether its count, if it has one, is not 0.
     pub(crate) fn is_about_any(&self) -> bool {
         self.counted().is_none_or(|(count, ..)| count > 0)
     }
@@ -255,7 +256,7 @@ impl Warning {
                 f.write_str("the clip box holds nothing of the surface: the mesh is empty")
             }
             Warning::IslandsDropped => f.write_str(
-                "every piece of the surface was dropped, for none has as many particles as was asked for: the mesh is empty",
+                "every piece of the surface was dropped because all have too few particles: the mesh is empty",
             ),
             Warning::SurfaceInsideObstacles => {
                 f.write_str("all of the surface is inside obstacles: the mesh is empty")
@@ -304,7 +305,7 @@ impl Warning {
             }
             Warning::NotInVdb { ref name } => write!(
                 f,
-                "{name} is not in the .vdb: its grids are of numbers that can be averaged, one or three for each voxel"
+                "{name} is not in the .vdb: its grids hold one or three numbers for each voxel that can be averaged"
             ),
             Warning::LeftOut { count, near } => {
                 write!(f, "{} left out: not finite, or too far away", counted(count, "particle"))?;
@@ -315,8 +316,8 @@ impl Warning {
             }
             Warning::ParticlesInObstacles { count, are_most } => {
                 let particles = counted(count, "particle");
-                write!(f, "{particles} inside obstacles: the surface goes around these all the same")?;
-                // The mesh of a container may be its inner side alone.
+                write!(f, "{particles} inside obstacles: the surface avoids the obstacle nevertheless")?;
+                // The mesh of a container may be only its inner side.
                 f.write_str(if are_most { "; a container needs walls, or it is taken for full" } else { "" })
             }
             Warning::NotConverged => f.write_str("the conjugate gradients did not reach their tolerance"),
@@ -356,7 +357,7 @@ impl Warning {
                 let faults: Vec<String> = faults.map(|(count, what)| counted(count, what)).collect();
                 write!(f, "the mesh is not closed and manifold: {}", faults.join(", "))
             }
-            // All others have their sentences above.
+            // All other variants are formatted above.
             _ => Ok(()),
         }
     }
@@ -373,20 +374,20 @@ impl fmt::Display for ObstacleFinding {
                 write!(f, "{edge_count} open edges: holes are closed where its winding number is 1/2")
             }
             ObstacleFinding::Turned { triangle_count } => {
-                write!(f, "{triangle_count} triangles faced the other way, and were turned")
+                write!(f, "{triangle_count} triangles were flipped because they faced the other way")
             }
             ObstacleFinding::Unasked { part_count } => write!(
                 f,
-                "{part_count} parts seem to face inwards, and were left so: it has too many parts to tell cavities"
+                "{part_count} parts seem to face inwards and were not flipped: too many parts to detect cavities"
             ),
             ObstacleFinding::Broken { triangle_count } => {
-                write!(f, "{triangle_count} triangles left out: a corner is not finite, or does not exist")
+                write!(f, "{triangle_count} triangles ignored: a vertex is not finite, or does not exist")
             }
-            ObstacleFinding::Flat => f.write_str("no triangle has an area, so there is nothing in the way"),
+            ObstacleFinding::Flat => f.write_str("no triangle has an area, so the obstacle has no effect"),
             ObstacleFinding::Rebuilt(reason) => reason.fmt(f),
             ObstacleFinding::NarrowBand { known_voxels } => write!(
                 f,
-                "its distances are known to {known_voxels:.2} h only, and its surface may be off by as much: make it with a wider band"
+                "its band is only {known_voxels:.2} h wide, and its surface may be off by that much: use a wider band"
             ),
             ObstacleFinding::OutOfReach { obstacle, particles } => {
                 let [obstacle, particles] = [*obstacle, *particles].map(box_text);
@@ -396,7 +397,7 @@ impl fmt::Display for ObstacleFinding {
     }
 }
 
-/// A box in four digits.
+/// A box with four digits for each coordinate.
 fn box_text(corners: [DVec3; 2]) -> String {
     let short = |value: f64| format!("{value:.3e}").parse::<f64>().unwrap_or(value).to_string();
     let [min, max] = corners.map(|corner| corner.to_array().map(short).join(", "));

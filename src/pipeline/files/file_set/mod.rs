@@ -9,7 +9,7 @@
 //!   .meniscus-set-9f3c….0     another name of the old dam.0012.glb      hard links
 //!   .meniscus-set-9f3c….1     another name of the old dam.0012.vdb
 //!            │
-//!             │ rename each new file, then sync the folder
+//!            │ rename each new file, then sync the folder
 //!            ▼
 //!   remove the record         from here on the new files stay
 //!   remove the old files
