@@ -266,31 +266,31 @@ impl Warning {
                 write!(
                     f,
                     "all particles fall between the voxels: the mesh is empty; r_min and r_max are {least} and {most} voxels, and \
-                     every particle is held from √3 on"
+                     only an r_min of at least √3 voxels encloses every particle"
                 )
             }
             Warning::Spray { particle_count, piece_count, voxel_size } => write!(
                 f,
                 "{particle_count} particles became {piece_count} pieces, most of one particle each: they are spray, or voxels of {} \
-                 are small beside what is between them",
+                 are too small for the particle spacing",
                 significant(*voxel_size)
             ),
             Warning::Holes { particle_count, hole_count, voxel_size } => write!(
                 f,
-                "the surface of {particle_count} particles has {}, through it and within: they are a net, or it is torn where voxels \
-                 of {}, or the radii, are small beside what is between particles",
+                "the surface of {particle_count} particles has {}: it is a net, or it is torn because voxels of {} \
+                 or the radii are too small for the particle spacing",
                 counted(*hole_count, "hole"),
                 significant(*voxel_size)
             ),
             Warning::Torn { particle_count, piece_count, voxel_size } => write!(
                 f,
-                "{particle_count} particles became {piece_count} pieces, none of them the half of all: they are spray, or torn where \
-                 voxels of {}, or the radii, are small beside what is between particles",
+                "{particle_count} particles became {piece_count} pieces, none with half of the volume: they are spray, or torn because \
+                 voxels of {} or the radii are too small for the particle spacing",
                 significant(*voxel_size)
             ),
             Warning::Blob { particle_count, width_voxels, voxel_size } => write!(
                 f,
-                "all of the {particle_count} particles are within {width_voxels} voxels: voxels of {} are large beside them",
+                "all of the {particle_count} particles are within {width_voxels} voxels: voxels of {} are too large for them",
                 significant(*voxel_size)
             ),
             _ => self.fmt_frame(f),
@@ -318,7 +318,7 @@ impl Warning {
                 let particles = counted(count, "particle");
                 write!(f, "{particles} inside obstacles: the surface avoids the obstacle nevertheless")?;
                 // The mesh of a container may be only its inner side.
-                f.write_str(if are_most { "; a container needs walls, or it is taken for full" } else { "" })
+                f.write_str(if are_most { "; a container needs walls, or it counts as full" } else { "" })
             }
             Warning::NotConverged => f.write_str("the conjugate gradients did not reach their tolerance"),
             Warning::CoarsePositions { voxels } => write!(

@@ -381,9 +381,9 @@ fn voxels_that_do_not_fit_the_particles_are_told() {
     for (voxel_size, words) in [
         (
             "0.01",
-            "125 particles became 125 pieces, most of one particle each: they are spray, or voxels of 0.01 are small",
+            "125 particles became 125 pieces, most of one particle each: they are spray, or voxels of 0.01 are too small",
         ),
-        ("10", "all of the 125 particles are within 4 voxels: voxels of 10 are large"),
+        ("10", "all of the 125 particles are within 4 voxels: voxels of 10 are too large"),
     ] {
         let (err, report) = of_size(voxel_size);
         assert!(err.contains(words) && report.contains(words), "{voxel_size}: {err}");

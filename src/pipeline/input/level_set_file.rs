@@ -140,10 +140,10 @@ type InVoxels = (NarrowBand, Lattice, DVec3, Option<RebuildReason>);
 fn level_set(data: LevelSetData, rebuilt_leaf_count_max: usize) -> Result<InVoxels, String> {
     let LevelSetData { name, class, transform, background, origins, leaves, tiles, .. } = data;
     if class == "fog volume" {
-        return Err(format!("the grid \"{name}\" is a fog volume, and no level set"));
+        return Err(format!("the grid \"{name}\" is a fog volume and not a level set"));
     }
     let voxel_size = voxel_size(&transform)
-        .ok_or_else(|| format!("the grid \"{name}\" has voxels that are no cubes along the axes"))?;
+        .ok_or_else(|| format!("the grid \"{name}\" has voxels that are not axis-aligned cubes"))?;
     let half_width = (f64::from(background) / voxel_size) as f32;
     if !(half_width.is_finite() && half_width > 0.0) {
         return Err(format!(
@@ -156,10 +156,10 @@ fn level_set(data: LevelSetData, rebuilt_leaf_count_max: usize) -> Result<InVoxe
         origin.cmpge(-limit).all() && origin.cmplt(limit).all() && (*origin & (LEAF_EDGE - 1)) == IVec3::ZERO
     };
     if !places.iter().all(is_place) {
-        return Err(format!("the grid \"{name}\" has voxels farther away than there are indices"));
+        return Err(format!("the grid \"{name}\" has voxels beyond the range of indices"));
     }
     if !leaves.iter().flatten().all(|value| value.is_finite()) {
-        return Err(format!("the grid \"{name}\" has values that are no numbers"));
+        return Err(format!("the grid \"{name}\" has values that are not finite"));
     }
     let origin = DVec3::from(transform.translation);
     let tiles: Vec<_> =
@@ -203,7 +203,7 @@ fn velocities(
         return Err("their voxels are not those of the level set".to_owned());
     }
     if !vectors.leaves.iter().flatten().flatten().all(|number| number.is_finite()) {
-        return Err("some are no numbers".to_owned());
+        return Err("some are not finite".to_owned());
     }
     let mut fields = vectors.background.map(|number| Field::splat(band.topology.len(), number));
     for (&origin, values) in vectors.origins.iter().zip(&vectors.leaves) {

@@ -2,10 +2,10 @@
 //!
 //! ```text
 //!   source      which files are frames, in which order, of which sequence    steps  of a file that has several
-//!   frame       what is done with one, and its outcome   frame_input  particles or a level set, in memory or on disk
+//!   frame       frames to convert, and their outcomes    frame_input  particles or a level set, in memory or on disk
 //!   reading     bytes to particles                       attributes   what else is needed of each particle
 //!   level_set_file  level sets from .vdb                 mesh_file    meshes of any program
-//!   obstacles   what a frame goes around                 obstacle_warnings, out_of_reach  what is odd about these
+//!   obstacles   the obstacles of a frame                 obstacle_warnings, out_of_reach  likely mistakes in these
 //!   measured_spacing  the spacing of a sequence          bounds       the box of a frame, and of a sequence
 //!   conflicts   outputs that would replace inputs
 //! ```

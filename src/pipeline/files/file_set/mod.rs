@@ -180,7 +180,7 @@ fn parse_members(bytes: &[u8]) -> Option<Vec<Member>> {
 
 fn parse_member(parts: &[&[u8]]) -> Option<Member> {
     let &[name, temporary, new, old] = parts else { return None };
-    // Whoever wrote the record, only files in this folder and with this program's names are touched.
+    // No matter who wrote the record, only files in this folder and with this program's names are touched.
     let plain = |bytes: &[u8]| {
         name_of_bytes(bytes)
             .filter(|name| Path::new(name).file_name() == Some(name) && !bytes.contains(&b'/'))

@@ -327,7 +327,7 @@ mod tests {
             assert_eq!(frames_in(&file).expect("a frame"), [&*file]);
             assert!(is_missing_step(&frames[0]).expect("gone through"), "the file is the frame");
             let [first, again] = [(); 2].map(|()| contents(&file).expect("a step"));
-            assert!(Arc::ptr_eq(&first, &again), "it is gone through once");
+            assert!(Arc::ptr_eq(&first, &again), "one pass indexes it");
         }
     }
 
@@ -338,7 +338,7 @@ mod tests {
         fs::write(&file, step("1", 1.0) + &step("2", 1.0)).expect("written");
         let frame = file.join("step=1");
         let read = |by| read_step(step_of(&frame).expect("a step"), by).expect("read");
-        assert!(read(StepsFoundBy::Another).is_some(), "nobody has gone through it");
+        assert!(read(StepsFoundBy::Another).is_some(), "no thread has indexed it again");
         fs::write(&file, step("1", 1.0) + &step("2", 1.0) + &step("3", 1.0)).expect("written");
         assert!(read(StepsFoundBy::Another).is_none());
         assert_eq!(reading_bytes(&frame, StepsFoundBy::Another), 0);
