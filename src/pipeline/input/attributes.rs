@@ -46,7 +46,9 @@ impl Needed {
                 format!("the particles' attribute `{name}` is text, and {option} needs {kind} for each")
             }
             Some(Attribute { name, arity: 1, .. }) => {
-                format!("the particles' attribute `{name}` has one number for each, and {option} needs {kind}")
+                format!(
+                    "the particles' attribute `{name}` has one number for each, and {option} needs {kind}"
+                )
             }
             Some(Attribute { name, arity, .. }) => {
                 format!(

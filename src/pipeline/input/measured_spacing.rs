@@ -275,7 +275,7 @@ fn warnings(frames: &[FrameSpacing], estimate: &SequenceEstimate) -> Vec<String>
         frames.iter().find_map(|frame| Some((frame, frame.doubted.as_ref()?)))
     {
         warnings.push(format!(
-            "{}: by the attribute `{name}` particles are {} apart, but by their positions, which count, {}: give --spacing",
+            "{}: the radii in `{name}` mean a spacing of {}, but the positions, which are used, mean {}: give --spacing",
             frame_name(&frame.path),
             significant(rounded(*spacing)),
             significant(rounded(frame.estimate.spacing))

@@ -1,10 +1,11 @@
 //! Inputs of frames: files, their steps and sequences, and obstacles.
 //!
 //! ```text
-//!   source      which files are frames, in which order, of which sequence    steps  of a file that has several
-//!   frame       frames to convert, and their outcomes    frame_input  particles or a level set, in memory or on disk
-//!   reading     bytes to particles                       attributes   what else is needed of each particle
-//!   level_set_file  level sets from .vdb                 mesh_file    meshes of any program
+//!   source      groups files into sequences of frames    steps        files with several frames
+//!   frame       frames to convert, and their outcomes    frame_input  particles or a level set, in memory or
+//!   on disk
+//!   reading     reads files and parses particles         attributes   the attributes that a frame needs
+//!   level_set_file  level sets from .vdb                 mesh_file    meshes of any supported format
 //!   obstacles   the obstacles of a frame                 obstacle_warnings, out_of_reach  likely mistakes in these
 //!   measured_spacing  the spacing of a sequence          bounds       the box of a frame, and of a sequence
 //!   conflicts   outputs that would replace inputs
