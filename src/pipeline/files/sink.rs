@@ -125,7 +125,7 @@ mod tests {
     use std::panic::{AssertUnwindSafe, catch_unwind};
 
     fn names_in(folder: &Path) -> Vec<String> {
-        let entries = fs::read_dir(folder).expect("the folder is there");
+        let entries = fs::read_dir(folder).expect("the folder exists");
         entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned()).collect()
     }
 

@@ -155,7 +155,7 @@ mod tests {
             "a.glb",
         ];
         for name in others {
-            fs::write(folder.path().join(name), "of somebody else").expect("written");
+            fs::write(folder.path().join(name), "of another writer").expect("written");
         }
         fs::create_dir(folder.path().join(temporary_name("folder", 7))).expect("made");
         assert_eq!(sweep_temporaries(folder.path()).expect("readable").count, 1);

@@ -225,7 +225,7 @@ mod tests {
         let folder = tempdir().expect("a folder");
         let path = folder.path().join("a.glb");
         let taken = folder.path().join(temporary_name("a.glb", 0));
-        fs::write(&taken, "of somebody else").expect("written");
+        fs::write(&taken, "of another writer").expect("written");
         let mut number = 0;
         let mut count_up = || {
             number += 1;
@@ -234,7 +234,7 @@ mod tests {
         let temporary = Temporary::create_named(&path, &mut count_up).expect("created");
         assert_eq!(temporary.path, folder.path().join(temporary_name("a.glb", 1)));
         drop(temporary);
-        assert_eq!(fs::read_to_string(&taken).expect("still there"), "of somebody else");
+        assert_eq!(fs::read_to_string(&taken).expect("still there"), "of another writer");
         assert_eq!(fs::read_dir(folder.path()).expect("there").count(), 1);
         let always_taken = Temporary::create_named(&path, || temporary_name("a.glb", 0));
         assert_eq!(always_taken.err().map(|error| error.kind()), Some(io::ErrorKind::AlreadyExists));
@@ -256,7 +256,7 @@ mod tests {
         assert!(is_still_at(&path, &file));
         fs::remove_file(&path).expect("removed");
         assert!(!is_still_at(&path, &file));
-        fs::write(&path, "of somebody else").expect("written");
+        fs::write(&path, "of another writer").expect("written");
         assert!(!cfg!(unix) || !is_still_at(&path, &file));
     }
 

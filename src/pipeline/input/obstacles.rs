@@ -318,7 +318,7 @@ fn file_of(path: &Path, number: Option<u64>) -> Result<PathBuf, ObstacleError> {
         return missing(path, if path.is_dir() { "it is a folder".into() } else { "no such file".into() });
     };
     let Some(number) = number else {
-        return missing(path, "the frame has no number, so none of these files is its own".into());
+        return missing(path, "the frame has no number, so no file of this pattern belongs to it".into());
     };
     match pattern.file_of(folder_of(path), number).map_err(|error| failed(path, error.into()))? {
         Some(file) => Ok(file),
