@@ -235,7 +235,7 @@ fn pictures_that_cannot_be_are_refused() {
         (&["dam.1.ply", "-o", "a.png", "--camera", "zoom=far"], &["zoom=`far`", "expected a number"]),
         (
             &["dam.1.ply", "-o", "a.png", "--camera", "azimut=3"],
-            &["no key `azimut`", "expected one of azimuth"],
+            &["unknown key `azimut`", "expected one of azimuth"],
         ),
         (&["dam.1.ply", "-o", "a.png", "--camera-from", "scene.gltf"], &["scene.gltf", "no camera"]),
         (&["dam.1.ply", "-o", "a.png", "--camera-from", "dam.2.ply"], &["dam.2.ply", "expected a .glb"]),

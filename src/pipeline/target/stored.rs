@@ -34,7 +34,7 @@ pub(crate) fn checked_as(format: OutputFormat, outputs: &OutputOptions) -> &'sta
     match format.content() {
         Content::LevelSet if outputs.vdb_half => "level set, before its values are rounded to 16 bits",
         Content::LevelSet => "level set",
-        Content::Picture(_) => "level set that the picture shows",
+        Content::Picture(_) => "level set, of which it is a picture",
         Content::Mesh(_) => rounding(format, outputs)
             .map_or("mesh, at its positions relative to its origin", |rounding| rounding.certified_as),
     }
