@@ -1,61 +1,61 @@
-//! What the daemon and its caller say to each other.
+//! The requests that a caller sends to the daemon, and what the daemon reports back.
 
-/// What may be asked of a running daemon.
+/// A request to a running daemon.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DaemonRequest {
-    /// Finish the frames under way, and end.
+    /// Finish the frames in progress, then exit.
     Finish,
-    /// The same, to begin again with another configuration.
+    /// Finish the frames in progress, then return so that the caller can start with a new configuration.
     Reload,
 }
 
-/// What a running daemon tells whoever runs it.
+/// What a running daemon reports to its caller.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Notice {
-    /// Everything was looked at once, and from now on changes are heard.
+    /// The first scans are complete, and the daemon listens for changes.
     Ready,
-    /// Where it is, in one line.
+    /// A one-line summary of the current state.
     Status(String),
-    /// It is not stuck. Comes at least every two seconds.
+    /// A heartbeat: the daemon is not stuck. Sent at least every two seconds.
     Alive,
-    /// No further frame is begun.
+    /// The daemon starts no further frames.
     Stopping,
-    /// The time for finishing the frames under way is over: whoever is in a hurry may end the process.
+    /// The deadline for finishing the frames in progress has passed: the caller may kill the process.
     Overdue,
 }
 
-/// What came of a run.
+/// The result of a run.
 #[derive(Clone, Debug)]
 pub struct WatchSummary {
     /// Why it ended.
     pub ended: EndReason,
-    /// Frames whose outputs are there: made in this run, or found done.
+    /// Frames whose outputs exist: converted in this run, or found done.
     pub done_count: usize,
-    /// Those among them whose results break a guarantee.
+    /// The number of done frames whose results break a guarantee.
     pub broken_count: usize,
-    /// Each frame that failed, in natural order.
+    /// All failed frames, in natural order.
     pub failed: Vec<FailedFrame>,
-    /// Frames that were seen and are left for the next time.
+    /// Frames that were seen and are left for the next run.
     pub left_count: usize,
 }
 
 /// A frame that failed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FailedFrame {
-    /// A sentence: which frame, and why.
+    /// Which frame failed, and why, as a sentence.
     pub what: String,
-    /// How many frames were finished since that was told; `None` if it was known from an earlier run, and not told in
-    /// this one.
+    /// How many frames were finished since the failure was reported; `None` if the failure is from an earlier
+    /// run and was not reported in this one.
     pub frames_since: Option<usize>,
 }
 
 /// Why a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EndReason {
-    /// Everything that was there is done, and that was all that was asked for.
+    /// With `once`: all frames that existed are done.
     Drained,
-    /// By [`DaemonRequest::Finish`].
+    /// The caller sent [`DaemonRequest::Finish`].
     Finish,
-    /// By [`DaemonRequest::Reload`].
+    /// The caller sent [`DaemonRequest::Reload`].
     Reload,
 }

@@ -1,4 +1,4 @@
-//! What the daemon is to do: every number resolved and checked.
+//! The daemon's configuration: all numbers are resolved and checked.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -9,82 +9,84 @@ use crate::pipeline::files::json::path;
 use crate::pipeline::{Job, OutputOptions, is_level_set};
 use crate::surface::options::MethodOptions;
 
-/// All that one run of the daemon goes by.
+/// The configuration of one run of the daemon.
 #[derive(Clone, Debug)]
 pub struct WatchConfig {
     /// The folders to watch.
     pub watches: Vec<Watch>,
-    /// Convert what is there, and end.
+    /// Convert the existing frames, then exit.
     pub once: bool,
-    /// Which of several waiting frames is next.
+    /// Which of the waiting frames is converted next.
     pub order: Order,
-    /// Threads to compute on.
+    /// Number of compute threads.
     pub threads: usize,
-    /// Frames between their reading and their last byte written, at most.
+    /// Maximum number of frames between the start of their reading and the end of their writing.
     pub in_flight: usize,
-    /// Bytes that the frames under way may take together. A frame that needs more by itself is skinned in
-    /// tiles that wait on disk; one that cannot be fails, and says what it needs.
+    /// Memory limit, in bytes, for all frames in progress together. A frame that needs more alone is
+    /// reconstructed out of core, in tiles kept on disk; if that is impossible, it fails with a message that
+    /// says how much memory it needs.
     pub memory_bytes: u64,
-    /// No frame is begun while the file system of its outputs has less room than this.
+    /// No frame is started while the file system of its outputs has less free space than this.
     pub disk_floor_bytes: u64,
-    /// How long a file must be left alone before it is read.
+    /// How long a file must be unchanged before it is read.
     pub patience: Patience,
-    /// When to look by oneself instead of waiting for the system's word.
+    /// When to poll instead of waiting for file-system events.
     pub poll: Poll,
-    /// About how often everything is looked at, whatever the system said.
+    /// Approximate interval between full scans, which run even without events.
     pub rescan_every: Duration,
     /// The folder of the journal; `.meniscus` in the folder of the outputs by default.
     pub journal: Option<PathBuf>,
-    /// How long frames under way may take to finish when the daemon is asked to end.
+    /// How long frames in progress may take to finish after a request to stop.
     pub stop_deadline: Duration,
 }
 
-/// One folder to watch, and what becomes of the frames in it.
+/// One watched folder, and how its frames are converted.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Watch {
-    /// The folder. It need not be there yet.
+    /// The folder. It may not exist yet.
     #[serde(with = "path")]
     pub input: PathBuf,
     /// A glob for the path of a frame within the folder; any particle file by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pattern: Option<String>,
-    /// Its sub-folders too.
+    /// Whether to watch sub-folders, too.
     pub recursive: bool,
-    /// The name of the file that says that a frame is complete, with `{name}` and `{stem}` for the
-    /// frame's. Where it is given, frames wait for theirs; without it, `{stem}.done` is taken as proof
-    /// where it is there.
+    /// The name of the file that marks a frame as complete; `{name}` and `{stem}` are replaced by those of
+    /// the frame. If it is given, each frame waits for its sentinel. Otherwise `{stem}.done` proves
+    /// completeness if it exists, but is not required.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sentinel: Option<String>,
-    /// What is written, and where.
+    /// What to write, and where.
     pub outputs: OutputOptions,
-    /// All other choices of the method.
+    /// All other options of the method.
     #[serde(with = "by_name")]
     pub choices: MethodOptions,
-    /// Absolute paths of what stands in the way; a name with a place for a number, as `body.####.obj`, stands for
-    /// a file of each frame.
+    /// Absolute paths of obstacles. A path with a placeholder for the frame number, such as `body.####.obj`,
+    /// means one file for each frame.
     #[serde(with = "path::list", default, skip_serializing_if = "Vec::is_empty")]
     pub obstacles: Vec<PathBuf>,
 }
 
 impl Watch {
-    /// What is made of its frames.
+    /// The kind of job that converts its frames.
     pub fn job(&self) -> Job {
         if names_level_sets(self.pattern.as_deref()) { Job::level_set(0.0) } else { Job::Surface }
     }
 
-    /// Whether its frames need a particle spacing that is not given.
+    /// Whether its frames need a particle spacing and none is given.
     pub(super) fn needs_spacing(&self) -> bool {
         self.job() == Job::Surface && self.choices.needs_spacing()
     }
 }
 
-/// Whether a pattern is for level sets: only one that ends in `.vdb` is. Any other takes no .vdb, because these may be outputs,
-/// of this daemon or of another program, which nobody wants to have converted again.
+/// Whether a pattern selects level sets: only a pattern that ends in `.vdb` does. Other patterns skip .vdb
+/// files, because these may be outputs, of this daemon or of another program, which must not be converted
+/// again.
 pub fn names_level_sets(pattern: Option<&str>) -> bool {
     pattern.is_some_and(|pattern| is_level_set(Path::new(pattern)))
 }
 
-/// Which of several waiting frames is next.
+/// Which of the waiting frames is converted next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum Order {
@@ -94,27 +96,28 @@ pub enum Order {
     Latest,
 }
 
-/// How long a file must be left alone before it is read.
+/// How long a file must be unchanged before it is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Patience {
-    /// One that its own format says is complete, or whose reader would find out.
+    /// A file whose format says that it is complete, or whose reader detects truncation.
     pub settle: Duration,
-    /// One whose format cannot tell.
+    /// A file whose format cannot show whether it is complete.
     pub unproven: Duration,
-    /// One that its own format says is not complete: then it is read, to say so.
+    /// A file whose format says that it is incomplete. It is then read, to report the error.
     pub stalled: Duration,
 }
 
-/// When to look at folders by oneself.
+/// When to poll folders.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Poll {
-    /// Where the system does not tell of changes: on network file systems.
+    /// Where the system reports no changes, that is, on network file systems.
     Auto,
-    /// So often, everywhere.
+    /// Everywhere, at this interval.
     Every(Duration),
 }
 
-/// The options of the method by name, as text: numbers that results depend on come back to the last bit.
+/// Serializes the options of the method as a map of names to text. Text keeps numbers exact to the last bit,
+/// because results depend on them.
 mod by_name {
     use std::collections::BTreeMap;
 
@@ -130,6 +133,6 @@ mod by_name {
     pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<MethodOptions, D::Error> {
         let pairs = BTreeMap::<String, String>::deserialize(from)?;
         let options = MethodOptions::from_pairs(pairs.iter().map(|(name, value)| (&**name, &**value)));
-        options.ok_or_else(|| D::Error::custom("an option is unknown, or has a value that it cannot have"))
+        options.ok_or_else(|| D::Error::custom("an option is unknown or has an invalid value"))
     }
 }

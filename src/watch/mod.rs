@@ -1,4 +1,5 @@
-//! Folders to frames: watches, waits until files are complete, queues, remembers.
+//! Watches folders and converts the frames in them: waits until files are complete, queues them, and records
+//! the results.
 //!
 //! ```text
 //!   core         decides: state and events in, effects out; no files, clocks or threads
@@ -9,10 +10,10 @@
 //!   explain      why a frame is, or is not, converted       waiting   which files are not complete
 //! ```
 //!
-//! A file system that hangs holds up the frames of its own folder, and nothing else.
+//! A file system that hangs delays only the frames of its own folder.
 //!
-//! What is remembered is an append-only journal that may be lost, for the outputs say themselves what
-//! they were made from; what is written appears by rename. So a daemon may be killed at any moment.
+//! The daemon may be killed at any moment. Its memory is an append-only journal, and even that may be lost,
+//! because each output records what it was made from. Outputs appear by rename.
 
 mod api;
 mod config;

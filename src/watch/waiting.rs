@@ -1,16 +1,18 @@
-//! Which files have not been finished by their writers, for whoever asks.
+//! Lists the files whose writers have not finished them.
 //!
 //! ```text
-//!   the folders that are watched ──▶ less what the journal knows as it is ──▶ less what is complete ──▶ less what is no frame
+//!   files in the watched folders ──▶ minus those in the journal ──▶ minus complete files ──▶ minus files that are not frames
 //! ```
 //!
-//! A journal has what was found complete, and a file that grows would fill it. So this is looked up when it is asked for, by
-//! the rules of the loop; a running daemon is not disturbed. What it has seen is not known here: a file that was renamed into
-//! place waits for a moment that the daemon does not; and of a file whose age no clock here can tell, as on a network, only
-//! that it wants its sentinel or its end is told, for how long it has been left alone the daemon alone knows.
+//! The journal records only complete files, because a growing file would fill it. So this search runs on
+//! request, by the rules of the event loop, and does not disturb a running daemon. It does not have the
+//! daemon's memory. A file that was renamed into place therefore counts as waiting for a moment, although the
+//! daemon accepts it at once. If no clock here can show the age of a file, as on a network file system, the
+//! file is reported only if it lacks its sentinel or its end: only the daemon knows how long it has been
+//! unchanged.
 //!
-//! A folder may hang, or have more in it than anybody waits for. So it is a thread that looks, for as long as there is
-//! time; what it has found by then is told.
+//! A folder may hang, or hold too many files. So a thread searches within a time limit, and the search
+//! returns the files found by then.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -31,20 +33,20 @@ use super::journal::{JournalState, PlanRecord};
 /// Files that wait for their writers.
 #[derive(Debug, Default, PartialEq)]
 pub struct Waiting {
-    /// Each once, and why it is not read yet; in no order.
+    /// Each file once, and why it is not read yet; unordered.
     pub files: Vec<(PathBuf, WaitReason)>,
-    /// Whether there may be more: the time, or the number of files that are looked at, was up.
+    /// Whether there may be more files: the search reached the limit of time or of files to inspect.
     pub is_cut_short: bool,
 }
 
-/// So long is looked, at most.
+/// Time limit of the search.
 const TIME_MAX: Duration = Duration::from_secs(3);
 
-/// So many files that the journal does not know are looked at, at most: each is opened.
+/// Maximum number of files to inspect that are not in the journal: each is opened.
 const FILES_MAX: usize = 10_000;
 
-/// The files that a daemon with this journal would take for frames, and why it does not read them yet. Folders that cannot
-/// be looked into have none.
+/// The files that a daemon with this journal would take for frames but does not read yet, each with the
+/// reason. Folders that cannot be read are skipped.
 pub fn waiting(state: &JournalState) -> Waiting {
     let Some(plan) = state.plan.clone() else { return Waiting::default() };
     let known = state.frames.iter();
@@ -53,7 +55,7 @@ pub fn waiting(state: &JournalState) -> Waiting {
         .collect();
     let (tell, told) = channel();
     let until = Instant::now() + TIME_MAX;
-    // Where a folder hangs, it ends with the program.
+    // If a folder hangs, the thread ends with the process.
     let looking = move || look_for(&plan, &known, (FILES_MAX, &trust_clock), &tell);
     match thread::Builder::new().name("look".into()).spawn(looking) {
         Ok(_) => gathered(&told, until),
@@ -61,13 +63,13 @@ pub fn waiting(state: &JournalState) -> Waiting {
     }
 }
 
-/// Files as the journal knows them, without their status change times.
+/// Files as recorded in the journal, without their status change times.
 type JournaledFiles = HashSet<(PathBuf, FileStamp)>;
 
-/// A file that waits; `None` when the search has ended.
+/// A file that waits; `None` when the search is finished.
 type Told = Option<(PathBuf, WaitReason)>;
 
-/// What is told until then.
+/// Collects the results that arrive before `until`.
 fn gathered(told: &Receiver<Told>, until: Instant) -> Waiting {
     let mut waiting = Waiting::default();
     loop {
@@ -83,7 +85,8 @@ fn gathered(told: &Receiver<Told>, until: Instant) -> Waiting {
     waiting
 }
 
-/// Looks at so many files that are not known; `trust_clock` says of a path whether its times are by the clock of this machine.
+/// Inspects up to `files_left` files that are not in the journal. `trust_clock` says whether the times at a
+/// path are by the clock of this machine.
 fn look_for(
     plan: &PlanRecord,
     known: &JournaledFiles,
@@ -92,12 +95,12 @@ fn look_for(
 ) {
     let output_folders: Vec<PathBuf> =
         plan.watches.iter().map(|watch| watch.outputs.folder.clone()).collect();
-    // Folders that are watched may have files in common.
+    // Watched folders may have files in common.
     let mut told = HashSet::new();
     for watch in &plan.watches {
         let selection = FileFilter::new(watch.pattern.as_deref(), watch.recursive, output_folders.clone());
         let Ok(selection) = selection else { continue };
-        // The clock of the folder is that of all in it, as a rule.
+        // As a rule, all files in the folder have the same clock.
         let is_trusted = trust_clock(&watch.input.join("any"));
         let Ok(found) = scan(&watch.input, &watch.input, &selection, is_trusted) else { continue };
         for (path, seen) in found.files {
@@ -109,25 +112,25 @@ fn look_for(
             files_left = left;
             let (path, _) = file;
             let Some(why) = why_waiting(&path, &seen, watch, &plan.patience) else { continue };
-            // Nobody listens any more once the time is up.
+            // The receiver is dropped once the time is up.
             if told.insert(path.clone()) && tell.send(Some((path, why))).is_err() {
                 return;
             }
         }
     }
-    // The same of this.
+    // Here, too.
     let _ = tell.send(None);
 }
 
 fn why_waiting(path: &Path, seen: &Seen, watch: &Watch, patience: &Patience) -> Option<WaitReason> {
     let now = Instant::now();
-    // Without an age it would have changed just now, whenever somebody asks.
+    // Without an age, the file would count as just changed at every request.
     let settle = if seen.age.is_some() { patience.settle } else { Duration::ZERO };
     let patience = Patience { settle, ..*patience };
     let readiness = readiness_of(path, &Candidate::new(now, seen, false), now, watch, &patience);
     let Readiness::Waiting { why, .. } = readiness else { return None };
     let is_told = seen.age.is_some() || matches!(why, WaitReason::Sentinel | WaitReason::Incomplete { .. });
-    // What cannot be read may be one: reading it will say why not.
+    // A file that cannot be read may be a frame: the attempt to read it reports why it fails.
     let is_no_frame =
         || matches!(content(path), Ok(SniffedContent::OwnOutput | SniffedContent::NotParticles));
     (is_told && !is_no_frame()).then_some(why)
@@ -146,7 +149,7 @@ mod tests {
     const HEADER: &str =
         "element vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n";
 
-    /// A folder with a frame, one that is not complete, and what is none.
+    /// A folder with a frame, an incomplete frame, and files that are not frames.
     fn folder() -> TempDir {
         let folder = tempfile::tempdir().expect("a folder");
         let whole = format!("ply\nformat ascii 1.0\n{HEADER}0 0 0\n");
@@ -173,7 +176,8 @@ mod tests {
         }
     }
 
-    /// The names of the files that wait, in order, and why, in a word; of at most so many that are looked at.
+    /// The names of the files that wait, sorted, each with its reason in one word; inspects files up to the
+    /// limit.
     fn found(watches: Vec<Watch>, limits: (usize, &dyn Fn(&Path) -> bool)) -> (Vec<String>, bool) {
         let hour = Duration::from_secs(3600);
         let patience = Patience { settle: hour, unproven: hour, stalled: hour };
@@ -199,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn only_frames_wait() {
+    fn only_incomplete_frames_are_listed() {
         let folder = folder();
         let of = |sentinel| vec![watch(folder.path(), sentinel)];
         let all = (usize::MAX, &(|_: &Path| true) as &dyn Fn(&Path) -> bool);
@@ -207,13 +211,13 @@ mod tests {
             |why: &str| (["dam.1.ply", "dam.2.ply"].map(|name| format!("{name}: {why}")).to_vec(), false);
         assert_eq!(found(of(None), all), frames("changing"));
         assert_eq!(found(of(Some("{stem}.done")), all), frames("sentinel"));
-        // Watched twice, it is told once.
+        // A folder that is watched twice yields each file once.
         let twice = vec![watch(folder.path(), None), watch(folder.path(), Some("{stem}.done"))];
         assert_eq!(found(twice, all), frames("changing"));
     }
 
     #[test]
-    fn without_a_clock_nothing_has_changed_just_now() {
+    fn without_a_trusted_clock_no_file_counts_as_just_changed() {
         let folder = folder();
         let of = |sentinel| vec![watch(folder.path(), sentinel)];
         let all = (usize::MAX, &(|_: &Path| false) as &dyn Fn(&Path) -> bool);
@@ -222,11 +226,11 @@ mod tests {
     }
 
     #[test]
-    fn nobody_waits_for_ever() {
+    fn search_of_a_hanging_folder_ends_after_the_time_limit() {
         let folder = folder();
         let (files, is_cut_short) = found(vec![watch(folder.path(), None)], (0, &|_| true));
         assert!(files.is_empty() && is_cut_short, "{files:?}");
-        // One that was found before a folder hangs.
+        // A file that was found before a folder hangs.
         let (tell, told) = channel();
         tell.send(Some(("dam.1.ply".into(), WaitReason::Changing))).expect("heard");
         let waiting = gathered(&told, Instant::now() + Duration::from_millis(20));

@@ -1,18 +1,18 @@
-//! When a file may be read: as soon as there is a proof that its writer has finished.
+//! Decides when a file may be read: as soon as there is proof that its writer has finished.
 //!
 //! ```text
 //!                  renamed into place ──────────────────────────────────────────▶ ready
-//!                  its sentinel is there ───────────────────────────────────────▶ ready
-//!   every change   ├─ settle ─┤ its format tells ───────────────────────────────▶ ready
-//!   starts anew    ├──────── unproven ───┤ its format has no way of telling ─────▶ ready
-//!                  ├───────────────── stalled ────────────┤ it declares more ────▶ ready, to say so
+//!                  its sentinel exists ─────────────────────────────────────────▶ ready
+//!   every change   ├─ settle ─┤ its format shows it ────────────────────────────▶ ready
+//!   starts anew    ├──────── unproven ───┤ its format cannot show it ────────────▶ ready
+//!                  ├───────────────── stalled ────────────┤ it is incomplete ────▶ ready, to report it
 //! ```
 //!
-//! The first proof wins. A rename proves something of the file that was renamed, so it counts as long as
-//! the file is the one that was seen then; and where frames wait for a sentinel, nothing else counts.
-//! That a file is closed proves nothing: many writers close and open again.
+//! The first proof wins. A rename proves something only about the file that was renamed, so it counts as long
+//! as the file is unchanged since. If frames wait for a sentinel, nothing else counts. Closing a file proves
+//! nothing: many writers close it and open it again.
 //!
-//! Nothing here knows a clock or a disk: both are arguments.
+//! The functions here read no clock and no disk: callers pass the time and the file's state.
 
 use std::ffi::OsString;
 use std::fmt;
@@ -25,50 +25,50 @@ use crate::pipeline::{FileStamp, FrameFile};
 
 use crate::watch::config::{Patience, Watch};
 
-/// The name of a sentinel where nobody gave one.
+/// The default name of a sentinel.
 pub const DEFAULT_SENTINEL: &str = "{stem}.done";
 
-/// A file as it was found.
+/// The state of a file when it was inspected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Seen {
-    /// What tells whether it changes.
+    /// Identifies the content of the file: changes when the file does.
     pub stamp: FileStamp,
-    /// How long ago it changed last, in its content or in anything else, by the clock of this machine.
-    /// `None` where that clock is not the file system's, or the change is yet to come.
+    /// How long ago the file or its metadata changed last, by the clock of this machine. `None` if the file
+    /// system has another clock, or the change lies in the future.
     pub age: Option<Duration>,
 }
 
-/// A file that may become a frame, as it was seen last, and since when it has not changed.
+/// A file that may become a frame: its last known state, and since when it has not changed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
     stamp: FileStamp,
-    /// When it was seen for the first time as it is, or touched since.
+    /// When the file was first seen in this state, or touched since.
     seen_at: Instant,
-    /// For how long it had been left alone by then.
+    /// How long it had been unchanged by then.
     age: Duration,
-    /// Whether it was renamed into place as it is.
+    /// Whether it was renamed into place in this state.
     renamed: bool,
 }
 
-/// The file that says that a frame is complete.
+/// The file that marks a frame as complete.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sentinel {
-    /// Whether the frame waits for it; else it is a proof among others.
+    /// Whether the frame waits for it; otherwise it is one of several possible proofs.
     pub is_required: bool,
-    /// Whether it is there, and [`counts`](sentinel_counts).
+    /// Whether it exists, and [`counts`](sentinel_counts).
     pub is_there: bool,
 }
 
 /// Whether a file may be read now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Readiness {
-    /// It may.
+    /// It may be read.
     Ready(Proof),
-    /// It may not yet.
+    /// It may not be read yet.
     Waiting {
-        /// When to ask again, if nothing changes before; `None` if only a change can help.
+        /// When to check again if nothing changes before; `None` if only a change can help.
         until: Option<Instant>,
-        /// What is missing.
+        /// The missing proof.
         why: WaitReason,
     },
 }
@@ -78,30 +78,31 @@ pub enum Readiness {
 pub enum Proof {
     /// It was renamed into place.
     Renamed,
-    /// Its sentinel is there.
+    /// Its sentinel exists.
     Sentinel,
-    /// Its format tells, or its reader will; and it was left alone.
+    /// It is unchanged for `settle`, and its format says that it is complete, or its reader detects
+    /// truncation.
     Format,
-    /// It was left alone for long.
+    /// It is unchanged for `unproven`.
     Unchanged,
-    /// It is not complete, and has been left alone for so long that it is to be said.
+    /// It is incomplete and unchanged for `stalled`: it is read, so that the error is reported.
     Stalled,
 }
 
 /// Why a file may not be read yet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WaitReason {
-    /// Its sentinel is not there, or older than the frame.
+    /// Its sentinel is missing, or older than the frame.
     Sentinel,
     /// It changed just now.
     Changing,
-    /// Its format cannot tell whether it is complete.
+    /// Its format cannot show whether it is complete.
     Unproven,
-    /// Its format says that it is not complete.
+    /// Its format says that it is incomplete.
     Incomplete {
-        /// Bytes that it declares, at least.
+        /// The minimum size that its header declares, in bytes.
         expected: u64,
-        /// Bytes that there are.
+        /// Its size, in bytes.
         found: u64,
     },
 }
@@ -112,29 +113,30 @@ impl Candidate {
         Candidate { stamp: seen.stamp, seen_at: now, age: seen.age.unwrap_or_default(), renamed }
     }
 
-    /// Takes in what is seen of the file now, and whether it was renamed into place since.
+    /// Updates the candidate with the current state of the file, and whether it was renamed into place since
+    /// the last update.
     pub fn see(&mut self, now: Instant, seen: &Seen, renamed: bool) {
         let later = Candidate::new(now, seen, renamed);
         if seen.stamp != self.stamp {
-            // A status change alone, as by `chmod`, takes nothing from the proof of the rename.
+            // A change of status alone, for example by `chmod`, does not invalidate the proof by rename.
             let renamed_before =
                 self.renamed && self.stamp.without_status_change() == seen.stamp.without_status_change();
             *self = Candidate { renamed: renamed || renamed_before, ..later };
             return;
         }
         self.renamed |= renamed;
-        // Touched in a way that its size and times do not show.
+        // The file was touched, although its size and times are the same.
         if seen.age.is_some_and(|age| age < self.unchanged_for(now)) {
             (self.seen_at, self.age) = (later.seen_at, later.age);
         }
     }
 
-    /// The file as it was seen last.
+    /// The file's last known stamp.
     pub fn stamp(&self) -> &FileStamp {
         &self.stamp
     }
 
-    /// Whether the file may be read. `completeness` is asked for only if it matters.
+    /// Whether the file may be read. Calls `completeness` only if its result matters.
     pub fn readiness(
         &self,
         now: Instant,
@@ -161,7 +163,7 @@ impl Candidate {
         })
     }
 
-    /// How to wait until the file has been left alone for so long; `None` if it has.
+    /// `None` if the file has been unchanged for at least `wanted`; otherwise how long to wait.
     fn left_alone(&self, now: Instant, wanted: Duration, why: WaitReason) -> Option<Readiness> {
         let missing = wanted.checked_sub(self.unchanged_for(now)).filter(|missing| !missing.is_zero())?;
         Some(Readiness::Waiting { until: now.checked_add(missing), why })
@@ -186,9 +188,9 @@ impl fmt::Display for Proof {
         f.write_str(match self {
             Proof::Renamed => "it was renamed into place",
             Proof::Sentinel => "its sentinel is there",
-            Proof::Format => "it was left alone, and its format tells whether it is complete",
-            Proof::Unchanged => "it was left alone for long, and its format cannot tell more",
-            Proof::Stalled => "it is not complete, but nobody has been writing it for long",
+            Proof::Format => "it is unchanged for --settle, and its format shows whether it is complete",
+            Proof::Unchanged => "it is unchanged for --unproven, and its format cannot show whether it is complete",
+            Proof::Stalled => "it is incomplete, but unchanged for --stalled",
         })
     }
 }
@@ -208,14 +210,14 @@ impl fmt::Display for WaitReason {
     }
 }
 
-/// Whether a sentinel says something of the frame as it is: not if the frame was written after it.
+/// Whether a sentinel applies to the current content of the frame: not if the frame was written after it.
 pub fn sentinel_counts(sentinel: &FileStamp, frame: &FileStamp) -> bool {
     frame.modified_ns <= sentinel.modified_ns
 }
 
-/// The sentinel of a frame: `{name}` in the pattern stands for the name of its file, `{stem}` for the
-/// same without the extensions of particles. It is in the frame's folder, or where a pattern with `/`
-/// leads from there.
+/// The path of a frame's sentinel. In the pattern, `{name}` is replaced by the name of the frame's file, and
+/// `{stem}` by that name without the extensions of particle files. A relative pattern starts from the folder
+/// of the frame.
 pub fn sentinel_path(frame: &Path, pattern: &str) -> PathBuf {
     let name = frame.file_name().unwrap_or_default();
     let stem = stem(frame);
@@ -236,12 +238,12 @@ pub fn sentinel_path(frame: &Path, pattern: &str) -> PathBuf {
     frame.with_file_name(sentinel)
 }
 
-/// The file that says that a frame is complete.
+/// The path of this frame's sentinel.
 pub(crate) fn path_of_sentinel(watch: &Watch, frame: &Path) -> PathBuf {
     sentinel_path(frame, sentinel_pattern(watch))
 }
 
-/// Whether some frame's sentinel could have this name.
+/// Whether this path could be the sentinel of some frame.
 pub(crate) fn may_be_sentinel(watch: &Watch, path: &Path) -> bool {
     let pattern = sentinel_pattern(watch);
     let end = pattern.rsplit('}').next().unwrap_or(pattern);
@@ -252,7 +254,7 @@ fn sentinel_pattern(watch: &Watch) -> &str {
     watch.sentinel.as_deref().unwrap_or(DEFAULT_SENTINEL)
 }
 
-/// The name of a frame's file without what says that it is one of particles, be it text or not.
+/// The name of a frame's file without the extensions of particle files. The name need not be valid UTF-8.
 fn stem(frame: &Path) -> OsString {
     let file = FrameFile::known(frame.to_owned(), false);
     let dots = |name: &str| name.matches('.').count();
@@ -275,20 +277,20 @@ mod tests {
     };
     const HALF: Completeness = Completeness::Incomplete { expected: 100, found: 50 };
 
-    /// What happens to a file.
+    /// One step of a test case.
     enum Step {
-        /// It is seen: size, time of writing, number, age in milliseconds.
+        /// The file is seen with this size, modification time, inode, and age in milliseconds.
         See(u64, i64, u64, Option<u64>),
-        /// The same, and it was renamed into place.
+        /// The same, and the file was renamed into place.
         Renamed(u64, i64, u64, Option<u64>),
-        /// It is asked whether the file is ready; this is what its format says, and the answer.
+        /// Checks the readiness, given the sentinel and what the format says, against the expected answer.
         Ask(Sentinel, Completeness, Answer),
     }
 
     #[derive(Debug, PartialEq)]
     enum Answer {
         Ready(Proof),
-        /// Until so many milliseconds after the start.
+        /// Waiting until this many milliseconds after the start.
         Until(u64, WaitReason),
         Never(WaitReason),
     }
@@ -303,7 +305,7 @@ mod tests {
         FileStamp { size, modified_ns, inode, changed_ns: None }
     }
 
-    /// Goes through the steps, each at its time in milliseconds after the start.
+    /// Runs the steps, each at its time in milliseconds after the start.
     fn check(case: &str, steps: &[(u64, Step)]) {
         let start = Instant::now();
         let at = |ms: u64| start + Duration::from_millis(ms);
@@ -335,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn formats_decide_how_long_to_wait() {
+    fn format_determines_how_long_to_wait() {
         check(
             "complete",
             &[
@@ -347,7 +349,7 @@ mod tests {
             ],
         );
         check(
-            "a table",
+            "format without a length",
             &[
                 (0, See(100, 1, 1, Some(0))),
                 (600, Ask(NONE, Unproven, Until(2000, WaitReason::Unproven))),
@@ -355,7 +357,7 @@ mod tests {
             ],
         );
         check(
-            "given up by its writer",
+            "abandoned by its writer",
             &[
                 (0, See(50, 1, 1, Some(0))),
                 (9999, Ask(NONE, HALF, Until(10_000, WaitReason::Incomplete { expected: 100, found: 50 }))),
@@ -380,7 +382,7 @@ mod tests {
             ],
         );
         check(
-            "without a clock to trust",
+            "without a trusted clock",
             &[
                 (0, See(100, 1, 1, None)),
                 (400, See(100, 1, 1, None)),
@@ -391,7 +393,7 @@ mod tests {
     }
 
     #[test]
-    fn every_change_starts_anew() {
+    fn every_change_restarts_the_wait() {
         check(
             "a slow writer",
             &[
@@ -406,7 +408,7 @@ mod tests {
             ],
         );
         check(
-            "closed, and opened again to append",
+            "closed, then reopened to append",
             &[
                 (0, See(100, 1, 1, Some(0))),
                 (400, See(160, 2, 1, Some(0))),
@@ -425,7 +427,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_shows_a_change_is_one() {
+    fn any_difference_counts_as_a_change() {
         check(
             "replaced by another file of the same size and time",
             &[
@@ -436,7 +438,7 @@ mod tests {
             ],
         );
         check(
-            "its time set back, as copying programs do in the end",
+            "modification time set back, as copying programs do",
             &[
                 (0, See(100, 900, 1, Some(0))),
                 (300, See(100, 5, 1, Some(0))),
@@ -445,7 +447,7 @@ mod tests {
             ],
         );
         check(
-            "its time in the future",
+            "modification time in the future",
             &[
                 (0, See(100, i64::MAX, 1, None)),
                 (0, Ask(NONE, Complete, Until(500, WaitReason::Changing))),
@@ -453,7 +455,7 @@ mod tests {
             ],
         );
         check(
-            "touched without any trace but that it was",
+            "touched with the same size and times",
             &[
                 (0, See(100, 1, 1, Some(450))),
                 (40, See(100, 1, 1, Some(10))),
@@ -472,7 +474,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rename_is_a_proof_of_what_was_renamed() {
+    fn rename_proves_completeness_of_the_renamed_file_only() {
         check(
             "renamed into place",
             &[
@@ -483,7 +485,7 @@ mod tests {
             ],
         );
         check(
-            "seen before its rename is told",
+            "seen before the rename event arrives",
             &[
                 (0, See(100, 1, 1, Some(0))),
                 (1, Renamed(100, 1, 1, Some(1))),
@@ -505,10 +507,10 @@ mod tests {
     }
 
     #[test]
-    fn sentinels_are_waited_for_where_they_are_wanted() {
+    fn required_sentinel_is_awaited_and_optional_one_is_a_proof() {
         let wanted = |is_there| Sentinel { is_required: true, is_there };
         check(
-            "wanted",
+            "required",
             &[
                 (0, Renamed(100, 1, 1, Some(3_600_000))),
                 (0, Ask(wanted(false), Complete, Never(WaitReason::Sentinel))),
@@ -525,24 +527,24 @@ mod tests {
             ],
         );
         let (older, frame, later) = (stamp(0, 9, 7), stamp(100, 10, 1), stamp(0, 11, 7));
-        assert!(!sentinel_counts(&older, &frame), "it was for what was there before");
+        assert!(!sentinel_counts(&older, &frame), "the sentinel is for earlier content");
         assert!(sentinel_counts(&later, &frame));
-        assert!(sentinel_counts(&stamp(0, 10, 7), &frame), "written within one tick of the clock");
+        assert!(sentinel_counts(&stamp(0, 10, 7), &frame), "written within the same clock tick");
     }
 
     #[test]
-    fn formats_are_asked_only_if_it_matters() {
+    fn completeness_is_computed_only_if_it_matters() {
         let start = Instant::now();
         let seen = Seen { stamp: stamp(1, 1, 1), age: None };
         let missing = Sentinel { is_required: true, is_there: false };
         for (renamed, sentinel) in [(false, NONE), (true, NONE), (false, missing)] {
             let candidate = Candidate::new(start, &seen, renamed);
-            candidate.readiness(start, &PATIENCE, sentinel, || panic!("asked for nothing"));
+            candidate.readiness(start, &PATIENCE, sentinel, || panic!("computed needlessly"));
         }
     }
 
     #[test]
-    fn sentinels_are_named_after_their_frames() {
+    fn sentinel_path_replaces_name_and_stem() {
         for (frame, pattern, expected) in [
             ("/f/dam.0012.bgeo.gz", DEFAULT_SENTINEL, "/f/dam.0012.done"),
             ("/f/dam.0012.bgeo.sc", DEFAULT_SENTINEL, "/f/dam.0012.done"),
@@ -559,7 +561,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn sentinels_of_names_that_are_no_text_are_found() {
+    fn sentinel_path_of_name_that_is_not_utf8() {
         use std::os::unix::ffi::OsStrExt;
         let path = |bytes: &[u8]| PathBuf::from(std::ffi::OsStr::from_bytes(bytes));
         assert_eq!(sentinel_path(&path(b"/f/d\xe4m.1.ply.gz"), DEFAULT_SENTINEL), path(b"/f/d\xe4m.1.done"));

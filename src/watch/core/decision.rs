@@ -1,18 +1,18 @@
-//! Why a frame is converted, or is not: what the journal says of it against what is there.
+//! Decides whether to convert a frame, from its record in the journal and its current state on disk.
 //!
 //! ```text
 //!   the record says │ nothing   waiting or     failed for   failed          done
-//!                   │           under way      now          for good
+//!                   │           in work        now          for good
 //!   ────────────────┼──────────────────────────────────────────────────────────────────────────
 //!   same input,     │ convert   convert        convert      skip            skip, if its outputs
-//!   same settings   │                                                       are there
+//!   same settings   │                                                       exist
 //!   same size, else │ convert   convert        convert      the content     the content decides
 //!   a new stamp     │                                       decides
 //!   anything else   │ convert   convert        convert      convert         convert
 //! ```
 //!
-//! Pure: whoever asks has looked at the disk. A copied or touched file has another time or number
-//! and still the same content; only then is it worth reading, to find out.
+//! The decision is a pure function: the caller has inspected the disk. A file that was copied or touched has
+//! another time or inode, but may have the same content. Only then is the content read and hashed.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
