@@ -147,7 +147,7 @@ fn a_journal_on_a_full_disk_goes_on_later() {
         siege.make_room();
         daemon.until_converted(second);
         assert_eq!(daemon.converted().len(), siege.frames.len());
-        assert_eq!(daemon.count_logged("the journal is written again"), 1);
+        assert_eq!(daemon.count_logged("the journal is writable again"), 1);
         daemon.until("all is written down", |daemon| daemon.has_status("24 done, 0 queued"));
         assert_eq!(counts(siege.path()), [24, 0, 0, 0]);
         assert_eq!(status(siege.path())["daemon"]["state"], "running");

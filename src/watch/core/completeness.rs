@@ -187,9 +187,9 @@ impl fmt::Display for Proof {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Proof::Renamed => "it was renamed into place",
-            Proof::Sentinel => "its sentinel is there",
+            Proof::Sentinel => "its sentinel exists",
             Proof::Format => "it is unchanged for --settle, and its format shows whether it is complete",
-            Proof::Unchanged => "it is unchanged for --unproven, and its format cannot show whether it is complete",
+            Proof::Unchanged => "it is unchanged for --unproven, so it counts as complete",
             Proof::Stalled => "it is incomplete, but unchanged for --stalled",
         })
     }

@@ -21,47 +21,47 @@ use crate::pipeline::FileStamp;
 
 use crate::watch::journal::{JournaledFrame, Standing};
 
-/// What is to become of a frame, and why. Displays as the reason: a clause without its full stop.
+/// What to do with a frame, and why. Displays as the reason: a clause without a full stop.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Decision {
-    /// It stays as it is.
+    /// Leave it as it is.
     Skip(SkipReason),
-    /// Its content decides: hash it, and ask [`decide`] again.
+    /// Only its content can decide: hash it, and call [`decide`] again.
     CompareContent,
-    /// It is converted.
+    /// Convert it.
     Convert(ConvertReason),
 }
 
 /// Why a frame is not converted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SkipReason {
-    /// All of it is there.
+    /// It is converted, and all its outputs exist.
     Done,
-    /// It failed, and would again.
+    /// It failed, and would fail again.
     FailedUnchanged,
 }
 
 /// Why a frame is converted.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ConvertReason {
-    /// Nothing is recorded of it.
+    /// The journal has no record of it.
     New,
-    /// It has other content than it had.
+    /// Its content changed.
     InputChanged,
-    /// It is to be converted with other settings.
+    /// Its settings changed.
     SettingsChanged,
-    /// This output is gone, or is not what was written.
+    /// This output is missing, or is not the file that was written.
     OutputMissing(PathBuf),
-    /// It waited or was under way when the daemon ended.
+    /// It was queued or in progress when the daemon exited.
     WasUnderWay,
-    /// It failed in a way that may pass.
+    /// It failed with an error that may be temporary.
     Retry,
-    /// Other files kept it from being converted, and may not any more.
+    /// Other files blocked its conversion, and may not do so any more.
     WasRefused,
 }
 
-/// Decides about a frame by its record, its stamp, the fingerprint of the settings it would be converted with now, the first
-/// output that is missing or damaged, and the hash of its content, where that is known.
+/// Decides about a frame from its record, its stamp, the fingerprint of its current settings, the first
+/// output that is missing or damaged, and the hash of its content, if known.
 pub fn decide(
     record: Option<&JournaledFrame>,
     stamp: &FileStamp,
@@ -99,9 +99,9 @@ impl fmt::Display for Decision {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Decision::Skip(reason) => reason.fmt(f),
-            Decision::CompareContent => f.write_str(
-                "it was touched, moved or written again in the same size, so that its content decides",
-            ),
+            Decision::CompareContent => {
+                f.write_str("it was touched, moved or rewritten with the same size, so its content decides")
+            }
             Decision::Convert(reason) => reason.fmt(f),
         }
     }
@@ -111,7 +111,7 @@ impl fmt::Display for SkipReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             SkipReason::Done => {
-                "it is done: its input, settings and obstacles are those recorded, and its outputs are there"
+                "it is done: its input, settings and obstacles have not changed, and its outputs exist"
             }
             SkipReason::FailedUnchanged => {
                 "it failed, and neither it nor its settings or obstacles have changed since"
@@ -123,19 +123,17 @@ impl fmt::Display for SkipReason {
 impl fmt::Display for ConvertReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            ConvertReason::New => f.write_str("nothing is recorded of it: it is new"),
-            ConvertReason::InputChanged => f.write_str("it was written again, and is not what it was"),
+            ConvertReason::New => f.write_str("it is new: the journal has no record of it"),
+            ConvertReason::InputChanged => f.write_str("its content changed: it was written again"),
             ConvertReason::SettingsChanged => {
-                f.write_str("its settings or obstacles are others than those it was converted with")
+                f.write_str("its settings or obstacles have changed since it was converted")
             }
             ConvertReason::OutputMissing(path) => {
-                write!(f, "its output {} is gone, or is not as it was written", path.display())
+                write!(f, "its output {} is missing or was changed", path.display())
             }
-            ConvertReason::WasUnderWay => {
-                f.write_str("it was waiting or under way when it was last recorded")
-            }
-            ConvertReason::Retry => f.write_str("it failed in a way that may pass"),
-            ConvertReason::WasRefused => f.write_str("other files kept it from that, and may not any more"),
+            ConvertReason::WasUnderWay => f.write_str("the daemon exited before it was finished"),
+            ConvertReason::Retry => f.write_str("it failed with an error that may be temporary"),
+            ConvertReason::WasRefused => f.write_str("other files blocked it, and may not any more"),
         }
     }
 }
@@ -144,7 +142,7 @@ impl fmt::Display for ConvertReason {
 mod tests {
     use super::*;
 
-    const SETTINGS: &str = "as before";
+    const SETTINGS: &str = "unchanged";
     const HASH: u128 = 7;
 
     fn record(standing: Standing) -> JournaledFrame {
@@ -168,7 +166,7 @@ mod tests {
         FileStamp { size: 100, modified_ns: 200, inode: 300, changed_ns: Some(400) }
     }
 
-    /// What is there now, against the record.
+    /// The current state, to compare with the record.
     struct Now {
         stamp: FileStamp,
         settings: &'static str,
@@ -209,13 +207,13 @@ mod tests {
     }
 
     #[test]
-    fn what_was_never_seen_is_converted() {
+    fn frame_without_a_record_is_converted() {
         let decision = decide(None, &stamp(), SETTINGS, None, None);
         assert_eq!(decision, Decision::Convert(ConvertReason::New));
     }
 
     #[test]
-    fn done_is_skipped_while_all_is_as_recorded() {
+    fn done_frame_is_skipped_while_nothing_has_changed() {
         let missing = ConvertReason::OutputMissing("/out/a.glb".into());
         check(Standing::Done, &ALIKE(), &Decision::Skip(SkipReason::Done));
         check(Standing::Done, &touched(), &Decision::CompareContent);
@@ -224,7 +222,7 @@ mod tests {
         check(Standing::Done, &longer(), &Decision::Convert(ConvertReason::InputChanged));
         check(Standing::Done, &other_settings(), &Decision::Convert(ConvertReason::SettingsChanged));
         check(Standing::Done, &output_gone(), &Decision::Convert(missing.clone()));
-        // Nothing is read where it is certain without.
+        // The content is not read if the decision is certain without it.
         let touched_and_gone = Now { stamp: touched().stamp, ..output_gone() };
         check(Standing::Done, &touched_and_gone, &Decision::Convert(missing));
         let touched_and_set = Now { stamp: touched().stamp, ..other_settings() };
@@ -232,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn failed_is_skipped_until_something_changes() {
+    fn failed_frame_is_skipped_until_something_changes() {
         check(Standing::Failed, &ALIKE(), &Decision::Skip(SkipReason::FailedUnchanged));
         check(Standing::Failed, &output_gone(), &Decision::Skip(SkipReason::FailedUnchanged));
         check(Standing::Failed, &touched(), &Decision::CompareContent);
@@ -241,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn unfinished_work_is_taken_up() {
+    fn unfinished_frame_is_converted() {
         for now in [ALIKE(), touched(), moved(), longer(), other_settings(), output_gone()] {
             check(Standing::Queued, &now, &Decision::Convert(ConvertReason::WasUnderWay));
             check(Standing::Retrying, &now, &Decision::Convert(ConvertReason::Retry));
@@ -251,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn record_without_status_change_time_is_not_compared_in_it() {
+    fn status_change_time_missing_from_the_record_is_ignored() {
         let old = FileStamp { changed_ns: None, ..stamp() };
         let record = JournaledFrame { stamp: old, ..record(Standing::Done) };
         let decision = decide(Some(&record), &stamp(), SETTINGS, None, None);
@@ -259,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_hash_another_stamp_is_another_input() {
+    fn without_a_recorded_hash_a_new_stamp_means_a_changed_input() {
         for standing in [Standing::Done, Standing::Failed] {
             let record = JournaledFrame { hash: None, ..record(standing) };
             let decision = decide(Some(&record), &touched().stamp, SETTINGS, None, None);
@@ -268,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn content_decides() {
+    fn touched_frame_is_decided_by_its_hash() {
         let cases = [
             (Standing::Done, Decision::Skip(SkipReason::Done)),
             (Standing::Failed, Decision::Skip(SkipReason::FailedUnchanged)),
@@ -285,13 +283,10 @@ mod tests {
     }
 
     #[test]
-    fn reasons_are_told() {
+    fn reasons_display_as_clauses() {
         let missing = Decision::Convert(ConvertReason::OutputMissing("/out/a.glb".into()));
-        assert_eq!(missing.to_string(), "its output /out/a.glb is gone, or is not as it was written");
+        assert_eq!(missing.to_string(), "its output /out/a.glb is missing or was changed");
         let settings = Decision::Convert(ConvertReason::SettingsChanged);
-        assert_eq!(
-            settings.to_string(),
-            "its settings or obstacles are others than those it was converted with"
-        );
+        assert_eq!(settings.to_string(), "its settings or obstacles have changed since it was converted");
     }
 }

@@ -1,21 +1,22 @@
-//! The system's word that something has changed in a folder: hints where to look, never what is there.
+//! File-system events of watched folders. They say where to look, never what a file contains.
 //!
 //! ```text
-//!   kernel ─▶ its queue ─▶ notify's thread ─▶ our queue ─▶ whoever watches
-//!             may overflow                    may be full: the last place is for `Rescan`
+//!   kernel ─▶ its queue ─▶ notify's thread ─▶ our queue ─▶ the receiver
+//!             may overflow                    may be full: its last slot is for `Rescan`
 //! ```
 //!
-//! Only scans say what is there. To miss nothing, watch a folder first and scan it then: what appears
-//! in between is found by both, and what was there before by the scan.
+//! Only scans establish what exists. To miss nothing, watch a folder first and scan it then: files that
+//! existed before are found by the scan, and files that appear in between by both.
 //!
-//! **Nothing here waits.** The kernel's queue has 16 384 places, and what comes when it is full is lost;
-//! so ours is never waited for. Its last place is kept for the hint that others were lost. As long as
-//! that one has not been taken out, whatever is lost was there before the scan that it asks for.
+//! **This module never blocks.** The kernel's queue has 16 384 entries and drops events when it is full, so
+//! the thread that empties it must not wait for our queue. The last slot of our queue is reserved for
+//! `Rescan`, which says that events were lost. Until the receiver takes that `Rescan`, every lost event
+//! precedes the scan that it requests.
 //!
-//! **Folders by their true names.** The kernel watches folders, not paths. One that is reached by two
-//! paths is watched once, and what happens there is told for both.
+//! **Folders are watched by their canonical paths.** The kernel watches folders, not paths. A folder that is
+//! reached by two paths is watched once, and its events are reported for both.
 //!
-//! Reading a file makes events as well. They are dropped, else every look would cause the next.
+//! Reading a file also causes events. They are dropped; otherwise every inspection would cause the next one.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -30,27 +31,28 @@ use notify::{ErrorKind, Event, RecommendedWatcher, RecursiveMode, Watcher as _};
 
 use crate::pipeline::FileStamp;
 
-/// What may have changed.
+/// A change that may have happened.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum FsEvent {
-    /// A file appeared, grew, or went.
+    /// A file appeared, grew, or was removed.
     Changed(PathBuf),
-    /// A file was renamed to this name, and has all that it had under the other one.
+    /// A file was renamed to this path, with its content complete under the earlier name.
     Renamed(PathBuf),
-    /// A folder appeared, went, or is another one now. If it is there, it must be watched, even if it was.
+    /// A folder appeared, was removed, or was replaced. If it exists, it must be watched, even if it was
+    /// watched before.
     Folder(PathBuf),
-    /// Hints were lost: only looking everywhere tells.
+    /// Events were lost: everything must be scanned.
     Rescan,
 }
 
 /// Why a folder cannot be watched.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum WatchError {
-    /// The system has no more room for this user's watches. Says what to do.
+    /// The system's limit of watches for this user is reached. The text says what to do.
     TooMany(String),
-    /// There is no such folder.
+    /// The folder does not exist.
     Gone,
-    /// Anything else.
+    /// Any other error.
     Other(String),
 }
 
@@ -58,28 +60,28 @@ impl fmt::Display for WatchError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             WatchError::TooMany(what) | WatchError::Other(what) => f.write_str(what),
-            WatchError::Gone => f.write_str("there is no such folder"),
+            WatchError::Gone => f.write_str("the folder does not exist"),
         }
     }
 }
 
 impl std::error::Error for WatchError {}
 
-/// Watches folders, each without those in it.
+/// Watches folders, each without its sub-folders.
 #[derive(Debug)]
 pub struct Watcher {
     notify: RecommendedWatcher,
     folders: Arc<Mutex<Folders>>,
 }
 
-/// Hints that wait to be taken.
+/// The capacity of the queue of events.
 const CAPACITY: usize = 4096;
 
 impl Watcher {
-    /// A watcher, and what it hears.
+    /// Returns a watcher, and the receiver of its events.
     ///
     /// # Errors
-    /// When the system has no more of what it takes.
+    /// When a resource limit of the system is reached.
     pub fn new() -> Result<(Watcher, Receiver<FsEvent>), WatchError> {
         Watcher::with_capacity(CAPACITY)
     }
@@ -92,22 +94,22 @@ impl Watcher {
         Ok((Watcher { notify, folders }, hints))
     }
 
-    /// Watches a folder. Hints name what is in it by the path that is given here. A folder may be watched
-    /// again: it must be if another one has taken its place.
+    /// Watches a folder. Events name its files by the path given here. A folder may be watched again, and
+    /// must be if another folder has replaced it.
     ///
     /// # Errors
-    /// When the folder is not there, or the system refuses.
+    /// When the folder does not exist, or the system refuses.
     pub fn watch(&mut self, folder: &Path) -> Result<(), WatchError> {
         let place = WatchedFolder::of(folder).map_err(|error| match error.kind() {
             io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => WatchError::Gone,
             _ => WatchError::Other(error.to_string()),
         })?;
-        // The one that had this path may live on elsewhere, and would be heard under its old name.
+        // The folder that had this path may still exist elsewhere, and its events would carry its old path.
         if lock(&self.folders).place_of.get(folder).is_some_and(|known| *known != place) {
             self.unwatch(folder);
         }
         let path = place.path.clone();
-        // First, so that the first event is understood.
+        // Registered first, so that the first event can be resolved.
         lock(&self.folders).add(folder, place);
         self.notify.watch(&path, RecursiveMode::NonRecursive).map_err(|error| {
             lock(&self.folders).remove(folder);
@@ -115,31 +117,31 @@ impl Watcher {
         })
     }
 
-    /// Watches a folder no longer.
+    /// Stops watching a folder.
     pub fn unwatch(&mut self, folder: &Path) {
         let unused = lock(&self.folders).remove(folder);
         if let Some(path) = unused {
-            // One that is gone is not watched any more.
+            // A removed folder is no longer watched anyway.
             let _ = self.notify.unwatch(&path);
         }
     }
 }
 
-/// The folders that are watched.
+/// The watched folders.
 #[derive(Debug, Default)]
 struct Folders {
-    /// Where each path leads.
+    /// The folder to which each path leads.
     place_of: HashMap<PathBuf, WatchedFolder>,
-    /// The paths that lead to each true name.
+    /// The paths that lead to each canonical path.
     paths_to: HashMap<PathBuf, Vec<PathBuf>>,
 }
 
-/// A folder, by whatever path it was reached.
+/// A folder, independent of the path that leads to it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct WatchedFolder {
-    /// Its true name.
+    /// Its canonical path.
     path: PathBuf,
-    /// Which folder that is; 0 where there is no such number.
+    /// Its inode; 0 if the system has none.
     inode: u64,
 }
 
@@ -163,7 +165,7 @@ impl Folders {
         self.place_of.insert(folder.to_owned(), place);
     }
 
-    /// Forgets a path; tells the true name if no other leads there.
+    /// Removes a path; returns the canonical path if no other path leads there.
     fn remove(&mut self, folder: &Path) -> Option<PathBuf> {
         let WatchedFolder { path, .. } = self.place_of.remove(folder)?;
         let paths = self.paths_to.get_mut(&path)?;
@@ -175,8 +177,8 @@ impl Folders {
         Some(path)
     }
 
-    /// What is called `path` by its true name, as it was asked for: as a folder that is watched, and as
-    /// something in such folders.
+    /// Converts a canonical path of an event into the paths under which it was requested: as a watched
+    /// folder, and as an entry of watched folders.
     fn asked_for(&self, path: &Path) -> Vec<PathBuf> {
         let itself = self.paths_to.get(path).into_iter().flatten().cloned();
         let within = path.parent().zip(path.file_name()).and_then(|(folder, name)| {
@@ -188,16 +190,16 @@ impl Folders {
     }
 }
 
-/// A map of paths is in order whatever panicked beside it.
+/// Each update of the map is complete, so a poisoned one is still consistent.
 fn lock(folders: &Mutex<Folders>) -> MutexGuard<'_, Folders> {
     folders.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// What notify's thread calls. It alone puts hints into the queue.
+/// The callback of notify's thread, and the only sender of events.
 struct EventHandler {
     queue: Sender<FsEvent>,
     capacity: usize,
-    /// The hint that was put into the queue last.
+    /// The event that was sent last.
     last: Option<FsEvent>,
     folders: Arc<Mutex<Folders>>,
 }
@@ -208,7 +210,7 @@ impl EventHandler {
             Ok(event) if event.need_rescan() => self.tell(FsEvent::Rescan),
             Ok(event) => self.on_event(event),
             Err(error) => {
-                tracing::warn!(%error, "the system's word on changes was lost");
+                tracing::warn!(%error, "a file-system event was lost");
                 self.tell(FsEvent::Rescan);
             }
         }
@@ -220,7 +222,8 @@ impl EventHandler {
             self.tell(FsEvent::Rescan);
         }
         for path in event.paths {
-            // Followed, as a link to a folder is one. What is gone was one if it was watched.
+            // Links are followed, because a link to a folder counts as one. A removed path was a folder if it
+            // was watched.
             let is_there = change != ChangeKind::Went && path.is_dir();
             let hints: Vec<FsEvent> = {
                 let folders = lock(&self.folders);
@@ -236,21 +239,21 @@ impl EventHandler {
         }
     }
 
-    /// Puts a hint into the queue, or, if there is one place left, that hints were lost.
+    /// Sends an event or, if only one slot is left, `Rescan`.
     fn tell(&mut self, hint: FsEvent) {
-        // The same one is there already, and nobody has acted on it.
+        // The same event is still in the queue.
         if !self.queue.is_empty() && self.last.as_ref() == Some(&hint) {
             return;
         }
         let hint = if self.queue.len() + 1 < self.capacity { hint } else { FsEvent::Rescan };
-        // Only `Rescan` takes the last place: if there is none left, it is the last in the queue.
+        // Only `Rescan` takes the last slot: if no slot is left, `Rescan` is the last event in the queue.
         if self.queue.try_send(hint.clone()).is_ok() {
             self.last = Some(hint);
         }
     }
 }
 
-/// What an event says of its path.
+/// The kind of change that an event reports for its path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum ChangeKind {
     Changed,
@@ -259,10 +262,10 @@ enum ChangeKind {
     FolderChanged,
 }
 
-/// `None` for what need not be looked at.
+/// `None` for events that need no inspection.
 fn change_of(kind: EventKind) -> Option<ChangeKind> {
     Some(match kind {
-        // Opened, or closed after reading, by us as by others.
+        // Files opened, or closed after reading, by this process or by others.
         EventKind::Access(AccessKind::Close(AccessMode::Write)) => ChangeKind::Changed,
         EventKind::Access(_) => return None,
         EventKind::Create(CreateKind::Folder) | EventKind::Remove(RemoveKind::Folder) => {
@@ -270,7 +273,7 @@ fn change_of(kind: EventKind) -> Option<ChangeKind> {
         }
         EventKind::Remove(_) | EventKind::Modify(ModifyKind::Name(RenameMode::From)) => ChangeKind::Went,
         EventKind::Modify(ModifyKind::Name(RenameMode::To)) => ChangeKind::Renamed,
-        // Both sides were told before, one by one.
+        // Both sides were reported before, as separate events.
         EventKind::Modify(ModifyKind::Name(RenameMode::Both)) => return None,
         EventKind::Create(_) | EventKind::Modify(_) | EventKind::Any | EventKind::Other => {
             ChangeKind::Changed
@@ -283,10 +286,10 @@ fn watch_error(error: notify::Error) -> WatchError {
     match &error.kind {
         ErrorKind::PathNotFound => WatchError::Gone,
         ErrorKind::MaxFilesWatch => WatchError::TooMany(
-            "the system watches no more folders for this user: raise fs.inotify.max_user_watches".into(),
+            "this user has reached the limit of watched folders: raise fs.inotify.max_user_watches".into(),
         ),
         ErrorKind::Io(source) if source.raw_os_error() == Some(TOO_MANY_OPEN_FILES) => WatchError::TooMany(
-            "too many programs of this user watch folders, or too many files are open: \
+            "this user has reached the limit of programs that watch folders, or of open files: \
              raise fs.inotify.max_user_instances, or the limit of open files"
                 .into(),
         ),
@@ -305,7 +308,7 @@ mod tests {
 
     use tempfile::{TempDir, tempdir};
 
-    /// A watched folder, one beside it that is not watched, and what is heard.
+    /// A watched folder, a sibling folder that is not watched, and the events received.
     struct Bench {
         watcher: Watcher,
         hints: Receiver<FsEvent>,
@@ -332,7 +335,7 @@ mod tests {
             self.folder.join(name)
         }
 
-        /// All hints up to the expected one.
+        /// All events up to the expected one.
         fn until(&self, expected: &FsEvent) -> Vec<FsEvent> {
             let mut heard = Vec::new();
             while heard.last() != Some(expected) {
@@ -342,7 +345,7 @@ mod tests {
             heard
         }
 
-        /// All hints so far: those before that of a file that is made now, and those of such files.
+        /// The events so far: those before the event of a file that is created here, and those of such files.
         fn so_far(&mut self) -> Vec<FsEvent> {
             self.marker_count += 1;
             let marker = self.path(&format!("{MARKER}{}", self.marker_count));
@@ -356,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn every_way_to_make_a_file_is_heard() {
+    fn every_way_to_create_a_file_is_reported() {
         let bench = Bench::new(CAPACITY);
         let written = bench.path("written.ply");
         fs::write(&written, b"ply").expect("written");
@@ -365,7 +368,7 @@ mod tests {
         let renamed = bench.path("renamed.ply");
         fs::rename(&written, &renamed).expect("renamed");
         let heard = bench.until(&FsEvent::Renamed(renamed.clone()));
-        assert!(heard.contains(&FsEvent::Changed(written)), "the old name: {heard:?}");
+        assert!(heard.contains(&FsEvent::Changed(written)), "the old name is not reported: {heard:?}");
 
         let elsewhere = bench.beside.join("a.ply");
         let moved = bench.path("moved.ply");
@@ -385,7 +388,7 @@ mod tests {
     }
 
     #[test]
-    fn every_change_of_a_file_is_heard() {
+    fn every_change_of_a_file_is_reported() {
         let mut bench = Bench::new(CAPACITY);
         let path = bench.path("a.ply");
         fs::write(&path, b"ply").expect("written");
@@ -399,9 +402,9 @@ mod tests {
         assert!(bench.so_far().contains(&FsEvent::Changed(path)));
     }
 
-    /// Else every look would cause the next.
+    /// Otherwise every inspection would cause the next one.
     #[test]
-    fn reading_makes_no_hints() {
+    fn reading_a_file_sends_no_event() {
         let mut bench = Bench::new(CAPACITY);
         let path = bench.path("a.ply");
         fs::write(&path, b"ply").expect("written");
@@ -412,7 +415,7 @@ mod tests {
     }
 
     #[test]
-    fn folders_are_heard_as_such() {
+    fn changed_folders_are_reported_as_folders() {
         let mut bench = Bench::new(CAPACITY);
         let made = bench.path("made");
         fs::create_dir(&made).expect("made");
@@ -443,7 +446,7 @@ mod tests {
     }
 
     #[test]
-    fn a_root_that_is_replaced_is_heard_and_can_be_watched_again() {
+    fn replaced_root_is_reported_and_can_be_watched_again() {
         let mut bench = Bench::new(CAPACITY);
         let root = bench.folder.clone();
         fs::remove_dir(&root).expect("removed");
@@ -453,7 +456,7 @@ mod tests {
         bench.watcher.watch(&root).expect("watched");
         bench.so_far();
 
-        // Another folder in its place, while the first one lives on.
+        // Another folder replaces it, while the first one still exists elsewhere.
         let away = bench.beside.join("away");
         fs::rename(&root, &away).expect("renamed");
         bench.until(&FsEvent::Folder(root.clone()));
@@ -465,7 +468,7 @@ mod tests {
     }
 
     #[test]
-    fn one_folder_by_two_names_is_heard_for_both() {
+    fn folder_watched_by_two_paths_is_reported_for_both() {
         let mut bench = Bench::new(CAPACITY);
         let other = bench.beside.join("link");
         symlink(&bench.folder, &other).expect("linked");
@@ -488,7 +491,7 @@ mod tests {
     }
 
     #[test]
-    fn only_folders_are_watched() {
+    fn watching_a_file_or_a_missing_folder_fails() {
         let mut bench = Bench::new(CAPACITY);
         fs::write(bench.path("a.ply"), b"ply").expect("written");
         for path in [bench.path("a.ply"), bench.path("gone")] {
@@ -497,7 +500,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_lost_is_told() {
+    fn overflow_of_the_queue_sends_rescan() {
         let bench = Bench::new(4);
         for index in (0..100_000).take_while(|_| !bench.hints.is_full()) {
             fs::write(bench.path(&format!("{index}.ply")), b"ply").expect("written");
@@ -505,7 +508,7 @@ mod tests {
         assert_eq!(bench.until(&FsEvent::Rescan).len(), 4);
     }
 
-    /// The queue with events of our own making.
+    /// A queue that is filled with artificial events.
     struct Rig {
         handler: EventHandler,
         hints: Receiver<FsEvent>,
@@ -536,12 +539,12 @@ mod tests {
     }
 
     #[test]
-    fn the_last_place_is_for_the_word_that_others_were_lost() {
+    fn last_slot_of_the_queue_is_for_rescan() {
         let mut rig = Rig::new(4);
         let names = ["a", "b", "c", "d", "e", "f"];
         names.iter().for_each(|name| rig.hear(WRITTEN, name));
         assert_eq!(rig.heard(), [changed("a"), changed("b"), changed("c"), FsEvent::Rescan]);
-        // Lost once more while the word of the first loss is still waiting.
+        // Events are lost again while `Rescan` is still in the queue.
         names.iter().for_each(|name| rig.hear(WRITTEN, name));
         assert_eq!(rig.hints.try_recv(), Ok(changed("a")));
         names.iter().for_each(|name| rig.hear(WRITTEN, name));
@@ -551,7 +554,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_hint_waits_once() {
+    fn repeated_event_is_queued_once() {
         let mut rig = Rig::new(8);
         for _ in 0..3 {
             rig.hear(EventKind::Create(CreateKind::File), "a");
@@ -559,22 +562,22 @@ mod tests {
         }
         assert_eq!(rig.heard(), [changed("a")]);
         rig.hear(WRITTEN, "a");
-        assert_eq!(rig.heard(), [changed("a")], "taken out, it may come again");
+        assert_eq!(rig.heard(), [changed("a")], "it is queued again once it was taken");
     }
 
     #[test]
-    fn losses_of_others_are_told() {
+    fn loss_reported_by_the_system_sends_rescan() {
         let mut rig = Rig::new(8);
         rig.handler.hear(Ok(Event::new(EventKind::Other).set_flag(notify::event::Flag::Rescan)));
         assert_eq!(rig.heard(), [FsEvent::Rescan]);
         rig.handler.hear(Err(notify::Error::generic("lost")));
         assert_eq!(rig.heard(), [FsEvent::Rescan]);
         rig.handler.hear(Ok(Event::new(EventKind::Any)));
-        assert_eq!(rig.heard(), [FsEvent::Rescan], "something happened, nobody knows where");
+        assert_eq!(rig.heard(), [FsEvent::Rescan], "an event without a path means anywhere");
     }
 
     #[test]
-    fn limits_say_what_to_raise() {
+    fn limit_errors_name_the_setting_to_raise() {
         let too_many = watch_error(notify::Error::new(ErrorKind::MaxFilesWatch)).to_string();
         assert!(too_many.contains("max_user_watches"), "{too_many}");
         let too_many = watch_error(notify::Error::io(io::Error::from_raw_os_error(24))).to_string();

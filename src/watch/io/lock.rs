@@ -1,15 +1,15 @@
-//! One daemon for one folder of outputs.
+//! A lock that allows one daemon for each folder of outputs.
 //!
 //! ```text
 //!   OUT/.meniscus/lock     pid 4711 on render-04 since 2026-03-01T08:15:00Z
 //! ```
 //!
-//! The lock is the system's own, on a file that stays where it is: the system takes it back when
-//! the process ends, however it ends, and nobody has to guess whether a number in a file belongs to
-//! a process that still lives. What the file says is for people only.
+//! The lock is an advisory lock of the operating system on a file that is never removed. The system releases
+//! it when the process ends, for whatever reason, so no code has to guess whether a process id in a file
+//! belongs to a live process. The content of the file is for people only.
 //!
-//! A file system that has no locks is told apart, and nothing is put in their place: whatever could
-//! be would either forget the daemon that was killed, or let a second one in.
+//! A file system without locks is reported as an error. There is no substitute: a lock file would either stay
+//! behind after the daemon is killed, or let a second daemon in.
 
 use std::fmt;
 use std::fs::{self, File, Metadata, OpenOptions, TryLockError};
@@ -21,52 +21,52 @@ use crate::pipeline::{FileStamp, has_other_names, open_own};
 
 use crate::watch::journal::STATE_FOLDER;
 
-/// The file that is locked, in the folder of what the daemon keeps for itself.
+/// The name of the lock file, in the daemon's state folder.
 pub(crate) const FILE_NAME: &str = "lock";
 
-/// Whoever only looks whether the lock is held has it for a moment.
+/// A process that checks whether the lock is held takes it for a moment; hence several attempts.
 const ATTEMPTS_MAX: usize = 5;
 const ATTEMPT_PAUSE: Duration = Duration::from_millis(10);
 
-/// Longer than anything that is written there.
+/// Longer than any text that is written there.
 const HOLDER_BYTES_MAX: u64 = 1024;
 
-/// The right to write into a folder of outputs, until it is dropped or the process ends.
+/// The exclusive right to write into a folder of outputs, until it is dropped or the process ends.
 #[derive(Debug)]
 pub struct OutputLock {
-    /// Closing it gives the lock back.
+    /// Closing the file releases the lock.
     file: File,
 }
 
-/// Why there is no lock.
+/// Why the lock was not taken.
 #[derive(Debug)]
 pub enum LockError {
-    /// Another daemon has it.
+    /// Another daemon holds it.
     Held {
         /// The folder of the outputs.
         folder: PathBuf,
-        /// Which one, in words.
+        /// A description of the holder.
         by: String,
     },
-    /// The file system has no locks.
+    /// The file system does not support locks.
     Unsupported {
         /// The folder of the outputs.
         folder: PathBuf,
     },
     /// The system refuses.
     Io {
-        /// The file that is locked.
+        /// The lock file.
         path: PathBuf,
-        /// Why.
+        /// The cause.
         source: io::Error,
     },
 }
 
 impl OutputLock {
-    /// Takes the lock of a folder of outputs, which is made where it is missing.
+    /// Locks a folder of outputs, and creates it if it is missing.
     ///
     /// # Errors
-    /// When another process has it, when there can be none, or when the system refuses.
+    /// When another process holds the lock, the file system does not support locks, or the system refuses.
     pub fn take(out_folder: &Path) -> Result<OutputLock, LockError> {
         let path = lock_path(out_folder);
         let refused = |source| LockError::Io { path: path.clone(), source };
@@ -74,7 +74,7 @@ impl OutputLock {
         if let Err(source) = fs::create_dir_all(&state_folder) {
             let source = match source.kind() {
                 io::ErrorKind::AlreadyExists => {
-                    io::Error::new(source.kind(), "something that is not a folder has its name: remove it")
+                    io::Error::new(source.kind(), "a file with this name exists: remove it")
                 }
                 _ => source,
             };
@@ -95,14 +95,14 @@ impl OutputLock {
             }
         }
         if let Err(error) = write_holder(&file) {
-            // Held all the same; only who holds it cannot be told.
-            tracing::warn!(lock = %path.display(), %error, "the lock does not say who holds it");
+            // The lock is held all the same; only the text about the holder is missing.
+            tracing::warn!(lock = %path.display(), %error, "cannot write the name of the holder into the lock file");
         }
         Ok(OutputLock { file })
     }
 
-    /// Whether what is locked is still that of this folder: it may have been removed, or be hidden by
-    /// another file system.
+    /// Whether the locked file is still that of this folder: it may have been removed, or be hidden by a
+    /// mount.
     pub fn is_in_place(&self, out_folder: &Path) -> bool {
         let stamp = |metadata: io::Result<Metadata>| metadata.map(|metadata| FileStamp::of(&metadata).inode);
         match (stamp(self.file.metadata()), stamp(lock_path(out_folder).symlink_metadata())) {
@@ -111,10 +111,10 @@ impl OutputLock {
         }
     }
 
-    /// Who holds the lock of a folder of outputs now, in words; `None` where nobody does.
+    /// A description of the process that holds the lock of a folder of outputs; `None` if it is free.
     ///
     /// # Errors
-    /// When there can be no locks, or when the system refuses.
+    /// When the file system does not support locks, or the system refuses.
     pub fn holder(out_folder: &Path) -> Result<Option<String>, LockError> {
         let path = lock_path(out_folder);
         let file = match open_own(&path, OpenOptions::new().read(true)) {
@@ -122,7 +122,7 @@ impl OutputLock {
             Err(source) => return Err(LockError::Io { path, source }),
             Ok(file) => file,
         };
-        // Shared, so that two who look do not take each other for a daemon.
+        // Shared, so that two processes that check do not take each other for a daemon.
         match file.try_lock_shared() {
             Ok(()) => Ok(None),
             Err(error) => match lock_error(error, out_folder, &file) {
@@ -133,16 +133,16 @@ impl OutputLock {
     }
 }
 
-/// The name of this machine, as others know it.
+/// The host name of this machine.
 #[cfg(unix)]
 pub fn host_name() -> String {
     rustix::system::uname().nodename().to_string_lossy().into_owned()
 }
 
-/// The name of this machine, as others know it.
+/// The host name of this machine.
 #[cfg(not(unix))]
 pub fn host_name() -> String {
-    std::env::var("COMPUTERNAME").unwrap_or_else(|_| "a machine without a name".to_owned())
+    std::env::var("COMPUTERNAME").unwrap_or_else(|_| "an unnamed machine".to_owned())
 }
 
 fn lock_path(out_folder: &Path) -> PathBuf {
@@ -158,12 +158,12 @@ fn lock_error(error: TryLockError, out_folder: &Path, file: &File) -> LockError 
     }
 }
 
-/// Whether it is the file system that has no locks.
+/// Whether the error means that the file system does not support locks.
 fn is_unsupported(error: &io::Error) -> bool {
     error.kind() == io::ErrorKind::Unsupported || has_no_lock_service(error)
 }
 
-/// NFS without its lock service, Lustre without `flock`.
+/// NFS without its lock service, or Lustre without `flock`.
 #[cfg(unix)]
 fn has_no_lock_service(error: &io::Error) -> bool {
     use rustix::io::Errno;
@@ -176,18 +176,18 @@ fn has_no_lock_service(_error: &io::Error) -> bool {
     false
 }
 
-/// Says who holds the lock: over what the last one wrote, and cut only then, so that the file never
-/// says nothing.
+/// Writes a description of the holder over that of the last one, and truncates the file afterwards, so that
+/// it is never empty.
 fn write_holder(mut file: &File) -> io::Result<()> {
     if has_other_names(&file.metadata()?) {
-        return Err(io::Error::other("the file has other names, whose contents would change as well"));
+        return Err(io::Error::other("the file has other hard links, whose contents would change as well"));
     }
     let text = format!("pid {} on {} since {}\n", std::process::id(), host_name(), since(SystemTime::now()));
     file.write_all(text.as_bytes())?;
     file.set_len(text.len() as u64)
 }
 
-/// A moment as text. A clock that was never set may say anything.
+/// A moment as text. A clock that was never set may have any value.
 fn since(now: SystemTime) -> String {
     match now.duration_since(UNIX_EPOCH) {
         Ok(since) if since < YEAR_10000 => humantime::format_rfc3339_seconds(now).to_string(),
@@ -195,15 +195,15 @@ fn since(now: SystemTime) -> String {
     }
 }
 
-/// The first year that has five digits, which the form of moments has no room for: since 1970.
+/// The start of the year 10 000, since 1970: the text format has only four digits for the year.
 const YEAR_10000: Duration = Duration::from_secs(253_402_300_800);
 
-/// Who holds the lock. On Windows nobody but the holder can read what it wrote.
+/// Reads the description of the holder. On Windows only the holder can read it.
 fn read_holder(file: &File) -> String {
     let mut text = String::new();
     match file.take(HOLDER_BYTES_MAX).read_to_string(&mut text) {
         Ok(_) if !text.trim().is_empty() => text.lines().next().unwrap_or_default().to_owned(),
-        _ => "a process that cannot be told".to_owned(),
+        _ => "an unknown process".to_owned(),
     }
 }
 
@@ -212,16 +212,16 @@ impl fmt::Display for LockError {
         match self {
             LockError::Held { folder, by } => write!(
                 f,
-                "another daemon writes into {}: {by}. End it first, or choose another folder",
+                "another daemon writes into {}: {by}. Stop it first, or choose another folder",
                 folder.display()
             ),
             LockError::Unsupported { folder } => write!(
                 f,
-                "{} is on a file system without locks, so that a second daemon could not be kept out: choose a \
+                "{} is on a file system without locks, so a second daemon could write there, too: choose a \
                  folder on another one, or have it mounted with locks",
                 folder.display()
             ),
-            LockError::Io { path, source } => write!(f, "{} cannot be locked: {source}", path.display()),
+            LockError::Io { path, source } => write!(f, "cannot lock {}: {source}", path.display()),
         }
     }
 }
@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn the_second_is_told_who_was_first() {
+    fn second_lock_fails_and_names_the_holder() {
         let out = folder();
         let out = out.path().join("not/there/yet");
         assert_eq!(OutputLock::holder(&out).expect("no lock"), None);
@@ -288,7 +288,7 @@ mod tests {
         symlink(&precious, lock_path(out.path())).expect("a link");
         for error in [OutputLock::take(out.path()).err(), OutputLock::holder(out.path()).err()] {
             let error = error.expect("a link").to_string();
-            assert!(error.ends_with("lock cannot be locked: not a regular file: a symbolic link"), "{error}");
+            assert!(error.ends_with("lock: not a regular file: a symbolic link"), "{error}");
         }
         fs::remove_file(lock_path(out.path())).expect("removed");
         fs::hard_link(&precious, lock_path(out.path())).expect("a second name");
@@ -305,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn a_shorter_name_leaves_nothing_of_a_longer_one() {
+    fn shorter_holder_text_replaces_a_longer_one() {
         let out = folder();
         drop(OutputLock::take(out.path()).expect("a lock"));
         fs::write(lock_path(out.path()), "x".repeat(500)).expect("a long name");
@@ -316,17 +316,17 @@ mod tests {
         }
     }
 
-    /// Set in the child of the test below: the folder to lock.
+    /// Set in the child process of the test below: the folder to lock.
     const CHILD_FOLDER: &str = "MENISCUS_TEST_LOCK_FOLDER";
 
     #[test]
-    fn a_killed_process_leaves_no_lock() {
+    fn killed_process_releases_its_lock() {
         if let Some(out) = std::env::var_os(CHILD_FOLDER) {
             hold_until_killed(Path::new(&out));
         }
         let out = folder();
         let mut child = Command::new(std::env::current_exe().expect("this test"))
-            .args(["watch::io::lock::tests::a_killed_process_leaves_no_lock", "--exact", "--nocapture"])
+            .args(["watch::io::lock::tests::killed_process_releases_its_lock", "--exact", "--nocapture"])
             .env(CHILD_FOLDER, out.path())
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
@@ -350,14 +350,14 @@ mod tests {
     fn hold_until_killed(out: &Path) -> ! {
         let _lock = OutputLock::take(out).expect("a lock");
         writeln!(io::stdout(), "locked").expect("a parent who listens");
-        // A parent that ends first closes the pipe.
+        // If the parent ends first, the pipe closes.
         let _ = io::stdin().read_to_end(&mut Vec::new());
         std::process::exit(0)
     }
 
     #[cfg(unix)]
     #[test]
-    fn file_systems_without_locks_are_told_apart() {
+    fn error_of_a_file_system_without_locks_is_recognized() {
         use rustix::io::Errno;
         for errno in [Errno::NOLCK, Errno::NOSYS, Errno::OPNOTSUPP] {
             let error = TryLockError::Error(errno.into());

@@ -1,5 +1,6 @@
-//! A folder of outputs: locked, swept, and with its journal. Its thread writes the journal and looks whether the folder is
-//! there and has space; a file system that hangs holds up nothing else.
+//! A folder of outputs: takes its lock, removes leftover temporary files, and opens its journal. The folder's
+//! thread writes the journal and checks that the folder exists and has free space, so a file system that
+//! hangs delays nothing else.
 
 use std::fs;
 use std::io;
@@ -17,24 +18,24 @@ use super::lock::{FILE_NAME as LOCK_FILE_NAME, OutputLock};
 use super::mounts::{RootIdentity, free_bytes};
 use super::worker::Work;
 
-/// A folder of outputs that is this daemon's alone.
+/// A folder of outputs that only this daemon writes to.
 pub(super) struct OutputDir {
     index: usize,
     guard: Arc<OutputGuard>,
     journal: Journal,
-    /// When the journal could not be written, if it could not the last time.
+    /// When the last attempt to write the journal failed; `None` if it succeeded.
     journal_failed_at: Option<Instant>,
-    /// Nothing is written into what is in its place.
+    /// Whether the folder is in place. If another one has replaced it, nothing is written there.
     is_there: bool,
     next_check: Instant,
-    /// The lock of a journal that lies elsewhere: it, too, is written by one daemon only.
+    /// The lock of a journal that lies in another folder: it, too, has only one writer.
     _journal_lock: Option<OutputLock>,
 }
 
-/// Knows whether a folder of outputs is the one that was opened.
+/// Checks whether a folder of outputs is still the one that was opened.
 #[derive(Debug)]
 pub(crate) struct OutputGuard {
-    /// Absolute.
+    /// The absolute path.
     pub(crate) folder: PathBuf,
     floor_bytes: u64,
     held: Mutex<Held>,
@@ -43,19 +44,20 @@ pub(crate) struct OutputGuard {
 #[derive(Debug)]
 struct Held {
     lock: OutputLock,
-    /// Which file system the folder was on when it was opened.
+    /// The file system that held the folder when it was opened.
     identity: RootIdentity,
 }
 
-/// How often a folder of outputs is looked at.
+/// How often a folder of outputs is checked.
 const CHECK_EVERY: Duration = Duration::from_secs(1);
 
-/// All folders of outputs, and the index of that of each watch.
+/// Opens all folders of outputs; also returns the index of the folder of each watch.
 ///
-/// Makes the folders, locks them, reads their journals, and removes what an earlier run that was killed left half written.
+/// Creates the folders, locks them, reads their journals, and removes the temporary files of earlier runs
+/// that were killed.
 ///
 /// # Errors
-/// When a folder cannot be made, or another daemon has it.
+/// When a folder cannot be created, or another daemon has locked it.
 pub(super) fn open_outputs(config: &WatchConfig) -> Result<(Vec<OutputDir>, Vec<usize>), DaemonError> {
     let (mut all, mut output_of): (Vec<OutputDir>, Vec<usize>) = (Vec::new(), Vec::new());
     for watch in &config.watches {
@@ -77,7 +79,7 @@ fn open_folder(folder: &Path) -> Result<PathBuf, DaemonError> {
 impl OutputDir {
     fn open(index: usize, folder: PathBuf, config: &WatchConfig) -> Result<OutputDir, DaemonError> {
         let lock = OutputLock::take(&folder).map_err(DaemonError::Locked)?;
-        // What was asked for may be a link, and what has a name of ours may not.
+        // The folder in the configuration may be a link; the folder that the daemon names itself may not.
         let asked = config.journal.as_deref();
         let asked = asked.map(|asked| asked.canonicalize().unwrap_or_else(|_| asked.to_owned()));
         let journal_folder = asked.unwrap_or_else(|| folder.join(STATE_FOLDER));
@@ -123,8 +125,8 @@ impl OutputDir {
         report(Event::OutputDirChecked(found));
     }
 
-    /// Adds a record to the journal. A journal that cannot be written costs work after a restart and nothing
-    /// else; that is logged once, not for every record, and once more when it can be written again.
+    /// Adds a record to the journal. If the journal cannot be written, the only loss is repeated work after a
+    /// restart. The failure is logged once, not for every record, and so is the recovery.
     fn write(&mut self, write: impl FnOnce(&mut Journal) -> io::Result<()>) {
         let is_too_soon = self.journal_failed_at.is_some_and(|at| at.elapsed() < JOURNAL_RETRY);
         let is_held = !self.is_there || is_too_soon;
@@ -137,7 +139,7 @@ impl OutputDir {
         match (written, self.journal_failed_at) {
             (Ok(()), None) => {}
             (Ok(()), Some(_)) => {
-                tracing::info!(%folder, "the journal is written again");
+                tracing::info!(%folder, "the journal is writable again");
                 self.journal_failed_at = None;
             }
             (Err(error), failed_at) => {
@@ -156,7 +158,7 @@ impl Work for OutputDir {
     fn handle(&mut self, request: OutputRequest, report: &dyn Fn(Event)) {
         match request {
             OutputRequest::Record(entry, log) => {
-                // Nothing is written into what may be another folder by now.
+                // Nothing is written if another folder may be in its place.
                 self.is_there &= self.guard.is_in_place();
                 self.write(|journal| journal.note(entry));
                 if let Some(log) = log {
@@ -182,17 +184,17 @@ impl Work for OutputDir {
 }
 
 impl OutputGuard {
-    /// Whether the folder is there, as it was opened.
+    /// Whether the folder exists and is the one that was opened.
     pub(crate) fn is_in_place(&self) -> bool {
         self.held().lock.is_in_place(&self.folder)
     }
 
-    /// Whether frames with outputs here may begin.
+    /// Whether frames with outputs here may start.
     pub(crate) fn may_begin(&self) -> bool {
         self.is_in_place() && free_bytes(&self.folder).map_or(true, |free| free >= self.floor_bytes)
     }
 
-    /// Looks at the folder. One that was removed is made again, and locked.
+    /// Checks the folder. If it was removed, it is created again and locked.
     pub(crate) fn check(&self, output: usize) -> OutputDirState {
         let presence = self.find();
         let free_bytes = free_bytes(&self.folder).ok();
@@ -205,14 +207,14 @@ impl OutputGuard {
             return Presence::There;
         }
         let nearest = self.folder.ancestors().find_map(|folder| RootIdentity::of(folder).ok());
-        // `convert --skip-done` makes a folder of this name as well; these files are the daemon's alone.
+        // `convert --skip-done` also creates a folder with this name; these files belong to the daemon alone.
         let state = self.folder.join(STATE_FOLDER);
         let is_back = [LOCK_FILE_NAME, JOURNAL_FILE_NAME].iter().any(|name| state.join(name).is_file());
-        // What was in a folder whose file system was unmounted will come back with it; what was removed is gone.
+        // Files in a folder whose file system was unmounted will come back with it; removed files are lost.
         if nearest != Some(held.identity) && !is_back {
             return Presence::Away;
         }
-        // Where that fails, the folder is waited for, and that is logged once, as why nothing begins.
+        // If this fails, the daemon waits for the folder, and logs once why no frame starts.
         let Ok(lock) = OutputLock::take(&self.folder) else { return Presence::Away };
         let identity = RootIdentity::of(&self.folder).unwrap_or(held.identity);
         *held = Held { lock, identity };
@@ -220,20 +222,20 @@ impl OutputGuard {
     }
 
     fn held(&self) -> MutexGuard<'_, Held> {
-        // It is replaced as a whole.
+        // The value is replaced as a whole, so a poisoned one is consistent.
         self.held.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// How soon a journal that could not be written is tried again.
+/// How soon writing the journal is retried.
 const JOURNAL_RETRY: Duration = Duration::from_secs(1);
 
-/// Removes the temporaries of a folder and all below it that nobody is writing; how many there were. A
-/// folder that cannot be looked into keeps its own.
+/// Removes all temporary files without a writer from a folder and its sub-folders, and returns their number.
+/// Folders that cannot be read are skipped.
 fn sweep(folder: &Path) -> usize {
     let mut count = sweep_one(folder);
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    // Links are not followed: what they lead to is not ours to sweep.
+    // Links are not followed: their targets are not ours to clean.
     let folders = entries.filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_dir()));
     for inner in folders.filter(|entry| !entry.file_name().as_encoded_bytes().starts_with(b".")) {
         count += sweep(&inner.path());
@@ -241,7 +243,7 @@ fn sweep(folder: &Path) -> usize {
     count
 }
 
-/// The same of a folder without those below it.
+/// The same, without sub-folders.
 fn sweep_one(folder: &Path) -> usize {
     let cannot = |error| {
         tracing::warn!(folder = %folder.display(), "cannot look for half-written files: {error}");

@@ -1,10 +1,10 @@
-//! A watched folder: whether it is there, what is in it, and when to scan it again. Runs on a thread of its own, so a
-//! file system that hangs holds up its own folder only.
+//! A watched folder: checks whether it exists, lists its files, and schedules the next scan. Each root has
+//! its own thread, so a file system that hangs delays only its own folder.
 //!
-//! Events are hints, scans are truth. A root is scanned at the start, when events were lost, when it
-//! comes back, and every so often whatever the system says; on a network file system, which tells nothing,
-//! often. A folder that vanishes, or was full and comes up empty, is *unavailable*: a disk that is not
-//! mounted is no reason to forget anything.
+//! Events are hints; only scans are authoritative. A root is scanned at the start, after events were lost,
+//! when it becomes available again, and at regular intervals. On a network file system, which reports no
+//! changes, the interval is short. A folder that vanishes, or had files and is suddenly empty, is
+//! *unavailable*: its state is kept, because its disk may only be unmounted.
 
 use std::collections::HashSet;
 use std::hash::{BuildHasher, RandomState};
@@ -33,54 +33,56 @@ pub(super) struct Root {
     once: bool,
     patience: Patience,
     pub(super) watch: Watch,
-    /// Absolute.
+    /// The absolute path.
     path: PathBuf,
     selection: FileFilter,
     pub(super) obstacles: Vec<Arc<ObstacleFiles>>,
     pub(super) output: Arc<OutputGuard>,
     watcher: Option<Watcher>,
     rescans: RescanBackoff,
-    /// Whether the next scan is made because events were lost.
+    /// Whether the next scan is due to lost events.
     is_after_loss: bool,
-    /// The network file system that it is on.
+    /// The type of its file system, if it is a network file system.
     network: Option<&'static str>,
-    /// The time between scans that replace events; `None` if events come.
+    /// The interval of scans that replace events; `None` if the system reports events.
     poll: Option<Duration>,
     rescan_every: Duration,
-    /// Folders whose events are heard.
+    /// Folders whose events are received.
     heard: HashSet<PathBuf>,
     next_scan: Instant,
-    /// The time that inspections have taken since the last scan.
+    /// The time spent on inspections since the last scan.
     inspected_for: Duration,
-    /// When its identity was compared last.
+    /// When its identity was last checked.
     compared_at: Instant,
-    /// It had frames when it was last scanned.
+    /// Whether the last scan found frames.
     had_frames: bool,
-    /// Which folder it was then: its path may be a link that is pointed elsewhere, or another disk may be mounted there.
+    /// The identity of the folder at the last scan: its path may be a link that now leads elsewhere, or
+    /// another disk may be mounted there.
     identity: Option<FolderIdentity>,
     pulse: Pulse,
 }
 
-/// On network file systems, unless somebody says how often.
+/// The default polling interval on network file systems.
 const POLL_DEFAULT: Duration = Duration::from_secs(2);
 
-/// What is known of a file on a network may be a few seconds old: NFS asks its server again after three.
+/// Attributes of a file on a network file system may be a few seconds old: an NFS client caches them for
+/// three seconds.
 const NETWORK_SETTLE_MIN: Duration = Duration::from_secs(4);
 
-/// How often the identity of a root is compared.
+/// How often the identity of a root is checked.
 const COMPARE_EVERY: Duration = Duration::from_secs(1);
 
-/// How soon a folder that is not there is looked for again.
+/// How soon an unavailable folder is checked again.
 const UNAVAILABLE_RETRY: Duration = Duration::from_secs(1);
 
-/// Regular scans take at most one part in so many of a core.
+/// Regular scans take at most 1/200 of the time of a core.
 const SCAN_SHARE: u32 = 200;
 
-/// The same of scans in place of events, which somebody waits for.
+/// Scans that replace events take at most 1/10, because users wait for them.
 const POLL_SHARE: u32 = 10;
 
 impl Root {
-    /// A folder that was not scanned yet. It need not be there. Without a watcher it is scanned every so often.
+    /// A folder that is not scanned yet and may not exist. Without a watcher it is polled.
     pub(super) fn new(
         index: usize,
         (path, selection): (PathBuf, FileFilter),
@@ -110,7 +112,7 @@ impl Root {
             poll,
             rescan_every: config.rescan_every,
             heard: HashSet::new(),
-            // The core asks for the first one.
+            // The core requests the first scan.
             next_scan: Instant::now() + NEVER,
             inspected_for: Duration::ZERO,
             compared_at: Instant::now(),
@@ -125,12 +127,12 @@ impl Root {
         root
     }
 
-    /// Whether the times of its files can be compared with the clock here.
+    /// Whether the times of its files are by the clock of this machine.
     pub(super) fn trust_clock(&self) -> bool {
         self.network.is_none()
     }
 
-    /// How long its files must be left alone before they are read.
+    /// How long its files must be unchanged before they are read.
     pub(super) fn patience(&self) -> Patience {
         let Patience { settle, unproven, stalled } = self.patience;
         match self.network {
@@ -143,13 +145,13 @@ impl Root {
         }
     }
 
-    /// Scans everything, and reports it.
+    /// Scans the folder, and reports the result.
     fn scan_and_report(&mut self, report: &dyn Fn(Event)) {
         let started = Instant::now();
         let after_loss = std::mem::take(&mut self.is_after_loss);
         let found = self.scan().map(|found| Scan { after_loss, ..found });
         if found.is_ok() {
-            // What a scan finds is inspected: that is a part of its cost.
+            // Files that a scan finds are inspected; the inspections count as part of its cost.
             let cost = started.elapsed() + std::mem::take(&mut self.inspected_for);
             self.next_scan = Instant::now() + self.interval(cost);
         }
@@ -177,42 +179,43 @@ impl Root {
         if self.path.starts_with(folder) {
             self.next_scan = Instant::now();
         } else if folder.starts_with(&self.path) && self.selection.enters(&self.path, folder) {
-            // What was heard before was another folder of that name.
+            // Earlier events came from another folder with that name.
             self.forget_folder(folder);
             match self.hear_and_scan(folder) {
                 Ok(Scan { files, .. }) => {
                     report(Event::FolderScanned { root: self.index, files, at: Instant::now() });
                 }
-                // Gone, or moved elsewhere: the scan finds out what is left.
+                // The folder is gone or was moved: the scan finds out which files remain.
                 Err(_) => self.next_scan = Instant::now(),
             }
         }
     }
 
-    /// Everything in the folder, and from now on its events are heard.
+    /// Lists the whole folder, and listens to its events from now on.
     ///
     /// # Errors
-    /// Why the folder is unavailable.
+    /// The reason why the folder is unavailable.
     fn scan(&mut self) -> Result<Scan, String> {
         let identity = FolderIdentity::of(&self.path).ok();
         if self.identity != identity {
-            // Events of the folder that was there do not tell of this one, and those of an unmounted one just stop.
+            // Events of the earlier folder say nothing about this one, and those of an unmounted one just
+            // stop.
             self.stop_hearing();
             self.identity = identity;
         }
         let found = self.hear_and_scan(&self.path.clone());
         let found = found.map_err(|error| error.to_string()).and_then(|found| {
             if self.had_frames && found.files.is_empty() {
-                // An empty mount point looks like a folder from which all was deleted; either way
-                // there is nothing to do until something comes.
-                return Err("it is empty and was not before".to_owned());
+                // An empty mount point looks like a folder whose files were all deleted. In both cases there
+                // is nothing to do until files appear.
+                return Err("it is empty but had files before".to_owned());
             }
             Ok(found)
         });
         match &found {
             Ok(found) => self.had_frames |= !found.files.is_empty(),
             Err(_) => {
-                // What was heard was heard of a folder that is gone.
+                // The events came from a folder that is gone.
                 self.stop_hearing();
                 self.next_scan = Instant::now() + UNAVAILABLE_RETRY;
             }
@@ -220,7 +223,7 @@ impl Root {
         found
     }
 
-    /// Everything in one folder of it, and from now on its events are heard.
+    /// Lists one of its folders, and listens to the folder's events from now on.
     ///
     /// # Errors
     /// When the folder cannot be read.
@@ -234,7 +237,7 @@ impl Root {
         self.listen(folder);
         loop {
             let found = self.scan_folder(folder)?;
-            // What came into a folder before its events were heard is found by the next scan.
+            // Files that appeared in a folder before its events were received are found by the next scan.
             let unheard: Vec<PathBuf> =
                 found.folders.iter().filter(|f| !self.heard.contains(*f)).cloned().collect();
             if unheard.is_empty() || self.poll.is_some() || self.watcher.is_none() {
@@ -253,7 +256,7 @@ impl Root {
         scan_with(folder, &self.path, &self.selection, self.trust_clock(), &|| self.pulse.beat())
     }
 
-    /// The events of a folder that is gone, or is another one now, are not heard any more.
+    /// Stops listening to a folder that is gone or was replaced.
     fn forget_folder(&mut self, folder: &Path) {
         let gone: Vec<PathBuf> =
             self.heard.iter().filter(|heard| heard.starts_with(folder)).cloned().collect();
@@ -276,7 +279,7 @@ impl Root {
         {
             tracing::info!(
                 folder = %self.path.display(),
-                "is on {name}, which does not tell of changes: it is looked into every {POLL_DEFAULT:?}"
+                "is on {name}, which reports no changes: it is scanned every {POLL_DEFAULT:?}"
             );
             self.poll = Some(POLL_DEFAULT);
         }
@@ -287,7 +290,7 @@ impl Root {
     fn listen(&mut self, folder: &Path) {
         let Some(watcher) = &mut self.watcher else { return };
         match watcher.watch(folder) {
-            // A folder that went again is missed by the next scan.
+            // If the folder is gone again, the next scan reports it.
             Ok(()) | Err(WatchError::Gone) => {
                 self.heard.insert(folder.to_owned());
             }
@@ -295,20 +298,21 @@ impl Root {
         }
     }
 
-    /// Events cannot be heard: the folder is looked into by turns.
+    /// Switches to polling, because events are unavailable.
     fn poll_instead(&mut self, error: &WatchError) {
         let interval = *self.poll.get_or_insert(POLL_DEFAULT);
         tracing::warn!(
             folder = %self.path.display(),
-            "cannot be watched: {error}; it is looked into every {interval:?} instead"
+            "cannot be watched: {error}; it is scanned every {interval:?} instead"
         );
     }
 
-    /// Until the next regular scan: about as long as was asked for, or longer where scans take long.
+    /// The time until the next regular scan: about the configured interval, or longer if scans take long.
     fn interval(&self, cost: Duration) -> Duration {
         match self.poll {
             Some(poll) => poll.max(cost * POLL_SHARE),
-            // Between 3/4 and 5/4, so that several daemons on one disk do not scan in step.
+            // Between 3/4 and 5/4 of the interval, so that several daemons on one disk do not scan at the
+            // same time.
             None => {
                 let jitter = (RandomState::new().hash_one(()) % 1024) as f64 / 1024.0;
                 self.rescan_every.mul_f64(0.75 + 0.5 * jitter).max(cost * SCAN_SHARE)
@@ -354,8 +358,8 @@ impl Work for Root {
     fn on_time(&mut self, report: &dyn Fn(Event)) {
         let now = Instant::now();
         if self.rescans.is_due(now) {
-            tracing::info!("events were lost: everything is looked at");
-            // With the events, perhaps the word that a folder is another one now: each is asked for its events once more.
+            tracing::info!("events were lost: scanning everything");
+            // The lost events may have said that a folder was replaced, so all folders are watched anew.
             self.heard.clear();
             self.is_after_loss = true;
             self.next_scan = now;
@@ -380,5 +384,5 @@ impl Work for Root {
     }
 }
 
-/// A run that ends when all is done scans at the start only.
+/// A run with `once` scans only at the start.
 const NEVER: Duration = Duration::from_secs(1 << 32);
