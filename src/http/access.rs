@@ -1,8 +1,9 @@
-//! Who may look.
+//! Access control: the host name of a request, and the token.
 //!
-//! A page anywhere can make a browser send requests to this machine, and can even have its own name stand
-//! for this address; but it cannot make the browser say another name of the host than its own. So that
-//! name must be one of this machine's. And whoever listens to more than this machine wants a token.
+//! A page on any web site can make a browser send requests to this machine, and can even let its own domain
+//! name resolve to this address (DNS rebinding). But the browser then sends that domain name as the host. So
+//! the host must be a name of this machine. A server that listens on more than the loopback address also
+//! requires a token.
 
 use std::fmt;
 use std::hint::black_box;
@@ -11,19 +12,19 @@ use std::net::IpAddr;
 use hyper::header::{AUTHORIZATION, COOKIE, HOST};
 use hyper::{Request, Uri};
 
-/// What whoever looks must know. It is not shown where it might be written down.
+/// The secret that clients must send. Its `Debug` output does not contain it.
 #[derive(Clone, PartialEq, Eq)]
 pub struct AccessToken(String);
 
-/// Why something is no token.
+/// A text is not a valid token.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TokenError;
 
 impl AccessToken {
-    /// A token: 16 to 256 letters of ASCII, digits, and `-`, `_`, `.`, `~`.
+    /// Creates a token from 16 to 256 ASCII letters, digits, and `-`, `_`, `.`, `~`.
     ///
     /// # Errors
-    /// When it is something else.
+    /// When the text has another length or other characters.
     pub fn new(text: &str) -> Result<AccessToken, TokenError> {
         let is_right = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.~".contains(&byte);
         match (16..=256).contains(&text.len()) && text.bytes().all(is_right) {
@@ -32,7 +33,7 @@ impl AccessToken {
         }
     }
 
-    /// Whether this is it. How long that takes does not tell how much of it is right.
+    /// Compares in constant time, so that timing does not reveal how much of a guess is right.
     pub(super) fn is(&self, given: &str) -> bool {
         let (wanted, given) = (self.0.as_bytes(), given.as_bytes());
         let mut difference = u8::from(wanted.len() != given.len());
@@ -42,7 +43,8 @@ impl AccessToken {
         black_box(difference) == 0
     }
 
-    /// Whether a request brings it to the window at this port: as `Authorization: Bearer`, or in the cookie of the page.
+    /// Whether a request carries the token for the server at this port: as `Authorization: Bearer`, or in the
+    /// cookie.
     pub(super) fn is_in<B>(&self, request: &Request<B>, port: u16) -> bool {
         let headers = request.headers();
         let bearer =
@@ -55,13 +57,14 @@ impl AccessToken {
         bearer.is_some_and(|bearer| self.is(bearer)) || given.any(|given| self.is(given))
     }
 
-    /// What has a browser bring it to the window at this port from now on.
+    /// The cookie that makes a browser send the token to the server at this port.
     pub(super) fn cookie(&self, port: u16) -> String {
         format!("{}={}; Path=/; HttpOnly; SameSite=Strict", cookie_name(port), self.0)
     }
 }
 
-/// A browser takes all ports of a host for one: without the port, two daemons would take each other's place.
+/// Browsers share cookies between all ports of a host: without the port in the name, two daemons would
+/// overwrite each other's cookie.
 fn cookie_name(port: u16) -> String {
     format!("meniscus_token_{port}")
 }
@@ -74,13 +77,13 @@ impl fmt::Debug for AccessToken {
 
 impl fmt::Display for TokenError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a token is 16 to 256 letters of ASCII, digits, and - _ . ~")
+        f.write_str("a token has 16 to 256 characters: ASCII letters, digits, and - _ . ~")
     }
 }
 
 impl std::error::Error for TokenError {}
 
-/// Whether a request that came in at the address `local` says that it was meant for it.
+/// Whether the host in a request that came in at the address `local` is this machine.
 pub(super) fn is_for_this_host<B>(request: &Request<B>, local: IpAddr) -> bool {
     let mut hosts = request.headers().get_all(HOST).iter();
     let (Some(host), None) = (hosts.next(), hosts.next()) else { return false };
@@ -89,8 +92,8 @@ pub(super) fn is_for_this_host<B>(request: &Request<B>, local: IpAddr) -> bool {
     in_uri && host.to_str().is_ok_and(is_ours)
 }
 
-/// Whether this is a name of this machine, of the loopback or of the address; with a port or without. A tunnel has
-/// another port than this, and no harm comes from it.
+/// Whether this is a name of this machine: the loopback, or the local address, with or without a port. Any
+/// port is accepted, because a tunnel has another one, which does no harm.
 fn is_name_of(authority: &str, local: IpAddr) -> bool {
     let Ok(uri) = authority.parse::<Uri>() else { return false };
     let (Some(host), Some(parsed)) = (uri.host(), uri.authority()) else { return false };
@@ -114,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn names_of_this_machine_are_known() {
+    fn only_names_of_this_machine_are_accepted_as_host() {
         let local: IpAddr = "192.168.1.7".parse().expect("an address");
         for host in ["localhost", "LOCALHOST:7700", "127.0.0.1:1", "[::1]:7700", "192.168.1.7:7700"] {
             assert!(is_for_this_host(&asked(host), local), "{host}");
@@ -135,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn a_token_is_known_by_all_of_it() {
+    fn only_the_whole_token_is_accepted() {
         let token = AccessToken::new("0123456789abcdef").expect("a token");
         assert!(token.is("0123456789abcdef"));
         for wrong in ["", "0123456789abcde", "0123456789abcdeg", "0123456789abcdef0"] {
@@ -148,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn a_token_comes_in_a_header() {
+    fn token_is_read_from_the_bearer_header_and_the_cookie() {
         let token = AccessToken::new("0123456789abcdef").expect("a token");
         let with =
             |name: &str, value: &str| Request::get("/").header(name, value).body(()).expect("a request");
@@ -158,7 +161,7 @@ mod tests {
         assert!(is_in("cookie", "meniscus_token_7701=x; meniscus_token_7700=0123456789abcdef"));
         assert!(!is_in("authorization", "0123456789abcdef"));
         assert!(!is_in("cookie", "xmeniscus_token_7700=0123456789abcdef"));
-        assert!(!is_in("cookie", "meniscus_token_7701=0123456789abcdef"), "that is for another window");
+        assert!(!is_in("cookie", "meniscus_token_7701=0123456789abcdef"), "that is for another port");
         assert!(!token.is_in(&asked("localhost"), 7700));
         assert!(token.cookie(7700).starts_with("meniscus_token_7700=0123456789abcdef; "));
     }

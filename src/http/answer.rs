@@ -1,4 +1,4 @@
-//! What every answer says, and how its content goes out: whole, or piece by piece as the other side takes it.
+//! The headers of all responses, and their bodies: complete, or in pieces as the client reads them.
 
 use std::io;
 use std::pin::Pin;
@@ -15,22 +15,23 @@ use tokio::sync::mpsc;
 
 use super::connections::Answering;
 
-/// An answer.
+/// A response.
 pub(super) type Answer = Response<ResponseBody>;
 
-/// What an answer holds.
+/// The body of a response.
 #[derive(Debug)]
 pub(super) struct ResponseBody {
     source: BodySource,
-    /// Keeps the connection busy until the content is dropped.
+    /// Keeps the connection busy until the body is dropped.
     _answering: Option<Answering>,
 }
 
 #[derive(Debug)]
 enum BodySource {
-    /// All of it, until it is taken.
+    /// All of it; `None` once it is sent.
     Whole(Option<Bytes>),
-    /// What a task sends, which waits while it is not taken; and how much of it is to come, where that is known.
+    /// Pieces from a task, which waits while the client does not read; and the number of bytes left, if
+    /// known.
     Pieces(mpsc::Receiver<io::Result<Bytes>>, Option<u64>),
 }
 
@@ -43,12 +44,12 @@ impl ResponseBody {
         ResponseBody { source: BodySource::Whole(Some(bytes.into())), _answering: None }
     }
 
-    /// Content in pieces, of this size if it is known.
+    /// A body in pieces, of this total size if it is known.
     pub(super) fn pieces(pieces: mpsc::Receiver<io::Result<Bytes>>, size_bytes: Option<u64>) -> ResponseBody {
         ResponseBody { source: BodySource::Pieces(pieces, size_bytes), _answering: None }
     }
 
-    /// The same content, during which a connection is busy.
+    /// The same body; its connection counts as busy until it is dropped.
     pub(super) fn during(self, answering: Answering) -> ResponseBody {
         ResponseBody { _answering: Some(answering), ..self }
     }
@@ -87,14 +88,14 @@ impl Body for ResponseBody {
     }
 }
 
-/// Only what comes from here is run, shown or asked for; and nobody puts the page into another.
+/// The page may load content only from this server, and no other page may embed it.
 const POLICY: &str = "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; \
                       form-action 'none'; frame-ancestors 'none'";
 
 const OPENER: HeaderName = HeaderName::from_static("cross-origin-opener-policy");
 const RESOURCE: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
 
-/// An answer of this type, which nobody keeps.
+/// A response of this content type, which must not be cached.
 pub(super) fn answer(status: StatusCode, content_type: &'static str, content: ResponseBody) -> Answer {
     let mut answer = Response::new(content);
     *answer.status_mut() = status;
@@ -114,12 +115,12 @@ pub(super) fn answer(status: StatusCode, content_type: &'static str, content: Re
     answer
 }
 
-/// A line of text.
+/// A response with a line of plain text.
 pub(super) fn text(status: StatusCode, line: &str) -> Answer {
     answer(status, "text/plain; charset=utf-8", ResponseBody::whole(format!("{line}\n")))
 }
 
-/// Something as JSON.
+/// A response with this value as JSON.
 pub(super) fn json(value: &impl Serialize) -> Answer {
     match serde_json::to_vec(value) {
         Ok(bytes) => answer(StatusCode::OK, "application/json", ResponseBody::whole(bytes)),
@@ -127,17 +128,17 @@ pub(super) fn json(value: &impl Serialize) -> Answer {
     }
 }
 
-/// There is no such thing.
+/// 404: there is no such resource.
 pub(super) fn not_found() -> Answer {
     text(StatusCode::NOT_FOUND, "not found")
 }
 
-/// The method is neither GET nor HEAD.
+/// 405: the method is neither GET nor HEAD.
 pub(super) fn method_not_allowed() -> Answer {
-    with(text(StatusCode::METHOD_NOT_ALLOWED, "only GET and HEAD"), ALLOW, "GET, HEAD")
+    with(text(StatusCode::METHOD_NOT_ALLOWED, "only GET and HEAD are allowed"), ALLOW, "GET, HEAD")
 }
 
-/// The answer with this header; without it if the value cannot be one.
+/// Adds a header to the response; leaves it unchanged if the value is not a valid header value.
 pub(super) fn with(mut answer: Answer, name: HeaderName, value: &str) -> Answer {
     if let Ok(value) = HeaderValue::from_str(value) {
         answer.headers_mut().insert(name, value);
@@ -145,12 +146,12 @@ pub(super) fn with(mut answer: Answer, name: HeaderName, value: &str) -> Answer 
     answer
 }
 
-/// A browser may keep this answer, and asks each time whether the tag is still the same.
+/// Lets a browser cache this response, and revalidate it with the tag on each use.
 pub(super) fn cached(answer: Answer, tag: &str) -> Answer {
     with(with(answer, CACHE_CONTROL, "private, no-cache"), ETAG, tag)
 }
 
-/// The answer to a request of a browser that has what this tag is of; `None` if it does not.
+/// 304, if the browser already has the version with this tag; otherwise `None`.
 pub(super) fn not_modified<B>(request: &Request<B>, content_type: &'static str, tag: &str) -> Option<Answer> {
     let known = request.headers().get(IF_NONE_MATCH)?;
     let answer = || answer(StatusCode::NOT_MODIFIED, content_type, ResponseBody::none());

@@ -1,4 +1,4 @@
-//! Frames, settings and the daemon, as JSON.
+//! The JSON API: frames, settings and the state of the daemon.
 
 use hyper::StatusCode;
 use serde::Serialize;
@@ -9,27 +9,27 @@ use crate::watch::status_store::{FrameSummary, StatusStore};
 use super::answer::{Answer, json, not_found, text};
 use super::query::value_of;
 
-/// As many frames are in a page where nobody says otherwise, and at most.
+/// Default number of frames in a page, and the maximum.
 const LIMIT: usize = 500;
 const LIMIT_MAX: usize = 2000;
 
 #[derive(Serialize)]
 struct FramesPage<'a> {
-    /// From which change on `/events` goes on from here.
+    /// The position in the log of changes from which `/events` continues.
     at: String,
     total: usize,
     frames: Vec<&'a FrameSummary>,
-    /// What to ask for `after`; null at the end.
+    /// The value of `after` for the next page; null at the end.
     next: Option<&'a str>,
 }
 
-/// Some frames, in natural order: `?after=NAME&limit=N`.
+/// A page of frames, in natural order: `?after=NAME&limit=N`.
 pub(super) fn frames(store: &StatusStore, query: Option<&str>) -> Answer {
     let after = value_of(query, "after");
     let limit = match value_of(query, "limit").map(|limit| limit.parse::<usize>()) {
         None => LIMIT,
         Some(Ok(limit @ 1..)) => limit.min(LIMIT_MAX),
-        Some(_) => return text(StatusCode::BAD_REQUEST, "limit is a whole number from 1"),
+        Some(_) => return text(StatusCode::BAD_REQUEST, "limit must be a whole number of at least 1"),
     };
     let page = store.page(after.as_deref(), limit);
     let last = page.frames.last().filter(|_| page.has_more);
@@ -41,18 +41,18 @@ pub(super) fn frames(store: &StatusStore, query: Option<&str>) -> Answer {
     })
 }
 
-/// All that is known of a frame.
+/// All details of a frame.
 pub(super) fn frame(store: &StatusStore, name: &str) -> Answer {
     store.frame(name).map_or_else(not_found, |frame| json(&*frame))
 }
 
-/// What the daemon was asked for, and the settings of each sequence.
+/// The configuration of the daemon, and the settings of each sequence.
 pub(super) fn settings(store: &StatusStore) -> Answer {
     let (daemon, sequences) = store.settings();
     json(&json!({ "daemon": *daemon, "sequences": sequences }))
 }
 
-/// How the daemon is, and how it was in the last quarter of an hour.
+/// The current state of the daemon, and its samples of the last quarter of an hour.
 pub(super) fn status(store: &StatusStore) -> Answer {
     let (status, counts) = store.status();
     let counters = store.counters();
@@ -72,15 +72,15 @@ pub(super) fn status(store: &StatusStore) -> Answer {
     }))
 }
 
-/// Whether the daemon is not stuck.
+/// 200 unless the daemon is stuck.
 pub(super) fn health(store: &StatusStore) -> Answer {
     match store.is_alive() {
         true => text(StatusCode::OK, "ok"),
-        false => text(StatusCode::SERVICE_UNAVAILABLE, "the daemon has not been heard of for 30 seconds"),
+        false => text(StatusCode::SERVICE_UNAVAILABLE, "the daemon has not responded for 30 seconds"),
     }
 }
 
-/// Whether everything was looked at once, and the daemon takes frames.
+/// 200 once the first scans are complete and the daemon takes frames.
 pub(super) fn readiness(store: &StatusStore) -> Answer {
     let (status, _) = store.status();
     match (store.is_ready(), status.stopping, store.is_alive()) {

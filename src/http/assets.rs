@@ -1,4 +1,4 @@
-//! The page: files that are part of the program.
+//! The files of the status page, which are compiled into the program.
 
 use hyper::{Request, StatusCode};
 use twox_hash::XxHash3_64;
@@ -10,7 +10,7 @@ const CSS: &str = "text/css; charset=utf-8";
 const TEXT: &str = "text/plain; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
-/// Where each is asked for, what it is, and what is in it.
+/// The path of each file, its content type, and its content.
 const ASSETS: [(&str, &str, &[u8]); 12] = [
     ("/", HTML, include_bytes!("page/index.html")),
     ("/page.css", CSS, include_bytes!("page/page.css")),
@@ -26,7 +26,7 @@ const ASSETS: [(&str, &str, &[u8]); 12] = [
     ("/vendor/LICENSE", TEXT, include_bytes!("page/vendor/LICENSE")),
 ];
 
-/// The part of the page that is asked for.
+/// The response with the file at this path.
 pub(super) fn asset<B>(request: &Request<B>) -> Answer {
     let found = ASSETS.iter().find(|(path, ..)| *path == request.uri().path());
     let Some(&(_, content_type, bytes)) = found else { return not_found() };

@@ -1,4 +1,4 @@
-//! Which connections are idle, and which of them is closed when there is no room for a new one.
+//! Keeps track of idle connections, and closes the oldest one when a new connection needs its slot.
 //!
 //! ```text
 //!   accepted ──▶ idle ──a whole request head──▶ busy ──answer sent──▶ idle ──▶ …
@@ -6,8 +6,8 @@
 //!                 └──────── full: the one idle for longest closes ─────┘
 //! ```
 //!
-//! A connection whose request head is incomplete counts as idle, so that slow senders cannot keep their places. A
-//! connection with an answer under way, such as a subscriber of events, is never closed for others.
+//! A connection whose request head is incomplete counts as idle, so slow senders cannot occupy slots. A
+//! connection whose response is in progress, such as a subscriber of events, is never closed for others.
 
 use std::collections::BTreeMap;
 use std::future::{Future, poll_fn};
@@ -25,19 +25,19 @@ pub(super) struct Connections {
     /// When more than this many are busy, only health checks are answered.
     busy_max: usize,
     idle: Mutex<Idle>,
-    /// Some connection has become idle.
+    /// Notified when a connection becomes idle.
     became_idle: Notify,
 }
 
 #[derive(Debug, Default)]
 struct Idle {
-    /// What closes each idle connection; the key grows with the time at which it became idle.
+    /// The signal that closes each idle connection; the key grows with the time at which it became idle.
     by_age: BTreeMap<u64, Arc<Notify>>,
     next_key: u64,
     busy_count: usize,
 }
 
-/// One of them. Its place is free again when it is dropped.
+/// One connection. Dropping it frees its slot.
 #[derive(Debug)]
 pub(super) struct Connection {
     all: Arc<Connections>,
@@ -48,15 +48,16 @@ pub(super) struct Connection {
 
 #[derive(Clone, Copy, Debug)]
 enum ConnectionState {
-    /// Waits for a request, under this key.
+    /// Waiting for a request, under this key.
     Idle(u64),
-    /// A request is answered.
+    /// A request is being answered.
     Busy,
-    /// All of an answer was produced, and some of it may not be sent yet.
+    /// The response is complete, but part of it may not be sent yet.
     Flushing,
 }
 
-/// An answer under way. When it is dropped, its connection is busy until the rest of the answer is sent.
+/// A response in progress. When it is dropped, the connection stays busy until the rest of the response is
+/// sent.
 #[derive(Debug)]
 pub(super) struct Answering(Arc<Connection>);
 
@@ -71,8 +72,8 @@ impl Connections {
         }
     }
 
-    /// A place for a new connection. Where all are taken, the connection that is idle for longest is closed for it;
-    /// where none is idle, this waits for one.
+    /// Returns a slot for a new connection. If all slots are taken, closes the connection that has been idle
+    /// for longest; if none is idle, waits for one.
     pub(super) async fn add(self: &Arc<Self>) -> Connection {
         let place = loop {
             if let Ok(place) = Arc::clone(&self.room).try_acquire_owned() {
@@ -96,7 +97,7 @@ impl Connections {
         Connection { all: Arc::clone(self), state, closing, _place: place }
     }
 
-    /// Whether so many are busy that the places left are for health checks.
+    /// Whether so few slots are free that they are reserved for health checks.
     pub(super) fn is_crowded(&self) -> bool {
         self.lock().busy_count > self.busy_max
     }
@@ -106,7 +107,7 @@ impl Connections {
         let _ = self.room.acquire_many(u32::try_from(self.places_max).unwrap_or(u32::MAX)).await;
     }
 
-    /// Returns whether there was one.
+    /// Returns whether there was an idle connection.
     fn close_oldest_idle(&self) -> bool {
         let oldest = self.lock().by_age.pop_first();
         if let Some((_, closing)) = &oldest {
@@ -134,7 +135,7 @@ impl Connection {
     pub(super) fn begin(self: &Arc<Self>) -> Answering {
         let mut state = self.state();
         let mut all = self.all.lock();
-        // While the answer before this one is being sent, it counts as busy already.
+        // While the previous response is still being sent, the connection already counts as busy.
         if let ConnectionState::Idle(key) = *state {
             all.by_age.remove(&key);
             all.busy_count += 1;
@@ -143,7 +144,7 @@ impl Connection {
         Answering(Arc::clone(self))
     }
 
-    /// All that was produced so far is with the system.
+    /// All data produced so far is handed to the system.
     pub(super) fn flushed(&self) {
         let mut state = self.state();
         if matches!(*state, ConnectionState::Flushing) {
@@ -155,7 +156,7 @@ impl Connection {
         }
     }
 
-    /// Waits until the connection is to make room for another.
+    /// Waits until this connection must close to free its slot for another.
     pub(super) async fn is_to_close(&self) {
         self.closing.notified().await;
     }
@@ -200,16 +201,16 @@ mod tests {
     }
 
     #[test]
-    fn full_house_closes_the_connection_that_is_idle_for_longest() {
+    fn new_connection_closes_the_longest_idle_one_when_all_slots_are_taken() {
         let all = Arc::new(Connections::new(3, 2));
         let [first, second, third] = [(); 3].map(|()| add(&all));
-        // The first is busy, and when its answer is sent the youngest of the idle ones.
+        // The first connection is busy, and the most recently idle one when its response is sent.
         let answering = first.begin();
         let mut fourth = Box::pin(all.add());
-        assert!(now(fourth.as_mut()).is_none(), "there is no place before another has ended");
+        assert!(now(fourth.as_mut()).is_none(), "no slot is free until another connection has ended");
         assert!(now(second.is_to_close()).is_some());
         drop(second);
-        let fourth = now(fourth).expect("the place of the second");
+        let fourth = now(fourth).expect("the slot of the second");
         drop(answering);
         first.flushed();
         let mut fifth = Box::pin(all.add());
@@ -229,7 +230,7 @@ mod tests {
         assert!(now(next.as_mut()).is_none());
         drop(answering);
         assert!(now(next.as_mut()).is_none());
-        assert!(now(only.is_to_close()).is_none(), "the answer may still be on its way");
+        assert!(now(only.is_to_close()).is_none(), "part of the answer may not be sent yet");
         only.flushed();
         assert!(now(next.as_mut()).is_none());
         assert!(now(only.is_to_close()).is_some());
@@ -238,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn only_busy_connections_make_a_crowd() {
+    fn only_busy_connections_count_as_crowded() {
         let all = Arc::new(Connections::new(4, 2));
         let connections = [(); 4].map(|()| add(&all));
         assert!(!all.is_crowded());

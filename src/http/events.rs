@@ -1,11 +1,11 @@
-//! Server-sent events: changes as they come.
+//! Server-sent events: streams the changes of the status store.
 //!
-//! Nothing is kept for a subscriber. Each has a position in the log of changes of the status store, and gets what has
-//! changed since, as fast as it takes it. A subscriber that falls behind the end of the log gets a `resync` event and must
-//! reload.
+//! The server buffers nothing for a subscriber. Each subscriber has a position in the log of changes of the
+//! status store, and receives the changes since then as fast as it reads. A subscriber that falls behind the
+//! end of the log gets a `resync` event and must reload.
 //!
-//! All subscribers read the store at the same moments. Those that keep up are then at the same position, and the event
-//! after it is serialized once for all of them.
+//! All subscribers read the store at the same ticks. Those that keep up are then at the same position, and
+//! the event for it is serialized once for all of them.
 
 use std::fmt::Write as _;
 use std::io;
@@ -29,43 +29,43 @@ use super::query::value_of;
 #[derive(Debug)]
 pub(super) struct Subscribers {
     count: AtomicUsize,
-    /// From here on the moments are counted at which they read the store.
+    /// The start of the ticks at which subscribers read the store.
     since: Instant,
     last: Mutex<Option<LastEvent>>,
 }
 
-/// The event that was sent last.
+/// The event that was serialized last.
 #[derive(Clone, Debug)]
 struct LastEvent {
-    /// What has happened after this version.
+    /// It holds the changes after this version.
     after: u64,
-    /// That of the store when the event was serialized.
+    /// The version of the store when the event was serialized.
     store_version: u64,
-    /// What happens after this version is not in it.
+    /// The position after this event.
     next: u64,
     text: Bytes,
 }
 
-/// A subscriber, until it is dropped.
+/// Counts as a subscriber until it is dropped.
 struct Subscriber(Arc<ServerState>);
 
-/// More than this are refused.
+/// Maximum number of subscribers; further ones are refused.
 const SUBSCRIBERS_MAX: usize = 256;
 
-/// How soon a change is sent.
+/// The interval of ticks: the maximum delay of a change.
 const EVERY: Duration = Duration::from_millis(100);
 
-/// A comment is sent so often, to find out which clients are gone.
+/// How often a comment is sent to detect clients that are gone.
 const PULSE: Duration = Duration::from_secs(15);
 
-/// As many changes are in one event.
+/// Maximum number of changes in one event.
 const CHANGES_MAX: usize = 256;
 
-/// The changes after those that the request has seen, by `Last-Event-ID` or `?after=`; without either, those from now
-/// on.
+/// Streams the changes after the position in the request: `Last-Event-ID`, or `?after=`. Without either,
+/// streams changes from now on.
 pub(super) fn follow<B>(shared: &Arc<ServerState>, request: &Request<B>) -> Answer {
     let Some(subscriber) = Subscriber::new(shared) else {
-        return text(StatusCode::SERVICE_UNAVAILABLE, "too many follow already");
+        return text(StatusCode::SERVICE_UNAVAILABLE, "too many subscribers");
     };
     let header = request.headers().get("last-event-id").and_then(|id| id.to_str().ok().map(str::to_owned));
     let seen = header.or_else(|| value_of(request.uri().query(), "after"));
@@ -76,13 +76,13 @@ pub(super) fn follow<B>(shared: &Arc<ServerState>, request: &Request<B>) -> Answ
     answer(StatusCode::OK, "text/event-stream", ResponseBody::pieces(pieces, None))
 }
 
-/// Sends events until the client is gone, or the server stops.
+/// Sends events until the client disconnects, or the server stops.
 async fn send_events(subscriber: Subscriber, seen: Option<String>, sender: mpsc::Sender<io::Result<Bytes>>) {
     let ServerState { store, closing, subscribers, .. } = &*subscriber.0;
     let mut version = match seen.as_deref() {
-        // So that whoever loses the connection at once has something to go on from.
+        // So that a client that loses the connection at once can resume.
         None => store.version(),
-        // An id of another run is no place in this one: it is beyond the end.
+        // An id of another run is not a position in this one: it counts as beyond the end.
         Some(id) => place(id, store.run()).unwrap_or(u64::MAX),
     };
     let hello = format!("retry: 1000\nid: {}-{version}\nevent: hello\ndata: {{}}\n\n", store.run());
@@ -106,7 +106,7 @@ async fn send_events(subscriber: Subscriber, seen: Option<String>, sender: mpsc:
                 return;
             }
         }
-        // A client that is gone is noticed at the next event.
+        // Detects at the next event that the client is gone.
         if sender.is_closed() {
             return;
         }
@@ -116,7 +116,7 @@ async fn send_events(subscriber: Subscriber, seen: Option<String>, sender: mpsc:
     }
 }
 
-/// What happened after a version, and the version after that.
+/// Returns the changes after a version as an event, and the version to continue from.
 fn event(store: &StatusStore, version: u64) -> (u64, String) {
     let (version, kind, data) = match store.changes_since(version, CHANGES_MAX) {
         StatusChanges::Lost(version) => (version, "resync", json!({})),
@@ -133,12 +133,12 @@ fn event(store: &StatusStore, version: u64) -> (u64, String) {
         }
     };
     let mut text = String::new();
-    // Strings take everything; JSON has no line breaks.
+    // Writing to a string cannot fail; JSON contains no line breaks.
     let _ = write!(text, "id: {}-{version}\nevent: {kind}\ndata: {data}\n\n", store.run());
     (version, text)
 }
 
-/// The version in an id of this run.
+/// The version in an event id, if the id is of this run.
 fn place(id: &str, run: u64) -> Option<u64> {
     let (of_run, version) = id.split_once('-')?;
     version.parse().ok().filter(|_| of_run.parse() == Ok(run))
@@ -151,13 +151,13 @@ impl Default for Subscribers {
 }
 
 impl Subscribers {
-    /// When all read the store again.
+    /// The next tick.
     fn next_look(&self) -> Instant {
         let looks = self.since.elapsed().as_millis() / EVERY.as_millis() + 1;
         self.since + EVERY.saturating_mul(u32::try_from(looks).unwrap_or(u32::MAX))
     }
 
-    /// What happened after a version; in the words of the last who asked, where these are still true.
+    /// The event with the changes after a version. Reuses the last event if it is still current.
     fn event_after(&self, store: &StatusStore, version: u64) -> LastEvent {
         let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
         let store_version = store.version();
@@ -175,7 +175,7 @@ impl Subscribers {
 impl Subscriber {
     fn new(shared: &Arc<ServerState>) -> Option<Subscriber> {
         let subscribers = &shared.subscribers.count;
-        // Dropping it takes it back, also where it is one too many.
+        // Dropping it decrements the count, even if the limit was exceeded.
         let subscriber = Subscriber(Arc::clone(shared));
         (subscribers.fetch_add(1, Ordering::Relaxed) < SUBSCRIBERS_MAX).then_some(subscriber)
     }
@@ -193,7 +193,7 @@ mod tests {
     use crate::watch::status_store::LiveStatus;
 
     #[test]
-    fn places_are_of_one_run() {
+    fn id_of_another_run_is_not_a_position() {
         assert_eq!(place("7-12", 7), Some(12));
         for wrong in ["8-12", "12", "7-", "7-x", "", "-"] {
             assert_eq!(place(wrong, 7), None, "{wrong}");
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_too_late_is_told_to_look_again() {
+    fn subscriber_beyond_the_log_gets_resync() {
         let store = StatusStore::new();
         store.begin(json!({}));
         let (version, text) = event(&store, u64::MAX);
@@ -209,19 +209,19 @@ mod tests {
         assert!(text.contains("event: resync\n") && text.ends_with("\n\n"), "{text}");
     }
     #[test]
-    fn those_at_the_same_place_are_told_the_same_words() {
+    fn subscribers_at_the_same_position_share_one_serialized_event() {
         let store = StatusStore::new();
         store.begin(json!({}));
         store.set_status(LiveStatus { stopping: true, ..LiveStatus::default() });
         let subscribers = Subscribers::default();
         let [first, second] = [1, 1].map(|version| subscribers.event_after(&store, version));
-        assert_eq!(first.text.as_ptr(), second.text.as_ptr(), "the same bytes, and not equal ones");
+        assert_eq!(first.text.as_ptr(), second.text.as_ptr(), "one shared buffer, not two equal ones");
         assert!(first.text.starts_with(b"id: ") && first.next == store.version(), "{first:?}");
         let other = subscribers.event_after(&store, 0);
-        assert_ne!(other.text, first.text, "that is another place");
+        assert_ne!(other.text, first.text, "another position");
         store.set_status(LiveStatus::default());
         let later = subscribers.event_after(&store, 1);
         assert_eq!((later.after, later.next), (1, store.version()));
-        assert_ne!(later.text, first.text, "more has happened");
+        assert_ne!(later.text, first.text, "there are more changes");
     }
 }

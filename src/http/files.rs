@@ -1,4 +1,4 @@
-//! Outputs, by their names in the status store.
+//! Serves output files by their names in the status store.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -16,25 +16,25 @@ use crate::watch::status_store::StatusStore;
 
 use super::answer::{Answer, ResponseBody, answer, cached, not_found, not_modified, text, with};
 
-/// So much of a file is in memory for each who reads one, twice.
+/// Size of a read, in bytes; each client holds up to two in memory.
 const PIECE_BYTES: usize = 64 << 10;
 
-/// A file that is there.
+/// An open file.
 struct Opened {
     file: File,
     size_bytes: u64,
-    /// Changes when the file does.
+    /// The ETag: changes when the file does.
     tag: String,
 }
 
-/// The output of this name, or the part of it that was asked for.
+/// The output with this name, or the requested range of it.
 pub(super) async fn file<B>(store: &StatusStore, request: &Request<B>, name: &str) -> Answer {
     let Some(path) = store.file(name) else { return not_found() };
     let content_type = content_type(&path);
     let opened = match spawn_blocking(move || open(&path)).await {
         Ok(Ok(opened)) => opened,
         Ok(Err(error)) if error.kind() == io::ErrorKind::NotFound => return not_found(),
-        _ => return text(StatusCode::INTERNAL_SERVER_ERROR, "the file cannot be read"),
+        _ => return text(StatusCode::INTERNAL_SERVER_ERROR, "cannot read the file"),
     };
     if let Some(answer) = not_modified(request, content_type, &opened.tag) {
         return answer;
@@ -60,14 +60,14 @@ pub(super) async fn file<B>(store: &StatusStore, request: &Request<B>, name: &st
     }
 }
 
-/// Opens what the status store names, if it is a file.
+/// Opens a path from the status store if it is a regular file.
 fn open(path: &Path) -> io::Result<Opened> {
-    // What a link in its place leads to is not ours to show.
+    // Links are not followed: an output that was replaced by a link must not expose the link's target.
     let file = open_itself(path, File::options().read(true)).map_err(|error| match error.kind() {
         io::ErrorKind::InvalidInput | io::ErrorKind::IsADirectory => io::ErrorKind::NotFound.into(),
         _ => error,
     })?;
-    // Of what is open, not of what is there by now.
+    // Of the open file; another one may be at the path by now.
     let metadata = file.metadata()?;
     let since = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
     let tag = format!("\"{}-{}\"", metadata.len(), since.unwrap_or_default().as_nanos());
@@ -93,7 +93,7 @@ fn part<B>(
     with(with(part, ACCEPT_RANGES, "bytes"), CONTENT_LENGTH, &count.to_string())
 }
 
-/// Sends so many bytes of a file as they are taken.
+/// Sends `count` bytes of a file, as fast as the client reads them.
 async fn send(mut file: File, first: u64, count: u64, sender: mpsc::Sender<io::Result<Bytes>>) {
     if let Err(error) = file.seek(SeekFrom::Start(first)) {
         let _ = sender.send(Err(error)).await;
@@ -110,7 +110,7 @@ async fn send(mut file: File, first: u64, count: u64, sender: mpsc::Sender<io::R
         let Ok((same, read)) = read.await else { return };
         file = same;
         let piece = match read {
-            // A file that has become shorter cannot be sent as it was announced: the connection ends.
+            // The file is now shorter than the announced length: the connection ends.
             Ok(piece) if piece.is_empty() => Err(io::ErrorKind::UnexpectedEof.into()),
             other => other,
         };
@@ -123,13 +123,13 @@ async fn send(mut file: File, first: u64, count: u64, sender: mpsc::Sender<io::R
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Range {
-    /// These bytes, the last included.
+    /// These bytes, including `last`.
     Part { first: u64, last: u64 },
-    /// Bytes that are not there.
+    /// The range starts beyond the end of the file.
     Beyond,
 }
 
-/// What `Range` asks for; `None` where that is not one range of bytes: then all of it is sent.
+/// Parses a `Range` header; `None` unless it is a single range of bytes, and then the whole file is sent.
 fn parse_range(text: &str, size_bytes: u64) -> Option<Range> {
     let (first, last) = text.strip_prefix("bytes=")?.split_once('-')?;
     let (first, last) = match (first, last) {
@@ -159,7 +159,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ranges_are_within_the_file() {
+    fn range_is_clipped_to_the_file() {
         let part = |first, last| Some(Range::Part { first, last });
         for (text, expected) in [
             ("bytes=0-0", part(0, 0)),

@@ -1,6 +1,6 @@
-//! What Prometheus asks for, in its text format.
+//! Exports metrics in the Prometheus text format.
 //!
-//! It is written by hand: a dozen names do not need a registry.
+//! The format is written by hand: a dozen metrics do not need a registry.
 
 use std::fmt::{Display, Write as _};
 
@@ -10,7 +10,7 @@ use crate::watch::status_store::{BUCKETS_S, Counters, Histogram, STAGES, StateCo
 
 use super::answer::{Answer, ResponseBody, answer};
 
-/// All that is counted and measured.
+/// The response with all metrics.
 pub(super) fn metrics(store: &StatusStore) -> Answer {
     answer(StatusCode::OK, "text/plain; version=0.0.4; charset=utf-8", ResponseBody::whole(exposition(store)))
 }
@@ -19,25 +19,29 @@ fn exposition(store: &StatusStore) -> String {
     let (status, counts) = store.status();
     let counters = store.counters();
     let mut text = MetricsText(String::new());
-    text.head("meniscus_build_info", "gauge", "The version that runs; always 1.");
+    text.head("meniscus_build_info", "gauge", "The version of the program; always 1.");
     text.value("meniscus_build_info", &format!("version=\"{}\"", env!("CARGO_PKG_VERSION")), 1);
     text.frames(&counts);
-    text.gauge("meniscus_queue_depth", "Frames that wait for their turn.", counts.queued);
+    text.gauge("meniscus_queue_depth", "Frames in the queue.", counts.queued);
     text.gauge(
         "meniscus_paused",
-        "1 while no frame is begun for want of room.",
+        "1 while no frame is started because disk space is low.",
         u8::from(status.paused.is_some()),
     );
     text.gauge(
         "meniscus_unavailable_folders",
-        "Watched folders that are not there.",
+        "Watched folders that are unavailable.",
         status.unavailable.len(),
     );
     if let Some(bytes) = status.disk_free_bytes {
-        text.gauge("meniscus_disk_free_bytes", "The least free room among the disks of the outputs.", bytes);
+        text.gauge(
+            "meniscus_disk_free_bytes",
+            "The least free space of all file systems of outputs, in bytes.",
+            bytes,
+        );
     }
     if let Some(bytes) = status.memory_bytes {
-        text.gauge("meniscus_resident_memory_bytes", "Memory that the process holds.", bytes);
+        text.gauge("meniscus_resident_memory_bytes", "Resident memory of the process, in bytes.", bytes);
     }
     text.counters(&counters);
     text.stages(&counters.stages);
@@ -48,7 +52,7 @@ struct MetricsText(String);
 
 impl MetricsText {
     fn head(&mut self, name: &str, kind: &str, help: &str) {
-        // Strings take everything.
+        // Writing to a string cannot fail.
         let _ = write!(self.0, "# HELP {name} {help}\n# TYPE {name} {kind}\n");
     }
 
@@ -84,23 +88,15 @@ impl MetricsText {
             ("meniscus_frames_converted_total", "Frames that were converted.", counters.converted),
             (
                 "meniscus_frames_found_done_total",
-                "Frames that were read and found done.",
+                "Frames that were already done when they were read.",
                 counters.found_done,
             ),
-            (
-                "meniscus_failures_total",
-                "How often a frame failed and was not to be tried again.",
-                counters.failures,
-            ),
-            (
-                "meniscus_retries_total",
-                "How often a frame failed and was to be tried again.",
-                counters.retries,
-            ),
-            ("meniscus_scans_total", "How often a folder was looked at as a whole.", counters.scans),
-            ("meniscus_rescans_total", "How often that was since events were lost.", counters.rescans),
-            ("meniscus_input_bytes_total", "Bytes of the files that were converted.", counters.input_bytes),
-            ("meniscus_output_bytes_total", "Bytes that were written.", counters.output_bytes),
+            ("meniscus_failures_total", "Failures that are not retried.", counters.failures),
+            ("meniscus_retries_total", "Failures that are retried.", counters.retries),
+            ("meniscus_scans_total", "Full scans of a watched folder.", counters.scans),
+            ("meniscus_rescans_total", "Full scans because file-system events were lost.", counters.rescans),
+            ("meniscus_input_bytes_total", "Bytes of converted input files.", counters.input_bytes),
+            ("meniscus_output_bytes_total", "Bytes of written outputs.", counters.output_bytes),
         ] {
             self.head(name, "counter", help);
             self.value(name, "", value);
@@ -109,7 +105,7 @@ impl MetricsText {
 
     fn stages(&mut self, stages: &[Histogram]) {
         const NAME: &str = "meniscus_stage_duration_seconds";
-        self.head(NAME, "histogram", "Seconds that a converted frame was in a stage.");
+        self.head(NAME, "histogram", "Seconds that each converted frame spent in a stage.");
         for (stage, histogram) in STAGES.iter().zip(stages) {
             let mut count = 0;
             let ends = BUCKETS_S.iter().map(f64::to_string).chain(["+Inf".to_owned()]);
@@ -129,7 +125,7 @@ mod tests {
     use crate::watch::status_store::Figures;
 
     #[test]
-    fn buckets_hold_those_before_them() {
+    fn buckets_are_cumulative() {
         let store = StatusStore::new();
         let mut figures = Figures::default();
         let mut counters = Counters::default();
@@ -154,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn every_name_has_its_help_and_type_before_it() {
+    fn every_metric_is_preceded_by_its_help_and_type() {
         let text = exposition(&StatusStore::new());
         let mut known = Vec::new();
         for line in text.lines() {

@@ -1,18 +1,19 @@
-//! The status page, the API and the metrics: what is in the [status store](crate::watch::status_store), by HTTP.
+//! The HTTP server. Serves the status page, the API and the metrics from the
+//! [status store](crate::watch::status_store).
 //!
 //! ```text
-//!   serve     sockets ──▶ requests: how large, how slow; connections: how many
-//!   access    who may ask: the name of the host, the token
-//!   routes    what is asked for          api       frames, settings, status as JSON
-//!   answer    what every answer says     events    changes, as they come
+//!   serve     sockets ──▶ requests: limits of number, size and time
+//!   access    host name and token
+//!   routes    dispatch by path           api       frames, settings, status as JSON
+//!   answer    headers and bodies         events    stream of changes
 //!                                        files     outputs, by their names in the status store
 //!                                        metrics   for Prometheus
 //!                                        assets    the page
 //! ```
 //!
-//! One thread serves all clients and does nothing else, so they slow down a frame by no more than that. It only reads.
-//! No path is made of what a request says: names are looked up in the status store, and what is not there is not served.
-//! `docs/window.md` is the interface as users know it.
+//! One thread serves all clients, so clients never cost frames more than the time of that thread. The server
+//! only reads. It builds no path from a request: it looks names up in the status store, and serves nothing
+//! else. `docs/window.md` describes the interface for users.
 
 mod access;
 mod answer;
@@ -38,16 +39,16 @@ use crate::watch::status_store::StatusStore;
 
 pub use access::{AccessToken, TokenError};
 
-/// Where to listen, and to whom.
+/// The address to listen on, and the token.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Listen {
-    /// Port 0 stands for any that is free.
+    /// Port 0 means any free port.
     pub address: SocketAddr,
-    /// Who does not have it sees nothing. Without it, whoever reaches the address may look.
+    /// The token that clients must send. If `None`, every client that reaches the address may read.
     pub token: Option<AccessToken>,
 }
 
-/// A window that is open; it closes when it is dropped.
+/// A running server; dropping it closes it.
 #[derive(Debug)]
 pub struct Window {
     address: SocketAddr,
@@ -55,27 +56,27 @@ pub struct Window {
     thread: Option<JoinHandle<()>>,
 }
 
-/// What all requests share.
+/// State shared by all requests.
 #[derive(Debug)]
 struct ServerState {
     store: Arc<StatusStore>,
     token: Option<AccessToken>,
-    /// Becomes true when the window closes.
+    /// Becomes true when the server closes.
     closing: watch::Receiver<bool>,
     subscribers: events::Subscribers,
 }
 
-/// The thread calls nothing that goes deep.
+/// The thread has no deep call chains.
 const STACK_BYTES: usize = 512 << 10;
 
-/// Files are read beside the thread, which the disk must not hold up.
+/// Files are read on separate threads, so that the disk does not block the server's thread.
 const READERS_MAX: usize = 2;
 
 impl Window {
     /// Serves the status store at this address.
     ///
     /// # Errors
-    /// When somebody else has the address, or the system refuses.
+    /// When the address is in use, or the system refuses.
     pub fn open(listen: &Listen, store: Arc<StatusStore>) -> io::Result<Window> {
         let listener = TcpListener::bind(listen.address)?;
         listener.set_nonblocking(true)?;
@@ -96,15 +97,15 @@ impl Window {
         let thread = thread::Builder::new().name("window".to_owned()).stack_size(STACK_BYTES);
         let thread = thread.spawn(move || {
             if let Err(error) = runtime.block_on(serve::serve(listener, shared)) {
-                tracing::error!("the window is closed: {error}");
+                tracing::error!("the status page is closed: {error}");
             }
-            // Who still reads a file does not hold up the end.
+            // Threads that still read a file do not delay the end.
             runtime.shutdown_background();
         })?;
         Ok(Window { address, closing, thread: Some(thread) })
     }
 
-    /// Where it is.
+    /// The address that the server listens on.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
@@ -112,10 +113,10 @@ impl Window {
 
 impl Drop for Window {
     fn drop(&mut self) {
-        // Nobody hears it where the thread has ended.
+        // Fails if the thread has already ended.
         let _ = self.closing.send(true);
         if let Some(thread) = self.thread.take() {
-            // What it ended with was told.
+            // The thread has logged its error.
             let _ = thread.join();
         }
     }

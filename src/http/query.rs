@@ -1,13 +1,13 @@
-//! What stands behind the `?` of a request, and the names in its path: percent signs decoded.
+//! The query of a request, and percent-decoding of names in its path.
 
-/// The value of `name` in a query, decoded; `None` where it is not there, or is no text.
+/// The decoded value of `name` in a query; `None` if it is missing or not valid UTF-8.
 pub(super) fn value_of(query: Option<&str>, name: &str) -> Option<String> {
     let pairs = query?.split('&').filter_map(|pair| pair.split_once('='));
     let mut values = pairs.filter(|(key, _)| *key == name).map(|(_, value)| value);
     decoded(&values.next()?.replace('+', " "))
 }
 
-/// Text whose percent signs stand for bytes; `None` where they do not, or the bytes are no text.
+/// Percent-decodes a text; `None` if an escape is malformed or the result is not valid UTF-8.
 pub(super) fn decoded(text: &str) -> Option<String> {
     let mut bytes = Vec::with_capacity(text.len());
     let mut rest = text.as_bytes();

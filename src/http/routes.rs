@@ -1,4 +1,4 @@
-//! From a request to its answer: whether it may be asked, and what it asks for.
+//! Checks a request, and dispatches it by its path.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -25,7 +25,7 @@ pub(super) async fn answer_to<B: Body>(
     }
 }
 
-/// Answers a request for which there is hardly any room: only whether the daemon runs. The connection ends with it.
+/// Answers a request when few slots are free: only health checks. The connection closes afterwards.
 pub(super) async fn answer_in_a_crowd<B: Body>(
     shared: &Arc<ServerState>,
     request: &Request<B>,
@@ -33,7 +33,7 @@ pub(super) async fn answer_in_a_crowd<B: Body>(
 ) -> Answer {
     closing(match is_about_health(request) {
         true => answer_to(shared, request, local).await,
-        false => text(StatusCode::SERVICE_UNAVAILABLE, "too many look already"),
+        false => text(StatusCode::SERVICE_UNAVAILABLE, "too many connections"),
     })
 }
 
@@ -41,19 +41,22 @@ fn is_about_health<B>(request: &Request<B>) -> bool {
     matches!(request.uri().path(), "/healthz" | "/readyz")
 }
 
-/// The answer to a request that may not be asked.
+/// The error response to a request that is not allowed; `None` if it is.
 fn refusal<B: Body>(shared: &ServerState, request: &Request<B>, local: SocketAddr) -> Option<Answer> {
     if !is_for_this_host(request, local.ip()) {
-        return Some(closing(text(StatusCode::MISDIRECTED_REQUEST, "this is not that host")));
+        return Some(closing(text(
+            StatusCode::MISDIRECTED_REQUEST,
+            "this server does not serve that host name",
+        )));
     }
     if !matches!(*request.method(), Method::GET | Method::HEAD) {
         return Some(closing(method_not_allowed()));
     }
     if !request.body().is_end_stream() {
-        return Some(closing(text(StatusCode::PAYLOAD_TOO_LARGE, "a request has no body here")));
+        return Some(closing(text(StatusCode::PAYLOAD_TOO_LARGE, "requests must not have a body")));
     }
     let token = shared.token.as_ref()?;
-    // Whoever asks whether it runs learns nothing else.
+    // Health checks need no token: they reveal only whether the daemon runs.
     if is_about_health(request) || token.is_in(request, local.port()) {
         return None;
     }
@@ -64,7 +67,7 @@ fn refusal<B: Body>(shared: &ServerState, request: &Request<B>, local: SocketAdd
     }
 }
 
-/// What is asked for.
+/// Dispatches the request by its path.
 async fn route<B>(shared: &Arc<ServerState>, request: &Request<B>) -> Answer {
     let (path, query) = (request.uri().path(), request.uri().query());
     let store = &shared.store;
@@ -88,17 +91,17 @@ async fn route<B>(shared: &Arc<ServerState>, request: &Request<B>) -> Answer {
     }
 }
 
-/// The connection ends with this answer: what else would come is not worth reading.
+/// Closes the connection after this response, because anything else that it sends would be ignored.
 fn closing(answer: Answer) -> Answer {
     with(answer, CONNECTION, "close")
 }
 
 fn unauthorized() -> Answer {
-    let what = "a token is needed: open /?token=TOKEN, or send it as a bearer";
+    let what = "a token is required: open /?token=TOKEN, or send it as an Authorization: Bearer header";
     with(text(StatusCode::UNAUTHORIZED, what), WWW_AUTHENTICATE, "Bearer")
 }
 
-/// The browser keeps the token, and it is taken out of the address.
+/// Stores the token as a cookie, and redirects to an address without it.
 fn with_cookie(cookie: &str) -> Answer {
     with(with(text(StatusCode::SEE_OTHER, ""), LOCATION, "/"), SET_COOKIE, cookie)
 }

@@ -1,8 +1,10 @@
-//! From sockets to requests: how many at once, how large, and how slow they may be.
+//! Accepts connections and enforces limits: how many connections, how large requests, and how slow clients
+//! may be.
 //!
-//! Whoever takes an answer too slowly would hold a place for good. So each has some time that it may hold us up, which
-//! runs while it takes nothing and comes back with what it takes. When all places are taken, the connection that is
-//! idle for longest makes room; and while nearly all are busy, only health checks are answered.
+//! A client that reads its response too slowly would occupy its slot forever. So each connection has a time
+//! budget that runs while the client reads nothing, and is refilled as it reads. When all slots are taken,
+//! the connection that has been idle for longest is closed. While nearly all are busy, only health checks are
+//! answered.
 
 use std::convert::Infallible;
 use std::future::{Future, poll_fn};
@@ -24,42 +26,42 @@ use super::ServerState;
 use super::connections::{Connection, Connections};
 use super::routes::{answer_in_a_crowd, answer_to};
 
-/// What connections may take together and each.
+/// The limits of connections.
 #[derive(Clone, Copy, Debug)]
 struct ConnectionLimits {
-    /// For more, idle ones are closed.
+    /// Maximum number of connections; beyond it, idle ones are closed.
     connections_max: usize,
-    /// How long a request may take to arrive, and a connection be without one.
+    /// How long a request head may take to arrive, and a connection may stay idle.
     head_patience: Duration,
 }
 
 const LIMITS: ConnectionLimits =
     ConnectionLimits { connections_max: 512, head_patience: Duration::from_secs(10) };
 
-/// While all but this many are busy, only health checks are answered.
+/// Slots reserved for health checks.
 const PLACES_FOR_HEALTH: usize = 16;
 
-/// What a request may say before its body, and in how many lines.
+/// Maximum size of a request head, in bytes, and maximum number of headers.
 const HEAD_BYTES_MAX: usize = 16 << 10;
 const HEAD_LINES_MAX: usize = 64;
 
-/// How long the other side may take nothing of an answer.
+/// How long a client may read nothing of a response.
 const STALL_PATIENCE: Duration = Duration::from_secs(30);
 
-/// Whoever takes less than this while there is more has that long in all.
+/// The minimum rate of reading: a client that reads more slowly uses up its time budget.
 const TAKEN_BYTES_PER_S_MIN: f64 = 10e3;
 
-/// How long what is being answered may go on when the window closes.
+/// How long responses may continue after the server is asked to close.
 const CLOSING_PATIENCE: Duration = Duration::from_millis(300);
 
-/// Where the system refuses a connection, it is asked again after so long.
+/// Pause after the system fails to accept a connection.
 const REFUSED_WAIT: Duration = Duration::from_millis(100);
 
-/// The answer while the clock is before 1970.
+/// The response while the clock is before 1970.
 const CLOCK_IS_WRONG: &[u8] = b"HTTP/1.1 503 Service Unavailable\r\ncontent-type: text/plain\r\n\
     connection: close\r\n\r\nthe clock of this machine is before 1970: set it\n";
 
-/// Serves all who come, until the window closes.
+/// Serves all clients until the server closes.
 pub(super) async fn serve(listener: TcpListener, shared: Arc<ServerState>) -> io::Result<()> {
     serve_within(LIMITS, listener, shared).await
 }
@@ -77,10 +79,10 @@ async fn serve_within(
     let accepting =
         tokio::spawn(accept_all(listener, Arc::clone(&connections), shared_by_all, head_patience));
     let mut closing = shared.closing.clone();
-    // It fails when whoever could close the window is gone: then it is closed.
+    // An error means that the sender is gone: then the server closes, too.
     let _ = closing.wait_for(|&is_closing| is_closing).await;
     accepting.abort();
-    // What does not end in time is cut off.
+    // Connections that do not end in time are cut off.
     let _ = timeout(CLOSING_PATIENCE, connections.all_ended()).await;
     Ok(())
 }
@@ -98,7 +100,7 @@ async fn accept_all(
                 let (connections, shared) = (Arc::clone(&connections), Arc::clone(&shared));
                 tokio::spawn(answer_all(stream, connection, connections, shared, head_patience));
             }
-            // The system is short of something, or the other side is gone already.
+            // The system lacks a resource, or the client is already gone.
             Err(_) => sleep(REFUSED_WAIT).await,
         }
     }
@@ -114,13 +116,14 @@ async fn answer_all(
 ) {
     let Ok(local) = stream.local_addr() else { return };
     if SystemTime::now() < UNIX_EPOCH {
-        // hyper cannot write the date of an answer. A new socket is not known to be writable before it was waited for.
+        // hyper cannot write the date header. A new socket is not known to be writable until this has waited
+        // for it.
         if let Ok(Ok(())) = timeout(CLOSING_PATIENCE, stream.writable()).await {
             let _ = stream.try_write(CLOCK_IS_WRONG);
         }
         return;
     }
-    // Events are small, and nobody wants to wait for them.
+    // Events are small and must not be delayed.
     let _ = stream.set_nodelay(true);
     let service = service_fn(|request| {
         let (shared, answering) = (Arc::clone(&shared), connection.begin());
@@ -143,21 +146,21 @@ async fn answer_all(
     );
     let mut is_to_close = pin!(connection.is_to_close());
     let ended = poll_fn(|context| match is_to_close.as_mut().poll(context) {
-        // It makes room for another: dropping it closes the socket.
+        // Another connection needs the slot: dropping this one closes the socket.
         Poll::Ready(()) => Poll::Ready(Ok(())),
         Poll::Pending => served.as_mut().poll(context),
     });
     if let Err(error) = ended.await {
-        tracing::debug!("a connection of the window has ended: {error}");
+        tracing::debug!("a connection to the status page has ended: {error}");
     }
 }
 
-/// A socket that gives up on a side that takes nothing, or too little.
+/// A socket that times out if the client reads nothing, or too slowly.
 struct StallTimeout {
     stream: TcpStream,
-    /// How long the other side may still hold us up.
+    /// The rest of the client's time budget.
     patience: Duration,
-    /// Since when it does, and when that is enough; `None` while it takes what it is sent.
+    /// Since when the client has read nothing, and a timer for the end of its budget; `None` while it reads.
     held: Option<(Instant, Pin<Box<Sleep>>)>,
     connection: Arc<Connection>,
 }
@@ -167,13 +170,13 @@ impl StallTimeout {
         StallTimeout { stream, patience: STALL_PATIENCE, held: None, connection }
     }
 
-    /// The other side has taken so many bytes.
+    /// The client has read this many bytes.
     fn taken(&mut self, count: usize) {
         let held = self.held.take().map_or(Duration::ZERO, |(since, _)| since.elapsed());
         self.patience = patience_after(self.patience, held, count);
     }
 
-    /// The other side takes nothing; whether it has had its time.
+    /// The client reads nothing; returns whether its time budget is used up.
     fn is_over(&mut self, context: &mut Context<'_>) -> bool {
         let patience = self.patience;
         let (_, end) = self.held.get_or_insert_with(|| (Instant::now(), Box::pin(sleep(patience))));
@@ -181,7 +184,7 @@ impl StallTimeout {
     }
 }
 
-/// How much patience there is with a side that has held us up for so long, and has then taken so many bytes.
+/// The time budget after the client has read nothing for `held`, and has then read `taken_bytes`.
 fn patience_after(before: Duration, held: Duration, taken_bytes: usize) -> Duration {
     let earned = Duration::from_secs_f64(taken_bytes as f64 / TAKEN_BYTES_PER_S_MIN);
     (before.saturating_sub(held) + earned).min(STALL_PATIENCE)
@@ -212,7 +215,8 @@ impl AsyncWrite for StallTimeout {
     }
 
     fn poll_flush(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        // A socket has nothing to flush: what is written is with the system. Its caller flushes after the last byte.
+        // A socket has no buffer to flush: written data is already with the system. The caller flushes after
+        // the last byte.
         let this = self.get_mut();
         this.connection.flushed();
         Pin::new(&mut this.stream).poll_flush(context)
@@ -237,7 +241,7 @@ mod tests {
     use super::super::events::Subscribers;
     use crate::watch::status_store::StatusStore;
 
-    /// How many pieces of 20 kB are taken by a side that takes one in so many seconds.
+    /// How many pieces of 20 kB a client receives that reads one every `every_s` seconds.
     fn pieces_taken(every_s: u64) -> usize {
         let every = Duration::from_secs(every_s);
         let mut patience = STALL_PATIENCE;
@@ -250,17 +254,18 @@ mod tests {
     }
 
     #[test]
-    fn who_takes_too_little_is_cut_off() {
-        assert_eq!(pieces_taken(1), 1000, "twice what must be");
-        assert_eq!(pieces_taken(2), 1000, "just enough");
-        // Five seconds for what should take two: three of the thirty are lost each time.
+    fn slow_reader_is_disconnected() {
+        assert_eq!(pieces_taken(1), 1000, "twice the minimum rate");
+        assert_eq!(pieces_taken(2), 1000, "exactly the minimum rate");
+        // The client takes five seconds for two seconds' worth: it loses three of its thirty seconds each
+        // time.
         assert_eq!(pieces_taken(5), 9);
         assert_eq!(pieces_taken(30), 0);
     }
 
     #[test]
     fn connection_that_is_idle_for_longest_is_closed_for_a_new_one() {
-        // No connection ends by itself while this test runs.
+        // No connection times out while this test runs.
         let limits = ConnectionLimits { connections_max: 20, head_patience: Duration::from_secs(3600) };
         let (closing, is_closing) = watch::channel(false);
         let shared = Arc::new(ServerState {
@@ -281,7 +286,7 @@ mod tests {
             stream.set_read_timeout(Some(Duration::from_secs(600))).expect("set");
             stream
         };
-        // Half of them say nothing, the others half a request.
+        // Half of them send nothing, the others half a request.
         let idle: Vec<Client> = (0..limits.connections_max)
             .map(|number| {
                 let mut stream = connect();
@@ -310,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn patience_does_not_pile_up() {
+    fn time_budget_does_not_accumulate_beyond_its_limit() {
         assert_eq!(patience_after(STALL_PATIENCE, Duration::ZERO, usize::MAX >> 16), STALL_PATIENCE);
     }
 }

@@ -295,7 +295,7 @@ async function figuresAreRight(watching, page) {
       "particles": shown.figures.particles === count(figures.particles) && figures.particles > 0,
       "voxels": shown.figures.voxels === count(figures.voxels) && figures.voxels > 0,
       "triangles": shown.figures.triangles === count(figures.triangles) && figures.triangles > 0,
-      "memory": /^[\d.]+ MiB$/.test(shown.figures["memory, at most"]),
+      "memory": /^[\d.]+ MiB$/.test(shown.figures["peak memory"]),
       "certificate": figures.certificate.holds && shown.figures.certificate === "holds",
       "the stages are others": shown.parts.map(([stage]) => stage).join() === Object.keys(figures.seconds).join(),
       "the bar has other parts": shown.parts.every(isPart),

@@ -10,7 +10,7 @@ export function natural(a, b) {
       : left[i].codePointAt(0) - right[i].codePointAt(0);
     if (compared !== 0) return compared;
   }
-  // All that is left of difference is in the zeros, and these are ASCII: letters count what bytes would.
+  // Only leading zeros still differ, and these are ASCII, so counting characters equals counting bytes.
   return left.length - right.length || a.length - b.length || byText(a, b);
 }
 

@@ -1,18 +1,18 @@
-// The window: frames in a strip, the chosen one in figures and in space, and how it goes.
+// The status page: a strip of frames, the chosen frame in figures and in 3D, and a chart of throughput.
 //
 //   /api/frames ──▶ frames, in order ◀── /events: what has changed since
 //                        │
 //            strip · figures · scene.js (three.js) · chart ◀── /api/status
 //
-// Only what can be seen of the strip is in the document, so ten thousand frames cost what fifty do. All that comes
-// from outside is put in as text, never as markup.
+// Only the visible part of the strip is in the document, so ten thousand frames cost as much as fifty. All
+// external data is inserted as text, never as markup.
 
 import { natural } from './order.js';
 
 const STEP_PX = 120;
 const PLAY_MS = 1000 / 12;
 const PREFETCH = 4;
-// What is only scrolled past needs no picture.
+// Frames that are only scrolled past get no picture.
 const PICTURE_MS = 90;
 const STAGES = ['read', 'rasterize', 'smooth', 'contour', 'write', 'preview'];
 
@@ -24,14 +24,14 @@ let status = {};
 let chosen = null;
 let scene = null;
 let playing = false;
-// Only the last who asked goes on.
+// Counters of requests: an answer to an outdated request is ignored.
 let detailOf = 0;
 let playOf = 0;
 let settingsOf = 0;
 
 // ---- frames ----
 
-/** Where a name is, or would be. */
+/** The index of a name in the order, or where it would be inserted. */
 function placeOf(name) {
   let [low, high] = [0, order.length];
   while (low < high) {
@@ -58,7 +58,7 @@ async function json(path, options) {
   return answer.json();
 }
 
-/** Everything there is, and the place from which events go on. What is shown stays as it is meanwhile. */
+/** Loads all frames, and the position from which events continue. Meanwhile the page keeps showing the earlier state. */
 async function loadAll() {
   const [all, names] = [new Map(), []];
   let [at, after] = [null, null];
@@ -66,7 +66,7 @@ async function loadAll() {
     const page = await json('api/frames?limit=2000' + (after === null ? '' : `&after=${encodeURIComponent(after)}`));
     at ??= page.at;
     for (const frame of page.frames) {
-      // They come in order.
+      // The pages arrive in natural order.
       if (!all.has(frame.name)) names.push(frame.name);
       all.set(frame.name, frame);
     }
@@ -81,7 +81,7 @@ async function follow() {
   try {
     const { at, all, names } = await loadAll();
     const told = await json('api/status');
-    // At once: nobody sees the names of one and the frames of the other.
+    // All at once, so that names and frames always match.
     [frames, order, counts, status] = [all, names, told.frames, told.status];
     showAll();
     showSettings();
@@ -114,7 +114,7 @@ function linked(isLinked) {
   $('link').textContent = isLinked ? 'live' : 'no connection';
 }
 
-// ---- what is listed ----
+// ---- list of frames ----
 
 let listed = [];
 let countsTold = null;
@@ -184,7 +184,7 @@ function showStrip() {
   });
 }
 
-/** Shows a frame at its place; whether it is too early for its picture. */
+/** Shows a frame at its index; returns whether it is too early to load its picture. */
 function showCell(place, name, seenUntil) {
   const frame = frames.get(name);
   let cell = shown.get(name);
@@ -212,7 +212,7 @@ function showCell(place, name, seenUntil) {
 }
 let cells = 0;
 
-/** Why it failed or waits; not the path before it, for the name is beside it. */
+/** Why the frame failed or waits, without the path that precedes it: the name is already shown. */
 function reasonOf(frame) {
   return frame.reason?.split(`${frame.name}: `).at(-1);
 }
@@ -251,7 +251,7 @@ function choose(name, isFollowing = false) {
   return showSurface();
 }
 
-/** Moves the strip so that the chosen frame is seen. */
+/** Scrolls the strip so that the chosen frame is visible. */
 function bringIntoView() {
   const strip = $('strip');
   const left = listed.indexOf(chosen) * STEP_PX;
@@ -281,7 +281,7 @@ function surfacePath(frame) {
 
 async function play(isPlaying) {
   if (playing === isPlaying) return;
-  // Who was playing before ends with the next step, and says nothing more.
+  // An earlier playback ends with its next step, and no longer updates the button.
   const turn = ++playOf;
   showPlaying(isPlaying);
   try {
@@ -318,7 +318,7 @@ async function showFrame() {
   try {
     frame = await json(`api/frames/${encodeURIComponent(chosen)}`);
   } catch {
-    // It is gone, or the connection is: what is in the strip will do.
+    // The frame is gone, or the connection is: the summary from the strip is shown.
   }
   if (turn !== detailOf) return;
   const parts = [make('h2', '', frame.name)];
@@ -331,11 +331,11 @@ async function showFrame() {
     ['voxels', number(figures?.voxels)],
     ['triangles', number(figures?.triangles)],
     ['pieces', number(figures?.components)],
-    ['memory, at most', bytes(figures?.peak_memory_bytes)],
+    ['peak memory', bytes(figures?.peak_memory_bytes)],
     ['certificate', figures && (figures.certificate.holds ? 'holds' : 'does not hold')],
     ['file', bytes(frame.input_bytes)],
-    ['attempts that failed', frame.attempts || null],
-    ['in all', seconds(frame.seconds)],
+    ['failed attempts', frame.attempts || null],
+    ['total time', seconds(frame.seconds)],
   ]));
   if (figures) parts.push(...stageBar(figures.seconds));
   else if (frame.state === 'done') parts.push(make('p', 'note', 'No figures: the frame was converted before the journal kept them.'));
@@ -385,12 +385,13 @@ async function showSettings() {
   try {
     told = await json('api/settings');
   } catch {
-    // The link says so; that they have changed is told only once.
+    // The connection indicator shows the failure. The event that the settings changed is not repeated, so
+    // this retries.
     setTimeout(() => turn === settingsOf && showSettings(), 2000);
     return;
   }
   if (turn !== settingsOf) return;
-  // Before the daemon has begun, there is nothing that it was asked for.
+  // Before the daemon has started, there is no configuration.
   const { watches = [], ...rest } = told.daemon ?? {};
   const block = (title, values) => make('div', '', make('h3', '', title), pairs(Object.entries(values).map(([name, value]) => inWords(name, value))));
   $('settings-text').replaceChildren(
@@ -400,7 +401,7 @@ async function showSettings() {
   );
 }
 
-/** A setting and its value, in words. */
+/** The label and the value of a setting. */
 function inWords(name, value) {
   const unit = name.match(/_(bytes|s|ms)$/)?.[1];
   const label = (unit ? name.slice(0, -unit.length - 1) : name).replaceAll('_', ' ');
@@ -430,13 +431,13 @@ async function showFlow() {
       drawFlow();
       showForecast();
     } catch {
-      // The link says so.
+      // The connection indicator shows the failure.
     }
   }
   setTimeout(showFlow, 5000);
 }
 
-/** How many results are to be expected, and when, as an estimate. */
+/** Shows how many results to expect, and an estimate of the time left. */
 function showForecast() {
   const { expected_count: expected, seconds_left: left } = forecast;
   const time = left === null || left === undefined ? '' : `, about ${span(left)} left`;
@@ -449,7 +450,7 @@ function span(value) {
   return value < 172800 ? `${(value / 3600).toFixed(1)} h` : `${(value / 86400).toFixed(1)} days`;
 }
 
-/** Frames a minute as a line, what is queued and under way as an area; each has a scale of its own, which is written above it. */
+/** Draws frames per minute as a line, and queued frames and frames in progress as an area; each has its own scale, written above it. */
 function drawFlow() {
   const canvas = $('chart');
   const ratio = devicePixelRatio || 1;
@@ -499,13 +500,13 @@ function drawFlow() {
   word(ago(end - begin), 'faint', 'left', height - 3);
   word('now', 'faint', 'right', height - 3);
   $('flow-rate').textContent = `${rates.at(-1).toFixed(0)} frames a minute`;
-  $('flow-queue').textContent = `${number(queues.at(-1))} queued and under way`;
+  $('flow-queue').textContent = `${number(queues.at(-1))} queued and in progress`;
   $('flow-room').textContent = `${bytes(samples.at(-1).memory_bytes) ?? 'unknown'} of memory · ${bytes(status.disk_free_bytes) ?? 'unknown'} of disk free`;
 }
 
 const ago = spanMs => spanMs < 90000 ? `${Math.round(spanMs / 1000)} s ago` : `${Math.round(spanMs / 60000)} min ago`;
 
-// ---- keys, and the beginning ----
+// ---- keys and startup ----
 
 function key(event) {
   if (event.ctrlKey || event.metaKey || event.altKey || event.target.type === 'range') return;
@@ -544,5 +545,5 @@ import('./scene.js').then(module => {
   scene = module.makeScene($('canvas'));
   return showSurface();
 }).catch(error => {
-  $('hint').textContent = `there is no 3D view here: ${error.message}`;
+  $('hint').textContent = `the 3D view is unavailable: ${error.message}`;
 });

@@ -1,7 +1,7 @@
-// The chosen frame in space: its .glb, drawn by three.js.
+// Draws the .glb file of the chosen frame with three.js.
 //
-// Surfaces are kept by their address, a few of them; those that come next are fetched before they are asked for. The
-// camera has in view all that was shown so far, until the user turns it: from then on it is where the user put it.
+// A few surfaces are cached by path, and the next ones are prefetched. The camera keeps all surfaces shown so
+// far in view until the user moves it; from then on it stays where the user put it.
 
 import {
   Box3, Color, DirectionalLight, HemisphereLight, MeshStandardMaterial, PerspectiveCamera, Scene, Sphere, Vector3, WebGLRenderer,
@@ -25,7 +25,7 @@ export function makeScene(canvas) {
   let isHeld = false;
   const seen = new Box3();
   let isAsked = false;
-  // Over the user's shoulder: whatever is looked at is lit.
+  // The light is behind the user's shoulder, so that every visible side is lit.
   sun.position.set(1, 2, 1.5);
   camera.add(sun, sun.target);
   sun.target.position.set(0, 0, -1);
@@ -61,7 +61,7 @@ export function makeScene(canvas) {
     const surface = kept.get(path) ?? load(path);
     kept.delete(path);
     kept.set(path, surface);
-    // What failed is tried again when it is asked for again.
+    // A failed request is removed, so that the next request for this path tries again.
     surface.catch(() => kept.delete(path));
     for (const [other, old] of kept) {
       if (kept.size <= KEPT) break;
@@ -77,13 +77,13 @@ export function makeScene(canvas) {
     surface.traverse(part => part.geometry?.dispose());
   }
 
-  /** Steps back until this surface is in view, too, and all that was shown before it. */
+  /** Moves the camera back until this surface and all earlier ones are in view. */
   function place(surface) {
     const box = new Box3().setFromObject(surface);
     if (isHeld || box.isEmpty() || seen.containsBox(box)) return;
     seen.union(box);
     const sphere = seen.getBoundingSphere(new Sphere());
-    // The narrower side decides: on a phone held upright, that is the width.
+    // The narrower side determines the distance: on a phone held upright, that is the width.
     const half = Math.atan(Math.tan(camera.fov * Math.PI / 360) * Math.min(1, canvas.clientWidth / Math.max(1, canvas.clientHeight)));
     const distance = Math.max(sphere.radius, 1e-6) / Math.sin(half) * 0.9;
     camera.near = distance / 1000;
@@ -93,7 +93,7 @@ export function makeScene(canvas) {
     controls.update();
   }
 
-  /** Shows the surface at `path`, and fetches those at `next`. */
+  /** Shows the surface at `path`, and prefetches those at `next`. */
   async function show(path, next) {
     wanted = path;
     const surface = await take(path);
