@@ -1,12 +1,11 @@
-//! Why a frame was converted, or was not: everything that the loop goes by, looked at once, for
-//! whoever asks.
+//! Explains why a frame was converted, or was not: repeats all checks of the event loop once, on request.
 //!
 //! ```text
 //!   the file ──▶ its name ──▶ the journal ──▶ complete? ──▶ its content ──▶ a verdict
 //! ```
 //!
-//! The loop asks in this order, and the first that says no decides. Here all are asked, so that
-//! all can be told. Nothing is written, and a running daemon is not disturbed.
+//! The loop makes these checks in this order and stops at the first that fails. Here all checks are made, so
+//! that all results can be shown. Nothing is written, and a running daemon is not disturbed.
 
 use std::ffi::OsStr;
 use std::fmt;
@@ -28,82 +27,82 @@ use super::io::scan::look;
 use super::io::selection::{FileFilter, SniffedContent, content};
 use super::journal::{JournalState, JournaledFrame, SequenceKey};
 
-/// A frame, and what the loop would go by.
+/// A frame, and the inputs of the loop's checks.
 #[derive(Clone, Copy, Debug)]
 pub struct Question<'a> {
-    /// The file, or the step of one. Absolute.
+    /// The absolute path of the file, or of a step of one.
     pub frame: &'a Path,
-    /// How it is watched.
+    /// The configuration of its watched folder.
     pub watch: &'a Watch,
     /// The folders of all outputs.
     pub output_folders: &'a [PathBuf],
-    /// How long it must be left alone.
+    /// How long it must be unchanged.
     pub patience: &'a Patience,
-    /// What the journal says of it.
+    /// Its record in the journal.
     pub record: Option<&'a JournaledFrame>,
-    /// The [fingerprint](remembered_fingerprint) of the settings that it would be converted with now.
-    /// Where it is not known, they are taken to be those recorded.
+    /// The [fingerprint](remembered_fingerprint) of its current settings. If it is unknown, the settings
+    /// count as unchanged.
     pub settings: Option<&'a str>,
 }
 
-/// Everything that decides about a frame.
+/// The results of all checks.
 #[derive(Clone, Debug)]
 pub struct Explanation {
-    /// Whether its name and its place say that it is a frame.
+    /// Whether its path selects it as a frame.
     pub is_taken: bool,
-    /// The file; `None` where there is none.
+    /// The file; `None` if it is missing.
     pub file: Option<FileFacts>,
-    /// Whether its settings are those recorded; `None` where either is not known.
+    /// Whether its settings are those in the record; `None` if either is unknown.
     pub settings_hold: Option<bool>,
-    /// The first of the recorded outputs that is missing or damaged.
+    /// The first recorded output that is missing or damaged.
     pub output_missing: Option<PathBuf>,
-    /// What comes of it.
+    /// The conclusion.
     pub verdict: FrameExplanation,
 }
 
-/// What was found of a file.
+/// The facts about a file.
 #[derive(Clone, Debug)]
 pub struct FileFacts {
-    /// What it holds, by its first bytes.
+    /// Its kind, by its first bytes.
     pub content: SniffedContent,
     /// Whether it may be read.
     pub readiness: Readiness,
-    /// What it is beside the one that is recorded; `None` where none is.
+    /// How it differs from the recorded file; `None` without a record.
     pub change: Option<FileChange>,
 }
 
-/// A file beside the one that is recorded.
+/// How a file differs from the recorded one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FileChange {
-    /// It is the same one, unchanged.
+    /// It is unchanged.
     Unchanged,
-    /// It was touched, moved or written again; its content is the same.
+    /// It was touched, moved or rewritten; its content is the same.
     Touched,
-    /// Its content is another.
+    /// Its content is different.
     Rewritten,
 }
 
-/// What comes of a frame, and why. Displays as a sentence without its subject and full stop.
+/// Whether the frame is converted, and why. Displays as a sentence without its subject and full stop.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum FrameExplanation {
-    /// There is no such file, or no such step in it.
+    /// The file, or the step in it, does not exist.
     Gone,
-    /// Its name is not one of a frame.
+    /// Its path does not select it as a frame.
     NotTaken,
-    /// The journal decides: it stays as it is.
+    /// The journal decides that it stays as it is.
     Skipped(SkipReason),
-    /// It is not complete.
+    /// It is incomplete.
     Waits(WaitReason),
-    /// It is complete, and holds no particles.
+    /// It is complete but contains no particles.
     NoFrame(SniffedContent),
-    /// Nothing is recorded of it, and these files say that they were made from it as it is.
+    /// The journal has no record of it, and these outputs say that they were made from the current file.
     Found(Vec<PathBuf>),
-    /// It is, or will be, converted. The decision says why.
+    /// It is, or will be, converted, for this reason.
     Converted(Decision),
 }
 
-/// What the journal knows the settings by that a frame would be converted with now; `None` where the
-/// particle spacing is needed, and neither given nor remembered.
+/// The fingerprint of the settings that this frame would be converted with now; `None` if the particle
+/// spacing is needed, and is neither given nor in the journal.
 pub fn remembered_fingerprint(watch: &Watch, frame: &Path, state: &JournalState) -> Option<String> {
     let file = FrameFile::new(frame.to_owned());
     let (folder, name) = file.sequence();
@@ -118,10 +117,10 @@ pub fn remembered_fingerprint(watch: &Watch, frame: &Path, state: &JournalState)
     }
 }
 
-/// Looks at a frame as the loop would.
+/// Checks a frame as the loop would.
 ///
 /// # Errors
-/// When the file or its folder cannot be looked at, or the pattern of the watch is none.
+/// When the file or its folder cannot be inspected, or the pattern of the watch is invalid.
 pub fn explain(question: &Question<'_>) -> io::Result<Explanation> {
     let Question { frame, watch, record, .. } = *question;
     let selection =
@@ -131,7 +130,7 @@ pub fn explain(question: &Question<'_>) -> io::Result<Explanation> {
     let settings_hold = record.zip(question.settings).map(|(record, settings)| record.settings == settings);
     let output_missing = record.and_then(first_missing_output);
     let seen = look(frame, trust_clock(frame))?;
-    // What cannot be gone through may have it: reading it will say why.
+    // A file that cannot be searched for steps may have this one: reading it reports why it fails.
     let seen = seen.filter(|_| !is_missing_step(frame).unwrap_or(false));
     let (file, verdict) = match seen {
         None => (None, FrameExplanation::Gone),
@@ -144,7 +143,7 @@ pub fn explain(question: &Question<'_>) -> io::Result<Explanation> {
     Ok(Explanation { is_taken, file, settings_hold, output_missing, verdict })
 }
 
-/// As the loop goes on: what is known first, then whether it is complete, then what it is.
+/// The order of the loop: first the record, then whether the file is complete, then its kind.
 fn verdict(file: &FileFacts, decision: Decision) -> FrameExplanation {
     match (decision, file.readiness, file.content) {
         (Decision::Skip(reason), _, _) => FrameExplanation::Skipped(reason),
@@ -156,7 +155,8 @@ fn verdict(file: &FileFacts, decision: Decision) -> FrameExplanation {
     }
 }
 
-/// The same verdict, unless it is to convert what `convert`, or a daemon whose journal was lost, has converted.
+/// The same verdict, unless the frame would be converted and its outputs were already made by `convert`, or
+/// by a daemon whose journal was lost.
 fn found_done(question: &Question<'_>, verdict: FrameExplanation) -> io::Result<FrameExplanation> {
     let Question { frame, watch, .. } = *question;
     if verdict != FrameExplanation::Converted(Decision::Convert(ConvertReason::New)) {
@@ -178,7 +178,7 @@ fn facts(
     let now = Instant::now();
     let readiness = readiness_of(file_of(frame), &Candidate::new(now, seen, false), now, watch, patience);
     let is_same = |record: &JournaledFrame| record.stamp.still_holds(&seen.stamp);
-    // Only a file of the same size and another time has to be read to know.
+    // Only a file with the same size and another time must be read to compare its content.
     let is_to_read = |record: &&JournaledFrame| {
         record.hash.is_some() && record.stamp.size == seen.stamp.size && !is_same(record)
     };
@@ -214,7 +214,7 @@ impl fmt::Display for FrameExplanation {
         match self {
             FrameExplanation::Gone => f.write_str("is not converted because there is no such frame"),
             FrameExplanation::NotTaken => {
-                f.write_str("is not converted because its name, or its place, is not one of a frame")
+                f.write_str("is not converted because its path does not select it as a frame")
             }
             FrameExplanation::Skipped(reason) => write!(f, "is not converted because {reason}"),
             FrameExplanation::Waits(why) => write!(f, "is not converted yet because {why}"),
@@ -228,15 +228,15 @@ impl fmt::Display for FrameExplanation {
                 let were = if names.len() == 1 { "was" } else { "were" };
                 write!(
                     f,
-                    "is converted already: nothing is recorded of it, but {} {were} made from it as it is; a daemon converts \
+                    "is converted already: it is not in the journal, but {} {were} made from it as it is; a daemon converts \
                      it again only where its settings or formats are others",
                     names.join(", ")
                 )
             }
-            // What is recorded is that they were there; whether they still are is not looked at here.
-            FrameExplanation::Converted(Decision::Convert(ConvertReason::WasRefused)) => f.write_str(
-                "will be converted once the files that kept it from that are gone, or now if they are",
-            ),
+            // The record says that the files existed; whether they still do is not checked here.
+            FrameExplanation::Converted(Decision::Convert(ConvertReason::WasRefused)) => {
+                f.write_str("will be converted once the files that blocked it are gone, or now if they are")
+            }
             FrameExplanation::Converted(decision) => write!(f, "will be converted because {decision}"),
         }
     }
@@ -260,7 +260,7 @@ mod tests {
     const FRAME: &[u8] = b"ply\nformat ascii 1.0\nelement vertex 1\n\
         property float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n";
 
-    /// A watched folder with one frame, left alone for a minute, and one output.
+    /// A watched folder with one frame, which has been unchanged for a minute, and one output.
     struct Bench {
         _folder: TempDir,
         frame: PathBuf,
@@ -305,7 +305,7 @@ mod tests {
             fs::write(&self.frame, bytes).expect("written");
         }
 
-        /// What the journal would say, had the frame been converted as it is.
+        /// The record of the frame in its current state with this standing.
         fn record(&self, standing: Standing) -> JournaledFrame {
             JournaledFrame {
                 standing,
@@ -347,7 +347,7 @@ mod tests {
     }
 
     #[test]
-    fn a_new_frame_is_converted_when_it_is_complete() {
+    fn new_frame_is_converted_when_it_is_complete() {
         let bench = Bench::new();
         let told = bench.explain(None, None, 0);
         assert_eq!(told.verdict, FrameExplanation::Converted(Decision::Convert(ConvertReason::New)));
@@ -367,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_done_is_skipped_while_everything_holds() {
+    fn done_frame_is_skipped_while_nothing_has_changed() {
         let bench = Bench::new();
         let record = bench.record(Standing::Done);
         let told = bench.explain(Some(&record), Some("s"), 3600);
@@ -390,11 +390,11 @@ mod tests {
         assert_eq!(bench.verdict(Some(&failed)), FrameExplanation::Skipped(SkipReason::FailedUnchanged));
         let refused = bench.record(Standing::Refused);
         let told = bench.verdict(Some(&refused)).to_string();
-        assert!(told.contains("once the files that kept it from that are gone"), "{told}");
+        assert!(told.contains("once the files that blocked it are gone"), "{told}");
     }
 
     #[test]
-    fn a_touched_file_is_known_by_its_content() {
+    fn touched_file_is_recognized_by_its_content() {
         let bench = Bench::new();
         let record = bench.record(Standing::Done);
         let touch = |bytes: &[u8], seconds| {
@@ -420,7 +420,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_frame_is_told() {
+    fn file_that_is_not_a_frame_is_explained() {
         let mut bench = Bench::new();
         bench.watch.pattern = Some("spray*".into());
         let told = bench.explain(None, None, 0);

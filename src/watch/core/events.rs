@@ -1,11 +1,11 @@
-//! What the core hears, and what it asks for.
+//! The inputs and outputs of the core: events and effects.
 //!
 //! ```text
 //!   workers, pipeline, commands ──Event──▶ Core::handle ──Effect──▶ workers, pipeline, journal, log
 //! ```
 //!
-//! Every event about a file may come late, twice or never: each says what the file was at some time, and results of
-//! requests carry the number of the request.
+//! An event about a file may arrive late, twice or never. So each event says what the file was at some time,
+//! and results of requests carry the number of their request.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -22,7 +22,7 @@ use super::completeness::{Candidate, Proof, Seen, WaitReason};
 use super::frames::FrameId;
 use super::sequences::{MeasureOrder, SpacingResult};
 
-/// The time, by both clocks.
+/// The current time, by both clocks.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Now {
     pub(crate) at: Instant,
@@ -30,14 +30,14 @@ pub(crate) struct Now {
     pub(crate) unix_ms: u64,
 }
 
-/// Something that happened outside of the core.
+/// Something that happened outside the core.
 #[derive(Debug)]
 pub(crate) enum Event {
-    /// A file was found, at a time that may be a little in the past.
+    /// A file was found, at a time that may be slightly in the past.
     FileSeen { id: FrameId, seen: Seen, at: Instant, renamed: bool },
-    /// A file is gone.
+    /// A file was removed.
     FileGone(FrameId),
-    /// The system refuses to say what a file is.
+    /// The system refuses to inspect a file.
     FileUnreadable(FrameId, io::Error),
     /// A file changed that may be the sentinel of a frame.
     SentinelSeen(usize, PathBuf),
@@ -51,11 +51,11 @@ pub(crate) enum Event {
     ObstaclesStamped { root: usize, stamps: FoundObstacleStamps },
     /// A sequence was measured.
     Measured(Box<SpacingResult>),
-    /// A file was searched for steps.
+    /// The search of a file for steps has ended.
     StepsFound(FoundSteps),
-    /// A pipeline has room for one more frame.
+    /// A pipeline has a free slot for a frame.
     FrameWanted { pipeline: usize },
-    /// A pipeline cannot begin a frame that it got, because its outputs cannot be written now.
+    /// A pipeline returns a frame that it cannot start, because its outputs cannot be written now.
     FrameReturned { id: FrameId, frame: Box<Frame>, found: OutputDirState },
     /// A pipeline has finished with a frame.
     FrameFinished(Box<FrameFinished>),
@@ -85,22 +85,22 @@ pub(crate) enum Worker {
 pub(crate) struct Scan {
     /// The files that the selection takes, in no particular order.
     pub(crate) files: Vec<(PathBuf, Seen)>,
-    /// The folders that were looked into, the one that was asked for first.
+    /// The folders that were scanned, starting with the requested one.
     pub(crate) folders: Vec<PathBuf>,
-    /// Paths that could not be examined, and why: they may be, or hold, frames.
+    /// Paths that could not be examined, and why: they may be frames, or contain some.
     pub(crate) problems: Vec<(PathBuf, String)>,
-    /// Links that the selection takes and whose target is missing; it may be written later.
+    /// Selected links whose targets are missing; the targets may be written later.
     pub(crate) dangling: Vec<PathBuf>,
-    /// Whether the scan was made because events were lost.
+    /// Whether lost events caused the scan.
     pub(crate) after_loss: bool,
 }
 
-/// A folder of outputs as it was found.
+/// The state of a folder of outputs at a check.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct OutputDirState {
     pub(crate) output: usize,
     pub(crate) presence: Presence,
-    /// Free bytes, if the file system says.
+    /// Free bytes, if the file system reports them.
     pub(crate) free_bytes: Option<u64>,
 }
 
@@ -108,13 +108,13 @@ pub(crate) struct OutputDirState {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Presence {
     There,
-    /// It was removed, and was made again: what was in it is gone.
+    /// It was removed and has been created again; its contents are lost.
     MadeAgain,
     /// Another file system is in its place: its own is not mounted.
     Away,
 }
 
-/// The obstacles of frames, by the frames' numbers.
+/// The stamps of the obstacles of frames, by frame number.
 #[derive(Debug)]
 pub(crate) enum FoundObstacleStamps {
     /// The same for all frames.
@@ -126,36 +126,36 @@ pub(crate) enum FoundObstacleStamps {
 #[derive(Debug)]
 pub(crate) struct FrameFinished {
     pub(crate) id: FrameId,
-    /// Its outputs, if they are there.
+    /// Its outputs, if they exist.
     pub(crate) outputs: Vec<OutputRecord>,
     pub(crate) outcome: Outcome,
-    /// Of a frame that failed because the disk is full: free bytes there.
+    /// Free bytes on the disk, if the frame failed because the disk is full.
     pub(crate) free_bytes: Option<u64>,
 }
 
-/// Asks what a file is now. The answer comes as soon as the first of these says no.
+/// Asks for the state of a file. The result is reported at the first check that fails.
 #[derive(Debug)]
 pub(crate) struct Inspect {
     pub(crate) id: FrameId,
     /// The number of this request.
     pub(crate) number: u64,
-    /// What the file was when this was asked.
+    /// The stamp of the file at the time of the request.
     pub(crate) stamp: FileStamp,
-    /// If only this is asked: whether it is still the same file.
+    /// Whether to check only that the file is unchanged.
     pub(crate) only_stamp: bool,
-    /// What the journal says of it, if the frame stays as it is while this holds.
+    /// The journal's record, if the frame stays as it is while the record is valid.
     pub(crate) recorded: Option<Recorded>,
-    /// The file may still be written.
+    /// The file's candidate state, if it may still be written.
     pub(crate) candidate: Option<Candidate>,
-    /// The files that the frame becomes.
+    /// The output files of the frame.
     pub(crate) outputs: Vec<PathBuf>,
 }
 
-/// A frame that stays as it is while its outputs are as they were written, and its obstacles too.
+/// A frame that stays as it is while its outputs and obstacles are unchanged.
 #[derive(Debug)]
 pub(crate) struct Recorded {
     pub(crate) record: Arc<JournaledFrame>,
-    /// The settings of its sequence, if only its obstacles can tell whether they are those recorded.
+    /// The settings of its sequence, if only its obstacles decide whether the recorded settings still apply.
     pub(crate) settings: Option<(Arc<Settings>, Arc<str>)>,
 }
 
@@ -165,26 +165,26 @@ pub(crate) struct Inspected {
     pub(crate) id: FrameId,
     pub(crate) number: u64,
     pub(crate) found: InspectionResult,
-    /// The files of its obstacles; `None` without obstacles.
+    /// The stamps of its obstacles; `None` without obstacles.
     pub(crate) obstacles: Option<Arc<ObstacleStamps>>,
 }
 
-/// What an inspection found.
+/// The result of an inspection.
 #[derive(Debug)]
 pub(crate) enum InspectionResult {
     /// The file is gone.
     Gone,
-    /// The system refuses to say what it is.
+    /// The system refuses to inspect it.
     Unreadable(io::Error),
-    /// It is another file than was asked about.
+    /// It is not the file that the request was about.
     Changed(Seen, Instant),
-    /// It is the same file, and more was not asked.
+    /// It is the same file, and no further check was requested.
     Same,
     /// Outputs and obstacles are as recorded.
     AsRecorded,
     /// Its outputs are missing because their folder is not mounted.
     OutputsAway,
-    /// It is not complete.
+    /// It is incomplete.
     Waiting { until: Option<Instant>, why: WaitReason },
     /// It is complete.
     Complete(Complete),
@@ -193,50 +193,50 @@ pub(crate) enum InspectionResult {
 /// A file that is complete.
 #[derive(Debug)]
 pub(crate) struct Complete {
-    /// Why it is complete, if that was asked.
+    /// Why it counts as complete, if that was checked.
     pub(crate) proof: Option<Proof>,
-    /// A recorded output that is not as it was written.
+    /// A recorded output that has changed.
     pub(crate) changed_output: Option<(PathBuf, OutputCheck)>,
     pub(crate) contents: FileContents,
-    /// A file that its outputs would replace: why the frame is refused.
+    /// A file that its outputs would replace: the reason to refuse the frame.
     pub(crate) conflict: Option<String>,
 }
 
-/// What a file is, by its first bytes.
+/// The kind of a file, by its first bytes.
 #[derive(Debug)]
 pub(crate) enum FileContents {
     /// A frame, or a step of a file.
     Frame,
-    /// Of a kind that may have several steps.
+    /// A file of a format that may contain several steps.
     MaybeSteps,
-    /// No particles: some other file, or an output of this program.
+    /// No particles: an unrelated file, or an output of this program.
     NotParticles,
     Unreadable(io::Error),
 }
 
-/// Something for the worker of a root to do.
+/// A request to the worker of a root.
 #[derive(Debug)]
 pub(crate) enum RootRequest {
     Inspect(Box<Inspect>),
-    /// Scan everything.
+    /// Scan the whole folder.
     Scan,
-    /// Look at the obstacles of frames with these numbers.
+    /// Stamp the obstacles of frames with these numbers.
     StampObstacles(BTreeSet<Option<u64>>),
 }
 
-/// Something that takes long, for the other thread of a root.
+/// A slow request, for the second thread of a root.
 #[derive(Debug)]
 pub(crate) enum SlowRequest {
     Measure(Box<MeasureOrder>),
     FindSteps(StepsOrder),
 }
 
-/// A complete file that is to be searched for steps.
+/// A complete file to search for steps.
 #[derive(Debug)]
 pub(crate) struct StepsOrder {
     pub(crate) id: FrameId,
     pub(crate) stamp: FileStamp,
-    /// Why the frame is refused if it has no steps: what its outputs would replace.
+    /// Why the frame is refused if the file has no steps: a file that its outputs would replace.
     pub(crate) conflict: Option<String>,
 }
 
@@ -244,22 +244,22 @@ pub(crate) struct StepsOrder {
 #[derive(Debug)]
 pub(crate) struct FoundSteps {
     pub(crate) order: StepsOrder,
-    /// The frames of the file; `None` if it was written again meanwhile.
+    /// The frames of the file; `None` if the file changed during the search.
     pub(crate) frames: Result<Option<FileFrames>, FrameError>,
 }
 
-/// Something for the worker of a folder of outputs to do.
+/// A request to the worker of a folder of outputs.
 #[derive(Debug)]
 pub(crate) enum OutputRequest {
-    /// Add a record to the journal, and then log this: what the log says is in the journal.
+    /// Add a record to the journal, then write this log line: the log never runs ahead of the journal.
     Record(Entry, Option<Log>),
-    /// Look at the folder now.
+    /// Check the folder now.
     Check,
-    /// Write the journal to the disk: the daemon ends.
+    /// Sync the journal to the disk, because the daemon is about to exit.
     Sync,
 }
 
-/// A line of the log, which is written after the state that it is about can be seen.
+/// A log line that is written only after the state that it describes is visible.
 pub(crate) struct Log(Box<dyn FnOnce() + Send>);
 
 impl Log {
@@ -278,7 +278,7 @@ impl fmt::Debug for Log {
     }
 }
 
-/// A frame to convert, and what is known of the outputs that it has.
+/// A frame to convert, and what is known of its existing outputs.
 #[derive(Debug)]
 pub(crate) struct Start {
     pub(crate) id: FrameId,
@@ -286,15 +286,15 @@ pub(crate) struct Start {
     pub(crate) known_outputs: Vec<OutputRecord>,
 }
 
-/// Something that the core wants done. Effects are carried out in order.
+/// An action that the core requests. Effects are carried out in order.
 #[derive(Debug)]
 pub(crate) enum Effect {
     Root(usize, RootRequest),
     Slow(usize, SlowRequest),
     Output(usize, OutputRequest),
-    /// Give a frame to a pipeline that wants one.
+    /// Give a frame to a pipeline that has asked for one.
     Start(usize, Start),
-    /// Start a pipeline beside those that hang.
+    /// Start a new pipeline in addition to those that hang.
     StartPipeline(usize),
     /// Tell a pipeline that there are no more frames.
     EndPipeline(usize),

@@ -1,13 +1,13 @@
-//! Every frame that the daemon knows of, and how far it is.
+//! The table of all known frames, and the phase of each.
 //!
 //! ```text
 //!                  ┌──────── written again ─────────────────────────┐
 //!                  ▼                                                │
-//!   (seen) ──▶ settling ──▶ held ──▶ queued ──▶ under way ──▶ done ─┤
+//!   (seen) ──▶ settling ──▶ held ──▶ queued ──▶ in work ────▶ done ─┤
 //!                  │   no settings yet               │              │
 //!                  │                                 ├──▶ retrying  │
 //!                  └──▶ ignored                      └──▶ failed ───┘
-//!                  └──▶ finding steps ──▶ steps     a file with several: each is a frame of its own, held at once
+//!                  └──▶ finding steps ──▶ steps     a file with several: each is a frame, and starts as held
 //! ```
 
 use std::cmp::Reverse;
@@ -20,14 +20,16 @@ use crate::pipeline::{FileFrames, FileStamp, FrameFile, ObstacleStamps};
 
 use super::completeness::Candidate;
 
-/// A file in a watched folder, or a step of one. A file in two watched folders is two frames: their outputs differ.
+/// A file in a watched folder, or a step of a file. A file in two watched folders is two frames, because
+/// their outputs differ.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub(crate) struct FrameId {
     /// The index of its root.
     pub(crate) root: usize,
-    /// Absolute.
+    /// The absolute path.
     pub(crate) path: Arc<Path>,
-    /// Whether it is a step of a file. Part of the id, because by its path alone only the file system can tell.
+    /// Whether it is a step of a file. Part of the id, because the path alone does not show it without the
+    /// file system.
     is_step: bool,
 }
 
@@ -51,17 +53,17 @@ impl FrameId {
         self.is_step.then(|| FrameId::new(self.root, self.file_path()))
     }
 
-    /// The path of the file that it is, or is a step of.
+    /// The path of the file that it is, or to which the step belongs.
     pub(crate) fn file_path(&self) -> &Path {
         if self.is_step { self.path.parent().unwrap_or(&self.path) } else { &self.path }
     }
 
-    /// What its name says.
+    /// The parts of its name.
     pub(crate) fn frame_file(&self) -> FrameFile {
         FrameFile::known(self.path.to_path_buf(), self.is_step)
     }
 
-    /// The file of its outputs, as a path without extension, in this folder for outputs of files in `root`.
+    /// The folder and stem of its outputs: the path of the file within `root`, mirrored below `out`.
     pub(crate) fn mirrored_folder(&self, root: &Path, out: &Path) -> PathBuf {
         let within = self.file_path().parent().and_then(|folder| folder.strip_prefix(root).ok());
         within.map_or_else(|| out.to_owned(), |within| out.join(within))
@@ -73,93 +75,93 @@ impl FrameId {
 pub(crate) struct FrameTable {
     all: HashMap<FrameId, FrameState>,
     alarms: BinaryHeap<Reverse<(Instant, FrameId)>>,
-    /// How many frames of each sequence are being inspected.
+    /// The number of frames of each sequence that are being inspected.
     inspected_in: HashMap<usize, usize>,
     inspection_count: u64,
 }
 
-/// What is known of a frame.
+/// The state of a frame.
 #[derive(Debug)]
 pub(crate) struct FrameState {
     /// The index of its sequence.
     pub(crate) sequence: usize,
     pub(crate) phase: FramePhase,
-    /// Its file, as it was when it came into this phase.
+    /// The stamp of its file when it entered this phase.
     pub(crate) stamp: FileStamp,
-    /// Whether it was found to have too few particles to measure the spacing of its sequence.
+    /// Whether it had too few particles to measure the spacing of its sequence.
     pub(crate) is_sparse: bool,
-    /// The fingerprint of what it was queued to be converted with, or of what the journal says it was made with where
-    /// that may change while the daemon runs; else empty.
+    /// The fingerprint of the settings with which it was queued. For a frame with a record that may become
+    /// stale while the daemon runs, the recorded fingerprint; otherwise empty.
     pub(crate) made_with: String,
-    /// Failures in a row that may pass by themselves.
+    /// Number of consecutive failures that may be temporary.
     pub(crate) attempt_count: u32,
-    /// The scan that saw it last.
+    /// The number of the scan that last saw it.
     pub(crate) scan_count: u64,
-    /// The files of its obstacles at its last inspection; `None` without obstacles.
+    /// The stamps of its obstacles at the last inspection; `None` without obstacles.
     pub(crate) obstacles: Option<Arc<ObstacleStamps>>,
-    /// When it is to be inspected again.
+    /// When to inspect it again.
     alarm_at: Option<Instant>,
-    /// The number of the inspection that is under way.
+    /// The number of the inspection in progress.
     inspection: Option<u64>,
 }
 
 impl FrameState {
-    /// Whether it is not complete, and time alone does not help: it waits for another file.
+    /// Whether it is incomplete and only another file can help, not time.
     pub(crate) fn is_stuck(&self) -> bool {
         matches!(self.phase, FramePhase::Settling(_)) && self.alarm_at.is_none() && self.inspection.is_none()
     }
 }
 
-/// How far a frame is.
+/// The phase of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum FramePhase {
     /// Its file may still be written.
     Settling(Candidate),
-    /// Complete; its sequence has no settings yet.
+    /// Complete, but its sequence has no settings yet.
     Held,
-    /// Waits for a pipeline.
+    /// Waiting for a pipeline.
     Queued,
-    /// In the pipeline with this number. Until its outcome comes, what is seen of its file changes nothing.
+    /// In the pipeline with this number. Until it finishes, changes of its file have no effect.
     UnderWay(usize),
-    /// Failed, and is tried again at this time.
+    /// Failed; the retry is due at this time.
     Retrying(Instant),
-    /// Its outputs are there.
+    /// Its outputs exist.
     Done,
-    /// Failed; only another file helps.
+    /// Failed; only a changed file can help.
     Failed,
-    /// No particles: some other file, or one of our own outputs.
+    /// No particles: an unrelated file, or an output of this program.
     Ignored,
-    /// Complete, and of a kind that may have several steps: which it has is being found out.
+    /// Complete, and of a format that may contain several steps; a search for them is in progress.
     FindingSteps,
-    /// A file with several steps, of which each is a frame.
+    /// A file with several steps, each of which is a frame.
     Steps,
 }
 
 /// The steps of a file.
 #[derive(Debug)]
 pub(crate) struct FileSteps {
-    /// The position of each among them.
+    /// The index of each step.
     pub(crate) index_of: HashMap<FrameId, usize>,
     pub(crate) found: FileFrames,
 }
 
 impl FileSteps {
-    /// Whether a step is as it was when its file had this stamp.
+    /// Whether a step is unchanged since its file had this stamp.
     pub(crate) fn is_kept_since(&self, id: &FrameId, stamp: &FileStamp) -> bool {
         self.index_of.get(id).is_some_and(|&index| index < self.found.kept_since(stamp))
     }
 }
 
-/// How many frames are in each phase.
+/// The number of frames in each phase.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct FrameCounts {
     pub(crate) settling: usize,
-    /// Of these, those that time does not help: they wait for another file.
+    /// Those of them that wait for another file, so that time does not help.
     pub(crate) stuck: usize,
     pub(crate) held: usize,
     /// [`FramePhase::Queued`] or [`FramePhase::UnderWay`].
     pub(crate) queued: usize,
-    /// Files whose steps are being found.
+    /// Files that are being searched for steps.
     pub(crate) finding_steps: usize,
     pub(crate) retrying: usize,
     pub(crate) done: usize,
@@ -186,7 +188,7 @@ impl FrameTable {
         self.all.get(id).map(|frame| frame.phase)
     }
 
-    /// A frame that was not known.
+    /// Adds a new frame.
     pub(crate) fn insert(&mut self, id: &FrameId, sequence: usize, candidate: Candidate, scan_count: u64) {
         let state = FrameState {
             sequence,
@@ -208,8 +210,8 @@ impl FrameTable {
         self.all.remove(id);
     }
 
-    /// Begins an inspection of a frame, in place of one that is under way, and returns its number and
-    /// the file to inspect.
+    /// Starts an inspection of a frame, which replaces any inspection in progress. Returns its number, and
+    /// the stamp of the file.
     pub(crate) fn begin_inspection(&mut self, id: &FrameId) -> Option<(u64, FileStamp)> {
         self.end_inspection(id);
         let frame = self.all.get_mut(id)?;
@@ -219,7 +221,8 @@ impl FrameTable {
         Some((self.inspection_count, frame.stamp))
     }
 
-    /// Ends the inspection of this number. Returns false if another was begun since, or the frame has changed.
+    /// Ends the inspection with this number. Returns false if another one was started since, or the frame has
+    /// changed.
     pub(crate) fn take_inspection(&mut self, id: &FrameId, number: u64) -> bool {
         let is_current = self.all.get(id).is_some_and(|frame| frame.inspection == Some(number));
         if is_current {
@@ -228,7 +231,7 @@ impl FrameTable {
         is_current
     }
 
-    /// Disregards the inspection that is under way.
+    /// Cancels the inspection in progress.
     pub(crate) fn end_inspection(&mut self, id: &FrameId) {
         if let Some(frame) = self.all.get_mut(id)
             && frame.inspection.take().is_some()
@@ -241,7 +244,7 @@ impl FrameTable {
         }
     }
 
-    /// Whether a frame is being inspected, of this sequence or of any.
+    /// Whether any frame is being inspected, of this sequence or of all.
     pub(crate) fn is_inspecting(&self, sequence: Option<usize>) -> bool {
         match sequence {
             Some(sequence) => self.inspected_in.contains_key(&sequence),
@@ -249,7 +252,7 @@ impl FrameTable {
         }
     }
 
-    /// The frames that a condition holds for.
+    /// The ids of the frames for which a condition holds.
     pub(crate) fn ids_of(&self, holds: impl Fn(&FrameId, &FrameState) -> bool) -> Vec<FrameId> {
         self.all.iter().filter(|(id, frame)| holds(id, frame)).map(|(id, _)| id.clone()).collect()
     }
@@ -258,7 +261,8 @@ impl FrameTable {
         self.all.iter()
     }
 
-    /// Has [`FrameTable::next_alarm`] name the frame at this time, unless it will be named before.
+    /// Sets the alarm of a frame: [`FrameTable::next_alarm`] returns the frame at this time, unless an
+    /// earlier alarm is set.
     pub(crate) fn set_alarm(&mut self, id: &FrameId, at: Instant) {
         if let Some(frame) = self.all.get_mut(id)
             && frame.alarm_at.is_none_or(|earlier| at < earlier)
@@ -273,7 +277,7 @@ impl FrameTable {
         self.alarms.peek().map(|Reverse((at, _))| *at)
     }
 
-    /// A frame whose alarm is due.
+    /// The next frame whose alarm is due.
     pub(crate) fn next_alarm(&mut self, now: Instant) -> Option<FrameId> {
         if self.alarm_at()? > now {
             return None;

@@ -1,4 +1,4 @@
-//! What is in a folder: the truth, where events are but hints.
+//! Scans folders. Events are only hints; a scan shows what a folder really contains.
 //!
 //! ```text
 //!   root ─┬─ dam.0001.bgeo          taken, if the selection takes its name
@@ -7,8 +7,8 @@
 //!         └─ surfaces               an excluded folder: not entered
 //! ```
 //!
-//! Links are followed. The same folder may so be reached by two ways, and each of its files is then two;
-//! only a folder that leads to itself is not entered again. Each file costs one call of the system.
+//! Links are followed. If two paths lead to the same folder, each of its files is reported under both. Only a
+//! folder that contains itself is not entered again. Each file costs one system call.
 
 use std::fs::{self, DirEntry, Metadata};
 use std::io;
@@ -22,9 +22,9 @@ use crate::watch::core::events::Scan;
 
 use super::selection::{FileFilter, is_hidden};
 
-/// Looks at one file; links are followed. `None` if it is gone, or is no regular file.
+/// Inspects one file; links are followed. `None` if it is gone, or is not a regular file.
 ///
-/// With `trust_clock`, the times of the file are taken to be by the clock of this machine.
+/// With `trust_clock`, the times of the file are by the clock of this machine.
 ///
 /// # Errors
 /// When the system refuses.
@@ -36,11 +36,11 @@ pub(crate) fn look(path: &Path, trust_clock: bool) -> io::Result<Option<Seen>> {
     }
 }
 
-/// Looks into `folder`, which is `root` or lies in it, and into all below it if the selection is
-/// recursive. Of a folder that the selection does not enter, the scan is empty.
+/// Scans `folder`, which is `root` or lies in it, and its sub-folders if the selection is recursive. The scan
+/// of a folder that the selection does not enter is empty.
 ///
 /// # Errors
-/// When `folder` itself cannot be looked into. Whatever else cannot is told in [`Scan::problems`].
+/// When `folder` itself cannot be read. Other unreadable paths are reported in [`Scan::problems`].
 pub(crate) fn scan(
     folder: &Path,
     root: &Path,
@@ -50,7 +50,7 @@ pub(crate) fn scan(
     scan_with(folder, root, selection, trust_clock, &|| {})
 }
 
-/// The same; `progress` is called for every file that was looked at.
+/// The same; calls `progress` for every file that was inspected.
 pub(super) fn scan_with(
     folder: &Path,
     root: &Path,
@@ -67,7 +67,7 @@ pub(super) fn scan_with(
     let mut pending = Vec::new();
     walk.enter(folder, &mut around, &mut pending)?;
     while let Some((next, depth)) = pending.pop() {
-        // Some that were entered since are not around this one.
+        // Folders that were entered since do not contain this one.
         around.truncate(depth);
         match walk.enter(&next, &mut around, &mut pending) {
             Err(error) if !is_gone(&error) => walk.scan.problems.push((next, error.to_string())),
@@ -77,7 +77,7 @@ pub(super) fn scan_with(
     Ok(walk.scan)
 }
 
-/// The folders from `root` down to the one that `folder` lies in.
+/// The folders from `root` down to the parent of `folder`.
 fn folders_around(folder: &Path, root: &Path) -> io::Result<Vec<FolderIdentity>> {
     let outward = folder.ancestors().skip(1).take_while(|outer| outer.starts_with(root));
     let mut around = outward.map(FolderIdentity::of).collect::<io::Result<Vec<_>>>()?;
@@ -85,7 +85,7 @@ fn folders_around(folder: &Path, root: &Path) -> io::Result<Vec<FolderIdentity>>
     Ok(around)
 }
 
-/// A scan under way.
+/// A scan in progress.
 struct FolderScan<'a> {
     root: &'a Path,
     selection: &'a FileFilter,
@@ -96,7 +96,7 @@ struct FolderScan<'a> {
 }
 
 impl FolderScan<'_> {
-    /// Looks into one folder, unless it must not be entered. `around` are the folders that it lies in.
+    /// Scans one folder, unless it must not be entered. `around` are the folders that contain it.
     fn enter(
         &mut self,
         folder: &Path,
@@ -127,7 +127,7 @@ impl FolderScan<'_> {
         Ok(())
     }
 
-    /// Takes a file that is selected, and tells whether this is a folder to look into instead.
+    /// Takes a file if it is selected; returns whether the entry is a folder to enter instead.
     fn take(&mut self, entry: &DirEntry, path: &Path) -> io::Result<bool> {
         let kind = entry.file_type()?;
         let is_recursive = self.selection.is_recursive();
@@ -154,7 +154,7 @@ impl FolderScan<'_> {
     }
 }
 
-/// Where a scan ends: the root and the excluded folders, by their true names.
+/// The limits of a scan: the root and the excluded folders, by their canonical paths.
 struct ScanLimits {
     root: PathBuf,
     excluded: Vec<PathBuf>,
@@ -163,12 +163,12 @@ struct ScanLimits {
 impl ScanLimits {
     fn new(root: &Path, selection: &FileFilter) -> io::Result<ScanLimits> {
         let root = root.canonicalize()?;
-        // One that is not there keeps nobody out; nor does one around the root.
+        // A missing folder excludes nothing; nor does one that contains the root.
         let excluded = selection.excluded().iter().filter_map(|folder| folder.canonicalize().ok());
         Ok(ScanLimits { excluded: excluded.collect(), root })
     }
 
-    /// Whether the innermost folder around this one that counts is an excluded one.
+    /// Whether the innermost of the root and the excluded folders around this folder is an excluded one.
     fn excludes(&self, folder: &Path) -> io::Result<bool> {
         if self.excluded.is_empty() {
             return Ok(false);
@@ -182,7 +182,7 @@ impl ScanLimits {
     }
 }
 
-/// Which folder it is, by whatever way it was reached.
+/// The identity of a folder, independent of the path that leads to it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct FolderIdentity {
     #[cfg(unix)]
@@ -205,14 +205,14 @@ impl FolderIdentity {
     }
 }
 
-/// What is seen of a file; `None` of anything else.
+/// The state of a file; `None` for anything else.
 fn seen(metadata: &Metadata, trust_clock: bool) -> Option<Seen> {
     let age = || SystemTime::now().duration_since(last_change(metadata)?).ok();
     metadata.is_file().then(|| Seen { stamp: FileStamp::of(metadata), age: trust_clock.then(age).flatten() })
 }
 
-/// When the file or anything that the system says of it changed. Times of writing can be set to
-/// anything; that they were set cannot be hidden.
+/// When the file or its metadata last changed. Modification times can be set to any value, but setting them
+/// changes the status change time.
 #[cfg(unix)]
 fn last_change(metadata: &Metadata) -> Option<SystemTime> {
     use std::os::unix::fs::MetadataExt;
@@ -227,7 +227,7 @@ fn last_change(metadata: &Metadata) -> Option<SystemTime> {
     metadata.modified().ok()
 }
 
-/// Whether the path leads nowhere any more: also because a folder on its way became a file.
+/// Whether the path no longer exists, for example because one of its folders is now a file.
 fn is_gone(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
 }
@@ -243,7 +243,7 @@ mod tests {
 
     use tempfile::{TempDir, tempdir};
 
-    /// A folder with empty files at these paths.
+    /// Creates a folder with empty files at these paths.
     fn folder_of(paths: &[&str]) -> TempDir {
         let folder = tempdir().expect("a folder");
         for path in paths {
@@ -258,7 +258,7 @@ mod tests {
         FileFilter::new(pattern, true, excluded.to_vec()).expect("a pattern")
     }
 
-    /// The paths that a scan finds within its root, sorted; it must have no problems.
+    /// The paths that a scan finds, relative to its root and sorted; the scan must have no problems.
     fn found(root: &Path, selection: &FileFilter) -> Vec<String> {
         let scan = scan(root, root, selection, true).expect("readable");
         assert!(scan.problems.is_empty(), "{:?}", scan.problems);
@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scan_and_a_name_agree() {
+    fn scan_takes_the_same_files_as_the_name_filter() {
         let paths = [
             "a.1.ply",
             "b/a.2.ply",
@@ -311,7 +311,7 @@ mod tests {
 
     /// The innermost of the root and the excluded folders decides.
     #[test]
-    fn outputs_may_lie_within_the_frames_or_around_them() {
+    fn folder_of_outputs_may_be_inside_or_around_the_watched_folder() {
         let folder = folder_of(&["a.ply", "out/b.ply", "out/deep/c.ply", "in/d.ply"]);
         let root = folder.path();
         let outside = tempdir().expect("a folder");
@@ -321,7 +321,7 @@ mod tests {
             ("within", root, root.join("out"), &["a.ply", "in/d.ply"][..]),
             ("the same", root, root.to_owned(), &["a.ply", "in/d.ply", "out/b.ply", "out/deep/c.ply"]),
             ("around", &root.join("in"), root.to_owned(), &["d.ply"]),
-            ("by another name", root, root.join("in/../out"), &["a.ply", "in/d.ply"]),
+            ("by another path", root, root.join("in/../out"), &["a.ply", "in/d.ply"]),
             ("through a link into it", outside.path(), root.join("out"), &["e.ply"]),
             ("not there", root, root.join("gone"), &["a.ply", "in/d.ply", "out/b.ply", "out/deep/c.ply"]),
         ] {
@@ -329,11 +329,11 @@ mod tests {
         }
         let selection = selection(None, &[root.join("out")]);
         let part = scan(&root.join("out/deep"), root, &selection, true).expect("readable");
-        assert!(part.folders.is_empty() && part.files.is_empty(), "asked for by its name: {part:?}");
+        assert!(part.folders.is_empty() && part.files.is_empty(), "scanned directly: {part:?}");
     }
 
     #[test]
-    fn links_are_followed_but_never_round() {
+    fn links_are_followed_but_cycles_are_not() {
         let folder = folder_of(&["a/1.ply", "b/2.ply"]);
         let root = folder.path();
         for (target, link) in [
@@ -349,22 +349,22 @@ mod tests {
         let expected = ["a/1.ply", "a/side/2.ply", "b/2.ply", "b/side/1.ply", "l.ply"];
         let selection = selection(None, &[]);
         assert_eq!(found(root, &selection), expected);
-        // Part of a scan finds the same part of it.
+        // A scan of a sub-folder finds the same files there.
         let part = scan(&root.join("a"), root, &selection, true).expect("readable");
         assert_eq!(names(root, part.files.iter().map(|file| &*file.0)), ["a/1.ply", "a/side/2.ply"]);
         assert_eq!(names(root, part.folders.iter().map(|folder| &**folder)), ["a", "a/side"]);
         let round = scan(&root.join("a/up"), root, &selection, true).expect("readable");
         assert!(round.folders.is_empty(), "{round:?}");
-        let hidden = scan(&root.join(".git"), root, &selection, true).expect("not looked at");
+        let hidden = scan(&root.join(".git"), root, &selection, true).expect("not entered");
         assert!(hidden.folders.is_empty(), "{hidden:?}");
     }
 
     #[test]
-    fn names_need_not_be_text() {
+    fn names_need_not_be_utf8() {
         let folder = tempdir().expect("a folder");
         let sub = folder.path().join(OsStr::from_bytes(b"caf\xe9"));
         let path = sub.join(OsStr::from_bytes(b"gr\xf6\xdfe.1.ply"));
-        // Some file systems hold text only.
+        // Some file systems only accept UTF-8.
         if fs::create_dir(&sub).and_then(|()| fs::write(&path, b"")).is_err() {
             return;
         }
@@ -377,7 +377,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_looked_at_is_told() {
+    fn unreadable_paths_are_reported_as_problems() {
         use std::os::unix::fs::PermissionsExt;
         let folder = folder_of(&["a.ply", "locked/b.ply"]);
         let root = folder.path();
@@ -385,7 +385,7 @@ mod tests {
         let locked = root.join("locked");
         fs::set_permissions(&locked, PermissionsExt::from_mode(0o000)).expect("locked");
         let mut expected = vec!["round.ply"];
-        // Some users may look everywhere.
+        // Some users, such as root, may read everything.
         if fs::read_dir(&locked).is_err() {
             expected.insert(0, "locked");
         }
@@ -396,7 +396,7 @@ mod tests {
     }
 
     #[test]
-    fn a_root_that_is_gone_is_an_error() {
+    fn scan_of_a_missing_root_fails() {
         let folder = folder_of(&["a.ply"]);
         let selection = selection(None, &[]);
         for path in [folder.path().join("gone"), folder.path().join("a.ply")] {
@@ -406,7 +406,7 @@ mod tests {
     }
 
     #[test]
-    fn only_regular_files_are_seen() {
+    fn look_returns_only_regular_files() {
         let folder = folder_of(&["a.ply"]);
         let path = folder.path().join("a.ply");
         let file = look(&path, true).expect("readable").expect("a file");
@@ -424,9 +424,9 @@ mod tests {
             file.set_modified(time).expect("set");
             look(&path, true).expect("readable").expect("a file").age
         };
-        // No clock here knows how long ago the future was.
+        // The age of a time in the future is unknown.
         assert_eq!(set(SystemTime::now() + Duration::from_secs(3600)), None);
-        // That a time was set is itself a change.
+        // Setting the time is itself a change.
         assert!(set(SystemTime::UNIX_EPOCH).is_some_and(|age| age < a_while));
     }
 }

@@ -1,15 +1,16 @@
-//! Which files are frames: by their names, and, where names do not tell, by their first bytes.
+//! Decides which files are frames: by name, and if names are ambiguous, by the first bytes.
 //!
 //! ```text
-//!   frames ─┬─ dam.0001.bgeo         taken: a name of particles, or one that the pattern matches
-//!           ├─ notes.txt             taken, and then told by its content
+//!   frames ─┬─ dam.0001.bgeo         taken: an extension of particles, or a match of the pattern
+//!           ├─ notes.txt             taken, and then decided by its content
 //!           ├─ .dam.0002.bgeo.tmp    hidden: never
 //!           └─ surfaces ── dam.ply   in an excluded folder: never
 //! ```
 //!
-//! The folder of the outputs is excluded where it lies in the watched one. But it may also be the watched
-//! one, or lie around it: then frames and outputs stand side by side, and only [`content`] tells them
-//! apart. Level sets (.vdb) are taken only by a pattern that ends in `.vdb`, and never those that this program wrote. So, of the watched and the excluded folders, the innermost around a file decides.
+//! The folder of the outputs is excluded if it lies in the watched folder. But it may also be the watched
+//! folder itself, or contain it: then frames and outputs lie side by side, and only [`content`] can
+//! distinguish them. So the innermost of the watched and the excluded folders around a file decides. Level
+//! sets (.vdb) are taken only if the pattern ends in `.vdb`, and never if this program wrote them.
 
 use std::ffi::OsStr;
 use std::fmt;
@@ -26,7 +27,7 @@ use crate::pipeline::{
 
 use crate::watch::config::names_level_sets;
 
-/// Which files are frames, as far as their names tell.
+/// Selects files by name.
 #[derive(Clone, Debug)]
 pub struct FileFilter {
     pattern: Option<Pattern>,
@@ -34,18 +35,18 @@ pub struct FileFilter {
     excluded: Vec<PathBuf>,
 }
 
-/// Why a pattern is none.
+/// Why a pattern is invalid.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PatternError {
     what: String,
 }
 
-/// What a file is, by a look at its first bytes.
+/// The kind of a file, by its first bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SniffedContent {
-    /// A frame, or what its name promises to be one: to be read, if only to say what is wrong with it.
+    /// A frame, or a file whose name claims to be one: it is read, if only to report what is wrong with it.
     Particles,
-    /// Something that this program wrote.
+    /// An output of this program.
     OwnOutput,
     /// Anything else.
     NotParticles,
@@ -60,14 +61,14 @@ impl fmt::Display for PatternError {
 impl std::error::Error for PatternError {}
 
 impl FileFilter {
-    /// Takes what `pattern` matches: a glob, for the file's name if there is no `/` in it, else for its
-    /// path within the root. Without a pattern, names that end like those of particles.
+    /// Takes the files that `pattern` matches: a glob for the file name if it contains no `/`, otherwise for
+    /// the path within the root. Without a pattern, takes names with an extension of particle files.
     ///
-    /// Nothing is taken that is hidden, or that lies in one of the `excluded` folders, unless the root
-    /// lies in it as well.
+    /// Hidden files and files in one of the `excluded` folders are never taken, unless the root itself lies
+    /// in that folder.
     ///
     /// # Errors
-    /// When the pattern is malformed, or reaches into sub-folders though it is not to be `recursive`.
+    /// When the pattern is malformed, or contains sub-folders although `recursive` is false.
     pub fn new(
         pattern: Option<&str>,
         recursive: bool,
@@ -77,8 +78,8 @@ impl FileFilter {
         Ok(FileFilter { pattern, recursive, excluded })
     }
 
-    /// Whether the name of a file within `root` says that it is a frame. Excluded folders are known by
-    /// their names here: only a scan sees through links.
+    /// Whether the name of a file within `root` selects it. Excluded folders are compared by path here; only
+    /// a scan resolves links.
     pub fn takes(&self, root: &Path, path: &Path) -> bool {
         let Ok(within) = path.strip_prefix(root) else { return false };
         let depth = within.components().count();
@@ -87,7 +88,7 @@ impl FileFilter {
         is_here && !self.excluded.iter().any(excludes) && !is_hidden_path(within) && self.takes_name(within)
     }
 
-    /// Whether its name, and the way to it from the root, say that a file is a frame.
+    /// Whether the path of a file within the root selects it.
     pub(crate) fn takes_name(&self, within: &Path) -> bool {
         let name = within.file_name().unwrap_or_default().to_string_lossy();
         if is_level_set(within) && !names_level_sets(self.pattern.as_ref().map(Pattern::as_str)) {
@@ -100,17 +101,17 @@ impl FileFilter {
         }
     }
 
-    /// Whether a folder within the root is looked into, as far as its name tells.
+    /// Whether a folder within the root is entered, by its path alone.
     pub(crate) fn enters(&self, root: &Path, folder: &Path) -> bool {
         folder.strip_prefix(root).is_ok_and(|within| self.recursive && !is_hidden_path(within))
     }
 
-    /// Whether sub-folders are looked into.
+    /// Whether sub-folders are scanned.
     pub(crate) fn is_recursive(&self) -> bool {
         self.recursive
     }
 
-    /// Folders whose files are no frames.
+    /// Folders whose files are not frames.
     pub(crate) fn excluded(&self) -> &[PathBuf] {
         &self.excluded
     }
@@ -121,16 +122,16 @@ fn parse_pattern(text: &str, recursive: bool) -> Result<Pattern, PatternError> {
         what: format!("`{text}` is no pattern: {}, at {}", error.msg, error.pos),
     })?;
     if text.contains('/') && !recursive {
-        let what = format!("`{text}` reaches into sub-folders, which are only looked into if asked for");
+        let what = format!("`{text}` reaches into sub-folders, which are only scanned with --recursive");
         return Err(PatternError { what });
     }
     Ok(pattern)
 }
 
-/// Looks at the first bytes of a file.
+/// Reads the first bytes of a file and returns its kind.
 ///
 /// # Errors
-/// When it cannot be read.
+/// When the file cannot be read.
 pub fn content(path: &Path) -> io::Result<SniffedContent> {
     const HEAD_BYTES: u64 = 64 << 10; // holds the provenance of every output
     let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -148,7 +149,7 @@ pub fn content(path: &Path) -> io::Result<SniffedContent> {
     })
 }
 
-/// Whether a name is one that listings leave out.
+/// Whether the name is that of a hidden file.
 pub(crate) fn is_hidden(name: &OsStr) -> bool {
     name.as_encoded_bytes().starts_with(b".")
 }
@@ -157,11 +158,11 @@ fn is_hidden_path(within: &Path) -> bool {
     within.components().any(|part| is_hidden(part.as_os_str()))
 }
 
-/// Whether these are the first bytes of a file that carries this program's provenance.
+/// Whether these first bytes of a file contain this program's provenance.
 fn is_own_output(head: &[u8], name: &str) -> bool {
     let format = probe(head, name).kind.format().and_then(Format::output);
     let Some(format) = format.filter(|format| !format.is_picture()) else { return false };
-    // A head that is damaged carries none.
+    // A damaged head contains no provenance.
     read_provenance(format, head).is_ok_and(|recorded| {
         recorded.iter().any(|(name, _)| name == "generator") && !are_particles(&recorded)
     })
@@ -178,7 +179,7 @@ mod tests {
     use tempfile::tempdir;
 
     #[test]
-    fn patterns_are_for_names_or_for_ways() {
+    fn pattern_matches_the_name_or_with_a_slash_the_path() {
         let root = Path::new("/frames");
         for (pattern, path, expected) in [
             (None, "/frames/dam.1.ply", true),
@@ -210,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn patterns_that_could_never_match_are_refused() {
+    fn invalid_or_unreachable_pattern_is_refused() {
         for (pattern, recursive, words) in
             [("a[", true, "`a[` is no pattern"), ("b/*.ply", false, "sub-folders")]
         {
@@ -220,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn content_tells_frames_from_outputs_and_notes() {
+    fn content_distinguishes_frames_outputs_and_other_files() {
         use meniscus_formats::{MeshOptions, MeshView, OutputFormat, gltf, ply};
         let folder = tempdir().expect("a folder");
         let of = |name: &str, bytes: &[u8]| {
