@@ -1,5 +1,5 @@
-//! The event loop: hands events to the core, carries out what it decides, and gives signs of life. It never waits for a file
-//! system: others do that.
+//! The event loop: passes events to the core, carries out its effects, and sends heartbeats. It never waits
+//! for a file system; other threads do.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Weak};
@@ -19,12 +19,12 @@ use super::io::start::{Workers, now, start};
 use super::journal::DaemonState;
 use super::status_store::StatusStore;
 
-/// Watches and converts until a command ends it, or, where that is all that was asked for, until
-/// everything is converted. What there is to see of it is shown on the `store`, if there is one.
+/// Watches and converts until a command stops it or, with `once`, until all frames are converted. Publishes
+/// its state to the `store`, if given.
 ///
 /// # Errors
-/// When it cannot begin. What happens to single frames is no error here: it is logged, kept in the
-/// journal and counted.
+/// When it cannot start. Failures of single frames are not errors: they are logged, recorded in the journal,
+/// and counted.
 pub fn run(
     config: &WatchConfig,
     store: Option<&Arc<StatusStore>>,
@@ -37,12 +37,12 @@ pub fn run(
     EventLoop::new(core, workers, context, events, notices).run(commands)
 }
 
-/// Everything that the loop has.
+/// The state of the loop.
 struct EventLoop<'a> {
     core: Core,
     workers: Workers,
     context: PipelineContext,
-    /// Where each pipeline gets its frames from; no longer after it was told to end.
+    /// The channel through which each pipeline gets its frames; `None` once the pipeline was told to end.
     pipelines: HashMap<usize, Option<Sender<Start>>>,
     events: Receiver<Event>,
     notices: &'a mut dyn FnMut(Notice),
@@ -51,13 +51,13 @@ struct EventLoop<'a> {
     unsynced_count: usize,
 }
 
-/// The loop gives a sign of life so often.
+/// The interval of heartbeats.
 const TICK: Duration = Duration::from_secs(1);
 
-/// So many events are taken before it is decided what follows from them.
+/// Maximum number of events to handle before their consequences are decided.
 const BATCH: usize = 4096;
 
-/// How long it waits at the end for a worker that hangs.
+/// How long shutdown waits for a worker that hangs.
 const GRACE: Duration = Duration::from_millis(100);
 
 impl<'a> EventLoop<'a> {
@@ -81,7 +81,7 @@ impl<'a> EventLoop<'a> {
         }
     }
 
-    /// Runs until a command ends it or nothing is left to do.
+    /// Runs until a command stops it, or nothing is left to do.
     fn run(mut self, commands: &Receiver<DaemonRequest>) -> Result<WatchSummary, DaemonError> {
         if let Some(store) = &self.context.store {
             store.begin(self.core.plan());
@@ -112,7 +112,7 @@ impl<'a> EventLoop<'a> {
                 recv(self.events) -> event => self.take_batch(event.ok())?,
                 recv(commands) -> command => match command {
                     Ok(command) => return self.shut_down(command, &commands),
-                    // Whoever could send commands is gone: then there are none.
+                    // All senders are gone: no further commands can arrive.
                     Err(_) => commands = never(),
                 },
                 default(self.wait()) => {}
@@ -121,7 +121,7 @@ impl<'a> EventLoop<'a> {
         }
     }
 
-    /// Takes this event and those that wait behind it.
+    /// Handles this event and those queued behind it.
     fn take_batch(&mut self, first: Option<Event>) -> Result<(), DaemonError> {
         let rest: Vec<Event> = self.events.try_iter().take(BATCH).collect();
         for event in first.into_iter().chain(rest) {
@@ -141,7 +141,7 @@ impl<'a> EventLoop<'a> {
         Ok(())
     }
 
-    /// Does what several events together make possible, shows it, and carries out what was decided.
+    /// Decides what follows from several events together, publishes it, and carries out the effects.
     fn settle_batch(&mut self) -> Result<(), DaemonError> {
         self.core.settle_batch(now());
         self.carry_out()
@@ -149,7 +149,7 @@ impl<'a> EventLoop<'a> {
 
     fn carry_out(&mut self) -> Result<(), DaemonError> {
         self.core.publish(self.context.store.as_deref());
-        // Workers live as long as the loop: what cannot be sent has no one to do it.
+        // Workers live as long as the loop, so a failed send means that it is ending.
         for effect in self.core.take_effects() {
             match effect {
                 Effect::Root(root, request) => drop(self.workers.roots[root].send(request)),
@@ -176,7 +176,7 @@ impl<'a> EventLoop<'a> {
         Ok(())
     }
 
-    /// How long there is nothing to do.
+    /// The time until the next action is due.
     fn wait(&self) -> Duration {
         let now = Instant::now();
         let until_tick = self.last_tick.map_or(Duration::ZERO, |at| TICK.saturating_sub(now - at));
@@ -184,7 +184,7 @@ impl<'a> EventLoop<'a> {
         deadline.map_or(until_tick, |at| at.saturating_duration_since(now).min(until_tick))
     }
 
-    /// Gives a sign of life, and says how things stand, once a second.
+    /// Sends a heartbeat, and reports the status once a second.
     fn tick(&mut self) {
         if self.last_tick.is_some_and(|at| at.elapsed() < TICK) {
             return;
@@ -206,7 +206,7 @@ impl<'a> EventLoop<'a> {
         self.core.record_pause();
     }
 
-    /// Finishes what is under way. A reload may be upgraded to an end meanwhile.
+    /// Finishes the frames in progress. A reload may be upgraded to a stop while this runs.
     fn shut_down(
         mut self,
         mut command: DaemonRequest,
@@ -220,7 +220,7 @@ impl<'a> EventLoop<'a> {
         self.last_tick = None;
         loop {
             self.settle_batch()?;
-            // A pipeline that hangs is left to itself after the deadline.
+            // A pipeline that still hangs after the deadline is abandoned.
             let is_abandoned = overdue_at.is_none() && !self.core.has_frames_under_way(false);
             if self.pipelines.is_empty() || is_abandoned {
                 break;
@@ -242,7 +242,7 @@ impl<'a> EventLoop<'a> {
             }
             if overdue_at.is_some_and(|at| at <= Instant::now()) {
                 overdue_at = None;
-                tracing::warn!("frames under way are not finished within {stop_deadline:?}");
+                tracing::warn!("frames in progress are not finished within {stop_deadline:?}");
                 self.core.record_daemon(DaemonState::Stopped);
                 self.sync_journals()?;
                 (self.notices)(Notice::Overdue);
@@ -254,13 +254,13 @@ impl<'a> EventLoop<'a> {
         })
     }
 
-    /// Writes that the daemon has stopped, waits for the journals, and ends the workers.
+    /// Records that the daemon has stopped, waits for the journals, and ends the workers.
     fn end(&mut self) -> Result<(), DaemonError> {
         self.core.record_daemon(DaemonState::Stopped);
         self.sync_journals()
     }
 
-    /// Waits until all journals are on the disk, but not for a folder that hangs.
+    /// Waits until all journals are on disk, except for folders that hang.
     fn sync_journals(&mut self) -> Result<(), DaemonError> {
         self.unsynced_count = self.core.sync_journals();
         self.carry_out()?;
@@ -276,7 +276,7 @@ impl<'a> EventLoop<'a> {
     fn finish(mut self, ended: EndReason) -> Result<WatchSummary, DaemonError> {
         self.end()?;
         let summary = self.core.summary(ended);
-        // The next run takes the locks that these threads hold.
+        // The next run needs the locks that these threads hold.
         let has_stalled = self.core.has_stalled();
         let wait = if has_stalled { GRACE } else { self.context.config.stop_deadline };
         let EventLoop { workers, context, pipelines, notices, .. } = self;
@@ -294,7 +294,7 @@ impl<'a> EventLoop<'a> {
     }
 }
 
-/// Whether an event still matters when no further frame begins.
+/// Whether an event still matters once no further frame starts.
 fn is_of_frames(event: &Event) -> bool {
     matches!(
         event,
@@ -324,7 +324,7 @@ mod tests {
     use crate::watch::core::events::{RootRequest, Worker};
     use crate::watch::io::worker::{Pulse, StallMonitor, Work, spawn};
 
-    /// A file system that does not answer while the other end of the channel is there.
+    /// A file system that does not respond while the other end of the channel exists.
     struct Hanging(Receiver<()>);
 
     impl Work for Hanging {
@@ -376,7 +376,7 @@ mod tests {
     }
 
     #[test]
-    fn folder_that_hangs_stops_neither_the_loop_nor_other_folders() {
+    fn hanging_folder_blocks_neither_the_loop_nor_other_folders() {
         let folder = tempfile::tempdir().expect("a folder");
         let config = Arc::new(config(["hanging", "sound"].map(|name| watch(folder.path(), name)).to_vec()));
         let block = (0..64).map(|i| format!("{},{},{}\n", i % 4, i / 4 % 4, i / 16)).collect::<String>();
@@ -399,7 +399,7 @@ mod tests {
         let out = folder.path().join("out/sound/a.1.obj");
         let mut alive_count = 0;
         while !out.exists() || alive_count < 3 {
-            let notice = notices.recv_timeout(Duration::from_secs(60)).expect("a sign of life");
+            let notice = notices.recv_timeout(Duration::from_secs(60)).expect("a heartbeat");
             alive_count += usize::from(notice == Notice::Alive);
             assert!(alive_count < 60, "the other folder waits");
         }

@@ -98,7 +98,7 @@ fn the_deadline_for_ending_holds() {
     let elapsed = start.elapsed();
     assert_eq!(status.code(), Some(0), "{}", daemon.told());
     assert!(elapsed >= Duration::from_millis(300), "{elapsed:?}");
-    let overdue = "frames under way are not finished within 300ms";
+    let overdue = "frames in progress are not finished within 300ms";
     assert_eq!(daemon.lines(|line| line.message == overdue).len(), 1, "{}", daemon.told());
     assert!(daemon.lines(Line::is_converted).is_empty(), "{}", daemon.told());
     assert!(contents(&scene.path("out")).is_empty());

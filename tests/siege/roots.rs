@@ -53,7 +53,7 @@ fn a_folder_that_is_moved_away_is_waited_for() {
         land_sequence(&away, 4 + round, 4 + round, 5);
         fs::rename(&away, &inside).expect("renamed");
         daemon.until_converted(&frame_names(1, 4 + round));
-        daemon.until("it is there again", |daemon| daemon.count_logged("there again") == round);
+        daemon.until("it is there again", |daemon| daemon.count_logged("available again") == round);
     }
     // And its events are heard again.
     land_sequence(&inside, 7, 7, 5);

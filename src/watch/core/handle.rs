@@ -1,4 +1,4 @@
-//! One event after the other: what each changes, and what is to be done for it.
+//! Handles events one at a time: updates the state, and collects the effects.
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -13,7 +13,7 @@ use super::frames::{FrameCounts, FrameId, FramePhase, FrameState};
 use super::state::{Core, RootState, STALL_AFTER};
 
 impl Core {
-    /// Takes in an event. What is to be done for it is returned by [`Core::take_effects`].
+    /// Handles an event. Its effects are returned by [`Core::take_effects`].
     pub(crate) fn handle(&mut self, event: Event, now: Now) {
         self.now = now;
         match event {
@@ -44,8 +44,8 @@ impl Core {
         }
     }
 
-    /// Does what is due, and what several events together make possible. To be called after each batch of events, and
-    /// when [`Core::next_deadline`] has come.
+    /// Does what is due, and what follows from several events together. Must be called after each batch of
+    /// events, and when [`Core::next_deadline`] is reached.
     pub(crate) fn settle_batch(&mut self, now: Now) {
         self.now = now;
         while let Some(id) = self.frames.next_alarm(now.at) {
@@ -57,20 +57,20 @@ impl Core {
         self.start_frames();
     }
 
-    /// When something is due next.
+    /// When the next action is due.
     pub(crate) fn next_deadline(&self) -> Option<Instant> {
         self.frames.alarm_at()
     }
 
-    /// What is to be done, in this order.
+    /// Takes the effects, in the order in which they must be carried out.
     pub(crate) fn take_effects(&mut self) -> Vec<Effect> {
         std::mem::take(&mut self.effects)
     }
 
-    /// Gives frames to the pipelines that want one.
+    /// Gives frames to the pipelines that have asked for one.
     fn start_frames(&mut self) {
         while let Some(&pipeline) = self.wanting.front() {
-            // One that was replaced because it hung has come back: what it has is finished, and it ends.
+            // A pipeline that was replaced because it hung responds again: it finishes its frames and ends.
             if self.is_stopping || pipeline != self.pipeline {
                 self.wanting.pop_front();
                 self.effects.push(Effect::EndPipeline(pipeline));
@@ -91,7 +91,7 @@ impl Core {
         }
     }
 
-    /// Frames whose folder hangs hold up the pipeline that has them: then another one goes on with the rest.
+    /// Replaces a pipeline whose frames hang with their folder, so that other frames can continue.
     fn replace_stalled_pipeline(&mut self) {
         let may_others_begin = (0..self.roots.len()).any(|root| self.may_begin(root));
         if self.is_stopping || !may_others_begin || !self.has_stalled() {
@@ -104,7 +104,7 @@ impl Core {
             return;
         }
         self.pipeline += 1;
-        self.log(|| tracing::warn!("frames under way hang with their folder: others go on without them"));
+        self.log(|| tracing::warn!("frames in progress hang with their folder: a new pipeline continues"));
         self.effects.push(Effect::StartPipeline(self.pipeline));
     }
 
@@ -123,7 +123,7 @@ impl Core {
         self.log_about(path, move |folder| match since {
             Some(_) => tracing::warn!(
                 %folder,
-                "unavailable: its file system has not answered for {STALL_AFTER:?}; other folders go on"
+                "unavailable: its file system has not answered for {STALL_AFTER:?}; other folders continue"
             ),
             None => tracing::info!(%folder, "answers again"),
         });
@@ -135,14 +135,17 @@ impl Core {
         (dir.is_there, dir.free_bytes) = (presence != Presence::Away, free_bytes);
         if presence == Presence::MadeAgain {
             let folder = dir.folder.clone();
-            self.log_about(folder, |folder| tracing::warn!(%folder, "was gone, and is taken again"));
-            // What was in it may be gone as well.
+            self.log_about(
+                folder,
+                |folder| tracing::warn!(%folder, "was removed, and has been created again"),
+            );
+            // Its outputs may be gone as well.
             self.scan_all();
         }
         self.check_space();
     }
 
-    /// Whether everything was looked at once; folders that hang are not waited for.
+    /// Whether every folder was scanned once, except folders that hang.
     pub(crate) fn is_ready(&self) -> bool {
         let is_waiting = self.roots.iter().any(|root| !root.was_scanned && root.stalled_since.is_none());
         let hangs = self.roots.iter().any(|root| root.stalled_since.is_some());
@@ -155,8 +158,8 @@ impl Core {
         self.roots.iter().enumerate().find_map(why)
     }
 
-    /// Whether nothing is left that can be done. Frames whose settings cannot be measured fail for it; those that wait for
-    /// a file are left, and so are frames that wait for their settings.
+    /// Whether nothing is left to do. Frames whose settings cannot be measured fail; frames that wait for a
+    /// file, or for their settings, are left.
     pub(crate) fn is_drained(&mut self) -> bool {
         let is_busy = self.frames.is_inspecting(None) || !self.dirty_sequences.is_empty();
         if !self.is_ready() || self.queue.len() > 0 || self.measuring_count > 0 || is_busy {
@@ -174,13 +177,13 @@ impl Core {
         true
     }
 
-    /// Names the frames that are left because their sentinels are missing. Returns their sequences.
+    /// Logs the frames that are left because their sentinels are missing. Returns their sequences.
     fn log_stuck(&mut self) -> HashSet<usize> {
         let stuck = self.frames.ids_of(|_, frame| frame.is_stuck());
         for id in &stuck {
             let sentinel = path_of_sentinel(self.watch(id.root), &id.path);
             self.log_about(&*id.path, move |frame| {
-                tracing::warn!(%frame, "left: there is no newer {}", sentinel.display());
+                tracing::warn!(%frame, "not converted: there is no {} newer than the frame", sentinel.display());
             });
         }
         stuck.iter().filter_map(|id| self.frames.get(id)).map(|frame| frame.sequence).collect()
@@ -195,12 +198,12 @@ impl Core {
         }
     }
 
-    /// Begins no further frame.
+    /// Stops starting frames.
     pub(crate) fn stop(&mut self) {
         self.is_stopping = true;
     }
 
-    /// Whether frames are under way that do not hang.
+    /// Whether frames are in progress; with `with_stalled`, including those that hang.
     pub(crate) fn has_frames_under_way(&self, with_stalled: bool) -> bool {
         let is_under_way = |(id, frame): (&FrameId, &FrameState)| {
             matches!(frame.phase, FramePhase::UnderWay(_)) && (with_stalled || self.may_begin(id.root))
@@ -218,7 +221,7 @@ impl Core {
         roots || self.outputs.iter().any(|output| output.stalled_since.is_some())
     }
 
-    /// Has all journals written to the disk; returns how many there are.
+    /// Requests that all journals be synced to disk; returns their number.
     pub(crate) fn sync_journals(&mut self) -> usize {
         for output in 0..self.outputs.len() {
             self.effects.push(Effect::Output(output, OutputRequest::Sync));
@@ -226,7 +229,7 @@ impl Core {
         self.outputs.len()
     }
 
-    /// What came of all frames; failures in natural order.
+    /// The summary of the run; failures in natural order.
     pub(crate) fn summary(&self, ended: EndReason) -> WatchSummary {
         let counts = self.frames.counts();
         let mut failed: Vec<_> = self.failed.iter().collect();
@@ -249,7 +252,7 @@ impl Core {
         }
     }
 
-    /// How many of the frames that are done break a guarantee, as the journal has it.
+    /// The number of done frames that break a guarantee, according to the journal.
     fn broken_count(&self) -> usize {
         let is_broken = |(id, frame): &(&FrameId, &FrameState)| {
             let figures = self.record_of(id).and_then(|record| record.figures.as_ref());
@@ -259,12 +262,12 @@ impl Core {
     }
 }
 
-/// A reason that names the frame it is about.
+/// The reason, prefixed with the path unless it already contains it.
 fn about(path: &Path, reason: &str) -> String {
     let path = path.display().to_string();
     if reason.contains(&path) { reason.to_owned() } else { format!("{path}: {reason}") }
 }
 
-/// Why a frame has no settings when all is said and done; convert says the same.
+/// Why a frame has no settings at the end of a run; `convert` prints the same text.
 const TOO_SPARSE: &str = "no frame of its sequence has two particles in different places to measure \
                           their spacing on: give --spacing";

@@ -1,12 +1,12 @@
-//! From a file that was seen to a frame that is queued, or to the reason why it is not.
+//! Takes a file from its discovery to a queued frame, or to the reason why it is not queued.
 //!
 //! ```text
 //!   on_file_seen ──▶ inspect ··▶ on_inspected ──▶ on_complete ──▶ hold ──▶ release ──▶ enqueue
 //!        │                            │                │                     │
 //!        │                            │                │                     └ its sequence has no settings yet: held
-//!        │                            │                ├ it may have several steps: these are found first
-//!        │                            │                └ no particles, or its outputs are another's
-//!        │                            └ known from the journal, or still being written
+//!        │                            │                ├ it may have several steps: search for these first
+//!        │                            │                └ no particles, or another frame owns its outputs
+//!        │                            └ known from the journal, or incomplete
 //!        └ seen before, and unchanged
 //! ```
 
@@ -29,7 +29,7 @@ use super::frames::{FrameId, FramePhase, FrameState};
 use super::sequences::SequenceSettings;
 use super::state::{Core, Failure};
 
-/// How soon a frame whose outputs are not mounted is inspected again.
+/// How soon to inspect a frame again whose outputs are on an unmounted disk.
 const AWAY_RETRY: Duration = Duration::from_secs(1);
 
 impl Core {
@@ -51,7 +51,7 @@ impl Core {
             }
             FramePhase::Done if is_same => return self.check_outputs(id),
             FramePhase::Steps if is_same => return self.check_steps(id),
-            // It is inspected again when its outcome comes.
+            // It is inspected when its conversion ends.
             FramePhase::UnderWay(_) => return,
             _ if is_same => return,
             FramePhase::Steps => {
@@ -63,7 +63,7 @@ impl Core {
         self.inspect_candidate(id);
     }
 
-    /// A file, or a step of one, was seen for the first time.
+    /// Adds a file, or a step of one, that was seen for the first time.
     pub(super) fn add_frame(&mut self, id: &FrameId, candidate: Candidate) {
         let sequence = self.sequence_of(id);
         self.frames.insert(id, sequence, candidate, self.scan_count);
@@ -71,7 +71,7 @@ impl Core {
         self.inspect_candidate(id);
     }
 
-    /// Everything in a root was looked at, or could not be.
+    /// A root was scanned, or could not be.
     pub(super) fn on_root_scanned(&mut self, root: usize, found: Result<Scan, String>, at: Instant) {
         self.scan_count += 1;
         self.counters.scans += 1;
@@ -85,17 +85,17 @@ impl Core {
         }
         if self.roots[root].unavailable.take().is_some() {
             let path = self.root_path(root).to_owned();
-            self.log_about(path, |folder| tracing::info!(%folder, "is there again"));
+            self.log_about(path, |folder| tracing::info!(%folder, "is available again"));
         }
         self.note_unreadable(root, &problems, dangling);
         self.on_files_scanned(root, files, at);
         self.warn_of_single_frames();
         self.stamp_obstacles(root);
         let count = self.scan_count;
-        // Nothing is known of what lies where the scan could not look.
+        // Files that the scan could not reach are unknown, not gone.
         let is_hidden = |id: &FrameId| problems.iter().any(|(path, _)| id.path.starts_with(path));
         let is_gone = |id: &FrameId, frame: &FrameState| {
-            // A step goes with its file.
+            // A step is removed together with its file.
             id.root == root && !id.is_step() && frame.scan_count != count && !is_hidden(id)
         };
         for id in self.frames.ids_of(is_gone) {
@@ -103,19 +103,20 @@ impl Core {
         }
     }
 
-    /// Takes in what a scan found.
+    /// Processes the files that a scan found.
     pub(super) fn on_files_scanned(&mut self, root: usize, mut files: Vec<(PathBuf, Seen)>, at: Instant) {
         let records = &self.output(root).journal.frames;
         let is_done = |path: &Path| records.get(path).is_some_and(|record| record.standing == Standing::Done);
-        // Frames that have their outputs keep them, whatever other frame would have the same.
+        // Done frames come first, so that they keep their outputs if another frame would have the same.
         files.sort_by_cached_key(|(path, _)| (!is_done(path), path.clone()));
         for (path, seen) in &files {
             self.on_file_seen(&FrameId::new(root, path), seen, at, false);
         }
     }
 
-    /// Notes the paths that a scan could not examine; each is logged when it is new, and fails the run if it is still so at
-    /// its end. A link without a target waits for it, unless the daemon is to end when all is done.
+    /// Records the paths that a scan could not examine. Each is logged once, and fails the run if it is still
+    /// unreadable at the end. A dangling link waits for its target, unless the daemon is to exit when all is
+    /// done.
     fn note_unreadable(&mut self, root: usize, problems: &[(PathBuf, String)], dangling: Vec<PathBuf>) {
         let dangling = dangling.into_iter().filter(|_| self.config.once);
         let dangling = dangling.map(|path| (path, "the target of this link is missing".to_owned()));
@@ -133,7 +134,7 @@ impl Core {
         }
     }
 
-    /// A root is gone, or came up empty: nothing is forgotten, and the daemon waits for it.
+    /// A root is missing or suddenly empty: its state is kept, and the daemon waits for it.
     fn lose_root(&mut self, root: usize, why: String) {
         let known = self.roots[root].unavailable.replace(why.clone());
         if known.as_ref() != Some(&why) && !self.config.once {
@@ -142,7 +143,7 @@ impl Core {
         }
     }
 
-    /// A file may be the sentinel of frames that wait.
+    /// A file may be the sentinel of waiting frames.
     pub(super) fn on_sentinel_seen(&mut self, root: usize, path: &Path) {
         let watch = &self.config.watches[root];
         let is_waiting = |id: &FrameId, frame: &FrameState| {
@@ -156,7 +157,7 @@ impl Core {
         }
     }
 
-    /// A file changed: whatever is known of the frame is of an earlier one.
+    /// A file changed: the state of the frame is out of date.
     pub(super) fn settle(&mut self, id: &FrameId, candidate: Candidate) {
         self.unqueue(id);
         self.set_phase(id, FramePhase::Settling(candidate));
@@ -172,13 +173,13 @@ impl Core {
         }
     }
 
-    /// A file is not there any more. A frame that is under way is finished: its outcome says what to do.
+    /// A file was removed. If its frame is in progress, it is finished first, and its result decides.
     pub(super) fn forget(&mut self, id: &FrameId) {
         let Some(frame) = self.frames.get(id) else { return };
         if matches!(frame.phase, FramePhase::UnderWay(_)) {
             return;
         }
-        // Frames that waited for its settings need not wait any longer.
+        // Frames that waited for this one to measure the settings need not wait any longer.
         self.dirty_sequences.insert(frame.sequence);
         self.unqueue(id);
         self.frames.remove(id);
@@ -188,7 +189,8 @@ impl Core {
         self.forget_steps(id);
     }
 
-    /// This frame will have no outputs: a frame that was refused their names may have them.
+    /// Releases the outputs of a frame that will not have any: a frame that was refused their names may claim
+    /// them.
     pub(super) fn release_claim(&mut self, id: &FrameId) {
         let claimed = self.claimed_stem(id);
         if self.claims.get(&claimed) != Some(id) {
@@ -203,12 +205,12 @@ impl Core {
         }
     }
 
-    /// Inspects a file that may still be written.
+    /// Inspects a file that may be incomplete.
     pub(super) fn inspect_candidate(&mut self, id: &FrameId) {
         if let Some(frame) = self.frames.get(id)
             && let FramePhase::Settling(candidate) = frame.phase
         {
-            // The file of a step is inspected instead of the step.
+            // The completeness of a step is that of its file.
             let candidate = (!id.is_step()).then_some(candidate);
             let outputs = self.output_paths(id);
             let recorded = self.recorded(id, &outputs);
@@ -216,21 +218,21 @@ impl Core {
         }
     }
 
-    /// Inspects the outputs of a frame that is done.
+    /// Checks the outputs of a done frame.
     pub(super) fn check_outputs(&mut self, id: &FrameId) {
         let record = self.output(id.root).journal.frames.get(&*id.path);
         if let Some(record) = record.filter(|_| self.output(id.root).is_there).map(Arc::clone) {
-            // The settings are those of this run. Obstacles have an inspection of their own.
+            // The settings are current. Obstacles have an inspection of their own.
             self.inspect(id, None, Some(Recorded { record, settings: None }));
         }
     }
 
-    /// Inspects whether a file is still what it was.
+    /// Checks whether a file is unchanged.
     pub(super) fn check_stamp(&mut self, id: &FrameId) {
         self.request_inspection(id, true, Vec::new(), None, None);
     }
 
-    /// Inspects a file: whether it may stay as it is recorded, then whether it is complete, then what it is.
+    /// Inspects a file: first its record and outputs, then whether it is complete, then its kind.
     pub(super) fn inspect(&mut self, id: &FrameId, candidate: Option<Candidate>, recorded: Option<Recorded>) {
         let outputs = self.output_paths(id);
         self.request_inspection(id, false, outputs, candidate, recorded);
@@ -249,11 +251,12 @@ impl Core {
         self.request(id.root, RootRequest::Inspect(Box::new(inspect)));
     }
 
-    /// What the journal says of exactly this file, if it stays as it is while its outputs and obstacles are as recorded.
+    /// The record of exactly this file, if the frame stays as it is while its outputs and obstacles are
+    /// unchanged.
     fn recorded(&self, id: &FrameId, wanted: &[PathBuf]) -> Option<Recorded> {
         let record = Arc::clone(self.output(id.root).journal.frames.get(&*id.path)?);
         let frame = self.frames.get(id)?;
-        // The record may be of the same file in another root, whose outputs lie elsewhere.
+        // The record may be of the same file in another root, with outputs in another folder.
         let is_recorded = |path: &PathBuf| record.outputs.iter().any(|output| output.path == *path);
         let unrecorded = wanted.iter().find(|path| !is_recorded(path));
         let sequence = self.sequences.get(frame.sequence);
@@ -272,7 +275,7 @@ impl Core {
         matches!(decision, Decision::Skip(_)).then_some(Recorded { record, settings })
     }
 
-    /// An inspection has ended.
+    /// Handles the result of an inspection.
     pub(super) fn on_inspected(&mut self, inspected: Inspected) {
         let Inspected { id, number, found, obstacles } = inspected;
         if !self.frames.take_inspection(&id, number) {
@@ -282,7 +285,7 @@ impl Core {
         let is_settling = matches!(frame.phase, FramePhase::Settling(_));
         let bytes = frame.stamp.size;
         frame.obstacles = obstacles;
-        // Its sequence may have waited for this.
+        // Its sequence may have waited for this inspection.
         self.dirty_sequences.insert(frame.sequence);
         match found {
             InspectionResult::Gone => self.forget(&id),
@@ -306,11 +309,11 @@ impl Core {
         }
     }
 
-    /// A frame is as the journal says.
+    /// Restores the state of a frame from its record.
     fn take_record(&mut self, id: &FrameId) {
         let Some(record) = self.record_of(id).map(Arc::clone) else { return };
         let phase = match record.standing {
-            // Its outputs are its own, also when another input comes that would have the same.
+            // It claims its outputs, so that another input cannot take them.
             Standing::Done if self.claim_outputs(id, None) => FramePhase::Done,
             Standing::Done => return,
             _ => {
@@ -319,7 +322,7 @@ impl Core {
                 FramePhase::Failed
             }
         };
-        // Obstacles may be written again later.
+        // Its obstacles may change later.
         if !self.roots[id.root].obstacles.is_empty()
             && let Some(frame) = self.frames.get_mut(id)
         {
@@ -336,8 +339,8 @@ impl Core {
             (Some(proof), _) => tracing::debug!(%frame, "ready: {proof}"),
             (None, Some((output, check))) if is_done => {
                 let what = match check {
-                    OutputCheck::Missing => "is gone: converted again",
-                    _ => "has changed: its content is compared",
+                    OutputCheck::Missing => "is missing: converting the frame again",
+                    _ => "has changed: comparing its content",
                 };
                 tracing::info!(%frame, "{} {what}", output.display());
             }
@@ -349,7 +352,7 @@ impl Core {
                 self.set_phase(id, FramePhase::Ignored);
             }
             FileContents::MaybeSteps => self.find_steps(id, conflict),
-            // It may pass: the steps are not forgotten for it.
+            // The error may be temporary, so the steps are kept.
             FileContents::Unreadable(error) => self.on_file_unreadable(id, error),
             FileContents::Frame => {
                 if !id.is_step() {
@@ -360,7 +363,7 @@ impl Core {
         }
     }
 
-    /// A frame is there to be converted, unless its outputs would replace another file.
+    /// Holds a complete frame for conversion, unless its outputs would replace another file.
     pub(super) fn hold(&mut self, id: &FrameId, conflict: Option<String>) {
         if self.claim_outputs(id, conflict) {
             self.set_phase(id, FramePhase::Held);
@@ -368,7 +371,7 @@ impl Core {
         }
     }
 
-    /// Queues a frame that is held, if its sequence has settings.
+    /// Queues a held frame, if its sequence has settings.
     pub(super) fn release(&mut self, id: &FrameId) {
         let Some(sequence) = self.frames.get(id).map(|frame| frame.sequence) else { return };
         match self.sequences.get(sequence).settings.clone() {
@@ -402,8 +405,8 @@ impl Core {
         self.queue.push(id, Box::new(frame), modified_ns);
     }
 
-    /// Asks for the obstacles of the frames of a root that have ended: of those that went around obstacles, or failed for
-    /// them, some may have been written again since. No events come for obstacles.
+    /// Requests the stamps of the obstacles of finished frames of a root: obstacles may have changed since.
+    /// The file system sends no events for them.
     fn stamp_obstacles(&mut self, root: usize) {
         if self.roots[root].obstacles.is_empty() || !self.output(root).is_there {
             return;
@@ -413,7 +416,7 @@ impl Core {
         self.request(root, RootRequest::StampObstacles(numbers));
     }
 
-    /// Frames are converted again if an obstacle of theirs was written since.
+    /// Converts frames again whose obstacles have changed.
     pub(super) fn on_obstacles_stamped(&mut self, root: usize, stamps: &FoundObstacleStamps) {
         let is_stale = |id: &FrameId, frame: &FrameState| {
             let is_refused = self.failed.get(id).is_some_and(|failure| failure.is_refusal);
@@ -425,7 +428,7 @@ impl Core {
                 FoundObstacleStamps::Same(stamps) => Some(stamps),
                 FoundObstacleStamps::PerNumber(stamps) => stamps.get(&id.frame_file().number()),
             };
-            // An obstacle that was removed makes no difference: what was made with it stays.
+            // The removal of an obstacle does not count: the existing result stays.
             of_frame.filter(|stamps| stamps.are_all_there).is_some_and(|stamps| {
                 self.sequences.get(frame.sequence).fingerprint(Some(stamps.as_ref())) != frame.made_with
             })
@@ -434,7 +437,7 @@ impl Core {
         stale.sort();
         for id in stale {
             self.log_about(&*id.path, |frame| {
-                tracing::info!(%frame, "an obstacle was written again: converted again");
+                tracing::info!(%frame, "an obstacle has changed: converting the frame again");
             });
             self.failed.remove(&id);
             if let Some(frame) = self.frames.get_mut(&id) {
@@ -444,7 +447,7 @@ impl Core {
         }
     }
 
-    /// What is written of a frame, and where: its sub-folder is mirrored below that of the outputs.
+    /// The output options of a frame; sub-folders are mirrored below the folder of outputs.
     fn outputs(&mut self, id: &FrameId) -> Arc<OutputOptions> {
         let folder = id.mirrored_folder(self.root_path(id.root), &self.output(id.root).folder);
         let options = &self.config.watches[id.root].outputs;
@@ -454,21 +457,21 @@ impl Core {
         Arc::clone(mirrored)
     }
 
-    /// The files that a frame becomes.
+    /// The output files of the frame.
     fn output_paths(&mut self, id: &FrameId) -> Vec<PathBuf> {
         let outputs = self.outputs(id);
         let stem = id.frame_file().stem();
         outputs.formats.iter().map(|&format| output_path(&outputs.folder, &stem, format)).collect()
     }
 
-    /// Claims the names of a frame's outputs for it. Where they are another's, or there is another conflict, the frame is
-    /// refused, and this returns false.
+    /// Claims the names of a frame's outputs. If another frame owns them, or there is another conflict,
+    /// refuses the frame and returns false.
     fn claim_outputs(&mut self, id: &FrameId, conflict: Option<String>) -> bool {
         let claimed = self.claimed_stem(id);
         let is_another = |owner: &&FrameId| *owner != id && self.frames.get(owner).is_some();
         let owned = self.claims.get(&claimed).filter(is_another).map(|owner| {
             format!(
-                "{} and {} would both become {}.*; the first of them has it",
+                "{} and {} would both become {}.*; the first of them keeps it",
                 owner.path.display(),
                 id.path.display(),
                 claimed.display(),
@@ -483,7 +486,7 @@ impl Core {
         is_free
     }
 
-    /// What the outputs of a frame are called, but for their extensions.
+    /// The path of a frame's outputs without their extensions.
     pub(super) fn claimed_stem(&self, id: &FrameId) -> PathBuf {
         let folder = id.mirrored_folder(self.root_path(id.root), &self.output(id.root).folder);
         folder.join(id.frame_file().stem())
@@ -493,20 +496,20 @@ impl Core {
         self.frames.end_inspection(id);
         let Some(frame) = self.frames.get_mut(id) else { return };
         frame.phase = phase;
-        // Others may have waited for this one, to be measured after it.
+        // Others may have waited to be measured after this one.
         if matches!(self.sequences.get(frame.sequence).settings, SequenceSettings::Unknown(_)) {
             self.dirty_sequences.insert(frame.sequence);
         }
         self.changed.insert(id.clone());
     }
 
-    /// The record of a frame, if there is one.
+    /// The record of a frame, if it has one.
     pub(super) fn record_of(&self, id: &FrameId) -> Option<&Arc<JournaledFrame>> {
         self.output(id.root).journal.frames.get(&*id.path)
     }
 }
 
-/// Whether a frame is done, or has failed.
+/// Whether a frame is done or has failed.
 fn has_ended(frame: &FrameState) -> bool {
     matches!(frame.phase, FramePhase::Done | FramePhase::Failed)
 }

@@ -1,4 +1,4 @@
-//! What became of a frame: recorded, logged, and tried again where that may help.
+//! Handles the result of a conversion: records and logs it, and retries if that may help.
 
 use std::io;
 use std::path::Path;
@@ -16,18 +16,18 @@ use super::retry::{RetryAction, backoff, recovery};
 use super::state::{Core, Failure};
 
 impl Core {
-    /// A pipeline is finished with a frame.
+    /// A pipeline has finished with a frame.
     pub(super) fn on_finished(&mut self, finished: FrameFinished) {
         let FrameFinished { id, outputs, outcome, free_bytes } = finished;
         self.finished_count += 1;
         let Some(frame) = self.frames.get_mut(&id) else { return };
-        // Also if the pipeline was closed before it began the frame.
+        // Also if the pipeline was closed before it started the frame.
         frame.phase = FramePhase::Queued;
         match outcome {
             Outcome::Converted(report) => self.on_converted(&id, &report, outputs),
             Outcome::AlreadyDone { input, .. } => self.on_already_done(&id, &input, outputs),
             Outcome::Changed => {
-                let what = "was written while it was read: it is read again";
+                let what = "was written while it was read: reading it again";
                 self.log_about(&*id.path, move |frame| tracing::info!(%frame, "{what}"));
                 return self.start_over(&id);
             }
@@ -79,8 +79,8 @@ impl Core {
         );
     }
 
-    /// Logs what a user should know of a frame. What is so with one frame is so with the next, as a rule, and is logged once
-    /// for the sequence.
+    /// Logs warnings about a frame. A warning about one frame usually applies to the next ones, so it is
+    /// logged once per sequence.
     fn log_notes(&mut self, id: &FrameId, report: &FrameReport) {
         let Some(sequence) = self.frames.get(id).map(|frame| frame.sequence) else { return };
         let sequence = self.sequences.get_mut(sequence);
@@ -102,7 +102,7 @@ impl Core {
 
     fn on_already_done(&mut self, id: &FrameId, input: &ReadInput, outputs: Vec<OutputRecord>) {
         let record = self.new_record(id, Standing::Done);
-        // What was measured when these very outputs were written is still true of them.
+        // Figures that were measured when these very outputs were written still apply.
         let known = self.record_of(id).filter(|known| are_the_same(&known.outputs, &outputs));
         let record = with_measurements(record, known);
         let record = JournaledFrame { stamp: input.stamp, hash: Some(input.hash), outputs, ..record };
@@ -121,18 +121,18 @@ impl Core {
         self.record(self.output_of[id.root], entry, Some(log));
     }
 
-    /// A frame failed: what now depends on why.
+    /// A frame failed: the error decides what to do.
     pub(super) fn failed_frame(&mut self, id: &FrameId, error: &FrameError, free_bytes: Option<u64>) {
         let (now, reason) = (self.now.at, error.to_string());
         match recovery(error) {
             RetryAction::Forget => {
-                self.log_about(&*id.path, |frame| tracing::info!(%frame, "is gone"));
+                self.log_about(&*id.path, |frame| tracing::info!(%frame, "was removed"));
                 self.set_phase(id, FramePhase::Failed);
                 self.forget(id);
             }
             RetryAction::AwaitSpace => {
                 let folder = error.path.parent().unwrap_or(Path::new("."));
-                // What was free before says nothing any more.
+                // The last known free space is out of date.
                 let output = &mut self.outputs[self.output_of[id.root]];
                 output.free_bytes = free_bytes.or(output.free_bytes);
                 match error.is_disk_full() {
@@ -157,7 +157,7 @@ impl Core {
             return self.fail(id, Standing::GivenUp, reason);
         };
         self.retry_at(id, now + wait, &reason, move |path, why| {
-            tracing::warn!(frame = %path.display(), attempt, "{why}; again in {wait:?}");
+            tracing::warn!(frame = %path.display(), attempt, "{why}; retry in {wait:?}");
         });
     }
 
@@ -176,19 +176,19 @@ impl Core {
         self.frames.set_alarm(id, at);
     }
 
-    /// A frame is not tried again until its file changes.
+    /// Marks a frame as failed until its file changes.
     pub(super) fn fail_for_good(&mut self, id: &FrameId, reason: String) {
         self.fail(id, Standing::Failed, reason);
         self.release_claim(id);
     }
 
-    /// Other files keep a frame from being converted. They may change without it, so it is looked at again
-    /// after a restart.
+    /// Refuses a frame because of other files. They may change while the frame does not, so it is checked
+    /// again after a restart.
     pub(super) fn refuse(&mut self, id: &FrameId, reason: String) {
         self.fail(id, Standing::Refused, reason);
     }
 
-    /// A frame is not tried again until its file changes, or, as its standing says, after a restart.
+    /// Marks a frame as failed until its file changes or, depending on its standing, until a restart.
     fn fail(&mut self, id: &FrameId, standing: Standing, reason: String) {
         self.set_phase(id, FramePhase::Failed);
         let attempts = self.frames.get(id).map_or(0, |frame| frame.attempt_count);
@@ -205,7 +205,7 @@ impl Core {
         self.counters.failures += 1;
     }
 
-    /// A frame asked to be inspected now.
+    /// The alarm of a frame is due.
     pub(super) fn on_alarm(&mut self, id: &FrameId) {
         match self.frames.phase(id) {
             Some(FramePhase::Settling(_)) => self.inspect_candidate(id),
@@ -215,14 +215,14 @@ impl Core {
         }
     }
 
-    /// Waits once more until a file is complete, whatever is known of it.
+    /// Waits again until a file is complete, and discards what is known about it.
     pub(super) fn start_over(&mut self, id: &FrameId) {
         let Some(stamp) = self.frames.get(id).map(|frame| frame.stamp) else { return };
         self.settle(id, Candidate::new(self.now.at, &Seen { stamp, age: None }, false));
         self.inspect_candidate(id);
     }
 
-    /// A file that was under way may have been written again meanwhile, or be gone.
+    /// A file may have changed, or been removed, while it was converted.
     pub(super) fn check_again(&mut self, id: &FrameId) {
         match self.frames.phase(id) {
             Some(FramePhase::Done) => self.check_outputs(id),
@@ -231,7 +231,7 @@ impl Core {
         }
     }
 
-    /// A file is there, and the system refuses to say more.
+    /// A file exists, but the system refuses to inspect it.
     pub(super) fn on_file_unreadable(&mut self, id: &FrameId, error: io::Error) {
         if self.frames.get(id).is_none() {
             return;
@@ -239,7 +239,7 @@ impl Core {
         self.failed_frame(id, &FrameError::file(&id.path, Stage::Read, error), None);
     }
 
-    /// Records how far a frame has come.
+    /// Records the standing of a frame.
     pub(super) fn note(
         &mut self,
         id: &FrameId,
@@ -247,8 +247,8 @@ impl Core {
         reason: Option<String>,
         log: Option<Log>,
     ) {
-        // A frame that is inspected again may turn out to be done: its outputs, and what was measured when they were
-        // written, are remembered until then.
+        // A frame that is inspected again may turn out to be done: until then its outputs and measurements
+        // are kept.
         let is_kept = matches!(standing, Standing::Queued | Standing::Retrying);
         let known = self.record_of(id).filter(|_| is_kept);
         let outputs = known.map_or(Vec::new(), |known| known.outputs.clone());
@@ -259,8 +259,8 @@ impl Core {
         self.changed.insert(id.clone());
     }
 
-    /// The fingerprint of what a frame is converted with: for one that was queued, at that time, because an obstacle may
-    /// have been written since.
+    /// The fingerprint of the settings of a frame. For a frame in progress, the one at the time when it was
+    /// queued, because an obstacle may have changed since.
     fn made_with(&self, frame: &FrameState) -> String {
         match frame.made_with.is_empty() {
             true => self.sequences.get(frame.sequence).fingerprint(frame.obstacles.as_deref()),
@@ -287,14 +287,14 @@ impl Core {
     }
 }
 
-/// The record with what was measured when the known one was made.
+/// Copies the measurements of the known record.
 fn with_measurements(record: JournaledFrame, known: Option<&Arc<JournaledFrame>>) -> JournaledFrame {
     let Some(known) = known else { return record };
     let JournaledFrame { particle_count, seconds, flaws, figures, .. } = JournaledFrame::clone(known);
     JournaledFrame { particle_count, seconds, flaws, figures, ..record }
 }
 
-/// Whether these are the same files with the same bytes.
+/// Whether both lists name the same files with the same content.
 fn are_the_same(known: &[OutputRecord], now: &[OutputRecord]) -> bool {
     let bytes = |outputs: &[OutputRecord]| -> Vec<_> {
         outputs.iter().map(|output| (output.path.clone(), output.hash)).collect()
@@ -303,7 +303,7 @@ fn are_the_same(known: &[OutputRecord], now: &[OutputRecord]) -> bool {
     known == bytes(now) && known.iter().all(|(_, hash)| hash.is_some())
 }
 
-/// Seconds to the millisecond: more digits are noise in a log.
+/// Seconds rounded to the millisecond: more digits are noise in a log.
 fn rounded(seconds: f64) -> f64 {
     (seconds * 1e3).round() / 1e3
 }

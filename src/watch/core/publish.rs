@@ -1,6 +1,6 @@
-//! What users see of the daemon: views of frames, sequences and of the daemon itself, built from what the core knows.
+//! Publishes views of frames, sequences and the daemon for clients, built from the state of the core.
 //!
-//! Nothing here decides anything.
+//! This module makes no decisions.
 
 use std::path::{Component, Path};
 
@@ -18,7 +18,7 @@ use super::sequences::SequenceSettings;
 use super::state::Core;
 
 impl Core {
-    /// Shows what has changed since this was called last.
+    /// Publishes what has changed since the last call.
     pub(crate) fn publish(&mut self, store: Option<&StatusStore>) {
         let frames = std::mem::take(&mut self.changed);
         let sequences = std::mem::take(&mut self.changed_sequences);
@@ -36,9 +36,9 @@ impl Core {
         let Some((frame, state)) = frame.and_then(|frame| Some((frame, state_of(frame.phase)?))) else {
             return store.remove(&name);
         };
-        // Only a pipeline knows the stage of a frame that it has.
+        // Only the pipeline knows the stage of a frame in progress.
         let record = self.record_of(id).map(|record| &**record);
-        // That of an earlier file, or of an earlier failure, says nothing of this one.
+        // A record of an earlier file or failure does not apply.
         let record = record.filter(|record| is_about(record, frame.phase));
         let done = record.filter(|_| state == FrameProgress::Done);
         let outputs: Vec<OutputView> = done.map_or_else(Vec::new, |record| self.shown_outputs(id, record));
@@ -67,8 +67,8 @@ impl Core {
         });
     }
 
-    /// Outputs as they are shown. One that is elsewhere, which the journal may say, has no name here, and nobody is to
-    /// read it through the status store.
+    /// The outputs of a frame. An output outside the folder, which a damaged journal may contain, gets no
+    /// name, so clients cannot read it through the status store.
     fn shown_outputs(&self, id: &FrameId, record: &JournaledFrame) -> Vec<OutputView> {
         let folder = &self.output(id.root).folder;
         let inside = record.outputs.iter().filter(|output| is_inside(&output.path, folder));
@@ -80,8 +80,8 @@ impl Core {
         shown.collect()
     }
 
-    /// What a file is called in the status store: its path within the folder, and where there are several, the number of the
-    /// watched one before it.
+    /// The name of a file in the status store: its path within the folder; with several watched folders,
+    /// prefixed with the number of its own.
     fn shown_name(&self, root: usize, folder: &Path, path: &Path) -> String {
         let within = text_of_name(path.strip_prefix(folder).unwrap_or(path).as_os_str());
         match self.roots.len() {
@@ -90,7 +90,7 @@ impl Core {
         }
     }
 
-    /// What the daemon was asked for.
+    /// The configuration of the daemon.
     pub(crate) fn plan(&self) -> Value {
         plan_of(&self.config)
     }
@@ -109,7 +109,7 @@ impl Core {
         Some((name, record))
     }
 
-    /// How the daemon is.
+    /// The state of the daemon.
     pub(crate) fn status(&self, memory_bytes: Option<u64>) -> LiveStatus {
         LiveStatus {
             paused: self.guard.reason(),
@@ -120,7 +120,7 @@ impl Core {
         }
     }
 
-    /// Folders that cannot be used now, and why.
+    /// Folders that are unavailable, and why.
     fn unavailable(&self) -> impl Iterator<Item = (&Path, &str)> {
         let roots = self.roots.iter().filter_map(|root| {
             let stalled = root.stalled_since.map(|_| STALLED);
@@ -130,14 +130,14 @@ impl Core {
         roots.chain(stalled.map(|output| (&*output.folder, STALLED)))
     }
 
-    /// How the daemon is, in one line.
+    /// The state of the daemon in one line.
     pub(crate) fn status_line(&self) -> String {
         let FrameCounts { settling, held, queued, finding_steps, retrying, done, failed, .. } =
             self.frames.counts();
         let mut status = format!("{done} done, {queued} queued");
         for (count, what) in [
             (settling, "being written"),
-            (finding_steps, "gone through for steps"),
+            (finding_steps, "being searched for steps"),
             (held, "without settings yet"),
             (retrying, "to retry"),
             (failed, "failed"),
@@ -156,10 +156,10 @@ impl Core {
     }
 }
 
-/// Why a folder cannot be used whose file system hangs.
+/// Why a folder is unavailable if its file system hangs.
 const STALLED: &str = "its file system does not answer";
 
-/// How far a frame is; `None` if it is no frame.
+/// The state that clients see; `None` for files that are not frames.
 fn state_of(phase: FramePhase) -> Option<FrameProgress> {
     Some(match phase {
         FramePhase::Settling(_) | FramePhase::Held | FramePhase::FindingSteps => FrameProgress::Waiting,
@@ -171,13 +171,13 @@ fn state_of(phase: FramePhase) -> Option<FrameProgress> {
     })
 }
 
-/// Whether a file is in the folder, or in one below it.
+/// Whether a file is in the folder or one of its sub-folders.
 fn is_inside(path: &Path, folder: &Path) -> bool {
     let within = path.strip_prefix(folder);
     within.is_ok_and(|within| within.components().all(|part| matches!(part, Component::Normal(_))))
 }
 
-/// Whether a record is about the frame as it is now.
+/// Whether a record applies to the frame in its current phase.
 fn is_about(record: &JournaledFrame, phase: FramePhase) -> bool {
     match record.standing {
         Standing::Done => phase == FramePhase::Done,
@@ -187,7 +187,7 @@ fn is_about(record: &JournaledFrame, phase: FramePhase) -> bool {
     }
 }
 
-/// What the daemon was asked for. Times in seconds, sizes in bytes.
+/// The configuration of the daemon as JSON. Times in seconds, sizes in bytes.
 fn plan_of(config: &WatchConfig) -> Value {
     let watch = |watch: &Watch| {
         let choices: serde_json::Map<String, Value> = watch
@@ -235,7 +235,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn outputs_are_inside_their_folder() {
+    fn only_paths_inside_the_folder_are_accepted() {
         let is_inside = |path: &str| is_inside(Path::new(path), Path::new("/a/out"));
         for path in ["/a/out/dam.1.glb", "/a/out/sub/dam.1.glb"] {
             assert!(is_inside(path), "{path}");

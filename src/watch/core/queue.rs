@@ -1,7 +1,7 @@
-//! Frames that are ready, until the pipeline has room for them.
+//! The queue of frames that are ready for a pipeline.
 //!
-//! The pipeline asks for a frame only when it can begin it. So the order is decided at the last
-//! moment: a frame that arrives late may still be the next.
+//! The pipeline asks for a frame only when it can start one. So the order is decided at the last moment, and
+//! a frame that arrives late may still be the next.
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -11,17 +11,17 @@ use crate::watch::config::Order;
 
 use super::frames::FrameId;
 
-/// Frames that wait for the pipeline, in the order in which they are converted.
+/// Frames that wait for a pipeline, in the order of conversion.
 #[derive(Debug)]
 pub(crate) struct Queue {
     order: Order,
     waiting: BTreeMap<QueueRank, Box<Frame>>,
 }
 
-/// Where a frame stands among those that wait.
+/// The position of a frame in the order.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct QueueRank {
-    /// Smaller is sooner, before anything else counts.
+    /// Smaller values come first and outrank all other criteria.
     urgency: i64,
     id: FrameId,
 }
@@ -31,24 +31,24 @@ impl Queue {
         Queue { order, waiting: BTreeMap::new() }
     }
 
-    /// Adds a frame whose file was last written at `modified_ns`, in place of the one with this id.
+    /// Adds a frame whose file was last written at `modified_ns`; replaces a frame with the same id.
     pub(crate) fn push(&mut self, id: &FrameId, frame: Box<Frame>, modified_ns: i64) {
         self.waiting.insert(self.rank(id, modified_ns), frame);
     }
 
-    /// Removes a frame; `false` if it does not wait.
+    /// Removes a frame; `false` if it is not in the queue.
     pub(crate) fn remove(&mut self, id: &FrameId, modified_ns: i64) -> bool {
         self.waiting.remove(&self.rank(id, modified_ns)).is_some()
     }
 
-    /// Removes the first frame of a root that may begin.
+    /// Removes the first frame whose root may start frames.
     pub(crate) fn pop(&mut self, may_begin: impl Fn(usize) -> bool) -> Option<(FrameId, Box<Frame>)> {
         let rank = self.waiting.keys().find(|rank| may_begin(rank.id.root))?.clone();
         let frame = self.waiting.remove(&rank)?;
         Some((rank.id, frame))
     }
 
-    /// How many frames wait.
+    /// The number of frames in the queue.
     pub(crate) fn len(&self) -> usize {
         self.waiting.len()
     }
@@ -66,7 +66,7 @@ impl Ord for QueueRank {
     fn cmp(&self, other: &QueueRank) -> Ordering {
         let (one, two) = (&self.id, &other.id);
         let by_name = || natural_order(&one.path.to_string_lossy(), &two.path.to_string_lossy());
-        // Names that are not text may look alike.
+        // Names that are not valid UTF-8 may look equal.
         let by_path = || one.path.cmp(&two.path).then_with(|| one.root.cmp(&two.root));
         self.urgency.cmp(&other.urgency).then_with(by_name).then_with(by_path)
     }
@@ -115,7 +115,7 @@ mod tests {
         })
     }
 
-    /// The stems of the frames in the order in which they leave the queue.
+    /// The stems of the frames, in the order in which they leave the queue.
     fn order_of(order: Order, frames: &[(&str, i64)]) -> Vec<String> {
         let mut queue = Queue::new(order);
         for (name, modified_ns) in frames {
@@ -125,14 +125,14 @@ mod tests {
     }
 
     #[test]
-    fn frames_leave_by_number_or_the_latest_first() {
+    fn frames_leave_in_natural_order_or_latest_first() {
         let frames = [("a.10", 5), ("a.9", 7), ("a.2", 6), ("b.1", 7)];
         assert_eq!(order_of(Order::Natural, &frames), ["a.2", "a.9", "a.10", "b.1"]);
         assert_eq!(order_of(Order::Latest, &frames), ["a.9", "b.1", "a.2", "a.10"]);
     }
 
     #[test]
-    fn late_frame_may_be_the_next() {
+    fn frame_that_arrives_late_may_be_the_next() {
         let mut queue = Queue::new(Order::Natural);
         queue.push(&id("a.2"), frame("a.2"), 0);
         queue.push(&id("a.3"), frame("a.3"), 0);
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_of_a_root_that_may_not_begin_stay() {
+    fn frames_of_a_blocked_root_stay_in_the_queue() {
         let mut queue = Queue::new(Order::Natural);
         queue.push(&id("a.1"), frame("a.1"), 0);
         queue.push(&FrameId::new(1, Path::new("a.2")), frame("a.2"), 0);

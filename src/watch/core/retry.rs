@@ -1,4 +1,5 @@
-//! What may pass by itself is tried again: soon at first, then less and less often, and not forever.
+//! The retry policy: errors that may be temporary are retried with exponential backoff, a limited number of
+//! times.
 
 use std::io;
 use std::time::Duration;
@@ -7,27 +8,27 @@ use meniscus_formats::Error;
 
 use crate::pipeline::{Cause, FrameError, ObstacleError, Stage};
 
-/// What to do about a frame that failed.
+/// What to do about a failed frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum RetryAction {
     /// The file is gone: forget it.
     Forget,
-    /// Nothing can be written into the folder of the outputs: wait until that has changed, then go on.
+    /// The folder of outputs is not writable: wait until that changes, then continue.
     AwaitSpace,
-    /// It may pass by itself.
+    /// The error may be temporary: retry.
     Retry,
-    /// Nothing helps but another file, or another start: that may allow what this one does not.
+    /// Only a changed file or a restart can help: the restart may allow what this run does not.
     AwaitRestart,
-    /// Nothing helps but another file.
+    /// Only a changed file can help.
     GiveUp,
 }
 
-/// What to do about this error.
+/// The action for this error.
 pub(crate) fn recovery(error: &FrameError) -> RetryAction {
     match &error.cause {
         _ if error.is_disk_full() => RetryAction::AwaitSpace,
         Cause::File(source) => recovery_of_file(error.during, source),
-        // These are where the outputs will be: who cannot write them could not write those.
+        // Scratch files are in the folder of the outputs: if they cannot be written, outputs cannot either.
         Cause::Scratch(refusal) if concerns_all(refusal.kind()) => RetryAction::AwaitSpace,
         Cause::Scratch(_) | Cause::Changed => RetryAction::Retry,
         Cause::Obstacle(error) => recovery_of_obstacle(error),
@@ -36,7 +37,8 @@ pub(crate) fn recovery(error: &FrameError) -> RetryAction {
     }
 }
 
-/// An obstacle that is not there may come, or be written yet; nobody watches for another one.
+/// A missing or incomplete obstacle may still be written. Obstacles are not watched, so other errors need a
+/// restart.
 fn recovery_of_obstacle(error: &ObstacleError) -> RetryAction {
     match &error.source {
         Some(source) if !matches!(source, Error::Io(_)) && !source.is_short() => RetryAction::AwaitRestart,
@@ -58,7 +60,7 @@ fn recovery_of_file(during: Stage, source: &Error) -> RetryAction {
     }
 }
 
-/// Whether what the system refused to write for one frame it would refuse for every other.
+/// Whether a write error that one frame met would meet every other frame.
 fn concerns_all(kind: io::ErrorKind) -> bool {
     matches!(
         kind,
@@ -71,9 +73,9 @@ fn concerns_all(kind: io::ErrorKind) -> bool {
     )
 }
 
-/// How long to wait after the `attempt_count`-th failure in a row; `None`: no more.
+/// The wait after `attempt_count` consecutive failures; `None` if there are no retries left.
 pub(crate) fn backoff(attempt_count: u32, once: bool) -> Option<Duration> {
-    // Whoever wants the work done and the program ended does not wait for minutes.
+    // A run with `once` must end soon, so it does not wait for minutes.
     let attempts_max = if once { ATTEMPTS_MAX_ONCE } else { ATTEMPTS_MAX };
     let doublings = attempt_count.saturating_sub(1);
     (attempt_count < attempts_max)
@@ -83,10 +85,10 @@ pub(crate) fn backoff(attempt_count: u32, once: bool) -> Option<Duration> {
 const BACKOFF_FIRST: Duration = Duration::from_millis(500);
 const BACKOFF_MAX: Duration = Duration::from_secs(60);
 
-/// In all about five minutes.
+/// About five minutes in total.
 const ATTEMPTS_MAX: u32 = 12;
 
-/// In all three and a half seconds.
+/// Three and a half seconds in total.
 const ATTEMPTS_MAX_ONCE: u32 = 4;
 
 #[cfg(test)]
@@ -101,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn each_error_has_its_recovery() {
+    fn error_determines_the_retry_action() {
         let io = |kind: io::ErrorKind| Error::Io(kind.into());
         assert_eq!(after(Stage::Read, io(io::ErrorKind::NotFound)), RetryAction::Forget);
         assert_eq!(after(Stage::Write, io(io::ErrorKind::NotFound)), RetryAction::Retry);
@@ -134,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn waits_double_up_to_a_minute_and_end() {
+    fn backoff_doubles_up_to_a_minute_then_ends() {
         let waits = |once| -> Vec<f64> {
             (1..).map_while(|attempt| backoff(attempt, once)).map(|wait| wait.as_secs_f64()).collect()
         };

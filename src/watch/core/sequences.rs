@@ -1,4 +1,4 @@
-//! The settings of each sequence: fixed once, and kept.
+//! The settings of each sequence: determined once, then kept.
 //!
 //! ```text
 //!   spacing given ───────────────────────────────────┐
@@ -7,10 +7,10 @@
 //!   frames that are complete by then
 //! ```
 //!
-//! Until then, frames that are complete are held. A frame that comes before them by name, and is
-//! still being written, is waited for: which frame is the first must not depend on which of two files was
-//! finished first, or on the order in which frames are converted. With `--once` all frames are waited for:
-//! they are measured as `convert` measures them.
+//! Until the settings are known, complete frames are held. They also wait for frames that precede them by
+//! name and are still being written, because the first frame must not depend on which file was finished
+//! first, or on the order of conversion. With `--once` they wait for all frames, so that the result of
+//! measuring is that of `convert`.
 
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -28,47 +28,47 @@ use crate::watch::journal::{JournaledSequence, SequenceCamera, SequenceKey};
 
 use super::frames::FrameId;
 
-/// All sequences that were met.
+/// All sequences found so far.
 #[derive(Debug, Default)]
 pub(crate) struct Sequences {
     all: Vec<WatchedSequence>,
     index_of: HashMap<(usize, PathBuf, String), usize>,
-    /// What files have in common whose names differ in their numbers only: their root and [`FrameFile::kin`].
+    /// Groups files whose names differ only in their numbers, by their root and [`FrameFile::kin`].
     kin: HashMap<(usize, PathBuf, String), Kin>,
 }
 
-/// Sequences whose names differ in their numbers only.
+/// Sequences whose names differ only in their numbers.
 #[derive(Debug, Default)]
 struct Kin {
     sequence_count: usize,
-    /// How many of them have one frame.
+    /// How many of them have only one frame.
     single_count: usize,
     was_named: bool,
 }
 
-/// Frames whose names differ in their number only.
+/// Frames whose names differ only in their frame number.
 #[derive(Debug)]
 pub(crate) struct WatchedSequence {
-    /// What the journal knows it by.
+    /// Its key in the journal.
     pub(crate) key: SequenceKey,
     /// The index of its root.
     pub(crate) root: usize,
-    /// The kin that counts it as a sequence of one frame, as long as it has no more.
+    /// The group that counts it as a sequence with one frame, while it has only one.
     single_in: Option<(usize, PathBuf, String)>,
-    /// Its settings, or what is missing.
+    /// Its settings, or what is missing for them.
     pub(crate) settings: SequenceSettings,
-    /// The camera that was placed for its pictures, if one had to be.
+    /// The camera of its pictures, if one had to be fitted.
     pub(crate) framing: Option<Arc<Framing>>,
-    /// That its frames wait for one with more particles was told.
+    /// Whether it was logged that its frames wait for one with more particles.
     pub(crate) is_sparse_logged: bool,
-    /// Which warnings about its frames were logged.
+    /// The warnings about its frames that were logged.
     pub(crate) reported: ReportedWarnings,
-    /// Whether it was logged that its frames have velocities which the outputs lack.
+    /// Whether it was logged that its frames have velocities and the outputs do not.
     pub(crate) has_reported_velocity: bool,
 }
 
 impl WatchedSequence {
-    /// The fingerprint of the settings and of the obstacles of a frame; empty while there are no settings.
+    /// The fingerprint of the settings and the obstacles of a frame; empty while the settings are unknown.
     pub(crate) fn fingerprint(&self, obstacles: Option<&ObstacleStamps>) -> String {
         match &self.settings {
             SequenceSettings::Fixed(settings, fingerprint) => {
@@ -79,22 +79,22 @@ impl WatchedSequence {
     }
 }
 
-/// The settings of a sequence, or what is missing.
+/// The settings of a sequence, or what is missing for them.
 #[derive(Clone, Debug)]
 pub(crate) enum SequenceSettings {
-    /// What all its frames are converted with, and what the journal knows these settings by.
+    /// The settings of all its frames, and their fingerprint.
     Fixed(Arc<Settings>, Arc<str>),
-    /// To be measured on its frames; and where their particles have radii of their own.
+    /// Not measured yet; the attribute of per-particle radii, if there is one.
     Unknown(Option<OwnRadii>),
-    /// Under way.
+    /// The measurement is in progress.
     BeingMeasured,
-    /// There are none, and this is why.
+    /// The settings cannot be determined, for this reason.
     Impossible(String),
 }
 
 impl Sequences {
-    /// The index of the sequence that a frame belongs to; `remembered` is asked for what is known of one that is
-    /// met for the first time.
+    /// The index of the sequence of a frame. `remembered` returns what the journal knows about a sequence
+    /// that is new.
     pub(crate) fn index(
         &mut self,
         id: &FrameId,
@@ -137,8 +137,9 @@ impl Sequences {
         self.all.len() - 1
     }
 
-    /// Folders in which this many sequences or more, and most of those whose names differ in their numbers only, have one
-    /// frame; each is named once: its root, the folder, and how many.
+    /// Folders where at least this many sequences, and most of those whose names differ only in their
+    /// numbers, have one frame. Each folder is returned once: its root, its path, and the number of
+    /// sequences.
     pub(crate) fn newly_fallen_apart(&mut self, count_min: usize) -> Vec<(usize, PathBuf, usize)> {
         let mut folders = Vec::new();
         for ((root, folder, _), kin) in &mut self.kin {
@@ -157,7 +158,7 @@ impl Sequences {
         &self.all[index]
     }
 
-    /// How many there are.
+    /// The number of sequences.
     pub(crate) fn len(&self) -> usize {
         self.all.len()
     }
@@ -168,8 +169,8 @@ impl Sequences {
 }
 
 impl SequenceSettings {
-    /// The settings, where they need no measuring: the particle spacing was given, or is remembered, and so is the camera if
-    /// there are to be pictures.
+    /// The settings, if nothing must be measured: the particle spacing is given or remembered, and so is the
+    /// camera if pictures are requested.
     pub(crate) fn new(watch: &Watch, remembered: Option<&JournaledSequence>) -> SequenceSettings {
         let measured =
             remembered.and_then(|record| record.measured.as_ref()).map(options::SequenceSpacing::from);
@@ -185,7 +186,8 @@ impl SequenceSettings {
                 if lacks_camera {
                     return unknown();
                 }
-                // With the camera as it was asked for: one that is refitted makes no frame stale.
+                // The fingerprint contains the requested camera, so refitting the camera makes no frame
+                // stale.
                 let fingerprint = settings_fingerprint(&settings, &watch.outputs).into();
                 Ok(SequenceSettings::Fixed(Arc::new(settings), fingerprint))
             }),
@@ -194,21 +196,21 @@ impl SequenceSettings {
     }
 }
 
-/// The camera that is remembered for the pictures of a sequence, if one was placed for what is asked for now.
+/// The remembered camera of a sequence, if it was fitted for the current options.
 pub(crate) fn framing_of(watch: &Watch, remembered: Option<&JournaledSequence>) -> Option<Arc<Framing>> {
     let SequenceCamera { asked, framed } = remembered?.camera.as_ref()?;
     let is_asked = watch.outputs.needs_camera() && *asked == asked_camera(&watch.outputs);
     is_asked.then(|| Arc::new(Framing::new(&watch.outputs, framed.clone())))
 }
 
-/// All that a camera depends on beside the frame.
+/// The options that the camera depends on.
 pub(crate) fn asked_camera(outputs: &OutputOptions) -> String {
     let PictureOptions { size: [width, height], camera } = outputs.picture;
     format!("{width}x{height} {camera} {:?}", outputs.up())
 }
 
-/// The fingerprint of the settings, and of the files of obstacles if there are any: by their stamps, because they are
-/// compared without being read.
+/// The fingerprint of the settings and of the obstacles, if there are any. Obstacles are identified by their
+/// stamps, because their content is not read for the comparison.
 pub(crate) fn fingerprint_with(
     settings: &Settings,
     fingerprint: &str,
@@ -219,39 +221,39 @@ pub(crate) fn fingerprint_with(
     format!("{:016x}", XxHash3_64::oneshot(text.as_bytes()))
 }
 
-/// What a sequence is to be measured on.
+/// A request to measure a sequence.
 #[derive(Debug)]
 pub(crate) struct MeasureOrder {
-    /// Which sequence.
+    /// The index of the sequence.
     pub(crate) sequence: usize,
-    /// Its complete frames, in natural order, and what they were when they were found complete.
+    /// Its complete frames in natural order, with their stamps when they were found complete.
     pub(crate) files: Vec<(FrameId, FileStamp)>,
-    /// Where its particles have radii of their own.
+    /// The attribute of per-particle radii, if there is one.
     pub(crate) own_radii: Option<OwnRadii>,
-    /// What is known already: the particle spacing, where only the camera is not.
+    /// The known particle spacing, if only the camera is missing.
     pub(crate) known: Option<JournaledSequence>,
-    /// What was asked for.
+    /// The configuration of the watched folder.
     pub(crate) watch: Watch,
 }
 
-/// What came of it.
+/// The result of measuring a sequence.
 #[derive(Debug)]
 pub(crate) struct SpacingResult {
-    /// Which sequence.
+    /// The index of the sequence.
     pub(crate) sequence: usize,
-    /// The particle spacing and where it is from, if one of the files tells.
+    /// The particle spacing and its source, if one of the files yields it.
     pub(crate) record: Option<JournaledSequence>,
     /// Files with too few particles.
     pub(crate) sparse: Vec<(FrameId, FileStamp)>,
     /// Files that cannot be read.
     pub(crate) unreadable: Vec<(FrameId, FileStamp, FrameError)>,
-    /// A file that was written again meanwhile: with it, nothing is known.
+    /// A file that changed during the measurement, which makes the result invalid.
     pub(crate) changed: Option<FrameId>,
-    /// What should make a user check the spacing.
+    /// Reasons for the user to check the spacing.
     pub(crate) warnings: Vec<String>,
 }
 
-/// What the user chose, in short: with other choices, a sequence is another.
+/// A fingerprint of the user's options: with other options, it is another sequence.
 pub(crate) fn choices_fingerprint(watch: &Watch) -> String {
     format!("{:016x}", XxHash3_64::oneshot(format!("{:?}", watch.choices).as_bytes()))
 }

@@ -1,4 +1,4 @@
-//! Sequences get their settings: which frames are measured, and what follows from it.
+//! Determines the settings of sequences: which frames to measure, and what to do with the result.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use super::sequences::{MeasureOrder, SequenceSettings, SpacingResult, framing_of
 use super::state::Core;
 
 impl Core {
-    /// The index of the sequence that a file belongs to.
+    /// The index of the sequence of a file.
     pub(super) fn sequence_of(&mut self, id: &FrameId) -> usize {
         let watch = &self.config.watches[id.root];
         let remembered = &self.outputs[self.output_of[id.root]].journal.sequences;
@@ -24,9 +24,10 @@ impl Core {
         index
     }
 
-    /// Warns, once a folder, of files that look like one sequence and are many, each with its own particle spacing.
+    /// Warns once for each folder if files look like one sequence but form many, each with its own particle
+    /// spacing.
     pub(super) fn warn_of_single_frames(&mut self) {
-        // Of two sequences that begin, the second frames may be yet to come.
+        // When two sequences start, their second frames may not exist yet.
         let count_min = if self.config.once { 2 } else { 3 };
         for (root, folder, count) in self.sequences.newly_fallen_apart(count_min) {
             if self.config.watches[root].needs_spacing() {
@@ -36,10 +37,10 @@ impl Core {
         }
     }
 
-    /// Has the sequences measured that wait for it and can be.
+    /// Requests the measurement of sequences that are ready for it.
     pub(super) fn resolve_sequences(&mut self) {
         for index in std::mem::take(&mut self.dirty_sequences) {
-            // Which frames are complete is known when all inspections have ended.
+            // Which frames are complete is known once all inspections have ended.
             let is_inspecting = self.frames.is_inspecting(Some(index));
             if is_inspecting || self.config.once && self.awaits_frames(index) {
                 self.dirty_sequences.insert(index);
@@ -54,7 +55,7 @@ impl Core {
         }
     }
 
-    /// Whether a frame of a sequence that is to be measured may soon be complete.
+    /// Whether a frame of an unmeasured sequence may soon be complete.
     fn awaits_frames(&self, index: usize) -> bool {
         let awaited = |frame: &FrameState| match frame.phase {
             FramePhase::Settling(_) => !frame.is_stuck(),
@@ -65,8 +66,8 @@ impl Core {
             && self.frames.iter().any(|(_, frame)| frame.sequence == index && awaited(frame))
     }
 
-    /// The complete frames of a sequence that come before all that are still being written, in natural
-    /// order; `None` where there is none, or nothing to measure.
+    /// The complete frames of a sequence that precede all incomplete ones, in natural order; `None` if there
+    /// are none, or nothing must be measured.
     fn what_to_measure(&self, index: usize) -> Option<MeasureOrder> {
         let sequence = self.sequences.get(index);
         let SequenceSettings::Unknown(own_radii) = &sequence.settings else { return None };
@@ -98,7 +99,7 @@ impl Core {
         self.measuring_count -= 1;
         let SpacingResult { sequence: index, record, sparse, unreadable, changed, warnings } = measured;
         let root = self.sequences.get(index).root;
-        // Of a file that was written again since, this says nothing.
+        // Results about files that have changed since are ignored.
         let sparse = sparse.into_iter().filter(|(id, stamp)| self.is_still(id, FramePhase::Held, stamp));
         let sparse: Vec<FrameId> = sparse.map(|(id, _)| id).collect();
         for id in &sparse {
@@ -132,11 +133,11 @@ impl Core {
                 self.release(&id);
             }
         }
-        // More frames may have come meanwhile.
+        // More frames may have arrived in the meantime.
         self.dirty_sequences.insert(index);
     }
 
-    /// Writes down the camera of a sequence, where it was refitted.
+    /// Records the camera of a sequence if it was refitted.
     pub(super) fn note_camera(&mut self, index: usize) {
         let sequence = self.sequences.get(index);
         let Some(framed) = sequence.framing.as_ref().map(|framing| framing.framed()) else { return };
@@ -152,7 +153,7 @@ impl Core {
         self.record(self.output_of[root], Entry::Sequence { key, record: Box::new(record) }, Some(log));
     }
 
-    /// Frames wait for another one, which whoever waits for them should know.
+    /// Logs, once, that frames wait for another one with more particles.
     fn log_sparse(&mut self, index: usize, sparse: &[FrameId]) {
         let root = self.sequences.get(index).root;
         let why = why_held(&self.config.watches[root]);
@@ -169,7 +170,7 @@ impl Core {
     fn log_of_settings(&self, index: usize, warnings: Vec<String>) -> Option<Log> {
         let sequence = self.sequences.get(index);
         let SequenceSettings::Fixed(settings, _) = &sequence.settings else { return None };
-        // Level sets have their voxel size in their files.
+        // The files of level sets contain their voxel size.
         if self.config.watches[sequence.root].job() != Job::Surface {
             return None;
         }
@@ -193,18 +194,18 @@ impl Core {
         }))
     }
 
-    /// Whether a frame is still in this phase, and its file still this one.
+    /// Whether a frame is still in this phase, and its file unchanged.
     pub(super) fn is_still(&self, id: &FrameId, phase: FramePhase, stamp: &FileStamp) -> bool {
         self.frames.get(id).is_some_and(|frame| frame.phase == phase && frame.stamp == *stamp)
     }
 }
 
-/// Why frames wait that are too sparse.
+/// Why frames with too few particles wait.
 fn why_held(watch: &Watch) -> &'static str {
     if watch.needs_spacing() { TOO_SPARSE_YET } else { EMPTY_YET }
 }
 
-/// Why frames wait whose particle spacing is known.
+/// Why frames wait although their particle spacing is known.
 const EMPTY_YET: &str = "no frame of its sequence has had a particle yet by which the camera of its pictures could be \
                          placed: waiting for one; --camera with eye, target and ground would do instead";
 
@@ -212,7 +213,7 @@ const EMPTY_YET: &str = "no frame of its sequence has had a particle yet by whic
 const TOO_SPARSE_YET: &str = "no frame of its sequence has had two particles in different places yet to measure \
                               their spacing on: waiting for one; --spacing would do instead";
 
-/// Six significant digits: as many as anybody reads.
+/// Rounds to six significant digits, which is enough for people.
 fn six_digits(value: f64) -> f64 {
     format!("{value:.5e}").parse().unwrap_or(value)
 }

@@ -1,4 +1,4 @@
-//! Everything that the daemon knows.
+//! The state of the daemon.
 
 use std::collections::{BTreeMap, HashMap, HashSet, VecDeque};
 use std::path::{self, Path, PathBuf};
@@ -16,67 +16,67 @@ use super::frames::{FileSteps, FrameId, FrameTable};
 use super::queue::Queue;
 use super::sequences::Sequences;
 
-/// The state of the daemon, and what it decides: pure, so no file, clock or thread is used here. Time comes with each
-/// event; what is to be done is collected as effects.
+/// The state of the daemon and its decisions. Pure: uses no files, clocks or threads. The time comes with
+/// each event, and actions are collected as effects.
 pub(crate) struct Core {
     pub(super) config: Arc<WatchConfig>,
-    /// Which daemon this is, for the journal.
+    /// Identifies this daemon in the journal.
     identity: DaemonRecord,
     pub(super) roots: Vec<RootState>,
     pub(super) outputs: Vec<OutputFolder>,
     /// The index of the folder of outputs of each watch.
     pub(super) output_of: Vec<usize>,
     pub(super) frames: FrameTable,
-    /// The steps of each file that has several.
+    /// The steps of each file that contains several.
     pub(super) steps_of: HashMap<FrameId, FileSteps>,
     pub(super) sequences: Sequences,
-    /// Sequences that may have become measurable.
+    /// Sequences that may be ready to be measured.
     pub(super) dirty_sequences: HashSet<usize>,
     pub(super) measuring_count: usize,
-    /// Which input owns the outputs of this stem.
+    /// The input that owns the outputs with this stem.
     pub(super) claims: HashMap<PathBuf, FrameId>,
     /// The options of each mirrored sub-folder.
     pub(super) outputs_of: HashMap<(usize, PathBuf), Arc<OutputOptions>>,
     pub(super) queue: Queue,
-    /// Pipelines that want a frame.
+    /// Pipelines that have asked for a frame.
     pub(super) wanting: VecDeque<usize>,
-    /// The pipeline that gets frames. Earlier ones hang, and end when they come back.
+    /// The pipeline that gets frames. Earlier ones hang, and end when they respond again.
     pub(super) pipeline: usize,
     pub(super) guard: DiskGuard,
     pub(super) scan_count: u64,
     /// Frames that failed.
     pub(super) failed: HashMap<FrameId, Failure>,
-    /// How many frames the pipelines have finished with.
+    /// The number of frames that the pipelines have finished with.
     pub(super) finished_count: usize,
     pub(super) is_stopping: bool,
-    /// What was counted since the process began.
+    /// Counters since the start of the process.
     pub(crate) counters: Counters,
     pub(super) now: Now,
     pub(super) effects: Vec<Effect>,
-    /// Frames that look different now, or are gone.
+    /// Frames whose views have changed, or that are gone.
     pub(super) changed: HashSet<FrameId>,
-    /// Sequences that got settings.
+    /// Sequences whose settings were determined.
     pub(super) changed_sequences: Vec<usize>,
     last_state: DaemonState,
 }
 
 /// A watched folder.
 pub(crate) struct RootState {
-    /// Absolute.
+    /// The absolute path.
     pub(super) path: PathBuf,
     pub(super) obstacles: Arc<ObstacleFiles>,
-    /// Why it cannot be scanned, while it cannot.
+    /// Why it cannot be scanned; `None` if it can.
     pub(super) unavailable: Option<String>,
-    /// Since when its worker does not answer.
+    /// Since when its worker has not responded.
     pub(super) stalled_since: Option<Instant>,
     pub(super) was_scanned: bool,
-    /// Paths in it that the last scan could not examine, and why.
+    /// Paths that the last scan could not examine, and why.
     pub(super) unreadable: BTreeMap<PathBuf, String>,
 }
 
 /// A folder of outputs.
 pub(crate) struct OutputFolder {
-    /// Absolute.
+    /// The absolute path.
     pub(super) folder: PathBuf,
     pub(super) journal: JournalState,
     pub(super) is_there: bool,
@@ -88,18 +88,19 @@ pub(crate) struct OutputFolder {
 #[derive(Debug)]
 pub(crate) struct Failure {
     pub(super) reason: String,
-    /// How many frames were finished when it was logged; `None` if it was not logged in this run.
+    /// The number of frames that were finished when the failure was logged; `None` if it was not logged in
+    /// this run.
     pub(super) logged_at: Option<usize>,
     /// Whether the frame was refused because of other files.
     pub(super) is_refusal: bool,
 }
 
-/// A worker that does not answer for so long has stalled.
+/// A worker that has not responded for this long has stalled.
 pub(crate) const STALL_AFTER: Duration = Duration::from_secs(5);
 
 impl Core {
-    /// The state at the start: `roots` are the absolute paths of the watched folders, and `outputs` the folders of outputs
-    /// with their journals.
+    /// The initial state. `roots` are the absolute paths of the watched folders, and `outputs` the folders of
+    /// outputs with their journals.
     pub(crate) fn new(
         config: Arc<WatchConfig>,
         identity: DaemonRecord,
@@ -153,7 +154,8 @@ impl Core {
         }
     }
 
-    /// Records what is watched, and that the daemon runs; logs the folders, and asks for the first look at everything.
+    /// Records what is watched, and that the daemon is running; logs the folders, and requests the first
+    /// scans.
     pub(crate) fn start(&mut self) {
         let of_root =
             |(root, watch): (&RootState, &Watch)| Watch { input: root.path.clone(), ..watch.clone() };
@@ -163,7 +165,7 @@ impl Core {
             let watches = of_output.map(|(watch, _)| watch.clone()).collect();
             let patience = self.config.patience;
             self.record(output, Entry::Plan(PlanRecord { watches, patience }), None);
-            // Before anything is queued: no frame begins below the floor.
+            // Before frames are queued: no frame starts while free space is below the floor.
             self.effects.push(Effect::Output(output, OutputRequest::Check));
         }
         self.record_daemon(DaemonState::Running);
@@ -194,7 +196,7 @@ impl Core {
         self.effects.push(Effect::Log(Log::new(write)));
     }
 
-    /// Logs something about a file or a folder.
+    /// Logs a message about a file or a folder.
     pub(super) fn log_about(
         &mut self,
         path: impl Into<PathBuf>,
@@ -208,13 +210,13 @@ impl Core {
         self.effects.push(Effect::Root(root, request));
     }
 
-    /// Keeps a record, and has it written to the journal; the line is logged after that.
+    /// Keeps a record and requests that it be written to the journal; the line is logged after that.
     pub(super) fn record(&mut self, output: usize, entry: Entry, log: Option<Log>) {
         self.outputs[output].journal.take(entry.clone());
         self.effects.push(Effect::Output(output, OutputRequest::Record(entry, log)));
     }
 
-    /// Records what the daemon itself is doing.
+    /// Records the state of the daemon.
     pub(crate) fn record_daemon(&mut self, state: DaemonState) {
         for output in 0..self.outputs.len() {
             let record =
@@ -232,14 +234,14 @@ impl Core {
         }
     }
 
-    /// Asks for a look at everything.
+    /// Requests a scan of every root.
     pub(super) fn scan_all(&mut self) {
         for root in 0..self.roots.len() {
             self.request(root, RootRequest::Scan);
         }
     }
 
-    /// Decides again whether frames may begin.
+    /// Updates whether frames may start.
     pub(super) fn check_space(&mut self) {
         let was_blocked = self.guard.reason().is_some();
         let found: Vec<FoundSpace<'_>> = self
@@ -250,12 +252,14 @@ impl Core {
         self.guard.check(&found, self.now.at);
         match self.guard.reason() {
             Some(why) if !was_blocked => self.log(move || tracing::warn!("paused: {why}")),
-            None if was_blocked => self.log(|| tracing::info!("there is room again: going on")),
+            None if was_blocked => {
+                self.log(|| tracing::info!("there is enough disk space again: continuing"))
+            }
             _ => {}
         }
     }
 
-    /// Whether frames of a root may begin.
+    /// Whether frames of a root may start.
     pub(super) fn may_begin(&self, root: usize) -> bool {
         self.roots[root].stalled_since.is_none() && self.output(root).stalled_since.is_none()
     }
