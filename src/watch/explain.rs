@@ -228,8 +228,8 @@ impl fmt::Display for FrameExplanation {
                 let were = if names.len() == 1 { "was" } else { "were" };
                 write!(
                     f,
-                    "is converted already: it is not in the journal, but {} {were} made from it as it is; a daemon converts \
-                     it again only where its settings or formats are others",
+                    "is converted already: it is not in the journal, but {} {were} made from its current content; a daemon \
+                     converts it again only if its settings or formats have changed",
                     names.join(", ")
                 )
             }

@@ -1,14 +1,15 @@
-//! Whether outputs can be written: no frame begins without free space, and one that ran out of it waits for more.
+//! Checks whether outputs can be written: no frame starts without free space, and a frame that ran out of
+//! space waits for more.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Stops the start of frames while their outputs could not be written.
+/// Blocks the start of frames while their outputs cannot be written.
 #[derive(Debug)]
 pub(crate) struct DiskGuard {
     floor_bytes: u64,
     block: Option<WriteBlock>,
-    /// The next wait after a full disk.
+    /// The wait after the next full disk.
     backoff: Duration,
 }
 
@@ -19,7 +20,7 @@ enum WriteBlock {
     Full(Full),
     /// The folder is missing: its file system is not mounted.
     Unmounted(PathBuf),
-    /// The system refuses for a reason other than space. It is tried again at this time.
+    /// The system refuses for a reason other than space. The next attempt is at this time.
     Refused(String, Instant),
 }
 
@@ -27,22 +28,23 @@ enum WriteBlock {
 struct Full {
     folder: PathBuf,
     wanted_bytes: u64,
-    /// When it is tried again, whatever is free; `None` below the floor, where only space helps.
+    /// When the next attempt is made, even if nothing was freed; `None` below the floor, where only free
+    /// space helps.
     retry_at: Option<Instant>,
     free_bytes: u64,
 }
 
-/// A folder of outputs as it was found last.
+/// The last known state of a folder of outputs.
 #[derive(Clone, Debug)]
 pub(crate) struct FoundSpace<'a> {
     pub(crate) folder: &'a Path,
     /// Whether the folder is mounted.
     pub(crate) is_there: bool,
-    /// Free bytes, if the file system says.
+    /// Free bytes, if the file system reports them.
     pub(crate) free_bytes: Option<u64>,
 }
 
-/// More than this must have become free before a disk that was full is tried again at once.
+/// How much space must be freed before a disk that was full is tried again at once.
 const MARGIN_BYTES: u64 = 1 << 20;
 
 const BACKOFF_FIRST: Duration = Duration::from_secs(5);
@@ -53,10 +55,10 @@ impl DiskGuard {
         DiskGuard { floor_bytes, block: None, backoff: BACKOFF_FIRST }
     }
 
-    /// A frame found the disk of this folder full, with so much free.
+    /// A frame found the disk of this folder full, with this much free space.
     pub(crate) fn on_full(&mut self, folder: &Path, free_bytes: Option<u64>, now: Instant) {
         let free_bytes = free_bytes.unwrap_or(0);
-        // Frames that are under way together find the disk full one after the other: one wait for all of them.
+        // Frames that are in progress together find the disk full one after another: all share one wait.
         let retry_at = match &self.block {
             Some(WriteBlock::Full(Full { retry_at: Some(at), .. })) => *at,
             _ => now + self.next_backoff(),
@@ -75,7 +77,7 @@ impl DiskGuard {
         self.block = Some(WriteBlock::Refused(reason, now + wait));
     }
 
-    /// A frame was written: the next wait is a short one.
+    /// A frame was written: the next wait is short.
     pub(crate) fn on_success(&mut self) {
         self.backoff = BACKOFF_FIRST;
     }
@@ -85,8 +87,8 @@ impl DiskGuard {
         std::mem::replace(&mut self.backoff, doubled)
     }
 
-    /// Decides again, by the folders as they are now. A folder of which the free space is unknown does not block:
-    /// writing into it will say what is wrong.
+    /// Decides again from the current state of the folders. A folder with unknown free space does not block,
+    /// because an attempt to write there reports what is wrong.
     pub(crate) fn check(&mut self, found: &[FoundSpace<'_>], now: Instant) {
         if let Some(absent) = found.iter().find(|found| !found.is_there) {
             self.block = Some(WriteBlock::Unmounted(absent.folder.to_owned()));
@@ -116,10 +118,10 @@ impl DiskGuard {
         self.block = found.iter().find_map(below_floor).map(WriteBlock::Full);
     }
 
-    /// Why no frame begins; `None` if frames may begin.
+    /// Why no frame starts; `None` if frames may start.
     pub(crate) fn reason(&self) -> Option<String> {
         Some(match self.block.as_ref()? {
-            WriteBlock::Refused(reason, _) => format!("{reason}; trying again before long"),
+            WriteBlock::Refused(reason, _) => format!("{reason}; trying again soon"),
             WriteBlock::Unmounted(folder) => format!("{} is not mounted; waiting for it", folder.display()),
             WriteBlock::Full(Full { folder, wanted_bytes, free_bytes, .. }) => format!(
                 "{} has {} free; waiting for {}",
@@ -152,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn below_the_floor_only_space_helps() {
+    fn below_the_floor_only_free_space_unblocks() {
         let now = Instant::now();
         let mut guard = DiskGuard::new(100);
         for hours in [0, 1, 1000] {
@@ -164,11 +166,11 @@ mod tests {
     }
 
     #[test]
-    fn full_disk_is_retried_less_and_less_often() {
+    fn full_disk_is_retried_with_backoff() {
         let mut now = Instant::now();
         let mut guard = DiskGuard::new(0);
         for expected in [5, 10, 20, 40, 80, 160, 300, 300] {
-            // By several frames that were under way together.
+            // Reported by several frames that were in progress together.
             for _ in 0..3 {
                 guard.on_full(Path::new("/out/sub"), Some(7), now);
             }
@@ -185,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn freed_space_is_used_at_once() {
+    fn freed_space_unblocks_at_once() {
         let now = Instant::now();
         let mut guard = DiskGuard::new(0);
         guard.on_full(Path::new(OUT), Some(7), now);

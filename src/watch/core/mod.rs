@@ -1,14 +1,15 @@
-//! What the daemon decides, without files, clocks or threads.
+//! The decisions of the daemon, without files, clocks or threads.
 //!
 //! ```text
 //!   Event ──▶ handle ─▶ intake ─▶ steps, settle ─▶ queue ──▶ Effect
 //!                       outcomes ─▶ retry
-//!   frames         how far each frame is         completeness   when a file is complete
+//!   frames         the phase of each frame       completeness   when a file is complete
 //!   sequences      settings, fixed once each     decision       why a frame is, or is not, converted
-//!   disk_guard     free space and mounts         publish        what users see of it
+//!   disk_guard     free space and mounts         publish        views for clients
 //! ```
 //!
-//! Every event is a fact that may be old: an event that is lost, doubled or late changes nothing but the time.
+//! Every event is a fact that may be out of date. An event that is lost, doubled or late changes only the
+//! timing.
 
 pub mod completeness;
 pub mod decision;

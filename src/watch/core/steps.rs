@@ -1,19 +1,20 @@
-//! Files with several frames: their steps come and go with them.
+//! Files with several frames: their steps are added and removed with the file.
 //!
 //! ```text
-//!   dump.lammpstrj   settling ──▶ gone through ──▶ steps ──── written again ────▶ settling ..
+//!   dump.lammpstrj   settling ──▶ searched ──────▶ steps ──── written again ────▶ settling ..
 //!                                 (another thread)   │
 //!   step=0                                           ├──▶ done already, by the journal
 //!   step=1000                                        ├──▶ held ──▶ queued ──▶ done
 //!   step=2000                                        └──▶ held ..
 //! ```
 //!
-//! Where steps begin is known when all of the file was read, which takes minutes for a large one on a slow disk: so that
-//! is not done by the loop, and whoever reads a step that was found does not wait for it.
+//! Finding the steps requires reading the whole file, which takes minutes for a large file on a slow disk. So
+//! another thread does it, and reading a step that was found does not wait for the search.
 //!
-//! A file to which steps are appended is another file each time it has settled. Only what was appended is gone through then;
-//! steps that are done, and of which the file is known to be as it was, are left as they are. Those of a file that was written
-//! anew are looked at again: each is read, and may be found to be what its outputs were made from.
+//! A file to which steps are appended counts as a new file each time it has settled. Only the appended part
+//! is searched then, and done steps stay as they are if the earlier part of the file is known to be
+//! unchanged. If the file was rewritten, its steps are inspected again: each is read, and may be found to
+//! match its outputs.
 
 use std::time::Instant;
 
@@ -25,7 +26,7 @@ use super::frames::{FileSteps, FrameId, FramePhase};
 use super::state::Core;
 
 impl Core {
-    /// Has a complete file searched for steps.
+    /// Requests the search of a complete file for steps.
     pub(super) fn find_steps(&mut self, id: &FrameId, conflict: Option<String>) {
         let Some(stamp) = self.frames.get(id).map(|frame| frame.stamp) else { return };
         self.set_phase(id, FramePhase::FindingSteps);
@@ -33,10 +34,10 @@ impl Core {
         self.effects.push(Effect::Slow(id.root, SlowRequest::FindSteps(order)));
     }
 
-    /// A file was searched for steps.
+    /// Handles the steps that were found in a file.
     pub(super) fn on_steps_found(&mut self, found: FoundSteps) {
         let FoundSteps { order: StepsOrder { id, stamp, conflict }, frames } = found;
-        // Of a file that was written again since, this says nothing.
+        // The file has changed since: the result is out of date.
         if !self.is_still(&id, FramePhase::FindingSteps, &stamp) {
             return;
         }
@@ -54,7 +55,7 @@ impl Core {
         }
     }
 
-    /// A complete file has several steps: each is a frame of its own.
+    /// Adds the steps of a complete file: each is a frame.
     fn take_steps(&mut self, id: &FrameId, stamp: FileStamp, found: FileFrames) {
         let steps: Vec<FrameId> = found.paths().map(|path| FrameId::step(id.root, &path)).collect();
         let index_of = steps.iter().cloned().enumerate().map(|(index, step)| (step, index)).collect();
@@ -73,7 +74,7 @@ impl Core {
         }
     }
 
-    /// A step of a file that has settled, and has this stamp now.
+    /// Handles a step of a file that has settled, and now has this stamp.
     fn take_step(&mut self, file: &FrameId, id: &FrameId, stamp: FileStamp) {
         let candidate = Candidate::new(self.now.at, &Seen { stamp, age: None }, false);
         let Some(frame) = self.frames.get_mut(id) else {
@@ -89,7 +90,7 @@ impl Core {
                 return self.check_outputs(id);
             }
             FramePhase::Settling(_) => {}
-            // It is inspected again when its outcome comes.
+            // It is inspected when its conversion ends.
             FramePhase::UnderWay(_) => return,
             _ if is_same => return,
             _ => {}
@@ -107,14 +108,15 @@ impl Core {
                 FramePhase::Settling(_) | FramePhase::FindingSteps => {
                     self.on_file_seen(file, seen, at, false)
                 }
-                // The file has no such step any more.
+                // The file no longer contains this step.
                 _ => self.forget(id),
             },
             _ => self.on_file_seen(file, seen, at, false),
         }
     }
 
-    /// The file of these steps was written again. Those that are not under way wait until it is known where they are now.
+    /// The file of these steps changed. Steps that are not in progress wait until their positions are known
+    /// again.
     pub(super) fn unqueue_steps(&mut self, file: &FrameId, seen: &Seen, at: Instant) {
         for step in self.known_steps(file) {
             if self.frames.phase(&step) == Some(FramePhase::Queued) {
@@ -123,7 +125,7 @@ impl Core {
         }
     }
 
-    /// Steps that are done stay so only while their outputs are there.
+    /// Checks the outputs of done steps.
     pub(super) fn check_steps(&mut self, file: &FrameId) {
         for step in self.known_steps(file) {
             if self.frames.phase(&step) == Some(FramePhase::Done) {
@@ -132,7 +134,7 @@ impl Core {
         }
     }
 
-    /// A file is gone, or has no steps any more.
+    /// A file was removed, or no longer has steps.
     pub(super) fn forget_steps(&mut self, file: &FrameId) {
         let steps = self.known_steps(file);
         self.steps_of.remove(file);

@@ -1,14 +1,14 @@
-//! One name for each file: what is remembered under one must be found under the same.
+//! Canonical paths: a file must be found under the same path under which it was recorded.
 //!
-//! A folder may be typed as `../cache`, from anywhere, through links. Links in the folders that lead to it
-//! are followed; the folder itself may be a link, and stays one, because somebody may let it lead
-//! elsewhere for the next shot.
+//! A user may give a folder as `../cache`, from any current folder, through links. Links in its parent
+//! folders are resolved. The folder itself may be a link and stays one, because users may redirect it for the
+//! next shot.
 
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// The path by which the daemon knows a file or folder, which need not exist: absolute, without `.` and
-/// `..`, and without links but for the last part.
+/// The path by which the daemon identifies a file or folder, which may not exist: absolute, without `.` and
+/// `..`, and without links except in the last component.
 ///
 /// # Errors
 /// When the path is empty, or there is no current folder.
@@ -16,25 +16,25 @@ pub fn known_path(path: &Path) -> io::Result<PathBuf> {
     let path = std::path::absolute(path)?;
     Ok(match (path.parent(), path.file_name()) {
         (Some(folder), Some(name)) => resolved(folder).join(name),
-        // It ends in `..`: which folder that is, only the system can tell.
+        // It ends in `..`: only the system can resolve that.
         _ => resolved(&path),
     })
 }
 
-/// The folder without links, as far as it exists.
+/// Resolves the links of the folder, as far as it exists.
 fn resolved(folder: &Path) -> PathBuf {
     if let Ok(real) = folder.canonicalize() {
         return real;
     }
     match (folder.parent(), folder.file_name()) {
         (Some(outer), Some(name)) => resolved(outer).join(name),
-        // What is not there has no `..` but the one that its name says.
+        // In a missing folder, `..` is resolved by name.
         (Some(outer), None) => resolved(outer).parent().unwrap_or(outer).to_owned(),
         (None, _) => folder.to_owned(),
     }
 }
 
-/// The path of `file` as one below `folder`, where it lies there, whatever names either has.
+/// The path of `file` below `folder`, if it lies there, independent of the paths used for either.
 pub fn below(folder: &Path, file: &Path) -> Option<PathBuf> {
     let real = resolved(file.parent()?).join(file.file_name()?);
     let within = real.strip_prefix(resolved(folder)).ok()?;
@@ -49,7 +49,7 @@ mod tests {
     use std::os::unix::fs::symlink;
 
     #[test]
-    fn a_file_has_one_name() {
+    fn different_paths_of_a_file_have_one_canonical_path() {
         let scratch = tempfile::tempdir().expect("a folder");
         let top = scratch.path().canonicalize().expect("there");
         fs::create_dir_all(top.join("a/b")).expect("made");
@@ -70,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_is_found_below_a_folder_by_any_name() {
+    fn below_finds_a_file_by_any_of_its_paths() {
         let scratch = tempfile::tempdir().expect("a folder");
         let top = scratch.path().canonicalize().expect("there");
         fs::create_dir_all(top.join("a/b")).expect("made");

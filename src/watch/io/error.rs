@@ -11,27 +11,27 @@ use super::selection::PatternError;
 /// Why a daemon cannot run.
 #[derive(Debug)]
 pub enum DaemonError {
-    /// A folder takes no outputs.
+    /// A folder cannot hold outputs.
     Out(OutFolderError),
-    /// A folder of outputs cannot be looked at, or its journal not be opened.
+    /// A folder of outputs cannot be read, or its journal cannot be opened.
     Folder {
-        /// Which.
+        /// The folder.
         folder: PathBuf,
-        /// Why.
+        /// The cause.
         source: std::io::Error,
     },
-    /// Somebody else has the folder of the outputs.
+    /// Another process has locked the folder of outputs.
     Locked(LockError),
-    /// A pattern is none.
+    /// A pattern is invalid.
     Pattern(PatternError),
-    /// A folder that is to be converted once is not there.
+    /// A folder that is to be converted once is unavailable.
     Unavailable {
-        /// Which.
+        /// The folder.
         folder: PathBuf,
-        /// Why.
+        /// The cause.
         why: String,
     },
-    /// The system refuses to start threads, or one has ended before its time.
+    /// The system refuses to start a thread, or a thread has ended early.
     Threads(String),
 }
 

@@ -1,4 +1,4 @@
-//! What the disk says of whether a frame is complete. The daemon, `status` and `why` go by the same.
+//! Checks on disk whether a frame is complete. The daemon, `status` and `why` use the same checks.
 
 use std::path::Path;
 use std::time::Instant;
@@ -20,13 +20,13 @@ pub(crate) fn readiness_of(
     let sentinel = FileStamp::of_path(&path_of_sentinel(watch, file));
     let sentinel = Sentinel {
         is_required: watch.sentinel.is_some(),
-        // One that was left of an earlier version of the frame proves nothing.
+        // A sentinel of an earlier version of the frame proves nothing.
         is_there: sentinel.is_ok_and(|sentinel| sentinel_counts(&sentinel, candidate.stamp())),
     };
     candidate.readiness(now, patience, sentinel, || completeness_of(file))
 }
 
-/// What the format says; where the file cannot be read, reading it will say why.
+/// What the format says. If the file cannot be read, reading the frame reports why.
 fn completeness_of(path: &Path) -> Completeness {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let look = || completeness(&mut open_regular(path)?, &name);

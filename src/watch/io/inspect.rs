@@ -1,4 +1,4 @@
-//! Looks at one file, as far as the core asks.
+//! Inspects one file, as far as the core requests.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -17,7 +17,7 @@ use super::scan::look;
 use super::selection::{SniffedContent, content};
 
 impl Root {
-    /// Looks at a file.
+    /// Inspects a file.
     pub(super) fn inspect(&self, request: Inspect) -> Inspected {
         let own = &self.obstacles[self.index];
         let stamps = || Arc::new(own.stamps(request.id.frame_file().number()));
@@ -67,12 +67,12 @@ impl Root {
         InspectionResult::Complete(Complete { proof, changed_output, contents, conflict })
     }
 
-    /// The file that outputs would replace and may not: one of particles, or an obstacle of any folder.
+    /// The file that outputs would replace and must not: a particle file, or an obstacle of any folder.
     fn conflict_of(&self, outputs: &[PathBuf]) -> Option<String> {
         for output in outputs {
             if output.symlink_metadata().is_ok() && matches!(content(output), Ok(SniffedContent::Particles)) {
                 return Some(format!(
-                    "its output {} would replace a file of particles: choose another folder or format",
+                    "its output {} would replace a particle file: choose another folder or format",
                     output.display()
                 ));
             }
@@ -89,7 +89,7 @@ impl Root {
 fn changed_output_of(recorded: &Recorded) -> Option<(PathBuf, OutputCheck)> {
     let mut checks = recorded.record.outputs.iter().map(|output| (&output.path, output.check()));
     let (path, check) = checks.find(|(_, check)| *check != OutputCheck::Unchanged)?;
-    // One that was cut short is as good as missing, but is not gone.
+    // A truncated output counts as missing, but it exists.
     let is_there = check == OutputCheck::Missing && path.symlink_metadata().is_ok();
     Some((path.clone(), if is_there { OutputCheck::Touched } else { check }))
 }
@@ -104,7 +104,7 @@ fn contents_of(id: &FrameId) -> FileContents {
     if let Ok(SniffedContent::OwnOutput | SniffedContent::NotParticles) = content(id.file_path()) {
         return FileContents::NotParticles;
     }
-    // One that cannot be read is a frame: reading it will say what is wrong.
+    // An unreadable file counts as a frame: reading it reports what is wrong.
     if id.is_step() {
         return FileContents::Frame;
     }

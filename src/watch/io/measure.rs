@@ -1,4 +1,4 @@
-//! Measures sequences: reads frames, on a thread where that may take its time.
+//! Measures sequences: reads frames, on a thread for slow requests.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use crate::watch::core::frames::FrameId;
 use crate::watch::core::sequences::{MeasureOrder, SpacingResult, asked_camera};
 use crate::watch::journal::{JournaledSequence, SequenceCamera};
 
-/// Measures the spacing, unless the voxel size is known, and places the camera of pictures.
+/// Measures the particle spacing, unless the voxel size is known, and fits the camera of pictures.
 pub(super) fn measure(order: MeasureOrder) -> SpacingResult {
     let mut measured = SpacingResult {
         sequence: order.sequence,
@@ -40,7 +40,7 @@ pub(super) fn measure(order: MeasureOrder) -> SpacingResult {
     measured
 }
 
-/// Notes what came of a frame, unless it has changed since it was found complete.
+/// Notes the result of a frame, unless the frame has changed since it was found complete.
 fn note(measured: &mut SpacingResult, path: &Path, attempt: Attempt, order: &MeasureOrder) {
     let found = order.files.iter().find(|(id, _)| &*id.path == path);
     let Some((id, stamp)) = found else { return };
@@ -55,7 +55,7 @@ fn note(measured: &mut SpacingResult, path: &Path, attempt: Attempt, order: &Mea
     }
 }
 
-/// The record with the camera that the first frame asks for, of those that were not skipped when the spacing was measured;
+/// The record with the camera fitted to the first frame that was not skipped when the spacing was measured;
 /// `None` if there is no such frame.
 fn with_camera(
     record: JournaledSequence,
@@ -63,7 +63,7 @@ fn with_camera(
     measured: &mut SpacingResult,
 ) -> Option<JournaledSequence> {
     let outputs = &order.watch.outputs;
-    // Settings that make no sense end the sequence in another place.
+    // Invalid settings end the sequence elsewhere.
     let spacing = record.measured.as_ref().map(options::SequenceSpacing::from);
     let settings = Settings::resolve(&order.watch.choices, spacing);
     let radius = settings.map_or(0.0, |settings| settings.resting_height());
@@ -89,7 +89,7 @@ fn with_camera(
     None
 }
 
-/// A box that holds what a fluid in this one may come to: it is wider by half its height on each side.
+/// A box with room for the fluid in this one to spread: wider by half its height on each side.
 fn widened([least, greatest]: [DVec3; 2], up: DVec3) -> [DVec3; 2] {
     let aside = (DVec3::ONE - up) * (0.5 * (greatest - least).dot(up));
     [least - aside, greatest + aside]

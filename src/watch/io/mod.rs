@@ -1,10 +1,10 @@
-//! Everything that may block: files, folders, mounts, the journal on the disk, and the pipelines.
+//! All code that may block: files, folders, mounts, the journal on disk, and the pipelines.
 //!
 //! ```text
 //!   root         a watched folder: scans, events, inspections     slow         measuring, finding steps
 //!   output_dir   a folder of outputs: journal, lock, free space   pipeline     converts frames
-//!   worker       the thread of either, and whether it is stuck
-//!   inspect, evidence, scan, selection, fs_events, mounts, lock, canonical_path   what they do
+//!   worker       the thread of either, and its stall detection
+//!   inspect, evidence, scan, selection, fs_events, mounts, lock, canonical_path   their operations
 //! ```
 
 pub mod canonical_path;

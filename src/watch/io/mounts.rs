@@ -1,34 +1,33 @@
-//! What a folder lies on: whether the system tells of changes there, how much room there is, and
-//! whether it is still the folder that it was.
+//! The file system of a folder: whether it reports changes, how much space is free, and whether it is still
+//! the same one.
 //!
-//! The kernel tells of changes that are made through it. Those that another machine, or the host of a
-//! virtual one, makes on a shared file system pass it by: such folders have to be looked at.
+//! The kernel reports changes that are made through it. Changes that another machine, or the host of a
+//! virtual machine, makes on a shared file system bypass it, so such folders must be polled.
 
 use std::io;
 use std::path::Path;
 
-/// The name of the file system at `path`, if changes to it may go unannounced: one on a network, one
-/// shared with the host of a virtual machine, or one that some program provides.
+/// The name of the file system at `path`, if changes to it may go unreported: a network file system, one
+/// shared with the host of a virtual machine, or one provided by a program.
 ///
-/// Known on Linux only: elsewhere the answer is always `None`, and polling has to be asked for.
+/// Known on Linux only: elsewhere the result is always `None`, and users must request polling.
 ///
 /// # Errors
-/// When there is no such path, or the system refuses.
+/// When the path does not exist, or the system refuses.
 pub fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
     system::network_file_system(path)
 }
 
-/// Bytes that this user may still write to the file system at `path`.
+/// The bytes that this user may still write to the file system at `path`.
 ///
-/// # Errors
-/// When there is no such path, or the system refuses; [`io::ErrorKind::Unsupported`] on systems other
-/// than Unix.
+/// When the path does not exist, or the system refuses; [`io::ErrorKind::Unsupported`] on systems other than
+/// Unix.
 pub fn free_bytes(path: &Path) -> io::Result<u64> {
     system::free_bytes(path)
 }
 
-/// Which file system a folder is on: an empty folder on another one than before has been unmounted,
-/// rather than emptied.
+/// Identifies the file system of a folder: if a folder is empty and on another file system than before, it
+/// was unmounted, not emptied.
 ///
 /// On systems other than Unix, all are equal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,7 +39,7 @@ impl RootIdentity {
     /// The identity of the folder at `path`, links followed.
     ///
     /// # Errors
-    /// When there is no such path, or the system refuses.
+    /// When the path does not exist, or the system refuses.
     pub fn of(path: &Path) -> io::Result<RootIdentity> {
         Ok(RootIdentity { device: system::device(&path.metadata()?) })
     }
@@ -63,7 +62,7 @@ mod system {
 
     #[cfg(target_os = "linux")]
     pub(crate) fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
-        // 32 bits, in a number of whatever width and sign the machine has.
+        // The magic number has 32 bits, in an integer whose width and sign depend on the machine.
         let magic = rustix::fs::statfs(path)?.f_type as u32;
         Ok(super::NETWORK_FILE_SYSTEMS.iter().find(|entry| entry.0 == magic).map(|entry| entry.1))
     }
@@ -93,7 +92,7 @@ mod system {
     }
 }
 
-/// What `statfs` calls the file systems on which changes may go unannounced, and what users call them.
+/// The magic numbers in `statfs` of file systems whose changes may go unreported, with their common names.
 #[cfg(target_os = "linux")]
 const NETWORK_FILE_SYSTEMS: &[(u32, &str)] = &[
     (0x6969, "NFS"),
@@ -124,7 +123,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_not_there_is_an_error() {
+    fn missing_path_is_an_error() {
         let folder = tempfile::tempdir().expect("a folder");
         let gone = folder.path().join("gone");
         let not_found = |error: io::Error| error.kind() == io::ErrorKind::NotFound;
@@ -135,7 +134,7 @@ mod tests {
 
     #[cfg(target_os = "linux")]
     #[test]
-    fn local_file_systems_are_told_by_the_kernel() {
+    fn local_file_systems_report_changes() {
         for path in ["/proc", "/sys", "/dev/shm"].map(Path::new).into_iter().filter(|path| path.is_dir()) {
             assert_eq!(network_file_system(path).expect("readable"), None, "{}", path.display());
         }
@@ -146,7 +145,7 @@ mod tests {
 
     #[cfg(target_os = "linux")]
     #[test]
-    fn a_mount_has_an_identity_of_its_own() {
+    fn mounted_file_system_has_another_identity() {
         let of = |path: &Path| RootIdentity::of(path).expect("a folder");
         let folder = tempfile::tempdir().expect("a folder");
         let inner = folder.path().join("inner");
@@ -157,11 +156,11 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn room_is_counted_in_bytes() {
+    fn free_space_is_in_bytes() {
         let folder = tempfile::tempdir().expect("a folder");
         let before = free_bytes(folder.path()).expect("room");
         assert!((1 << 16..1 << 60).contains(&before), "{before}");
-        // Pseudo file systems have none at all.
+        // Pseudo file systems have no space.
         #[cfg(target_os = "linux")]
         assert_eq!(free_bytes(Path::new("/proc")).expect("room"), 0);
     }

@@ -1,7 +1,7 @@
 //! Pipelines: threads that convert the frames that the core gives them.
 //!
-//! One runs at a time, unless it hangs with its frames: then another one takes over the rest. So each has threads of its
-//! own, and nobody waits for them to end.
+//! One runs at a time. If it hangs with its frames, another one takes over the rest. So each has its own
+//! threads, and nothing waits for them to end.
 
 use std::io;
 use std::path::PathBuf;
@@ -24,7 +24,7 @@ use crate::watch::status_store::StatusStore;
 use super::mounts::free_bytes;
 use super::output_dir::OutputGuard;
 
-/// What all pipelines have in common.
+/// The context that all pipelines share.
 #[derive(Clone)]
 pub(crate) struct PipelineContext {
     pub(crate) config: Arc<WatchConfig>,
@@ -34,10 +34,11 @@ pub(crate) struct PipelineContext {
     pub(crate) events: Sender<Event>,
 }
 
-/// Starts a pipeline. It asks for frames by [`Event::FrameWanted`], and ends when the sender that is returned is dropped.
+/// Starts a pipeline. It requests frames by [`Event::FrameWanted`], and ends when the returned sender is
+/// dropped.
 ///
 /// # Errors
-/// When the system has no more threads.
+/// When the system refuses to start a thread.
 pub(crate) fn start(index: usize, context: PipelineContext) -> io::Result<Sender<Start>> {
     let pool = ThreadPoolBuilder::new()
         .num_threads(context.config.threads)
@@ -46,7 +47,7 @@ pub(crate) fn start(index: usize, context: PipelineContext) -> io::Result<Sender
         .map_err(io::Error::other)?;
     let (sender, frames) = bounded(1);
     thread::Builder::new().name(format!("pipeline {index}")).spawn(move || {
-        // Whatever ends it: the core must know.
+        // However the pipeline ends, the core must be notified.
         let _ended = PipelineEnded(index, context.events.clone());
         run(index, &pool, &frames, &context);
     })?;
@@ -57,7 +58,7 @@ struct PipelineEnded(usize, Sender<Event>);
 
 impl Drop for PipelineEnded {
     fn drop(&mut self) {
-        // Nobody listens only when the daemon has ended.
+        // Fails only if the daemon has already ended.
         let _ = self.1.send(Event::PipelineEnded { pipeline: self.0 });
     }
 }
@@ -77,7 +78,7 @@ fn run(
         certificates: false,
         in_flight: config.in_flight,
         memory_bytes: config.memory_bytes,
-        // There is a thread for that.
+        // A separate thread finds steps.
         steps_found_by: StepsFoundBy::Another,
         mirrors: &mirrors,
         output_states: Some(&output_states),
@@ -88,7 +89,8 @@ fn run(
             events.send(Event::FrameWanted { pipeline: index }).ok()?;
             let Start { id, frame, known_outputs } = frames.recv().ok()?;
             let (output, guard) = &outputs[id.root];
-            // Asked at the last moment: nothing is written into what is in the place of a folder that is not mounted.
+            // Checked at the last moment: nothing is written if the folder is not mounted and another is in
+            // its place.
             if !guard.may_begin() {
                 let found = guard.check(*output);
                 events.send(Event::FrameReturned { id, frame, found }).ok()?;
@@ -104,7 +106,7 @@ fn run(
     };
     stream(&LevelSetSkinning, next, &options, |id, frame, outcome| {
         let finished = finished(id, &frame, outcome, &output_states);
-        // Nobody listens only when the daemon has ended.
+        // Fails only if the daemon has already ended.
         let _ = events.send(Event::FrameFinished(Box::new(finished)));
     });
 }

@@ -1,27 +1,27 @@
-//! How soon everything is looked at again after events were lost.
+//! Limits how often everything is scanned again after events were lost.
 //!
-//! At once, a few times; but events are lost when there are too many of them, and a scan for each loss
-//! would be the end of all other work. So further losses are answered less and less quickly.
+//! The first few losses cause a scan at once. But events are lost when there are too many of them, and a scan
+//! for each loss would block all other work. So scans for further losses are delayed more and more.
 
 use std::time::{Duration, Instant};
 
 /// When the next scan after a loss is due.
 #[derive(Debug, Default)]
 pub(crate) struct RescanBackoff {
-    /// When, if one is wanted.
+    /// When the next scan is due, if one is requested.
     pub(crate) due_at: Option<Instant>,
     last_at: Option<Instant>,
     in_a_row: u32,
 }
 
-/// So many scans are granted at once.
+/// The number of scans that are granted at once.
 const AT_ONCE: u32 = 3;
 
-/// The wait for the next; it doubles from then on.
+/// The first delay; it doubles from then on.
 const WAIT_FIRST: Duration = Duration::from_millis(100);
 const WAIT_MAX: Duration = Duration::from_secs(10);
 
-/// After so long without a loss, all is forgotten.
+/// After this long without a loss, the delays start over.
 const CALM: Duration = Duration::from_secs(60);
 
 impl RescanBackoff {
@@ -41,7 +41,7 @@ impl RescanBackoff {
         self.in_a_row += 1;
     }
 
-    /// Whether it is time; then the scan counts as done.
+    /// Whether a scan is due; if so, it counts as done.
     pub(crate) fn is_due(&mut self, now: Instant) -> bool {
         let is_due = self.due_at.is_some_and(|due_at| due_at <= now);
         if is_due {
@@ -56,7 +56,7 @@ impl RescanBackoff {
 mod tests {
     use super::*;
 
-    /// The waits of so many losses, each right after the scan of the one before.
+    /// The delays after this many losses, each right after the scan for the one before.
     fn waits(count: usize) -> Vec<u128> {
         let mut pace = RescanBackoff::default();
         let mut now = Instant::now();
@@ -72,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn losses_in_a_row_are_answered_ever_more_slowly() {
+    fn consecutive_losses_are_delayed_more_and_more() {
         assert_eq!(waits(7), [0, 0, 0, 100, 200, 400, 800]);
         assert_eq!(waits(40).last(), Some(&10_000));
     }

@@ -1,5 +1,5 @@
-//! The thread of a root for what takes long: measuring sequences, and going through files for their steps. Meanwhile the
-//! root's other thread goes on looking.
+//! The thread of a root for slow requests: measuring sequences, and searching files for steps. The root's
+//! other thread keeps scanning meanwhile.
 
 use std::io;
 use std::sync::Arc;
@@ -14,10 +14,10 @@ use crate::watch::core::events::{Event, FoundSteps, SlowRequest, StepsOrder};
 
 use super::measure::measure;
 
-/// Starts the thread; it ends when the sender that is returned is dropped, and `is_over` is set.
+/// Starts the thread; it ends when the returned sender is dropped and `is_over` is set.
 ///
 /// # Errors
-/// When the system has no more threads.
+/// When the system refuses to start a thread.
 pub(super) fn spawn(
     name: &str,
     threads: usize,
@@ -32,24 +32,24 @@ pub(super) fn spawn(
             }
             let event = match request {
                 SlowRequest::FindSteps(order) => Event::StepsFound(find_steps(order, &is_over)),
-                // In threads of its own: those of the pipeline must not hang with a file.
+                // In a thread pool of its own: the pipeline's threads must not hang with a file.
                 SlowRequest::Measure(order) => match ThreadPoolBuilder::new().num_threads(threads).build() {
                     Ok(pool) => Event::Measured(Box::new(pool.install(|| measure(*order)))),
                     Err(_) => Event::Measured(Box::new(measure(*order))),
                 },
             };
-            // Nobody listens only when the daemon has ended.
+            // Fails only if the daemon has already ended.
             let _ = events.send(event);
         }
     })?;
     Ok(sender)
 }
 
-/// Searches a file for steps; not to its end once all is over.
+/// Searches a file for steps; stops early once the daemon is ending.
 fn find_steps(order: StepsOrder, is_over: &AtomicBool) -> FoundSteps {
     let path = &order.id.path;
     let is_same = || FileStamp::of_path(path).is_ok_and(|now| now == order.stamp);
-    // It may have waited for the files before it.
+    // The request may have waited behind other files.
     if !is_same() {
         return FoundSteps { order, frames: Ok(None) };
     }

@@ -1,4 +1,4 @@
-//! Opens the folders, and starts the threads that look after them.
+//! Opens the folders, and starts the workers.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Weak};
@@ -24,14 +24,14 @@ use super::selection::FileFilter;
 use super::slow;
 use super::worker::{Pulse, StallMonitor, spawn};
 
-/// The threads that do I/O. They end when this is dropped, those that hang when they no longer do.
+/// The threads that do I/O. They end when this is dropped; those that hang, as soon as they no longer do.
 pub(crate) struct Workers {
     pub(crate) roots: Vec<Sender<RootRequest>>,
-    /// Of each root, for what takes long.
+    /// The thread of each root for slow requests.
     pub(crate) slow: Vec<Sender<SlowRequest>>,
     pub(crate) outputs: Vec<Sender<OutputRequest>>,
     pub(crate) monitors: Vec<StallMonitor>,
-    /// What they hold: gone when they have ended.
+    /// The guards that the workers hold; all gone once the workers have ended.
     pub(crate) guards: Vec<Weak<OutputGuard>>,
     pub(crate) is_over: Arc<AtomicBool>,
 }
@@ -42,11 +42,11 @@ impl Drop for Workers {
     }
 }
 
-/// Opens all folders of outputs, and starts all workers. Returns the core with what the journals know, too, and what
-/// pipelines need.
+/// Opens all folders of outputs, and starts all workers. Also returns the core, which knows the records of
+/// the journals, and what pipelines need.
 ///
 /// # Errors
-/// When a folder of outputs cannot be had, a pattern is invalid, or the system has no more threads.
+/// When a folder of outputs cannot be opened, a pattern is invalid, or the system refuses to start a thread.
 pub(crate) fn start(
     config: &Arc<WatchConfig>,
     store: Option<Arc<StatusStore>>,
@@ -97,7 +97,7 @@ pub(crate) fn start(
         workers.outputs.push(sender.map_err(failed)?);
     }
     for (index, path_and_selection) in paths.into_iter().enumerate() {
-        // A run that ends when all is done needs no events.
+        // A run with `once` needs no events.
         let (watcher, fs_events) = match (!config.once).then(Watcher::new).transpose() {
             Ok(Some((watcher, fs_events))) => (Ok(Some(watcher)), Some(fs_events)),
             Ok(None) => (Ok(None), None),
@@ -117,7 +117,7 @@ pub(crate) fn start(
 }
 
 impl Workers {
-    /// The pulse of a worker that is watched from now on.
+    /// The pulse of a worker, which is monitored from now on.
     pub(crate) fn monitor(&mut self, worker: Worker) -> Pulse {
         let pulse = Pulse::default();
         self.monitors.push(StallMonitor::new(worker, pulse.clone(), Instant::now()));
@@ -125,7 +125,7 @@ impl Workers {
     }
 }
 
-/// Which daemon this is.
+/// Identifies this daemon.
 fn identity() -> DaemonRecord {
     DaemonRecord {
         pid: std::process::id(),
@@ -136,7 +136,7 @@ fn identity() -> DaemonRecord {
     }
 }
 
-/// The time.
+/// The current time.
 pub(crate) fn now() -> Now {
     Now { at: Instant::now(), unix_ms: now_ms() }
 }

@@ -1,4 +1,5 @@
-//! A thread that does I/O for the core: requests in, events out. If its file system hangs, it hangs alone.
+//! A thread that does I/O for the core: requests in, events out. If its file system hangs, only this thread
+//! hangs.
 //!
 //! ```text
 //!   core ──requests──▶ ┌────────┐ ──events──▶ core
@@ -20,25 +21,25 @@ use crate::watch::core::state::STALL_AFTER;
 
 use super::fs_events::FsEvent;
 
-/// What a worker does. Any of it may block for as long as the file system does.
+/// The tasks of a worker. Each may block for as long as the file system does.
 pub(crate) trait Work: Send {
-    /// What the core asks for.
+    /// A request from the core.
     type Request: Send;
 
-    /// Does what the core asks for.
+    /// Handles a request.
     fn handle(&mut self, request: Self::Request, report: &dyn Fn(Event));
 
-    /// Looks where the system says that something has changed.
+    /// Inspects a path that the system reports as changed.
     fn on_fs_event(&mut self, _event: FsEvent, _report: &dyn Fn(Event)) {}
 
-    /// Does what is due by itself.
+    /// Does what is due at this time.
     fn on_time(&mut self, report: &dyn Fn(Event));
 
-    /// When something is due next.
+    /// When the next action is due.
     fn next_time(&self) -> Instant;
 }
 
-/// The life of a worker, for others to see.
+/// Shows other threads whether a worker makes progress.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Pulse(Arc<PulseState>);
 
@@ -60,7 +61,7 @@ impl Pulse {
     }
 }
 
-/// Finds out whether a worker is stuck.
+/// Detects whether a worker is stuck.
 #[derive(Debug)]
 pub(crate) struct StallMonitor {
     worker: Worker,
@@ -75,7 +76,7 @@ impl StallMonitor {
         StallMonitor { worker, pulse, beats: 0, since: now, has_stalled: false }
     }
 
-    /// Tells if the worker has stalled, or answers again.
+    /// Returns an event if the worker has stalled, or responds again.
     pub(crate) fn check(&mut self, now: Instant) -> Option<Event> {
         let PulseState { is_busy, beats } = &*self.pulse.0;
         let (is_busy, beats) = (is_busy.load(Ordering::Relaxed), beats.load(Ordering::Relaxed));
@@ -93,13 +94,13 @@ impl StallMonitor {
     }
 }
 
-/// So many changes are taken at once: equal ones are looked at once.
+/// How many changes are handled at once; equal ones are inspected once.
 const FS_EVENTS_PER_TURN: usize = 4096;
 
-/// Starts a worker. It ends when the sender that is returned is dropped, as soon as it does not hang.
+/// Starts a worker. It ends when the returned sender is dropped, or as soon as it no longer hangs.
 ///
 /// # Errors
-/// When the system has no more threads.
+/// When the system refuses to start a thread.
 pub(crate) fn spawn<W: Work + 'static>(
     name: &str,
     mut work: W,
@@ -109,7 +110,7 @@ pub(crate) fn spawn<W: Work + 'static>(
 ) -> io::Result<Sender<W::Request>> {
     let (sender, requests) = unbounded::<W::Request>();
     let run = move || {
-        // Nobody listens only when the daemon has ended.
+        // Fails only if the daemon has already ended.
         let report = |event| drop(events.send(event));
         let mut fs_events = fs_events.unwrap_or_else(never);
         loop {
@@ -135,7 +136,7 @@ pub(crate) fn spawn<W: Work + 'static>(
                             }
                         }
                     }
-                    // Scans will do.
+                    // Without events, scans suffice.
                     Err(_) => fs_events = never(),
                 },
                 default(wait) => {}

@@ -1,50 +1,51 @@
-//! What was measured on a frame, as it is shown.
+//! Measurements of a frame.
 
 use serde::{Deserialize, Serialize};
 
 use crate::pipeline::{FrameReport, Seconds};
 use crate::surface::grid::LEAF_VOXELS;
 
-/// What was measured on a frame that was converted, as it is shown and as the journal keeps it. Lengths in voxels, times in seconds, sizes in bytes.
+/// The measurements of a converted frame, as clients see them and as the journal stores them. Lengths in
+/// voxels, times in seconds, sizes in bytes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
-    /// Particles that were skinned.
+    /// Particles that the surface was reconstructed from.
     pub particles: usize,
     /// Particles that were dropped: not finite, or out of range.
     pub dropped: usize,
     /// Voxels that were stored.
     pub voxels: usize,
-    /// Of the mesh.
+    /// Vertices of the mesh.
     pub vertices: usize,
-    /// Of the mesh.
+    /// Triangles of the mesh.
     pub triangles: usize,
-    /// Separate pieces of the mesh.
+    /// Connected components of the mesh.
     pub components: usize,
     /// Seconds in each stage.
     pub seconds: Seconds,
-    /// The most that the process has held until the frame was written.
+    /// Peak memory of the process up to the end of writing the frame.
     pub peak_memory_bytes: Option<u64>,
-    /// What was checked of the result.
+    /// The results of the checks.
     pub certificate: CertificateView,
-    /// What a user should know though the frame was converted.
+    /// Warnings about the frame.
     pub notes: Vec<String>,
 }
 
-/// What was checked of the result.
+/// The results of the checks of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct CertificateView {
-    /// Whether all that is promised holds.
+    /// Whether all guarantees hold.
     pub holds: bool,
     /// Voxels out of their bounds.
     pub bound_violations: usize,
     /// Particles that are not inside the surface.
     pub particles_outside: usize,
-    /// Whether the mesh is closed, and a manifold.
+    /// Whether the mesh is closed and manifold.
     pub closed_manifold: bool,
 }
 
 impl Figures {
-    /// Those of a report.
+    /// The figures of a report.
     pub fn of(report: &FrameReport) -> Figures {
         let skin = &report.skin;
         Figures {

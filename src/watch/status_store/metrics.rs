@@ -1,42 +1,42 @@
-//! What is counted while the daemon runs: only ever upwards.
+//! Counters since the start of the process, which never decrease.
 
 use super::figures::Figures;
 
 /// The names of the stages, in the order of [`Stage`](crate::pipeline::Stage).
 pub const STAGES: [&str; 6] = ["read", "rasterize", "smooth", "contour", "write", "preview"];
 
-/// What was counted since the daemon began.
+/// Counters since the start of the daemon.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Counters {
     /// Frames that were converted.
     pub converted: u64,
-    /// Frames that were read and found done.
+    /// Frames that were already done when they were read.
     pub found_done: u64,
-    /// How often a frame failed for good, or until a restart.
+    /// Failures that are not retried before a restart.
     pub failures: u64,
-    /// How often a frame failed and was to be tried again.
+    /// Failures that are retried.
     pub retries: u64,
-    /// How often a folder was looked at as a whole.
+    /// Full scans of a folder.
     pub scans: u64,
-    /// How often that was because events were lost.
+    /// Full scans because events were lost.
     pub rescans: u64,
-    /// Bytes of the files that were converted.
+    /// Bytes of converted input files.
     pub input_bytes: u64,
-    /// Bytes that were written.
+    /// Bytes of written outputs.
     pub output_bytes: u64,
-    /// Seconds in each stage, of the frames that were converted.
+    /// Seconds that converted frames spent in each stage.
     pub stages: [Histogram; STAGES.len()],
 }
 
-/// The upper ends of the buckets, in seconds; the last bucket has none.
+/// The upper bounds of the buckets, in seconds; the last bucket is unbounded.
 pub const BUCKETS_S: [f64; 11] = [0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0];
 
-/// How many values were how large.
+/// A histogram of values.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Histogram {
-    /// How many were at most as large as each end, and larger than the one before.
+    /// The number of values in each bucket: at most its bound, and above the bound before it.
     pub counts: [u64; BUCKETS_S.len() + 1],
-    /// All values together.
+    /// The sum of all values.
     pub sum: f64,
 }
 
@@ -50,7 +50,7 @@ impl Histogram {
 }
 
 impl Counters {
-    /// A frame was converted.
+    /// Counts a converted frame.
     pub fn add_converted(&mut self, figures: &Figures, input_bytes: u64, output_bytes: u64) {
         self.converted += 1;
         self.input_bytes += input_bytes;

@@ -1,4 +1,4 @@
-//! What clients can see of a running daemon, as plain data: the daemon puts it here, and clients read it.
+//! The state of a running daemon for clients, as plain data: the daemon writes it, and clients read it.
 //!
 //! ```text
 //!   event loop ──update──▶ ┌─────────────────────────────┐ ──page, frame, file──▶ requests
@@ -7,13 +7,14 @@
 //!                          └─────────────────────────────┘
 //! ```
 //!
-//! Two things must not happen: that a client slows down a frame, and that a slow client costs memory. So the view of a
-//! frame is replaced, never built anew for all. The lock is held while pointers and plain numbers are copied: those of a
-//! page, of 256 changes, of the 900 samples of the chart, of the counters; they are serialized after it. The log of
-//! changes has an end, and holds *names* and not states: a client that comes late gets each frame once, as it is by then.
-//! A client that comes too late is told so, and reads everything again.
+//! Clients must not slow down frames, and slow clients must not cost memory. So the view of one frame is
+//! replaced, and never all views are rebuilt. The lock is held only while pointers and plain numbers are
+//! copied: those of a page, of 256 changes, of the 900 samples of the chart, of the counters. They are
+//! serialized after it is released. The log of changes is bounded and holds *names*, not states: a client
+//! that is behind gets each frame once, in its current state. A client that falls behind the end of the log
+//! is told to reload everything.
 //!
-//! The types here are those of the interface in `docs/window.md`: what they serialize to is promised there.
+//! The types here are those of the interface in `docs/window.md`, which specifies their serialized form.
 
 mod figures;
 mod metrics;
@@ -35,13 +36,13 @@ pub use view::{
     Forecast, FrameProgress, FrameSummary, FrameView, LiveStatus, OutputView, StateCounts, StatusSample,
 };
 
-/// What clients can see of one daemon.
+/// The state of one daemon for clients.
 #[derive(Debug)]
 pub struct StatusStore {
-    /// Tells this daemon from the one before: numbers of changes begin anew with each.
+    /// Distinguishes this run from earlier ones: the numbers of changes restart with each run.
     run: u64,
     version: AtomicU64,
-    /// When the daemon last said that it is not stuck, in milliseconds since 1970.
+    /// When the daemon last sent a heartbeat, in milliseconds since 1970.
     alive_ms: AtomicU64,
     state: Mutex<StoreState>,
 }
@@ -49,9 +50,9 @@ pub struct StatusStore {
 #[derive(Debug, Default)]
 struct StoreState {
     frames: BTreeMap<NameOrder, Arc<FrameView>>,
-    /// The name of the frame whose outputs are called so.
+    /// The name of the frame whose outputs have this stem.
     by_stem: HashMap<PathBuf, NameOrder>,
-    /// Which frame an output is of, by the name of the output.
+    /// The frame of each output, by the name of the output.
     by_output: HashMap<String, NameOrder>,
     counts: StateCounts,
     changes: VecDeque<StatusChange>,
@@ -82,7 +83,7 @@ impl PartialOrd for NameOrder {
 
 #[derive(Clone, Debug)]
 enum StatusChange {
-    /// Of a frame, or that it is gone.
+    /// A frame changed or was removed.
     Frame(NameOrder),
     Status,
     Settings,
@@ -93,40 +94,41 @@ enum StatusChange {
 /// Some frames, in natural order.
 #[derive(Clone, Debug)]
 pub struct Page {
-    /// Changes up to this one are in it.
+    /// The page contains all changes up to this one.
     pub version: u64,
-    /// How many frames there are in all.
+    /// The total number of frames.
     pub total: usize,
-    /// As many as were asked for, or as there are.
+    /// The requested number of frames, or as many as exist.
     pub frames: Vec<Arc<FrameView>>,
-    /// Whether there are more after these.
+    /// Whether more frames follow.
     pub has_more: bool,
 }
 
-/// What has changed since somebody looked.
+/// The changes since a version.
 #[derive(Clone, Debug)]
 pub enum StatusChanges {
-    /// So much that it is not known any more: look at everything again, and go on from this version.
+    /// The log no longer holds these changes: the client must reload everything, and continue from this
+    /// version.
     Lost(u64),
-    /// This.
+    /// The changes are known.
     Known {
-        /// Go on from here.
+        /// The version to continue from.
         version: u64,
-        /// Frames, as they are now.
+        /// Changed frames, in their current state.
         frames: Vec<Arc<FrameView>>,
-        /// Names of frames that are gone.
+        /// Names of removed frames.
         removed: Vec<Arc<str>>,
-        /// How the daemon is, if that has changed.
+        /// The status of the daemon, if it has changed.
         status: Option<Arc<LiveStatus>>,
         /// Whether settings have changed.
         settings: bool,
     },
 }
 
-/// The log of changes ends here.
+/// The maximum length of the log of changes.
 const CHANGES_MAX: usize = 4096;
 
-/// As many samples are kept: with one each second, a quarter of an hour.
+/// The number of samples that are kept: one per second for a quarter of an hour.
 const SAMPLES_MAX: usize = 900;
 
 impl Default for StatusStore {
@@ -146,7 +148,7 @@ impl StatusStore {
         }
     }
 
-    /// Tells this daemon from the one before.
+    /// Distinguishes this run from earlier ones.
     pub fn run(&self) -> u64 {
         self.run
     }
@@ -156,10 +158,10 @@ impl StatusStore {
         self.version.load(Ordering::Acquire)
     }
 
-    /// The daemon begins, with this plan: what was shown before is of another one.
+    /// A daemon starts with this plan: the state of an earlier one is cleared.
     pub fn begin(&self, plan: Value) {
         let mut state = self.lock();
-        // What was counted goes on: it is of the process.
+        // Counters belong to the process, so they are kept.
         let old = std::mem::take(&mut *state);
         *state = StoreState {
             version: old.version,
@@ -171,17 +173,17 @@ impl StatusStore {
         self.note(&mut state, StatusChange::All);
     }
 
-    /// Everything was looked at once.
+    /// The first scans are complete.
     pub fn set_ready(&self) {
         self.lock().is_ready = true;
     }
 
-    /// The daemon is not stuck.
+    /// Records a heartbeat.
     pub fn pulse(&self) {
         self.alive_ms.store(now_ms(), Ordering::Relaxed);
     }
 
-    /// Shows a frame, in place of what was shown of it. Figures of one that is still done stay.
+    /// Replaces the view of a frame. If it is still done, its figures are kept.
     pub fn update(&self, mut view: FrameView) {
         let mut state = self.lock();
         let rank = NameOrder(view.summary.name.clone());
@@ -204,7 +206,7 @@ impl StatusStore {
         }
     }
 
-    /// A frame is gone, or is none.
+    /// A frame was removed, or is not a frame.
     pub fn remove(&self, name: &str) {
         let mut state = self.lock();
         let rank = NameOrder(name.into());
@@ -214,7 +216,7 @@ impl StatusStore {
         }
     }
 
-    /// A stage has begun of the frame whose outputs are called so.
+    /// The frame whose outputs have this stem has entered a stage.
     pub fn stage_began(&self, stem: &Path, stage: Stage) {
         let mut state = self.lock();
         let Some(rank) = state.by_stem.get(stem).cloned() else { return };
@@ -229,14 +231,14 @@ impl StatusStore {
         self.note(&mut state, StatusChange::Frame(rank));
     }
 
-    /// Shows the settings of a sequence.
+    /// Publishes the settings of a sequence.
     pub fn set_sequence(&self, name: String, record: SequenceRecord) {
         let mut state = self.lock();
         state.sequences.insert(name, Arc::new(record));
         self.note(&mut state, StatusChange::Settings);
     }
 
-    /// How the daemon is. Comes about once a second, and makes a sample for the chart.
+    /// Sets the status of the daemon. Called about once a second; adds a sample for the chart.
     pub fn set_status(&self, status: LiveStatus) {
         self.pulse();
         let mut state = self.lock();
@@ -260,12 +262,12 @@ impl StatusStore {
         }
     }
 
-    /// What was counted by now.
+    /// Sets the counters.
     pub fn set_counters(&self, counters: Counters) {
         self.lock().counters = counters;
     }
 
-    /// Up to `limit` frames after that of this name; from the first one on without it.
+    /// Up to `limit` frames after the one with this name; without a name, from the first one.
     pub fn page(&self, after: Option<&str>, limit: usize) -> Page {
         let state = self.lock();
         let frames = match after {
@@ -285,57 +287,57 @@ impl StatusStore {
         }
     }
 
-    /// The frame of this name.
+    /// The frame with this name.
     pub fn frame(&self, name: &str) -> Option<Arc<FrameView>> {
         self.lock().frames.get(&NameOrder(name.into())).map(Arc::clone)
     }
 
-    /// Where the output of this name is.
+    /// The path of the output with this name.
     pub fn file(&self, name: &str) -> Option<PathBuf> {
         let state = self.lock();
         let frame = state.frames.get(state.by_output.get(name)?)?;
         frame.outputs.iter().find(|output| output.name == name).map(|output| output.path.clone())
     }
 
-    /// What the daemon was asked for, and the settings of each sequence.
+    /// The configuration of the daemon, and the settings of each sequence.
     pub fn settings(&self) -> (Arc<Value>, Vec<Arc<SequenceRecord>>) {
         let state = self.lock();
         (Arc::clone(&state.plan), state.sequences.values().map(Arc::clone).collect())
     }
 
-    /// How the daemon is.
+    /// The status of the daemon, and the number of frames in each state.
     pub fn status(&self) -> (Arc<LiveStatus>, StateCounts) {
         let state = self.lock();
         (Arc::clone(&state.status), state.counts)
     }
 
-    /// How many results are to be expected, and when.
+    /// The expected number of results, and the time until they are done.
     pub fn forecast(&self) -> Forecast {
         let state = self.lock();
         Forecast::new(&state.counts, state.samples.iter())
     }
 
-    /// How it was in the last quarter of an hour.
+    /// The samples of the last quarter of an hour.
     pub fn samples(&self) -> Vec<StatusSample> {
         self.lock().samples.iter().copied().collect()
     }
 
-    /// What was counted since the daemon began.
+    /// Counters since the start of the daemon.
     pub fn counters(&self) -> Counters {
         self.lock().counters.clone()
     }
 
-    /// Whether everything was looked at once.
+    /// Whether the first scans are complete.
     pub fn is_ready(&self) -> bool {
         self.lock().is_ready
     }
 
-    /// Whether the daemon has given a sign of life of late.
+    /// Whether the daemon has sent a heartbeat recently.
     pub fn is_alive(&self) -> bool {
         now_ms().saturating_sub(self.alive_ms.load(Ordering::Relaxed)) < STUCK_AFTER_MS
     }
 
-    /// What has changed after `version`, or the first part of it: no more than `limit` changes are looked at.
+    /// The changes after `version`, or the first part of them: inspects at most `limit` changes.
     pub fn changes_since(&self, version: u64, limit: usize) -> StatusChanges {
         let state = self.lock();
         let first = state.version - state.changes.len() as u64;
@@ -374,7 +376,7 @@ impl StatusStore {
     }
 
     fn lock(&self) -> MutexGuard<'_, StoreState> {
-        // What a panic left half done is replaced with the next change of the frame.
+        // State that a panic left incomplete is replaced by the frame's next change.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -402,7 +404,7 @@ impl StoreState {
     }
 }
 
-/// A daemon that has said nothing for so long is stuck.
+/// A daemon without a heartbeat for this long is stuck.
 const STUCK_AFTER_MS: u64 = 30_000;
 
 /// Milliseconds since 1970.

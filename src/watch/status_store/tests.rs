@@ -30,7 +30,7 @@ fn names(frames: &[Arc<FrameView>]) -> Vec<&str> {
     frames.iter().map(|frame| &*frame.summary.name).collect()
 }
 
-/// The names of frames that changed, and of those that are gone.
+/// The names of changed frames, and of removed ones.
 fn news(store: &StatusStore, version: u64) -> Option<(u64, Vec<String>, Vec<String>)> {
     match store.changes_since(version, 100) {
         StatusChanges::Lost(_) => None,
@@ -56,7 +56,7 @@ fn pages_are_in_natural_order() {
 }
 
 #[test]
-fn a_frame_is_told_once_as_it_is_now() {
+fn frame_with_several_changes_is_returned_once_in_its_current_state() {
     let store = StatusStore::new();
     store.update(view("a", FrameProgress::Waiting));
     store.update(view("b", FrameProgress::Waiting));
@@ -72,7 +72,7 @@ fn a_frame_is_told_once_as_it_is_now() {
 }
 
 #[test]
-fn what_does_not_change_is_no_news() {
+fn update_without_a_difference_is_not_a_change() {
     let store = StatusStore::new();
     store.update(FrameView { figures: Some(Arc::default()), ..view("a", FrameProgress::Done) });
     let version = store.version();
@@ -84,14 +84,14 @@ fn what_does_not_change_is_no_news() {
 }
 
 #[test]
-fn who_comes_too_late_is_told_so() {
+fn version_beyond_the_log_returns_lost() {
     let store = StatusStore::new();
     for number in 0..=CHANGES_MAX {
         store.update(view(&number.to_string(), FrameProgress::Queued));
     }
     assert!(news(&store, 0).is_none());
     assert_eq!(news(&store, 1).expect("known").0, 101);
-    assert!(news(&store, store.version() + 1).is_none(), "of another run");
+    assert!(news(&store, store.version() + 1).is_none(), "a version of another run");
     let version = store.version();
     store.begin(Value::Null);
     assert!(news(&store, version).is_none());
@@ -99,7 +99,7 @@ fn who_comes_too_late_is_told_so() {
 }
 
 #[test]
-fn only_outputs_of_frames_are_found_by_name() {
+fn file_finds_only_outputs_of_frames() {
     let store = StatusStore::new();
     store.update(view("a", FrameProgress::Done));
     assert_eq!(store.file("a.glb"), Some("/out/a.glb".into()));
@@ -111,7 +111,7 @@ fn only_outputs_of_frames_are_found_by_name() {
 }
 
 #[test]
-fn a_value_is_in_the_first_bucket_that_holds_it() {
+fn value_is_counted_in_the_first_bucket_that_contains_it() {
     let mut histogram = Histogram::default();
     for value in [0.0, 0.003, 0.004, 1e9] {
         histogram.add(value);
@@ -120,7 +120,7 @@ fn a_value_is_in_the_first_bucket_that_holds_it() {
 }
 
 #[test]
-fn forecast_takes_the_rate_of_times_with_work() {
+fn forecast_ignores_idle_time() {
     let counts = StateCounts { queued: 6, working: 2, done: 10, failed: 3, ..StateCounts::default() };
     let sample = |at_s: u64, converted: u64, queued: usize| StatusSample {
         at_ms: at_s * 1000,

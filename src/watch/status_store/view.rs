@@ -1,4 +1,4 @@
-//! What is shown: a frame, the daemon, and how it went.
+//! The views that clients see: frames, the daemon, and samples over time.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -7,79 +7,80 @@ use serde::Serialize;
 
 use super::figures::Figures;
 
-/// How far a frame is.
+/// The state of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FrameProgress {
     /// Its file may still be written, or its sequence has no settings yet.
     Waiting,
-    /// It waits for its turn.
+    /// It is queued.
     Queued,
     /// It is in one of the stages.
     Working,
-    /// It failed, and is tried again.
+    /// It failed, and will be retried.
     Retrying,
-    /// Its outputs are there.
+    /// Its outputs exist.
     Done,
     /// It failed.
     Failed,
 }
 
-/// A frame in a line.
+/// A frame in brief.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FrameSummary {
-    /// Its path within the watched folder; with several folders, their numbers from 1 before it.
+    /// Its path within the watched folder; with several folders, prefixed with the folder's number, from 1.
     pub name: Arc<str>,
-    /// How far it is.
+    /// Its state.
     pub state: FrameProgress,
-    /// The stage it is in, if it is in one: one of [`STAGES`](super::STAGES).
+    /// The current stage, if it is in one: one of [`STAGES`](super::STAGES).
     pub stage: Option<&'static str>,
-    /// Why it failed, or waits.
+    /// Why it failed or waits.
     pub reason: Option<String>,
-    /// Since when it is so, in milliseconds since 1970.
+    /// When it entered this state, in milliseconds since 1970.
     pub since_ms: u64,
-    /// Particles in it, where that is known.
+    /// The number of its particles, if known.
     pub particles: Option<usize>,
-    /// How long it took in all, in seconds, where that is known.
+    /// The total time of its conversion in seconds, if known.
     pub seconds: Option<f64>,
-    /// The name of the output that is its surface as .glb.
+    /// The name of the output with its surface as .glb.
     pub surface: Option<String>,
-    /// The name of the output that is a picture of it.
+    /// The name of the output with its picture.
     pub picture: Option<String>,
 }
 
-/// All that is shown of a frame.
+/// All details of a frame.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FrameView {
-    /// In a line.
+    /// The frame in brief.
     #[serde(flatten)]
     pub summary: FrameSummary,
-    /// Failures in a row that may pass by themselves.
+    /// Number of consecutive failures that may be temporary.
     pub attempts: u32,
-    /// The size of its file.
+    /// The size of its file, in bytes.
     pub input_bytes: u64,
-    /// What was made of it.
+    /// Its outputs.
     pub outputs: Vec<OutputView>,
-    /// What was measured when it was converted, if that is known.
+    /// The measurements of its conversion, if known.
     pub figures: Option<Arc<Figures>>,
-    /// What its outputs are called, but for their extensions.
+    /// The path of its outputs without their extensions.
     #[serde(skip)]
     pub stem: PathBuf,
 }
 
-/// A file that was made of a frame.
+/// An output of a frame.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct OutputView {
-    /// Its path within the folder of the outputs; with several watched folders, the number of its own before it.
+    /// Its path within the folder of outputs; with several watched folders, prefixed with the number of its
+    /// own.
     pub name: String,
-    /// As it was written.
+    /// Its size when it was written.
     pub size_bytes: u64,
-    /// Where it is.
+    /// Its path on disk.
     #[serde(skip)]
     pub path: PathBuf,
 }
 
-/// How many frames are how far.
+/// The number of frames in each state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct StateCounts {
     /// [`FrameProgress::Waiting`].
@@ -109,33 +110,35 @@ impl StateCounts {
     }
 }
 
-/// How the daemon is.
+/// The status of the daemon.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct LiveStatus {
-    /// Why it begins no frame, while it begins none.
+    /// Why no frames are started; `None` if they are.
     pub paused: Option<String>,
-    /// Watched folders that are not there, and why.
+    /// Unavailable folders, and why.
     pub unavailable: Vec<String>,
-    /// No further frame is begun: it ends.
+    /// Whether the daemon is stopping and starts no further frames.
     pub stopping: bool,
-    /// The least free room among the disks of the outputs.
+    /// The least free space of all file systems of outputs, in bytes.
     pub disk_free_bytes: Option<u64>,
-    /// What the process holds now.
+    /// Resident memory of the process, in bytes.
     pub memory_bytes: Option<u64>,
 }
 
-/// How many results are to be expected, and when.
+/// The expected number of results, and the time until they are done.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Forecast {
-    /// Frames that were seen so far and did not fail for good: as many will be done if no more come.
+    /// Frames that were seen and have not failed permanently: the final number of results if no more frames
+    /// arrive.
     pub expected_count: usize,
-    /// How long the frames that are left will take at the present rate, in seconds; `None` while that is not known, and
-    /// when none is left.
+    /// The time until the remaining frames are done at the current rate, in seconds; `None` if it is unknown,
+    /// or no frames remain.
     pub seconds_left: Option<f64>,
 }
 
 impl Forecast {
-    /// By the counts and the last samples. The rate is that of the last minutes in which there was work.
+    /// Computes the forecast from the counts and the last samples. The rate is that of the last minutes with
+    /// work.
     pub(super) fn new<'a>(
         counts: &StateCounts,
         samples: impl DoubleEndedIterator<Item = &'a StatusSample>,
@@ -161,24 +164,24 @@ impl Forecast {
     }
 }
 
-/// The rate of a forecast is measured over so long.
+/// The period over which the rate is measured.
 const RATE_OVER_MS: u64 = 300_000;
 
-/// How it was at one moment.
+/// A sample of the status.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct StatusSample {
     /// Milliseconds since 1970.
     pub at_ms: u64,
-    /// Frames that are still written.
+    /// Frames that are still being written.
     pub waiting: usize,
-    /// Frames that wait for their turn.
+    /// Frames in the queue.
     pub queued: usize,
-    /// Frames in the stages.
+    /// Frames in a stage.
     pub working: usize,
     /// Frames that failed.
     pub failed: usize,
-    /// Frames converted since the daemon began.
+    /// Frames converted since the daemon started.
     pub converted: u64,
-    /// What the process held.
+    /// Resident memory of the process, in bytes.
     pub memory_bytes: Option<u64>,
 }
