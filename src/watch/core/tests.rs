@@ -1,4 +1,4 @@
-//! The core by itself: events in, effects out; time is what the tests say it is.
+//! Tests of the core in isolation: events in, effects out, with a simulated clock.
 
 use std::collections::{HashMap, HashSet};
 use std::io;
@@ -31,17 +31,17 @@ use super::state::Core;
 
 const GIB: u64 = 1 << 30;
 
-/// A core, the files that it could see, and what it wants done.
+/// A core, the files that it can see, and the effects that it requests.
 struct Rig {
     core: Core,
     now: Now,
-    /// Files, by path; of those that are not complete, why.
+    /// Files, by path; incomplete ones with the reason.
     files: HashMap<PathBuf, (FileStamp, Option<WaitReason>)>,
-    /// Outputs that are there.
+    /// Outputs that exist.
     outputs: HashSet<PathBuf>,
-    /// Outputs that would replace a file of the user.
+    /// Outputs that would replace a user's file.
     conflicts: HashMap<PathBuf, String>,
-    /// Inspections are answered only when a test says so.
+    /// Whether inspections are answered only when a test requests it.
     holds_inspections: bool,
     inspections: Vec<Inspect>,
     started: Vec<(usize, FrameId, Box<Frame>)>,
@@ -82,7 +82,7 @@ fn config(root_count: usize, choices: &MethodOptions) -> WatchConfig {
 }
 
 impl Rig {
-    /// Roots `/in0` and so on with outputs in `/out0` and so on, all settings known, and one pipeline.
+    /// Roots `/in0` and so on with outputs in `/out0` and so on, with known settings, and one pipeline.
     fn new(root_count: usize) -> Rig {
         let choices = MethodOptions { spacing: Some(0.1), ..MethodOptions::default() };
         Rig::with(config(root_count, &choices), JournalState::default())
@@ -120,7 +120,7 @@ impl Rig {
         rig
     }
 
-    /// Hands an event to the core, and answers what follows from it.
+    /// Sends an event to the core, and answers the resulting requests.
     fn event(&mut self, event: Event) {
         self.core.handle(event, self.now);
         self.settle();
@@ -155,7 +155,7 @@ impl Rig {
         }
     }
 
-    /// What a worker would answer.
+    /// The answer of a worker.
     fn answer(&self, inspect: &Inspect) -> Event {
         let found = match self.files.get(&*inspect.id.path) {
             None => InspectionResult::Gone,
@@ -197,13 +197,13 @@ impl Rig {
         self.settle();
     }
 
-    /// A file is written, and an event tells of it.
+    /// Writes a file, and sends an event for it.
     fn put(&mut self, path: &str, version: u64) {
         self.files.insert(path.into(), (stamp(version), None));
         self.tell(path);
     }
 
-    /// An event tells of a file as it is now.
+    /// Sends an event with the current state of a file.
     fn tell(&mut self, path: &str) {
         let (id, at) = (id(path), self.now.at);
         let event = match self.files.get(Path::new(path)) {
@@ -225,7 +225,7 @@ impl Rig {
         self.event(Event::FrameWanted { pipeline });
     }
 
-    /// The names of the frames that were started since this was asked last.
+    /// The names of the frames that were started since the last call.
     fn started(&mut self) -> Vec<String> {
         self.started.drain(..).map(|(_, id, _)| name(&id)).collect()
     }
@@ -262,7 +262,7 @@ impl Rig {
         self.event(Event::OutputDirChecked(found));
     }
 
-    /// The standings that were recorded of a frame, in order.
+    /// The recorded standings of a frame, in order.
     fn standings(&self, path: &str) -> Vec<Standing> {
         let of_frame = |entry: &Entry| match entry {
             Entry::Frame { input, record } if **input == *Path::new(path) => Some(record.standing),
@@ -296,13 +296,13 @@ fn seen(stamp: FileStamp) -> Seen {
 const SECOND: Duration = Duration::from_secs(1);
 
 #[test]
-fn complete_frame_goes_to_the_pipeline_that_wants_it() {
+fn complete_frame_goes_to_the_pipeline_that_asked_for_one() {
     let mut rig = Rig::new(1);
     assert_eq!(rig.pipelines, [0]);
     rig.put("/in0/a.2.ply", 1);
     rig.put("/in0/a.10.ply", 1);
     rig.put("/in0/a.1.ply", 1);
-    assert!(rig.started().is_empty(), "no pipeline wants a frame");
+    assert!(rig.started().is_empty(), "no pipeline has asked for a frame");
     rig.want(0);
     rig.want(0);
     assert_eq!(rig.started(), ["a.1.ply", "a.2.ply"]);
@@ -312,7 +312,7 @@ fn complete_frame_goes_to_the_pipeline_that_wants_it() {
 }
 
 #[test]
-fn events_that_are_lost_doubled_or_late_change_nothing() {
+fn lost_doubled_or_late_events_change_nothing() {
     let mut rig = Rig::new(1);
     rig.want(0);
     for _ in 0..3 {
@@ -321,15 +321,15 @@ fn events_that_are_lost_doubled_or_late_change_nothing() {
     assert_eq!(rig.started(), ["a.1.ply"]);
     rig.convert("/in0/a.1.ply");
     rig.want(0);
-    // Doubled: of a frame that is done.
+    // Doubled: the frame is done.
     rig.tell("/in0/a.1.ply");
     assert!(rig.started().is_empty());
-    // Lost: nobody tells of this one but a scan.
+    // Lost: only a scan reports this file.
     rig.files.insert("/in0/a.2.ply".into(), (stamp(1), None));
     rig.scan(0);
     assert_eq!(rig.started(), ["a.2.ply"]);
     rig.convert("/in0/a.2.ply");
-    // Late: it tells of a version that was replaced since.
+    // Late: the event is about a version that was replaced since.
     rig.want(0);
     rig.files.insert("/in0/a.1.ply".into(), (stamp(3), None));
     let late =
@@ -338,7 +338,7 @@ fn events_that_are_lost_doubled_or_late_change_nothing() {
     assert_eq!(rig.started(), ["a.1.ply"]);
     rig.convert("/in0/a.1.ply");
     assert_eq!(rig.status(), "2 done, 0 queued");
-    // Of a file that is gone, and of one that was never there.
+    // Events about a removed file, and about one that never existed.
     rig.files.clear();
     rig.tell("/in0/a.1.ply");
     rig.tell("/in0/never.ply");
@@ -373,7 +373,7 @@ fn file_that_changes_while_it_is_converted_is_converted_again() {
     assert_eq!(rig.started(), ["a.1.ply"]);
     rig.put("/in0/a.1.ply", 2);
     rig.want(0);
-    assert!(rig.started().is_empty(), "it is under way");
+    assert!(rig.started().is_empty(), "it is in progress");
     let input = ReadInput { stamp: stamp(1), hash: 7 };
     rig.finish("/in0/a.1.ply", Outcome::Converted(Box::new(FrameReport { input, ..FrameReport::default() })));
     assert_eq!(rig.started(), ["a.1.ply"]);
@@ -384,7 +384,7 @@ fn file_that_changes_while_it_is_converted_is_converted_again() {
 }
 
 #[test]
-fn failures_are_retried_with_growing_waits_and_not_for_ever() {
+fn failures_are_retried_with_growing_waits_up_to_a_limit() {
     let mut rig = Rig::new(1);
     rig.put("/in0/a.1.ply", 1);
     let mut waits = Vec::new();
@@ -404,10 +404,10 @@ fn failures_are_retried_with_growing_waits_and_not_for_ever() {
     rig.want(0);
     rig.pass(Duration::from_secs(3600));
     assert!(rig.started().is_empty());
-    // Another file is another chance.
+    // A changed file is tried again.
     rig.put("/in0/a.1.ply", 2);
     assert_eq!(rig.started(), ["a.1.ply"]);
-    // One that is gone when it is read is no failure.
+    // A file that is gone when it is read is not a failure.
     rig.files.clear();
     rig.fail("/in0/a.1.ply", Stage::Read, io::ErrorKind::NotFound);
     assert_eq!(rig.status(), "0 done, 0 queued");
@@ -424,7 +424,7 @@ fn low_disk_space_pauses_until_there_is_more() {
     rig.output_dir(0, Presence::There, GIB);
     assert_eq!(rig.started(), ["a.1.ply"]);
 
-    // A disk that was full is tried again when something was freed, or after a while.
+    // A disk that was full is tried again when space was freed, or after a while.
     rig.fail("/in0/a.1.ply", Stage::Write, io::ErrorKind::StorageFull);
     rig.want(0);
     rig.output_dir(0, Presence::There, GIB - 1);
@@ -451,7 +451,7 @@ fn frame_that_cannot_begin_is_queued_again() {
 }
 
 #[test]
-fn unmounted_outputs_are_waited_for_and_removed_ones_made_again() {
+fn unmounted_outputs_are_awaited_and_removed_outputs_are_made_again() {
     let mut rig = Rig::new(1);
     rig.want(0);
     rig.put("/in0/a.1.ply", 1);
@@ -461,7 +461,7 @@ fn unmounted_outputs_are_waited_for_and_removed_ones_made_again() {
     rig.output_dir(0, Presence::Away, 0);
     rig.want(0);
     rig.scan(0);
-    assert!(rig.started().is_empty(), "what is not mounted is not missing");
+    assert!(rig.started().is_empty(), "unmounted outputs are not missing");
     assert_eq!(rig.core.summary(EndReason::Finish).done_count, 1);
     rig.outputs = outputs;
     rig.output_dir(0, Presence::There, 2 * GIB);
@@ -475,7 +475,7 @@ fn unmounted_outputs_are_waited_for_and_removed_ones_made_again() {
 }
 
 #[test]
-fn unmounted_root_forgets_nothing() {
+fn unmounted_root_keeps_its_state() {
     let mut rig = Rig::new(1);
     rig.want(0);
     rig.put("/in0/a.1.ply", 1);
@@ -507,7 +507,7 @@ fn output_that_is_removed_is_made_again() {
 }
 
 #[test]
-fn outputs_claimed_twice_belong_to_the_first_until_it_is_gone() {
+fn outputs_claimed_twice_belong_to_the_first_frame_until_it_is_removed() {
     let mut rig = Rig::new(1);
     rig.want(0);
     rig.want(0);
@@ -524,16 +524,16 @@ fn outputs_claimed_twice_belong_to_the_first_until_it_is_gone() {
 }
 
 #[test]
-fn files_of_the_user_are_not_replaced() {
+fn frame_whose_output_would_replace_a_users_file_is_refused() {
     let mut rig = Rig::new(1);
     rig.want(0);
-    rig.conflicts.insert("/out0/a.1.glb".into(), "its output would replace a file of particles".to_owned());
+    rig.conflicts.insert("/out0/a.1.glb".into(), "its output would replace a particle file".to_owned());
     rig.put("/in0/a.1.ply", 1);
     assert!(rig.started().is_empty());
     assert_eq!(rig.standings("/in0/a.1.ply"), [Standing::Refused]);
 }
 
-/// A journal that knows one frame in this standing.
+/// A journal with a record of one frame in this standing.
 fn journal(standing: Standing) -> JournalState {
     let mut rig = Rig::new(1);
     rig.want(0);
@@ -570,7 +570,7 @@ fn after_a_reload_only_unfinished_frames_are_converted() {
         assert!(rig.core.is_ready());
         assert_eq!(rig.started().len(), expected, "{standing:?}");
     }
-    // Other settings are another thing.
+    // With other settings, the frame is converted again.
     let other = MethodOptions { spacing: Some(0.2), ..MethodOptions::default() };
     let mut rig = Rig::with(config(1, &other), journal(Standing::Done));
     rig.outputs.insert("/out0/a.1.glb".into());
@@ -580,10 +580,10 @@ fn after_a_reload_only_unfinished_frames_are_converted() {
 }
 
 #[test]
-fn run_that_ends_when_all_is_done_waits_for_all_of_it() {
+fn run_with_once_is_drained_only_when_all_frames_are_done() {
     let choices = MethodOptions { spacing: Some(0.1), ..MethodOptions::default() };
     let mut rig = Rig::with(WatchConfig { once: true, ..config(1, &choices) }, JournalState::default());
-    assert!(!rig.core.is_drained(), "nothing was looked at yet");
+    assert!(!rig.core.is_drained(), "nothing was scanned yet");
     rig.files.insert("/in0/a.1.ply".into(), (stamp(1), None));
     rig.holds_inspections = true;
     rig.scan(0);
@@ -592,13 +592,13 @@ fn run_that_ends_when_all_is_done_waits_for_all_of_it() {
     rig.settle();
     assert!(rig.core.is_ready() && !rig.core.is_drained(), "one is queued");
     rig.want(0);
-    assert!(!rig.core.is_drained(), "one is under way");
+    assert!(!rig.core.is_drained(), "one is in progress");
     rig.convert("/in0/a.1.ply");
     assert!(rig.core.is_drained());
 }
 
 #[test]
-fn stopping_begins_no_further_frame() {
+fn stop_starts_no_further_frame() {
     let mut rig = Rig::new(1);
     rig.want(0);
     rig.put("/in0/a.1.ply", 1);
@@ -615,14 +615,14 @@ fn stopping_begins_no_further_frame() {
 }
 
 #[test]
-fn folder_that_hangs_holds_up_its_own_frames_only() {
+fn hanging_folder_delays_only_its_own_frames() {
     let mut rig = Rig::new(2);
     rig.want(0);
     rig.put("/in0/a.1.ply", 1);
     assert_eq!(rig.started(), ["a.1.ply"]);
     rig.put("/in0/a.2.ply", 1);
     rig.put("/in1/b.1.ply", 1);
-    // Pipeline 0 hangs with its frame: it wants no other.
+    // Pipeline 0 hangs with its frame, so it asks for no other.
     rig.event(Event::WorkerStalled(Worker::Root(0)));
     assert_eq!(rig.pipelines, [0, 1]);
     assert!(rig.status().ends_with("/in0 is unavailable"), "{}", rig.status());
@@ -631,7 +631,8 @@ fn folder_that_hangs_holds_up_its_own_frames_only() {
     assert_eq!(rig.started(), ["b.1.ply"]);
     rig.convert("/in1/b.1.ply");
     assert!(!rig.core.has_frames_under_way(false) && rig.core.has_frames_under_way(true));
-    // It is back: what it had is finished, and it ends; the rest goes on in the other.
+    // It responds again: it finishes its frames and ends. The remaining frames continue in the other
+    // pipeline.
     rig.event(Event::WorkerAnswered(Worker::Root(0)));
     assert_eq!(rig.started(), ["a.2.ply"]);
     rig.convert("/in0/a.1.ply");
@@ -643,7 +644,7 @@ fn folder_that_hangs_holds_up_its_own_frames_only() {
 }
 
 #[test]
-fn outputs_that_hang_hold_up_the_frames_that_go_there() {
+fn hanging_folder_of_outputs_delays_only_its_own_frames() {
     let mut rig = Rig::new(2);
     rig.event(Event::WorkerStalled(Worker::Output(1)));
     rig.want(0);
@@ -651,11 +652,11 @@ fn outputs_that_hang_hold_up_the_frames_that_go_there() {
     assert!(rig.started().is_empty());
     rig.put("/in0/a.1.ply", 1);
     assert_eq!(rig.started(), ["a.1.ply"]);
-    assert_eq!(rig.pipelines, [0], "none of its frames was under way");
+    assert_eq!(rig.pipelines, [0], "none of its frames was in progress");
 }
 
 #[test]
-fn sequence_is_measured_when_all_its_frames_were_looked_at() {
+fn sequence_is_measured_when_all_its_frames_were_inspected() {
     let mut rig = Rig::with(config(1, &MethodOptions::default()), JournalState::default());
     rig.want(0);
     rig.files.extend((1..=3).map(|number| (format!("/in0/a.{number}.ply").into(), (stamp(1), None))));

@@ -1,4 +1,4 @@
-//! One record, one line.
+//! The format of the journal: one record per line.
 //!
 //! ```text
 //!   8f3a09c1d2e4b576 {"frame":{"input":"/sim/dam.0012.bgeo","standing":"done", … }}⏎
@@ -6,9 +6,8 @@
 //!   rest, in hex
 //! ```
 //!
-//! Lines of text, so that a person can read and search them; a checksum, so that a line that was
-//! written in part, or over which something else was written, is known for what it is. A record is
-//! taken whole or not at all.
+//! Records are lines of text, so that people can read and search them. A checksum detects lines that were
+//! written partially or overwritten. A record is read completely or not at all.
 
 use std::io;
 
@@ -19,10 +18,10 @@ use super::state::Entry;
 /// Digits of a checksum.
 const CHECKSUM_DIGITS: usize = 16;
 
-/// Adds the line of a record to `out`.
+/// Appends the line of a record to `out`.
 ///
 /// # Errors
-/// When the record has no form in JSON; `out` is as it was then.
+/// When the record cannot be serialized; `out` is unchanged then.
 pub(super) fn push_line(out: &mut Vec<u8>, entry: &Entry) -> io::Result<()> {
     let record = serde_json::to_vec(entry)?;
     let checksum = XxHash3_64::oneshot(&record);
@@ -32,7 +31,7 @@ pub(super) fn push_line(out: &mut Vec<u8>, entry: &Entry) -> io::Result<()> {
     Ok(())
 }
 
-/// The record of a line, without its end; `None` where the line is not as it was written.
+/// Parses a line without its line break; `None` if the checksum does not match.
 pub(super) fn parse_line(line: &[u8]) -> Option<Entry> {
     let (checksum, rest) = line.split_at_checked(CHECKSUM_DIGITS)?;
     let record = rest.strip_prefix(b" ")?;
@@ -106,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_come_back() {
+    fn frame_records_survive_a_round_trip() {
         let standings = [
             Standing::Queued,
             Standing::Done,
@@ -133,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn frame_of_an_older_journal_is_read_without_what_is_new() {
+    fn frame_record_without_newer_fields_is_read() {
         let record = r#"{"frame":{"input":"/in/a.ply","standing":"done","size_bytes":5,"modified_ns":6,"inode":7,"hash":"00000000000000000000000000000008","settings":"s","outputs":[{"path":"/out/a.glb","size_bytes":9}],"attempts":0,"at_ms":1}}"#;
         let line = format!("{:016x} {record}", XxHash3_64::oneshot(record.as_bytes()));
         let Some(Entry::Frame { record, .. }) = parse_line(line.as_bytes()) else { panic!("not a frame") };
@@ -143,7 +142,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn paths_that_are_no_text_come_back() {
+    fn paths_that_are_not_utf8_survive_a_round_trip() {
         use std::os::unix::ffi::OsStringExt;
         let path = PathBuf::from(std::ffi::OsString::from_vec((1..=255).collect()));
         let Entry::Frame { record, .. } = frame("", Standing::Done) else { unreachable!() };
@@ -153,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn sequences_come_back_to_the_last_bit() {
+    fn sequence_records_survive_a_round_trip_bit_for_bit() {
         for spacing in [0.1, 1.0 / 3.0, 1e-300, f64::MIN_POSITIVE / 3.0, f64::MAX, 2.5e-8_f64.next_up()] {
             let key = SequenceKey {
                 folder: "/sim".into(),
@@ -185,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn the_daemon_comes_back() {
+    fn daemon_records_survive_a_round_trip() {
         let states = [
             DaemonState::Running,
             DaemonState::Paused("/out has less than 2 GiB left".to_owned()),
@@ -203,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_never_written_is_no_record() {
+    fn line_with_a_wrong_checksum_or_content_is_not_a_record() {
         let with_checksum =
             |record: &str| format!("{:016x} {record}", XxHash3_64::oneshot(record.as_bytes()));
         let paused = r#"{"daemon":{"pid":1,"host":"a","started_ms":1,"state":"stopped","at_ms":1}}"#;

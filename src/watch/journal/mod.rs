@@ -1,30 +1,30 @@
-//! What the daemon remembers from one run to the next: one text file, to which lines are added.
+//! The daemon's memory between runs: an append-only text file.
 //!
 //! ```text
 //!   meniscus journal 1⏎
 //!   8f3a09c1d2e4b576 {"frame":{"input":"/sim/dam.0001.bgeo","standing":"queued", … }}⏎
-//!   41d07e5522a98c3f {"frame":{"input":"/sim/dam.0001.bgeo","standing":"done", … }}⏎    the last one holds
-//!   c2609b1ea0f347d8 {"frame":{"input":"/sim/dam.00                                     torn: cut off
+//!   41d07e5522a98c3f {"frame":{"input":"/sim/dam.0001.bgeo","standing":"done", … }}⏎    the last one counts
+//!   c2609b1ea0f347d8 {"frame":{"input":"/sim/dam.00                                     torn: truncated
 //! ```
 //!
-//! It says which frames are done, so that they are not converted again, which failed and why, which
-//! settings a sequence was given, and what the daemon was asked for. The last record of a frame holds.
+//! It records which frames are done, so that they are not converted again, which frames failed and why, the
+//! settings of each sequence, and the daemon's configuration. The last record of a frame counts.
 //!
-//! **Losing it only costs work.** Outputs are on the disk before they have their names, and say
-//! themselves what they were made from; without a journal, frames are read again and found done.
-//! Hence what is simple here: a record is one write at the end of the file, and nothing waits for the
-//! disk; a line that a crash has torn is cut off; a damaged one is passed over; a journal of another
-//! version is set aside. The one thing that must not be is a record that was never made: each line
-//! has a checksum.
+//! **Losing the journal only costs time.** Outputs are on disk before they get their names, and contain the
+//! provenance of their inputs. Without a journal, frames are read again and found done. This keeps the
+//! journal simple: a record is one write at the end of the file, and nothing waits for the disk. A line that
+//! was torn by a crash is truncated, a damaged line is skipped, and a journal of another version is renamed.
+//! The one thing that must not happen is a record that was never made, so each line has a checksum.
 //!
-//! **The disk may fill up.** [`JournalState`] in memory is always right. A record that could not be written
-//! stays pending, and goes out with the next one; what half of it reached the disk is cut off first.
-//! The same holds where the file is taken away under a running daemon: it is written anew.
+//! **The disk may fill up.** [`JournalState`] in memory is always correct. A record that cannot be written
+//! stays pending, and is written with the next one; a partial write is truncated first. If the file is
+//! removed under a running daemon, it is written again completely.
 //!
-//! When most lines have been overtaken by later ones, a fresh file is written beside it and renamed
-//! over it. Readers that have the old one open read on in that.
+//! When most lines are superseded by later ones, a compacted file is written and renamed over the old one.
+//! Readers that have the old file open keep reading it.
 //!
-//! One daemon writes a journal: the lock of the outputs sees to that. Anybody may read it meanwhile.
+//! Only one daemon writes a journal, which the lock of the outputs ensures. Any process may read it at the
+//! same time.
 
 mod line;
 mod state;
@@ -50,25 +50,25 @@ pub use state::{
     PlanRecord, SequenceCamera, SequenceKey, Standing,
 };
 
-/// The folder, in that of the outputs, of what the daemon keeps for itself.
+/// The folder for the daemon's own files, in the folder of outputs.
 pub const STATE_FOLDER: &str = ".meniscus";
 
 /// The time of a record: milliseconds since 1970.
 pub fn now_ms() -> u64 {
-    // A clock before 1970 is as good as none.
+    // A clock before 1970 counts as 1970.
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
 }
 
-/// The journal in its folder.
+/// The name of the journal in its folder.
 pub(in crate::watch) const FILE_NAME: &str = "journal";
-/// One of another version.
+/// The new name of a journal of another version.
 const SET_ASIDE_NAME: &str = "journal.old-version";
 
-/// The first line. A change that older programs would misread needs another number.
+/// The first line. A change that older programs would misread requires another number.
 const VERSION_LINE: &[u8] = b"meniscus journal 1\n";
 
-/// A journal of fewer lines is left as it is.
+/// A journal with fewer lines is not compacted.
 const COMPACTED_LINES_MIN: usize = 1000;
 
 /// The journal of a running daemon.
@@ -76,27 +76,27 @@ const COMPACTED_LINES_MIN: usize = 1000;
 pub struct Journal {
     path: PathBuf,
     state: JournalState,
-    /// What the state knows and the disk does not.
+    /// Records that are in the state but not on disk.
     pending: HashSet<RecordKey>,
-    /// Where lines are added; `None` until the first one, and after a write that failed.
+    /// The file for appending; `None` until the first write, and after a failed write.
     file: Option<File>,
-    /// Which file that is.
+    /// The inode of the file.
     inode: u64,
-    /// How much of it is whole lines.
+    /// The size of its complete lines, in bytes.
     whole_bytes: u64,
-    /// Lines in it after the first.
+    /// The number of lines after the first.
     line_count: usize,
-    /// From how many lines on it is worth a fresh file.
+    /// The number of lines from which compaction is worthwhile.
     compacted_from_lines: usize,
-    /// Nothing is written for now.
+    /// Whether writes are suspended.
     is_held: bool,
 }
 
 impl Journal {
-    /// Opens the journal in `folder`, or begins one; the folder is made where it is missing.
+    /// Opens the journal in `folder`, or starts a new one; creates the folder if it is missing.
     ///
     /// # Errors
-    /// When the system refuses. A full disk is no error: what is to be written waits.
+    /// When the system refuses. A full disk is not an error: records stay pending.
     pub fn open(folder: &Path) -> io::Result<Journal> {
         fs::create_dir_all(folder)?;
         let path = folder.join(FILE_NAME);
@@ -110,7 +110,7 @@ impl Journal {
         let Loaded { state, whole_bytes, line_count } = loaded;
         if state.damaged_line_count > 0 {
             let line_count = state.damaged_line_count;
-            tracing::warn!(journal = %path.display(), line_count, "damaged lines were passed over");
+            tracing::warn!(journal = %path.display(), line_count, "skipped damaged lines");
         }
         let mut journal = Journal {
             path,
@@ -125,7 +125,7 @@ impl Journal {
         };
         match journal.write_pending() {
             Err(error) if is_disk_full(&error) => {
-                tracing::warn!(journal = %journal.path.display(), %error, "the journal cannot be written yet");
+                tracing::warn!(journal = %journal.path.display(), %error, "cannot write the journal yet");
             }
             result => result?,
         }
@@ -133,7 +133,8 @@ impl Journal {
         Ok(journal)
     }
 
-    /// What the journal in `folder` says, whether or not a daemon is writing it. Without one, nothing.
+    /// Reads the journal in `folder`, whether or not a daemon is writing it. Without a journal, the state is
+    /// empty.
     ///
     /// # Errors
     /// When the system refuses, or the journal is of another version.
@@ -147,22 +148,21 @@ impl Journal {
         }
     }
 
-    /// All that is remembered, also what could not be written yet.
+    /// The current state, including records that are not on disk yet.
     pub fn state(&self) -> &JournalState {
         &self.state
     }
 
-    /// Holds back what is to be written, while that is known to be in vain or wrong; it is remembered, and
-    /// written with the first record after.
+    /// Suspends writing while it would fail or go to the wrong folder. Records stay pending, and are written
+    /// with the first record afterwards.
     pub fn hold(&mut self, is_held: bool) {
         self.is_held = is_held;
     }
 
-    /// Adds a record, in place of the one before it.
+    /// Adds a record, which replaces the earlier one with the same key.
     ///
     /// # Errors
-    /// When it is not on the disk. It is in the state all the same, and will be written with the next
-    /// record.
+    /// When it is not on disk. It is in the state nevertheless, and will be written with the next record.
     pub(in crate::watch) fn note(&mut self, entry: Entry) -> io::Result<()> {
         self.pending.insert(entry.key());
         self.state.take(entry);
@@ -174,23 +174,23 @@ impl Journal {
         Ok(())
     }
 
-    /// Remembers what became of a frame.
+    /// Records the standing of a frame.
     ///
     /// # Errors
-    /// When it is not on the disk.
+    /// When it is not on disk.
     pub fn note_frame(&mut self, input: &Path, record: JournaledFrame) -> io::Result<()> {
         self.note(Entry::Frame { input: input.into(), record: record.into() })
     }
 
-    /// Remembers what the daemon was asked for.
+    /// Records the configuration of the daemon.
     ///
     /// # Errors
-    /// When it is not on the disk.
+    /// When it is not on disk.
     pub fn note_plan(&mut self, record: PlanRecord) -> io::Result<()> {
         self.note(Entry::Plan(record))
     }
 
-    /// Writes what is pending and waits until all of it is on the disk: for the end of a run.
+    /// Writes pending records and syncs the file to disk, at the end of a run.
     ///
     /// # Errors
     /// When the system refuses.
@@ -202,11 +202,10 @@ impl Journal {
         }
     }
 
-    /// Adds the lines of all pending records, in one write. Nothing waits for the disk: a record that
-    /// the system has taken outlives this process, and one that is lost with the machine only costs
-    /// work.
+    /// Appends the lines of all pending records in one write, without syncing: a record that the system has
+    /// accepted survives this process, and a record that is lost with the machine only costs time.
     fn write_pending(&mut self) -> io::Result<()> {
-        // Whatever fails from here on, the file stays closed, and is opened by its name the next time.
+        // If anything fails from here on, the file stays closed, and is reopened by name the next time.
         let Some(mut file) = self.take_file()? else { return self.rewrite() };
         let mut lines = Vec::new();
         for entry in self.pending.iter().filter_map(|key| self.state.entry(key)) {
@@ -220,8 +219,8 @@ impl Journal {
         Ok(())
     }
 
-    /// The file, open for adding to its last whole line; `None` where the one that was written to is
-    /// no longer there: people remove folders of outputs to begin again.
+    /// The file, open for appending after its last complete line; `None` if the file was removed: users
+    /// remove folders of outputs to start over.
     fn take_file(&mut self) -> io::Result<Option<File>> {
         match self.file.take() {
             Some(file) => {
@@ -232,8 +231,8 @@ impl Journal {
         }
     }
 
-    /// Opens what is there, less what a torn write left at its end; `None` where there is nothing, or
-    /// less than was written.
+    /// Opens the existing file and truncates a torn line; `None` if the file is missing, or shorter than what
+    /// was written.
     fn reopen(&mut self) -> io::Result<Option<File>> {
         let file = match open_own(&self.path, OpenOptions::new().append(true)) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
@@ -241,21 +240,21 @@ impl Journal {
         };
         let metadata = file.metadata()?;
         let stamp = FileStamp::of(&metadata);
-        // Where the file has another name as well, lines would be added to what somebody else keeps.
+        // If the file has another hard link, appending would change a file that a user keeps under that name.
         if self.whole_bytes == 0 || stamp.size < self.whole_bytes || has_other_names(&metadata) {
             return Ok(None);
         }
         if stamp.size > self.whole_bytes {
-            // By a handle of its own: on Windows one that only adds cannot cut.
+            // Through a separate handle: on Windows a handle for appending cannot truncate.
             open_own(&self.path, OpenOptions::new().write(true))?.set_len(self.whole_bytes)?;
         }
         self.inode = stamp.inode;
         Ok(Some(file))
     }
 
-    /// Puts a fresh file of one line per record in place of what is there.
+    /// Replaces the file with a compacted one of one line per record.
     fn rewrite(&mut self) -> io::Result<()> {
-        // Windows renames nothing over a file that is open.
+        // Windows cannot rename over an open file.
         self.file = None;
         #[cfg(test)]
         tests::before_rewrite()?;
@@ -269,38 +268,37 @@ impl Journal {
         Ok(())
     }
 
-    /// Writes a fresh file when more than half of the lines have been overtaken.
+    /// Compacts the file when more than half of its lines are superseded.
     fn compact(&mut self) {
         let overtaken_count = self.line_count.saturating_sub(self.state.entry_count());
         if self.line_count < self.compacted_from_lines || overtaken_count * 2 <= self.line_count {
             return;
         }
-        // Where it fails, the old file is as good as it was: no record is missing, and it is not tried
-        // again with every line.
+        // On failure the old file is still complete, and compaction is not tried again with every line.
         if let Err(error) = self.rewrite() {
             self.compacted_from_lines = self.line_count * 2;
-            tracing::warn!(journal = %self.path.display(), %error, "the journal could not be made shorter");
+            tracing::warn!(journal = %self.path.display(), %error, "cannot compact the journal");
         }
     }
 }
 
-/// What there is under the name of a journal.
+/// The content of a file with the name of the journal.
 enum JournalFile {
     Journal(Box<Loaded>),
     OtherVersion,
 }
 
-/// A journal that was read.
+/// The content of a journal.
 #[derive(Default)]
 struct Loaded {
     state: JournalState,
-    /// Without a torn line at the end.
+    /// Without a torn line at the end, in bytes.
     whole_bytes: u64,
-    /// Lines after the first.
+    /// The number of lines after the first.
     line_count: usize,
 }
 
-/// Reads the journal at `path`; where there is none, an empty one.
+/// Reads the journal at `path`; an empty one if the file is missing.
 fn load(path: &Path) -> io::Result<JournalFile> {
     match open_own(path, OpenOptions::new().read(true)) {
         Ok(file) => parse(BufReader::new(file)),
@@ -309,13 +307,13 @@ fn load(path: &Path) -> io::Result<JournalFile> {
     }
 }
 
-/// Reads a journal, whole lines only.
+/// Reads the complete lines of a journal.
 fn parse(mut reader: impl BufRead) -> io::Result<JournalFile> {
     let mut loaded = Box::<Loaded>::default();
     let mut line = Vec::new();
     reader.read_until(b'\n', &mut line)?;
     if line != VERSION_LINE {
-        // Whoever began it was stopped before the end of the first line: nothing is in it.
+        // The process that created it was stopped within the first line: the journal is empty.
         let is_torn = VERSION_LINE.starts_with(&line);
         return Ok(if is_torn { JournalFile::Journal(loaded) } else { JournalFile::OtherVersion });
     }
@@ -332,13 +330,13 @@ fn parse(mut reader: impl BufRead) -> io::Result<JournalFile> {
     }
 }
 
-/// Makes way for a journal of this version.
+/// Renames a journal of another version.
 fn set_aside(path: &Path) -> io::Result<()> {
     let aside = path.with_file_name(SET_ASIDE_NAME);
     tracing::warn!(
         journal = %path.display(),
         kept_as = %aside.display(),
-        "the journal is not of this version of meniscus: a new one is begun"
+        "the journal is of another version of meniscus: starting a new one"
     );
     fs::rename(path, aside)
 }

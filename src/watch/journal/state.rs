@@ -1,7 +1,7 @@
-//! What the journal knows: the last record of each frame, each sequence, and the daemon itself, and what it
-//! was asked for.
+//! The content of the journal: the last record of each frame, each sequence and the daemon, and the daemon's
+//! configuration.
 //!
-//! Every record here is written as it is: a field that is renamed needs its old name as a `serde` name.
+//! Records are serialized as they are, so a renamed field needs its old name as a `serde` name.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -16,55 +16,56 @@ use crate::pipeline::{CameraChoice, FileStamp, Framed, MeasuredSpacing, OutputSt
 use crate::watch::config::{Patience, Watch};
 use crate::watch::status_store::Figures;
 
-/// All that is remembered.
+/// The content of a journal.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct JournalState {
-    /// By the path of the input.
+    /// The frames, by the paths of their inputs.
     pub frames: HashMap<Arc<Path>, Arc<JournaledFrame>>,
-    /// The settings that sequences were given by their first frame.
+    /// The settings of sequences, which their first frames determined.
     pub sequences: HashMap<SequenceKey, JournaledSequence>,
-    /// The daemon that wrote last. That it says "running" is no proof that it is.
+    /// The daemon that wrote last. The state "running" does not prove that it still runs.
     pub daemon: Option<DaemonRecord>,
-    /// What it was asked for.
+    /// The configuration of the daemon.
     pub plan: Option<PlanRecord>,
-    /// Lines of the journal that could not be read, and were passed over.
+    /// The number of damaged lines that were skipped.
     pub damaged_line_count: usize,
 }
 
-/// What became of a frame.
+/// The record of a frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct JournaledFrame {
-    /// How far it has come.
+    /// Its standing.
     pub standing: Standing,
-    /// The input, as it was when this was recorded.
+    /// The stamp of its input when this was recorded.
     #[serde(flatten)]
     pub stamp: FileStamp,
-    /// The hash of its content, where it was read.
+    /// The hash of its content, if it was read.
     #[serde(with = "hex::option", default, skip_serializing_if = "Option::is_none")]
     pub hash: Option<u128>,
-    /// The fingerprint of the settings that it was, or was to be, converted with.
+    /// The fingerprint of the settings with which it was, or would be, converted.
     pub settings: String,
-    /// What was made of it.
+    /// Its outputs.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub outputs: Vec<OutputRecord>,
     /// Why it failed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
-    /// How often it was attempted.
+    /// The number of attempts.
     #[serde(rename = "attempts")]
     pub attempt_count: u32,
     /// When this was recorded, in milliseconds since 1970.
     pub at_ms: u64,
-    /// Particles in it, where it was converted.
+    /// The number of its particles, if it was converted.
     #[serde(rename = "particles", default, skip_serializing_if = "Option::is_none")]
     pub particle_count: Option<usize>,
-    /// How long it took, in seconds, where it was converted.
+    /// The time of its conversion in seconds, if it was converted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seconds: Option<f64>,
-    /// What is not as it should be though it was converted, a sentence each.
+    /// Warnings about a converted frame, one sentence each.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub flaws: Vec<String>,
-    /// What was measured on it, where it was converted, as `/api/frames/NAME` has it. For people: what cannot be read is left out.
+    /// The measurements of a converted frame, as in `/api/frames/NAME`. They are informative only, so values
+    /// that cannot be parsed are dropped.
     #[serde(deserialize_with = "figures_or_none", default, skip_serializing_if = "Option::is_none")]
     pub figures: Option<Arc<Figures>>,
 }
@@ -73,36 +74,36 @@ fn figures_or_none<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Arc<Figu
     Ok(serde_json::from_value(serde_json::Value::deserialize(from)?).ok())
 }
 
-/// How far a frame has come.
+/// The standing of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Standing {
-    /// It waits, or is under way.
+    /// It is queued or in progress.
     Queued,
-    /// All its outputs are there.
+    /// All its outputs exist.
     Done,
-    /// It cannot be converted, until it changes.
+    /// It cannot be converted until it changes.
     Failed,
-    /// It failed in a way that may pass, and will be attempted again.
+    /// It failed with an error that may be temporary, and will be retried.
     Retrying,
-    /// It cannot be converted on account of other files, which may change without it: it is looked at again
-    /// when the daemon starts.
+    /// It cannot be converted because of other files. They may change while the frame does not, so it is
+    /// inspected again when the daemon starts.
     Refused,
-    /// It failed in a way that may pass, and not for as long as the daemon tried: it is attempted again when the daemon
+    /// It failed with an error that may be temporary, and all retries failed: it is retried when the daemon
     /// starts.
     GivenUp,
 }
 
-/// One file that was made of a frame.
+/// An output of a frame.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OutputRecord {
-    /// Where it is.
+    /// Its path.
     #[serde(with = "path")]
     pub path: PathBuf,
-    /// What the file system said of it; without a hash, only its size is known.
+    /// Its stamp when it was written; without a hash, only its size is known.
     #[serde(flatten)]
     pub stamp: FileStamp,
-    /// The hash of its bytes; `None` in journals of older versions.
+    /// The hash of its content; `None` in journals of older versions.
     #[serde(with = "hex::option", default, skip_serializing_if = "Option::is_none")]
     pub hash: Option<u128>,
 }
@@ -112,21 +113,21 @@ pub struct OutputRecord {
 pub enum OutputCheck {
     /// It has the recorded stamp.
     Unchanged,
-    /// It has the recorded size and another stamp: its hash decides.
+    /// It has the recorded size but another stamp: its hash decides.
     Touched,
-    /// It is missing, or has another size: one that lost its end is as good as missing.
+    /// It is missing or has another size: a truncated output counts as missing.
     Missing,
 }
 
 impl OutputRecord {
-    /// An output of this state, or, where that is not known, of this size.
+    /// An output with this state or, if the state is unknown, with this size.
     pub fn new(path: PathBuf, size_bytes: u64, state: Option<OutputState>) -> OutputRecord {
         let of_size = FileStamp { size: size_bytes, ..FileStamp::default() };
         let stamp = state.map_or(of_size, |state| state.stamp);
         OutputRecord { path, stamp, hash: state.map(|state| state.hash) }
     }
 
-    /// Its stamp and the hash of its bytes.
+    /// Its stamp and its hash, if both are known.
     pub fn state(&self) -> Option<OutputState> {
         Some(OutputState { stamp: self.stamp, hash: self.hash? })
     }
@@ -141,7 +142,7 @@ impl OutputRecord {
         }
     }
 
-    /// Whether the file has the recorded bytes. It is read only if its stamp differs.
+    /// Whether the file has the recorded content. It is read only if its stamp differs.
     pub fn has_recorded_bytes(&self) -> bool {
         match self.state() {
             Some(state) => state.now(&self.path).is_ok_and(|now| now.hash == state.hash),
@@ -150,48 +151,48 @@ impl OutputRecord {
     }
 }
 
-/// A sequence, and what the user chose for it: other choices make other settings.
+/// Identifies a sequence by its name and the user's options: other options yield other settings.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct SequenceKey {
     /// The folder of its frames.
     #[serde(with = "path")]
     pub folder: PathBuf,
-    /// The name of its frames, `{}` in place of the number: `dam.{}.bgeo`.
+    /// The name of its frames, with `{}` in place of the number: `dam.{}.bgeo`.
     pub name: String,
-    /// The fingerprint of what the user chose.
+    /// The fingerprint of the user's options.
     pub choices: String,
 }
 
-/// What some frames of a sequence have fixed for all of them.
+/// The settings that were determined for all frames of a sequence.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct JournaledSequence {
-    /// The particle spacing, where it was not given.
+    /// The particle spacing, if it was measured.
     #[serde(flatten)]
     pub measured: Option<MeasuredSpacing>,
-    /// Where its pictures are taken from, if any are.
+    /// The camera of its pictures, if there are any.
     #[serde(flatten)]
     pub camera: Option<SequenceCamera>,
 }
 
-/// A camera that was placed by a frame, and refitted where later ones left its picture.
+/// A camera that was fitted to a frame, and refitted when later frames left the picture.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "CameraForm", into = "CameraForm")]
 pub struct SequenceCamera {
-    /// What was asked for; with something else, another is placed.
+    /// The camera options; if they change, the camera is fitted again.
     pub asked: String,
-    /// What came of it.
+    /// The fitted camera.
     pub framed: Framed,
 }
 
-/// A camera as it stands in the journal.
+/// The serialized form of a camera.
 #[derive(Serialize, Deserialize)]
 struct CameraForm {
-    /// What was asked for, and where it is.
+    /// The camera options, and the fitted camera.
     camera: [String; 2],
-    /// The corners of what it is placed around: six numbers, or none.
+    /// The corners of the box to which it was fitted: six numbers, or none.
     #[serde(with = "text::list", default, skip_serializing_if = "Vec::is_empty")]
     camera_around: Vec<f64>,
-    /// The cameras before it.
+    /// The earlier cameras.
     #[serde(with = "text::list", default, skip_serializing_if = "Vec::is_empty")]
     earlier_cameras: Vec<CameraChoice>,
 }
@@ -230,38 +231,38 @@ impl TryFrom<CameraForm> for SequenceCamera {
 /// The daemon that writes the journal.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DaemonRecord {
-    /// Its number on its machine.
+    /// Its process id.
     pub pid: u32,
-    /// Its machine.
+    /// The host name of its machine.
     pub host: String,
-    /// When it began, in milliseconds since 1970.
+    /// When it started, in milliseconds since 1970.
     pub started_ms: u64,
-    /// What it is doing.
+    /// Its state.
     pub state: DaemonState,
-    /// Since when, in milliseconds since 1970.
+    /// When it entered this state, in milliseconds since 1970.
     pub at_ms: u64,
 }
 
-/// What a daemon was asked for, as far as it concerns the outputs that the journal is about. Apart from
-/// [`DaemonRecord`], so that it is written once in a run.
+/// The part of a daemon's configuration that concerns the outputs of this journal. Separate from
+/// [`DaemonRecord`], so that it is written once per run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PlanRecord {
-    /// The folders that are watched for these outputs.
+    /// The watched folders with these outputs.
     pub watches: Vec<Watch>,
-    /// How long files must be left alone.
+    /// How long files must be unchanged.
     #[serde(flatten)]
     pub patience: Patience,
 }
 
-/// What a daemon is doing.
+/// The state of a daemon.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DaemonState {
-    /// It converts what comes, or waits for it.
+    /// It converts frames or waits for them.
     Running,
-    /// It begins no frame, for this reason.
+    /// It starts no frames, for this reason.
     Paused(String),
-    /// It has ended, in good order.
+    /// It exited in an orderly way.
     Stopped,
 }
 
@@ -288,7 +289,7 @@ impl fmt::Display for DaemonState {
     }
 }
 
-/// What a record is about: a later one of the same key replaces an earlier one.
+/// The key of a record: a later record replaces an earlier one with the same key.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) enum RecordKey {
     Frame(Arc<Path>),
@@ -297,7 +298,7 @@ pub(super) enum RecordKey {
     Plan,
 }
 
-/// One record, as a line has it. Cheap to clone: one is kept in memory, and one is written.
+/// A record, as in one line. Cheap to clone: one copy stays in memory, and one is written.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(in crate::watch) enum Entry {
@@ -329,7 +330,7 @@ impl Entry {
 }
 
 impl JournalState {
-    /// Takes a record in, in place of the one before it.
+    /// Adds a record, which replaces the earlier one with the same key.
     pub(in crate::watch) fn take(&mut self, entry: Entry) {
         match entry {
             Entry::Frame { input, record } => {
@@ -343,7 +344,7 @@ impl JournalState {
         }
     }
 
-    /// The record of this key.
+    /// The record with this key.
     pub(super) fn entry(&self, key: &RecordKey) -> Option<Entry> {
         match key {
             RecordKey::Frame(input) => self.frames.get_key_value(input).map(frame_entry),
@@ -353,7 +354,7 @@ impl JournalState {
         }
     }
 
-    /// Every record, in no order.
+    /// All records, unordered.
     pub(super) fn entries(&self) -> impl Iterator<Item = Entry> + '_ {
         let frames = self.frames.iter().map(frame_entry);
         let sequences = self.sequences.iter().map(sequence_entry);
@@ -361,7 +362,7 @@ impl JournalState {
         frames.chain(sequences).chain(plan).chain(self.daemon.clone().map(Entry::Daemon))
     }
 
-    /// How many records there are.
+    /// The number of records.
     pub(super) fn entry_count(&self) -> usize {
         let of_daemon = usize::from(self.daemon.is_some()) + usize::from(self.plan.is_some());
         self.frames.len() + self.sequences.len() + of_daemon

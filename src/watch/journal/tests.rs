@@ -1,4 +1,4 @@
-//! The journal as it is found after crashes, full disks, and by other programs.
+//! Tests of the journal after crashes, on full disks, and with interference by other programs.
 
 use crate::pipeline::MeasuredSpacing;
 use std::io::{Seek, SeekFrom};
@@ -82,7 +82,7 @@ fn plan_record() -> PlanRecord {
     PlanRecord { watches: Vec::new(), patience }
 }
 
-/// Some of everything, and the states there were on the way, the empty one first.
+/// Writes records of all kinds; returns the states in between, starting with the empty one.
 fn write_some(folder: &Path) -> Vec<JournalState> {
     let mut journal = open(folder);
     let mut states = vec![journal.state().clone()];
@@ -112,7 +112,7 @@ fn line_count(folder: &Path) -> usize {
 }
 
 #[test]
-fn what_was_noted_is_there_the_next_time() {
+fn reopened_journal_has_all_records() {
     let folder = folder();
     let folder = folder.path().join("not/there/yet");
     assert_eq!(Journal::read(&folder).expect("no journal"), JournalState::default());
@@ -124,7 +124,7 @@ fn what_was_noted_is_there_the_next_time() {
 }
 
 #[test]
-fn readers_see_every_record_of_a_running_daemon() {
+fn reader_sees_every_record_of_a_running_daemon() {
     let folder = folder();
     let mut journal = open(folder.path());
     for number in 0..4 {
@@ -134,7 +134,7 @@ fn readers_see_every_record_of_a_running_daemon() {
 }
 
 #[test]
-fn cut_anywhere_it_is_what_it_was_earlier() {
+fn truncated_journal_equals_an_earlier_state() {
     let whole = folder();
     let states = write_some(whole.path());
     let bytes = bytes(whole.path());
@@ -142,7 +142,7 @@ fn cut_anywhere_it_is_what_it_was_earlier() {
     let path = cut.path().join(FILE_NAME);
     let record = frame_record(Standing::Failed, 9);
     for size in 0..=bytes.len() {
-        // A new file each time: some file systems wait for the disk where one is cut and written again.
+        // A new file each time, because some file systems sync when a truncated file is written again.
         let _ = fs::remove_file(&path);
         fs::write(&path, &bytes[..size]).expect("written");
         let whole_lines = bytes[..size].iter().filter(|&&byte| byte == b'\n').count();
@@ -159,7 +159,7 @@ fn cut_anywhere_it_is_what_it_was_earlier() {
 }
 
 #[test]
-fn no_flipped_bit_makes_a_record_that_never_was() {
+fn flipped_bit_never_creates_a_new_record() {
     let folder = folder();
     let states = write_some(folder.path());
     let mut bytes = bytes(folder.path());
@@ -197,13 +197,13 @@ fn check_was_written(state: &JournalState, states: &[JournalState]) {
 }
 
 #[test]
-fn damaged_lines_are_passed_over_and_counted() {
+fn damaged_lines_are_skipped_and_counted() {
     let folder = folder();
     write_some(folder.path());
     let text = String::from_utf8(bytes(folder.path())).expect("text");
     let mut lines: Vec<&str> = text.lines().collect();
     lines.insert(3, "");
-    lines.insert(5, "nobody wrote this");
+    lines.insert(5, "not a record");
     fs::write(folder.path().join(FILE_NAME), lines.join("\n") + "\n\0\0\0\0").expect("written");
     let journal = open(folder.path());
     assert_eq!(journal.state().damaged_line_count, 2);
@@ -211,7 +211,7 @@ fn damaged_lines_are_passed_over_and_counted() {
 }
 
 #[test]
-fn another_version_is_set_aside() {
+fn journal_of_another_version_is_renamed() {
     for other in ["meniscus journal 2\n", "meniscus journal 10\nmore\n", "# something else", "\n", "\0"] {
         let folder = folder();
         fs::write(folder.path().join(FILE_NAME), other).expect("written");
@@ -225,7 +225,7 @@ fn another_version_is_set_aside() {
     }
 }
 
-/// As a write to a full disk: some of it is there, and then no more.
+/// Simulates a write to a full disk: only a part of it arrives.
 fn fail_next_write(journal: &mut Journal) {
     let path = journal.path.clone();
     let mut file = OpenOptions::new().append(true).open(&path).expect("the journal");
@@ -236,7 +236,7 @@ fn fail_next_write(journal: &mut Journal) {
 }
 
 #[test]
-fn what_could_not_be_written_is_written_next() {
+fn failed_write_is_repeated_with_the_next_record() {
     let folder = folder();
     let mut journal = open(folder.path());
     journal.note_frame(&input(0), frame_record(Standing::Done, 1)).expect("noted");
@@ -248,7 +248,7 @@ fn what_could_not_be_written_is_written_next() {
     assert_eq!(Journal::read(folder.path()).expect("a journal"), before);
     fail_next_write(&mut journal);
     journal.note_frame(&input(1), frame_record(Standing::Done, 1)).expect_err("a full disk");
-    journal.note_frame(&input(2), frame_record(Standing::Done, 1)).expect("there is room again");
+    journal.note_frame(&input(2), frame_record(Standing::Done, 1)).expect("there is free space again");
 
     assert_eq!(journal.state().frames.len(), 3);
     assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
@@ -256,23 +256,23 @@ fn what_could_not_be_written_is_written_next() {
 }
 
 #[test]
-fn the_end_of_a_run_writes_what_is_left() {
+fn sync_writes_pending_records() {
     let folder = folder();
     let mut journal = open(folder.path());
     journal.note_frame(&input(0), frame_record(Standing::Done, 1)).expect("noted");
     fail_next_write(&mut journal);
     journal.note_daemon(daemon_record(DaemonState::Stopped)).expect_err("a full disk");
-    journal.sync().expect("there is room again");
+    journal.sync().expect("there is free space again");
     assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
 }
 
 #[cfg(target_os = "linux")]
 #[test]
-fn a_full_disk_is_told() {
+fn write_to_a_full_disk_returns_an_error() {
     let folder = folder();
     let mut journal = open(folder.path());
     journal.note_frame(&input(0), frame_record(Standing::Done, 1)).expect("noted");
-    // The journal's own file keeps its name; what is written goes elsewhere.
+    // The journal keeps its name, but data is written elsewhere.
     journal.file = Some(OpenOptions::new().write(true).open("/dev/full").expect("the full device"));
     let error = journal.note_frame(&input(1), frame_record(Standing::Done, 1)).expect_err("a full disk");
     assert!(is_disk_full(&error), "{error}");
@@ -280,7 +280,7 @@ fn a_full_disk_is_told() {
 
 #[cfg(unix)]
 #[test]
-fn a_journal_that_was_taken_away_is_written_anew() {
+fn removed_journal_is_written_again_completely() {
     let parent = folder();
     let folder = parent.path().join(STATE_FOLDER);
     let mut journal = open(&folder);
@@ -289,7 +289,7 @@ fn a_journal_that_was_taken_away_is_written_anew() {
     journal.note_frame(&input(1), frame_record(Standing::Done, 1)).expect("noted");
     assert_eq!(Journal::read(&folder).expect("a journal"), *journal.state());
 
-    // Also where it was cut short while it was closed.
+    // The same if it was truncated while it was closed.
     for rest in ["", "meniscus journal 1\n", "something else"] {
         fail_next_write(&mut journal);
         journal.note_frame(&input(2), frame_record(Standing::Done, 1)).expect_err("a full disk");
@@ -300,7 +300,7 @@ fn a_journal_that_was_taken_away_is_written_anew() {
 }
 
 #[test]
-fn overtaken_lines_go() {
+fn superseded_lines_are_compacted() {
     let folder = folder();
     let mut journal = open(folder.path());
     let (key, record) = sequence();
@@ -317,7 +317,7 @@ fn overtaken_lines_go() {
 }
 
 #[test]
-fn a_journal_that_is_mostly_overtaken_is_opened_short() {
+fn mostly_superseded_journal_is_compacted_on_open() {
     let folder = folder();
     write_some(folder.path());
     let mut file = OpenOptions::new().append(true).open(folder.path().join(FILE_NAME)).expect("a journal");
@@ -338,7 +338,7 @@ fn a_journal_that_is_mostly_overtaken_is_opened_short() {
 
 thread_local!(static REWRITE_FAILS: std::cell::Cell<bool> = const { std::cell::Cell::new(false) });
 
-/// Fails where a test wants a fresh file to fail.
+/// Fails if the test requests that writing the compacted file fails.
 pub(super) fn before_rewrite() -> io::Result<()> {
     if REWRITE_FAILS.get() { Err(io::Error::other("a failing disk")) } else { Ok(()) }
 }
@@ -358,13 +358,13 @@ fn journal_that_is_a_link_is_refused_and_replaced_under_a_running_daemon() {
     let error = Journal::open(folder.path()).expect_err("a link").to_string();
     assert_eq!(error, "not a regular file: a symbolic link");
     assert!(Journal::read(folder.path()).is_err());
-    // A running daemon knows what was in it.
+    // A running daemon knows the content.
     journal.note_frame(&input(7), frame_record(Standing::Done, 1)).expect("noted");
     assert!(!path.is_symlink());
     assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
     assert!(fs::read(&precious).expect("there") == bytes);
 
-    // A second name is no link that could be refused: the file is left to it.
+    // A hard link cannot be refused like a symbolic link: the file is left to the other name.
     drop(journal);
     fs::hard_link(&path, folder.path().join("kept")).expect("a second name");
     let kept = fs::read(&path).expect("there");
@@ -375,7 +375,7 @@ fn journal_that_is_a_link_is_refused_and_replaced_under_a_running_daemon() {
 }
 
 #[test]
-fn where_it_cannot_be_made_shorter_it_goes_on_as_it_is() {
+fn failed_compaction_keeps_the_journal_usable() {
     let folder = folder();
     let mut journal = open(folder.path());
     REWRITE_FAILS.set(true);
@@ -394,7 +394,7 @@ fn where_it_cannot_be_made_shorter_it_goes_on_as_it_is() {
 }
 
 #[test]
-fn a_reader_goes_on_while_it_is_made_shorter() {
+fn open_reader_survives_a_compaction() {
     let folder = folder();
     write_some(folder.path());
     let mut reader = File::open(folder.path().join(FILE_NAME)).expect("a journal");

@@ -1,4 +1,4 @@
-//! What a daemon was asked for comes back from its line.
+//! Tests that a plan survives the round trip through its line.
 
 use std::time::Duration;
 
@@ -46,7 +46,7 @@ fn bare() -> Watch {
 }
 
 #[test]
-fn plans_come_back_to_the_last_bit() {
+fn plan_survives_a_round_trip_bit_for_bit() {
     comes_back(bare());
     comes_back(Watch {
         pattern: Some("*/dam.\"é\".*\n".to_owned()),
@@ -76,7 +76,7 @@ fn plans_come_back_to_the_last_bit() {
 }
 
 #[test]
-fn every_choice_among_several_comes_back() {
+fn every_option_value_survives_a_round_trip() {
     for vdb_compression in [Compression::None, Compression::ActiveMask, Compression::Blosc] {
         comes_back(Watch { outputs: OutputOptions { vdb_compression, ..bare().outputs }, ..bare() });
     }
