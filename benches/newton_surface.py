@@ -1,4 +1,4 @@
-"""Surfaces by Newton's ParticleSurface, on its CPU backend: a mesh for each frame of particles in a folder.
+"""Reconstructs a mesh for each frame in a folder with Newton's ParticleSurface, on its CPU backend.
 
     newton_surface.py water|isotropic CELL PARTICLES MESHES
 
@@ -16,8 +16,8 @@ import numpy
 import warp
 from newton.geometry import ParticleSurface
 
-# Those of Newton's example of a dam break of water, which has three particles along a cell of its simulation and
-# surface voxels of 0.3 cells, which is 0.9 spacings. Lengths are in particle spacings.
+# The settings of Newton's dam-break example, which has three particles along a cell of its simulation and
+# surface voxels of 0.3 cells, or 0.9 spacings. Lengths are in particle spacings.
 WATER = {
     "kernel_radius": 3.0,
     "threshold": 0.25,
@@ -53,7 +53,7 @@ def main():
 
 
 def surface_of(positions, spacing, settings):
-    """Vertices, triangles, and the seconds that they took."""
+    """Returns vertices, triangles, and the seconds to compute them."""
     with warp.ScopedDevice("cpu"):
         start = time.perf_counter()
         settings = settings | {length: settings[length] * spacing for length in LENGTHS}
@@ -67,7 +67,7 @@ def surface_of(positions, spacing, settings):
 
 
 def read(path):
-    """The positions in a file of single-precision x, y, z, and their spacing."""
+    """Returns the positions in a file of single-precision x, y, z, and their spacing."""
     header, _, body = path.read_bytes().partition(b"end_header\n")
     count = int(re.search(rb"element vertex (\d+)", header)[1])
     spacing = float(re.search(rb"spacing: (\S+)", header)[1])

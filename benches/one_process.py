@@ -1,4 +1,4 @@
-"""Runs one program and prints what it took, as JSON: seconds, CPU seconds, bytes at the most, exit status.
+"""Runs one program and prints its costs as JSON: seconds, CPU seconds, peak memory in bytes, exit status.
 
 Until it has begun its program, a child counts as large as the process that started it. So this is started
 for each measurement, by Python without its site packages: it imports little and holds 8 MB, less than

@@ -1,4 +1,4 @@
-"""Lines in a square of axes, as SVG."""
+"""Line plots as SVG."""
 
 from dataclasses import dataclass
 from html import escape
@@ -9,7 +9,7 @@ LEFT, RIGHT, TOP, BOTTOM = 70, 220, 20, 55
 
 @dataclass
 class Line:
-    """Points (x, y) in the units of the axes, joined, or marked one by one."""
+    """Points (x, y) in the units of the axes, either joined by a line or drawn as marks."""
 
     name: str
     colour: str
@@ -19,7 +19,7 @@ class Line:
 
 
 def svg(x_name, y_name, x_max, y_max, step, lines):
-    """A picture of lines, both axes from 0 and with a tick at each step."""
+    """Draws lines; both axes start at 0 and have a tick at each step."""
 
     def x_of(x):
         return LEFT + x / x_max * (WIDTH - LEFT - RIGHT)
@@ -51,7 +51,7 @@ def svg(x_name, y_name, x_max, y_max, step, lines):
 
 
 def drawn(line, points):
-    """A line, with its marks."""
+    """Draws a line and its marks."""
     marks = [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{line.colour}"/>' for x, y in points if line.is_marked]
     return [stroke(points, line.colour, 2, line.is_dashed), *marks]
 

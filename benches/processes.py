@@ -1,4 +1,4 @@
-"""Whole processes: what they take, what they are given, and where their figures go.
+"""Runs whole processes: their costs, their inputs, and the tables of results.
 
 A process is measured from its start to its end: wall-clock seconds, the seconds of all its threads on
 processors, and the most memory it ever held, all as the system counted them. Runs that are compared take
@@ -20,11 +20,11 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 TARGET = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")).resolve()
-# Built where MENISCUS does not name one that is there.
+# Built, unless MENISCUS names an existing program.
 PROGRAM = Path(os.environ.get("MENISCUS") or TARGET / "release" / "meniscus").resolve()
-# Solids of generated particles, kept from run to run.
+# Solids of generated particles, kept between runs.
 SOLIDS = TARGET / "solids"
-# Frames of other programs. They are not part of the project.
+# Frames of other programs, which are not part of the project.
 DATA = Path(os.environ.get("MENISCUS_SHARED", ROOT.parent / "shared")) / "data"
 
 THREADS = 2
@@ -32,7 +32,7 @@ THREADS = 2
 
 @dataclass
 class Run:
-    """One process."""
+    """The costs of one process."""
 
     seconds: float
     cpu_seconds: float
@@ -40,22 +40,22 @@ class Run:
 
 
 def build():
-    """The program, where MENISCUS does not name one."""
+    """Builds the program, unless MENISCUS names one."""
     if not os.environ.get("MENISCUS"):
         subprocess.run(["cargo", "build", "--release", "--quiet", "--bin", "meniscus"], cwd=ROOT, check=True)
 
 
 def script(name):
-    """Another of the benchmarks, as a module."""
+    """Imports another benchmark as a module."""
     loader = importlib.machinery.SourceFileLoader(name, str(ROOT / "benches" / name))
     module = importlib.util.module_from_spec(importlib.util.spec_from_loader(name, loader))
-    sys.modules[name] = module  # where its data classes look for it
+    sys.modules[name] = module  # its data classes look it up there
     loader.exec_module(module)
     return module
 
 
 def measured(command):
-    """Runs a command and returns what it took; ends the benchmark where it fails."""
+    """Runs a command and returns its costs; exits if it fails."""
     command = [str(word) for word in command]
     launcher = [sys.executable, "-I", "-S", ROOT / "benches" / "one_process.py"]
     ran = subprocess.run([*launcher, *command], capture_output=True, text=True)
@@ -66,13 +66,13 @@ def measured(command):
 
 
 def meniscus(frames, voxel_size, out, *options, threads=THREADS, preset="paper"):
-    """The command that converts one frame, or the frames of a pattern."""
+    """Returns the command that converts one frame, or the frames of a pattern."""
     ours = [PROGRAM, "convert", frames, "--out", out, "--format", "glb", "--voxel-size", repr(voxel_size)]
     return [*ours, "--preset", preset, "--threads", threads, *options]
 
 
 def solid(count):
-    """A solid of about so many particles, and their spacing. It is made where it is not there yet."""
+    """Returns a solid of about this many particles, and their spacing. Creates it if it is missing."""
     SOLIDS.mkdir(parents=True, exist_ok=True)
     path = SOLIDS / f"solid_{count:.0f}.ply"
     if not path.exists():
@@ -85,19 +85,19 @@ def solid(count):
 
 
 def particle_count(solid_path):
-    """The number of particles in a solid's header."""
+    """Returns the number of particles in a solid's header."""
     with solid_path.open("rb") as file:
         return int(re.search(rb"element vertex (\d+)", file.read(300))[1])
 
 
 def spread(values, form):
-    """The median, with the least and the greatest where there are several."""
+    """The median, with the minimum and maximum if there are several values."""
     middle = format(statistics.median(values), form)
     return middle if len(values) == 1 else f"{middle} ({min(values):{form}}–{max(values):{form}})"
 
 
 def conditions():
-    """The machine, the day and the program, in one line."""
+    """The machine, the date and the program, in one line."""
     model = "processor of unknown name"
     if Path("/proc/cpuinfo").exists():
         names = re.findall(r"^model name\s*: (.*)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
@@ -106,7 +106,7 @@ def conditions():
 
 
 def program():
-    """What is measured: the commit that it is built from, where it is."""
+    """The measured program: the commit that it is built from, and its path."""
     if os.environ.get("MENISCUS"):
         version = subprocess.run([PROGRAM, "--version"], capture_output=True, text=True).stdout.strip()
         return f"{version}, built before"
@@ -117,7 +117,7 @@ def program():
 
 
 class Table:
-    """Rows of text under a heading, printed when all are there."""
+    """Rows of text under a heading, printed when complete."""
 
     def __init__(self, title, *columns):
         self.title = title
@@ -137,14 +137,14 @@ class Table:
 
 
 def arguments(doc):
-    """A parser whose help is the module's doc."""
+    """Returns a parser whose help is the module's docstring."""
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the tables there, too")
     return parser
 
 
 def publish(tables, markdown):
-    """Prints the tables and writes them where that was asked for."""
+    """Prints the tables, and writes them to the file of --markdown, if given."""
     for table in tables:
         print(f"\n{table.plain()}")
     if markdown:

@@ -1,4 +1,4 @@
-"""Water by SPlisHSPlasH: a pool that sloshes slowly, or a dam break.
+"""Simulates water with SPlisHSPlasH: a pool that sloshes slowly, or a dam break.
 
     simulate_pool.py pool|dam FOLDER
 
@@ -14,8 +14,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "clients"
 import simulate_splishsplash as simulation
 
 DAM_BREAK = simulation.dam_break()
-# Deeper on one side, so that it sloshes. By position-based fluids without viscosity: the particles of DFSPH come to rest
-# in layers, and leave no bumps to smooth.
+# Deeper on one side, so that it sloshes. Simulated with position-based fluids without viscosity: the
+# particles of DFSPH come to rest in layers, and leave no bumps to smooth.
 POOL = DAM_BREAK | {
     "Configuration": DAM_BREAK["Configuration"] | {"simulationMethod": 2, "stopAt": 3.4, "dataExportFPS": 10},
     "Materials": [{"id": "Fluid", "density0": 1000, "viscosityMethod": 0}],

@@ -1,4 +1,4 @@
-"""Figures of the method's paper that ours stand beside, and of its authors' program.
+"""Figures of the method's paper, and of its authors' program, for comparison with ours.
 
 The paper: Bhattacharya, Gao and Bargteil, *A Level-set Method for Skinning Animated Particle Data*, IEEE TVCG
 2015. Its figures 18 to 20 are drawings only. Table 2 says the same of threads, in numbers.
@@ -31,12 +31,13 @@ IMPLICIT = {
     "CPU, %": (1113, 1158, 1124, 1110),
 }
 
-# Table 2: processes at once, threads of each, minutes for all of them. The text says 120 jobs, the caption 12: with the
-# seconds of a job in Table 3 it is 120.
+# Table 2: processes at once, threads of each, minutes for all of them. The text says 120 jobs, the caption
+# 12; the seconds of a job in Table 3 imply 120.
 JOBS = 120
 PROCESSES = [(12, 1, 212), (6, 2, 216), (4, 3, 224), (3, 4, 231), (2, 6, 249), (1, 12, 283)]
 
-# Table 3: particles of the dragon; seconds in all, of them rasterization; CPU in %, memory in GB, CG iterations.
+# Table 3: particles of the dragon; total seconds, of which rasterization; CPU in %, memory in GB, CG
+# iterations.
 DRAGONS = [
     (0.603e6, 25.5, 3.7, 1089, 0.35, 938),
     (4.82e6, 141.2, 25.3, 1125, 1.1, 1181),
@@ -53,17 +54,18 @@ PROGRAM_EXPLICIT = {
     "dam break 23": 8.04,
     "Hilbert curve": 16.11,
 }
-# Of the dragon at h = spacing, by its particles: seconds and GB, implicit; and of the first, seconds, explicit.
+# The dragon at h = spacing, by number of particles: seconds and GB, implicit; for the first, also seconds,
+# explicit.
 PROGRAM_DRAGONS = {0.603e6: (64.54, 0.211), 4.82e6: (350.51, 0.874)}
 PROGRAM_DRAGON_EXPLICIT = 21.28
 
 
 def speedups():
-    """What each number of threads makes of one, from Table 2: threads, times faster."""
+    """The speedup for each number of threads, from Table 2: threads, speedup."""
     alone = CORES * next(minutes for processes, _, minutes in PROCESSES if processes == CORES)
     return [(threads, alone / (processes * minutes)) for processes, threads, minutes in PROCESSES]
 
 
 def job_seconds(processes, minutes):
-    """Of one job of Table 2, while so many run at once."""
+    """The minutes of one job of Table 2 while this many processes run at once."""
     return 60 * minutes * processes / JOBS

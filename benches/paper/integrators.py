@@ -1,4 +1,4 @@
-"""Table 1: the stages of a frame, by each integrator."""
+"""Table 1: the stages of a frame for each integrator."""
 
 import statistics
 import sys
@@ -9,16 +9,17 @@ from paper import figures
 from paper.measuring import COMPUTING, SMALL, Skinned, in_seconds, skinned
 from processes import ROOT, THREADS, Table
 
-# Named as in the tables; what is asked of the program. 10 000 steps of 0.01 h⁴ are the time of 5 steps of 20 h⁴.
+# Names as in the tables, with the options of the program. 10 000 steps of 0.01 h⁴ cover the time of 5 steps
+# of 20 h⁴.
 INTEGRATORS = {
     "explicit, 10 000 steps": ["--integrator", "explicit", "--steps", 10_000],
     "explicit, 500 steps": ["--integrator", "explicit"],
     "implicit": ["--integrator", "implicit"],
     "fast": ["--integrator", "fast"],
 }
-LONGEST = "explicit, 10 000 steps"  # once, not once a round
+LONGEST = "explicit, 10 000 steps"  # run once, not once per round
 
-# Half the spacing of the particles in examples/frames.
+# Half the particle spacing in examples/frames.
 DAM_VOXEL_SIZE = 0.0264
 
 ABOUT = """The paper's frames are not published, so we use others: small simulations with h = half the spacing, and a solid of 600 000 particles with h = spacing.
@@ -38,7 +39,7 @@ The table may lack some of them, because `--frames` selects frames.
 
 @dataclass
 class Example:
-    """A frame, or frames of which the mean counts; and what the authors' program took for it, in seconds."""
+    """A frame, or several whose mean counts, with the seconds that the authors' program took."""
 
     name: str
     paths: list
@@ -51,13 +52,13 @@ def table(asked):
     parts = [part for part in asked.frames.split(",") if part]
     chosen = [frame for frame in examples() if not parts or any(part in frame.name.lower() for part in parts)]
     if not chosen:
-        sys.exit("tables: no frame has such a name")
+        sys.exit("tables: no frame name matches")
     taken = {frame.name: by_integrator(frame, asked.rounds) for frame in chosen}
     return "\n\n".join([ABOUT, papers(), *(table.markdown() for table in ours(chosen, taken))])
 
 
 def examples():
-    """The frames that there are."""
+    """Returns the available frames."""
     frames = sorted((ROOT / "examples" / "frames").glob("dam.*.bgeo"))
     yield Example(f"dam of `examples/frames`, mean of {len(frames)}", frames, DAM_VOXEL_SIZE)
     for frame in processes.script("peers").all_frames():
@@ -70,7 +71,7 @@ def examples():
 
 
 def by_integrator(frame, rounds):
-    """For each integrator its rounds: a process for each of the frame's files."""
+    """Returns the rounds of each integrator: one process for each of the frame's files."""
     print(f"{frame.name} ", end="", flush=True)
     taken = {name: [] for name in INTEGRATORS}
     for index in range(rounds):
@@ -83,7 +84,7 @@ def by_integrator(frame, rounds):
 
 
 def means(rounds, figure):
-    """The mean over the files of a frame, round by round."""
+    """Returns the mean over the files of a frame for each round."""
     return [statistics.fmean(map(figure, files)) for files in rounds]
 
 
@@ -99,7 +100,7 @@ def papers():
 
 
 def ours(frames, taken):
-    """The stages, and what an integrator is to another."""
+    """The times of the stages, and ratios of integrators."""
     stages = Table(
         f"Ours, in seconds, on {THREADS} threads: medians (least–greatest).",
         *("frame", "particles", "free voxels", "integrator", *COMPUTING, "write", "process in all", "CPU, %", "memory, MB"),

@@ -1,4 +1,4 @@
-"""Table 2: many frames by processes with one thread each, or by fewer with more."""
+"""Table 2: many frames, with many single-threaded processes or with fewer processes of more threads."""
 
 import os
 import tempfile
@@ -40,8 +40,8 @@ def table(asked):
 
 
 def at_once(frames, voxel_size, count, threads):
-    """So many processes at a time, each with so many threads, until all frames are done: seconds of the clock, and bytes
-    that all of them held at most if they held them at one time."""
+    """Runs this many processes at a time, each with this many threads, until all frames are done. Returns the elapsed
+    seconds, and the sum of their peak memory in bytes."""
 
     def job(frame):
         with tempfile.TemporaryDirectory() as out:
@@ -55,7 +55,7 @@ def at_once(frames, voxel_size, count, threads):
 
 
 def in_one(pattern, voxel_size, threads):
-    """All frames by one command: seconds and bytes."""
+    """Converts all frames with one command. Returns seconds and bytes."""
     with tempfile.TemporaryDirectory() as out:
         run = processes.measured(processes.meniscus(pattern, voxel_size, out, threads=threads))
     return run.seconds, run.memory_bytes
@@ -84,7 +84,7 @@ def ours(jobs, taken, together, cores):
     rows = [*((count, threads, rounds) for (count, threads), rounds in taken.items())]
     rows.append(("1, all jobs in one command", cores, together))
     for count, threads, rounds in rows:
-        # Round by round: in a round the machine was the same for all.
+        # Compared round by round, because the machine is in the same state within a round.
         beside = [seconds / other for (seconds, _), other in zip(rounds, first)]
         memory = max(size for _, size in rounds) / 1e9
         told = in_seconds([seconds for seconds, _ in rounds])

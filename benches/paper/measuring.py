@@ -1,4 +1,4 @@
-"""What all tables of the paper need: one frame skinned, by stages, and what other work took meanwhile."""
+"""Shared by all tables of the paper: measures the stages of one frame, and the load of other processes meanwhile."""
 
 import json
 import os
@@ -12,19 +12,19 @@ from pathlib import Path
 import processes
 from processes import ROOT, THREADS, Run, spread
 
-# Without reading and writing, as the paper counts.
+# Excluding reading and writing, as in the paper.
 COMPUTING = ("rasterize", "smooth", "contour")
 
-# The solids that take the dragon's place: particles asked for.
+# The solids that replace the dragon: requested numbers of particles.
 SMALL, UPPER_RIGHT, LARGE, LARGEST = 0.6e6, 4.8e6, 38.6e6, 309e6
 
-# Of the machine's time, what other work may take before it counts as shared.
+# The fraction of the machine's time that other work may take before the machine counts as shared.
 NEIGHBOURS_MAX = 0.05
 
 
 @dataclass
 class Skinned:
-    """What one process took for a frame, and what its report says of it."""
+    """The costs of one process for a frame, and its report."""
 
     run: Run
     report: dict
@@ -33,7 +33,7 @@ class Skinned:
         return self.report["seconds"][name]
 
     def computed(self):
-        """Seconds without reading and writing, as the paper counts them."""
+        """Seconds excluding reading and writing, as in the paper."""
         return sum(map(self.stage, COMPUTING))
 
 
@@ -46,19 +46,19 @@ def skinned(path, voxel_size, *options, threads=THREADS):
 
 
 def in_seconds(values):
-    """With as many digits as they deserve."""
+    """Formats seconds with a sensible number of digits."""
     middle = statistics.median(values)
     return spread(values, ".1f" if middle >= 10 else ".2f" if middle >= 1 else ".3f")
 
 
 class Neighbours:
-    """How much of the machine other work takes, as Linux counts it."""
+    """Measures the load of other processes, as reported by Linux."""
 
     def __init__(self):
         self.start = self.counted()
 
     def counted(self):
-        """Seconds: of the clock, of all processors at work, and of those for us and our processes."""
+        """Returns seconds: elapsed, of CPU time on the whole machine, and of CPU time of this process and its children."""
         path = Path("/proc/stat")
         # user, nice, system, idle, waiting, interrupts, soft interrupts, stolen
         ticks = [int(word) for word in path.read_text().split("\n")[0].split()[1:9]] if path.exists() else [0] * 8
@@ -67,7 +67,7 @@ class Neighbours:
         return time.perf_counter(), busy, sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
     def share(self):
-        """Of all processors' time since it was made; 0 where the system does not tell."""
+        """The fraction of CPU time since this object was created; 0 if the system does not report it."""
         clock, busy, ours = (now - before for now, before in zip(self.counted(), self.start))
         return max(0, busy - ours) / (clock * os.cpu_count())
 

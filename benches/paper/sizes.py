@@ -31,19 +31,19 @@ def table(asked):
 
 @dataclass
 class Large:
-    """A large solid, as a row of text."""
+    """The row of a large solid, as text."""
 
     particles: str
     free_voxels: str
     stages: list
-    seconds: float | None  # of those that are measured now
+    seconds: float | None  # only if measured in this run
     whole: str
     cpu: str
     memory: str
 
 
 def told_of_large_solid(count):
-    """What `benches/scale` printed, for docs/performance.md."""
+    """Reads the output of `benches/scale` from docs/performance.md."""
     for line in section_of_performance("Large frames").splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         digits = cells[0].replace(",", "")

@@ -1,4 +1,4 @@
-"""Figures 18 to 20: what threads come to, and what the serial share makes of more of them."""
+"""Figures 18 to 20: the speedup of threads, and its projection by the serial share."""
 
 import os
 import statistics
@@ -31,7 +31,7 @@ def table(asked):
     cores = os.cpu_count()
     counts = [threads for threads in (1, 2, 3, 4, 6, 8, 12) if threads <= cores]
     if len(counts) < 2:
-        sys.exit("tables: with one core nothing can be said of threads")
+        sys.exit("tables: measuring threads requires more than one core")
     neighbours = Neighbours()
     taken = {particles: on_threads(particles, counts, asked.rounds) for particles in (SMALL, UPPER_RIGHT)}
     is_shared = neighbours.share() > NEIGHBOURS_MAX
@@ -48,7 +48,7 @@ def table(asked):
             told,
         ),
     ]
-    # The largest of either; of a shared machine nothing can be projected.
+    # The largest of either; a shared machine allows no projection.
     sources = {} if is_shared else {"now": taken[UPPER_RIGHT]}
     sources["stages"] = list(told.values())[-1]
     asked.markdown.parent.mkdir(parents=True, exist_ok=True)
@@ -60,7 +60,7 @@ def table(asked):
 
 
 def on_threads(particles, counts, rounds):
-    """A solid by turns on so many threads: for each number of them the seconds of stages, round by round."""
+    """Reconstructs a solid alternately on each number of threads. Returns the seconds of the stages per round for each."""
     path, spacing = processes.solid(particles)
     path.read_bytes()  # into the system's cache
     taken = {threads: [] for threads in counts}
@@ -74,7 +74,7 @@ def on_threads(particles, counts, rounds):
 
 
 def told_of_threads():
-    """The rows of docs/performance.md of stages on one thread and on two: particles, and what `on_threads` returns."""
+    """Reads the stages on one and on two threads from docs/performance.md: particles, and the format of `on_threads`."""
     rows = {}
     for line in section_of_performance("Stages").splitlines():
         words = line.split()
@@ -86,29 +86,29 @@ def told_of_threads():
 
 
 def with_sum(seconds):
-    """By stage, and of all of them."""
+    """Seconds by stage, and in total."""
     stages = dict(zip(COMPUTING, seconds))
     return stages | {"all three": sum(stages.values())}
 
 
 def serial_shares(rounds, many, stage):
-    """By Amdahl's law T(n) = T(1)·(s + (1 − s)/n), round by round."""
+    """The serial share by Amdahl's law T(n) = T(1)·(s + (1 − s)/n), round by round."""
     ratios = [one[stage] / alone[stage] for one, alone in zip(rounds[many], rounds[1])]
     return [max(0, (ratio - 1 / many) / (1 - 1 / many)) for ratio in ratios]
 
 
 def speedups(rounds, threads, stage="all three"):
-    """How many times faster than one thread, round by round."""
+    """The speedup over one thread, for each round."""
     return [alone[stage] / one[stage] for one, alone in zip(rounds[threads], rounds[1])]
 
 
 def amdahl(share, threads):
-    """Times faster than one thread."""
+    """The speedup over one thread."""
     return 1 / (share + (1 - share) / threads)
 
 
 def stages_on_threads(title, taken, is_shared=False):
-    """Fig. 18 and 19: seconds on each number of threads, and what they say of twelve, unless the machine was shared."""
+    """Fig. 18 and 19: seconds on each number of threads, and a projection to twelve unless the machine was shared."""
     counts = list(next(iter(taken.values())))
     table = Table(
         title,
@@ -129,7 +129,7 @@ def stages_on_threads(title, taken, is_shared=False):
 
 
 def projected(sources):
-    """Fig. 18 and 20: the paper's, and ours at the same numbers of threads."""
+    """Fig. 18 and 20: the paper's speedups, and ours at the same numbers of threads."""
     names = [name for source in sources for name in (f"measured, {source}", f"projected, {source}")]
     table = Table(
         "Speedup over one thread, all three stages.\nThe paper's are derived from its Table 2; ours are those of the largest"
@@ -152,7 +152,7 @@ def share_of(rounds):
 
 
 def speedup_lines(sources):
-    """Fig. 20, and what is projected."""
+    """Fig. 20, and the projection."""
     counts = range(1, figures.CORES + 1)
     lines = [
         plot.Line("as many as threads", "#bbb", [(count, count) for count in counts], is_dashed=True),
