@@ -5,7 +5,7 @@
 //!   core         decides: state and events in, effects out; no files, clocks or threads
 //!   event_loop   one thread: hands events to the core, carries out its effects, gives signs of life
 //!   io           threads that may block: one for each watched folder and each folder of outputs, and the pipelines
-//!   journal      what is known after a restart
+//!   journal      the memory that survives a restart
 //!   status_store what users see: frames, status, counters
 //!   explain      why a frame is, or is not, converted       waiting   which files are not complete
 //! ```

@@ -201,7 +201,7 @@ impl fmt::Display for WaitReason {
             WaitReason::Sentinel => f.write_str("its sentinel is missing, or older than the frame"),
             WaitReason::Changing => f.write_str("it changed just now"),
             WaitReason::Unproven => f.write_str(
-                "its format cannot tell whether it is complete, so it must be left alone for longer",
+                "its format cannot show whether it is complete, so it must be unchanged for longer",
             ),
             WaitReason::Incomplete { expected, found } => {
                 write!(f, "it is not complete: {found} of at least {expected} bytes")

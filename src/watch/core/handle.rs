@@ -183,7 +183,7 @@ impl Core {
         for id in &stuck {
             let sentinel = path_of_sentinel(self.watch(id.root), &id.path);
             self.log_about(&*id.path, move |frame| {
-                tracing::warn!(%frame, "not converted: there is no {} newer than the frame", sentinel.display());
+                tracing::warn!(%frame, "not converted: {} is missing, or older than the frame", sentinel.display());
             });
         }
         stuck.iter().filter_map(|id| self.frames.get(id)).map(|frame| frame.sequence).collect()

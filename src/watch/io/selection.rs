@@ -119,7 +119,7 @@ impl FileFilter {
 
 fn parse_pattern(text: &str, recursive: bool) -> Result<Pattern, PatternError> {
     let pattern = Pattern::new(text).map_err(|error| PatternError {
-        what: format!("`{text}` is no pattern: {}, at {}", error.msg, error.pos),
+        what: format!("`{text}` is not a valid pattern: {}, at {}", error.msg, error.pos),
     })?;
     if text.contains('/') && !recursive {
         let what = format!("`{text}` reaches into sub-folders, which are only scanned with --recursive");
@@ -213,7 +213,7 @@ mod tests {
     #[test]
     fn invalid_or_unreachable_pattern_is_refused() {
         for (pattern, recursive, words) in
-            [("a[", true, "`a[` is no pattern"), ("b/*.ply", false, "sub-folders")]
+            [("a[", true, "`a[` is not a valid pattern"), ("b/*.ply", false, "sub-folders")]
         {
             let error = FileFilter::new(Some(pattern), recursive, Vec::new()).expect_err(pattern).to_string();
             assert!(error.contains(words), "{error}");

@@ -171,7 +171,7 @@ fn what_makes_no_sense_is_refused_before_the_first_frame() {
     for (options, words) in [
         (&["--voxel-size", "-1"][..], &["in: ", "voxel size"][..]),
         (&["--radius-min", "0.1", "--radius-init", "5"], &["r_init is 5"]),
-        (&["--pattern", "a[", "--out", "o"], &["`a[` is no pattern"]),
+        (&["--pattern", "a[", "--out", "o"], &["`a[` is not a valid pattern"]),
         (&["--pattern", "a/*"], &["`a/*` reaches into sub-folders"]),
         (&["--sentinel", ""], &["sentinel"]),
         (&["--sentinel", "../{stem}"], &["beside the frame"]),
