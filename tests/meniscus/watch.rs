@@ -36,7 +36,7 @@ fn what_makes_no_sense_is_refused_before_anything_is_made() {
         (&["--settle", "1"], &["--settle", "not a time"]),
         (&["--memory", "lots"], &["--memory", "not a size"]),
         (&["--order", "random"], &["--order", "natural, latest"]),
-        (&["--pattern", "[", "--recursive"], &["no pattern"]),
+        (&["--pattern", "[", "--recursive"], &["not a valid pattern"]),
         (&["--smooth-normals", "5"], &["5: no such", "--smooth-normals=5"]),
     ] {
         assert_refused(path, &[&["in", "--out", "out"], arguments].concat(), words);
@@ -185,7 +185,7 @@ fn why_tells_everything_that_decides() {
     // It was written just now: whether it has settled is a matter of half a second.
     let unknown = "The journal does not say what the daemon was asked for";
     tells("in/dam.1.ply", &typed, &["journal   nothing", "content   particles", "It ", unknown]);
-    tells("in/notes.md", &typed, &["not one of a frame", "It is not converted because its name"]);
+    tells("in/notes.md", &typed, &["not one of a frame", "It is not converted because its path"]);
 
     fs::create_dir(&out).expect("made");
     fs::write(out.join("dam.1.glb"), "").expect("written");
@@ -206,7 +206,7 @@ fn why_tells_everything_that_decides() {
     tells(
         "in/dam.1.ply",
         &configured,
-        &["settings  not as recorded", "because its settings or obstacles are others"],
+        &["settings  not as recorded", "because its settings or obstacles have changed"],
     );
     fs::write(path.join("meniscus.toml"), format!("{config}pattern = \"spray*\"\n")).expect("written");
     tells("in/dam.1.ply", &configured, &["name      not one of a frame"]);
@@ -239,7 +239,7 @@ fn why_knows_what_convert_has_converted() {
     };
     let done = settled("in/dam.1.ply");
     assert!(done.contains("It is converted already"), "{done}");
-    assert!(done.contains("dam.1.glb, dam.1.ply were made from it as it is"), "{done}");
+    assert!(done.contains("dam.1.glb, dam.1.ply were made from its current content"), "{done}");
     assert!(!done.contains("will be") && !done.contains("No daemon"), "{done}");
     assert!(settled("in/dam.2.ply").contains("It will be converted because"));
     // Of what is damaged, nothing is said.
@@ -278,7 +278,7 @@ fn the_journal_says_what_the_daemon_was_asked_for() {
         assert!(!ran.out.contains("does not say what the daemon was asked for"), "{}", ran.out);
     };
     tells("in/dam.1.ply", &["name      one of a frame", "settings  as recorded", "because it is done"]);
-    tells("in/spray.1.ply", &["name      not one of a frame", "It is not converted because its name"]);
+    tells("in/spray.1.ply", &["name      not one of a frame", "It is not converted because its path"]);
     write_sequence(&path.join("in"), 2, 2);
     tells("in/dam.2.ply", &["It is not converted yet because its sentinel", "No daemon is at work"]);
     let elsewhere = meniscus(path, &["why", "out/dam.1.glb", "--out", "out"]);
@@ -298,7 +298,7 @@ fn the_journal_says_what_the_daemon_was_asked_for() {
     ask(&|watch| watch.choices.radius_ratio = Some(1.25));
     tells("in/dam.1.ply", &["settings  not compared: that needs a particle spacing that is known"]);
     ask(&|watch| watch.choices.spacing = Some(0.05));
-    tells("in/dam.1.ply", &["settings  not as recorded", "because its settings or obstacles are others"]);
+    tells("in/dam.1.ply", &["settings  not as recorded", "because its settings or obstacles have changed"]);
     // The file wins.
     fs::write(path.join("meniscus.toml"), "[[watch]]\ninput = \"in\"\noutput = \"out\"\n").expect("written");
     let spray = meniscus(path, &["why", "in/spray.1.ply", "--config", "meniscus.toml"]);
