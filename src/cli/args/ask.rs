@@ -1,4 +1,4 @@
-//! The options of the commands that ask what a daemon did.
+//! The options of the commands that query a daemon's state.
 
 use std::path::PathBuf;
 
@@ -7,11 +7,11 @@ use clap::Args;
 #[derive(Debug, Args)]
 #[command(after_long_help = STATUS_JSON)]
 pub(in crate::cli) struct StatusArgs {
-    /// The folder for the results of the daemon
+    /// The daemon's folder for the results
     #[arg(long, value_name = "DIR")]
     pub(in crate::cli) out: PathBuf,
 
-    /// The folder of its journal, where that is not DIR/.meniscus
+    /// The daemon's journal folder, if it is not DIR/.meniscus
     #[arg(long, value_name = "DIR")]
     pub(in crate::cli) journal: Option<PathBuf>,
 
@@ -22,19 +22,19 @@ pub(in crate::cli) struct StatusArgs {
 
 #[derive(Debug, Args)]
 pub(in crate::cli) struct WhyArgs {
-    /// The frame: a file of particles
+    /// The frame: a particle file
     #[arg(value_name = "FILE")]
     pub(in crate::cli) file: PathBuf,
 
-    /// The folder for the results of the daemon
+    /// The daemon's folder for the results
     #[arg(long, value_name = "DIR", required_unless_present = "config")]
     pub(in crate::cli) out: Option<PathBuf>,
 
-    /// The folder of its journal, where that is not DIR/.meniscus
+    /// The daemon's journal folder, if it is not DIR/.meniscus
     #[arg(long, value_name = "DIR")]
     pub(in crate::cli) journal: Option<PathBuf>,
 
-    /// The daemon's file; without it, its journal says what it was asked for
+    /// The daemon's configuration file; without it, the settings come from the journal
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) config: Option<PathBuf>,
 }

@@ -1,4 +1,4 @@
-//! The options of farms: a plan, its shards, and what became of them.
+//! The options of farms: planning, converting and verifying shards.
 
 use std::path::PathBuf;
 
@@ -16,15 +16,15 @@ pub(in crate::cli) struct PlanArgs {
     #[arg(required = true, value_name = "INPUT")]
     pub(in crate::cli) inputs: Vec<PathBuf>,
 
-    /// Folder for the results of all shards: each must see it, and the inputs, under the same path
+    /// Folder for the results of all shards: every machine must see it, and the inputs, under the same path
     #[arg(long, value_name = "DIR")]
     pub(in crate::cli) out: PathBuf,
 
-    /// Deal the frames into so many chunks, 1 to 100000: neighbours stay together
+    /// Number of shards, 1 to 100000: each gets consecutive frames
     #[arg(long, value_name = "N", value_parser = ranged::<usize>(1..=SHARDS_MAX))]
     pub(in crate::cli) shards: usize,
 
-    /// The plan
+    /// The plan file to write
     #[arg(short, long, value_name = "FILE")]
     pub(in crate::cli) output: PathBuf,
 
@@ -35,10 +35,11 @@ pub(in crate::cli) struct PlanArgs {
     #[arg(long, value_name = "NUMBERS")]
     pub(in crate::cli) frames: Option<FrameSelection>,
 
-    /// By how much the surface of a level set in .vdb may move to become smooth, in voxels, 0 to 3 [default: 0]
+    /// Maximum distance by which smoothing may move the surface of a .vdb level set, in voxels, 0 to 3
+    /// [default: 0]
     ///
-    /// A level set that is an input has its voxels already: it is contoured as it is, or, with a slack, becomes the smoothest
-    /// surface that is nowhere farther from it. Options of particles are refused.
+    /// A level set already has its voxels: it is contoured as it is or, with a slack, replaced by the
+    /// smoothest surface within that distance of it. Options for particles are refused.
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = slack())]
     pub(in crate::cli) band_slack: Option<f64>,
 
@@ -49,19 +50,19 @@ pub(in crate::cli) struct PlanArgs {
 #[derive(Debug, Args)]
 #[command(after_long_help = VERDICTS)]
 pub(in crate::cli) struct VerifyArgs {
-    /// The folder of the results, wherever it lies now
+    /// The folder of the results, at its current path
     #[arg(value_name = "DIR")]
     pub(in crate::cli) folder: PathBuf,
 
-    /// The plan that they were made by
+    /// The plan that the results were made with
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) plan: PathBuf,
 
-    /// Write what there is of each frame to this file, as JSON
+    /// Write the state of each frame to this file, as JSON
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) report: Option<PathBuf>,
 
-    /// Threads to read on, 1 to 1024; all there are by default
+    /// Number of reading threads, 1 to 1024 [default: all cores]
     #[arg(long, value_name = "N", value_parser = ranged::<u16>(1..=1024))]
     pub(in crate::cli) threads: Option<u16>,
 }
@@ -69,13 +70,13 @@ pub(in crate::cli) struct VerifyArgs {
 /// Which shard to convert.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::cli) enum ShardChoice {
-    /// This one, from 0.
+    /// The shard with this index, from 0.
     Number(u64),
-    /// The one that Slurm says.
+    /// The index in Slurm's environment variable.
     Slurm,
 }
 
-/// The number of a shard, or who tells it.
+/// A shard index, or where to find it.
 pub(in crate::cli) fn parse_shard(text: &str) -> Result<ShardChoice, String> {
     if text == "slurm" {
         return Ok(ShardChoice::Slurm);

@@ -1,7 +1,6 @@
-//! The options of what is written: the same for every command that converts, and for the keys of a file.
+//! The output options, shared by all commands that convert and by the configuration file.
 //!
-//! Nothing here has a default of its own, so that it is known what was given: an option overrides
-//! what stands in a file.
+//! No option has a default here, so that options on the command line can override those of a file.
 
 use std::path::PathBuf;
 
@@ -18,25 +17,30 @@ use crate::surface::options::{OptionGroup, ranged};
 option_set! {
     #[derive(Clone, Debug, Default, PartialEq, Args)]
     pub(in crate::cli) struct FormatArgs {
-        /// What to write: a format, or several with commas between [default: glb,vdb]
+        /// Formats to write, separated by commas [default: glb,vdb]
         #[arg(
             long, value_name = "LIST", value_delimiter = ',', ignore_case = true, value_parser = surface_format(),
             help_heading = OptionGroup::General.heading()
         )]
         pub(in crate::cli) format: Option<Vec<OutputFormat>>,
 
-        /// Which axis of the particles points up: in glTF it must be y, and z is turned there; USD says it [default: y]
+        /// Which axis of the particles points up: glTF needs y, so z is rotated; USD records the axis
+        /// [default: y]
         #[arg(long, help_heading = FORMATS, value_name = "AXIS", ignore_case = true, value_parser = up_axis())]
         pub(in crate::cli) up: Option<UpAxis>,
 
-        /// Length of a world unit in metres, 1e-9 to 1e9, for USD: 0.01 where particles are in centimetres [default: 1]
+        /// Length of a world unit in metres, 1e-9 to 1e9, for USD: 0.01 if particles are in centimetres
+        /// [default: 1]
         #[arg(long, help_heading = FORMATS, value_name = "M", value_parser = ranged::<f64>(METERS_PER_UNIT))]
         pub(in crate::cli) meters_per_unit: Option<f64>,
 
-        /// Write .glb in small integers: a quarter to a third smaller, positions to a 65535th of the frame's width
+        /// Write .glb in small integers: a quarter to a third smaller, positions to a 65535th of the frame's
+        /// width
         ///
-        /// By the extension KHR_mesh_quantization, which Blender and browsers read. Other formats keep their positions; the attributes of
-        /// vertices stay as they are. Triangles that have no area in 16 bits are taken out of the mesh of every format. A frame so wide that a vertex is moved by more than a 50th of a voxel is told of.
+        /// Uses the extension KHR_mesh_quantization, which Blender and browsers support. Other formats keep
+        /// their positions, and attributes of vertices are not quantized. Triangles that have no area in 16
+        /// bits are removed from the meshes of all formats. Warns if a frame is so wide that quantization
+        /// moves a vertex by more than a 50th of a voxel.
         #[arg(long, help_heading = FORMATS)]
         pub(in crate::cli) quantize: bool,
 
@@ -44,15 +48,15 @@ option_set! {
         #[arg(long, help_heading = FORMATS)]
         pub(in crate::cli) vdb_half: bool,
 
-        /// How values are packed in .vdb [default: blosc]
+        /// Compression of values in .vdb [default: blosc]
         #[arg(long, help_heading = FORMATS, value_name = "HOW", ignore_case = true, value_parser = compression())]
         pub(in crate::cli) vdb_compression: Option<vdb::Compression>,
 
-        /// Write a picture of each frame, too: one camera for the whole sequence [default: none]
+        /// Also write a picture of each frame, with one camera for the whole sequence [default: none]
         #[arg(long, help_heading = FORMATS, value_name = "FORMAT", ignore_case = true, value_parser = picture_format())]
         pub(in crate::cli) preview: Option<OutputFormat>,
 
-        /// Width and height of pictures, pixels, each 16 to 8192 [default: 1280x720]
+        /// Width and height of pictures, in pixels, each 16 to 8192 [default: 1280x720]
         #[arg(long, help_heading = FORMATS, value_name = "SIZE", value_parser = parse_picture_size)]
         pub(in crate::cli) preview_size: Option<PictureSize>,
 
@@ -63,15 +67,15 @@ option_set! {
     }
 }
 
-/// The heading of its options but for the first.
+/// The heading of the options after the first.
 const FORMATS: &str = "Formats";
 
-/// A format of surfaces.
+/// A surface format.
 fn surface_format() -> impl TypedValueParser<Value = OutputFormat> {
     format_if(|format| !format.is_picture())
 }
 
-/// A format of pictures.
+/// An image format.
 pub(super) fn picture_format() -> impl TypedValueParser<Value = OutputFormat> {
     format_if(OutputFormat::is_picture)
 }
@@ -81,7 +85,7 @@ fn format_if(is_one: fn(OutputFormat) -> bool) -> impl TypedValueParser<Value = 
     one_of(formats.map(|format| (format, format.extension(), format.help())))
 }
 
-/// An axis that points up.
+/// An up axis.
 pub(super) fn up_axis() -> impl TypedValueParser<Value = UpAxis> {
     let help = |axis| match axis {
         UpAxis::Y => "As glTF has it",
@@ -100,7 +104,7 @@ fn compression() -> impl TypedValueParser<Value = vdb::Compression> {
 }
 
 impl FormatArgs {
-    /// The formats to write, each once: .glb and .vdb by default; and a picture if that was asked for.
+    /// The formats to write, without duplicates: .glb and .vdb by default, and the requested image format.
     pub(in crate::cli) fn written(&self) -> Vec<OutputFormat> {
         let formats = self.format.as_deref().unwrap_or(&[OutputFormat::Glb, OutputFormat::Vdb]);
         let mut written = Vec::new();
@@ -112,10 +116,11 @@ impl FormatArgs {
         written
     }
 
-    /// What is written, to `folder`.
+    /// The output options, with `folder` as their folder.
     ///
     /// # Errors
-    /// When .glb is to be quantized and none is written: whoever asks for it counts on small files.
+    /// If --quantize is given without .glb among the formats: the user expects small files and would not get
+    /// them.
     pub(in crate::cli) fn outputs(&self, folder: PathBuf) -> Result<OutputOptions> {
         let default = OutputOptions::new(folder, &self.written());
         let mut picture = default.picture;
@@ -131,7 +136,7 @@ impl FormatArgs {
             ..default
         };
         if self.quantize && !outputs.has_option(WriteOption::Quantize) {
-            bail!("--quantize is for .glb only, and none is written: leave it out, or add glb to --format");
+            bail!("--quantize requires .glb output: leave it out, or add glb to --format");
         }
         Ok(outputs)
     }

@@ -1,4 +1,4 @@
-//! The options of the commands that tell shells and `man` what the program can do.
+//! The options of `meniscus completions` and `meniscus man`.
 
 use std::path::PathBuf;
 
@@ -16,7 +16,7 @@ pub(in crate::cli) struct CompletionsArgs {
 #[derive(Debug, Args)]
 #[command(after_long_help = WHERE_PAGES_GO)]
 pub(in crate::cli) struct ManArgs {
-    /// Folder for the pages; it is made if it is not there
+    /// Folder for the pages; created if missing
     ///
     /// meniscus.1, meniscus-convert.1 and so on; pages of these names are replaced.
     #[arg(long, value_name = "DIR")]

@@ -1,11 +1,11 @@
-//! What is done with every struct of options alike: which of them are given, and those of the command line over those
+//! Operations on every struct of options: list the given ones, and merge those of the command line with those
 //! of a file.
 
 use crate::surface::options::MethodOptions;
 
-/// Options that can be given or not.
+/// Options that may be absent.
 pub(in crate::cli) trait OptionSet: Sized {
-    /// These, and where one is not given, that of `below`.
+    /// These options, completed by those of `below`.
     fn over(self, below: Self) -> Self;
 
     /// Adds the names of the options that are given, such as `up`; `name` is that of the field that holds these.
@@ -59,7 +59,7 @@ impl OptionSet for MethodOptions {
     }
 }
 
-/// Defines a struct of options, each a field with its help, and what is done with all of them.
+/// Defines a struct of options, each a field with its help, and implements the operations on it.
 macro_rules! option_set {
     (
         $(#[$attribute:meta])*

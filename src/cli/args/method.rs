@@ -1,7 +1,7 @@
-//! The options of the method: the same for every command that converts, and for the keys of a file.
+//! The reconstruction options, shared by all commands that convert and by the configuration file.
 //!
-//! Nothing here has a default of its own, so that it is known what was given: an option overrides
-//! what stands in a file, and that what a preset says.
+//! No option has a default here, so that options on the command line can override those of a file, and those
+//! of a file can override a preset.
 
 use std::path::PathBuf;
 
@@ -11,7 +11,7 @@ use super::merge::option_set;
 use crate::surface::options::{Length, MethodOptions, OptionGroup};
 
 option_set! {
-    /// The options of the method, and what only the command line knows beside them.
+    /// The reconstruction options, and those that exist only on the command line.
     #[derive(Clone, Debug, Default, PartialEq, Args)]
     pub(in crate::cli) struct MethodArgs {
         /// The spacing, as the radius of a particle in the simulation, positive: half the spacing
@@ -21,17 +21,18 @@ option_set! {
         #[command(flatten)]
         pub(in crate::cli) options: MethodOptions,
 
-        /// What the surface must not enter: .obj, .glb, .gltf, .ply, .stl, .vtk, .vtp, .vtu, or a level set in .vdb; more than one if given again
+        /// Obstacles that the surface must not enter: .obj, .glb, .gltf, .ply, .stl, .vtk, .vtp, .vtu, or a
+        /// .vdb level set; may be repeated
         ///
-        /// One file for all frames, or a numbered pattern such as body.####.obj, of which each frame takes the file with its
-        /// own number.
+        /// A file applies to all frames. With a numbered pattern such as body.####.obj, each frame uses the
+        /// file with its own number.
         #[arg(long, value_name = "FILE", help_heading = OptionGroup::Obstacles.heading())]
         pub(in crate::cli) obstacle: Vec<PathBuf>,
     }
 }
 
 impl MethodArgs {
-    /// The options of the method, with the spacing whichever way it was given.
+    /// The reconstruction options, with the spacing in whichever way it was given.
     pub(in crate::cli) fn to_options(&self) -> MethodOptions {
         let spacing = self.options.spacing.or(self.particle_radius.map(|radius| 2.0 * radius));
         MethodOptions { spacing, ..self.options.clone() }

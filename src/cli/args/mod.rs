@@ -1,7 +1,7 @@
-//! What was typed. Nothing below the command line sees these types.
+//! The parsed command line. Only the command-line layer uses these types.
 //!
-//! Options for numbers take negative ones too: what is wrong with those is told where numbers are
-//! checked, and not as an option called `-1`.
+//! Options for numbers accept a leading minus sign, so that the range check reports `-1` as out of range, and
+//! clap does not report it as an unknown option.
 
 mod ask;
 mod farm;
@@ -51,31 +51,31 @@ pub(super) struct Cli {
 
 #[derive(Debug, Subcommand)]
 pub(super) enum Command {
-    /// Turn frames of particles into meshes and level sets.
+    /// Convert frames of particles into meshes and level sets.
     Convert(Box<ConvertArgs>),
-    /// Deal the frames of a sequence to many machines: write a plan of which `convert --plan` converts a shard.
+    /// Split a sequence among many machines: write a plan whose shards `convert --plan` converts.
     Plan(Box<PlanArgs>),
-    /// Tell whether all frames of a plan are there: whole, made as planned, certified.
+    /// Verify the results of a plan: every frame complete, up to date and certified.
     Verify(VerifyArgs),
-    /// Gather the frames of a shot into one file that plays.
+    /// Combine the frames of a shot into one file that plays.
     Sequence(SequenceArgs),
-    /// Take pictures of frames: of particles that are skinned for it, or of level sets.
+    /// Render pictures of frames: particles, which are converted first, or level sets.
     Render(Box<RenderArgs>),
-    /// Show a sequence at a glance: its frames on one sheet.
+    /// Show the frames of a sequence on one sheet.
     ContactSheet(Box<ContactSheetArgs>),
-    /// Show one frame under a grid of settings, and the command for each: to choose by eye.
+    /// Show one frame under a grid of settings, with the command for each, to choose by eye.
     Tune(Box<TuneArgs>),
-    /// Score how much a sequence of surfaces flickers, beside the particles that it is made of.
+    /// Score how much a sequence of surfaces flickers, compared with its particles.
     Flicker(FlickerArgs),
-    /// Tell what files hold: particles, meshes, level sets.
+    /// Print the contents of files: particles, meshes, level sets.
     Info(InfoArgs),
-    /// Watch folders, and convert every frame as it lands.
+    /// Watch folders, and convert every frame as it arrives.
     Watch(Box<WatchArgs>),
-    /// Tell what a daemon has done, what waits, and what failed and why.
+    /// Print the state of a daemon: finished, waiting and failed frames, with reasons.
     Status(StatusArgs),
-    /// Tell why a frame was converted, or was not.
+    /// Explain why a frame was or was not converted.
     Why(WhyArgs),
-    /// Print what a shell needs to complete commands, options and their values.
+    /// Print a script for shells that completes commands, options and values.
     Completions(CompletionsArgs),
     /// Write the manual: a page for each command.
     Man(ManArgs),
@@ -87,10 +87,10 @@ option_set! {
     pub(super) struct ConvertArgs {
         /// Files, folders, globs, or numbered patterns such as dam.####.bgeo, dam.%04d.bgeo, dam.{}.bgeo
         ///
-        /// PLY, BGEO of any version, VTK, NumPy arrays, LAMMPS dumps, atoms in .xyz, raw XYZ and delimited text, packed by gzip or zstd or
-        /// not; the content decides, not the name. Or level sets in .vdb, of which only the surface is made.
-        /// Frames run in natural order; files whose names differ only in the frame number are one
-        /// sequence, and share their settings. `-` reads one file from the standard input.
+        /// PLY, BGEO of any version, VTK, NumPy arrays, LAMMPS dumps, atoms in .xyz, raw XYZ and delimited
+        /// text, optionally compressed by gzip or zstd; the content decides, not the name. Level sets in .vdb
+        /// are contoured. Frames are in natural order; files whose names differ only in the frame number form
+        /// one sequence, and share their settings. `-` reads one file from the standard input.
         #[arg(required_unless_present_any = ["print_settings", "plan"], value_name = "INPUT")]
         pub(super) inputs: Vec<PathBuf>,
 
@@ -98,10 +98,12 @@ option_set! {
         #[arg(long, value_name = "EXTENSION")]
         pub(super) input_format: Option<String>,
 
-        /// Folder for the results; for a single frame also a file such as dam.glb, or - for the standard output
+        /// Folder for the results; for a single frame also a file such as dam.glb, or - for the standard
+        /// output
         ///
-        /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on; a missing folder is made. The extension of a file is its format.
-        /// A file appears under its name only when it is whole. A result that would replace an input is refused.
+        /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on; a missing folder is created. The extension of a
+        /// file is its format. A file appears under its name only when it is complete. A result that would
+        /// replace an input is refused.
         #[arg(short, long, value_name = "PATH", required_unless_present_any = ["print_settings", "plan"])]
         pub(super) out: Option<PathBuf>,
 
@@ -112,35 +114,37 @@ option_set! {
         #[arg(long, value_name = "NUMBERS")]
         pub(super) frames: Option<FrameSelection>,
 
-        /// Write what was measured on each frame to this file, as JSON
+        /// Write the measurements of each frame to this file, as JSON
         #[arg(long, value_name = "FILE")]
         pub(super) report: Option<PathBuf>,
 
-        /// Leave frames alone whose results are there, from the same input, settings and version
+        /// Skip frames whose results exist and were made from the same input, settings and version
         #[arg(long)]
         pub(super) skip_done: bool,
 
-        /// By how much the surface of a level set in .vdb may move to become smooth, in voxels, 0 to 3 [default: 0]
+        /// Maximum distance by which smoothing may move the surface of a .vdb level set, in voxels, 0 to 3
+        /// [default: 0]
         ///
-        /// A level set that is an input has its voxels already: it is contoured as it is, or, with a slack, becomes the smoothest
-        /// surface that is nowhere farther from it. Options of particles are refused.
+        /// A level set already has its voxels: it is contoured as it is or, with a slack, replaced by the
+        /// smoothest surface within that distance of it. Options for particles are refused.
         #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = slack())]
         pub(super) band_slack: Option<f64>,
 
-        /// Write the particles as they are, as ply or vtp, and no surface
+        /// Write the particles unchanged, as ply or vtp, without a surface
         ///
-        /// Every attribute keeps its name and its type, and positions their 64 bits. Options about surfaces are refused.
+        /// Every attribute keeps its name and type, and positions keep 64 bits. Options for surfaces are
+        /// refused.
         #[arg(long)]
         pub(super) particles_only: bool,
 
-        /// Convert a shard of this plan, which `meniscus plan` wrote, and leave alone what is done
+        /// Convert a shard of this plan, which `meniscus plan` wrote, and skip finished frames
         ///
-        /// The plan says what is made of which frames: beside it only --shard, --report and the options under Run may be
-        /// given.
+        /// The plan has the frames and their settings, so only --shard, --report and the options under Run
+        /// may be combined with it.
         #[arg(long, value_name = "FILE", requires = "shard", help_heading = "Farm")]
         pub(super) plan: Option<PathBuf>,
 
-        /// Which shard of the plan, from 0; or slurm: the number of this task of a job array
+        /// Which shard of the plan, from 0; or slurm: the index of this task of a job array
         #[arg(long, value_name = "K", requires = "plan", value_parser = parse_shard, help_heading = "Farm")]
         pub(super) shard: Option<ShardChoice>,
 
@@ -150,18 +154,20 @@ option_set! {
         #[command(flatten, next_help_heading = "Run")]
         pub(super) run: RunArgs,
 
-        /// After a frame that failed, stop or continue with the next [default: continue]
+        /// After a failed frame, stop or continue with the next [default: continue]
         #[arg(long, value_name = "WHAT", value_parser = on_error(), help_heading = "Run")]
         pub(super) on_error: Option<OnError>,
 
-        /// Exit with status 0 though some results fail validation
+        /// Exit with status 0 even if some results fail validation
         ///
-        /// Each result is checked as it was written: every particle inside, the surface between its bounds, the mesh closed. A
-        /// result that fails is kept and named, and without this option the exit status is 1.
+        /// Each result is validated as it was written: every particle is inside, the surface is between its
+        /// bounds, the mesh is closed. A result that fails is kept and named, and without this option the
+        /// exit status is 1.
         #[arg(long, help_heading = "Run")]
         pub(super) allow_violations: bool,
 
-        /// Print the settings that these options and a --preset stand for, as keys of a file, and convert nothing
+        /// Print the settings that these options and a --preset result in, as keys of a configuration file,
+        /// and convert nothing
         ///
         /// Without INPUT, --spacing and --voxel-size, lengths are in units of the particle spacing.
         #[arg(long, help_heading = "Run")]
@@ -185,12 +191,12 @@ pub(super) struct InfoArgs {
 
 fn on_error() -> impl TypedValueParser<Value = OnError> {
     one_of([
-        (OnError::Stop, "stop", "Write exactly the frames before the one that failed"),
-        (OnError::Continue, "continue", "Go on with the next frame"),
+        (OnError::Stop, "stop", "Stop: write exactly the frames before the one that failed"),
+        (OnError::Continue, "continue", "Continue with the next frame"),
     ])
 }
 
-/// A slack in voxels, within what the band around a surface has room for.
+/// A slack in voxels, limited by the width of the narrow band.
 fn slack() -> impl TypedValueParser<Value = f64> {
     ranged::<f64>(0.0..=SLACK_MAX_VOXELS.into())
 }
@@ -230,7 +236,7 @@ Exit status:
   1    some frames failed, or their results failed validation; each is named, with why, and the
        others are there
   2    the command cannot be carried out, or no frame was converted
-  130  interrupted: what is there is whole, and --skip-done goes on from it";
+  130  interrupted: existing results are complete, and --skip-done continues from there";
 
 #[cfg(test)]
 mod tests;

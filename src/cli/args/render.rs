@@ -1,4 +1,4 @@
-//! The options of pictures.
+//! The options of `meniscus render`.
 
 use std::path::PathBuf;
 
@@ -17,9 +17,9 @@ use crate::surface::options::ranged;
 #[derive(Debug, Args)]
 #[command(after_long_help = CAMERAS)]
 pub(in crate::cli) struct RenderArgs {
-    /// Level sets in .vdb, or anything that convert takes: files, folders, globs, numbered patterns
+    /// Level sets in .vdb, or any input of convert: files, folders, globs, numbered patterns
     ///
-    /// Particles are skinned for the picture with the options below, as convert does it.
+    /// Particles are first converted to a surface with the options below, as convert does it.
     #[arg(required = true, value_name = "INPUT")]
     pub(in crate::cli) inputs: Vec<PathBuf>,
 
@@ -27,7 +27,7 @@ pub(in crate::cli) struct RenderArgs {
     #[arg(short, long, value_name = "FILE", conflicts_with_all = ["out", "format"], required_unless_present = "out")]
     pub(in crate::cli) output: Option<PathBuf>,
 
-    /// Folder for the pictures of any number of frames; it is made if it is not there
+    /// Folder for the pictures of any number of frames; created if missing
     ///
     /// dam.0012.bgeo becomes DIR/dam.0012.png.
     #[arg(long, value_name = "DIR")]
@@ -45,11 +45,11 @@ pub(in crate::cli) struct RenderArgs {
     #[arg(long, value_name = "SIZE", value_parser = parse_picture_size, default_value = "1280x720")]
     pub(in crate::cli) size: PictureSize,
 
-    /// As many pictures of each frame, 2 to 1000, once around it: frame.000.png and so on
+    /// Number of pictures of each frame, 2 to 1000, in a full turn around it: frame.000.png and so on
     #[arg(long, value_name = "N", value_parser = ranged::<u16>(2..=1000))]
     pub(in crate::cli) turntable: Option<u16>,
 
-    /// The particles to the left, the surface to the right
+    /// Show the particles on the left, the surface on the right
     #[arg(long)]
     pub(in crate::cli) particles: bool,
 
@@ -57,7 +57,7 @@ pub(in crate::cli) struct RenderArgs {
     pub(in crate::cli) pictures: PictureArgs,
 }
 
-/// How pictures are taken, and of what: the same for every command that takes some.
+/// The camera and settings of pictures, shared by every command that renders some.
 #[derive(Clone, Debug, Args)]
 pub(in crate::cli) struct PictureArgs {
     /// Where pictures are taken from: auto, or a list of key=value, such as azimuth=32,zoom=2, which
@@ -65,11 +65,12 @@ pub(in crate::cli) struct PictureArgs {
     #[arg(long, value_name = "SPEC", conflicts_with = "camera_from")]
     pub(in crate::cli) camera: Option<CameraChoice>,
 
-    /// Take the camera of this file: a .glb or .gltf with one, or a picture that was made by this program
+    /// Use the camera of this file: a .glb or .gltf with one, or a picture that meniscus made
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) camera_from: Option<PathBuf>,
 
-    /// Which axis points up, where --camera does not say it; a camera of a .glb or .gltf is turned to it [default: y]
+    /// Which axis points up, if --camera does not say it; a camera of a .glb or .gltf is rotated to it
+    /// [default: y]
     #[arg(long, value_name = "AXIS", ignore_case = true, value_parser = up_axis())]
     pub(in crate::cli) up: Option<UpAxis>,
 
@@ -81,18 +82,19 @@ pub(in crate::cli) struct PictureArgs {
 }
 
 option_set! {
-    /// What a command may take of the machine.
+    /// The resources that a command may use.
     #[derive(Clone, Debug, Default, PartialEq, Args)]
     pub(in crate::cli) struct RunArgs {
-        /// Threads to compute on, 1 to 1024; all there are by default. The results do not depend on it
+        /// Number of threads, 1 to 1024 [default: all cores]. Results do not depend on it
         #[arg(long, value_name = "N", value_parser = ranged::<u16>(1..=1024))]
         pub(in crate::cli) threads: Option<u16>,
 
-        /// Memory that the frames under way may take together, such as 8GiB; half of what there is by
-        /// default
+        /// Memory limit for all frames in flight together, such as 8GiB [default: half of the available
+        /// memory]
         ///
-        /// A frame that takes more by itself is skinned in tiles, which wait in files beside the results, and comes
-        /// out the same. One that cannot be fails, and says how much it needs.
+        /// A frame that needs more is converted in tiles, which are stored in files beside the results; the
+        /// result is the same. If even that does not fit, the frame fails with an error that states the
+        /// memory it needs.
         #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
         pub(in crate::cli) memory: Option<u64>,
     }

@@ -1,4 +1,4 @@
-//! The options of what gathers a shot into one file.
+//! The options that combine a shot into one file.
 
 use std::path::PathBuf;
 
@@ -12,7 +12,8 @@ use crate::surface::options::ranged;
 #[derive(Debug, Args)]
 #[command(after_long_help = PLAYING)]
 pub(in crate::cli) struct SequenceArgs {
-    /// The .glb of the frames, as convert wrote them: files, a folder, globs, or numbered patterns such as dam.####.glb
+    /// The .glb files of the frames, as convert wrote them: files, a folder, globs, or numbered patterns such
+    /// as dam.####.glb
     #[arg(required = true, value_name = "INPUT")]
     pub(in crate::cli) inputs: Vec<PathBuf>,
 
@@ -30,14 +31,16 @@ pub(in crate::cli) struct SequenceArgs {
 }
 
 option_set! {
-    /// The same, where the frames are converted.
+    /// The same options for commands that convert the frames.
     #[derive(Clone, Debug, Default, PartialEq, Args)]
     pub(in crate::cli) struct ShotArgs {
-        /// In the end, gather the frames into one .glb that plays, as `meniscus sequence` does; for one sequence, with glb in --format
+        /// Finally, combine the frames into one .glb that plays, as `meniscus sequence` does; for one
+        /// sequence, with glb in --format
         #[arg(long, value_name = "FILE")]
         pub(in crate::cli) sequence_glb: Option<PathBuf>,
 
-        /// In the end, gather the frames into one .usda with time samples; for one sequence, with glb in --format
+        /// Finally, combine the frames into one .usda with time samples; for one sequence, with glb in
+        /// --format
         #[arg(long, value_name = "FILE")]
         pub(in crate::cli) sequence_usda: Option<PathBuf>,
 
@@ -47,7 +50,7 @@ option_set! {
     }
 }
 
-/// Frames per second, unless others are asked for.
+/// The default frames per second.
 pub(in crate::cli) const FPS: f64 = 24.0;
 
 const PLAYING: &str = "\

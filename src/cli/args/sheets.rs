@@ -1,4 +1,4 @@
-//! The options of sheets of pictures.
+//! The options of picture sheets.
 
 use std::path::PathBuf;
 
@@ -15,8 +15,9 @@ use crate::surface::options::ranged;
 pub(in crate::cli) struct ContactSheetArgs {
     /// A folder of pictures, level sets in .vdb or particles; or files, globs, numbered patterns of them
     ///
-    /// Of a frame that is there in several forms, the one that costs least is taken. Particles are skinned for the
-    /// sheet with the options below, as convert does it; where one of these is given, nothing else is taken.
+    /// If a frame exists in several forms, the cheapest is shown. Particles are converted to a surface for
+    /// the sheet with the options below, as convert does it; if one of these is given, only particles are
+    /// used.
     #[arg(required = true, value_name = "INPUT")]
     pub(in crate::cli) inputs: Vec<PathBuf>,
 
@@ -28,12 +29,12 @@ pub(in crate::cli) struct ContactSheetArgs {
     #[arg(long, value_name = "NUMBERS")]
     pub(in crate::cli) frames: Option<FrameSelection>,
 
-    /// Cells for each sequence, at most, 2 to 1000: of more frames so many are shown, evenly spaced, with the first
-    /// and the last
+    /// Maximum number of cells for each sequence, 2 to 1000: of a longer one, evenly spaced frames are shown,
+    /// with the first and the last
     #[arg(long, value_name = "N", value_parser = ranged::<u16>(2..=1000), default_value_t = 60)]
     pub(in crate::cli) count: u16,
 
-    /// Cells in a row, 1 to 1000; about as many as there are rows by default
+    /// Cells per row, 1 to 1000 [default: about as many as there are rows]
     #[arg(long, value_name = "N", value_parser = ranged::<u16>(1..=1000))]
     pub(in crate::cli) columns: Option<u16>,
 
@@ -50,7 +51,7 @@ pub(in crate::cli) struct ContactSheetArgs {
 pub(in crate::cli) struct TuneArgs {
     /// Particles, as convert takes them: a file, or a folder, glob or numbered pattern with one sequence
     ///
-    /// Of a sequence the frame in the middle is taken; --frames tells another.
+    /// Of a sequence the middle frame is shown; --frames selects another.
     #[arg(required = true, value_name = "INPUT")]
     pub(in crate::cli) inputs: Vec<PathBuf>,
 
@@ -58,11 +59,11 @@ pub(in crate::cli) struct TuneArgs {
     #[arg(short, long, value_name = "FILE")]
     pub(in crate::cli) output: PathBuf,
 
-    /// What differs from cell to cell: one, two or three of the names below, with values or without
+    /// What differs from cell to cell: one, two or three of the names below, with or without values
     #[arg(long, value_name = "LIST", default_value = "smoothing,min")]
     pub(in crate::cli) vary: Vary,
 
-    /// The frame with this number; of several, such as 100-200, the one in the middle
+    /// The frame with this number; of several, such as 100-200, the middle one
     #[arg(long, value_name = "NUMBERS")]
     pub(in crate::cli) frames: Option<FrameSelection>,
 
@@ -70,7 +71,7 @@ pub(in crate::cli) struct TuneArgs {
     #[arg(long, value_name = "SIZE", value_parser = parse_picture_size, default_value = "480x360")]
     pub(in crate::cli) size: PictureSize,
 
-    /// Folder for the results in the commands that are printed; none is made here
+    /// Folder for the results in the printed commands; it is not created here
     #[arg(long, value_name = "DIR", default_value = "surfaces")]
     pub(in crate::cli) out: PathBuf,
 

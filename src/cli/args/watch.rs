@@ -1,7 +1,7 @@
 //! The options of the daemon.
 //!
-//! All but the folders themselves are keys of `meniscus.toml`, too, under the same names with
-//! underscores; so none has a default here, and what is given overrides the file.
+//! All options but the folders are also keys of `meniscus.toml`, with underscores in their names. So none has
+//! a default here, and options on the command line override the file.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -20,16 +20,16 @@ use crate::watch::{Order, Poll};
 #[derive(Clone, Debug, Default, Args)]
 #[command(after_long_help = WATCHING)]
 pub(in crate::cli) struct WatchArgs {
-    /// Folders to watch; they take the place of the [[watch]] blocks of a --config
+    /// Folders to watch; they replace the [[watch]] blocks of a --config
     ///
-    /// A folder need not be there yet. One that goes away is waited for.
+    /// A folder need not exist yet. If one disappears, the daemon waits for it.
     #[arg(value_name = "DIR", required_unless_present = "config")]
     pub(in crate::cli) inputs: Vec<PathBuf>,
 
-    /// Folder for the results; it is made if it is not there
+    /// Folder for the results; created if missing
     ///
-    /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on, sub/dam.0012.bgeo becomes
-    /// DIR/sub/dam.0012.glb. What is done is remembered in DIR/.meniscus.
+    /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on, sub/dam.0012.bgeo becomes DIR/sub/dam.0012.glb. The
+    /// journal of converted frames is in DIR/.meniscus.
     #[arg(long, value_name = "DIR", required_unless_present = "config")]
     pub(in crate::cli) out: Option<PathBuf>,
 
@@ -39,11 +39,11 @@ pub(in crate::cli) struct WatchArgs {
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) config: Option<PathBuf>,
 
-    /// Convert what is there, and end
+    /// Convert the existing frames, and exit
     #[arg(long)]
     pub(in crate::cli) once: bool,
 
-    /// With --once: exit with status 0 though some results fail validation
+    /// With --once: exit with status 0 even if some results fail validation
     #[arg(long, requires = "once")]
     pub(in crate::cli) allow_violations: bool,
 
@@ -53,31 +53,32 @@ pub(in crate::cli) struct WatchArgs {
     #[command(flatten, next_help_heading = "Daemon")]
     pub(in crate::cli) daemon: DaemonArgs,
 
-    /// The same, typed here, where others on this machine may see it
+    /// The same token on the command line, where other users of this machine may see it
     #[arg(long, value_name = "TOKEN", conflicts_with = "token_file", help_heading = "Daemon")]
     pub(in crate::cli) token: Option<String>,
 }
 
 option_set! {
-    /// What is a frame, and what becomes of it: the keys of a `[[watch]]` block.
+    /// Which files are frames, and how they are converted: the keys of a `[[watch]]` block.
     #[derive(Clone, Debug, Default, PartialEq, Args)]
     pub(in crate::cli) struct FrameArgs {
-        /// Only files whose name matches, such as 'dam.*.bgeo'; or, with a / in it and --recursive, whose
-        /// path within DIR does, such as '*/fluid*.ply'
+        /// Only files whose name matches, such as 'dam.*.bgeo'; or, with a / in the pattern and --recursive,
+        /// whose path within DIR matches, such as '*/fluid*.ply'
         ///
-        /// By default all whose names say that they hold particles, and text that does. Hidden files
-        /// and results of this program are never taken.
+        /// By default all files with an extension of a particle format, and text files that hold particles.
+        /// Hidden files and results of meniscus are never taken.
         #[arg(long, value_name = "GLOB")]
         pub(in crate::cli) pattern: Option<String>,
 
-        /// Watch sub-folders, too
+        /// Watch sub-folders as well
         #[arg(long)]
         pub(in crate::cli) recursive: bool,
 
-        /// A frame is complete when the file of this name lies beside it, such as {name}.ok
+        /// Name of the sentinel: a frame is complete when a file of this name, such as {name}.ok, is beside
+        /// it
         ///
-        /// {name} is the frame's name, {stem} the name without its extension. Frames then wait for
-        /// theirs. Without it, {stem}.done is proof where it is there.
+        /// {name} is the frame's name, {stem} the name without its extension. Frames then wait for their
+        /// sentinels. Without this option, {stem}.done counts as a sentinel if it exists.
         #[arg(long, value_name = "NAME")]
         pub(in crate::cli) sentinel: Option<String>,
 
@@ -90,67 +91,68 @@ option_set! {
 }
 
 option_set! {
-    /// How the daemon goes about it: the keys of the `[daemon]` block.
+    /// Settings of the daemon itself: the keys of the `[daemon]` block.
     #[derive(Clone, Debug, Default, PartialEq, Args)]
     pub(in crate::cli) struct DaemonArgs {
-        /// Which of several waiting frames is next [default: natural]
+        /// Which of several waiting frames to convert next [default: natural]
         #[arg(long, value_name = "WHICH", ignore_case = true)]
         pub(in crate::cli) order: Option<Order>,
 
         #[command(flatten)]
         pub(in crate::cli) run: RunArgs,
 
-        /// Frames under way at once, at most, 1 to 1024; by the number of threads by default
+        /// Maximum number of frames in flight, 1 to 1024 [default: depends on the number of threads]
         #[arg(long, value_name = "N", value_parser = ranged::<u16>(1..=1024))]
         pub(in crate::cli) in_flight: Option<u16>,
 
-        /// Begin no frame while the disk of the results has less room than this [default: 1GiB]
+        /// Start no frame while the disk of the results has less free space than this [default: 1GiB]
         #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
         pub(in crate::cli) disk_floor: Option<u64>,
 
-        /// How long a file must be left alone before it is read [default: 500ms]
+        /// How long a file must be unchanged before it is read [default: 500ms]
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(in crate::cli) settle: Option<Duration>,
 
-        /// The same, for a file whose format cannot tell whether it is complete [default: 4 times
-        /// --settle, at least 2s]
+        /// The same, for a format that cannot tell whether a file is complete [default: 4 times --settle, at
+        /// least 2s]
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(in crate::cli) unproven: Option<Duration>,
 
-        /// The same, for a file whose format says that it is not complete: then it has failed
-        /// [default: 30s; with --once as --unproven]
+        /// The same, for a file that its format shows to be incomplete: then the frame fails [default: 30s;
+        /// with --once as --unproven]
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(in crate::cli) stalled: Option<Duration>,
 
-        /// Look at the folders so often; auto does where the system does not tell of changes, as on
-        /// network file systems [default: auto]
+        /// Interval between scans of the folders; auto scans them if the system does not report changes, as
+        /// on network file systems [default: auto]
         #[arg(long, value_name = "TIME", value_parser = parse_poll)]
         pub(in crate::cli) poll: Option<Poll>,
 
-        /// About how often everything is looked at, whatever the system said [default: 60s]
+        /// Approximate interval between full scans, which find changes that the system did not report
+        /// [default: 60s]
         #[arg(long, value_name = "TIME", value_parser = parse_rescan)]
         pub(in crate::cli) rescan: Option<Duration>,
 
-        /// Folder to remember in what is done; .meniscus in the folder for the results by default
+        /// Folder for the journal [default: .meniscus in the folder for the results]
         #[arg(long, value_name = "DIR")]
         pub(in crate::cli) journal: Option<PathBuf>,
 
-        /// How the log on the standard error is written [default: text]
+        /// Format of the log on the standard error [default: text]
         #[arg(long, value_name = "HOW", ignore_case = true)]
         pub(in crate::cli) log: Option<LogChoice>,
 
-        /// Show what is going on at this address, such as 127.0.0.1:7700: a page, and an interface for programs
+        /// Serve a status page and an HTTP API at this address, such as 127.0.0.1:7700
         ///
-        /// Nothing is shown by default. It only shows, and changes nothing. Another address than one of this machine
-        /// alone demands a token. Port 0 takes one that is free, and the log says which.
+        /// Off by default, and read-only. An address that other machines can reach requires a token. With
+        /// port 0 the system chooses a free port, which the log states.
         #[arg(long, value_name = "ADDRESS", value_parser = parse_listen)]
         pub(in crate::cli) listen: Option<SocketAddr>,
 
-        /// Show it only to those who know the first line of this file: 16 letters or digits or more
+        /// Require the token in the first line of this file: 16 or more letters or digits
         #[arg(long, value_name = "FILE")]
         pub(in crate::cli) token_file: Option<PathBuf>,
 
-        /// How long frames under way may take to finish when the daemon is asked to end [default: 30s]
+        /// Time limit for in-flight frames when the daemon is told to stop [default: 30s]
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(in crate::cli) stop_deadline: Option<Duration>,
     }
@@ -158,14 +160,14 @@ option_set! {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(in crate::cli) enum LogChoice {
-    /// Lines to read
+    /// Lines of text
     Text,
-    /// An object on each line
+    /// One JSON object per line
     Json,
 }
 
 impl FrameArgs {
-    /// These, and where one is not given, that of a file; a spacing takes the place of one in either form.
+    /// These options, completed by those of a file; a spacing replaces the other way to give it.
     pub(in crate::cli) fn over_file(&self, file: &FrameArgs) -> FrameArgs {
         let mut file = file.clone();
         if self.method.to_options().spacing.is_some() {

@@ -1,4 +1,5 @@
-//! `meniscus watch`: the daemon, between the person or system that started it and its loop.
+//! `meniscus watch`: runs the daemon's event loop and connects it to signals, the service manager and the
+//! log.
 //!
 //! ```text
 //!   SIGTERM, SIGINT ──▶ Command::Finish ──▶ ┌─────────────┐ ──▶ Notice ──▶ systemd
@@ -6,8 +7,8 @@
 //!                                           └─────────────┘ ──▶ tracing ──▶ standard error
 //! ```
 //!
-//! A file that is wrong when it is read again changes nothing: the plan is made before the loop is
-//! asked to end, and it goes on with the old one where there is no new one.
+//! A reload makes the new plan before the loop ends. If the configuration file is invalid, the loop continues
+//! with the old plan.
 
 mod log;
 mod plan;
@@ -38,17 +39,17 @@ use plan::WatchPlan;
 pub(super) use plan::make_plan;
 use service::Service;
 
-/// Watches until it is asked to end, or, once, until what is there is converted.
+/// Watches until it receives a signal to stop or, with `--once`, until all existing frames are converted.
 ///
 /// # Errors
-/// When it cannot begin.
+/// If the daemon cannot start.
 pub(super) fn watch(args: &WatchArgs) -> Result<CommandOutcome> {
     let mut plan = make_plan(args)?;
     log::start(plan.log)?;
     if let Some(warning) = level_warning() {
         warn!("{warning}");
     }
-    // One of each at most is ever waiting: whoever sends never blocks.
+    // Each command is sent once at most, so a sender never blocks.
     let (sender, commands) = bounded(2);
     let control = Arc::new(Control::new(args.clone(), (plan.log, plan.listen.clone()), sender));
     signals::listen(Arc::clone(&control))?;
@@ -62,14 +63,15 @@ pub(super) fn watch(args: &WatchArgs) -> Result<CommandOutcome> {
         }
         *lock(&control.stop_deadline) = plan.config.stop_deadline;
         let mut notices = |notice: Notice| match notice {
-            // It ends to begin again: for the outside it goes on.
+            // The loop ends only to restart: clients and the service manager see one continuous run.
             Notice::Stopping | Notice::Overdue if control.is_reloading() => {}
             Notice::Overdue => give_up_what_is_under_way(args.once),
             notice => service.tell(&notice),
         };
         let summary = match watch::run(&plan.config, store.as_ref(), &commands, &mut notices) {
             Ok(summary) => summary,
-            // What could be read again may still be impossible: somebody else has the new output.
+            // A valid configuration may still be unusable: for example, another daemon has locked the new
+            // output.
             Err(error) => match previous.take() {
                 Some(old) => {
                     error!("going on with the old configuration: {error}");
@@ -102,15 +104,15 @@ fn open_window(listen: Option<&Listen>, store: Option<&Arc<StatusStore>>) -> Res
     Ok(Some(window))
 }
 
-/// Ends at once: what is not whole yet is left for the next time.
+/// Exits immediately. The next run converts the unfinished frames.
 fn give_up_what_is_under_way(once: bool) {
     stop_writing();
-    // A daemon did what it was asked to; who wanted all that is there did not get it.
+    // A daemon exits with 0, because it was told to stop. With `--once`, exiting early is a failure.
     std::process::exit(i32::from(once));
 }
 
-/// Logs how the run ended, and returns the verdict. `once` is whether violations are allowed, of a run that converts what is
-/// there and ends.
+/// Logs how the run ended, and returns the exit status. `once` is `None` for a daemon; with `--once`, it is
+/// whether validation failures are allowed.
 fn conclude(once: Option<bool>, watches: &[Watch], summary: &WatchSummary) -> CommandOutcome {
     let WatchSummary { ended, done_count, broken_count, failed, left_count } = summary;
     if is_out_of_sight(failed) {
@@ -121,7 +123,7 @@ fn conclude(once: Option<bool>, watches: &[Watch], summary: &WatchSummary) -> Co
     if *ended == EndReason::Drained && done_count + failed.len() + left_count == 0 {
         warn!("there are no frames to convert{}", level_sets_left(watches));
     }
-    let why = if *ended == EndReason::Drained { "nothing is left to do" } else { "asked to end" };
+    let why = if *ended == EndReason::Drained { "all frames are done" } else { "asked to end" };
     info!(done = done_count, failed = failed.len(), left = left_count, "ended: {why}");
     let Some(allow_violations) = once else { return CommandOutcome::Done };
     if *broken_count > 0 {
@@ -150,25 +152,25 @@ fn level_sets_left(watches: &[Watch]) -> String {
     }
 }
 
-/// Whether something of this was told long ago, or never. What was just told is not told again.
+/// Whether some failures were last logged long ago or never. Recent ones need no repetition.
 fn is_out_of_sight(failed: &[FailedFrame]) -> bool {
     failed.iter().any(|failure| failure.frames_since.is_none_or(|count| count > FRAMES_IN_VIEW))
 }
 
-/// What signals ask for, and the loop is told.
+/// State shared with the signal thread, which sends commands to the loop.
 struct Control {
     args: WatchArgs,
-    /// A log is begun once.
+    /// The log starts once per process; a reload cannot change it.
     log: LogChoice,
-    /// A window is opened once.
+    /// The HTTP server starts once per process; a reload cannot change it.
     listen: Option<Listen>,
     commands: Sender<DaemonRequest>,
     finishing: AtomicBool,
-    /// One after the other.
+    /// Serializes reloads.
     reloading: Mutex<()>,
-    /// How long frames under way may take when it ends.
+    /// Time limit for in-flight frames at shutdown.
     stop_deadline: Mutex<Duration>,
-    /// The plan of a reload that is under way.
+    /// The plan of a pending reload.
     next: Mutex<Option<WatchPlan>>,
 }
 
@@ -190,18 +192,18 @@ impl Control {
         }
     }
 
-    /// Asks the loop to finish. Whether it was asked before. Logs nothing: a standard error that takes no more text would
-    /// block the caller.
+    /// Sends the loop the command to finish, and returns whether it was already sent. Logs nothing: writing
+    /// to a standard error whose pipe is full would block the caller.
     fn finish(&self) -> bool {
         let again = self.finishing.swap(true, Ordering::SeqCst);
         if !again {
-            // Where nobody listens any more, it has ended.
+            // Sending fails only if the loop has ended.
             let _ = self.commands.send(DaemonRequest::Finish);
         }
         again
     }
 
-    /// Makes another plan, and asks the loop to end for it.
+    /// Makes a new plan, and sends the loop the command to restart with it.
     fn reload(&self) {
         let _alone = lock(&self.reloading);
         if self.is_finishing() {
@@ -210,7 +212,7 @@ impl Control {
         service::tell_reloading();
         match self.plan_again() {
             Ok(plan) => {
-                info!("asked to begin again with what the file says now");
+                info!("reloading the configuration");
                 let is_first = lock(&self.next).replace(plan).is_none();
                 if is_first {
                     let _ = self.commands.send(DaemonRequest::Reload);
@@ -230,10 +232,10 @@ impl Control {
         }
         let plan = make_plan(&self.args)?;
         if plan.log != self.log {
-            warn!("`log` changes when the daemon is started again");
+            warn!("a change of `log` needs a restart of the daemon");
         }
         if plan.listen != self.listen {
-            warn!("`listen` and the token change when the daemon is started again");
+            warn!("a change of `listen` or the token needs a restart of the daemon");
         }
         Ok(plan)
     }
@@ -246,13 +248,14 @@ impl Control {
         !self.is_finishing() && lock(&self.next).is_some()
     }
 
-    /// The plan to go on with, unless it is to end.
+    /// The plan to restart with, or `None` if the daemon is shutting down.
     fn next_plan(&self) -> Option<WatchPlan> {
         lock(&self.next).take().filter(|_| !self.is_finishing())
     }
 }
 
-/// What is in there, whatever panicked beside it: each value is set whole.
+/// Locks a value that may be poisoned: each value is replaced as a whole, so it is consistent even after a
+/// panic.
 fn lock<T>(value: &Mutex<T>) -> MutexGuard<'_, T> {
     value.lock().unwrap_or_else(PoisonError::into_inner)
 }
