@@ -1,17 +1,17 @@
-//! From what was typed as INPUT to files.
+//! Expands the INPUT arguments into files.
 //!
 //! ```text
-//!   dam.0012.bgeo      there is such a file        that file
-//!   frames             there is such a folder      the frames in it
+//!   dam.0012.bgeo      an existing file           that file
+//!   frames             an existing folder         the frames in it
 //!   dam.####.bgeo      a number in the name        dam.0012.bgeo, dam.10000.bgeo
 //!   dam.%04d.bgeo      the same
 //!   dam.{}.bgeo        a number of any width       dam.7.bgeo
-//!   shots/*/dam*.ply   anything else with * ? []   what matches
+//!   shots/*/dam*.ply   anything else with * ? []   the matching files
 //!   dump.lammpstrj     a file with several steps   each of them
 //!   dump.lammpstrj/step=1000   one of its steps    that step
 //! ```
 //!
-//! What exists is taken by its name, so that odd characters in names never get in the way.
+//! An argument that names an existing path means that path, so special characters in names do no harm.
 
 use std::collections::HashSet;
 use std::ffi::OsString;
@@ -30,26 +30,26 @@ use crate::pipeline::{
 
 use super::console::Console;
 
-/// The files that were meant.
+/// The files that the inputs name.
 #[derive(Debug, Default)]
 pub(super) struct MatchedInputs {
-    /// Each once.
+    /// Without duplicates.
     pub(super) files: Vec<FrameFile>,
-    /// Files in folders that are no frames: the first by path, and how many.
+    /// Files in folders that are not frames: the first by path, and their number.
     pub(super) passed_over: Option<(PathBuf, usize)>,
-    /// Paths that could not be examined and may be, or hold, frames; each with the reason.
+    /// Paths that could not be examined and may be or contain frames, each with the reason.
     pub(super) unreadable: Vec<(PathBuf, String)>,
-    /// Other remarks, a sentence each.
+    /// Other warnings, one sentence each.
     pub(super) warnings: Vec<String>,
 }
 
-/// As much as tells what a file is.
+/// The number of bytes that identify the format of a file.
 const HEAD_BYTES: u64 = 64 << 10;
 
-/// Finds the files that the inputs stand for.
+/// Finds the files that the inputs name.
 ///
 /// # Errors
-/// When an input stands for no file at all.
+/// If an input matches no file.
 pub(super) fn find_inputs(inputs: &[PathBuf]) -> Result<MatchedInputs> {
     let found = look_for(inputs, false)?;
     match found.unreadable.first() {
@@ -58,11 +58,11 @@ pub(super) fn find_inputs(inputs: &[PathBuf]) -> Result<MatchedInputs> {
     }
 }
 
-/// Finds what the inputs stand for. Where `others_in` an input are files of other kinds, they are added with `add`, and there need
-/// be no particles.
+/// Finds the files that the inputs name. If `others_in` finds files of other kinds in an input, `add` adds
+/// them, and the input need not contain particles.
 ///
 /// # Errors
-/// When an input stands for no file at all, or a folder cannot be read.
+/// If an input matches no file, or a folder cannot be read.
 pub(super) fn find_with_others(
     inputs: &[PathBuf],
     others_in: impl Fn(&Path) -> Result<Vec<FrameFile>>,
@@ -82,14 +82,14 @@ pub(super) fn find_with_others(
     Ok(all)
 }
 
-/// Finds the files; folders without frames are refused unless they may be empty.
+/// Finds the files. Folders without frames are refused unless they may be empty.
 fn look_for(inputs: &[PathBuf], may_be_empty: bool) -> Result<MatchedInputs> {
     let mut found = MatchedInputs::default();
     for input in inputs {
         match input.metadata() {
             Ok(metadata) if metadata.is_dir() => found.add_folder(input, may_be_empty)?,
             Ok(_) => found.files.push(FrameFile::new(input.clone())),
-            // Reading it says what is wrong.
+            // Reading the file later reports the error.
             Err(_) if input.symlink_metadata().is_ok() => found.files.push(FrameFile::new(input.clone())),
             Err(_) if step_of(input).is_some_and(|(file, _)| file.is_file()) => {
                 size_bytes(input).map_err(|error| anyhow!("{}: {error}", shown(input)))?;
@@ -113,10 +113,12 @@ fn look_for(inputs: &[PathBuf], may_be_empty: bool) -> Result<MatchedInputs> {
     Ok(found)
 }
 
-/// The steps of a file that has several; else the file. One that cannot be looked through is read later, which says why.
+/// Expands a file with several steps into its steps. A file whose steps cannot be listed is returned as it
+/// is: reading it reports the error.
 ///
 /// # Errors
-/// When it is beyond a limit, such as that of steps: as one frame it would be read whole for nothing.
+/// If it exceeds a limit, such as the maximum number of steps: otherwise it would be read as one large frame,
+/// only to fail.
 fn frames_of(file: FrameFile) -> Result<Vec<FrameFile>, Error> {
     if step_of(&file.path).is_some() {
         return Ok(vec![file]);
@@ -129,7 +131,7 @@ fn frames_of(file: FrameFile) -> Result<Vec<FrameFile>, Error> {
 }
 
 impl MatchedInputs {
-    /// Takes in what was found elsewhere, each file once.
+    /// Merges the files of another search, without duplicates.
     pub(super) fn add(&mut self, found: MatchedInputs) {
         let mut seen: HashSet<PathBuf> = self.files.iter().map(|file| entry(&file.path)).collect();
         self.files.extend(found.files.into_iter().filter(|file| seen.insert(entry(&file.path))));
@@ -140,7 +142,7 @@ impl MatchedInputs {
         self.warnings.extend(found.warnings);
     }
 
-    /// Prints the warnings, and an error for each path that could not be examined: the command then fails.
+    /// Prints the warnings, and an error for each path that could not be examined: then the command fails.
     pub(super) fn report(&self, console: &mut Console) {
         for warning in &self.warnings {
             console.warning(warning);
@@ -150,12 +152,12 @@ impl MatchedInputs {
         }
     }
 
-    /// How many files and unreadable paths there are.
+    /// The number of files and unreadable paths.
     fn count(&self) -> usize {
         self.files.len() + self.unreadable.len()
     }
 
-    /// Counts files that are no frames, of which this is the first by path.
+    /// Counts files that are not frames; `first` is the first of them by path.
     fn pass_over(&mut self, first: PathBuf, count: usize) {
         let (before, count_before) = self.passed_over.take().unwrap_or_else(|| (first.clone(), 0));
         self.passed_over = Some((before.min(first), count_before + count));
@@ -170,7 +172,8 @@ impl MatchedInputs {
             match is_frame(&path) {
                 Ok(true) => self.files.push(FrameFile::new(path)),
                 Ok(false) => self.pass_over(path, 1),
-                // Removed since it was listed, or a link to nowhere that is not named like a frame.
+                // The file was removed since it was listed, or it is a dangling link whose name is not that
+                // of a frame.
                 Err(error) if error.kind() == io::ErrorKind::NotFound => {}
                 Err(error) => self.unreadable.push((path, error.to_string())),
             }
@@ -204,7 +207,7 @@ impl MatchedInputs {
             let paths = self.matching(pattern)?;
             self.files.extend(paths.into_iter().filter(|path| may_be_file(path)).map(FrameFile::new));
         } else {
-            // As Houdini and others write the number of a frame.
+            // Houdini and other programs write the frame number like this.
             let is_foreign = name.contains("$F") || name.contains("@@");
             let hint = if is_foreign { "; the number is written ####, as in dam.####.bgeo" } else { "" };
             bail!("{pattern}: no such file or folder{hint}");
@@ -232,7 +235,7 @@ impl MatchedInputs {
         Ok(())
     }
 
-    /// The folders that the folder part of a pattern stands for.
+    /// The folders that match the folder part of a pattern.
     fn folders(&mut self, pattern: &Path) -> Result<Vec<PathBuf>> {
         if pattern.as_os_str().is_empty() || pattern.is_dir() {
             return Ok(vec![pattern.to_owned()]);
@@ -248,8 +251,9 @@ impl MatchedInputs {
         Ok(paths)
     }
 
-    /// The paths that match a glob, sorted. `**` matches folders within folders: each is listed once, under its own name
-    /// rather than that of a link, because links may lead in circles. A folder that cannot be listed is noted.
+    /// The paths that match a glob, sorted. `**` matches nested folders. Each folder is listed once, under
+    /// its own name and not that of a link, because links may form cycles. Folders that cannot be listed are
+    /// recorded.
     fn matching(&mut self, pattern: &str) -> Result<Vec<PathBuf>> {
         let pattern = if cfg!(windows) { pattern.replace('\\', "/") } else { pattern.to_owned() };
         let glob = Glob::new(&pattern)?;
@@ -279,7 +283,7 @@ impl MatchedInputs {
                     Ok(metadata) if !metadata.is_dir() => {}
                     Ok(_) if is_link => linked.push((path, depth + 1)),
                     Ok(_) => pending.push((path, depth + 1)),
-                    // A match is taken for a file, and fails when it is read.
+                    // A match is treated as a file, so reading it fails with an error.
                     Err(_) if glob.takes(&path, depth) => {}
                     Err(error) if leads_nowhere(&error) => {}
                     Err(error) => self.note_unreadable(&path, &error),
@@ -290,7 +294,7 @@ impl MatchedInputs {
         Ok(found)
     }
 
-    /// Notes a path that may hold frames and cannot be examined. One that does not exist holds none.
+    /// Records a path that may contain frames and cannot be examined. A missing path contains none.
     fn note_unreadable(&mut self, path: &Path, error: &io::Error) {
         if error.kind() != io::ErrorKind::NotFound {
             self.unreadable.push((path.to_owned(), error.to_string()));
@@ -298,12 +302,12 @@ impl MatchedInputs {
     }
 }
 
-/// A glob such as `shots/*/dam*.ply`, part by part.
+/// A glob such as `shots/*/dam*.ply`, split into its parts.
 struct Glob<'p> {
     whole: Pattern,
-    /// The folder in which the search begins: what comes before the first wildcard.
+    /// The folder where the search starts: the part before the first wildcard.
     base: PathBuf,
-    /// What the names below it match.
+    /// The patterns for the names below it.
     parts: Vec<(&'p str, Pattern)>,
     with_hidden: bool,
 }
@@ -322,7 +326,7 @@ impl<'p> Glob<'p> {
         })
     }
 
-    /// Whether `**` matches the names of folders at this depth below the base, or did further up.
+    /// Whether `**` matches folders at this depth below the base, or at a smaller depth.
     fn is_deep(&self, depth: usize) -> bool {
         self.parts.iter().take(depth + 1).any(|(part, _)| *part == "**")
     }
@@ -331,12 +335,12 @@ impl<'p> Glob<'p> {
         self.whole.matches_with(&path.to_string_lossy(), GLOB_OPTIONS)
     }
 
-    /// Whether an entry, listed in a folder at this depth, matches the whole pattern.
+    /// Whether an entry in a folder at this depth matches the whole pattern.
     fn takes(&self, path: &Path, depth: usize) -> bool {
         if self.is_deep(depth) { self.matches(path) } else { depth + 1 == self.parts.len() }
     }
 
-    /// The names to look at in a folder at this depth, and which are links.
+    /// The names to examine in a folder at this depth, and whether they are links.
     fn entries(&self, folder: &Path, depth: usize) -> io::Result<Vec<(OsString, bool)>> {
         if self.is_deep(depth) {
             return entries_of(folder, self.with_hidden);
@@ -355,21 +359,21 @@ impl<'p> Glob<'p> {
     }
 }
 
-/// What makes text a glob.
+/// The characters that make text a glob.
 const WILDCARDS: [char; 3] = ['*', '?', '['];
 
-/// Whether a path can be a pattern, which no file needs to have as its name.
+/// Whether a path can be a pattern: its name has a place for a number, or it contains wildcards.
 fn is_pattern(path: &Path) -> bool {
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     NumberPattern::find(name).is_some() || path.to_string_lossy().contains(WILDCARDS)
 }
 
-/// Whether a path that fails so cannot be a folder: nothing is there, or a link that leads nowhere or to itself.
+/// Whether an error means that the path is not a folder: it is missing, or a link that is dangling or cyclic.
 fn leads_nowhere(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) || is_link_loop(error)
 }
 
-/// The names in a folder, and which are links.
+/// The names in a folder, and whether they are links.
 fn entries_of(folder: &Path, with_hidden: bool) -> io::Result<Vec<(OsString, bool)>> {
     let mut entries = Vec::new();
     for entry in folder.read_dir()? {
@@ -382,14 +386,14 @@ fn entries_of(folder: &Path, with_hidden: bool) -> io::Result<Vec<(OsString, boo
     Ok(entries)
 }
 
-/// Whether a file of a folder is a frame: by its content, or by a name that promises one, so that
-/// a broken frame is an error and not passed over.
+/// Whether a file of a folder is a frame, by its content or by a name that promises one: a broken frame must
+/// be an error, and not be skipped.
 ///
 /// # Errors
-/// When only the content can tell, and it cannot be read.
+/// If only the content can decide, and it cannot be read.
 fn is_frame(path: &Path) -> io::Result<bool> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    // A folder may hold the results of an earlier run beside the frames, and a .ply may be either.
+    // A folder may also contain the results of an earlier run, and a .ply may be a frame or a result.
     Ok((promises_particles(&name) || head_is_of_particles(path, &name)?) && !is_own_output(path))
 }
 

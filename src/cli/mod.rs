@@ -1,7 +1,7 @@
-//! The command line: what was typed becomes settings and a list of frames, and what came of them
-//! becomes lines and an exit status.
+//! The command line: parses arguments into settings and a list of frames, and reports the outcome as lines
+//! and an exit status.
 //!
-//! Flags end here: the layers below see [`crate::surface::options::Settings`] and frames only.
+//! The layers below use [`crate::surface::options::Settings`] and frames, and never see command-line flags.
 
 mod allocator;
 mod args;
@@ -55,20 +55,20 @@ pub use allocator::give_memory_back;
 use args::{Cli, Command};
 use console::Console;
 
-/// What came of a command.
+/// The outcome of a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum CommandOutcome {
-    /// All that was asked for is there.
+    /// Everything succeeded.
     Done,
-    /// Some of it is.
+    /// Some of it failed.
     SomeFailed,
-    /// None of it is.
+    /// Nothing succeeded.
     NothingDone,
 }
 
 impl CommandOutcome {
-    /// Of frames of which so many are done and so many failed. Results that broke a guarantee are there, and yet not all is
-    /// well.
+    /// The outcome of a number of finished and failed frames. Results that fail validation exist, but count
+    /// as a partial failure.
     fn of(done_count: usize, failed_count: usize, has_violations: bool) -> CommandOutcome {
         match (failed_count, done_count) {
             (0, _) if !has_violations => CommandOutcome::Done,
@@ -78,7 +78,7 @@ impl CommandOutcome {
     }
 }
 
-/// How many frames, cells or files are done, and how many failed.
+/// The number of finished and failed frames, cells or files.
 #[derive(Clone, Copy, Debug, Default)]
 struct DoneCounts {
     done_count: usize,
@@ -86,7 +86,7 @@ struct DoneCounts {
 }
 
 impl DoneCounts {
-    /// Counts one.
+    /// Counts one frame, cell or file.
     fn add(&mut self, is_done: bool) {
         *if is_done { &mut self.done_count } else { &mut self.failed_count } += 1;
     }
@@ -96,38 +96,38 @@ impl DoneCounts {
     }
 }
 
-/// Whether a configuration file with this text would be understood; nothing of it is done.
+/// Whether a configuration file with this text is valid; nothing is executed.
 ///
 /// # Errors
-/// What is wrong with it, and on which line.
+/// What is wrong in the file, and on which line.
 #[doc(hidden)]
 pub fn check_config(text: &str) -> anyhow::Result<()> {
     config_file::check(text)
 }
 
-/// The same error about arguments whose control characters are escaped: a shell may have put the names of
-/// files among them.
+/// The same error for arguments with escaped control characters: shell globs may have inserted any file name.
 fn printable(error: clap::Error, arguments: &[OsString]) -> clap::Error {
     let escaped = arguments.iter().map(|argument| escaped(argument.to_string_lossy()).to_string());
-    // No error any more: it was about bytes that are not UTF-8, which its message does not repeat.
+    // The escaped arguments may parse: then the original error was about bytes that are not UTF-8. Its message
+    // does not repeat them, so it can be printed.
     Cli::try_parse_from(escaped).err().unwrap_or(error)
 }
 
-/// Runs the command in `arguments`, the program's name first. The exit status is 0 when all was
-/// done, 1 when some of it failed, 2 when nothing was done or the command makes no sense.
+/// Runs the command in `arguments`, which begin with the program's name. The exit status is 0 if everything
+/// succeeded, 1 if some of it failed, 2 if nothing was done or the command is invalid.
 pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> ExitCode {
     let arguments: Vec<OsString> = arguments.into_iter().map(Into::into).collect();
     let typed = match Cli::try_parse_from(&arguments) {
         Ok(typed) => typed,
         Err(help_or_error) => {
             let help_or_error = suggest::with_suggestion(printable(help_or_error, &arguments), &arguments);
-            // A closed output is no error, and there is nobody to tell of any other.
+            // A closed output is not an error, and other write errors cannot be reported anywhere.
             let _ = help_or_error.print();
             return ExitCode::from(u8::try_from(help_or_error.exit_code()).unwrap_or(2));
         }
     };
     let mut console = Console::new();
-    // The daemon finishes the frames under way.
+    // The daemon handles signals itself, to finish the frames in flight.
     if !matches!(typed.command, Command::Watch(_)) {
         interrupt::clean_up_when_interrupted();
     }

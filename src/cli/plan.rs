@@ -101,7 +101,7 @@ const STEM_BYTES: usize = 200;
 
 /// A path that means the same from any folder.
 fn whole(path: &Path) -> Result<PathBuf> {
-    absolute(path).with_context(|| format!("`{}` is no path", path.display()))
+    absolute(path).with_context(|| format!("`{}` is not a valid path", path.display()))
 }
 
 fn say(plan: &ShardPlan, args: &PlanArgs, console: &mut Console) {

@@ -126,7 +126,7 @@ fn keys(
 /// The obstacles, as they can be found from wherever the file will lie.
 fn obstacle_paths(args: &MethodArgs) -> Result<Vec<String>> {
     let paths = args.obstacle.iter().map(|path| {
-        let whole = absolute(path).with_context(|| format!("`{}` is no path", path.display()))?;
+        let whole = absolute(path).with_context(|| format!("`{}` is not a valid path", path.display()))?;
         let text = whole.to_str().map(str::to_owned);
         text.with_context(|| format!("{}: a file of settings can name only what is Unicode", whole.display()))
     });

@@ -21,7 +21,7 @@ use super::wording::counted;
 /// When nothing can be looked at.
 pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<CommandOutcome> {
     let start = Instant::now();
-    let folder = absolute(&args.folder).with_context(|| format!("`{}` is no path", args.folder.display()))?;
+    let folder = absolute(&args.folder).with_context(|| format!("`{}` is not a valid path", args.folder.display()))?;
     if !folder.is_dir() {
         bail!("{}: there is no such folder", args.folder.display());
     }

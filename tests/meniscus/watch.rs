@@ -44,7 +44,7 @@ fn what_makes_no_sense_is_refused_before_anything_is_made() {
     assert_refused(
         path,
         &["meniscus.toml", "--out", "out"],
-        &["this is a file: `meniscus convert` does files"],
+        &["this is a file, and watch needs a folder"],
     );
     assert!(!path.join("out").exists());
 }

@@ -1,4 +1,4 @@
-//! What a mesh is like.
+//! Measurements of a mesh for `meniscus info`.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -16,19 +16,19 @@ pub(super) struct MeshInfo {
     vertices: usize,
     triangles: usize,
     has_normals: bool,
-    /// Vertices with a position that is not finite: triangles with one are not measured.
+    /// Vertices whose position is not finite; triangles with such a vertex are not measured.
     not_finite: usize,
     #[serde(skip)]
     first_not_finite: Option<[f64; 3]>,
     bounds: Option<BoundingBox>,
     area: f64,
-    /// Signed: negative where triangles are clockwise seen from outside. Means nothing for a mesh
-    /// with boundary edges.
+    /// Signed: negative if triangles are clockwise seen from outside. Meaningless for a mesh with boundary
+    /// edges.
     volume: f64,
     /// Vertices at one position count as one here: many formats repeat them for their normals.
     boundary_edges: usize,
     non_manifold_edges: usize,
-    /// Of its vertices, where they have more than positions and normals.
+    /// Attributes of the vertices beyond positions and normals.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     attributes: Vec<AttributeInfo>,
 }
@@ -36,7 +36,8 @@ pub(super) struct MeshInfo {
 impl MeshInfo {
     pub(super) fn of(mesh: &MeshData) -> MeshInfo {
         let bounds = BoundingBox::of(mesh.positions.iter().copied());
-        // Seen from amid the mesh, volumes far from the origin do not cancel.
+        // Measured from the centre of the mesh: far from the origin, the volumes of the tetrahedra would
+        // cancel badly.
         let center = bounds.map_or(DVec3::ZERO, |b| 0.5 * (DVec3::from(b.min) + DVec3::from(b.max)));
         let corner = |index: u32| {
             let position = mesh.positions.get(index as usize);
@@ -69,7 +70,7 @@ impl MeshInfo {
         }
     }
 
-    /// The same, with the attributes of its vertices.
+    /// The same mesh, with the attributes of its vertices.
     pub(super) fn with_attributes(self, attributes: &[FileAttribute]) -> MeshInfo {
         let has_more = attributes.iter().any(|attribute| attribute.role != Some(AttributeRole::Normal));
         let attributes = if has_more { attributes_of(attributes) } else { Vec::new() };
@@ -77,19 +78,19 @@ impl MeshInfo {
     }
 }
 
-/// The triangles with, for each vertex, the first one at the same position.
+/// The triangles, with each vertex replaced by the first one at the same position.
 fn welded(mesh: &MeshData) -> Vec<[u32; 3]> {
     let mut first_at = HashMap::new();
     let first: Vec<u32> = (0u32..)
         .zip(&mesh.positions)
-        // Adding zero makes −0 and 0 one position bit for bit.
+        // Adding zero turns −0 into 0, so that equal positions have equal bits.
         .map(|(index, position)| *first_at.entry(position.map(|x| (x + 0.0).to_bits())).or_insert(index))
         .collect();
     let first_of = |index: u32| first.get(index as usize).copied().unwrap_or(index);
     mesh.triangles.iter().map(|triangle| triangle.map(first_of)).collect()
 }
 
-/// How many edges have one triangle, and how many more than two.
+/// The number of edges with one triangle, and the number of edges with more than two.
 fn odd_edges(triangles: &[[u32; 3]]) -> (usize, usize) {
     let mut edges: Vec<[u32; 2]> = triangles
         .iter()

@@ -1,6 +1,6 @@
-//! `meniscus info`: what files hold.
+//! `meniscus info`: prints the contents of files.
 //!
-//! The structs here and in the files below are those of the JSON; the text shows the same.
+//! The structs here and in the submodules define the JSON; the text shows the same values.
 
 mod mesh;
 mod particles;
@@ -43,11 +43,11 @@ struct FileInfo {
     file: String,
     kind: String,
     gzipped: bool,
-    /// What has been done to it, in words: `gzipped`, `zstd-compressed`.
+    /// The compression, in words: `gzipped`, `zstd-compressed`.
     #[serde(skip_serializing_if = "Option::is_none")]
     packed: Option<&'static str>,
     bytes: usize,
-    /// What a user should know though the file was read.
+    /// Warnings for the user about a file that was read.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     notes: Vec<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -58,33 +58,34 @@ struct FileInfo {
     grids: Option<Vec<GridRecord>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     shot: Option<ShotRecord>,
-    /// Of a .usda of this program that is no shot.
+    /// The contents of a .usda of meniscus that is not a shot.
     #[serde(skip_serializing_if = "Option::is_none")]
     layer: Option<LayerRecord>,
-    /// What this program says of how it made the file, if it did.
+    /// What meniscus recorded in the file about how it was made.
     #[serde(skip_serializing_if = "Option::is_none")]
     made_by: Option<BTreeMap<String, String>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     error: Option<String>,
 }
 
-/// What a .usda holds.
+/// The contents of a .usda.
 #[derive(Debug, Serialize)]
 struct LayerRecord {
     vertices: u64,
     faces: u64,
 }
 
-/// Tells what the files hold, each on its own: one that cannot be read is told as such.
+/// Prints the contents of each file; an unreadable file is reported as an error, and the others are still
+/// printed.
 ///
 /// # Errors
-/// When the result cannot be written as JSON.
+/// If the result cannot be written as JSON.
 pub(super) fn info(args: &InfoArgs, console: &mut Console) -> Result<CommandOutcome> {
     let mut tally = DoneCounts::default();
-    // An element of the JSON array waits until it is known whether a comma follows.
+    // An element of the JSON array is held back until it is known whether a comma follows.
     let mut last_element: Option<String> = None;
     for given in &args.files {
-        // One at a time, for a file may have a million steps.
+        // Steps are read one at a time, because a file may have a million of them.
         for path in files_of(given, console) {
             let info = file_info(&path);
             if args.json {
@@ -110,7 +111,8 @@ pub(super) fn info(args: &InfoArgs, console: &mut Console) -> Result<CommandOutc
     Ok(tally.verdict())
 }
 
-/// The files that were meant. Of one with several steps each is told by itself; one that cannot be looked through is told as such.
+/// The files that the arguments name. A file with several steps yields each step; one whose steps cannot be
+/// listed is reported as unreadable.
 fn files_of(path: &Path, console: &Console) -> Box<dyn Iterator<Item = PathBuf>> {
     let alone = Box::new(iter::once(path.to_owned()));
     if path.symlink_metadata().is_ok() || step_of(path).is_some() {
@@ -119,7 +121,7 @@ fn files_of(path: &Path, console: &Console) -> Box<dyn Iterator<Item = PathBuf>>
             Err(_) => alone,
         };
     }
-    // What matches nothing is told as what is not there.
+    // A pattern without matches is reported like a missing file.
     let Ok(found) = find_inputs(&[path.to_owned()]) else { return alone };
     for warning in &found.warnings {
         console.warning(warning);
@@ -127,14 +129,14 @@ fn files_of(path: &Path, console: &Console) -> Box<dyn Iterator<Item = PathBuf>>
     Box::new(found.files.into_iter().map(|file| file.path))
 }
 
-/// The lines of an element of a JSON array, moved to the right as the array's brackets demand.
+/// The lines of an element of a JSON array, indented.
 fn indented(json: &str) -> String {
     json.lines().map(|line| format!("  {line}")).collect::<Vec<_>>().join("\n")
 }
 
 fn file_info(path: &Path) -> FileInfo {
     let mut info = FileInfo { file: path.to_string_lossy().into_owned(), ..FileInfo::default() };
-    // A fault in a reader costs this file only.
+    // A panic in a reader affects this file only.
     let result = catch_unwind(AssertUnwindSafe(|| info.fill(path)))
         .unwrap_or_else(|_| Err(anyhow!("a fault in this program")));
     info.error = result.err().map(|error| with_causes(&error));
@@ -151,7 +153,7 @@ impl FileInfo {
         }
         let bytes = match step_of(path) {
             None => {
-                // One that has too many frames is not read whole to be told so.
+                // A file with too many frames is refused before it is read as a whole.
                 frames_in(path)?;
                 read_regular(path)?
             }
@@ -187,12 +189,12 @@ impl FileInfo {
                 Some(usda::LayerInfo { vertices, faces, frames: None }) => {
                     self.layer = Some(LayerRecord { vertices, faces });
                 }
-                None => self.notes.push("what another program wrote as USD is not read".to_owned()),
+                None => self.notes.push("USD files of other programs are not read".to_owned()),
             },
             ProbedKind::Format(Format::Vtp) if codec.is_none() && holds_polys(&bytes) => {
                 let mesh = vtk::read_mesh(&bytes, &limits)?;
                 let vertices = read_particles(&bytes, &name, &limits)?;
-                // The polygons are told here.
+                // The polygons are reported here.
                 let notes = vertices.notes.iter().filter(|note| *note != vtk::POLYGONS_NOTE);
                 self.notes = notes.cloned().collect();
                 self.mesh = Some(MeshInfo::of(&mesh).with_attributes(&vertices.attributes));
@@ -222,27 +224,27 @@ impl FileInfo {
     }
 }
 
-/// Why a step cannot be read, without its name, which is told anyway.
+/// Why a step cannot be read, without its name: the caller prints that.
 fn reason(error: &FrameError) -> anyhow::Error {
     error.source().map_or_else(|| anyhow!("{error}"), |source| anyhow!("{source}"))
 }
 
-/// Whether a PLY file declares faces, of which there are none only where there are no vertices
-/// either: programs declare no faces for clouds of points, too.
+/// Whether a PLY file is a mesh. Some programs declare zero faces for point clouds, so a file with zero faces
+/// is a mesh only if it has zero vertices, too.
 fn holds_mesh(bytes: &[u8], limits: &Limits) -> Result<bool> {
     let header = ply::read_header(bytes, limits)?;
     let count = |name: &str| {
         let mut elements = header.elements.iter();
         elements.find(|element| element.name.eq_ignore_ascii_case(name)).map(|element| element.count)
     };
-    // Strips of triangles are refused by the reader of meshes, with what to do.
+    // The mesh reader refuses strips of triangles, with a message that says what to do.
     let faces = [count("face"), count("tristrips").filter(|&count| count > 0)].into_iter().flatten().max();
     Ok(faces.is_some_and(|faces| faces > 0 || count("vertex") == Some(0)))
 }
 
-/// Whether a file of VTK is one of points and polygons.
+/// Whether a VTK XML file contains points and polygons.
 fn holds_polys(bytes: &[u8]) -> bool {
-    const HEAD_BYTES: usize = 1 << 20; // as far as the description of the first piece is looked for
+    const HEAD_BYTES: usize = 1 << 20; // the description of the first piece is in here
     let head = String::from_utf8_lossy(&bytes[..bytes.len().min(HEAD_BYTES)]);
     let count = head
         .split("NumberOfPolys=")
@@ -251,11 +253,11 @@ fn holds_polys(bytes: &[u8]) -> bool {
     count.is_some_and(|count: u64| count > 0)
 }
 
-/// What this program wrote of itself into a file; `None` of other programs' files.
+/// What meniscus recorded in a file about how it was made; `None` for files of other programs.
 fn made_by(kind: ProbedKind, bytes: &[u8]) -> Option<BTreeMap<String, String>> {
-    // The metadata of a .vdb are told with each grid.
+    // The metadata of a .vdb are printed with each grid.
     let format = kind.format().and_then(Format::output).filter(|format| *format != OutputFormat::Vdb)?;
-    // What cannot be read is told by the reader of the file.
+    // The reader of the file reports errors.
     let pairs: BTreeMap<String, String> = read_provenance(format, bytes).ok()?.into_iter().collect();
     (!pairs.is_empty()).then_some(pairs)
 }
@@ -284,7 +286,7 @@ impl fmt::Display for FileInfo {
     }
 }
 
-/// One line of text: what it is, and what is to be said of it.
+/// One line of text: a label and a value.
 fn row(f: &mut fmt::Formatter<'_>, label: &str, value: impl fmt::Display) -> fmt::Result {
     write!(f, "\n  {label:<20} {}", escaped(value))
 }
@@ -297,7 +299,7 @@ struct BoundingBox {
 }
 
 impl BoundingBox {
-    /// The box of the finite ones among these positions; `None` where there is none.
+    /// The bounding box of the finite positions; `None` if there are no finite ones.
     fn of(positions: impl Iterator<Item = [f64; 3]>) -> Option<BoundingBox> {
         let finite = positions.filter(|position| position.iter().all(|x| x.is_finite()));
         finite.fold(None, |bounds: Option<BoundingBox>, position| {
@@ -311,13 +313,13 @@ impl BoundingBox {
         })
     }
 
-    /// The same for bounds of 32-bit positions: with the digits that these have.
+    /// The same for bounds of 32-bit positions: printed with the digits of a 32-bit number.
     fn short(self) -> BoundingBox {
         BoundingBox { min: self.min.map(short), max: self.max.map(short) }
     }
 }
 
-/// The 64-bit real that prints with the digits of a 32-bit one: 1.4 and not 1.399999976158142.
+/// The `f64` that prints with the digits of this `f32`: 1.4 and not 1.399999976158142.
 fn short(value: f64) -> f64 {
     (value as f32).to_string().parse().unwrap_or(value)
 }

@@ -1,4 +1,4 @@
-//! What a frame of particles holds.
+//! The contents of a frame of particles for `meniscus info`.
 
 use std::fmt;
 
@@ -21,7 +21,7 @@ pub(super) struct ParticlesInfo {
     not_finite: usize,
     bounds: Option<BoundingBox>,
     attributes: Vec<AttributeInfo>,
-    /// Null where fewer than two particles are in different places.
+    /// Null if fewer than two particles have different positions.
     spacing: Option<f64>,
     /// From 0 to 1.
     spacing_confidence: Option<f64>,
@@ -36,7 +36,7 @@ pub(super) struct AttributeInfo {
     value_type: &'static str,
     arity: usize,
     role: Option<&'static str>,
-    /// Of each component; null where no value is finite. Empty for strings.
+    /// The range of each component; null if it has no finite value. Empty for strings.
     min: Vec<Option<PrintedNumber>>,
     max: Vec<Option<PrintedNumber>>,
     /// The distinct strings.
@@ -44,7 +44,7 @@ pub(super) struct AttributeInfo {
     strings: Option<Vec<String>>,
 }
 
-/// A value, whole where it is one: 64-bit integers do not fit into reals.
+/// A number, as an integer if it is one: `f64` cannot represent all 64-bit integers.
 #[derive(Clone, Copy, Debug, Serialize)]
 #[serde(untagged)]
 enum PrintedNumber {
@@ -78,12 +78,12 @@ impl ParticlesInfo {
     }
 }
 
-/// What is told of the attributes.
+/// The description of the attributes.
 pub(super) fn attributes_of(attributes: &[FileAttribute]) -> Vec<AttributeInfo> {
     attributes.iter().map(attribute_info).collect()
 }
 
-/// The lines that tell it.
+/// The lines that describe them.
 pub(super) fn fmt_attributes(attributes: &[AttributeInfo], f: &mut fmt::Formatter<'_>) -> fmt::Result {
     attributes.iter().try_for_each(|attribute| row(f, "attribute", attribute))
 }
@@ -120,12 +120,12 @@ fn attribute_info(attribute: &FileAttribute) -> AttributeInfo {
     }
 }
 
-/// What takes part in a range of reals.
+/// The conversions of values for the ranges of reals.
 fn real_range(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }
 
-/// Least and greatest value of each component.
+/// Minimum and maximum of each component.
 fn ranges<T, N: Copy + PartialOrd>(
     values: &[T],
     arity: usize,
@@ -173,7 +173,7 @@ impl fmt::Display for ParticlesInfo {
                 row(f, "spacing", format_args!("{}, confidence {percent} %", significant(spacing)))?;
                 row(f, "suggested voxel size", voxel_size)
             }
-            _ => row(f, "spacing", "unknown: there are no two particles in different places"),
+            _ => row(f, "spacing", "unknown: no two particles have different positions"),
         }
     }
 }

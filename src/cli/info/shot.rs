@@ -1,4 +1,5 @@
-//! What a shot is like. Its frames are not measured: the area of all of them together is that of nothing.
+//! The description of a shot for `meniscus info`. Areas and volumes are omitted: their sums over all frames
+//! would be meaningless.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -7,7 +8,7 @@ use serde::Serialize;
 
 use super::row;
 
-/// All frames in one file, as this program gathers them.
+/// All frames in one file, as meniscus combines them.
 #[derive(Debug, Serialize)]
 pub(super) struct ShotRecord {
     pub(super) frames: u64,
@@ -16,14 +17,15 @@ pub(super) struct ShotRecord {
     last: Option<u64>,
     /// Frames per second.
     fps: Option<f64>,
-    /// In all frames.
+    /// Total over all frames.
     vertices: u64,
-    /// In all frames.
+    /// Total over all frames.
     triangles: u64,
 }
 
 impl ShotRecord {
-    /// A shot with so many frames, and in all of them so many vertices and triangles; the rest is in what made it.
+    /// A shot with this number of frames, and these totals of vertices and triangles over all frames; the
+    /// rest comes from its recorded metadata.
     pub(super) fn new(
         frames: u64,
         [vertices, triangles]: [u64; 2],

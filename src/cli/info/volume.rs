@@ -1,4 +1,4 @@
-//! What the grids of an OpenVDB file are.
+//! The grids of an OpenVDB file for `meniscus info`.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -16,11 +16,11 @@ pub(super) struct GridRecord {
     #[serde(rename = "type")]
     tree_type: String,
     half: bool,
-    /// Along each index, world units; null where the transform is of a kind that is not read.
+    /// Along each index axis, in world units; null if the transform has an unsupported type.
     voxel_size: Option<[f64; 3]>,
     /// The world position of voxel (0, 0, 0).
     origin: Option<[f64; 3]>,
-    /// Least and greatest active voxel.
+    /// Minimum and maximum index of the active voxels.
     active_bounds: Option<[[i32; 3]; 2]>,
     active_voxels: Option<u64>,
     metadata: BTreeMap<String, serde_json::Value>,

@@ -5,11 +5,11 @@ use crate::cli::wording::{counted, significant};
 
 use super::{DaemonStatus, FrameStatus, StatusCounts, StatusRecord, WaitingStatus, WatchStatus};
 
-/// More than so many are counted and not told: `--json` has all.
+/// Maximum number of entries printed per list; `--json` has all.
 const TOLD_MAX: usize = 20;
 
 impl StatusRecord {
-    /// Everything, in lines; `now_ms` is milliseconds since 1970.
+    /// The status as lines of text; `now_ms` is in milliseconds since 1970.
     pub(super) fn lines(&self, now_ms: u64) -> Vec<String> {
         let daemon = match &self.daemon {
             Some(daemon) => daemon.text(now_ms),
@@ -47,13 +47,13 @@ impl StatusRecord {
         }
         if self.damaged_lines > 0 {
             let damaged = counted(self.damaged_lines, "line");
-            lines.push(format!("{damaged} of the journal cannot be read: what they said is found out again"));
+            lines.push(format!("{damaged} of the journal cannot be read: the daemon determines their content again"));
         }
         lines
     }
 }
 
-/// A line on those of a list that are not told.
+/// A line with the number of entries that are not printed.
 fn more(count: usize) -> Option<String> {
     let more = count.checked_sub(TOLD_MAX).filter(|&more| more > 0)?;
     Some(format!("  and {more} more: --json has them all"))
@@ -66,7 +66,7 @@ impl DaemonStatus {
         let who = match (&self.held_by, self.pid, &self.host) {
             (Some(by), _, _) => by.clone(),
             (None, Some(pid), Some(host)) => format!("pid {pid} on {host}"),
-            _ => "nobody knows who".to_owned(),
+            _ => "unknown process".to_owned(),
         };
         match (self.state, &self.paused_because) {
             ("paused", Some(why)) => format!("paused{}: {why} ({who})", since(self.at_ms)),
@@ -90,7 +90,7 @@ impl WatchStatus {
             text += &format!(", only {pattern}");
         }
         if let Some(sentinel) = &self.sentinel {
-            text += &format!(", each when its {sentinel} is there");
+            text += &format!(", each when its {sentinel} exists");
         }
         text + ", as " + &self.formats.join(", ")
     }
@@ -110,7 +110,7 @@ impl FrameStatus {
         about.push(ago(self.at_ms, now_ms));
         let input = &self.input;
         match &self.reason {
-            // A reason mostly names its file.
+            // Most reasons start with the name of their file.
             Some(reason) if reason.contains(input) => format!("{reason} ({})", about.join(", ")),
             Some(reason) => format!("{input}: {reason} ({})", about.join(", ")),
             None => [&[format!("{input}: {}", about.join(", "))], &*self.flaws].concat().join("; "),

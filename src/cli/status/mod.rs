@@ -1,11 +1,12 @@
-//! `meniscus status`: what a daemon has done, what waits, and what failed and why.
+//! `meniscus status`: prints which frames a daemon has finished, queued and failed, with reasons.
 //!
-//! It reads the journal, and asks the lock whether a daemon is there: what the journal says last of
-//! a daemon that was killed is that it runs.
+//! It reads the journal, and checks the lock to see whether a daemon is running: the journal of a killed
+//! daemon still says "running".
 //!
-//! What still waits for its writer is in no journal: that is looked for in the folders that are watched.
+//! The journal does not list files whose writers have not finished: `status` scans the watched folders for
+//! them.
 //!
-//! The structs here are those of the JSON; the text shows the same.
+//! The structs here define the JSON; the text shows the same values.
 
 mod lines;
 
@@ -28,44 +29,44 @@ use super::CommandOutcome;
 use super::args::StatusArgs;
 use super::console::Console;
 
-/// What there is to tell of a folder of outputs.
+/// The status of a folder of outputs.
 #[derive(Debug, PartialEq, Serialize)]
 struct StatusRecord {
     output: String,
     journal: String,
-    /// Null where none is known.
+    /// Null if no daemon is known.
     daemon: Option<DaemonStatus>,
-    /// Null where the journal does not say.
+    /// Null if the journal does not say.
     watches: Option<Vec<WatchStatus>>,
     counts: StatusCounts,
     /// In natural order.
     failed: Vec<FrameStatus>,
     /// In natural order.
     retrying: Vec<FrameStatus>,
-    /// Files that a daemon takes for frames once their writers have finished, in natural order.
+    /// Files that a daemon will take as frames once they are complete, in natural order.
     waiting: Vec<WaitingStatus>,
-    /// Whether there may be more of these: not every file was looked at.
+    /// Whether the scan was cut short, so that there may be more such files.
     waiting_cut_short: bool,
-    /// The newest first.
+    /// The most recently finished frames, the newest first.
     last_done: Vec<FrameStatus>,
-    /// Those that are done, and not as they should be, in natural order.
+    /// Finished frames with defects, in natural order.
     flawed: Vec<FrameStatus>,
     damaged_lines: usize,
 }
 
 #[derive(Debug, PartialEq, Serialize)]
 struct DaemonStatus {
-    /// Null where the file system cannot tell.
+    /// Null if the file system has no locks.
     running: Option<bool>,
-    /// Who has the folder now, in words.
+    /// A description of the process that holds the lock.
     held_by: Option<String>,
     state: &'static str,
     paused_because: Option<String>,
-    /// From here on, of the daemon that wrote the journal last.
+    /// The following fields are from the journal, about the daemon that wrote it last.
     pid: Option<u32>,
     host: Option<String>,
     started_ms: Option<u64>,
-    /// Since when it is in this state.
+    /// When it entered this state.
     at_ms: Option<u64>,
 }
 
@@ -100,7 +101,7 @@ struct FrameStatus {
     #[serde(skip_serializing_if = "Vec::is_empty")]
     flaws: Vec<String>,
     at_ms: u64,
-    /// Whether it failed, and the next start of the daemon tries it again though its file is the same.
+    /// Whether the daemon retries the failed frame at its next start although the file has not changed.
     #[serde(skip)]
     is_for_next_start: bool,
 }
@@ -111,18 +112,18 @@ struct WaitingStatus {
     reason: String,
 }
 
-/// A path as it is shown: in JSON, all names are text.
+/// A path as text for JSON, which needs Unicode.
 fn shown(path: &Path) -> String {
     path.to_string_lossy().into_owned()
 }
 
-/// So many of the frames that are done are told: enough to see that it goes on, and how fast.
+/// Maximum number of finished frames listed: enough to show progress and speed.
 const LAST_DONE_COUNT: usize = 5;
 
-/// Tells how far the daemon of a folder is, or was.
+/// Prints the status of the daemon of a folder.
 ///
 /// # Errors
-/// When there is nothing to tell, or it cannot be read.
+/// If no daemon has used the folder, or the journal cannot be read.
 pub(super) fn status(args: &StatusArgs, console: &mut Console) -> Result<CommandOutcome> {
     let journal = journal_folder(&args.out, args.journal.as_deref());
     let state = read_journal(&journal)?;
@@ -139,22 +140,22 @@ pub(super) fn status(args: &StatusArgs, console: &mut Console) -> Result<Command
     Ok(if record.failed.is_empty() { CommandOutcome::Done } else { CommandOutcome::SomeFailed })
 }
 
-/// Where a daemon that writes to `output` keeps its journal.
+/// The journal folder of a daemon that writes to `output`.
 pub(super) fn journal_folder(output: &Path, given: Option<&Path>) -> PathBuf {
-    // As the daemon does.
+    // The same rule as in the daemon.
     let asked = given.map(|given| given.canonicalize().unwrap_or_else(|_| given.to_owned()));
     asked.unwrap_or_else(|| output.join(STATE_FOLDER))
 }
 
-/// What the journal in a folder says.
+/// Reads the journal in a folder.
 ///
 /// # Errors
-/// When it cannot be read.
+/// If it cannot be read.
 pub(super) fn read_journal(folder: &Path) -> Result<JournalState> {
     Journal::read(folder).with_context(|| format!("cannot read the journal in {}", folder.display()))
 }
 
-/// Who has a folder of outputs now.
+/// Which process holds a folder of outputs.
 #[derive(Debug)]
 pub(super) enum Holder {
     Daemon(String),
@@ -164,10 +165,10 @@ pub(super) enum Holder {
 }
 
 impl Holder {
-    /// Who has this one.
+    /// Determines the holder of this folder.
     ///
     /// # Errors
-    /// When the system refuses to tell.
+    /// If the system reports an error.
     pub(super) fn of(output: &Path) -> Result<Holder> {
         match OutputLock::holder(output) {
             Ok(Some(by)) => Ok(Holder::Daemon(by)),
@@ -206,11 +207,11 @@ impl StatusRecord {
             failed: failed.len(),
         };
         let flawed: Vec<_> = done.iter().copied().filter(|(_, frame)| !frame.flaws.is_empty()).collect();
-        // Stable: of those that are equally new, the last in natural order comes first.
+        // A stable sort: of equally new frames, the last in natural order comes first.
         done.reverse();
         done.sort_by_key(|(_, frame)| std::cmp::Reverse(frame.at_ms));
         done.truncate(LAST_DONE_COUNT);
-        // Nobody waits where no daemon is.
+        // Files wait only for a running daemon.
         let waiting = if has_daemon { waiting(state) } else { Waiting::default() };
         StatusRecord {
             output: shown(output),
@@ -229,9 +230,9 @@ impl StatusRecord {
     }
 }
 
-/// The files of the frames, as the journal knows them.
+/// The input files of the journaled frames.
 struct Files<'a> {
-    /// Each as a daemon took it, without its status change time.
+    /// Each file as the daemon read it, without its status change time.
     taken: HashSet<(&'a Path, FileStamp)>,
     has_daemon: bool,
 }
@@ -246,7 +247,8 @@ impl<'a> Files<'a> {
         Files { taken, has_daemon }
     }
 
-    /// Whether nothing will come of a frame any more: its file was removed from its folder, or written again without it.
+    /// Whether the frame can never be converted: its file was removed from its folder, or rewritten without
+    /// this step.
     fn are_without(&self, input: &Path, frame: &JournaledFrame) -> bool {
         if frame.standing == Standing::Done {
             return false;
@@ -255,13 +257,13 @@ impl<'a> Files<'a> {
         match FileStamp::of_path(file) {
             Ok(stamp) if file == input || frame.stamp.still_holds(&stamp) => false,
             Ok(stamp) => !self.may_be_growing(file, stamp, frame) && is_missing_step(input).unwrap_or(false),
-            // A folder that is not there may come back with all that was in it.
+            // A missing folder may come back with all its files.
             Err(error) => is_absent(file, &error) && file.parent().is_some_and(Path::exists),
         }
     }
 
-    /// Whether a file is larger, and a daemon is at work that has yet to take it as it is: a simulation may be appending
-    /// to it. Then it has its steps still, and going through it would take minutes each time that somebody asks.
+    /// Whether a file has grown, and a running daemon has not read it since: a simulation may be appending to
+    /// it. Its steps are then still in it, and checking would take minutes for each query.
     fn may_be_growing(&self, file: &Path, stamp: FileStamp, frame: &JournaledFrame) -> bool {
         self.has_daemon
             && stamp.size > frame.stamp.size
@@ -283,7 +285,7 @@ impl DaemonStatus {
         let (state, paused_because) = match (record.map(|record| &record.state), running) {
             (None | Some(DaemonState::Stopped), Some(true)) => ("starting", None),
             (Some(DaemonState::Stopped) | None, _) => ("stopped", None),
-            // It cannot have said so itself.
+            // A killed daemon cannot have recorded this state itself.
             (Some(_), Some(false)) => ("killed", None),
             (Some(DaemonState::Running), _) => ("running", None),
             (Some(DaemonState::Paused(why)), _) => ("paused", Some(why.clone())),

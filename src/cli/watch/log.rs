@@ -1,4 +1,4 @@
-//! The log: one line for each thing that happened, on the standard error.
+//! The log on the standard error: one line for each event.
 
 use std::env;
 use std::fmt;
@@ -18,10 +18,10 @@ use crate::cli::console::escaped_json;
 /// The environment variable that sets the least severe level to log: `error`, `warn`, `info` or `debug`.
 const LEVEL_VARIABLE: &str = "MENISCUS_LOG";
 
-/// From now on, what is logged is written. Only once in a process.
+/// Starts logging. Call it once per process.
 ///
 /// # Errors
-/// When there is a log already, or the level in the environment is unknown.
+/// If logging has started already, or the level in the environment is unknown.
 pub(super) fn start(choice: LogChoice) -> Result<()> {
     let level = match env::var(LEVEL_VARIABLE) {
         Ok(text) => text.parse().map_err(|_| {
@@ -34,7 +34,8 @@ pub(super) fn start(choice: LogChoice) -> Result<()> {
         .with_target(false)
         .with_writer(io::stderr)
         .with_ansi(choice == LogChoice::Text && io::stderr().is_terminal())
-        // They would be told on the standard error, which is what has just failed; and a panic follows.
+        // The formatter reports its write errors on the standard error, which is what has just failed; a
+        // panic would follow.
         .log_internal_errors(false);
     let started = match choice {
         LogChoice::Text => log.fmt_fields(EscapedFields).try_init(),

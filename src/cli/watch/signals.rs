@@ -1,9 +1,9 @@
-//! What the system's signals ask of the daemon.
+//! Converts signals into requests to the daemon.
 //!
-//! SIGTERM ends the process, whatever hangs: the loop has some time to finish the frames under way; after that a thread
-//! that touches no file but those of unfinished outputs ends the process. For the same reason the configuration, which may lie on
-//! a file system that does not answer, is read again by a thread of its own. These threads log only from yet another thread,
-//! because the standard error may be a pipe that is full.
+//! SIGTERM ends the process even if the loop hangs. The loop has some time to finish the in-flight frames;
+//! then a watchdog thread, which touches no files but those of unfinished outputs, exits the process. For the
+//! same reason a separate thread reads the configuration again: it may lie on a file system that does not
+//! respond. These threads log only through yet another thread, because the standard error may be a full pipe.
 
 use std::sync::Arc;
 #[cfg(unix)]
@@ -19,11 +19,11 @@ use super::Control;
 #[cfg(unix)]
 use super::lock;
 
-/// From now on, SIGTERM and SIGINT end the daemon in good order, and at once when one comes again;
-/// SIGHUP makes it read its file again.
+/// Installs the signal handlers: SIGTERM and SIGINT stop the daemon gracefully, and a second one stops it
+/// immediately; SIGHUP reloads the configuration.
 ///
 /// # Errors
-/// When the system refuses.
+/// If the system refuses to install the handlers.
 #[cfg(unix)]
 pub(super) fn listen(control: Arc<Control>) -> Result<()> {
     use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
@@ -34,21 +34,21 @@ pub(super) fn listen(control: Arc<Control>) -> Result<()> {
         for signal in signals.forever() {
             if signal == SIGHUP {
                 let control = Arc::clone(&control);
-                // Two at once: the later one waits for its turn.
+                // Concurrent reloads run one after the other.
                 let reloading = std::thread::Builder::new().name("reload".into());
                 if let Err(error) = reloading.spawn(move || control.reload()) {
                     tracing::error!("nothing is changed: {error}");
                 }
             } else if control.finish() {
                 end_at_once(128 + signal, || {
-                    tracing::warn!("asked to end a second time: what is not whole is left for the next time");
+                    tracing::warn!("second signal: ending without finishing the frames in flight");
                 });
             } else {
                 let is_deadline_kept = end_when_overdue(&control);
                 log_detached(move || {
                     tracing::info!("asked to end; a second signal ends at once");
                     if let Err(error) = is_deadline_kept {
-                        tracing::warn!("a daemon that hangs ends by a second signal only: {error}");
+                        tracing::warn!("no watchdog for a daemon that hangs, which only a second signal ends: {error}");
                     }
                 });
             }
@@ -57,21 +57,21 @@ pub(super) fn listen(control: Arc<Control>) -> Result<()> {
     Ok(())
 }
 
-/// Ends the process when the loop, which has to do that sooner, hangs.
+/// Exits the process if the loop has not ended by the deadline.
 #[cfg(unix)]
 fn end_when_overdue(control: &Arc<Control>) -> io::Result<()> {
     let control = Arc::clone(control);
     let waiting = std::thread::Builder::new().name("deadline".into()).spawn(move || {
         std::thread::sleep(lock(&control.stop_deadline).saturating_add(GRACE));
         end_at_once(i32::from(control.args.once), || {
-            tracing::error!("the daemon hangs: what is not whole is left for the next time");
+            tracing::error!("the daemon hangs: ending without finishing the frames in flight");
         });
     });
     waiting.map(|_| ())
 }
 
-/// Logs in a thread of its own. The receiver gets a message, or is disconnected, when that is done, which may be never: a
-/// standard error that is a full pipe blocks its writer.
+/// Logs from another thread. The receiver gets a message or is disconnected when the line is written, which
+/// may be never: a standard error that is a full pipe blocks its writer.
 #[cfg(unix)]
 fn log_detached(log: impl FnOnce() + Send + 'static) -> Receiver<()> {
     let (done, is_done) = channel();
@@ -79,20 +79,20 @@ fn log_detached(log: impl FnOnce() + Send + 'static) -> Receiver<()> {
         log();
         let _ = done.send(());
     });
-    // Without a thread the line is lost, and the process ends all the same.
+    // If the thread cannot be started, the line is lost, and the process still ends.
     drop(logging);
     is_done
 }
 
-/// How long the end of the process waits for its last line in the log.
+/// How long the process waits at its end for its last log line.
 #[cfg(unix)]
 const LOG_PATIENCE: Duration = Duration::from_secs(1);
 
-/// The loop ends by itself within the deadline, unless it hangs.
+/// The loop ends before the deadline unless it hangs.
 #[cfg(unix)]
 const GRACE: Duration = Duration::from_secs(5);
 
-/// As shells count it: 130 for Ctrl-C.
+/// The exit status of a shell for a signal: 130 for Ctrl-C.
 #[cfg(unix)]
 fn end_at_once(status: i32, log: impl FnOnce() + Send + 'static) -> ! {
     crate::pipeline::stop_writing();
@@ -100,7 +100,7 @@ fn end_at_once(status: i32, log: impl FnOnce() + Send + 'static) -> ! {
     std::process::exit(status)
 }
 
-/// Elsewhere the system ends the process as it sees fit.
+/// Other systems end the process in their own way.
 #[cfg(not(unix))]
 pub(super) fn listen(_control: Arc<Control>) -> Result<()> {
     Ok(())
@@ -116,7 +116,7 @@ mod tests {
 
     use crate::cli::args::{LogChoice, WatchArgs};
 
-    /// Set in the child of the test below: how many signals it gets.
+    /// Set in the child process of the test below: the number of signals that it gets.
     const CHILD: &str = "MENISCUS_TEST_SIGNALS";
 
     #[test]
@@ -128,7 +128,7 @@ mod tests {
             let control = Arc::new(Control::new(args, (LogChoice::Text, None), sender));
             super::super::log::start(LogChoice::Text).expect("the first log");
             listen(Arc::clone(&control)).expect("it listens");
-            // As when it is a full pipe: nothing can be logged.
+            // Blocks the log as a full pipe would.
             let _blocked = io::stderr().lock();
             let terminate = || kill_process(getpid(), Signal::TERM).expect("sent");
             terminate();
@@ -150,7 +150,7 @@ mod tests {
             while child.try_wait().expect("a child").is_none() && start.elapsed() < Duration::from_secs(120) {
                 std::thread::sleep(Duration::from_millis(10));
             }
-            // One that has ended does not mind.
+            // Killing a child that has already ended is harmless.
             let _ = child.kill();
             assert_eq!(child.wait().expect("ended").code(), Some(status), "{signal_count} signals");
         }

@@ -1,14 +1,14 @@
-//! From options and a file to the daemon's configuration, everything resolved and checked once.
+//! Combines options and the configuration file into the daemon's configuration, resolved and checked once.
 //!
 //! ```text
-//!   options ──────────────┐ over        DIR... and --out take the place of the [[watch]] blocks;
+//!   options ──────────────┐ merge       DIR... and --out replace the [[watch]] blocks;
 //!   meniscus.toml ────────┤             every other option overrides its key in every block
 //!   defaults ─────────────┘
 //!                         ▼
-//!                      Config           absolute paths; numbers that make sense together
+//!                      Config           absolute paths; consistent numbers
 //! ```
 //!
-//! A reload makes a plan from the same options and the file as it is by then.
+//! A reload makes a new plan from the same options and the current content of the file.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -29,21 +29,21 @@ use crate::watch::place::known_path;
 use crate::watch::selection::FileFilter;
 use crate::watch::{Order, Patience, Poll, Watch, WatchConfig, names_level_sets};
 
-/// What to do, and what to say of it before.
+/// The daemon's configuration, and warnings to log before it starts.
 #[derive(Clone, Debug)]
 pub(in crate::cli) struct WatchPlan {
     pub(in crate::cli) config: WatchConfig,
     pub(in crate::cli) log: LogChoice,
-    /// Where it is shown what is going on.
+    /// The address of the status page and the HTTP API.
     pub(in crate::cli) listen: Option<Listen>,
-    /// A sentence each.
+    /// Warnings, one sentence each.
     pub(in crate::cli) warnings: Vec<String>,
 }
 
-/// What was asked for, checked.
+/// Makes the plan from the options and the file, and checks it.
 ///
 /// # Errors
-/// When the file cannot be read, or something does not make sense.
+/// If the file cannot be read, or a setting is invalid.
 pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<WatchPlan> {
     let file = args.config.as_deref().map(read_config_file).transpose()?;
     let (mut watches, mut warnings) = (Vec::new(), Vec::new());
@@ -52,7 +52,7 @@ pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<WatchPlan> {
         watches.push(watch.with_context(|| place)?);
     }
     refuse_twins(&watches)?;
-    // What is wrong with one option is wrong with it in every block.
+    // An invalid command-line option is invalid in every block, so it is reported once.
     let mut told = HashSet::new();
     warnings.retain(|warning: &String| told.insert(warning.clone()));
     let daemon = args.daemon.clone().over(file.map(|file| file.daemon).unwrap_or_default());
@@ -62,12 +62,12 @@ pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<WatchPlan> {
     Ok(WatchPlan { config, log: daemon.log.unwrap_or(LogChoice::Text), listen, warnings })
 }
 
-/// A folder to watch, as it was asked for.
+/// A folder to watch, with unresolved settings.
 struct Folder {
     input: PathBuf,
     output: PathBuf,
     frames: FrameArgs,
-    /// Where it was asked for.
+    /// Where the user named it.
     place: String,
 }
 
@@ -81,7 +81,7 @@ fn folders(args: &WatchArgs, file: Option<&ConfigFile>) -> Result<Vec<Folder>> {
 fn typed_folders(args: &WatchArgs) -> Result<Vec<Folder>> {
     refuse_stray_rounds(&args.frames.method, &args.inputs)?;
     let Some(output) = &args.out else {
-        bail!("folders given here take the place of the [[watch]] blocks of the file: give --out as well");
+        bail!("DIR replaces the [[watch]] blocks of the file, so it needs --out as well");
     };
     let folder = |input: &PathBuf| Folder {
         input: input.clone(),
@@ -90,7 +90,7 @@ fn typed_folders(args: &WatchArgs) -> Result<Vec<Folder>> {
         place: input.display().to_string(),
     };
     let mut inputs = args.inputs.clone();
-    // A shell may name a folder twice.
+    // Shell globs may name a folder twice.
     let mut seen = HashSet::new();
     inputs.retain(|input| seen.insert(input.clone()));
     Ok(inputs.iter().map(folder).collect())
@@ -99,14 +99,14 @@ fn typed_folders(args: &WatchArgs) -> Result<Vec<Folder>> {
 fn folders_of_file(args: &WatchArgs, file: &ConfigFile) -> Result<Vec<Folder>> {
     let path = file.path.display();
     let Some(first) = file.watches.first() else {
-        bail!("{path}: there is nothing to watch: add a [[watch]] block, or give DIR and --out");
+        bail!("{path}: no folder to watch: add a [[watch]] block, or give DIR and --out");
     };
     let has_other_output = |block: &&WatchBlock| block.output != first.output;
     if args.out.is_some()
         && let Some(other) = file.watches.iter().find(has_other_output)
     {
         bail!(
-            "{path}: the [[watch]] blocks at lines {} and {} have different outputs, and --out is only one: \
+            "{path}: the [[watch]] blocks at lines {} and {} have different outputs, but --out names only one: \
              leave it out, or give DIR as well",
             first.line,
             other.line
@@ -142,7 +142,7 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
         check_sentinel(sentinel)?;
     }
     if input.exists() && !input.is_dir() {
-        bail!("{}: a folder is watched, and this is a file: `meniscus convert` does files", input.display());
+        bail!("{}: this is a file, and watch needs a folder: use `meniscus convert` for files", input.display());
     }
     refuse_file_for_folder(&outputs.folder)?;
     Ok(Watch {
@@ -156,7 +156,7 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
     })
 }
 
-/// A sentinel lies beside its frame, and is not the frame.
+/// Refuses a sentinel whose name is a path, or is always the frame itself.
 fn check_sentinel(name: &str) -> Result<()> {
     let is_name = !name.is_empty() && !name.contains(['/', '\\']) && !["{name}", ".", ".."].contains(&name);
     if !is_name {
@@ -165,7 +165,7 @@ fn check_sentinel(name: &str) -> Result<()> {
     Ok(())
 }
 
-/// Two watches of the same files would make the same outputs.
+/// Refuses two watches of the same files for the same outputs.
 fn refuse_twins(watches: &[Watch]) -> Result<()> {
     for (index, watch) in watches.iter().enumerate() {
         let is_twin = |other: &&Watch| {
@@ -180,7 +180,7 @@ fn refuse_twins(watches: &[Watch]) -> Result<()> {
     Ok(())
 }
 
-/// A journal is about one folder of outputs.
+/// Refuses one journal for several folders of outputs.
 fn refuse_shared_journal(watches: &[Watch], journal: Option<&Path>) -> Result<()> {
     let mut outputs = watches.iter().map(|watch| &watch.outputs.folder);
     let first = outputs.next();
@@ -225,12 +225,12 @@ fn patience(once: bool, daemon: &DaemonArgs) -> Result<Patience> {
     let settle = daemon.settle.unwrap_or(SETTLE);
     let long = UNPROVEN_MIN.max(4 * settle);
     let unproven = daemon.unproven.unwrap_or(long);
-    // Who asks for what is there does not wait for a writer that is gone.
+    // With `--once` the daemon does not wait for writers that are gone.
     let stalled = daemon.stalled.unwrap_or(if once { long } else { STALLED.max(long) });
     for (name, time) in [("unproven", unproven), ("stalled", stalled)] {
         if time < settle {
             bail!(
-                "{name} is {}, less than settle, {}: files would be given up before they have settled",
+                "{name} is {}, less than settle, {}: files would fail before they have settled",
                 humantime::format_duration(time),
                 humantime::format_duration(settle)
             );
@@ -239,7 +239,7 @@ fn patience(once: bool, daemon: &DaemonArgs) -> Result<Patience> {
     Ok(Patience { settle, unproven, stalled })
 }
 
-/// Where to show what is going on, and to whom.
+/// The address and the access token of the HTTP server.
 fn listen(daemon: &DaemonArgs, token: Option<&str>) -> Result<Option<Listen>> {
     let token = match (token, &daemon.token_file) {
         (Some(token), _) => Some(AccessToken::new(token).context("--token")?),
@@ -248,14 +248,14 @@ fn listen(daemon: &DaemonArgs, token: Option<&str>) -> Result<Option<Listen>> {
     };
     let Some(address) = daemon.listen else {
         if token.is_some() {
-            bail!("a token is for those who look: give --listen as well");
+            bail!("--token and --token-file require --listen");
         }
         return Ok(None);
     };
     if token.is_none() && !address.ip().to_canonical().is_loopback() {
         bail!(
-            "{address} can be reached from other machines: give --token-file or --token, so that not everybody \
-             sees what is there, or listen on 127.0.0.1"
+            "{address} can be reached from other machines: give --token-file or --token to restrict access, \
+             or listen on 127.0.0.1"
         );
     }
     Ok(Some(Listen { address, token }))
@@ -267,9 +267,9 @@ fn token_in(path: &Path) -> Result<AccessToken> {
     AccessToken::new(line.trim()).with_context(|| format!("the first line of {}", path.display()))
 }
 
-/// The same from wherever the daemon is started: its journal must know the frames.
+/// An absolute path: the journal must identify frames by the same paths wherever the daemon is started.
 fn absolute(path: &Path) -> Result<PathBuf> {
-    known_path(path).with_context(|| format!("`{}` is no path", path.display()))
+    known_path(path).with_context(|| format!("`{}` is not a valid path", path.display()))
 }
 
 const SETTLE: Duration = Duration::from_millis(500);

@@ -128,7 +128,7 @@ fn typed_folders_take_the_place_of_the_blocks() {
     let config = bench.plan(&["c", "d", "c", "--out", "x"]).expect("a plan").config;
     assert_eq!((config.watches.len(), config.patience.settle.as_secs()), (2, 3));
     assert!(config.watches.iter().all(|watch| watch.choices.voxel_size.is_none()));
-    bench.refused(&["c"], &["take the place of the [[watch]] blocks", "give --out"]);
+    bench.refused(&["c"], &["replaces the [[watch]] blocks", "needs --out"]);
 }
 
 #[test]
@@ -140,8 +140,8 @@ fn one_output_does_not_stand_for_several() {
     let bench = Bench::new(&(block("a", "") + &block("b", "")));
     bench.refused(&[], &["meniscus.toml:1", "names no output", "--out"]);
     assert_eq!(bench.plan(&["--out", "x"]).expect("a plan").config.watches.len(), 2);
-    Bench::new("[daemon]\n").refused(&[], &["nothing to watch"]);
-    Bench::new("[daemon]\n").refused(&["--out", "x"], &["nothing to watch"]);
+    Bench::new("[daemon]\n").refused(&[], &["no folder to watch"]);
+    Bench::new("[daemon]\n").refused(&["--out", "x"], &["no folder to watch"]);
 }
 
 #[test]

@@ -1,5 +1,4 @@
-//! What the system's service manager is told. systemd alone wants to know; where there is none, nobody
-//! is told.
+//! Notifications for the system's service manager. Only systemd uses them; elsewhere they do nothing.
 
 #[cfg(target_os = "linux")]
 mod systemd;

@@ -1,4 +1,4 @@
-//! A system without a service manager that listens.
+//! The notifications on systems without systemd: they do nothing.
 
 use crate::watch::Notice;
 

@@ -1,11 +1,12 @@
-//! The messages of sd_notify(3), over the socket that `NOTIFY_SOCKET` names; without it, none.
+//! Sends the messages of sd_notify(3) over the socket that `NOTIFY_SOCKET` names. Without that variable it
+//! sends nothing.
 //!
 //! ```text
 //!   Notice::Ready      READY=1        also after a reload
 //!   Notice::Status     STATUS=…
-//!   Notice::Alive      WATCHDOG=1     where there is a watchdog, and twice in its time at most
+//!   Notice::Alive      WATCHDOG=1     if a watchdog is configured, at most twice per timeout
 //!   Notice::Stopping   STOPPING=1
-//!   a reload begins    RELOADING=1, MONOTONIC_USEC=…; READY=1 ends it, also where nothing came of it
+//!   a reload begins    RELOADING=1, MONOTONIC_USEC=…; READY=1 ends it, even if the reload failed
 //! ```
 
 use std::time::{Duration, Instant};
@@ -16,9 +17,9 @@ use tracing::warn;
 
 use crate::watch::Notice;
 
-/// The service manager, for the loop.
+/// The service manager, as the loop uses it.
 pub(in crate::cli::watch) struct Service {
-    /// A service that is silent for so long is taken for hung.
+    /// The watchdog timeout, after which systemd kills a silent service.
     watchdog: Option<Duration>,
     last_sign: Option<Instant>,
 }
@@ -29,7 +30,7 @@ impl Service {
     }
 
     pub(in crate::cli::watch) fn tell(&mut self, notice: &Notice) {
-        // A line break, such as in the name of a folder, would begin another message.
+        // A line break, for example in a folder's name, would start another message.
         let escaped_status = match notice {
             Notice::Status(status) => Some(Notice::Status(escaped(status).to_string())),
             _ => None,
@@ -57,23 +58,23 @@ impl Service {
     }
 }
 
-/// A reload begins.
+/// Reports the start of a reload.
 pub(in crate::cli::watch) fn tell_reloading() {
     match NotifyState::monotonic_usec_now() {
         Ok(now) => send(&[NotifyState::Reloading, now]),
-        Err(error) => warn!("the service manager is not told of the reload: {error}"),
+        Err(error) => warn!("cannot notify the service manager of the reload: {error}"),
     }
 }
 
-/// A reload changed nothing: the service goes on as it was.
+/// Reports a failed reload: the service continues with its old configuration.
 pub(in crate::cli::watch) fn tell_not_reloaded(why: &str) {
     send(&[NotifyState::Ready, NotifyState::Status(&escaped(why).to_string())]);
 }
 
-/// A message that is lost is no reason to stop work; it is told in the log.
+/// Sends a message. A failure is logged, and the daemon continues.
 fn send(messages: &[NotifyState<'_>]) {
     if let Err(error) = sd_notify::notify(messages) {
-        warn!("the service manager cannot be told: {error}");
+        warn!("cannot notify the service manager: {error}");
     }
 }
 
@@ -96,7 +97,7 @@ mod tests {
         assert!(!heard(&mut unwatched, 0));
     }
 
-    /// Says everything there is to say.
+    /// Sends every kind of message.
     fn say_everything() {
         let mut service = Service::new();
         service.tell(&Notice::Ready);
@@ -108,12 +109,12 @@ mod tests {
         service.tell(&Notice::Stopping);
     }
 
-    /// Set in the child of the test below.
+    /// Set in the child process of the test below.
     const CHILD: &str = "MENISCUS_TEST_SAY_EVERYTHING";
 
     #[test]
     fn the_socket_hears_everything() {
-        // The socket is known by the environment, which only a process of its own can have.
+        // The socket's name comes from the environment, so the test needs its own process.
         if std::env::var_os(CHILD).is_some() {
             return say_everything();
         }
