@@ -1,4 +1,4 @@
-//! Where pictures are taken: what is the same for all pictures of a command.
+//! The state shared by all pictures of a command.
 //!
 //! ```text
 //!   sequence ──▶ settings, viewpoint
@@ -32,41 +32,41 @@ use super::remedies::with_remedy;
 use super::resolving::{measured_spacing, settings_of, warn_of};
 use super::wording::counted;
 
-/// What is the same for all pictures of a command.
+/// Settings and resources shared by all pictures of a command.
 pub(super) struct RenderSession<'a> {
     pub(super) method: &'a MethodArgs,
-    /// One format, that of the pictures.
+    /// Exactly one format, that of the pictures.
     pub(super) outputs: OutputOptions,
     pub(super) obstacles: ObstacleFiles,
     pub(super) memory_bytes: u64,
 }
 
-/// What there is to take pictures of.
+/// The surface to render.
 pub(super) enum RenderSource {
-    /// A level set, and a hash of its file.
+    /// A level set, and the hash of its file.
     LevelSet(Box<LevelSetFile>),
     /// Particles and their surface.
     Skinned(Box<RenderedFrame>),
 }
 
-/// A frame that was skinned for its pictures.
+/// A frame that was converted for its pictures.
 pub(super) struct RenderedFrame {
     pub(super) frame: LoadedFrame,
     pub(super) made: Reconstruction,
     pub(super) settings: Settings,
 }
 
-/// The settings of the particles of a sequence, and the spacing that was measured for them if they need one.
+/// The settings for the particles of a sequence, and the measured spacing if they need one.
 ///
 /// # Errors
-/// When options make no sense, or the spacing cannot be measured.
+/// If options are invalid, or the spacing cannot be measured.
 pub(super) fn measured_settings(
     sequence: &Sequence,
     options: &MethodOptions,
     console: &Console,
 ) -> Result<(Settings, Option<MeasuredSpacing>)> {
     let measured = measured_spacing(sequence, options, console).map_err(|none| match none.sparse_count {
-        // Why a file cannot be read begins with its name.
+        // Errors of reading a file begin with its name.
         0 => Error::from(none),
         _ => Error::from(none).context(sequence.name.clone()),
     })?;
@@ -74,10 +74,10 @@ pub(super) fn measured_settings(
 }
 
 impl<'a> RenderSession<'a> {
-    /// For pictures of this format and size that go into this folder.
+    /// A session for pictures of this format and size, written into this folder.
     ///
     /// # Errors
-    /// When an option is wrong.
+    /// If an option is invalid.
     pub(super) fn new(
         args: &'a PictureArgs,
         (folder, format, size): (PathBuf, OutputFormat, PictureSize),
@@ -96,18 +96,18 @@ impl<'a> RenderSession<'a> {
         Ok(RenderSession { method, outputs, obstacles, memory_bytes })
     }
 
-    /// Tells of options that change nothing where these formats are written.
+    /// Warns about options that have no effect on these formats.
     pub(super) fn warn_of_ignored(&self, written: &[OutputFormat], console: &Console) {
         for warning in ignored(self.method, &FormatArgs::default(), written) {
             console.warning(warning);
         }
     }
 
-    /// What all pictures of a sequence have in common: the settings that its particles are skinned with, none for level
-    /// sets, and where pictures of this size are taken from.
+    /// What all pictures of a sequence share: the settings for its particles (none for level sets), and the
+    /// camera for pictures of this size.
     ///
     /// # Errors
-    /// When options make no sense, there is no voxel size, or none of the frames can be read.
+    /// If options are invalid, there is no voxel size, or none of the frames can be read.
     pub(super) fn prepare(
         &self,
         sequence: &Sequence,
@@ -150,10 +150,10 @@ impl<'a> RenderSession<'a> {
         Ok(camera.viewpoint(bounds.unwrap_or(NOTHING), aspect, up_of(self.outputs.up)))
     }
 
-    /// Reads a level set, or skins particles, and prints what a user should know of it.
+    /// Reads a level set, or converts particles, and prints warnings about the frame.
     ///
     /// # Errors
-    /// Those of every stage.
+    /// The errors of every stage.
     pub(super) fn source(
         &self,
         file: &FrameFile,
@@ -163,7 +163,7 @@ impl<'a> RenderSession<'a> {
         let source = if is_level_set(&file.path) {
             RenderSource::LevelSet(Box::new(LevelSetFile::read(&file.path, self.has_velocities())?))
         } else {
-            let settings = settings.context("there are no settings for particles among level sets")?;
+            let settings = settings.context("particles among level sets have no settings")?;
             let frame = LoadedFrame::read((&file.path, file.number()), settings)?;
             let made = self.skin(&frame, settings)?;
             RenderSource::Skinned(Box::new(RenderedFrame { frame, made, settings: settings.clone() }))
@@ -172,10 +172,10 @@ impl<'a> RenderSession<'a> {
         Ok(source)
     }
 
-    /// Skins particles.
+    /// Converts particles to a surface.
     ///
     /// # Errors
-    /// Those of every stage.
+    /// The errors of every stage.
     pub(super) fn skin(
         &self,
         frame: &LoadedFrame,
@@ -184,7 +184,7 @@ impl<'a> RenderSession<'a> {
         frame.skin(settings, &self.obstacles, &self.outputs, self.memory_bytes)
     }
 
-    /// Prints the warnings about a frame. Velocities that are missing are not one where the user did not ask for them.
+    /// Prints the warnings about a frame. Missing velocities are a warning only if the user requested them.
     fn print_warnings(&self, file: &FrameFile, source: &RenderSource, console: &Console) {
         let warnings = match source {
             RenderSource::LevelSet(level_set) => &level_set.warnings,
@@ -198,14 +198,14 @@ impl<'a> RenderSession<'a> {
         }
     }
 
-    /// Whether pictures have a place for velocities.
+    /// Whether the picture format can store velocities.
     fn has_velocities(&self) -> bool {
         self.outputs.formats == [OutputFormat::Exr]
     }
 }
 
 impl RenderSource {
-    /// A picture of the surface, with what is known of its pixels if that is wanted.
+    /// A picture of the surface, with metadata for its pixels if requested.
     pub(super) fn picture(&self, viewpoint: &Viewpoint, size: [usize; 2], has_data: bool) -> Picture {
         match self {
             RenderSource::LevelSet(level_set) => level_set.scene().picture(viewpoint, size, has_data),
@@ -215,7 +215,8 @@ impl RenderSource {
         }
     }
 
-    /// The particles to the left, the surface to the right. A level set has no particles, and is alone.
+    /// A picture with the particles on the left and the surface on the right. For a level set, only the
+    /// surface.
     pub(super) fn picture_beside_particles(&self, viewpoint: &Viewpoint, size: [usize; 2]) -> Picture {
         let [width, height] = size;
         let RenderSource::Skinned(skinned) = self else { return self.picture(viewpoint, size, false) };
@@ -225,7 +226,7 @@ impl RenderSource {
         side_by_side(&[render_particles(skinned.frame.particles(), radius, &view), right])
     }
 
-    /// What made a picture of it.
+    /// The metadata of a picture of it.
     pub(super) fn provenance(&self, input: &Path, options: &PictureOptions) -> Vec<(String, String)> {
         match self {
             RenderSource::LevelSet(level_set) => picture_provenance(input, level_set.hash, None, options),
@@ -237,12 +238,12 @@ impl RenderSource {
     }
 }
 
-/// Does the work on a file; a panic becomes an error of this one, and the others go on.
+/// Processes a file; a panic becomes an error of this file, and the others continue.
 pub(super) fn catch_panic<T>(file: &Path, work: impl FnOnce() -> Result<T>) -> Result<T> {
     FrameError::catch(file, Stage::Write, work)?
 }
 
-/// A picture of a surface, with what is known of its pixels if that is wanted.
+/// A picture of a surface, with metadata for its pixels if requested.
 pub(super) fn picture_of_reconstruction(
     made: &Reconstruction,
     settings: &Settings,
@@ -255,15 +256,15 @@ pub(super) fn picture_of_reconstruction(
     PictureScene { band, lattice, origin, velocity: velocity.as_ref() }.picture(viewpoint, size, has_data)
 }
 
-/// The files that were meant; of a folder its particles, and the level sets of other frames.
+/// The files that the inputs name: particles, and in folders also level sets of frames without particles.
 ///
 /// # Errors
-/// When an input stands for no file at all.
+/// If an input matches no file.
 pub(super) fn find_render_sources(inputs: &[PathBuf]) -> Result<MatchedInputs> {
     find_with_others(inputs, |input| Ok(level_sets_in(input)), add_level_sets)
 }
 
-/// Adds those level sets of a folder whose frames are not there as particles.
+/// Adds those level sets of a folder whose frames have no particle files.
 fn add_level_sets(found: &mut MatchedInputs, level_sets: Vec<FrameFile>, folder: &Path) {
     let stems: HashSet<String> = found.files.iter().map(FrameFile::stem).collect();
     let count = level_sets.len();
@@ -272,7 +273,7 @@ fn add_level_sets(found: &mut MatchedInputs, level_sets: Vec<FrameFile>, folder:
     let (known, new): (Vec<_>, Vec<_>) = level_sets.into_iter().partition(is_known);
     if !known.is_empty() {
         found.warnings.push(format!(
-            "{}: {} of {} passed over: their frames are there as particles",
+            "{}: skipped {} of {}: their frames have particle files",
             folder.display(),
             known.len(),
             counted(count, "level set")
@@ -281,16 +282,16 @@ fn add_level_sets(found: &mut MatchedInputs, level_sets: Vec<FrameFile>, folder:
     found.add(MatchedInputs { files: new, ..MatchedInputs::default() });
 }
 
-/// The level sets in a folder; none in what is no folder.
+/// The level sets in a folder; empty if the path is not a folder.
 pub(super) fn level_sets_in(folder: &Path) -> Vec<FrameFile> {
     let files = if folder.is_dir() { files_in(folder).unwrap_or_default() } else { Vec::new() };
     files.into_iter().filter(|path| is_level_set(path)).map(FrameFile::new).collect()
 }
 
-/// The folder, the stem and the extension, in small letters, of a picture's file.
+/// The folder, the stem and the lower-case extension of a picture's file.
 ///
 /// # Errors
-/// When its name is not UTF-8, or has another extension than these.
+/// If its name is not UTF-8, or has an extension other than these.
 pub(super) fn named_picture<'e>(file: &Path, extensions: &[&'e str]) -> Result<(PathBuf, String, &'e str)> {
     let extension = file.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     let Some(extension) = extensions.iter().find(|known| **known == extension) else {
@@ -303,8 +304,9 @@ pub(super) fn named_picture<'e>(file: &Path, extensions: &[&'e str]) -> Result<(
     Ok((folder.to_owned(), stem.to_owned(), extension))
 }
 
-/// The attribute that .exr has a layer for.
+/// The attribute that .exr stores in its own layer.
 const VELOCITY: &str = "velocity";
 
-/// The radius of the balls that particles are shown as, in units of r_min: by default they nearly touch.
+/// The radius of the balls that represent particles, in units of r_min: with the default settings they nearly
+/// touch.
 const BALL_RADIUS: f64 = 0.5;

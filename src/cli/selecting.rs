@@ -1,4 +1,4 @@
-//! From inputs to the frames that were meant, sequence by sequence.
+//! Selects the frames of each sequence from the inputs.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -19,27 +19,27 @@ use super::inputs::find_inputs;
 use super::out_folder::folder_of;
 use super::wording::{counted, counted_are};
 
-/// What to convert.
+/// The frames to convert.
 pub(super) struct InputSelection {
     /// At least one.
     pub(super) sequences: Vec<SelectedSequence>,
-    /// Every file that the inputs stand for, selected or not.
+    /// Every file that the inputs name, selected or not.
     pub(super) found: Vec<PathBuf>,
-    /// No path was unreadable: there are no frames but these.
+    /// Whether every path was readable, so that these are all the frames.
     pub(super) is_complete: bool,
 }
 
-/// A sequence, and which of its frames to convert.
+/// A sequence, and its frames to convert.
 pub(super) struct SelectedSequence {
     pub(super) sequence: Sequence,
     /// At least one.
     pub(super) selected: Vec<FrameFile>,
 }
 
-/// Finds the frames that the inputs stand for, and those of them with numbers that are asked for.
+/// Finds the frames that the inputs name, and selects those with the requested numbers.
 ///
 /// # Errors
-/// When an input stands for no frame, or none is selected.
+/// If an input names no frame, or no frame is selected.
 pub(super) fn select_frames(
     inputs: &[PathBuf],
     numbers: Option<&FrameSelection>,
@@ -54,10 +54,10 @@ pub(super) fn select_frames(
         let name =
             Path::new(first.file_name().filter(|_| is_one_folder).unwrap_or(first.as_os_str())).display();
         match count {
-            1 => console.say(format_args!("passed over {name}: no frame of particles")),
+            1 => console.say(format_args!("skipped {name}: not a particle file")),
             _ => {
                 let others = counted(count - 1, "other file");
-                console.say(format_args!("passed over {name} and {others}: no frames of particles"));
+                console.say(format_args!("skipped {name} and {others}: not particle files"));
             }
         }
     }
@@ -77,10 +77,10 @@ pub(super) fn select_frames(
     Ok(InputSelection { sequences, found: paths, is_complete })
 }
 
-/// The sequences, each with the frames whose numbers are asked for, and without those that have none of these.
+/// The sequences with their selected frames; sequences without any are dropped.
 ///
 /// # Errors
-/// When none are left.
+/// If no frames are selected.
 pub(super) fn selected_of(
     sequences: Vec<Sequence>,
     numbers: Option<&FrameSelection>,
@@ -98,10 +98,11 @@ pub(super) fn selected_of(
     }
 }
 
-/// The only sequence of these files, of which one sequence is needed, and why.
+/// The only sequence of these files, for a command that needs exactly one; `why` is the reason for the error
+/// message.
 ///
 /// # Errors
-/// When there are several, or none.
+/// If there are several sequences, or none.
 pub(super) fn only_sequence(files: Vec<FrameFile>, why: &str) -> Result<Sequence> {
     <[Sequence; 1]>::try_from(pipeline::sequences(files)).map(|[sequence]| sequence).map_err(|sequences| {
         let named = sequences.iter().take(SEQUENCES_NAMED).map(|sequence| &*sequence.name);
@@ -114,7 +115,7 @@ pub(super) fn only_sequence(files: Vec<FrameFile>, why: &str) -> Result<Sequence
     })
 }
 
-/// More sequences than that are not named where there should be one.
+/// Maximum number of sequences named in the error message.
 const SEQUENCES_NAMED: usize = 5;
 
 /// The selected frames of these sequences.
@@ -122,8 +123,9 @@ pub(super) fn selected_files(sequences: &[SelectedSequence]) -> impl Iterator<It
     sequences.iter().flat_map(|sequence| &sequence.selected)
 }
 
-/// Leaves out frames whose outputs would have the names of those of an earlier frame in the same folder, as `dam.1.ply`
-/// beside `dam.1.bgeo` would. The daemon takes the one that is complete first. Full names for both would change with what else is in the folder.
+/// Leaves out frames whose outputs would have the same names as those of an earlier frame in the same folder,
+/// as with `dam.1.ply` and `dam.1.bgeo`. The daemon converts the one that is complete first. Using the full
+/// names of both would make output names depend on the other files in the folder.
 fn without_rivals(sequences: Vec<SelectedSequence>, console: &mut Console) -> Vec<SelectedSequence> {
     let mut owner_of: HashMap<(PathBuf, String), PathBuf> = HashMap::new();
     let mut kept = Vec::new();
@@ -154,7 +156,8 @@ fn without_rivals(sequences: Vec<SelectedSequence>, console: &mut Console) -> Ve
     kept
 }
 
-/// Names the folders whose files look like one sequence and are many: each of these gets its own voxel size.
+/// Warns about folders whose files look like one sequence but form many: each of these gets a voxel size of
+/// its own.
 fn warn_of_single_frames(sequences: &[Sequence], console: &Console) {
     for (folder, count) in single_frame_sequences(sequences) {
         let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { &folder };
@@ -162,24 +165,24 @@ fn warn_of_single_frames(sequences: &[Sequence], console: &Console) {
     }
 }
 
-/// Refuses level sets where there must be particles, for a command that is called so.
+/// Refuses level sets for a command that needs particles; `command` is its name in the message.
 ///
 /// # Errors
-/// Which, and what does them.
+/// Which file is a level set, and what to use instead.
 pub(super) fn refuse_level_sets(selection: &InputSelection, command: &str) -> Result<()> {
     match selected_files(&selection.sequences).find(|file| is_level_set(&file.path)) {
         Some(file) => bail!(
-            "{}: a level set, and {command} is for particles: `meniscus convert` does level sets, by themselves",
+            "{}: {command} needs particles, and this is a level set: convert it separately with `meniscus convert`",
             file.path.display()
         ),
         None => Ok(()),
     }
 }
 
-/// Refuses a report that could not be written, or would replace the plan or a file that is named in it.
+/// Refuses a report that cannot be written, or would replace the plan or a file named in it.
 ///
 /// # Errors
-/// Why.
+/// The reason.
 pub(super) fn refuse_report_of_plan(report: Option<&Path>, plan: &ShardPlan, plan_path: &Path) -> Result<()> {
     let Some(report) = report else { return Ok(()) };
     refuse_odd_place("the report", report)?;
@@ -192,30 +195,31 @@ pub(super) fn refuse_report_of_plan(report: Option<&Path>, plan: &ShardPlan, pla
     Ok(())
 }
 
-/// Refuses to write something, such as a report, where it could not be, or would replace what is no file.
+/// Refuses an output path, such as that of a report, whose folder is missing or that names something other
+/// than a regular file.
 ///
 /// # Errors
-/// Why not.
+/// The reason.
 pub(super) fn refuse_odd_place(what: &str, path: &Path) -> Result<()> {
     if let Some(folder) = path.parent()
         && !folder.as_os_str().is_empty()
         && !folder.is_dir()
     {
-        bail!("{}: there is no such folder for {what}", folder.display());
+        bail!("{}: the folder for {what} does not exist", folder.display());
     }
     if let Ok(there) = path.metadata()
         && !there.is_file()
     {
-        bail!("{}: {what} would replace what is there, which is no ordinary file", path.display());
+        bail!("{}: not a regular file, so {what} cannot replace it", path.display());
     }
     refuse_shut_folder(what, path)
 }
 
-/// Refuses to write something where no file can be made. Of a link it shows when it is written: then some take its place,
-/// and some that of what it names.
+/// Refuses a path where no file can be created. For a link this shows only on writing, because some outputs
+/// replace the link, and others its target.
 ///
 /// # Errors
-/// Why not.
+/// The reason.
 fn refuse_shut_folder(what: &str, path: &Path) -> Result<()> {
     if path.is_symlink() {
         return Ok(());
@@ -223,10 +227,7 @@ fn refuse_shut_folder(what: &str, path: &Path) -> Result<()> {
     let folder = folder_of(path);
     match check_out_folder(folder) {
         Err(OutFolderError::Write { folder, source }) => {
-            bail!(
-                "{}: nothing can be written into this folder, and {what} is to be: {source}",
-                folder.display()
-            )
+            bail!("{}: cannot write {what} into this folder: {source}", folder.display())
         }
         other => Ok(other?),
     }

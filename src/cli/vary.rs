@@ -1,8 +1,8 @@
-//! What `meniscus tune` varies: `ratio=1.5,2,3,time,h=0.5x,1x`.
+//! The parameter sweep of `meniscus tune`: `ratio=1.5,2,3,time,h=0.5x,1x`.
 //!
 //! ```text
 //!   ratio   --radius-ratio     1.5    the number as the option takes it
-//!   time    --steps            2x     a multiple of what it is without
+//!   time    --steps            2x     a multiple of the base value
 //!   h       --voxel-size
 //! ```
 
@@ -13,17 +13,17 @@ use crate::surface::options::{MethodOptions, Settings, ValueKind};
 
 use super::wording::{significant, typed};
 
-/// What differs from cell to cell.
+/// The parameters that differ from cell to cell.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Vary {
-    /// One to three, each another parameter.
+    /// One to three different parameters.
     varied: Vec<Varied>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
 struct Varied {
     parameter: &'static Parameter,
-    /// `None` for the parameter's own.
+    /// `None` for the parameter's default values.
     amounts: Option<Vec<Amount>>,
 }
 
@@ -34,20 +34,20 @@ pub(super) struct Parameter {
     pub(super) name: &'static str,
     /// The option.
     option: &'static str,
-    /// What it is, in a title. Of whole numbers, what is counted is before the first ` of `.
+    /// Its meaning, for titles. For whole numbers, the counted noun is the part before the first ` of `.
     pub(super) meaning: &'static str,
-    /// The values beside the one without, where none are given.
+    /// The default values, shown beside the base value.
     amounts: (SweepUnit, &'static [f64]),
 }
 
-/// A number, and its unit.
+/// A number and its unit.
 type Amount = (SweepUnit, f64);
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum SweepUnit {
-    /// As the option takes it.
+    /// A value of the option.
     Plain,
-    /// In units of what it is without.
+    /// A multiple of the base value.
     Times,
 }
 
@@ -55,7 +55,7 @@ enum SweepUnit {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct SweepValue {
     parameter: &'static Parameter,
-    /// `None` for what it is without.
+    /// `None` for the base value.
     number: Option<f64>,
 }
 
@@ -78,7 +78,7 @@ static PARAMETERS: [Parameter; 14] = [
     parameter("laplacian", "laplacian_steps", "Laplacian steps", Times, &[0.0, 0.5, 2.0, 4.0]),
     parameter("step", "step_size", "size of a step, h\u{2074}", Times, &[0.25, 4.0, 16.0]),
     parameter("redistance", "redistance_every", "steps between redistancings", Plain, &[1.0, 2.0, 4.0]),
-    // A multiple of 0 is 0: values must be given.
+    // A multiple of 0 is 0, so values must be given.
     parameter("offset", "offset", "offset", Plain, &[]),
 ];
 
@@ -92,14 +92,15 @@ const fn parameter(
     Parameter { name, option, meaning, amounts: (unit, numbers) }
 }
 
-/// What `meniscus tune --help` says below the options.
+/// The section that `meniscus tune --help` prints below the options.
 pub(super) fn tuning_help() -> String {
-    let mut text = "What to vary, with the values that are shown beside what it is without:\n".to_owned();
+    let mut text =
+        "What to vary, with the default values, which are shown beside the base value:\n".to_owned();
     for Parameter { name, option, meaning, amounts: (unit, numbers) } in &PARAMETERS {
         let x = if *unit == Times { "x" } else { "" };
         let numbers: Vec<String> = numbers.iter().map(|number| format!("{number}{x}")).collect();
         let numbers = if numbers.is_empty() { "give values".to_owned() } else { numbers.join(",") };
-        // Text in memory takes everything.
+        // Writing into a string cannot fail.
         let _ = writeln!(text, "  {name:<11} {:<21} {meaning}: {numbers}", typed(option));
     }
     text + TUNING
@@ -125,10 +126,10 @@ Exit status:
   2    the command cannot be carried out, or no cell has a picture: there is no sheet";
 
 impl Vary {
-    /// The parameters, and the values of each: one at least. `settings` are those without.
+    /// The parameters with at least one value each. `settings` are the base settings.
     ///
     /// # Errors
-    /// When a parameter has no values, or changes nothing with these settings.
+    /// If a parameter has no values, or has no effect with these settings.
     pub(super) fn values(
         &self,
         settings: &Settings,
@@ -174,15 +175,15 @@ impl Parameter {
         MethodOptions::info(self.option).is_some_and(|info| info.kind == ValueKind::Count)
     }
 
-    /// Its value in settings; `None` where these do not use it.
+    /// Its value in settings; `None` if they do not use it.
     fn value_in(&self, settings: &Settings) -> Option<f64> {
         let pairs = settings.to_options().to_pairs();
         let found = pairs.iter().find(|(name, _)| *name == self.option);
-        // Settings without an offset have one of 0.
+        // Settings without an offset have an offset of 0.
         found.and_then(|(_, text)| text.parse().ok()).or_else(|| (self.option == "offset").then_some(0.0))
     }
 
-    /// What it is without.
+    /// The base value.
     fn without(&self, settings: &Settings) -> f64 {
         self.value_in(settings).unwrap_or(f64::NAN)
     }
@@ -200,7 +201,7 @@ impl Parameter {
         SweepValue { parameter: self, number }
     }
 
-    /// An amount as it is typed.
+    /// Parses an amount.
     fn amount(&self, text: &str) -> Result<Amount, String> {
         let parsed = match text.strip_suffix('x') {
             Some(factor) => factor.parse().ok().filter(|factor| *factor >= 0.0).map(|factor| (Times, factor)),
@@ -214,7 +215,7 @@ impl Parameter {
         let expected = if is_counted { "a whole number of steps, such as 5" } else { "a number, such as 2" };
         parsed.filter(is_sound).ok_or_else(|| {
             let name = self.name;
-            format!("{name}=`{text}`: expected {expected}, or a multiple of what it is without, such as 0.5x")
+            format!("{name}=`{text}`: expected {expected}, or a multiple of the base value, such as 0.5x")
         })
     }
 }
@@ -224,13 +225,14 @@ impl SweepValue {
         self.number.unwrap_or_else(|| self.parameter.without(settings))
     }
 
-    /// Puts it into options; `settings` are those without.
+    /// Sets the option; `settings` are the base settings.
     pub(super) fn put(self, options: &mut MethodOptions, settings: &Settings) {
         let Some(number) = self.number else { return };
         let Parameter { name, option, .. } = self.parameter;
         let is_set = options.set(option, &number.to_string());
         debug_assert!(is_set.is_some(), "{option} takes numbers");
-        // In smaller voxels the paper's spheres would shrink, too, and come apart. In larger ones they must grow.
+        // With smaller voxels, the radii of the paper's method would shrink, too, until the spheres come
+        // apart. With larger voxels the radii must grow.
         let follows_voxel_size = options.preset.unwrap_or_default().follows_voxel_size();
         let is_finer = *name == "h" && number < settings.voxel_size;
         if follows_voxel_size && is_finer && options.radius_min.is_none() {
@@ -238,7 +240,7 @@ impl SweepValue {
         }
     }
 
-    /// As it is written under a cell with these settings.
+    /// The label of a cell with these settings.
     pub(super) fn label(self, settings: &Settings) -> String {
         let (&Parameter { name, meaning, .. }, number) = (self.parameter, self.number(settings));
         let noun = meaning.split(" of ").next().unwrap_or_default();
@@ -249,13 +251,13 @@ impl SweepValue {
         }
     }
 
-    /// Whether it is what it is without.
+    /// Whether it is the base value.
     pub(super) fn is_without(self, settings: &Settings) -> bool {
         self.number(settings) == self.parameter.without(settings)
     }
 }
 
-/// A number to four digits, as it is easily typed.
+/// A number rounded to four digits, short enough to type.
 fn short(number: f64) -> f64 {
     format!("{number:.3e}").parse().unwrap_or(number)
 }
@@ -263,7 +265,7 @@ fn short(number: f64) -> f64 {
 /// Rows, columns and blocks.
 const PARAMETERS_MAX: usize = 3;
 
-/// More are no whole number of steps.
+/// Larger floating-point numbers may not represent whole numbers of steps.
 const STEPS_TYPED_MAX: f64 = u32::MAX as f64;
 
 impl FromStr for Vary {
@@ -362,7 +364,7 @@ mod tests {
         assert_eq!(refused("offset=0,0.1"), "");
     }
 
-    /// What is put into the options comes out of the settings.
+    /// A value set in the options is the value read from the resulting settings.
     #[test]
     fn every_parameter_changes_the_settings() {
         let with = |options: &MethodOptions| Settings::resolve(options, Some(0.2.into())).expect("sound");

@@ -1,4 +1,4 @@
-//! `meniscus verify`: whether what was planned is there.
+//! `meniscus verify`: checks the results of a plan.
 
 use std::path::{Path, absolute};
 use std::time::Instant;
@@ -15,21 +15,22 @@ use super::machine::thread_pool;
 use super::selecting::refuse_report_of_plan;
 use super::wording::counted;
 
-/// Looks at the outputs of a plan.
+/// Checks the outputs of a plan.
 ///
 /// # Errors
-/// When nothing can be looked at.
+/// If nothing can be checked.
 pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<CommandOutcome> {
     let start = Instant::now();
-    let folder = absolute(&args.folder).with_context(|| format!("`{}` is not a valid path", args.folder.display()))?;
+    let folder =
+        absolute(&args.folder).with_context(|| format!("`{}` is not a valid path", args.folder.display()))?;
     if !folder.is_dir() {
         bail!("{}: there is no such folder", args.folder.display());
     }
-    // Its own name leads into it, which is all that looking at files takes.
+    // The path of a folder inside itself resolves, which is all that reading files needs.
     folder
         .join(".")
         .metadata()
-        .with_context(|| format!("{}: what is in this folder cannot be looked at", args.folder.display()))?;
+        .with_context(|| format!("{}: cannot read this folder", args.folder.display()))?;
     let plan = ShardPlan::read(&args.plan).with_context(|| args.plan.display().to_string())?;
     let planned = plan.out().filter(|planned| !are_one_file(planned, &folder)).map(Path::to_owned);
     let plan = plan.with_out(&folder);
@@ -52,7 +53,7 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
     }
     if let Some(path) = &args.report {
         let record = VerdictRecord::new(&plan, &verdicts, &args.plan, &folder);
-        // Through a link, what it names is replaced and not the link.
+        // For a link, its target is replaced, and not the link.
         let path = path.canonicalize().unwrap_or_else(|_| path.clone());
         record.write(&path).with_context(|| format!("{}: cannot write the report", path.display()))?;
     }
@@ -60,7 +61,7 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
     Ok(CommandOutcome::of(done_count, verdicts.frames.len() - done_count, false))
 }
 
-/// What is wanting of a shard: a line for each frame, or one for all where it has not run.
+/// The problems of a shard: a line for each frame, or one for all if the shard has not run.
 fn told(shard: &[(&PlannedFrame, &FrameVerdict)]) -> Vec<String> {
     let is_missing = |(_, verdict): &(_, &FrameVerdict)| {
         matches!(verdict.state, InspectedState::Missing { are_all: true, .. })
@@ -91,7 +92,7 @@ fn summarize(verdicts: &Verdicts, seconds: f64, console: &mut Console) {
         if gone > 0 {
             let gone = counted(gone, what);
             console.warning(format_args!(
-                "{gone} not to be read: whether the results were made from them as they are is not known"
+                "{gone} missing: cannot check whether the results are up to date with them"
             ));
         }
     }
@@ -101,7 +102,7 @@ fn summarize(verdicts: &Verdicts, seconds: f64, console: &mut Console) {
     }
 }
 
-/// Ascending numbers as schedulers take them: `0-3,7`.
+/// Formats ascending numbers for schedulers: `0-3,7`.
 fn in_ranges(numbers: &[usize]) -> String {
     let mut ranges: Vec<(usize, usize)> = Vec::new();
     for &number in numbers {

@@ -1,6 +1,6 @@
-//! `meniscus why`: why a frame was converted, or was not.
+//! `meniscus why`: explains why a frame was or was not converted.
 //!
-//! By what the daemon was asked for: a file says it, or else the journal.
+//! The daemon's settings come from its configuration file, or else from its journal.
 
 use std::path::{Path, PathBuf};
 
@@ -22,17 +22,17 @@ use super::console::Console;
 use super::status::{Holder, journal_folder, read_journal};
 use super::watch::make_plan;
 
-/// Tells everything that decides about a frame, and what comes of it.
+/// Prints every fact that decides about a frame, and the decision.
 ///
 /// # Errors
-/// When there is neither such a file nor a record of it, or something cannot be read.
+/// If there is neither such a file nor a record of it, or something cannot be read.
 pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<CommandOutcome> {
     let frame = known_frame(&args.file).context("the file has no name")?;
     let asked = match &args.config {
         Some(file) => Asked::of_file(file, args)?,
         None => Asked::of_journal(args, &frame)?,
     };
-    // A journal is about one folder of outputs: who reads what it says need not choose among several.
+    // A journal belongs to one folder of outputs, so no choice among several is necessary.
     let output = args.out.as_deref().filter(|_| args.config.is_some());
     let watch = asked.watch_of(&frame, output)?;
     let frame = below(&watch.input, &frame).unwrap_or(frame);
@@ -81,7 +81,7 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<CommandOutcom
     Ok(CommandOutcome::Done)
 }
 
-/// The path by which the daemon knows a frame.
+/// The path by which the daemon identifies a frame.
 fn known_frame(path: &Path) -> std::io::Result<PathBuf> {
     let file = known_path(file_of(path))?;
     Ok(match (step_of(path), path.file_name()) {
@@ -93,20 +93,20 @@ fn known_frame(path: &Path) -> std::io::Result<PathBuf> {
 const UNKNOWN: &str = "The journal does not say what the daemon was asked for: this is by its defaults. \
                        --config tells its file.";
 
-/// What the daemon was asked for.
+/// The daemon's settings.
 struct Asked {
     watches: Vec<Watch>,
     patience: Patience,
-    /// The folder of its journal, where that is not beside the outputs.
+    /// Its journal folder, if it is not beside the outputs.
     journal: Option<PathBuf>,
-    /// The journal, where it was read to know the rest.
+    /// The journal, if it was read to find the settings.
     state: Option<JournalState>,
-    /// Whether it is known, and not supposed.
+    /// Whether the settings are known, and not assumed.
     is_known: bool,
 }
 
 impl Asked {
-    /// What a file asks for, whatever the journal says.
+    /// The settings in a configuration file; the journal is ignored.
     fn of_file(file: &Path, args: &WhyArgs) -> Result<Asked> {
         let watch_args = WatchArgs { config: Some(file.to_owned()), ..WatchArgs::default() };
         let WatchConfig { watches, patience, journal, .. } = make_plan(&watch_args)?.config;
@@ -114,7 +114,7 @@ impl Asked {
         Ok(Asked { watches, patience, journal, state: None, is_known: true })
     }
 
-    /// What the journal says, or else what a daemon does by default in the folder of the frame.
+    /// The settings in the journal, or else the daemon's defaults for the folder of the frame.
     fn of_journal(args: &WhyArgs, frame: &Path) -> Result<Asked> {
         let output = args.out.as_deref().context("give --out, or --config")?;
         let journal = journal_folder(output, args.journal.as_deref());
@@ -133,8 +133,8 @@ impl Asked {
         Ok(Asked { watches, patience, journal: Some(journal), state: Some(state), is_known })
     }
 
-    /// The watch that the frame belongs to: of those around it, the one that takes its name, or else the
-    /// innermost. Only those that write into `output`, where one is given.
+    /// The watch that the frame belongs to: of those whose folder contains it, one whose pattern matches its
+    /// name, or else the innermost. If `output` is given, only watches that write into it.
     fn watch_of(&self, frame: &Path, output: Option<&Path>) -> Result<&Watch> {
         let output = output.map(known_path).transpose().context("--out has no name")?;
         let is_meant = |watch: &&Watch| {
@@ -147,13 +147,13 @@ impl Asked {
             selection.is_ok_and(|selection| selection.takes(&watch.input, file_of(&frame)))
         };
         let around = self.watches.iter().filter(is_meant);
-        around.max_by_key(|watch| (takes(watch), watch.input.components().count())).ok_or_else(|| {
-            anyhow!("{}: in none of the folders that are watched for these outputs", frame.display())
-        })
+        around
+            .max_by_key(|watch| (takes(watch), watch.input.components().count()))
+            .ok_or_else(|| anyhow!("{}: not in a folder that is watched for these outputs", frame.display()))
     }
 }
 
-/// Everything, in lines.
+/// The explanation as lines of text.
 fn lines(
     frame: &Path,
     record: Option<&JournaledFrame>,
@@ -216,12 +216,12 @@ fn recorded(record: &JournaledFrame, now_ms: u64) -> String {
         count => format!(", {count} attempts"),
     };
     let standing = match record.standing {
-        Standing::Queued => "queued, or under way",
+        Standing::Queued => "queued or in flight",
         Standing::Done => "done",
         Standing::Failed => "failed",
-        Standing::Retrying => "failed, and is to be tried again",
+        Standing::Retrying => "failed, will be retried",
         Standing::Refused => "refused, on account of other files",
-        Standing::GivenUp => "failed, and is to be tried again at the next start",
+        Standing::GivenUp => "failed, will be retried at the next start",
     };
     format!("{standing}, {}{attempts}", ago(record.at_ms, now_ms))
 }

@@ -503,16 +503,12 @@ fn what_lies_beside_the_frames_is_passed_over() {
     fs::write(path.join("bare"), "0 0 0\n1 0 0\n").expect("written");
     let ran = meniscus(path, &["convert", ".", "--out", "o", "--format", "ply", "--spacing", "0.1"]);
     assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
-    assert!(
-        ran.out.contains("passed over Makefile and 5 other files: no frames of particles"),
-        "{}",
-        ran.out
-    );
+    assert!(ran.out.contains("skipped Makefile and 5 other files: not particle files"), "{}", ran.out);
     for name in others.map(|(name, _)| name).iter().filter(|name| **name != "notes.txt") {
         fs::remove_file(path.join(name)).expect("removed");
     }
     let ran = meniscus(path, &["convert", ".", "--out", "o", "--format", "ply", "--spacing", "0.1"]);
-    assert!(ran.out.contains("passed over notes.txt: no frame of particles"), "{}", ran.out);
+    assert!(ran.out.contains("skipped notes.txt: not a particle file"), "{}", ran.out);
     // Of several folders, it is told which one it is in.
     fs::create_dir(path.join("more")).expect("made");
     write_sequence(&path.join("more"), 3, 3);
@@ -520,7 +516,7 @@ fn what_lies_beside_the_frames_is_passed_over() {
     let several = ["convert", ".", "more", "--out", "several", "--format", "ply", "--spacing", "0.1"];
     let ran = meniscus(path, &several);
     let told = Path::new(".").join("notes.txt").display().to_string();
-    assert!(ran.out.contains(&format!("passed over {told} and 1 other file: no frames")), "{}", ran.out);
+    assert!(ran.out.contains(&format!("skipped {told} and 1 other file: not particle files")), "{}", ran.out);
     assert_eq!(names_in(&path.join("o")), ["bare.ply", "dam.1.ply", "dam.2.ply", "table.ply"]);
 }
 
@@ -535,7 +531,7 @@ fn results_in_a_folder_of_frames_are_no_frames() {
     write_sequence(&path.join("shot"), 3, 3);
     let ran = meniscus(path, &["convert", "shot", "--out", "o", "--format", "ply"]);
     assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
-    assert!(ran.out.contains("passed over dam.1.glb and 9 other files"), "{}", ran.out);
+    assert!(ran.out.contains("skipped dam.1.glb and 9 other files"), "{}", ran.out);
     assert_eq!(names_in(&path.join("o")), ["dam.3.ply"]);
 }
 
@@ -550,7 +546,7 @@ fn unreadable_file_in_a_folder_fails_the_run() {
     let ran = meniscus(path, &["convert", ".", "--out", "o"]);
     assert_eq!(ran.status, 1, "{}", ran.err);
     assert!(ran.err.contains("error: ./odd: Input/output error"), "{}", ran.err);
-    assert!(!ran.out.contains("passed over"), "{}", ran.out);
+    assert!(!ran.out.contains("skipped "), "{}", ran.out);
 }
 
 #[test]

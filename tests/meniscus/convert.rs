@@ -292,7 +292,7 @@ fn a_report_replaces_only_files() {
     std::fs::create_dir(folder.path().join("taken")).unwrap();
     let refused = meniscus(folder.path(), &["convert", "dam.1.ply", "--out", "out", "--report", "taken"]);
     assert_eq!(refused.status, 2, "{}", refused.err);
-    assert!(refused.err.contains("no ordinary file"), "{}", refused.err);
+    assert!(refused.err.contains("not a regular file"), "{}", refused.err);
     assert!(!folder.path().join("out").exists());
     std::fs::write(folder.path().join("real.json"), "old").unwrap();
     std::os::unix::fs::symlink("real.json", folder.path().join("link.json")).unwrap();

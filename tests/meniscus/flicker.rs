@@ -308,7 +308,7 @@ fn what_cannot_be_scored_is_refused_with_what_to_do() {
         ("--fps", "0", "frames per second"),
         ("--spacing", "inf", "`inf` is not a positive number"),
         ("--picture", "p.jpg", "ends with .png"),
-        ("--csv", "there/s.csv", "there: there is no such folder for --csv"),
+        ("--csv", "there/s.csv", "there: the folder for --csv does not exist"),
         ("--points", "p.1.csv", "would replace the input p.1.csv"),
         ("--frames", "7", "--frames selects none"),
     ] {

@@ -281,7 +281,7 @@ fn sheets_that_cannot_be_are_refused() {
         (&["contact-sheet", "dam.#.ply", "-o", "a.png", "--count", "1"], &["--count", "2 to 1000"]),
         (&["contact-sheet", ".", "-o", "a.png", "--size", "8192x4096"], &["8192x4096", "smaller --size"]),
         (&["tune", ".", "-o", "a.png"], &["sequences", "dam.{}.ply", "other.ply", "name one"]),
-        (&["tune", "grid.vdb", "-o", "a.png"], &["grid.vdb", "give particles"]),
+        (&["tune", "grid.vdb", "-o", "a.png"], &["grid.vdb", "tune needs particles"]),
         (&["tune", "dam.1.ply", "-o", "dam.1.ply"], &["dam.1.ply", ".png"]),
         (&["tune", "dam.1.ply", "-o", "a.png", "--frames", "7"], &["--frames selects none"]),
         (&["tune", "dam.1.ply", "-o", "a.png", "--vary", "size"], &["no `size` to vary", "ratio, time, h"]),

@@ -1,4 +1,4 @@
-//! A command as it is typed: what a cell of `meniscus tune` shows, for all frames of INPUT.
+//! The command line that each cell of `meniscus tune` corresponds to, for all frames of INPUT.
 
 use std::path::Path;
 
@@ -8,15 +8,15 @@ use crate::cli::args::TuneArgs;
 use crate::cli::wording::typed;
 use crate::surface::options::MethodOptions;
 
-/// The words of a command, each as a shell takes it.
+/// The words of a command, each quoted for the shell.
 pub(super) struct CommandLine {
     words: Vec<String>,
-    /// The same with no long paths.
+    /// The same words with abbreviated paths.
     short_words: Vec<String>,
 }
 
 impl CommandLine {
-    /// The command that converts the inputs of `tune` with these options, and all else as it is asked for.
+    /// The command that converts the inputs of `tune` with these options, and otherwise as the arguments say.
     pub(super) fn convert(
         TuneArgs { inputs, out, pictures, .. }: &TuneArgs,
         options: &MethodOptions,
@@ -30,7 +30,7 @@ impl CommandLine {
         for (name, value) in options.to_pairs() {
             match name {
                 "quads" if value == "true" => line.add("--quads"),
-                // Their values are optional, and must be behind a =.
+                // Their values are optional, so they must follow a =.
                 "quads" | "smooth_normals" => line.add(&format!("{}={value}", typed(name))),
                 _ => line.add_option(name, &value),
             }
@@ -45,12 +45,12 @@ impl CommandLine {
         line
     }
 
-    /// All of it.
+    /// The whole command.
     pub(super) fn text(&self) -> String {
         self.words.join(" ")
     }
 
-    /// With paths no longer than can be read at a glance.
+    /// The command with abbreviated paths.
     pub(super) fn short_text(&self) -> String {
         self.short_words.join(" ")
     }
@@ -62,7 +62,7 @@ impl CommandLine {
 
     fn add_option(&mut self, name: &str, value: &str) {
         let option = typed(name);
-        // What begins like an option is a value only behind a =.
+        // A value that begins with a hyphen must follow a =.
         if value.starts_with('-') {
             return self.add(&format!("{option}={value}"));
         }
@@ -72,14 +72,14 @@ impl CommandLine {
 
     fn add_path(&mut self, path: &Path) {
         let text = path.to_string_lossy();
-        // A name that begins like an option is a path behind a dot.
+        // A path that begins with a hyphen needs a leading `./`.
         let text = if text.starts_with('-') { format!("./{text}") } else { text.into_owned() };
         self.words.push(quoted(&text));
         self.short_words.push(quoted(&abbreviated(&text, path)));
     }
 }
 
-/// A path that is long by its last name only.
+/// A path, abbreviated to its last name if it is long.
 fn abbreviated(text: &str, path: &Path) -> String {
     match path.file_name() {
         Some(name) if text.chars().count() > PATH_LETTERS => format!(".../{}", name.to_string_lossy()),
@@ -90,7 +90,7 @@ fn abbreviated(text: &str, path: &Path) -> String {
 /// Longer paths are abbreviated on sheets.
 const PATH_LETTERS: usize = 40;
 
-/// A word as a shell takes it.
+/// Quotes a word for the shell.
 fn quoted(word: &str) -> String {
     let is_plain = |c: char| c.is_alphanumeric() || "-_./,:=+%@".contains(c);
     if !word.is_empty() && word.chars().all(is_plain) {

@@ -19,10 +19,10 @@ use crate::surface::options::Settings;
 use super::sources::{SourceKind, Sources, Strip, find_sources, without_extension};
 use super::{SheetFile, even_columns, fixed, reason, refuse_large};
 
-/// Puts the frames that the arguments ask for on a sheet.
+/// Puts the selected frames on a sheet.
 ///
 /// # Errors
-/// When nothing can be done at all. A frame that fails is told, and counted.
+/// If nothing can be done at all. A frame that fails is reported and counted.
 pub(in crate::cli) fn contact_sheet(
     args: &ContactSheetArgs,
     console: &mut Console,
@@ -52,8 +52,8 @@ pub(in crate::cli) fn contact_sheet(
     Ok(tally.verdict())
 }
 
-/// What the sheet may be made from: with options for the surface, only what is yet to be skinned; with a camera, no
-/// pictures that have been taken.
+/// The kinds of files that the sheet may be made from: with surface options, only particles, which are still
+/// to be converted; with camera options, no existing pictures.
 fn kinds(PictureArgs { camera, camera_from, up, method, .. }: &PictureArgs) -> &'static [SourceKind] {
     if *method != MethodArgs::default() {
         &[SourceKind::Particles]
@@ -64,10 +64,10 @@ fn kinds(PictureArgs { camera, camera_from, up, method, .. }: &PictureArgs) -> &
     }
 }
 
-/// A sequence, and which of its frames are on the sheet.
+/// A sequence, and its frames on the sheet.
 struct ShownStrip {
     strip: Strip,
-    /// How many were asked for.
+    /// The number of selected frames.
     selected_count: usize,
     frames: Vec<FrameFile>,
 }
@@ -87,7 +87,7 @@ fn shown(strips: Vec<Strip>, args: &ContactSheetArgs) -> Result<Vec<ShownStrip>>
     Ok(shown)
 }
 
-/// At most so many of `count` indices, evenly spaced, with the first and the last.
+/// At most `most` of `count` indices, evenly spaced, including the first and the last.
 fn evenly(count: usize, most: usize) -> Vec<usize> {
     if count <= most {
         return (0..count).collect();
@@ -96,18 +96,18 @@ fn evenly(count: usize, most: usize) -> Vec<usize> {
     (0..most).map(|place| (place * (count - 1) + last / 2) / last).collect()
 }
 
-/// What is on the sheet of a sequence.
+/// The cells of a sequence.
 struct SequenceRows {
     shown: ShownStrip,
     cells: Vec<Cell>,
     settings: Option<Settings>,
     options: Option<PictureOptions>,
-    /// What taking the pictures took.
+    /// The rendering time.
     seconds: f64,
 }
 
 impl SequenceRows {
-    /// A file by itself, and no sequence.
+    /// Whether it is a single file and not a sequence.
     fn is_single(&self) -> bool {
         self.shown.strip.sequence.frames.len() == 1
     }
@@ -116,7 +116,7 @@ impl SequenceRows {
         format!("{}: {}", self.shown.strip.name, self.what())
     }
 
-    /// The title, and how long it took: that differs from run to run, and is no part of the picture.
+    /// The title and the rendering time. The time differs from run to run, so it is not part of the picture.
     fn told(&self) -> String {
         match self.shown.strip.kind {
             SourceKind::Pictures => self.title(),
@@ -126,7 +126,7 @@ impl SequenceRows {
         }
     }
 
-    /// How many frames, and what they were made from.
+    /// The number of frames, and the kind of files they were made from.
     fn what(&self) -> String {
         let ShownStrip { strip, selected_count, frames } = &self.shown;
         let frames = match frames.len() == *selected_count {
@@ -151,14 +151,14 @@ impl SequenceRows {
     }
 }
 
-/// What sheets are made with.
+/// The resources for making sheets.
 struct Contact<'a> {
     args: &'a ContactSheetArgs,
     session: RenderSession<'a>,
 }
 
 impl Contact<'_> {
-    /// The cells of a sequence. Where it has no settings or no camera, none has a picture.
+    /// The cells of a sequence. If it has no settings or no camera, no cell has a picture.
     fn part(&self, shown: ShownStrip, tally: &mut DoneCounts, console: &mut Console) -> SequenceRows {
         let start = Instant::now();
         let prepared = self.prepared(&shown.strip, console);
@@ -185,7 +185,7 @@ impl Contact<'_> {
         SequenceRows { shown, cells, settings, options, seconds: start.elapsed().as_secs_f64() }
     }
 
-    /// What all pictures of a sequence have in common, where they are yet to be taken.
+    /// What all pictures of a sequence share, if they are still to be rendered.
     fn prepared(&self, strip: &Strip, console: &Console) -> Result<(Option<Settings>, Option<Viewpoint>)> {
         if strip.kind == SourceKind::Pictures {
             return Ok((None, None));
@@ -195,7 +195,7 @@ impl Contact<'_> {
         Ok((settings, Some(viewpoint)))
     }
 
-    /// The picture of a frame, and how many particles it has, if that is known.
+    /// The picture of a frame, and its number of particles if known.
     fn picture(
         &self,
         file: &FrameFile,
@@ -215,7 +215,7 @@ impl Contact<'_> {
         Ok((source.picture(viewpoint, size, false), particle_count))
     }
 
-    /// Sequences one after another, and files that belong to none side by side.
+    /// Sequences below each other, and single files side by side.
     fn sheet(&self, parts: Vec<SequenceRows>) -> Sheet {
         let block = |title: String, cells: Vec<Cell>| {
             let columns = self.args.columns.map_or(even_columns(cells.len()), usize::from);
@@ -236,7 +236,7 @@ impl Contact<'_> {
         if !cells.is_empty() {
             blocks.push(block(of_singles, cells));
         }
-        // One title is that of the sheet.
+        // A single part has its title on the sheet.
         let title = match &mut blocks[..] {
             [block] => std::mem::take(&mut block.title),
             _ => counts.join(" and "),
@@ -245,7 +245,7 @@ impl Contact<'_> {
     }
 }
 
-/// A picture with its frame's name, and with the number of particles if that is known.
+/// A picture with its frame's name, and the number of particles if known.
 fn cell(file: &FrameFile, kind: SourceKind, taken: Result<(Picture, Option<usize>)>) -> Cell {
     let mut lines = vec![without_extension(&file.name(), kind)];
     let shown = match taken {

@@ -1,8 +1,8 @@
 //! `meniscus contact-sheet` and `meniscus tune`: many pictures on one sheet.
 //!
 //! ```text
-//!   contact   a sequence at a glance           sources  which file stands for a frame
-//!   tune      a frame under many settings      command  what to type for each
+//!   contact   a sequence at a glance           sources  which file represents a frame
+//!   tune      a frame under many settings      command  the command for each
 //! ```
 
 mod command;
@@ -30,15 +30,15 @@ use super::wording::with_causes;
 pub(super) use contact::contact_sheet;
 pub(super) use tune::tune;
 
-/// Where a sheet goes.
+/// The output file of a sheet.
 struct SheetFile {
     folder: PathBuf,
     stem: String,
 }
 
 impl SheetFile {
-    /// Makes its folder, and sure that no input is lost; and what takes pictures of this size for it. Warns of options that
-    /// change nothing where these formats are written, by default the sheet.
+    /// Creates its folder, checks that no input is replaced, and starts a session for pictures of this size.
+    /// Warns about options that have no effect on these formats, by default those of the sheet.
     fn prepare<'a>(
         output: &Path,
         args: &'a PictureArgs,
@@ -68,7 +68,7 @@ impl SheetFile {
     }
 }
 
-/// Refuses what nobody could look at, before there is any work in it.
+/// Refuses sheets that are too large to view, before any work starts.
 fn refuse_large(cell_count: usize, [width, height]: PictureSize) -> Result<()> {
     let pixel_count = cell_count * usize::from(width) * usize::from(height);
     if pixel_count > PIXELS_MAX {
@@ -82,27 +82,27 @@ fn refuse_large(cell_count: usize, [width, height]: PictureSize) -> Result<()> {
     Ok(())
 }
 
-/// A sheet of this many takes a gigabyte while it is put together, and another for its cells.
+/// A sheet of this size takes a gigabyte while it is assembled, and its cells another.
 const PIXELS_MAX: usize = 64_000_000;
 
-/// So many columns that there are about as many rows, and few places stay empty.
+/// The number of columns for about as many rows, with few empty cells.
 fn even_columns(cell_count: usize) -> usize {
     let least = (cell_count as f64).sqrt().ceil() as usize;
     let empty = |columns: &usize| columns * cell_count.div_ceil(*columns) - cell_count;
     (least.max(1)..=least + EXTRA_COLUMNS).min_by_key(empty).unwrap_or(1)
 }
 
-/// A sheet is rather wide than high: by up to so many columns.
+/// Sheets are preferably wide: by up to this many more columns.
 const EXTRA_COLUMNS: usize = 2;
 
-/// Why a frame has no picture, without the name of its file: that is written beside it.
+/// Why a frame has no picture, without the name of its file, which is written beside it.
 fn reason(error: &anyhow::Error, path: &Path) -> String {
     let told = with_causes(error);
     let bare = told.strip_prefix(&format!("{}: ", path.display()));
     format!("failed: {}", bare.unwrap_or(&told))
 }
 
-/// The camera of pictures that were taken from one place.
+/// The camera of existing pictures that share one.
 fn fixed(session: &RenderSession, viewpoint: Viewpoint) -> PictureOptions {
     PictureOptions { camera: CameraChoice::from(viewpoint), ..session.outputs.picture }
 }

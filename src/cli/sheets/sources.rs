@@ -1,15 +1,15 @@
-//! Which file stands for a frame on a contact sheet.
+//! Chooses which file represents each frame on a contact sheet.
 //!
 //! ```text
-//!   dam.0001.png   dam.0001.vdb   dam.0001.bgeo      the same frame: a picture costs least, then a level set,
-//!   dam.0002.png   dam.0002.vdb   dam.0002.bgeo      then particles, which are skinned
+//!   dam.0001.png   dam.0001.vdb   dam.0001.bgeo      the same frame: a picture is cheapest, then a level set,
+//!   dam.0002.png   dam.0002.vdb   dam.0002.bgeo      then particles, which must be converted
 //!                  dam.0003.vdb   dam.0003.bgeo
 //!                       ▲
-//!                       the whole sequence is of one kind: the cheapest that has the most of it
+//!                       one kind for the whole sequence: the one with the most frames, then the cheapest
 //! ```
 //!
-//! All cells of a sequence have one camera. Pictures that were taken from several places are for want of anything
-//! else only.
+//! All cells of a sequence have one camera. Existing pictures with several cameras are used only if there is
+//! nothing else.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -23,7 +23,7 @@ use crate::pipeline::{
     FrameFile, Sequence, camera_of_picture, files_in, is_level_set, natural_order, sequences,
 };
 
-/// What a frame is there as, the cheapest first.
+/// The kinds of files of a frame, the cheapest first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum SourceKind {
     Pictures,
@@ -51,30 +51,30 @@ impl SourceKind {
     }
 }
 
-/// A sequence, and what its frames are there as.
+/// A sequence, and the kind of its files.
 #[derive(Clone, Debug)]
 pub(super) struct Strip {
-    /// What the frames have in common, such as `dam`.
+    /// The common part of the frames' names, such as `dam`.
     pub(super) name: String,
     pub(super) kind: SourceKind,
     pub(super) sequence: Sequence,
 }
 
-/// What was found.
+/// The result of the search.
 #[derive(Debug, Default)]
 pub(super) struct Sources {
     /// In natural order.
     pub(super) strips: Vec<Strip>,
-    /// Every file that was looked at, whether it is used or not.
+    /// Every file that was found, used or not.
     pub(super) files: Vec<PathBuf>,
-    /// The rest of what was found: paths that could not be read, and warnings.
+    /// The rest of the search: unreadable paths, and warnings.
     pub(super) found: MatchedInputs,
 }
 
-/// Finds the frames that the inputs stand for, of these kinds.
+/// Finds the frames of these kinds that the inputs name.
 ///
 /// # Errors
-/// When an input stands for none.
+/// If an input names no frame.
 pub(super) fn find_sources(inputs: &[PathBuf], kinds: &[SourceKind]) -> Result<Sources> {
     let add = |found: &mut MatchedInputs, files, _: &Path| {
         found.add(MatchedInputs { files, ..MatchedInputs::default() })
@@ -104,7 +104,7 @@ pub(super) fn find_sources(inputs: &[PathBuf], kinds: &[SourceKind]) -> Result<S
         let left_out = all.len() - stems(&strip).len();
         if left_out > 0 {
             found.warnings.push(format!(
-                "{}: {} not there as {}, and left out",
+                "{}: {} not available as {}, and left out",
                 strip.name,
                 counted_are(left_out as u64),
                 strip.kind.name()
@@ -117,12 +117,12 @@ pub(super) fn find_sources(inputs: &[PathBuf], kinds: &[SourceKind]) -> Result<S
     strips.sort_by(|a, b| natural_order(&first(a), &first(b)));
     if strips.is_empty() {
         let names: Vec<&str> = kinds.iter().map(|kind| kind.name()).collect();
-        bail!("there are no {} among the {} frames that were found", names.join(" or "), files.len());
+        bail!("there are no {} among the {} frames found", names.join(" or "), files.len());
     }
     Ok(Sources { strips, files, found })
 }
 
-/// The level sets and the pictures of this program in a folder; none in what is no folder.
+/// The level sets and meniscus pictures in a folder; empty if the path is not a folder.
 fn level_sets_and_pictures_in(folder: &Path) -> Result<Vec<FrameFile>> {
     let mut others = level_sets_in(folder);
     if folder.is_dir() {
@@ -132,14 +132,14 @@ fn level_sets_and_pictures_in(folder: &Path) -> Result<Vec<FrameFile>> {
     Ok(others)
 }
 
-/// The sequence that has the most frames, and costs least of those that have.
+/// The sequence with the most frames, and of those the cheapest.
 fn cheapest(strips: Vec<Strip>) -> Option<Strip> {
     let is_only_one = strips.len() == 1;
     let of_use = strips.into_iter().filter(|strip| is_only_one || has_one_camera(strip));
     of_use.min_by_key(|strip| (usize::MAX - strip.sequence.frames.len(), strip.kind))
 }
 
-/// Whether pictures were taken from one place; what is no picture yet will be.
+/// Whether all existing pictures share a camera; pictures still to be rendered will.
 fn has_one_camera(strip: &Strip) -> bool {
     if strip.kind != SourceKind::Pictures {
         return true;
@@ -149,7 +149,7 @@ fn has_one_camera(strip: &Strip) -> bool {
     first.is_some() && cameras.all(|camera| camera == first)
 }
 
-/// The name of a file, without what says of which kind it is.
+/// The name of a file, without the extensions of its kind.
 pub(super) fn without_extension(name: &str, kind: SourceKind) -> String {
     match kind {
         SourceKind::Particles => FrameFile::new(name.into()).stem(),
@@ -203,7 +203,7 @@ mod tests {
             taken(&[(SourceKind::LevelSets, 2), (SourceKind::Particles, 3)]),
             Some(SourceKind::Particles)
         );
-        // These pictures do not say where they were taken from.
+        // These pictures do not record their camera.
         assert_eq!(
             taken(&[(SourceKind::Pictures, 3), (SourceKind::Particles, 3)]),
             Some(SourceKind::Particles)

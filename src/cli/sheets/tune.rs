@@ -1,14 +1,14 @@
-//! `meniscus tune`: one frame under a grid of settings, to choose by eye.
+//! `meniscus tune`: one frame under a grid of settings, for visual comparison.
 //!
 //! ```text
-//!   INPUT ──▶ a frame, read once ──▶ settings without ──▶ a camera for all
+//!   INPUT ──▶ a frame, read once ──▶ base settings ─────▶ a camera for all
 //!                                          │ --vary
 //!                                          ▼
 //!                         cells: settings ──▶ surface ──▶ picture, label, command
 //! ```
 //!
-//! A cell is the options of a command, with some of them replaced: its settings and the command line that is printed
-//! come from the same options, and cannot differ.
+//! A cell is a set of command options with some values replaced. Its settings and its printed command line
+//! come from the same options, so they cannot differ.
 
 use std::path::PathBuf;
 
@@ -35,10 +35,10 @@ use crate::surface::options::{MethodOptions, SequenceSpacing, Settings};
 use super::command::CommandLine;
 use super::{SheetFile, even_columns, fixed, reason, refuse_large};
 
-/// Shows one frame under the settings that the arguments ask for.
+/// Shows one frame under the requested settings.
 ///
 /// # Errors
-/// When nothing can be done at all. A cell that fails is told, and counted.
+/// If nothing can be done at all. A cell that fails is reported and counted.
 pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<CommandOutcome> {
     refuse_stray_rounds(&args.pictures.method, &args.inputs)?;
     let found = find_inputs(&args.inputs)?;
@@ -46,11 +46,11 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Com
     let paths: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
     let sequence = only_sequence(found.files, "a sheet has one frame")?;
     if let Some(file) = sequence.frames.iter().find(|file| is_level_set(&file.path)) {
-        bail!("{}: a level set is skinned already: give particles", file.path.display());
+        bail!("{}: this is a level set, and tune needs particles", file.path.display());
     }
     let selected = selected_of(vec![sequence], args.frames.as_ref())?;
     let [SelectedSequence { sequence, selected }] = &selected[..] else { bail!("there is no frame") };
-    // The one in the middle, of those that were asked for.
+    // The middle one of the selected frames.
     let frame = &selected[selected.len() / 2];
     let (file, session) =
         SheetFile::prepare(&args.output, &args.pictures, (args.size, &paths), Some(&CONVERTED), console)?;
@@ -71,16 +71,16 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Com
     Ok(tally.verdict())
 }
 
-/// What the commands write.
+/// The formats that the printed commands write.
 const CONVERTED: [OutputFormat; 2] = [OutputFormat::Glb, OutputFormat::Vdb];
 
 /// The settings of the cells, row by row and block by block.
 struct Grid {
-    /// Of each cell, what it has of each axis.
+    /// For each cell, its value on each axis.
     settings: Vec<Vec<SweepValue>>,
     axes: Vec<&'static Parameter>,
     columns: usize,
-    /// What blocks have in common, where there are several.
+    /// The value of each block on the third axis; a single `None` if there are no blocks.
     blocks: Vec<Option<SweepValue>>,
 }
 
@@ -96,7 +96,7 @@ impl Grid {
             bail!("--vary makes {cell_count} cells; at most {CELLS_MAX} are shown: give fewer values");
         }
         refuse_large(cell_count, args.size)?;
-        // An axis that is not varied has one value: none.
+        // An axis that is not varied has the single value `None`.
         let or_none = |values: Option<Vec<SweepValue>>| -> Vec<Option<SweepValue>> {
             values.map_or(vec![None], |values| values.into_iter().map(Some).collect())
         };
@@ -114,7 +114,7 @@ impl Grid {
         Ok(Grid { settings, axes, columns, blocks })
     }
 
-    /// What rows, columns and blocks are.
+    /// The meaning of rows, columns and blocks.
     fn meaning(&self) -> String {
         match &self.axes[..] {
             [axis] => format!("by {}", axis.meaning),
@@ -124,18 +124,18 @@ impl Grid {
     }
 }
 
-/// More cells are more than anybody compares.
+/// Maximum number of cells that can reasonably be compared.
 const CELLS_MAX: usize = 100;
 
-/// One axis by itself is a row of so many.
+/// Maximum number of cells of a single axis that form one row.
 const ROW_MAX: usize = 6;
 
-/// A frame, and what all cells have in common.
+/// A frame, and what all cells share.
 struct Tuning<'a> {
     args: &'a TuneArgs,
     session: RenderSession<'a>,
     frame: LoadedFrame,
-    /// What was measured of its sequence.
+    /// The spacing measured on its sequence.
     measured: Option<SequenceSpacing>,
     /// The settings without --vary.
     without: Settings,
@@ -160,7 +160,7 @@ impl<'a> Tuning<'a> {
             |bounds| picture.camera.viewpoint(bounds, picture.aspect(), up_of(session.outputs.up));
         let whole = viewpoint(bounds);
         let viewpoint = match picture.camera == CameraChoice::default() {
-            // Whoever says nothing of the camera wants to see how settings differ.
+            // The default camera shows well how settings differ.
             true => close_up(frame.particles(), without.spacing, whole.eye - whole.target)
                 .map_or(whole, |part| Viewpoint { ground: whole.ground, ..viewpoint(part) }),
             false => whole,
@@ -168,13 +168,13 @@ impl<'a> Tuning<'a> {
         Ok(Tuning { args, session, frame, measured, without, viewpoint })
     }
 
-    /// All cells, and the command of each that has a picture.
+    /// Renders all cells, and collects the command of each cell with a picture.
     fn cells(&self, grid: &Grid, console: &mut Console) -> (Vec<(Cell, Option<CommandLine>)>, DoneCounts) {
         let (mut tally, mut reported) = (DoneCounts::default(), ReportedWarnings::default());
         let mut cells = Vec::new();
         for (index, values) in grid.settings.iter().enumerate() {
             let (number, options) = (index + 1, self.options(values));
-            // Some values follow from others: a label tells those of the cell.
+            // Some settings are derived from others, so the label uses those of the cell.
             let settings = Settings::resolve(&options, self.measured);
             let label = self.label(number, values, settings.as_ref().unwrap_or(&self.without));
             let mut lines = vec![label.clone()];
@@ -189,7 +189,7 @@ impl<'a> Tuning<'a> {
                     }
                     let triangles = counted(made.surface.report.mesh.triangle_count, "triangle");
                     let command = CommandLine::convert(self.args, &options);
-                    // That differs from run to run, and is no part of the picture.
+                    // The time differs from run to run, so it is not part of the picture.
                     let seconds = seconds(&made);
                     console.say(format_args!("{label}: {seconds:.2} s, {triangles}"));
                     console.say(command.text());
@@ -208,7 +208,7 @@ impl<'a> Tuning<'a> {
         (cells, tally)
     }
 
-    /// The options of a cell: those that were typed, but for what is varied.
+    /// The options of a cell: the user's options with the varied ones replaced.
     fn options(&self, values: &[SweepValue]) -> MethodOptions {
         let mut options = self.args.pictures.method.to_options();
         values.iter().for_each(|value| value.put(&mut options, &self.without));
@@ -267,7 +267,7 @@ impl<'a> Tuning<'a> {
     }
 }
 
-/// What skinning took.
+/// The computing time.
 fn seconds(made: &Reconstruction) -> f64 {
     let seconds = &made.surface.report.seconds;
     seconds.rasterize + seconds.smooth + seconds.contour

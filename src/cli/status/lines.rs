@@ -47,7 +47,9 @@ impl StatusRecord {
         }
         if self.damaged_lines > 0 {
             let damaged = counted(self.damaged_lines, "line");
-            lines.push(format!("{damaged} of the journal cannot be read: the daemon determines their content again"));
+            lines.push(format!(
+                "{damaged} of the journal cannot be read: the daemon determines their content again"
+            ));
         }
         lines
     }

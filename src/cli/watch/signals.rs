@@ -48,7 +48,9 @@ pub(super) fn listen(control: Arc<Control>) -> Result<()> {
                 log_detached(move || {
                     tracing::info!("asked to end; a second signal ends at once");
                     if let Err(error) = is_deadline_kept {
-                        tracing::warn!("no watchdog for a daemon that hangs, which only a second signal ends: {error}");
+                        tracing::warn!(
+                            "no watchdog for a daemon that hangs, which only a second signal ends: {error}"
+                        );
                     }
                 });
             }

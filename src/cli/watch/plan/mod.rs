@@ -142,7 +142,10 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
         check_sentinel(sentinel)?;
     }
     if input.exists() && !input.is_dir() {
-        bail!("{}: this is a file, and watch needs a folder: use `meniscus convert` for files", input.display());
+        bail!(
+            "{}: this is a file, and watch needs a folder: use `meniscus convert` for files",
+            input.display()
+        );
     }
     refuse_file_for_folder(&outputs.folder)?;
     Ok(Watch {
