@@ -1,17 +1,18 @@
 //! Returns freed memory to the system, so that `--memory` means what it says.
 //!
-//! glibc returns large blocks at once, but what counts as large grows with the blocks that it sees, up to 32 MiB; smaller
-//! blocks stay with the thread that freed them. The fields of a frame are a few MiB each. On 16 threads the process held
-//! 344 MiB where frames took 160; with both thresholds fixed, 196.
+//! glibc returns large blocks immediately, but its threshold for "large" grows with the blocks that it sees,
+//! up to 32 MiB; smaller blocks stay with the thread that freed them. The fields of a frame are a few MiB
+//! each. With 16 threads the process held 344 MiB while frames took 160 MiB; with both thresholds fixed, 196
+//! MiB.
 //!
-//! And there are up to eight arenas for each processor, each of which keeps some memory: a daemon grew from 22
-//! to 56 MiB within its first hour, on two processors. No more threads run at once than there are processors, and
-//! with one arena for each of those it is as fast.
+//! glibc also creates up to eight arenas per processor, each of which retains some memory: a daemon on two
+//! processors grew from 22 to 56 MiB within its first hour. At most one thread per processor runs at once, so
+//! one arena per processor is as fast.
 
-/// Makes the allocator keep little. Call it before the process starts threads.
+/// Makes the allocator retain little memory. Call it before the process starts threads.
 ///
-/// Does nothing where the environment sets the allocator's options (`MALLOC_…`, `GLIBC_TUNABLES`), or where the C library is not
-/// glibc.
+/// Does nothing if the environment sets the allocator's options (`MALLOC_…`, `GLIBC_TUNABLES`), or if the C
+/// library is not glibc.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 pub fn give_memory_back() {
     use std::env;
@@ -29,7 +30,7 @@ pub fn give_memory_back() {
         (libc::M_ARENA_MAX, c_int::try_from(arenas).unwrap_or(c_int::MAX)),
     ];
     for (parameter, value) in settings {
-        // A parameter that is refused stays as it was: more memory is kept, and nothing else changes.
+        // If glibc refuses a parameter, the process only retains more memory.
         #[expect(unsafe_code, reason = "std has no safe call for it")]
         // SAFETY: mallopt takes two integers, no pointers; it locks the allocator's state, and refuses unknown parameters
         // and values.
@@ -37,19 +38,19 @@ pub fn give_memory_back() {
     }
 }
 
-/// Each of these sets the allocator: it is left as it is.
+/// Environment variables that configure the allocator; if one is set, the allocator is left as it is.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const CHOSEN_BY: [&str; 4] =
     ["MALLOC_MMAP_THRESHOLD_", "MALLOC_TRIM_THRESHOLD_", "MALLOC_ARENA_MAX", "GLIBC_TUNABLES"];
 
-/// Blocks from 1 MiB on are returned at once.
+/// Blocks of 1 MiB or more are returned immediately.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const MMAP_THRESHOLD: std::ffi::c_int = 1 << 20;
 
-/// What is free at the end of an arena is returned from 4 MiB on.
+/// Free memory at the end of an arena is returned from 4 MiB on.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const TRIM_THRESHOLD: std::ffi::c_int = 4 << 20;
 
-/// Elsewhere the allocator is another.
+/// Other systems have another allocator, so this does nothing.
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 pub fn give_memory_back() {}

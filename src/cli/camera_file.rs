@@ -1,4 +1,4 @@
-//! The camera in a file: of a scene, or of a picture that was made by this program.
+//! Reads the camera of a scene, or of a picture that meniscus made.
 
 use std::path::Path;
 
@@ -9,10 +9,10 @@ use meniscus_formats::{OutputFormat, UpAxis, read_provenance};
 
 use crate::pipeline::{CAMERA, CameraChoice, open_regular, read_regular};
 
-/// Reads it. What is y in a scene is the axis that points up.
+/// Reads the camera. `up` is the axis of the particles that the scene's y axis corresponds to.
 ///
 /// # Errors
-/// When there is none.
+/// If the file has no camera.
 pub(super) fn camera_of_file(path: &Path, up: Option<UpAxis>) -> Result<CameraChoice> {
     let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     let camera = match &*extension {
@@ -30,7 +30,7 @@ pub(super) fn camera_of_file(path: &Path, up: Option<UpAxis>) -> Result<CameraCh
 fn camera_of_picture(path: &Path, format: OutputFormat) -> Result<CameraChoice> {
     let pairs = read_provenance(format, open_regular(path)?)?;
     let Some((_, text)) = pairs.iter().find(|(name, _)| name == CAMERA) else {
-        bail!("this picture does not say where it was taken from: expected one of this program");
+        bail!("this picture does not record its camera: expected a picture that meniscus made");
     };
     text.parse().map_err(anyhow::Error::msg)
 }

@@ -1,4 +1,4 @@
-//! Which options have an effect, and the obstacles that were named.
+//! Detects options without effect, and finds the obstacles.
 
 use std::io;
 use std::path::PathBuf;
@@ -22,17 +22,19 @@ pub(super) fn warn_of_ignored(method: &MethodArgs, formats: &FormatArgs, console
     }
 }
 
-/// The obstacles that were named.
+/// The obstacle files that the options name.
 ///
 /// # Errors
-/// When there is no such file.
+/// If a file is missing, or is not a regular file.
 pub(super) fn obstacle_files(method: &MethodArgs) -> Result<ObstacleFiles> {
     let obstacles = ObstacleFiles::new(method.obstacle.clone());
     if let Some(missing) = obstacles.missing() {
         let name = missing.display();
         match missing.metadata() {
             Ok(there) if there.is_dir() => {
-                bail!("{name}: a folder is no obstacle: give a file, or a pattern such as body.####.obj")
+                bail!(
+                    "{name}: this is a folder, not an obstacle: give a file, or a pattern such as body.####.obj"
+                )
             }
             Err(error) if error.kind() != io::ErrorKind::NotFound => bail!("obstacle {name}: {error}"),
             Ok(_) => bail!("{name}: an obstacle has to be a regular file"),
@@ -42,7 +44,7 @@ pub(super) fn obstacle_files(method: &MethodArgs) -> Result<ObstacleFiles> {
     Ok(obstacles)
 }
 
-/// The options that are given and have no effect, a sentence each.
+/// Warnings about given options that have no effect, one sentence each.
 pub(super) fn ignored(method: &MethodArgs, formats: &FormatArgs, written: &[OutputFormat]) -> Vec<String> {
     let options = method.to_options();
     let successor = options.preset.and_then(|preset| Some((preset, preset.successor()?)));
@@ -51,7 +53,7 @@ pub(super) fn ignored(method: &MethodArgs, formats: &FormatArgs, written: &[Outp
     let ignored = options.without_effect(!method.obstacle.is_empty()).into_iter();
     let ignored = ignored.map(|(name, need)| format!("{} is ignored: it is for {need} only", typed(name)));
     let idle = method.given().into_iter().chain(formats.given()).filter_map(|name| {
-        // --quantize is refused where it changes nothing.
+        // --quantize without effect is an error, and reported elsewhere.
         let changed = formats_changed_by(name).filter(|_| name != WriteOption::Quantize.key())?;
         let is_idle = !written.iter().any(|format| changed.contains(format));
         is_idle.then(|| format!("{} changes no file: it is for {} only", typed(name), kinds(&changed)))
@@ -59,7 +61,8 @@ pub(super) fn ignored(method: &MethodArgs, formats: &FormatArgs, written: &[Outp
     deprecated.into_iter().chain(ignored).chain(idle).collect()
 }
 
-/// The formats whose files an option changes; `None` of an option that changes the surface, and so all of them.
+/// The formats whose files an option affects; `None` for an option that affects the surface, and thus all
+/// formats.
 pub(super) fn formats_changed_by(name: &str) -> Option<Vec<OutputFormat>> {
     let write_option = WriteOption::ALL.into_iter().find(|option| option.key() == name);
     let is_of_mesh = MethodOptions::info(name).is_some_and(|info| info.group == OptionGroup::Mesh);
@@ -70,7 +73,7 @@ pub(super) fn formats_changed_by(name: &str) -> Option<Vec<OutputFormat>> {
     (write_option.is_some() || is_of_mesh).then(|| OutputFormat::ALL.into_iter().filter(is_changed).collect())
 }
 
-/// What these formats are called where an option is for them only.
+/// The name for these formats in the message about an option that affects only them.
 fn kinds(formats: &[OutputFormat]) -> String {
     let (pictures, files): (Vec<_>, Vec<_>) = formats.iter().partition(|format| format.is_picture());
     let has_all_meshes = OutputFormat::ALL.iter().all(|format| !format.is_mesh() || files.contains(format));
@@ -85,11 +88,11 @@ fn kinds(formats: &[OutputFormat]) -> String {
     }
 }
 
-/// Refuses a number that was to be the value of --smooth-normals and is taken for an input, since that has its value
-/// after a =.
+/// Refuses a number that was meant as the value of --smooth-normals, which must follow a =, and was parsed as
+/// an input.
 ///
 /// # Errors
-/// What to write instead.
+/// The correct spelling.
 pub(super) fn refuse_stray_rounds(args: &MethodArgs, inputs: &[PathBuf]) -> Result<()> {
     let is_stray = |input: &&PathBuf| {
         input.to_str().is_some_and(|text| text.parse::<u32>().is_ok()) && input.symlink_metadata().is_err()

@@ -1,8 +1,8 @@
-//! Moments in words.
+//! Formats times.
 
 use std::time::Duration;
 
-/// How long ago, in the two largest units that say something.
+/// The time since a moment, in the two largest non-zero units.
 pub(super) fn ago(at_ms: u64, now_ms: u64) -> String {
     let seconds = now_ms.saturating_sub(at_ms) / 1000;
     if seconds == 0 {

@@ -1,8 +1,7 @@
-//! What is printed: results on the standard output, errors and the progress bar on the standard
-//! error.
+//! Prints results on the standard output, and errors and the progress bar on the standard error.
 //!
-//! Somebody who closes the standard output early has read enough: that is no error, and work goes
-//! on in silence.
+//! If the reader closes the standard output early, as `head` does, that is not an error: the command
+//! continues without printing.
 
 use std::fmt::{self, Display};
 use std::io::{self, Write};
@@ -12,15 +11,15 @@ use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressState, P
 use meniscus_formats::{escaped, is_unsafe};
 use serde::Serialize;
 
-/// Both outputs, and the bar that may be on one of them.
+/// Both outputs, and the progress bar on the standard error.
 #[derive(Debug)]
 pub(super) struct Console {
     bar: Option<ProgressBar>,
-    /// Nothing more is printed on the standard output: it is closed, or failed.
+    /// Whether the standard output is closed or failed, so that nothing more is printed there.
     muted: bool,
     failure: Option<io::Error>,
     failed_count: usize,
-    /// The standard output is for a file.
+    /// Whether the standard output is reserved for a file.
     out_is_taken: bool,
 }
 
@@ -29,12 +28,13 @@ impl Console {
         Console { bar: None, muted: false, failure: None, failed_count: 0, out_is_taken: false }
     }
 
-    /// From now on, all lines go to the standard error: a file is written to the standard output.
+    /// Sends all lines to the standard error from now on, because a file is written to the standard output.
     pub(super) fn leave_out_to_a_file(&mut self) {
         self.out_is_taken = true;
     }
 
-    /// Prints a line of results, with what could forge a line or control the terminal [`escaped`].
+    /// Prints a line of results, with control characters [`escaped`] that could forge a line or control the
+    /// terminal.
     pub(super) fn say(&mut self, line: impl Display) {
         self.print(escaped(line));
     }
@@ -44,13 +44,13 @@ impl Console {
         lines.into_iter().for_each(|line| self.say(line));
     }
 
-    /// Prints a record as JSON, which has escapes of its own.
+    /// Prints a record as JSON, which has its own escapes.
     pub(super) fn say_json(&mut self, record: &impl Serialize) -> serde_json::Result<()> {
         self.print(json_text(record)?);
         Ok(())
     }
 
-    /// Prints text of this program's own, such as a script or [`json_text`], without escapes.
+    /// Prints text that meniscus generates, such as a script or [`json_text`], without escapes.
     pub(super) fn say_as_is(&mut self, text: &str) {
         self.print(text.trim_end());
     }
@@ -72,8 +72,8 @@ impl Console {
         }
     }
 
-    /// Prints an error or a warning on one line, with what could forge a line or control the terminal
-    /// [`escaped`].
+    /// Prints an error or a warning on one line, with control characters [`escaped`] that could forge a line
+    /// or control the terminal.
     pub(super) fn warn(&self, line: impl Display) {
         print_error(self.bar.as_ref(), line);
     }
@@ -88,19 +88,19 @@ impl Console {
         self.warn(format_args!("error: {what}"));
     }
 
-    /// Prints an error that makes the command fail, whatever else succeeds: part of the input is left out.
+    /// Prints an error that makes the command fail even if all frames succeed: part of the input is missing.
     pub(super) fn fail(&mut self, what: impl Display) {
         self.error(what);
         self.failed_count += 1;
     }
 
-    /// How many such errors there were.
+    /// The number of such errors.
     pub(super) fn failed_count(&self) -> usize {
         self.failed_count
     }
 
-    /// Shows a bar for so many frames, if the standard error is a terminal; of a lone frame only its stage. Returns
-    /// whether the bar stands in for a line about each frame.
+    /// Shows a progress bar for this number of frames if the standard error is a terminal; for a single
+    /// frame, only its stage. Returns whether the bar replaces the lines about each frame.
     pub(super) fn show_bar(&mut self, frame_count: usize) -> bool {
         if frame_count == 0 || !io::IsTerminal::is_terminal(&io::stderr()) {
             return false;
@@ -108,26 +108,26 @@ impl Console {
         let template = if frame_count == 1 { STAGE } else { BAR };
         let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
         let style = style.with_key("pace", |state: &ProgressState, text: &mut dyn fmt::Write| {
-            // Until a frame is done, nothing is known of it.
+            // Before the first frame is done, there is no pace to show.
             if state.pos() > 0 {
                 let left = HumanDuration(state.eta());
-                // Text in memory takes everything.
+                // Writing into a string cannot fail.
                 let _ = write!(text, ", {:.1} a second, {left:#} left", state.per_sec());
             }
         });
         let bar = ProgressBar::with_draw_target(Some(frame_count as u64), ProgressDrawTarget::stderr());
-        // The time left goes on while a frame takes long.
+        // The time left counts down while a long frame is computed.
         bar.enable_steady_tick(TICK);
         self.bar = Some(bar.with_style(style));
         frame_count > 1
     }
 
-    /// The bar, if one is shown.
+    /// The progress bar, if it is shown.
     pub(super) fn bar(&self) -> Option<ProgressBar> {
         self.bar.clone()
     }
 
-    /// One frame more is done.
+    /// Advances the bar by one frame.
     pub(super) fn advance_bar(&self) {
         if let Some(bar) = &self.bar {
             bar.inc(1);
@@ -140,7 +140,7 @@ impl Console {
         }
     }
 
-    /// Whether all that was said was heard, or not wanted.
+    /// Whether everything was printed, or the reader closed the output on purpose.
     pub(super) fn finish(self) -> io::Result<()> {
         self.failure.map_or(Ok(()), Err)
     }
@@ -163,7 +163,7 @@ pub(super) fn escaped_json(json: &str) -> String {
     text
 }
 
-/// Prints with the bar out of the way.
+/// Prints while the bar is hidden.
 fn suspended<T>(bar: Option<&ProgressBar>, print: impl FnOnce() -> T) -> T {
     match bar {
         Some(bar) => bar.suspend(print),
@@ -171,20 +171,21 @@ fn suspended<T>(bar: Option<&ProgressBar>, print: impl FnOnce() -> T) -> T {
     }
 }
 
-/// Prints an error or a warning on one line, with what could forge a line or control the terminal [`escaped`].
+/// Prints an error or a warning on one line, with control characters [`escaped`] that could forge a line or
+/// control the terminal.
 pub(super) fn print_error(bar: Option<&ProgressBar>, line: impl Display) {
     print_on_error(bar, escaped(line));
 }
 
-/// Prints text on the standard error, with the bar out of the way. If that fails, there is nowhere to report it.
+/// Prints text on the standard error while the bar is hidden. A failure cannot be reported anywhere.
 fn print_on_error(bar: Option<&ProgressBar>, text: impl Display) {
     let _ = suspended(bar, || writeln!(io::stderr().lock(), "{text}"));
 }
 
 const BAR: &str = "{bar:20} {pos}/{len} frames{pace}  {wide_msg}";
 
-/// The same of a lone frame.
+/// The template for a single frame.
 const STAGE: &str = "{wide_msg}";
 
-/// The bar is drawn anew so often.
+/// The redraw interval of the bar.
 const TICK: Duration = Duration::from_millis(500);

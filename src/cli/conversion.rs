@@ -1,4 +1,4 @@
-//! What `convert` and `plan` have in common: which frames become which files, and how.
+//! Shared by `convert` and `plan`: which frames are converted to which files, and how.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -18,24 +18,24 @@ use super::resolving::{measured_spacing, outputs_of, say_settings, settings_of, 
 use super::selecting::{InputSelection, SelectedSequence, refuse_odd_place, selected_files};
 use super::wording::all_typed;
 
-/// Frames and what becomes of them, checked before anything is written.
+/// The frames and their outputs, checked before anything is written.
 pub(super) struct Conversion {
     pub(super) sequences: Vec<SelectedSequence>,
-    /// Every file that the inputs stand for, selected or not.
+    /// Every file that the inputs name, selected or not.
     found: Vec<PathBuf>,
     pub(super) job: Job,
     options: MethodOptions,
     pub(super) obstacles: Arc<ObstacleFiles>,
     pub(super) outputs: OutputOptions,
-    /// The folder of the outputs, which is removed again unless it is kept.
+    /// The folder of the outputs. If it was created, it is removed again unless it is kept.
     pub(super) folder: OutFolder,
 }
 
 impl Conversion {
-    /// Finds the obstacles, and makes the folder of the outputs.
+    /// Finds the obstacles, and creates the folder of the outputs.
     ///
     /// # Errors
-    /// When an obstacle is missing, or the folder cannot be made.
+    /// If an obstacle is missing, or the folder cannot be created.
     pub(super) fn new(
         selection: InputSelection,
         job: Job,
@@ -48,11 +48,11 @@ impl Conversion {
         Ok(Conversion { sequences, found, job, options: method.to_options(), obstacles, outputs, folder })
     }
 
-    /// Refuses to write outputs, or another file such as the report, over inputs, obstacles or each other: also what was found
-    /// but not selected must stay.
+    /// Refuses outputs, or another file such as the report, that would replace inputs, obstacles or each
+    /// other. Inputs that are not selected are protected, too.
     ///
     /// # Errors
-    /// Which would replace which.
+    /// Which file would replace which.
     pub(super) fn refuse_conflicts(&self, other: Option<(&'static str, &Path)>) -> Result<()> {
         if let Some((what, path)) = other {
             refuse_odd_place(what, path)?;
@@ -62,10 +62,10 @@ impl Conversion {
         Ok(check_outputs(&planned, &self.found, &self.obstacles, &self.outputs, other)?)
     }
 
-    /// What the frames of a sequence share, or why they cannot be converted.
+    /// The settings shared by the frames of a sequence, or why they cannot be converted.
     ///
     /// # Errors
-    /// When the options make no sense for any frame.
+    /// If the options are invalid for every frame.
     pub(super) fn resolve(
         &self,
         SelectedSequence { sequence, selected }: &SelectedSequence,
@@ -96,32 +96,32 @@ impl Conversion {
     }
 }
 
-/// What all frames of a sequence are converted with.
+/// The settings shared by all frames of a sequence.
 pub(super) struct Resolved {
     pub(super) settings: Arc<Settings>,
-    /// Where the particle spacing is from, unless it was given or is not needed.
+    /// The frame that the particle spacing was measured on, unless the spacing was given or is not needed.
     pub(super) measured: Option<MeasuredSpacing>,
-    /// The camera of pictures is fixed.
+    /// The outputs, with a fixed camera for pictures.
     pub(super) outputs: Arc<OutputOptions>,
 }
 
-/// Warns about options that change nothing, and about kernels that are not there.
+/// Warns about options without effect, and about missing kernels.
 pub(super) fn warn_before(method: &MethodArgs, formats: &FormatArgs, console: &Console) {
     warn_of_ignored(method, formats, console);
     warn_of_level(console);
 }
 
-/// Warns about kernels that were asked for and are not there.
+/// Warns about requested kernels that are missing on this machine.
 pub(super) fn warn_of_level(console: &Console) {
     if let Some(warning) = level_warning() {
         console.warning(warning);
     }
 }
 
-/// Refuses options that are given beside another one, but for these.
+/// Refuses options that cannot be combined with another one, except for the allowed ones.
 ///
 /// # Errors
-/// Which, and why.
+/// Which options, and why.
 pub(super) fn refuse_beside(given: &[&str], allowed: &[&str], why: &str) -> Result<()> {
     let refused: Vec<&str> = given.iter().copied().filter(|name| !allowed.contains(name)).collect();
     if !refused.is_empty() {

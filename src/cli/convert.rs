@@ -1,4 +1,4 @@
-//! `meniscus convert`: frames of particles into meshes and level sets.
+//! `meniscus convert`: converts frames of particles into meshes and level sets.
 
 use std::path::{Path, absolute};
 use std::sync::Arc;
@@ -28,10 +28,10 @@ use super::sequence::SequenceOutputs;
 use super::standard_input::StandardInput;
 use super::wording::counted;
 
-/// Converts what the arguments ask for.
+/// Converts the selected frames.
 ///
 /// # Errors
-/// When nothing can be done at all. A frame that fails is no error here: it is reported, and counted.
+/// If nothing can be done at all. A failed frame is not an error here: it is reported and counted.
 pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<CommandOutcome> {
     let start = Instant::now();
     if let Some(plan) = &args.plan {
@@ -61,7 +61,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
         Job::Particles
     } else {
         let job = surface_job(&selection, args.band_slack, &args.method)?;
-        // A .usda of the whole sequence says what a unit is, too.
+        // The .usda of the whole sequence uses the unit, too.
         let meters_per_unit = formats.meters_per_unit.filter(|_| args.shot.sequence_usda.is_none());
         warn_before(&args.method, &FormatArgs { meters_per_unit, ..formats }, console);
         job
@@ -75,7 +75,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
     destination.send(convert_all(args, conversion, start, console)?)
 }
 
-/// What may be given with `--particles-only`.
+/// The options allowed with `--particles-only`.
 const BESIDE_PARTICLES_ONLY: [&str; 10] = [
     "particles_only",
     "inputs",
@@ -93,17 +93,17 @@ const PARTICLES_ONLY: &str = "--particles-only writes particles as they are, and
      reports makes no sense with it: beside it only INPUT, --out, --format, --frames, --skip-done, --threads, --memory and \
      --on-error may be given";
 
-/// Refuses formats that have no place for particles.
+/// Refuses formats that cannot store particles.
 fn refuse_surface_formats(outputs: &OutputOptions) -> Result<()> {
     if outputs.formats.iter().any(|format| format.particles().is_none()) {
         let all = OutputFormat::ALL.into_iter().filter(|format| format.particles().is_some());
         let all = listed(all.map(|format| format.to_string()).collect(), "and");
-        bail!("--particles-only writes {all}: the other formats are of surfaces");
+        bail!("--particles-only writes {all}: the other formats store surfaces");
     }
     Ok(())
 }
 
-/// Converts the frames, and gathers them into shots.
+/// Converts the frames, and combines them into shots.
 fn convert_all(
     args: &ConvertArgs,
     conversion: Conversion,
@@ -160,7 +160,7 @@ fn add(
     Ok(())
 }
 
-/// What may be given with `--plan`.
+/// The options allowed with `--plan`.
 const BESIDE_PLAN: [&str; 7] =
     ["plan", "shard", "report", "threads", "memory", "on_error", "allow_violations"];
 
@@ -197,8 +197,8 @@ fn convert_shard(
         let record = SequenceRecord::new(&sequence.name, &sequence.job, &sequence.settings, measured, files);
         batch.add_sequence(&sequence.name, record);
     }
-    // Whether a result would replace another shard's input the plan was asked already, by name: looking at all
-    // files of a shot from each of its shards would keep a file server busy.
+    // `plan` checked already, by name, that no result replaces another shard's input. Checking all files of a
+    // shot from every shard would overload a file server.
     let inputs: Vec<_> = frames.iter().map(|frame| frame.input.clone()).collect();
     let planned: Vec<_> = frames.iter().map(|frame| (frame.input.clone(), frame.stem.clone())).collect();
     if let Some(sequence) = plan.sequences.first() {
@@ -222,18 +222,15 @@ fn add_planned(batch: &mut Batch, planned: &PlannedFrame, frame: Frame, console:
     }
     match done_without_inputs(&frame) {
         Some(fault) => {
-            console.say(format_args!(
-                "{}: done already; what it was made from is not there any more",
-                planned.stem
-            ));
+            console.say(format_args!("{}: done already; its inputs no longer exist", planned.stem));
             batch.add_done(frame, planned.sequence, fault);
         }
         None => batch.add_frame(&planned.input, planned.sequence, Ok(frame)),
     }
 }
 
-/// Of a frame that cannot be made again, its input or an obstacle being gone, and need not be, as `verify` sees it: what its
-/// certificate says does not hold. `None` of any other frame.
+/// For a frame whose input or obstacle is gone and whose outputs are done, as `verify` judges it: `Some` with
+/// the reason if its certificate does not hold. `None` for any other frame.
 fn done_without_inputs(frame: &Frame) -> Option<Option<String>> {
     let is_absent = matches!(file_of(&frame.input).try_exists(), Ok(false));
     let is_gone = is_absent || !frame.obstacles.are_there(frame.number);
@@ -244,7 +241,7 @@ fn done_without_inputs(frame: &Frame) -> Option<Option<String>> {
     }
 }
 
-/// The shard that was asked for, and its frames.
+/// The selected shard, and its frames.
 fn shard_of(plan: &ShardPlan, choice: ShardChoice) -> Result<(usize, &[PlannedFrame])> {
     let (shard, named) = match choice {
         ShardChoice::Number(number) => (number, "--shard".to_owned()),
@@ -254,22 +251,21 @@ fn shard_of(plan: &ShardPlan, choice: ShardChoice) -> Result<(usize, &[PlannedFr
     let frames = usize::try_from(shard).ok().and_then(|shard| Some((shard, plan.shards.get(shard)?.clone())));
     let Some((shard, frames)) = frames else {
         bail!(
-            "{named} is {shard}, and the plan's shards are 0 to {last}: a job array for it is --array=0-{last}"
+            "{named} is {shard}, and the plan's shards are 0 to {last}: use --array=0-{last} for the job array"
         );
     };
     Ok((shard, plan.frames.get(frames).unwrap_or_default()))
 }
 
-/// The number of this task of a job array.
+/// The index of this task in a job array.
 fn slurm_task() -> Result<u64> {
     let number = std::env::var_os(SLURM_TASK).with_context(|| {
-        format!("--shard slurm: {SLURM_TASK} is not set: it is in tasks of a job array, as sbatch --array makes them")
+        format!("--shard slurm: {SLURM_TASK} is not set: Slurm sets it in the tasks of a job array (sbatch --array)")
     })?;
     let number = number.to_string_lossy();
     let parsed = number.parse().ok().filter(|_| number.bytes().all(|byte| byte.is_ascii_digit()));
-    parsed
-        .with_context(|| format!("--shard slurm: {SLURM_TASK} is `{number}`, which is no number of a shard"))
+    parsed.with_context(|| format!("--shard slurm: {SLURM_TASK} is `{number}`, which is not a shard index"))
 }
 
-/// Where Slurm tells the number of a task.
+/// The environment variable with the index of a Slurm task.
 const SLURM_TASK: &str = "SLURM_ARRAY_TASK_ID";

@@ -2,12 +2,13 @@
 //!
 //! ```text
 //!   --out shot        a folder: one file for each frame and format
-//!   -o dam.ply        a file, if there is no folder of this name: one frame, in the format of its extension
+//!   -o dam.ply        a file, unless a folder has this name: one frame, in the format of its extension
 //!   -o -              the standard output: one frame, in one format; lines for the user go to the standard error
 //! ```
 //!
-//! A file is a folder and a name for the outputs of the only frame. What goes to the standard output is written to a folder
-//! of its own first, so that half a mesh never gets there.
+//! A single file is represented as a folder and a name for the outputs of the only frame. Output for the
+//! standard output is written to a temporary folder first, so that an error never leaves half a mesh in the
+//! pipe.
 
 use std::fs::File;
 use std::io::{self, IsTerminal, Write};
@@ -26,24 +27,24 @@ use super::out_folder::folder_of;
 use super::selecting::InputSelection;
 use super::wording::counted;
 
-/// Where the results go.
+/// Where the results are written.
 pub(super) enum Destination {
-    /// Named after their frames, into a folder.
+    /// Into a folder, named after their frames.
     Folder,
-    /// One frame, to the file of this name.
+    /// One frame, into a file of this name.
     File { out: PathBuf, stem: String },
-    /// One frame, to the standard output; until then its file is in this folder.
+    /// One frame, to the standard output, by way of this temporary folder.
     Stdout { folder: TempDir, extension: &'static str },
 }
 
-/// A destination, the folder that is written to, and the only format if there is one.
+/// A destination, the folder for its files, and the format if it allows only one.
 type OutputPlace = (Destination, PathBuf, Option<OutputFormat>);
 
 impl Destination {
-    /// What `--out` names, with the folder that is written to, and the formats.
+    /// The destination that `--out` names, with the folder to write to, and the formats.
     ///
     /// # Errors
-    /// When other options contradict it.
+    /// If it contradicts other options.
     pub(super) fn of(
         args: &ConvertArgs,
         console: &mut Console,
@@ -52,7 +53,7 @@ impl Destination {
         let (destination, folder, format) = if is_stdout(&out) {
             let format = only_format(args)?;
             match args.print_settings {
-                // Nothing is written, and the settings go to the standard output themselves.
+                // Nothing is converted, and the settings are printed on the standard output.
                 true => (Destination::Folder, out, Some(format)),
                 false => Destination::stdout(&out, format, console)?,
             }
@@ -62,7 +63,7 @@ impl Destination {
             (Destination::Folder, out, args.particles_only.then_some(OutputFormat::Ply))
         };
         let mut formats = args.formats.clone();
-        // Formats that are given beside a file or the standard output are that of it.
+        // A format given with a file or the standard output must be its format.
         formats.format = formats.format.or(format.map(|format| vec![format]));
         Ok((destination, folder, formats))
     }
@@ -84,9 +85,7 @@ impl Destination {
         let name = out.display();
         let format = OutputFormat::from_extension(extension).filter(|format| !format.is_picture());
         let Some(format) = format else {
-            bail!(
-                "{name}: convert writes surfaces and not pictures: use `meniscus render`, or --preview {extension}"
-            );
+            bail!("{name}: convert does not write pictures: use `meniscus render`, or --preview {extension}");
         };
         if out.extension().is_some_and(|there| there != extension) {
             let lower = out.with_extension(extension);
@@ -104,10 +103,10 @@ impl Destination {
         Ok((Destination::File { out, stem }, folder, Some(format)))
     }
 
-    /// Names the outputs of the only frame.
+    /// Sets the output names of the only frame.
     ///
     /// # Errors
-    /// When there are several frames for one file.
+    /// If several frames would go into one file.
     pub(super) fn name_outputs(&self, selection: &mut InputSelection) -> Result<()> {
         let (place, stem) = match self {
             Destination::Folder => return Ok(()),
@@ -117,7 +116,7 @@ impl Destination {
         let mut selected: Vec<_> = selection.sequences.iter_mut().flat_map(|s| &mut s.selected).collect();
         let [frame] = &mut selected[..] else {
             bail!(
-                "{place}: there is room for one frame, and {} are selected: name a folder with --out, or one frame with --frames",
+                "{place}: only one frame fits, and {} are selected: name a folder with --out, or one frame with --frames",
                 counted(selected.len(), "frame")
             );
         };
@@ -125,10 +124,10 @@ impl Destination {
         Ok(())
     }
 
-    /// Writes what belongs on the standard output.
+    /// Copies the file to the standard output, if that is the destination.
     ///
     /// # Errors
-    /// When it cannot be written.
+    /// If it cannot be written.
     pub(super) fn send(self, verdict: CommandOutcome) -> Result<CommandOutcome> {
         let Destination::Stdout { folder, extension } = self else { return Ok(verdict) };
         if verdict == CommandOutcome::NothingDone {
@@ -144,20 +143,20 @@ impl Destination {
     }
 }
 
-/// A folder that is removed with its contents when this process ends, interrupted or not.
+/// A temporary folder, which is removed with its contents when the process ends, interrupted or not.
 ///
 /// # Errors
-/// When none can be made.
+/// If it cannot be created.
 pub(super) fn private_folder() -> Result<TempDir> {
     let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
     remove_when_interrupted(folder.path().to_owned());
     Ok(folder)
 }
 
-/// Refuses a file where only a folder can be: several frames are written there.
+/// Refuses a file where a folder is needed for several frames.
 ///
 /// # Errors
-/// When the path ends like a file of results, and is no folder.
+/// If the path has the extension of a result and is not a folder.
 pub(super) fn refuse_file_name(out: &Path) -> Result<()> {
     if is_stdout(out) {
         bail!(
@@ -179,7 +178,7 @@ fn is_stdout(out: &Path) -> bool {
     ["-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"].iter().any(|name| out == Path::new(name))
 }
 
-/// The extension in lower case, where a path names a file of results, in any case, and not a folder.
+/// The lower-case extension, if a path names a result file and not a folder.
 fn file_extension(out: &Path) -> Option<String> {
     let extension = out.extension()?.to_str()?.to_ascii_lowercase();
     let is_known = OutputFormat::from_extension(&extension).is_some();
@@ -190,18 +189,18 @@ fn file_extension(out: &Path) -> Option<String> {
 /// The format for the standard output.
 fn only_format(args: &ConvertArgs) -> Result<OutputFormat> {
     if args.skip_done {
-        bail!("--skip-done compares with files, and the standard output has none: leave one of them out");
+        bail!("--skip-done needs output files, and the standard output has none: leave --skip-done out");
     }
     if args.formats.preview.is_some() {
         bail!(
-            "--preview writes a file of its own, and the standard output is for one: name a folder with --out"
+            "--preview writes a second file, and the standard output takes only one: name a folder with --out"
         );
     }
     match args.formats.format.as_deref() {
         None if args.particles_only => Ok(OutputFormat::Ply),
         None => Ok(OutputFormat::Glb),
         Some([format]) => Ok(*format),
-        Some(_) => bail!("the standard output is for one format: give one --format"),
+        Some(_) => bail!("the standard output takes one format: give one --format"),
     }
 }
 

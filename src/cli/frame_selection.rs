@@ -1,4 +1,4 @@
-//! Which frames of a sequence: `1-240x2`, `1-10,20,30-40x5`.
+//! A selection of frame numbers: `1-240x2`, `1-10,20,30-40x5`.
 
 use std::collections::{BTreeSet, HashSet};
 use std::fmt;
@@ -37,14 +37,14 @@ impl fmt::Display for StepRange {
     }
 }
 
-/// The numbers that are missing between the first and the last of these, and how many; `None` where none are, or where the
-/// numbers are not evenly apart for the most part.
+/// The missing numbers between the first and the last of these, and their count; `None` if none are missing,
+/// or if most of the numbers are not evenly spaced.
 pub(super) fn gaps(numbers: impl IntoIterator<Item = u64>) -> Option<(String, u64)> {
     let numbers: Vec<u64> = BTreeSet::from_iter(numbers).into_iter().collect();
     let pairs = || numbers.windows(2).map(|pair| (pair[0], pair[1]));
     let step = pairs().map(|(low, high)| high - low).min()?;
     let even_count = pairs().filter(|(low, high)| high - low == step).count();
-    // Steps of a simulation may be of any length; frames of a sequence are one apart.
+    // Steps of a simulation may have any spacing; frame numbers differ by one.
     let is_even = 2 * even_count + usize::from(step == 1) >= numbers.len();
     if !is_even || !pairs().all(|(low, high)| (high - low).is_multiple_of(step)) {
         return None;
@@ -59,14 +59,14 @@ pub(super) fn gaps(numbers: impl IntoIterator<Item = u64>) -> Option<(String, u6
     (count > 0).then(|| (named.join(","), count))
 }
 
-/// More gaps are not named.
+/// Maximum number of gaps that are named.
 const GAPS_NAMED: usize = 8;
 
-/// Ranges of more numbers are not searched for missing ones: `0-999999999` means "all there are".
+/// Longer ranges are not searched for missing numbers: `0-999999999` means "all existing frames".
 const SEARCHED_MAX: u64 = 100_000;
 
 impl FrameSelection {
-    /// The ranges that name frames which are not among `numbers`, and how many of theirs are not.
+    /// The ranges that contain numbers other than `numbers`, and the count of those missing numbers.
     pub(super) fn missing(&self, numbers: &HashSet<u64>) -> Vec<(String, u64)> {
         let missing = |range: &StepRange| {
             let named = (range.last - range.first) / range.step + 1;
@@ -76,7 +76,7 @@ impl FrameSelection {
         self.ranges.iter().map(missing).filter(|&(_, count)| count > 0).collect()
     }
 
-    /// Whether a frame is selected, where this is what was asked for; without, all are.
+    /// Whether a frame is selected. Without a selection, all frames are.
     pub(super) fn takes(selection: Option<&FrameSelection>, file: &FrameFile) -> bool {
         selection.is_none_or(|selection| file.number().is_some_and(|number| selection.contains(number)))
     }
@@ -109,7 +109,7 @@ fn parse_range(text: &str) -> Result<StepRange, String> {
 }
 
 impl StepRange {
-    /// The three numbers as they are given; `None` where one is missing, too large or none.
+    /// The three numbers as given; `None` if one is missing, too large or not a number.
     fn parse(text: &str) -> Option<StepRange> {
         let (range, step) = match text.split_once(['x', 'X']) {
             Some((range, step)) => (range, parse_number(step)?),
@@ -120,7 +120,7 @@ impl StepRange {
     }
 }
 
-/// Digits alone: no sign.
+/// Parses digits only, without a sign.
 fn parse_number(digits: &str) -> Option<u64> {
     let digits = digits.trim();
     digits.parse().ok().filter(|_| digits.bytes().all(|byte| byte.is_ascii_digit()))

@@ -1,4 +1,4 @@
-//! Level sets in .vdb as inputs: contoured as they are, or smoothed within --band-slack.
+//! .vdb level sets as inputs: contoured unchanged, or smoothed within --band-slack.
 
 use anyhow::{Result, bail};
 
@@ -9,10 +9,10 @@ use super::args::{MethodArgs, OptionSet};
 use super::selecting::{InputSelection, selected_files};
 use super::wording::all_typed;
 
-/// How the selected files become surfaces, which are level sets or particles.
+/// How the selected files become surfaces: all are level sets, or all are particles.
 ///
 /// # Errors
-/// When they are both, there is a slack for particles, or options do not apply to level sets.
+/// If both are selected, --band-slack is given for particles, or options do not apply to level sets.
 pub(super) fn surface_job(
     selection: &InputSelection,
     band_slack: Option<f64>,
@@ -37,10 +37,10 @@ pub(super) fn surface_job(
     }
 }
 
-/// What a level set is read for.
+/// The purpose of a level set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Use {
-    /// A surface, contoured as it is.
+    /// A surface, contoured unchanged.
     AsItIs,
     /// A surface, smoothed first.
     Smoothed,
@@ -54,17 +54,17 @@ pub(super) enum Use {
 /// Which of the options, and why.
 pub(super) fn refuse_options(method: &MethodArgs, reason: Use) -> Result<()> {
     let solver_has_no_use = match reason {
-        Use::Picture => "a picture is of the file as it is",
+        Use::Picture => "a picture shows the file unchanged",
         Use::AsItIs | Use::Smoothed => "without --band-slack it is not smoothed",
     };
-    // Its voxel size is known when it is read, and its particle spacing never.
+    // Its voxel size is known only when it is read, and it has no particle spacing.
     if method.options.offset.is_some_and(|offset| offset.unit != LengthUnit::World) {
         bail!("--offset must be in world units for a level set in .vdb, such as --offset 0.01");
     }
     for (group, why) in [
         (OptionGroup::General, "the file has its voxels"),
-        (OptionGroup::Surface, "that is for surfaces of particles, and it has none"),
-        (OptionGroup::Particles, "that is for particles, and it has none"),
+        (OptionGroup::Surface, "this option is for particles, and a level set has none"),
+        (OptionGroup::Particles, "this option is for particles, and a level set has none"),
         (OptionGroup::Obstacles, "obstacles are for particles"),
         (OptionGroup::Solver, solver_has_no_use),
     ] {
@@ -77,7 +77,7 @@ pub(super) fn refuse_options(method: &MethodArgs, reason: Use) -> Result<()> {
     Ok(())
 }
 
-/// What an option belongs to, where there are level sets: they can be offset, but not for pictures.
+/// The group of an option with respect to level sets, which can be offset, but not for pictures.
 fn group_of(name: &str, reason: Use) -> Option<OptionGroup> {
     match name {
         "particle_radius" => Some(OptionGroup::General),

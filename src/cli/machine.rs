@@ -1,4 +1,4 @@
-//! What a command may take of the machine: threads and memory.
+//! The resources that a command may use: threads and memory.
 
 use std::thread::available_parallelism;
 
@@ -7,27 +7,27 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::pipeline::default_memory_bytes;
 
-/// No frame does with less memory, in bytes: whoever asks for that has left out the unit.
+/// No frame needs less memory than this, in bytes: a smaller limit probably lacks its unit.
 const MEMORY_MIN_BYTES: u64 = 1 << 20;
 
-/// How many threads compute: as given, or one for each core.
+/// The number of computing threads: as given, or one per core.
 pub(super) fn thread_count(given: Option<u16>) -> usize {
     given.map_or_else(|| available_parallelism().map_or(1, usize::from), usize::from)
 }
 
-/// The threads that compute: as many as given, or one for each core.
+/// The thread pool: as many threads as given, or one per core.
 ///
 /// # Errors
-/// When the system refuses.
+/// If the system cannot start the threads.
 pub(super) fn thread_pool(given: Option<u16>) -> Result<ThreadPool> {
     let pool = ThreadPoolBuilder::new().num_threads(thread_count(given));
     pool.thread_name(|index| format!("compute {index}")).build().context("cannot start the threads")
 }
 
-/// The memory that frames may take, in bytes: as given, or half of what there is.
+/// The memory limit for frames in bytes: as given, or half of the machine's memory.
 ///
 /// # Errors
-/// When it is too little for any frame.
+/// If it is too small for any frame.
 pub(super) fn memory_bytes(given: Option<u64>) -> Result<u64> {
     match given {
         Some(bytes) if bytes < MEMORY_MIN_BYTES => {

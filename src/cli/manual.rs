@@ -1,9 +1,10 @@
-//! `meniscus man` and `meniscus completions`: what the command line is, told to `man` and to shells.
+//! `meniscus man` and `meniscus completions`: generate man pages and shell completions from the command
+//! line's definition.
 //!
-//! Both are made from the definition that arguments are read with, by the program itself: so they
-//! are those of the program that is there, however it was installed, and nobody keeps copies.
+//! The installed program generates both, so they always match its version, and no copies have to be
+//! maintained.
 //!
-//! A page has the usual sections. What stands below the options in the help, it has too:
+//! A page has the usual sections, and those that the help prints below the options:
 //!
 //! ```text
 //!   Exit status:                          .SH EXIT STATUS
@@ -11,7 +12,7 @@
 //!     1    some frames have failed        0    no frame has failed
 //! ```
 //!
-//! No page says when it was made: the same program writes the same bytes.
+//! Pages contain no date, so that the same program always writes the same bytes.
 
 use std::path::Path;
 
@@ -25,13 +26,13 @@ use super::args::{Cli, CompletionsArgs, ManArgs};
 use super::console::Console;
 use super::out_folder::{OutFolder, write_file};
 
-/// The name that is completed, and that pages begin with.
+/// The name of the command, and the first part of the pages' names.
 const PROGRAM: &str = "meniscus";
 
 /// Prints the completions for a shell.
 ///
 /// # Errors
-/// When they are no text.
+/// If the generated text is not UTF-8.
 pub(super) fn completions(args: &CompletionsArgs, console: &mut Console) -> Result<CommandOutcome> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut Cli::command(), PROGRAM, &mut script);
@@ -39,10 +40,10 @@ pub(super) fn completions(args: &CompletionsArgs, console: &mut Console) -> Resu
     Ok(CommandOutcome::Done)
 }
 
-/// Writes a page for the program, and one for each of its commands.
+/// Writes a page for the program, and one for each command.
 ///
 /// # Errors
-/// When the folder cannot be made, or a page cannot be written.
+/// If the folder cannot be created, or a page cannot be written.
 pub(super) fn man(args: &ManArgs) -> Result<CommandOutcome> {
     let folder = OutFolder::make(&args.out)?;
     let mut program = Cli::command().disable_help_subcommand(true);
@@ -80,13 +81,14 @@ fn write_page(command: clap::Command, folder: &Path) -> Result<()> {
     write_file(&path, |out| out.write_all(page.as_bytes()))
 }
 
-/// With an empty date, which the generator would leave out, and the rest would move into its place.
+/// The title line with an empty date. The generator would omit it, and the next field would move into its
+/// place.
 fn title(name: &str) -> String {
     let version = env!("CARGO_PKG_VERSION");
     format!(".TH {} 1 \"\" \"{PROGRAM} {version}\" \"{PROGRAM} manual\"\n", name.to_uppercase())
 }
 
-/// As in the help: a list of all options by name would be longer than what follows.
+/// The synopsis from the help: a list of all options would be longer than the descriptions that follow.
 fn synopsis(usage: &str) -> Roff {
     let mut roff = Roff::new();
     roff.control("SH", ["SYNOPSIS"]);
@@ -94,8 +96,8 @@ fn synopsis(usage: &str) -> Roff {
     roff
 }
 
-/// What stands below the options in the help: lines that are not indented and end with a colon are
-/// titles; what follows keeps its lines.
+/// The sections below the options in the help: lines that are not indented and end with a colon are titles;
+/// the lines that follow stay as they are.
 fn sections(text: &str) -> Roff {
     let mut roff = Roff::new();
     let mut is_open = false;
@@ -123,8 +125,8 @@ fn see_also() -> Roff {
     roff
 }
 
-/// Between paragraphs of an option the generator breaks the line before and after an empty one, which
-/// breaks it as well; and it ends lines with blanks.
+/// Between the paragraphs of an option the generator writes an empty line between two line breaks, which
+/// gives three breaks; and it ends lines with blanks. This removes both.
 fn without_doubled_breaks(page: &str) -> String {
     let lines: Vec<&str> = page.lines().map(str::trim_end).collect();
     let page = lines.join("\n").replace(".br\n\n.br\n", ".sp\n");

@@ -1,4 +1,4 @@
-//! The folder of the results, made where it is missing.
+//! The output folder, created if missing.
 
 use std::fs;
 use std::io::{self, Write};
@@ -10,38 +10,38 @@ use crate::pipeline::{OutFolderError, make_out_folder, recover_out_folder, write
 
 use super::console::print_error;
 
-/// The folder that a file lies in, where it is made or found.
+/// The folder that contains a file.
 pub(super) fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// Writes a file that appears under its name when it is whole.
+/// Writes a file that appears under its name only when it is complete.
 ///
 /// # Errors
-/// When it cannot be written.
+/// If it cannot be written.
 pub(super) fn write_file(path: &Path, content: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<()> {
     write_whole(path, |out| Ok(content(out)?)).with_context(|| format!("{}: cannot write", path.display()))
 }
 
-/// A folder that exists, and takes files. Whatever had to be made for it is removed again unless it is kept.
+/// An existing, writable folder. Folders that were created for it are removed again unless it is kept.
 #[derive(Debug)]
 pub(super) struct OutFolder {
-    /// The innermost first.
+    /// The created folders, the innermost first.
     made: Vec<PathBuf>,
 }
 
 impl OutFolder {
-    /// Makes a folder, and those that it lies in, and recovers what an interrupted command left in it.
+    /// Creates a folder and its parents, and recovers from interrupted commands in it.
     ///
     /// # Errors
-    /// When it cannot be made, nothing can be written into it, or files cannot be put back.
+    /// If it cannot be created, is not writable, or files cannot be restored.
     pub(super) fn make(folder: &Path) -> Result<OutFolder, OutFolderError> {
-        // No name at all is where one is.
+        // An empty path is the current folder.
         let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
         let missing = folder
             .ancestors()
             .take_while(|part| !part.as_os_str().is_empty() && part.symlink_metadata().is_err())
-            // What ends in `..` is there already, by another name.
+            // A path that ends in `..` exists under another name.
             .filter(|part| part.file_name().is_some());
         let made = OutFolder { made: missing.map(Path::to_owned).collect() };
         make_out_folder(folder)?;
@@ -49,16 +49,17 @@ impl OutFolder {
         Ok(made)
     }
 
-    /// Results will be written.
+    /// Keeps the folder, because results will be written.
     pub(super) fn keep(mut self) {
         self.made.clear();
     }
 }
 
-/// Puts back what an interrupted command replaced in part, and prints a warning about each record that is left in place.
+/// Restores the files that an interrupted command had partly replaced, and prints a warning about each record
+/// that remains.
 ///
 /// # Errors
-/// When files cannot be put back.
+/// If files cannot be restored.
 pub(super) fn recover(folder: &Path) -> Result<(), OutFolderError> {
     for warning in recover_out_folder(folder)? {
         print_error(None, format_args!("warning: {warning}"));
@@ -69,7 +70,7 @@ pub(super) fn recover(folder: &Path) -> Result<(), OutFolderError> {
 impl Drop for OutFolder {
     fn drop(&mut self) {
         for folder in &self.made {
-            // One that is no longer empty stays, rightly.
+            // Removing fails if the folder is no longer empty, and then it stays.
             let _ = fs::remove_dir(folder);
         }
     }

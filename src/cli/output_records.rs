@@ -1,4 +1,4 @@
-//! The records of outputs that `--skip-done` compares, one file in each folder of outputs.
+//! The output records for `--skip-done`, one file in each folder of outputs.
 
 use std::cell::Cell;
 use std::collections::BTreeSet;
@@ -9,19 +9,19 @@ use crate::pipeline::OutputStates;
 
 use super::console::Console;
 
-/// The recorded states of the outputs of a run. Without `--skip-done` only those are recorded that failed validation, and
-/// those that have a record already.
+/// The recorded states of the outputs of a run. Without `--skip-done`, only outputs that failed validation or
+/// already have a record are recorded.
 pub(super) struct OutputRecords {
     folders: BTreeSet<PathBuf>,
     states: OutputStates,
-    /// When they are written next while frames finish.
+    /// When to save next while frames finish.
     next_save: Cell<Instant>,
 }
 
-/// What an interrupted run loses of its records, at most.
+/// The save interval: an interrupted run loses at most the records since the last save.
 const SAVED_EVERY: Duration = Duration::from_secs(5);
 
-/// Writing takes no more than one part in so many of the time.
+/// Saving takes at most one part in this many of the run time.
 const SAVING_SHARE: u32 = 20;
 
 impl OutputRecords {
@@ -37,8 +37,8 @@ impl OutputRecords {
         &self.states
     }
 
-    /// A frame has finished: writes the records back if that is some time ago, so that an interrupted run keeps them. What
-    /// fails here is reported at the end.
+    /// Saves the records after a finished frame if the interval has passed, so that an interrupted run keeps
+    /// them. Errors are ignored here, and reported at the end.
     pub(super) fn frame_finished(&self) {
         let start = Instant::now();
         if start < self.next_save.get() {
@@ -51,7 +51,7 @@ impl OutputRecords {
         self.next_save.set(Instant::now() + pause);
     }
 
-    /// Writes them back. If that fails, the outputs themselves are still good: that is a warning.
+    /// Saves the records. A failure is only a warning, because the outputs themselves are good.
     pub(super) fn save(&self, console: &Console) {
         for folder in &self.folders {
             if let Err(error) = self.states.save(folder) {

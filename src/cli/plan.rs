@@ -1,4 +1,4 @@
-//! `meniscus plan`: what many machines are to make of a sequence, found out once.
+//! `meniscus plan`: determines once how many machines convert a sequence.
 
 use std::path::{Path, PathBuf, absolute};
 
@@ -18,10 +18,10 @@ use super::machine::thread_pool;
 use super::selecting::select_frames;
 use super::wording::{counted, counted_are};
 
-/// Writes the plan that the arguments ask for.
+/// Writes the plan.
 ///
 /// # Errors
-/// When there is none: a sequence has no settings, results would replace inputs, the file cannot be written.
+/// If a sequence has no settings, results would replace inputs, or the file cannot be written.
 pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<CommandOutcome> {
     refuse_file_name(&args.out)?;
     let outputs = args.formats.outputs(whole(&args.out)?)?;
@@ -52,7 +52,7 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<CommandOutc
             Ok::<_, anyhow::Error>(measured)
         });
         let sequence = plan.sequences.len();
-        // Of numbers that were asked for it is told which are not there.
+        // Report missing frame numbers, unless the user selected numbers.
         if let Some((gaps, count)) = gaps(selected.selected.iter().filter_map(FrameFile::number))
             && args.frames.is_none()
         {
@@ -71,7 +71,8 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<CommandOutc
     }
     plan.shards = deal(plan.frames.len(), args.shards);
     plan.write(&args.output).with_context(|| args.output.display().to_string())?;
-    // It stays, and shards do not make it: one that finds none knows that something is not mounted.
+    // The folder is kept, and shards do not create it: if a shard does not find it, a file system is not
+    // mounted.
     conversion.folder.keep();
     say(&plan, args, console);
     Ok(CommandOutcome::Done)
@@ -79,9 +80,9 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<CommandOutc
 
 fn planned(file: &FrameFile, sequence: usize) -> Result<PlannedFrame> {
     let name = || file.path.display().to_string();
-    // A pipe is read once; a shard may be run again.
+    // A pipe can be read only once, and a shard may run again.
     if !file_of(&file.path).metadata().with_context(name)?.is_file() {
-        bail!("{}: a plan is of files, and this is none", name());
+        bail!("{}: not a regular file, so it cannot be part of a plan", name());
     }
     let stem = file.stem();
     if stem.len() > STEM_BYTES {
@@ -96,10 +97,11 @@ fn planned(file: &FrameFile, sequence: usize) -> Result<PlannedFrame> {
     })
 }
 
-/// What a name may have before `.certificate.json`, written under another name first, on common file systems.
+/// The maximum length of a name before `.certificate.json` on common file systems, with room for the
+/// temporary name.
 const STEM_BYTES: usize = 200;
 
-/// A path that means the same from any folder.
+/// The absolute path.
 fn whole(path: &Path) -> Result<PathBuf> {
     absolute(path).with_context(|| format!("`{}` is not a valid path", path.display()))
 }

@@ -461,7 +461,11 @@ fn obstacles_that_are_none_are_told() {
         missing.err
     );
     let in_folder = convert(path, &[&arguments[..], &["."]].concat());
-    assert!(in_folder.status == 2 && in_folder.err.contains("a folder is no obstacle"), "{}", in_folder.err);
+    assert!(
+        in_folder.status == 2 && in_folder.err.contains("a folder, not an obstacle"),
+        "{}",
+        in_folder.err
+    );
     fs::write(path.join("empty.obj"), "").expect("written");
     let empty = convert(path, &[&arguments[..], &["empty.obj"]].concat());
     assert!(empty.err.contains("obstacle empty.obj: the file is empty"), "{}", empty.err);
