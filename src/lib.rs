@@ -24,7 +24,7 @@
 //!
 //! The particle spacing is measured unless you set it; all other lengths follow from it. For a sequence of frames use a
 //! [`Reconstructor`](surface::Reconstructor), which measures once: it also takes attributes, obstacles, a memory limit, a
-//! progress callback and a token that cancels.
+//! progress callback and a cancellation token.
 //!
 //! # Features
 //!

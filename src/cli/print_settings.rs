@@ -1,7 +1,8 @@
-//! `--print-settings`: what options and presets stand for, as keys of a file.
+//! `--print-settings`: prints the settings that options and presets result in, as keys of a configuration
+//! file.
 //!
-//! A `[[watch]]` block with these keys makes the same files. Keys that change nothing are left out: a file with them
-//! would be warned of.
+//! A `[[watch]]` block with these keys produces the same files. Keys without effect are left out, because a
+//! file with them would cause warnings.
 
 use std::path::absolute;
 
@@ -21,30 +22,28 @@ use super::console::Console;
 use super::resolving::{measured_spacing, settings_of};
 use super::selecting::SelectedSequence;
 
-/// Prints the settings without any frames: lengths are in units of the particle spacing unless that, or a voxel size, was
-/// given.
+/// Prints the settings without any frames. Lengths are in units of the particle spacing unless the spacing or
+/// a voxel size is given.
 ///
 /// # Errors
-/// When the options make no sense, or lengths cannot be compared with the spacing.
+/// If the options are invalid, or lengths cannot be compared with the spacing.
 pub(super) fn print_settings_of_any(
     method: &MethodArgs,
     outputs: &OutputOptions,
     console: &mut Console,
 ) -> Result<()> {
     let options = method.to_options();
-    // With a voxel size the spacing is the one that has it by default.
+    // A given voxel size implies the spacing for which it is the default.
     let has_voxel_size = options.voxel_size.and_then(Length::world).is_some();
     let needs_spacing = options.needs_spacing() && !has_voxel_size;
     let has_length = options.has_length_in(LengthUnit::World) || options.clip.is_some();
     if needs_spacing && has_length {
-        bail!(
-            "lengths are given, and no --spacing to compare them with: give one, or an INPUT to measure it on"
-        );
+        bail!("lengths need a spacing for comparison: give --spacing, or an INPUT to measure it on");
     }
     if needs_spacing {
         console.say("# these follow the particle spacing, here 1:");
     } else if options.needs_spacing() {
-        console.say("# the particle spacing, which would be measured, is taken from the voxel size:");
+        console.say("# the particle spacing is derived from the voxel size, because there is no INPUT to measure it on:");
     }
     let settings = Settings::resolve(&options, needs_spacing.then(|| SequenceSpacing::from(1.0)))?;
     console.say_lines(keys(&settings, method, outputs, (Job::Surface, !needs_spacing))?);
@@ -54,7 +53,7 @@ pub(super) fn print_settings_of_any(
 /// Prints the settings of each sequence.
 ///
 /// # Errors
-/// When the options make no sense, or no voxel size can be found.
+/// If the options are invalid, or no voxel size can be found.
 pub(super) fn print_settings(
     sequences: &[SelectedSequence],
     job: Job,
@@ -77,7 +76,7 @@ pub(super) fn print_settings(
     Ok(())
 }
 
-/// The keys and values that say what these settings and options are.
+/// The keys and values for these settings and options.
 fn keys(
     settings: &Settings,
     method: &MethodArgs,
@@ -98,7 +97,7 @@ fn keys(
         }
     }
     if !has_spacing {
-        // By it lengths follow the spacing that will be measured.
+        // With it, lengths follow the spacing that will be measured.
         keys.push(format!("preset = {}", quoted(&options.preset.unwrap_or_default().to_string())));
     }
     if !obstacles.is_empty() {
@@ -111,9 +110,9 @@ fn keys(
         let is_length = name == "spacing" || kind == Some(ValueKind::Length);
         let given = given.iter().find(|(given, _)| *given == name && is_length && !has_spacing);
         keys.push(match given {
-            // In spacings or voxels, which fit any spacing.
+            // Lengths in spacings or voxels fit any spacing.
             Some((_, given)) => format!("{name} = {}", quoted(given)),
-            // Other lengths without a spacing are there to be seen, not to be used.
+            // Other lengths without a spacing are only shown, as comments.
             None if !is_key || is_length && !has_spacing => format!("#{name} = {value}"),
             None if kind == Some(ValueKind::Text) => format!("{name} = {}", quoted(&value)),
             None => format!("{name} = {value}"),
@@ -123,17 +122,19 @@ fn keys(
     Ok(keys)
 }
 
-/// The obstacles, as they can be found from wherever the file will lie.
+/// The obstacles as absolute paths, which are valid wherever the file is.
 fn obstacle_paths(args: &MethodArgs) -> Result<Vec<String>> {
     let paths = args.obstacle.iter().map(|path| {
         let whole = absolute(path).with_context(|| format!("`{}` is not a valid path", path.display()))?;
         let text = whole.to_str().map(str::to_owned);
-        text.with_context(|| format!("{}: a file of settings can name only what is Unicode", whole.display()))
+        text.with_context(|| {
+            format!("{}: a configuration file can name only paths in Unicode", whole.display())
+        })
     });
     paths.collect()
 }
 
-/// How files are written, of those formats that are.
+/// The output options for the written formats.
 fn format_keys(outputs: &OutputOptions) -> Vec<String> {
     let is_printed = |option: &WriteOption| match option {
         WriteOption::Quads => false,
@@ -154,7 +155,7 @@ fn format_keys(outputs: &OutputOptions) -> Vec<String> {
     keys
 }
 
-/// Whether an option can be a key of a file; `None` where it changes nothing that is written.
+/// Whether an option can be a key of the file; `None` if it has no effect on the written files.
 fn use_of(name: &str, job: Job, outputs: &OutputOptions, has_obstacles: bool) -> Option<bool> {
     let group = MethodOptions::info(name)?.group;
     let changes_files = formats_changed_by(name)

@@ -1,5 +1,5 @@
-//! Progress of a run: the stage and percentage of the frame that is under way for longest, and an estimate for a frame that
-//! will take long or need much memory, before it is computed.
+//! Progress of a run: the stage and percentage of the oldest frame in flight, and an estimate before a frame
+//! that will take long or need much memory.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -12,23 +12,23 @@ use crate::surface::skin::MemoryPlan;
 
 use super::console::print_error;
 
-/// Hears what the pipeline reports, and shows it.
+/// Receives the pipeline's events, and displays them.
 #[derive(Debug)]
 pub(super) struct ProgressDisplay {
-    /// Where stage and percentage are shown, if anywhere.
+    /// The bar for stage and percentage, if it is shown.
     bar: Option<ProgressBar>,
-    /// Threads that work on one frame.
+    /// Threads per frame.
     threads_per_frame: f64,
     state: Mutex<ProgressState>,
 }
 
 #[derive(Debug, Default)]
 struct ProgressState {
-    /// In the order in which they began.
+    /// In order of their start.
     under_way: Vec<UnderWay>,
-    /// Computing seconds for a GiB of a plan, the most of all frames that were finished in this run.
+    /// Computing seconds per GiB of a plan: the maximum over the finished frames of this run.
     measured_s_per_gib: Option<f64>,
-    /// The last estimate that was announced: a similar one is not announced again.
+    /// The last printed estimate: similar ones are not printed again.
     announced: Option<FrameEstimate>,
 }
 
@@ -38,44 +38,44 @@ struct UnderWay {
     stage: Stage,
     /// Of the stage, from 0 to 1.
     fraction: f64,
-    /// How much there is to compute, in GiB of a plan.
+    /// The amount of computation, in GiB of a plan.
     work_gib: f64,
 }
 
-/// What a frame will need.
+/// The estimated cost of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct FrameEstimate {
     bytes: u64,
     seconds: f64,
 }
 
-/// From here on a frame is announced.
+/// Estimates are printed from this size on.
 const ANNOUNCED_FROM: FrameEstimate = FrameEstimate { bytes: 1 << 30, seconds: 60.0 };
 
-/// A later frame is announced if it needs so many times more than the one before.
+/// The estimate of a later frame is printed if it is larger than the last one by this factor.
 const ANNOUNCED_AGAIN: f64 = 1.5;
 
 const GIB: f64 = (1_u64 << 30) as f64;
 
-/// Computing seconds for a GiB of a plan on one thread, with the default integrator: a third more than the large frames of
-/// docs/performance.md took. Frames that are finished in the same run replace it.
+/// Computing seconds per GiB of a plan on one thread with the default integrator: a third more than for the
+/// large frames of docs/performance.md. Frames finished in the same run replace it.
 const S_PER_GIB: f64 = 45.0;
 
-/// So many times longer it takes in tiles: parts are computed twice, and go through files.
+/// The slowdown in tiles: some parts are computed twice, and data goes through files.
 const TILED: f64 = 3.0;
 
-/// Parts of the time of a frame: read, rasterize, smooth, contour, write, preview.
+/// The shares of a frame's time: read, rasterize, smooth, contour, write, preview.
 const SHARES: [f64; 6] = [0.05, 0.3, 0.45, 0.15, 0.03, 0.02];
 
 impl ProgressDisplay {
-    /// Of so many frames on so many threads.
+    /// Progress for this number of frames on this number of threads.
     pub(super) fn new(frame_count: usize, thread_count: usize, bar: Option<ProgressBar>) -> ProgressDisplay {
         let side_by_side = frame_count.clamp(1, thread_count.max(1));
         let threads_per_frame = thread_count as f64 / side_by_side as f64;
         ProgressDisplay { bar, threads_per_frame, state: Mutex::default() }
     }
 
-    /// A frame is finished; if it was converted, with this report.
+    /// Records that a frame is finished, with its report if it was converted.
     pub(super) fn finished(&self, frame: &Frame, report: Option<&FrameReport>) {
         let mut state = self.lock();
         let Some(index) = state.under_way.iter().position(|one| one.input == frame.input) else { return };
@@ -108,7 +108,7 @@ impl ProgressDisplay {
         FrameEstimate { bytes, seconds: work_gib(plan) * per_gib }
     }
 
-    /// An update that panics leaves a number behind, at worst.
+    /// A panic during an update leaves at worst a wrong number.
     fn lock(&self) -> MutexGuard<'_, ProgressState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -185,18 +185,19 @@ impl FrameEstimate {
     }
 }
 
-/// How much there is to compute, in GiB of a plan in memory.
+/// The amount of computation, in GiB of a plan in memory.
 fn work_gib(plan: &MemoryPlan) -> f64 {
     let tiled = if plan.tile_leaves.is_some() { TILED } else { 1.0 };
     plan.whole_bytes as f64 / GIB * tiled
 }
 
-/// How many times longer than the default integrator another one takes, roughly.
+/// The approximate time of an integrator, relative to the default one.
 fn integrator_factor(settings: &Settings) -> f64 {
     match settings.integrator {
         Integrator::Fast => 1.0,
         Integrator::Implicit => 3.0,
-        // An explicit step is one application of the operator; the default integrator has some dozens of them in all.
+        // An explicit step applies the operator once; the default integrator applies it some dozens of times
+        // in all.
         Integrator::Explicit | Integrator::Adaptive => (f64::from(settings.steps) / 40.0).max(1.0),
     }
 }
@@ -263,7 +264,7 @@ mod tests {
             progress.estimate(&progress.lock(), &frame.settings, &plan(2), 0).seconds
         };
         assert_eq!(estimate(&progress), 2.0 * S_PER_GIB);
-        // A lone frame has all threads.
+        // A single frame has all threads.
         assert_eq!(estimate(&ProgressDisplay::new(1, 2, None)), S_PER_GIB);
         progress.began(&frame, Stage::Read);
         progress.planned(&frame, &plan(1), 0);

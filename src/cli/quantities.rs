@@ -1,4 +1,5 @@
-//! Values of options as they are typed, on the command line and in a file: `500ms`, `8GiB`, `1280x720`.
+//! Parses the values of options, on the command line and in a configuration file: `500ms`, `8GiB`,
+//! `1280x720`.
 
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -10,22 +11,22 @@ use humantime::format_duration;
 use crate::surface::options::expected;
 use crate::watch::Poll;
 
-/// Nobody waits longer; and a moment so far away can still be computed.
+/// The longest time: longer than anyone waits, and short enough for arithmetic with times.
 const DURATION_MAX: Duration = Duration::from_secs(30 * 24 * 3600);
 
-/// Looking more often than this is all that a machine would do.
+/// The shortest scan interval: with shorter ones the machine would do nothing else.
 const POLL_MIN: Duration = Duration::from_millis(50);
 
-/// Width and height of a picture, pixels.
+/// Width and height of a picture in pixels.
 pub(super) type PictureSize = [u16; 2];
 
-/// Pixels along the edge of a picture.
+/// The range of a picture's width and height in pixels.
 const PICTURE_EDGE: std::ops::RangeInclusive<u16> = 16..=8192;
 
-/// Pixels of a picture: at 130 bytes for each while an .exr is made, 4 GB.
+/// The maximum number of pixels: writing an .exr takes 130 bytes for each, 4 GB in all.
 const PICTURE_PIXELS_MAX: u32 = 8192 * 4096;
 
-/// Parses one of these values by its word, in any case. `--help` lists the words with what they mean.
+/// Parses one of these values by its word, ignoring case. `--help` lists the words with their meanings.
 pub(super) fn one_of<T: Copy + Send + Sync + 'static>(
     values: impl IntoIterator<Item = (T, &'static str, &'static str)>,
 ) -> impl TypedValueParser<Value = T> {
@@ -37,7 +38,7 @@ pub(super) fn one_of<T: Copy + Send + Sync + 'static>(
     })
 }
 
-/// Width and height with an x between them.
+/// Parses a width and a height with an x between them.
 pub(super) fn parse_picture_size(text: &str) -> Result<PictureSize, String> {
     let edge = |text: &str| text.trim().parse().ok().filter(|edge| PICTURE_EDGE.contains(edge));
     let size = text.split_once('x').and_then(|(width, height)| Some([edge(width)?, edge(height)?]));
@@ -49,17 +50,17 @@ pub(super) fn parse_picture_size(text: &str) -> Result<PictureSize, String> {
     expected(text, size.filter(fits), what)
 }
 
-/// A time from nothing to 30 days.
+/// Parses a time from 0 to 30 days.
 pub(super) fn parse_duration(text: &str) -> Result<Duration, String> {
     parse_time(text, Duration::ZERO)
 }
 
-/// A time between two looks at everything.
+/// Parses the interval between full scans.
 pub(super) fn parse_rescan(text: &str) -> Result<Duration, String> {
     parse_time(text, POLL_MIN)
 }
 
-/// A time between two looks at the folders, or `auto`.
+/// Parses the interval between scans of the folders, or `auto`.
 pub(super) fn parse_poll(text: &str) -> Result<Poll, String> {
     match text {
         "auto" => Ok(Poll::Auto),
@@ -78,24 +79,24 @@ fn parse_time(text: &str, least: Duration) -> Result<Duration, String> {
     )
 }
 
-/// An address to listen at.
+/// Parses an address to listen on.
 pub(super) fn parse_listen(text: &str) -> Result<SocketAddr, String> {
     expected(text, text.parse().ok(), "an address with a port, such as 127.0.0.1:7700 or [::1]:7700")
 }
 
-/// A number of bytes.
+/// Parses a number of bytes.
 pub(super) fn parse_bytes(text: &str) -> Result<u64, String> {
     let size = text.trim().parse().ok().map(|size: ByteSize| size.as_u64());
     expected(text, size, "a size: a number of bytes, or such as 512MiB, 8GiB")
 }
 
-/// A positive number.
+/// Parses a positive number.
 pub(super) fn parse_positive(text: &str) -> Result<f64, String> {
     let number = text.trim().parse().ok().filter(|number: &f64| number.is_normal() && *number > 0.0);
     expected(text, number, "a positive number")
 }
 
-/// A number of frames per second.
+/// Parses a number of frames per second.
 pub(super) fn parse_fps(text: &str) -> Result<f64, String> {
     let fps = text.parse().ok().filter(|fps| (f64::MIN_POSITIVE..=1000.0).contains(fps));
     expected(text, fps, "a number of frames per second: more than 0, at most 1000")

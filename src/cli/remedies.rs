@@ -1,4 +1,4 @@
-//! What a user can do about a warning: which options help.
+//! Suggests options that help against a warning.
 
 use std::fmt;
 
@@ -6,7 +6,7 @@ use crate::pipeline::Warning;
 
 use super::wording::{rounded_down, significant};
 
-/// A warning, and the options that help.
+/// A warning, followed by the options that help.
 pub(super) fn with_remedy(warning: &Warning) -> impl fmt::Display {
     match remedy(warning) {
         Some(remedy) => format!("{warning}; {remedy}"),
@@ -35,7 +35,7 @@ fn remedy(warning: &Warning) -> Option<String> {
     })
 }
 
-/// How to have the velocities of particles in the outputs.
+/// How to transfer the particles' velocities to the outputs.
 pub(super) fn velocity_hint(name: &str) -> String {
     format!(
         "frames have the attribute \"{name}\" (velocity); --attributes {name} adds it to the outputs for motion blur"

@@ -27,10 +27,10 @@ use super::selecting::{SelectedSequence, selected_files, selected_of};
 use super::wording::{counted, with_causes};
 use super::{CommandOutcome, DoneCounts};
 
-/// Takes the pictures that the arguments ask for.
+/// Renders the requested pictures.
 ///
 /// # Errors
-/// When nothing can be done at all. A frame that fails is told, and counted.
+/// If nothing can be done at all. A failed frame is reported and counted.
 pub(super) fn render(args: &RenderArgs, console: &mut Console) -> Result<CommandOutcome> {
     refuse_stray_rounds(&args.pictures.method, &args.inputs)?;
     let found = find_render_sources(&args.inputs)?;
@@ -56,12 +56,12 @@ pub(super) fn render(args: &RenderArgs, console: &mut Console) -> Result<Command
     Ok(tally.verdict())
 }
 
-/// The pictures that were asked for.
+/// The requested pictures.
 struct RequestedPictures<'a> {
     args: &'a RenderArgs,
     session: RenderSession<'a>,
     format: OutputFormat,
-    /// What the picture of the only frame is called, where it has a name.
+    /// The name of the picture of the only frame, if the user gave one.
     stem: Option<String>,
 }
 
@@ -85,7 +85,7 @@ impl<'a> RequestedPictures<'a> {
     fn check(&self, sequences: &[SelectedSequence]) -> Result<()> {
         let count = selected_files(sequences).count();
         if count > 1 && self.stem.is_some() {
-            bail!("-o names one picture, and there are {count} frames: give --out with a folder");
+            bail!("-o names one picture, but there are {count} frames: give a folder with --out");
         }
         let mut files = sequences.iter().flat_map(|selected| &selected.sequence.frames);
         if files.clone().all(|file| is_level_set(&file.path)) {
@@ -94,12 +94,12 @@ impl<'a> RequestedPictures<'a> {
         if self.args.particles
             && let Some(file) = files.find(|file| is_level_set(&file.path))
         {
-            bail!("{}: --particles is for files of particles, and this is a level set", file.path.display());
+            bail!("{}: --particles needs a particle file, and this is a level set", file.path.display());
         }
         Ok(())
     }
 
-    /// What the pictures of a frame are called.
+    /// The names of the pictures of a frame.
     fn stems(&self, file: &FrameFile) -> Vec<String> {
         let of_file = file.stem();
         let stem = self.stem.as_deref().unwrap_or(&of_file);
@@ -109,7 +109,7 @@ impl<'a> RequestedPictures<'a> {
         }
     }
 
-    /// Takes the pictures of a sequence.
+    /// Renders the pictures of a sequence.
     fn take(&self, selected: &SelectedSequence, tally: &mut DoneCounts, console: &mut Console) {
         let prepared = self.session.prepare(&selected.sequence, self.picture_size(), console);
         let (settings, viewpoint) = match prepared {
@@ -139,7 +139,7 @@ impl<'a> RequestedPictures<'a> {
         }
     }
 
-    /// Of two pictures side by side, the right one.
+    /// For two pictures side by side, the right one.
     fn picture_size(&self) -> [usize; 2] {
         let [width, height] = self.session.outputs.picture.size;
         [if self.args.particles { width - width / 2 } else { width }, height]
@@ -170,7 +170,7 @@ impl<'a> RequestedPictures<'a> {
         Ok(written)
     }
 
-    /// The bytes of a picture, and whether it shows nothing.
+    /// The bytes of a picture, and whether it is empty.
     fn encoded(
         &self,
         source: &RenderSource,
@@ -184,7 +184,7 @@ impl<'a> RequestedPictures<'a> {
             false => source.picture(viewpoint, options.size, self.format.has_attributes()),
         };
         let provenance = source.provenance(&file.path, &options);
-        // Side by side are two pictures, and no matrix leads to both.
+        // Two pictures side by side have no common projection matrix.
         let camera = (!self.args.particles).then_some(viewpoint);
         let is_empty = picture.coverage.iter().all(|&part| part == 0.0);
         Ok((encode_picture(&picture, camera, self.format, &provenance)?, is_empty))

@@ -1,4 +1,4 @@
-//! What all frames of a sequence share: found out once, told, and the same whichever of them are converted.
+//! Determines the settings that all frames of a sequence share, independent of which frames are converted.
 
 use std::fmt;
 use std::path::Path;
@@ -15,10 +15,10 @@ use super::console::Console;
 use super::out_folder::folder_of;
 use super::wording::{counted, significant};
 
-/// The settings of a sequence of particles with this spacing.
+/// The settings for a sequence of particles with this spacing.
 ///
 /// # Errors
-/// When the options make no sense.
+/// If the options are invalid.
 pub(super) fn settings_of(
     sequence: &Sequence,
     options: &MethodOptions,
@@ -27,18 +27,18 @@ pub(super) fn settings_of(
     Settings::resolve(options, measured.map(SequenceSpacing::from)).with_context(|| sequence.name.clone())
 }
 
-/// Prints what should make a user check the settings.
+/// Prints warnings about settings that the user should check.
 pub(super) fn warn_of(sequence: &Sequence, settings: &Settings, console: &Console) {
     for warning in settings.warnings() {
         console.warning(format_args!("{}: {warning}", sequence.name));
     }
 }
 
-/// The particle spacing of a sequence, where the choices need it. Prints what should make a user check it. `None` where it
-/// is not needed, or cannot be measured and follows from the voxel size that was chosen.
+/// Measures the particle spacing of a sequence if the options need it, and prints warnings about it. `None`
+/// if it is not needed, or cannot be measured and follows from the given voxel size.
 ///
 /// # Errors
-/// When it cannot be measured, and no voxel size was chosen.
+/// If it cannot be measured, and no voxel size was given.
 pub(super) fn measured_spacing(
     sequence: &Sequence,
     choices: &MethodOptions,
@@ -49,7 +49,7 @@ pub(super) fn measured_spacing(
     }
     let warn = |what: &dyn fmt::Display| console.warning(format_args!("{}: {what}", sequence.name));
     let paths = sequence.frames.iter().map(|file| &*file.path);
-    // A scale that is no number is refused with the settings.
+    // An invalid scale is refused with the settings.
     let own_radii = choices.own_radii().ok().flatten();
     match (measure_spacing(paths, own_radii.as_ref()), choices.voxel_size.and_then(Length::world)) {
         (Ok(measured), _) => {
@@ -57,7 +57,7 @@ pub(super) fn measured_spacing(
             Ok(Some(measured))
         }
         (Err(none), Some(_)) => {
-            // Why a frame cannot be read is told when it is converted.
+            // Unreadable frames are reported when they are converted.
             if none.sparse_count > 0 {
                 warn(
                     &"the particle spacing cannot be measured and is derived from the voxel size: give --spacing",
@@ -69,10 +69,10 @@ pub(super) fn measured_spacing(
     }
 }
 
-/// What is written of the frames of a sequence: all its pictures have the same camera, whichever are converted.
+/// The output options of a sequence. All its pictures have the same camera, whichever frames are converted.
 ///
 /// # Errors
-/// When none of the frames by which a camera is placed can be read.
+/// If none of the frames that determine the camera can be read.
 pub(super) fn outputs_of(
     sequence: &Sequence,
     settings: &Settings,
@@ -86,8 +86,8 @@ pub(super) fn outputs_of(
     Ok(outputs.with_camera_around(bounds.unwrap_or(NOTHING)))
 }
 
-/// A frame converted without the rest of its sequence is measured by itself: other frames converted
-/// so get other settings, and the sequence flickers.
+/// Warns about a single frame of a sequence: its spacing is measured on this frame only, so frames converted
+/// one by one have different settings, and the sequence flickers.
 pub(super) fn warn_of_siblings(sequence: &Sequence, console: &Console) {
     let [frame] = &sequence.frames[..] else { return };
     if frame.number().is_none() {
@@ -106,7 +106,7 @@ pub(super) fn warn_of_siblings(sequence: &Sequence, console: &Console) {
     }
 }
 
-/// How many frames of its sequence are in the folder of a frame.
+/// The number of frames of its sequence in the folder of a frame.
 fn sibling_count(frame: &FrameFile) -> usize {
     let folder = folder_of(&frame.path);
     let Ok(entries) = std::fs::read_dir(folder) else { return 0 };
@@ -116,7 +116,7 @@ fn sibling_count(frame: &FrameFile) -> usize {
     siblings.iter().filter(|file| !is_own_output(&file.path)).count()
 }
 
-/// Prints what a sequence is converted with.
+/// Prints the settings of a sequence.
 pub(super) fn say_settings(
     sequence: &Sequence,
     selected_count: usize,

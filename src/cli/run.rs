@@ -1,4 +1,4 @@
-//! Frames through the pipeline: their outcomes on the console, in the order of the inputs, and a summary of all.
+//! Runs a batch of frames through the pipeline: prints their outcomes in input order, and a summary.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -32,34 +32,35 @@ struct BatchItem {
 /// What to do with a frame.
 enum ItemState {
     Convert(Frame),
-    /// Nothing: its outputs are done, and its inputs are gone. If its certificate does not hold, why.
+    /// Skip it: its outputs are done, and its inputs are gone. If its certificate does not hold, the reason.
     Done(Frame, Option<String>),
-    /// Nothing: its sequence has no settings, and why.
+    /// Report a failure: its sequence has no settings, for this reason.
     Impossible(String),
 }
 
-/// How a batch is converted, and what is written of it.
+/// How a batch is converted and recorded.
 pub(super) struct RunOptions {
     start: Instant,
     on_error: OnError,
-    /// Whether results that break a guarantee are no failure.
+    /// Whether frames that fail validation count as successful.
     allow_violations: bool,
     report: Option<PathBuf>,
     /// Skip frames that are done.
     skip_done: bool,
     /// Write certificates beside the outputs.
     certificates: bool,
-    /// Memory that the frames under way may take together.
+    /// Memory limit for all frames in flight together.
     memory_bytes: u64,
-    /// Where all computing happens.
+    /// The threads for all computations.
     pub(super) pool: ThreadPool,
 }
 
 impl RunOptions {
-    /// What the options say, for a command that began at `start`. Frames of a plan are certified, and not made again.
+    /// The run options of a command that started at `start`. Frames of a plan are certified, and skipped if
+    /// they are done.
     ///
     /// # Errors
-    /// When the memory is too little, or threads cannot be started.
+    /// If the memory limit is too small, or threads cannot be started.
     pub(super) fn new(args: &ConvertArgs, start: Instant) -> Result<RunOptions> {
         Ok(RunOptions {
             start,
@@ -74,7 +75,7 @@ impl RunOptions {
     }
 }
 
-/// Frames to convert, and their outcomes.
+/// The frames to convert, and their outcomes.
 pub(super) struct Batch<'a> {
     pub(super) options: &'a RunOptions,
     /// In the order of the inputs.
@@ -84,24 +85,24 @@ pub(super) struct Batch<'a> {
     outcomes: Outcomes,
 }
 
-/// What came of frames.
+/// The outcomes of frames.
 #[derive(Default)]
 struct Outcomes {
-    /// How many frames, from the first, have an outcome.
+    /// How many frames at the beginning of the batch have an outcome.
     noted_count: usize,
     done_count: usize,
-    /// Frames that are done and break a guarantee.
+    /// Frames that were converted but failed validation.
     broken_count: usize,
     not_started_count: usize,
     failures: Vec<String>,
-    /// How many frames had an outcome before the first failure.
+    /// The number of outcomes before the first failure.
     failed_first: Option<usize>,
-    /// Which warnings were printed, by sequence, and how many similar ones were not.
+    /// The warnings that were printed for each sequence, and the number of similar ones that were suppressed.
     printed: HashMap<usize, ReportedWarnings>,
     suppressed_count: usize,
-    /// Whether the hint at velocities that are not used was printed.
+    /// Whether the hint about unused velocities was printed.
     is_velocity_hinted: bool,
-    /// The .glb of each frame that is done, where there is one.
+    /// The .glb files of the converted frames.
     shot_frames: Vec<ShotSource>,
 }
 
@@ -117,31 +118,31 @@ impl<'a> Batch<'a> {
         }
     }
 
-    /// Adds a sequence; its index is what frames refer to.
+    /// Adds a sequence, and returns its index for its frames.
     pub(super) fn add_sequence(&mut self, name: &str, record: SequenceRecord) -> usize {
         self.sequence_names.push(name.to_owned());
         self.record.add_sequence(record)
     }
 
-    /// Adds a frame of a sequence, or why it cannot be converted.
+    /// Adds a frame of a sequence, or the reason why it cannot be converted.
     pub(super) fn add_frame(&mut self, input: &Path, sequence_index: usize, frame: Result<Frame, String>) {
         let state = frame.map_or_else(ItemState::Impossible, ItemState::Convert);
         self.items.push(BatchItem { input: input.to_owned(), sequence_index, state });
     }
 
-    /// Adds a frame that is done and whose inputs are gone. `fault` is why its certificate does not hold.
+    /// Adds a finished frame whose inputs are gone. `fault` is the reason if its certificate does not hold.
     pub(super) fn add_done(&mut self, frame: Frame, sequence_index: usize, fault: Option<String>) {
         let input = frame.input.clone();
         self.items.push(BatchItem { input, sequence_index, state: ItemState::Done(frame, fault) });
     }
 
-    /// Converts all frames that were added.
+    /// Converts all added frames.
     pub(super) fn convert(&mut self, console: &mut Console) {
         let &RunOptions { on_error, skip_done, certificates, memory_bytes, ref pool, .. } = self.options;
         let items = std::mem::take(&mut self.items);
         let begin_count = match on_error {
             OnError::Continue => items.len(),
-            // No frame behind one that is known to fail is begun.
+            // With --on-error stop, no frame after one that is known to fail is started.
             OnError::Stop => {
                 let is_impossible = |item: &BatchItem| matches!(item.state, ItemState::Impossible(_));
                 items.iter().position(is_impossible).unwrap_or(items.len())
@@ -155,7 +156,7 @@ impl<'a> Batch<'a> {
                 ItemState::Done(..) | ItemState::Impossible(_) => None,
             })
             .unzip();
-        // A certificate has the hashes of the outputs, and says what does not hold.
+        // A certificate contains the hashes of the outputs, and lists what failed.
         let records = (!certificates)
             .then(|| OutputRecords::load(frames.iter().map(|frame| frame.outputs.folder.clone())));
         let has_bar = console.show_bar(frames.len());
@@ -170,7 +171,7 @@ impl<'a> Batch<'a> {
             ..PipelineOptions::new(pool)
         };
         pipeline::run(&LevelSetSkinning, &frames, &options, |index, outcome| {
-            // The record and the console have the order of the inputs.
+            // The record and the console follow the order of the inputs.
             let report = if let Outcome::Converted(report) = &outcome { Some(&**report) } else { None };
             progress.finished(&frames[index], report);
             self.note_without_outcome(&items[self.outcomes.noted_count..places[index]], console);
@@ -186,7 +187,7 @@ impl<'a> Batch<'a> {
         self.note_without_outcome(&items[self.outcomes.noted_count..], console);
     }
 
-    /// Notes frames that never went into the pipeline.
+    /// Records the frames that did not enter the pipeline.
     fn note_without_outcome(&mut self, items: &[BatchItem], console: &Console) {
         let mut printed = None;
         for BatchItem { input, sequence_index, state } in items {
@@ -197,10 +198,10 @@ impl<'a> Batch<'a> {
                     self.note_done(input, fault.as_deref(), console);
                 }
                 ItemState::Impossible(why) if !is_stopped => {
-                    // It is the same for all frames of a sequence.
+                    // The reason is the same for all frames of a sequence.
                     if printed.replace(*sequence_index) != Some(*sequence_index) {
                         let name = &self.sequence_names[*sequence_index];
-                        // What cannot be read is named by its path already.
+                        // Errors of reading a file begin with its path already.
                         let of = if why.contains(&**name) { String::new() } else { format!("{name}: ") };
                         console.error(format_args!("{of}{why}"));
                     }
@@ -260,7 +261,7 @@ impl<'a> Batch<'a> {
         console.advance_bar();
     }
 
-    /// Counts a frame that was converted, and prints its warnings.
+    /// Counts a converted frame, and prints its warnings.
     fn note_converted(
         &mut self,
         frame: &Frame,
@@ -279,7 +280,7 @@ impl<'a> Batch<'a> {
                 self.outcomes.suppressed_count += 1;
             }
         }
-        // Once is enough.
+        // The hint is printed once.
         if let Some(velocity) = &report.unused_velocity
             && !std::mem::replace(&mut self.outcomes.is_velocity_hinted, true)
         {
@@ -296,12 +297,12 @@ impl<'a> Batch<'a> {
         }
     }
 
-    /// How many frames have an outcome.
+    /// The number of frames with an outcome.
     pub(super) fn frame_count(&self) -> usize {
         self.outcomes.noted_count
     }
 
-    /// The .glb of each frame that is done, in the order of the inputs.
+    /// The .glb files of the converted frames, in the order of the inputs.
     pub(super) fn shot_frames(&self) -> &[ShotSource] {
         &self.outcomes.shot_frames
     }
@@ -311,7 +312,7 @@ impl<'a> Batch<'a> {
         self.outcomes.failures.push(failure);
     }
 
-    /// Prints the summary, writes the report, and returns the verdict.
+    /// Prints the summary, writes the report, and returns the exit status.
     pub(super) fn finish(self, console: &mut Console) -> CommandOutcome {
         let RunOptions { start, allow_violations, report, .. } = self.options;
         let seconds = start.elapsed().as_secs_f64();
@@ -324,7 +325,7 @@ impl<'a> Batch<'a> {
             }
         }
         console.say(format_args!("{summary}, in {seconds:.2} s"));
-        // An error that was just printed is not repeated; one of long ago has scrolled away.
+        // An error that was just printed is not repeated; an older one has scrolled away.
         if self.outcomes.failed_first.is_some_and(|first| self.outcomes.noted_count - first > FRAMES_IN_VIEW)
         {
             for failure in &self.outcomes.failures {
@@ -333,10 +334,11 @@ impl<'a> Batch<'a> {
         }
         if self.outcomes.suppressed_count > 0 {
             let more = counted(self.outcomes.suppressed_count, "more warning");
-            console.warn(format_args!("{more} like those of earlier frames: --report has them all"));
+            console
+                .warn(format_args!("{more} like those of earlier frames suppressed: --report has them all"));
         }
         if let Some(path) = report
-            // Through a link, what it names is replaced and not the link.
+            // For a link, its target is replaced, and not the link.
             && let Err(error) =
                 self.record.write(&path.canonicalize().unwrap_or_else(|_| path.to_owned()), seconds)
         {

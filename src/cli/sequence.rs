@@ -1,4 +1,5 @@
-//! `meniscus sequence`: the frames of a shot in one file; and the same at the end of `meniscus convert`.
+//! `meniscus sequence`, and the same at the end of `meniscus convert`: combines the frames of a shot into one
+//! file.
 
 use std::path::{Path, PathBuf};
 
@@ -18,13 +19,14 @@ use super::machine::thread_pool;
 use super::selecting::{only_sequence, refuse_odd_place};
 use super::wording::{counted, counted_are};
 
-/// Gathers the frames that the arguments name.
+/// Combines the frames that the arguments name.
 ///
 /// # Errors
-/// When there is no shot.
+/// If no shot can be made.
 pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<CommandOutcome> {
-    let format = ShotFormat::of(&args.output)
-        .with_context(|| format!("{}: a shot is a .glb or a .usda", args.output.display()))?;
+    let format = ShotFormat::of(&args.output).with_context(|| {
+        format!("{}: the name of a shot must end in .glb or .usda", args.output.display())
+    })?;
     refuse_odd_place("the shot", &args.output)?;
     let found = find_inputs(&frames_of_folders(&args.inputs)?)?;
     found.report(console);
@@ -42,7 +44,7 @@ pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<Com
     Ok(if shot.left_out.is_empty() { CommandOutcome::Done } else { CommandOutcome::SomeFailed })
 }
 
-/// The inputs with the .glb files of a folder in its place, of which those that are shots are no frames.
+/// The inputs, with folders replaced by their .glb files. Existing shots are not frames.
 fn frames_of_folders(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
     let mut frames = Vec::new();
     for input in inputs {
@@ -57,15 +59,15 @@ fn frames_of_folders(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
             .filter(is_frame)
             .collect();
         if files.is_empty() {
-            bail!("{}: no .glb of a frame in this folder", input.display());
+            bail!("{}: this folder contains no .glb of a frame", input.display());
         }
         frames.extend(files);
     }
     Ok(frames)
 }
 
-/// The frames among these files. A pattern may find the shot that was made of them before, which is to be replaced; anything
-/// else that the new one would replace is an input.
+/// The frames among these files. A pattern may match an existing shot, which the new one replaces; if the
+/// shot would replace any other file, that is an error.
 fn without_old_shot(files: Vec<FrameFile>, output: &Path) -> Result<Vec<FrameFile>> {
     let (old, frames): (Vec<_>, Vec<_>) =
         files.into_iter().partition(|file| are_one_file(&file.path, output));
@@ -100,19 +102,19 @@ fn told(path: &Path, shot: &ShotReport, console: &mut Console) {
     console.say(format_args!("{}: a shot of {frames}, {} bytes", path.display(), shot.size_bytes));
 }
 
-/// The shots that are asked for beside frames.
+/// The shots to make after a conversion.
 pub(super) struct SequenceOutputs {
     files: Vec<(PathBuf, ShotFormat)>,
     options: ShotOptions,
-    /// Whether some of the frames were asked for: then others need not be there.
+    /// Whether only some of the frames were selected: then the others need not exist.
     are_picked: bool,
 }
 
 impl SequenceOutputs {
-    /// Nothing, or what is asked for; refused where it could not be made.
+    /// The requested shots, which may be none; refused if they cannot be made.
     ///
     /// # Errors
-    /// Why there would be no shot.
+    /// The reason.
     pub(super) fn asked_for(
         args: &ShotArgs,
         outputs: &OutputOptions,
@@ -153,8 +155,8 @@ impl SequenceOutputs {
         self.files.iter().map(|(path, _)| &**path)
     }
 
-    /// Gathers the frames that are done, out of `frame_count`. A shot that an earlier run made is not replaced by one that lacks
-    /// frames.
+    /// Combines the finished frames, out of `frame_count`. An existing shot is not replaced by one with
+    /// missing frames.
     pub(super) fn write(
         &self,
         (frames, frame_count): (&[ShotSource], usize),

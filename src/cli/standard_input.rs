@@ -1,6 +1,8 @@
-//! `convert -`: one file from the standard input, or from another pipe that a shell names, as `<(zcat dam.ply.gz)` does.
+//! `convert -`: reads one file from the standard input, or from another pipe that a shell names, as with
+//! `<(zcat dam.ply.gz)`.
 //!
-//! The pipeline reads files, some of them twice, and a pipe can be read once. So it is copied to a temporary file first.
+//! The pipeline reads files, some of them twice, and a pipe can be read only once. So the pipe is first
+//! copied to a temporary file.
 
 use std::fs::File;
 use std::io::{self, IsTerminal, Read};
@@ -15,7 +17,7 @@ use super::args::ConvertArgs;
 use super::destination::private_folder;
 use super::machine::memory_bytes;
 
-/// The copy, until this is dropped.
+/// The temporary copy, removed on drop.
 pub(super) struct StandardInput {
     pub(super) path: PathBuf,
     _folder: TempDir,
@@ -25,7 +27,7 @@ impl StandardInput {
     /// Copies the pipe among the inputs, if there is one.
     ///
     /// # Errors
-    /// When it cannot be read or is larger than the memory limit, or when there are other inputs beside it.
+    /// If it cannot be read or is larger than the memory limit, or if there are other inputs.
     pub(super) fn take(args: &ConvertArgs) -> Result<Option<StandardInput>> {
         let Some(pipe) = args.inputs.iter().find(|input| is_pipe(input)) else {
             if args.input_format.is_some() {
@@ -35,7 +37,7 @@ impl StandardInput {
         };
         let name = if is_stdin(pipe) { STANDARD_INPUT.to_owned() } else { pipe.display().to_string() };
         if args.inputs.len() > 1 {
-            bail!("{name} is one frame and has to be the only INPUT");
+            bail!("{name} is one frame, so it must be the only INPUT");
         }
         let file_name = match &args.input_format {
             None => "stdin".to_owned(),
@@ -75,14 +77,14 @@ fn is_stdin(input: &Path) -> bool {
     ["-", "/dev/stdin", "/dev/fd/0", "/proc/self/fd/0"].iter().any(|name| input == Path::new(name))
 }
 
-/// Whether an input is a pipe that is open already. Named pipes are not: opening one may wait for ever.
+/// Whether an input is an open pipe. Named pipes are excluded: opening one may block forever.
 fn is_pipe(input: &Path) -> bool {
     let is_descriptor =
         || ["/dev/fd", "/proc/self/fd"].iter().any(|folder| input.parent() == Some(Path::new(folder)));
     is_stdin(input) || is_descriptor() && input.metadata().is_ok_and(|metadata| !metadata.is_file())
 }
 
-/// The extension of a format, which may be typed with its dot.
+/// Parses the extension of a format, with or without its dot.
 fn extension_of(format: &str) -> Result<&str> {
     let extension = format.strip_prefix('.').unwrap_or(format);
     let is_plain = extension.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'.');

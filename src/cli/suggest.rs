@@ -9,8 +9,8 @@ use strsim::jaro;
 
 use super::args::Cli;
 
-/// The same error; but whoever types nearly `--output` where there is only `--out` is told of that. By their letters
-/// alone others are nearer: `--ouput` is more like `--up`.
+/// The same error. If the argument resembles `--output` and the command only has `--out`, the error suggests
+/// `--out`: clap's own measure finds other options closer, as `--up` for `--ouput`.
 pub(super) fn with_suggestion(mut error: Error, arguments: &[OsString]) -> Error {
     let Some(ContextValue::String(typed)) = error.get(ContextKind::InvalidArg) else { return error };
     let nearness = |option: &str| jaro(typed, option);
@@ -27,7 +27,7 @@ pub(super) fn with_suggestion(mut error: Error, arguments: &[OsString]) -> Error
     error
 }
 
-/// How the command is used, if it has `--out` and no `--output`.
+/// The usage of the command, if it has `--out` and no `--output`.
 fn usage_of_out_alone(arguments: &[OsString]) -> Option<StyledStr> {
     let mut program = Cli::command();
     program.build();
@@ -36,5 +36,5 @@ fn usage_of_out_alone(arguments: &[OsString]) -> Option<StyledStr> {
     (has("out") && !has("output")).then(|| command.render_usage())
 }
 
-/// Options that are less alike, of 1, have nothing to do with each other.
+/// The minimum similarity for a suggestion; 1 means equal.
 const NEAR: f64 = 0.8;

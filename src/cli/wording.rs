@@ -1,12 +1,12 @@
-//! Numbers and measurements in words.
+//! Formats numbers, options and errors as text.
 
 use crate::pipeline::{FrameReport, Job};
 pub(in crate::cli) use crate::surface::words::{counted, rounded_down, significant};
 
-/// What was said before more frames than this has scrolled away.
+/// Output from before this many frames has probably scrolled away.
 pub(super) const FRAMES_IN_VIEW: usize = 20;
 
-/// An option as it is typed.
+/// An option as the user types it.
 pub(super) fn typed(name: &str) -> String {
     match name {
         "inputs" => "INPUT".to_owned(),
@@ -14,12 +14,12 @@ pub(super) fn typed(name: &str) -> String {
     }
 }
 
-/// Options as they are typed, with commas between.
+/// Options as the user types them, separated by commas.
 pub(super) fn all_typed(names: &[&str]) -> String {
     names.iter().map(|name| typed(name)).collect::<Vec<_>>().join(", ")
 }
 
-/// One line about a frame that was converted.
+/// One line about a converted frame.
 pub(super) fn described(job: &Job, report: &FrameReport) -> String {
     let skin = &report.skin;
     let particles = counted(skin.particle_count, "particle");
@@ -36,7 +36,7 @@ pub(super) fn described(job: &Job, report: &FrameReport) -> String {
     }
 }
 
-/// An error and what caused it, each once: some say themselves what did.
+/// An error and its causes. A cause that the text already ends with is not repeated.
 pub(super) fn with_causes(error: &anyhow::Error) -> String {
     let mut told = error.to_string();
     for cause in error.chain().skip(1).map(ToString::to_string) {
@@ -47,7 +47,7 @@ pub(super) fn with_causes(error: &anyhow::Error) -> String {
     told
 }
 
-/// The last line about frames whose results do not keep what is promised of them.
+/// The last line of a run in which some results failed validation.
 pub(super) fn failed_validation(broken_count: usize, frame_count: usize, details: &str) -> String {
     let frames = counted(frame_count, "frame");
     format!("{broken_count} of {frames} failed validation{details}; outputs were kept")

@@ -340,7 +340,7 @@ fn shots_that_cannot_be_are_refused_before_anything_is_done() {
         &["sequence", "in/dam.1.ply", "in/other.1.ply", "-o", "s.glb"],
         &["2 sequences", "dam.1.ply, other.1.ply"],
     );
-    refused(path, &["sequence", "in/dam.1.ply", "-o", "s.ply"], &[".glb or a .usda"]);
+    refused(path, &["sequence", "in/dam.1.ply", "-o", "s.ply"], &[".glb or .usda"]);
     assert!(!path.join("s.glb").exists());
 }
 

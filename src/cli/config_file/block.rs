@@ -1,7 +1,7 @@
-//! A table of a TOML file, read key by key.
+//! Reads a table of a TOML file key by key.
 //!
-//! The options of the command line are the definition: a key is the name of an option, with underscores, and the
-//! option's own parser checks the value. Every error names the file and the line, and says what would be right.
+//! The options of the command line define the keys: a key is the name of an option with underscores, and the
+//! option's own parser checks the value. Every error names the file, the line and the valid values.
 
 use std::any::TypeId;
 use std::error::Error as _;
@@ -29,7 +29,7 @@ pub(super) struct ConfigSource<'a> {
 }
 
 impl ConfigSource<'_> {
-    /// The line, from 1, of the byte at `offset`.
+    /// The line number, from 1, of the byte at `offset`.
     pub(super) fn line(&self, offset: usize) -> usize {
         let before = &self.text.as_bytes()[..offset.min(self.text.len())];
         1 + before.iter().filter(|&&byte| byte == b'\n').count()
@@ -44,7 +44,7 @@ impl ConfigSource<'_> {
 pub(super) struct ConfigTable<'a> {
     source: &'a ConfigSource<'a>,
     table: &'a DeTable<'a>,
-    /// Where it begins in the file.
+    /// Its start in the file.
     pub(super) start: usize,
 }
 
@@ -52,10 +52,10 @@ pub(super) struct ConfigTable<'a> {
 type ConfigValue<'a> = &'a Spanned<DeValue<'a>>;
 
 impl<'a> ConfigTable<'a> {
-    /// The block called `name`, which begins at `start`.
+    /// The block called `name`, which starts at `start`.
     ///
     /// # Errors
-    /// The first key in it that is unknown, and the nearest one that is known.
+    /// The first unknown key, and the most similar known one.
     pub(super) fn new(
         source: &'a ConfigSource<'a>,
         name: &str,
@@ -70,7 +70,7 @@ impl<'a> ConfigTable<'a> {
         }
     }
 
-    /// An error of the block as a whole.
+    /// An error about the block as a whole.
     pub(super) fn error(&self, what: impl Display) -> anyhow::Error {
         self.source.error(self.start, what)
     }
@@ -99,7 +99,7 @@ impl<'a> ConfigTable<'a> {
     /// The options that the keys of the block set.
     ///
     /// # Errors
-    /// The first value, in the order of the file, that an option does not take, and what it takes.
+    /// The first invalid value in the order of the file, and the valid values.
     pub(super) fn options<O: Args + OptionSet>(&self) -> Result<O> {
         let command = command::<O>();
         let parsed = |words: &[OsString]| {
@@ -114,7 +114,7 @@ impl<'a> ConfigTable<'a> {
             let Some(option) = command.get_arguments().find(|option| key_of(option) == *key) else {
                 continue;
             };
-            // Each key alone: two keys may state one thing, as two options may not.
+            // Each key is parsed alone: two keys may set the same thing, unlike two options.
             let set = parsed(&self.words(key, option, value)?).map_err(|error| {
                 self.source.error(value.span().start, format_args!("`{key}`: {}", reason(&error, option)))
             })?;
@@ -123,7 +123,7 @@ impl<'a> ConfigTable<'a> {
         Ok(options)
     }
 
-    /// The words of the command line that set an option to a value.
+    /// The command-line arguments that set an option to a value.
     fn words(&self, key: &str, option: &Arg, value: ConfigValue<'a>) -> Result<Vec<OsString>> {
         let name = typed(option.get_id().as_str());
         let word = |text: OsString| {
@@ -149,7 +149,7 @@ impl<'a> ConfigTable<'a> {
         })
     }
 
-    /// A value as it is typed on the command line.
+    /// A value in command-line syntax.
     fn text(&self, key: &str, option: &Arg, value: ConfigValue<'a>, wanted: &str) -> Result<OsString> {
         let is_switch = is::<bool>(option);
         let is_length = is::<Length>(option);
@@ -171,7 +171,7 @@ impl<'a> ConfigTable<'a> {
             let what = format_args!("`{key}` is empty: it wants a path");
             return Err(self.source.error(value.span().start, what));
         }
-        // From the file's folder if it is relative.
+        // Relative paths are relative to the file's folder.
         Ok(self.source.path.parent().unwrap_or(Path::new("")).join(text).into_os_string())
     }
 
@@ -189,7 +189,7 @@ impl<'a> ConfigTable<'a> {
     }
 }
 
-/// The command line that has these options and nothing else.
+/// A command line with these options only.
 fn command<O: Args>() -> Command {
     O::augment_args(Command::new("file").no_binary_name(true).disable_help_flag(true))
 }
@@ -199,7 +199,7 @@ pub(super) fn keys<O: Args>() -> Vec<String> {
     command::<O>().get_arguments().map(key_of).collect()
 }
 
-/// The key of an option: its name, in the plural where it takes a list.
+/// The key of an option: its name, or the plural if it takes a list.
 fn key_of(option: &Arg) -> String {
     let plural = if is_list(option) { "s" } else { "" };
     format!("{}{plural}", option.get_id())
@@ -218,7 +218,7 @@ fn is<T: 'static>(option: &Arg) -> bool {
     option.get_value_parser().type_id() == TypeId::of::<T>()
 }
 
-/// What a file has to have as the value of an option.
+/// The kind of value that the file must have for an option.
 fn wanted(option: &Arg) -> String {
     let words = option.get_possible_values();
     let words: Vec<String> = words.iter().map(|word| format!("\"{}\"", word.get_name())).collect();
@@ -238,7 +238,7 @@ fn wanted(option: &Arg) -> String {
     wanted.to_owned()
 }
 
-/// Why an option does not take a value: its parser says it, or the value is not one of the option's words.
+/// Why an option does not accept a value: the message of its parser, or the list of its words.
 fn reason(error: &clap::Error, option: &Arg) -> String {
     match (error.source(), error.get(ContextKind::InvalidValue)) {
         (Some(source), _) => source.to_string(),
@@ -249,7 +249,7 @@ fn reason(error: &clap::Error, option: &Arg) -> String {
     }
 }
 
-/// The message for a key that no block of this name has.
+/// The message for a key that is unknown in this block.
 fn unknown_key(key: &str, block: &str) -> String {
     let known = keys_of(block);
     let place = |name| match name {
@@ -267,7 +267,7 @@ fn unknown_key(key: &str, block: &str) -> String {
     }
 }
 
-/// The known key that is most like this one, if one is like it.
+/// The most similar known key, if one is similar enough.
 fn nearest<'k>(key: &str, known: &'k [String]) -> Option<&'k str> {
     let key = key.to_lowercase().replace('-', "_");
     let likeness = |known: &str| strsim::jaro_winkler(&key, known);
@@ -275,5 +275,5 @@ fn nearest<'k>(key: &str, known: &'k [String]) -> Option<&'k str> {
     (likeness(nearest) >= LIKENESS_MIN).then_some(nearest)
 }
 
-/// Below this a guess is more confusing than helpful; 1 is the same word.
+/// A suggestion with less similarity would confuse; 1 means equal.
 const LIKENESS_MIN: f64 = 0.75;

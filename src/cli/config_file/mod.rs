@@ -1,13 +1,14 @@
-//! `meniscus.toml`: what to watch, and how.
+//! `meniscus.toml`: the folders to watch, and the settings.
 //!
 //! ```text
 //!   [daemon]              order, threads, memory …        at most one
 //!   [[watch]]             input, output, formats, voxel_size …    any number
 //! ```
 //!
-//! Keys are the options of the command line, with underscores, and the options' own parsers check their values. Relative paths are relative to the file's own folder, so that it can be moved
-//! together with what it names. Whatever is not understood is an error with its line: a misspelt key
-//! that is skipped in silence would cost a night.
+//! Keys are the command-line options with underscores, and the options' own parsers check the values.
+//! Relative paths are relative to the file's folder, so that the file can be moved together with the folders
+//! that it names. Anything unknown is an error with its line: silently ignoring a misspelt key could waste a
+//! night of computation.
 
 mod block;
 
@@ -22,10 +23,10 @@ use crate::pipeline::read_regular_text;
 
 use block::{ConfigSource, ConfigTable, keys};
 
-/// What stands in a file.
+/// The content of a file.
 #[derive(Clone, Debug)]
 pub(super) struct ConfigFile {
-    /// Where it is.
+    /// Its path.
     pub(super) path: PathBuf,
     /// In the order of the file.
     pub(super) watches: Vec<WatchBlock>,
@@ -35,7 +36,7 @@ pub(super) struct ConfigFile {
 /// A `[[watch]]` block.
 #[derive(Clone, Debug)]
 pub(super) struct WatchBlock {
-    /// The line that it begins on.
+    /// The line where it starts.
     pub(super) line: usize,
     pub(super) input: PathBuf,
     pub(super) output: Option<PathBuf>,
@@ -45,13 +46,13 @@ pub(super) struct WatchBlock {
 /// Reads the file at `path`.
 ///
 /// # Errors
-/// When it cannot be read, or says something that makes no sense: file, line, and what would.
+/// If it cannot be read, or is invalid: the message has the file, the line and the valid values.
 pub(super) fn read_config_file(path: &Path) -> Result<ConfigFile> {
     let text = read_regular_text(path).with_context(|| format!("cannot read {}", path.display()))?;
     parse(&ConfigSource { path, text: &text })
 }
 
-/// Reads a file that has no place.
+/// Parses the text of a file without a path.
 pub(super) fn check(text: &str) -> Result<()> {
     parse(&ConfigSource { path: Path::new("meniscus.toml"), text }).map(drop)
 }
@@ -89,7 +90,7 @@ option_set! {
     }
 }
 
-/// The keys that each block may have; the file itself is the block without a name.
+/// The keys that each block may have; the top level is the block without a name.
 fn keys_of(block: &str) -> Vec<String> {
     match block {
         "watch" => keys::<WatchKeys>(),

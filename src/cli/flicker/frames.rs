@@ -1,8 +1,8 @@
-//! Which mesh belongs to which particles, and which frames have both neighbours.
+//! Matches meshes with particles, and finds the frames that have both neighbours.
 //!
 //! ```text
 //!   meshes      1     3     5  6              7
-//!   particles   1  2  3  4  5     6  7        the frames that have both: 1, 3, 5, 6, 7
+//!   particles   1  2  3  4  5     6  7        the frames with both: 1, 3, 5, 6, 7
 //!                                             one step is their greatest common distance: 1
 //!                                             6 is scored, between 5 and 7
 //! ```
@@ -24,22 +24,22 @@ use crate::pipeline::{FrameFile, Sequence, shown};
 pub(super) struct FrameFiles {
     pub(super) mesh: PathBuf,
     pub(super) particles: PathBuf,
-    /// What the frame is called.
+    /// The name of the frame.
     name: String,
 }
 
 /// The frames of a sequence.
 #[derive(Debug)]
 pub(super) struct FlickerFrames {
-    /// What to call the sequence of meshes.
+    /// The name of the sequence of meshes.
     pub(super) name: String,
-    /// Those that have both files, by number.
+    /// The frames that have both files, by number.
     pub(super) files: BTreeMap<u64, FrameFiles>,
-    /// From a frame to the next.
+    /// The difference between consecutive frame numbers.
     pub(super) step: u64,
-    /// The same of all particles, whether they have meshes or not.
+    /// The same for all particle files, with or without meshes.
     particle_step: u64,
-    /// The frames that have both neighbours, and were selected.
+    /// The selected frames that have both neighbours.
     pub(super) scored: Vec<u64>,
 }
 
@@ -48,19 +48,19 @@ impl FlickerFrames {
         self.files.get(&number).map_or_else(|| number.to_string(), |files| files.name.clone())
     }
 
-    /// How many frames of particles are between two of these.
+    /// The number of particle frames per step.
     pub(super) fn particle_steps(&self) -> f64 {
         self.step as f64 / self.particle_step as f64
     }
 }
 
-/// Numbers that are listed in a message; more are counted.
+/// Maximum number of frames listed in a message.
 const NUMBERS_NAMED: usize = 8;
 
 /// Finds the frames that the arguments name.
 ///
 /// # Errors
-/// When no three frames follow each other.
+/// If no three consecutive frames exist.
 pub(super) fn find(args: &FlickerArgs, console: &mut Console) -> Result<FlickerFrames> {
     if let Some(folder) = args.meshes.iter().find(|path| path.is_dir()) {
         bail!(
@@ -151,7 +151,8 @@ fn by_number(sequence: Sequence) -> Result<BTreeMap<u64, FrameFile>> {
     Ok(files)
 }
 
-/// The greatest number that divides all differences between these, which grow; 1 where there are none.
+/// The greatest common divisor of the differences between these ascending numbers; 1 if there are no
+/// differences.
 fn common_step(numbers: &[u64]) -> u64 {
     let greatest = numbers.windows(2).map(|pair| pair[1] - pair[0]).fold(0, |a, b| {
         let (mut a, mut b) = (a, b);
@@ -172,7 +173,7 @@ fn listed(numbers: &[u64]) -> String {
     format!("{} {}", if distinct.len() == 1 { "frame" } else { "frames" }, names.join(", "))
 }
 
-/// Frames, and what there is to say of one of them, or of several.
+/// The numbers of frames, followed by the text for one or for several.
 fn listed_with(numbers: &[u64], [one, several]: [&str; 2]) -> String {
     format!("{} {}", listed(numbers), if numbers.len() == 1 { one } else { several })
 }

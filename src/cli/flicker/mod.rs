@@ -1,7 +1,7 @@
-//! `meniscus flicker`: how much a sequence of surfaces flickers, from any program.
+//! `meniscus flicker`: scores how much a sequence of surfaces from any program flickers.
 //!
 //! ```text
-//!   frames    which mesh belongs to which particles, and which frames have both neighbours
+//!   frames    match meshes with particles; frames with both neighbours
 //!   reading   a frame from its two files             tally    scores of all frames; the worst frames and points
 //!   tables    CSV                                    picture  the scores over the frames, and the worst frames
 //! ```
@@ -32,13 +32,13 @@ use super::wording::{counted, significant, with_causes};
 use frames::FlickerFrames;
 use tally::{FlickerTotals, ScoredFrame};
 
-/// Above this part of points without particles, mesh and particles hardly belong together.
+/// If more than this share of points has no particles, mesh and particles probably do not belong together.
 const UNCARRIED_MOST: f64 = 0.5;
 
 /// Scores the frames that the arguments name.
 ///
 /// # Errors
-/// When no frame can be scored.
+/// If no frame can be scored.
 pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<CommandOutcome> {
     let frames = frames::find(args, console)?;
     refuse_outputs(args, &frames)?;
@@ -91,14 +91,14 @@ pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Command
     Ok(if failed_count > 0 { CommandOutcome::SomeFailed } else { CommandOutcome::Done })
 }
 
-/// Frames that are read one after the other.
+/// Reads the frames in order.
 struct Scoring<'a> {
     args: &'a FlickerArgs,
     frames: &'a FlickerFrames,
     spacing: f64,
-    /// What carries points, once the first frame was read.
+    /// What moves the points, known once the first frame was read.
     carrier: Option<Carrier>,
-    /// Frames that may be needed again; `None` of those that cannot be read.
+    /// Frames that may be needed again; `None` for unreadable ones.
     ready: BTreeMap<u64, Option<FlickerFrame>>,
     failed_count: usize,
     /// Whether the first open mesh was reported.
@@ -106,10 +106,10 @@ struct Scoring<'a> {
 }
 
 impl Scoring<'_> {
-    /// The scores of a frame; `None` where it or a neighbour cannot be read.
+    /// The scores of a frame; `None` if it or a neighbour cannot be read.
     ///
     /// # Errors
-    /// When particles carry nothing.
+    /// If the particles have neither ids nor velocities.
     fn score(&mut self, number: u64, console: &mut Console) -> Result<Option<ScoredFrame>> {
         let numbers = [number - self.frames.step, number, number + self.frames.step];
         self.ready.retain(|known, _| *known >= numbers[0]);
@@ -141,7 +141,7 @@ impl Scoring<'_> {
         Ok(Some(ScoredFrame::new(number, name, found)))
     }
 
-    /// A frame; `None` where it cannot be read, which is reported.
+    /// A frame; `None` if it cannot be read, which is reported.
     fn read(&mut self, number: u64, console: &mut Console) -> Result<Option<FlickerFrame>> {
         let Some(files) = self.frames.files.get(&number) else { return Ok(None) };
         let spacing = self.spacing;
@@ -162,7 +162,7 @@ impl Scoring<'_> {
         }
         let carrier = match self.carrier {
             Some(carrier) => carrier,
-            // It decides nothing, and carries nothing.
+            // A frame without particles does not determine what moves the points.
             None if !frame.has_particles() => return Ok(Some(frame)),
             None => {
                 let carrier = self.carrier_of(&frame, &files.particles)?;
@@ -184,10 +184,10 @@ impl Scoring<'_> {
         Ok(None)
     }
 
-    /// What carries points: ids, or else velocities.
+    /// What moves the points: ids if possible, or else velocities.
     fn carrier_of(&self, frame: &FlickerFrame, particles: &Path) -> Result<Carrier> {
         let seconds = self.args.dt.or_else(|| self.args.fps.map(f64::recip));
-        // In the time of a step of the meshes the particles may take several.
+        // A step of the meshes may span several steps of the particles.
         let seconds = seconds.map(|seconds| seconds * self.frames.particle_steps());
         let velocities = Carrier::Velocities { seconds: seconds.unwrap_or(1.0) };
         if frame.has(Carrier::Ids) {

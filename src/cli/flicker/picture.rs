@@ -1,4 +1,4 @@
-//! The scores over the frames, and where the worst frames flicker.
+//! Plots the scores over the frames, and shows where the worst frames flicker.
 
 use anyhow::Result;
 use glam::DVec3;
@@ -13,17 +13,17 @@ use super::frames::FlickerFrames;
 use super::numbers_of;
 use super::tally::{FlickerTotals, ScoredFrame};
 
-/// Pixels of a frame's picture.
+/// The size of a frame's picture in pixels.
 const PLACE: [usize; 2] = [480, 320];
 
 const COLUMNS: usize = 3;
 
-/// Between the cells of a sheet, pixels: the plot is as wide as a row of them.
+/// The gap between the cells of a sheet in pixels: the plot is as wide as a row of cells.
 const GAP: usize = 10;
 
 const PLOT: [usize; 2] = [COLUMNS * (PLACE[0] + GAP) - GAP, 280];
 
-/// Flicker in spacings, and the linear colour of what flickers so much; what lies between two is mixed.
+/// Flicker in spacings, and its linear colour; values in between are interpolated.
 const COLORS: [(f64, [f32; 3]); 4] =
     [(0.0, [0.3, 0.32, 0.35]), (0.1, [0.58, 0.42, 0.03]), (0.5, [0.5, 0.05, 0.02]), (2.0, [0.16, 0.0, 0.2])];
 
@@ -32,7 +32,7 @@ const LEGEND: &str = "Colours: grey does not flicker; yellow 0.1 spacings, red 0
 /// The bytes of the picture.
 ///
 /// # Errors
-/// When the format has no place for it.
+/// If the format cannot store it.
 pub(super) fn encoded(
     frames: &FlickerFrames,
     tally: &FlickerTotals,
@@ -111,7 +111,7 @@ fn plot(frames: &FlickerFrames, tally: &FlickerTotals) -> Plot {
     }
 }
 
-/// The box around all points of these frames.
+/// The bounding box of all points of these frames.
 fn bounds(frames: &[&ScoredFrame]) -> Option<[DVec3; 2]> {
     let positions = frames.iter().flat_map(|frame| frame.points()).map(|point| point.position);
     positions.fold(None, |bounds: Option<[DVec3; 2]>, at| {
@@ -135,7 +135,8 @@ fn color(size: f64) -> [f32; 3] {
     [0, 1, 2].map(|channel| from[channel] + part * (to[channel] - from[channel]))
 }
 
-/// A radius in world units at which marks hide the marks behind them: a multiple of the mean distance to the nearest mark.
+/// A radius in world units at which marks hide the marks behind them: a multiple of the mean distance to the
+/// nearest mark.
 fn mark_radius(points: &[ScoredPoint]) -> f64 {
     let every = points.len().div_ceil(MEASURED).max(1);
     let nearest = |point: &ScoredPoint| {
@@ -144,15 +145,15 @@ fn mark_radius(points: &[ScoredPoint]) -> f64 {
     };
     let distances: Vec<f64> =
         points.iter().step_by(every).map(nearest).filter(|distance| distance.is_finite()).collect();
-    // Points at random are half as far from the nearest as points on a grid.
+    // For random points the mean distance to the nearest one is half of that on a grid.
     let mean = distances.iter().sum::<f64>() / distances.len().max(1) as f64;
     MARK_RADIUS * mean.max(f64::MIN_POSITIVE)
 }
 
-/// Marks whose nearest others are looked for.
+/// The number of marks whose nearest neighbours are searched.
 const MEASURED: usize = 64;
 
-/// In mean distances to the nearest.
+/// The radius of a mark, in mean distances to the nearest.
 const MARK_RADIUS: f64 = 1.8;
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! A frame from its two files.
+//! Reads a frame from its two files.
 
 use anyhow::{Context, Result};
 use meniscus_formats::{AttributeRole, FileAttribute, Limits, ParticleFrame, Values, read_particles};
@@ -17,7 +17,7 @@ pub(super) fn read_frame(files: &FrameFiles, spacing: f64) -> Result<FlickerFram
     Ok(FlickerFrame::new(read_moving(&files.particles)?, surface, spacing))
 }
 
-/// The spacing of the particles of all frames, and what should make a user check it.
+/// Measures the particle spacing of all frames, and returns warnings about it.
 pub(super) fn estimated_spacing(frames: &FlickerFrames) -> Result<(f64, Vec<String>)> {
     let measured = measure_spacing(frames.files.values().map(|files| &*files.particles), None)?;
     Ok((measured.spacing, measured.warnings))
@@ -36,7 +36,7 @@ fn read_moving(path: &Path) -> Result<MovingParticles> {
     Ok(MovingParticles { positions: particles(positions), ids, velocities })
 }
 
-/// The values of an attribute as integers. Reals are integers where they have no fraction and fit.
+/// The values of an attribute as integers. Reals are converted if they are integers and fit.
 fn integers(attribute: &FileAttribute) -> Option<Vec<i64>> {
     const EXACT: f64 = 9_007_199_254_740_992.0; // 2⁵³
     let whole = |value: f64| (value.fract() == 0.0 && value.abs() <= EXACT).then_some(value as i64);

@@ -1,4 +1,4 @@
-//! Scores as CSV.
+//! Writes scores as CSV.
 
 use std::io::{Result, Write};
 
@@ -6,8 +6,8 @@ use crate::surface::flicker::Distribution;
 
 use super::tally::{ScoredFrame, WorstPoint};
 
-/// A row for each frame. Lengths are in particle spacings but for places, which are in world units; a frame without carried
-/// points has no numbers.
+/// A row for each frame. Lengths are in particle spacings, and positions in world units. Without carried
+/// points, the numbers of a frame are empty.
 pub(super) fn write_frames(frames: &[ScoredFrame], out: &mut dyn Write) -> Result<()> {
     writeln!(out, "frame,points,uncarried,left,rms,median,p99,max,max_x,max_y,max_z")?;
     for frame in frames {

@@ -1,4 +1,4 @@
-//! The scores of all frames, and which frames and points are the worst.
+//! Collects the scores of all frames, and the worst frames and points.
 
 use glam::DVec3;
 
@@ -12,9 +12,9 @@ pub(super) struct ScoredFrame {
     pub(super) summary: Distribution,
     pub(super) uncarried_count: usize,
     pub(super) left_count: usize,
-    /// Where it flickers most; `None` where no point is carried.
+    /// The point with the most flicker; `None` if no point is carried.
     pub(super) worst: Option<ScoredPoint>,
-    /// All points, until they are not needed any more.
+    /// All points, until they are no longer needed.
     points: Vec<ScoredPoint>,
 }
 
@@ -26,10 +26,10 @@ pub(super) struct WorstPoint {
     pub(super) value: f64,
 }
 
-/// Points that are kept of all frames together.
+/// Maximum number of points kept over all frames.
 const WORST_POINTS: usize = 1000;
 
-/// Frames whose points are kept for the picture.
+/// The number of frames whose points are kept for the picture.
 pub(super) const WORST_FRAMES: usize = 6;
 
 impl ScoredFrame {
@@ -51,22 +51,22 @@ impl ScoredFrame {
 
 /// The scores of all frames so far.
 pub(super) struct FlickerTotals {
-    /// In the order of their numbers.
+    /// In order of their numbers.
     pub(super) frames: Vec<ScoredFrame>,
-    /// The worst first; of equal ones that of the earlier frame.
+    /// The worst first; of equal ones, the earlier frame first.
     pub(super) worst_points: Vec<WorstPoint>,
-    /// The flicker of all points, in 32 bits: there may be millions.
+    /// The flicker of all points, in 32 bits because there may be millions.
     values: Vec<f32>,
     keeps_points: bool,
 }
 
 impl FlickerTotals {
-    /// Of no frames. Points are kept of the worst frames if a picture is to be drawn.
+    /// An empty tally. If a picture is to be drawn, it keeps the points of the worst frames.
     pub(super) fn new(keeps_points: bool) -> FlickerTotals {
         FlickerTotals { frames: Vec::new(), worst_points: Vec::new(), values: Vec::new(), keeps_points }
     }
 
-    /// Adds a frame, whose number is greater than those before.
+    /// Adds a frame, whose number is greater than the earlier ones.
     pub(super) fn add(&mut self, frame: ScoredFrame) {
         self.values.extend(frame.points.iter().map(|point| point.value as f32));
         let worst = |&ScoredPoint { position, value, .. }: &ScoredPoint| WorstPoint {
@@ -96,7 +96,7 @@ impl FlickerTotals {
         indices
     }
 
-    /// Of all points of all frames.
+    /// The summary of all points of all frames.
     pub(super) fn summary(&self) -> Distribution {
         Distribution::of(self.values.iter().map(|&value| value.into()))
     }
@@ -120,7 +120,7 @@ mod tests {
     fn worst_points_and_frames_are_kept() {
         let mut tally = FlickerTotals::new(true);
         for number in 1..=10 {
-            // Frame 7 is the worst; frames 3 and 4 are alike.
+            // Frame 7 is the worst; frames 3 and 4 are equal.
             let size = [0.0, 1.0, 2.0, 5.0, 5.0, 3.0, 4.0, 9.0, 0.5, 0.25, 8.0][number as usize];
             tally.add(frame(number, &[size, -2.0 * size]));
         }
