@@ -2,8 +2,8 @@
 //!
 //! meniscus reconstructs surfaces from the particles of a simulation by the level-set method of Bhattacharya, Gao and Bargteil
 //! ("A Level-set Method for Skinning Animated Particle Data"): the smoothest surface, in the sense of least thin-plate
-//! energy, that stays between two unions of spheres around the particles. It comes with a certificate of what was checked, and
-//! is the same to the bit on any number of threads.
+//! energy, that stays between two unions of spheres around the particles. A certificate lists the checks that it passed, and
+//! it is the same to the bit on any number of threads.
 //!
 //! ```
 //! use meniscus::surface::{Options, reconstruct};
@@ -58,8 +58,7 @@
 //! by the voxel size h makes every stage free of units. World units appear where particles come in and
 //! where vertices go out.
 //!
-//! The crate starts no threads of its own: loops run in the rayon pool that the caller is in. Features that do start threads say
-//! so.
+//! The crate itself starts no threads: loops run in the caller's rayon pool. Features that start threads document it.
 
 /// The vector types in this crate's API.
 pub use glam;

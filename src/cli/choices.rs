@@ -38,7 +38,7 @@ pub(super) fn obstacle_files(method: &MethodArgs) -> Result<ObstacleFiles> {
             }
             Err(error) if error.kind() != io::ErrorKind::NotFound => bail!("obstacle {name}: {error}"),
             Ok(_) => bail!("{name}: an obstacle has to be a regular file"),
-            Err(_) => bail!("{name}: there is no such obstacle"),
+            Err(_) => bail!("{name}: obstacle not found"),
         }
     }
     Ok(obstacles)

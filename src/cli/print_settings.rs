@@ -43,7 +43,7 @@ pub(super) fn print_settings_of_any(
     if needs_spacing {
         console.say("# these follow the particle spacing, here 1:");
     } else if options.needs_spacing() {
-        console.say("# the particle spacing is derived from the voxel size, because there is no INPUT to measure it on:");
+        console.say("# the particle spacing is derived from the voxel size, because no INPUT was given to measure it on:");
     }
     let settings = Settings::resolve(&options, needs_spacing.then(|| SequenceSpacing::from(1.0)))?;
     console.say_lines(keys(&settings, method, outputs, (Job::Surface, !needs_spacing))?);

@@ -107,23 +107,23 @@ pub(super) fn tuning_help() -> String {
 }
 
 const TUNING: &str = "\
-  Values follow a = and are separated by commas: numbers as the option takes them, or, with an x
-  behind them, multiples of what it is without: --vary ratio=1.5,2,3,h=0.5x,1x.
+  Values follow a = and are separated by commas: values of the option, or, with an x behind them,
+  multiples of the base value, the one without --vary: --vary ratio=1.5,2,3,h=0.5x,1x.
   The first differs from row to row, the second from column to column, the third from block to block.
-  With --preset paper and an h smaller than without, r_min is held at what it is without, or spheres
+  With --preset paper and an h below its base value, r_min keeps its base value, because the spheres
   would come apart.
 
 What is shown:
-  Without --camera or --camera-from the part of the frame that has the most surface, 16 particle
-  spacings wide; with --camera zoom=1 the whole frame.
+  Without --camera or --camera-from, the part of the frame with the most surface, 16 particle spacings
+  wide; with --camera zoom=1 the whole frame.
 
-  All other options hold for every cell. The command of each cell is printed, with how long the cell
-  took, and is on the sheet: it converts INPUT as the cell shows it.
+  All other options apply to every cell. The command of each cell is printed, with the time that the
+  cell took, and is on the sheet: it converts INPUT as the cell shows it.
 
 Exit status:
   0    every cell has its picture
-  1    some settings were refused or failed: their cells say why, and the others are there
-  2    the command cannot be carried out, or no cell has a picture: there is no sheet";
+  1    some settings were refused or failed: their cells have the reasons, and the others are shown
+  2    the command is invalid, or no cell has a picture: no sheet was written";
 
 impl Vary {
     /// The parameters with at least one value each. `settings` are the base settings.

@@ -24,7 +24,7 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
     let folder =
         absolute(&args.folder).with_context(|| format!("`{}` is not a valid path", args.folder.display()))?;
     if !folder.is_dir() {
-        bail!("{}: there is no such folder", args.folder.display());
+        bail!("{}: folder not found", args.folder.display());
     }
     // The path of a folder inside itself resolves, which is all that reading files needs.
     folder

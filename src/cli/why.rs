@@ -202,7 +202,7 @@ fn lines(
             match output_missing {
                 Some(path) => line("outputs", &format!("{} is not there", path.display())),
                 None if record.outputs.is_empty() => line("outputs", "none recorded"),
-                None => line("outputs", "all that are recorded are there"),
+                None => line("outputs", "all recorded outputs exist"),
             }
         }
     }

@@ -125,7 +125,7 @@ fn a_folder_that_takes_no_report_plan_or_shot_is_refused() {
     ] {
         let ran = meniscus(path, command);
         assert_eq!((ran.status, &*ran.out), (2, ""), "{command:?}: {}", ran.err);
-        let told = format!("/proc: nothing can be written into this folder, and {what} is to be: ");
+        let told = format!("/proc: cannot write {what} into this folder: ");
         assert!(ran.err.contains(&told) && ran.err.lines().count() == 1, "{command:?}: {}", ran.err);
     }
     assert_eq!(names_in(path), ["dam.1.ply", "dam.2.ply", "plan.json", "planned"]);

@@ -667,7 +667,7 @@ fn what_cannot_be_planned_is_refused() {
     refused(&["in", "--out=out", "--shards=100001"], "1 to 100000");
     refused(&["nowhere", "--out=out", "--shards=2"], "no such file or folder");
     refused(&["in", "--out=in", "--shards=2", "--format=ply"], "would replace the input");
-    refused(&["in", "--out=out", "--shards=2", "--obstacle=none.obj"], "there is no such obstacle");
+    refused(&["in", "--out=out", "--shards=2", "--obstacle=none.obj"], "obstacle not found");
     refused(&["in", "--out=out", "--shards=2", "--steps=-1"], "--steps");
     fs::write(folder.join("in/dam.1.ply"), "ply\nformat nonsense 1.0\n").expect("written");
     fs::write(folder.join("in/dam.2.ply"), "ply\nformat nonsense 1.0\n").expect("written");

@@ -456,7 +456,7 @@ fn obstacles_that_are_none_are_told() {
     let missing = convert(path, &[&arguments[..], &["bal.obj"]].concat());
     assert_eq!(missing.status, 2);
     assert!(
-        missing.err.contains("bal.obj: there is no such obstacle") && !path.join("o").exists(),
+        missing.err.contains("bal.obj: obstacle not found") && !path.join("o").exists(),
         "{}",
         missing.err
     );

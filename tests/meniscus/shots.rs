@@ -317,7 +317,7 @@ fn shots_that_cannot_be_are_refused_before_anything_is_done() {
     refused(path, &convert(&["--format", "ply", "--sequence-glb", "s.glb"]), &["--sequence-glb", "add glb"]);
     refused(path, &convert(&["--sequence-usda", "s.glb"]), &["--sequence-usda s.glb", "must end in .usda"]);
     refused(path, &convert(&["--sequence-glb", "s.mov"]), &["--sequence-glb s.mov", "must end in .glb"]);
-    refused(path, &convert(&["--sequence-glb", "no/s.glb"]), &["no such folder"]);
+    refused(path, &convert(&["--sequence-glb", "no/s.glb"]), &["does not exist"]);
     refused(
         path,
         &convert(&["--sequence-glb", "o/dam.1.glb"]),

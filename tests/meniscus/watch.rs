@@ -188,7 +188,7 @@ fn why_tells_everything_that_decides() {
     note(&out, &path.join("in/dam.1.ply"), Ok(&out.join("dam.1.glb")));
     note(&out, &path.join("in/dam.2.ply"), Err("no end"));
     let words =
-        ["journal   done", "input     as recorded", "all that are recorded are there", "because it is done"];
+        ["journal   done", "input     as recorded", "all recorded outputs exist", "because it is done"];
     tells("in/dam.1.ply", &typed, &words);
     tells("in/dam.2.ply", &typed, &["journal   failed", "no end", "it failed, and neither it nor"]);
     fs::remove_file(out.join("dam.1.glb")).expect("removed");
@@ -280,8 +280,7 @@ fn the_journal_says_what_the_daemon_was_asked_for() {
     let elsewhere = meniscus(path, &["why", "out/dam.1.glb", "--out", "out"]);
     assert!(elsewhere.err.contains("not in a folder that is watched"), "{}", elsewhere.err);
     let status = meniscus(path, &["status", "--out", "out"]);
-    let watched =
-        format!("{}, only dam.*.ply, each when its {{stem}}.ok is there", path.join("in").display());
+    let watched = format!("{}, only dam.*.ply, each when its {{stem}}.ok exists", path.join("in").display());
     assert!(status.out.contains(&watched), "{}", status.out);
 
     // As if it had been started again with other settings.

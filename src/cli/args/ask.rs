@@ -43,29 +43,29 @@ const STATUS_JSON: &str = "\
 Exit status:
   0    no frame has failed
   1    some frames have failed
-  2    there is nothing to tell: no daemon ever worked there
+  2    no daemon has ever used this folder
 
 JSON: an object with
   output, journal  the folders
-  daemon           null where none is known, or an object with
-                     running         true or false; null where the disk has no locks to ask
-                     held_by         who has the folder now
+  daemon           null if none is known, or an object with
+                     running         true or false; null if the file system has no locks
+                     held_by         the process that holds the folder now
                      state           running, paused, starting, stopped, killed
-                     paused_because  why, where it is paused
+                     paused_because  the reason, if it is paused
                      pid, host, started_ms, at_ms
-                                     of the daemon that was last there; at_ms: in this state since
+                                     of the last daemon; at_ms: when it entered this state
   watches          the folders that are, or were last, watched for these results, each with input,
-                   pattern, recursive, sentinel and formats; null where the journal does not say
-  counts           how many frames are done, queued, retrying, failed
+                   pattern, recursive, sentinel and formats; null if the journal does not say
+  counts           the numbers of frames that are done, queued, retrying, failed
   failed, retrying, last_done, flawed
-                   frames, each with input, outputs, attempts and at_ms, and where they are known
+                   frames, each with input, outputs, attempts and at_ms, and if they are known
                    reason, particles, seconds and flaws. last_done: the newest first, five at most;
-                   flawed: those done with particles left out, or with a guarantee that is broken
-  waiting          files that a daemon at work takes for frames once their writers have finished, each
-                   with input and reason. On a network file system, whose clock is another, only those
-                   whose sentinel is missing, or that are not complete
+                   flawed: those converted without some particles, or that failed validation
+  waiting          files that a running daemon will convert once they are complete, each with input
+                   and reason. On a network file system, whose clock may differ, only those whose
+                   sentinel is missing, or that are known to be incomplete
   waiting_cut_short
-                   true where there may be more of these: they are looked for in the watched folders
-                   for 3 s, and among 10000 files that the journal does not know, at most
-  damaged_lines    lines of the journal that cannot be read; they cost work and nothing else
+                   true if there may be more of these: the search in the watched folders is limited to
+                   3 s and to 10000 files that are not in the journal
+  damaged_lines    unreadable lines of the journal; they cost repeated work and nothing else
 Times that end in _ms are milliseconds since 1970.";

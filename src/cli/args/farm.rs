@@ -86,17 +86,17 @@ pub(in crate::cli) fn parse_shard(text: &str) -> Result<ShardChoice, String> {
 }
 
 const VERDICTS: &str = "\
-What there may be of a frame:
-  done         all files are there and whole, made from the input as it is by the plan's settings, with the bytes that
-               were certified
-  missing      a file is not there
-  damaged      a file has lost its end, or has other bytes than were written
-  stale        made from another state of the input, by other settings or another version
-  uncertified  all is there, and what was checked of the surface did not hold: made again it would be the same
+State of a frame:
+  done         all files exist and are complete, were made from the current input with the plan's settings, and have
+               the certified bytes
+  missing      a file is missing
+  damaged      a file is truncated, or has other bytes than were written
+  stale        made from another version of the input, with other settings or by another version of meniscus
+  uncertified  all files exist, but a check of the surface failed: converting again would give the same result
 
-Shards with missing, damaged or stale frames are named: run them again, and they make those and no others.
+Shards with missing, damaged or stale frames are listed: run them again, and they convert only those frames.
 
 Exit status:
   0    every frame is done
-  1    some are not
-  2    none is, or the command cannot be carried out";
+  1    some frames are not done
+  2    no frame is done, or the command is invalid";

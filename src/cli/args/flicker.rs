@@ -61,7 +61,7 @@ pub(in crate::cli) struct FlickerArgs {
 const DEFINITION: &str = "\
 What is scored:
   Points on the surface of a frame, evenly by area, are carried to the frames before and after it by the
-  particles around them: by ids where all frames have them, else by velocities. A point's flicker is the
+  particles around them: by ids if all frames have them, else by velocities. A point's flicker is the
   second difference of its signed distances to the three surfaces, in particle spacings. The score is
   the root of its mean square: 0 for a surface that moves as its particles do.
 
@@ -70,5 +70,5 @@ What is scored:
 
 Exit status:
   0    every frame between two others is scored
-  1    some frames could not be read, and those beside them are not scored
-  2    the command cannot be carried out, or no frame is scored";
+  1    some frames could not be read, so they and their neighbours are not scored
+  2    the command is invalid, or no frame is scored";

@@ -41,7 +41,7 @@ pub(super) use sequence::{FPS, SequenceArgs, ShotArgs};
 pub(super) use sheets::{ContactSheetArgs, TuneArgs};
 pub(super) use watch::{DaemonArgs, FrameArgs, LogChoice, WatchArgs};
 
-/// Particles in, smooth meshes and level sets out.
+/// Convert particles into smooth meshes and level sets.
 #[derive(Debug, Parser)]
 #[command(name = "meniscus", version, max_term_width = 100)]
 pub(super) struct Cli {
@@ -207,8 +207,8 @@ Choosing the spacing, the voxel size and the radii:
   half of it. Without either, d is measured on the first, middle and last frame of the sequence,
   printed, and the same for every frame.
 
-  A LENGTH is a number in world units, the particles' unit of length; or of particle spacings, such as
-  0.6d; or of voxels, such as 5h.
+  A LENGTH is a number in world units, the particles' unit of length; or in particle spacings, such as
+  0.6d; or in voxels, such as 5h.
 
   Lengths and times follow d. The voxel size h is 0.4 d: half of it shows more detail of the same
   surface, and takes about four times the time and the memory. On a coarse grid radii are raised to
@@ -219,12 +219,12 @@ Choosing the spacing, the voxel size and the radii:
   a sheet or a thread are flattened (--thin-radius), and those that fly alone are smaller
   (--lone-radius).
 
-  --radius-ratio  r_max / r_min: how much room there is for smoothing. More is smoother, less
-                  follows the particles more faithfully.
+  --radius-ratio  r_max / r_min: how far smoothing may move the surface. More is smoother, less
+                  follows the particles more closely.
   --radius-init   where smoothing starts. The spheres of neighbouring particles must overlap, or the
                   surface begins with holes that smoothing cannot close: about 0.9 spacings or more.
   --position-smoothing
-                  how far particles are moved to the mean of their neighbours first: more is calmer,
+                  how far particles are first moved towards the mean of their neighbours: more is calmer,
                   0 keeps every particle inside the surface where it was given.
 
   With --preset paper the radii follow h, as in the paper: for an h smaller than half the spacing
@@ -233,9 +233,9 @@ Choosing the spacing, the voxel size and the radii:
 
 Exit status:
   0    every frame was converted, or was done already
-  1    some frames failed, or their results failed validation; each is named, with why, and the
-       others are there
-  2    the command cannot be carried out, or no frame was converted
+  1    some frames failed, or their results failed validation; each is named, with the reason, and
+       the others are complete
+  2    the command is invalid, or no frame was converted
   130  interrupted: existing results are complete, and --skip-done continues from there";
 
 #[cfg(test)]

@@ -102,27 +102,27 @@ option_set! {
 
 const CAMERAS: &str = "\
 Cameras:
-  By itself the camera has all of the sequence in view, by the bounds of its first, middle and last
-  frame, and stands still. Keys are separated by commas:
+  By default a fixed camera shows the whole sequence, according to the bounds of its first, middle
+  and last frame. Keys are separated by commas:
     azimuth, elevation  degrees to the right around it, and above the horizon; 32 and 22
     zoom                1 fits the bounds, 2 shows them twice as large
     view                the vertical angle of view, in degrees; 30
     up                  y or z
     ground              the height of the ground, or none; the lowest of the bounds
   or, instead of the first three:
-    eye, target         where it is and where it looks, such as 1:2:3
-    top                 what is up in the picture
+    eye, target         its position, and the point that it looks at, such as 1:2:3
+    top                 the direction that points up in the picture
 
 Layers of .exr, a part of the file each:
-  beauty     R G B A      linear, 16 bits; A is 1, for the ground is in the picture
+  beauty     R G B A      linear, 16 bits; A is 1, because the ground is in the picture
   coverage   Y            the part of the pixel that the surface covers, 16 bits
-  depth      Z            along the camera's axis, world units; 1e10 where there is no surface
+  depth      Z            along the camera's axis, world units; 1e10 where no surface is visible
   normals    N.X N.Y N.Z  outward, in world space, 16 bits
   position   P.X P.Y P.Z  world units
-  velocity   V.X V.Y V.Z  world units per second, where the particles have it
+  velocity   V.X V.Y V.Z  world units per second, if the particles have it
   curvature  Y            mean curvature, per world unit; positive where the fluid bulges
 
 Exit status:
-  0    every picture is there
-  1    some frames failed; each is named, with why
-  2    the command cannot be carried out, or there is no picture";
+  0    every picture was written
+  1    some frames failed; each is named, with the reason
+  2    the command is invalid, or no picture was written";

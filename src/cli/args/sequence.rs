@@ -54,19 +54,20 @@ option_set! {
 pub(in crate::cli) const FPS: f64 = 24.0;
 
 const PLAYING: &str = "\
-When a frame is shown is told by its number; a frame that is missing leaves its time to the one before it. In a .usda the numbers are
-the time codes. In a .glb one frame of the shot is the greatest step that divides all differences of the numbers: 0, 100 and 300
-are shown as 0, 1 and 3 would be. Where some have no number, or they do not grow, frames are counted from 1.
+The number of a frame determines when it is shown; if a frame is missing, the one before it is shown for longer. In a .usda
+the numbers are the time codes. In a .glb one frame of the shot is the greatest common divisor of the differences of the
+numbers: 0, 100 and 300 are shown like 0, 1 and 3. If some names have no number, or the numbers do not increase, frames are
+counted from 1.
 
-The shot may replace an older shot, and no frame.
+The shot may replace an older shot, but not a frame.
 
 Frame n of a scene shows frame n of the .glb if the scene has the same frames per second as --fps: in Blender set the frame
 rate (24 by default) before importing. At a lower rate the scene skips frames.
 
-A .glb shows one node after the other by an animation of their scales, in steps; it must stay below 4 GiB. A .usda has no
-such limit: it is one mesh, whose samples should not be blended between frames.
+A .glb has a node for each frame, and shows one after the other by animating their scales in steps; it must stay below
+4 GiB. A .usda has no such limit: it is one mesh with time samples, which should not be blended between frames.
 
 Exit status:
   0    all frames are in the shot
-  1    some could not be read, and are left out; each is named, with why
-  2    there is no shot";
+  1    some frames could not be read, and are left out; each is named, with the reason
+  2    no shot was written";

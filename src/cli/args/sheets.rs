@@ -81,12 +81,12 @@ pub(in crate::cli) struct TuneArgs {
 
 const CONTACT_SHEETS: &str = "\
 What is shown:
-  Each sequence has its own part of the sheet and one camera; files that belong to none share one.
-  Pictures of this program cost least, then level sets, then particles. Pictures are taken only where
-  they show all the frames that are there, from one camera, and none of --camera, --camera-from and
-  --up is given. The title says what was taken.
+  Each sequence has its own part of the sheet and one camera; files outside sequences share a part.
+  Existing pictures are cheapest, then level sets, then particles. Pictures are used only if they show
+  all existing frames with one camera, and none of --camera, --camera-from and --up is given. The
+  title says which kind was used.
 
 Exit status:
   0    every frame is on the sheet
-  1    some frames failed: their cells say why, and the others are there
-  2    the command cannot be carried out, or no frame could be shown: there is no sheet";
+  1    some frames failed: their cells have the reasons, and the others are shown
+  2    the command is invalid, or no frame could be shown: no sheet was written";

@@ -1,4 +1,4 @@
-//! What is said of options is said once: pages and files agree with the definition.
+//! Checks that the documentation and the configuration file agree with the definition of the options.
 
 use std::any::TypeId;
 use std::fmt::Write;
@@ -8,7 +8,7 @@ use clap::{Arg, CommandFactory};
 use super::*;
 use crate::surface::options::{Length, MethodOptions, ValueKind};
 
-/// The page, whose tables are generated: `MENISCUS_WRITE_DOCS=1 cargo test --lib cli::args` writes them again.
+/// The page with the generated tables: `MENISCUS_WRITE_DOCS=1 cargo test --lib cli::args` updates them.
 const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/options.md");
 
 fn options_of_convert() -> Vec<Arg> {

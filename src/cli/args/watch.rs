@@ -179,20 +179,21 @@ impl FrameArgs {
 
 const WATCHING: &str = "\
 When a frame is read:
-  A file is read when it is complete, by the first of: it was renamed into place; its sentinel is
-  there; its format says so and it was left alone for --settle; it was left alone for --unproven.
-  One that is written again later is converted again. Inputs are never moved, changed or removed.
+  A file is read when it is complete, by the first of: it was renamed into place; its sentinel
+  exists; its format says so and it was unchanged for --settle; it was unchanged for --unproven. A
+  file that is written again later is converted again. Inputs are never moved, changed or removed.
 
-  What is done is remembered in a journal, and survives a restart. `meniscus status --out DIR` tells
-  it, and `meniscus why FILE --out DIR` why a frame was converted or not.
+  A journal records the finished frames, so a restarted daemon continues where it was. `meniscus
+  status --out DIR` prints them, and `meniscus why FILE --out DIR` explains why a frame was or was
+  not converted.
 
 Signals:
-  SIGTERM, SIGINT  finish the frames under way, within --stop-deadline, and end; a second one ends
-                   at once. Nothing half written is left either way
-  SIGHUP           read the --config file again; where it is wrong, go on as before
+  SIGTERM, SIGINT  finish the frames in flight within --stop-deadline, and exit; a second one exits
+                   at once. Neither leaves partial files
+  SIGHUP           reload the --config file; if it is invalid, continue with the old settings
 
 Exit status:
-  0    with --once: every frame is converted. Without: the daemon was asked to end, and did
-  1    with --once: some frames failed, were left, or failed validation; each is named, with why
-  2    the command cannot be carried out; with --once also: no frame was converted
-  130  ended at once by a second SIGINT; 143 by a second SIGTERM";
+  0    with --once: every frame is converted. Without: the daemon stopped on request
+  1    with --once: some frames failed, were left, or failed validation; each is named, with the reason
+  2    the command is invalid; with --once also: no frame was converted
+  130  stopped at once by a second SIGINT; 143 by a second SIGTERM";

@@ -49,7 +49,7 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Com
         bail!("{}: this is a level set, and tune needs particles", file.path.display());
     }
     let selected = selected_of(vec![sequence], args.frames.as_ref())?;
-    let [SelectedSequence { sequence, selected }] = &selected[..] else { bail!("there is no frame") };
+    let [SelectedSequence { sequence, selected }] = &selected[..] else { bail!("no frame was selected") };
     // The middle one of the selected frames.
     let frame = &selected[selected.len() / 2];
     let (file, session) =

@@ -32,7 +32,7 @@ impl StatusRecord {
             lines.extend(more(self.waiting.len()));
         }
         if self.waiting_cut_short {
-            lines.push("not all files were looked at: more may wait for their writers".to_owned());
+            lines.push("not all files were examined: more may wait for their writers".to_owned());
         }
         let lists = [
             ("failed", &self.failed),

@@ -109,7 +109,7 @@ fn text_tells_what_json_tells() {
     let planned =
         record(&JournalState { plan: Some(plan()), ..state() }, Holder::Nobody).lines(64_000).join("\n");
     let watched: Vec<&str> = planned.lines().skip(2).take(3).collect();
-    let all = "  /sim and its sub-folders, only dam.*, each when its {name}.ok is there, as glb, vdb";
+    let all = "  /sim and its sub-folders, only dam.*, each when its {name}.ok exists, as glb, vdb";
     assert_eq!(watched, ["watched:", all, "  /sim, as glb, vdb"]);
     let given_up = record(&state(), Holder::Nobody).failed[25].text(64_000);
     assert_eq!(
