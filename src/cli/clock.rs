@@ -18,7 +18,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn two_units_say_enough() {
+    fn times_have_at_most_two_units() {
         for (seconds, expected) in
             [(0, "just now"), (59, "59s ago"), (3600, "1h ago"), (3725, "1h 2m ago"), (90_061, "1day 1h ago")]
         {

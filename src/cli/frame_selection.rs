@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn gaps_are_told_where_numbers_are_even() {
+    fn gaps_are_reported_for_evenly_spaced_numbers() {
         for (numbers, expected) in [
             (&[][..], None),
             (&[7], None),

@@ -43,7 +43,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn memory_without_a_unit_is_too_little() {
+    fn memory_of_5_bytes_is_refused() {
         assert!(memory_bytes(Some(5)).is_err_and(|why| why.to_string().contains("5 bytes of memory")));
         assert_eq!(memory_bytes(Some(1 << 20)).ok(), Some(1 << 20));
     }

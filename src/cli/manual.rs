@@ -138,7 +138,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_follows_the_options_keeps_its_lines() {
+    fn sections_below_options_keep_their_lines() {
         let page = sections("Exit status:\n  0    good\n  1    bad\n\nJSON:\n    deep").to_roff();
         assert_eq!(
             page.lines().filter(|line| !line.is_empty()).collect::<Vec<_>>(),
@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn breaks_come_one_at_a_time() {
+    fn doubled_line_breaks_are_merged() {
         assert_eq!(without_doubled_breaks("a \n.br\n\n.br\nb\n"), "a\n.sp\nb\n");
     }
 }

@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn frame_under_way_for_longest_is_shown_with_stage_and_percentage() {
+    fn oldest_frame_is_shown_with_stage_and_percentage() {
         let bar = ProgressBar::hidden();
         let progress = ProgressDisplay::new(2, 1, Some(bar.clone()));
         let [one, two] = ["in/dam.1.ply", "in/dam.2.ply"].map(frame);

@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_have_two_edges() {
+    fn picture_sizes_need_width_and_height() {
         assert_eq!(parse_picture_size("1280x720"), Ok([1280, 720]));
         assert_eq!(parse_picture_size("7680x4320"), Ok([7680, 4320]));
         assert!(parse_picture_size("8192x8192").is_err_and(|why| why.contains("33 million")));
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn looking_takes_time() {
+    fn poll_and_rescan_intervals_have_a_minimum() {
         assert_eq!(parse_poll("auto"), Ok(Poll::Auto));
         assert_eq!(parse_poll("2s"), Ok(Poll::Every(Duration::from_secs(2))));
         assert_eq!(parse_rescan("50ms"), Ok(POLL_MIN));

@@ -328,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn values_are_those_that_were_given() {
+    fn given_values_are_used() {
         let given = values("ratio=1.5, 0.7x ,time=7,2x,0x,h=0.3,1x,0.3333333x", &settings());
         assert_eq!(given[0], [Some(1.5), Some(1.4)]);
         assert_eq!(given[1], [Some(7.0), Some(10.0), Some(0.0)]);
@@ -336,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn without_values_what_it_is_without_is_there() {
+    fn default_values_include_the_base_value() {
         assert_eq!(values("time", &settings())[0], [Some(0.0), Some(3.0), None, Some(10.0)]);
         assert_eq!(values("ratio", &settings())[0], [Some(1.25), None, Some(3.0), Some(4.0)]);
         assert_eq!(values("h", &settings())[0], [Some(0.15), None, Some(0.075), Some(0.05)]);
@@ -386,7 +386,7 @@ mod tests {
     }
 
     #[test]
-    fn whole_numbers_agree_with_what_is_counted() {
+    fn counted_nouns_are_singular_or_plural() {
         for (name, labels) in [
             ("time", ["1 step", "5 steps"]),
             ("laplacian", ["1 Laplacian step", "5 Laplacian steps"]),
@@ -404,7 +404,7 @@ mod tests {
     }
 
     #[test]
-    fn radii_stay_where_voxels_are_smaller_and_grow_where_they_are_larger() {
+    fn paper_radii_stay_for_smaller_voxels_and_grow_for_larger_ones() {
         let settings = settings();
         for (voxel_size, radius_min) in [(0.05, Some(0.1732.into())), (0.1, None), (0.2, None)] {
             let mut options = MethodOptions { preset: Some(Preset::Paper), ..MethodOptions::default() };
@@ -421,7 +421,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named_with_what_was_expected() {
+    fn errors_quote_the_input_and_the_expected_values() {
         for (text, told) in [
             ("", "value `` has no parameter"),
             ("2,3", "value `2` has no parameter: write NAME=2"),

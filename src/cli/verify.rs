@@ -123,7 +123,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_in_a_row_are_a_range() {
+    fn consecutive_numbers_become_ranges() {
         for (numbers, text) in
             [(&[][..], ""), (&[4], "4"), (&[0, 1], "0-1"), (&[0, 1, 2, 7, 9, 10], "0-2,7,9-10")]
         {

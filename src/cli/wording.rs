@@ -64,7 +64,7 @@ mod tests {
     use crate::pipeline::{FrameError, Stage};
 
     #[test]
-    fn a_cause_is_told_once() {
+    fn repeated_cause_is_printed_once() {
         let bare = || meniscus_formats::Error::unsupported("PLY", "of another kind");
         let of_frame = FrameError::file("a.ply".as_ref(), Stage::Read, bare());
         assert_eq!(with_causes(&anyhow::Error::from(of_frame)), "a.ply: PLY: of another kind");

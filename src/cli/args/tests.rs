@@ -83,7 +83,7 @@ fn generated(page: &str) -> String {
 }
 
 #[test]
-fn tables_of_the_page_are_those_of_the_definition() {
+fn tables_in_docs_match_the_definition() {
     let mut page = std::fs::read_to_string(PAGE).expect("the page");
     let generated = generated(&page);
     if std::env::var_os("MENISCUS_WRITE_DOCS").is_some() {
@@ -98,7 +98,7 @@ fn tables_of_the_page_are_those_of_the_definition() {
 }
 
 #[test]
-fn help_states_the_range_and_lengths_say_their_unit() {
+fn help_states_ranges_and_units() {
     let options = options_of_convert();
     for info in MethodOptions::ALL {
         let option = options.iter().find(|option| option.get_id() == info.name).expect(info.name);

@@ -183,9 +183,9 @@ When a frame is read:
   exists; its format says so and it was unchanged for --settle; it was unchanged for --unproven. A
   file that is written again later is converted again. Inputs are never moved, changed or removed.
 
-  A journal records the finished frames, so a restarted daemon continues where it was. `meniscus
-  status --out DIR` prints them, and `meniscus why FILE --out DIR` explains why a frame was or was
-  not converted.
+  A journal records the finished frames, so a restarted daemon continues where it was.
+  `meniscus status --out DIR` prints them, and `meniscus why FILE --out DIR` explains why a frame was
+  or was not converted.
 
 Signals:
   SIGTERM, SIGINT  finish the frames in flight within --stop-deadline, and exit; a second one exits

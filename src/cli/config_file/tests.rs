@@ -10,7 +10,7 @@ fn parsed(text: &str) -> Result<ConfigFile> {
     parse(&ConfigSource { path: Path::new("farm/meniscus.toml"), text })
 }
 
-/// Asserts that a file is refused at a line, in these words.
+/// Asserts that a file is refused at this line, with these words in the message.
 fn assert_wrong(text: &str, line: usize, words: &[&str]) {
     let error = parsed(text).map(|_| ()).expect_err(text).to_string();
     assert!(error.starts_with(&format!("farm/meniscus.toml:{line}: ")), "{text}: {error}");
@@ -20,7 +20,7 @@ fn assert_wrong(text: &str, line: usize, words: &[&str]) {
 }
 
 #[test]
-fn blocks_become_options() {
+fn keys_of_blocks_become_options() {
     let file = parsed(
         "[daemon]\norder = \"latest\"\nmemory = \"8GiB\"\ndisk_floor = 0x400\npoll = \"auto\"\nlog = \"json\"\n\
          threads = 4\nsettle = \"2s\"\n\n\
@@ -110,7 +110,7 @@ fn wrong_values_are_errors_with_their_line() {
 }
 
 #[test]
-fn blocks_have_their_brackets() {
+fn wrong_number_of_brackets_is_refused() {
     assert_wrong("\n[watch]\ninput = \"a\"\n", 2, &["`watch` is one block", "[[watch]]"]);
     assert_wrong("[[daemon]]\n", 1, &["`daemon` is a list", "one block, [daemon]"]);
     assert_wrong("watch = [1]\n", 1, &["[[watch]]"]);
@@ -120,7 +120,7 @@ fn blocks_have_their_brackets() {
     assert_eq!(parsed("").map(|file| file.watches.len()).expect("an empty file"), 0);
 }
 
-/// The example with every setting that it only mentions switched on: `#key = value`.
+/// The example with every commented-out setting enabled: `#key = value`.
 fn example(all: bool) -> String {
     let text = include_str!("../../../examples/meniscus.toml");
     let is_setting = |line: &str| line.starts_with('#') && !line.starts_with("# ") && line.contains(" = ");
@@ -130,16 +130,16 @@ fn example(all: bool) -> String {
 }
 
 #[test]
-fn the_example_can_be_read_as_it_is() {
+fn example_file_is_valid() {
     let file = parsed(&example(false)).expect("a good example");
     assert_eq!(file.watches.len(), 1);
     assert_eq!(file.watches[0].input, Path::new("farm/frames"));
 }
 
-/// The example, where `MENISCUS_WRITE_DOCS=1 cargo test --lib cli::` adds the options of the method that it lacks.
+/// The example; `MENISCUS_WRITE_DOCS=1 cargo test --lib cli::` adds missing options of the method.
 const EXAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/meniscus.toml");
 
-/// An option of the method as the example mentions it.
+/// An option of the method, as a commented-out setting.
 fn mention(key: &str) -> Option<String> {
     let kind = MethodOptions::info(key)?.kind;
     let command = WatchKeys::augment_args(clap::Command::new("watch"));
@@ -153,7 +153,7 @@ fn mention(key: &str) -> Option<String> {
 }
 
 #[test]
-fn the_example_has_every_key() {
+fn example_file_has_every_key() {
     let text = example(true);
     parsed(&text).expect("a good example");
     let root = DeTable::parse(&text).expect("TOML");

@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn long_lists_are_cut() {
+    fn long_lists_are_shortened() {
         assert_eq!(listed(&[7]), "frame 7");
         assert_eq!(listed_with(&[7, 9], ["is", "are"]), "frames 7, 9 are");
         assert_eq!(listed(&(1..=10).collect::<Vec<_>>()), "frames 1, 2, 3, 4, 5, 6, 7, 8, and 2 more");

@@ -161,7 +161,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn colors_are_those_of_the_legend() {
+    fn colors_match_the_legend() {
         for (value, color_there) in COLORS {
             assert_eq!(color(value), color_there);
         }

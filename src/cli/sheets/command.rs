@@ -106,7 +106,7 @@ mod tests {
     use clap::Parser;
 
     #[test]
-    fn words_are_those_that_a_shell_takes() {
+    fn words_are_quoted_for_the_shell() {
         for (word, expected) in [
             ("dam.0012.bgeo", "dam.0012.bgeo"),
             ("dam.####.bgeo", "'dam.####.bgeo'"),
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn long_paths_are_short_on_sheets_and_whole_elsewhere() {
+    fn long_paths_are_abbreviated_on_sheets_only() {
         let long = "a/long/way/to/somewhere/that/nobody/knows/dam.####.bgeo";
         let typed = ["meniscus", "tune", long, "./-x.ply", "-o=s.png", "--out=my meshes", "--up=z"];
         let Command::Tune(args) = Cli::parse_from(typed).command else { panic!("another command") };

@@ -263,7 +263,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_first_and_the_last_frame_are_there() {
+    fn evenly_spaced_indices_include_first_and_last() {
         assert_eq!(evenly(5, 60), [0, 1, 2, 3, 4]);
         assert_eq!(evenly(0, 60), [0; 0]);
         assert_eq!(evenly(240, 2), [0, 239]);

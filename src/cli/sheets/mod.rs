@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_looks_at_a_wall_of_pixels() {
+    fn too_many_pixels_are_refused() {
         assert!(refuse_large(60, [1024, 1024]).is_ok());
         let why = refuse_large(1000, [640, 360]).expect_err("too many").to_string();
         assert!(why.contains("230 million") && why.contains("64 million"), "{why}");

@@ -171,7 +171,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_lose_what_tells_the_kind() {
+    fn extensions_of_the_kind_are_removed() {
         for (name, kind, expected) in [
             ("dam.0001.png", SourceKind::Pictures, "dam.0001"),
             ("dam.0001.vdb", SourceKind::LevelSets, "dam.0001"),
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_the_most_frames_is_taken_and_of_those_the_cheapest() {
+    fn kind_with_most_frames_is_chosen_then_the_cheapest() {
         let strip = |kind, count: usize| {
             let frames = (0..count).map(|n| FrameFile::new(format!("there/dam.{n}.vdb").into())).collect();
             Strip { name: "dam".into(), kind, sequence: Sequence { name: "dam.{}".into(), frames } }

@@ -27,7 +27,7 @@ fn daemon(state: DaemonState) -> DaemonRecord {
     DaemonRecord { pid: 12, host: "render-04".into(), started_ms: 1000, state, at_ms: 60_000 }
 }
 
-/// A journal of 30 frames that are done, 25 that failed, and others.
+/// A journal of 30 finished frames, 25 failed ones, and others.
 fn state() -> JournalState {
     let mut state = JournalState { daemon: Some(daemon(DaemonState::Running)), ..JournalState::default() };
     let mut add =
@@ -50,7 +50,7 @@ fn state() -> JournalState {
     state
 }
 
-/// A folder that is watched with every condition there is, and with none.
+/// Two watched folders: one with every condition, and one with none.
 fn plan() -> PlanRecord {
     let watch = Watch {
         input: "/sim".into(),
@@ -83,7 +83,7 @@ fn record(state: &JournalState, holder: Holder) -> StatusRecord {
 }
 
 #[test]
-fn frames_are_counted_and_told_in_order() {
+fn frames_are_counted_and_listed_in_order() {
     let record = record(&state(), Holder::Daemon("pid 12 on render-04".into()));
     assert_eq!(record.counts, StatusCounts { done: 30, queued: 1, retrying: 1, failed: 26 });
     let names = |frames: &[FrameStatus]| -> Vec<String> {
@@ -97,7 +97,7 @@ fn frames_are_counted_and_told_in_order() {
 }
 
 #[test]
-fn text_tells_what_json_tells() {
+fn text_has_the_values_of_the_json() {
     let text = record(&state(), Holder::Daemon("pid 12 on render-04".into())).lines(64_000).join("\n");
     let lines: Vec<&str> = text.lines().collect();
     assert_eq!(lines[0], "/out: running (pid 12 on render-04)");
@@ -139,7 +139,7 @@ fn text_tells_what_json_tells() {
 }
 
 #[test]
-fn whether_a_daemon_runs_is_asked_of_the_lock() {
+fn running_state_comes_from_the_lock() {
     let by = || Holder::Daemon("pid 13 on render-05".into());
     let paused = || DaemonState::Paused("the disk is full".into());
     for (state, holder, running, word, text) in [

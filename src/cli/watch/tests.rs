@@ -7,7 +7,7 @@ fn summary(ended: EndReason, done_count: usize, failed_count: usize, left_count:
 }
 
 #[test]
-fn the_exit_status_is_that_of_convert_when_it_runs_once() {
+fn once_has_the_exit_status_of_convert() {
     for (done, failed, left, expected) in [
         (3, 0, 0, CommandOutcome::Done),
         (3, 1, 0, CommandOutcome::SomeFailed),
@@ -17,12 +17,12 @@ fn the_exit_status_is_that_of_convert_when_it_runs_once() {
     ] {
         assert_eq!(conclude(Some(false), &[], &summary(EndReason::Drained, done, failed, left)), expected);
     }
-    // A daemon that was asked to end, and ended, did what it was asked.
+    // A daemon that was stopped on request succeeded.
     assert_eq!(conclude(None, &[], &summary(EndReason::Finish, 0, 3, 3)), CommandOutcome::Done);
 }
 
 #[test]
-fn a_run_once_with_broken_frames_ends_with_status_1_unless_violations_are_allowed() {
+fn once_with_violations_exits_with_1_unless_they_are_allowed() {
     let broken = WatchSummary { broken_count: 1, ..summary(EndReason::Drained, 3, 0, 0) };
     assert_eq!(conclude(Some(false), &[], &broken), CommandOutcome::SomeFailed);
     assert_eq!(conclude(Some(true), &[], &broken), CommandOutcome::Done);
@@ -30,7 +30,7 @@ fn a_run_once_with_broken_frames_ends_with_status_1_unless_violations_are_allowe
 }
 
 #[test]
-fn what_was_just_told_is_not_told_again() {
+fn recent_failures_are_not_logged_again() {
     let failed = |frames_since: &[Option<usize>]| -> Vec<FailedFrame> {
         let failed = |&frames_since: &Option<usize>| FailedFrame { what: "f: why".to_owned(), frames_since };
         frames_since.iter().map(failed).collect()
@@ -45,7 +45,7 @@ fn what_was_just_told_is_not_told_again() {
     }
 }
 
-/// Signals to a daemon with this file, and the commands that come of them.
+/// Sends signals to a daemon with this file, and returns the resulting commands.
 fn control(config: Option<&std::path::Path>) -> (Control, crossbeam::channel::Receiver<DaemonRequest>) {
     let (sender, commands) = bounded(2);
     let args = WatchArgs { config: config.map(Into::into), ..WatchArgs::default() };
@@ -53,7 +53,7 @@ fn control(config: Option<&std::path::Path>) -> (Control, crossbeam::channel::Re
 }
 
 #[test]
-fn the_first_signal_finishes_and_the_second_ends() {
+fn first_signal_finishes_frames_and_second_exits() {
     let (control, commands) = control(None);
     assert!(!control.finish());
     assert!(control.finish());
@@ -61,17 +61,17 @@ fn the_first_signal_finishes_and_the_second_ends() {
 }
 
 #[test]
-fn a_reload_takes_the_file_as_it_is_by_then() {
+fn reload_reads_the_current_file() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("meniscus.toml");
     let (control, commands) = control(Some(&path));
     let write = |text: &str| fs::write(&path, text).expect("written");
-    // Wrong, or not there: nothing happens.
+    // Invalid or missing: nothing happens.
     control.reload();
     write("[[watch]]\ninputt = \"in\"\n");
     control.reload();
     assert!(commands.is_empty() && !control.is_reloading());
-    // Right, twice: the loop is asked once, and the last plan counts.
+    // Valid, twice: the loop gets one command, and the last plan counts.
     for output in ["first", "last"] {
         write(&format!("[[watch]]\ninput = \"in\"\noutput = \"{output}\"\n"));
         control.reload();
@@ -84,14 +84,14 @@ fn a_reload_takes_the_file_as_it_is_by_then() {
 }
 
 #[test]
-fn without_a_file_there_is_nothing_to_reload() {
+fn reload_without_config_is_refused() {
     let (control, commands) = control(None);
     control.reload();
     assert!(commands.is_empty() && control.next_plan().is_none());
 }
 
 #[test]
-fn ending_wins_over_reloading() {
+fn shutdown_overrides_pending_reload() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("meniscus.toml");
     fs::write(&path, "[[watch]]\ninput = \"in\"\noutput = \"out\"\n").expect("written");
@@ -103,11 +103,11 @@ fn ending_wins_over_reloading() {
     assert!(!control.is_reloading() && control.next_plan().is_none());
 }
 
-/// Set in the child of the test below.
+/// Set in the child process of the test below.
 #[cfg(unix)]
 const CHILD: &str = "MENISCUS_TEST_SIGNALS";
 
-/// The loop never takes the command, as one that waits for a file system that does not answer.
+/// The loop never takes the command, as when it waits for a file system that does not respond.
 #[test]
 #[cfg(target_os = "linux")]
 fn sigterm_ends_a_daemon_that_hangs() {
@@ -137,7 +137,7 @@ fn sigterm_ends_a_daemon_that_hangs() {
     while child.try_wait().expect("a child").is_none() && start.elapsed() < Duration::from_secs(60) {
         std::thread::sleep(Duration::from_millis(10));
     }
-    // One that has ended does not mind.
+    // Killing a child that has already ended is harmless.
     let _ = child.kill();
     assert_eq!(child.wait().expect("ended").code(), Some(0));
 }

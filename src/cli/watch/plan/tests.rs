@@ -5,7 +5,7 @@ use clap::Parser;
 use std::fs;
 use tempfile::TempDir;
 
-/// A folder with a `meniscus.toml`, and plans made of it.
+/// A folder with a `meniscus.toml`, and plans made from it.
 struct Bench {
     folder: TempDir,
 }
@@ -21,7 +21,7 @@ impl Bench {
         self.folder.path().join("meniscus.toml")
     }
 
-    /// The plan with this file and these options.
+    /// The plan from this file and these options.
     fn plan(&self, options: &[&str]) -> Result<WatchPlan> {
         let config = self.config_path();
         plan(&[&["--config", config.to_str().expect("text")], options].concat())
@@ -63,7 +63,7 @@ fn defaults_are_filled_in() {
 }
 
 #[test]
-fn others_than_this_machine_need_a_token() {
+fn non_loopback_address_requires_token() {
     let bench =
         Bench::new("[daemon]\nlisten = \"127.0.0.1:7700\"\n[[watch]]\ninput = \"a\"\noutput = \"o\"\n");
     let listen = bench.plan(&[]).expect("a plan").listen.expect("an address");
@@ -81,7 +81,7 @@ fn others_than_this_machine_need_a_token() {
 }
 
 #[test]
-fn patience_follows_settle() {
+fn timeouts_follow_settle() {
     for (options, expected) in [
         (&["--settle", "1s"][..], [1000, 4000, 30_000]),
         (&["--settle", "20s"], [20_000, 80_000, 80_000]),
@@ -122,7 +122,7 @@ fn options_override_every_block() {
 }
 
 #[test]
-fn typed_folders_take_the_place_of_the_blocks() {
+fn folders_on_the_command_line_replace_blocks() {
     let bench =
         Bench::new("[daemon]\nsettle = \"3s\"\n[[watch]]\ninput = \"a\"\noutput = \"o\"\nvoxel_size = 0.5\n");
     let config = bench.plan(&["c", "d", "c", "--out", "x"]).expect("a plan").config;
@@ -132,7 +132,7 @@ fn typed_folders_take_the_place_of_the_blocks() {
 }
 
 #[test]
-fn one_output_does_not_stand_for_several() {
+fn one_out_for_blocks_with_different_outputs_is_refused() {
     let block = |input: &str, output: &str| format!("[[watch]]\ninput = \"{input}\"\n{output}\n");
     let bench = Bench::new(&(block("a", "output = \"o\"") + &block("b", "output = \"p\"")));
     bench.refused(&["--out", "x"], &["lines 1 and 4", "different outputs", "--out"]);
@@ -145,7 +145,7 @@ fn one_output_does_not_stand_for_several() {
 }
 
 #[test]
-fn a_journal_is_about_one_folder_of_outputs() {
+fn journal_for_two_output_folders_is_refused() {
     let block =
         |input: &str, output: &str| format!("[[watch]]\ninput = \"{input}\"\noutput = \"{output}\"\n");
     let bench = Bench::new(&(block("a", "o") + &block("b", "p")));
@@ -155,7 +155,7 @@ fn a_journal_is_about_one_folder_of_outputs() {
 }
 
 #[test]
-fn the_same_files_are_not_watched_twice() {
+fn duplicate_watch_is_refused() {
     let block = |input: &str, more: &str| format!("[[watch]]\ninput = \"{input}\"\noutput = \"o\"\n{more}\n");
     let bench = Bench::new(&(block("a", "") + &block("./a", "voxel_size = 1")));
     bench.refused(&[], &["watched twice for the same output"]);
@@ -164,7 +164,7 @@ fn the_same_files_are_not_watched_twice() {
 }
 
 #[test]
-fn what_makes_no_sense_is_refused_before_the_first_frame() {
+fn invalid_options_are_refused() {
     let bench = Bench::new("[[watch]]\ninput = \"a\"\noutput = \"o\"\nradius_ratio = 0.5\n");
     bench.refused(&[], &["meniscus.toml:1", "radius ratio is 0.5"]);
     assert!(bench.plan(&["--radius-ratio", "1.5"]).is_ok());
@@ -199,7 +199,7 @@ fn what_makes_no_sense_is_refused_before_the_first_frame() {
 }
 
 #[test]
-fn warnings_are_told_once() {
+fn warnings_are_not_repeated() {
     let options = ["a", "b", "--out", "o", "--cg-tolerance", "0.1", "--voxel-size", "1", "--radius-min", "1"];
     let options = [&options[..], &["--preset", "paper"]].concat();
     let warnings = plan(&options).expect("a plan").warnings;

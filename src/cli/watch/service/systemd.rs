@@ -85,7 +85,7 @@ mod tests {
     use std::process::Command;
 
     #[test]
-    fn the_watchdog_hears_of_it_twice_in_its_time_at_most() {
+    fn heartbeats_are_sent_at_most_twice_per_timeout() {
         let mut service = Service { watchdog: Some(Duration::from_secs(10)), last_sign: None };
         let start = Instant::now();
         let heard = |service: &mut Service, second| {
@@ -113,7 +113,7 @@ mod tests {
     const CHILD: &str = "MENISCUS_TEST_SAY_EVERYTHING";
 
     #[test]
-    fn the_socket_hears_everything() {
+    fn every_message_reaches_the_socket() {
         // The socket's name comes from the environment, so the test needs its own process.
         if std::env::var_os(CHILD).is_some() {
             return say_everything();
@@ -121,7 +121,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("notify");
         let socket = UnixDatagram::bind(&path).expect("a socket");
-        let name = concat!(module_path!(), "::the_socket_hears_everything");
+        let name = concat!(module_path!(), "::every_message_reaches_the_socket");
         let name = name.split_once("::").expect("within the crate").1;
         let said = Command::new(std::env::current_exe().expect("this test"))
             .args(["--exact", name])
