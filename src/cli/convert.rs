@@ -89,9 +89,9 @@ const BESIDE_PARTICLES_ONLY: [&str; 10] = [
     "on_error",
 ];
 
-const PARTICLES_ONLY: &str = "--particles-only writes particles as they are, and what is about surfaces, their files and \
-     reports makes no sense with it: beside it only INPUT, --out, --format, --frames, --skip-done, --threads, --memory and \
-     --on-error may be given";
+const PARTICLES_ONLY: &str = "--particles-only makes no surfaces, so options for surfaces, their files and \
+     reports do not apply: only INPUT, --out, --format, --frames, --skip-done, --threads, --memory and \
+     --on-error may be combined with it";
 
 /// Refuses formats that cannot store particles.
 fn refuse_surface_formats(outputs: &OutputOptions) -> Result<()> {
@@ -164,8 +164,8 @@ fn add(
 const BESIDE_PLAN: [&str; 7] =
     ["plan", "shard", "report", "threads", "memory", "on_error", "allow_violations"];
 
-const PLAN: &str = "the plan says what is made of which frames, and where: beside --plan only --shard, --report, --threads, \
-     --memory, --on-error and --allow-violations may be given; for other frames or options, plan again";
+const PLAN: &str = "the plan determines frames, settings and outputs: only --shard, --report, --threads, \
+     --memory, --on-error and --allow-violations may be combined with --plan; for other frames or options, make a new plan";
 
 /// Converts the frames of a shard.
 fn convert_shard(
@@ -183,7 +183,7 @@ fn convert_shard(
     let out = plan.out().context("the plan has no sequence")?;
     if !out.is_dir() {
         bail!(
-            "{}: the folder of the results, which `plan` made, is not there: is it mounted?",
+            "{}: the folder of the results, which `plan` made, does not exist: is it mounted?",
             out.display()
         );
     }

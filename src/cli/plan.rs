@@ -56,7 +56,7 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<CommandOutc
         if let Some((gaps, count)) = gaps(selected.selected.iter().filter_map(FrameFile::number))
             && args.frames.is_none()
         {
-            console.warning(format_args!("{name}: {gaps}: {} not there", counted_are(count)));
+            console.warning(format_args!("{name}: {gaps}: {} missing", counted_are(count)));
         }
         for file in &selected.selected {
             plan.frames.push(planned(file, sequence)?);

@@ -71,7 +71,7 @@ pub(super) fn select_frames(
     if let Some(selection) = numbers {
         let there = selected_files(&sequences).filter_map(FrameFile::number).collect();
         for (range, count) in selection.missing(&there) {
-            console.warning(format_args!("--frames {range}: {} not there", counted_are(count)));
+            console.warning(format_args!("--frames {range}: {} missing", counted_are(count)));
         }
     }
     Ok(InputSelection { sequences, found: paths, is_complete })

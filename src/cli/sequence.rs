@@ -87,7 +87,7 @@ fn without_old_shot(files: Vec<FrameFile>, output: &Path) -> Result<Vec<FrameFil
 fn tell_gaps(path: &Path, frames: &[ShotSource], console: &mut Console) {
     if let Some((gaps, count)) = gaps(frames.iter().filter_map(|frame| frame.number)) {
         let are = counted_are(count);
-        console.warning(format_args!("{}: {gaps}: {are} not there", path.display()));
+        console.warning(format_args!("{}: {gaps}: {are} missing", path.display()));
     }
 }
 

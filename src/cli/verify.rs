@@ -45,7 +45,7 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
     summarize(&verdicts, start.elapsed().as_secs_f64(), console);
     if let Some(planned) = planned.filter(|_| !verdicts.shards_to_run().is_empty()) {
         console.warning(format_args!(
-            "the plan's results go to {}, and these were looked for in {}: shards that run again write there, \
+            "the plan's results go to {}, but this command checked {}: shards that run again write there, \
              and not here",
             planned.display(),
             args.folder.display()

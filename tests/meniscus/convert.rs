@@ -279,8 +279,8 @@ fn parts_of_a_sequence_are_told_what_they_lack() {
     let picked = meniscus(folder.path(), &["convert", "dam.{}.ply", "--frames", "2,3-6,9", "--out", "out"]);
     assert_eq!(picked.status, 0, "{}", picked.err);
     assert!(!picked.err.contains("its sequence has"), "{}", picked.err);
-    assert!(picked.err.contains("--frames 3-6: 3 frames are not there"), "{}", picked.err);
-    assert!(picked.err.contains("--frames 9: 1 frame is not there"), "{}", picked.err);
+    assert!(picked.err.contains("--frames 3-6: 3 frames are missing"), "{}", picked.err);
+    assert!(picked.err.contains("--frames 9: 1 frame is missing"), "{}", picked.err);
 }
 
 /// A report replaces reports, and nothing that is no file.

@@ -383,7 +383,7 @@ fn beside_a_plan_nothing_is_said_of_the_surface() {
     ] {
         let ran = meniscus(folder, &[&["convert", "--plan=plan.json", "--shard=0"][..], more].concat());
         assert_eq!(ran.status, 2, "{more:?}");
-        assert!(ran.err.contains("the plan says what is made of which frames"), "{}", ran.err);
+        assert!(ran.err.contains("the plan determines frames, settings and outputs"), "{}", ran.err);
     }
     assert!(names_in(&folder.join("out")).is_empty());
     for alone in [["convert", "--plan=plan.json"], ["convert", "--shard=0"]] {
@@ -511,7 +511,7 @@ fn gaps_and_shards_that_never_ran_are_told_at_once() {
     }
     let ran = meniscus(path, &["plan", "dam.#.ply", "--out", "out", "--shards", "2", "-o", "plan.json"]);
     assert_eq!(ran.status, 0, "{}", ran.err);
-    assert!(ran.err.contains("dam.{}.ply: 3-4: 2 frames are not there"), "{}", ran.err);
+    assert!(ran.err.contains("dam.{}.ply: 3-4: 2 frames are missing"), "{}", ran.err);
     let verified = verify(path);
     let lines: Vec<&str> = verified.err.lines().collect();
     let expected = [
@@ -547,13 +547,13 @@ fn outputs_are_verified_wherever_they_lie() {
     fs::remove_dir_all(folder.join("in")).expect("removed");
     let ran = meniscus(folder, &["verify", "elsewhere", "--plan=plan.json"]);
     succeeded(&ran);
-    assert!(ran.err.contains("2 inputs not to be read"), "{}", ran.err);
-    let elsewhere = "and these were looked for in elsewhere: shards that run again write there";
+    assert!(ran.err.contains("2 inputs missing"), "{}", ran.err);
+    let elsewhere = "but this command checked elsewhere: shards that run again write there";
     assert!(!ran.err.contains(elsewhere), "{}", ran.err);
     fs::create_dir(folder.join("out")).expect("made");
     let nothing = verify(folder);
     assert_eq!(nothing.status, 2, "nothing is there");
-    assert!(!nothing.err.contains("looked for"), "{}", nothing.err);
+    assert!(!nothing.err.contains("this command checked"), "{}", nothing.err);
     fs::remove_file(folder.join("elsewhere/dam.2.glb")).expect("removed");
     let ran = meniscus(folder, &["verify", "elsewhere", "--plan=plan.json"]);
     assert_eq!(ran.status, 1, "{}", ran.err);
@@ -564,7 +564,7 @@ fn outputs_are_verified_wherever_they_lie() {
         std::os::unix::fs::symlink("out", folder.join("link")).expect("linked");
         let ran = meniscus(folder, &["verify", "link", "--plan=plan.json"]);
         assert_eq!(ran.status, 2, "{}", ran.err);
-        assert!(!ran.err.contains("looked for"), "{}", ran.err);
+        assert!(!ran.err.contains("this command checked"), "{}", ran.err);
     }
     assert_eq!(meniscus(folder, &["verify", "nowhere", "--plan=plan.json"]).status, 2);
 }

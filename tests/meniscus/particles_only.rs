@@ -116,11 +116,11 @@ fn what_is_about_surfaces_is_refused() {
     let folder = folder.path();
     for (option, words) in [
         ("--format=glb", "writes ply and vtp"),
-        ("--voxel-size=0.1", "makes no sense"),
-        ("--attributes=all", "makes no sense"),
-        ("--up=z", "makes no sense"),
-        ("--report=r.json", "makes no sense"),
-        ("--print-settings", "makes no sense"),
+        ("--voxel-size=0.1", "do not apply"),
+        ("--attributes=all", "do not apply"),
+        ("--up=z", "do not apply"),
+        ("--report=r.json", "do not apply"),
+        ("--print-settings", "do not apply"),
     ] {
         let ran = convert(folder, "in", &[option]);
         assert_eq!(ran.status, 2, "{option}");

@@ -214,7 +214,7 @@ fn a_shot_shows_one_frame_after_the_other() {
     let ran = meniscus(path, &[&convert[..], &SHOTS].concat());
     assert_eq!(ran.status, 1, "{}{}", ran.out, ran.err);
     assert!(ran.out.contains("shot.glb: a shot of 3 frames"), "{}", ran.out);
-    assert!(ran.err.contains("warning: shot.glb: 3: 1 frame is not there"), "{}", ran.err);
+    assert!(ran.err.contains("warning: shot.glb: 3: 1 frame is missing"), "{}", ran.err);
 
     let shot = document(&path.join("shot.glb"));
     let names: Vec<&str> =

@@ -75,7 +75,7 @@ impl DaemonStatus {
             ("stopped", _) => format!("the daemon has ended{} ({who})", since(self.at_ms)),
             ("killed", _) => format!("the daemon was killed, or its machine went down ({who})"),
             (state, _) if self.running.is_none() => {
-                format!("{state}, as far as the journal says: its disk has no locks to ask ({who})")
+                format!("{state}, according to the journal: the file system has no locks ({who})")
             }
             (state, _) => format!("{state} ({who})"),
         }

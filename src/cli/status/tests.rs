@@ -150,7 +150,7 @@ fn running_state_comes_from_the_lock() {
             Holder::Unknown,
             None,
             "running",
-            "no locks to ask (pid 12 on render-04)",
+            "the file system has no locks (pid 12 on render-04)",
         ),
         (Some(paused()), by(), Some(true), "paused", "paused, 5s ago: the disk is full (pid 13"),
         (Some(paused()), Holder::Nobody, Some(false), "killed", "killed"),

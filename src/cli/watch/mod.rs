@@ -74,7 +74,7 @@ pub(super) fn watch(args: &WatchArgs) -> Result<CommandOutcome> {
             // output.
             Err(error) => match previous.take() {
                 Some(old) => {
-                    error!("going on with the old configuration: {error}");
+                    error!("continuing with the old configuration: {error}");
                     plan = old;
                     continue;
                 }
@@ -220,8 +220,8 @@ impl Control {
             }
             Err(error) => {
                 let error = with_causes(&error);
-                error!("nothing is changed: {error}");
-                service::tell_not_reloaded(&format!("goes on with the old configuration: {error}"));
+                error!("configuration not reloaded: {error}");
+                service::tell_not_reloaded(&format!("continues with the old configuration: {error}"));
             }
         }
     }

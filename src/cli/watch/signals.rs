@@ -37,7 +37,7 @@ pub(super) fn listen(control: Arc<Control>) -> Result<()> {
                 // Concurrent reloads run one after the other.
                 let reloading = std::thread::Builder::new().name("reload".into());
                 if let Err(error) = reloading.spawn(move || control.reload()) {
-                    tracing::error!("nothing is changed: {error}");
+                    tracing::error!("configuration not reloaded: {error}");
                 }
             } else if control.finish() {
                 end_at_once(128 + signal, || {
