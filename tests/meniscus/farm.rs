@@ -126,7 +126,7 @@ fn shards_make_the_bytes_that_one_process_makes() {
     fs::remove_file(folder.join("body.3.obj")).expect("removed");
     let verified = verify(folder);
     succeeded(&verified);
-    assert!(verified.err.contains("2 frame's obstacles not to be read"), "{}", verified.err);
+    assert!(verified.err.contains("2 frame's obstacles missing"), "{}", verified.err);
 }
 
 /// A folder that is not mounted is not made anew on another disk.
