@@ -1,4 +1,4 @@
-//! More files at once than the system tells of, and folders that come with files in them.
+//! Bursts of files that overflow the event queue, and folders that arrive with files in them.
 
 use std::fs;
 use std::thread;
@@ -7,7 +7,7 @@ use rustix::process::Signal;
 
 use crate::scene::{Line, NO_SCANS, Scene, Watching, by_length, csv, names_in, ply};
 
-/// What makes a frame of few particles cheap. The last two are the daemon's alone.
+/// Settings that make a frame of few particles cheap. The last two are options of `watch` only.
 const CHEAP: [&str; 12] = [
     "--preset",
     "paper",
@@ -23,26 +23,26 @@ const CHEAP: [&str; 12] = [
     "50ms",
 ];
 
-/// Few particles, others for each number.
+/// Few particles, at different positions for each number.
 fn few(number: usize) -> Vec<[f32; 3]> {
     vec![[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.001 * (number % 64) as f32]]
 }
 
-/// The kernel keeps so many events for whoever does not listen, and drops the rest.
+/// The kernel queues this many events for a process that does not read them, and drops the rest.
 fn events_kept_max() -> usize {
     let text = fs::read_to_string("/proc/sys/fs/inotify/max_queued_events").expect("Linux");
     text.trim().parse().expect("a number")
 }
 
-/// The daemon is stopped until the kernel has dropped events; all the frames come after that, so that no
-/// event tells of them.
+/// The test stops the daemon until the kernel drops events. All frames arrive after that, so no event reports
+/// them.
 #[test]
-fn a_burst_of_which_no_event_tells_is_found() {
+fn frames_whose_events_were_lost_are_found() {
     let frame_count = by_length(600, 5000);
     let scene = Scene::new();
     let daemon = scene.watch(&[&CHEAP[..], &NO_SCANS].concat());
     daemon.signal(Signal::STOP);
-    // Two events each: away from one name, and to the other.
+    // Each produces two events: one for the old name and one for the new name.
     let [here, there] = ["in/here", "in/there"].map(|name| scene.path(name));
     scene.write("in/here", "");
     for _ in 0..=events_kept_max() / 4 {
@@ -53,16 +53,16 @@ fn a_burst_of_which_no_event_tells_is_found() {
         scene.write(&format!("in/dam.{number}.ply"), ply(&few(number)));
     }
     daemon.signal(Signal::CONT);
-    daemon.await_line("the loss is told", |line| line.message.contains("events were lost"));
+    daemon.await_line("lost events are logged", |line| line.message.contains("events were lost"));
     daemon.await_lines(frame_count, "all are converted", Line::is_converted);
     daemon.finish();
     assert_eq!(outputs(&scene, "out").len(), frame_count);
     scene.assert_as_converted(&CHEAP[..10]);
 }
 
-/// Faster than anybody could listen, by four at once, in all the ways of writing.
+/// Four threads write in every way of writing, faster than the daemon can follow.
 #[test]
-fn a_burst_is_taken_as_it_comes() {
+fn frames_written_by_four_threads_are_all_converted() {
     let frame_count = by_length(400, 5000);
     let scene = Scene::new();
     let daemon = scene.watch(&[&CHEAP[..], &NO_SCANS].concat());
@@ -95,9 +95,9 @@ fn watch_recursively(scene: &Scene) -> Watching {
     scene.watch(&[&CHEAP[..], &NO_SCANS, &["--recursive"]].concat())
 }
 
-/// A folder is filled before its events can be heard: again and again, for it is a race.
+/// Fills a folder before the daemon can watch it. Repeated, because the test depends on a race.
 #[test]
-fn folders_that_are_filled_at_once_lose_nothing() {
+fn new_folders_with_files_in_them_lose_no_frame() {
     let folder_count = by_length(60, 600);
     let scene = Scene::new();
     let daemon = watch_recursively(&scene);
@@ -124,17 +124,17 @@ fn folders_that_are_filled_at_once_lose_nothing() {
     }
 }
 
-/// A tree that comes by one rename tells of its topmost folder only, and frames that come into it later are
-/// frames like any other. The same where it is renamed once more.
+/// When a tree arrives by one rename, the kernel reports its topmost folder only. Frames that arrive in the
+/// tree later are converted too, also after a second rename.
 #[test]
-fn a_tree_that_is_renamed_into_place_is_found_and_heard() {
+fn tree_renamed_into_place_is_converted_and_watched() {
     let scene = Scene::new();
     let daemon = watch_recursively(&scene);
     for name in ["take/dam.1.ply", "take/deep/er/dam.2.ply"] {
         scene.write(&format!("elsewhere/{name}"), ply(&few(1)));
     }
     fs::rename(scene.path("elsewhere/take"), scene.path("in/take")).expect("renamed");
-    daemon.await_lines(2, "what came with it is converted", Line::is_converted);
+    daemon.await_lines(2, "its frames are converted", Line::is_converted);
     scene.write("in/take/deep/er/dam.3.ply", ply(&few(3)));
     daemon.await_converted("take/deep/er/dam.3.ply");
 
@@ -142,22 +142,22 @@ fn a_tree_that_is_renamed_into_place_is_found_and_heard() {
     daemon.await_converted("retake/deep/er/dam.3.ply");
     scene.write("in/retake/deep/dam.4.ply", ply(&few(4)));
     daemon.await_converted("retake/deep/dam.4.ply");
-    // The old name is free: another folder that gets it is heard as well.
+    // The old name is free. Another folder that gets this name is watched as well.
     scene.write("in/take/dam.5.ply", ply(&few(5)));
     daemon.await_converted("take/dam.5.ply");
     daemon.assert_no_complaints();
     daemon.finish();
     assert_eq!(outputs(&scene, "out/retake/deep/er"), ["dam.2.obj", "dam.3.obj"]);
     assert_eq!(outputs(&scene, "out/retake/deep"), ["dam.4.obj"]);
-    // What was made of frames that are gone stays.
+    // The outputs of removed frames stay.
     assert_eq!(outputs(&scene, "out/take"), ["dam.1.obj", "dam.5.obj"]);
 }
 
-/// A folder that is removed and made anew is another one of that name.
+/// A folder that is removed and created again is a different folder with the same name.
 #[test]
-fn a_folder_that_comes_again_is_heard_again() {
+fn folder_removed_and_created_again_is_watched() {
     let scene = Scene::new();
-    // All else that is there never changes.
+    // Nothing else in the folder changes.
     scene.put("in/dam.0.ply", ply(&few(0)));
     let daemon = watch_recursively(&scene);
     for number in 1..=by_length(5, 50) {
@@ -170,9 +170,9 @@ fn a_folder_that_comes_again_is_heard_again() {
     daemon.finish();
 }
 
-/// Without being asked to, it does not look into sub-folders.
+/// Without `--recursive`, the daemon does not search sub-folders.
 #[test]
-fn sub_folders_are_somebody_elses_unless_asked_for() {
+fn subfolders_are_ignored_without_recursive() {
     let scene = Scene::new();
     let daemon = scene.watch(&[&CHEAP[..], &NO_SCANS].concat());
     scene.write("in/sub/dam.1.ply", ply(&few(1)));

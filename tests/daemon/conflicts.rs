@@ -1,12 +1,12 @@
-//! Outputs that would meet other files: our own, the user's, another daemon's.
+//! Outputs whose names collide with other files: the daemon's own, the user's, and those of another daemon.
 
 use crate::scene::{Line, NO_SCANS, Scene, csv, moving, names_in, ply, told as told_of};
 
 const QUICK: [&str; 4] = ["--settle", "20ms", "--unproven", "50ms"];
 
-/// The outputs are particles, by their names at least, and lie in the watched folder.
+/// The outputs have names of particle files, and lie in the watched folder.
 #[test]
-fn outputs_within_the_watched_folder_are_no_inputs() {
+fn outputs_in_a_subfolder_of_the_watched_folder_are_not_inputs() {
     let scene = Scene::new();
     scene.write("in/sub/dam.1.ply", ply(&moving(1)));
     scene.put_moving([2]);
@@ -19,7 +19,7 @@ fn outputs_within_the_watched_folder_are_no_inputs() {
     daemon.await_ready();
     scene.put_moving([3]);
     daemon.await_converted("dam.3.ply");
-    // What would take the outputs would have taken them by the time this one is done.
+    // If the daemon took its outputs for inputs, it would have done so by the time this frame is done.
     scene.put_moving([4]);
     daemon.await_converted("dam.4.ply");
     assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 2);
@@ -31,9 +31,9 @@ fn outputs_within_the_watched_folder_are_no_inputs() {
     assert_eq!(names_in(&scene.path("in/out/sub")), ["dam.1.obj", "dam.1.ply"]);
 }
 
-/// Side by side with the frames, an output is told by its content.
+/// When outputs lie next to the frames, the daemon recognizes them by their content.
 #[test]
-fn outputs_beside_the_frames_are_no_inputs() {
+fn outputs_next_to_the_frames_are_not_inputs() {
     let scene = Scene::new();
     scene.write("in/dam.1.csv", csv(&moving(1)));
     let arguments = ["watch", "in", "--out", "in", "--format", "ply", "--log", "json"];
@@ -53,15 +53,15 @@ fn outputs_beside_the_frames_are_no_inputs() {
     assert_eq!(names_in(&scene.path("in")).len(), 7);
 }
 
-/// In one line, before any frame is looked at.
+/// The error is one line, before the daemon reads any frame.
 #[test]
-fn a_folder_that_takes_no_outputs_is_refused() {
+fn output_folder_that_is_not_writable_is_refused() {
     let scene = Scene::new();
     scene.put_moving(1..=2);
     scene.write("taken", "a file");
     let mut places = vec![("taken", "this is a file"), ("taken/deep", "taken is a file")];
     #[cfg(target_os = "linux")]
-    // Nobody may write there, not even root.
+    // No user may write there, not even root.
     places.push(("/proc", "nothing can be written into it: "));
     for (out, why) in places {
         let ran = scene.run(&["watch", "in", "--out", out, "--once"]);
@@ -76,9 +76,9 @@ fn a_folder_that_takes_no_outputs_is_refused() {
     }
 }
 
-/// Also where it is not there yet, or is another frame's.
+/// Also if the obstacle does not exist yet, or belongs to another frame.
 #[test]
-fn an_obstacle_is_never_replaced() {
+fn output_does_not_replace_an_obstacle() {
     let scene = Scene::new();
     scene.put_moving(1..=2);
     scene.write("out/dam.1.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n");
@@ -101,12 +101,12 @@ fn an_obstacle_is_never_replaced() {
     }
 }
 
-/// The output of a frame would be the frame itself.
+/// The output of a frame would have the path of the frame itself.
 #[test]
-fn a_frame_is_never_replaced() {
+fn output_does_not_replace_a_frame() {
     let scene = Scene::new();
     scene.put_moving(1..=2);
-    // Frames, too, though nobody asked for them to be converted.
+    // This includes frames that the patterns do not select.
     scene.write("out/dam.1.ply", ply(&moving(7)));
     let in_place = ["watch", "in", "--out", "in", "--format", "ply", "--once", "--log", "json"];
     let onto_others = ["watch", "in", "--out", "out", "--format", "obj,ply", "--once", "--log", "json"];
@@ -122,9 +122,9 @@ fn a_frame_is_never_replaced() {
     }
 }
 
-/// The first has the outputs, and keeps them; who is second is told of both.
+/// The first frame keeps its outputs. The error for the second one names both.
 #[test]
-fn two_frames_for_one_output_are_both_named() {
+fn error_names_both_frames_with_the_same_output() {
     let scene = Scene::new();
     scene.put_moving(1..=2);
     let arguments = [&QUICK[..], &["--format", "obj"]].concat();
@@ -133,7 +133,7 @@ fn two_frames_for_one_output_are_both_named() {
     daemon.await_converted("dam.2.ply");
     let before = scene.bytes("out/dam.1.obj");
     scene.write("in/dam.1.csv", csv(&moving(9)));
-    let conflict = daemon.await_line("the conflict is told", |line| line.level == "ERROR");
+    let conflict = daemon.await_line("the conflict is logged", |line| line.level == "ERROR");
     for name in ["in/dam.1.ply", "in/dam.1.csv", "out/dam.1"] {
         assert!(conflict.message.contains(name), "{name}: {}", conflict.message);
     }
@@ -143,7 +143,7 @@ fn two_frames_for_one_output_are_both_named() {
     assert!(once.converted().is_empty(), "{:?}", once.converted());
     assert!(scene.bytes("out/dam.1.obj") == before);
 
-    // When the first goes, the second may have them.
+    // When the first frame is removed, the second one may use the outputs.
     scene.remove("in/dam.1.ply");
     scene.write("in/dam.1.csv", csv(&moving(8)));
     let once = scene.once(&arguments);
@@ -151,9 +151,9 @@ fn two_frames_for_one_output_are_both_named() {
     assert_eq!(once.converted(), ["dam.1.csv"]);
 }
 
-/// Two folders that are watched, and one for the outputs of both.
+/// Two watched folders with one output folder.
 #[test]
-fn two_folders_for_one_output_are_told_apart() {
+fn frames_with_the_same_name_in_two_folders_conflict() {
     let scene = Scene::new();
     scene.put_moving(1..=2);
     scene.write("more/dam.2.ply", ply(&moving(5)));
@@ -166,7 +166,7 @@ fn two_folders_for_one_output_are_told_apart() {
 }
 
 #[test]
-fn a_second_daemon_for_one_output_is_refused() {
+fn second_daemon_with_the_same_output_folder_is_refused() {
     let scene = Scene::new();
     scene.put_moving([1]);
     let daemon = scene.watch(&QUICK);
@@ -178,7 +178,7 @@ fn a_second_daemon_for_one_output_is_refused() {
         "{}",
         crate::scene::told(&second.log)
     );
-    // The first has not noticed; and when it is gone, whichever way, another may come.
+    // The first daemon is unaffected. When it has ended, normally or not, another one may start.
     scene.put_moving([2]);
     daemon.await_converted("dam.2.ply");
     daemon.assert_no_complaints();

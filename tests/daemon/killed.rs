@@ -1,4 +1,4 @@
-//! Killed at any moment, nothing is lost, and nothing half-made is ever seen.
+//! After SIGKILL at any moment no frame is lost, and no incomplete output is ever visible.
 
 use std::collections::HashMap;
 use std::fs;
@@ -16,10 +16,10 @@ use crate::scene::{Scene, by_length, moving, ply, text_ply};
 
 const FORMATS: [&str; 2] = ["--format", "glb,vdb,obj,ply"];
 
-/// Killed, and started again at once, while frames are written: those of the first half are there from the
-/// beginning. The voxel size is measured, in one of the runs.
+/// Kills the daemon and restarts it at once while frames are written. The first half of the frames exists
+/// from the beginning. In one of the runs the daemon measures the voxel size.
 #[test]
-fn a_daemon_that_is_killed_loses_nothing_and_shows_nothing_half_made() {
+fn killed_daemon_loses_no_frame_and_shows_no_incomplete_output() {
     let (frame_count, kill_count) = by_length((40, 25), (300, 200));
     let scene = Scene::new();
     let frames: Vec<usize> = (1..=frame_count).collect();
@@ -30,7 +30,7 @@ fn a_daemon_that_is_killed_loses_nothing_and_shows_nothing_half_made() {
     let out = scene.path("out");
     let seen = thread::scope(|scope| {
         let observer = scope.spawn(|| observe(&out, &is_over));
-        // In step with the kills: whenever one comes, there is something to do.
+        // New frames arrive in step with the kills, so that every kill interrupts some work.
         scope.spawn(|| {
             for (index, &number) in coming.iter().enumerate() {
                 let turn = index * kill_count / coming.len();
@@ -59,12 +59,13 @@ fn a_daemon_that_is_killed_loses_nothing_and_shows_nothing_half_made() {
     assert_eq!(names_seen(&seen), 4 * frame_count);
     for Sight { name, bytes } in seen {
         assert!(is_whole(kind(&name), &mut Cursor::new(&bytes)).unwrap_or(false), "{name} was not whole");
-        // The same frame gives the same bytes, however often it is converted.
+        // The same frame gives the same bytes in every conversion.
         assert!(scene.bytes(&format!("out/{name}")) == bytes, "{name} was not what it is now");
     }
 }
 
-/// Ends the threads of the observer and the producer, also when an assertion fails: the scope waits for both.
+/// Ends the threads of the observer and the producer, also when an assertion fails, because the scope waits
+/// for both.
 struct EndOnDrop<'a> {
     killed_count: &'a AtomicUsize,
     is_over: &'a AtomicBool,
@@ -77,7 +78,7 @@ impl Drop for EndOnDrop<'_> {
     }
 }
 
-/// By all the ways of writing, one after the other.
+/// Uses each way of writing in turn.
 fn produce(scene: &Scene, number: usize) {
     let name = format!("in/dam.{number}.ply");
     match number % 3 {
@@ -100,12 +101,12 @@ fn names_seen(seen: &[Sight]) -> usize {
     names.len()
 }
 
-/// Opens every file that can be seen as soon as it appears, and again whenever it is another file.
+/// Opens every visible file as soon as it appears, and again whenever another file replaces it.
 fn observe(folder: &Path, is_over: &AtomicBool) -> Vec<Sight> {
     let mut seen = Vec::new();
     let mut inodes: HashMap<PathBuf, u64> = HashMap::new();
     loop {
-        // What is there when all is over is looked at, too.
+        // After the end, it checks the final files once more.
         let is_last = is_over.load(Ordering::SeqCst);
         for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
             let name = entry.file_name().to_string_lossy().into_owned();
@@ -129,11 +130,11 @@ fn kind(name: &str) -> OutputFormat {
         Some("vdb") => OutputFormat::Vdb,
         Some("obj") => OutputFormat::Obj,
         Some("ply") => OutputFormat::Ply,
-        _ => panic!("{name} is no output"),
+        _ => panic!("{name} is not an output"),
     }
 }
 
-/// Numbers that look random, and are the same each time (SplitMix64).
+/// Numbers that look random and are the same in every run (SplitMix64).
 struct Random(u64);
 
 impl Random {
@@ -146,9 +147,9 @@ impl Random {
     }
 }
 
-/// Killed in the middle of one frame, again and again, it does not begin with all others again.
+/// Killed repeatedly during one frame, the daemon does not convert the others again.
 #[test]
-fn what_was_done_before_a_kill_is_not_done_again() {
+fn frames_done_before_a_kill_are_not_converted_again() {
     let scene = Scene::new();
     scene.put_moving(1..=8);
     let daemon = scene.start(&FORMATS);
@@ -158,6 +159,6 @@ fn what_was_done_before_a_kill_is_not_done_again() {
     let next = scene.once(&FORMATS);
     next.assert_status(0);
     assert_eq!(next.converted(), ["dam.9.ply"]);
-    // What the journal knows need not even be read.
+    // Frames that the journal records need not even be read.
     assert!(next.found_done().is_empty());
 }

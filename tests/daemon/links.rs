@@ -1,5 +1,5 @@
-//! Links and named pipes in the place of files that the daemon opens: links are not written through, and pipes are not
-//! waited for. A command that waits fails here by the patience of the scene.
+//! Symbolic links and named pipes at paths that the daemon opens: it does not write through links, and does
+//! not wait for pipes. A command that waits fails the test after `PATIENCE`.
 
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -18,7 +18,7 @@ fn make_pipe(scene: &Scene, within: &str) {
     mknodat(CWD, scene.path(within), FileType::Fifo, Mode::from_raw_mode(0o644), 0).expect("a pipe");
 }
 
-/// A scene with a frame and what a daemon remembers.
+/// A scene with a frame and the files in which a daemon keeps its state.
 fn scene_with_state() -> Scene {
     let scene = Scene::new();
     scene.put_moving([1]);
@@ -68,9 +68,9 @@ fn state_folder_that_is_a_link_is_refused() {
     assert_eq!(scene.bytes("away/journal"), before);
 }
 
-/// What was asked for by name may be a link: it has no name that others know.
+/// A folder that the user names may be a link: other users cannot predict its name.
 #[test]
-fn journal_folder_and_out_folder_that_were_asked_for_may_be_links() {
+fn journal_and_output_folders_named_by_the_user_may_be_links() {
     let scene = Scene::new();
     scene.put_moving([1]);
     for name in ["journals", "outputs"] {
@@ -124,9 +124,9 @@ fn output_subfolder_that_is_a_link_is_not_written_through() {
     assert_eq!(names_in(&scene.path("out/other")), ["dam.1.obj", "dam.1.vdb"]);
 }
 
-/// Pipes in the place of an output, a certificate, an input, and the plan.
+/// Pipes at the paths of an output, a certificate, an input, and the plan.
 #[test]
-fn pipes_do_not_hold_up_verify_and_convert() {
+fn pipes_do_not_block_verify_and_convert() {
     let scene = Scene::new();
     scene.put_moving(1..=2);
     let plan =
@@ -151,7 +151,8 @@ fn pipes_do_not_hold_up_verify_and_convert() {
     }
     scene.remove("in/dam.1.ply");
     make_pipe(&scene, "in/dam.1.ply");
-    // The results cannot be compared with a pipe, and nothing proves that the input was removed on purpose.
+    // The results cannot be compared with a pipe, and nothing proves that the user removed the input on
+    // purpose.
     let verified = verify();
     assert_eq!(verified.status, Some(1), "{}", verified.err);
     let convert = [
@@ -177,9 +178,9 @@ fn pipes_do_not_hold_up_verify_and_convert() {
     assert_ne!(verify().status, Some(0));
 }
 
-/// The process that reads it would hang, and hear no other signal.
+/// A process that opened the pipe would hang and ignore further signals.
 #[test]
-fn configuration_that_is_a_pipe_does_not_keep_the_daemon_from_ending() {
+fn daemon_ends_although_its_configuration_is_a_pipe() {
     let scene = Scene::new();
     let text = "[[watch]]\ninput = \"in\"\noutput = \"out\"\n";
     scene.write("meniscus.toml", text);

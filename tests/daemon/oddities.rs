@@ -1,4 +1,4 @@
-//! What is no frame, and frames that cannot be read.
+//! Files that are not frames, and frames that cannot be read.
 
 use std::fs::{self, Permissions};
 use std::os::unix::fs::{PermissionsExt, symlink};
@@ -12,7 +12,7 @@ use crate::scene::{Line, NO_SCANS, Scene, moving, names_in, ply, told};
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 const QUICK: [&str; 4] = ["--settle", "50ms", "--stalled", "300ms"];
 
-/// What `status --json` tells.
+/// The output of `status --json`.
 fn status(scene: &Scene) -> Value {
     let ran = scene.run(&["status", "--out", "out", "--json"]);
     serde_json::from_str(&ran.out).unwrap_or_else(|error| panic!("{error}: {}{}", ran.out, ran.err))
@@ -23,7 +23,7 @@ fn is_failure_of<'a>(name: &'a str) -> impl Fn(&Line) -> bool + 'a {
 }
 
 #[test]
-fn a_corrupt_frame_costs_itself_alone_and_once() {
+fn corrupt_frame_fails_once_and_the_others_are_converted() {
     let scene = Scene::new();
     let arguments = [&QUICK[..], &NO_SCANS, &FORMATS].concat();
     scene.put_moving([1, 3]);
@@ -31,7 +31,7 @@ fn a_corrupt_frame_costs_itself_alone_and_once() {
     corrupt[20..30].copy_from_slice(b"nonsense..");
     scene.put("in/dam.2.ply", &corrupt);
     let daemon = scene.watch(&arguments);
-    let failure = daemon.await_line("the failure is told", is_failure_of("dam.2.ply"));
+    let failure = daemon.await_line("the failure is logged", is_failure_of("dam.2.ply"));
     assert!(failure.message.contains("PLY"), "{}", failure.message);
     for name in ["dam.1.ply", "dam.3.ply"] {
         daemon.await_converted(name);
@@ -45,7 +45,7 @@ fn a_corrupt_frame_costs_itself_alone_and_once() {
     assert!(failed[0]["reason"].as_str().is_some_and(|reason| reason.contains("PLY")), "{failed}");
     daemon.finish();
 
-    // It is not even read again, and still counts.
+    // The daemon does not even read the frame again, and still counts it.
     let once = scene.once(&[&QUICK[..], &FORMATS].concat());
     once.assert_status(1);
     assert!(once.converted().is_empty() && once.found_done().is_empty());
@@ -60,14 +60,15 @@ fn a_corrupt_frame_costs_itself_alone_and_once() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// Makes a named pipe: whoever opens it waits for somebody at its other end.
+/// Creates a named pipe. A process that opens it waits until another one opens the other end.
 fn make_pipe(scene: &Scene, within: &str) {
     mknodat(CWD, scene.path(within), FileType::Fifo, Mode::from_raw_mode(0o644), 0).expect("a pipe");
 }
 
-/// Everything that may bear the name of a frame and is none, before the daemon starts and while it runs.
+/// Puts everything that may have the name of a frame without being one into the folder, before the daemon
+/// starts and while it runs.
 #[test]
-fn what_is_no_frame_is_no_trouble() {
+fn files_that_are_not_frames_are_ignored() {
     let scene = Scene::new();
     let litter = |number: usize| {
         let name = |what: &str| format!("in/{what}.{number}.ply");
@@ -95,7 +96,7 @@ fn what_is_no_frame_is_no_trouble() {
     assert_eq!(names_in(&scene.path("out"))[1..], names);
 }
 
-/// The link of the frame leads to itself: nothing can be known of the frame, so it failed.
+/// The frame is a link to itself, so the daemon cannot examine it, and the frame fails.
 #[test]
 fn frame_that_cannot_be_examined_fails_the_run() {
     let scene = Scene::new();
@@ -109,28 +110,28 @@ fn frame_that_cannot_be_examined_fails_the_run() {
     assert_eq!(once.log.iter().filter(is_error).count(), 1, "{}", told(&once.log));
 }
 
-/// An empty file may be one that is about to be written: it is waited for, and tried again; not forever
-/// where that is all there is to do.
+/// A writer may be about to fill an empty file. The daemon waits for it and retries, but `--once` does not
+/// wait forever.
 #[test]
-fn an_empty_file_fails_when_nothing_comes() {
+fn empty_file_fails_after_a_while() {
     let scene = Scene::new();
     let daemon = scene.watch(&[&QUICK[..], &NO_SCANS, &FORMATS].concat());
     scene.write("in/dam.2.ply", "");
     scene.put_moving([3]);
-    let told = daemon.await_line("it is told", |line| line.is_complaint() && line.is_about("dam.2.ply"));
+    let told = daemon.await_line("it is logged", |line| line.is_complaint() && line.is_about("dam.2.ply"));
     assert!(told.message.contains("is empty"), "{}", told.message);
     daemon.await_converted("dam.3.ply");
     daemon.finish();
     scene.once(&[&QUICK[..], &FORMATS].concat()).assert_status(1);
-    // Then something comes.
+    // Then the writer fills it.
     scene.write("in/dam.2.ply", ply(&moving(2)));
     scene.once(&[&QUICK[..], &FORMATS].concat()).assert_status(0);
     assert_eq!(names_in(&scene.path("out")).len(), 5);
 }
 
-/// Root may read everything: then there is nothing to see here.
+/// Root may read every file; this test then checks nothing.
 #[test]
-fn a_frame_that_may_not_be_read_is_told_and_tried_again() {
+fn frame_without_read_permission_is_logged_and_retried() {
     if geteuid().is_root() {
         return;
     }
@@ -139,17 +140,17 @@ fn a_frame_that_may_not_be_read_is_told_and_tried_again() {
     fs::set_permissions(scene.path("in/dam.2.ply"), Permissions::from_mode(0o000)).expect("changed");
     let daemon = scene.watch(&[&QUICK[..], &NO_SCANS, &FORMATS].concat());
     daemon.await_converted("dam.1.ply");
-    daemon.await_line("the failure is told", |line| line.is_complaint() && line.is_about("dam.2.ply"));
+    daemon.await_line("the failure is logged", |line| line.is_complaint() && line.is_about("dam.2.ply"));
     fs::set_permissions(scene.path("in/dam.2.ply"), Permissions::from_mode(0o644)).expect("changed");
     daemon.await_converted("dam.2.ply");
     daemon.finish();
     scene.assert_as_converted(&FORMATS);
 }
 
-/// In the place of an output: a folder, which cannot be replaced; a pipe, which can, but whoever looks into
-/// it first waits forever.
+/// At the path of an output lies a folder, which the daemon cannot replace, or a pipe, which it can. A daemon
+/// that opened the pipe first would wait forever.
 #[test]
-fn outputs_whose_place_is_taken_cost_themselves_alone() {
+fn folder_at_the_path_of_an_output_fails_that_frame_only() {
     let scene = Scene::new();
     scene.put_moving(1..=3);
     fs::create_dir_all(scene.path("out/dam.1.obj/full")).expect("a folder");

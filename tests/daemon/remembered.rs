@@ -1,4 +1,4 @@
-//! What is done, failed or fixed stays so after a restart, also without the journal.
+//! Done, failed and pinned state survives a restart, also without the journal.
 
 use std::fs;
 use std::os::unix::fs::MetadataExt;
@@ -13,7 +13,7 @@ fn once(scene: &Scene) -> Once {
     once
 }
 
-/// Which files the outputs are: another number is another file.
+/// The inode numbers of the outputs: a file that was written again has another number.
 fn inodes(scene: &Scene) -> Vec<u64> {
     let names = names_in(&scene.path("out")).into_iter().filter(|name| !name.starts_with('.'));
     names.map(|name| scene.path("out").join(name).metadata().expect("there").ino()).collect()
@@ -30,7 +30,7 @@ fn all_done(frame_count: usize) -> Scene {
 const JOURNAL: &str = "out/.meniscus/journal";
 
 #[test]
-fn without_the_journal_outputs_tell_that_they_are_done() {
+fn outputs_are_recognized_as_done_without_the_journal() {
     let scene = all_done(5);
     let before = inodes(&scene);
     for lost in [JOURNAL, "out/.meniscus"] {
@@ -42,14 +42,14 @@ fn without_the_journal_outputs_tell_that_they_are_done() {
     }
 }
 
-/// Whatever is in the journal: it costs work at most, and never a frame.
+/// Any damage to the journal costs at most some work, and never a frame.
 #[test]
-fn a_damaged_journal_costs_work_only() {
+fn damaged_journal_loses_no_frame() {
     let scene = all_done(5);
     let before = inodes(&scene);
     let journal = scene.bytes(JOURNAL);
     let mut flipped = journal.clone();
-    // In the last third, where it is a record, and not the one line that says what this is.
+    // In the last third, where the records are, and not in the header line.
     let place = flipped.len() * 2 / 3;
     flipped[place] ^= 0x20;
     let damages: [(&str, Vec<u8>); 6] = [
@@ -65,16 +65,16 @@ fn a_damaged_journal_costs_work_only() {
         let again = once(&scene);
         assert!(again.converted().is_empty(), "{damage}: {:?}", again.converted());
         assert_eq!(inodes(&scene), before, "{damage}");
-        // What was found out is written down again.
+        // The daemon records again what it found out.
         let then = once(&scene);
         assert!(then.converted().is_empty() && then.found_done().is_empty(), "{damage}");
     }
     scene.assert_as_converted(&FORMATS);
 }
 
-/// Taken away from a daemon that runs, it is written anew.
+/// If the journal is removed while the daemon runs, the daemon writes it again.
 #[test]
-fn a_journal_that_is_taken_away_comes_again() {
+fn journal_removed_while_the_daemon_runs_is_written_again() {
     let scene = Scene::new();
     scene.put_moving(1..=3);
     let daemon = scene.watch(&[&["--settle", "10ms"], &FORMATS[..]].concat());
@@ -87,9 +87,9 @@ fn a_journal_that_is_taken_away_comes_again() {
     assert!(again.converted().is_empty() && again.found_done().is_empty(), "{:?}", again.found_done());
 }
 
-/// Elsewhere, when asked to: then nothing but the lock is kept with the outputs.
+/// With `--journal`, the journal lies elsewhere, and only the lock stays with the outputs.
 #[test]
-fn the_journal_may_be_elsewhere() {
+fn journal_folder_is_separate_with_the_option() {
     let scene = Scene::new();
     scene.put_moving(1..=3);
     let arguments = [&["--settle", "10ms", "--journal", "memory"], &FORMATS[..]].concat();
@@ -103,9 +103,9 @@ fn the_journal_may_be_elsewhere() {
     assert_eq!(status.status, Some(0));
 }
 
-/// Outputs of `convert` are as good as one's own; those of other settings are not.
+/// The daemon accepts outputs of `convert` with the same settings as its own, and no others.
 #[test]
-fn what_convert_made_is_done() {
+fn frames_converted_by_convert_are_done() {
     let scene = Scene::new();
     scene.put_moving(1..=3);
     let ran = scene.run(&[&["convert", "in", "--out", "out"], &FORMATS[..]].concat());
@@ -116,9 +116,9 @@ fn what_convert_made_is_done() {
     assert_eq!(next.found_done(), ["dam.1.ply", "dam.2.ply"]);
 }
 
-/// A frame of one particle, which has no spacing, waits for one with more, over restarts, too.
+/// A frame of one particle has no spacing. It waits for a frame with more particles, also over restarts.
 #[test]
-fn sparse_frames_are_converted_when_another_tells_the_spacing() {
+fn single_particle_frame_waits_for_the_spacing_of_another_over_restarts() {
     let scene = Scene::new();
     scene.write("in/dam.1.ply", ply(&moving(1)[..1]));
     let once = scene.once(&["--settle", "10ms"]);
@@ -130,9 +130,9 @@ fn sparse_frames_are_converted_when_another_tells_the_spacing() {
     assert_eq!(once.converted(), ["dam.1.ply", "dam.2.ply"]);
 }
 
-/// What was refused on account of another file is converted when that is gone.
+/// A frame that was refused because of another file is converted when that file is removed.
 #[test]
-fn a_refusal_ends_with_its_reason() {
+fn refused_frame_is_converted_when_the_conflict_is_gone() {
     let scene = Scene::new();
     scene.put_moving([1]);
     scene.once(&["--settle", "10ms"]).assert_status(0);
@@ -145,9 +145,9 @@ fn a_refusal_ends_with_its_reason() {
     assert_eq!(once.converted(), ["dam.1.csv"]);
 }
 
-/// What does not fit into the memory of one start may fit into that of the next.
+/// A frame that does not fit into the memory of one run may fit into that of the next.
 #[test]
-fn a_frame_that_was_too_large_is_tried_again_after_a_restart() {
+fn frame_that_was_too_large_is_retried_after_a_restart() {
     let scene = Scene::new();
     scene.put_moving([1]);
     let arguments = ["--settle", "10ms", "--format", "obj,vdb", "--preset", "paper", "--voxel-size", "0.05"];
@@ -167,9 +167,9 @@ fn a_frame_that_was_too_large_is_tried_again_after_a_restart() {
     assert_eq!(once.converted(), ["dam.1.ply"]);
 }
 
-/// A folder that is missing ends the run, also while frames of another are under way.
+/// A missing folder ends the run, also while the daemon converts frames of another folder.
 #[test]
-fn a_missing_folder_ends_the_run() {
+fn missing_folder_ends_the_run() {
     let scene = Scene::new();
     scene.put_moving(1..=12);
     let arguments =
@@ -179,9 +179,9 @@ fn a_missing_folder_ends_the_run() {
     assert!(ran.err.contains("nowhere"), "{}", ran.err);
 }
 
-/// A path through other folders, or through links, names the same frames.
+/// A path through other folders or through links names the same frames.
 #[test]
-fn a_frame_is_known_by_any_of_its_paths() {
+fn frame_is_recognized_by_any_of_its_paths() {
     let scene = Scene::new();
     scene.put_moving([1]);
     scene.once(&["--settle", "10ms"]).assert_status(0);
