@@ -1,5 +1,5 @@
-//! What the process takes while many frames are under way, against what it was allowed. A test binary of its
-//! own: the most memory that a process ever had is one number for all that it did.
+//! Memory that the process takes while it converts many frames, against the limit. It is a separate test
+//! binary because the peak memory is one number per process.
 
 #![cfg(target_os = "linux")]
 
@@ -17,26 +17,26 @@ use meniscus::surface::options::{ClipBox, MethodOptions, Settings};
 use meniscus_formats::{FilePositions, ParticleFrame, bgeo};
 use tempfile::tempdir;
 
-/// More may be taken than was allowed, as a part of it: for the program itself, and for what the allocator
-/// keeps.
+/// The process may exceed the limit by this fraction, for the program itself and for memory that the
+/// allocator keeps.
 const EXCESS_MAX: f64 = 0.1;
 
-/// Two of these frames take more than that, though one does not.
+/// Two of these frames together take more than that; one does not.
 #[test]
-fn the_budget_holds() {
+fn memory_limit_holds() {
     let taken = taken_by_frames(8, 128 << 20, Some(1));
-    // What is allowed is used, too.
-    assert!(taken > 0.5, "only {taken:.2} of what was allowed");
+    // The program also uses the memory that it may take.
+    assert!(taken > 0.5, "only {taken:.2} of the limit");
 }
 
-/// Converts blocks of 250 047 particles, and spray that takes about as much memory, in turns; some of them with islands,
-/// cavities and what is beyond a box taken away, some around an obstacle of their own. Returns what was taken, as a part
-/// of what was allowed: not more than that.
+/// Converts blocks of 250 047 particles alternating with spray that takes about as much memory. Some frames
+/// have islands, cavities and parts beyond a box to remove, some an obstacle that belongs to them. Returns
+/// the memory taken as a fraction of the limit, which is at most 1.
 fn taken_by_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) -> f64 {
-    // As the program does first of all.
+    // The program sets this first of all.
     meniscus::cli::give_memory_back();
     let folder = tempdir().expect("a folder");
-    // What a frame takes does not depend on the number of steps.
+    // The memory of a frame does not depend on the number of steps.
     let choices = MethodOptions { laplacian_steps: steps, steps, ..MethodOptions::default() };
     let edits = MethodOptions {
         drop_islands: Some(5),
@@ -75,12 +75,12 @@ fn taken_by_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) ->
     let pipeline_options = PipelineOptions { in_flight: 8, memory_bytes, ..PipelineOptions::new(&pool) };
     run(&LevelSetSkinning, &frames, &pipeline_options, |index, outcome| {
         let Outcome::Converted(mut report) = outcome else { panic!("frame {index}: {outcome:?}") };
-        // Spray that is full of holes is told of.
+        // Spray with many holes causes a warning.
         report.warnings.retain(|warning| !matches!(warning, Warning::Holes { .. }));
         assert_eq!((report.warnings, report.obstacle_open_edge_count), (vec![], 0), "frame {index}");
     });
     let taken = peak_bytes() as f64 / memory_bytes as f64;
-    assert!(taken < 1.0 + EXCESS_MAX, "{taken:.2} of what was allowed");
+    assert!(taken < 1.0 + EXCESS_MAX, "{taken:.2} of the limit");
     taken
 }
 
@@ -92,7 +92,7 @@ fn block(edge_count: usize) -> Vec<[f32; 3]> {
     (0..edge_count.pow(3)).map(place).collect()
 }
 
-/// A mesh of some 57 000 triangles: a floor with bumps, closed below.
+/// A mesh of about 57 000 triangles: a floor with bumps, closed below.
 fn bumps() -> String {
     const EDGE: usize = 120;
     let mut text = String::new();
@@ -126,7 +126,7 @@ fn bumps() -> String {
     text
 }
 
-/// Particles so far apart that each is a drop or nearly so.
+/// Particles so far apart that nearly each is a separate drop.
 fn spray(count: usize) -> Vec<[f32; 3]> {
     let extent = 0.2 * (count as f32).cbrt();
     let mut state = 1u64;
@@ -143,7 +143,7 @@ fn write(path: &Path, positions: Vec<[f32; 3]>) {
     bgeo::write(&frame, &mut BufWriter::new(file)).expect("written");
 }
 
-/// The most memory that this process ever had.
+/// The peak memory of this process.
 fn peak_bytes() -> u64 {
     let status = fs::read_to_string("/proc/self/status").expect("readable");
     let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).expect("a peak");

@@ -106,7 +106,7 @@ fn output_does_not_replace_an_obstacle() {
 fn output_does_not_replace_a_frame() {
     let scene = Scene::new();
     scene.put_moving(1..=2);
-    // This includes frames that the patterns do not select.
+    // This includes files in the output folder that the daemon does not watch.
     scene.write("out/dam.1.ply", ply(&moving(7)));
     let in_place = ["watch", "in", "--out", "in", "--format", "ply", "--once", "--log", "json"];
     let onto_others = ["watch", "in", "--out", "out", "--format", "obj,ply", "--once", "--log", "json"];

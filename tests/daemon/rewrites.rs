@@ -1,4 +1,4 @@
-//! Frames that change after they were converted, while they are, or before.
+//! Frames that change before, during or after their conversion.
 
 use std::fs::{self, File, FileTimes, OpenOptions};
 use std::io::Write;
@@ -9,16 +9,16 @@ use crate::scene::{
     Line, NO_SCANS, Scene, Watching, await_that, block, by_length, moving, ply, text_ply, told,
 };
 
-/// With a voxel size, for what it would be measured on changes here.
+/// With a fixed voxel size, because these tests change the frames that it would be measured on.
 const FORMATS: [&str; 6] = ["--format", "obj,vdb", "--preset", "paper", "--voxel-size", "0.06"];
 
 fn watch(scene: &Scene, more: &[&str]) -> Watching {
     scene.watch(&[&["--settle", "100ms"], &NO_SCANS[..], &FORMATS, more].concat())
 }
 
-/// By a rename, in place with another length, and in place with the same one.
+/// Rewrites a frame by a rename, in place with another length, and in place with the same length.
 #[test]
-fn a_frame_that_is_written_again_is_converted_again() {
+fn rewritten_frame_is_converted_again() {
     let scene = Scene::new();
     scene.put_moving(1..=3);
     let daemon = watch(&scene, &[]);
@@ -36,9 +36,9 @@ fn a_frame_that_is_written_again_is_converted_again() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// Another time and the same bytes; another file and the same bytes.
+/// Another modification time with the same bytes, and another file with the same bytes.
 #[test]
-fn a_frame_that_is_touched_is_not_converted_again() {
+fn touched_frame_is_not_converted_again() {
     let scene = Scene::new();
     scene.put_moving(1..=2);
     let daemon = watch(&scene, &[]);
@@ -47,7 +47,7 @@ fn a_frame_that_is_touched_is_not_converted_again() {
     scene.put_moving([2]);
     daemon.await_lines(2, "both are found done", Line::is_found_done);
     assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 2);
-    // The same while nobody watches. What was found out once need not be found out again.
+    // The same while no daemon runs. The daemon checks the content only once.
     touch(&scene, "in/dam.1.ply");
     let once = scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat());
     once.assert_status(0);
@@ -97,7 +97,7 @@ fn frame_whose_status_alone_changed_is_found_done_by_its_content() {
     let again = once();
     again.assert_status(0);
     assert_eq!((again.converted().len(), again.found_done().len()), (0, 2));
-    // Found out once, it is recorded.
+    // The daemon recorded what it found, so it does not read the frame again.
     let again = once();
     assert_eq!((again.converted().len(), again.found_done().len()), (0, 0));
 }
@@ -160,10 +160,10 @@ fn touch(scene: &Scene, within: &str) {
     file.set_times(FileTimes::new().set_modified(SystemTime::now())).expect("touched");
 }
 
-/// A large frame is written again and again, in place and in the same length, until that has been noticed a
-/// few times while it was read. Whatever was read, in the end the outputs are those of what is there.
+/// Overwrites a large frame again and again, in place and in the same length, until the daemon has noticed
+/// this a few times while reading. In the end the outputs are those of the final content.
 #[test]
-fn a_frame_that_is_overwritten_while_it_is_read_is_read_again() {
+fn frame_overwritten_while_it_is_read_is_read_again() {
     let noticed_count = by_length(2, 100);
     let arguments = ["--format", "obj", "--preset", "paper", "--voxel-size", "0.4"];
     let scene = Scene::new();
@@ -186,34 +186,35 @@ fn a_frame_that_is_overwritten_while_it_is_read_is_read_again() {
     await_that("the last version is converted", is_as_expected);
     let log = daemon.finish();
     assert!(log.iter().all(|line| line.level != "ERROR"), "{}", crate::scene::told(&log));
-    // And it stays so.
+    // And the outputs stay the same.
     let once = scene.once(&[&["--settle", "1ms"], &arguments[..]].concat());
     once.assert_status(0);
     assert!(once.converted().is_empty());
     scene.assert_as_converted(&arguments);
 }
 
-/// Without truncating it: at every moment it is a whole file, of the one version, the other, or both.
+/// Does not truncate the file: at every moment it has its full length, with bytes of one version, the other,
+/// or both.
 fn overwrite(scene: &Scene, within: &str, bytes: &[u8]) {
     let options = OpenOptions::new().write(true).create(true).truncate(false).clone();
     let mut file: File = options.open(scene.path(within)).expect("opened");
     for part in bytes.chunks(1 << 15) {
         file.write_all(part).expect("written");
-        // So that it is read meanwhile, and not before or after.
+        // The pause makes the daemon read during the writing, and not before or after it.
         thread::sleep(Duration::from_micros(300));
     }
 }
 
-/// Numbers of one width, so that versions have one length.
+/// All numbers have the same width, so that all versions have the same length.
 fn text_ply_of_one_length(particles: &[[f32; 3]]) -> Vec<u8> {
     let header = text_ply(&[]).replace("vertex 0", &format!("vertex {}", particles.len()));
     let rows = particles.iter().map(|[x, y, z]| format!("{x:.4} {y:.4} {z:.4}\n"));
     rows.fold(header, |text, row| text + &row).into_bytes()
 }
 
-/// Many frames wait, and most of them go away again.
+/// Many frames wait, and most of them are removed before the daemon reads them.
 #[test]
-fn frames_that_go_away_while_they_wait_are_no_failures() {
+fn frames_removed_while_they_wait_do_not_fail() {
     let scene = Scene::new();
     scene.put_moving(1..=200);
     let daemon = watch(&scene, &["--in-flight", "1", "--threads", "1"]);
@@ -233,9 +234,10 @@ fn frames_that_go_away_while_they_wait_are_no_failures() {
     assert!(once.converted().is_empty());
 }
 
-/// The only frame goes away before it could be read; then nothing waits for it, at the end least of all.
+/// The only frame is removed before the daemon could read it. Then the daemon waits for nothing more, also
+/// when it ends.
 #[test]
-fn a_frame_that_is_never_finished_may_go_away() {
+fn unfinished_frame_may_be_removed() {
     let scene = Scene::new();
     let daemon = watch(&scene, &[]);
     scene.write("in/dam.1.ply", &ply(&moving(1))[..1000]);
@@ -247,15 +249,15 @@ fn a_frame_that_is_never_finished_may_go_away() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// An output that somebody removes is made again.
+/// An output that a user removes is made again.
 #[test]
-fn an_output_that_is_gone_is_made_again() {
+fn removed_output_is_made_again() {
     let scene = Scene::new();
     scene.put_moving(1..=3);
     let once = || scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat());
     once().assert_status(0);
     scene.remove("out/dam.2.obj");
-    // One that lost its end is as good as gone.
+    // A truncated output counts as missing.
     let half = scene.bytes("out/dam.3.vdb");
     scene.write("out/dam.3.vdb", &half[..half.len() / 2]);
     let why = scene.run(&["why", "in/dam.2.ply", "--out", "out"]);
@@ -276,10 +278,10 @@ fn floor(top: f32) -> String {
     corners.collect::<String>() + faces
 }
 
-/// Of all frames, where it is in the way of all; of one, where it is a file of that one. One that is removed changes
-/// nothing, and one that is touched neither.
+/// An obstacle in the range of all frames, and a file that belongs to one frame. Removing or touching an
+/// obstacle converts nothing again.
 #[test]
-fn frames_are_converted_again_when_their_obstacles_are_written_again() {
+fn rewritten_obstacle_converts_its_frames_again() {
     let around = ["--obstacle", "floor.obj", "--obstacle", "body.#.obj"];
     let scene = Scene::new();
     scene.put_moving(1..=3);
@@ -311,9 +313,9 @@ fn frames_are_converted_again_when_their_obstacles_are_written_again() {
     assert!(once.converted().is_empty() && once.found_done().is_empty());
 }
 
-/// One that is not there, and one that cannot be read.
+/// A missing obstacle, and one that cannot be read.
 #[test]
-fn frames_whose_obstacle_was_wrong_are_converted_when_it_is_right() {
+fn frames_are_converted_when_their_obstacle_becomes_valid() {
     let scene = Scene::new();
     scene.put_moving(1..=2);
     scene.write("body.1.obj", "v 1 2\n");

@@ -1,4 +1,4 @@
-//! A watched folder, the daemon beside it, and its log.
+//! A watched folder, the daemon that watches it, and its log.
 //!
 //! ```text
 //!   in/ ──▶ the daemon ──▶ out/          expected/ ◀── `convert` on the same frames
@@ -21,23 +21,24 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// Longer than anything takes that is waited for, also where a machine has many times more work than processors.
+/// Longer than any event that the tests wait for takes, also on a machine with many more jobs than
+/// processors.
 pub(crate) fn patience() -> Duration {
     Duration::from_secs(by_length(600, 1800))
 }
 
-/// Settings that find changes by events alone: no scan happens to come by.
+/// Settings without periodic scans: the daemon finds changes by events alone.
 pub(crate) const NO_SCANS: [&str; 2] = ["--rescan", "1h"];
 
-/// A window at a free port.
+/// An HTTP server at a free port.
 pub(crate) const WINDOW: [&str; 2] = ["--listen", "127.0.0.1:0"];
 
-/// The first in the short form of a test, the second in the long one.
+/// Chooses the first value in the short form of a test, and the second in the long one.
 pub(crate) fn by_length<T>(short: T, long: T) -> T {
     if std::env::var_os("MENISCUS_LONG").is_some_and(|value| value == "1") { long } else { short }
 }
 
-/// A cube of `edge_count`³ particles, so far apart, moved along x.
+/// A cube of `edge_count`³ particles at this spacing, moved along x.
 pub(crate) fn block(edge_count: usize, spacing: f32, shift: f32) -> Vec<[f32; 3]> {
     let along = |index: usize| index as f32 * spacing;
     (0..edge_count.pow(3))
@@ -84,7 +85,7 @@ pub(crate) fn csv(particles: &[[f32; 3]]) -> String {
     })
 }
 
-/// A folder with the frames in `in`; the outputs are to be in `out`.
+/// A folder with the frames in `in` and the outputs in `out`.
 pub(crate) struct Scene {
     folder: TempDir,
 }
@@ -103,14 +104,14 @@ impl Scene {
         self.folder.path().join(within)
     }
 
-    /// Writes a file where it belongs; its folder is made.
+    /// Writes a file in place and creates its folder.
     pub(crate) fn write(&self, within: &str, bytes: impl AsRef<[u8]>) {
         let path = self.path(within);
         fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");
         fs::write(path, bytes).expect("written");
     }
 
-    /// Writes a file elsewhere, and renames it into place.
+    /// Writes a file under another name, and renames it.
     pub(crate) fn put(&self, within: &str, bytes: impl AsRef<[u8]>) {
         let elsewhere = format!("elsewhere/{}", within.replace('/', "-"));
         self.write(&elsewhere, bytes);
@@ -132,7 +133,7 @@ impl Scene {
         fs::read(self.path(within)).unwrap_or_else(|error| panic!("{within}: {error}"))
     }
 
-    /// Runs the program to its end.
+    /// Runs the program until it ends.
     pub(crate) fn run(&self, arguments: &[&str]) -> Ran {
         let mut child =
             self.command(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("a start");
@@ -154,22 +155,22 @@ impl Scene {
         Once { log: ran.err.lines().map(line).collect(), status: ran.status }
     }
 
-    /// Starts the daemon, from `in` to `out`; it may not have looked at anything yet.
+    /// Starts the daemon from `in` to `out`, and does not wait for its first scan.
     pub(crate) fn start(&self, arguments: &[&str]) -> Watching {
         self.start_as(&[&WATCH[..], arguments].concat())
     }
 
-    /// Starts the daemon, and waits until it has looked at everything once.
+    /// Starts the daemon, and waits until it has finished its first scan.
     pub(crate) fn watch(&self, arguments: &[&str]) -> Watching {
         let watching = self.start(arguments);
         watching.await_ready();
         watching
     }
 
-    /// Starts the daemon as it is told here.
+    /// Starts the daemon with these arguments.
     pub(crate) fn start_as(&self, arguments: &[&str]) -> Watching {
         let socket_path = self.path("notify");
-        // That of an earlier daemon.
+        // Removes the socket of an earlier daemon.
         let _ = fs::remove_file(&socket_path);
         let socket = UnixDatagram::bind(&socket_path).expect("a socket");
         socket.set_read_timeout(Some(Duration::from_millis(50))).expect("a timeout");
@@ -192,14 +193,14 @@ impl Scene {
             .args(arguments)
             .current_dir(self.folder.path())
             .stdin(Stdio::null())
-            // Tests wait for what the daemon decides.
+            // Tests wait for decisions of the daemon, so the log has them.
             .env("MENISCUS_LOG", "debug")
             .env_remove("NOTIFY_SOCKET");
         command
     }
 
-    /// Asserts that `out` holds what `convert` makes of `in`, and nothing else that can be seen; what
-    /// cannot is the daemon's memory alone.
+    /// Asserts that `out` holds what `convert` makes of `in`, and no other visible file. The only hidden
+    /// folder is the daemon's own.
     #[track_caller]
     pub(crate) fn assert_as_converted(&self, arguments: &[&str]) {
         self.assert_folder_as_converted("in", "out", arguments);
@@ -219,7 +220,7 @@ impl Scene {
         }
     }
 
-    /// Asserts that nothing hidden is left in the outputs but what the daemon remembers.
+    /// Asserts that the outputs contain no hidden file except the daemon's own.
     #[track_caller]
     pub(crate) fn assert_no_temporaries(&self) {
         let hidden: Vec<String> =
@@ -228,17 +229,17 @@ impl Scene {
     }
 }
 
-/// How the daemon is started: a word of JSON for each line of the log.
+/// Options that start the daemon with a log of one JSON object per line.
 const WATCH: [&str; 6] = ["watch", "in", "--out", "out", "--log", "json"];
 
-/// The files of a folder that can be seen, by name; those of its sub-folders are left out.
+/// The visible files of a folder, by name, without those of its sub-folders.
 pub(crate) fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let names = names_in(folder).into_iter().filter(|name| !name.starts_with('.'));
     let files = names.map(|name| (folder.join(&name), name)).filter(|(path, _)| path.is_file());
     files.map(|(path, name)| (name, fs::read(path).expect("readable"))).collect()
 }
 
-/// All names in a folder, sorted; none where there is no folder.
+/// All names in a folder, sorted; empty if the folder does not exist.
 pub(crate) fn names_in(folder: &Path) -> Vec<String> {
     let entries = fs::read_dir(folder).into_iter().flatten();
     let mut names: Vec<String> =
@@ -247,7 +248,7 @@ pub(crate) fn names_in(folder: &Path) -> Vec<String> {
     names
 }
 
-/// Waits for something that nobody tells of.
+/// Polls until this holds, for conditions that no log line reports.
 #[track_caller]
 pub(crate) fn await_that(what: &str, mut is_so: impl FnMut() -> bool) {
     let start = Instant::now();
@@ -257,7 +258,7 @@ pub(crate) fn await_that(what: &str, mut is_so: impl FnMut() -> bool) {
     }
 }
 
-/// What a run of the program left.
+/// The result of a run of the program.
 pub(crate) struct Ran {
     /// The exit status; `None` after a signal.
     pub(crate) status: Option<i32>,
@@ -267,14 +268,14 @@ pub(crate) struct Ran {
     pub(crate) err: String,
 }
 
-/// What `watch --once` left.
+/// The result of `watch --once`.
 pub(crate) struct Once {
     pub(crate) status: Option<i32>,
     pub(crate) log: Vec<Line>,
 }
 
 impl Once {
-    /// The names of the frames that were converted, sorted: of several under way, any may be the first.
+    /// The names of the converted frames, sorted, because concurrent frames finish in any order.
     pub(crate) fn converted(&self) -> Vec<String> {
         sorted(self.converted_in_order())
     }
@@ -284,7 +285,7 @@ impl Once {
         frames_that(&self.log, Line::is_converted)
     }
 
-    /// The names of the frames that were read and found done, sorted.
+    /// The names of the frames that the daemon read and found done, sorted.
     pub(crate) fn found_done(&self) -> Vec<String> {
         sorted(frames_that(&self.log, Line::is_found_done))
     }
@@ -309,9 +310,9 @@ fn frames_that(log: &[Line], is_it: impl Fn(&Line) -> bool) -> Vec<String> {
 pub(crate) struct Line {
     pub(crate) level: String,
     pub(crate) message: String,
-    /// The frame that it is about.
+    /// The frame that the line is about.
     pub(crate) frame: Option<PathBuf>,
-    /// All of it.
+    /// The whole line.
     pub(crate) fields: Value,
 }
 
@@ -324,12 +325,12 @@ impl Line {
         self.message == "was done already"
     }
 
-    /// Whether it tells of something that is wrong.
+    /// Whether the line is a warning or an error.
     pub(crate) fn is_complaint(&self) -> bool {
         matches!(&*self.level, "WARN" | "ERROR")
     }
 
-    /// Whether it is about the frame of this name.
+    /// Whether the line is about the frame of this name.
     pub(crate) fn is_about(&self, name: &str) -> bool {
         self.frame.as_ref().is_some_and(|frame| frame.ends_with(name))
     }
@@ -340,7 +341,7 @@ impl Line {
 }
 
 fn line(text: &str) -> Line {
-    // What is told before the log is begun is plain text.
+    // Before the log starts, messages are plain text.
     let fields: Value = serde_json::from_str(text).unwrap_or_else(|_| Value::String(text.to_owned()));
     let field = |name: &str| fields[name].as_str().map(str::to_owned);
     Line {
@@ -351,12 +352,12 @@ fn line(text: &str) -> Line {
     }
 }
 
-/// A log as it is shown when a test fails.
+/// The log as a failing test prints it.
 pub(crate) fn told(log: &[Line]) -> String {
     log.iter().fold(String::new(), |text, line| text + &line.fields.to_string() + "\n")
 }
 
-/// What the daemon has told so far.
+/// The log so far.
 #[derive(Default)]
 struct Log {
     state: Mutex<LogState>,
@@ -366,7 +367,7 @@ struct Log {
 #[derive(Default)]
 struct LogState {
     lines: Vec<Line>,
-    /// What the service manager was told.
+    /// The messages to the service manager so far.
     notices: Vec<String>,
     has_ended: bool,
 }
@@ -381,11 +382,11 @@ impl Log {
         self.changed.notify_all();
     }
 
-    /// A service manager that does not listen holds up everything.
+    /// A service manager that does not read would block the daemon.
     fn listen_for_notices(&self, socket: &UnixDatagram) {
         let mut buffer = [0; 4096];
         while !self.lock().has_ended {
-            // Nothing yet, else.
+            // No message yet.
             if let Ok(length) = socket.recv(&mut buffer) {
                 let text = String::from_utf8_lossy(&buffer[..length]).into_owned();
                 self.lock().notices.extend(text.lines().map(str::to_owned));
@@ -394,8 +395,8 @@ impl Log {
         }
     }
 
-    /// Waits until something is found in the state; `None` if that does not come. Patience begins anew
-    /// with every line of the log.
+    /// Waits until `find` finds something in the state; `None` if the time runs out. Every line of the log
+    /// restarts the time.
     fn await_found<T>(&self, find: impl Fn(&LogState) -> Option<T>) -> Option<T> {
         let mut state = self.lock();
         let (mut line_count, mut since) = (state.lines.len(), Instant::now());
@@ -419,7 +420,7 @@ impl Log {
     }
 }
 
-/// A daemon that runs; it is killed when it is dropped.
+/// A running daemon. Dropping it kills the process.
 pub(crate) struct Watching {
     child: Child,
     log: Arc<Log>,
@@ -432,13 +433,13 @@ impl Watching {
         self.child.id()
     }
 
-    /// Waits until everything was looked at once.
+    /// Waits until the first scan is finished.
     #[track_caller]
     pub(crate) fn await_ready(&self) {
         self.await_notice("READY=1");
     }
 
-    /// Waits until the service manager is told this.
+    /// Waits until the daemon sends this message to the service manager.
     #[track_caller]
     pub(crate) fn await_notice(&self, wanted: &str) {
         let is_there =
@@ -453,7 +454,7 @@ impl Watching {
         self.await_lines(1, what, is_it).remove(0)
     }
 
-    /// Waits for so many lines of the log, those before included.
+    /// Waits for this number of lines of the log, including earlier ones.
     #[track_caller]
     pub(crate) fn await_lines(&self, count: usize, what: &str, is_it: impl Fn(&Line) -> bool) -> Vec<Line> {
         let found = self.log.await_found(|state| {
@@ -465,13 +466,13 @@ impl Watching {
         })
     }
 
-    /// Waits until this frame is converted, and says how it went.
+    /// Waits until this frame is converted, and returns the line about it.
     #[track_caller]
     pub(crate) fn await_converted(&self, name: &str) -> Line {
         self.await_line(&format!("{name} is converted"), |line| line.is_converted() && line.is_about(name))
     }
 
-    /// Where the window of a daemon with one is, as `host:port`.
+    /// The address of the daemon's HTTP server, as `host:port`.
     #[track_caller]
     pub(crate) fn window_address(&self) -> String {
         let line = self.await_line("the window is open", |line| line.message == "the window is open");
@@ -479,8 +480,8 @@ impl Watching {
         address.trim_start_matches("http://").trim_end_matches('/').to_owned()
     }
 
-    /// Waits until the daemon has looked at this frame when it had so many bytes, and has decided to wait for a
-    /// reason with these words in it.
+    /// Waits until the daemon has examined this frame at this size, and has decided to wait for a reason that
+    /// contains these words.
     #[track_caller]
     pub(crate) fn await_waiting(&self, name: &str, byte_count: usize, why: &str) {
         self.await_line(&format!("{name} is waited for at {byte_count} bytes"), |line| {
@@ -489,7 +490,7 @@ impl Watching {
         });
     }
 
-    /// The lines of the log so far that are such.
+    /// The lines of the log so far that match.
     pub(crate) fn lines(&self, is_it: impl Fn(&Line) -> bool) -> Vec<Line> {
         self.log.lock().lines.iter().filter(|line| is_it(line)).cloned().collect()
     }
@@ -499,7 +500,7 @@ impl Watching {
         self.lines(|line| line.is_converted() && line.is_about(name)).len()
     }
 
-    /// Asserts that nothing was wrong so far.
+    /// Asserts that the log has no warning and no error so far.
     #[track_caller]
     pub(crate) fn assert_no_complaints(&self) {
         assert!(self.lines(Line::is_complaint).is_empty(), "{}", self.told());
@@ -518,14 +519,14 @@ impl Watching {
         self.child.try_wait().expect("a status").is_none()
     }
 
-    /// Kills it, and says what it had told.
+    /// Kills the daemon, and returns its log.
     pub(crate) fn kill(mut self) -> Vec<Line> {
         self.child.kill().expect("killed");
         self.end(patience());
         std::mem::take(&mut self.log.lock().lines)
     }
 
-    /// Asks it to end, and waits until it has; that must be in good order.
+    /// Asks the daemon to end, waits for it, and asserts that it succeeds.
     #[track_caller]
     pub(crate) fn finish(mut self) -> Vec<Line> {
         self.signal(Signal::TERM);
@@ -534,7 +535,7 @@ impl Watching {
         std::mem::take(&mut self.log.lock().lines)
     }
 
-    /// Waits until it ends by itself, or by a signal sent before.
+    /// Waits until the daemon ends, on its own or after a signal that the test sent.
     #[track_caller]
     pub(crate) fn await_end(&mut self) -> ExitStatus {
         let status = self.end(patience());
@@ -554,7 +555,7 @@ impl Watching {
 
 impl Drop for Watching {
     fn drop(&mut self) {
-        // It may have ended already.
+        // The process may have ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
         let _ = fs::remove_file(&self.socket_path);
@@ -569,7 +570,7 @@ fn drain(mut pipe: impl Read + Send + 'static) -> JoinHandle<String> {
     })
 }
 
-/// The status of a child that ends within this time.
+/// The status of a child process that ends within this time.
 fn ends(child: &mut Child, patience: Duration) -> Option<ExitStatus> {
     let start = Instant::now();
     loop {

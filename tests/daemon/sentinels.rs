@@ -1,18 +1,18 @@
-//! Files that say that another is complete.
+//! Sentinel files, which mark a frame as complete.
 
 use crate::scene::{Line, NO_SCANS, Scene, csv, moving, ply};
 
 const FORMATS: [&str; 2] = ["--format", "obj"];
 
-/// Those of the usual name need not be there, but then they are believed.
+/// The usual sentinel names are optional, but the daemon trusts a file that has one.
 #[test]
-fn a_usual_sentinel_saves_the_waiting() {
+fn usual_sentinel_ends_the_wait() {
     let scene = Scene::new();
     let daemon = scene.watch(&[&["--settle", "1h"], &NO_SCANS[..], &FORMATS].concat());
     scene.write("in/dam.1.ply", ply(&moving(1)));
     scene.write("in/dam.1.done", "");
     daemon.await_converted("dam.1.ply");
-    // A table cannot tell by itself that it is complete.
+    // The format of a table does not show whether the file is complete.
     scene.write("in/dam.2.csv", csv(&moving(2)));
     scene.write("in/dam.2.done", "");
     daemon.await_converted("dam.2.csv");
@@ -21,10 +21,10 @@ fn a_usual_sentinel_saves_the_waiting() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// Those that were asked for are waited for, also by a frame that was renamed into place, and also after
-/// it was written again.
+/// With `--sentinel`, the daemon waits for the file, also for a frame that was renamed into place, and also
+/// after the frame is written again.
 #[test]
-fn a_sentinel_that_was_asked_for_is_waited_for() {
+fn frame_waits_for_its_required_sentinel() {
     let scene = Scene::new();
     let arguments = [&["--settle", "50ms", "--sentinel", "{name}.ok"], &NO_SCANS[..], &FORMATS].concat();
     let daemon = scene.watch(&arguments);
@@ -33,7 +33,7 @@ fn a_sentinel_that_was_asked_for_is_waited_for() {
     scene.write("in/dam.1.done", "");
     scene.put_moving([3]);
     scene.write("in/dam.3.ply.ok", "");
-    // Its voxel size would be that of another first frame: it waits for that one, too.
+    // The daemon would measure the voxel size on another first frame, so this frame waits for that one, too.
     daemon.await_line("it is ready", |line| line.message.starts_with("ready") && line.is_about("dam.3.ply"));
     for number in [1, 2] {
         daemon.await_waiting(&format!("dam.{number}.ply"), ply(&moving(number)).len(), "sentinel");
@@ -46,7 +46,7 @@ fn a_sentinel_that_was_asked_for_is_waited_for() {
     scene.write("in/dam.2.ply.ok", "");
     daemon.await_converted("dam.2.ply");
 
-    // The one that is there is of an earlier version.
+    // The sentinel that exists belongs to an earlier version.
     scene.write("in/dam.2.ply", &ply(&moving(5))[..1000]);
     daemon.await_waiting("dam.2.ply", 1000, "sentinel");
     assert_eq!(daemon.converted_count("dam.2.ply"), 1);
@@ -58,12 +58,12 @@ fn a_sentinel_that_was_asked_for_is_waited_for() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// Frames without theirs are left, and whoever runs it once is told so.
+/// `--once` does not convert frames without their sentinel, and warns about them.
 #[test]
-fn frames_without_a_sentinel_are_left() {
+fn once_skips_frames_without_their_sentinel() {
     let scene = Scene::new();
     scene.put_moving(1..=2);
-    // Not even begun: its voxel size is that of the first frame, which is still to come.
+    // Not even started: the voxel size is that of the first frame, which is not complete.
     scene.write("in/dam.2.ply.ok", "");
     let arguments = [&["--settle", "10ms", "--sentinel", "{name}.ok"], &FORMATS[..]].concat();
     let once = scene.once(&arguments);

@@ -1,4 +1,4 @@
-//! One voxel size for a sequence, whatever the order in which its frames come or are converted.
+//! One voxel size for a sequence, whatever the order in which its frames arrive or are converted.
 
 use std::fs::{FileTimes, OpenOptions};
 use std::time::{Duration, SystemTime};
@@ -14,7 +14,8 @@ fn once(scene: &Scene, more: &[&str]) -> Once {
     once
 }
 
-/// Writes frames of a sequence, of which the first two have a spacing that rounds to 0.11, and later ones of 0.1.
+/// Writes a sequence whose first two frames have a spacing that rounds to 0.11, and the later ones a spacing
+/// of 0.1.
 fn put_shrinking(scene: &Scene, numbers: impl IntoIterator<Item = usize>) {
     for number in numbers {
         let spacing = if number <= 2 { 0.108 } else { 0.1 };
@@ -22,10 +23,10 @@ fn put_shrinking(scene: &Scene, numbers: impl IntoIterator<Item = usize>) {
     }
 }
 
-/// The first frames have another spacing than the others. One is gone when the daemon comes again, and
-/// still the voxel size holds.
+/// The first frames have another spacing than the others. One of them is removed before the daemon restarts,
+/// and the voxel size stays the same.
 #[test]
-fn the_voxel_size_outlives_its_frame_and_the_daemon() {
+fn voxel_size_stays_after_a_restart_without_its_frame() {
     let scene = Scene::new();
     put_shrinking(&scene, 1..=4);
     let ran = scene.run(&[&["convert", "in", "--out", "all"], &FORMATS[..]].concat());
@@ -36,7 +37,7 @@ fn the_voxel_size_outlives_its_frame_and_the_daemon() {
     }
     once(&scene, &[]);
     scene.remove("in/dam.1.ply");
-    // While nobody watches, and while somebody does.
+    // Frames arrive while no daemon runs, and while one does.
     put_shrinking(&scene, [3]);
     let daemon = scene.watch(&[&QUICK[..], &FORMATS, &NO_SCANS].concat());
     daemon.await_converted("dam.3.ply");
@@ -46,9 +47,9 @@ fn the_voxel_size_outlives_its_frame_and_the_daemon() {
     assert!(contents(&scene.path("out")) == expected);
 }
 
-/// A frame before all others by name, but still being written, decides the voxel size: the others wait.
+/// A frame that sorts before all others, but is still being written, decides the voxel size: the others wait.
 #[test]
-fn the_first_frame_is_waited_for() {
+fn frames_wait_for_the_first_one() {
     let scene = Scene::new();
     let daemon = scene.watch(&[&QUICK[..], &FORMATS, &NO_SCANS].concat());
     // With the first and the last frame the spacing rounds to 0.11, without the first to 0.1.
@@ -57,7 +58,7 @@ fn the_first_frame_is_waited_for() {
     scene.write("in/dam.1.ply", &first[..1000]);
     scene.put("in/dam.2.ply", frame(0.1, 2));
     scene.put("in/dam.3.ply", frame(0.108, 3));
-    // Another sequence has nothing to do with it; when it is done, the others had their time.
+    // Another sequence is independent. When it is done, the waiting frames would have had enough time, too.
     scene.put("in/drop.1.ply", ply(&block(5, 0.1, 0.0)));
     daemon.await_converted("drop.1.ply");
     assert_eq!(daemon.lines(Line::is_converted).len(), 1, "{}", daemon.told());
@@ -68,9 +69,9 @@ fn the_first_frame_is_waited_for() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// A frame of one particle has no spacing: it waits for one that has.
+/// A frame of one particle has no spacing. It waits for a frame with more particles.
 #[test]
-fn frames_of_one_particle_wait_for_one_with_more() {
+fn single_particle_frames_wait_for_one_with_a_spacing() {
     let scene = Scene::new();
     let daemon = scene.watch(&[&QUICK[..], &FORMATS, &NO_SCANS].concat());
     for number in 1..=2 {
@@ -83,7 +84,7 @@ fn frames_of_one_particle_wait_for_one_with_more() {
     assert!(complaints.len() <= 1 && complaints.iter().all(is_told), "{}", daemon.told());
     daemon.finish();
     scene.assert_as_converted(&FORMATS);
-    // Where none tells, all fail, and why is told once for each.
+    // If no frame gives a spacing, all fail, and each failure is logged once.
     let scene = Scene::new();
     scene.put("in/dam.1.ply", ply(&block(1, 0.1, 0.0)));
     let none = scene.once(&[&QUICK[..], &FORMATS].concat());
@@ -93,7 +94,7 @@ fn frames_of_one_particle_wait_for_one_with_more() {
 
 /// The outputs do not depend on which frame is converted first.
 #[test]
-fn the_latest_first_gives_the_same() {
+fn newest_first_gives_the_same_outputs() {
     let scene = Scene::new();
     scene.put_moving(1..=12);
     for number in 1..=12 {
@@ -102,13 +103,13 @@ fn the_latest_first_gives_the_same() {
         let file = OpenOptions::new().write(true).open(path).expect("opened");
         file.set_times(FileTimes::new().set_modified(written)).expect("changed");
     }
-    // None of them settles any more when the daemon starts.
+    // All frames are old enough not to wait when the daemon starts.
     let once =
         scene.once(&[&["--settle", "1ms", "--order", "latest", "--in-flight", "1"], &FORMATS[..]].concat());
     once.assert_status(0);
     let converted = once.converted_in_order();
     scene.assert_as_converted(&FORMATS);
-    // One or two may have been begun before the others were there to choose from.
+    // One or two frames may have been started before the others arrived.
     let place = |number: usize| {
         let name = format!("dam.{number}.ply");
         converted.iter().position(|other| *other == name).expect("converted")
@@ -117,9 +118,9 @@ fn the_latest_first_gives_the_same() {
     assert!(latest_first_count >= 7, "{converted:?}");
 }
 
-/// Other choices are another sequence; choosing as before gives what was before.
+/// Other settings make another sequence. With the first settings again, the outputs are the first ones.
 #[test]
-fn other_settings_convert_again() {
+fn other_settings_convert_all_frames_again() {
     let scene = Scene::new();
     scene.put_moving(1..=2);
     once(&scene, &[]);
@@ -129,6 +130,6 @@ fn other_settings_convert_again() {
     scene.assert_as_converted(&[&FORMATS[..], &["--laplacian-steps", "3"]].concat());
     assert_eq!(once(&scene, &[]).converted().len(), 2);
     assert!(contents(&scene.path("out")) == before);
-    // The same by another way: nothing to do.
+    // These options do not affect the outputs: nothing to do.
     assert!(once(&scene, &["--threads", "1", "--order", "latest"]).converted().is_empty());
 }

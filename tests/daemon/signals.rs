@@ -1,4 +1,4 @@
-//! Asked to end, to hurry, or to read its file again.
+//! Signals: end, end at once, and reload the configuration.
 
 use std::time::{Duration, Instant};
 
@@ -13,16 +13,18 @@ const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 const ENDLESS: [&str; 8] =
     ["--integrator", "explicit", "--steps", "1000000", "--preset", "paper", "--voxel-size", "0.03"];
 
-/// What is under way when it is asked to end is finished, and nothing else is begun; the rest comes next
-/// time.
+/// When the daemon is asked to end, it finishes the frames in flight and starts no others. The next run
+/// converts the rest.
 #[test]
-fn frames_under_way_are_finished() {
-    // On a busy machine all may be converted before this test hears of the first: then with more of them.
+fn frames_in_flight_are_finished_after_a_signal() {
+    // On a busy machine all frames may be converted before this test sees the first one: then it repeats with
+    // more of them.
     let is_tested = [60, 240, 960].into_iter().any(finishes_frames_under_way);
     assert!(is_tested, "all frames were converted before it was asked to end");
 }
 
-/// Asks the daemon to end while it converts so many frames; false if it had converted all of them by then.
+/// Asks the daemon to end while it converts this number of frames; false if it had already converted all of
+/// them.
 fn finishes_frames_under_way(frame_count: usize) -> bool {
     let scene = Scene::new();
     scene.put_moving(1..=frame_count);
@@ -36,7 +38,7 @@ fn finishes_frames_under_way(frame_count: usize) -> bool {
     }
     assert!(first.len() >= 2, "{first:?}");
     scene.assert_no_temporaries();
-    // All outputs of a frame, or none.
+    // Each frame has all of its outputs or none.
     assert_eq!(contents(&scene.path("out")).len(), 2 * first.len());
     let next = scene.once(&arguments);
     next.assert_status(0);
@@ -53,16 +55,16 @@ fn name(line: &Line) -> String {
     line.frame.as_ref().and_then(|path| path.file_name()).expect("a frame").to_string_lossy().into_owned()
 }
 
-/// Waits until the one frame of a daemon with a window is in the pipeline.
+/// Waits until the only frame of a daemon with an HTTP server is in the pipeline.
 fn await_under_way(daemon: &Watching) {
     let address = daemon.window_address();
-    crate::scene::await_that("the frame is under way", || {
+    crate::scene::await_that("the frame is in flight", || {
         get(&address, "/api/status").json()["frames"]["working"] == 1
     });
 }
 
 #[test]
-fn a_second_signal_ends_at_once() {
+fn second_signal_ends_the_daemon_at_once() {
     let scene = Scene::new();
     for (first, second, status) in [(Signal::TERM, Signal::TERM, 143), (Signal::TERM, Signal::INT, 130)] {
         scene.put_moving([1]);
@@ -72,20 +74,21 @@ fn a_second_signal_ends_at_once() {
         daemon.await_line("it is winding up", |line| line.message.contains("asked to end"));
         assert!(daemon.is_alive());
         daemon.signal(second);
-        // The frame would take minutes: it is not finished.
+        // The frame would take minutes, so it is not finished.
         assert_eq!(daemon.await_end().code(), Some(status), "{}", daemon.told());
         assert!(contents(&scene.path("out")).is_empty());
     }
-    // What was broken off is begun again.
+    // The next run starts the aborted frame again.
     scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat()).assert_status(0);
     scene.assert_no_temporaries();
     scene.assert_as_converted(&FORMATS);
 }
 
-/// A frame that takes minutes is given up when the deadline has passed. The log says so: time is measured only to see that
-/// the daemon does not end sooner. [`Watching::await_end`] fails where it does not end at all.
+/// After the deadline the daemon gives up a frame that takes minutes. The log says so; the test measures time
+/// only to check that the daemon does not end earlier. [`Watching::await_end`] fails if the daemon does not
+/// end at all.
 #[test]
-fn the_deadline_for_ending_holds() {
+fn frame_beyond_the_deadline_is_given_up() {
     let scene = Scene::new();
     scene.put_moving([1]);
     let arguments =
@@ -106,9 +109,10 @@ fn the_deadline_for_ending_holds() {
     scene.assert_no_temporaries();
 }
 
-/// Asked to end while it waits: for nothing, for a frame to be complete, for a folder that is not there.
+/// Asks the daemon to end while it waits: for new files, for a frame to be complete, and for a missing
+/// folder.
 #[test]
-fn waiting_ends_when_asked() {
+fn waiting_daemon_ends_on_a_signal() {
     let scene = Scene::new();
     scene.watch(&NO_SCANS).finish();
     scene.write("in/dam.1.ply", &ply(&moving(1))[..1000]);
@@ -118,9 +122,9 @@ fn waiting_ends_when_asked() {
     daemon.finish();
 }
 
-/// Everything `watch --once` may end with is what `convert` ends with.
+/// `watch --once` ends with the exit statuses of `convert`.
 #[test]
-fn the_exit_status_is_that_of_convert() {
+fn once_exits_with_the_status_of_convert() {
     let corrupt = "ply\nformat nonsense 1.0\n";
     let scenes: [(&str, &[&str], i32); 4] = [
         ("all good", &["good", "good"], 0),
@@ -163,7 +167,7 @@ fn config(pattern: &str, formats: &str) -> String {
 }
 
 #[test]
-fn its_file_is_read_again_when_asked() {
+fn configuration_is_reloaded_on_a_signal() {
     let scene = Scene::new();
     scene.write(CONFIG, config("dam.*.ply", "obj"));
     let daemon = scene.start_as(&["watch", "--config", CONFIG]);
@@ -173,7 +177,7 @@ fn its_file_is_read_again_when_asked() {
     daemon.await_converted("dam.1.ply");
     assert_eq!(names_in(&scene.path("out")), [".meniscus", "dam.1.obj"]);
 
-    // Wrong: it says so, and goes on as before.
+    // The file is invalid: the daemon logs the error, and continues with the earlier settings.
     for (wrong, named) in [
         (config("dam.*.ply", "obj").replace("pattern", "patern"), "pattern"),
         (config("dam.*.ply", "nothing"), "nothing"),
@@ -182,7 +186,7 @@ fn its_file_is_read_again_when_asked() {
         scene.write(CONFIG, wrong);
         let count = daemon.lines(|line| line.level == "ERROR").len();
         daemon.signal(Signal::HUP);
-        let told = daemon.await_lines(count + 1, "what is wrong is told", |line| line.level == "ERROR");
+        let told = daemon.await_lines(count + 1, "the error is logged", |line| line.level == "ERROR");
         assert!(told[count].message.contains(named), "{}", told[count].message);
     }
     scene.put_moving([2]);
@@ -195,7 +199,7 @@ fn its_file_is_read_again_when_asked() {
     scene.put("in/drop.2.ply", ply(&block(6, 0.1, 0.2)));
     daemon.await_converted("drop.2.ply");
     scene.put_moving([3]);
-    // What was no frame before may be one now, and one that is done may have other outputs.
+    // With the new configuration, other files are frames, and a frame that was done has other outputs.
     scene.write(CONFIG, config("d*.ply", "ply"));
     daemon.signal(Signal::HUP);
     daemon.await_converted("dam.3.ply");

@@ -1,4 +1,4 @@
-//! Files with several frames: a dump to which a simulation appends.
+//! Files with several frames: dumps to which a simulation appends steps.
 
 use std::fmt::Write as _;
 use std::fs::OpenOptions;
@@ -30,7 +30,7 @@ fn append(scene: &Scene, text: &str) {
 }
 
 #[test]
-fn steps_are_converted_as_they_are_appended() {
+fn appended_steps_are_converted() {
     let scene = Scene::new();
     scene.write("in/d.dump", steps([1, 2]));
     let daemon = scene.watch(&[&NO_SCANS[..], &ARGUMENTS].concat());
@@ -40,7 +40,7 @@ fn steps_are_converted_as_they_are_appended() {
     daemon.await_converted("d.dump/step=30");
     // The last of the others might have been cut off, and is found done; the first is not even read.
     daemon.await_line("step=2 is found done", |line| line.is_found_done() && line.is_about("d.dump/step=2"));
-    // A step that is cut off fails, and is converted when the rest of it is there.
+    // A truncated step fails, and is converted when the rest of it arrives.
     let cut = steps([40]);
     let (start, rest) = cut.split_at(cut.len() / 2);
     append(&scene, start);
@@ -58,7 +58,7 @@ fn steps_are_converted_as_they_are_appended() {
     assert_eq!(once.converted(), [""; 0]);
     let once = scene.once(&ARGUMENTS);
     assert_eq!((once.converted(), once.found_done()), (vec![], vec![]));
-    // What is gone of the outputs is made again.
+    // Removed outputs are made again.
     scene.remove("out/d.30.obj");
     let once = scene.once(&ARGUMENTS);
     assert_eq!(once.converted(), ["step=30"]);
@@ -82,7 +82,7 @@ fn steps_are_converted_as_they_are_appended() {
 }
 
 #[test]
-fn steps_that_failed_are_known_to_status() {
+fn status_lists_failed_steps() {
     let scene = Scene::new();
     let bad = steps([2]).replacen('.', "?", 1);
     let line = steps([1]).lines().count() + 6;
@@ -100,11 +100,11 @@ fn steps_that_failed_are_known_to_status() {
     let json = scene.run(&["status", "--out", "out", "--json"]);
     let json: serde_json::Value = serde_json::from_str(&json.out).expect("JSON");
     assert_eq!((&json["counts"]["failed"], &json["counts"]["retrying"]), (&2.into(), &0.into()));
-    // What is not in the file any more will not be converted.
+    // A step that is no longer in the file will not be converted.
     scene.put("in/d.dump", steps([1, 3]));
     let status = scene.run(&["status", "--out", "out"]);
     assert!(status.out.contains("2 done, 0 queued, 0 to retry, 0 failed"), "{}", status.out);
-    // Nor what is not in a larger one, whether that was looked at since or not.
+    // Nor one that is no longer in a larger file, whether or not the daemon has examined it since.
     let bad = steps([9]).replacen('.', "?", 1);
     scene.put("in/d.dump", [&steps([1]), &*bad].concat());
     scene.once(&ARGUMENTS).assert_status(1);
@@ -119,9 +119,9 @@ fn steps_that_failed_are_known_to_status() {
     is_done("3 done, 0 queued, 0 to retry, 0 failed");
 }
 
-/// A file of one step is a frame by its own name.
+/// A file of one step is a frame with the name of the file.
 #[test]
-fn a_failed_step_that_is_alone_now_is_the_file() {
+fn failed_step_becomes_the_file_when_it_is_the_only_one() {
     let scene = Scene::new();
     scene.write("in/d.dump", [steps([1]), steps([9]).replacen('.', "?", 1)].concat());
     scene.once(&ARGUMENTS).assert_status(1);
@@ -134,15 +134,16 @@ fn a_failed_step_that_is_alone_now_is_the_file() {
     assert!(why.out.contains("It is not converted because there is no such frame"), "{}{}", why.out, why.err);
 }
 
-/// Whether it is whole cannot be known: it is told, and converted anew when the file goes on.
+/// The daemon cannot know whether the last step is complete: it logs this, and converts the step again when
+/// the file grows.
 #[test]
-fn a_step_without_its_line_end_is_converted_and_told_and_then_anew() {
+fn step_without_a_final_newline_is_converted_with_a_message_and_again_when_the_file_grows() {
     let scene = Scene::new();
     let text = steps([1, 2]);
     let (start, rest) = text.split_at(text.len() - 3);
     scene.write("in/d.dump", start);
     let daemon = scene.watch(&[&NO_SCANS[..], &ARGUMENTS].concat());
-    daemon.await_line("it is told", |line| {
+    daemon.await_line("it is logged", |line| {
         line.is_about("d.dump/step=2") && line.fields.to_string().contains("without a line end")
     });
     daemon.await_converted("d.dump/step=2");
@@ -154,7 +155,7 @@ fn a_step_without_its_line_end_is_converted_and_told_and_then_anew() {
 }
 
 #[test]
-fn a_dump_that_is_written_anew_has_other_steps() {
+fn rewritten_dump_replaces_its_steps() {
     let scene = Scene::new();
     scene.write("in/d.dump", steps([1, 2, 3]));
     let daemon = scene.watch(&[&NO_SCANS[..], &ARGUMENTS].concat());
@@ -162,12 +163,12 @@ fn a_dump_that_is_written_anew_has_other_steps() {
     scene.put("in/d.dump", steps([2, 7]));
     daemon.await_converted("d.dump/step=7");
     daemon.await_line("the other is found done", Line::is_found_done);
-    // A dump of one step is a frame by its own name.
+    // A dump of one step is a frame with the name of the file.
     scene.put("in/d.dump", steps([9]));
     daemon.await_converted("d.dump");
-    await_that("its output is there", || names_in(&scene.path("out")).contains(&"d.obj".to_owned()));
+    await_that("its output exists", || names_in(&scene.path("out")).contains(&"d.obj".to_owned()));
     daemon.assert_no_complaints();
-    assert_eq!(done_count(&daemon.finish()), 1, "the steps are no frames any more");
+    assert_eq!(done_count(&daemon.finish()), 1, "the steps are not frames any more");
 }
 
 /// How many frames were done when the daemon ended.
@@ -177,12 +178,12 @@ fn done_count(log: &[Line]) -> u64 {
 }
 
 #[test]
-fn a_dump_that_is_none_any_more_has_no_steps() {
+fn dump_overwritten_with_another_format_has_no_steps() {
     let scene = Scene::new();
     scene.write("in/d.dump", steps([1, 2]));
     let daemon = scene.watch(&[&NO_SCANS[..], &ARGUMENTS].concat());
     daemon.await_lines(2, "all are converted", Line::is_converted);
-    // One of our own outputs is no frame, whatever it is called.
+    // The daemon's own output is not a frame, whatever its name.
     scene.put("in/d.dump", scene.bytes("out/d.2.obj"));
     scene.put("in/e.ply", ply(&moving(3)));
     daemon.await_converted("e.ply");
@@ -190,7 +191,7 @@ fn a_dump_that_is_none_any_more_has_no_steps() {
 }
 
 #[test]
-fn steps_that_are_queued_wait_for_what_is_appended() {
+fn queued_steps_are_converted_with_appended_ones() {
     let scene = Scene::new();
     scene.write("in/d.dump", steps(0..12));
     let daemon = scene.watch(&[&NO_SCANS[..], &ARGUMENTS].concat());

@@ -1,4 +1,4 @@
-//! What the commands tell of a running and of a stopped daemon.
+//! The output of `status` and `why`, and the log, for running and stopped daemons.
 
 use serde_json::Value;
 
@@ -17,7 +17,7 @@ fn why(scene: &Scene, within: &str) -> String {
     ran.out
 }
 
-/// Two good frames, one that is corrupt, and one that is never finished.
+/// Two good frames, one that is corrupt, and one that stays incomplete.
 fn scene() -> (Scene, Watching) {
     let scene = Scene::new();
     scene.put_moving(1..=2);
@@ -30,7 +30,7 @@ fn scene() -> (Scene, Watching) {
 }
 
 #[test]
-fn status_tells_of_running_and_of_stopped_daemons() {
+fn status_describes_running_and_stopped_daemons() {
     let (scene, daemon) = scene();
     let running = status(&scene);
     assert_eq!(running["daemon"]["running"], true, "{running}");
@@ -62,10 +62,10 @@ fn status_tells_of_running_and_of_stopped_daemons() {
     assert_eq!(stopped["daemon"]["running"], false, "{stopped}");
     assert_eq!(stopped["counts"], running["counts"]);
     assert_eq!(stopped["failed"], running["failed"]);
-    assert_eq!(stopped["waiting"], serde_json::json!([]), "nobody waits");
-    // Killed, it cannot say that it ends; and still nobody takes it for running.
+    assert_eq!(stopped["waiting"], serde_json::json!([]), "no frame waits");
+    // A killed daemon cannot record that it ends. The commands still do not report it as running.
     let daemon = scene.watch(&FORMATS);
-    await_that("it is told", || status(&scene)["daemon"]["running"] == true);
+    await_that("it is running", || status(&scene)["daemon"]["running"] == true);
     daemon.kill();
     assert_eq!(status(&scene)["daemon"]["running"], false);
     let nothing = scene.run(&["status", "--out", "elsewhere"]);
@@ -73,7 +73,7 @@ fn status_tells_of_running_and_of_stopped_daemons() {
 }
 
 #[test]
-fn why_tells_of_each_frame() {
+fn why_explains_each_frame() {
     let (scene, daemon) = scene();
     let check = || {
         assert!(why(&scene, "in/dam.1.ply").contains("it is done"), "{}", why(&scene, "in/dam.1.ply"));
@@ -85,14 +85,14 @@ fn why_tells_of_each_frame() {
     check();
     daemon.finish();
     check();
-    // Changes that came while nobody watches.
+    // Changes that happen while no daemon runs.
     scene.put("in/dam.1.ply", ply(&moving(8)[..200]));
     await_that("it was left alone", || why(&scene, "in/dam.1.ply").contains("written again"));
     scene.remove("out/dam.2.obj");
     assert!(why(&scene, "in/dam.2.ply").contains("dam.2.obj"), "{}", why(&scene, "in/dam.2.ply"));
     scene.put_moving([5]);
     await_that("it is new", || why(&scene, "in/dam.5.ply").contains("it is new"));
-    // What is no frame, or is not there, is told so as well.
+    // `why` also explains files that are not frames, and missing files.
     for absent in ["in/dam.9.ply", "in"] {
         let ran = scene.run(&["why", absent, "--out", "out"]);
         assert!(!ran.out.contains("it is done"), "{}", ran.out);
@@ -100,15 +100,15 @@ fn why_tells_of_each_frame() {
     }
 }
 
-/// Other programs read it: line by line, each an object, and one for each frame.
+/// Other programs read the log: every line is a JSON object, and every frame has one.
 #[test]
-fn what_is_odd_about_a_frame_is_in_the_log() {
+fn log_has_the_warnings_about_a_frame() {
     let scene = Scene::new();
     let mut particles = moving(1);
     particles[0] = [f32::NAN; 3];
     scene.write("in/dam.1.ply", ply(&particles));
     let daemon = scene.watch(&FORMATS);
-    daemon.await_line("what was left out is told", |line| {
+    daemon.await_line("the omission is logged", |line| {
         line.level == "WARN" && line.is_about("dam.1.ply") && line.message.starts_with("1 particle left out")
     });
     daemon.await_converted("dam.1.ply");
@@ -122,7 +122,7 @@ fn what_is_odd_about_a_frame_is_in_the_log() {
 }
 
 #[test]
-fn the_log_tells_of_every_frame() {
+fn log_has_a_line_for_every_frame() {
     let (_scene, daemon) = scene();
     let line = daemon.await_converted("dam.1.ply");
     assert_eq!(line.fields["particles"], 216);

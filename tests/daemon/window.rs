@@ -1,4 +1,4 @@
-//! The window, by plain sockets: what is shown, to whom, and that nobody who looks does any harm.
+//! The HTTP server, tested by plain sockets: contents, access, and misbehaving clients.
 
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -12,7 +12,7 @@ use serde_json::Value;
 
 use super::scene::{Scene, WINDOW, Watching, await_that, moving, patience, ply};
 
-/// An answer: its status, its headers in small letters, and its content.
+/// A response: its status, its headers in lower case, and its body.
 pub(crate) struct Answer {
     status: u16,
     headers: String,
@@ -30,7 +30,7 @@ impl Answer {
     }
 }
 
-/// Starts the daemon with a window at a port that is free; where that is.
+/// Starts the daemon with an HTTP server at a free port, and returns its address.
 fn watch(scene: &Scene, arguments: &[&str]) -> (Watching, String) {
     let watching = scene.watch(&[&WINDOW[..], arguments].concat());
     let address = watching.window_address();
@@ -43,13 +43,13 @@ fn connect(address: &str) -> TcpStream {
     stream
 }
 
-/// Sends these bytes; what comes until the other side ends it.
+/// Sends these bytes, and reads the response until the server closes the connection.
 fn exchange(address: &str, bytes: &[u8]) -> Answer {
     let mut stream = connect(address);
-    // A side that has refused already does not listen to the rest.
+    // A server that has refused the request already does not read the rest.
     let _ = stream.write_all(bytes);
     let mut all = Vec::new();
-    // It may end it by a reset where it was sent more than it read.
+    // The server may reset the connection if the client sent more than the server read.
     let _ = stream.read_to_end(&mut all);
     let end = all.windows(4).position(|four| four == b"\r\n\r\n").unwrap_or(all.len());
     let headers = String::from_utf8_lossy(&all[..end]).to_lowercase();
@@ -57,7 +57,7 @@ fn exchange(address: &str, bytes: &[u8]) -> Answer {
     Answer { status, headers, content: all.get(end + 4..).unwrap_or_default().to_vec() }
 }
 
-/// Asks for a path, with these lines beside those that must be.
+/// Requests a path, with these header lines in addition to the required ones.
 fn ask(address: &str, path: &str, lines: &str) -> Answer {
     let request = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n{lines}\r\n");
     exchange(address, request.as_bytes())
@@ -67,7 +67,7 @@ pub(crate) fn get(address: &str, path: &str) -> Answer {
     ask(address, path, "")
 }
 
-/// Follows the changes.
+/// A subscription to the event stream.
 struct Following(BufReader<TcpStream>);
 
 impl Following {
@@ -77,20 +77,20 @@ impl Following {
         Following(BufReader::new(stream))
     }
 
-    /// Follows from now on: what happens after this call is not missed.
+    /// Subscribes, and returns when the subscription is active: it receives every later event.
     fn from_now(address: &str) -> Following {
         let mut following = Following::new(address, "");
         assert_eq!(following.next().1, "hello");
         following
     }
 
-    /// The next event: its id, kind and data.
+    /// The next event: its id, type and data.
     fn next(&mut self) -> (String, String, Value) {
         let (mut id, mut kind) = (String::new(), String::new());
         let start = Instant::now();
         loop {
             let mut line = String::new();
-            // While nothing happens comments keep the connection alive.
+            // Comments keep the connection alive while there are no events.
             assert!(start.elapsed() < patience(), "no event within {:?}", patience());
             assert!(self.0.read_line(&mut line).expect("a line") > 0, "the events have ended");
             let field = |name: &str| line.strip_prefix(name).map(|value| value.trim().to_owned());
@@ -102,7 +102,7 @@ impl Following {
         }
     }
 
-    /// Reads until so many frames were told to be in this state; the id of the last event.
+    /// Reads until this number of frames has reached this state; returns the id of the last event.
     fn await_state(&mut self, state: &str, count: usize) -> String {
         let mut names = std::collections::BTreeSet::new();
         loop {
@@ -182,7 +182,7 @@ fn figures_of_finished_frames_survive_a_restart_and_a_touch() {
 }
 
 #[test]
-fn a_frame_that_failed_says_why() {
+fn failed_frame_has_its_error() {
     let scene = Scene::new();
     let (_watching, address) = watch(&scene, &[]);
     let mut following = Following::from_now(&address);
@@ -195,7 +195,7 @@ fn a_frame_that_failed_says_why() {
 }
 
 #[test]
-fn what_was_done_before_is_shown_and_what_is_gone_is_not() {
+fn frames_of_earlier_runs_are_shown_unless_removed() {
     let scene = Scene::new();
     scene.put_moving(1..=2);
     scene.once(&[]).assert_status(0);
@@ -209,7 +209,7 @@ fn what_was_done_before_is_shown_and_what_is_gone_is_not() {
 }
 
 #[test]
-fn who_lost_the_connection_goes_on_from_there() {
+fn client_that_reconnects_receives_the_events_it_missed() {
     let scene = Scene::new();
     let (_watching, address) = watch(&scene, &[]);
     scene.put_moving([1]);
@@ -225,7 +225,7 @@ fn who_lost_the_connection_goes_on_from_there() {
 }
 
 #[test]
-fn only_outputs_are_served_and_by_their_names() {
+fn only_outputs_are_served_by_their_names() {
     let scene = Scene::new();
     scene.put_moving([1]);
     scene.write("secret", "the secret");
@@ -263,11 +263,11 @@ fn only_outputs_are_served_and_by_their_names() {
         assert!(matches!(get(&address, &format!("/api/frames/{name}x")).status, 400 | 404), "{name}");
     }
     assert_eq!(get(&address, "/../secret").status, 404);
-    // A link in the place of an output leads to what is not ours to show.
+    // A link at the path of an output leads to a file that the server must not show.
     scene.remove("out/dam.1.glb");
     std::os::unix::fs::symlink(scene.path("secret"), scene.path("out/dam.1.glb")).expect("a link");
     assert_eq!(get(&address, "/files/dam.1.glb").status, 404);
-    // Nobody writes into this pipe: whoever opened it would wait.
+    // No process writes into this pipe: opening it would block.
     scene.remove("out/dam.1.glb");
     rustix::fs::mkfifoat(rustix::fs::CWD, scene.path("out/dam.1.glb"), rustix::fs::Mode::RUSR)
         .expect("a pipe");
@@ -275,7 +275,7 @@ fn only_outputs_are_served_and_by_their_names() {
 }
 
 #[test]
-fn parts_of_files_and_files_that_are_known() {
+fn range_and_conditional_requests_are_answered() {
     let scene = Scene::new();
     scene.put_moving([1]);
     let (watching, address) = watch(&scene, &[]);
@@ -297,7 +297,7 @@ fn parts_of_files_and_files_that_are_known() {
 }
 
 #[test]
-fn every_answer_forbids_what_it_should() {
+fn every_response_has_the_security_headers() {
     let scene = Scene::new();
     let (_watching, address) = watch(&scene, &[]);
     for path in ["/", "/page.js", "/api/frames", "/metrics", "/files/none", "/none"] {
@@ -333,7 +333,7 @@ fn other_hosts_and_other_methods_are_refused() {
 }
 
 #[test]
-fn what_is_too_large_or_no_request_is_refused() {
+fn oversized_and_malformed_requests_are_refused() {
     let scene = Scene::new();
     let (_watching, address) = watch(&scene, &[]);
     let long = "x".repeat(40 << 10);
@@ -356,7 +356,7 @@ fn what_is_too_large_or_no_request_is_refused() {
 }
 
 #[test]
-fn requests_that_never_end_hold_up_nobody_and_are_ended() {
+fn unfinished_requests_time_out_and_do_not_block_others() {
     let scene = Scene::new();
     let (watching, address) = watch(&scene, &[]);
     let slow: Vec<TcpStream> = (0..50)
@@ -377,7 +377,7 @@ fn requests_that_never_end_hold_up_nobody_and_are_ended() {
 }
 
 #[test]
-fn requests_that_come_letter_by_letter_hold_up_nobody() {
+fn slow_requests_do_not_block_others() {
     let scene = Scene::new();
     let (watching, address) = watch(&scene, &[]);
     let mut dribbling: Vec<TcpStream> = (0..300).map(|_| connect(&address)).collect();
@@ -387,7 +387,7 @@ fn requests_that_come_letter_by_letter_hold_up_nobody() {
             let mut letters = b"GET / HTTP/1.1\r\nHost: localhost\r\nX: ".iter().chain([b'x'; 4096].iter());
             while let Some(letter) = letters.next().filter(|_| !done.load(Ordering::Relaxed)) {
                 for stream in &mut dribbling {
-                    // Some have been cut off by now.
+                    // By now the server has disconnected some of them.
                     let _ = stream.write_all(&[*letter]);
                 }
                 thread::sleep(Duration::from_millis(20));
@@ -406,7 +406,7 @@ fn requests_that_come_letter_by_letter_hold_up_nobody() {
 }
 
 #[test]
-fn other_protocols_and_requests_within_requests_get_nothing() {
+fn other_protocols_and_smuggled_requests_are_refused() {
     let scene = Scene::new();
     scene.write("secret", "the secret");
     let (watching, address) = watch(&scene, &[]);
@@ -416,7 +416,7 @@ fn other_protocols_and_requests_within_requests_get_nothing() {
     let upgrade = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\
                    Sec-WebSocket-Version: 13\r\n";
     let answered = exchange(&address, format!("GET /api/nothing HTTP/1.1\r\n{host}{upgrade}\r\n").as_bytes());
-    assert_eq!(answered.status, 404, "an upgrade is no reason to");
+    assert_eq!(answered.status, 404, "an upgrade does not change that");
     for (what, request) in [
         ("HTTP/2", "PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0".to_owned()),
         (
@@ -445,7 +445,7 @@ fn other_protocols_and_requests_within_requests_get_nothing() {
         let answer = exchange(&address, request.as_bytes());
         assert!(!(200..400).contains(&answer.status), "{what}: {}", answer.headers);
         let text = answer.text();
-        // What comes behind a request that was refused is not taken for another one.
+        // The server does not take the bytes after a refused request for another request.
         assert!(!text.contains("HTTP/1.1 200") && !text.contains("sequences"), "{what}: {text}");
     }
     for number in 1..=2 {
@@ -457,7 +457,7 @@ fn other_protocols_and_requests_within_requests_get_nothing() {
 }
 
 #[test]
-fn who_never_reads_an_answer_holds_up_nobody() {
+fn clients_that_never_read_do_not_block_others() {
     let scene = Scene::new();
     scene.put_moving([1]);
     let (watching, address) = watch(&scene, &[]);
@@ -468,7 +468,7 @@ fn who_never_reads_an_answer_holds_up_nobody() {
             let mut stream = connect(&address);
             let path = ["/files/dam.1.glb", "/events?after=0-0", "/vendor/three.core.min.js"][number % 3];
             let request = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\n\r\n");
-            // One after the other, so that what systems keep for the slow is soon full.
+            // One after the other, so that the socket buffers for slow clients are soon full.
             stream.write_all(request.repeat(20).as_bytes()).expect("sent");
             stream
         })
@@ -484,11 +484,12 @@ fn who_never_reads_an_answer_holds_up_nobody() {
 }
 
 #[test]
-fn idle_connections_beyond_the_limit_starve_nobody() {
+fn idle_connections_beyond_the_limit_do_not_block_others() {
     let scene = Scene::new();
     let (watching, address) = watch(&scene, &[]);
     let mut following: Vec<Following> = (0..200).map(|_| Following::from_now(&address)).collect();
-    // Half of them say nothing, the others half a request; all but 312 are closed for those that follow.
+    // Half of them send nothing, the others half a request. The server closes all but 312 of them to serve
+    // others.
     let idle: Vec<TcpStream> = (0..800)
         .map(|number| {
             let mut stream = connect(&address);
@@ -498,11 +499,11 @@ fn idle_connections_beyond_the_limit_starve_nobody() {
             stream
         })
         .collect();
-    // That they need not end by themselves for this is tested beside the limits.
+    // The unit tests of the limits check that this does not depend on idle clients that disconnect.
     for path in ["/healthz", "/readyz", "/api/frames"] {
         assert_eq!(get(&address, path).status, 200, "{path}");
     }
-    // Those with an answer under way are still served.
+    // Connections with a response in progress are still served.
     scene.put_moving(1..=2);
     for follower in &mut following {
         follower.await_state("done", 2);
@@ -512,7 +513,7 @@ fn idle_connections_beyond_the_limit_starve_nobody() {
 }
 
 #[test]
-fn fifty_follow_and_some_of_them_never_listen() {
+fn fifty_subscribers_receive_all_events_beside_twenty_that_never_read() {
     let scene = Scene::new();
     let (watching, address) = watch(&scene, &[]);
     let deaf: Vec<Following> = (0..20).map(|_| Following::new(&address, "")).collect();
@@ -532,7 +533,7 @@ fn fifty_follow_and_some_of_them_never_listen() {
 }
 
 #[test]
-fn a_token_is_demanded_where_there_is_one() {
+fn requests_without_the_token_are_refused() {
     let scene = Scene::new();
     scene.write("token", "0123456789abcdef\n");
     let (_watching, address) = watch(&scene, &["--token-file", "token"]);
@@ -553,7 +554,7 @@ fn a_token_is_demanded_where_there_is_one() {
 }
 
 #[test]
-fn where_it_cannot_listen_it_says_so() {
+fn address_in_use_is_an_error() {
     let scene = Scene::new();
     let (_watching, address) = watch(&scene, &[]);
     let refused = |arguments: &[&str], words: &str| {
@@ -570,7 +571,7 @@ fn where_it_cannot_listen_it_says_so() {
 }
 
 #[test]
-fn it_closes_with_the_daemon() {
+fn server_ends_with_the_daemon() {
     let scene = Scene::new();
     let (mut watching, address) = watch(&scene, &[]);
     let mut following = Following::from_now(&address);
@@ -583,7 +584,7 @@ fn it_closes_with_the_daemon() {
 }
 
 #[test]
-fn several_folders_have_their_numbers() {
+fn several_watched_folders_are_numbered() {
     let scene = Scene::new();
     for folder in ["a", "b"] {
         scene.write(&format!("{folder}/dam.1.ply"), ply(&moving(1)));

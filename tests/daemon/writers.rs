@@ -1,4 +1,4 @@
-//! The ways in which frames come into being.
+//! The ways in which programs write frames.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::Write;
@@ -8,27 +8,29 @@ use crate::scene::{Line, NO_SCANS, Scene, Watching, block, csv, moving, names_in
 
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 
-/// Frames are read soon after they were left alone; no scan happens to find them, and none is given up.
+/// The daemon reads a frame soon after the last write. No periodic scan finds frames by chance, and none
+/// times out.
 fn watch(scene: &Scene, more: &[&str]) -> Watching {
     scene.watch(&[&["--settle", "100ms", "--stalled", "1h"], &NO_SCANS[..], &FORMATS, more].concat())
 }
 
-/// So many particles were read.
+/// The log says that this number of particles was read.
 fn particle_count(line: &Line) -> u64 {
     line.fields["particles"].as_u64().expect("a number")
 }
 
 #[test]
-fn a_frame_that_is_renamed_into_place_is_not_waited_for() {
+fn frame_renamed_into_place_is_converted_at_once() {
     let scene = Scene::new();
     let daemon = scene.watch(&[&["--settle", "1h"], &NO_SCANS[..], &FORMATS].concat());
     scene.put("in/dam.1.ply", ply(&moving(1)));
     daemon.await_converted("dam.1.ply");
-    // Beside its place, under a name that is hidden.
+    // Written next to its final path, under a hidden name.
     scene.write("in/.dam.2.ply.part", text_ply(&moving(2)));
     fs::rename(scene.path("in/.dam.2.ply.part"), scene.path("in/dam.2.ply")).expect("renamed");
     daemon.await_converted("dam.2.ply");
-    // Beside its place, under a name that is none of a frame; and a table, which cannot tell by itself.
+    // Written next to its final path, under a name that frames cannot have. Also a table, whose format does
+    // not show whether it is complete.
     scene.write("in/dam.3.csv.part", csv(&moving(3)));
     fs::rename(scene.path("in/dam.3.csv.part"), scene.path("in/dam.3.csv")).expect("renamed");
     daemon.await_converted("dam.3.csv");
@@ -37,9 +39,9 @@ fn a_frame_that_is_renamed_into_place_is_not_waited_for() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// As some servers for file transfer do it: the only event is that there is a file.
+/// Some file transfer servers do this: the only event reports a new file.
 #[test]
-fn a_frame_that_is_linked_into_place_is_converted() {
+fn hard_linked_frame_is_converted() {
     let scene = Scene::new();
     let daemon = watch(&scene, &[]);
     scene.write("in/.upload", ply(&moving(1)));
@@ -52,13 +54,13 @@ fn a_frame_that_is_linked_into_place_is_converted() {
 }
 
 #[test]
-fn a_link_to_a_frame_is_a_frame() {
+fn symbolic_link_to_a_frame_is_a_frame() {
     let scene = Scene::new();
     let daemon = watch(&scene, &[]);
     scene.write("elsewhere/cache", ply(&moving(1)));
     symlink("../elsewhere/cache", scene.path("in/dam.1.ply")).expect("linked");
     daemon.await_converted("dam.1.ply");
-    // One that leads nowhere, yet: it is no frame, and no reason to complain.
+    // A link whose target does not exist yet is not a frame, and causes no warning.
     symlink("../elsewhere/late", scene.path("in/dam.2.ply")).expect("linked");
     scene.put_moving([3]);
     daemon.await_converted("dam.3.ply");
@@ -69,9 +71,9 @@ fn a_link_to_a_frame_is_a_frame() {
     assert!(scene.path("in/dam.1.ply").is_symlink());
 }
 
-/// Folders that lead to themselves: each frame by each name that is not endless.
+/// Folders with links to themselves: a frame has every path that does not repeat a folder.
 #[test]
-fn folders_that_lead_to_themselves_end() {
+fn folder_cycles_end() {
     let scene = Scene::new();
     scene.write("in/a/dam.1.ply", ply(&moving(1)));
     symlink("..", scene.path("in/a/up")).expect("linked");
@@ -91,10 +93,10 @@ fn folders_that_lead_to_themselves_end() {
     scene.assert_folder_as_converted("in/a", "out/a", &FORMATS);
 }
 
-/// A header, then a body in parts, each written when the daemon has found that the file was left alone. What
-/// is there is always all of a file of fewer particles, but the header knows.
+/// Writes a header, then the body in parts, each after the daemon has found that the file is idle. At every
+/// moment the file would be a complete file of fewer particles, but the header has their number.
 #[test]
-fn a_slow_writer_is_waited_for() {
+fn slow_writer_is_waited_for() {
     let scene = Scene::new();
     let daemon = watch(&scene, &["--unproven", "1h"]);
     let binary = ply(&moving(1));
@@ -111,7 +113,7 @@ fn a_slow_writer_is_waited_for() {
             (&*file).write_all(&bytes[place(bytes, part)..place(bytes, part + 1)]).expect("written");
         }
         for ((_, bytes), name) in files.iter().zip(["dam.1.ply", "dam.2.ply"]) {
-            // The header does not say how long text is: of most of it only reading tells whether it is complete.
+            // The header does not give the length of text: mostly only reading shows whether it is complete.
             if part < 3 || (part < 5 && name == "dam.1.ply") {
                 daemon.await_waiting(name, place(bytes, part + 1), "complete");
             }
@@ -132,14 +134,14 @@ fn append(scene: &Scene, within: &str, bytes: &[u8]) {
     file.write_all(bytes).expect("written");
 }
 
-/// Closing a file says nothing: it may be opened again.
+/// Closing a file does not prove that it is complete: the writer may open it again.
 #[test]
-fn a_writer_that_closes_and_goes_on_is_waited_for() {
+fn writer_that_closes_and_reopens_is_waited_for() {
     let scene = Scene::new();
     let daemon = watch(&scene, &["--unproven", "1h"]);
     let binary = ply(&moving(1));
     let table = csv(&moving(2));
-    // A table may end behind any row.
+    // A table may end after any row.
     let (rows, more_rows) = table.split_at(table.match_indices('\n').nth(100).expect("rows").0 + 1);
     scene.write("in/dam.1.ply", &binary[..2000]);
     scene.write("in/dam.2.csv", rows);
@@ -148,7 +150,7 @@ fn a_writer_that_closes_and_goes_on_is_waited_for() {
     append(&scene, "in/dam.1.ply", &binary[2000..]);
     append(&scene, "in/dam.2.csv", more_rows.as_bytes());
     daemon.await_waiting("dam.2.csv", table.len(), "");
-    // Its format cannot tell, but its writer can.
+    // The format does not show whether the table is complete, but the writer can.
     scene.write("in/dam.2.done", "");
     for name in ["dam.1.ply", "dam.2.csv"] {
         assert_eq!(particle_count(&daemon.await_converted(name)), 216);
@@ -158,9 +160,9 @@ fn a_writer_that_closes_and_goes_on_is_waited_for() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// A table that grows after it was taken for complete is converted again, as it is then.
+/// A table that grows after the daemon took it for complete is converted again with the new rows.
 #[test]
-fn rows_that_come_too_late_are_not_lost() {
+fn late_rows_are_converted() {
     let scene = Scene::new();
     let daemon = watch(&scene, &["--unproven", "200ms", "--preset", "paper", "--voxel-size", "0.06"]);
     let table = csv(&moving(2));
@@ -174,9 +176,9 @@ fn rows_that_come_too_late_are_not_lost() {
     scene.assert_as_converted(&[&FORMATS[..], &["--preset", "paper", "--voxel-size", "0.06"]].concat());
 }
 
-/// A producer dies half-way, and another one begins the frame again.
+/// A producer dies in the middle of a frame, and another one starts the frame again.
 #[test]
-fn a_producer_may_be_replaced() {
+fn frame_restarted_by_another_producer_is_converted() {
     let scene = Scene::new();
     let daemon = watch(&scene, &[]);
     let lost = ply(&block(9, 0.1, 0.0));
@@ -195,10 +197,10 @@ fn a_producer_may_be_replaced() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// A file of the right length from the beginning, filled by and by: its format says that it is complete, and
-/// only that it is not left alone says that it is not.
+/// The file has its final length from the beginning, and is filled bit by bit. Its format says that it is
+/// complete; only the continuing writes show that it is not.
 #[test]
-fn a_file_that_is_filled_in_place_is_waited_for() {
+fn preallocated_file_is_waited_for() {
     let scene = Scene::new();
     let daemon = scene.watch(&[&["--settle", "1h"], &NO_SCANS[..], &FORMATS].concat());
     let bytes = ply(&moving(1));

@@ -1,4 +1,4 @@
-//! The command: exit codes, messages, names, what is refused. Nothing here needs the method.
+//! The command: exit statuses, messages, names, and refused arguments. These tests do not compute surfaces.
 
 use std::fs;
 use std::path::Path;
@@ -11,7 +11,7 @@ fn folder() -> TempDir {
     tempdir().expect("a folder")
 }
 
-/// Asserts that a command does nothing, with exit status 2, and says why.
+/// Asserts that a command does nothing, exits with status 2, and gives this reason.
 fn assert_refused(folder: &Path, arguments: &[&str], words: &[&str]) {
     let ran = meniscus(folder, arguments);
     assert_eq!(ran.status, 2, "{arguments:?}: {} {}", ran.out, ran.err);
@@ -21,7 +21,7 @@ fn assert_refused(folder: &Path, arguments: &[&str], words: &[&str]) {
 }
 
 #[test]
-fn what_makes_no_sense_is_refused() {
+fn contradictory_arguments_are_refused() {
     let folder = folder();
     let path = folder.path();
     write_sequence(path, 1, 2);
@@ -64,9 +64,10 @@ fn what_makes_no_sense_is_refused() {
     }
 }
 
-/// Every command that writes into a folder says so at once: before any frame is read, and with nothing left behind.
+/// Every command that writes into a folder reports at once that it cannot: before it reads any frame, and
+/// without leaving files behind.
 #[test]
-fn a_folder_that_takes_no_results_is_refused() {
+fn unwritable_output_folder_is_refused() {
     let folder = folder();
     let path = folder.path();
     write_sequence(path, 1, 2);
@@ -78,7 +79,7 @@ fn a_folder_that_takes_no_results_is_refused() {
     ];
     #[cfg(target_os = "linux")]
     places.extend([
-        // Nobody may write there, not even root.
+        // No user may write there, not even root.
         ("/proc", "/proc: ".to_owned() + expected + "nothing can be written into it: "),
         ("/proc/a/b", "/proc/a/b: ".to_owned() + expected + "it cannot be made: "),
     ]);
@@ -95,7 +96,7 @@ fn a_folder_that_takes_no_results_is_refused() {
         ] {
             let ran = meniscus(path, command);
             assert_eq!((ran.status, &*ran.out), (2, ""), "{command:?} {out}: {}", ran.err);
-            // A plan has whole paths.
+            // A plan has absolute paths.
             let err = ran.err.replace(&format!("{}/", path.display()), "");
             assert!(err.contains(&told), "{command:?} {out}: {err}");
             assert_eq!(ran.err.lines().count(), 1, "{}", ran.err);
@@ -104,10 +105,10 @@ fn a_folder_that_takes_no_results_is_refused() {
     assert_eq!(names_in(path), ["dam.1.ply", "dam.2.ply", "taken"]);
 }
 
-/// So is one for what is written beside frames, or of them all.
+/// The same for files that a command writes in addition to the results of frames.
 #[test]
 #[cfg(target_os = "linux")]
-fn a_folder_that_takes_no_report_plan_or_shot_is_refused() {
+fn unwritable_folder_for_a_report_plan_or_sequence_file_is_refused() {
     let folder = folder();
     let path = folder.path();
     write_sequence(path, 1, 2);
@@ -132,11 +133,12 @@ fn a_folder_that_takes_no_report_plan_or_shot_is_refused() {
     assert_eq!(names_in(&path.join("planned")), [""; 0]);
 }
 
-/// Root may write everywhere: then nothing is seen here, and what root may not either is seen above.
+/// Root may write everywhere, so this test then checks nothing. The test above covers folders in which not
+/// even root may write.
 #[test]
 #[cfg(unix)]
 #[expect(clippy::print_stderr, reason = "a test that did not run must say so")]
-fn a_folder_without_the_right_to_write_is_refused() {
+fn folder_without_write_permission_is_refused() {
     use std::os::unix::fs::PermissionsExt;
     let folder = folder();
     let path = folder.path();
@@ -155,7 +157,7 @@ fn a_folder_without_the_right_to_write_is_refused() {
 }
 
 #[test]
-fn a_slip_in_the_name_of_an_option_is_told_with_what_was_meant() {
+fn misspelt_option_is_refused_with_a_suggestion() {
     let folder = folder();
     for (typed, meant) in [
         (&["convert", "a.ply", "--ouput", "o"][..], "'--out'"),
@@ -177,9 +179,9 @@ fn a_slip_in_the_name_of_an_option_is_told_with_what_was_meant() {
     }
 }
 
-/// Two presets with the same radii are told apart by how long they smooth.
+/// Two presets with the same radii differ by their smoothing time.
 #[test]
-fn presets_are_told_apart() {
+fn presets_differ_in_their_settings() {
     let folder = folder();
     write_sequence(folder.path(), 1, 1);
     let told = |preset: &str| {
@@ -191,7 +193,7 @@ fn presets_are_told_apart() {
 }
 
 #[test]
-fn help_and_version_are_no_errors() {
+fn help_and_version_succeed() {
     let folder = folder();
     for arguments in [
         &["--help"][..],
@@ -225,9 +227,9 @@ fn inputs_are_never_replaced() {
     refused(&["dam.#.ply", "--out", "out/.."]);
     refused(&["dam.#.ply", "--out", "new/.."]);
     refused(&["dam.2.ply", "--report", "dam.2.ply", "--out", "out"]);
-    // A frame of the sequence that is not converted stays, too.
+    // A frame of the sequence stays, although it is not converted.
     refused(&["dam.#.ply", "--frames", "1", "--report", "dam.3.ply", "--out", "out"]);
-    // A named input whose number is not selected, and which is of another sequence.
+    // A named input stays whose number is not selected, and which belongs to another sequence.
     for (from, to) in [("dam.1.ply", "a3_9.ply"), ("dam.2.ply", "a3_9.csv")] {
         fs::copy(path.join(from), path.join(to)).expect("copied");
     }
@@ -242,7 +244,7 @@ fn inputs_are_never_replaced() {
 
 #[test]
 #[cfg(unix)]
-fn links_do_not_hide_an_input() {
+fn input_behind_a_link_is_not_replaced() {
     let folder = folder();
     let path = folder.path();
     write_sequence(path, 1, 1);
@@ -267,7 +269,7 @@ fn links_do_not_hide_an_input() {
 }
 
 #[test]
-fn two_inputs_never_become_one_output() {
+fn two_inputs_with_the_same_output_are_refused() {
     let folder = folder();
     let path = folder.path();
     for name in ["a", "b"] {
@@ -283,7 +285,7 @@ fn two_inputs_never_become_one_output() {
 }
 
 #[test]
-fn where_no_spacing_can_be_measured_it_is_asked_for() {
+fn unmeasurable_spacing_is_an_error_that_names_the_option() {
     let folder = folder();
     write_ply(&folder.path().join("one.ply"), &block(1, 0.0));
     write_ply(&folder.path().join("none.ply"), &[]);
@@ -293,7 +295,7 @@ fn where_no_spacing_can_be_measured_it_is_asked_for() {
 }
 
 #[test]
-fn where_nothing_can_be_read_the_reason_leads() {
+fn error_for_unreadable_inputs_begins_with_the_reason() {
     let folder = folder();
     let path = folder.path();
     for number in 1..=2 {
@@ -306,7 +308,7 @@ fn where_nothing_can_be_read_the_reason_leads() {
         assert!(err.contains("f.1.vtk: legacy VTK: the data set has the type STRUCTURED_POINTS"), "{err}");
         assert!(!err.contains("--spacing") && !err.contains("different places"), "{err}");
     }
-    // Readable, but sparse: a spacing would help.
+    // The frame can be read, but it is sparse: a given spacing would help.
     fs::create_dir(path.join("mixed")).expect("made");
     write_ply(&path.join("mixed/f.1.ply"), &block(1, 0.0));
     fs::write(path.join("mixed/f.2.ply"), "ply\n").expect("written");
@@ -315,7 +317,7 @@ fn where_nothing_can_be_read_the_reason_leads() {
 }
 
 #[test]
-fn a_file_that_cannot_be_read_is_named_with_the_reason() {
+fn unreadable_file_is_named_with_the_reason() {
     let folder = folder();
     let header =
         "ply\nformat ascii 1.0\nelement vertex 9\nproperty float x\nproperty float y\nproperty float z\n";
@@ -332,7 +334,7 @@ fn a_file_that_cannot_be_read_is_named_with_the_reason() {
 }
 
 #[test]
-fn settings_are_told_for_each_sequence() {
+fn settings_are_printed_for_each_sequence() {
     let folder = folder();
     let path = folder.path();
     write_sequence(path, 9, 11);
@@ -365,7 +367,7 @@ fn warnings_name_the_sequence() {
 }
 
 #[test]
-fn voxels_that_do_not_fit_the_particles_are_told() {
+fn voxel_size_that_does_not_fit_the_particles_causes_a_warning() {
     let folder = folder();
     write_ply(&folder.path().join("block.ply"), &block(5, 0.0));
     let of_size = |voxel_size: &str| {
@@ -404,7 +406,7 @@ fn numbers_are_short_at_any_scale() {
 }
 
 #[test]
-fn what_is_ignored_is_told() {
+fn ignored_options_cause_a_warning() {
     let folder = folder();
     write_sequence(folder.path(), 1, 1);
     for integrator in ["fast", "explicit", "implicit"] {
@@ -416,7 +418,7 @@ fn what_is_ignored_is_told() {
     }
 }
 
-/// Positions are smoothed without stretch, too; neighbours need one or the other.
+/// Position smoothing also applies to spheres. It needs neighbours, as anisotropy does.
 #[test]
 fn position_smoothing_needs_no_anisotropy() {
     let folder = folder();
@@ -435,9 +437,9 @@ fn position_smoothing_needs_no_anisotropy() {
     }
 }
 
-/// An option that is ignored and wrong is told as wrong, once.
+/// An option that is invalid and without effect causes one error, and no warning.
 #[test]
-fn what_is_wrong_is_not_told_as_ignored_too() {
+fn invalid_option_is_an_error_and_not_ignored() {
     let folder = folder();
     write_sequence(folder.path(), 1, 1);
     let ran = meniscus(folder.path(), &["convert", "dam.1.ply", "--out", "o", "--max-stretch", "9"]);
@@ -450,9 +452,9 @@ fn what_is_wrong_is_not_told_as_ignored_too() {
     assert!(ran.status == 2 && ran.err.contains("5 bytes of memory"), "{}", ran.err);
 }
 
-/// Options for files that are not written; and none is said of where they are.
+/// Options for output formats that are not selected. No warning appears when the format is selected.
 #[test]
-fn what_changes_no_file_is_told() {
+fn options_of_formats_that_are_not_written_cause_a_warning() {
     let folder = folder();
     write_sequence(folder.path(), 1, 1);
     let mesh = ["--contour", "--decimate", "--smooth-normals", "--quads", "--up"];
@@ -483,7 +485,7 @@ fn what_changes_no_file_is_told() {
 }
 
 #[test]
-fn what_lies_beside_the_frames_is_passed_over() {
+fn other_files_in_the_folder_are_skipped() {
     let folder = folder();
     let path = folder.path();
     write_sequence(path, 1, 2);
@@ -498,7 +500,7 @@ fn what_lies_beside_the_frames_is_passed_over() {
     for (name, text) in others {
         fs::write(path.join(name), text).expect("written");
     }
-    // Tables whose names say nothing are frames, whatever they are called.
+    // Tables whose names do not tell their content are frames, whatever the name.
     fs::write(path.join("table.txt"), "x,y,z\n0,0,0\n1,0,0\n").expect("written");
     fs::write(path.join("bare"), "0 0 0\n1 0 0\n").expect("written");
     let ran = meniscus(path, &["convert", ".", "--out", "o", "--format", "ply", "--spacing", "0.1"]);
@@ -509,7 +511,7 @@ fn what_lies_beside_the_frames_is_passed_over() {
     }
     let ran = meniscus(path, &["convert", ".", "--out", "o", "--format", "ply", "--spacing", "0.1"]);
     assert!(ran.out.contains("skipped notes.txt: not a particle file"), "{}", ran.out);
-    // Of several folders, it is told which one it is in.
+    // With several folders, the message names the folder.
     fs::create_dir(path.join("more")).expect("made");
     write_sequence(&path.join("more"), 3, 3);
     fs::write(path.join("more/README"), "Nothing to see here.\n").expect("written");
@@ -521,13 +523,13 @@ fn what_lies_beside_the_frames_is_passed_over() {
 }
 
 #[test]
-fn results_in_a_folder_of_frames_are_no_frames() {
+fn results_among_the_frames_are_not_frames() {
     let folder = folder();
     let path = folder.path();
     write_sequence(path, 1, 2);
     let arguments = ["convert", ".", "--out", "shot", "--format", "glb,gltf,vdb,obj,ply"];
     assert_eq!(meniscus(path, &arguments).status, 0);
-    // A frame of somebody else's among them is one.
+    // A similar file from another program is a frame.
     write_sequence(&path.join("shot"), 3, 3);
     let ran = meniscus(path, &["convert", "shot", "--out", "o", "--format", "ply"]);
     assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
@@ -541,7 +543,7 @@ fn unreadable_file_in_a_folder_fails_the_run() {
     let folder = folder();
     let path = folder.path();
     write_sequence(path, 1, 1);
-    // A plain file that nobody can read from its start.
+    // A file that not even root can read from its start.
     std::os::unix::fs::symlink("/proc/self/mem", path.join("odd")).expect("linked");
     let ran = meniscus(path, &["convert", ".", "--out", "o"]);
     assert_eq!(ran.status, 1, "{}", ran.err);
@@ -551,18 +553,18 @@ fn unreadable_file_in_a_folder_fails_the_run() {
 
 #[test]
 #[cfg(unix)]
-fn an_interrupted_run_leaves_nothing_half_written() {
+fn interrupted_run_leaves_no_incomplete_file() {
     use std::process::{Command, Stdio};
     let folder = folder();
     let path = folder.path();
     write_ply(&path.join("dam.1.ply"), &block(20, 0.0));
     for signal in ["INT", "TERM"] {
-        // So many voxels that it takes minutes.
+        // This number of voxels takes minutes.
         let arguments =
             ["convert", "dam.1.ply", "--out", "o", "--integrator", "explicit", "--steps", "100000"];
         let mut command = crate::scene::command(path, &arguments);
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("it starts");
-        // It has told its settings: it is under way.
+        // The command has printed its settings, so the conversion has started.
         let mut first = [0];
         std::io::Read::read_exact(child.stdout.as_mut().expect("its output"), &mut first).expect("a line");
         let sent = Command::new("kill").args(["-s", signal, &child.id().to_string()]).status();
@@ -573,7 +575,7 @@ fn an_interrupted_run_leaves_nothing_half_written() {
     }
 }
 
-/// Blocks at another scale.
+/// Blocks of particles at another scale.
 trait MapSpacing {
     fn map_spacing(self, factor: f64) -> Self;
 }

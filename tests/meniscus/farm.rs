@@ -1,4 +1,5 @@
-//! Plans and their shards: the bytes of one process, whatever is killed, repeated or in the way; and what is told of them.
+//! Plans and their shards: the same bytes as one process, also after kills, repetitions and damage; and the
+//! messages about them.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -22,7 +23,7 @@ fn succeeded(ran: &Ran) {
     assert_eq!(ran.status, 0, "{}{}", ran.out, ran.err);
 }
 
-/// A folder with `in/dam.1.ply` to `in/dam.N.ply`, and a plan of them in so many shards.
+/// A folder with `in/dam.1.ply` to `in/dam.N.ply`, and a plan that divides them into `shard_count` shards.
 fn planned(frame_count: usize, shard_count: usize) -> TempDir {
     let folder = tempdir().expect("a folder");
     fs::create_dir(folder.path().join("in")).expect("made");
@@ -36,13 +37,13 @@ fn plan_again(folder: &Path, shard_count: usize) {
     succeeded(&meniscus(folder, &["plan", "in", "--out", "out", "--shards", &count, "-o", "plan.json"]));
 }
 
-/// The outputs in a folder without what is there for the farm only: names and bytes.
+/// The names and bytes of the outputs in a folder, without the files that only a farm needs.
 fn outputs(folder: &Path) -> Vec<(String, Vec<u8>)> {
     let names = names_in(folder).into_iter().filter(|name| !name.ends_with(".certificate.json"));
     names.map(|name| (name.clone(), fs::read(folder.join(&name)).expect("readable"))).collect()
 }
 
-/// What changes when a file is written again.
+/// Identifiers that change when a file is written again.
 #[cfg(unix)]
 fn identities(folder: &Path) -> Vec<(String, u64, i64)> {
     use std::os::unix::fs::MetadataExt;
@@ -53,7 +54,7 @@ fn identities(folder: &Path) -> Vec<(String, u64, i64)> {
     names_in(folder).into_iter().map(identity).collect()
 }
 
-/// Two sequences of different spacing in folders of their own, an obstacle that moves, one that stands still.
+/// Two sequences of different spacing in separate folders, a moving obstacle, and a fixed one.
 fn write_scene(folder: &Path) {
     for (name, scale) in [("dam", 1.0), ("foam", 0.5)] {
         let frames = folder.join("in").join(name);
@@ -76,7 +77,7 @@ fn write_scene(folder: &Path) {
 }
 
 #[test]
-fn shards_make_the_bytes_that_one_process_makes() {
+fn shards_make_the_same_bytes_as_one_process() {
     let folder = tempdir().expect("a folder");
     let folder = folder.path();
     write_scene(folder);
@@ -93,8 +94,9 @@ fn shards_make_the_bytes_that_one_process_makes() {
         folder,
         &[&["plan", "--out=out", "--shards=3", "-o=plan.json"][..], &asked].concat(),
     ));
-    assert!(names_in(&folder.join("out")).is_empty(), "made, so that shards know that it is there");
-    // The last first, from elsewhere, on other numbers of threads, and one of them twice at the same time.
+    assert!(names_in(&folder.join("out")).is_empty(), "created, because shards require it");
+    // The last shard first, from another folder, with different numbers of threads, and one of them twice at
+    // the same time.
     let elsewhere = tempdir().expect("a folder");
     let plan = folder.join("plan.json").display().to_string();
     let mut running: Vec<_> = [(2, "1"), (1, "3"), (1, "2"), (0, "2")]
@@ -129,9 +131,9 @@ fn shards_make_the_bytes_that_one_process_makes() {
     assert!(verified.err.contains("2 frame's obstacles missing"), "{}", verified.err);
 }
 
-/// A folder that is not mounted is not made anew on another disk.
+/// If the output folder is not mounted, a shard does not create it on another disk.
 #[test]
-fn a_shard_makes_no_folder() {
+fn shard_does_not_create_the_output_folder() {
     let folder = planned(2, 1);
     let folder = folder.path();
     fs::remove_dir(folder.join("out")).expect("removed");
@@ -142,7 +144,7 @@ fn a_shard_makes_no_folder() {
 }
 
 #[test]
-fn what_is_done_needs_no_input_any_more() {
+fn done_frames_do_not_need_their_inputs() {
     let folder = planned(3, 1);
     let folder = folder.path();
     succeeded(&shard(folder, 0));
@@ -150,7 +152,7 @@ fn what_is_done_needs_no_input_any_more() {
     let ran = shard(folder, 0);
     succeeded(&ran);
     assert!(ran.out.contains("dam.2: done already"), "{}", ran.out);
-    // What is done without its input is in its place among the others.
+    // A frame that is done and has no input keeps its place in the report.
     let plan = ["convert", "--plan=plan.json", "--shard=0", "--report=r.json"];
     let ran = meniscus(folder, &plan);
     succeeded(&ran);
@@ -168,7 +170,7 @@ fn what_is_done_needs_no_input_any_more() {
 }
 
 #[test]
-fn a_report_replaces_nothing_of_the_plan() {
+fn report_does_not_replace_files_of_the_plan() {
     let folder = planned(2, 1);
     let folder = folder.path();
     succeeded(&shard(folder, 0));
@@ -189,9 +191,9 @@ fn a_report_replaces_nothing_of_the_plan() {
     }
 }
 
-/// A plan that somebody edited may have results on top of inputs.
+/// In an edited plan, outputs may have the paths of inputs.
 #[test]
-fn a_plan_replaces_none_of_its_inputs() {
+fn plan_whose_outputs_replace_inputs_is_refused() {
     let folder = planned(2, 2);
     let path = folder.path().join("plan.json");
     let mut plan: Value = serde_json::from_slice(&fs::read(&path).expect("there")).expect("JSON");
@@ -204,7 +206,7 @@ fn a_plan_replaces_none_of_its_inputs() {
 }
 
 #[test]
-fn a_shard_that_failed_repeats_nothing_that_is_done() {
+fn failed_shard_repeats_no_finished_frame() {
     let folder = planned(5, 2);
     let folder = folder.path();
     let broken = folder.join("in/dam.2.ply");
@@ -236,7 +238,7 @@ fn a_shard_that_failed_repeats_nothing_that_is_done() {
 }
 
 #[test]
-fn a_shard_that_was_killed_goes_on_where_it_was() {
+fn killed_shard_continues_with_the_unfinished_frames() {
     let folder = planned(24, 1);
     let folder = folder.path();
     let arguments = ["convert", "--plan", "plan.json", "--shard", "0", "--threads", "1"];
@@ -261,7 +263,7 @@ fn a_shard_that_was_killed_goes_on_where_it_was() {
     #[cfg(unix)]
     {
         let after = identities(&folder.join("out"));
-        // A frame of which only some files had appeared is made again.
+        // A frame with only some of its files is made again.
         let is_whole = |name: &str| {
             let stem = name.split('.').take(2).collect::<Vec<_>>().join(".");
             before.iter().any(|(other, ..)| *other == format!("{stem}.certificate.json"))
@@ -274,8 +276,8 @@ fn a_shard_that_was_killed_goes_on_where_it_was() {
     assert!(out.eq(outputs(&folder.join("one"))));
 }
 
-/// That an input was removed may be intended. One that is there and cannot be read leaves open whether the results
-/// are of it.
+/// A user may have removed an input on purpose. If an input exists and cannot be read, the results cannot be
+/// compared with it.
 #[cfg(unix)]
 #[test]
 fn verify_fails_for_an_input_that_exists_and_cannot_be_read() {
@@ -287,14 +289,14 @@ fn verify_fails_for_an_input_that_exists_and_cannot_be_read() {
     succeeded(&verify(folder));
     std::os::unix::fs::symlink("dam.2.ply", folder.join("in/dam.2.link")).expect("linked");
     fs::remove_file(folder.join("in/dam.2.ply")).expect("removed");
-    // A link that leads to itself: nobody can read it, not even root.
+    // A link that leads to itself: not even root can read it.
     fs::rename(folder.join("in/dam.2.link"), folder.join("in/dam.2.ply")).expect("renamed");
     let verified = verify(folder);
     assert_eq!(verified.status, 1, "{}{}", verified.out, verified.err);
     assert!(verified.err.contains("cannot be compared with their input"), "{}", verified.err);
 }
 
-/// The same of an obstacle: only one that was removed is not compared.
+/// The same for obstacles: `verify` skips only removed ones.
 #[cfg(unix)]
 #[test]
 fn obstacle_that_exists_and_cannot_be_read_fails_verify_and_shard() {
@@ -317,7 +319,7 @@ fn obstacle_that_exists_and_cannot_be_read_fails_verify_and_shard() {
     // A link that leads to itself cannot be read, not even by root.
     std::os::unix::fs::symlink("still.obj", &obstacle).expect("linked");
     let verified = verify(folder);
-    // The only frame: nothing is done.
+    // This is the only frame, so none is done.
     assert_eq!(verified.status, 2, "{}{}", verified.out, verified.err);
     assert!(verified.err.contains("cannot be compared with their obstacle"), "{}", verified.err);
     let converted = shard(folder, 0);
@@ -326,7 +328,7 @@ fn obstacle_that_exists_and_cannot_be_read_fails_verify_and_shard() {
 }
 
 #[test]
-fn shards_without_frames_are_done_at_once() {
+fn shards_without_frames_succeed() {
     let folder = planned(2, 5);
     let folder = folder.path();
     for number in 0..5 {
@@ -341,9 +343,9 @@ fn shards_without_frames_are_done_at_once() {
     assert!(ran.err.contains("--shard is 5, and the plan's shards are 0 to 4"), "{}", ran.err);
 }
 
-/// Slurm tells the number of the shard, or it is said why it does not.
+/// Slurm sets the number of the shard; if it does not, the error says so.
 #[test]
-fn the_task_of_a_job_array_is_a_shard() {
+fn slurm_task_id_selects_the_shard() {
     let folder = planned(2, 2);
     let folder = folder.path();
     let run = |task: Option<&str>| {
@@ -369,7 +371,7 @@ fn the_task_of_a_job_array_is_a_shard() {
 }
 
 #[test]
-fn beside_a_plan_nothing_is_said_of_the_surface() {
+fn options_that_the_plan_decides_are_refused() {
     let folder = planned(2, 1);
     let folder = folder.path();
     for more in [
@@ -397,7 +399,7 @@ fn beside_a_plan_nothing_is_said_of_the_surface() {
     assert!(report["settings"][0]["spacing"].is_f64(), "{report}");
 }
 
-/// What is done to the outputs of a frame, and what is told of it.
+/// A status, the damage to the outputs of a frame that causes it, and the expected message.
 type Case = (&'static str, fn(&Path), &'static str);
 
 fn edit(path: PathBuf, change: impl FnOnce(&mut Vec<u8>)) {
@@ -476,7 +478,7 @@ const CASES: [Case; 12] = [
 ];
 
 #[test]
-fn whatever_became_of_a_frame_is_told() {
+fn verify_reports_every_kind_of_damage() {
     let folder = planned(2, 2);
     let folder = folder.path();
     for (status, meddle, why) in CASES {
@@ -494,7 +496,7 @@ fn whatever_became_of_a_frame_is_told() {
         assert_eq!(report["frames"][0]["status"], status);
         let is_made_again = status != "uncertified";
         assert_eq!(report["shards_to_run"], if is_made_again { json!([0]) } else { json!([]) });
-        // The shard that has it mends it, and no other frame.
+        // The shard with this frame repairs it, and converts no other frame.
         let ran = shard(folder, 0);
         assert_eq!(ran.status, i32::from(!is_made_again), "{}", ran.err);
         assert_eq!(ran.out.contains("done already"), !is_made_again, "{status}: {}", ran.out);
@@ -503,7 +505,7 @@ fn whatever_became_of_a_frame_is_told() {
 }
 
 #[test]
-fn gaps_and_shards_that_never_ran_are_told_at_once() {
+fn gaps_and_shards_that_never_ran_are_one_line_each() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     for number in [1, 2, 5, 6] {
@@ -520,7 +522,7 @@ fn gaps_and_shards_that_never_ran_are_told_at_once() {
     ];
     assert_eq!(lines, expected);
 
-    // A file of it that is there is not as good as none: the shard has run, and each frame is told by itself.
+    // One file shows that the shard has run, so each of its frames has a line.
     assert_eq!(shard(path, 1).status, 0);
     let out = path.join("out");
     for stem in ["dam.5.", "dam.6."] {
@@ -539,7 +541,7 @@ fn gaps_and_shards_that_never_ran_are_told_at_once() {
 }
 
 #[test]
-fn outputs_are_verified_wherever_they_lie() {
+fn outputs_are_verified_in_another_folder() {
     let folder = planned(2, 1);
     let folder = folder.path();
     succeeded(&shard(folder, 0));
@@ -552,7 +554,7 @@ fn outputs_are_verified_wherever_they_lie() {
     assert!(!ran.err.contains(elsewhere), "{}", ran.err);
     fs::create_dir(folder.join("out")).expect("made");
     let nothing = verify(folder);
-    assert_eq!(nothing.status, 2, "nothing is there");
+    assert_eq!(nothing.status, 2, "the folder is empty");
     assert!(!nothing.err.contains("this command checked"), "{}", nothing.err);
     fs::remove_file(folder.join("elsewhere/dam.2.glb")).expect("removed");
     let ran = meniscus(folder, &["verify", "elsewhere", "--plan=plan.json"]);
@@ -560,7 +562,7 @@ fn outputs_are_verified_wherever_they_lie() {
     assert!(ran.err.contains(elsewhere), "{}", ran.err);
     #[cfg(unix)]
     {
-        // Through a link it is the plan's own folder.
+        // The link leads to the output folder of the plan.
         std::os::unix::fs::symlink("out", folder.join("link")).expect("linked");
         let ran = meniscus(folder, &["verify", "link", "--plan=plan.json"]);
         assert_eq!(ran.status, 2, "{}", ran.err);
@@ -569,7 +571,7 @@ fn outputs_are_verified_wherever_they_lie() {
     assert_eq!(meniscus(folder, &["verify", "nowhere", "--plan=plan.json"]).status, 2);
 }
 
-/// Edits of a good plan, by JSON pointer, and what is told of them.
+/// Edits of a valid plan, by JSON pointer, and the expected messages.
 fn edits() -> Vec<(&'static str, Value, &'static str)> {
     vec![
         ("/meniscus_plan", json!(2), "/meniscus_plan: plan version 2 is not supported"),
@@ -608,7 +610,7 @@ fn edits() -> Vec<(&'static str, Value, &'static str)> {
 }
 
 #[test]
-fn a_plan_is_taken_as_it_is_or_not_at_all() {
+fn edited_plan_is_refused() {
     let folder = planned(4, 2);
     let folder = folder.path();
     let text = fs::read_to_string(folder.join("plan.json")).expect("there");
@@ -639,7 +641,7 @@ fn a_plan_is_taken_as_it_is_or_not_at_all() {
     refused(b"{}", "/meniscus_plan: missing");
     refused(&[br#"{"a":"#.to_vec(), b"[".repeat(100_000)].concat(), "at line 1");
     assert!(names_in(&folder.join("out")).is_empty(), "nothing is written");
-    // Back as it was, it is good; and an input that is gone costs itself only.
+    // The original plan is valid; and a missing input makes only its frame fail.
     fs::write(folder.join("plan.json"), &text).expect("written");
     fs::remove_file(folder.join("in/dam.1.ply")).expect("there");
     let ran = shard(folder, 0);
@@ -654,7 +656,7 @@ fn verify_anywhere(folder: &Path) -> Ran {
 }
 
 #[test]
-fn what_cannot_be_planned_is_refused() {
+fn invalid_arguments_of_plan_are_refused() {
     let folder = planned(2, 1);
     let folder = folder.path();
     let refused = |arguments: &[&str], why: &str| {
