@@ -1,4 +1,4 @@
-//! What particles know comes out on the surface: by the command, from file to files.
+//! Attributes of particles on the surface: the command, from an input file to the outputs.
 
 use std::fs;
 use std::path::Path;
@@ -15,7 +15,7 @@ fn attribute(name: &str, arity: usize, values: Values) -> FileAttribute {
     FileAttribute { name: name.to_owned(), arity, role: None, values }
 }
 
-/// A block of particles that move and are coloured, numbered and named.
+/// A block of particles with velocities, colours, numbers and names.
 fn frame(edge_count: usize) -> ParticleFrame {
     let positions: Vec<[f32; 3]> =
         block(edge_count, 0.0).into_iter().map(|position| position.map(|along| along as f32)).collect();
@@ -59,7 +59,7 @@ fn told(folder: &Path) -> Value {
 }
 
 #[test]
-fn all_formats_have_what_they_have_places_for() {
+fn every_format_has_the_attributes_that_it_supports() {
     let folder = tempdir().expect("a folder");
     let folder = folder.path();
     write_frame(folder, 8);
@@ -127,7 +127,7 @@ fn all_formats_have_what_they_have_places_for() {
 }
 
 #[test]
-fn names_may_be_those_of_the_file_or_of_what_is_meant() {
+fn attributes_are_selected_by_column_name_or_by_meaning() {
     let folder = tempdir().expect("a folder");
     let folder = folder.path();
     write_frame(folder, 5);
@@ -144,7 +144,7 @@ fn names_may_be_those_of_the_file_or_of_what_is_meant() {
 }
 
 #[test]
-fn attributes_change_nothing_else_and_no_way_of_computing_changes_them() {
+fn attributes_change_no_geometry_and_do_not_depend_on_threads() {
     let folder = tempdir().expect("a folder");
     let folder = folder.path();
     write_frame(folder, 9);
@@ -175,13 +175,13 @@ fn attributes_change_nothing_else_and_no_way_of_computing_changes_them() {
         data
     };
     assert!(level_set(&plain) == level_set(&with));
-    // And what is done is known as such, with as many grids as it has.
+    // `--skip-done` recognizes the outputs, with their number of grids.
     let again = convert(folder, "one", &[&all[..], &["--skip-done"]].concat());
     assert!(again.status == 0 && again.out.contains("done already"), "{}{}", again.out, again.err);
 }
 
 #[test]
-fn in_tiles_they_are_the_same() {
+fn tiled_conversion_gives_the_same_attributes() {
     let folder = tempdir().expect("a folder");
     let folder = folder.path();
     let mut rod = frame(2);
@@ -207,9 +207,9 @@ fn in_tiles_they_are_the_same() {
     assert!(files(folder, "whole") == files(folder, "tiles"));
 }
 
-/// With half the spacing as it is all particles of that radius would be raised.
+/// With half the spacing as voxel size, all particles of that radius would be enlarged.
 #[test]
-fn voxels_are_small_enough_for_the_radii_that_are_told() {
+fn voxel_size_is_small_enough_for_radii_from_a_column() {
     let folder = tempdir().expect("a folder");
     let folder = folder.path();
     let mut told = frame(6);
@@ -237,10 +237,10 @@ fn voxels_are_small_enough_for_the_radii_that_are_told() {
     assert_eq!(report["frames"][0]["shapes"]["small_radii"], 20);
     assert!(ran.err.contains("20 particles too small for the grid"), "{}", ran.err);
     assert!(ran.err.contains("--voxel-size 0.0173 would hold them all"), "{}", ran.err);
-    // The size that is named does; the daemon measures the same.
+    // The voxel size that the warning names is small enough; the daemon measures the same.
     let ran = meniscus(folder, &[&typed[..], &["--voxel-size", "0.0173"]].concat());
     assert_eq!(ran.status, 0);
-    // Positions are moved by more than such small balls reach.
+    // Position smoothing would move the particles by more than the radius of such small balls.
     assert!(ran.err.lines().all(|line| line.contains("are outside the surface")), "{}", ran.err);
     fs::create_dir(folder.join("in")).expect("made");
     fs::rename(folder.join("f.bgeo"), folder.join("in/f.bgeo")).expect("moved");
@@ -249,9 +249,10 @@ fn voxels_are_small_enough_for_the_radii_that_are_told() {
     assert!(ran.status == 0 && ran.err.contains("\"voxel_size\":0.0288675"), "{}", ran.err);
 }
 
-/// Where some particles have a radius the others get the least, and that is told; where none has, nothing is meant.
+/// If only some particles have a radius, the others get the smallest one, with a warning. If none has, the
+/// command fails.
 #[test]
-fn a_frame_needs_one_radius_at_least() {
+fn frame_without_any_radius_fails() {
     let folder = tempdir().expect("a folder");
     let folder = folder.path();
     let write = |name: &str, radii: Vec<f32>| {
@@ -277,7 +278,7 @@ fn a_frame_needs_one_radius_at_least() {
 }
 
 #[test]
-fn a_frame_without_attributes_says_so() {
+fn frame_without_the_attributes_causes_a_warning() {
     let folder = tempdir().expect("a folder");
     write_ply(&folder.path().join("bare.ply"), &block(5, 0.0));
     let typed = ["convert", "bare.ply", "--voxel-size", "0.05", "--attributes", "velocity", "--out", "out"];
@@ -306,7 +307,7 @@ fn velocity_is_found_by_any_of_its_names() {
             ],
         );
         assert_eq!(ran.status, 0, "{name}: {}", ran.err);
-        // What was asked for is recorded as it was typed.
+        // The record has the name that the user typed.
         let text =
             String::from_utf8_lossy(&fs::read(folder.path().join("o/f.glb")).expect("written")).into_owned();
         text.contains("_VELOCITY")
@@ -318,7 +319,7 @@ fn velocity_is_found_by_any_of_its_names() {
 }
 
 #[test]
-fn attribute_of_the_very_name_comes_before_one_of_that_meaning() {
+fn column_of_the_exact_name_is_preferred() {
     let folder = tempdir().expect("a folder");
     let mut frame = frame(4);
     let count = frame.positions.len();
@@ -333,7 +334,7 @@ fn attribute_of_the_very_name_comes_before_one_of_that_meaning() {
 }
 
 #[test]
-fn velocity_that_is_not_asked_for_is_mentioned_once() {
+fn unused_velocity_is_mentioned_once() {
     let folder = tempdir().expect("a folder");
     write_frame(folder.path(), 4);
     fs::copy(folder.path().join("f.bgeo"), folder.path().join("g.bgeo")).expect("copied");
@@ -347,7 +348,7 @@ fn velocity_that_is_not_asked_for_is_mentioned_once() {
     assert_eq!(count(&["--format", "glb"]), 1);
     assert_eq!(count(&["--format", "glb", "--attributes", "vel"]), 0);
     assert_eq!(count(&["--format", "glb", "--attributes", "all"]), 0);
-    // These have no place for it.
+    // These formats cannot hold it.
     assert_eq!(count(&["--format", "obj,stl"]), 0);
     let ran =
         meniscus(folder.path(), &["convert", "f.bgeo", "--out", "p", "--particles-only", "--format", "ply"]);
@@ -355,7 +356,7 @@ fn velocity_that_is_not_asked_for_is_mentioned_once() {
 }
 
 #[test]
-fn axis_is_understood_in_capitals_and_units_are_written() {
+fn axis_may_be_upper_case_and_units_are_written() {
     let folder = tempdir().expect("a folder");
     write_frame(folder.path(), 4);
     let convert = |more: &[&str]| {
@@ -378,7 +379,7 @@ fn axis_is_understood_in_capitals_and_units_are_written() {
 }
 
 #[test]
-fn digits_of_a_far_particle_move_no_vertex_elsewhere() {
+fn far_particle_does_not_move_other_vertices() {
     let folder = tempdir().expect("a folder");
     let vertices = |far: &str| {
         let mut text = String::from("x,y,z\n");

@@ -1,5 +1,5 @@
-//! What a certificate says is so of the mesh that is written: with fewer triangles, at rounded positions, and with particles
-//! that have flown far away.
+//! The certificate describes the written mesh: with fewer triangles, with rounded positions, and with
+//! particles that have escaped far away.
 
 use std::collections::HashSet;
 use std::fs;
@@ -25,7 +25,7 @@ fn skinned(positions: &[[f64; 3]], settings: &Settings, stored: &[Stored]) -> Fr
     contour(smooth(rasterized, settings), settings, stored)
 }
 
-/// How often a mesh winds around a point: the solid angles of all its triangles.
+/// The winding number of a mesh around a point: the sum of the solid angles of its triangles.
 fn winding(mesh: &Mesh, positions: &[Vec3], point: DVec3) -> f64 {
     let solid_angle = |triangle: &[u32; 3]| {
         let [a, b, c] = triangle.map(|vertex| mesh.origin + positions[vertex as usize].as_dvec3() - point);
@@ -58,7 +58,7 @@ fn eighths(positions: &[[f32; 3]], _: [f64; 3]) -> Vec<[f32; 3]> {
 
 /// With radii this small some particles are outside of the mesh and of φ, and some of one of them only.
 #[test]
-fn particles_outside_the_written_mesh_are_counted_to_the_last() {
+fn every_particle_outside_the_written_mesh_is_counted() {
     let mut outside_in_all = 0;
     for (decimate, radius_min) in [(0.0, 0.4), (0.0, 0.9), (0.8, 0.7), (0.5, 1.2)] {
         let choices = MethodOptions {
@@ -79,7 +79,7 @@ fn particles_outside_the_written_mesh_are_counted_to_the_last() {
                 |position: &&[f64; 3]| winding(&surface.mesh, &written, DVec3::from(**position)) < 0.5;
             let outside_count = positions.iter().filter(is_outside).count();
             let certificate = &surface.report.certificate;
-            // Some drops are so small that rounded to quarters they have no volume.
+            // Some drops are so small that they have no volume when rounded to quarters.
             let measures = &surface.report.mesh;
             assert_eq!((measures.boundary_edge_count, measures.non_manifold_edge_count), (0, 0));
             assert_eq!(
@@ -93,7 +93,7 @@ fn particles_outside_the_written_mesh_are_counted_to_the_last() {
 }
 
 #[test]
-fn a_mesh_with_rounded_positions_is_closed_and_within_its_bounds() {
+fn rounded_mesh_is_closed_and_within_its_bounds() {
     let settings = Settings::paper(1.0, &MethodOptions::default()).expect("sound");
     let mut removed_count = 0;
     for seed in 0..4 {
@@ -105,7 +105,7 @@ fn a_mesh_with_rounded_positions_is_closed_and_within_its_bounds() {
         removed_count += surface.report.flat_triangles_removed;
         assert_eq!(measures.degenerate_triangle_count, 0, "seed {seed}: {measures:?}");
         assert!(certificate.holds(), "seed {seed}: {certificate:?} {measures:?}");
-        // What is said of the vertices is said of those in the file.
+        // The figures of the vertices describe those in the file.
         let written = surface.mesh.rounded(eighths);
         let nearest = |vertex: &Vec3| {
             let distances =
@@ -126,9 +126,10 @@ fn a_mesh_with_rounded_positions_is_closed_and_within_its_bounds() {
     assert!(removed_count > 0, "rounding made no triangle flat");
 }
 
-/// Drops this far from all others are still closed meshes: what 32 bits make flat is taken out.
+/// Drops this far from all others are still closed meshes, because degenerate triangles at 32-bit precision
+/// are removed.
 #[test]
-fn drops_as_far_away_as_positions_reach_are_closed() {
+fn drops_at_the_limit_of_precision_are_closed() {
     let settings = Settings::paper(0.1, &MethodOptions::default()).expect("sound");
     let near: Vec<[f64; 3]> = block(10, 0.0).iter().map(|position| position.map(|x| 2.0 * x)).collect();
     let mut removed_count = 0;
@@ -148,7 +149,7 @@ fn drops_as_far_away_as_positions_reach_are_closed() {
 }
 
 #[test]
-fn an_escaped_particle_is_left_out_and_the_others_are_certified() {
+fn escaped_particle_is_left_out_and_the_others_are_certified() {
     let settings = Settings::paper(0.1, &MethodOptions::default()).expect("sound");
     let positions = block(8, 0.0);
     let alone = skin(&Particles::Double(positions.clone()), &settings);
@@ -165,9 +166,9 @@ fn an_escaped_particle_is_left_out_and_the_others_are_certified() {
     }
 }
 
-/// A frame of two parts is as wide as it is.
+/// Two distant parts belong to one frame, and neither is an escaped particle.
 #[test]
-fn a_frame_of_two_parts_far_from_each_other_keeps_both() {
+fn frame_of_two_distant_parts_keeps_both() {
     let settings = Settings::paper(0.1, &MethodOptions::default()).expect("sound");
     let mut positions = block(8, 0.0);
     positions.extend(block(8, 3e5));
@@ -177,7 +178,7 @@ fn a_frame_of_two_parts_far_from_each_other_keeps_both() {
 }
 
 #[test]
-fn the_command_leaves_an_escaped_particle_out_with_a_warning_and_ends_well() {
+fn escaped_particle_causes_a_warning_and_exit_status_0() {
     let folder = tempdir().expect("a folder");
     let mut particles = block(8, 0.0);
     particles.push([1e6, 2.0, 3.0]);
@@ -199,8 +200,8 @@ fn the_command_leaves_an_escaped_particle_out_with_a_warning_and_ends_well() {
     assert_eq!(frame["certificate"]["holds"], true);
 }
 
-/// A shard whose frames break a guarantee fails, each time that it runs, and says how many.
-/// Spheres so small that they fall between the voxels.
+/// A shard whose frames violate a guarantee fails in every run, and prints their number. The spheres are so
+/// small that they fall between the voxels.
 const SMALL: [&str; 8] =
     ["--out", "out", "--voxel-size", "0.05", "--preset", "paper", "--radius-min", "0.001"];
 
@@ -249,7 +250,7 @@ fn skipped_frame_that_failed_validation_fails_again() {
         let allowed = meniscus(folder, &[&skip[..], &["--allow-violations"]].concat());
         assert_eq!(allowed.status, 0, "{}", allowed.err);
         assert!(allowed.err.contains("a.1.ply: the certificate does not hold"), "{}", allowed.err);
-        // A run with other settings replaces the outputs by good ones.
+        // A run with other settings replaces the outputs by valid ones.
         let good = ["convert", "a.1.ply", "--out", "out", "--preset", "paper", "--voxel-size", "0.05"];
         for more in [&[][..], &["--skip-done"]] {
             let ran = meniscus(folder, &[&good[..], more].concat());
@@ -258,7 +259,7 @@ fn skipped_frame_that_failed_validation_fails_again() {
     }
 }
 
-/// A killed run has recorded which of its frames failed validation.
+/// The killed run recorded which of its frames failed validation.
 #[test]
 fn frame_that_failed_validation_before_a_kill_fails_again() {
     let folder = tempdir().expect("a folder");
@@ -296,9 +297,9 @@ fn frame_that_failed_validation_before_a_kill_fails_again() {
     assert!(ran.status == 1 && ran.err.contains("1 of 1 frame failed validation"), "{}", ran.err);
 }
 
-/// A quantized .glb beside a .ply: one certificate for both, and each file says as what it was checked.
+/// A quantized .glb and a .ply have one certificate, which says for each file how it was checked.
 #[test]
-fn the_certificate_says_of_each_file_what_was_checked() {
+fn certificate_lists_the_checks_of_each_file() {
     let folder = tempdir().expect("a folder");
     let folder = folder.path();
     write_ply(&folder.join("a.1.ply"), &block(5, 0.0));

@@ -1,4 +1,4 @@
-//! The command on real frames: names, the same bytes, reports, what is done already.
+//! The command on real frames: names, the same bytes, reports, and frames that are done.
 
 use std::fs;
 use std::path::Path;
@@ -12,7 +12,7 @@ fn convert(folder: &Path, arguments: &[&str]) -> Ran {
     meniscus(folder, &[&["convert"], arguments].concat())
 }
 
-/// Converts, and asserts that all went well and nobody was warned.
+/// Converts, and asserts success without warnings.
 fn converted(folder: &Path, arguments: &[&str]) -> String {
     let ran = convert(folder, arguments);
     assert_eq!((ran.status, &*ran.err), (0, ""), "{arguments:?}: {}", ran.out);
@@ -24,7 +24,7 @@ fn report(path: &Path) -> Value {
 }
 
 #[test]
-fn frames_become_files_of_their_names() {
+fn outputs_have_the_names_of_their_frames() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 9, 11);
@@ -43,11 +43,11 @@ fn frames_become_files_of_their_names() {
 }
 
 #[test]
-fn a_range_gives_the_same_as_the_whole() {
+fn range_of_frames_gives_the_same_bytes_as_all() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 1, 6);
-    // The first frame is another: the voxel size is its, whichever frames are converted.
+    // The first frame has another spacing. It sets the voxel size, whichever frames are converted.
     write_ply(&path.join("dam.1.ply"), &block(7, 0.0));
     converted(path, &["dam.#.ply", "--out", "whole", "--threads", "1"]);
     converted(path, &["dam.#.ply", "--out", "part", "--frames", "2-6x2", "--threads", "2"]);
@@ -89,7 +89,7 @@ fn the_bytes_do_not_depend_on_threads() {
 }
 
 #[test]
-fn an_empty_frame_is_a_frame() {
+fn empty_frame_is_converted() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_ply(&path.join("dam.1.ply"), &[]);
@@ -101,7 +101,7 @@ fn an_empty_frame_is_a_frame() {
 }
 
 #[test]
-fn a_frame_that_fails_is_named_and_the_others_are_there() {
+fn failed_frame_is_named_and_the_others_are_converted() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 1, 4);
@@ -123,7 +123,7 @@ fn a_frame_that_fails_is_named_and_the_others_are_there() {
     assert!(ran.out.contains("1 done, 1 failed, 2 not started"), "{}", ran.out);
 }
 
-/// The statuses of all frames of a report, in its order.
+/// The statuses of all frames of a report, in the order of the report.
 fn statuses<'a>(report: &'a Value) -> Vec<(&'a str, &'a str)> {
     let frames = report["frames"].as_array().expect("frames");
     let text = |value: &'a Value| value.as_str().expect("text");
@@ -131,7 +131,7 @@ fn statuses<'a>(report: &'a Value) -> Vec<(&'a str, &'a str)> {
 }
 
 #[test]
-fn a_sequence_without_settings_costs_itself_only() {
+fn sequence_without_settings_does_not_stop_others() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     for name in ["a.ply", "c.ply"] {
@@ -154,7 +154,7 @@ fn a_sequence_without_settings_costs_itself_only() {
             expected.iter().filter(|(_, s)| *s == "converted").map(|(n, _)| *n).collect();
         assert_eq!(names_in(&path.join(on_error)), written);
     }
-    // An earlier frame that fails is the end before that.
+    // An earlier frame that fails ends the run before that.
     fs::write(path.join("a.ply"), "ply\nformat nonsense 1.0\n").expect("written");
     let arguments = ["a.ply", "b.1.ply", "c.ply", "--out", "o", "--on-error", "stop", "--voxel-size", "0.1"];
     let ran = convert(path, &[&arguments[..], &["--report", "report.json"]].concat());
@@ -165,7 +165,7 @@ fn a_sequence_without_settings_costs_itself_only() {
 }
 
 #[test]
-fn what_is_done_is_not_done_again() {
+fn skip_done_converts_nothing_again() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 1, 2);
@@ -176,7 +176,7 @@ fn what_is_done_is_not_done_again() {
     assert_eq!(converted(path, &arguments).matches("done already").count(), 1);
     let changed = [&arguments[..], &["--laplacian-steps", "3"]].concat();
     assert_eq!(converted(path, &changed).matches("done already").count(), 0);
-    // What does not matter to an output does not make it again.
+    // Options that do not affect an output do not cause a conversion.
     let arguments = ["dam.#.ply", "--out", "v", "--skip-done", "--format", "vdb"];
     converted(path, &arguments);
     let contoured = [&arguments[..], &["--contour", "tetrahedra"]].concat();
@@ -185,7 +185,7 @@ fn what_is_done_is_not_done_again() {
     assert_eq!(convert(path, &tolerance).out.matches("done already").count(), 2);
 }
 
-/// A run that was killed wrote outputs and no records. So did one without --skip-done.
+/// A killed run wrote outputs and no records, as a run without --skip-done does.
 #[test]
 fn skip_done_ignores_records_of_outputs_that_another_run_replaced() {
     let folder = tempdir().expect("a folder");
@@ -197,7 +197,7 @@ fn skip_done_ignores_records_of_outputs_that_another_run_replaced() {
     converted(path, &changed);
     let skipping = [&changed[..], &["--skip-done"]].concat();
     assert_eq!(converted(path, &skipping).matches("done already").count(), 2);
-    // Replaced by a second run that is killed before it writes records: as above, one frame earlier.
+    // A second run replaces the outputs and is killed before it writes records: as above, one frame earlier.
     let records = path.join("o/.meniscus/outputs.json");
     let before = fs::read(&records).expect("records");
     let other = ["dam.#.ply", "--out", "o", "--skip-done", "--laplacian-steps", "2"];
@@ -221,7 +221,7 @@ fn skip_done_makes_an_output_with_a_flipped_byte_again() {
     // A new file: its stamp differs even where the clock of the file system has not moved on.
     fs::remove_file(&damaged).expect("removed");
     fs::write(&damaged, bytes).expect("written");
-    // The same bytes in a new file are no damage.
+    // The same bytes in a new file count as undamaged.
     fs::copy(path.join("o/dam.3.glb"), path.join("copy")).expect("copied");
     fs::rename(path.join("copy"), path.join("o/dam.3.glb")).expect("renamed");
     assert_eq!(converted(path, &arguments).matches("done already").count(), 2);
@@ -230,7 +230,7 @@ fn skip_done_makes_an_output_with_a_flipped_byte_again() {
 }
 
 #[test]
-fn the_report_says_what_was_measured() {
+fn report_has_the_measurements_of_each_frame() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 1, 2);
@@ -268,9 +268,9 @@ fn the_report_says_what_was_measured() {
     assert_eq!((&report["summary"]["converted"], &report["summary"]["failed"]), (&2.into(), &0.into()));
 }
 
-/// One frame of many, converted by itself, is measured by itself; and frames that are not there are named.
+/// A single frame of a sequence is measured alone; missing frames cause a warning.
 #[test]
-fn parts_of_a_sequence_are_told_what_they_lack() {
+fn incomplete_sequence_causes_a_warning() {
     let folder = tempfile::tempdir().unwrap();
     write_sequence(folder.path(), 1, 3);
     let alone = meniscus(folder.path(), &["convert", "dam.2.ply", "--out", "out"]);
@@ -283,10 +283,10 @@ fn parts_of_a_sequence_are_told_what_they_lack() {
     assert!(picked.err.contains("--frames 9: 1 frame is missing"), "{}", picked.err);
 }
 
-/// A report replaces reports, and nothing that is no file.
+/// A report replaces an earlier report, and nothing but regular files.
 #[cfg(unix)]
 #[test]
-fn a_report_replaces_only_files() {
+fn report_replaces_only_regular_files() {
     let folder = tempfile::tempdir().unwrap();
     write_sequence(folder.path(), 1, 1);
     std::fs::create_dir(folder.path().join("taken")).unwrap();

@@ -1,4 +1,4 @@
-//! The command that tells what files hold.
+//! The command `info`, which describes files.
 
 use std::fs;
 use std::process::Stdio;
@@ -33,7 +33,7 @@ fn particles_are_described() {
 }
 
 #[test]
-fn what_the_system_says_is_told_once() {
+fn system_error_is_printed_once() {
     let folder = tempdir().expect("a folder");
     let ran = meniscus(folder.path(), &["info", "nowhere.ply"]);
     assert_eq!(ran.status, 2, "{}", ran.err);
@@ -55,7 +55,7 @@ fn attributes_are_described() {
     assert_eq!(json[0]["particles"]["spacing"], 1.0);
 }
 
-/// A step that is cut off is told as such, and the others are described.
+/// A truncated step is marked as such, and the others are described.
 #[test]
 fn each_step_is_described() {
     let folder = tempdir().expect("a folder");
@@ -93,7 +93,7 @@ fn meshes_are_described() {
 }
 
 #[test]
-fn corners_that_are_nowhere_are_named() {
+fn vertices_that_are_not_finite_are_reported() {
     let folder = tempdir().expect("a folder");
     let text = "v 0 0 nan\nv 1 0 0\nv 0 1 0\nv 0 0 1\nv 3 0 0\nf 1 2 3\nf 2 3 4\n";
     fs::write(folder.path().join("t.obj"), text).expect("written");
@@ -127,12 +127,12 @@ fn attributes_of_gltf_are_described() {
             serde_json::from_str(&meniscus(path, &["info", "--json", name]).out).expect("the output is JSON");
         let names: Vec<_> = json[0]["mesh"]["attributes"].as_array().expect("a list").iter().collect();
         assert_eq!((&names[0]["name"], &names[1]["name"]), (&"_AGE".into(), &"_VELOCITY".into()), "{json}");
-        assert!(json[0].get("particles").is_none(), "vertices are no particles: {json}");
+        assert!(json[0].get("particles").is_none(), "vertices are not particles: {json}");
     }
 }
 
 #[test]
-fn a_mesh_in_a_ply_file_is_told_as_a_mesh() {
+fn ply_file_with_faces_is_described_as_a_mesh() {
     let folder = tempdir().expect("a folder");
     let told = |vertices: &[&str], properties: &[&str], faces: &[&str]| {
         let mut text = format!("ply\nformat ascii 1.0\nelement vertex {}\n", vertices.len());
@@ -166,7 +166,7 @@ fn a_mesh_in_a_ply_file_is_told_as_a_mesh() {
 }
 
 #[test]
-fn a_file_that_cannot_be_read_costs_itself_only() {
+fn unreadable_file_does_not_stop_others() {
     let folder = tempdir().expect("a folder");
     write_ply(&folder.path().join("block.ply"), &block(4, 0.0));
     fs::write(folder.path().join("noise"), [1, 2, 3, 200, 255]).expect("written");
@@ -178,7 +178,7 @@ fn a_file_that_cannot_be_read_costs_itself_only() {
 }
 
 #[test]
-fn folders_are_refused_and_patterns_taken() {
+fn folders_are_refused_and_patterns_are_expanded() {
     let folder = tempdir().expect("a folder");
     fs::create_dir(folder.path().join("in")).expect("made");
     for name in ["a.1.ply", "a.2.ply"] {
@@ -196,7 +196,7 @@ fn folders_are_refused_and_patterns_taken() {
 }
 
 #[test]
-fn a_closed_output_is_no_error() {
+fn closed_output_is_not_an_error() {
     let folder = tempdir().expect("a folder");
     write_ply(&folder.path().join("block.ply"), &block(4, 0.0));
     let mut child = command(folder.path(), &["info", "block.ply"])

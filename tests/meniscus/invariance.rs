@@ -1,6 +1,6 @@
-//! What must not change the surface, to the last bit, and what no surface may do.
+//! Changes of the input that must keep the surface to the last bit, and properties of every surface.
 
-#![expect(clippy::print_stdout, reason = "tests tell what they measured to those who ask with --nocapture")]
+#![expect(clippy::print_stdout, reason = "tests print measurements, visible with --nocapture")]
 
 use glam::{DVec3, IVec3};
 use meniscus::surface::level_set::NarrowBand;
@@ -71,7 +71,8 @@ fn the_unit_of_length_does_not_matter() {
     }
 }
 
-/// Moved by whole voxels, the surface moves with the particles, whatever leaves it comes to lie in.
+/// When all particles move by whole voxels, the surface moves with them, although it then lies in other
+/// leaves.
 ///
 /// Leaves are stored around the band, and differ: what must be equal is every value that a step may
 /// change. Where one grid stores a voxel and the other does not, the voxel must be beyond the band.
@@ -93,8 +94,8 @@ fn moving_all_particles_by_whole_voxels_moves_the_surface() {
     }
 }
 
-/// Checks that `there` has, `shift` away, the bits of every value of `here` that is free. Returns how
-/// many these are.
+/// Checks that every free value of `here` has the same bits in `there`, `shift` away. Returns the number of
+/// these values.
 fn assert_same_band(here: &NarrowBand, there: &NarrowBand, shift: IVec3) -> usize {
     let free = || voxels(here).filter(|(_, phi)| phi.abs() <= 3.0);
     for (voxel, phi) in free() {
@@ -107,9 +108,9 @@ fn assert_same_band(here: &NarrowBand, there: &NarrowBand, shift: IVec3) -> usiz
     free().count()
 }
 
-/// A change of one particle changes nothing farther than the report says.
+/// A change of one particle changes nothing farther away than the report says.
 #[test]
-fn far_changes_change_nothing() {
+fn far_changes_keep_the_surface() {
     let reach = {
         let one = skin(
             &Particles::Double(vec![[0.0; 3]]),
@@ -141,7 +142,7 @@ fn far_changes_change_nothing() {
     assert!(changed > 0);
 }
 
-/// A particle too far away to touch adds its own drop and changes no bit of the rest.
+/// A distant particle adds its drop and changes no bit of the rest.
 #[test]
 fn an_isolated_particle_changes_nothing_else() {
     let positions = ball_with_finger();
@@ -161,7 +162,7 @@ fn bounds_hold_and_no_particle_is_outside() {
         for integrator in INTEGRATORS {
             let (band, bounds, _) = skinned(&positions, integrator);
             assert_eq!(bounds.violation_count(&band.phi), 0, "{integrator:?}");
-            // A particle without stored values around it is deep inside.
+            // A particle without stored values around it is deep inside the fluid.
             let depths = positions.iter().filter_map(|&position| interpolated(&band, position));
             let shallowest = depths.fold(f64::NEG_INFINITY, f64::max);
             println!("{integrator:?}: the shallowest particle is at {shallowest:.3} voxels");
@@ -172,7 +173,7 @@ fn bounds_hold_and_no_particle_is_outside() {
 
 /// Spheres so small that they fall between the voxels leave no surface, and the certificate says so.
 #[test]
-fn lost_particles_are_certified_as_lost() {
+fn particles_between_voxels_are_counted_as_outside() {
     let tiny = MethodOptions { radius_min: Some(0.3.into()), ..MethodOptions::default() };
     let settings = Settings::paper(1.0, &tiny).unwrap();
     let lost = skin(&Particles::Double(vec![[0.5; 3]]), &settings).report;
@@ -187,9 +188,10 @@ fn lost_particles_are_certified_as_lost() {
     assert!(inside.holds(), "{inside:?}");
 }
 
-/// Most particles of a solid are never kept. What the certificate tells of vertices and particles is of all.
+/// Most particles of a solid are never stored. The certificate covers the vertices and particles of all of
+/// them.
 #[test]
-fn particles_that_are_left_out_are_certified_too() {
+fn culled_particles_are_certified_too() {
     let mut random = Random::new(73);
     let solid: Vec<DVec3> =
         jittered_lattice(&mut random, 34, |p| p.length() < 34.0).iter().map(|p| p * 0.5).collect();
@@ -217,9 +219,9 @@ fn particles_that_are_left_out_are_certified_too() {
     assert!((certificate.vertex_distance_max - greatest).abs() < 1e-4, "{greatest} {certificate:?}");
 }
 
-/// One particle gone astray costs the others nothing: their mesh has the positions that it had.
+/// One escaped particle does not affect the others: their mesh keeps its positions.
 #[test]
-fn a_stray_particle_costs_the_others_no_precision() {
+fn escaped_particle_costs_the_others_no_precision() {
     let settings = Settings::paper(0.025, &MethodOptions::default()).unwrap();
     let mut positions: Vec<[f64; 3]> =
         (0..512).map(|i| [i / 64, i / 8 % 8, i % 8].map(|side| f64::from(side) * 0.05)).collect();

@@ -1,4 +1,5 @@
-//! Level sets in .vdb as inputs: contoured as they are, or smoothed within a slack; and what is refused.
+//! Level sets in .vdb as inputs: contoured unchanged, or smoothed within a maximum offset; and refused
+//! options.
 
 use std::fs;
 use std::path::Path;
@@ -9,7 +10,7 @@ use tempfile::{TempDir, tempdir};
 use crate::raw_vdb::{Cell, raw_level_set};
 use crate::scene::{Ran, block, meniscus, names_in, write_ply};
 
-/// A block of particles as a level set that is hardly smoothed, `in/block.vdb`, and as a mesh.
+/// A block of particles as a level set with little smoothing, `in/block.vdb`, and as a mesh.
 fn scene() -> TempDir {
     let folder = tempdir().expect("a folder");
     fs::create_dir(folder.path().join("in")).expect("made");
@@ -40,7 +41,7 @@ fn number(value: &Value) -> f64 {
 }
 
 #[test]
-fn a_level_set_is_contoured_as_it_is() {
+fn level_set_is_contoured_unchanged() {
     let folder = scene();
     let folder = folder.path();
     let ran = convert(folder, &["--format=obj,glb,vdb"]);
@@ -52,7 +53,7 @@ fn a_level_set_is_contoured_as_it_is() {
     assert_eq!(again["boundary_edges"], 0);
     let [expected, found] = [&from_particles, &again].map(|mesh| number(&mesh["volume"]));
     assert!((found / expected - 1.0).abs() < 1e-4, "{found} {expected}");
-    // What was written is what was read.
+    // The values that were written are those that were read.
     let [one, other] = ["in/block.vdb", "out/block.vdb"].map(|file| info(folder, file)["grids"][0].clone());
     assert_eq!(one["active_voxels"], other["active_voxels"], "{one}");
     let ran = convert(folder, &["--format=obj,glb,vdb", "--skip-done"]);
@@ -82,7 +83,7 @@ fn skip_done_writes_a_contoured_level_set_with_a_flipped_byte_again() {
 }
 
 #[test]
-fn a_slack_is_used_and_kept() {
+fn smoothing_stays_within_the_band_slack() {
     let folder = scene();
     let folder = folder.path();
     succeeded(&convert(folder, &["--format=obj"]));
@@ -105,7 +106,7 @@ fn a_slack_is_used_and_kept() {
 }
 
 #[test]
-fn what_needs_particles_is_refused_by_name() {
+fn options_that_need_particles_are_refused_by_name() {
     let folder = scene();
     let folder = folder.path();
     for (options, words) in [
@@ -194,7 +195,7 @@ fn level_sets_have_reports_previews_and_sequence_files() {
 }
 
 #[test]
-fn shards_of_level_sets_make_what_convert_makes() {
+fn shards_of_level_sets_give_the_results_of_convert() {
     let folder = sequence();
     let folder = folder.path();
     let expected: Vec<&str> =
@@ -211,7 +212,7 @@ fn shards_of_level_sets_make_what_convert_makes() {
     let verify = || meniscus(folder, &["verify", "out", "--plan=p.json"]);
     assert_eq!(verify().status, 0, "{}", verify().err);
     assert!(meniscus(folder, &["convert", "--plan=p.json", "--shard=0"]).out.contains("done already"));
-    // Nothing can be compared with an input that is gone, and what was made of it is done.
+    // A missing input cannot be compared, and its outputs count as done.
     fs::remove_file(folder.join("in/f.1.vdb")).expect("removed");
     assert_eq!(verify().status, 0, "{}", verify().err);
     fs::copy(folder.join("in/f.2.vdb"), folder.join("in/f.1.vdb")).expect("copied");
@@ -221,7 +222,7 @@ fn shards_of_level_sets_make_what_convert_makes() {
 }
 
 #[test]
-fn watch_takes_level_sets_of_others_by_a_pattern_that_names_them() {
+fn watch_converts_foreign_level_sets_that_a_pattern_names() {
     let folder = scene();
     let folder = folder.path();
     fs::write(folder.join("in/ball.1.vdb"), ball(|distance| (0.1 * distance).clamp(-0.3, 0.3)))
@@ -231,7 +232,7 @@ fn watch_takes_level_sets_of_others_by_a_pattern_that_names_them() {
             ["watch", "in", "--out=in", "--once", "--settle=0ms", "--unproven=0ms", "--format=obj"];
         meniscus(folder, &[&arguments[..], more].concat())
     };
-    // Without such a pattern level sets may be anybody's outputs.
+    // Without such a pattern, level sets may be outputs of other programs.
     for more in [&[][..], &["--pattern=*"], &["--pattern=ball.*"]] {
         let ran = watch(more);
         assert!(!folder.join("in/ball.1.obj").exists(), "{more:?} {}", ran.err);
@@ -277,7 +278,7 @@ fn printed_settings_of_a_level_set_make_the_same_files() {
     assert_eq!(ran.status, 0, "{}", ran.err);
     let bytes = |path: &str| fs::read(folder.join(path)).expect("there");
     assert!(bytes("out/ball.obj") == bytes("watched/ball.obj"));
-    // A file has no key for the slack, and smooths nothing without one.
+    // A configuration file has no key for the band slack, and nothing is smoothed without one.
     let smoothed = convert(&["--print-settings", "--band-slack=1", "--steps=3"]);
     assert!(smoothed.out.contains("\n# ") && smoothed.out.contains("\n#steps = 3\n"), "{}", smoothed.out);
 }

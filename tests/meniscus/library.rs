@@ -1,4 +1,4 @@
-//! The example for other programs does what the command does.
+//! The example for other programs gives the results of the command.
 
 use std::fs;
 
@@ -13,7 +13,7 @@ use crate::scene::{meniscus, names_in, write_sequence};
 mod example;
 
 #[test]
-fn a_folder_becomes_what_convert_makes_of_it() {
+fn example_gives_the_outputs_of_convert_for_a_folder() {
     let folder = tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
     fs::create_dir(path("in")).expect("made");
@@ -31,7 +31,7 @@ fn a_folder_becomes_what_convert_makes_of_it() {
 }
 
 #[test]
-fn a_frame_becomes_a_mesh() {
+fn example_makes_a_mesh_of_a_frame() {
     let folder = tempdir().expect("a folder");
     write_sequence(folder.path(), 1, 1);
     let (from, to) = (folder.path().join("dam.1.ply"), folder.path().join("dam.glb"));

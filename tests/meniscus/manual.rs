@@ -1,4 +1,4 @@
-//! The manual and the completions: of the whole command line, and nothing but it.
+//! The man pages and shell completions cover the whole command line, and nothing else.
 
 use std::fs;
 
@@ -49,16 +49,16 @@ fn every_command_has_a_page_with_every_option() {
 }
 
 #[test]
-fn a_page_that_cannot_be_written_is_told() {
+fn page_that_cannot_be_written_is_an_error() {
     let folder = tempdir().expect("a folder");
-    fs::create_dir_all(folder.path().join("out/meniscus.1")).expect("a folder in the way");
+    fs::create_dir_all(folder.path().join("out/meniscus.1")).expect("a folder at the path");
     let ran = meniscus(folder.path(), &["man", "--out", "out"]);
     assert_eq!(ran.status, 2);
     assert!(ran.err.contains("out/meniscus.1: cannot write"), "{}", ran.err);
 }
 
 #[test]
-fn shells_hear_of_every_command() {
+fn completions_have_every_command() {
     let folder = tempdir().expect("a folder");
     for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
         let ran = meniscus(folder.path(), &["completions", shell]);

@@ -1,4 +1,4 @@
-//! Names of frames and of results: which number is the frame's, one file for one frame, pipes, clashes.
+//! Names of frames and of results: frame numbers, single files, pipes, name clashes.
 
 use std::fs::{self, File};
 use std::io::{Read, Write};
@@ -15,7 +15,8 @@ fn folder_with(names: &[&str]) -> TempDir {
     let folder = tempdir().expect("a folder");
     fs::create_dir(folder.path().join("in")).expect("made");
     for (index, name) in names.iter().enumerate() {
-        // Frames have different spacings, and the third rounds to another one: settings of each frame's own would show.
+        // The frames have different spacings, and the third one rounds to another voxel size: settings per
+        // frame would show.
         let points: Vec<[f64; 3]> =
             block(6, 0.0).iter().map(|point| point.map(|x| x * (1.0 + 0.04 * index as f64))).collect();
         write_ply(&folder.path().join("in").join(name), &points);
@@ -34,7 +35,7 @@ fn pipe(folder: &Path, arguments: &[&str], input: &[u8]) -> (i32, Vec<u8>, Strin
     let mut child = command.spawn().expect("it starts");
     let mut stdin = child.stdin.take().expect("piped");
     let input = input.to_vec();
-    // A command that refuses its arguments does not read.
+    // A command that refuses its arguments does not read its input.
     let writer = std::thread::spawn(move || drop(stdin.write_all(&input)));
     let output = child.wait_with_output().expect("it ends");
     writer.join().expect("written");
@@ -203,7 +204,7 @@ fn standard_input_and_output_carry_one_frame() {
     }
 }
 
-/// Users know nothing of the copy.
+/// Messages never name the temporary copy of a pipe.
 #[test]
 fn errors_and_reports_of_a_pipe_name_the_standard_input() {
     let folder = folder_with(&["dam.7.ply"]);
@@ -235,7 +236,7 @@ fn device_names_of_pipes_are_read() {
     assert_eq!(names_in(folder.path()), ["in", "x.obj"]);
 }
 
-/// A reader that goes away is an error, and no frame is half of one.
+/// A reader that closes the pipe causes an error, and no frame is written in part.
 #[test]
 fn closed_standard_output_is_an_error() {
     let folder = folder_with(&["dam.7.ply"]);

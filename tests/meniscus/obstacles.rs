@@ -1,4 +1,4 @@
-//! Fluid and what stands in its way: contact is sharp, and nothing is between (paper, §3.6, Fig. 15 and 16).
+//! Fluid at obstacles: the contact is sharp, without gaps (paper, §3.6, Fig. 15 and 16).
 
 use std::f64::consts::{PI, TAU};
 use std::fmt::Write;
@@ -47,7 +47,7 @@ impl Body {
     }
 }
 
-/// A tetrahedron that lies askew. Inside, and next to its faces, the distance is that to the planes.
+/// A rotated tetrahedron. Inside, and next to its faces, the distance is that to the planes.
 fn tetrahedron(size: f64) -> Body {
     let turn = DQuat::from_euler(EulerRot::XYZ, 0.3, 0.2, 0.5);
     let corners = [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]];
@@ -110,7 +110,7 @@ fn random(seed: usize) -> f64 {
     (seed as f64 * 12.9898).sin().mul_add(43758.5453, 0.0).rem_euclid(1.0)
 }
 
-/// A block of particles about 2 apart, out of their order, of which those are kept that `is_kept`.
+/// A block of particles about 2 apart, irregular, restricted to those for which `is_kept` holds.
 fn fluid(counts: [i32; 3], center: DVec3, is_kept: impl Fn(DVec3) -> bool) -> Vec<[f64; 3]> {
     let mut particles = Vec::new();
     for x in 0..counts[0] {
@@ -181,7 +181,7 @@ fn dry_voxels(surface: &FrameSurface, body: &Body, is_wet: impl Fn(DVec3) -> boo
 
 /// Particles on the faces of a tetrahedron, or a little off them: the fluid lies on these without a gap (Fig. 15).
 #[test]
-fn a_tetrahedron_in_a_film_is_touched_everywhere() {
+fn film_touches_all_faces_of_a_tetrahedron() {
     let body = tetrahedron(24.0);
     for off in [0.0, 1.0, 3.3] {
         let mut particles = Vec::new();
@@ -196,14 +196,14 @@ fn a_tetrahedron_in_a_film_is_touched_everywhere() {
         }
         let surface = skinned(particles.clone(), &body, 2.0);
         let distances = check("film", &surface, &body);
-        // The faces, but for what is around the edges.
+        // The faces, without the surroundings of the edges.
         let contact = distances.iter().filter(|distance| distance.abs() < 1.0).count();
         let flat = distances.iter().filter(|distance| distance.abs() < 0.25).count();
         assert!(contact > 5000 && flat * 1000 > contact * 995, "{off}: {flat} of {contact}");
         let (count, dry_count) = dry_voxels(&surface, &body, |_| true);
         assert!(dry_count * 500 < count, "{off}: {dry_count} of {count}");
         assert_eq!(surface.report.contact.particle_count > 0, off < 1.0, "{off}");
-        // Without filling, what is a little off stays off.
+        // Without filling, the gap below particles off the faces stays.
         if off > 3.0 {
             let open = skinned(particles, &body, 0.0);
             let flat = |distances: Vec<f64>| distances.iter().filter(|d| d.abs() < 0.25).count();
@@ -215,9 +215,9 @@ fn a_tetrahedron_in_a_film_is_touched_everywhere() {
     }
 }
 
-/// A drop on a floor wets a disc of it, which is flat, and nothing beside.
+/// A drop on a floor wets a flat disc and nothing else.
 #[test]
-fn a_drop_lies_flat_on_the_floor() {
+fn drop_lies_flat_on_the_floor() {
     let body = cuboid(DVec3::new(-50.0, -50.0, -20.0), DVec3::new(50.0, 50.0, 0.27));
     let center = DVec3::new(0.2, -0.3, 12.0);
     for gap in [0.0, 2.0] {
@@ -242,9 +242,10 @@ fn a_drop_lies_flat_on_the_floor() {
     }
 }
 
-/// A ball in a block, with the particles in it removed or not; and one that is deep inside altogether.
+/// A ball in a block of fluid, with and without the particles inside it; and a ball entirely inside the
+/// fluid.
 #[test]
-fn a_ball_in_fluid_leaves_a_hole_of_its_size() {
+fn ball_in_fluid_leaves_a_hole_of_its_size() {
     for (name, center, margin) in [
         ("half in, cleared", DVec3::new(0.3, 0.2, 12.1), 0.0),
         ("half in, well cleared", DVec3::new(0.3, 0.2, 12.1), 3.0),
@@ -267,7 +268,7 @@ fn a_ball_in_fluid_leaves_a_hole_of_its_size() {
 
 /// A plate much thinner than a particle, deep in fluid where no level set would be stored otherwise.
 #[test]
-fn a_thin_plate_deep_in_fluid_is_there() {
+fn thin_plate_deep_in_fluid_is_resolved() {
     let (min, max) = (DVec3::new(-12.0, -12.0, 0.4), DVec3::new(12.0, 12.0, 1.7));
     let body = cuboid(min, max);
     let surface = skinned(fluid([26, 26, 26], DVec3::ZERO, |_| true), &body, 2.0);
@@ -277,7 +278,7 @@ fn a_thin_plate_deep_in_fluid_is_there() {
     assert_eq!(surface.report.mesh.component_count, 2);
 }
 
-/// An offset moves the free surface, and not what lies on a wall; a plate that is thinner than the offset is still there.
+/// An offset moves the free surface and not the part on a wall. A plate thinner than the offset remains.
 #[test]
 fn moved_surface_rests_on_the_wall() {
     let floor = cuboid(DVec3::new(-50.0, -50.0, -20.0), DVec3::new(50.0, 50.0, 0.27));
@@ -331,7 +332,7 @@ fn dipping(folder: &Path, shift: f64) {
 }
 
 #[test]
-fn the_command_goes_around_obstacles_and_says_so() {
+fn command_clips_at_obstacles_and_reports_them() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     dipping(path, 0.0);
@@ -360,7 +361,7 @@ fn the_command_goes_around_obstacles_and_says_so() {
     assert!(again.out.contains("done already"), "{}", again.out);
     assert_eq!(run(&["--threads", "2"]).status, 0);
     assert!(glb() == before, "other bytes on two threads");
-    // Another obstacle makes another output, and so does no obstacle.
+    // Another obstacle gives another output, and so does none at all.
     dipping(path, 0.1);
     let moved = run(&["--skip-done"]);
     assert!(!moved.out.contains("done already") && glb() != before, "{}", moved.out);
@@ -370,7 +371,7 @@ fn the_command_goes_around_obstacles_and_says_so() {
 }
 
 #[test]
-fn obstacles_of_any_format_are_one() {
+fn obstacle_gives_the_same_surface_in_every_format() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     dipping(path, 0.0);
@@ -410,7 +411,7 @@ fn obstacles_of_any_format_are_one() {
 }
 
 #[test]
-fn obstacles_that_move_have_a_file_of_each_frame() {
+fn moving_obstacle_has_a_file_for_each_frame() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     for number in 1..=3 {
@@ -424,7 +425,7 @@ fn obstacles_that_move_have_a_file_of_each_frame() {
         ["dam.#.ply", "--voxel-size", "0.05", "--format", "vdb", "--out", "o", "--on-error", "continue"];
     let all = convert(path, &[&arguments[..], &["--obstacle", "body.####.obj"]].concat());
     assert_eq!(all.status, 1, "{}", all.err);
-    // Once, with the frame and the file that it was to have.
+    // The error appears once, with the frame and the expected file.
     let missing: Vec<&str> = all.err.lines().filter(|line| line.contains("frame 3")).collect();
     let expected =
         "error: dam.3.ply: obstacle body.0003.obj: no such file, and frame 3 needs its own of body.####.obj";
@@ -448,7 +449,7 @@ fn obstacles_that_move_have_a_file_of_each_frame() {
 }
 
 #[test]
-fn obstacles_that_are_none_are_told() {
+fn invalid_obstacle_is_an_error() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     dipping(path, 0.0);
@@ -480,9 +481,9 @@ fn obstacles_that_are_none_are_told() {
     assert!(report(&path.join("r.json"))["frames"][0]["obstacles"]["open_edges"].as_u64() > Some(0));
 }
 
-/// Other units or axes are no error, but nobody means them.
+/// Other units or axes are valid, but probably a mistake.
 #[test]
-fn obstacles_that_do_nothing_are_told() {
+fn obstacle_out_of_reach_causes_a_warning() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     for number in [1, 2] {
@@ -516,9 +517,10 @@ fn obstacles_that_do_nothing_are_told() {
     assert!(err.contains("encloses nothing"), "{err}");
 }
 
-/// Nothing is left of a surface that is in an obstacle, beyond a box, or all islands: that is told, and written.
+/// A surface can vanish in an obstacle, beyond a box, or as islands. Then the output is written, with a
+/// warning that gives the reason.
 #[test]
-fn why_nothing_is_left_is_told() {
+fn empty_surface_causes_a_warning_with_the_reason() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_ply(&path.join("dam.1.ply"), &block(4, 0.0));
@@ -548,9 +550,9 @@ fn why_nothing_is_left_is_told() {
     assert!(!all.err.contains("nothing of the surface"), "{}", all.err);
 }
 
-/// A second run of the daemon's command does nothing, until the obstacle is another.
+/// A second run of `watch --once` converts nothing until the obstacle changes.
 #[test]
-fn the_daemon_knows_what_its_outputs_went_around() {
+fn daemon_records_the_obstacles_of_its_outputs() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     fs::create_dir(path.join("in")).expect("made");

@@ -1,4 +1,5 @@
-//! The finished surface moved by a constant distance: where it ends up, what it still guarantees, and who is left outside.
+//! The finished surface moved by a constant distance: its position, its guarantees, and the particles left
+//! outside.
 
 use std::fs;
 
@@ -80,9 +81,9 @@ fn flat_top_of_a_pool_moves_by_the_offset() {
     }
 }
 
-/// What is not moved has the bytes that it had: an offset of 0 is none.
+/// An offset of 0 leaves every byte unchanged.
 #[test]
-fn offset_of_nothing_changes_nothing() {
+fn offset_of_zero_changes_nothing() {
     let positions = lattice([6, 6, 6]);
     let (one, other) =
         (skinned(&positions, &MethodOptions::default()), skinned(&positions, &with_offset(0.0)));
@@ -90,7 +91,8 @@ fn offset_of_nothing_changes_nothing() {
     assert_eq!(one.report.certificate, other.report.certificate);
 }
 
-/// Outside of a convex body, where no two parts of the surface are as near, the slope of φ is 1 in all of the band.
+/// Outside a convex body, the slope of φ is 1 in the whole band, because no two parts of the surface are near
+/// each other.
 #[test]
 fn level_set_holds_distances_after_the_offset() {
     let plain = skinned(&lattice([12, 12, 8]), &MethodOptions::default()).band;
@@ -123,8 +125,8 @@ fn level_set_holds_distances_after_the_offset() {
     }
 }
 
-/// The offset takes thin parts away: a sheet is gone, a drop beside a body, too. What is left outside is counted, and is no
-/// violation, as the surface was to be moved so far.
+/// An inward offset removes thin parts such as a sheet, or a drop next to a body. The certificate counts the
+/// particles outside, but this is not a violation, because the user asked for the offset.
 #[test]
 fn particles_that_an_inward_offset_leaves_outside_are_counted() {
     let mut positions = lattice([8, 8, 8]);
@@ -142,7 +144,8 @@ fn particles_that_an_inward_offset_leaves_outside_are_counted() {
     assert!(body.deepest < 1.0, "{body:?}");
 }
 
-/// Wherever a lone particle is between the voxels, it is inside as long as the certificate asks for that.
+/// For every position of a lone particle between the voxels, the particle stays inside as long as the
+/// certificate requires it.
 #[test]
 fn particles_stay_inside_where_the_offset_leaves_room_for_them() {
     for (radius_min, offset, is_sure) in [(1.733, -0.3, false), (1.733, -1.6, false), (3.0, -1.2, true)] {

@@ -1,6 +1,6 @@
-//! Particles of their own sizes and shapes, from their attributes to the surface (paper, Fig. 11 and 13).
+//! Per-particle radii and shapes, from attributes to the surface (paper, Fig. 11 and 13).
 
-#![expect(clippy::print_stdout, reason = "tests tell what they measured to those who ask with --nocapture")]
+#![expect(clippy::print_stdout, reason = "tests print measurements, visible with --nocapture")]
 
 use glam::{DVec3, Vec3};
 use meniscus::surface::obstacle::Obstacles;
@@ -30,7 +30,7 @@ fn with_velocities(cloud: Cloud, velocities: &[Vec3]) -> Cloud {
     with(cloud, "v", Meaning::Velocity, 3, numbers)
 }
 
-/// Skins with a voxel of 1.
+/// Reconstructs the surface with a voxel size of 1.
 fn skinned(cloud: Cloud, choices: &MethodOptions) -> FrameSurface {
     let settings = Settings::paper(1.0, choices).expect("sound");
     let surface = skin_cloud(cloud, &settings, &Obstacles::default());
@@ -70,7 +70,7 @@ fn lone_spheres_have_the_radii_of_their_particles() {
     }
 }
 
-/// It does not matter where a radius comes from.
+/// The source of a radius does not matter.
 #[test]
 fn lone_spheres_keep_a_radius_that_was_chosen() {
     for (radius_min, ratio) in [(1.74, 2.0), (1.74, 3.0), (2.5, 2.0), (3.0, 2.0), (3.4, 1.5), (5.0, 2.0)] {
@@ -113,7 +113,7 @@ fn sphere_errors(radii: &[f32], choices: &MethodOptions) -> Vec<f64> {
     centers.iter().zip(radii).map(error).collect()
 }
 
-/// What is far away, however large, changes no bit here.
+/// A distant particle of any size changes no bit of the surface here.
 #[test]
 fn far_particles_of_any_size_change_nothing() {
     let mut random = Random::new(5);
@@ -140,7 +140,7 @@ fn far_particles_of_any_size_change_nothing() {
             assert_eq!(bits(&alone, leaf), bits(&both, other), "{kind:?}");
             compared += 1;
         }
-        assert!(both.band.topology.len() > compared, "{kind:?}: the far particle has a surface of its own");
+        assert!(both.band.topology.len() > compared, "{kind:?}: the far particle has a separate surface");
     }
 }
 
@@ -211,7 +211,7 @@ fn particles_stretched_by_their_neighbors_make_a_flat_sheet() {
 /// Without stretch, too, positions are smoothed: of two particles 2 apart each is moved to 0.126 from their middle, by the weights
 /// 1 and 1 − (2/R)³ of itself and of the other one, and by 0.9 of the way, with R = 3√3.
 #[test]
-fn a_pair_is_drawn_together_without_stretch() {
+fn position_smoothing_moves_a_pair_of_spheres_together() {
     let pair = [DVec3::new(-1.0, 0.2, 0.3), DVec3::new(1.0, 0.2, 0.3)];
     let reach = |choices: &MethodOptions| {
         let mesh = skinned(cloud(&pair), choices).mesh;
@@ -224,7 +224,7 @@ fn a_pair_is_drawn_together_without_stretch() {
 
 /// Fig. 11, on the right, and Eq. 16: half axes (1 + s)² along the velocity and 1/(1 + s) across.
 #[test]
-fn moving_drops_are_stretched_as_much_as_the_paper_says() {
+fn moving_drops_are_stretched_as_in_the_paper() {
     let choices = |kind| MethodOptions {
         radius_min: Some(8.0.into()),
         anisotropy: Some(kind),

@@ -1,4 +1,4 @@
-//! Particles from one format to another, without a surface: what they know, where they are from, and what is refused.
+//! Particles from one format to another, without a surface: attributes, provenance, and refused options.
 
 use std::fs;
 use std::path::Path;
@@ -35,7 +35,7 @@ fn convert(folder: &Path, input: &str, more: &[&str]) -> Ran {
 }
 
 #[test]
-fn particles_keep_what_they_know() {
+fn particles_keep_their_attributes() {
     let folder = folder_with(&[("dam.1.csv", TABLE), ("dam.2.csv", TABLE)]);
     let folder = folder.path();
     let ran = convert(folder, "in", &["--format=vtp,ply", "--frames=1"]);
@@ -79,7 +79,7 @@ fn skip_done_writes_particles_with_a_flipped_byte_again() {
 }
 
 #[test]
-fn what_is_done_is_left_alone_and_what_fails_is_told() {
+fn done_frames_are_kept_and_failures_are_reported() {
     let step = |number: usize| {
         format!("ITEM: TIMESTEP\n{number}\nITEM: NUMBER OF ATOMS\n1\nITEM: ATOMS x y z\n1 2 3\n")
     };
@@ -101,7 +101,7 @@ fn what_is_done_is_left_alone_and_what_fails_is_told() {
 }
 
 #[test]
-fn positions_that_are_not_finite_are_kept_and_told() {
+fn positions_that_are_not_finite_are_kept_with_a_warning() {
     let header =
         "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n";
     let folder = folder_with(&[("a.ply", &format!("{header}end_header\n1 2 3\nnan 0 0\n"))]);
@@ -111,7 +111,7 @@ fn positions_that_are_not_finite_are_kept_and_told() {
 }
 
 #[test]
-fn what_is_about_surfaces_is_refused() {
+fn surface_options_are_refused() {
     let folder = folder_with(&[("a.csv", TABLE)]);
     let folder = folder.path();
     for (option, words) in [

@@ -1,4 +1,4 @@
-//! Pictures: of balls, of which all is known; their files, and the command that makes them.
+//! Pictures of balls with known geometry; picture files, and the command that makes them.
 
 use std::fmt::Write;
 use std::fs::{self, File};
@@ -56,7 +56,7 @@ fn picture_of(band: &NarrowBand, origin: DVec3, viewpoint: &Viewpoint) -> Pictur
 }
 
 #[test]
-fn a_ball_is_where_and_what_it_is() {
+fn picture_of_a_ball_matches_its_geometry() {
     let picture = picture_of(&ball(1.0), DVec3::ZERO, &viewpoint(AWAY));
     // Seen from 5 its edge is at the angle whose sine is 1/5.
     let edge = (RADIUS / 5.0).asin().tan() / 20f64.to_radians().tan() * SIZE[1] as f64 / 2.0;
@@ -79,9 +79,9 @@ fn a_ball_is_where_and_what_it_is() {
     assert!((f64::from(count) / area - 1.0).abs() < 0.05, "{count} of {area}");
 }
 
-/// A picture is the same wherever the voxels of its level set begin.
+/// A picture does not depend on where the voxels of its level set begin.
 #[test]
-fn a_level_set_may_be_moved() {
+fn picture_does_not_depend_on_the_origin_of_the_level_set() {
     let origin = DVec3::new(10.0, -3.0, 0.5);
     let here = picture_of(&ball(1.0), DVec3::ZERO, &viewpoint(AWAY));
     let there = picture_of(&ball(1.0), origin, &viewpoint(AWAY).moved(origin));
@@ -96,7 +96,7 @@ fn a_level_set_may_be_moved() {
 }
 
 #[test]
-fn what_is_inside_out_is_orange() {
+fn inverted_surface_is_orange() {
     let middle = SIZE[1] / 2 * SIZE[0] + SIZE[0] / 2;
     let [right, wrong] =
         [1.0, -1.0].map(|side| picture_of(&ball(side), DVec3::ZERO, &viewpoint(AWAY)).color[middle]);
@@ -184,7 +184,7 @@ fn particles_and_level_sets_become_pictures() {
         expected.map(|(name, channels)| (name.to_owned(), channels))
     );
 
-    // The camera of a picture takes it again.
+    // The command accepts the camera of an earlier picture.
     let first = fs::read(path.join("drop.exr")).expect("there");
     let again = ["render", "drop.csv", "-o", "again.exr", "--size", "64x48", "--camera-from", "drop.exr"];
     assert_eq!(meniscus(path, &again).status, 0);
@@ -219,7 +219,7 @@ fn particles_and_level_sets_become_pictures() {
 }
 
 #[test]
-fn pictures_that_cannot_be_are_refused() {
+fn invalid_picture_arguments_are_refused() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 1, 2);
@@ -306,8 +306,8 @@ fn splash_that_leaves_the_picture_of_watch_is_not_cropped() {
     assert!(log.contains("the camera is refitted"), "{log}");
     let second = camera_in(&picture(2));
     assert_ne!(first, second);
-    // What is in the picture of the second camera keeps it, also after a restart; and no frame is converted again for
-    // the refit, not even one that has to be looked at again.
+    // A frame inside the picture of the second camera keeps that camera, also after a restart. The refit
+    // converts no frame again, not even one that the daemon examines again.
     frame(3, 1.5);
     let untouched = [1, 2].map(|number| fs::read(picture(number)).expect("there"));
     fs::copy(path.join("in/dam.1.ply"), path.join("in/copy")).expect("copied");
@@ -319,7 +319,7 @@ fn splash_that_leaves_the_picture_of_watch_is_not_cropped() {
 }
 
 #[test]
-fn a_daemon_keeps_its_camera() {
+fn daemon_keeps_its_camera() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     fs::create_dir(path.join("in")).expect("made");
@@ -333,7 +333,7 @@ fn a_daemon_keeps_its_camera() {
     let picture = |name: &str| path.join("o").join(name);
     let camera = camera_in(&picture("dam.1.exr"));
     assert!(camera.starts_with("eye=") && camera == camera_in(&picture("dam.2.exr")), "{camera}");
-    // After a restart it is not placed again, though another frame comes first by now.
+    // After a restart the camera stays, although another frame now comes first.
     write_sequence(&path.join("in"), 0, 0);
     write_sequence(&path.join("in"), 3, 3);
     let ran = meniscus(path, &watch);
@@ -346,7 +346,7 @@ fn a_daemon_keeps_its_camera() {
 /// How far a picture may be from the one that is kept, in levels of 255: numbers are the same on every machine but for
 /// the functions of angles, and an edge that falls otherwise moves a pixel.
 const MEAN_OFF_MAX: f64 = 0.1;
-/// Of all channels of all pixels, so many of a thousand may be off by more than [`OFF_MAX`].
+/// Of all channels of all pixels, at most this number per thousand may differ by more than [`OFF_MAX`].
 const FAR_OFF_THOUSANDTHS_MAX: f64 = 1.0;
 const OFF_MAX: u8 = 6;
 
@@ -364,7 +364,7 @@ fn pixels(path: &Path) -> Pixels {
     ([info.width, info.height], bytes)
 }
 
-/// What is wrong with a picture, if it is too far from the reference.
+/// The fault of a picture that differs too much from the reference.
 fn unlike(picture: &Pixels, reference: &Pixels) -> Option<String> {
     if picture.0 != reference.0 {
         return Some(format!("it has {:?} pixels, and the reference {:?}", picture.0, reference.0));
@@ -377,10 +377,10 @@ fn unlike(picture: &Pixels, reference: &Pixels) -> Option<String> {
         .then(|| format!("off by {mean:.2} levels in the mean, {far_off:.1} ‰ by more than {OFF_MAX}"))
 }
 
-/// Pictures of a ball, of a frame of water and of its particles are those that were looked at. A new one is left beside
-/// the build, to be looked at and taken over.
+/// Pictures of a ball, of a frame of water and of its particles match the references that a person has
+/// reviewed. The test leaves a differing picture in the build folder, to be reviewed and copied.
 #[test]
-fn pictures_are_those_that_were_looked_at() {
+fn pictures_match_the_reviewed_references() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let made = Path::new(env!("CARGO_TARGET_TMPDIR")).join("pictures");
     fs::create_dir_all(&made).expect("made");
@@ -408,9 +408,9 @@ fn pictures_are_those_that_were_looked_at() {
     }
 }
 
-/// A wrong sign, a hole or a light from elsewhere does not pass for the picture that is kept.
+/// A wrong sign, a hole or a light from another direction differs from the reference.
 #[test]
-fn what_is_wrong_is_seen() {
+fn wrong_pictures_differ_from_the_reference() {
     let picture = |band: &NarrowBand, spec: &str| -> Pixels {
         let picture = picture_of(band, DVec3::ZERO, &viewpoint(spec));
         let bytes = encode_picture(&picture, None, OutputFormat::Png, &[]).expect("encoded");

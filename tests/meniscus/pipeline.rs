@@ -27,7 +27,7 @@ struct Quick {
     broken_stage: Option<Stage>,
 }
 
-/// How many particles the frame has that the method cannot bear.
+/// The number of particles for which the method panics.
 const BROKEN_COUNT: usize = 27;
 
 impl Quick {
@@ -80,7 +80,7 @@ impl Method for Quick {
     }
 }
 
-/// The surface of a frame of so many particles.
+/// The surface of a frame with this number of particles.
 pub(crate) fn tetrahedron(count: usize, settings: &Settings) -> FrameSurface {
     let size = count as f32 * settings.voxel_size as f32;
     let mesh = Mesh {
@@ -98,14 +98,14 @@ pub(crate) fn tetrahedron(count: usize, settings: &Settings) -> FrameSurface {
     FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report }
 }
 
-/// A folder with frames, and what it takes to run them.
+/// A folder with frames, and the parts of a pipeline.
 pub(crate) struct Bench {
     pub(crate) folder: TempDir,
     pub(crate) frames: Vec<Frame>,
 }
 
 impl Bench {
-    /// A frame of `edge_count`³ particles for each; 0 is a frame that is no frame at all.
+    /// A frame of `edge_count`³ particles for each number; 0 makes an invalid frame.
     pub(crate) fn new(edge_counts: &[usize]) -> Bench {
         let folder = tempdir().expect("a folder");
         let settings = Arc::new(Settings::paper(0.05, &MethodOptions::default()).expect("valid"));
@@ -146,7 +146,7 @@ impl Bench {
         self.folder.path().join("out")
     }
 
-    /// Changes what is written of all frames.
+    /// Changes the outputs of all frames.
     fn change_outputs(&mut self, change: impl Fn(&mut OutputOptions)) {
         for frame in &mut self.frames {
             change(Arc::make_mut(&mut frame.outputs));
@@ -193,7 +193,7 @@ impl Bench {
     }
 }
 
-/// How frames are converted where it does not matter.
+/// The usual settings, for tests in which they do not matter.
 pub(crate) fn pipeline_options(pool: &ThreadPool) -> PipelineOptions<'_> {
     PipelineOptions {
         pool,
@@ -234,7 +234,7 @@ fn frames_are_converted_in_order() {
     let size_bytes = |path: &PathBuf| fs::metadata(path).expect("there").len();
     assert_eq!(report.output_bytes, report.outputs.iter().map(size_bytes).collect::<Vec<_>>());
     assert_eq!(report.input.stamp, FileStamp::of_path(&bench.frames[1].input).expect("there"));
-    // What is done already is told to be of the same file, by its content and its stamp.
+    // The report describes the file of a frame that is done by its content and its stamp.
     let again = bench.run_with(&quick, OnError::Continue, true, 2);
     let Outcome::AlreadyDone { input, .. } = &again[1] else { panic!("not done already") };
     assert_eq!((input, report.input.hash != 0), (&report.input, true));
@@ -242,7 +242,7 @@ fn frames_are_converted_in_order() {
 }
 
 #[test]
-fn a_frame_that_fails_costs_itself_only() {
+fn failed_frame_does_not_stop_others() {
     for broken_stage in [Stage::Rasterize, Stage::Smooth, Stage::Contour] {
         let bench = Bench::new(&[2, 3, 0, 4]);
         let quick = Quick::new(Some(broken_stage));
@@ -291,7 +291,7 @@ fn stop_writes_exactly_the_frames_before() {
 }
 
 #[test]
-fn an_output_that_cannot_be_written_fails_its_frame() {
+fn unwritable_output_fails_its_frame() {
     let bench = Bench::new(&[2, 2, 2]);
     fs::create_dir(bench.out().join("f.1.vdb")).expect("made");
     let outcomes = bench.run_with(&Quick::new(None), OnError::Continue, false, 2);
@@ -299,20 +299,20 @@ fn an_output_that_cannot_be_written_fails_its_frame() {
     let Outcome::Failed(error) = &outcomes[1] else { panic!("not failed") };
     assert_eq!((error.during, error.path.clone()), (Stage::Write, bench.out().join("f.1.vdb")));
     assert!(std::error::Error::source(error).is_some_and(|cause| cause.is::<meniscus_formats::Error>()));
-    // Nothing of it is there; it is made once the way is free.
+    // The frame has no output. It is converted when the folder at its path is removed.
     fs::remove_dir(bench.out().join("f.1.vdb")).expect("removed");
     assert_eq!(bench.written(), [0, 2]);
     assert_eq!(letters(&bench.run_with(&Quick::new(None), OnError::Continue, true, 2)), "dcd");
 }
 
 #[test]
-fn a_folder_that_is_missing_is_made() {
+fn missing_output_folder_is_created() {
     let mut bench = Bench::new(&[2, 2]);
     fs::remove_dir(bench.out()).expect("removed");
     bench.change_outputs(|outputs| outputs.folder = outputs.folder.join("shot/take"));
     assert_eq!(letters(&bench.run_all()), "cc");
     assert_eq!(names_in(&bench.out().join("shot/take")).len(), 8);
-    // Where a file is in its place, that is what the error names.
+    // If a file has the path of the folder, the error names that file.
     let below_a_file = bench.folder.path().join("file/out");
     fs::write(bench.folder.path().join("file"), "").expect("written");
     bench.change_outputs(|outputs| outputs.folder.clone_from(&below_a_file));
@@ -322,7 +322,7 @@ fn a_folder_that_is_missing_is_made() {
 }
 
 #[test]
-fn what_is_done_is_left_alone_and_anything_else_made_again() {
+fn done_frames_are_kept_and_all_others_are_converted() {
     let mut bench = Bench::new(&[2, 2, 2, 2]);
     bench.change_outputs(|outputs| outputs.formats.push(OutputFormat::Gltf));
     let run = |bench: &Bench| letters(&bench.run_with(&Quick::new(None), OnError::Continue, true, 2));
@@ -348,7 +348,7 @@ fn what_is_done_is_left_alone_and_anything_else_made_again() {
 }
 
 #[test]
-fn what_lost_its_end_is_made_again() {
+fn truncated_output_is_made_again() {
     let mut bench = Bench::new(&[2]);
     let more = [OutputFormat::Gltf, OutputFormat::Vtp, OutputFormat::Stl, OutputFormat::Usda];
     bench.change_outputs(|outputs| outputs.formats.extend(more));

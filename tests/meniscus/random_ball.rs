@@ -1,6 +1,6 @@
 //! 50 000 particles at random in a ball come out nearly spherical (paper, Fig. 12).
 
-#![expect(clippy::print_stdout, reason = "tests tell what they measured to those who ask with --nocapture")]
+#![expect(clippy::print_stdout, reason = "tests print measurements, visible with --nocapture")]
 
 use std::f64::consts::PI;
 

@@ -5,7 +5,7 @@
 
 use crate::vdb_file::{grid_head, vdb_file};
 
-/// What is in a place of 8³ voxels of the cube.
+/// The content of a cell of 8³ voxels in the cube.
 pub(crate) enum Cell {
     /// A tile with one value, inactive.
     Tile(f32),
@@ -16,7 +16,8 @@ pub(crate) enum Cell {
 /// Cells along an edge of the cube.
 const EDGE: i32 = 16;
 
-/// The bytes of a level set with this background; `cell` says what is at the cell with these coordinates, 0 to 15.
+/// The bytes of a level set with this background; `cell` returns the content of the cell with these
+/// coordinates, 0 to 15.
 pub(crate) fn raw_level_set(voxel_size: f64, background: f32, cell: impl Fn([i32; 3]) -> Cell) -> Vec<u8> {
     let (head, buffers) = grid(voxel_size, background, cell);
     vdb_file(&head, &buffers)

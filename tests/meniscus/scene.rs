@@ -35,7 +35,7 @@ pub(crate) fn write_sequence(folder: &Path, first: usize, last: usize) {
     }
 }
 
-/// What a run of the command left.
+/// The result of a run of the command.
 pub(crate) struct Ran {
     /// The exit status.
     pub(crate) status: i32,
@@ -50,7 +50,7 @@ pub(crate) fn meniscus(folder: &Path, arguments: &[&str]) -> Ran {
     let output: Output =
         command(folder, arguments).stdin(Stdio::null()).output().expect("the command starts");
     Ran {
-        status: output.status.code().expect("the command ends by itself"),
+        status: output.status.code().expect("the command ends without a signal"),
         out: String::from_utf8(output.stdout).expect("text"),
         err: String::from_utf8(output.stderr).expect("text"),
     }
@@ -65,7 +65,7 @@ pub(crate) fn command(folder: &Path, arguments: &[&str]) -> Command {
 
 /// The names in a folder, sorted.
 pub(crate) fn names_in(folder: &Path) -> Vec<String> {
-    let entries = fs::read_dir(folder).expect("the folder is there");
+    let entries = fs::read_dir(folder).expect("the folder exists");
     let mut names: Vec<String> =
         entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned()).collect();
     names.sort();

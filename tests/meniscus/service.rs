@@ -1,4 +1,4 @@
-//! The daemon as a service: what systemd hears, and what signals do.
+//! The daemon as a service: notifications to systemd, and signals.
 
 #![cfg(target_os = "linux")]
 
@@ -82,7 +82,7 @@ fn write_config(folder: &Path, more: &str) {
 }
 
 #[test]
-fn systemd_hears_of_the_whole_life_of_the_daemon() {
+fn systemd_is_notified_of_every_state_of_the_daemon() {
     let mut service = Service::start();
     service.hears("READY=1");
     service.hears("WATCHDOG=1");
@@ -90,7 +90,7 @@ fn systemd_hears_of_the_whole_life_of_the_daemon() {
     service.hears("STATUS=2 done, 0 queued");
     assert_eq!(names_in(&service.path().join("out")), [".meniscus", "dam.1.ply", "dam.2.ply"]);
 
-    // A file that is wrong changes nothing.
+    // An invalid configuration changes nothing.
     write_config(service.path(), "formatz = [\"obj\"]");
     service.send("HUP");
     assert!(service.hears("RELOADING=1").contains("MONOTONIC_USEC="));
@@ -112,7 +112,7 @@ fn systemd_hears_of_the_whole_life_of_the_daemon() {
 }
 
 #[test]
-fn status_and_why_know_a_daemon_at_work() {
+fn status_and_why_describe_a_busy_daemon() {
     let service = Service::start();
     service.hears("READY=1");
     write_sequence(&service.path().join("in"), 1, 1);
@@ -131,7 +131,7 @@ fn status_and_why_know_a_daemon_at_work() {
 fn a_second_signal_ends_at_once() {
     let mut service = Service::start();
     service.hears("READY=1");
-    // So many steps that it takes minutes.
+    // This number of steps takes minutes.
     write_config(service.path(), "integrator = \"explicit\"\nsteps = 100000");
     service.send("HUP");
     service.hears("RELOADING=1");
@@ -146,7 +146,7 @@ fn a_second_signal_ends_at_once() {
 }
 
 #[test]
-fn once_has_the_exit_status_of_convert() {
+fn once_exits_with_the_status_of_convert() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     fs::create_dir(path.join("in")).expect("made");

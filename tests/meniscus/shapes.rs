@@ -1,6 +1,6 @@
-//! Particles to skin, the method with its defaults, and level sets read at a place.
+//! Shapes of particles, the method with its defaults, and values of level sets.
 //!
-//! Shapes are made in units of voxels: particles about two voxels apart, as the method wants them.
+//! Shapes are in units of voxels: particles about two voxels apart, as the method requires.
 
 use glam::{DMat3, DVec3, IVec3, Vec3};
 use meniscus::surface::grid::{LEAF_VOXELS, offset_in_leaf, voxel_in_leaf};
@@ -171,7 +171,7 @@ pub(crate) fn sheet_and_drops() -> Vec<DVec3> {
     positions
 }
 
-/// Every lattice point in a box of so many voxels about the origin that `holds`, then moved a little.
+/// Every lattice point in a box of this size about the origin for which `holds` is true, then moved a little.
 pub(crate) fn jittered_lattice(
     random: &mut Random,
     half_edge: i32,

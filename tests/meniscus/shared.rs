@@ -1,5 +1,5 @@
-//! Files of real programs, too many and too large to be kept here: where they lie beside the sources, every one that holds
-//! points is converted, or refused for the reason that is told here.
+//! Files of real programs, too many and too large for this repository. If they lie next to the sources, every
+//! file with points is converted, or refused with the reason listed here.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use tempfile::tempdir;
 
 use crate::scene::{meniscus, names_in};
 
-/// The folder of the files, or the word that they were not tested.
+/// The folder of the files, or a message that the test was skipped.
 pub(crate) fn data() -> Option<PathBuf> {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared");
     let data = std::env::var_os("MENISCUS_SHARED").map_or_else(beside, PathBuf::from).join("data");
@@ -27,7 +27,7 @@ fn files_below(folder: &Path, files: &mut Vec<PathBuf>) {
     }
 }
 
-/// Files of points, but of a sequence the first and the last only: the others are like these.
+/// Files of points, but of each sequence only the first and the last: the others are similar.
 fn files(data: &Path) -> Vec<PathBuf> {
     let mut files = Vec::new();
     for folder in ["ours", "third-party"] {
@@ -45,7 +45,7 @@ fn files(data: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// Converts a file by itself; what went wrong, if anything did.
+/// Converts one file; returns the error, if any.
 fn converted(path: &Path) -> Result<(), String> {
     let folder = tempdir().expect("a folder");
     let typed = path.to_string_lossy();
@@ -68,7 +68,7 @@ fn converted(path: &Path) -> Result<(), String> {
 }
 
 #[test]
-fn every_file_of_points_is_converted_or_refused_for_a_reason() {
+fn every_file_of_points_is_converted_or_refused_with_the_listed_reason() {
     let Some(data) = data() else { return };
     let files = files(&data);
     let mut surprises = Vec::new();
@@ -92,7 +92,7 @@ fn every_file_of_points_is_converted_or_refused_for_a_reason() {
     );
 }
 
-/// Level sets of other programs are contoured; what is none is refused.
+/// Level sets of other programs are contoured; grids of other kinds are refused.
 #[test]
 fn level_sets_are_contoured() {
     let Some(data) = data() else { return };

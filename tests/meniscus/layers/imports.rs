@@ -7,12 +7,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Which code is looked at.
+/// Which code to examine.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Code {
-    /// All of it.
+    /// All code.
     All,
-    /// Without what is compiled for tests only.
+    /// Without code that is compiled only for tests.
     WithoutTests,
 }
 
@@ -21,7 +21,7 @@ pub(super) struct Crate {
     modules: BTreeMap<Vec<String>, Module>,
 }
 
-/// A file.
+/// One file.
 struct Module {
     file: PathBuf,
     /// The names that it brings into scope, and what they name; `*` for all of another module.
@@ -93,7 +93,7 @@ impl Crate {
         self.modules.values().filter(has_it).map(|module| &*module.file).collect()
     }
 
-    /// The file that defines what a path names; none for what is not of this crate.
+    /// The file that defines the item of a path; `None` for items of other crates.
     fn resolve(&self, path: &[String], depth: usize) -> Option<&Module> {
         // The longest beginning that is a module.
         let length = (0..=path.len()).rev().find(|&length| self.modules.contains_key(&path[..length]))?;
@@ -130,7 +130,7 @@ impl Module {
 fn files_below(root: &Path, files: &mut Vec<PathBuf>) {
     let mut folders = vec![root.to_owned()];
     while let Some(folder) = folders.pop() {
-        for entry in fs::read_dir(folder).expect("the folder is there") {
+        for entry in fs::read_dir(folder).expect("the folder exists") {
             let path = entry.expect("an entry").path();
             if path.is_dir() {
                 folders.push(path);
@@ -152,7 +152,7 @@ fn module_path(file: &Path) -> Vec<String> {
     parts
 }
 
-/// The modules in files of their own that are compiled for tests only.
+/// The modules in separate files that are compiled only for tests.
 fn test_modules(path: &[String], words: &[String]) -> Vec<Vec<String>> {
     let mut found = Vec::new();
     for at in 0..words.len() {
@@ -200,7 +200,7 @@ fn closing(words: &[String], opening: usize) -> usize {
     words.len()
 }
 
-/// What is after an item that begins here.
+/// The text after an item that begins here.
 fn after_item(words: &[String], start: usize) -> usize {
     let mut at = start;
     while at < words.len() {
@@ -281,7 +281,7 @@ impl Reader<'_> {
         self.words.get(at).map_or("", |word| word)
     }
 
-    /// The names and paths of a tree such as `a::{b, c as d, e::*}`, and what is after it.
+    /// The names and paths of a tree such as `a::{b, c as d, e::*}`, and the text after it.
     fn use_tree(&self, start: usize, prefix: &[String], found: &mut Names) -> usize {
         let mut path = prefix.to_vec();
         let mut at = start;
@@ -416,7 +416,7 @@ fn after_string(letters: &[char], opening: usize) -> usize {
     at + 1
 }
 
-/// What is after a string such as `r"…"`, `br#"…"#` or `b"…"`; none where none begins here.
+/// The text after a string such as `r"…"`, `br#"…"#` or `b"…"`; `None` if no string begins here.
 fn raw_string_end(letters: &[char], start: usize) -> Option<usize> {
     if start > 0 && (letters[start - 1].is_alphanumeric() || letters[start - 1] == '_') {
         return None;

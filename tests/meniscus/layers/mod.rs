@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use imports::{Code, Crate};
 
-/// The page that says which module is in which row: what it says is what is checked.
+/// The page that assigns modules to rows; the test checks the table on this page.
 const ARCHITECTURE: &str = include_str!("../../../docs/architecture.md");
 
 /// The crate of the file formats is visible from here up.

@@ -42,8 +42,8 @@ impl LevelSet {
         }
     }
 
-    /// Moves values nearer to zero than 1/128 voxel off it, as far as their bounds allow: what is done to
-    /// a result last.
+    /// The final operation on a result: moves values nearer to zero than 1/128 voxel away from zero, as far
+    /// as their bounds allow.
     pub(super) fn keep_off_zero(&mut self) {
         for phi in self.phi.iter_mut().filter(|phi| phi.abs() < 1.0 / 128.0) {
             *phi = (1.0f64 / 128.0).copysign(*phi);
@@ -52,7 +52,7 @@ impl LevelSet {
     }
 
     /// Replaces φ by the distance to its zero set, keeping the sign; then the bounds hold again.
-    /// Differences to neighbours nearer to the surface than so many voxels are of second order.
+    /// Differences to neighbours nearer to the surface than this many voxels are of second order.
     pub(super) fn redistance(&mut self, second_order_within: f64) {
         let sign = |phi: f64| if phi < 0.0 { -1.0 } else { 1.0 };
         let mut distance: Vec<f64> = self.phi.iter().map(|&phi| sign(phi) * f64::INFINITY).collect();
@@ -68,7 +68,7 @@ impl LevelSet {
         self.clamp();
     }
 
-    /// The distance to the zero set, where the voxel is so near to it that φ and its slope tell.
+    /// The distance to the zero set, where the voxel is near enough to estimate it from φ and its slope.
     fn known_distance(&self, index: usize) -> Option<f64> {
         let here = self.phi[index];
         let slope = self.grid.slope(&self.phi, index);
@@ -98,7 +98,7 @@ fn nearest_distances(grid: &Grid, positions: &[DVec3], reach: f64) -> Vec<f64> {
     nearest
 }
 
-/// The signed distance to the union of spheres: told by the nearest centre outside and beside the
+/// The signed distance to the union of spheres: computed from the nearest centre outside and near the
 /// surface, swept elsewhere.
 fn signed_distance(grid: &Grid, nearest: &[f64], radius: f64, half_width: f64) -> Vec<f64> {
     let side = |nearest: &f64| if *nearest < radius { -f64::INFINITY } else { f64::INFINITY };

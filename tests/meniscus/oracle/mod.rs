@@ -1,7 +1,7 @@
-//! The method against the paper's algorithms on a plain dense grid, in double precision: small,
-//! obviously right, and written without a look at the sparse grid's loops.
+//! The method against the paper's algorithms on a plain dense grid, in double precision. The dense code is
+//! short and obviously right, and was written independently of the sparse grid's loops.
 
-#![expect(clippy::print_stdout, reason = "tests tell what they measured to those who ask with --nocapture")]
+#![expect(clippy::print_stdout, reason = "tests print measurements, visible with --nocapture")]
 
 mod dense;
 mod distance;
@@ -93,7 +93,7 @@ fn implicit_steps_agree_with_the_dense_grid() {
     }
 }
 
-/// The fast integrator stops early: what it leaves is far below what can be seen.
+/// The fast integrator stops early. Its remaining error is far below what is visible.
 #[test]
 fn fast_steps_come_near_the_converged_solution() {
     for (name, shape) in SHAPES {
