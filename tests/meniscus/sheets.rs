@@ -1,4 +1,4 @@
-//! Sheets of pictures: what is on them, what they are made from, and that commands do what cells show.
+//! Contact sheets: their contents, their sources, and the commands that they print.
 
 use std::collections::HashMap;
 use std::fs::{self, File};
@@ -21,7 +21,7 @@ const GAP: usize = 10;
 /// Where cells begin: below one line of title.
 const HEAD: usize = GAP + 22 + GAP;
 
-/// A sheet as it is seen.
+/// A sheet as decoded pixels.
 struct Seen {
     width: usize,
     pixels: Vec<[u8; 3]>,
@@ -37,18 +37,18 @@ impl Seen {
         Seen { width: reader.info().width as usize, pixels }
     }
 
-    /// What is within a box; less where that is more than there is.
+    /// The pixels within a box, clipped to the sheet.
     fn part(&self, [left, top]: [usize; 2], [width, height]: [usize; 2]) -> Vec<[u8; 3]> {
         let rows = self.pixels.chunks_exact(self.width).skip(top).take(height);
         rows.flat_map(|row| row[left..left + width].iter().copied()).collect()
     }
 
-    /// The picture in a cell, where each has so many lines below it.
+    /// The picture in a cell, if this number of text lines is below each picture.
     fn cell(&self, column: usize, row: usize, line_count: usize) -> Vec<[u8; 3]> {
         self.part(place(column, row, line_count), CELL)
     }
 
-    /// How many pixels of what is below a cell are written on.
+    /// The number of pixels with text below the picture of a cell.
     fn ink(&self, column: usize, row: usize, line_count: usize) -> usize {
         let [left, top] = place(column, row, line_count);
         let below = self.part([left, top + CELL[1]], [CELL[0], 3 + 15 * line_count]);
@@ -60,7 +60,7 @@ fn place(column: usize, row: usize, line_count: usize) -> [usize; 2] {
     [GAP + column * (CELL[0] + GAP), HEAD + row * (CELL[1] + 3 + 15 * line_count + GAP)]
 }
 
-/// Whether fluid is in a picture: blue, unlike paper, ground and shadow.
+/// Whether a picture shows fluid: blue, unlike paper, ground and shadow.
 fn has_fluid(pixels: &[[u8; 3]]) -> bool {
     pixels.iter().filter(|[red, _, blue]| u32::from(*blue) > u32::from(*red) + 60).count() > 50
 }
@@ -74,7 +74,7 @@ fn sheet_of(folder: &Path, arguments: &[&str]) -> Ran {
 }
 
 #[test]
-fn a_sequence_is_seen_at_a_glance() {
+fn sheet_of_a_sequence_shows_a_picture_of_each_frame() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 1, 6);
@@ -101,14 +101,14 @@ fn a_sequence_is_seen_at_a_glance() {
     assert!(ran.status == 0 && ran.out.contains("dam: 3 of 6 frames, from particles"), "{}", ran.out);
     let ran = sheet_of(path, &["dam.#.ply", "--frames", "2-3", "--radius-ratio", "3"]);
     assert!(ran.status == 0 && ran.out.contains("dam: 2 frames, from particles"), "{}", ran.out);
-    // Frames are what they were: a sheet among them is none.
+    // The sheet in the folder is not a frame.
     let ran = meniscus(path, &["convert", ".", "--out", "o", "--format", "vdb"]);
     assert_eq!(ran.status, 0, "{}", ran.err);
     assert!(names_in(&path.join("o")).iter().all(|name| name.ends_with(".vdb")));
 }
 
 #[test]
-fn what_costs_least_is_taken() {
+fn sheet_uses_the_cheapest_source() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     fs::create_dir(path.join("in")).expect("made");
@@ -126,10 +126,10 @@ fn what_costs_least_is_taken() {
     assert!((0..3).all(|column| has_fluid(&seen.cell(column, 0, 1))), "pictures are shrunk");
     from(&["o", "--camera", "azimuth=90"], "level sets");
     from(&["in"], "particles");
-    // A picture too few; and a sheet, which is no frame.
+    // One picture is missing; and a sheet in the folder, which is not a frame.
     fs::rename(path.join("sheet.png"), path.join("o/dam.2.png")).expect("moved");
     from(&["o"], "level sets");
-    // A picture from elsewhere.
+    // A picture from another program.
     let ran = meniscus(path, &["render", "o/dam.2.vdb", "-o", "o/dam.2.png", "--camera", "azimuth=90"]);
     assert_eq!(ran.status, 0, "{}", ran.err);
     from(&["o"], "level sets");
@@ -137,7 +137,7 @@ fn what_costs_least_is_taken() {
 }
 
 #[test]
-fn a_frame_that_fails_leaves_the_others() {
+fn failed_frame_leaves_the_other_cells() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 1, 4);
@@ -174,7 +174,7 @@ fn sequences_are_one_after_another() {
     assert!(cameras.len() == 3 && cameras[0] != cameras[1], "each has its own camera: {cameras:?}");
 }
 
-/// The commands that were printed.
+/// The commands that the run printed.
 fn commands(out: &str) -> Vec<Vec<&str>> {
     let lines = out.lines().filter(|line| line.starts_with("meniscus convert "));
     lines.map(|line| line.split_whitespace().skip(2).collect()).collect()
@@ -185,7 +185,7 @@ fn provenance(format: OutputFormat, path: &Path) -> HashMap<String, String> {
 }
 
 #[test]
-fn commands_make_what_cells_show() {
+fn printed_commands_give_the_pictures_of_the_cells() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_ply(&path.join("dam.7.ply"), &block(8, 0.0));
@@ -235,13 +235,13 @@ fn commands_make_what_cells_show() {
         let is_there = |&top: &usize| seen.part([left, top], CELL) == *cell;
         tops.extend((0..height).find(is_there));
         assert!(has_fluid(cell) && tops.len() == index + 1, "cell {} is not on the sheet", index + 1);
-        assert!(cells[..index].iter().all(|other| other != cell), "cell {} is there twice", index + 1);
+        assert!(cells[..index].iter().all(|other| other != cell), "cell {} appears twice", index + 1);
     }
     assert!(tops.is_sorted() && tops[0] == tops[1] && tops[1] < tops[2], "{tops:?}");
 }
 
 #[test]
-fn a_setting_that_is_refused_leaves_the_others() {
+fn invalid_setting_leaves_the_other_cells() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 1, 3);
@@ -253,13 +253,13 @@ fn a_setting_that_is_refused_leaves_the_others() {
         meniscus(path, &["tune", ".", "-o", "t.png", "--size", SIZE, "--vary", "time=0", "--frames", "3"]);
     assert_eq!(ran.status, 0, "{}", ran.err);
     assert!(ran.out.contains("dam.3.ply: of 3 frames"), "{}", ran.out);
-    // The settings that nobody varies make no sense: there is nothing to compare.
+    // If the common settings are invalid, there is nothing to compare.
     let ran = meniscus(path, &["tune", ".", "-o", "u.png", "--radius-min", "-1"]);
     assert!(ran.status == 2 && ran.err.contains("r_min") && !path.join("u.png").exists(), "{}", ran.err);
 }
 
 #[test]
-fn sheets_that_cannot_be_are_refused() {
+fn invalid_sheet_arguments_are_refused() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 1, 2);

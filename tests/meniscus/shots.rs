@@ -1,5 +1,5 @@
-//! Meshes for other programs, and a whole shot in one file: the same bytes whoever made the frames, and nothing written
-//! that was not asked for.
+//! Meshes for other programs, and a whole sequence in one file: the same bytes whichever command made the
+//! frames, and no files that the user did not request.
 
 use std::fs;
 use std::path::Path;
@@ -41,12 +41,12 @@ const EVERY_MESH: [&str; 8] =
     ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb,vtp,stl,usda"];
 
 #[test]
-fn outputs_for_other_programs_say_what_made_them() {
+fn outputs_for_other_programs_record_the_generator() {
     let folder = frames(1);
     let path = folder.path();
     let tetrahedron = "v 0 0 0\nv 0.3 0 0\nv 0 0.3 0\nv 0 0 0.3\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
     fs::write(path.join("rock.obj"), tetrahedron).expect("written");
-    // With obstacles the title of an .stl is as full as it gets.
+    // With obstacles, the title of an .stl has its greatest length.
     let all = [&EVERY_MESH[..], &["--quads", "--obstacle", "rock.obj", "--skip-done"]].concat();
     succeeded(&meniscus(path, &all));
     let again = meniscus(path, &all);
@@ -80,7 +80,7 @@ fn outputs_for_other_programs_say_what_made_them() {
 }
 
 #[test]
-fn quantizing_is_for_glb_and_changes_it_alone() {
+fn quantizing_changes_only_glb() {
     let folder = frames(1);
     let path = folder.path();
     let words = ["--quantize", ".glb", "--format"];
@@ -120,7 +120,7 @@ fn quantizing_is_for_glb_and_changes_it_alone() {
 }
 
 #[test]
-fn a_wide_frame_is_told_what_quantizing_costs() {
+fn quantizing_a_wide_frame_causes_a_warning() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     let mut particles = block(3, 0.0);
@@ -138,7 +138,7 @@ fn a_wide_frame_is_told_what_quantizing_costs() {
 const SHOTS: [&str; 6] = ["--sequence-glb", "shot.glb", "--sequence-usda", "shot.usda", "--fps", "25"];
 
 #[test]
-fn a_shot_is_the_same_whoever_made_its_frames() {
+fn sequence_file_is_the_same_from_every_command() {
     let folder = frames(4);
     let path = folder.path();
     let convert = ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb", "--up", "z"];
@@ -165,17 +165,17 @@ fn a_shot_is_the_same_whoever_made_its_frames() {
         succeeded(&meniscus(path, &["sequence", "farm/dam.#.glb", "-o", name, "--fps", "25"]));
         assert!(read(name) == *expected, "{name}");
     }
-    // In the folder of the frames it is not taken for one of them.
+    // In the folder of the frames, the command does not take the sequence file for a frame.
     for _ in 0..2 {
         succeeded(&meniscus(path, &["sequence", "farm", "-o", "farm/shot.glb", "--fps", "25"]));
         assert!(read("farm/shot.glb") == glb);
     }
-    // Who asks for some of the frames is not told that the others are not there.
+    // A command that selects some frames does not warn about the others.
     for frames in ["1,4", "1-4x2"] {
         let frames = ["--frames", frames];
         succeeded(&meniscus(path, &[&convert[..], &["--sequence-glb", "some.glb"], &frames].concat()));
     }
-    // A restart that has nothing to do makes it all the same.
+    // A restart with nothing to convert still writes the sequence file.
     fs::remove_file(path.join("shot.glb")).expect("removed");
     let ran = meniscus(path, &[&convert[..], &SHOTS, &["--skip-done"]].concat());
     assert!(ran.out.contains("done already") && read("shot.glb") == glb, "{}{}", ran.out, ran.err);
@@ -204,10 +204,11 @@ fn shot_that_lacks_frames_does_not_replace_a_whole_one() {
 }
 
 #[test]
-fn a_shot_shows_one_frame_after_the_other() {
+fn sequence_file_shows_each_frame_at_its_time() {
     let folder = frames(4);
     let path = folder.path();
-    // A frame without particles is shown as nothing; one that cannot be read leaves its time to the one before it.
+    // At the time of a frame without particles, the surface is empty. If a frame cannot be read, the one
+    // before it stays visible.
     write_ply(&path.join("in/dam.2.ply"), &[]);
     fs::write(path.join("in/dam.3.ply"), "ply\nformat ascii 1.0\n").expect("written");
     let convert = ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb", "--quantize"];
@@ -262,7 +263,7 @@ fn a_shot_shows_one_frame_after_the_other() {
 }
 
 #[test]
-fn a_shot_is_told_as_one_and_is_no_mesh() {
+fn info_describes_a_sequence_file_and_convert_refuses_it() {
     let folder = frames(3);
     let path = folder.path();
     let convert = ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb"];
@@ -304,13 +305,13 @@ fn a_shot_is_told_as_one_and_is_no_mesh() {
     assert!(ran.status == 2 && ran.err.contains("this file is a sequence of 3 frames"), "{}", ran.err);
     fs::copy(path.join("out/dam.1.glb"), path.join("rock.glb")).expect("copied");
     succeeded(&meniscus(path, &[&convert[..], &["--obstacle", "rock.glb"]].concat()));
-    // Nor is it of particles, which is told with its name once.
+    // A sequence file contains no particles either; the error names it once.
     let ran = meniscus(path, &["render", "shot.glb", "-o", "x.png"]);
     assert_eq!(ran.err.matches("shot.glb").count(), 1, "{}", ran.err);
 }
 
 #[test]
-fn shots_that_cannot_be_are_refused_before_anything_is_done() {
+fn invalid_sequence_files_are_refused_before_conversion() {
     let folder = frames(2);
     let path = folder.path();
     let convert = |more: &[&'static str]| [&["convert", "in", "--out", "o"][..], more].concat();
@@ -345,7 +346,7 @@ fn shots_that_cannot_be_are_refused_before_anything_is_done() {
 }
 
 #[test]
-fn a_frame_that_is_damaged_is_left_out_and_told() {
+fn damaged_frame_is_left_out_with_a_warning() {
     let folder = frames(3);
     let path = folder.path();
     succeeded(&meniscus(path, &["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb"]));
@@ -365,17 +366,17 @@ fn a_frame_that_is_damaged_is_left_out_and_told() {
             );
         }
     }
-    // Neither is a shot a frame.
+    // A sequence file is not a frame either.
     fs::copy(path.join("s.glb"), &frame).expect("copied");
     let frames = ["out/dam.1.glb", "out/dam.2.glb"];
     let ran = meniscus(path, &[&["sequence", "-o", "t.glb"][..], &frames].concat());
     assert!(ran.err.contains("already a sequence"), "{}", ran.err);
     let ran = meniscus(path, &["sequence", "out", "-o", "t.glb"]);
-    assert!(ran.out.contains("a shot of 2 frames"), "in a folder it is passed over: {}{}", ran.out, ran.err);
+    assert!(ran.out.contains("a shot of 2 frames"), "in a folder it is skipped: {}{}", ran.out, ran.err);
 }
 
 #[test]
-fn a_shot_replaces_no_frame_but_an_older_shot() {
+fn sequence_file_replaces_only_an_earlier_one() {
     let folder = frames(3);
     let path = folder.path();
     succeeded(&meniscus(path, &["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb"]));
@@ -388,7 +389,7 @@ fn a_shot_replaces_no_frame_but_an_older_shot() {
         }
     }
     assert!(fs::read(path.join("out/dam.2.glb")).expect("there") == frame);
-    // Beside its frames it may have a name like theirs, and be made again.
+    // Next to its frames it may have a similar name, and the command may write it again.
     let mut made = Vec::new();
     for inputs in ["out", "out/*.glb", "out/dam.#.glb", "out"] {
         let ran = meniscus(path, &["sequence", inputs, "-o", "out/dam.4.glb"]);
@@ -403,7 +404,7 @@ fn a_shot_replaces_no_frame_but_an_older_shot() {
 }
 
 #[test]
-fn time_codes_are_the_numbers_of_the_frames() {
+fn time_codes_are_frame_numbers() {
     let folder = frames(3);
     let path = folder.path();
     for (old, new) in [(3, 300), (2, 100), (1, 0)] {
@@ -424,7 +425,7 @@ fn time_codes_are_the_numbers_of_the_frames() {
     let shot = document(&path.join("shot.glb"));
     let recorded = &shot["asset"]["extras"]["meniscus"];
     assert_eq!((&recorded["first"], &recorded["last"]), (&"0".into(), &"300".into()));
-    // A hundred is one frame there, and the fourth frame ends half a frame after its time.
+    // At this rate a hundred time codes are one frame, and the fourth frame ends half a frame after its time.
     let input = shot["animations"][0]["samplers"][2]["input"].as_u64().expect("an accessor") as usize;
     let last = &shot["accessors"][input]["max"][0];
     assert!((last.as_f64().expect("a number") - 4.5 / 25.0).abs() < 1e-6, "{last}");

@@ -1,5 +1,5 @@
-//! How far apart particles are, against what is known of them: the constant of a lattice, the cube root of the volume that a random
-//! particle has, twice the radius of the particles of a simulation.
+//! The measured spacing of particles against known values: the constant of a lattice, the cube root of the
+//! volume per random particle, and twice the radius of the particles of a simulation.
 
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ use tempfile::tempdir;
 
 use crate::scene::{block, meniscus, write_ply};
 
-/// Numbers from 0 to 1 that are the same everywhere.
+/// Numbers from 0 to 1, the same on every machine.
 struct Random(u64);
 
 impl Random {
@@ -39,7 +39,7 @@ fn lattice([x, y, z]: [usize; 3]) -> Vec<DVec3> {
     (0..x * y * z).map(place).collect()
 }
 
-/// Moves each by up to this much on each axis.
+/// Moves each point by up to this much on each axis.
 fn jittered(mut points: Vec<DVec3>, by: f64) -> Vec<DVec3> {
     let mut random = Random(7);
     points.iter_mut().for_each(|point| *point += by * (2.0 * random.point() - 1.0));
@@ -54,7 +54,7 @@ fn ball(radius: f64) -> Vec<DVec3> {
     points
 }
 
-/// So many layers of a disc.
+/// A disc with this number of layers.
 fn tap(radius: f64, layer_count: usize) -> Vec<DVec3> {
     let edge_count = 2 * radius.ceil() as usize + 1;
     let middle = DVec3::new(radius.ceil(), radius.ceil(), 0.0);
@@ -91,10 +91,10 @@ fn cube_root_of_share(volume: f64, count: usize) -> f64 {
     (volume / count as f64).cbrt()
 }
 
-/// What is measured: its name, the spacing that it has, and the particles.
+/// One test: its name, the true spacing, and the particles.
 type Set = (String, f64, Vec<DVec3>);
 
-/// Sets whose spacing is found to a twentieth.
+/// Sets whose spacing is estimated to within a twentieth.
 fn near() -> Vec<Set> {
     [lattices(), at_random(), bodies(), mixed()].concat()
 }
@@ -160,7 +160,7 @@ fn at_random() -> Vec<Set> {
     sets
 }
 
-/// Close-packed particles, balls and taps.
+/// Close-packed particles, balls and jets.
 fn bodies() -> Vec<Set> {
     let mut sets: Vec<Set> = Vec::new();
     let mut add = |name: &str, truth: f64, points: Vec<DVec3>| sets.push((name.to_owned(), truth, points));
@@ -182,7 +182,7 @@ fn bodies() -> Vec<Set> {
     sets
 }
 
-/// Spray beside bodies, and bodies of uneven density.
+/// Spray next to bodies, and bodies of uneven density.
 fn mixed() -> Vec<Set> {
     let mut sets: Vec<Set> = Vec::new();
     let mut add = |name: &str, truth: f64, points: Vec<DVec3>| sets.push((name.to_owned(), truth, points));
@@ -213,16 +213,16 @@ fn mixed() -> Vec<Set> {
     sets
 }
 
-/// Sets whose spacing is found to a tenth.
+/// Sets whose spacing is estimated to within a tenth.
 fn farther() -> Vec<Set> {
     let mut sets: Vec<Set> = Vec::new();
-    // By chance: of so few, the distances are what they are.
+    // With this few points, the distances depend on chance.
     sets.push(("8 jittered".into(), 1.0, jittered(lattice([2; 3]), 0.25)));
     sets.push(("27 jittered".into(), 1.0, jittered(lattice([3; 3]), 0.25)));
     for count in [50, 100] {
         sets.push((format!("random {count}"), cube_root_of_share(1.0, count), Random(29).points(count)));
     }
-    // Of what is random in one direction only, most is in a few large gaps.
+    // If points are random in one direction only, a few large gaps hold most of the distance.
     let line = Random(31).points(5000).into_iter().map(|point| DVec3::new(point.x, 0.1, 0.3));
     sets.push(("random line".into(), 1.0 / 5000.0, line.collect()));
     // A round shell of cubes has steps.
@@ -237,7 +237,7 @@ fn estimate(points: &[DVec3]) -> Option<SpacingEstimate> {
     estimate_spacing(Particles::Double(points.iter().map(DVec3::to_array).collect()))
 }
 
-/// The sets whose spacing is not found to this share, with what was found.
+/// The sets whose estimated spacing is off by more than this share, with the estimates.
 fn wrong(sets: Vec<Set>, tolerance: f64) -> Vec<String> {
     let ratios = sets.into_iter().map(|(name, truth, points)| {
         let found = estimate(&points).unwrap_or_else(|| panic!("{name}: nothing was measured"));
@@ -259,7 +259,8 @@ fn spacing_of_difficult_sets_is_found_to_a_tenth() {
     assert!(wrong.is_empty(), "{wrong:#?}");
 }
 
-/// Of ten random particles chance decides; on average the estimate is near, and it says that it is unsure.
+/// For ten random particles the estimate depends on chance. It is close on average, and its confidence is
+/// low.
 #[test]
 fn few_random_particles_have_little_confidence() {
     let found: Vec<SpacingEstimate> =
@@ -270,7 +271,7 @@ fn few_random_particles_have_little_confidence() {
     assert!(mean(|estimate| estimate.confidence) < 0.5, "{}", mean(|estimate| estimate.confidence));
 }
 
-/// A folder of the data beside the sources, if it is there.
+/// A folder of the data next to the sources, if it exists.
 fn shared(folder: &str) -> Option<PathBuf> {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared");
     let data =
@@ -307,14 +308,14 @@ fn frames_of_a_dam_break_agree() {
     let sequence = combine_estimates(&[1, 31, 61].map(frame)).expect("frames");
     assert!((0.95..1.05).contains(&(sequence.spacing / 0.05)), "{sequence:?}");
     assert!(!sequence.frames_disagree() && sequence.confidence > 0.7, "{sequence:?}");
-    // Where it splashes most, single frames are farther off.
+    // Where the splash is strongest, single frames differ more.
     for number in (1..=61).step_by(4) {
         let ratio = frame(number).spacing / 0.05;
         assert!((0.9..1.1).contains(&ratio), "frame {number}: {ratio}");
     }
 }
 
-/// Frames with particles that are so far apart, for `convert`.
+/// Frames with particles at this spacing, for `convert`.
 fn write_frames(folder: &Path, spacings: &[f64]) {
     for (index, spacing) in spacings.iter().enumerate() {
         let points: Vec<[f64; 3]> =
@@ -353,7 +354,7 @@ fn sequence_is_measured_on_its_first_middle_and_last_frame() {
 }
 
 #[test]
-fn frames_that_disagree_are_warned_about() {
+fn frames_of_different_spacing_cause_a_warning() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_frames(path, &[0.05, 0.08, 0.05]);
@@ -387,7 +388,7 @@ fn one_particle_alone_has_no_spacing() {
     assert_ne!(ran.status, 0);
     assert!(ran.err.contains("one.ply: no frame has two particles in different places"), "{}", ran.err);
     assert!(ran.err.contains("--spacing"), "{}", ran.err);
-    // Two are enough, and it says how sure it is.
+    // Two particles are enough, with a stated confidence.
     write_ply(&path.join("two.ply"), &[[0.5; 3], [0.5, 0.6, 0.5]]);
     let ran = meniscus(path, &["convert", "two.ply", "--out", "out", "--format", "obj"]);
     assert_eq!(ran.status, 0, "{}", ran.err);

@@ -7,7 +7,7 @@
 //!      radius 24 ──────  lower bound of φ
 //! ```
 
-#![expect(clippy::print_stdout, reason = "tests tell what they measured to those who ask with --nocapture")]
+#![expect(clippy::print_stdout, reason = "tests print measurements, visible with --nocapture")]
 
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -59,7 +59,7 @@ fn ball_volume(radius: f32) -> f64 {
 }
 
 #[test]
-fn thin_plate_smoothing_gives_a_noisy_sphere_back() {
+fn thin_plate_smoothing_restores_a_noisy_sphere() {
     for (integrator, steps, step_size, redistance_every) in [
         (Integrator::Fast, 5, 20.0, 1),
         (Integrator::Implicit, 5, 20.0, 1),

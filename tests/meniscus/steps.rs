@@ -1,4 +1,4 @@
-//! Files with several frames: LAMMPS dumps and atoms. Each step is a frame like any other, whatever asks for it.
+//! Files with several frames: LAMMPS dumps and atoms. Every command treats each step as a frame.
 
 use std::fmt::Write;
 use std::fs;
@@ -57,13 +57,13 @@ fn succeeded(ran: &Ran) {
     assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
 }
 
-/// The lines of an .obj that are not about where it is from.
+/// The lines of an .obj without its provenance comments.
 fn surface(path: &Path) -> String {
     let text = fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     text.lines().filter(|line| !line.starts_with('#')).collect::<Vec<_>>().join("\n")
 }
 
-/// What a mesh says it was made from.
+/// The source that a mesh records.
 fn input_of(path: &Path) -> String {
     let pairs = read_provenance(OutputFormat::Obj, fs::File::open(path).expect("there")).expect("readable");
     pairs.into_iter().find(|(name, _)| name == "input").expect("recorded").1
@@ -120,7 +120,7 @@ fn steps_are_selected_by_their_numbers_and_named_one_by_one() {
 }
 
 #[test]
-fn what_is_done_is_left_as_steps_are_appended() {
+fn done_steps_are_kept_when_steps_are_appended() {
     let folder = dump(&[0, 5]);
     let folder = folder.path();
     succeeded(&convert(folder, &["d.lammpstrj", "--skip-done"]));
@@ -129,7 +129,7 @@ fn what_is_done_is_left_as_steps_are_appended() {
     let ran = convert(folder, &["d.lammpstrj", "--skip-done"]);
     succeeded(&ran);
     assert_eq!(ran.out.matches("done already").count(), 2, "{}", ran.out);
-    // Beside them is what is recorded of them.
+    // The records lie next to the outputs.
     let names = names_in(&folder.join("out")).into_iter().filter(|name| !name.starts_with('.'));
     assert_eq!(names.collect::<Vec<_>>(), ["d.0.obj", "d.20.obj", "d.5.obj"]);
     let after = fs::metadata(folder.join("out/d.5.obj")).and_then(|m| m.modified()).expect("there");
@@ -137,7 +137,7 @@ fn what_is_done_is_left_as_steps_are_appended() {
 }
 
 #[test]
-fn one_bad_step_is_one_failed_frame() {
+fn damaged_step_is_one_failed_frame() {
     let folder = dump(&[]);
     let folder = folder.path();
     let short = step(5).lines().take(40).map(|line| format!("{line}\n")).collect::<String>();
@@ -153,7 +153,7 @@ fn one_bad_step_is_one_failed_frame() {
 }
 
 #[test]
-fn more_steps_than_there_may_be_are_told() {
+fn steps_beyond_the_limit_cause_an_error() {
     let folder = tempdir().expect("a folder");
     let folder = folder.path();
     fs::write(folder.join("many.xyz"), "1\n\nO 0 0 0\n".repeat(1_000_001)).expect("written");
@@ -164,7 +164,7 @@ fn more_steps_than_there_may_be_are_told() {
         assert!(ran.err.contains(told), "{command:?}: {}", ran.err);
     }
     assert!(!folder.join("out").exists());
-    // Others are not lost for it.
+    // The other steps are converted.
     write_dump(folder, &[1, 2]);
     let ran = convert(folder, &["many.xyz", "d.lammpstrj"]);
     assert_eq!(ran.status, 1, "{}{}", ran.out, ran.err);
@@ -177,7 +177,7 @@ fn more_steps_than_there_may_be_are_told() {
 }
 
 #[test]
-fn a_last_line_without_an_end_is_told() {
+fn last_line_without_a_newline_causes_a_warning() {
     let folder = tempdir().expect("a folder");
     let folder = folder.path();
     fs::write(folder.join("a.xyz"), [atoms(0), atoms(5)].concat().trim_end()).expect("written");
@@ -188,7 +188,7 @@ fn a_last_line_without_an_end_is_told() {
 }
 
 #[test]
-fn names_do_not_collide() {
+fn names_of_steps_do_not_collide() {
     let folder = dump(&[0, 5]);
     let folder = folder.path();
     write_ply(&folder.join("d.5.ply"), &block(5, 0.0));
@@ -197,7 +197,7 @@ fn names_do_not_collide() {
     assert!(ran.err.contains("would both become"), "{}", ran.err);
     assert_eq!(names_in(&folder.join("out")), ["d.0.obj", "d.5.obj"]);
     fs::remove_dir_all(folder.join("out")).expect("removed");
-    // Nor is the dump replaced by what is made of it.
+    // The outputs of a dump do not replace it.
     fs::rename(folder.join("d.lammpstrj"), folder.join("d.5.obj")).expect("renamed");
     let ran = meniscus(folder, &["convert", "d.5.obj", "--out=.", "--format=obj", "--frames=5"]);
     assert_eq!(
@@ -207,7 +207,7 @@ fn names_do_not_collide() {
 }
 
 #[test]
-fn steps_are_dealt_to_shards_and_verified() {
+fn steps_are_divided_into_shards_and_verified() {
     let folder = dump(&[0, 5, 20]);
     let folder = folder.path();
     let plan: Vec<&str> = [&["plan", "d.lammpstrj", "--shards=2", "-o=plan.json"][..], &OUT].concat();
@@ -229,7 +229,7 @@ fn steps_are_dealt_to_shards_and_verified() {
 }
 
 #[test]
-fn pictures_are_taken_of_steps() {
+fn render_makes_pictures_of_steps() {
     let folder = dump(&[0, 5]);
     let folder = folder.path();
     let ran = meniscus(folder, &["render", "d.lammpstrj", "--out=pictures", "--size=64x48"]);

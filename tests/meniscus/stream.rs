@@ -1,4 +1,5 @@
-//! Frames that come one by one: when they are asked for, what runs beside what, and what is told when.
+//! Frames that arrive one by one: when the pipeline requests them, which run concurrently, and when it
+//! reports them.
 
 use std::collections::HashSet;
 use std::fs::{self, File};
@@ -21,8 +22,8 @@ use rayon::prelude::*;
 use crate::pipeline::{Bench, letters, pipeline_options, tetrahedron};
 use crate::scene::names_in;
 
-/// A quick method that says which stage it does, of a frame of how many particles, and takes a mebibyte for
-/// each of them.
+/// A quick method that records which stage it runs, for a frame of which size, and allocates a mebibyte per
+/// particle.
 struct Told<H>(H);
 
 impl<H: Fn(Stage, usize) + Sync> Method for Told<H> {
@@ -67,7 +68,7 @@ impl<H: Fn(Stage, usize) + Sync> Method for Told<H> {
     }
 }
 
-/// Something that threads wait for: with a limit, so that a test fails and does not hang.
+/// A signal that threads wait for, with a time limit, so that a test fails instead of hanging.
 #[derive(Default)]
 struct Signal {
     is_given: Mutex<bool>,
@@ -98,14 +99,14 @@ fn numbered(bench: &Bench) -> impl Iterator<Item = (usize, Frame)> + Send + use<
 }
 
 #[test]
-fn a_source_may_wait_for_what_came_of_earlier_frames() {
+fn source_may_wait_for_results_of_earlier_frames() {
     let bench = Bench::new(&[2, 2, 2, 2]);
     let (finished, told) = mpsc::channel();
     let mut frames = numbered(&bench);
     let mut outcomes = Vec::new();
     let next = move || {
         let (number, frame) = frames.next()?;
-        // All that were asked for before are through.
+        // All frames requested before are finished.
         for _ in 0..number.min(1) {
             told.recv_timeout(Duration::from_secs(300)).expect("the frame before is finished");
         }
@@ -121,7 +122,7 @@ fn a_source_may_wait_for_what_came_of_earlier_frames() {
 }
 
 #[test]
-fn frames_are_asked_for_only_when_there_is_room() {
+fn frames_are_requested_only_when_there_is_room() {
     for in_flight in [1, 2, 3, 7] {
         let bench = Bench::new(&[2; 20]);
         let pool = pool(2);
@@ -131,14 +132,14 @@ fn frames_are_asked_for_only_when_there_is_room() {
         let mut under_way_max = 0;
         let next = || {
             let under_way = asked.fetch_add(1, Ordering::SeqCst) - ended.load(Ordering::SeqCst);
-            assert!(under_way < in_flight, "{under_way} frames are under way");
+            assert!(under_way < in_flight, "{under_way} frames are in flight");
             under_way_max = under_way_max.max(under_way + 1);
             if under_way + 1 == in_flight.min(3) {
                 full.give();
             }
             frames.next()
         };
-        // So many are sure to come, though none has ended: one is in each lane, one is read.
+        // At least this many frames arrive, although none has ended: one is in each lane, and one is read.
         let method = Told(|stage, _| {
             if stage == Stage::Rasterize {
                 full.wait()
@@ -157,7 +158,7 @@ fn frames_are_asked_for_only_when_there_is_room() {
 }
 
 #[test]
-fn a_frame_that_takes_long_is_overtaken_and_told_in_order_all_the_same() {
+fn slow_frame_is_overtaken_and_still_reported_in_order() {
     let bench = Bench::new(&[3, 2, 2]);
     let pool = pool(2);
     let others_ended = Signal::default();
@@ -185,7 +186,7 @@ fn a_frame_that_takes_long_is_overtaken_and_told_in_order_all_the_same() {
     assert_eq!(order, [0, 1, 2]);
 }
 
-/// Three frames are in three stages at once, and none goes on until they are.
+/// Three frames are in three stages at once; each waits until all are.
 #[test]
 fn stages_of_different_frames_overlap() {
     for on_error in [OnError::Continue, OnError::Stop] {
@@ -233,7 +234,7 @@ fn slow_stage_holds_back_the_stages_before_it() {
         scope.spawn(|| {
             all_wait.wait();
             thread::sleep(Duration::from_millis(300));
-            // One is smoothed, one waits for that, and one was read and waits for its place behind it.
+            // One frame is being smoothed, one waits for that, and one was read and waits behind it.
             assert_eq!(rasterized.load(Ordering::SeqCst), 2);
             assert_eq!(asked.load(Ordering::SeqCst), 3);
             go_on.give();
@@ -243,11 +244,11 @@ fn slow_stage_holds_back_the_stages_before_it() {
     assert_eq!(count, 20);
 }
 
-/// What runs together, by the mebibytes that each frame takes: as many as it has particles.
+/// The frames that run together, by the mebibytes that each takes: one per particle.
 #[derive(Default)]
 struct Together {
     running: Mutex<Vec<usize>>,
-    /// Sums, and how many frames they are of.
+    /// Sums of memory, with the number of frames in each.
     seen: Mutex<HashSet<(usize, usize)>>,
 }
 
@@ -270,7 +271,7 @@ impl Together {
 }
 
 #[test]
-fn what_runs_together_keeps_within_the_budget() {
+fn concurrent_frames_stay_within_the_memory_limit() {
     // 8, 27, 64 and 125 MiB, in an order in which small ones wait behind large ones.
     let edges = [5, 2, 2, 4, 3, 3, 2, 5, 4, 4, 2, 3, 2, 2, 4, 2, 3, 3, 3, 5];
     let bench = Bench::new(&edges);
@@ -285,7 +286,7 @@ fn what_runs_together_keeps_within_the_budget() {
         if is_beside {
             two.give();
         } else if stage == Stage::Smooth && count == 8 {
-            // The second and the third fit beside each other, and must come to be.
+            // The second and the third frame fit together, and must run together.
             two.wait();
         }
     });
@@ -300,7 +301,7 @@ fn what_runs_together_keeps_within_the_budget() {
 }
 
 #[test]
-fn a_file_that_is_written_while_it_is_read_is_told_and_can_be_read_later() {
+fn file_written_during_reading_is_an_error_and_readable_later() {
     let bench = Bench::new(&[60]);
     let frame = bench.frames[0].clone();
     let is_over = AtomicBool::new(false);
@@ -322,7 +323,7 @@ fn a_file_that_is_written_while_it_is_read_is_told_and_can_be_read_later() {
             if is_last {
                 return None;
             }
-            // Once it was found out, the file is left alone.
+            // After the error, the writer leaves the file alone.
             if is_over.load(Ordering::SeqCst) {
                 is_last = true;
                 if let Some(writer) = writer.take() {
@@ -340,16 +341,16 @@ fn a_file_that_is_written_while_it_is_read_is_told_and_can_be_read_later() {
             letters_told += &letters(&[outcome]);
         });
     });
-    // Now and then the machine has no time for the writer while the file is read.
+    // Sometimes a busy machine does not run the writer while the file is read.
     assert!(letters_told.trim_start_matches('c').starts_with("xc"), "{letters_told}");
 }
 
 #[test]
-fn loops_of_many_frames_and_of_two_streams_in_one_pool_all_end() {
+fn nested_loops_of_two_streams_in_one_pool_end() {
     for threads in [1, 2, 3] {
         let pool = pool(threads);
         let benches = [Bench::new(&[2; 40]), Bench::new(&[3; 40])];
-        // Loops whose pieces wait for pieces of their own.
+        // Parallel loops whose tasks wait for tasks that they start.
         let method = Told(|_, count| {
             let sum: usize = (0..64usize)
                 .into_par_iter()
@@ -372,7 +373,7 @@ fn loops_of_many_frames_and_of_two_streams_in_one_pool_all_end() {
 }
 
 #[test]
-fn a_caller_that_panics_ends_it() {
+fn panic_of_the_caller_ends_the_stream() {
     let bench = Bench::new(&[2; 20]);
     let pool = pool(2);
     let mut frames = numbered(&bench);
@@ -389,7 +390,7 @@ fn a_caller_that_panics_ends_it() {
 }
 
 #[test]
-fn a_full_disk_is_told_from_other_failures() {
+fn full_disk_is_distinguished_from_other_errors() {
     let error = |during, code| {
         FrameError::file("f.glb".as_ref(), during, std::io::Error::from_raw_os_error(code)).is_disk_full()
     };
@@ -400,7 +401,7 @@ fn a_full_disk_is_told_from_other_failures() {
 }
 
 #[test]
-fn outputs_are_known_for_our_own_and_frames_are_not() {
+fn outputs_are_recognized_and_frames_are_not() {
     let bench = Bench::new(&[2]);
     run(&Told(|_, _| ()), &bench.frames, &pipeline_options(&pool(1)), |_, _| ());
     let names = names_in(&bench.out());
@@ -408,7 +409,7 @@ fn outputs_are_known_for_our_own_and_frames_are_not() {
     for name in names {
         let path = bench.out().join(&name);
         assert!(is_own_output(&path), "{name}");
-        // A copy that lost its end is ours still.
+        // A truncated copy is still recognized.
         let bytes = fs::read(&path).expect("readable");
         fs::write(&path, &bytes[..bytes.len() / 2 + 500.min(bytes.len() / 2)]).expect("written");
         assert!(is_own_output(&path), "{name}");

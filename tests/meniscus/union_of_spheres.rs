@@ -1,6 +1,6 @@
-//! Rasterization against what is known of spheres.
+//! Rasterization against the geometry of spheres.
 
-#![expect(clippy::print_stdout, reason = "tests tell what they measured to those who ask with --nocapture")]
+#![expect(clippy::print_stdout, reason = "tests print measurements, visible with --nocapture")]
 
 use glam::{DVec3, IVec3};
 use meniscus::surface::particles::Particles;
@@ -10,13 +10,14 @@ use meniscus::surface::space::{INDEX_LIMIT, Lattice};
 
 use crate::shapes::{Random, default_config, default_radii, rasterized, same_bits, value_at, voxels};
 
-/// Signed distance to the union of spheres where it is outside: the nearest centre tells.
+/// Signed distance to the union of spheres outside of it, from the nearest centre.
 fn outside_distance(positions: &[DVec3], voxel: IVec3, radius: f64) -> f64 {
     let voxel = voxel.as_dvec3();
     positions.iter().map(|position| position.distance(voxel)).fold(f64::INFINITY, f64::min) - radius
 }
 
-/// Checks all voxels outside and within two voxels of r_max, where nothing is swept. Returns how many.
+/// Checks all voxels outside and within two voxels of r_max, where values are not swept. Returns their
+/// number.
 fn assert_exact_outside(positions: &[DVec3]) -> usize {
     let (band, bounds) = rasterized(positions);
     let radii = default_radii();
@@ -73,9 +74,9 @@ fn swept_distances_of_a_sphere_are_near() {
     assert!(worst < 0.1, "{worst}");
 }
 
-/// Between the particles of a lattice there is no cavity, and depth is told from the outer surface.
+/// The particles of a lattice leave no cavity between them, and depth is measured from the outer surface.
 #[test]
-fn a_dense_lattice_is_solid() {
+fn dense_lattice_is_solid() {
     let positions: Vec<DVec3> =
         (0..9 * 9 * 9).map(|i| IVec3::new(i % 9, i / 9 % 9, i / 81).as_dvec3() * 2.0).collect();
     let (band, bounds) = rasterized(&positions);
@@ -105,7 +106,7 @@ fn no_particles_make_no_surface() {
 
 /// As far out as the grid has indices, a particle makes the same values as at the origin.
 #[test]
-fn far_from_the_origin_nothing_is_lost() {
+fn particle_far_from_the_origin_gives_the_same_values() {
     let offset = DVec3::new(0.28125, 5.5, 7.96875);
     let (near, _) = rasterized(&[offset]);
     let limit = INDEX_LIMIT - 8;
@@ -120,7 +121,7 @@ fn far_from_the_origin_nothing_is_lost() {
 }
 
 #[test]
-fn positions_that_are_nowhere_are_dropped_and_counted() {
+fn positions_that_are_not_finite_are_dropped_and_counted() {
     let lattice = Lattice { voxel_size: 0.5 };
     let good = [[1.0, 2.0, 3.0], [2.0, 2.0, 3.0], [-4.0, 0.5, 0.0]];
     let bad = [

@@ -1,7 +1,8 @@
-//! Frames that the system refuses to describe: each fails with its reason, and the run fails.
+//! Frames whose metadata the system does not return: each fails with its reason, and so does the run.
 //!
-//! Links stand for broken disks and missing rights, because root may read everything: a link to itself (ELOOP), a link
-//! through a file (ENOTDIR), a link to a name that is too long (ENAMETOOLONG), a link to nowhere (ENOENT).
+//! Links take the place of broken disks and missing permissions, because root may read everything: a link to
+//! itself (ELOOP), a link through a file (ENOTDIR), a link to a name that is too long (ENAMETOOLONG), and a
+//! link to a missing file (ENOENT).
 
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -11,7 +12,7 @@ use tempfile::{TempDir, tempdir};
 
 use crate::scene::{meniscus, names_in, write_sequence};
 
-/// Frames 1 and 2 are good; 3 to 6 have links in their place.
+/// Frames 1 and 2 are good; 3 to 6 are such links.
 fn folder() -> TempDir {
     let folder = tempdir().expect("a folder");
     let frames = folder.path().join("in");
@@ -167,7 +168,7 @@ fn globs_match_as_documented() {
     }
 }
 
-/// Only the content of a .txt tells whether it is a frame.
+/// Only the content of a .txt shows whether it is a frame.
 #[test]
 fn unreadable_file_beside_level_sets_fails_render_and_contact_sheet() {
     let folder = tempdir().expect("a folder");

@@ -1,4 +1,4 @@
-//! What small hand-made .vdb files with one level set share: everything around the tree's nodes.
+//! The parts that small hand-made .vdb files with one level set share: everything around the tree's nodes.
 
 /// The bytes of a file whose grid has this head and these buffers of leaves.
 pub(crate) fn vdb_file(head: &[u8], buffers: &[u8]) -> Vec<u8> {
@@ -20,7 +20,7 @@ pub(crate) fn vdb_file(head: &[u8], buffers: &[u8]) -> Vec<u8> {
     [&file, head, buffers].concat()
 }
 
-/// The head of a grid up to its upper nodes, of which so many follow; `compression` is the file's field.
+/// The head of a grid before its upper nodes, with their number; `compression` is the file's field.
 pub(crate) fn grid_head(compression: u32, voxel_size: f64, background: f32, node_count: u32) -> Vec<u8> {
     let mut head = compression.to_le_bytes().to_vec();
     head.extend(1u32.to_le_bytes());

@@ -1,5 +1,5 @@
-//! Voxels and radii that do not fit the particles: what cannot be is refused, what looks wrong is told, and what makes sense
-//! is neither.
+//! Voxel sizes and radii that do not fit the particles: impossible ones are errors, doubtful ones cause
+//! warnings, and sensible ones neither.
 
 use std::f64::consts::TAU;
 use std::fs;
@@ -13,8 +13,8 @@ use tempfile::tempdir;
 
 use crate::scene::{Ran, block, meniscus, names_in, write_ply};
 
-/// The plan for these particles, and voxels of so many of their spacings, 0.1; with r_min at 0.87 spacings where the radii would
-/// be smaller.
+/// The plan for these particles, whose spacing is 0.1, with voxels of this many spacings; with r_min at 0.87
+/// spacings if the radii would be smaller.
 fn planned(particles: &[[f64; 3]], spacings: f64) -> Result<MemoryPlan, Unfit> {
     let voxel_size = 0.1 * spacings;
     let radius_min = (0.02..0.5).contains(&spacings).then_some(0.087);
@@ -32,7 +32,7 @@ fn is_too_fine(particles: &[[f64; 3]], spacings: f64) -> bool {
 }
 
 #[test]
-fn voxels_are_too_small_where_positions_cannot_tell_them_apart() {
+fn voxels_below_the_precision_of_positions_are_refused() {
     let cloud = block(12, 0.0);
     for spacings in [1.0, 0.5, 0.125, 1.0 / 16.0, 1.0 / 50.0, 1e-3, 1e-5] {
         assert!(!is_too_fine(&cloud, spacings), "{spacings}");
@@ -46,7 +46,7 @@ fn voxels_are_too_small_where_positions_cannot_tell_them_apart() {
 }
 
 #[test]
-fn a_frame_beyond_the_grid_is_told_how_far_it_is() {
+fn error_for_a_frame_beyond_the_grid_has_its_distance() {
     let Err(Unfit::TooFine(too_fine)) = planned(&block(6, 1e9), 0.5) else { panic!("it is in the grid") };
     let told = too_fine.to_string();
     assert_eq!(too_fine.limit, Limit::Reach);
@@ -54,11 +54,11 @@ fn a_frame_beyond_the_grid_is_told_how_far_it_is() {
 }
 
 #[test]
-fn particles_astray_do_not_make_voxels_too_small() {
+fn escaped_particles_do_not_make_voxels_too_small() {
     let cloud = block(6, 0.0);
     let with = |others: &[[f64; 3]]| [&cloud[..], others].concat();
     let astray = [1e7, -1e12, f64::NAN].map(|x| [x, 1.0, -x]);
-    // As many again, all over the place; or in a second cloud.
+    // The same number of particles again, scattered everywhere, or in a second cloud.
     let sprayed: Vec<[f64; 3]> =
         (0..200).map(|index| [1e6, 3e5, -7e5].map(|step| step * f64::from(index))).collect();
     for others in [&astray[..], &vec![[f64::NAN; 3]; 1000], &block(5, 1e7), &sprayed] {
@@ -103,7 +103,7 @@ fn every_command_refuses_voxels_that_are_too_small() {
     assert_eq!(names_in(&path.join("out")), [""; 0]);
 }
 
-/// What the command says of these particles.
+/// The output of the command for these particles.
 fn told(folder: &Path, particles: &[[f64; 3]], options: &[&str]) -> String {
     write_ply(&folder.join("a.ply"), particles);
     let Ran { status, err, .. } =
@@ -113,7 +113,7 @@ fn told(folder: &Path, particles: &[[f64; 3]], options: &[&str]) -> String {
 }
 
 #[test]
-fn a_surface_that_is_empty_says_why_and_what_would_help() {
+fn empty_surface_causes_a_warning_with_a_remedy() {
     let folder = tempdir().expect("a folder");
     let small = ["--preset", "paper", "--voxel-size", "0.05", "--radius-min", "0.001"];
     let options = [&small[..], &["--allow-violations"]].concat();
@@ -143,13 +143,13 @@ fn a_surface_that_is_empty_says_why_and_what_would_help() {
     );
 }
 
-/// One of so many places on a circle around the origin.
+/// A position on a circle around the origin that is divided into this many.
 fn on_circle(index: usize, count: usize, radius: f64) -> [f64; 3] {
     let angle = TAU * index as f64 / count as f64;
     [radius * angle.cos(), radius * angle.sin(), 0.0]
 }
 
-/// A block whose particles are moved by up to 0.03, a third of what is between them.
+/// A block whose particles are moved by up to 0.03, a third of their spacing.
 fn shaken_block() -> Vec<[f64; 3]> {
     let mut state = 1u64;
     let mut random = || {
@@ -160,7 +160,7 @@ fn shaken_block() -> Vec<[f64; 3]> {
 }
 
 #[test]
-fn a_torn_surface_is_told_and_no_other() {
+fn only_a_torn_surface_causes_a_warning() {
     let folder = tempdir().expect("a folder");
     let is_told = |particles: &[[f64; 3]], options: &[&str]| {
         let said = told(folder.path(), particles, options);
@@ -170,7 +170,7 @@ fn a_torn_surface_is_told_and_no_other() {
     let shaken = shaken_block();
     let mut spray = shaken.clone();
     spray.extend((0..150).map(|i| [1.0 + 0.7 * f64::from(i), f64::from(i % 7), f64::from(i % 5)]));
-    // A ring has a hole of its own, and a bubble a hollow.
+    // A ring has a hole, and a bubble a hollow, that belong to their shapes.
     let ring: Vec<[f64; 3]> = (0..48).map(|i| on_circle(i, 48, 0.76)).collect();
     let bubble: Vec<[f64; 3]> = (0..6)
         .flat_map(|row| {
@@ -203,7 +203,7 @@ fn a_torn_surface_is_told_and_no_other() {
 }
 
 #[test]
-fn the_examples_are_torn_by_small_voxels_only() {
+fn only_small_voxels_tear_the_examples() {
     let folder = tempdir().expect("a folder");
     let frames = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/frames");
     for (name, size, expected) in [

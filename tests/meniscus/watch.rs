@@ -1,4 +1,4 @@
-//! The daemon's command, and those that ask what it did: what they take, refuse and tell.
+//! The commands `watch`, `status` and `why`: arguments, errors and output.
 
 use std::fs;
 use std::path::Path;
@@ -11,7 +11,7 @@ use tempfile::tempdir;
 
 use crate::scene::{Ran, block, meniscus, write_ply, write_sequence};
 
-/// Asserts that a command does nothing, with exit status 2, and says why.
+/// Asserts that a command does nothing, exits with status 2, and gives this reason.
 fn assert_refused(folder: &Path, arguments: &[&str], words: &[&str]) {
     let ran = meniscus(folder, &[&["watch"], arguments].concat());
     assert_eq!(ran.status, 2, "{arguments:?}: {} {}", ran.out, ran.err);
@@ -21,7 +21,7 @@ fn assert_refused(folder: &Path, arguments: &[&str], words: &[&str]) {
 }
 
 #[test]
-fn what_makes_no_sense_is_refused_before_anything_is_made() {
+fn contradictory_arguments_are_refused_before_any_output() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     let config = "# Settings\n[[watch]]\ninput = \"in\"\noutput = \"out\"\nvoxelsize = 0.1\n";
@@ -45,9 +45,9 @@ fn what_makes_no_sense_is_refused_before_anything_is_made() {
     assert!(!path.join("out").exists());
 }
 
-/// The docs and the help say the same range for every number, and what is beyond it is refused with that.
+/// The docs and the help give the same range for every number. The error for a value outside has that range.
 #[test]
-fn numbers_have_ranges_that_are_told_and_held() {
+fn numbers_have_the_documented_ranges() {
     let folder = tempdir().expect("a folder");
     let help = meniscus(folder.path(), &["convert", "--help"]).out;
     let help = help.split_whitespace().collect::<Vec<_>>().join(" ");
@@ -84,7 +84,7 @@ fn numbers_have_ranges_that_are_told_and_held() {
             Some((least, most)) => {
                 let [low, high]: [f64; 2] = [least, most].map(|bound| bound.parse().expect(range));
                 let below = if low > 0.0 && low < 1.0 { 0.5 * low } else { low - 1.0 };
-                // Nobody needs so many threads here.
+                // The upper limit is more threads than a test should start.
                 let good = if option == "--threads" { vec![least] } else { vec![least, most] };
                 let bad = vec![below.to_string(), (2.0 * high).to_string()];
                 (bad, good.into_iter().map(str::to_owned).collect())
@@ -110,11 +110,11 @@ fn numbers_have_ranges_that_are_told_and_held() {
     assert!(range_count > 17, "{range_count}");
 }
 
-/// Writes to the journal in `out` that a frame is done, with `output`, or failed for a reason.
+/// Records in the journal of `out` that a frame is done, with `output`, or failed for a reason.
 fn note(out: &Path, frame: &Path, result: Result<&Path, &str>) {
     let record = JournaledFrame {
         standing: if result.is_ok() { Standing::Done } else { Standing::Failed },
-        stamp: FileStamp::of_path(frame).expect("the frame is there"),
+        stamp: FileStamp::of_path(frame).expect("the frame exists"),
         hash: None,
         settings: "settings".into(),
         outputs: result.iter().map(|path| OutputRecord::new(path.to_path_buf(), 0, None)).collect(),
@@ -131,7 +131,7 @@ fn note(out: &Path, frame: &Path, result: Result<&Path, &str>) {
 }
 
 #[test]
-fn status_tells_what_the_journal_and_the_lock_say() {
+fn status_reads_the_journal_and_the_lock() {
     let folder = tempdir().expect("a folder");
     let path = &folder.path().canonicalize().expect("a path");
     let status = |more: &[&str]| -> Ran { meniscus(path, &[&["status", "--out", "out"], more].concat()) };
@@ -162,7 +162,7 @@ fn status_tells_what_the_journal_and_the_lock_say() {
 }
 
 #[test]
-fn why_tells_everything_that_decides() {
+fn why_lists_everything_that_decides() {
     let folder = tempdir().expect("a folder");
     let path = &folder.path().canonicalize().expect("a path");
     let out = path.join("out");
@@ -178,7 +178,7 @@ fn why_tells_everything_that_decides() {
         }
     };
     let typed = ["--out", "out"];
-    // It was written just now: whether it has settled is a matter of half a second.
+    // The file is new: whether it counts as stable depends on half a second.
     let unknown = "The journal does not say what the daemon was asked for";
     tells("in/dam.1.ply", &typed, &["journal   nothing", "content   particles", "It ", unknown]);
     tells("in/notes.md", &typed, &["not one of a frame", "It is not converted because its path"]);
@@ -218,14 +218,14 @@ fn why_tells_everything_that_decides() {
 }
 
 #[test]
-fn why_knows_what_convert_has_converted() {
+fn why_recognizes_outputs_of_convert() {
     let folder = tempdir().expect("a folder");
     let path = &folder.path().canonicalize().expect("a path");
     fs::create_dir(path.join("in")).expect("made");
     write_sequence(&path.join("in"), 1, 2);
     let ran = meniscus(path, &["convert", "in", "--out", "out", "--frames", "1", "--format", "glb,ply"]);
     assert_eq!(ran.status, 0, "{}", ran.err);
-    // Until it has been left alone for half a second, it waits.
+    // The daemon waits until nothing has changed the file for half a second.
     let settled = |frame: &str| loop {
         let ran = meniscus(path, &["why", frame, "--out", "out"]);
         assert_eq!(ran.status, 0, "{}", ran.err);
@@ -238,7 +238,7 @@ fn why_knows_what_convert_has_converted() {
     assert!(done.contains("dam.1.glb, dam.1.ply were made from its current content"), "{done}");
     assert!(!done.contains("will be") && !done.contains("No daemon"), "{done}");
     assert!(settled("in/dam.2.ply").contains("It will be converted because"));
-    // Of what is damaged, nothing is said.
+    // The output does not mention damaged records.
     let cut = |name: &str| {
         let whole = fs::read(path.join(name)).expect("there");
         fs::write(path.join(name), &whole[..whole.len() / 2]).expect("written");
@@ -247,7 +247,7 @@ fn why_knows_what_convert_has_converted() {
     assert!(settled("in/dam.1.ply").contains("but dam.1.ply was made from it as it is"));
     cut("out/dam.1.ply");
     assert!(settled("in/dam.1.ply").contains("It will be converted because"));
-    // Outputs of what was there before say nothing of what is there now.
+    // Outputs of an earlier file at this path do not count.
     let ran = meniscus(path, &["convert", "in", "--out", "out", "--frames", "1", "--format", "glb,ply"]);
     assert_eq!(ran.status, 0, "{}", ran.err);
     fs::copy(path.join("in/dam.2.ply"), path.join("in/dam.1.ply")).expect("copied");
@@ -255,7 +255,7 @@ fn why_knows_what_convert_has_converted() {
 }
 
 #[test]
-fn the_journal_says_what_the_daemon_was_asked_for() {
+fn why_reads_the_arguments_of_the_daemon_from_the_journal() {
     let folder = tempdir().expect("a folder");
     let path = &folder.path().canonicalize().expect("a path");
     fs::create_dir(path.join("in")).expect("made");
@@ -283,7 +283,7 @@ fn the_journal_says_what_the_daemon_was_asked_for() {
     let watched = format!("{}, only dam.*.ply, each when its {{stem}}.ok exists", path.join("in").display());
     assert!(status.out.contains(&watched), "{}", status.out);
 
-    // As if it had been started again with other settings.
+    // As after a restart of the daemon with other settings.
     let ask = |change: &dyn Fn(&mut Watch)| {
         let mut journal = Journal::open(&path.join("out/.meniscus")).expect("a journal");
         let mut plan = journal.state().plan.clone().expect("a plan");
@@ -294,14 +294,14 @@ fn the_journal_says_what_the_daemon_was_asked_for() {
     tells("in/dam.1.ply", &["settings  not compared: that needs a particle spacing that is known"]);
     ask(&|watch| watch.choices.spacing = Some(0.05));
     tells("in/dam.1.ply", &["settings  not as recorded", "because its settings or obstacles have changed"]);
-    // The file wins.
+    // The configuration file takes precedence.
     fs::write(path.join("meniscus.toml"), "[[watch]]\ninput = \"in\"\noutput = \"out\"\n").expect("written");
     let spray = meniscus(path, &["why", "in/spray.1.ply", "--config", "meniscus.toml"]);
     assert!(spray.out.contains("name      one of a frame"), "{}", spray.out);
 }
 
 #[test]
-fn each_journal_says_what_is_watched_for_its_own_outputs() {
+fn journal_lists_the_folders_of_its_outputs_only() {
     let folder = tempdir().expect("a folder");
     let path = &folder.path().canonicalize().expect("a path");
     let blocks = [("water", "out"), ("spray", "out"), ("dust", "other")]
@@ -322,7 +322,7 @@ fn each_journal_says_what_is_watched_for_its_own_outputs() {
     }
 }
 
-/// What --print-settings prints can be put into a file, and makes the same files, whatever was asked for.
+/// The output of --print-settings is a valid configuration file, and gives the same files for any options.
 #[test]
 fn printed_settings_are_keys_of_a_file() {
     let folder = tempdir().expect("a folder");
@@ -371,7 +371,7 @@ fn printed_settings_are_keys_of_a_file() {
             assert!(printed.out.contains(key), "{options:?}: no {key} in {}", printed.out);
         }
         let (watched, converted) = (format!("watched{index}"), format!("converted{index}"));
-        // Where the file lies does not matter.
+        // The folder of the file does not matter.
         let config = path.join(format!("etc{index}/meniscus.toml"));
         fs::create_dir(config.parent().expect("a folder")).expect("made");
         let blocks = format!("[[watch]]\ninput = \"../in\"\noutput = \"../{watched}\"\n{}", printed.out);
@@ -389,7 +389,7 @@ fn printed_settings_are_keys_of_a_file() {
         }
         assert!(count > 0);
     }
-    // A length says nothing without a spacing.
+    // Without a spacing, a relative length has no value.
     let refused = meniscus(path, &["convert", "--print-settings", "--radius-min", "0.02"]);
     assert!(refused.status == 2 && refused.err.contains("--spacing"), "{}", refused.err);
     let printed = meniscus(path, &["convert", "--print-settings", "--radius-min", "0.9d", "--offset=-0.5h"]);
@@ -397,7 +397,8 @@ fn printed_settings_are_keys_of_a_file() {
     assert!(printed.out.contains("\noffset = \"-0.5h\"\n"), "{}", printed.out);
 }
 
-/// A file says lengths in spacings and voxels as the command line does, and the results are those of world units.
+/// A configuration file accepts lengths in spacings and voxels, as the command line does. The results equal
+/// those of world units.
 #[test]
 fn lengths_in_files_have_units() {
     let folder = tempdir().expect("a folder");
@@ -413,7 +414,7 @@ fn lengths_in_files_have_units() {
     assert_eq!(watched("units", "voxel_size = \"0.5d\"\nradius_min = \"1.1d\"\noffset = \"-1h\"").status, 0);
     assert_eq!(watched("world", "voxel_size = 0.05\nradius_min = 0.11\noffset = -0.05").status, 0);
     assert!(bytes("units") == bytes("world"));
-    // The journal has the lengths as they were given.
+    // The journal has the lengths as the user wrote them.
     let ran = watched("units", "voxel_size = \"0.5d\"\nradius_min = \"1.1d\"\noffset = \"-1h\"");
     assert_eq!((ran.status, ran.err.contains("dam.1.ply: converted")), (0, false), "{}", ran.err);
     for (keys, why) in [

@@ -1,5 +1,5 @@
-//! One frame by different ways, the same bytes: by any instructions, whole or in tiles, from a file that is
-//! read whole or batch by batch.
+//! The same bytes for one frame by different code paths: with any SIMD instructions, whole or in tiles, from
+//! a file that is read whole or in batches.
 
 use std::fs;
 use std::path::Path;
@@ -8,7 +8,7 @@ use tempfile::tempdir;
 
 use crate::scene::{Ran, block, command, meniscus, names_in, write_ply};
 
-/// What is typed to convert `rod.ply`.
+/// The arguments that convert `rod.ply`.
 fn typed(out: &str) -> [&str; 8] {
     ["convert", "rod.ply", "--out", out, "--voxel-size", "0.05", "--format", "glb,vdb"]
 }
@@ -17,7 +17,7 @@ fn convert(folder: &Path, out: &str, arguments: &[&str]) -> Ran {
     meniscus(folder, &[&typed(out)[..], arguments].concat())
 }
 
-/// Converts with instructions of this name: what was said of it.
+/// Converts with instructions of this name, and returns the output.
 fn converted_by(folder: &Path, out: &str, level: &str) -> String {
     let mut command = command(folder, &typed(out));
     let output = command.env("MENISCUS_SIMD", level).output().expect("the command starts");
@@ -26,7 +26,7 @@ fn converted_by(folder: &Path, out: &str, level: &str) -> String {
     err
 }
 
-/// Converts what must go well.
+/// Converts, and asserts success.
 fn converted(folder: &Path, out: &str, arguments: &[&str]) {
     let ran = convert(folder, out, arguments);
     assert_eq!((ran.status, &*ran.err), (0, ""), "{arguments:?}: {}", ran.out);
@@ -50,26 +50,26 @@ fn assert_same(folder: &Path, outs: [&str; 2]) {
     }
 }
 
-/// The number of mebibytes that a frame was said to need at least.
+/// The number of mebibytes that a frame needs at least, from the message.
 fn mebibytes_needed(ran: &Ran) -> u64 {
     let after = ran.err.split("the frame needs ").nth(1).unwrap_or_else(|| panic!("{}", ran.err));
     after.split(' ').next().and_then(|number| number.parse().ok()).expect("a number")
 }
 
 #[test]
-fn by_any_instructions() {
+fn all_instruction_sets_give_the_same_bytes() {
     let folder = tempdir().expect("a folder");
     write_rod(folder.path(), 20);
     for level in ["baseline", "avx2", "avx512"] {
         let err = converted_by(folder.path(), level, level);
-        // A processor may lack it, and then that is said.
+        // If the processor lacks the instructions, a message says so.
         assert!(err.is_empty() || err.contains("this processor lacks it"), "{level}: {err}");
         assert_same(folder.path(), ["baseline", level]);
     }
 }
 
 #[test]
-fn by_instructions_that_there_are_not() {
+fn unknown_instruction_set_is_ignored_with_a_warning() {
     let folder = tempdir().expect("a folder");
     write_rod(folder.path(), 20);
     converted(folder.path(), "plain", &[]);
@@ -79,7 +79,7 @@ fn by_instructions_that_there_are_not() {
 }
 
 #[test]
-fn in_the_least_memory_that_is_named() {
+fn smallest_stated_memory_gives_the_same_bytes() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_rod(path, 600);
@@ -132,7 +132,7 @@ fn surface_in(obj: &Path) -> Vec<String> {
 }
 
 #[test]
-fn from_a_file_in_batches() {
+fn file_read_in_batches_gives_the_same_bytes() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     // Many particles in few voxels.

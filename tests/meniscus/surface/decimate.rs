@@ -10,7 +10,7 @@ use meniscus::surface::mesh::{DecimateReport, Mesh, MeshMeasures, decimate};
 use super::bands::{band, block_band, sphere, torus};
 use super::{BOTH, Random, UNIT, sound};
 
-/// Decimates a copy of a sound mesh, and checks all that is promised.
+/// Decimates a copy of a sound mesh, and checks every guarantee.
 fn decimated(mesh: &Mesh, error: f64) -> (Mesh, MeshMeasures, DecimateReport) {
     let mut copy = mesh.clone();
     let report = decimate(&mut copy, error);
@@ -22,7 +22,7 @@ fn decimated(mesh: &Mesh, error: f64) -> (Mesh, MeshMeasures, DecimateReport) {
     assert_eq!(report.removed_triangle_count, before.triangle_count - after.triangle_count);
     assert!(report.error_world_max <= error);
     assert!((after.volume - before.volume).abs() <= before.area * report.error_world_max * 1.5);
-    // Vertices are some of those that were there, with their normals, in order.
+    // The vertices are a subset of the original ones, with their normals, in order.
     let mut old = mesh.positions.iter().zip(&mesh.normals);
     assert!(copy.positions.iter().zip(&copy.normals).all(|new| old.any(|old| old == new)));
     (copy, after, report)
@@ -47,13 +47,13 @@ fn corners(mesh: &Mesh, triangle: [u32; 3]) -> [DVec3; 3] {
     triangle.map(|vertex| mesh.positions[vertex as usize].as_dvec3())
 }
 
-/// How far points of one surface, many on each triangle, are from another.
+/// The distance of one surface, sampled at many points per triangle, from another.
 fn farthest(from: &Mesh, to: &Mesh) -> f64 {
     let targets: Vec<[DVec3; 3]> = to.triangles.iter().map(|&triangle| corners(to, triangle)).collect();
     let mut farthest = 0.0f64;
     for &triangle in &from.triangles {
         let [a, b, c] = corners(from, triangle);
-        // So many that none of the surface is farther than 0.2 from one.
+        // With this many points, no part of the surface is farther than 0.2 from one.
         let steps = (a.distance(b).max(b.distance(c)).max(c.distance(a)) / 0.4).ceil().max(2.0) as usize;
         let (middle, size) = ((a + b + c) / 3.0, a.distance(b).max(b.distance(c)).max(c.distance(a)));
         let near: Vec<&[DVec3; 3]> = targets
@@ -91,7 +91,7 @@ fn balls_and_tori_stay_within_the_error_both_ways() {
             let there = farthest(&mesh, &thin);
             let back = farthest(&thin, &mesh);
             assert!(there.max(back) <= report.error_world_max, "{error}: {there} {back} {report:?}");
-            // The bound is of some use.
+            // The bound is not much larger than the error.
             assert!(there.max(back) >= 0.3 * error, "{error}: {there} {back}");
         }
     }
@@ -139,7 +139,7 @@ fn plain(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Mesh {
 }
 
 #[test]
-fn what_cannot_be_decimated_stays() {
+fn meshes_that_cannot_be_decimated_stay() {
     const CORNERS: [[f32; 3]; 5] =
         [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [f32::NAN; 3]];
     const TETRAHEDRON: [[u32; 3]; 4] = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
@@ -170,7 +170,7 @@ fn what_cannot_be_decimated_stays() {
             assert_eq!(sorted(&copy), sorted(&mesh), "{triangles:?} {error}");
         }
     }
-    // An open sheet keeps its rim, and its middle goes.
+    // An open sheet keeps its boundary and loses its interior vertices.
     let grid = |n: u32| -> Vec<[u32; 3]> {
         (0..n * n)
             .flat_map(|cell| {
@@ -185,7 +185,7 @@ fn what_cannot_be_decimated_stays() {
     let measures = sheet.measure();
     assert_eq!((measures.boundary_edge_count, measures.non_manifold_edge_count), (40, 0));
     assert!(measures.triangle_count < 120 && (measures.area - 100.0).abs() < 1e-3, "{measures:?}");
-    // Neither do vertices that are not numbers keep the others from it.
+    // Vertices that are not finite do not prevent this.
     let ball = band(IVec3::splat(-16), IVec3::splat(16), sphere([0.3, -0.2, 0.41], 11.3));
     let mut torn = contour(&ball, &UNIT, Contouring::Dual);
     torn.positions[17] = Vec3::NAN;
@@ -209,7 +209,7 @@ fn shapes(mesh: &Mesh, is_wanted: impl Fn(Vec3) -> bool) -> HashSet<[[u32; 3]; 3
 }
 
 #[test]
-fn neither_threads_nor_far_changes_matter() {
+fn threads_and_far_changes_do_not_matter() {
     // A bar that is straight at one end, and at the other end thicker or not.
     let bar = |bump: f64| {
         move |[x, y, z]: [f64; 3]| {

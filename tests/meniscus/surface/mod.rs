@@ -1,7 +1,7 @@
-//! Is the mesh sound, and in the right place?
+//! Checks that meshes are sound and in the right position.
 //!
-//! Every mesh that is made here passes [`sound`] first: closed, manifold, no degenerate triangle,
-//! outward, unit normals.
+//! Every mesh here first passes [`sound`]: closed, manifold, without degenerate triangles, oriented outward,
+//! with unit normals.
 
 mod bands;
 mod decimate;
@@ -20,7 +20,7 @@ use meniscus::surface::space::Lattice;
 const UNIT: Lattice = Lattice { voxel_size: 1.0 };
 const BOTH: [Contouring; 2] = [Contouring::Dual, Contouring::Tetrahedra];
 
-/// The mesh of a band and its measures, after checking all that is promised for any φ.
+/// The mesh of a band and its measures, after checks of all guarantees that hold for any φ.
 fn sound(band: &NarrowBand, lattice: &Lattice, contouring: Contouring) -> (Mesh, MeshMeasures) {
     let mesh = contour(band, lattice, contouring);
     let measures = mesh.measure();
@@ -170,7 +170,7 @@ fn a_slab_on_half_voxels_is_exact() {
     }
 }
 
-/// Random values, with some that are zero of either sign, tiny, or alike.
+/// Random values; some of them are zero of either sign, tiny, or equal.
 fn random_block(random: &mut Random, count: usize) -> Vec<f32> {
     let inside_share = 0.2 + 0.6 * random.next();
     let values = (0..count).map(|_| {
@@ -292,7 +292,7 @@ fn moving_within_leaves_keeps_the_measures() {
 }
 
 #[test]
-fn far_frames_have_their_own_origin() {
+fn far_frames_have_a_local_origin() {
     let here = band(IVec3::splat(-16), IVec3::splat(16), sphere([0.1, 0.2, 0.3], 9.0));
     let lattice = Lattice { voxel_size: 0.5 };
     for step in [IVec3::splat(1 << 20), IVec3::new(16384, 0, 0), IVec3::new(0, -(1 << 29), 1 << 29)] {

@@ -12,7 +12,7 @@ fn triangles_of_a_ball_are_halves_of_quads() {
     let (mesh, _) = sound(&ball, &UNIT, Contouring::Dual);
     let quads = mesh.quads();
     assert!(quads.iter().enumerate().all(|(index, &is_quad)| is_quad == (index % 2 == 0)));
-    // One around each grid edge that the surface crosses: four vertices, each in a cell of its own.
+    // One quad around each grid edge that the surface crosses: four vertices, each in a different cell.
     for halves in mesh.triangles.chunks(2) {
         let mut corners = halves.concat();
         corners.sort_unstable();
@@ -21,9 +21,9 @@ fn triangles_of_a_ball_are_halves_of_quads() {
     }
 }
 
-/// Noise has fans, too: nothing but those is left over.
+/// Noise also makes fans; every other triangle belongs to a quad.
 #[test]
-fn what_is_no_quad_is_in_a_fan() {
+fn triangles_without_a_quad_are_in_a_fan() {
     let mut random = Random(3);
     let values: Vec<f32> = (0..24 * 24 * 24).map(|_| random.next() - 0.5).collect();
     let noise = block_band(IVec3::splat(-13), IVec3::splat(24), &values);

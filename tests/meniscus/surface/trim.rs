@@ -1,4 +1,4 @@
-//! Specks dropped, bubbles filled, and a box that cuts: against what is known of balls and boxes.
+//! Removed specks, filled bubbles, and clipping by a box, against the geometry of balls and boxes.
 
 use std::f64::consts::PI;
 
@@ -39,7 +39,7 @@ fn count(particles: &[(IVec3, Vec<Vec3>)]) -> u64 {
     particles.iter().map(|(_, locals)| locals.len() as u64).sum()
 }
 
-/// The largest difference from a function, of values within the band.
+/// The largest difference of values in the band from a function.
 fn farthest_from(band: &NarrowBand, phi: impl Fn([f64; 3]) -> f64) -> f64 {
     let leaves = band.topology.origins().iter().zip(&band.phi.leaves);
     let errors = leaves.flat_map(|(&origin, leaf)| {
@@ -57,7 +57,7 @@ const DROP: ([f64; 3], f64) = ([18.0, 0.3, 1.1], 6.3);
 const SPECK: ([f64; 3], f64) = ([8.2, 9.3, 1.1], 2.7);
 
 #[test]
-fn a_speck_goes_and_nothing_else_moves() {
+fn removed_speck_moves_nothing_else() {
     let (min, max) = (IVec3::splat(-56), IVec3::splat(40));
     let whole = band(min, max, balls(&[BALL, DROP, SPECK]));
     let all = particles(min, max, balls(&[BALL, DROP, SPECK]));
@@ -69,7 +69,7 @@ fn a_speck_goes_and_nothing_else_moves() {
         (in_speck, &[BALL, DROP, SPECK][..], 0),
         (in_speck + 1, &[BALL, DROP], in_speck),
         (in_drop + 1, &[BALL], in_speck + in_drop),
-        // What is deep inside is not counted, and is enough.
+        // Voxels deep inside are not counted; the others are enough.
         (u64::MAX, &[BALL], in_speck + in_drop),
     ] {
         let mut band = whole.clone();
@@ -82,7 +82,8 @@ fn a_speck_goes_and_nothing_else_moves() {
             locals.iter().filter(|local| dropped.holds(*origin, **local)).count() as u64
         });
         assert_eq!(held.sum::<u64>(), gone);
-        // Distances are those to what is left; and what was nearer to that is as it was, to the last bit.
+        // The values are distances to the remaining surface. Those that were nearer to it before are
+        // unchanged to the last bit.
         assert!(farthest_from(&band, balls(left)) < 0.3, "{}", farthest_from(&band, balls(left)));
         let (of_left, before) = (balls(left), balls(&[BALL, DROP, SPECK]));
         for (leaf, &origin) in band.topology.origins().iter().enumerate() {
@@ -136,7 +137,7 @@ fn bubbles_up_to_a_volume_are_filled() {
 
 /// A hollow drop with a grain in it, inside a bubble of a ball.
 #[test]
-fn what_is_within_what_is_judged_by_itself() {
+fn nested_components_are_judged_separately() {
     let center = [3.5; 3];
     let shells = move |p: [f64; 3]| {
         let r = sphere(center, 0.0)(p);
@@ -153,13 +154,14 @@ fn what_is_within_what_is_judged_by_itself() {
         let filled = fill_cavities(&mut band, most, None);
         (dropped.piece_count, filled.cavity_count, components(&band))
     };
-    // The grain alone; the hollow drop with it, and with its hollow.
+    // Only the grain; then the hollow drop with the grain and its hollow.
     assert_eq!(trimmed(30, 0.0), (1, 0, 4));
     assert_eq!(trimmed(3000, 0.0), (2, 0, 2));
-    // The hollow around the grain is filled, and the grain is one with the drop; then the bubble, too.
+    // The hollow around the grain is filled, so that the grain joins the drop; then the bubble is filled,
+    // too.
     assert_eq!(trimmed(0, 4000.0), (0, 1, 3));
     assert_eq!(trimmed(0, 40_000.0), (0, 2, 1));
-    // A bubble is as large as it looks once what was in it is gone: 24 429 voxels.
+    // The size of a bubble counts after its content is removed: 24 429 voxels.
     assert_eq!(trimmed(3000, 24_000.0), (2, 0, 2));
     assert_eq!(trimmed(3000, 25_000.0), (2, 1, 1));
 }
@@ -180,7 +182,7 @@ fn clipped_ball(h: f64, clip_box: VoxelClip, contouring: Contouring) -> (f64, Cl
 }
 
 #[test]
-fn a_ball_cut_by_planes_has_the_volume_that_is_left() {
+fn clipped_ball_has_the_remaining_volume() {
     // Between voxels, on them, and all but on them.
     for (low, high) in [(-12.37, 9.61), (-12.0, 10.0), (-12.0 + 1e-4, 10.0 + 1e-4)] {
         for contouring in BOTH {
@@ -196,7 +198,7 @@ fn a_ball_cut_by_planes_has_the_volume_that_is_left() {
             let cut = 4.0 / 3.0 * PI * 27_000.0 - expected;
             assert!((clipped.voxel_count as f64 / cut - 1.0).abs() < 0.05, "{clipped:?} {cut}");
             assert!(clipped.added_leaf_count > 0 && clipped.removed_leaf_count > 0);
-            // Caps are flat where they are no rim, and nothing is beyond them.
+            // Caps are flat away from their edges, and no vertex lies beyond them.
             let beyond = |p: &DVec3| (p.z / h - high).max(low - p.z / h);
             let worst = vertices.iter().map(beyond).fold(f64::MIN, f64::max);
             assert!(worst <= 0.0, "{worst}");
@@ -208,7 +210,7 @@ fn a_ball_cut_by_planes_has_the_volume_that_is_left() {
 }
 
 #[test]
-fn a_box_in_the_deep_inside_comes_out_whole() {
+fn box_deep_inside_the_fluid_becomes_its_surface() {
     for contouring in BOTH {
         let clip_box = VoxelClip { min: DVec3::new(-10.3, -9.6, -8.2), max: DVec3::new(9.4, 10.7, 11.9) };
         let (volume, clipped, vertices) = clipped_ball(1.0, clip_box, contouring);
@@ -221,7 +223,7 @@ fn a_box_in_the_deep_inside_comes_out_whole() {
 }
 
 #[test]
-fn boxes_that_cut_all_or_nothing() {
+fn box_may_remove_everything_or_nothing() {
     let everywhere = VoxelClip { min: DVec3::splat(-1e300), max: DVec3::splat(f64::INFINITY) };
     let ball = band(IVec3::splat(-40), IVec3::splat(40), sphere([0.3, -0.2, 0.4], 30.0));
     let mut band = ball.clone();
@@ -239,9 +241,9 @@ fn boxes_that_cut_all_or_nothing() {
     }
 }
 
-/// All three, on noise: whatever φ is, what comes out is sound, and the same on any number of threads.
+/// All three operations on noise: for any φ the result is sound, and the same for any number of threads.
 #[test]
-fn noise_is_trimmed_as_well() {
+fn trimmed_noise_is_sound() {
     let mut random = Random(7);
     // Mostly outside in front, and mostly inside behind.
     let share = |index: usize| if index < 13_500 { 0.3 } else { 0.85 };
@@ -273,9 +275,9 @@ fn noise_is_trimmed_as_well() {
     assert!(one == trimmed(3));
 }
 
-/// What is far from all that is trimmed does not know of it.
+/// Trimming does not change distant parts.
 #[test]
-fn far_changes_stay_far() {
+fn trimming_keeps_distant_parts() {
     let far = ([120.0, 3.0, 2.0], 5.0);
     let (min, max) = (IVec3::splat(-56), IVec3::new(136, 40, 40));
     let made = |scene: &[([f64; 3], f64)]| {
@@ -297,7 +299,7 @@ fn far_changes_stay_far() {
     assert!(compared > 100);
     let is_in = |origin: IVec3| with.topology.find(origin).is_some() && origin.x < 60;
     assert_eq!(with.topology.origins().iter().filter(|&&origin| is_in(origin)).count(), compared);
-    // So the test can fail: something was there.
+    // This makes sure that the test has something to find.
     assert!(with.topology.len() > without.topology.len());
     let speck = without.topology.find_voxel(IVec3::new(8, 9, 1)).expect("stored");
     assert!(without.phi.leaves[speck.0].values[offset_in_leaf(speck.1)] > 0.0);
