@@ -1,8 +1,8 @@
-//! A disk that fills up, or has too little room from the start.
+//! A disk that fills up, or is too full from the start.
 //!
 //! ```text
 //!   in/     frames                                        as much room as there is
-//!   out/    outputs, the journal, and a ballast file      a small disk of its own
+//!   out/    outputs, the journal, and a ballast file      a small separate disk
 //!   wanted/ what the one-shot command makes of the frames
 //! ```
 
@@ -24,7 +24,7 @@ struct Siege {
     frames: Vec<String>,
 }
 
-/// Room for about a hundred of the frames here.
+/// Space for about a hundred of the frames here.
 const DISK_BYTES: u64 = 8 << 20;
 
 impl Siege {
@@ -48,14 +48,14 @@ impl Siege {
         self.path().join("out")
     }
 
-    /// Fills the disk up but for so many bytes.
+    /// Fills the disk, except for this number of bytes.
     fn fill_up_to(&self, free_bytes: u64) {
         let mut ballast = File::create(self.out().join("ballast")).expect("made");
         let bytes = usize::try_from(DISK_BYTES - free_bytes).expect("small");
         ballast.write_all(&vec![1; bytes]).expect("there is room for it");
     }
 
-    /// Fills the disk up to the last byte.
+    /// Fills the disk to the last byte.
     fn fill_up(&self) {
         let mut ballast = File::create(self.out().join("ballast")).expect("made");
         let piece = [1; 1 << 12];
@@ -67,7 +67,7 @@ impl Siege {
         fs::remove_file(self.out().join("ballast")).expect("removed");
     }
 
-    /// The outputs that are there, each of which must be whole.
+    /// The existing outputs, each of which must be complete.
     fn outputs(&self) -> Vec<String> {
         let visible = names_in(&self.out()).into_iter().filter(|name| !name.starts_with('.'));
         let outputs: Vec<String> = visible.filter(|name| name != "ballast").collect();
@@ -77,7 +77,7 @@ impl Siege {
         outputs
     }
 
-    /// Asserts that everything is there and known, and that nothing is done again after a restart.
+    /// Asserts that all outputs exist and are recorded, and that a restart converts nothing again.
     fn is_whole(&self) {
         let count = self.frames.len() as u64;
         assert_same_outputs(&self.out(), &self.path().join("wanted"));
@@ -90,14 +90,14 @@ impl Siege {
     }
 }
 
-/// Whether a daemon has said that it waits for room.
+/// Whether a daemon has reported that it waits for space.
 fn is_paused(daemon: &Daemon) -> bool {
     daemon.count_logged("paused") > 0 && daemon.has_status("paused")
 }
 
 #[test]
-fn a_disk_that_fills_up_is_waited_for() {
-    with_own_mounts("disk::a_disk_that_fills_up_is_waited_for", || {
+fn daemon_waits_while_the_disk_is_full() {
+    with_own_mounts("disk::daemon_waits_while_the_disk_is_full", || {
         let siege = Siege::new(if is_long() { 60 } else { 16 });
         siege.fill_up_to(192 << 10);
         let mut daemon = Daemon::start(siege.path(), &["in", "--out", "out", "--disk-floor", "0"]);
@@ -106,7 +106,7 @@ fn a_disk_that_fills_up_is_waited_for() {
         assert_eq!(counts(siege.path())[3], 0);
         assert_eq!(status(siege.path())["daemon"]["state"], "paused");
         if is_long() {
-            // It tries by itself now and then, and does not take that for a failure of the frame.
+            // The daemon retries from time to time, and does not count this as a failure of the frame.
             daemon.until("it tries again", |daemon| daemon.count_logged("paused") > 8);
             siege.outputs();
         }
@@ -120,8 +120,8 @@ fn a_disk_that_fills_up_is_waited_for() {
 }
 
 #[test]
-fn a_journal_on_a_full_disk_goes_on_later() {
-    with_own_mounts("disk::a_journal_on_a_full_disk_goes_on_later", || {
+fn journal_on_a_full_disk_continues_later() {
+    with_own_mounts("disk::journal_on_a_full_disk_continues_later", || {
         let siege = Siege::new(24);
         let [inside, later] = ["in", "later"].map(|name| siege.path().join(name));
         fs::rename(&inside, &later).expect("renamed");
@@ -137,11 +137,11 @@ fn a_journal_on_a_full_disk_goes_on_later() {
         daemon.until_converted(first);
         daemon.until("all is written down", |daemon| daemon.has_status("4 done"));
         siege.fill_up();
-        // More of them than there is room for in the last page of the journal.
+        // More frames than the last page of the journal has space for.
         move_in(second);
         daemon.until("it says that it is paused", is_paused);
         daemon.until("all frames wait", |daemon| daemon.has_status("4 done, 20 queued; paused"));
-        // Said once, not for each of its lines.
+        // The message appears once, not for each line of the journal.
         assert_eq!(daemon.count_logged("cannot write the journal"), 1);
         assert_eq!(siege.outputs().len(), 2 * first.len());
         siege.make_room();
@@ -166,7 +166,7 @@ fn outputs_that_fill_the_disk_stop_at_the_floor() {
         daemon.until("it says that it is paused", is_paused);
         let converted = daemon.converted();
         assert!(!converted.is_empty() && converted.len() < siege.frames.len(), "{converted:?}");
-        // The frames are small: none of them takes the disk from above the floor to nothing.
+        // The frames are small: none of them takes the disk from above the minimum to zero.
         assert_eq!(daemon.count_logged("No space"), 0);
         siege.outputs();
         siege.make_room();
@@ -177,8 +177,8 @@ fn outputs_that_fill_the_disk_stop_at_the_floor() {
 }
 
 #[test]
-fn nothing_is_begun_below_the_floor() {
-    with_own_mounts("disk::nothing_is_begun_below_the_floor", || {
+fn no_frame_starts_below_the_minimum_of_free_space() {
+    with_own_mounts("disk::no_frame_starts_below_the_minimum_of_free_space", || {
         let siege = Siege::new(4);
         siege.fill_up_to(3 << 20);
         let mut daemon = Daemon::start(siege.path(), &["in", "--out", "out", "--disk-floor", "4MiB"]);

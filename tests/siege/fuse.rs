@@ -1,7 +1,7 @@
-//! A file system whose server can be stopped: what a dead file server looks like.
+//! A file system whose server the test can stop, to imitate a file server that stops responding.
 //!
-//! The server is this test program once more, in a process of its own. It shows a folder as it is, read-only, and keeps
-//! nothing in the kernel's caches: every call of a client waits for it.
+//! The server is a second process of this test program. It serves a folder read-only and disables the
+//! kernel's caches, so that every call of a client waits for it.
 
 use std::collections::HashMap;
 use std::env;
@@ -14,23 +14,23 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 
 use rustix::io::{FdFlags, fcntl_setfd};
 
-/// Set in the process of the server: the folder that it shows, and where.
+/// Set in the process of the server: the folder that it serves, and the mount point.
 const SERVED: &str = "MENISCUS_SIEGE_FUSE_SERVED";
 const MOUNTED_AT: &str = "MENISCUS_SIEGE_FUSE_AT";
 
-/// What the server says when the file system is mounted.
+/// The server prints this when the file system is mounted.
 const MOUNTED: &str = "the file system is mounted";
 
-/// A mounted file system, until it is dropped.
+/// A mounted file system; dropping it unmounts it.
 pub(crate) struct Mount {
     server: Child,
     at: PathBuf,
-    /// What the server says: it would end if nobody could hear it.
+    /// The output of the server. The server would end if the pipe were closed.
     _said: Lines<BufReader<ChildStdout>>,
 }
 
 impl Mount {
-    /// Shows `folder` at `at`, which is an empty folder. `None` where the system has no FUSE.
+    /// Serves `folder` at `at`, which is an empty folder. `None` if the system has no FUSE.
     pub(crate) fn new(folder: &Path, at: &Path) -> Option<Mount> {
         OpenOptions::new().read(true).write(true).open("/dev/fuse").ok()?;
         let mut server = Command::new(env::current_exe().expect("this test"))
@@ -52,7 +52,7 @@ impl Mount {
         self.signal("STOP");
     }
 
-    /// All of them return.
+    /// Lets all calls return.
     pub(crate) fn go_on(&self) {
         self.signal("CONT");
     }
@@ -65,14 +65,14 @@ impl Mount {
 
 impl Drop for Mount {
     fn drop(&mut self) {
-        // Calls that hang fail when the server is gone.
+        // Blocked calls fail when the server ends.
         let _ = self.server.kill();
         let _ = self.server.wait();
         let _ = Command::new("umount").arg("--lazy").arg(&self.at).status();
     }
 }
 
-/// The server, in a process of its own; else no test.
+/// The entry point of the server process; does nothing as a test.
 #[test]
 fn server() {
     let (Some(folder), Some(at)) = (env::var_os(SERVED), env::var_os(MOUNTED_AT)) else { return };
@@ -96,7 +96,7 @@ struct Server {
 const ENOENT: i32 = 2;
 const ENOSYS: i32 = 38;
 
-/// What is answered: bytes, or an error number.
+/// A reply: bytes, or an error number.
 type Answer = Result<Vec<u8>, i32>;
 
 impl Server {
@@ -105,7 +105,7 @@ impl Server {
         loop {
             let length = match self.device.read(&mut request) {
                 Ok(length) => length,
-                // A signal to go on interrupts the call; a request may be withdrawn before it is read.
+                // A SIGCONT interrupts the call; the kernel may withdraw a request before it is read.
                 Err(error) if matches!(error.kind(), ErrorKind::Interrupted | ErrorKind::NotFound) => {
                     continue;
                 }
@@ -114,7 +114,7 @@ impl Server {
             };
             let (header, body) = request[..length].split_at(40);
             let (operation, unique, node) = (u32_at(header, 4), u64_at(header, 8), u64_at(header, 16));
-            // FORGET, INTERRUPT and BATCH_FORGET want no answer.
+            // FORGET, INTERRUPT and BATCH_FORGET have no reply.
             if matches!(operation, 2 | 36 | 42) {
                 continue;
             }
@@ -128,7 +128,7 @@ impl Server {
             out.extend(error.to_le_bytes());
             out.extend(unique.to_le_bytes());
             out.extend(bytes);
-            // Of a request that was interrupted nobody wants the answer.
+            // The kernel discards the reply to an interrupted request.
             let _ = self.device.write(&out);
         }
     }
@@ -180,7 +180,7 @@ impl Server {
     }
 }
 
-/// The answer to INIT: version 7.31, without options.
+/// The reply to INIT: version 7.31, without options.
 fn initial(body: &[u8]) -> Vec<u8> {
     let mut out = Vec::new();
     for word in [7, 31, u32_at(body, 8), 0] {

@@ -1,4 +1,4 @@
-//! A file server that stops answering in the middle of a run: its own folder waits, and nothing else does.
+//! A file server that stops responding during a run: only the folder on it waits.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -12,7 +12,8 @@ use crate::fuse::Mount;
 use crate::mounts::with_own_mounts;
 use crate::scene::{Daemon, block_ply, frame_names, land, land_sequence, message, tell};
 
-/// Two folders; events of the second are heard, and the first, as all of its kind, is scanned often.
+/// Two folders. The daemon receives events for the second one, and scans the first one often, as all folders
+/// of its kind.
 const CONFIG: &str = r#"
 [daemon]
 log = "json"
@@ -32,12 +33,12 @@ input = "sound"
 output = "out/sound"
 "#;
 
-/// More time than a folder that hangs may take from others.
+/// The most time that a blocked folder may take from others.
 const SOON: Duration = Duration::from_secs(60);
 
 #[test]
-fn a_file_system_that_hangs_holds_up_its_own_folder_only() {
-    with_own_mounts("hangs::a_file_system_that_hangs_holds_up_its_own_folder_only", || {
+fn unresponsive_file_system_blocks_only_its_folder() {
+    with_own_mounts("hangs::unresponsive_file_system_blocks_only_its_folder", || {
         let folder = tempdir().expect("a folder");
         let [disk, hanging, sound] = ["disk", "hanging", "sound"].map(|name| folder.path().join(name));
         for path in [&disk, &hanging, &sound] {
@@ -54,7 +55,7 @@ fn a_file_system_that_hangs_holds_up_its_own_folder_only() {
         daemon.until_converted(&drops(1, 2));
         let address = daemon.window_address();
 
-        // In the middle of a run: some of these are read, others wait.
+        // During the run: some of these are being read, others wait.
         land_sequence(&disk, 4, 60, 12);
         daemon.until_converted(&frame_names(4, 4));
         mount.stop();
@@ -69,17 +70,17 @@ fn a_file_system_that_hangs_holds_up_its_own_folder_only() {
         daemon.listen_for(Duration::from_secs(5));
         assert!(daemon.signs_of_life() >= signs + 3, "it gives no signs of life");
 
-        // What was held up goes on where it was.
+        // The blocked frames continue.
         mount.go_on();
         daemon.until_converted(&frame_names(4, 60));
-        daemon.until("it is there again", |daemon| !daemon.has_status("is unavailable"));
+        daemon.until("it is available again", |daemon| !daemon.has_status("is unavailable"));
         let mut converted = daemon.converted();
         converted.sort();
         let mut wanted = [frame_names(1, 60), drops(1, 6)].concat();
         wanted.sort();
         assert_eq!(converted, wanted, "each once");
 
-        // It ends when asked, also with frames under way that hang.
+        // The daemon ends on request, also while frames in flight are blocked.
         land_sequence(&disk, 61, 90, 12);
         daemon.until_converted(&frame_names(61, 61));
         mount.stop();
@@ -93,7 +94,7 @@ fn a_file_system_that_hangs_holds_up_its_own_folder_only() {
     });
 }
 
-/// The names of frames of the folder that does not hang.
+/// The names of frames of the folder that responds.
 fn drops(first: usize, last: usize) -> Vec<String> {
     (first..=last).map(|number| format!("drop.{number}.ply")).collect()
 }
@@ -104,7 +105,7 @@ fn land_drops(folder: &Path, first: usize, last: usize) {
     }
 }
 
-/// What the status page answers.
+/// The response of the status page.
 fn get(address: &str, path: &str) -> String {
     let mut stream = TcpStream::connect(address).expect("it listens");
     stream.set_read_timeout(Some(SOON)).expect("a timeout");

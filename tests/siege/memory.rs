@@ -1,4 +1,4 @@
-//! Large frames through little memory: as many at once as there is room for, and in tiles what has none whole.
+//! Large frames with little memory: as many at once as fit, and in tiles if a whole frame does not fit.
 
 use std::fs;
 use std::os::unix::fs::MetadataExt;
@@ -27,8 +27,8 @@ fn write_frames(folder: &Path, [frame, moved]: [Vec<u8>; 2], last: usize) {
     }
 }
 
-/// Converts frames `1..=last` within so much memory: how much it took at most, and the lines of the log
-/// about the frames.
+/// Converts frames `1..=last` within this memory; returns the peak memory and the lines of the log about the
+/// frames.
 fn converted_within(folder: &Path, memory: &str, last: usize) -> (u64, Vec<Value>) {
     let arguments = ["in", "--out", "out", "--format", "vdb,glb", "--memory", memory, "--disk-floor", "0"];
     let mut daemon = Daemon::start(folder, &arguments);
@@ -41,7 +41,7 @@ fn converted_within(folder: &Path, memory: &str, last: usize) -> (u64, Vec<Value
 }
 
 #[test]
-fn frames_share_the_memory_that_they_may_have() {
+fn frames_share_the_memory_limit() {
     let folder = tempdir().expect("a folder");
     let last = if is_long() { 200 } else { 8 };
     write_frames(folder.path(), [0.0, 0.03].map(|shift| block_ply(EDGE_COUNT, shift)), last);
@@ -58,7 +58,7 @@ fn frames_share_the_memory_that_they_may_have() {
 }
 
 #[test]
-fn a_frame_that_is_larger_than_the_memory_is_skinned_in_tiles() {
+fn frame_larger_than_the_memory_is_converted_in_tiles() {
     let folder = tempdir().expect("a folder");
     let last = if is_long() { 20 } else { 2 };
     write_frames(folder.path(), [0.0, 0.03].map(|shift| box_ply(BEAM_COUNTS, shift)), last);
@@ -79,7 +79,7 @@ fn a_frame_that_is_larger_than_the_memory_is_skinned_in_tiles() {
     ));
 }
 
-/// The number of mebibytes that the frame in `in` that needs most is said to need at least.
+/// The number of mebibytes that the largest frame in `in` needs at least, from the message.
 fn mebibytes_needed(folder: &Path) -> u64 {
     let arguments = ["convert", "in", "--out", "refused", "--memory", "1MiB"];
     let output = meniscus(folder).args(arguments).output().expect("it starts");

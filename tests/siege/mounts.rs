@@ -1,8 +1,8 @@
-//! Tests that mount file systems of their own.
+//! Mount namespaces for tests that mount file systems.
 //!
-//! A test runs once more in a process of its own, in a mount namespace that nobody else sees: there it
-//! may mount what it likes, and all of it is gone when it ends. Root may have one, and so may everybody
-//! where the system allows user namespaces. Where neither is so, the test says that it is skipped.
+//! Such a test runs a second time in a child process with a private mount namespace. It may mount file
+//! systems there, and the kernel removes them when the process ends. Root may create a namespace, and other
+//! users may where the system allows user namespaces. If neither applies, the test is skipped with a message.
 
 use std::env;
 use std::path::Path;
@@ -10,10 +10,10 @@ use std::process::{Command, Stdio};
 
 use crate::scene::tell;
 
-/// Set in the process of its own.
+/// Set in the child process.
 const INSIDE: &str = "MENISCUS_SIEGE_OWN_MOUNTS";
 
-/// Runs the test of this name, which is the one that calls, in a mount namespace of its own.
+/// Runs the calling test, which has this name, in a private mount namespace.
 pub(crate) fn with_own_mounts(name: &str, test: impl FnOnce()) {
     if env::var_os(INSIDE).is_some() {
         return test();
@@ -26,7 +26,7 @@ pub(crate) fn with_own_mounts(name: &str, test: impl FnOnce()) {
         .arg(env::current_exe().expect("this test"))
         .args(["--exact", name, "--nocapture"])
         .env(INSIDE, "1")
-        // What it tells is told, also where it passes.
+        // Prints the output of the child process also if the test passes.
         .stderr(Stdio::inherit())
         .output()
         .expect("it starts");
@@ -34,7 +34,7 @@ pub(crate) fn with_own_mounts(name: &str, test: impl FnOnce()) {
     assert!(ran.status.success() && said.contains("1 passed"), "{said}");
 }
 
-/// What to tell `unshare` to get a namespace in which one may mount; `None` where nothing does it.
+/// The arguments with which `unshare` creates a namespace that allows mounts; `None` if no arguments work.
 fn how_to_unshare() -> Option<&'static [&'static str]> {
     let folder = tempfile::tempdir().expect("a folder");
     let may_mount = |unshare: &&[&str]| {
@@ -47,12 +47,12 @@ fn how_to_unshare() -> Option<&'static [&'static str]> {
     ways.into_iter().find(may_mount)
 }
 
-/// Mounts an empty file system of so many bytes.
+/// Mounts an empty file system of this size in bytes.
 pub(crate) fn mount_tmpfs(folder: &Path, size_bytes: u64) {
     mount(&["-t", "tmpfs", "-o", &format!("size={size_bytes}"), "none"], folder);
 }
 
-/// Lets a folder be seen at another place.
+/// Makes a folder visible at another path.
 pub(crate) fn mount_bind(from: &Path, to: &Path) {
     mount(&["--bind", &from.to_string_lossy()], to);
 }
@@ -62,7 +62,7 @@ fn mount(arguments: &[&str], folder: &Path) {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// Takes it away again, even while it is looked at.
+/// Unmounts it, even while it is in use.
 pub(crate) fn unmount(folder: &Path) {
     let output = Command::new("umount").arg("--lazy").arg(folder).output().expect("umount runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));

@@ -1,4 +1,4 @@
-//! Looking by itself, where the system tells nothing.
+//! Periodic scans, without file-system events.
 
 use std::fs;
 
@@ -6,9 +6,9 @@ use tempfile::tempdir;
 
 use crate::scene::{Daemon, frame_names, land_sequence, names_in};
 
-/// How many folders the system was asked to tell of.
+/// The number of folders for which the daemon has requested events.
 fn heard_folder_count(daemon: &Daemon) -> usize {
-    let infos = fs::read_dir(format!("/proc/{}/fdinfo", daemon.pid())).expect("it is there");
+    let infos = fs::read_dir(format!("/proc/{}/fdinfo", daemon.pid())).expect("it runs");
     let texts = infos.flatten().filter_map(|info| fs::read_to_string(info.path()).ok());
     texts.map(|text| text.lines().filter(|line| line.starts_with("inotify wd:")).count()).sum()
 }

@@ -1,7 +1,7 @@
-//! Folders that vanish, come back, come up empty, come late.
+//! Folders that vanish, return, return empty, or appear late.
 //!
-//! In all of it, what is done stays done: a frame more, that comes last and whose name is the last in
-//! order, tells that nothing else was queued before it.
+//! In all tests, done frames stay done. To check that no other frame was queued, a test adds a frame whose
+//! name sorts last and which the daemon converts last.
 
 use std::fs;
 use std::io::ErrorKind;
@@ -12,7 +12,7 @@ use tempfile::{TempDir, tempdir};
 use crate::mounts::{mount_bind, unmount, with_own_mounts};
 use crate::scene::{Daemon, assert_same_outputs, convert, counts, frame_names, land_sequence, names_in};
 
-/// Frames `1..=last` land and are converted.
+/// Writes frames `1..=last`, and waits until they are converted.
 fn begun(last: usize) -> (TempDir, Daemon) {
     let folder = tempdir().expect("a folder");
     fs::create_dir(folder.path().join("in")).expect("made");
@@ -22,11 +22,10 @@ fn begun(last: usize) -> (TempDir, Daemon) {
     (folder, daemon)
 }
 
-/// Looking often is no part of what is tested: whatever is found is to be found by the events or by
-/// waiting for the folder.
+/// Without frequent scans: the daemon must find changes by events or by waiting for the folder.
 const ARGUMENTS: [&str; 7] = ["in", "--out", "out", "--settle", "50ms", "--rescan", "1h"];
 
-/// Asserts that frames `1..=last` were converted once each, and are there.
+/// Asserts that frames `1..=last` were converted once each, and that their outputs exist.
 fn assert_all_once(folder: &Path, daemon: Daemon, last: usize) {
     let mut converted = daemon.converted();
     converted.sort();
@@ -40,7 +39,7 @@ fn assert_all_once(folder: &Path, daemon: Daemon, last: usize) {
 }
 
 #[test]
-fn a_folder_that_is_moved_away_is_waited_for() {
+fn daemon_waits_for_a_folder_that_was_moved_away() {
     let (folder, mut daemon) = begun(4);
     let [inside, away] = ["in", "away"].map(|name| folder.path().join(name));
     for round in 1..=2 {
@@ -49,21 +48,21 @@ fn a_folder_that_is_moved_away_is_waited_for() {
             daemon.count_logged("unavailable") == round && daemon.has_status("is unavailable")
         });
         assert_eq!(counts(folder.path())[0], 3 + round as u64);
-        // One comes while nobody looks.
+        // One frame arrives while the folder is away.
         land_sequence(&away, 4 + round, 4 + round, 5);
         fs::rename(&away, &inside).expect("renamed");
         daemon.until_converted(&frame_names(1, 4 + round));
-        daemon.until("it is there again", |daemon| daemon.count_logged("available again") == round);
+        daemon.until("it is back", |daemon| daemon.count_logged("available again") == round);
     }
-    // And its events are heard again.
+    // The daemon receives its events again.
     land_sequence(&inside, 7, 7, 5);
     daemon.until_converted(&frame_names(1, 7));
     assert_all_once(folder.path(), daemon, 7);
 }
 
 #[test]
-fn a_disk_that_is_unmounted_is_waited_for() {
-    with_own_mounts("roots::a_disk_that_is_unmounted_is_waited_for", || {
+fn daemon_waits_for_an_unmounted_disk() {
+    with_own_mounts("roots::daemon_waits_for_an_unmounted_disk", || {
         let folder = tempdir().expect("a folder");
         let [inside, disk] = ["in", "disk"].map(|name| folder.path().join(name));
         for path in [&inside, &disk] {
@@ -91,7 +90,7 @@ fn a_disk_that_is_unmounted_is_waited_for() {
 }
 
 #[test]
-fn a_folder_that_was_emptied_keeps_its_outputs() {
+fn emptied_folder_keeps_its_outputs() {
     let (folder, mut daemon) = begun(3);
     let inside = folder.path().join("in");
     for name in frame_names(1, 3) {
@@ -105,7 +104,7 @@ fn a_folder_that_was_emptied_keeps_its_outputs() {
 }
 
 #[test]
-fn a_folder_that_comes_back_empty_is_unavailable() {
+fn folder_that_returns_empty_is_unavailable() {
     let (folder, mut daemon) = begun(3);
     let [inside, away] = ["in", "away"].map(|name| folder.path().join(name));
     fs::rename(&inside, &away).expect("renamed");
@@ -120,7 +119,7 @@ fn a_folder_that_comes_back_empty_is_unavailable() {
 }
 
 #[test]
-fn a_folder_may_come_late() {
+fn folder_may_appear_late() {
     for is_made_before_it_is_filled in [true, false] {
         let folder = tempdir().expect("a folder");
         let inside = folder.path().join("in");
@@ -141,7 +140,7 @@ fn a_folder_may_come_late() {
 }
 
 #[test]
-fn outputs_that_are_removed_are_made_again() {
+fn removed_outputs_are_made_again() {
     let folder = tempdir().expect("a folder");
     let [inside, out] = ["in", "out"].map(|name| folder.path().join(name));
     fs::create_dir(&inside).expect("made");
@@ -149,10 +148,10 @@ fn outputs_that_are_removed_are_made_again() {
     let arguments = ["in", "--out", "out", "--settle", "50ms", "--rescan", "200ms"];
     let mut daemon = Daemon::start(folder.path(), &arguments);
     daemon.until_converted(&frame_names(1, 3));
-    // With the journal and the lock in it; the daemon may write there at that very moment.
+    // This removes the journal and the lock, too; the daemon may write there at that moment.
     while fs::remove_dir_all(&out).is_err_and(|error| error.kind() == ErrorKind::DirectoryNotEmpty) {}
     land_sequence(&inside, 4, 4, 5);
-    daemon.until("all are there again", |daemon| {
+    daemon.until("all are made again", |daemon| {
         daemon.converted().len() == 7 && daemon.has_status("4 done, 0 queued")
     });
     daemon.stop();

@@ -1,7 +1,8 @@
-//! Many frames that are converted already: the daemon knows it soon, and then does next to nothing.
+//! Many frames that are already converted: the daemon recognizes them quickly, and then is nearly idle.
 //!
-//! The frames have no particles, so that a real run makes the outputs and the journal of 50 000 of them
-//! in a minute or two. Files that are done are not read again; what that costs in time is printed, and not bounded.
+//! The frames have no particles, so that a real run makes the outputs and the journal of 50 000 of them in a
+//! minute or two. The daemon does not read done files again. The test prints the time that this takes, and
+//! sets no limit for it.
 
 use std::fs;
 use std::path::Path;
@@ -15,7 +16,7 @@ fn frame_count() -> usize {
     if is_long() { 50_000 } else { 2_000 }
 }
 
-/// The voxel size is given, for frames without particles have none to measure.
+/// The voxel size is given, because frames without particles have no spacing to measure.
 const ARGUMENTS: [&str; 10] =
     ["in", "--out", "out", "--format", "ply", "--preset", "paper", "--voxel-size", "0.1", "--settle"];
 
@@ -38,21 +39,21 @@ fn converted_folder() -> TempDir {
 }
 
 #[test]
-fn what_is_done_costs_little() {
+fn done_frames_cost_little() {
     let folder = converted_folder();
     let path = folder.path();
     let start = Instant::now();
     let mut daemon = Daemon::start_ready(path, &arguments(&["--rescan", "5s"]));
     let wall_seconds = start.elapsed().as_secs_f64();
     let start_seconds = cpu_seconds(daemon.pid());
-    // The journal is read, and no output.
+    // The daemon reads the journal, and no output.
     let journal_bytes = path.join("out/.meniscus/journal").metadata().expect("a journal").len();
     let start_bytes = bytes_read(daemon.pid());
     assert!(start_bytes < 2 * journal_bytes + SMALL_FILES_BYTES, "{start_bytes} read of {journal_bytes}");
     daemon.until("all are known", |daemon| daemon.has_status(&format!("{} done", frame_count())));
     assert_eq!(daemon.converted(), [""; 0]);
 
-    // Long enough for a look at everything, which comes as often as it may.
+    // Long enough for one full scan at its highest frequency.
     let watched = Duration::from_secs(if is_long() { 120 } else { 8 });
     let (before, before_bytes) = (cpu_seconds(daemon.pid()), bytes_read(daemon.pid()));
     daemon.listen_for(watched);
@@ -69,22 +70,22 @@ fn what_is_done_costs_little() {
     ));
 }
 
-/// Bytes for what the daemon reads of itself and of the system: files in /proc, the lock, the configuration.
+/// Bytes of other files that the daemon reads: files in /proc, the lock, the configuration.
 const SMALL_FILES_BYTES: u64 = 1 << 20;
 
-/// So many frames land one after the other; the folder is looked through some times for each.
+/// This number of frames arrives one after the other; the daemon scans the folder a few times for each.
 const LANDING_COUNT: usize = 60;
 
-/// The allocator gives back what is free at the end of a thread's part when it is more than this. Twenty bytes that each look kept
-/// for good of each frame would come to as much.
+/// When a thread finishes its part, the allocator returns free memory beyond this amount. If each scan leaked
+/// twenty bytes per frame, the growth would reach this amount.
 const KEPT_BYTES: u64 = 4 << 20;
 
 #[test]
-fn looking_again_takes_no_more_memory() {
+fn repeated_scans_do_not_grow_the_memory() {
     let folder = converted_folder();
     let path = folder.path();
     let mut daemon = Daemon::start_ready(path, &arguments(&["--poll", "50ms"]));
-    // A frame that is found tells that the folder was looked through once more.
+    // A new frame that the daemon finds shows that it has scanned the folder once more.
     let mut look_again = |number: usize| {
         land_one(path, number);
         daemon.until_converted(&frame_names(number, number));
@@ -106,14 +107,14 @@ fn land_one(folder: &Path, number: usize) {
     land(&folder.join("in"), &frame_names(number, number)[0], &block_ply(0, 0.0));
 }
 
-/// The bytes that a process has read from files until now. Names in folders do not count.
+/// The bytes that a process has read from files so far, without the names in folders.
 fn bytes_read(pid: u32) -> u64 {
     let io = fs::read_to_string(format!("/proc/{pid}/io")).expect("it is there");
     let count = io.lines().find_map(|line| line.strip_prefix("rchar: ")).expect("a line");
     count.parse().expect("a number")
 }
 
-/// The time that a process has computed until now.
+/// The processor time of a process so far.
 fn cpu_seconds(pid: u32) -> f64 {
     let stat = fs::read_to_string(format!("/proc/{pid}/stat")).expect("it is there");
     // The name of the program, in brackets, may have spaces.

@@ -1,4 +1,4 @@
-//! A daemon at work, seen from outside; small frames, and frames that land whole.
+//! A running daemon and its log; small frames, and frames that appear complete.
 
 use std::collections::BTreeSet;
 use std::env;
@@ -14,46 +14,46 @@ use crossbeam::channel::{Receiver, Sender, unbounded};
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// What is not heard within this time will not come.
+/// An event that does not happen within this time will not happen.
 const PATIENCE: Duration = Duration::from_secs(300);
 
-/// Whether the tests have as many frames as were promised.
+/// Whether the tests use the full number of frames.
 pub(crate) fn is_long() -> bool {
     env::var_os("MENISCUS_LONG").is_some_and(|value| value == "1")
 }
 
-/// Says something even where the test passes, which the macros for it do not.
+/// Prints a line also if the test passes, which the usual macros do not.
 pub(crate) fn tell(text: &str) {
-    writeln!(io::stderr(), "{text}").expect("somebody listens");
+    writeln!(io::stderr(), "{text}").expect("standard error is open");
 }
 
-/// What a daemon says.
+/// A message from a daemon.
 enum Heard {
     Line(Value),
     Notice(String),
-    /// Its log has ended, and so has it.
+    /// Its log has ended, and so has the process.
     End,
 }
 
-/// A daemon at work.
+/// A running daemon.
 pub(crate) struct Daemon {
     child: Child,
     heard: Receiver<Heard>,
-    /// The log until now, a value for each line.
+    /// The log so far, one value per line.
     pub(crate) log: Vec<Value>,
-    /// What the service manager was told until now.
+    /// The messages to the service manager so far.
     pub(crate) notices: Vec<String>,
     socket_folder: TempDir,
     has_ended: bool,
 }
 
 impl Daemon {
-    /// Starts `meniscus watch` in `folder`, and does not wait for anything.
+    /// Starts `meniscus watch` in `folder`, and does not wait.
     pub(crate) fn start(folder: &Path, arguments: &[&str]) -> Daemon {
         Daemon::start_as(meniscus(folder).arg("watch").args(arguments).args(["--log", "json"]))
     }
 
-    /// The same with a watchdog, which is to hear from it every two seconds.
+    /// The same with a watchdog that expects a message every two seconds.
     pub(crate) fn start_watched(folder: &Path, arguments: &[&str]) -> Daemon {
         Daemon::start_as(meniscus(folder).arg("watch").args(arguments).env("WATCHDOG_USEC", "2000000"))
     }
@@ -79,7 +79,7 @@ impl Daemon {
         Daemon { child, heard, log: Vec::new(), notices: Vec::new(), socket_folder, has_ended: false }
     }
 
-    /// The same, until it has looked at everything once.
+    /// The same, and waits until the first scan is finished.
     pub(crate) fn start_ready(folder: &Path, arguments: &[&str]) -> Daemon {
         let mut daemon = Daemon::start(folder, arguments);
         daemon.until("it is ready", Daemon::is_ready);
@@ -90,7 +90,7 @@ impl Daemon {
         self.notices.iter().any(|notice| notice.contains("READY=1"))
     }
 
-    /// Listens until this is so.
+    /// Reads messages until this holds.
     pub(crate) fn until(&mut self, what: &str, is_so: impl Fn(&Daemon) -> bool) {
         let deadline = Instant::now() + PATIENCE;
         while !is_so(self) {
@@ -100,21 +100,21 @@ impl Daemon {
         }
     }
 
-    /// Listens until all these frames are converted.
+    /// Reads messages until all these frames are converted.
     pub(crate) fn until_converted(&mut self, names: &[String]) {
         for name in names {
             self.until(&format!("{name} is converted"), |daemon| daemon.converted().contains(name));
         }
     }
 
-    /// Listens for so long.
+    /// Reads messages for this time.
     pub(crate) fn listen_for(&mut self, time: Duration) {
         let deadline = Instant::now() + time;
         while self.hear_until(deadline) {}
         assert!(!self.has_ended, "it ended:\n{}", self.everything());
     }
 
-    /// Hears one thing more, unless it is time or there is no more.
+    /// Reads one more message, unless the time is over or the daemon has ended.
     fn hear_until(&mut self, deadline: Instant) -> bool {
         match self.heard.recv_deadline(deadline) {
             Ok(Heard::Line(line)) => self.log.push(line),
@@ -125,28 +125,28 @@ impl Daemon {
         true
     }
 
-    /// How many lines of the log have this in their message.
+    /// The number of lines of the log whose message contains this.
     pub(crate) fn count_logged(&self, text: &str) -> usize {
         self.log.iter().filter(|line| message(line).contains(text)).count()
     }
 
-    /// The names of the frames that were converted, as often as they were, in that order.
+    /// The names of the converted frames in order, repeated for repeated conversions.
     pub(crate) fn converted(&self) -> Vec<String> {
         self.log.iter().filter(|line| message(line) == "converted").map(frame_name).collect()
     }
 
-    /// Whether the service manager was told this last.
+    /// Whether this is the last status sent to the service manager.
     pub(crate) fn has_status(&self, text: &str) -> bool {
         let mut statuses = self.notices.iter().filter(|notice| notice.contains("STATUS="));
         statuses.next_back().is_some_and(|status| status.contains(text))
     }
 
-    /// How often the watchdog has heard from it.
+    /// The number of messages to the watchdog.
     pub(crate) fn signs_of_life(&self) -> usize {
         self.notices.iter().filter(|notice| notice.contains("WATCHDOG=1")).count()
     }
 
-    /// Where the status page is, as `host:port`.
+    /// The address of the status page, as `host:port`.
     pub(crate) fn window_address(&mut self) -> String {
         self.until("the window is open", |daemon| daemon.count_logged("the window is open") > 0);
         let line = self.log.iter().find(|line| message(line) == "the window is open").expect("logged");
@@ -154,7 +154,7 @@ impl Daemon {
         address.trim_start_matches("http://").trim_end_matches('/').to_owned()
     }
 
-    /// Waits until it has ended, in good order or not.
+    /// Waits until the daemon has ended, with any result.
     pub(crate) fn until_ended(&mut self) {
         self.until("it ends", |daemon| daemon.has_ended);
         self.child.wait().expect("it ended");
@@ -164,14 +164,13 @@ impl Daemon {
         self.child.id()
     }
 
-    /// Asks it to end, and waits until it has: in good order, and with nothing but information and
-    /// warnings in its log.
+    /// Ends the daemon, and asserts success and a log without errors.
     pub(crate) fn stop(mut self) {
         self.end();
         assert!(!self.log.iter().any(|line| line["level"] == "ERROR"), "{}", self.everything());
     }
 
-    /// Asks it to end, and waits until it has, in good order; frames may have failed.
+    /// Ends the daemon, and asserts a normal end; frames may have failed.
     pub(crate) fn end(&mut self) {
         self.signal("TERM");
         self.until("it ends", |daemon| daemon.has_ended);
@@ -179,20 +178,20 @@ impl Daemon {
         assert!(status.success(), "{status}:\n{}", self.everything());
     }
 
-    /// Sends it a signal of this name.
+    /// Sends the daemon a signal of this name.
     pub(crate) fn signal(&self, name: &str) {
         let sent =
             Command::new("kill").args(["-s", name, &self.pid().to_string()]).status().expect("kill runs");
-        assert!(sent.success(), "the daemon was there");
+        assert!(sent.success(), "the daemon was running");
     }
 
-    /// Ends it in the midst of whatever it does.
+    /// Kills the daemon, whatever it does at that moment.
     pub(crate) fn kill(&mut self) {
         self.child.kill().expect("killed");
         self.child.wait().expect("it ended");
     }
 
-    /// Waits until it ends by itself, with everything converted, as long as it has something to say.
+    /// Waits until the daemon ends on its own with all frames converted, as long as it sends messages.
     pub(crate) fn until_drained(&mut self) {
         while !self.has_ended {
             let heard = self.hear_until(Instant::now() + PATIENCE);
@@ -210,23 +209,23 @@ impl Daemon {
 
 impl Drop for Daemon {
     fn drop(&mut self) {
-        // Both fail where it has ended already.
+        // Both fail if the process has ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
         let socket = UnixDatagram::unbound().expect("a socket");
-        // Nobody listens where the listener has gone.
+        // The other side may be closed already.
         let _ = socket.send_to(LAST_NOTICE, self.socket_folder.path().join("notify"));
     }
 }
 
-/// What no daemon says: then nobody need listen any more.
+/// A message that no daemon sends: it ends the thread that listens.
 const LAST_NOTICE: &[u8] = b"END";
 
 fn hear_log(log: impl BufRead, sender: &Sender<Heard>) {
     for line in log.lines().map_while(Result::ok) {
-        // What is no JSON is told before the log begins, or by a panic: the test will want to see it.
+        // Lines that are not JSON come from before the log starts, or from a panic: the test prints them.
         let line = serde_json::from_str(&line).unwrap_or(Value::String(line));
-        // Nobody hears it where the test is over.
+        // The receiver is closed when the test is over.
         let _ = sender.send(Heard::Line(line));
     }
     let _ = sender.send(Heard::End);
@@ -253,27 +252,27 @@ pub(crate) fn frame_name(line: &Value) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The seconds that a line of the log says its frame took in all stages.
+/// The seconds that a frame took in all stages, from a line of the log.
 pub(crate) fn stage_seconds(line: &Value) -> f64 {
     let stages = ["read_s", "rasterize_s", "smooth_s", "contour_s", "write_s"];
     stages.iter().map(|stage| line[stage].as_f64().expect("seconds")).sum()
 }
 
-/// The command, to be run in this folder.
+/// The command, set up to run in this folder.
 pub(crate) fn meniscus(folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
     command.current_dir(folder).env_remove("NOTIFY_SOCKET").env_remove("WATCHDOG_USEC");
     command
 }
 
-/// What `meniscus status` says of the folder `out`.
+/// The output of `meniscus status` for the folder `out`.
 pub(crate) fn status(folder: &Path) -> Value {
     let output = meniscus(folder).args(["status", "--out", "out", "--json"]).output().expect("it starts");
     serde_json::from_slice(&output.stdout)
         .unwrap_or_else(|_| panic!("no JSON: {}", String::from_utf8_lossy(&output.stderr)))
 }
 
-/// How many frames `meniscus status` says are done, queued, being tried again, and failed.
+/// The numbers of done, queued, retried and failed frames according to `meniscus status`.
 pub(crate) fn counts(folder: &Path) -> [u64; 4] {
     let status = status(folder);
     ["done", "queued", "retrying", "failed"].map(|count| status["counts"][count].as_u64().expect("a count"))
@@ -286,7 +285,7 @@ pub(crate) fn convert(folder: &Path, to: &str, arguments: &[&str]) {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// Asserts that two folders of outputs are the same to the last byte, and that nothing else is there.
+/// Asserts that two folders of outputs have the same files with the same bytes.
 pub(crate) fn assert_same_outputs(left: &Path, right: &Path) {
     assert_eq!(names_in(left), names_in(right));
     for name in names_in(left) {
@@ -302,7 +301,7 @@ pub(crate) fn assert_same_output(left: &Path, right: &Path) {
 
 /// The names in a folder, without the daemon's own state.
 pub(crate) fn names_in(folder: &Path) -> BTreeSet<String> {
-    let entries = fs::read_dir(folder).expect("the folder is there");
+    let entries = fs::read_dir(folder).expect("the folder exists");
     let names = entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned());
     names.filter(|name| name != ".meniscus").collect()
 }
@@ -312,7 +311,8 @@ pub(crate) fn frame_names(first: usize, last: usize) -> Vec<String> {
     (first..=last).map(|number| format!("dam.{number}.ply")).collect()
 }
 
-/// Lets frames `first..=last` of a moving block of `edge_count`³ particles land as `dam.N.ply`.
+/// Writes frames `first..=last` of a moving block of `edge_count`³ particles as `dam.N.ply`, each by a
+/// rename.
 pub(crate) fn land_sequence(folder: &Path, first: usize, last: usize, edge_count: usize) {
     for (name, number) in frame_names(first, last).iter().zip(first..) {
         land(folder, name, &block_ply(edge_count, 0.025 * number as f32));
@@ -331,7 +331,7 @@ pub(crate) fn block_ply(edge_count: usize, shift: f32) -> Vec<u8> {
     box_ply([edge_count; 3], shift)
 }
 
-/// The same of other edges.
+/// The same with a different edge on each axis.
 pub(crate) fn box_ply([x_count, y_count, z_count]: [usize; 3], shift: f32) -> Vec<u8> {
     let count = x_count * y_count * z_count;
     let header = format!(
@@ -350,8 +350,8 @@ pub(crate) fn box_ply([x_count, y_count, z_count]: [usize; 3], shift: f32) -> Ve
 
 /// A figure of a process from /proc/PID/status, in bytes.
 pub(crate) fn memory_bytes(pid: u32, figure: &str) -> u64 {
-    let status = fs::read_to_string(format!("/proc/{pid}/status")).expect("the process is there");
-    let line = status.lines().find_map(|line| line.strip_prefix(figure)).expect("the figure is there");
+    let status = fs::read_to_string(format!("/proc/{pid}/status")).expect("the process runs");
+    let line = status.lines().find_map(|line| line.strip_prefix(figure)).expect("the file has the figure");
     let kibibytes = line.trim_start_matches(':').trim().trim_end_matches("kB").trim();
     kibibytes.parse::<u64>().expect("a number") * 1024
 }

@@ -1,7 +1,7 @@
-//! Until all that can be done is done.
+//! Waits until every possible conversion is done.
 //!
-//! Nothing of it is asked of the daemon's own count, which cannot know yet what was written a moment ago: a frame is done
-//! when its outputs say that they were made from the bytes that it has now.
+//! This does not rely on the daemon's own count, which does not include files written a moment ago. A frame
+//! is done when its outputs record the bytes that it has now.
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use twox_hash::XxHash3_128;
 
 use crate::scene::{Daemon, meniscus, status};
 
-/// What has not come within this time will not come.
+/// An event that does not happen within this time will not happen.
 const PATIENCE: Duration = Duration::from_secs(180);
 
 /// Waits until every frame that can be read is done, or has failed for another reason.
@@ -31,7 +31,7 @@ pub(super) fn await_calm(folder: &Path, daemon: &mut Daemon) {
     }
 }
 
-/// The frames that can be read, and whose outputs are not of what they are now.
+/// The readable frames whose outputs were made from other bytes.
 fn pending_frames(folder: &Path) -> Vec<PathBuf> {
     let undone: Vec<PathBuf> = frames(folder).into_iter().filter(|path| !is_done(folder, path)).collect();
     if undone.is_empty() {
@@ -46,7 +46,7 @@ fn pending_frames(folder: &Path) -> Vec<PathBuf> {
 
 /// The files in the folder of frames that can be read as particles.
 fn frames(folder: &Path) -> Vec<PathBuf> {
-    let entries = fs::read_dir(folder.join("in")).expect("the folder is there").flatten();
+    let entries = fs::read_dir(folder.join("in")).expect("the folder exists").flatten();
     let files =
         entries.map(|entry| entry.path()).filter(|path| path.is_file() && !name(path).starts_with('.'));
     files.filter(|path| is_readable(path)).collect()
@@ -72,7 +72,7 @@ fn name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// What the program itself says of a frame.
+/// The output of `why` for a frame.
 fn why(folder: &Path, frame: &Path) -> String {
     let output = meniscus(folder).arg("why").arg(frame).args(["--out", "out"]).output().expect("it starts");
     String::from_utf8_lossy(&output.stdout).into_owned()

@@ -1,5 +1,5 @@
-//! Everything at once, and for long: a producer that writes, rewrites, deletes and corrupts at random, beside a daemon
-//! that is killed, ended, told to read its file again, and whose disk fills up.
+//! All faults together, for a long time: a producer writes, rewrites, deletes and corrupts frames at random,
+//! while the daemon is killed, stopped and reloaded, and its disk fills up.
 //!
 //! ```text
 //!   a round    some dozen acts of the producer ─▶ one trouble ─▶ now and then a calm: all that can be done is done
@@ -8,16 +8,17 @@
 //!   the rest                           one life: at its calms its memory, handles and threads are counted, and stay
 //! ```
 //!
-//! In the end what is there is what the one-shot command makes of what was produced, to the last byte; and whatever
-//! could be seen until then was whole. `MENISCUS_SOAK_MINUTES` says for how long, and without it there is no soak; `MENISCUS_SOAK_SEED` says where the random
-//! numbers begin, and `MENISCUS_SOAK_LOG` names a file that gets a line for each calm.
+//! In the end the outputs equal those of the one-shot command for the final frames, to the last byte; and
+//! every output that was visible in between was complete. `MENISCUS_SOAK_MINUTES` sets the duration, and
+//! without it the soak does not run. `MENISCUS_SOAK_SEED` sets the seed of the random numbers, and
+//! `MENISCUS_SOAK_LOG` names a file that receives a line for each calm.
 
-mod calm; // until all that can be done is done
-mod observer; // every output that can be seen is whole
-mod producer; // what happens to the frames
+mod calm; // waits until every possible conversion is done
+mod observer; // every visible output is complete
+mod producer; // writes and damages frames
 mod random; // numbers that look random
-mod troubles; // what happens to the daemon
-mod vitals; // what the daemon takes of the system
+mod troubles; // faults of the daemon's surroundings
+mod vitals; // the daemon's memory, handles and threads
 
 use std::collections::BTreeSet;
 use std::env;
@@ -39,24 +40,24 @@ use random::Random;
 use troubles::{Trouble, write_config};
 use vitals::{Vitals, assert_flat, hourly_growth};
 
-/// Room for all outputs, and not for much more.
+/// Space for all outputs, and little more.
 const DISK_BYTES: u64 = 64 << 20;
 
 /// The share of the time in which the daemon may be killed.
 const SHARE_OF_KILLS: f64 = 0.4;
 
-/// From a calm to the next, at least.
+/// The least time from one calm to the next.
 const BETWEEN_CALMS: Duration = Duration::from_secs(15);
 
-/// Longer than the daemon goes without looking at everything.
+/// Longer than the time between two full scans.
 const AFTER_THE_LAST: Duration = Duration::from_secs(8);
 
 #[test]
-fn whatever_happens_nothing_is_lost_and_nothing_grows() {
+fn random_faults_lose_no_frame_and_leak_no_resources() {
     let Some(minutes) = of_environment::<f64>("MENISCUS_SOAK_MINUTES") else {
         return tell("the soak is SKIPPED: MENISCUS_SOAK_MINUTES says for how long it is to be");
     };
-    with_own_mounts("soak::whatever_happens_nothing_is_lost_and_nothing_grows", || {
+    with_own_mounts("soak::random_faults_lose_no_frame_and_leak_no_resources", || {
         let seed: u64 = of_environment("MENISCUS_SOAK_SEED").unwrap_or(7);
         let soak = Soak::new(Duration::from_secs_f64(60.0 * minutes), seed);
         let (out, is_over) = (soak.path().join("out"), AtomicBool::new(false));
@@ -73,14 +74,14 @@ fn whatever_happens_nothing_is_lost_and_nothing_grows() {
     });
 }
 
-/// A value that the environment may have.
+/// A number from an environment variable.
 fn of_environment<T: FromStr>(name: &str) -> Option<T> {
     let text = env::var_os(name)?;
     let value = text.to_str().and_then(|text| text.parse().ok());
     Some(value.unwrap_or_else(|| panic!("{name} is {}, and should be a number", text.display())))
 }
 
-/// Lets the observer end, also when this ends by a panic.
+/// Ends the observer, also after a panic.
 struct Over<'a>(&'a AtomicBool);
 
 impl Drop for Over<'_> {
@@ -89,7 +90,7 @@ impl Drop for Over<'_> {
     }
 }
 
-/// Frames and their producer, the daemon, and what was counted of it.
+/// Frames and their producer, the daemon, and counts of its work.
 struct Soak {
     folder: TempDir,
     time: Duration,
@@ -100,7 +101,7 @@ struct Soak {
     life_count: usize,
     trouble_count: usize,
     converted_count: usize,
-    /// The address of the daemon's window.
+    /// The address of the daemon's HTTP server.
     window: Option<String>,
     /// Of the last life.
     vitals: Vec<Vitals>,
@@ -142,14 +143,15 @@ impl Soak {
         self.folder.path()
     }
 
-    /// All of it; what there is to tell in the end.
+    /// Runs the soak, and returns the summary.
     fn run(mut self) -> String {
         self.rounds_until(self.time.mul_f64(SHARE_OF_KILLS), &Trouble::ALL);
         self.kill();
         self.rounds_until(self.time, &Trouble::OF_ONE_LIFE);
         self.producer.mend_most();
         self.calm_down();
-        // What failed before it was mended counts as done until it is looked at again.
+        // A frame that failed before the producer repaired it counts as done until the daemon examines it
+        // again.
         self.daemon.listen_for(AFTER_THE_LAST);
         self.calm_down();
         let figures = self.figures();
@@ -221,7 +223,7 @@ impl Soak {
         self.vitals.clear();
     }
 
-    /// Waits until all that can be done is done, and counts what the daemon takes.
+    /// Waits until every possible conversion is done, and measures the daemon's resources.
     fn calm_down(&mut self) {
         calm::await_calm(self.folder.path(), &mut self.daemon);
         self.count_log();
@@ -233,7 +235,7 @@ impl Soak {
         self.vitals.push(vitals);
     }
 
-    /// Counts what was converted, and forgets the log: no line of it is of a panic.
+    /// Counts the conversions, asserts that no line of the log reports a panic, and clears the log.
     fn count_log(&mut self) {
         self.daemon.listen_for(Duration::ZERO);
         self.converted_count += self.daemon.converted().len();
@@ -247,7 +249,7 @@ impl Soak {
     }
 }
 
-/// A daemon that has not looked at anything yet.
+/// A daemon before its first scan.
 fn live(folder: &Path) -> Daemon {
     Daemon::start(folder, &["--config", "soak.toml"])
 }
@@ -270,5 +272,5 @@ fn assert_as_converted(folder: &Path) {
         names_in(&wanted).iter().map(|name| Path::new(name).with_extension("")).collect();
     let counts = &status(folder)["counts"];
     assert_eq!(counts["queued"], 0, "{counts}");
-    assert!(counts["done"].as_u64() >= Some(done.len() as u64), "{counts}, and {} are there", done.len());
+    assert!(counts["done"].as_u64() >= Some(done.len() as u64), "{counts}, and {} are done", done.len());
 }

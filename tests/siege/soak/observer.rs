@@ -1,4 +1,4 @@
-//! Every output that can be seen is whole.
+//! Checks that every visible output is complete.
 
 use std::collections::HashMap;
 use std::fs::{self, File};
@@ -12,12 +12,13 @@ use std::time::Duration;
 use meniscus_formats::OutputFormat;
 use meniscus_formats::is_whole;
 
-/// Opens every output as soon as it appears, and again whenever it is another file; how many it saw.
+/// Opens every output as soon as it appears, and again whenever another file replaces it; returns their
+/// number.
 pub(super) fn observe(folder: &Path, is_over: &AtomicBool) -> usize {
     let mut sight_count = 0;
     let mut inodes: HashMap<PathBuf, u64> = HashMap::new();
     loop {
-        // What is there when all is over is looked at, too.
+        // After the end, it checks the final files once more.
         let is_last = is_over.load(Ordering::SeqCst);
         for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
             let path = entry.path();
@@ -42,13 +43,13 @@ pub(super) fn observe(folder: &Path, is_over: &AtomicBool) -> usize {
     }
 }
 
-/// The kind of an output; `None` for what is hidden, and for the ballast.
+/// The format of an output; `None` for hidden files and for the ballast.
 fn kind(path: &Path) -> Option<OutputFormat> {
     let name = path.file_name()?.to_str()?;
     match name.rsplit_once('.')? {
         (stem, _) if stem.is_empty() || stem.starts_with('.') => None,
         (_, "glb") => Some(OutputFormat::Glb),
         (_, "vdb") => Some(OutputFormat::Vdb),
-        _ => panic!("{name} is no output"),
+        _ => panic!("{name} is not an output"),
     }
 }

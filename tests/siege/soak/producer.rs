@@ -1,4 +1,4 @@
-//! A producer as bad as they come: it writes by every way there is, writes again, deletes, and breaks what it wrote.
+//! A badly behaved producer: it writes in every possible way, rewrites, deletes, and damages its files.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::Write;
@@ -14,7 +14,7 @@ use crate::scene::box_ply;
 
 use super::random::Random;
 
-/// Writes frames into a folder, and does worse things to them.
+/// Writes frames into a folder, and damages them.
 pub(super) struct Producer {
     folder: PathBuf,
     outputs: PathBuf,
@@ -38,7 +38,7 @@ type Form = fn([usize; 3], f32) -> Vec<u8>;
 
 type Act = fn(&mut Producer);
 
-/// What it does, each so often.
+/// What it does, with the frequency of each.
 const ACTS: [(u64, Act); 13] = [
     (40, Producer::put),
     (15, Producer::write_in_place),
@@ -64,7 +64,7 @@ impl Producer {
         self.act_count
     }
 
-    /// One act.
+    /// One operation.
     pub(super) fn act(&mut self) {
         self.act_count += 1;
         let mut drawn = self.random.below(ACTS.iter().map(|(weight, _)| weight).sum());
@@ -76,7 +76,7 @@ impl Producer {
         }
     }
 
-    /// What lies about in folders, and is no frame.
+    /// Other files that lie in such folders.
     pub(super) fn clutter(&self) {
         fs::create_dir(self.folder.join("dam.900.ply")).expect("made");
         fs::write(self.folder.join(".dam.901.ply"), "hidden").expect("written");
@@ -87,7 +87,7 @@ impl Producer {
         assert!(Command::new("mkfifo").arg(pipe).status().expect("mkfifo runs").success());
     }
 
-    /// Writes most of the frames anew that nobody can read.
+    /// Rewrites most of the unreadable frames.
     pub(super) fn mend_most(&mut self) {
         for (path, form) in self.frames() {
             let Ok(bytes) = fs::read(&path) else { continue };
@@ -123,7 +123,7 @@ impl Producer {
     }
 
     fn delete(&mut self) {
-        // It may not be there.
+        // The file may be missing.
         let _ = fs::remove_file(self.any().0);
     }
 
@@ -142,7 +142,7 @@ impl Producer {
         self.change(|bytes, _| bytes.clear());
     }
 
-    /// A few bytes anywhere: mostly numbers, which are then others, or too large, or none.
+    /// Changes a few bytes anywhere: mostly in numbers, which then differ, are too large, or are invalid.
     fn flip_bytes(&mut self) {
         self.change(|bytes, random| {
             for _ in 0..4 {
@@ -173,7 +173,7 @@ impl Producer {
     fn rename_onto_another(&mut self) {
         let (from, _) = self.any();
         let to = self.another_like(&from);
-        // It may not be there.
+        // The file may be missing.
         let _ = fs::rename(from, to);
     }
 
@@ -181,7 +181,7 @@ impl Producer {
         let (from, _) = self.any();
         let to = self.another_like(&from);
         if from != to {
-            // It may not be there.
+            // The file may be missing.
             let _ = fs::copy(from, to);
         }
     }
@@ -193,12 +193,12 @@ impl Producer {
         let count = 1 + self.random.index(2);
         for extension in ["glb", "vdb"].iter().take(count) {
             let name = format!("{}.{extension}", stem.to_string_lossy());
-            // It may not be there.
+            // The file may be missing.
             let _ = fs::remove_file(self.outputs.join(name));
         }
     }
 
-    /// Changes a frame in place, if it is there.
+    /// Changes a frame in place, if it exists.
     fn change(&mut self, change: impl Fn(&mut Vec<u8>, &mut Random)) {
         let (path, _) = self.any();
         if let Ok(mut bytes) = fs::read(&path) {

@@ -1,4 +1,4 @@
-//! What happens to the daemon.
+//! Faults of the daemon's surroundings.
 
 use std::fs::{self, File};
 use std::io::{ErrorKind, Read, Write};
@@ -13,19 +13,19 @@ use super::producer::Producer;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Trouble {
-    /// SIGKILL; the next life begins at once.
+    /// SIGKILL, followed by a restart.
     Kill,
-    /// SIGTERM, and another life.
+    /// SIGTERM, followed by a restart.
     End,
     /// SIGHUP, with other settings for the daemon.
     Reload,
-    /// SIGHUP, with a file that makes no sense.
+    /// SIGHUP, with an invalid configuration.
     BrokenReload,
     /// No byte of the outputs' disk is free while frames are produced.
     FullDisk,
-    /// The watched folder is away for a while.
+    /// The watched folder is moved away for a while.
     FolderGone,
-    /// Many look through the window, and some never read.
+    /// Many HTTP clients, of which some never read.
     Crowd,
 }
 
@@ -40,7 +40,7 @@ impl Trouble {
         Trouble::Crowd,
     ];
 
-    /// Those that it survives.
+    /// The faults that do not end the daemon.
     pub(super) const OF_ONE_LIFE: [Trouble; 5] =
         [Trouble::Reload, Trouble::BrokenReload, Trouble::FullDisk, Trouble::FolderGone, Trouble::Crowd];
 
@@ -55,7 +55,7 @@ impl Trouble {
         match self {
             Trouble::Kill | Trouble::End => {}
             Trouble::Reload => {
-                // Any other settings do: what is done stays done.
+                // Any other settings of the daemon work here, because done frames stay done.
                 write_config(folder, if producer.act_count().is_multiple_of(2) { "50ms" } else { "150ms" });
                 daemon.signal("HUP");
             }
@@ -80,7 +80,7 @@ impl Trouble {
 
 const CONFIG: &str = "soak.toml";
 
-/// Settings by which a soak is not a wait.
+/// Settings with short waiting times.
 pub(super) fn write_config(folder: &Path, settle: &str) {
     let text = format!(
         "[daemon]\nsettle = \"{settle}\"\nunproven = \"500ms\"\nstalled = \"2s\"\nrescan = \"5s\"\n\
@@ -105,14 +105,14 @@ fn while_the_disk_is_full(folder: &Path, producer: &mut Producer) {
     fs::remove_file(path).expect("removed");
 }
 
-/// Twenty who ask for everything: half of them read it, the others go without.
+/// Twenty clients that request everything: half of them read the response, the others disconnect.
 fn crowd(address: &str) {
     for number in 0..20 {
         let path = ["/", "/metrics", "/events", "/api/frames"][number % 4];
         let Ok(mut stream) = TcpStream::connect(address) else { continue };
         let asked = write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
         if asked.is_ok() && number < 10 {
-            // What does not end by itself, such as the events, is read for a moment.
+            // Responses without an end, such as the event stream, are read for a moment.
             let _ = stream.set_read_timeout(Some(Duration::from_millis(100)));
             let _ = stream.read_to_end(&mut Vec::new());
         }

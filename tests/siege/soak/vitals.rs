@@ -1,11 +1,11 @@
-//! What the daemon takes of the system, counted while nothing is left to do.
+//! The daemon's memory, handles and threads, measured while it is idle.
 
 use std::fs;
 use std::path::Path;
 
 use crate::scene::memory_bytes;
 
-/// What one process took at one moment.
+/// The resources of one process at one moment.
 #[derive(Clone, Debug)]
 pub(super) struct Vitals {
     minute: f64,
@@ -17,7 +17,7 @@ pub(super) struct Vitals {
 }
 
 impl Vitals {
-    /// The names of what [`Vitals::line`] has.
+    /// The names of the columns of [`Vitals::line`].
     pub(super) const HEADER: &str = "minute,life,resident_bytes,handles,threads,journal_bytes,converted";
 
     pub(super) fn of(pid: u32, folder: &Path, minute: f64, life: usize) -> Vitals {
@@ -52,7 +52,7 @@ pub(super) fn assert_flat(vitals: &[Vitals]) {
     let (first, last) = (&vitals[..third], &vitals[vitals.len() - third..]);
     let most = |vitals: &[Vitals], figure: fn(&Vitals) -> usize| vitals.iter().map(figure).max().unwrap_or(0);
     for figure in [|vitals: &Vitals| vitals.handle_count, |vitals: &Vitals| vitals.thread_count] {
-        // Somebody may be looking through the window just then.
+        // An HTTP client may be connected at that moment.
         assert!(most(last, figure) <= most(first, figure) + 2, "{vitals:#?}");
     }
     let [before, after] = [first, last].map(median_bytes);
