@@ -1,4 +1,4 @@
-//! What is run, and what must hold afterwards.
+//! The commands of a cycle, and the conditions that must hold afterwards.
 
 use std::collections::BTreeSet;
 use std::os::unix::process::ExitStatusExt;
@@ -11,7 +11,7 @@ use crate::scene::{
     files_in, stem, tell,
 };
 
-/// What a cycle had of faults.
+/// Counts of the faults in a cycle.
 pub(crate) struct Figures {
     pub(crate) fault_count: u64,
     pub(crate) kill_count: u64,
@@ -32,7 +32,7 @@ struct Cycle<'a> {
     way: Way,
     scene: Scene,
     references: &'a References,
-    /// Whether outputs of an earlier version of the frames were there.
+    /// Whether outputs of an earlier version of the frames existed.
     has_old: bool,
     random: Random,
 }
@@ -69,7 +69,8 @@ pub(crate) fn run(seed: u64, shim: &Path, references: &References) -> Figures {
 }
 
 impl Cycle<'_> {
-    /// Runs the commands with faults, and checks what they leave after each. Whether the program was killed.
+    /// Runs the commands with faults, and checks their files after each. Returns whether the program was
+    /// killed.
     fn run_with(&mut self, faults: &Faults<'_>) -> bool {
         let commands: Vec<Vec<&str>> = match self.way {
             Way::Convert => vec![[&CONVERT[..], &CHEAP].concat()],
@@ -108,7 +109,7 @@ impl Cycle<'_> {
         was_killed
     }
 
-    /// Runs without faults make everything, and leave nothing else: what failed and killed runs left is removed.
+    /// Runs without faults make all outputs, and remove everything that failed and killed runs left.
     fn assert_all_is_made(&self, version: Version) {
         let about = |ran: &Ran| {
             let log = self.scene.fault_log();
@@ -144,12 +145,12 @@ impl Cycle<'_> {
         assert!(more.is_empty(), "{more:?} are left: {}", about(&last));
     }
 
-    /// Whether a file of this name is made in this way.
+    /// Whether this command makes a file of this name.
     fn is_made(&self, name: &str) -> bool {
         self.way == Way::Farm || !name.ends_with(".certificate.json")
     }
 
-    /// Whatever can be seen under the name of an output is one, and whole.
+    /// Every visible file with the name of an output is a complete output.
     fn assert_whole(&self, found: &Files, about: &dyn Fn() -> String) {
         for (name, bytes) in found.iter().filter(|(name, _)| !name.starts_with('.')) {
             let is_known = |version: Version| self.references.of(version).get(name) == Some(bytes);
@@ -158,8 +159,8 @@ impl Cycle<'_> {
         }
     }
 
-    /// A frame that had all its outputs still has them: all of one version. Where the program was killed, or several
-    /// operations failed, some may be under hidden names, where the next run finds them.
+    /// A frame that had all its outputs still has them, all of one version. If the program was killed, or
+    /// several operations failed, some may have hidden names, which the next run finds.
     fn assert_nothing_lost(
         &self,
         before: &Files,
@@ -179,7 +180,7 @@ impl Cycle<'_> {
         }
     }
 
-    /// Whether all outputs of one version of a frame are there, under their own or under hidden names.
+    /// Whether all outputs of one version of a frame exist, under their final or hidden names.
     fn can_be_completed(&self, found: &Files, number: usize) -> bool {
         let is_there = |name: &String, version: Version| {
             let wanted = &self.references.of(version)[name];
@@ -190,7 +191,7 @@ impl Cycle<'_> {
         [Version::New, Version::Old].iter().any(|&version| names.iter().all(|name| is_there(name, version)))
     }
 
-    /// The versions of which all outputs of a frame are there.
+    /// The versions for which all outputs of a frame exist.
     fn whole_sets(&self, found: &Files, number: usize) -> Vec<Version> {
         let versions = [Version::New, Version::Old].into_iter();
         let is_whole = |version: &Version| {
@@ -204,7 +205,7 @@ impl Cycle<'_> {
         FORMATS.iter().map(|format| format!("{}.{format}", stem(number))).collect()
     }
 
-    /// What is said to be done is done.
+    /// Frames that the command reports as done are done.
     fn assert_no_wrong_success(
         &self,
         arguments: &[&str],
@@ -231,9 +232,9 @@ impl Cycle<'_> {
                 let count = plan["frames"].as_array().map_or(0, Vec::len);
                 assert_eq!(count, FRAME_COUNT, "frames are missing in the plan: {}", about());
             }
-            // A shard has its frames only; those that it says are done were checked.
+            // A shard has only its frames; those that it reports as done were checked above.
             ["convert", "--plan", ..] => assert!(!said.is_empty(), "it did nothing: {}", about()),
-            _ => assert_eq!(current.len(), FRAME_COUNT, "exit status 0, and not all is there: {}", about()),
+            _ => assert_eq!(current.len(), FRAME_COUNT, "exit status 0, but frames are missing: {}", about()),
         }
     }
 }

@@ -1,19 +1,19 @@
-//! File operations fail, and the program is killed: nothing is claimed that is not so, and nothing is lost.
+//! Fails file operations and kills the program: it reports no false success, and loses no result.
 //!
 //! ```text
 //!   shim.c, loaded into the program ──▶ ENOSPC, EIO, ESTALE, EACCES, short reads and writes, SIGKILL
 //!
 //!   a cycle:  [good outputs of earlier frames] ─▶ one to three runs with faults ─▶ one without
-//!                                                   └ checked after each            └ all outputs are there
+//!                                                   └ checked after each            └ all outputs exist
 //! ```
 //!
-//! A cycle is a number: its seed. `MENISCUS_FAULT_CYCLES=2000` has more cycles than the usual 200, and
+//! The number of a cycle is its seed. `MENISCUS_FAULT_CYCLES=2000` runs more cycles than the usual 200, and
 //! `MENISCUS_FAULT_SEED=123` repeats a single one, with a log of its faults.
 
 #![cfg(target_os = "linux")]
 
-mod cycle; // what is run, and what must hold afterwards
-mod scene; // frames, the outputs that they must have, and the program with faults
+mod cycle; // the commands of a cycle, and the conditions afterwards
+mod scene; // frames, their expected outputs, and the program with faults
 
 use std::env;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -23,7 +23,7 @@ use std::thread;
 
 use scene::{References, build_shim, tell};
 
-/// Most of a cycle is waiting: for a second attempt, for a disk.
+/// Cycles mostly wait, for a second attempt or for a disk, so several run at once.
 const THREADS: usize = 6;
 
 fn of_environment(name: &str) -> Option<u64> {

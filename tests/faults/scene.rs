@@ -1,4 +1,4 @@
-//! Frames, the outputs that they must have, and the program with faults.
+//! Frames, their expected outputs, and the program with faults.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -10,13 +10,13 @@ use std::time::{Duration, Instant};
 
 use tempfile::{TempDir, tempdir};
 
-/// How many frames there are.
+/// The number of frames.
 pub(crate) const FRAME_COUNT: usize = 3;
 
-/// The formats of each frame.
+/// The output formats of each frame.
 pub(crate) const FORMATS: [&str; 2] = ["obj", "vdb"];
 
-/// What makes a frame cheap.
+/// Settings that make a frame cheap.
 pub(crate) const CHEAP: [&str; 12] = [
     "--format",
     "obj,vdb",
@@ -35,12 +35,12 @@ pub(crate) const CHEAP: [&str; 12] = [
 /// A run that takes longer hangs.
 const PATIENCE: Duration = Duration::from_secs(300);
 
-/// Says something even where the test passes.
+/// Prints a line also if the test passes.
 pub(crate) fn tell(text: &str) {
-    writeln!(io::stderr(), "{text}").expect("somebody listens");
+    writeln!(io::stderr(), "{text}").expect("standard error is open");
 }
 
-/// Builds the shared library; `None` where there is no compiler.
+/// Builds the shared library; `None` if there is no C compiler.
 pub(crate) fn build_shim() -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("faults");
     fs::create_dir_all(&folder).expect("a folder");
@@ -55,7 +55,7 @@ pub(crate) fn build_shim() -> Option<PathBuf> {
     Some(shim)
 }
 
-/// Numbers that look random, and are the same each time (SplitMix64).
+/// Numbers that look random, and are the same in every run (SplitMix64).
 pub(crate) struct Random(pub(crate) u64);
 
 impl Random {
@@ -99,7 +99,7 @@ pub(crate) fn stem(number: usize) -> String {
 /// Files by their names.
 pub(crate) type Files = BTreeMap<String, Vec<u8>>;
 
-/// The files in a folder, and in those below it as `folder/name`; none where there is no folder.
+/// The files in a folder, and those in sub-folders as `folder/name`; empty if the folder does not exist.
 pub(crate) fn files_in(folder: &Path) -> Files {
     let mut files = Files::new();
     for entry in fs::read_dir(folder).into_iter().flatten().map(|entry| entry.expect("an entry")) {
@@ -114,7 +114,7 @@ pub(crate) fn files_in(folder: &Path) -> Files {
     files
 }
 
-/// The outputs that each version of the frames must have, those of a farm included.
+/// The expected outputs of each version of the frames, including those of a farm.
 pub(crate) struct References {
     old: Files,
     new: Files,
@@ -151,28 +151,28 @@ pub(crate) struct Faults<'a> {
     pub(crate) shim: &'a Path,
     pub(crate) seed: u64,
     pub(crate) kind: FaultKind,
-    /// No error for which the daemon pauses for seconds.
+    /// Excludes errors for which the daemon pauses for seconds.
     pub(crate) no_pause: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum FaultKind {
-    /// So many of 1000 calls fail.
+    /// This number of 1000 calls fails.
     Rate(u64),
-    /// One call fails, and no other.
+    /// Exactly one call fails.
     Nth(u64),
     /// The program kills itself at this change.
     Kill(u64),
 }
 
-/// What a run left.
+/// The result of a run.
 pub(crate) struct Ran {
     pub(crate) status: ExitStatus,
     pub(crate) out: String,
     pub(crate) err: String,
 }
 
-/// A folder with frames in `in`, for outputs in `out`.
+/// A folder with frames in `in`, and outputs in `out`.
 pub(crate) struct Scene {
     folder: TempDir,
 }
@@ -203,12 +203,12 @@ impl Scene {
         assert_eq!(ran.status.code(), Some(0), "{}", ran.err);
     }
 
-    /// The faults so far, a line for each.
+    /// The faults so far, one per line.
     pub(crate) fn fault_log(&self) -> String {
         fs::read_to_string(self.log_path()).unwrap_or_default()
     }
 
-    /// Beside the folder, so that it is not concerned itself.
+    /// The log lies outside the folder, so that the faults do not affect it.
     fn log_path(&self) -> PathBuf {
         self.folder.path().with_extension("faults")
     }
@@ -251,12 +251,12 @@ impl Scene {
 
 impl Drop for Scene {
     fn drop(&mut self) {
-        // Where there were no faults there is none.
+        // The log is missing if there were no faults.
         let _ = fs::remove_file(self.log_path());
     }
 }
 
-/// How a plan is made.
+/// The arguments that make a plan.
 pub(crate) const PLAN: [&str; 8] = ["plan", "in", "--out", "out", "--shards", "2", "-o", "plan.json"];
 
 fn await_end(child: &mut Child) -> Option<ExitStatus> {

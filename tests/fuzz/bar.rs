@@ -1,4 +1,4 @@
-//! What every target is held to: it returns, and never holds much more memory than its input has bytes.
+//! The requirement on every target: it returns, and holds little more memory than its input has bytes.
 
 use meniscus_formats::Limits;
 use peak_alloc::PeakAlloc;
@@ -8,14 +8,14 @@ use crate::targets::{Content, Target};
 #[global_allocator]
 static MEMORY: PeakAlloc = PeakAlloc;
 
-/// Bytes held for each byte of the input, and besides.
+/// Allowed bytes of memory for each byte of the input, and a constant part.
 const HELD_PER_BYTE: u64 = 4;
 const HELD_BESIDES_BYTES: u64 = 64 << 20;
 
-/// What the limits let out of a packed file before they count how much of it there was.
+/// Bytes that a packed file may yield before the limits check its ratio.
 const RATIO_FREE_BYTES: u64 = 16 << 20;
 
-/// Gives a target these bytes.
+/// Runs a target with these bytes.
 pub(crate) fn hold(target: &Target, bytes: &[u8]) {
     let before = MEMORY.current_usage();
     MEMORY.reset_peak_usage();
@@ -25,7 +25,7 @@ pub(crate) fn hold(target: &Target, bytes: &[u8]) {
     assert!(held <= most, "{}: {held} bytes were held, and {most} may be for {}", target.name, bytes.len());
 }
 
-/// What is packed counts as what it may become.
+/// Packed data counts as its largest unpacked size.
 fn held_bytes_max(target: &Target, length: u64) -> u64 {
     let unpacked = match target.content {
         Content::Plain => 0,
@@ -35,8 +35,8 @@ fn held_bytes_max(target: &Target, length: u64) -> u64 {
     (length + unpacked) * HELD_PER_BYTE + HELD_BESIDES_BYTES
 }
 
-/// A byte of deflated data stands for 1032 at most, of eight pixels each; no picture of more pixels is read, and a pixel
-/// is three numbers of four bytes.
+/// A byte of deflated data unpacks to 1032 bytes at most, of eight pixels each. The reader refuses pictures
+/// with more pixels. A pixel is three numbers of four bytes.
 const PIXELS_PER_BYTE_MAX: u64 = 1032 * 8;
 const PIXELS_MAX: u64 = 8192 * 8192;
 const PIXEL_BYTES: u64 = 12;

@@ -1,13 +1,13 @@
-//! Files made from good ones by damage: the same on every machine and in every run.
+//! Damaged copies of valid files: the same on every machine and in every run.
 
 /// Damages files.
 pub(crate) struct Damage(u64);
 
-/// Numbers that counts, lengths and offsets should not be believed to be.
+/// Extreme numbers for counts, lengths and offsets.
 const EXTREMES: [u64; 8] =
     [0, 1, 0x7f, 0xff, 0x7fff_ffff, 0xffff_ffff, 0x7fff_ffff_ffff_ffff, 0xffff_ffff_ffff_ffff];
 
-/// The same in text, and what structure is made of.
+/// The same as text, and characters of structure.
 const WORDS: [&[u8]; 16] = [
     b"0",
     b"-1",
@@ -28,7 +28,7 @@ const WORDS: [&[u8]; 16] = [
 ];
 
 impl Damage {
-    /// Other damage for another name.
+    /// Another name gives other damage.
     pub(crate) fn new(name: &str) -> Damage {
         Damage(name.bytes().fold(1, |seed, byte| seed * 31 % 1_000_003 + u64::from(byte)))
     }
@@ -46,7 +46,7 @@ impl Damage {
         if bytes.is_empty() {
             return bytes.push(0);
         }
-        // Headers decide the most, so every other place is there.
+        // Headers matter most, so at least half of the damage is in the first 512 bytes.
         let ranges = [bytes.len(), bytes.len().min(512)];
         let range = ranges[self.below(2)];
         let at = self.below(range);

@@ -1,5 +1,5 @@
-//! What others give meniscus to read, and what somebody else may have written into its own files, in its short form:
-//! the bytes in `corpus`, and damage done to them.
+//! The short form of fuzzing: files from other programs, and the program's own files after edits or damage.
+//! The inputs are the bytes in `corpus`, and damaged copies of them.
 //!
 //! ```text
 //!   corpus/TARGET/*                  small files of each kind, and all that was ever found
@@ -7,9 +7,10 @@
 //!   damage                           cut off, bits flipped, pieces moved, numbers that are extreme
 //! ```
 //!
-//! No target may panic, take more than ten seconds, or hold more than four bytes for each of its input's and 64 MiB;
-//! what is packed counts as what the limits let out of it. `long/run` searches for bytes that break this with libFuzzer:
-//! what it finds is put into `corpus`, and so becomes a test. docs/trials.md has what it has done.
+//! No target may panic, take more than ten seconds, or hold more than 64 MiB plus four bytes per byte of
+//! input; packed data counts with the size that the limits allow. `long/run` searches with libFuzzer for
+//! inputs that break this: they are added to `corpus`, and so become tests. docs/trials.md lists the runs so
+//! far.
 
 mod bar;
 mod damage;
@@ -22,7 +23,7 @@ use std::time::{Duration, Instant};
 use damage::Damage;
 use targets::{TARGETS, Target};
 
-/// Inputs made from the files of each target: fewer of those that take a connection or a folder for each.
+/// Inputs made from the files of each target: fewer for targets that need a connection or a folder per input.
 fn damaged_count(target: &Target) -> usize {
     match target.name {
         "window" | "journal" => 100,
@@ -30,12 +31,12 @@ fn damaged_count(target: &Target) -> usize {
     }
 }
 
-/// Longer is a hang. (A machine that has other things to do may take longer than the ten seconds.)
+/// A longer run is a hang. (A busy machine may take longer than the ten seconds.)
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Memory is counted for the whole program: one target after the other.
+/// Memory is counted for the whole program, so one target runs after the other.
 #[test]
-fn nothing_that_is_read_breaks_anything() {
+fn damaged_inputs_break_no_target() {
     let shared: Vec<Vec<u8>> = SHARED.iter().flat_map(|folder| files(&root().join(folder))).collect();
     for target in &TARGETS {
         let own = files(&root().join("tests/fuzz/corpus").join(target.name));
@@ -48,7 +49,7 @@ fn nothing_that_is_read_breaks_anything() {
     }
 }
 
-/// Folders with files that are given to every target.
+/// Folders whose files are inputs of every target.
 const SHARED: [&str; 4] = [
     "formats/tests/corpus/valid",
     "formats/tests/corpus/invalid",
@@ -56,7 +57,7 @@ const SHARED: [&str; 4] = [
     "formats/tests/corpus/delimited/invalid",
 ];
 
-/// A folder without a target is a name that was misspelt.
+/// A folder without a target has a misspelt name.
 #[test]
 fn every_folder_of_the_corpus_has_a_target() {
     for entry in fs::read_dir(root().join("tests/fuzz/corpus")).expect("the corpus") {
@@ -77,7 +78,7 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).to_owned()
 }
 
-/// What is in the files of a folder, in the order of their names.
+/// The contents of the files in a folder, sorted by name.
 fn files(folder: &Path) -> Vec<Vec<u8>> {
     let mut paths: Vec<PathBuf> =
         fs::read_dir(folder).into_iter().flatten().map(|entry| entry.expect("a file").path()).collect();

@@ -1,13 +1,13 @@
-//! Everything of meniscus that takes bytes from others: one function for each, which may return what it likes.
+//! Every part of meniscus that reads bytes from elsewhere: one function for each, with any result allowed.
 //!
 //! ```text
-//!   files      particles, meshes, level sets, pictures; what is asked of a file before it is read
-//!   ours       the configuration, the journal, the plan: text that somebody may have edited, or a disk damaged
-//!   window     what comes in by a socket
+//!   files      particles, meshes, level sets, pictures; checks before reading a file
+//!   ours       the configuration, the journal, the plan: text that a user or a disk may have damaged
+//!   window     bytes from a socket
 //! ```
 //!
-//! A target panics where something does not hold that must hold for any bytes. Two programs call them: the test
-//! beside this file, and `long`, where libFuzzer looks for bytes that reach what none has reached before.
+//! A target panics if a condition fails that must hold for any bytes. Two programs call the targets: the test
+//! next to this file, and `long`, in which libFuzzer searches for bytes that reach new code.
 
 use std::io::{self, Cursor, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpStream};
@@ -29,24 +29,24 @@ use twox_hash::XxHash3_64;
 pub(crate) struct Target {
     /// Also the name of its folder in `corpus`.
     pub(crate) name: &'static str,
-    /// What may come out of its bytes.
+    /// The largest result of its bytes.
     pub(crate) content: Content,
-    /// Gives it these bytes.
+    /// Runs it with these bytes.
     pub(crate) run: fn(&[u8]),
 }
 
-/// What may come out of bytes.
+/// The largest result of an input.
 #[derive(Clone, Copy)]
 pub(crate) enum Content {
-    /// As much as they are.
+    /// As large as the input.
     Plain,
-    /// What the limits let out of a packed file.
+    /// The size of a packed file that the limits allow.
     Packed,
-    /// The pixels of a picture, as many as it says that there are and its packed bytes could stand for.
+    /// The pixels of a picture, as many as its header states and its packed bytes could hold.
     Picture,
 }
 
-/// All of them.
+/// All targets.
 pub(crate) const TARGETS: [Target; 33] = [
     plain("ply", |bytes| checked(ply::read(bytes, &limits()))),
     plain("ply_mesh", |bytes| drop(ply::read_mesh_and_vertices(bytes, &limits()))),
@@ -96,7 +96,7 @@ fn limits() -> Limits {
     Limits::default()
 }
 
-/// What was read is as long as it says.
+/// The arrays that were read have the stated lengths.
 fn checked(frame: Result<ParticleFrame>) {
     let Ok(frame) = frame else { return };
     for attribute in &frame.attributes {
@@ -112,7 +112,7 @@ fn checked(frame: Result<ParticleFrame>) {
     }
 }
 
-/// Names that a file may have, which decides where its bytes do not. The first byte of the input chooses.
+/// File names, for formats that the content does not determine. The first byte of the input chooses one.
 const NAMES: [&str; 16] = [
     "f",
     "f.ply",
@@ -144,7 +144,7 @@ fn particles(bytes: &[u8], name: &str) {
     checked(read_particles(bytes, name, &limits()));
 }
 
-/// Batches have the particles that the whole file has, and the same.
+/// Batches hold the same particles as the whole file.
 fn batches(bytes: &[u8], name: &str) {
     let Ok(Some(batches)) = ParticleBatches::open(bytes, name, &limits(), 256) else { return };
     let mut batch = ParticleBatch::default();
@@ -164,10 +164,10 @@ fn obstacle(bytes: &[u8], name: &str) {
     let _ = read_obstacle(bytes, name, &limits(), &|_| Ok(vec![7; 96]));
 }
 
-/// A file that may have several steps: as a whole, and each of them alone.
+/// A file that may have several steps: as a whole, and each step alone.
 fn steps(kind: ProbedKind, bytes: &[u8], read: fn(&[u8], &Limits) -> Result<ParticleFrame>) {
     checked(read(bytes, &limits()));
-    // Bytes can always be read, but there may be more steps than the limits let in.
+    // Bytes can always be read, but the limits may allow fewer steps.
     for step in find_steps(kind, bytes, &limits()).unwrap_or_default() {
         let range =
             [step.range.start, step.range.end].map(|at| usize::try_from(at).expect("within the bytes"));
@@ -187,7 +187,8 @@ fn gltf_parts(bytes: &[u8]) {
     let _ = gltf::read_camera(bytes);
 }
 
-/// A frame of a shot, twice in it: its columns and triangles are read for the .usda, its data copied for the .glb.
+/// A frame of a sequence file, used twice: its columns and triangles are read for the .usda, its data is
+/// copied for the .glb.
 fn gltf_frame(bytes: &[u8]) {
     let Ok(file) = gltf::SequenceFrame::read(&mut Cursor::new(bytes)) else { return };
     let frame = |code| gltf::ShotFrame { name: "f".into(), code, file: file.clone() };
@@ -196,7 +197,7 @@ fn gltf_frame(bytes: &[u8]) {
     let _ = gltf::write_sequence(&shot, 24.0, &[], open, &mut std::io::sink());
 }
 
-/// What is asked of a file without reading all of it. The first byte says whose.
+/// Checks that do not read the whole file. The first byte selects the format.
 fn ends(bytes: &[u8]) {
     const FORMATS: [OutputFormat; 10] = [
         OutputFormat::Glb,
@@ -223,8 +224,8 @@ fn config(bytes: &[u8]) {
     }
 }
 
-/// A journal as it is found: what it says stays when it is opened and written anew. Checksums are made right in
-/// a second look, for no bytes that are found by chance have them.
+/// A journal as found on disk: opening and rewriting it keeps its records. A second pass corrects the
+/// checksums, because random bytes never have correct ones.
 fn journal(bytes: &[u8]) {
     let lines = bytes.split_inclusive(|&byte| byte == b'\n');
     let with_checksums: Vec<u8> = lines.flat_map(with_checksum).collect();
@@ -239,7 +240,7 @@ fn journal(bytes: &[u8]) {
     }
 }
 
-/// A line that has no checksum, or another one, with its own.
+/// Replaces a missing or wrong checksum of a line by the correct one.
 fn with_checksum(line: &[u8]) -> Vec<u8> {
     match line.iter().position(|&byte| byte == b'{') {
         None => line.to_vec(),
@@ -251,7 +252,7 @@ fn with_checksum(line: &[u8]) -> Vec<u8> {
     }
 }
 
-/// Bytes that somebody sends to the window, who then listens; the next one is answered all the same.
+/// Sends bytes to the HTTP server and reads the response. The next request must succeed.
 fn window(bytes: &[u8]) {
     static WINDOW: OnceLock<(Window, Arc<StatusStore>)> = OnceLock::new();
     let (window, store) = WINDOW.get_or_init(|| {
@@ -261,10 +262,10 @@ fn window(bytes: &[u8]) {
     });
     store.pulse();
     let mut stream = connect(window.address());
-    // A side that has refused already does not listen to the rest.
+    // A server that has refused the request already does not read the rest.
     let _ = stream.write_all(bytes);
     let _ = stream.shutdown(Shutdown::Write);
-    // What it is answered with, and whether it is reset, is between the two.
+    // Any response is allowed, and so is a reset.
     let _ = await_end(stream);
     let mut stream = connect(window.address());
     stream.write_all(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").expect("sent");
@@ -278,11 +279,11 @@ fn connect(address: SocketAddr) -> TcpStream {
     stream
 }
 
-/// Longer than the window waits for the rest of a request.
+/// Longer than the server waits for the rest of a request.
 const WINDOW_PATIENCE: Duration = Duration::from_secs(60);
 
-/// All that comes until the other side ends it, and how it does; by a reset, perhaps, where it was sent more than it
-/// read. Events have no end: of these, what comes first.
+/// Reads until the server closes the connection, and returns how it did: a reset is possible if the client
+/// sent more than the server read. Event streams have no end; only their beginning is read.
 fn await_end(mut stream: TcpStream) -> (Vec<u8>, io::Result<()>) {
     let (mut answer, mut piece) = (Vec::new(), [0; 4096]);
     loop {
@@ -302,5 +303,5 @@ fn await_end(mut stream: TcpStream) -> (Vec<u8>, io::Result<()>) {
     }
 }
 
-/// What the head of an answer without end says.
+/// The header of a response without an end has this.
 const EVENTS: &[u8] = b"text/event-stream";

@@ -1,4 +1,4 @@
-//! A little that unpacks to a lot: ten gigabytes out of ten megabytes. They are refused while they are small.
+//! Small files that unpack to huge ones: ten gigabytes out of ten megabytes. They are refused early.
 
 use std::io::Write;
 
@@ -7,14 +7,15 @@ use flate2::write::{DeflateEncoder, GzEncoder, ZlibEncoder};
 
 use crate::scene::{Scene, is_long, ply_header};
 
-/// Bytes of a piece, and how many there are: together 10 GiB, or a tenth of it.
+/// Bytes of a piece, and the number of pieces: together 10 GiB, or a tenth of it.
 const PIECE_BYTES: usize = 64 << 20;
 
 fn piece_count() -> usize {
     if is_long() { 160 } else { 16 }
 }
 
-/// The program itself, the good frames, and what may come out of a file before its ratio counts, while it grows.
+/// Memory of the program, of the good frames, and of unpacked data before the limit on its ratio applies,
+/// while the buffer grows.
 const MOST_BYTES: u64 = 256 << 20;
 
 const RATIO: &str = "more than 200 times its compressed size";
@@ -119,7 +120,7 @@ fn vtk_bombs_are_refused() {
     scene.assert_costs_itself_alone("bomb.1.vtp", RATIO, MOST_BYTES);
 }
 
-/// Blosc blocks of LZ4 in Houdini's container: 255 to one is all that LZ4 can do.
+/// Blosc blocks of LZ4 in Houdini's container: LZ4 cannot exceed a ratio of 255.
 #[test]
 fn houdini_bombs_are_refused() {
     let scene = Scene::new();

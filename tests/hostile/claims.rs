@@ -1,13 +1,13 @@
-//! Headers that promise what is not there, and headers without end.
+//! Headers that promise missing data, and headers without end.
 //!
-//! Files of gigabytes are holes: they cost no disk, and reading them gives zeros.
+//! Files of gigabytes are sparse: they take no disk space, and reading them gives zeros.
 
 use std::fmt::Write;
 
 use crate::bombs::archive;
 use crate::scene::{Scene, is_long, ply_header};
 
-/// The length of files with a hole.
+/// The length of sparse files.
 fn hole_bytes() -> u64 {
     if is_long() { 4 << 30 } else { 256 << 20 }
 }
@@ -22,17 +22,17 @@ fn attribute_count() -> usize {
     if is_long() { 1_000_000 } else { 100_000 }
 }
 
-/// The program itself and the good frames.
+/// Memory of the program itself and of the good frames.
 const OWN_BYTES: u64 = 128 << 20;
 
-/// What a reader may take for a file that has to be there whole.
+/// Memory for a file that a reader may load whole.
 fn most_of(length: u64) -> u64 {
     OWN_BYTES + (64 << 20) + 4 * length
 }
 
-/// More particles than there is room for are no reason to take any.
+/// A count of more particles than the file can hold allocates no memory.
 #[test]
-fn counts_beyond_the_file_take_nothing() {
+fn counts_beyond_the_file_allocate_nothing() {
     let scene = Scene::new();
     scene.write_with_hole("in/huge.1.ply", &ply_header(4_000_000_000), hole_bytes());
     scene.assert_costs_itself_alone("huge.1.ply", "4000000000 `vertex` records", OWN_BYTES);
@@ -44,7 +44,7 @@ fn counts_beyond_the_file_take_nothing() {
 }
 
 #[test]
-fn counts_beyond_an_array_take_no_more_than_the_file() {
+fn counts_beyond_an_array_allocate_no_more_than_the_file() {
     let scene = Scene::new();
     let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (4000000000, 3), }";
     let start = [&b"\x93NUMPY\x01\0v\0"[..], format!("{header:<117}\n").as_bytes()].concat();
@@ -52,9 +52,9 @@ fn counts_beyond_an_array_take_no_more_than_the_file() {
     scene.assert_costs_itself_alone("huge.1.npy", "expected", most_of(hole_bytes()));
 }
 
-/// Text of zeros is no text, which its beginning tells.
+/// A file of zeros is not text, which its first bytes show.
 #[test]
-fn tables_of_nothing_are_refused() {
+fn tables_of_zeros_are_refused() {
     let scene = Scene::new();
     scene.write_with_hole("in/huge.1.csv", b"x,y,z\n0,0,0\n", hole_bytes());
     scene.assert_costs_itself_alone("huge.1.csv", "", most_of(hole_bytes()));
@@ -66,7 +66,7 @@ fn tables_of_nothing_are_refused() {
     scene.assert_costs_itself_alone("huge.1.geo", "", most_of(hole_bytes()));
 }
 
-/// One line, one comment, one text without end.
+/// One line, one comment, or one text without end.
 #[test]
 fn headers_without_end_are_refused() {
     let filling = |byte: u8| vec![byte; header_bytes()];
@@ -99,7 +99,7 @@ fn headers_without_end_are_refused() {
     }
 }
 
-/// More of them than anybody looks at, of one particle each.
+/// More attributes than any reader accepts, of one particle each.
 #[test]
 fn attributes_without_end_are_refused() {
     for (name, text) in [

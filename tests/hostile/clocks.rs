@@ -1,4 +1,4 @@
-//! Files from the past and from the future, and clocks that are set while the command runs.
+//! Files from the past and from the future, and clocks that change while the command runs.
 
 use std::fs::{self, File};
 use std::process::Command;
@@ -8,13 +8,13 @@ use crate::scene::{Ran, Scene, block_ply, tell};
 
 const YEAR: Duration = Duration::from_secs(365 * 24 * 3600);
 
-/// Sets when a file was written.
+/// Sets the modification time of a file.
 fn set(scene: &Scene, within: &str, time: SystemTime) {
     let file = File::options().write(true).open(scene.path(within)).expect("there");
     file.set_modified(time).expect("set");
 }
 
-/// Times that a disk may say.
+/// Modification times that a disk may return.
 fn times() -> [SystemTime; 5] {
     let start = SystemTime::UNIX_EPOCH;
     [
@@ -64,7 +64,7 @@ fn frames_of_any_time_are_converted_once() {
     }
 }
 
-/// A frame that was written anew, and whose time is earlier than before, is another one all the same.
+/// A rewritten frame with an earlier modification time still counts as changed.
 #[test]
 fn a_frame_whose_time_goes_back_is_converted_again() {
     let scene = Scene::new();
@@ -79,14 +79,14 @@ fn a_frame_whose_time_goes_back_is_converted_again() {
     }
 }
 
-/// Runs the daemon with a system clock that says something else; `None` where no clock can be set.
+/// Runs the daemon with a changed system clock; `None` if the clock cannot be changed.
 fn run_at(scene: &Scene, clock: &[&str]) -> Option<Ran> {
     if !Command::new("faketime").args(["2001-01-01", "true"]).status().is_ok_and(|status| status.success()) {
         tell("not tested: there is no faketime");
         return None;
     }
     let mut command = Command::new("faketime");
-    // What measures how long something takes is no clock, and nobody sets it.
+    // Durations use the monotonic clock, which nothing sets.
     command
         .env("FAKETIME_DONT_FAKE_MONOTONIC", "1")
         .args(clock)
@@ -95,9 +95,9 @@ fn run_at(scene: &Scene, clock: &[&str]) -> Option<Ran> {
     Some(scene.run_command(command))
 }
 
-/// The clock of the machine is set between runs, goes ten times as fast, or a thousand times as slowly.
+/// The system clock jumps between runs, or runs ten times too fast or a thousand times too slowly.
 #[test]
-fn the_daemon_goes_on_when_the_clock_is_set() {
+fn daemon_continues_when_the_clock_is_set() {
     let scene = Scene::new();
     let clocks: [&[&str]; 5] = [
         &["2100-01-01"],

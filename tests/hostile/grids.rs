@@ -9,10 +9,11 @@ const BACKGROUND: f32 = 0.3;
 /// Voxels along an edge of an upper node.
 const NODE_EDGE: i32 = 4096;
 
-/// The program itself, and what the allocator keeps.
+/// Memory of the program itself, and memory that the allocator keeps.
 const BESIDE_BYTES: u64 = 40 << 20;
 
-/// A level set with `node_count` upper nodes in a row along z, each of 32³ tiles of 128³ voxels; `value` gives the value of the
+/// A level set with `node_count` upper nodes along z, each of 32³ tiles of 128³ voxels; `value` returns the
+/// value of the tile with these coordinates (0 to 31). A node whose tiles all have the same value takes 8 kB.
 /// tile with these coordinates (0 to 31). A node whose tiles all have the same value takes 8 kB.
 fn tiles(node_count: i32, value: impl Fn([usize; 3]) -> f32) -> Vec<u8> {
     let values: Vec<f32> = (0..32_768).map(|slot| value([slot / 1024, slot / 32 % 32, slot % 32])).collect();
@@ -32,7 +33,7 @@ fn tiles(node_count: i32, value: impl Fn([usize; 3]) -> f32) -> Vec<u8> {
     vdb_file(&grid, &[])
 }
 
-/// Converts a level set, or particles around it, with so much memory.
+/// Converts a level set, or particles around it, with this memory limit.
 fn convert(scene: &Scene, is_obstacle: bool, memory: &str) -> crate::scene::Ran {
     let common = ["convert", "--out", "out", "--format", "obj", "--memory", memory];
     let inputs: &[&str] = match is_obstacle {
@@ -42,7 +43,7 @@ fn convert(scene: &Scene, is_obstacle: bool, memory: &str) -> crate::scene::Ran 
     scene.run(&[&common[..], inputs].concat())
 }
 
-/// The MiB that an error asks for.
+/// The MiB that an error message requires.
 fn asked_mebibytes(err: &str) -> u64 {
     let asked = err.split("use --memory ").nth(1).and_then(|rest| rest.split("MiB").next());
     asked.and_then(|asked| asked.parse().ok()).unwrap_or_else(|| panic!("{err}"))

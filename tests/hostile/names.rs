@@ -1,4 +1,4 @@
-//! Names that are no text: outputs bear the same bytes.
+//! Names that are not Unicode: the names of outputs have the same bytes.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -12,7 +12,7 @@ use serde_json::Value;
 
 use crate::scene::{Scene, block_ply};
 
-/// Latin 1, as old disks have it. Shown as text, the two frames have the same name.
+/// Latin 1, as on old disks. As displayed text, the two frames have the same name.
 const FOLDER: &[u8] = b"caf\xe9";
 const FRAMES: [&[u8]; 2] = [b"gr\xf6\xdfe.1", b"gr\xfc\xdfe.1"];
 const OUT: &[u8] = b"aus\xff";
@@ -42,7 +42,7 @@ fn assert_outputs(folder: &Path) {
 }
 
 #[test]
-fn frames_whose_names_are_no_text_are_converted() {
+fn frames_with_names_that_are_not_unicode_are_converted() {
     let scene = scene();
     let arguments =
         ["convert", "--voxel-size=0.1", "--format=obj", "--report=report.json"].map(PathBuf::from);
@@ -53,7 +53,7 @@ fn frames_whose_names_are_no_text_are_converted() {
     let report = fs::read(scene.path("report.json")).expect("a report");
     let report: Value = serde_json::from_slice(&report).expect("JSON");
     assert_eq!(report["frames"].as_array().map(Vec::len), Some(2), "{report}");
-    // And they are known again.
+    // A second run recognizes them.
     let places = [path(&[FOLDER]), "--out".into(), path(&[OUT])];
     let second = scene.run(&[&arguments[..3], &places].concat());
     assert_eq!(second.status, Some(0), "{}", second.err);
@@ -62,7 +62,7 @@ fn frames_whose_names_are_no_text_are_converted() {
 }
 
 #[test]
-fn folders_whose_names_are_no_text_are_watched() {
+fn folders_with_names_that_are_not_unicode_are_watched() {
     let scene = scene();
     let arguments =
         ["watch", "--once", "--voxel-size=0.1", "--format=obj", "--settle=50ms"].map(PathBuf::from);
@@ -74,15 +74,15 @@ fn folders_whose_names_are_no_text_are_watched() {
     let status: Value =
         serde_json::from_str(&status.out).unwrap_or_else(|error| panic!("{error}: {status:?}"));
     assert_eq!(status["counts"]["done"], 2, "{status}");
-    // What the journal says of them holds.
+    // The journal recognizes them.
     let again = scene.run(&[&arguments[..], &places].concat());
     assert_eq!(again.status, Some(0), "{}", again.err);
     assert!(!again.err.contains("converted 2"), "{}", again.err);
 }
 
-/// A plan is text: it says so, and plans nothing.
+/// A plan is text: the command reports the name, and writes no plan.
 #[test]
-fn a_plan_says_that_it_can_name_only_text() {
+fn plan_refuses_names_that_are_not_unicode() {
     let scene = scene();
     let arguments =
         ["plan", "--out=out", "--voxel-size=0.1", "--shards=2", "-o=plan.json"].map(PathBuf::from);
@@ -92,9 +92,9 @@ fn a_plan_says_that_it_can_name_only_text() {
     assert!(!scene.path("plan.json").exists());
 }
 
-/// What is shown in a browser can be asked for by the name that is shown.
+/// A browser can request outputs by the displayed name.
 #[test]
-fn the_window_shows_names_that_are_no_text() {
+fn page_shows_names_that_are_not_unicode() {
     let scene = scene();
     let mut child = Command::new(env!("CARGO_BIN_EXE_meniscus"))
         .args([
@@ -139,15 +139,15 @@ fn the_window_shows_names_that_are_no_text() {
         let output = frame["outputs"][0]["name"].as_str().unwrap_or_else(|| panic!("{frame}"));
         assert!(get(&address, &format!("/files/{}", encoded(output))).starts_with("# "), "{output}");
     }
-    child.kill().expect("it is there");
-    child.wait().expect("it was there");
+    child.kill().expect("it runs");
+    child.wait().expect("it ends");
 }
 
 fn encoded(name: &str) -> String {
     name.bytes().map(|byte| format!("%{byte:02x}")).collect()
 }
 
-/// What is answered to a request, without the head.
+/// The body of the response to a request.
 fn get(address: &str, path: &str) -> String {
     let mut stream = TcpStream::connect(address).expect("a window");
     write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").expect("sent");

@@ -12,31 +12,31 @@ use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
 
-/// Whether files are as large as was promised.
+/// Whether the files have their full size.
 pub(crate) fn is_long() -> bool {
     env::var_os("MENISCUS_LONG").is_some_and(|value| value == "1")
 }
 
-/// Says something even where the test passes, which the macros for it do not.
+/// Prints a line also if the test passes, which the usual macros do not.
 pub(crate) fn tell(text: &str) {
-    writeln!(io::stderr(), "{text}").expect("somebody listens");
+    writeln!(io::stderr(), "{text}").expect("standard error is open");
 }
 
-/// Who has not ended by then hangs.
+/// A command that runs longer hangs.
 const PATIENCE: Duration = Duration::from_secs(300);
 
-/// A folder of its own, with `in`.
+/// A temporary folder with `in`.
 pub(crate) struct Scene(TempDir);
 
-/// What came of a command.
+/// The result of a command.
 #[derive(Debug)]
 pub(crate) struct Ran {
     pub(crate) status: Option<i32>,
     pub(crate) out: String,
     pub(crate) err: String,
-    /// The most that it held.
+    /// Its peak memory.
     pub(crate) peak_bytes: u64,
-    /// How much it read, of all files together.
+    /// The bytes that it read from all files together.
     pub(crate) read_bytes: u64,
 }
 
@@ -59,7 +59,7 @@ impl Scene {
         fs::write(self.path(within), bytes).expect("written");
     }
 
-    /// A file that begins so and is so long: what follows is a hole.
+    /// A sparse file that begins with these bytes and has this length.
     pub(crate) fn write_with_hole(&self, within: &str, start: &[u8], length: u64) {
         let mut file = File::create(self.path(within)).expect("made");
         file.write_all(start).expect("written");
@@ -89,8 +89,8 @@ impl Scene {
         self.run(&["convert", "in", "--out", "out", "--voxel-size", "0.1", "--format", "obj"])
     }
 
-    /// Converts the folder with a file beside the good frames that cannot be read: one failed frame, which says
-    /// these words, and no more memory than so much.
+    /// Converts the folder with an unreadable file next to the good frames. Asserts one failed frame whose
+    /// message has these words, and at most this memory.
     #[track_caller]
     pub(crate) fn assert_costs_itself_alone(&self, name: &str, words: &str, most_bytes: u64) {
         let ran = self.convert();
@@ -109,7 +109,7 @@ impl Scene {
     }
 }
 
-/// How it ended, and the most that it held and how much it read until a moment before.
+/// The exit status, with the peak memory and the bytes read, sampled shortly before the end.
 fn until_it_ends(mut child: Child) -> (Option<i32>, u64, u64) {
     let [status, io] = ["status", "io"].map(|file| PathBuf::from(format!("/proc/{}/{file}", child.id())));
     let deadline = Instant::now() + PATIENCE;
@@ -117,19 +117,19 @@ fn until_it_ends(mut child: Child) -> (Option<i32>, u64, u64) {
     loop {
         peak_bytes = peak_bytes.max(peak_of(&status).unwrap_or(0));
         read_bytes = read_bytes.max(read_by(&io).unwrap_or(0));
-        if let Some(status) = child.try_wait().expect("it is there") {
+        if let Some(status) = child.try_wait().expect("it runs") {
             assert_eq!(status.signal(), None, "it was ended");
             return (status.code(), peak_bytes, read_bytes);
         }
         if Instant::now() > deadline {
-            child.kill().expect("it is there");
+            child.kill().expect("it runs");
             panic!("it does not end");
         }
         thread::sleep(Duration::from_millis(5));
     }
 }
 
-/// The bytes that a process has read, by the system's count.
+/// The bytes that a process has read, according to the system.
 fn read_by(io: &Path) -> Option<u64> {
     let text = fs::read_to_string(io).ok()?;
     text.lines().find_map(|line| line.strip_prefix("rchar:"))?.trim().parse().ok()
@@ -152,7 +152,7 @@ pub(crate) fn block_ply(shift: f32) -> Vec<u8> {
     bytes
 }
 
-/// What comes before so many positions.
+/// The header for this number of positions.
 pub(crate) fn ply_header(count: u64) -> Vec<u8> {
     format!(
         "ply\nformat binary_little_endian 1.0\nelement vertex {count}\n\

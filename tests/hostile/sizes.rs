@@ -1,4 +1,4 @@
-//! Files that are well-formed and hold very much of something: each takes memory in proportion to its size.
+//! Valid files with very many elements: each takes memory in proportion to its size.
 
 use std::fmt::Write as _;
 
@@ -7,10 +7,10 @@ use meniscus_formats::vdb::{WriteOptions, write};
 
 use crate::scene::{Scene, tell};
 
-/// Enough for what is kept of each step to show.
+/// Enough steps to make the memory per step visible.
 const STEPS: usize = 20_000;
 
-/// The program, the file, and what is known of each step.
+/// Memory of the program, of the file, and of the data per step.
 const INFO_BYTES_MAX: u64 = 32 << 20;
 
 fn steps(count: usize) -> String {
@@ -35,9 +35,10 @@ fn info_of_many_steps_takes_little_memory() {
     }
 }
 
-/// Four times the steps may take four times the reading. If each step read the file from its start it would be 16 times.
+/// Four times the steps may need four times the reading. If each step read the file from its start, it would
+/// be 16 times.
 #[test]
-fn what_is_read_of_many_steps_grows_with_the_size_of_the_file() {
+fn reading_many_steps_is_linear_in_the_file_size() {
     let scene = Scene::new();
     let convert = ["convert", "many.lammpstrj", "--out", "out", "--voxel-size", "0.1", "--format", "obj"];
     for (arguments, few) in [(&["info", "many.lammpstrj"][..], 5_000), (&convert, 300)] {
@@ -52,7 +53,7 @@ fn what_is_read_of_many_steps_grows_with_the_size_of_the_file() {
     }
 }
 
-/// A file with a voxel inside in each of so many leaves, none of which are neighbours.
+/// A file with a voxel inside in each of this many leaves, none of which are neighbours.
 fn scattered(edge_count: i32) -> Vec<u8> {
     let mut origins = Vec::new();
     for x in 0..edge_count {
@@ -74,7 +75,7 @@ fn scattered(edge_count: i32) -> Vec<u8> {
     bytes
 }
 
-/// The program itself, and what the allocator keeps.
+/// Memory of the program itself, and memory that the allocator keeps.
 const BESIDE_BYTES: u64 = 40 << 20;
 
 #[test]

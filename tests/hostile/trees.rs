@@ -1,4 +1,4 @@
-//! Links that lead in circles, and what may not be read or written.
+//! Cycles of links, and files that the command may not read or write.
 
 use std::fs::{self, Permissions};
 use std::os::unix::fs::{PermissionsExt, symlink};
@@ -22,7 +22,7 @@ fn add_loops(scene: &Scene) {
 }
 
 #[test]
-fn links_in_circles_are_converted_around() {
+fn link_cycles_do_not_stop_conversion() {
     let scene = Scene::new();
     add_loops(&scene);
     let ran = scene.convert();
@@ -38,7 +38,7 @@ fn links_in_circles_are_converted_around() {
 }
 
 #[test]
-fn links_in_circles_are_watched_around() {
+fn link_cycles_do_not_stop_the_daemon() {
     let scene = Scene::new();
     add_loops(&scene);
     let arguments =
@@ -49,7 +49,7 @@ fn links_in_circles_are_watched_around() {
     assert_eq!(ran.err.matches("dam.1.ply").count(), ran.err.matches("dam.2.ply").count(), "{}", ran.err);
 }
 
-/// Runs the command as somebody who is not root, and may not do everything; `None` where that cannot be.
+/// Runs the command as a user without root's rights; `None` if that is impossible.
 fn run_as_nobody(scene: &Scene, arguments: &[&str]) -> Option<Ran> {
     let program = scene.path("meniscus");
     // Another process copies it: a test that starts a program at this moment would inherit our descriptor, and a file that
@@ -62,7 +62,7 @@ fn run_as_nobody(scene: &Scene, arguments: &[&str]) -> Option<Ran> {
     command.args(["--reuid=65534", "--regid=65534", "--clear-groups"]);
     let is_there = Command::new("setpriv").args(["--reuid=65534", "true"]).status();
     if !is_there.is_ok_and(|status| status.success()) {
-        tell("not tested: nobody can be somebody else here");
+        tell("not tested: cannot change the user here");
         return None;
     }
     command.arg(program).args(arguments);
@@ -74,7 +74,7 @@ fn forbid(scene: &Scene, within: &str) {
 }
 
 #[test]
-fn what_may_not_be_read_costs_itself_alone() {
+fn unreadable_frame_does_not_stop_others() {
     let scene = Scene::new();
     fs::create_dir(scene.path("in/closed")).expect("made");
     for name in ["in/closed/dam.1.ply", "in/closed.1.ply", "in/closed.1.txt"] {
@@ -86,7 +86,7 @@ fn what_may_not_be_read_costs_itself_alone() {
     assert_eq!(ran.status, Some(1), "{}", ran.err);
     assert!(ran.err.contains("closed.1.ply") && ran.err.contains("ermission denied"), "{}", ran.err);
     scene.assert_good_frames_are_there();
-    // A glob looks into folders, and says into which it may not.
+    // A glob reads folders, and reports those that it cannot read.
     let globbed = ["convert", "in/**/dam.*.ply", "--out", "out2", "--voxel-size", "0.1", "--format", "obj"];
     let Some(ran) = run_as_nobody(&scene, &globbed) else { return };
     assert_eq!(ran.status, Some(1), "{}", ran.err);
@@ -147,7 +147,7 @@ fn frames_in_a_folder_without_the_right_to_enter_fail() {
 }
 
 #[test]
-fn what_may_not_be_written_is_told() {
+fn unwritable_output_is_an_error() {
     let scene = Scene::new();
     for folder in ["out", "out/inner"] {
         fs::create_dir(scene.path(folder)).expect("made");

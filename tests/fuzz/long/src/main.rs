@@ -1,4 +1,4 @@
-//! libFuzzer before the target that `MENISCUS_TARGET` names: bytes that reach what none has reached before are kept.
+//! Runs libFuzzer on the target that `MENISCUS_TARGET` names, and keeps inputs that reach new code.
 
 #![no_main]
 
