@@ -1,13 +1,13 @@
-// Chromium without a window, and a page in it of which everything is heard: what it says, and whom it asks.
+// Headless Chromium, with a page whose console messages and requests are recorded.
 //
-// WebGL is drawn by the processor, so that the same is seen with and without a graphics card.
+// The processor renders WebGL, so that pictures are the same with and without a graphics card.
 
 const path = require("path");
 
 const CHROMIUM = "/usr/bin/chromium";
 const PATIENCE_MS = 300_000;
 const OPTIONS = [
-  // Checks run as root, in a box of their own.
+  // Checks run as root, in a separate container.
   "--no-sandbox",
   "--disable-dev-shm-usage",
   "--use-angle=swiftshader",
@@ -32,7 +32,7 @@ async function openPage({ browser }, address, { width = 1440, height = 900 } = {
   page.on("console", (message) => {
     if (message.type() === "error") faults.push(`the console says: ${message.text()}`);
   });
-  page.on("pageerror", (error) => faults.push(`an error that nobody caught: ${error}`));
+  page.on("pageerror", (error) => faults.push(`an uncaught error: ${error}`));
   page.on("request", (request) => {
     const url = request.url();
     if (!/^(data|blob):/.test(url) && new URL(url).origin !== own) faults.push(`asks elsewhere: ${url}`);
@@ -50,7 +50,7 @@ class Darkroom {
     this.page = page;
   }
 
-  /** A page of its own, so that the one that is looked at is left alone. */
+  /** A new page, so that the page under test stays as it is. */
   static async make({ browser }) {
     return new Darkroom(await browser.newPage());
   }

@@ -11,7 +11,7 @@
 Blender has Z up. Its importers turn .glb and .obj, which have Y up, and leave .ply and .vdb alone:
 so all are brought to the axes of the particles before they are compared.
 
-Runs in a Python of its own, with Blender as a module.
+Runs in a separate Python, with Blender as a module.
 """
 
 import itertools
@@ -69,7 +69,7 @@ def to_log(path):
 
 
 def frame_files():
-    """The files of the dam break, or of the project's own frame where there is none."""
+    """The files of the dam break, or of the project's own frame if they are missing."""
     folder = OUT / "third-party" / "splashsurf" / f"{DAM_BREAK}.bgeo"
     if not (DATA.is_dir() and folder.is_dir()):
         folder = OUT / "own"
@@ -222,7 +222,7 @@ def blurred():
     for obj in (camera, light):
         scene.collection.objects.link(obj)
     scene.camera = camera
-    # Two voxels before and after: what is farther from the surface has no velocity.
+    # Two voxels before and after: voxels farther from the surface have no velocity.
     scene.render.fps = 15
     scene.render.motion_blur_shutter = 1.0
     steepest = {}

@@ -1,17 +1,17 @@
-"""examples/blender/import_sequence.py shows the right file at each frame, while a sequence grows, and when a .blend is
-opened that it was saved in.
+"""examples/blender/import_sequence.py shows the right file at each frame, also while a sequence grows, and in a saved
+.blend that is opened again.
 
     frames        numbers without padding and with a gap; vertices, bounds, velocities and normals are those of the file;
-                  the panel says what is not there; the material stays
-    grown         a frame that comes later is taken, the scene's end goes along; one that is written again is taken, too
+                  the panel lists missing frames; the material stays
+    grown         a new frame is shown and extends the scene; a rewritten frame is shown, too
     attributes    of one width and another in one .glb, and colours
     chosen        a folder, a file, a pattern; several sequences are named; steps; Z up; quantized
-    command line  frames a second; the scene that it saves plays in a Blender that knows nothing of the script
+    command line  frames per second; the saved scene plays in a Blender without the script
     rendered      example_glb.png, example_vdb.png: one frame, the same by both ways
                   example_glb_0003.png and so on: an animation of either, each frame with its own surface
                   example_blurred.png: the attribute `velocity` smears the mesh
 
-Runs in a Python of its own, with Blender as a module.
+Runs in a separate Python, with Blender as a module.
 """
 
 import contextlib
@@ -181,7 +181,7 @@ def frames(kind):
     put(6, folder, kind, 13)
     look(13, 6)
     if scene.frame_end != 13:
-        faults.append(f"the scene ends at {scene.frame_end} when 13 is there")
+        faults.append(f"the scene ends at {scene.frame_end} although frame 13 exists")
     put(8, folder, kind, 13)
     put(4, folder, kind, 11)
     scene.frame_set(13)
@@ -270,12 +270,12 @@ def choices():
         faults.append(f"the operator imported {[obj.name for obj in scene.objects]}")
     bare = example.import_sequence(empty_scene(), own(3, "vdb"), None, "Z", 1, True)
     if bare.type != "VOLUME" or bare.data.velocity_grid != "velocity" or bare.matrix_world != Matrix():
-        faults.append("a bare volume is none")
+        faults.append("the volume alone is imported wrongly")
     return "folder, file, pattern, format, step; several, none, cut off", faults
 
 
 def turned():
-    """With `--up z` the .glb says so itself, and a .vdb is told; both are where the particles are."""
+    """With `--up z` the .glb records the axis, and the script sets it for a .vdb; both lie where the particles are."""
     out = FOLDER / "turned"
     options = ["--format", "glb", "--up", "z", "--quantize", "--voxel-size", repr(voxel_size())]
     status, said, _ = convert([OWN / "dam.0005.bgeo"], out, *options)
@@ -292,7 +292,7 @@ def turned():
 
 
 def command_line():
-    """A saved scene, opened by a Blender of its own: the script runs as one of its texts."""
+    """A saved scene, opened by a separate Blender: the script runs as one of its texts."""
     seen, faults = [], []
     for kind in ("glb", "vdb"):
         scene = FOLDER / f"{kind}.blend"

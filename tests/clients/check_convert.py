@@ -1,8 +1,8 @@
-"""Every frame listed in convert.txt becomes .glb, .obj, .ply and .vdb, closed and certified; what
-cannot be read is named for what it is.
+"""Every frame listed in convert.txt becomes .glb, .obj, .ply and .vdb, closed and certified; the
+error for an unreadable file names its format or fault.
 
-A few frames that are awkward on purpose are made here: none at all, one particle, far from the
-origin, up along z. Everything stays in target/clients/out for the other checks.
+The check also makes a few difficult frames: no particles, one particle, far from the
+origin, up along z. All outputs stay in target/clients/out for the other checks.
 """
 
 import json
@@ -30,7 +30,7 @@ def main():
         elif verb == "refuses" and there:
             refuses(check, rest[0], " ".join(rest[1:]))
         elif verb not in ("reads", "refuses"):
-            sys.exit(f"{CASES}: what is “{line}”?")
+            sys.exit(f"{CASES}: unknown line “{line}”")
     reads(check, "own", OWN, [])
     awkward(check)
     flowing(check)
@@ -39,7 +39,7 @@ def main():
 
 
 def reads(check, label, inputs, options, formats=FORMATS):
-    """Converts all frames of a file or folder, and looks at what was reported of each."""
+    """Converts all frames of a file or folder, and checks the report of each."""
     out = OUT / label.replace("*", "all")
     paths = sorted(inputs.parent.glob(inputs.name))
     if not paths:
@@ -61,9 +61,9 @@ FRAMES = {".ply", ".bgeo", ".csv"}
 
 
 def outcome(frame, out, formats):
-    """The figures of a frame, and what is wrong with it."""
+    """The figures of a frame, and its faults."""
     if frame["status"] != "converted":
-        return frame["status"], [frame.get("error") or "no error told"]
+        return frame["status"], [frame.get("error") or "no error reported"]
     certificate = frame["certificate"]
     figures = (
         f"{frame['particles']} particles, h = {frame['settings']['voxel_size']:.6g}, "
@@ -135,7 +135,7 @@ def flowing(check):
         written = json.loads((OUT / label / "report.json").read_text())
         told = written["frames"][0].get("attributes") or {}
         names = flow.NAMES if attributes == "all" else flow.NAMES[:2]
-        faults = [] if told.get("names") == names else [f"the report tells of {told.get('names')}"]
+        faults = [] if told.get("names") == names else [f"the report lists {told.get('names')}"]
         if told and (told["vertices"]["empty"] or told["band"]["empty"]):
             faults.append(f"places without particles: {told}")
         check.line(f"{label} attributes", f"{', '.join(told.get('names', []))}: {told.get('seconds', 0):.3f} s", faults)

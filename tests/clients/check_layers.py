@@ -1,7 +1,7 @@
-"""Blender and OpenEXR open the picture of a ball as .exr: every layer is there, and says what is true of a ball.
+"""Blender and OpenEXR open the picture of a ball as .exr: every layer exists, with the values of a ball.
 
-    OpenEXR    a part for each layer, channels by the names that programs know
-    Blender    type MULTILAYER; its compositor has an output for each layer, and the same numbers come out of it
+    OpenEXR    a part for each layer, channels with the usual names
+    Blender    type MULTILAYER; its compositor has an output for each layer, with the same numbers
 
 The ball has radius 1, lies at the origin, and flies. The camera stands 5 before it on the z axis: so at the middle of
 the picture the depth is 4, the normal points at the camera, and everywhere the normal is the position, and the mean
@@ -37,7 +37,7 @@ LAYERS = {
     "velocity": (["V.X", "V.Y", "V.Z"], ("velocity", "V"), np.float32),
     "curvature": (["Y"], ("", "curvature"), np.float32),
 }
-# What is off at most: of distances, in units of a voxel; of curvature, which is a second derivative.
+# Largest allowed errors: of distances, in units of a voxel; of curvature, which is a second derivative.
 DISTANCE_VOXELS = 0.05
 NORMAL_OFF = 0.02
 CURVATURE_OFF = 0.1
@@ -86,7 +86,7 @@ def render():
 
 
 def by_openexr(picture):
-    """Each layer as rows of pixels, the channels last; and what is wrong with names and types."""
+    """Each layer as rows of pixels, the channels last; and faults of names and types."""
     faults, read = [], {}
     parts = {part.name(): part.channels for part in OpenEXR.File(str(picture), separate_channels=True).parts}
     if set(parts) != set(LAYERS):
@@ -137,7 +137,7 @@ def wrong_of_a_ball(read):
 
 
 def by_blender(picture, read):
-    """What Blender finds in the file, and what is wrong with it: names, and numbers that are not those of `read`."""
+    """The layers that Blender finds, and faults: wrong names, and numbers that differ from those of `read`."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     image = bpy.data.images.load(str(picture))
     faults = []
@@ -187,7 +187,7 @@ def passed_on(image):
 
 
 def blenders(name, count):
-    """A layer as Blender wrote it: one channel, or the first so many of R, G, B, A."""
+    """A layer as Blender wrote it: one channel, or the first few of R, G, B, A."""
     (path,) = FOLDER.glob(f"{name}_*.exr")
     channels = OpenEXR.File(str(path), separate_channels=True).channels()
     ordered = next(names for names in ("RGBA", "RGB", "XYZ", "V", "Y") if set(names) <= set(channels))

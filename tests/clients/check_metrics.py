@@ -1,10 +1,10 @@
-"""Prometheus' own promtool finds nothing to say of /metrics: before, while and after frames are converted.
+"""Prometheus' promtool finds no fault in /metrics before, during and after the conversion of frames.
 
-    before      nothing was converted yet
+    before      no frame is converted yet
     working     at least one frame is in its stages, and at least one is done
-    after       one frame failed, the others are done: counters and histograms agree with that
+    after       one frame failed, the others are done: counters and histograms agree
 
-What is counted does not go backwards from one to the next.
+No counter decreases from one sample to the next.
 """
 
 import re
@@ -46,7 +46,7 @@ def main():
 
 
 def put_frames(folder):
-    """Lays frames beside the watched folder, and one that is none; how many can be converted."""
+    """Puts frames next to the watched folder, and one invalid file; returns the number of valid frames."""
     (folder / "beside").mkdir()
     frames = sorted(OWN.glob("*.bgeo"))
     for turn in range(ROUNDS):

@@ -1,12 +1,12 @@
 """Dam breaks around an obstacle, and a tetrahedron covered with particles (paper, Fig. 15 and 16): trimesh
-measures what meniscus promises.
+checks the guarantees of meniscus.
 
     clear       no vertex is deeper in the obstacle than a quarter of a voxel
     no void     wherever the first surface reaches the obstacle, the mesh lies on it, to a quarter of a voxel
-    certified   the frame's certificate holds, and the report tells of the same depth
+    certified   the frame's certificate holds, and the report has the same depth
 
 The obstacle is splashsurf's icosphere, scaled and put where most of the water is; the particles in it are removed, as
-a simulation would have none there. Runs in a Python of its own, with trimesh.
+a simulation would have none there. Runs in a separate Python, with trimesh.
 """
 
 import gzip
@@ -72,7 +72,7 @@ def tetrahedron(name, lift, wet_margin):
 
 
 def measured(name, particles, obstacle, voxel_size, wet_margin=COVERED):
-    """Skins the particles around the obstacle. Returns figures, and what is wrong."""
+    """Reconstructs the surface of the particles around the obstacle. Returns figures and faults."""
     points, wall, out = FOLDER / f"{name}.csv", FOLDER / f"{name}.obj", FOLDER / "out"
     np.savetxt(points, particles, delimiter=",", header="x,y,z", comments="", fmt="%.9g")
     obstacle.export(wall)

@@ -8,7 +8,7 @@ Of each file:
     the inside is inside: every voxel's sign is the winding number of our mesh around it
     |∇φ| near 1 in the band
     OpenVDB's own mesher makes the same surface of it as our .ply and .glb, within 0.1 h in the mean
-    other grids are there where they were asked for: active where the level set is, with the particles' values
+    requested other grids exist: active where the level set is, with the particles' values
 
 Runs in Debian's own Python, for which Debian builds OpenVDB's module.
 """
@@ -96,7 +96,7 @@ def examine(path):
 
 
 def header_faults(grid, frame, h):
-    """What the header says, against what was reported and what is in the tree."""
+    """Compares the header with the report and with the tree."""
     faults = []
 
     def expect(what, is_value, value):
@@ -254,7 +254,7 @@ def compared(path, grid, phi, first, ours, h):
     theirs = openvdb_surface(grid)
     ours = (ours[0] - origin, ours[1])
     figures = []
-    # The surface as a whole; and by itself that part of it which is droplets, which its mesher makes smaller.
+    # The whole surface; and separately its droplets, which OpenVDB's mesher makes smaller.
     only_droplets = piece_sizes(*ours).max() < DROPLET_VOXELS * h
     for name, parts, limit in (
         ("", (ours, theirs), DROPLET_DISTANCE_MAX_VOXELS if only_droplets else DISTANCE_MAX_VOXELS),

@@ -1,11 +1,11 @@
-"""The Debian package, from its making to its removal.
+"""The Debian package, from its build to its removal.
 
-It is made as `.debian/build` makes it, twice, with the same bytes. Debian's own checks find nothing in it.
+`.debian/build` makes it twice, with the same bytes. Debian's own checks find no fault in it.
 Installed, the program converts frames, also as the service and under the service's account; man shows its
-pages without a warning; every link in the documentation leads somewhere; bash, zsh and fish complete its commands; systemd takes its unit, which is not
-enabled. Removed, nothing of it is left. The machine is as it was also when something fails.
+pages without a warning; every link in the documentation has a target; bash, zsh and fish complete its commands; systemd takes its unit, which is not
+enabled. After removal no file of it is left. The check restores the machine also after a failure.
 
-Nothing is done where a meniscus is installed already: that one is not ours to remove.
+The check stops if a meniscus is installed already, because it must not remove that one.
 """
 
 import contextlib
@@ -30,7 +30,7 @@ CONFIG = Path("/etc/meniscus/meniscus.toml")
 UNIT = "/usr/lib/systemd/system/meniscus.service"
 PAGES = Path("/usr/share/man/man1")
 DOCS = Path("/usr/share/doc/meniscus")
-# What is typed before the tab, and what must be among the answers.
+# The text before the tab, and completions that must be offered.
 TYPED = {"conv": "convert", "convert --vox": "--voxel-size", "convert --preset gra": "granular"}
 # Where systemd's helpers would remember the unit.
 HELPERS = [Path("/var/lib/systemd/deb-systemd-helper-enabled"), Path("/etc/systemd/system")]
@@ -38,7 +38,7 @@ HELPERS = [Path("/var/lib/systemd/deb-systemd-helper-enabled"), Path("/etc/syste
 EXPECTED_OF_PAGES = re.compile(r'WARNING: missing date, using ""')
 # What lintian finds, and why that is as it should be.
 EXPECTED_BY_LINTIAN = {
-    "initial-upload-closes-no-bugs": "the package is not on its way into Debian",
+    "initial-upload-closes-no-bugs": "the package is not submitted to Debian",
 }
 
 
@@ -48,7 +48,7 @@ def main():
     if there:
         check.line("machine", "there is a meniscus already", [f"{each} would not survive" for each in there])
         check.end()
-    # So that what is installed is removed also when we are told to end.
+    # So that SIGTERM also removes the installed package.
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     package = made(check)
     if package:
@@ -99,7 +99,7 @@ def lintian(package):
 
 
 def installed(check, package):
-    """Installs it; whether the program is there."""
+    """Installs it; returns whether the program exists."""
     # Images of small machines leave out what they take for documentation.
     include = ["--path-include=/usr/share/man/*", "--path-include=/usr/share/doc/*"]
     ran = run(*AS_ROOT, "dpkg", *include, "--install", package)
@@ -108,7 +108,7 @@ def installed(check, package):
     faults += [f"no {path}" for path in missing]
     conffiles = run("dpkg-query", "--show", "--showformat=${Conffiles}", NAME).stdout.split()
     if str(CONFIG) not in conffiles:
-        faults.append(f"{CONFIG} is no configuration file")
+        faults.append(f"{CONFIG} is not a configuration file")
     links = [path for folder in HELPERS for path in folder.rglob("meniscus*") if path.is_symlink()]
     faults += [f"the unit is enabled: {link}" for link in links]
     check.line("install", f"{len(run('dpkg', '--listfiles', NAME).stdout.splitlines())} files and folders", faults)
@@ -195,7 +195,7 @@ def commands_of_the_help():
 
 
 def completes(ask):
-    """A shell is asked for what can follow, as if a key had been pressed."""
+    """Asks a shell for completions, as the tab key does."""
     faults = []
     for words, wanted in TYPED.items():
         typed = words.split()
@@ -217,7 +217,7 @@ def ask_bash(typed):
 
 
 def ask_fish(typed):
-    """Fish writes into the folder of whoever calls it: here it has one of its own."""
+    """Fish writes into the home folder of its user: here it has a temporary one."""
     with tempfile.TemporaryDirectory(prefix="meniscus-package-") as home:
         environment = {name: value for name, value in os.environ.items() if not name.startswith("XDG_")}
         ask = f"cd {home}; complete --do-complete 'meniscus {' '.join(typed)}'"
@@ -258,7 +258,7 @@ def removed(check):
 
 
 def leftovers():
-    """What there is of a package on this machine."""
+    """The state of a package on this machine."""
     places = [PROGRAM, CONFIG.parent, Path(UNIT), Path("/usr/share/doc/meniscus"), *PAGES.glob("meniscus*")]
     places += [path for folder in HELPERS for path in folder.rglob("meniscus*")]
     places += [path for path in Path("/usr/share").glob("*/*completion*/*meniscus*")]

@@ -1,14 +1,14 @@
-// The window in a real browser: Chromium, which the DevTools protocol turns, clicks and listens to.
+// The daemon's page in a real browser: Chromium, controlled by the DevTools protocol.
 //
 //   frames      appear while a producer writes them, without a reload; their states pass, their pictures load
-//   failed      a frame that failed says why
-//   surface     the 3D view draws, and what it draws turns with the mouse
-//   play        goes on by itself while the sequence still grows; slider and keys choose frames
-//   order       of names: the daemon's own
-//   restart     of the daemon while the page plays: it goes on, with what the new one has
-//   figures     of a frame, of its stages, of the settings: those that /api says; the chart is drawn
+//   failed      a failed frame shows its error
+//   surface     the 3D view draws the surface, and the mouse turns it
+//   play        continues while the sequence still grows; slider and keys choose frames
+//   order       the names have the daemon's order
+//   restart     the daemon restarts while the page plays: the page continues with the new daemon's frames
+//   figures     of a frame, of its stages, of the settings: equal to those of /api; the chart is drawn
 //   many        10 000 frames: few elements, smooth scrolling, the right names at the end
-//   silence     no error in the console, and nobody else was asked for anything
+//   silence     no error in the console, and no request to another host
 //
 // Four screenshots are worth a look: target/clients/page/{desk,phone}_{light,dark}.png.
 
@@ -34,7 +34,7 @@ function line(label, figures, faults) {
   failures += faults.length;
 }
 
-/** What is wrong: the sentences whose conditions do not hold. */
+/** The faults: the sentences whose conditions do not hold. */
 function wrong(conditions) {
   return Object.entries(conditions).flatMap(([sentence, holds]) => (holds ? [] : [sentence]));
 }
@@ -117,7 +117,7 @@ async function framesAppear(watching, page) {
     wrong({
       "there were frames before any was written": empty === 0,
       "the page was loaded again": stayed === true && loads === 1,
-      "no frame was seen on its way": states.some((state) => ["waiting", "queued", "working"].includes(state)),
+      "no frame was seen in progress": states.some((state) => ["waiting", "queued", "working"].includes(state)),
       "the names are others": names.sort().join() === [...Array(FIRST_COUNT).keys()].map((i) => nameOf(i + 1)).join(),
     }),
   );
@@ -137,7 +137,7 @@ async function failureIsExplained(watching, page) {
     "failed",
     shown,
     wrong({
-      "there is no reason": reason && reason.length > 20,
+      "the reason is missing": reason && reason.length > 20,
       "the reason is another": shown === reason,
       "the 3D view does not say it": hint.startsWith(`${BAD}: `) && reason.endsWith(hint.slice(BAD.length + 2)),
       "the strip does not say it": reason.endsWith(cell),
@@ -177,7 +177,7 @@ async function drawn(page) {
   });
 }
 
-/** What is seen of an element, as the page stands: nothing is scrolled, or laid out anew for it. */
+/** The visible part of an element, without scrolling or a new layout. */
 async function pictureOf(page, selector) {
   const clip = await (await page.$(selector)).boundingBox();
   return page.screenshot({ encoding: "base64", clip, captureBeyondViewport: false });
@@ -193,7 +193,7 @@ async function playRuns(watching, page) {
     window.playing.observe(scrub, { attributes: true, attributeFilter: ["aria-valuetext"] });
   });
   await page.click("#play");
-  // They come after the one that failed, and are played as soon as they are there.
+  // These frames follow the failed one, and the page plays each as soon as it is converted.
   const late = [1, 2, 3].map((more) => nameOf(FIRST_COUNT + 1 + more));
   late.forEach((name, more) => watching.put(name, frameBytes(FIRST_COUNT + 2 + more)));
   await page.waitForFunction((names) => names.every((name) => window.played.includes(name)), { timeout: 120_000 }, late);
@@ -218,7 +218,7 @@ async function playRuns(watching, page) {
   );
 }
 
-/** Where an element is, once it no longer moves: what is above it may still be coming. */
+/** The position of an element once it no longer moves, because elements above it may still load. */
 async function boxAtRest(page, selector) {
   const box = async () => (await page.$(selector)).boundingBox();
   let before = await box();
@@ -319,7 +319,7 @@ async function chartIsDrawn(page, darkroom) {
   line(
     "chart",
     `${colours} colours; ${told.replace(/\s+/g, " ").trim()}`,
-    wrong({ "it is empty": colours > 10, "what is drawn on becomes larger each time": (await heights()) === before }),
+    wrong({ "it is empty": colours > 10, "the canvas grows each time": (await heights()) === before }),
   );
 }
 
@@ -375,7 +375,7 @@ async function restartIsSurvived(watching, page, faults) {
   await page.waitForFunction((name) => window.played.includes(name), { timeout: 120_000 }, late);
   const [played, label, stayed] = [await page.evaluate(() => window.played), await textOf(page, "#play"), await page.evaluate(() => window.stayed)];
   await page.click("#play");
-  // That nobody answered for a while is said by the browser itself.
+  // The browser itself logs that the server did not respond for a while.
   const own = faults.splice(before).filter((fault) => !/net::ERR_|Failed to load resource/.test(fault));
   line(
     "restart",
@@ -389,7 +389,7 @@ async function restartIsSurvived(watching, page, faults) {
   );
 }
 
-/** A daemon that has converted so many frames of one particle each, with a picture of every one. */
+/** A daemon that has converted this number of frames of one particle each, with a picture of every frame. */
 async function manyFrames() {
   const folder = path.join(WORK, "many");
   fs.mkdirSync(path.join(folder, "in"), { recursive: true });

@@ -1,11 +1,11 @@
-"""Blender imports meshes in the formats that other programs like, and whole shots, which it plays.
+"""Blender imports meshes in the formats of other programs, and plays whole sequences in one file.
 
     frame         the quantized .glb, the .stl and the .usda of one frame: its vertices or triangles, bounds and volume
     shot.glb      one object for each frame, of which one has a size at a time, the one that belongs there
     shot.usda     one object, whose mesh is that of the frame
     rendered      shots_glb.png, shots_usda.png: the last frame of each shot; both show something, and the same
 
-Runs in a Python of its own, with Blender as a module.
+Runs in a separate Python, with Blender as a module.
 """
 
 import bpy
@@ -78,7 +78,7 @@ def shown(objects):
 
 
 def faults_of(objects, ply):
-    """What is seen at this time, against the mesh of a frame. Blender has Z up, and so have the frames."""
+    """Compares the visible surface at this time with the mesh of a frame. Blender has Z up, and so have the frames."""
     points, volume = shown(objects)
     expected, _ = read_ply(ply)
     report = frame_of(ply)
@@ -118,7 +118,7 @@ def shot(folder, kind):
         faults += [f"frame {code}: {fault}" for fault in faults_of(objects, ply)]
         seen.append(len(shown(objects)[0]))
     if kind == "glb":
-        # What is missing leaves its time to the frame before it.
+        # The frame before a missing one stays visible for its time.
         bpy.context.scene.frame_set(3 - codes[0] + 1)
         faults += [f"frame 3: {fault}" for fault in faults_of(objects, plys[1])]
     if len(set(seen)) != len(seen):

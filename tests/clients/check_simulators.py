@@ -1,10 +1,10 @@
 """Surfaces appear while the simulators run.
 
 SPlisHSPlasH and Taichi write frames as they always do, in place and as fast as they come, into a
-folder that `meniscus watch` watches. Of every frame there is a .glb and a .vdb; each is whole from
-the moment its name is there; and the last of them is there less than the time its frame took to
-skin and one second after the simulator ended. Asked to end, the daemon ends well and leaves nothing
-but the surfaces and its journal. `meniscus convert` makes the same bytes of the same frames with the
+folder that `meniscus watch` watches. Every frame becomes a .glb and a .vdb, each complete from
+the moment its name appears. The last one appears within the conversion time of its frame plus one
+second after the simulator ended. On SIGTERM the daemon succeeds and leaves only the surfaces and
+its journal. `meniscus convert` makes the same bytes of the same frames with the
 spacing that the daemon measured on the first of them.
 """
 
@@ -28,7 +28,7 @@ FORMATS = ["glb", "vdb"]
 # Beyond the skinning of the last frame, which is settled first.
 LATE_MAX_SECONDS = 1.0
 LOOK_EVERY_SECONDS = 0.005
-# Far beyond what a simulation takes, and what is to do after it.
+# Far longer than a simulation and the conversions after it take.
 GIVE_UP_SECONDS = 300
 WAIT_SECONDS = 30
 # The daemon's own, in the folder of the surfaces.
@@ -191,7 +191,7 @@ class Observer:
                 self.digests[path.name] = digest(path)
 
     def wait_for(self, names):
-        """Looks until all of them are there, or far too much time has passed."""
+        """Polls until all of them exist, or far too much time has passed."""
         until = time.monotonic() + WAIT_SECONDS
         while not names <= self.appeared.keys() and time.monotonic() < until:
             self.look()

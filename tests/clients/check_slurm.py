@@ -6,7 +6,7 @@
                 └─ a broken frame ──▶ queued again, and mended meanwhile
                                         └──▶ verify, after all
 
-Both are queued again by the script of the array, as examples/farm has it, and what was done before is not repeated.
+Both are queued again by the script of the array, as examples/farm has it, and repeats no finished frame.
 """
 
 import filecmp
@@ -53,7 +53,7 @@ def main():
 
 
 class Run:
-    """The array on its way, and what is done to it."""
+    """Runs the array, and kills one of its tasks."""
 
     def __init__(self, work, plan, environment):
         self.work, self.environment = work, environment
@@ -132,7 +132,7 @@ def fields(text):
 
 
 def check_tasks(check, run):
-    """What Slurm tells of the tasks, in the end."""
+    """The final states of the tasks according to Slurm."""
     for shard in range(SHARD_COUNT):
         task = run.task(shard)
         found = [task.get(name) for name in ("JobState", "ExitCode", "Restarts")]
@@ -140,7 +140,7 @@ def check_tasks(check, run):
         faults = [f"to be COMPLETED 0:0 {restarts}"] if found != ["COMPLETED", "0:0", restarts] else []
         check.line(f"shard {shard}", "state, exit code, restarts: " + " ".join(map(str, found)), faults)
     faults = [] if run.before_kill and run.identities() == run.before_kill else ["the frame was written again"]
-    check.line("killed by SIGKILL", "what was done before is left as it was", faults)
+    check.line("killed by SIGKILL", "finished frames stay as they were", faults)
     verify = run.verify_job()
     faults = [] if verify.get("ExitCode") == "0:0" else [str(verify)]
     check.line("verify", f"{verify.get('JobState')}, {run.seconds:.0f} s for all jobs", faults)

@@ -1,7 +1,7 @@
 """VTK, which is what ParaView reads with, reads the .vtp and .stl of a shot; OpenUSD reads its .usda, and the shot.
 
     .vtp          as many points and polygons, the points of the .ply to the last bit, normals that point outward, the
-                  attributes, what made the file; quads where they were asked for
+                  attributes, the generator of the file; quads if requested
     .stl          as many triangles, the bounds and the volume of the .ply
     .usda         the same points; axis, unit, extent, normals and velocities as USD knows them
     shot.usda     a sample for each frame, with its mesh
@@ -50,7 +50,7 @@ def vtp(path, frame, points, triangles):
         faults.append(f"{polys} polygons, {quads // 2} of them quads, of {len(triangles)} triangles")
     normals = vtk_to_numpy(data.GetNormals())
     if abs(np.linalg.norm(normals, axis=1) - 1).max() > 1e-5:
-        faults.append("its normals are no unit vectors")
+        faults.append("its normals are not unit vectors")
     velocity = vtk_to_numpy(data.GetArray("velocity" if data.HasArray("velocity") else "v"))
     if velocity.shape != points.shape or abs(velocity[:, 1] - 2).max() > 1e-6:
         faults.append("its velocities are not those of the particles")
@@ -149,7 +149,7 @@ def shot(folder):
     for code, path in zip(codes, frames):
         points, triangles = read_ply(path)
         local = np.array(mesh.ComputeLocalToWorldTransform(code)) if shift else np.eye(4)
-        # Quantized frames lie in a cube of their own.
+        # The coordinates of quantized frames lie in a separate cube.
         rounding = 2e-5 * np.ptp(points, axis=0).max() if "quantized" in folder.name else 0.0
         moved = points - local[3, :3].astype(points.dtype) if shift else points
         faults += [f"frame {code}: {fault}" for fault in mesh_faults(mesh, code, moved, triangles, rounding)]

@@ -61,7 +61,7 @@ def write_particles(path):
 
 
 def faults_of(what, points, found, field, rounding=0.0, reach=REACH):
-    """What is wrong with values at some points of a field that is linear, or constant: they are those of particles
+    """Faults of values at some points of a field that is linear, or constant: they are those of particles
     within reach, to so much rounding.
     """
     found, expected = np.asarray(found, float), field(points)

@@ -1,7 +1,7 @@
-"""Where things are, how meniscus is run, and how a check tells what it found.
+"""Paths, the command that runs meniscus, and the output of checks.
 
-A check prints one line for each file, with figures; it goes on after a failure, says what failed
-again at its end, and then its exit status is 1.
+A check prints one line for each file, with figures. It continues after a failure, repeats all
+failures at its end, and then exits with status 1.
 """
 
 import json
@@ -28,7 +28,7 @@ def data_is_there():
     """Whether there are frames of other programs; says so where not."""
     if DATA.is_dir():
         return True
-    print(f"  skipped: no frames of other programs, for there is no folder {DATA}")
+    print(f"  skipped: no frames of other programs: the folder {DATA} is missing")
     return False
 
 
@@ -49,7 +49,7 @@ def convert(inputs, out, *options):
 
 
 def frame_of(output):
-    """What was reported of the frame that an output was made from."""
+    """The report of the frame that an output was made from."""
     written = json.loads((output.parent / "report.json").read_text())
     for frame in written["frames"]:
         if output.name in [Path(path).name for path in frame.get("outputs", [])]:
@@ -67,7 +67,7 @@ class Check:
         print(title, flush=True)
 
     def line(self, label, figures, faults=()):
-        """One file: what was measured of it, and what is wrong with it."""
+        """One file: its measurements and its faults."""
         faults = list(faults)
         print(f"  {'FAILED' if faults else 'ok    '} {label}: {figures}", flush=True)
         for fault in faults:

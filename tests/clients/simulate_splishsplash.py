@@ -35,7 +35,7 @@ def main():
 
 
 def splishsplash():
-    """The wheel brings its own libGLdispatch and crashes on import beside the system's, unless that was there first."""
+    """The wheel brings its own libGLdispatch and crashes on import next to the system's, unless that is loaded first."""
     ctypes.CDLL("libGL.so.1", mode=ctypes.RTLD_GLOBAL)
     import pysplishsplash
 

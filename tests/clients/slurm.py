@@ -57,7 +57,7 @@ def cluster(folder):
     # Debian keeps daemons where only root looks.
     path = f"{os.environ['PATH']}:/usr/sbin:/sbin"
     environment = {**os.environ, "PATH": path, "SLURM_CONF": str(folder / "slurm.conf")}
-    # A check that is told to end takes its daemons with it.
+    # A check that receives SIGTERM ends its daemons.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     munged = ["munged", "--foreground", "--force", f"--key-file={key}", f"--socket={folder}/munge.socket"]
     munged += [f"--{name}-file={folder}/munge.{name}" for name in ("pid", "log", "seed")]
@@ -98,7 +98,7 @@ def wait_until(is_so, seconds, what):
 
 
 def free_ports(count):
-    """Ports that nobody listens on."""
+    """Free ports."""
     sockets = [socket.socket() for _ in range(count)]
     for each in sockets:
         each.bind(("127.0.0.1", 0))
@@ -117,7 +117,7 @@ def end(daemons, folder):
         except subprocess.TimeoutExpired:
             daemon.kill()
             daemon.wait()
-    # Jobs outlive slurmd by design. They, and nobody else, have this configuration in their environment.
+    # Jobs outlive slurmd by design. Only they have this configuration in their environment.
     mark = f"SLURM_CONF={folder}/slurm.conf".encode()
     for pid in pids():
         if pid != os.getpid() and mark in environment_of(pid):

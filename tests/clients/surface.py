@@ -117,7 +117,7 @@ def distances_to_surface(points, positions, triangles):
 
 
 def point_triangle_distances(points, corners):
-    """The distance of each point to a triangle of its own."""
+    """The distance of each point to the triangle with the same index."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     normal = np.cross(b - a, c - a)
     square = np.einsum("ij,ij->i", normal, normal) + 1e-300
@@ -130,7 +130,7 @@ def point_triangle_distances(points, corners):
 
 
 def point_segment_distances(points, start, end):
-    """The distance of each point to a segment of its own."""
+    """The distance of each point to the segment with the same index."""
     along = end - start
     square = np.einsum("ij,ij->i", along, along) + 1e-300
     t = np.clip(np.einsum("ij,ij->i", points - start, along) / square, 0, 1)

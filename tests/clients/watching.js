@@ -1,4 +1,4 @@
-// The daemon with its window, in a folder of its own, and a producer that puts frames there.
+// The daemon with its page, in a temporary folder, and a producer that writes frames there.
 
 const fs = require("fs");
 const path = require("path");
@@ -64,7 +64,7 @@ class Watching {
     return this.ask(`api/frames/${encodeURIComponent(name)}`);
   }
 
-  /** Waits until so many frames are in a state. */
+  /** Waits until this number of frames is in a state. */
   async untilCount(state, count, patienceMs) {
     await until(`${count} frames are ${state}`, async () => (await this.ask("api/status")).frames[state] >= count, patienceMs);
   }
