@@ -1,5 +1,5 @@
 //! Memory that the process takes while it converts many frames, against the limit. It is a separate test
-//! binary because the peak memory is one number per process.
+//! binary because the peak memory is a single number per process.
 
 #![cfg(target_os = "linux")]
 

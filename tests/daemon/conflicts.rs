@@ -53,7 +53,7 @@ fn outputs_next_to_the_frames_are_not_inputs() {
     assert_eq!(names_in(&scene.path("in")).len(), 7);
 }
 
-/// The error is one line, before the daemon reads any frame.
+/// The daemon prints one line, before it reads any frame.
 #[test]
 fn output_folder_that_is_not_writable_is_refused() {
     let scene = Scene::new();

@@ -100,11 +100,11 @@ fn status_lists_failed_steps() {
     let json = scene.run(&["status", "--out", "out", "--json"]);
     let json: serde_json::Value = serde_json::from_str(&json.out).expect("JSON");
     assert_eq!((&json["counts"]["failed"], &json["counts"]["retrying"]), (&2.into(), &0.into()));
-    // A step that is no longer in the file will not be converted.
+    // The daemon will not convert a step that was removed from the file.
     scene.put("in/d.dump", steps([1, 3]));
     let status = scene.run(&["status", "--out", "out"]);
     assert!(status.out.contains("2 done, 0 queued, 0 to retry, 0 failed"), "{}", status.out);
-    // Nor one that is no longer in a larger file, whether or not the daemon has examined it since.
+    // The same if the file is now larger, whether or not the daemon has examined it since.
     let bad = steps([9]).replacen('.', "?", 1);
     scene.put("in/d.dump", [&steps([1]), &*bad].concat());
     scene.once(&ARGUMENTS).assert_status(1);

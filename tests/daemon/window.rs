@@ -90,7 +90,7 @@ impl Following {
         let start = Instant::now();
         loop {
             let mut line = String::new();
-            // Comments keep the connection alive while there are no events.
+            // Comments keep the connection alive between events.
             assert!(start.elapsed() < patience(), "no event within {:?}", patience());
             assert!(self.0.read_line(&mut line).expect("a line") > 0, "the events have ended");
             let field = |name: &str| line.strip_prefix(name).map(|value| value.trim().to_owned());

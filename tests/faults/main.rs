@@ -34,7 +34,7 @@ fn of_environment(name: &str) -> Option<u64> {
 #[test]
 fn faults_cause_no_wrong_success_no_lost_result_and_no_half_written_file() {
     let Some(shim) = build_shim() else {
-        return tell("the fault injector is SKIPPED: there is no C compiler called `cc` to build it");
+        return tell("the fault injector is SKIPPED: it needs a C compiler called `cc`");
     };
     let references = References::new();
     let cycle_count = of_environment("MENISCUS_FAULT_CYCLES").unwrap_or(200);

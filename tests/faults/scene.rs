@@ -40,7 +40,7 @@ pub(crate) fn tell(text: &str) {
     writeln!(io::stderr(), "{text}").expect("standard error is open");
 }
 
-/// Builds the shared library; `None` if there is no C compiler.
+/// Builds the shared library; `None` without a C compiler.
 pub(crate) fn build_shim() -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("faults");
     fs::create_dir_all(&folder).expect("a folder");
@@ -251,7 +251,7 @@ impl Scene {
 
 impl Drop for Scene {
     fn drop(&mut self) {
-        // The log is missing if there were no faults.
+        // Without faults, the log does not exist.
         let _ = fs::remove_file(self.log_path());
     }
 }

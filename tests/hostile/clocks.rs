@@ -82,7 +82,7 @@ fn a_frame_whose_time_goes_back_is_converted_again() {
 /// Runs the daemon with a changed system clock; `None` if the clock cannot be changed.
 fn run_at(scene: &Scene, clock: &[&str]) -> Option<Ran> {
     if !Command::new("faketime").args(["2001-01-01", "true"]).status().is_ok_and(|status| status.success()) {
-        tell("not tested: there is no faketime");
+        tell("not tested: faketime is missing");
         return None;
     }
     let mut command = Command::new("faketime");

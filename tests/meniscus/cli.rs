@@ -500,7 +500,7 @@ fn other_files_in_the_folder_are_skipped() {
     for (name, text) in others {
         fs::write(path.join(name), text).expect("written");
     }
-    // Tables whose names do not tell their content are frames, whatever the name.
+    // Tables count as frames under any name that implies no other content.
     fs::write(path.join("table.txt"), "x,y,z\n0,0,0\n1,0,0\n").expect("written");
     fs::write(path.join("bare"), "0 0 0\n1 0 0\n").expect("written");
     let ran = meniscus(path, &["convert", ".", "--out", "o", "--format", "ply", "--spacing", "0.1"]);

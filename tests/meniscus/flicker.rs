@@ -253,7 +253,7 @@ fn frame_that_cannot_be_read_costs_its_neighbours_only() {
     assert_eq!(ran.status, 1, "{}", ran.err);
     assert!(ran.err.contains("error: dam.2.obj: OBJ, at line 2"), "{}", ran.err);
     assert_eq!(column(&folder.path().join("s.csv"), "frame"), [4.0, 5.0, 6.0]);
-    // A frame without a surface is one from which all points have left.
+    // In a frame without a surface, all points are lost.
     fs::write(folder.path().join("dam.2.obj"), "v 0 0 0\n").expect("written");
     let ran = run(&folder, &["--csv", "s.csv"]);
     assert_eq!(ran.status, 0, "{}", ran.err);
@@ -332,7 +332,7 @@ fn what_cannot_be_scored_is_refused_with_what_to_do() {
     let names = ["flicker", "dam.1.obj", "--particles", "lone.ply"];
     write_ply(&folder.path().join("lone.ply"), &[[0.0; 3]]);
     refused(&meniscus(folder.path(), &names), &["lone.ply: the name has no frame number"]);
-    // Too few particles to tell how far apart they are.
+    // Too few particles to measure their spacing.
     (1..=3).for_each(|n| write_ply(&folder.path().join(format!("few.{n}.ply")), &[[f64::from(n); 3]]));
     let few = ["flicker", "dam.#.obj", "--particles", "few.#.ply"];
     refused(&meniscus(folder.path(), &few), &["no frame has two particles in different places", "--spacing"]);

@@ -77,12 +77,12 @@ struct Signal {
 
 impl Signal {
     fn give(&self) {
-        *self.is_given.lock().expect("nobody panics with it") = true;
+        *self.is_given.lock().expect("not poisoned") = true;
         self.changed.notify_all();
     }
 
     fn wait(&self) {
-        let given = self.is_given.lock().expect("nobody panics with it");
+        let given = self.is_given.lock().expect("not poisoned");
         let limit = Duration::from_secs(300);
         let (given, _) = self.changed.wait_timeout_while(given, limit, |given| !*given).expect("as above");
         assert!(*given, "waited in vain");
@@ -254,12 +254,12 @@ struct Together {
 
 impl Together {
     fn note(&self, stage: Stage, count: usize) {
-        let mut running = self.running.lock().expect("nobody panics with it");
+        let mut running = self.running.lock().expect("not poisoned");
         match stage {
             Stage::Rasterize => {
                 running.push(count);
                 let now = (running.iter().sum(), running.len());
-                self.seen.lock().expect("nobody panics with it").insert(now);
+                self.seen.lock().expect("not poisoned").insert(now);
             }
             Stage::Contour => {
                 let place = running.iter().position(|&other| other == count).expect("it was rasterized");
@@ -282,7 +282,7 @@ fn concurrent_frames_stay_within_the_memory_limit() {
     let two = Signal::default();
     let method = Told(|stage, count| {
         together.note(stage, count);
-        let is_beside = together.running.lock().expect("nobody panics with it").len() > 1;
+        let is_beside = together.running.lock().expect("not poisoned").len() > 1;
         if is_beside {
             two.give();
         } else if stage == Stage::Smooth && count == 8 {
@@ -293,7 +293,7 @@ fn concurrent_frames_stay_within_the_memory_limit() {
     let mut outcomes = Vec::new();
     run(&method, &bench.frames, &pipeline_options, |_, outcome| outcomes.push(outcome));
     assert_eq!(letters(&outcomes), "c".repeat(edges.len()));
-    let seen = together.seen.lock().expect("nobody panics with it");
+    let seen = together.seen.lock().expect("not poisoned");
     for &(sum, count) in &*seen {
         assert!(sum <= 100 || count == 1, "{count} frames of {sum} MiB together: {seen:?}");
     }

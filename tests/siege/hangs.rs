@@ -46,7 +46,7 @@ fn unresponsive_file_system_blocks_only_its_folder() {
         }
         fs::write(folder.path().join("meniscus.toml"), CONFIG).expect("written");
         let Some(mount) = Mount::new(&disk, &hanging) else {
-            return tell("a file system that hangs: SKIPPED, there is no /dev/fuse");
+            return tell("a file system that hangs: SKIPPED, /dev/fuse is missing");
         };
         land_sequence(&disk, 1, 3, 5);
         land_drops(&sound, 1, 2);

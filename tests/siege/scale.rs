@@ -109,14 +109,14 @@ fn land_one(folder: &Path, number: usize) {
 
 /// The bytes that a process has read from files so far, without the names in folders.
 fn bytes_read(pid: u32) -> u64 {
-    let io = fs::read_to_string(format!("/proc/{pid}/io")).expect("it is there");
+    let io = fs::read_to_string(format!("/proc/{pid}/io")).expect("it runs");
     let count = io.lines().find_map(|line| line.strip_prefix("rchar: ")).expect("a line");
     count.parse().expect("a number")
 }
 
 /// The processor time of a process so far.
 fn cpu_seconds(pid: u32) -> f64 {
-    let stat = fs::read_to_string(format!("/proc/{pid}/stat")).expect("it is there");
+    let stat = fs::read_to_string(format!("/proc/{pid}/stat")).expect("it runs");
     // The name of the program, in brackets, may have spaces.
     let (_, fields) = stat.rsplit_once(')').expect("a name");
     let ticks = |index: usize| -> f64 {

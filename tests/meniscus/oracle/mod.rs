@@ -93,7 +93,7 @@ fn implicit_steps_agree_with_the_dense_grid() {
     }
 }
 
-/// The fast integrator stops early. Its remaining error is far below what is visible.
+/// The fast integrator stops early. Its remaining error is far too small to see.
 #[test]
 fn fast_steps_come_near_the_converged_solution() {
     for (name, shape) in SHAPES {
