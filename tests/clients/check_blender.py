@@ -61,7 +61,7 @@ def main():
 
 
 def to_log(path):
-    """What Blender says of its work goes to a file; what this check prints does not."""
+    """Redirects the output of Blender to a file, and keeps that of this check."""
     sys.stdout.flush()
     sys.stdout = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644), 1)
@@ -125,7 +125,7 @@ def examined_mesh(obj, kind, frame, low, high):
 
 
 def normals_agree(mesh):
-    """The part of the corners whose normal is on the side of its triangle's."""
+    """The share of the corners whose normal points to the same side as that of the triangle."""
     corner_normals = np.empty(3 * len(mesh.loops), np.float32)
     mesh.corner_normals.foreach_get("vector", corner_normals)
     face_normals = np.empty(3 * len(mesh.polygons), np.float32)
@@ -160,7 +160,7 @@ def examined_volume(obj, _kind, frame, low, high):
 
 
 def examined_attributes(kind):
-    """The attributes that Blender finds at the vertices, against the fields that the particles have."""
+    """Compares the attributes at the vertices in Blender with the fields of the particles."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     # Until 5.1 Blender's importer of glTF fails, by chance, where numbers and vectors are together.
     folder = OUT / ("flowing-vectors" if kind == "glb" else "flowing")
@@ -186,7 +186,7 @@ def examined_attributes(kind):
 
 
 def numbers_of(mesh, name):
-    """The numbers of an attribute of reals or of vectors at the vertices."""
+    """The values of a scalar or vector attribute at the vertices."""
     attribute = mesh.attributes[name]
     width, key = (3, "vector") if attribute.data_type == "FLOAT_VECTOR" else (1, "value")
     numbers = np.empty(width * len(attribute.data), np.float32)

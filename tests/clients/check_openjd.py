@@ -51,7 +51,7 @@ def main():
 
 
 def run(command):
-    """Runs a command, and returns its exit status and what it said."""
+    """Runs a command, and returns its exit status and its output."""
     words = [str(word) for word in command]
     ran = subprocess.run(words, capture_output=True, text=True, timeout=300)
     return ran.returncode, ran.stdout + ran.stderr

@@ -58,7 +58,7 @@ def main():
 
 
 def simulate(name, folder, observer):
-    """Runs a simulator, and looks for surfaces meanwhile; how long it ran, and its exit status."""
+    """Runs a simulator, and polls for surfaces meanwhile; returns its duration and its exit status."""
     start = time.monotonic()
     command = [str(PYTHON), str(HERE / f"simulate_{name}.py"), str(folder / "cache")]
     with (folder / "simulator.log").open("w") as said:
@@ -71,7 +71,7 @@ def simulate(name, folder, observer):
 
 
 def simulated(paths, count, seconds, status):
-    """What the simulator did, which is not ours: without its frames nothing is checked."""
+    """Checks the simulator itself: without its frames the other checks have no input."""
     faults = []
     if status:
         faults.append(f"its exit status is {status}; see simulator.log")
@@ -81,7 +81,7 @@ def simulated(paths, count, seconds, status):
 
 
 def ended_well(daemon, surfaces, wanted):
-    """The daemon ends when asked, and what it leaves are surfaces and its journal."""
+    """The daemon ends on SIGTERM, and leaves only surfaces and its journal."""
     status, seconds = daemon.end()
     left = {path.name for path in surfaces.glob("*")} - wanted - {STATE_FOLDER}
     faults = [f"left behind: {name}" for name in sorted(left)]
@@ -111,7 +111,7 @@ def in_time(paths, end, observer, daemon):
 
 
 def same_as_converted(paths, folder, observer, daemon):
-    """Every output was, when its name appeared, and is now what `convert` makes of the frame."""
+    """Every output has the bytes that `convert` makes of the frame, at its first appearance and at the end."""
     again = folder / "converted"
     options = ["--format", ",".join(FORMATS), "--spacing", daemon.spacing()]
     status, said, _ = convert(paths, again, *options)
@@ -145,7 +145,7 @@ class Daemon:
             self.process.wait()
 
     def end(self):
-        """Asks it to end; its exit status, or what it did instead, and how long that took."""
+        """Asks it to end; returns its exit status or fault, and the time that it took."""
         start = time.monotonic()
         self.process.send_signal(signal.SIGTERM)
         try:
@@ -155,7 +155,7 @@ class Daemon:
         return status, time.monotonic() - start
 
     def skinning_seconds(self):
-        """How long each frame took, all stages together, by its stem."""
+        """The time of each frame in all stages together, by stem."""
         seconds = {}
         for fields in self.entries():
             stages = [value for name, value in fields.items() if name.endswith("_s")]
@@ -168,7 +168,7 @@ class Daemon:
         return next(fields["spacing"] for fields in self.entries() if "spacing" in fields)
 
     def entries(self):
-        """What it logged, a dictionary for each line."""
+        """Its log, a dictionary for each line."""
         for line in self.log.read_text().splitlines():
             entry = json.loads(line)
             yield {**entry, **entry.get("fields", {})}
@@ -199,7 +199,7 @@ class Observer:
 
 
 def outputs(paths):
-    """The names of what there must be of these frames."""
+    """The names of the expected outputs of these frames."""
     return {f"{path.stem}.{suffix}" for path in paths for suffix in FORMATS}
 
 

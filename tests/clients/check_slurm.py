@@ -1,4 +1,4 @@
-"""A plan on a real Slurm: a job array of its shards, of which one has a broken frame, and one is killed.
+"""A plan on a real Slurm: a job array of its shards, one of them with a broken frame, and one that is killed.
 
     one process  ──────────────────────────────────────────────▶  one/   ┐
     plan ──▶ 0  1  2  3   tasks of an array, two at a time                ├ the same bytes
@@ -100,20 +100,20 @@ class Run:
                 os.kill(pid, signal.SIGKILL)
 
     def identities(self):
-        """What changes when the first frame of the killed shard is written again."""
+        """Identifiers that change when the first frame of the killed shard is written again."""
         stats = [path.stat() for path in sorted((self.work / "out").glob(f"{self.killed_first}.*"))]
         return [(stat.st_ino, stat.st_mtime_ns) for stat in stats]
 
     def task(self, shard):
-        """What Slurm knows of a task."""
+        """The record of a task in Slurm."""
         return fields(ask(self.environment, "scontrol", "--oneliner", "show", "job", f"{self.array}_{shard}"))
 
     def verify_job(self):
-        """What Slurm knows of the job that looks at the whole."""
+        """The record of the job that verifies all outputs."""
         return fields(ask(self.environment, "scontrol", "--oneliner", "show", "job", self.verify))
 
     def has_ended(self):
-        """Whether the last job has."""
+        """Whether the last job has ended."""
         return self.verify_job().get("JobState") in ("COMPLETED", "FAILED", "CANCELLED", "TIMEOUT")
 
 
@@ -147,7 +147,7 @@ def check_tasks(check, run):
 
 
 def check_outputs(check, work):
-    """The files, beside those of one process."""
+    """Compares the files with those of one process."""
     summary = json.loads((work / "plan.json.verified.json").read_text())["summary"]
     faults = [str(summary)] if summary["done"] != FRAME_COUNT else []
     check.line("frames", f"{summary['done']} of {FRAME_COUNT} done", faults)

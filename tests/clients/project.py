@@ -25,7 +25,7 @@ DAM_BREAK = "dam_break_frame_23_24389_particles"
 
 
 def data_is_there():
-    """Whether there are frames of other programs; says so where not."""
+    """Whether frames of other programs exist; prints a message if not."""
     if DATA.is_dir():
         return True
     print(f"  skipped: no frames of other programs: the folder {DATA} is missing")
@@ -33,7 +33,7 @@ def data_is_there():
 
 
 def convert(inputs, out, *options):
-    """Runs `meniscus convert` and returns its exit status, what it said, and its report by stem."""
+    """Runs `meniscus convert` and returns its exit status, its output, and its report by stem."""
     out.mkdir(parents=True, exist_ok=True)
     report = out / "report.json"
     report.unlink(missing_ok=True)
@@ -78,7 +78,7 @@ class Check:
             self.passed += 1
 
     def end(self):
-        """Says the sum, and ends the process."""
+        """Prints the summary, and ends the process."""
         print(f"  {self.passed} passed, {len(self.failed)} failed", flush=True)
         for failed in self.failed:
             print(f"  failed: {failed}", file=sys.stderr)

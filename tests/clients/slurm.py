@@ -1,7 +1,8 @@
 """A Slurm cluster of one machine, for as long as a check needs it.
 
-Slurm runs here as it does in large: munge, slurmctld, slurmd, each a process of this check, with its own files under one folder
-and ports that were free. No service of the system is started, or spoken to. Root is needed, as slurmd takes on the users of jobs.
+Slurm runs as on a large cluster: munge, slurmctld and slurmd are processes of this check, with their files in one folder
+and free ports. The check neither starts nor uses a service of the system. It needs root, because slurmd switches to the
+users of jobs.
 """
 
 import os
@@ -45,7 +46,7 @@ PartitionName=main Nodes=ALL Default=YES MaxTime=10 State=UP
 
 @contextmanager
 def cluster(folder):
-    """Starts the cluster, and ends all that is left of it. Gives the environment of its commands."""
+    """Starts the cluster, and ends all its processes at the end. Yields the environment of its commands."""
     folder.mkdir(parents=True)
     for name in ("state", "spool"):
         (folder / name).mkdir()
@@ -83,13 +84,13 @@ def cluster(folder):
 
 
 def ask(environment, *command):
-    """What a command of Slurm says; nothing where it fails."""
+    """The output of a Slurm command; empty if it fails."""
     ran = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
     return ran.stdout if ran.returncode == 0 else ""
 
 
 def wait_until(is_so, seconds, what):
-    """Waits for something to be so, or fails."""
+    """Waits until a condition holds, or fails."""
     deadline = time.monotonic() + seconds
     while not is_so():
         if time.monotonic() > deadline:
@@ -109,7 +110,7 @@ def free_ports(count):
 
 
 def end(daemons, folder):
-    """Ends the daemons, the last started first, and whatever of their jobs is left."""
+    """Ends the daemons, the last started first, and the remaining processes of their jobs."""
     for daemon in reversed(daemons):
         daemon.terminate()
         try:
@@ -128,12 +129,12 @@ def end(daemons, folder):
 
 
 def pids():
-    """All processes there are."""
+    """All running processes."""
     return [int(entry.name) for entry in Path("/proc").iterdir() if entry.name.isdigit()]
 
 
 def environment_of(pid):
-    """The environment of a process, an entry each; nothing of one that is gone."""
+    """The environment of a process, one entry per variable; empty if the process has ended."""
     try:
         return Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
     except OSError:

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 
 def openvdb_surface(grid):
-    """What OpenVDB's own mesher makes of a level set: outward, quads cut along one diagonal."""
+    """The mesh of a level set by OpenVDB's mesher: outward, quads cut along one diagonal."""
     positions, triangles, quads = grid.convertToPolygons()
     parts = [part.astype(np.int64) for part in (quads[:, [0, 1, 2]], quads[:, [0, 2, 3]])] if len(quads) else []
     if len(triangles):
@@ -78,7 +78,7 @@ def piece_sizes(positions, triangles):
 
 
 def distances(from_surface, to_surface):
-    """How far samples of one surface are from the other: its vertices, and a point of each triangle."""
+    """The distances of samples of one surface from the other: its vertices, and a point of each triangle."""
     positions, triangles = from_surface
     corners = positions[triangles]
     random = np.random.default_rng(1)

@@ -1,16 +1,16 @@
 /* Makes file operations of a program fail, for tests: built as a shared library and loaded by LD_PRELOAD.
  *
- * Only files under one folder are concerned. Whether the n-th call of an operation on a path fails is a hash
- * of the seed, the operation, the path and n: so a run fails in the same way again, whatever its threads do.
+ * Affects only files under one folder. Whether the n-th call of an operation on a path fails depends on a hash
+ * of the seed, the operation, the path and n, so that a run repeats its faults whatever its threads do.
  *
  *   FAULTS_UNDER   the folder; relative paths count as being under it
  *   FAULTS_SEED    a number
- *   FAULTS_RATE    of 1000 calls, how many fail; a fourth as many pairs of an operation and a path fail always
- *   FAULTS_NTH     instead of a rate: the n-th call fails, and no other
- *   FAULTS_KILL    the n-th call that changes something is the last: the process kills itself before it, or,
- *                  where the seed is odd, after it
- *   FAULTS_NO_PAUSE  where it is set, no disk is full and no handle stale: the daemon waits for seconds then
- *   FAULTS_LOG     a file that gets a line for each fault
+ *   FAULTS_RATE    the number of failing calls per 1000; a quarter as many pairs of an operation and a path always fail
+ *   FAULTS_NTH     instead of a rate: only the n-th call fails
+ *   FAULTS_KILL    the process kills itself before the n-th call that changes a file, or after it if the
+ *                  seed is odd
+ *   FAULTS_NO_PAUSE  if set, no ENOSPC and no ESTALE, after which the daemon waits for seconds
+ *   FAULTS_LOG     a file that receives a line for each fault
  */
 #define _GNU_SOURCE
 #include <dirent.h>

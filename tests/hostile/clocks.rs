@@ -66,7 +66,7 @@ fn frames_of_any_time_are_converted_once() {
 
 /// A rewritten frame with an earlier modification time still counts as changed.
 #[test]
-fn a_frame_whose_time_goes_back_is_converted_again() {
+fn frame_with_an_earlier_time_is_converted_again() {
     let scene = Scene::new();
     assert_eq!(scene.run(&WATCH).status, Some(0));
     for (shift, time) in times().into_iter().enumerate() {

@@ -8,7 +8,7 @@ use crate::shapes::{ball_with_finger, bending_energy, default_config, rasterized
 const FEWEST_STEPS: usize = 400;
 
 #[test]
-fn adaptive_steps_lead_where_explicit_ones_do() {
+fn adaptive_steps_give_the_result_of_explicit_ones() {
     for positions in [ball_with_finger(), sheet_and_drops()] {
         let smoothed = |config: SmoothConfig| {
             let (mut band, bounds) = rasterized(&positions);
@@ -35,9 +35,9 @@ fn adaptive_steps_lead_where_explicit_ones_do() {
     }
 }
 
-/// The time is what counts, however it is divided: into steps that would not be stable, too.
+/// Only the total time matters, also if the given steps would not be stable.
 #[test]
-fn the_time_is_the_number_of_steps_times_their_size() {
+fn total_time_is_the_number_of_steps_times_their_size() {
     let (start, bounds) = rasterized(&ball_with_finger());
     let smoothed = |steps, step_size, redistance_every| {
         let config =

@@ -61,7 +61,7 @@ fn range_of_frames_gives_the_same_bytes_as_all() {
 }
 
 #[test]
-fn the_bytes_do_not_depend_on_threads() {
+fn bytes_do_not_depend_on_threads() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 1, 4);

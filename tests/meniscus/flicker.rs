@@ -1,4 +1,4 @@
-//! The command that scores how much surfaces flicker: spheres that are known, in meshes of every format.
+//! The command that scores the flicker of surfaces, on spheres of known motion in meshes of every format.
 
 #![allow(clippy::cast_possible_truncation, reason = "numbers of tests are small")]
 
@@ -13,7 +13,7 @@ use crate::scene::{Ran, meniscus, write_ply};
 
 const RINGS: u32 = 24;
 
-/// The particles are so far apart.
+/// The spacing of the particles.
 const SPACING: f64 = 0.1;
 
 /// Corners and triangles of a sphere of latitudes and longitudes.
@@ -21,7 +21,7 @@ fn sphere(radius: f64, x: f64) -> (Vec<[f32; 3]>, Vec<[u32; 3]>) {
     let columns = 2 * RINGS;
     let at = |ring: u32, column: u32| {
         let (across, height) = (std::f64::consts::PI * f64::from(ring) / f64::from(RINGS)).sin_cos();
-        // All corners at a pole are one place.
+        // All corners at a pole have one position.
         let across = if ring.is_multiple_of(RINGS) { 0.0 } else { across };
         let (sin, cos) = (std::f64::consts::TAU * f64::from(column) / f64::from(columns)).sin_cos();
         [x + radius * across * cos, radius * across * sin, radius * height].map(|along| along as f32)
@@ -142,7 +142,7 @@ fn column(path: &Path, name: &str) -> Vec<f64> {
 }
 
 #[test]
-fn moving_ball_scores_nothing_in_any_format_by_ids_and_by_velocities() {
+fn moving_ball_scores_zero_in_every_format_by_ids_and_by_velocities() {
     for (columns, more) in
         [(",id", &[][..]), (",vx,vy,vz", &["--fps", "4"]), (",vx,vy,vz", &["--dt", "0.25"])]
     {
@@ -176,7 +176,7 @@ fn moving_ball_scores_nothing_in_any_format_by_ids_and_by_velocities() {
 }
 
 #[test]
-fn breathing_ball_scores_what_it_breathes_and_says_where_and_when() {
+fn breathing_ball_scores_its_change_of_radius_with_place_and_time() {
     // Frames 2 to 4 differ from their neighbours by two hundredths, 5 has steady neighbours, 6 is steady.
     let folder = scene(&[1.05, 1.07, 1.05, 1.07, 1.05, 1.05, 1.05], ",id");
     let outputs = ["--csv", "s.csv", "--points", "p.csv", "--picture", "p.png", "--spacing", "0.1"];
@@ -246,7 +246,7 @@ fn missing_frames_are_skipped_and_named() {
 }
 
 #[test]
-fn frame_that_cannot_be_read_costs_its_neighbours_only() {
+fn unreadable_frame_affects_only_its_neighbours() {
     let folder = scene(&[1.05; 7], ",id");
     fs::write(folder.path().join("dam.2.obj"), "v 0 0 0\nf 1 2 3\n").expect("written");
     let ran = run(&folder, &["--csv", "s.csv"]);
@@ -291,7 +291,7 @@ fn open_meshes_and_meshes_elsewhere_are_warned_about() {
 }
 
 #[test]
-fn what_cannot_be_scored_is_refused_with_what_to_do() {
+fn inputs_without_a_score_are_refused_with_a_remedy() {
     let folder = scene(&[1.05; 2], ",id");
     refused(&run(&folder, &[]), &["2 frames have both a mesh and particles", "three frames are needed"]);
     let folder = scene(&[1.05; 6], "");

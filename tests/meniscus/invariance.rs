@@ -29,7 +29,7 @@ fn skinned_world(positions: &[DVec3], voxel_size: f64, integrator: Integrator) -
 }
 
 #[test]
-fn the_order_of_particles_does_not_matter() {
+fn order_of_particles_does_not_matter() {
     let positions = two_balls();
     let mut shuffled = positions.clone();
     Random::new(70).shuffle(&mut shuffled);
@@ -59,7 +59,7 @@ fn the_number_of_threads_does_not_matter() {
 
 /// Powers of two, so that the division by the voxel size rounds nothing.
 #[test]
-fn the_unit_of_length_does_not_matter() {
+fn unit_of_length_does_not_matter() {
     let positions = two_balls();
     for integrator in INTEGRATORS {
         let one = skinned_world(&positions, 1.0, integrator);
@@ -144,7 +144,7 @@ fn far_changes_keep_the_surface() {
 
 /// A distant particle adds its drop and changes no bit of the rest.
 #[test]
-fn an_isolated_particle_changes_nothing_else() {
+fn isolated_particle_changes_nothing_else() {
     let positions = ball_with_finger();
     let mut with_drop = positions.clone();
     with_drop.push(DVec3::new(3.0, 45.0, -2.0));

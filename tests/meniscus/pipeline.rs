@@ -369,7 +369,7 @@ fn truncated_output_is_made_again() {
 }
 
 #[test]
-fn the_bytes_do_not_depend_on_threads_or_neighbours() {
+fn bytes_do_not_depend_on_threads_or_other_frames() {
     let contents = |bench: &Bench| -> Vec<(String, Vec<u8>)> {
         let read = |name: String| (name.clone(), fs::read(bench.out().join(name)).expect("readable"));
         names_in(&bench.out()).into_iter().map(read).collect()
@@ -389,7 +389,7 @@ fn the_bytes_do_not_depend_on_threads_or_neighbours() {
 }
 
 #[test]
-fn the_method_itself_fits_the_pipeline() {
+fn pipeline_runs_the_real_method() {
     fn is_method(_: &impl Method) {}
     is_method(&LevelSetSkinning);
 }

@@ -128,7 +128,7 @@ fn status_and_why_describe_a_busy_daemon() {
 }
 
 #[test]
-fn a_second_signal_ends_at_once() {
+fn second_signal_ends_the_daemon_at_once() {
     let mut service = Service::start();
     service.hears("READY=1");
     // This number of steps takes minutes.

@@ -74,7 +74,7 @@ impl LevelSet {
         let slope = self.grid.slope(&self.phi, index);
         let faces = self.grid.faces(index);
         let beside = faces.as_flattened().iter().any(|&face| (self.phi[face] < 0.0) != (here < 0.0));
-        // A neighbour is one voxel away, and on the surface if it is across it.
+        // A neighbour is one voxel away. Beyond the surface it counts as distance 0.
         let side = if here < 0.0 { -1.0 } else { 1.0 };
         let nearest = faces.as_flattened().iter().map(|&face| (side * self.phi[face]).max(0.0));
         let farthest = 1.0 + nearest.fold(f64::INFINITY, f64::min);

@@ -50,7 +50,7 @@ impl Random {
 }
 
 #[test]
-fn sphere_is_in_the_right_place() {
+fn sphere_is_at_the_right_position() {
     let (center, radius) = ([0.3, -0.2, 0.41], 20.3);
     let band = band(IVec3::splat(-32), IVec3::splat(32), sphere(center, radius));
     for (contouring, rms_limit, max_limit) in
@@ -158,7 +158,7 @@ fn scenes_are_sound() {
 }
 
 #[test]
-fn a_slab_on_half_voxels_is_exact() {
+fn slab_on_half_voxels_is_exact() {
     let slab = |[x, y, z]: [f64; 3]| (z.abs() - 2.5).max(x.abs() - 9.5).max(y.abs() - 9.5);
     let band = band(IVec3::splat(-20), IVec3::splat(20), slab);
     for contouring in BOTH {
@@ -247,7 +247,7 @@ fn padded(extent: IVec3, values: &[f32]) -> Vec<f32> {
 }
 
 #[test]
-fn the_number_of_threads_changes_nothing() {
+fn number_of_threads_changes_nothing() {
     let mut random = Random(3);
     let noisy = block_band(IVec3::splat(-9), IVec3::splat(20), &random_block(&mut random, 8000));
     let smooth = band(IVec3::splat(-26), IVec3::splat(26), torus([0.1, 0.2, 0.3], 12.0, 5.0));
