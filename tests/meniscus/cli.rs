@@ -227,9 +227,9 @@ fn inputs_are_never_replaced() {
     refused(&["dam.#.ply", "--out", "out/.."]);
     refused(&["dam.#.ply", "--out", "new/.."]);
     refused(&["dam.2.ply", "--report", "dam.2.ply", "--out", "out"]);
-    // A frame of the sequence stays, although it is not converted.
+    // Also a frame of the sequence that is not selected.
     refused(&["dam.#.ply", "--frames", "1", "--report", "dam.3.ply", "--out", "out"]);
-    // A named input stays whose number is not selected, and which belongs to another sequence.
+    // Also a named input of another sequence whose number is not selected.
     for (from, to) in [("dam.1.ply", "a3_9.ply"), ("dam.2.ply", "a3_9.csv")] {
         fs::copy(path.join(from), path.join(to)).expect("copied");
     }
@@ -418,7 +418,7 @@ fn ignored_options_cause_a_warning() {
     }
 }
 
-/// Position smoothing also applies to spheres. It needs neighbours, as anisotropy does.
+/// Position smoothing and anisotropy each use --neighbor-radius; without both, the option is ignored.
 #[test]
 fn position_smoothing_needs_no_anisotropy() {
     let folder = folder();

@@ -238,7 +238,7 @@ fn why_recognizes_outputs_of_convert() {
     assert!(done.contains("dam.1.glb, dam.1.ply were made from its current content"), "{done}");
     assert!(!done.contains("will be") && !done.contains("No daemon"), "{done}");
     assert!(settled("in/dam.2.ply").contains("It will be converted because"));
-    // The output does not mention damaged records.
+    // `why` does not list damaged outputs as made from the frame.
     let cut = |name: &str| {
         let whole = fs::read(path.join(name)).expect("there");
         fs::write(path.join(name), &whole[..whole.len() / 2]).expect("written");
