@@ -34,7 +34,7 @@ use std::time::Instant;
 use glam::{IVec3, Vec3};
 use meniscus::surface::grid::{Field, LEAF_EDGE, Leaf, LeafMask, ROW_COUNT, Topology, voxel_in_leaf};
 use meniscus::surface::level_set::{Bounds, NarrowBand, Sweeps, UNREACHED, extend};
-use meniscus::surface::simd::{self, Kernel, LEVEL_VARIABLE, Lanes, Level};
+use meniscus::surface::simd::{self, Kernel, LEVEL_VARIABLE, Lanes, SimdLevel};
 use meniscus::surface::smooth::{Integrator, SmoothConfig, SmoothContext, SmoothOp, Workspace};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
@@ -72,7 +72,7 @@ fn main() -> ExitCode {
         return ExitCode::SUCCESS;
     }
     let pools = [1, 2].map(pool);
-    println!("vectors: {}; the best of at least {MEASURE_COUNT}", Level::current().name());
+    println!("vectors: {}; the best of at least {MEASURE_COUNT}", SimdLevel::current().name());
     let meets_target = print_passes(&pools);
     print_sweeps(&pools);
     print_levels();
@@ -145,7 +145,7 @@ fn print_sweeps(pools: &[ThreadPool; 2]) {
 fn print_levels() {
     println!("\nlevels of vectors, 1 thread    passes x free voxels, M/s   gain    sweeps: rows, M/s   gain");
     let mut plain = None;
-    for level in Level::ALL.into_iter().filter(|level| level.is_available()) {
+    for level in SimdLevel::ALL.into_iter().filter(|level| level.is_available()) {
         let program = std::env::current_exe().expect("this program");
         let output = Command::new(program).arg(LEVEL_FIGURES).env(LEVEL_VARIABLE, level.name()).output();
         let output = output.expect("it starts");
@@ -289,7 +289,7 @@ fn pass_rate(shell: &Shell, pool: &ThreadPool) -> f64 {
         };
         let tally =
             pool.install(|| work.apply(SmoothOp::Passes { step: 0, first: 0, count, pins_peaks: false }));
-        (start.elapsed().as_secs_f64(), tally.moved_count)
+        (start.elapsed().as_secs_f64(), tally.voxel_update_count)
     };
     // The difference between runs with several passes and with one is the time of the passes alone, without
     // finding the free voxels and initializing.

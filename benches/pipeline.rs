@@ -23,7 +23,7 @@ use meniscus::pipeline::{
     encode_level_set, mesh_view, parse_particles, read_file, run, write_whole,
 };
 use meniscus::surface::options::{MethodOptions, Settings};
-use meniscus::surface::skin::skin;
+use meniscus::surface::reconstruction::reconstruct_frame;
 use meniscus_formats::{FilePositions, MeshOptions, ParticleFrame, bgeo, gltf, vdb};
 use rayon::ThreadPool;
 
@@ -107,7 +107,7 @@ fn convert_with_pipeline(frames: &[Frame], pool: &ThreadPool) -> Result<f64, Box
 fn convert_in_loop(frame: &Frame, pool: &ThreadPool) -> Result<(), Box<dyn Error>> {
     let bytes = read_file(&frame.input)?;
     let read = parse_particles(&frame.input, &bytes, &Wanted::default())?;
-    let surface = pool.install(|| skin(&read.cloud.positions, &frame.settings));
+    let surface = pool.install(|| reconstruct_frame(&read.cloud.positions, &frame.settings));
     let path =
         |extension: &str| -> PathBuf { frame.outputs.folder.join(format!("{}.{extension}", frame.stem)) };
     write_whole(&path("glb"), |out| {

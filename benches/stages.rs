@@ -33,9 +33,9 @@ use meniscus::pipeline::PhaseTimer;
 use meniscus::surface::anisotropy::{NeighborConfig, Stretch, from_neighbors};
 use meniscus::surface::neighbors::Neighbors;
 use meniscus::surface::options::{MethodOptions, Settings};
-use meniscus::surface::particles::Particles;
-use meniscus::surface::report::SkinReport;
-use meniscus::surface::skin::skin_observed;
+use meniscus::surface::particles::OwnedPositions;
+use meniscus::surface::reconstruction::reconstruct_frame_observed;
+use meniscus::surface::report::ReconstructionReport;
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
@@ -111,7 +111,7 @@ fn measure(free_wanted: f64, pools: &[ThreadPool; 2]) -> [Row; 2] {
     let (particles, spacing) = frame(free_wanted / FREE_PER_PARTICLE);
     let settings = Settings::paper(spacing / 2.0, &MethodOptions::default()).expect("valid");
     let round_count = ((ROUND_COUNT as f64 * FREE_MIN / free_wanted).ceil() as usize).max(1);
-    let mut reports: [Vec<SkinReport>; 2] = Default::default();
+    let mut reports: [Vec<ReconstructionReport>; 2] = Default::default();
     for _ in 0..round_count {
         for (pool, reports) in pools.iter().zip(&mut reports) {
             reports.push(pool.install(|| reconstructed(&particles, &settings)));
@@ -135,7 +135,7 @@ fn measure(free_wanted: f64, pools: &[ThreadPool; 2]) -> [Row; 2] {
 }
 
 /// About this many particles on one lattice, and their spacing.
-fn frame(particle_count: f64) -> (Particles, f64) {
+fn frame(particle_count: f64) -> (OwnedPositions, f64) {
     let spacing = TAU / SPACINGS_PER_PERIOD;
     let ball = particle_count * spacing.powi(3) / FILLED_PART;
     let solid = Sponge::new((ball * 3.0 / 4.0 / PI).cbrt() - 1.0, spacing);
@@ -144,19 +144,19 @@ fn frame(particle_count: f64) -> (Particles, f64) {
         solid.for_each_in_plane(x, |particle| plane.push(particle));
         plane
     });
-    (Particles::Single(planes.flatten_iter().collect()), solid.spacing)
+    (OwnedPositions::F32(planes.flatten_iter().collect()), solid.spacing)
 }
 
-fn reconstructed(particles: &Particles, settings: &Settings) -> SkinReport {
+fn reconstructed(particles: &OwnedPositions, settings: &Settings) -> ReconstructionReport {
     let mut timer = PhaseTimer::default();
-    let mut surface = skin_observed(particles, settings, &mut |phase| timer.enter(phase));
+    let mut surface = reconstruct_frame_observed(particles, settings, &mut |phase| timer.enter(phase));
     assert!(surface.report.certificate.holds(), "{:?}", surface.report.certificate);
     surface.report.seconds = timer.finish();
     surface.report
 }
 
-fn row(reports: &[SkinReport]) -> Row {
-    let median = |of: fn(&SkinReport) -> f64| {
+fn row(reports: &[ReconstructionReport]) -> Row {
+    let median = |of: fn(&ReconstructionReport) -> f64| {
         let mut seconds: Vec<f64> = reports.iter().map(of).collect();
         seconds.sort_by(f64::total_cmp);
         seconds[seconds.len() / 2]

@@ -24,7 +24,7 @@ use std::time::Instant;
 
 use meniscus::pipeline::{Wanted, parse_particles, read_file, write_whole};
 use meniscus::surface::options::{MethodOptions, Settings};
-use meniscus::surface::skin::{FrameSurface, skin};
+use meniscus::surface::reconstruction::{FrameSurface, reconstruct_frame};
 use meniscus_formats::{LevelSetView, MeshOptions, MeshView, gltf, vdb};
 use rayon::ThreadPoolBuilder;
 
@@ -138,7 +138,7 @@ fn plain_loop(folder: &Path) {
         let stem = input.file_stem().expect("a name").to_string_lossy().into_owned();
         pool.install(|| {
             let read = parse_particles(&input, &bytes, &Wanted::default()).expect("particles");
-            let surface = skin(&read.cloud.positions, &settings);
+            let surface = reconstruct_frame(&read.cloud.positions, &settings);
             write_surface(&surface, &settings, &folder.join("out"), &stem);
         });
     }

@@ -13,7 +13,7 @@ use std::path::Path;
 
 use glam::{DVec3, IVec3};
 use meniscus::render::{CameraPlacement, Layers, Picture, View, render};
-use meniscus::surface::obstacle::Solid;
+use meniscus::surface::obstacle::MeshSdf;
 use meniscus::surface::smooth::Integrator;
 use meniscus::surface::space::Lattice;
 
@@ -89,7 +89,7 @@ fn changes(program: Program, peer: &Splashsurf) -> Outcome<Changes> {
     let scale = Scale::usual(1.0);
     let pool = pool();
     let mut changes = Changes { vertex_count: 0, least: usize::MAX, most: 0, farthest: 0.0 };
-    let mut before: Option<(HashSet<[u64; 3]>, Solid)> = None;
+    let mut before: Option<(HashSet<[u64; 3]>, MeshSdf)> = None;
     for frame in 0..FRAMES {
         let particles = [&pool[..], &drop_at(frame)].concat();
         let mesh = mesh_of(program, peer, &particles, scale)?;
@@ -108,7 +108,7 @@ fn changes(program: Program, peer: &Splashsurf) -> Outcome<Changes> {
             changes.most = changes.most.max(changed_count);
         }
         changes.vertex_count = vertices.len();
-        before = Some((vertices.iter().map(bits).collect(), Solid::new(&mesh.positions, &mesh.triangles)));
+        before = Some((vertices.iter().map(bits).collect(), MeshSdf::new(&mesh.positions, &mesh.triangles)));
     }
     Ok(changes)
 }

@@ -11,7 +11,7 @@
 //! are some runs of three consecutive frames.
 
 use glam::DVec3;
-use meniscus::surface::obstacle::Solid;
+use meniscus::surface::obstacle::MeshSdf;
 use rayon::prelude::*;
 
 use crate::Outcome;
@@ -43,7 +43,7 @@ impl Flicker {
     ///
     /// # Errors
     /// If the mesh has no triangles, or `points` is empty.
-    pub(crate) fn add(&mut self, frame: usize, surface: &Solid, points: &[DVec3]) -> Outcome<()> {
+    pub(crate) fn add(&mut self, frame: usize, surface: &MeshSdf, points: &[DVec3]) -> Outcome<()> {
         if points.is_empty() {
             return Err(format!("frame {frame}: the first surface has no points").into());
         }

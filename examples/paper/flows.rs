@@ -14,7 +14,7 @@ use std::time::Instant;
 use glam::DVec3;
 use meniscus::render::{CameraPlacement, Layers, Picture, View, render};
 use meniscus::surface::level_set::NarrowBand;
-use meniscus::surface::obstacle::Solid;
+use meniscus::surface::obstacle::MeshSdf;
 use meniscus::surface::smooth::Integrator;
 use meniscus::surface::space::Lattice;
 
@@ -267,7 +267,7 @@ fn follow(case: &Case, program: Program, peer: &Splashsurf, scale: fn(f64) -> Sc
     for frame in 0..=case.frame_count() {
         if case.takes(frame) {
             let mesh = mesh_of(program, peer, &particles, scale)?;
-            let solid = Solid::new(&mesh.positions, &mesh.triangles);
+            let solid = MeshSdf::new(&mesh.positions, &mesh.triangles);
             if frame == 0 {
                 points = on_mesh(&mesh, POINTS);
             }

@@ -6,8 +6,8 @@ use glam::DVec3;
 use meniscus::pipeline::PhaseTimer;
 use meniscus::render::{CameraPlacement, Layers, Picture, View, render};
 use meniscus::surface::options::{MethodOptions, Settings};
-use meniscus::surface::particles::Particles;
-use meniscus::surface::skin::{FrameSurface, skin, skin_observed};
+use meniscus::surface::particles::OwnedPositions;
+use meniscus::surface::reconstruction::{FrameSurface, reconstruct_frame, reconstruct_frame_observed};
 use meniscus::surface::smooth::Integrator;
 use meniscus::surface::space::Lattice;
 use meniscus_formats::{FilePositions, Limits, read_particles};
@@ -64,12 +64,12 @@ pub(crate) fn run(folder: &Path) -> Outcome<()> {
     page.finish()
 }
 
-fn ratios(page: &mut Page, particles: &Particles) -> Outcome<()> {
+fn ratios(page: &mut Page, particles: &OwnedPositions) -> Outcome<()> {
     let mut rows = Vec::new();
     let mut pictures = Vec::new();
     for ratio in RATIOS {
         let choices = MethodOptions { radius_ratio: Some(ratio), ..MethodOptions::default() };
-        let surface = skin(particles, &Settings::paper(VOXEL_SIZE, &choices)?);
+        let surface = reconstruct_frame(particles, &Settings::paper(VOXEL_SIZE, &choices)?);
         let measures = &surface.report.mesh;
         rows.push(vec![
             ratio.to_string(),
@@ -85,7 +85,7 @@ fn ratios(page: &mut Page, particles: &Particles) -> Outcome<()> {
     page.pictures("ratios", "Ratios 1, 1.25, 1.5, 2 and 4", vec![pictures, second])
 }
 
-fn voxels(page: &mut Page, particles: &Particles) -> Outcome<()> {
+fn voxels(page: &mut Page, particles: &OwnedPositions) -> Outcome<()> {
     let mut rows = Vec::new();
     let mut pictures = Vec::new();
     let usual = Settings::paper(VOXEL_SIZE, &MethodOptions::default())?;
@@ -96,7 +96,7 @@ fn voxels(page: &mut Page, particles: &Particles) -> Outcome<()> {
     };
     for (part, choices) in [(1.0, MethodOptions::default()), (0.5, MethodOptions::default()), (0.25, radii)] {
         let voxel_size = part * SPACING;
-        let surface = skin(particles, &Settings::paper(voxel_size, &choices)?);
+        let surface = reconstruct_frame(particles, &Settings::paper(voxel_size, &choices)?);
         let measures = &surface.report.mesh;
         rows.push(vec![
             part.to_string(),
@@ -110,7 +110,7 @@ fn voxels(page: &mut Page, particles: &Particles) -> Outcome<()> {
     page.pictures("voxels", "A spacing, a half and a quarter of it", vec![pictures])
 }
 
-fn energies(page: &mut Page, particles: &Particles) -> Outcome<()> {
+fn energies(page: &mut Page, particles: &OwnedPositions) -> Outcome<()> {
     let mut rows = Vec::new();
     let mut over_time = Vec::new();
     let mut over_seconds = Vec::new();
@@ -152,7 +152,8 @@ fn energies(page: &mut Page, particles: &Particles) -> Outcome<()> {
         pictures.push(shown.collect());
     }
     let choices = MethodOptions { laplacian_steps: Some(0), steps: Some(0), ..MethodOptions::default() };
-    let first = skin(particles, &Settings::paper(VOXEL_SIZE, &choices)?).report.mesh.bending_energy;
+    let first =
+        reconstruct_frame(particles, &Settings::paper(VOXEL_SIZE, &choices)?).report.mesh.bending_energy;
     page.say(&format!("Before the Laplacian steps ∫H² is {first:.0}."));
     page.table(&["integrator", "time, h⁴", "∫H²", "seconds of smoothing"], &rows);
     let title = "Bending energy over integration time".to_owned();
@@ -165,7 +166,12 @@ fn energies(page: &mut Page, particles: &Particles) -> Outcome<()> {
 }
 
 /// The surface after this much time, in steps of equal size, at most `step_size`.
-fn after(particles: &Particles, integrator: Integrator, time: f64, step_size: f64) -> Outcome<FrameSurface> {
+fn after(
+    particles: &OwnedPositions,
+    integrator: Integrator,
+    time: f64,
+    step_size: f64,
+) -> Outcome<FrameSurface> {
     let steps = (time / step_size).ceil().max(1.0);
     let choices = MethodOptions {
         integrator: Some(integrator),
@@ -175,17 +181,17 @@ fn after(particles: &Particles, integrator: Integrator, time: f64, step_size: f6
     };
     let settings = Settings::paper(VOXEL_SIZE, &choices)?;
     let mut timer = PhaseTimer::default();
-    let mut surface = skin_observed(particles, &settings, &mut |phase| timer.enter(phase));
+    let mut surface = reconstruct_frame_observed(particles, &settings, &mut |phase| timer.enter(phase));
     surface.report.seconds = timer.finish();
     Ok(surface)
 }
 
 /// The frame.
-pub(crate) fn particles() -> Outcome<Particles> {
+pub(crate) fn particles() -> Outcome<OwnedPositions> {
     let frame = read_particles(&std::fs::read(FRAME)?, FRAME, &Limits::default())?;
     Ok(match frame.positions {
-        FilePositions::F32(positions) => Particles::Single(positions),
-        FilePositions::F64(positions) => Particles::Double(positions),
+        FilePositions::F32(positions) => OwnedPositions::F32(positions),
+        FilePositions::F64(positions) => OwnedPositions::F64(positions),
     })
 }
 

@@ -60,16 +60,16 @@ impl Page {
         caption: &str,
         rows: Vec<Vec<(Picture, String)>>,
     ) -> Outcome<()> {
-        let place = rows.iter().flatten().map(|(picture, _)| picture.size).next().unwrap_or([1, 1]);
+        let picture_size = rows.iter().flatten().map(|(picture, _)| picture.size).next().unwrap_or([1, 1]);
         let columns = rows.iter().map(Vec::len).max().unwrap_or(1);
-        let cell = |(picture, line)| Cell { shown: CellPicture::Picture(picture), lines: vec![line] };
+        let cell = |(picture, line)| Cell { content: CellPicture::Picture(picture), lines: vec![line] };
         let block = |row: Vec<_>| CellGroup {
             title: String::new(),
             cells: row.into_iter().map(cell).collect(),
             columns,
         };
         let blocks = rows.into_iter().map(block).collect();
-        let sheet = Sheet { title: String::new(), place, blocks, foot: Vec::new() }.picture();
+        let sheet = Sheet { title: String::new(), picture_size, blocks, footer: Vec::new() }.picture();
         let file = format!("{}_{part}.png", self.name);
         let mut out = BufWriter::new(File::create(self.folder.join(&file))?);
         let Picture { size, color, .. } = &sheet;

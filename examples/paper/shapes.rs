@@ -6,10 +6,10 @@ use std::sync::Arc;
 
 use glam::{DMat3, DQuat, DVec3, EulerRot};
 use meniscus::render::{CameraPlacement, Layers, Picture, View, render, render_particles};
-use meniscus::surface::obstacle::{Obstacle, Obstacles, Shape, Solid};
+use meniscus::surface::obstacle::{MeshSdf, Obstacle, ObstacleSdf, Obstacles};
 use meniscus::surface::options::{AnisotropyKind, MethodOptions, Settings};
-use meniscus::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
-use meniscus::surface::skin::{FrameSurface, skin_cloud};
+use meniscus::surface::particles::{Attribute, AttributeValues, OwnedPositions, ParticleCloud, Role};
+use meniscus::surface::reconstruction::{FrameSurface, reconstruct_cloud};
 use meniscus::surface::space::Lattice;
 
 use crate::Outcome;
@@ -73,7 +73,7 @@ fn crown(page: &mut Page) -> Outcome<()> {
         }
     }
     let numbers = velocities.iter().flat_map(|velocity| velocity.as_vec3().to_array()).collect();
-    let cloud = with(Particles::Double(positions), "v", Meaning::Velocity, 3, numbers);
+    let cloud = with(OwnedPositions::F64(positions), "v", Role::Velocity, 3, numbers);
     let voxel_size = 0.5;
     let view = around([DVec3::new(-28.0, -1.0, -28.0), DVec3::new(28.0, 26.0, 28.0)], [300, 230]);
     let mut pictures = vec![(render_particles(&cloud.positions, 0.45, &view), "particles".to_owned())];
@@ -113,9 +113,9 @@ fn sizes(page: &mut Page) -> Outcome<()> {
             }
         }
     }
-    let positions = Particles::Double(places.iter().map(|place| place.to_array()).collect());
+    let positions = OwnedPositions::F64(places.iter().map(|place| place.to_array()).collect());
     let numbers = radii.iter().map(|radius| *radius as f32).collect();
-    let cloud = with(positions, "pscale", Meaning::Radius, 1, numbers);
+    let cloud = with(positions, "pscale", Role::Radius, 1, numbers);
     let voxel_size = 0.45;
     let view = around([DVec3::new(-17.0, -7.0, -17.0), DVec3::new(17.0, 9.0, 17.0)], [400, 260]);
     let close = MethodOptions { radius_ratio: Some(1.25), ..MethodOptions::default() };
@@ -136,9 +136,9 @@ fn sizes(page: &mut Page) -> Outcome<()> {
 
 /// The particles as balls, with almost no smoothing.
 fn balls(places: &[DVec3], radii: &[f64], view: &View) -> Outcome<Picture> {
-    let positions = Particles::Double(places.iter().map(|place| place.to_array()).collect());
+    let positions = OwnedPositions::F64(places.iter().map(|place| place.to_array()).collect());
     let numbers = radii.iter().map(|radius| *radius as f32).collect();
-    let cloud = with(positions, "pscale", Meaning::Radius, 1, numbers);
+    let cloud = with(positions, "pscale", Role::Radius, 1, numbers);
     let choices = MethodOptions {
         radius_attribute: Some("pscale".to_owned()),
         radius_ratio: Some(1.0),
@@ -158,12 +158,12 @@ fn tetrahedron(page: &mut Page) -> Outcome<()> {
     let voxel_size = 0.04;
     let particles = on_faces(&corners, &faces, 3.2 * voxel_size);
     let obstacles = mould(&corners, &faces);
-    let positions = Particles::Double(particles.iter().map(|place| place.to_array()).collect());
-    let cloud = Cloud::from(positions);
+    let positions = OwnedPositions::F64(particles.iter().map(|place| place.to_array()).collect());
+    let cloud = ParticleCloud::from(positions);
     let view = around([DVec3::splat(-1.25), DVec3::splat(1.25)], [400, 360]);
     let mut pictures = Vec::new();
     let mut rows = Vec::new();
-    let wall = Solid::new(
+    let wall = MeshSdf::new(
         &corners.map(|corner| corner.to_array()),
         &faces.map(|face| face.map(|index| index as u32)),
     );
@@ -191,7 +191,7 @@ struct Deviation {
 
 impl Deviation {
     /// Points far inside belong to the inner side of the layer of particles, and are left out.
-    fn of(surface: &FrameSurface, wall: &Solid) -> Deviation {
+    fn of(surface: &FrameSurface, wall: &MeshSdf) -> Deviation {
         let mesh = &surface.mesh;
         let places = mesh.positions.iter().map(|position| mesh.origin + position.as_dvec3());
         let distances = places.filter_map(|place| wall.distance(place));
@@ -237,23 +237,23 @@ fn mould(corners: &[DVec3; 4], faces: &[[usize; 3]; 4]) -> Obstacles {
         triangles.extend([[a, b, c], [a, c, d]]);
     }
     let kept_bytes = 64 << 20;
-    let obstacle = Obstacle::new(Shape::Solid(Solid::new(&positions, &triangles)), kept_bytes);
+    let obstacle = Obstacle::new(ObstacleSdf::Mesh(MeshSdf::new(&positions, &triangles)), kept_bytes);
     Obstacles { members: vec![Arc::new(obstacle)] }
 }
 
-fn with(positions: Particles, name: &str, meaning: Meaning, arity: usize, numbers: Vec<f32>) -> Cloud {
+fn with(positions: OwnedPositions, name: &str, role: Role, arity: usize, numbers: Vec<f32>) -> ParticleCloud {
     let values = AttributeValues::Numbers(numbers);
-    let attribute = Attribute { name: name.to_owned(), meaning, arity, values };
-    Cloud { attributes: vec![attribute], ..Cloud::from(positions) }
+    let attribute = Attribute { name: name.to_owned(), role, arity, values };
+    ParticleCloud { attributes: vec![attribute], ..ParticleCloud::from(positions) }
 }
 
 pub(crate) fn reconstructed(
-    cloud: &Cloud,
+    cloud: &ParticleCloud,
     voxel_size: f64,
     choices: &MethodOptions,
     obstacles: &Obstacles,
 ) -> Outcome<FrameSurface> {
-    Ok(skin_cloud(cloud.clone(), &Settings::paper(voxel_size, choices)?, obstacles))
+    Ok(reconstruct_cloud(cloud.clone(), &Settings::paper(voxel_size, choices)?, obstacles))
 }
 
 pub(crate) fn holds(surface: &FrameSurface) -> String {

@@ -4,10 +4,10 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use meniscus::render::{CameraPlacement, Layers, View, render};
-use meniscus::surface::obstacle::{Obstacle, Obstacles, Shape, Solid};
+use meniscus::surface::obstacle::{MeshSdf, Obstacle, ObstacleSdf, Obstacles};
 use meniscus::surface::options::MethodOptions;
-use meniscus::surface::particles::{Cloud, Particles};
-use meniscus::surface::skin::FrameSurface;
+use meniscus::surface::particles::{OwnedPositions, ParticleCloud};
+use meniscus::surface::reconstruction::FrameSurface;
 use meniscus::surface::space::Lattice;
 
 use crate::Outcome;
@@ -34,7 +34,7 @@ pub(crate) fn publish(page: &mut Page) -> Outcome<()> {
     let is_out = |position: &[f64; 3]| DVec3::from(*position).distance(CENTER) > RADIUS + 1.5 * VOXEL_SIZE;
     let particles = frame::particles()?;
     let positions = (0..particles.len()).map(|index| particles.position(index).to_array()).filter(is_out);
-    let cloud = Cloud::from(Particles::Double(positions.collect()));
+    let cloud = ParticleCloud::from(OwnedPositions::F64(positions.collect()));
     let obstacles = ball();
     // From above and slightly from the left.
     let bounds = [CENTER - 0.29, CENTER + 0.29];
@@ -92,7 +92,7 @@ fn ball() -> Obstacles {
         }
     }
     let kept_bytes = 64 << 20;
-    let obstacle = Obstacle::new(Shape::Solid(Solid::new(&positions, &triangles)), kept_bytes);
+    let obstacle = Obstacle::new(ObstacleSdf::Mesh(MeshSdf::new(&positions, &triangles)), kept_bytes);
     Obstacles { members: vec![Arc::new(obstacle)] }
 }
 

@@ -6,10 +6,10 @@ use std::sync::Arc;
 use glam::{DVec3, IVec3};
 use meniscus::surface::grid::{Field, LEAF_EDGE, Leaf, Topology, voxel_in_leaf};
 use meniscus::surface::level_set::NarrowBand;
-use meniscus::surface::obstacle::{Obstacle, ObstacleLeaf, Shape, Solid};
+use meniscus::surface::obstacle::{MeshSdf, Obstacle, ObstacleLeaf, ObstacleSdf};
 use meniscus::surface::options::{MethodOptions, Settings};
-use meniscus::surface::particles::Particles;
-use meniscus::surface::skin::{FrameSurface, skin};
+use meniscus::surface::particles::OwnedPositions;
+use meniscus::surface::reconstruction::{FrameSurface, reconstruct_frame};
 use meniscus::surface::smooth::Integrator;
 use meniscus::surface::space::Lattice;
 use meniscus_formats::MeshData;
@@ -119,7 +119,7 @@ pub(crate) fn reconstructed(
     integrator: Integrator,
 ) -> Outcome<FrameSurface> {
     let positions = particles.iter().map(|particle| particle.to_array()).collect();
-    Ok(skin(&Particles::Double(positions), &scale.settings(integrator)?))
+    Ok(reconstruct_frame(&OwnedPositions::F64(positions), &scale.settings(integrator)?))
 }
 
 /// The level set of a closed mesh, for rendering: voxels half as large as the cells of the mesh preserve its
@@ -167,7 +167,7 @@ fn intersection(
     other: impl Fn(DVec3) -> f64 + Sync,
 ) -> NarrowBand {
     let lattice = Lattice { voxel_size };
-    let obstacle = Obstacle::new(Shape::Solid(Solid::new(&mesh.positions, &mesh.triangles)), 0);
+    let obstacle = Obstacle::new(ObstacleSdf::Mesh(MeshSdf::new(&mesh.positions, &mesh.triangles)), 0);
     let leaves: Vec<[i32; 3]> = leaves.into_iter().collect();
     let known: Vec<(IVec3, Leaf)> = leaves
         .par_iter()

@@ -70,7 +70,7 @@ impl<F: ReadAt> ParticleBatches<F> {
     }
 
     /// The particle indices of a batch; empty if the batch does not exist.
-    pub fn particles_of(&self, batch: usize) -> Range<usize> {
+    pub fn particle_range(&self, batch: usize) -> Range<usize> {
         let at = |batch: usize| batch.saturating_mul(self.batch_particle_count).min(self.records.count);
         at(batch)..at(batch.saturating_add(1))
     }
@@ -81,7 +81,7 @@ impl<F: ReadAt> ParticleBatches<F> {
     /// [`Error::Io`] if reading fails, [`Error::Short`] if the file has become shorter.
     pub fn read_batch(&self, index: usize, batch: &mut ParticleBatch) -> Result<()> {
         let Records { format, offset, stride, .. } = self.records;
-        let particles = self.particles_of(index);
+        let particles = self.particle_range(index);
         let ParticleBatch { positions, records } = batch;
         records.resize(particles.len() * stride, 0);
         let start = offset + particles.start as u64 * stride as u64;
@@ -89,7 +89,7 @@ impl<F: ReadAt> ParticleBatches<F> {
             io::ErrorKind::UnexpectedEof => {
                 let what =
                     format!("expected {} bytes of records, but the file has become shorter", records.len());
-                Error::short(format, Position::Offset(start), what)
+                Error::truncated(format, Position::Offset(start), what)
             }
             _ => error.into(),
         })?;
@@ -116,7 +116,7 @@ fn records(file: &impl ReadAt, file_name: &str, limits: &Limits) -> Result<Optio
     // long.
     for head_bytes in [HEAD_BYTES, limits.header_bytes.saturating_add(1)] {
         let head = read(&file, 0..head_bytes.min(file_bytes))?;
-        let may_go_on = |error: &Error| error.is_short() && (head.len() as u64) < file_bytes;
+        let may_go_on = |error: &Error| error.is_truncated() && (head.len() as u64) < file_bytes;
         let Probe { kind: ProbedKind::Format(format), codec: None } = probe(&head, file_name) else {
             return Ok(None);
         };

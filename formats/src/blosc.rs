@@ -199,13 +199,13 @@ fn decode_block(block: &[u8], codec: u8, stream_count: usize, out: &mut [u8]) ->
             stream.copy_from_slice(packed);
             continue;
         }
-        let unpacked = match codec {
+        let decompressed = match codec {
             CODEC_LZ4 => lz4_flex::block::decompress_into(packed, stream).ok(),
             CODEC_BLOSCLZ => blosclz::decompress_into(packed, stream),
             CODEC_ZLIB => inflate_into(packed, stream),
             other => return Err(BloscError::Unsupported(unsupported_codec(other))),
         };
-        if unpacked != Some(stream.len()) {
+        if decompressed != Some(stream.len()) {
             return invalid("a Blosc stream does not decompress to the expected size");
         }
     }

@@ -49,7 +49,7 @@ impl<'a> Cursor<'a> {
                 self.at += length;
                 Ok(taken)
             }
-            None => Err(self.short(format!(
+            None => Err(self.truncated(format!(
                 "expected {length} bytes of {what}, found {} before the end",
                 self.remaining()
             ))),
@@ -82,8 +82,8 @@ impl<'a> Cursor<'a> {
     }
 
     /// Creates an error at the current position: the file ends too early.
-    pub(crate) fn short(&self, what: impl Into<String>) -> Error {
-        Error::short(self.format, Position::Offset(self.at as u64), what)
+    pub(crate) fn truncated(&self, what: impl Into<String>) -> Error {
+        Error::truncated(self.format, Position::Offset(self.at as u64), what)
     }
 
     /// Creates an error at the current position: the file is invalid.
@@ -118,7 +118,7 @@ mod tests {
         let mut cursor = Cursor::new("test", Endian::Little, &[1, 2, 3], 0);
         cursor.take(2, "x").unwrap();
         let error = cursor.take(usize::MAX, "the table").unwrap_err();
-        assert!(error.is_short());
+        assert!(error.is_truncated());
         let error = error.to_string();
         assert!(
             error.starts_with("test, at byte 2: expected 18446744073709551615 bytes of the table, found 1")

@@ -35,8 +35,8 @@ impl Codec {
         }
     }
 
-    /// A participle for messages, such as `gzipped`.
-    pub fn participle(self) -> &'static str {
+    /// An adjective for messages, such as `gzipped`.
+    pub fn adjective(self) -> &'static str {
         match self {
             Codec::Gzip => "gzipped",
             Codec::Zstd => "compressed with zstd",
@@ -84,7 +84,7 @@ impl Codec {
 /// # Errors
 /// [`crate::Error::Short`] if the file ends too early, [`crate::Error::Invalid`] if it is damaged, both with
 /// the offset in the compressed file; [`crate::Error::TooLarge`] beyond the limits on decompression.
-pub fn unpacked<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Cow<'a, [u8]>> {
+pub fn decompressed<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Cow<'a, [u8]>> {
     match Codec::of(bytes) {
         Some(codec) => codec.decompress(bytes, limits).map(Cow::Owned),
         None => Ok(Cow::Borrowed(bytes)),
@@ -105,7 +105,7 @@ pub fn read_head(mut source: impl Read, length: u64) -> io::Result<Vec<u8>> {
 }
 
 /// A file name without the extension of its compression.
-pub fn unpacked_name(name: &str) -> &str {
+pub fn name_without_compression(name: &str) -> &str {
     let is_compressed =
         |end: &str| [".gz", ".zst", ".zstd"].iter().any(|known| end.eq_ignore_ascii_case(known));
     match name.rfind('.').map(|at| name.split_at(at)) {

@@ -37,7 +37,7 @@ pub enum Error {
     /// The operating system reported an error.
     Io(std::io::Error),
     /// The file ends too early. The bytes so far may be the beginning of a valid file.
-    Short {
+    Truncated {
         /// The format's name, such as `PLY`; empty if the file is too short to recognise.
         format: &'static str,
         /// Location of the error.
@@ -71,9 +71,9 @@ pub enum Error {
 }
 
 impl Error {
-    /// Creates an [`Error::Short`].
-    pub fn short(format: &'static str, place: Position, what: impl Into<String>) -> Error {
-        Error::Short { format, place, what: what.into() }
+    /// Creates an [`Error::Truncated`].
+    pub fn truncated(format: &'static str, place: Position, what: impl Into<String>) -> Error {
+        Error::Truncated { format, place, what: what.into() }
     }
 
     /// Creates an [`Error::Invalid`].
@@ -94,7 +94,7 @@ impl Error {
     /// The same error with another format name: that of the container format.
     pub(crate) fn with_format(self, format: &'static str) -> Error {
         match self {
-            Error::Short { place, what, .. } => Error::Short { format, place, what },
+            Error::Truncated { place, what, .. } => Error::Truncated { format, place, what },
             Error::Invalid { place, what, .. } => Error::Invalid { format, place, what },
             Error::Unsupported { what, .. } => Error::Unsupported { format, what },
             Error::TooLarge { what, .. } => Error::TooLarge { format, what },
@@ -104,8 +104,8 @@ impl Error {
 
     /// The same error with its line number increased by `count`, for a reader that started `count` lines into
     /// the file.
-    pub fn lines_later(mut self, count: u64) -> Error {
-        if let Error::Short { place: Position::Line(line), .. }
+    pub fn with_line_offset(mut self, count: u64) -> Error {
+        if let Error::Truncated { place: Position::Line(line), .. }
         | Error::Invalid { place: Position::Line(line), .. } = &mut self
         {
             *line = line.saturating_add(count);
@@ -114,8 +114,8 @@ impl Error {
     }
 
     /// Whether the file ends too early, which can mean that it is still being written.
-    pub fn is_short(&self) -> bool {
-        matches!(self, Error::Short { .. })
+    pub fn is_truncated(&self) -> bool {
+        matches!(self, Error::Truncated { .. })
     }
 }
 
@@ -124,12 +124,12 @@ impl fmt::Display for Error {
         match self {
             Error::Io(source) => write!(f, "{source}"),
             // Without a recognised format, the message alone describes the whole file.
-            Error::Short { format: "", what, .. } | Error::Invalid { format: "", what, .. } => {
+            Error::Truncated { format: "", what, .. } | Error::Invalid { format: "", what, .. } => {
                 f.write_str(what)
             }
-            Error::Short { format, place: Position::File, what }
+            Error::Truncated { format, place: Position::File, what }
             | Error::Invalid { format, place: Position::File, what } => write!(f, "{format}: {what}"),
-            Error::Short { format, place, what } | Error::Invalid { format, place, what } => {
+            Error::Truncated { format, place, what } | Error::Invalid { format, place, what } => {
                 write!(f, "{format}, {place}: {what}")
             }
             Error::Unsupported { format: "", what } => f.write_str(what),

@@ -222,7 +222,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
 mod tests {
     use super::*;
     use crate::OutputFormat;
-    use crate::integrity::is_whole;
+    use crate::integrity::is_complete;
     use crate::picture::{PictureCamera, PictureLayer};
     use crate::read_provenance;
     use ::exr::prelude::{ReadChannels, ReadLayers, read};
@@ -296,10 +296,10 @@ mod tests {
     fn provenance_round_trips_and_truncated_files_are_incomplete() {
         let bytes = written();
         assert_eq!(read_provenance(OutputFormat::Exr, &*bytes).expect("readable"), provenance());
-        assert!(is_whole(OutputFormat::Exr, &mut Cursor::new(&bytes)).expect("readable"));
+        assert!(is_complete(OutputFormat::Exr, &mut Cursor::new(&bytes)).expect("readable"));
         for length in (0..bytes.len()).step_by(7) {
             let part = &bytes[..length];
-            assert!(!is_whole(OutputFormat::Exr, &mut Cursor::new(part)).unwrap_or(false), "{length}");
+            assert!(!is_complete(OutputFormat::Exr, &mut Cursor::new(part)).unwrap_or(false), "{length}");
             // Reading from a part may succeed or fail, but must not panic.
             let _ = read_provenance(OutputFormat::Exr, part);
         }

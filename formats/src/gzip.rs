@@ -40,7 +40,7 @@ pub(crate) fn inflate(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
         let what = "the compressed data is followed by other bytes";
         // Unless the remaining byte could be the start of a truncated member.
         return Err(match MAGIC.starts_with(rest) {
-            true => Error::short(FORMAT, place, what),
+            true => Error::truncated(FORMAT, place, what),
             false => Error::invalid(FORMAT, place, what),
         });
     }
@@ -73,7 +73,7 @@ fn damage(source: &std::io::Error, consumed: usize) -> Error {
     let place = Position::Offset(consumed as u64);
     match source.kind() {
         std::io::ErrorKind::UnexpectedEof => {
-            Error::short(FORMAT, place, "the compressed data ends too early")
+            Error::truncated(FORMAT, place, "the compressed data ends too early")
         }
         _ => Error::invalid(FORMAT, place, format!("the compressed data is damaged: {source}")),
     }
@@ -124,11 +124,11 @@ mod tests {
     fn damage_is_reported_with_its_offset() {
         let mut file = gzipped(&[7; 5000]);
         let error = inflate(&file[..file.len() - 3], &Limits::default()).unwrap_err();
-        assert!(error.is_short() && error.to_string().contains("ends too early"), "{error}");
+        assert!(error.is_truncated() && error.to_string().contains("ends too early"), "{error}");
         let middle = file.len() - 7; // within the checksum
         file[middle] ^= 1;
         let error = inflate(&file, &Limits::default()).unwrap_err();
-        assert!(!error.is_short() && error.to_string().contains("is damaged"), "{error}");
+        assert!(!error.is_truncated() && error.to_string().contains("is damaged"), "{error}");
     }
 
     #[test]

@@ -7,7 +7,7 @@
 //!   what the header declares      declared │      binary PLY, classic BGEO that ends with its points
 //!   the file  ▏▏▏▏▏▏▏▏▏▏▏▏▏▏               │      Incomplete
 //!             ▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏│      Complete
-//!             ▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏│▏▏▏▏  Unproven: the header may yet be corrected
+//!             ▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏▏│▏▏▏▏  Unknown: the header may yet be corrected
 //! ```
 //!
 //! Some writers do not know the number of particles when they start: they write a number, often 0, append the
@@ -15,7 +15,7 @@
 //! data, proves nothing. The size also cannot reveal bytes that were reserved and not yet filled: the caller
 //! should also check that the file no longer changes.
 //!
-//! For an output, [`is_whole`] checks the end of the file: an interrupted copy or a full disk leaves the
+//! For an output, [`is_complete`] checks the end of the file: an interrupted copy or a full disk leaves the
 //! beginning of a file, which includes its provenance. Each format defines its own check in the table of
 //! formats. Overwritten bytes are not detected: a file of the right length may still be damaged inside.
 
@@ -39,7 +39,7 @@ const TAIL_BYTES: u64 = 256;
 /// # Errors
 ///
 /// [`crate::Error::Io`] if reading fails; [`crate::Error::Invalid`] if the head is not of this format.
-pub fn is_whole(format: OutputFormat, file: &mut (impl Read + Seek)) -> Result<bool> {
+pub fn is_complete(format: OutputFormat, file: &mut (impl Read + Seek)) -> Result<bool> {
     let file_bytes = file.seek(SeekFrom::End(0))?;
     let mut read = |start: u64, length: u64| piece(file, start, length);
     match format.row().integrity {
@@ -67,7 +67,7 @@ fn piece(file: &mut (impl Read + Seek), start: u64, length: u64) -> Result<Vec<u
 }
 
 /// Checks a file's size against its head, of which it reads at most 1 MiB. `file_name` matters only where it
-/// does for [`probe()`]. Unsupported and malformed files are `Unproven`: the reader reports what is wrong
+/// does for [`probe()`]. Unsupported and malformed files are `Unknown`: the reader reports what is wrong
 /// with them.
 ///
 /// # Errors
@@ -87,27 +87,27 @@ pub fn completeness(file: &mut (impl Read + Seek), file_name: &str) -> Result<Co
     match found {
         HeadCheck::Known(completeness) => Ok(completeness),
         HeadCheck::NeedsLastByte => Ok(match ends_with_whitespace(file)? {
-            true => Completeness::ByReading,
-            false => Completeness::Unproven,
+            true => Completeness::NeedsReading,
+            false => Completeness::Unknown,
         }),
         // No reader accepts a longer header.
-        HeadCheck::NeedsMoreHead => Ok(Completeness::Unproven),
+        HeadCheck::NeedsMoreHead => Ok(Completeness::Unknown),
     }
 }
 
 fn check_head(head: &[u8], file_bytes: u64, file_name: &str) -> HeadCheck {
     let Probe { kind, codec } = probe(head, file_name);
-    let by_reading = |expected| HeadCheck::Known(at_least(expected, file_bytes, Completeness::ByReading));
+    let by_reading = |expected| HeadCheck::Known(at_least(expected, file_bytes, Completeness::NeedsReading));
     if let Some(beginning) = truncated_signature(head) {
         return by_reading(beginning.len() as u64);
     }
     if let Some(codec) = codec {
         return by_reading(codec.file_bytes_min());
     }
-    let unproven = HeadCheck::Known(Completeness::Unproven);
+    let unproven = HeadCheck::Known(Completeness::Unknown);
     let ProbedKind::Format(format) = kind else { return unproven };
     let Some(particles) = &format.row().particles else { return unproven };
-    (particles.completeness)(head, file_bytes).unwrap_or_else(|error| match error.is_short() {
+    (particles.completeness)(head, file_bytes).unwrap_or_else(|error| match error.is_truncated() {
         true if (head.len() as u64) < file_bytes => HeadCheck::NeedsMoreHead,
         true => HeadCheck::Known(Completeness::Incomplete { expected: file_bytes + 1, found: file_bytes }),
         false => unproven,
@@ -159,7 +159,7 @@ mod tests {
 
     #[test]
     fn size_is_compared_with_the_declared_one() {
-        use Completeness::{ByReading, Complete, Incomplete, Unproven};
+        use Completeness::{Complete, Incomplete, NeedsReading, Unknown};
         let binary = |body: usize| ply("binary_little_endian", TWO_POINTS, &vec![0; body]);
         let lists = "element face 2\nproperty list uchar int vertex_indices\n";
         let with_faces =
@@ -174,21 +174,21 @@ mod tests {
             ("all of it", binary(24), Complete),
             ("a byte less", binary(23), short(&binary(23), 1)),
             ("no body", binary(0), short(&binary(0), 24)),
-            ("more than declared", binary(36), Unproven),
+            ("more than declared", binary(36), Unknown),
             (
                 "nothing declared",
                 ply("binary_little_endian", "element vertex 0\nproperty int x\n", b""),
-                Unproven,
+                Unknown,
             ),
             (
                 "too much declared",
                 ply("binary_little_endian", "element vertex 18446744073709551615\nproperty int x\n", b""),
-                Unproven,
+                Unknown,
             ),
-            ("faces, enough", with_faces(26), ByReading),
+            ("faces, enough", with_faces(26), NeedsReading),
             ("faces, too few bytes", with_faces(25), short(&with_faces(25), 1)),
-            ("text", ascii("0 0 0\n1 1 1\n"), ByReading),
-            ("text, last number open", ascii("0 0 0\n1 1 1"), Unproven),
+            ("text", ascii("0 0 0\n1 1 1\n"), NeedsReading),
+            ("text, last number open", ascii("0 0 0\n1 1 1"), Unknown),
             ("text, half", ascii("0 0 0\n"), short(&ascii("0 0 0\n"), 5)),
             ("points", points.clone(), Complete),
             (
@@ -196,14 +196,14 @@ mod tests {
                 points[..points.len() - 1].to_vec(),
                 short(&points[..points.len() - 1], 1),
             ),
-            ("points and more", [&points[..], b"more"].concat(), Unproven),
-            ("no points", bgeo(0, 0), Unproven),
-            ("points and primitives", bgeo(3, 1), ByReading),
+            ("points and more", [&points[..], b"more"].concat(), Unknown),
+            ("no points", bgeo(0, 0), Unknown),
+            ("points and primitives", bgeo(3, 1), NeedsReading),
             ("empty", Vec::new(), short(b"", 4)),
-            ("a table", b"x,y,z\n1,2,3\n".to_vec(), Unproven),
-            ("a mesh", b"glTF\x02\0\0\0".to_vec(), Unproven),
-            ("malformed", b"ply\nformat ascii 7.0\n".to_vec(), Unproven),
-            ("anything", b"\0\x01\x02".to_vec(), Unproven),
+            ("a table", b"x,y,z\n1,2,3\n".to_vec(), Unknown),
+            ("a mesh", b"glTF\x02\0\0\0".to_vec(), Unknown),
+            ("malformed", b"ply\nformat ascii 7.0\n".to_vec(), Unknown),
+            ("anything", b"\0\x01\x02".to_vec(), Unknown),
         ];
         for (case, bytes, expected) in table {
             assert_eq!(of(bytes, "a.dat"), *expected, "{case}");
@@ -229,8 +229,8 @@ mod tests {
         let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
         encoder.write_all(&bgeo(100, 0)).unwrap();
         let bytes = encoder.finish().unwrap();
-        assert_eq!(of(&bytes, "a.bgeo"), Completeness::ByReading);
-        assert_eq!(of(&bytes[..bytes.len() / 2], "a.bgeo"), Completeness::ByReading);
+        assert_eq!(of(&bytes, "a.bgeo"), Completeness::NeedsReading);
+        assert_eq!(of(&bytes[..bytes.len() / 2], "a.bgeo"), Completeness::NeedsReading);
         for length in [1, 2, 10, 19] {
             assert!(matches!(of(&bytes[..length], "a"), Completeness::Incomplete { .. }), "{length}");
         }
@@ -247,6 +247,6 @@ mod tests {
         let expected = Completeness::Incomplete { expected: 60_001, found: 60_000 };
         assert_eq!(of(half, "a"), expected);
         let endless = ply("ascii", &"comment and no end\n".repeat(100_000), b"");
-        assert_eq!(of(&endless, "a"), Completeness::Unproven);
+        assert_eq!(of(&endless, "a"), Completeness::Unknown);
     }
 }

@@ -98,7 +98,7 @@ pub fn steps(bytes: &[u8], limits: &Limits) -> Result<Vec<TimeStep>> {
         steps.push(step(&mut lines, limits)?);
     }
     match steps.is_empty() {
-        true => Err(lines.short("expected ITEM: TIMESTEP")),
+        true => Err(lines.truncated("expected ITEM: TIMESTEP")),
         false => Ok(steps),
     }
 }
@@ -249,7 +249,7 @@ fn rows(lines: &mut DumpLines, start: usize, step: TimeStep, limits: &Limits) ->
     }
     for found in 0..count {
         let line =
-            lines.next().ok_or_else(|| lines.short(format!("expected {count} atoms, found {found}")))?;
+            lines.next().ok_or_else(|| lines.truncated(format!("expected {count} atoms, found {found}")))?;
         if line.starts_with(b"ITEM:") {
             return Err(lines.invalid(format!("expected {count} atoms, found {found}")));
         }
@@ -311,9 +311,9 @@ impl<'a> DumpLines<'a> {
 
     /// The next line as text; `what` is named in the error if the line is missing or truncated.
     fn text_line(&mut self, what: &str) -> Result<&'a str> {
-        let Some(line) = self.next() else { return Err(self.short(format!("expected {what}"))) };
+        let Some(line) = self.next() else { return Err(self.truncated(format!("expected {what}"))) };
         if !self.bytes[..self.at].ends_with(b"\n") {
-            return Err(self.short(format!("the file ends within {what}: the line end is missing")));
+            return Err(self.truncated(format!("the file ends within {what}: the line end is missing")));
         }
         std::str::from_utf8(line).map(str::trim).map_err(|_| self.invalid("expected text, found binary data"))
     }
@@ -343,8 +343,8 @@ impl<'a> DumpLines<'a> {
         Error::invalid(FORMAT, Position::Line(self.number), what)
     }
 
-    fn short(&self, what: impl Into<String>) -> Error {
-        Error::short(FORMAT, Position::Line(self.number), what)
+    fn truncated(&self, what: impl Into<String>) -> Error {
+        Error::truncated(FORMAT, Position::Line(self.number), what)
     }
 }
 

@@ -64,7 +64,7 @@ pub use data::{
 };
 pub use error::{Error, Position, Result};
 pub use excerpt::{Escaped, escaped, is_unsafe};
-pub use integrity::{completeness, is_whole};
+pub use integrity::{completeness, is_complete};
 pub use limits::Limits;
 pub use mesh::read_mesh;
 pub use mesh_options::{MeshOptions, UpAxis, WriteOption};
@@ -95,10 +95,10 @@ pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<
         codec.check_start(bytes)?;
     }
     if !bytes.is_empty() && integrity::truncated_signature(bytes).is_some() {
-        return Err(Error::short("", Position::File, "the file ends within its signature"));
+        return Err(Error::truncated("", Position::File, "the file ends within its signature"));
     }
     let read = reader_of(kind)?;
-    read(&compression::unpacked(bytes, limits)?, limits)
+    read(&compression::decompressed(bytes, limits)?, limits)
 }
 
 /// Returns an error if no reader supports the file. Needs only its first bytes, so a large file is rejected
@@ -106,7 +106,7 @@ pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<
 ///
 /// # Errors
 /// `Unsupported`, the same error as [`read_particles`] returns for the whole file.
-pub fn refuse_foreign(head: &[u8], file_name: &str) -> Result<()> {
+pub fn check_supported(head: &[u8], file_name: &str) -> Result<()> {
     match probe(head, file_name).kind {
         kind @ (ProbedKind::Foreign(_) | ProbedKind::UnknownText | ProbedKind::Unknown) => {
             reader_of(kind).map(drop)
@@ -122,7 +122,7 @@ type ParticleReader = fn(&[u8], &Limits) -> Result<ParticleFrame>;
 /// do instead.
 fn reader_of(kind: ProbedKind) -> Result<ParticleReader> {
     if kind == ProbedKind::Empty {
-        return Err(Error::short("", Position::File, "the file is empty"));
+        return Err(Error::truncated("", Position::File, "the file is empty"));
     }
     if let Some(particles) = kind.format().and_then(|format| format.row().particles.as_ref()) {
         return Ok(particles.read);

@@ -79,22 +79,22 @@ impl Limits {
         Err(Error::too_large("OpenVDB", what))
     }
 
-    /// Fails if `unpacked` decompressed bytes from `consumed` compressed bytes exceed a limit. `format` is
+    /// Fails if `decompressed` bytes from `consumed` compressed bytes exceed a limit. `format` is
     /// the compression format.
     pub(crate) fn check_decompressed(
         &self,
         format: &'static str,
-        unpacked: u64,
+        decompressed: u64,
         consumed: u64,
     ) -> Result<()> {
-        if unpacked > self.decompressed_bytes {
+        if decompressed > self.decompressed_bytes {
             let most = self.decompressed_bytes;
             return Err(Error::too_large(
                 format,
                 format!("the decompressed data exceeds the limit of {most} bytes"),
             ));
         }
-        if unpacked > self.decompressed_bytes_of(consumed) {
+        if decompressed > self.decompressed_bytes_of(consumed) {
             let most = self.decompression_ratio;
             return Err(Error::too_large(
                 format,

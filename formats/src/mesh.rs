@@ -1,9 +1,9 @@
 //! Reads a mesh from a file in any supported format.
 
-use crate::compression::unpacked_name;
+use crate::compression::name_without_compression;
 use crate::data::MeshData;
 use crate::error::{Error, Position, Result};
-use crate::gltf::Beside;
+use crate::gltf::ReadExternal;
 use crate::limits::Limits;
 use crate::probe::{Probe, ProbedKind, probe};
 use crate::table::{Format, listed};
@@ -14,11 +14,16 @@ use crate::table::{Format, listed};
 /// # Errors
 /// The errors of the format's reader; [`Error::Unsupported`] if the file is not a mesh, or contains several
 /// frames.
-pub fn read_mesh(bytes: &[u8], file_name: &str, limits: &Limits, read_external: &Beside) -> Result<MeshData> {
+pub fn read_mesh(
+    bytes: &[u8],
+    file_name: &str,
+    limits: &Limits,
+    read_external: &ReadExternal,
+) -> Result<MeshData> {
     let Probe { kind, codec } = probe_mesh(bytes, file_name);
     let Some(read) = reader_of(kind) else {
         return match kind {
-            ProbedKind::Empty => Err(Error::short("", Position::File, "the file is empty")),
+            ProbedKind::Empty => Err(Error::truncated("", Position::File, "the file is empty")),
             _ => {
                 let what = format!("not a supported mesh format: use {}", readable(&[]));
                 Err(Error::unsupported(kind.name(), what))
@@ -44,14 +49,14 @@ pub(crate) fn probe_mesh(bytes: &[u8], file_name: &str) -> Probe {
     // Some OBJ files look like a table because of the order of their lines.
     let name = file_name.to_ascii_lowercase();
     let is_vague = matches!(kind, ProbedKind::Format(Format::Delimited) | ProbedKind::UnknownText);
-    if is_vague && unpacked_name(&name).ends_with(".obj") {
+    if is_vague && name_without_compression(&name).ends_with(".obj") {
         kind = ProbedKind::Format(Format::Obj);
     }
     Probe { kind, codec }
 }
 
 /// Turns the decompressed bytes of a file into a mesh.
-type MeshFileReader = fn(&[u8], &Limits, &Beside) -> Result<MeshData>;
+type MeshFileReader = fn(&[u8], &Limits, &ReadExternal) -> Result<MeshData>;
 
 /// The mesh reader for files of this kind.
 pub(crate) fn reader_of(kind: ProbedKind) -> Option<MeshFileReader> {

@@ -3,7 +3,7 @@
 use crate::data::MeshData;
 use crate::error::{Error, Position, Result};
 use crate::excerpt::excerpt;
-use crate::gltf::Beside;
+use crate::gltf::ReadExternal;
 use crate::limits::Limits;
 use crate::mesh::{probe_mesh, read_mesh, readable, reader_of};
 use crate::probe::{Probe, ProbedKind};
@@ -29,7 +29,7 @@ pub fn read_obstacle(
     bytes: &[u8],
     file_name: &str,
     limits: &Limits,
-    read_external: &Beside,
+    read_external: &ReadExternal,
 ) -> Result<ObstacleData> {
     let Probe { kind, codec } = probe_mesh(bytes, file_name);
     if kind == ProbedKind::Format(Format::Vdb) {

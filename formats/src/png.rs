@@ -89,7 +89,7 @@ pub fn read(bytes: &[u8]) -> Result<ColorPicture> {
     })?;
     // Do not allocate memory for pixels that the file cannot contain.
     if reader.info().raw_bytes() > bytes.len().saturating_mul(DEFLATE_RATIO_MAX) {
-        return Err(Error::short(
+        return Err(Error::truncated(
             FORMAT,
             Position::File,
             "the file has less data than its size in pixels needs",
@@ -115,7 +115,7 @@ pub fn read(bytes: &[u8]) -> Result<ColorPicture> {
 fn unreadable(error: DecodingError) -> Error {
     match error {
         DecodingError::IoError(source) if source.kind() == io::ErrorKind::UnexpectedEof => {
-            Error::short(FORMAT, Position::File, "the file ends too early")
+            Error::truncated(FORMAT, Position::File, "the file ends too early")
         }
         DecodingError::IoError(source) => Error::Io(source),
         DecodingError::LimitsExceeded => {
@@ -187,7 +187,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
 mod tests {
     use super::*;
     use crate::OutputFormat;
-    use crate::integrity::is_whole;
+    use crate::integrity::is_complete;
     use crate::read_provenance;
 
     fn written(size: [usize; 2], color: &[[f32; 3]], provenance: &[(String, String)]) -> Vec<u8> {
@@ -214,10 +214,10 @@ mod tests {
             .map(|(name, value)| (name.to_owned(), value.to_owned()));
         let bytes = written([2, 2], &[[0.5; 3]; 4], &provenance);
         assert_eq!(read_provenance(OutputFormat::Png, &*bytes).expect("readable"), provenance);
-        assert!(is_whole(OutputFormat::Png, &mut io::Cursor::new(&bytes)).expect("readable"));
+        assert!(is_complete(OutputFormat::Png, &mut io::Cursor::new(&bytes)).expect("readable"));
         for length in 0..bytes.len() {
             let part = &bytes[..length];
-            assert!(!is_whole(OutputFormat::Png, &mut io::Cursor::new(part)).unwrap_or(false), "{length}");
+            assert!(!is_complete(OutputFormat::Png, &mut io::Cursor::new(part)).unwrap_or(false), "{length}");
             // Reading from a part may succeed or fail, but must not panic.
             let _ = read_provenance(OutputFormat::Png, part);
         }

@@ -7,7 +7,7 @@
 
 use std::fmt;
 
-use crate::compression::{Codec, unpacked_name};
+use crate::compression::{Codec, name_without_compression};
 use crate::csv;
 use crate::table::Format;
 use crate::text::{Lines, parse_number};
@@ -69,7 +69,7 @@ pub struct Probe {
 impl fmt::Display for Probe {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.codec {
-            Some(codec) => write!(f, "{}, {}", self.kind, codec.participle()),
+            Some(codec) => write!(f, "{}, {}", self.kind, codec.adjective()),
             None => self.kind.fmt(f),
         }
     }
@@ -91,7 +91,7 @@ pub fn probe(bytes: &[u8], file_name: &str) -> Probe {
     };
     let head = outer.decompress_head(bytes, HEAD_BYTES);
     let kind = match (outer, Codec::of(&head)) {
-        (_, None) => kind_of(&head, unpacked_name(&name)),
+        (_, None) => kind_of(&head, name_without_compression(&name)),
         (Codec::Gzip, Some(Codec::Gzip)) => ProbedKind::Foreign("gzip within gzip"),
         (_, Some(_)) => ProbedKind::Foreign("a compressed file that is compressed again"),
     };

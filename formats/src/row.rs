@@ -35,7 +35,7 @@ impl FormatRow {
 }
 
 /// Reads a mesh from a whole file and the external files that it references.
-pub(crate) type MeshReader = fn(&[u8], &Limits, &Beside) -> Result<MeshData>;
+pub(crate) type MeshReader = fn(&[u8], &Limits, &ReadExternal) -> Result<MeshData>;
 
 /// Reads provenance, as names and values, from the first bytes of a file.
 pub(crate) type ProvenanceReader = fn(&[u8]) -> Result<Vec<(String, String)>>;
@@ -61,18 +61,16 @@ impl ParticleInput {
     pub(crate) const fn new(read: fn(&[u8], &Limits) -> Result<ParticleFrame>) -> ParticleInput {
         ParticleInput {
             read,
-            completeness: |_, _| Ok(HeadCheck::Known(Completeness::Unproven)),
+            completeness: |_, _| Ok(HeadCheck::Known(Completeness::Unknown)),
             find_records: None,
             find_steps: None,
         }
     }
 
     /// A single-frame format that must be read whole and whose reader notices a missing end.
-    pub(crate) const fn complete_by_reading(
-        read: fn(&[u8], &Limits) -> Result<ParticleFrame>,
-    ) -> ParticleInput {
+    pub(crate) const fn needs_reading(read: fn(&[u8], &Limits) -> Result<ParticleFrame>) -> ParticleInput {
         ParticleInput {
-            completeness: |_, _| Ok(HeadCheck::Known(Completeness::ByReading)),
+            completeness: |_, _| Ok(HeadCheck::Known(Completeness::NeedsReading)),
             ..ParticleInput::new(read)
         }
     }
@@ -164,7 +162,7 @@ pub struct PositionRounding {
     /// The largest rounding error along an axis.
     pub error: fn(&[[f32; 3]], [f64; 3]) -> f64,
     /// What a certificate of such a file describes.
-    pub certified_as: &'static str,
+    pub certificate_subject: &'static str,
     /// Which files are rounded, and why: the end of a sentence.
     pub reason: &'static str,
 }
@@ -230,9 +228,9 @@ pub enum Completeness {
         found: u64,
     },
     /// Only reading the whole file can tell: text with a count, and compressed files.
-    ByReading,
+    NeedsReading,
     /// The format cannot tell: a table may always get another row.
-    Unproven,
+    Unknown,
 }
 
 /// The result of checking a file's head.
@@ -246,7 +244,7 @@ pub(crate) enum HeadCheck {
 
 /// For a format that declares the exact file size.
 pub(crate) fn exactly(expected: u64, found: u64) -> Completeness {
-    let beyond = if expected < found { Completeness::Unproven } else { Completeness::Complete };
+    let beyond = if expected < found { Completeness::Unknown } else { Completeness::Complete };
     at_least(expected, found, beyond)
 }
 
@@ -255,5 +253,5 @@ pub(crate) fn at_least(expected: u64, found: u64, then: Completeness) -> Complet
     if found < expected { Completeness::Incomplete { expected, found } } else { then }
 }
 
-/// Reads an external file by its relative path, one of those that [`crate::gltf::files_beside`] returns.
-pub type Beside<'a> = dyn Fn(&str) -> std::io::Result<Vec<u8>> + 'a;
+/// Reads an external file by its relative path, one of those that [`crate::gltf::external_files`] returns.
+pub type ReadExternal<'a> = dyn Fn(&str) -> std::io::Result<Vec<u8>> + 'a;

@@ -117,17 +117,17 @@ pub fn rounding(positions: &[[f32; 3]], origin: [f64; 3]) -> f64 {
 }
 
 /// A provenance name with a one-letter abbreviation, because the title is short; others are omitted.
-struct Short {
+struct Abbreviation {
     name: &'static str,
     letter: &'static str,
     /// The common prefix of all values, which is not written.
     lead: &'static str,
 }
 
-const SHORT_NAMES: [Short; 3] = [
-    Short { name: "input_hash", letter: "i", lead: "xxh3-128:" },
-    Short { name: "settings", letter: "s", lead: "" },
-    Short { name: "obstacles", letter: "o", lead: "" },
+const ABBREVIATIONS: [Abbreviation; 3] = [
+    Abbreviation { name: "input_hash", letter: "i", lead: "xxh3-128:" },
+    Abbreviation { name: "settings", letter: "s", lead: "" },
+    Abbreviation { name: "obstacles", letter: "o", lead: "" },
 ];
 
 /// The provenance name of the generator, which starts the title.
@@ -136,7 +136,7 @@ const GENERATOR_NAME: &str = "generator";
 fn title(provenance: &Provenance) -> [u8; TITLE_BYTES] {
     let mut text = GENERATOR.to_owned();
     for (name, value) in provenance {
-        let short = SHORT_NAMES.iter().find(|short| short.name == name);
+        let short = ABBREVIATIONS.iter().find(|short| short.name == name);
         let Some((letter, rest)) =
             short.and_then(|short| Some((short.letter, value.strip_prefix(short.lead)?)))
         else {
@@ -155,14 +155,15 @@ fn title(provenance: &Provenance) -> [u8; TITLE_BYTES] {
 
 /// Reads the provenance that [`write()`] stored in the title.
 fn read_provenance(head: &[u8]) -> Result<Vec<(String, String)>> {
-    let title = head.get(..TITLE_BYTES).ok_or_else(|| short(head))?;
+    let title = head.get(..TITLE_BYTES).ok_or_else(|| abbreviation(head))?;
     let text = std::str::from_utf8(title).unwrap_or_default();
     let mut words = text.split_ascii_whitespace();
     let (Some("meniscus"), Some(version)) = (words.next(), words.next()) else { return Ok(Vec::new()) };
     let mut pairs = vec![(GENERATOR_NAME.to_owned(), format!("meniscus {version}"))];
     for word in words {
         let entry = word.split_once('=').and_then(|(letter, value)| {
-            let Short { name, lead, .. } = SHORT_NAMES.iter().find(|short| short.letter == letter)?;
+            let Abbreviation { name, lead, .. } =
+                ABBREVIATIONS.iter().find(|short| short.letter == letter)?;
             Some(((*name).to_owned(), format!("{lead}{value}")))
         });
         pairs.extend(entry);
@@ -170,9 +171,9 @@ fn read_provenance(head: &[u8]) -> Result<Vec<(String, String)>> {
     Ok(pairs)
 }
 
-fn short(bytes: &[u8]) -> Error {
+fn abbreviation(bytes: &[u8]) -> Error {
     let what = format!("the file has {} bytes, fewer than its header of {HEAD_BYTES}", bytes.len());
-    Error::short(FORMAT, Position::File, what)
+    Error::truncated(FORMAT, Position::File, what)
 }
 
 /// The size of a file with this header.
@@ -194,10 +195,10 @@ fn bytes_with(triangle_count: u32) -> u64 {
 ///
 /// # Errors
 ///
-/// [`Error::Short`] if triangles are missing, [`Error::TooLarge`] beyond `limits`, [`Error::Unsupported`] for
+/// [`Error::Truncated`] if triangles are missing, [`Error::TooLarge`] beyond `limits`, [`Error::Unsupported`] for
 /// text STL.
 pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
-    let triangle_count = triangles_declared(bytes).ok_or_else(|| short(bytes))?;
+    let triangle_count = triangles_declared(bytes).ok_or_else(|| abbreviation(bytes))?;
     let claimed = bytes_with(triangle_count);
     let is_whole = claimed == bytes.len() as u64;
     if !is_whole && bytes.starts_with(b"solid") {
@@ -205,7 +206,7 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     }
     if claimed > bytes.len() as u64 {
         let what = format!("expected {claimed} bytes, found {}", bytes.len());
-        return Err(Error::short(FORMAT, Position::Offset(bytes.len() as u64), what));
+        return Err(Error::truncated(FORMAT, Position::Offset(bytes.len() as u64), what));
     }
     let corner_count = 3 * u64::from(triangle_count);
     if corner_count > limits.particle_count.min(u64::from(u32::MAX)) {
@@ -255,7 +256,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
 static ROUNDING: PositionRounding = PositionRounding {
     positions: rounded_positions,
     error: rounding,
-    certified_as: "mesh, at its 32-bit world positions",
+    certificate_subject: "mesh, at its 32-bit world positions",
     reason: "the .stl, which has 32-bit numbers: the mesh is far from the origin",
 };
 
@@ -281,7 +282,7 @@ mod tests {
         assert_eq!(mesh.positions, [[[1.0; 3]; 3], [[2.0; 3]; 3]].concat());
         assert!(read_mesh(&file(0, &records), &limits).expect("none").positions.is_empty());
         assert!(matches!(read_mesh(&file(3, &records), &limits), Err(Error::TooLarge { .. })));
-        assert!(matches!(read_mesh(&file(4, &records), &Limits::default()), Err(Error::Short { .. })));
+        assert!(matches!(read_mesh(&file(4, &records), &Limits::default()), Err(Error::Truncated { .. })));
     }
 
     #[test]

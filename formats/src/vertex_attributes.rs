@@ -72,11 +72,11 @@ pub(crate) fn plain_name(name: &str) -> String {
 }
 
 /// The names used so far in a file. Compared without case, as some readers do.
-pub(crate) struct NamesTaken(HashSet<String>);
+pub(crate) struct UsedNames(HashSet<String>);
 
-impl NamesTaken {
-    pub(crate) fn new(reserved: &[&str]) -> NamesTaken {
-        NamesTaken(reserved.iter().map(|name| name.to_ascii_lowercase()).collect())
+impl UsedNames {
+    pub(crate) fn new(reserved: &[&str]) -> UsedNames {
+        UsedNames(reserved.iter().map(|name| name.to_ascii_lowercase()).collect())
     }
 
     /// Reserves all names derived from a stem, or from the first of `stem_2`, `stem_3`, … whose names are
@@ -102,7 +102,7 @@ mod tests {
         for (name, plain) in [("Cd", "Cd"), ("a b/ü", "a_b__"), ("", "attribute"), (" \n", "attribute")] {
             assert_eq!(plain_name(name), plain);
         }
-        let mut taken = NamesTaken::new(&["x", "y"]);
+        let mut taken = UsedNames::new(&["x", "y"]);
         let one = |stem: &str| vec![stem.to_string()];
         let two = |stem: &str| vec![format!("{stem}_x"), format!("{stem}_y")];
         assert_eq!(taken.take("X", one), ["X_2"]);

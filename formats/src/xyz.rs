@@ -44,7 +44,11 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     if !bytes.len().is_multiple_of(RECORD_BYTES) {
         let place = Position::Offset((count * RECORD_BYTES) as u64);
         let rest = bytes.len() % RECORD_BYTES;
-        return Err(Error::short(FORMAT, place, format!("expected a position of 12 bytes, found {rest}")));
+        return Err(Error::truncated(
+            FORMAT,
+            place,
+            format!("expected a position of 12 bytes, found {rest}"),
+        ));
     }
     let positions = number::positions(NumberType::F32.decode(bytes, endian)).unwrap_or_default();
     let notes = match endian {
@@ -109,7 +113,7 @@ mod tests {
     fn truncated_and_implausible_files_are_errors() {
         let bytes: Vec<u8> = [0.5f32; 6].iter().flat_map(|value| value.to_le_bytes()).collect();
         let error = read(&bytes[..23], &Limits::default()).unwrap_err();
-        assert!(error.is_short() && error.to_string().contains("at byte 12"), "{error}");
+        assert!(error.is_truncated() && error.to_string().contains("at byte 12"), "{error}");
         let error = read(&[0xff; 24], &Limits::default()).unwrap_err().to_string();
         assert!(error.contains("expected three 32-bit floats"), "{error}");
         let limits = Limits { particle_count: 1, ..Limits::default() };

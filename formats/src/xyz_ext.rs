@@ -96,12 +96,12 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
             format!("the file has {count} particles, more than the limit of {}", limits.particle_count);
         return Err(Error::too_large(FORMAT, what));
     }
-    let comment = lines.next().ok_or_else(|| short(1, "expected a comment"))?;
+    let comment = lines.next().ok_or_else(|| truncated(1, "expected a comment"))?;
     let (offset, line) = (lines.at(), lines.number() + 1);
     let first = lines.clone().next().unwrap_or_default();
     for found in 0..count {
         let Some(line) = lines.next() else {
-            return Err(short(lines.number(), format!("expected {count} atoms, found {found}")));
+            return Err(truncated(lines.number(), format!("expected {count} atoms, found {found}")));
         };
         if line.trim_ascii().is_empty() {
             return Err(invalid(lines.number(), "expected an atom, found an empty line"));
@@ -180,8 +180,8 @@ fn invalid(line: u64, what: impl Into<String>) -> Error {
     Error::invalid(FORMAT, Position::Line(line), what)
 }
 
-fn short(line: u64, what: impl Into<String>) -> Error {
-    Error::short(FORMAT, Position::Line(line), what)
+fn truncated(line: u64, what: impl Into<String>) -> Error {
+    Error::truncated(FORMAT, Position::Line(line), what)
 }
 
 /// The row in the table of formats.

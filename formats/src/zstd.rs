@@ -48,24 +48,24 @@ fn is_skippable(bytes: &[u8]) -> bool {
 /// `Short` if the file ends too early and `Invalid` if it is damaged, with the offset in the compressed file;
 /// `TooLarge` beyond `decompressed_bytes` or `decompression_ratio`, or if the window is too large.
 pub(crate) fn decompress(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
-    let mut unpacked = Vec::new();
+    let mut decompressed = Vec::new();
     let mut rest = bytes;
     while !rest.is_empty() {
         let at = bytes.len() - rest.len();
         if is_skippable(rest) {
             rest = after_skippable(rest, at)?;
         } else if rest.starts_with(&MAGIC) {
-            rest = decompress_frame(bytes, at, limits, &mut unpacked)?;
+            rest = decompress_frame(bytes, at, limits, &mut decompressed)?;
         } else {
             let place = Position::Offset(at as u64);
             let what = "the compressed data is followed by other bytes";
             return Err(match MAGIC.starts_with(rest) || (rest.len() < 4 && rest[0] >> 4 == 5) {
-                true => Error::short(FORMAT, place, what),
+                true => Error::truncated(FORMAT, place, what),
                 false => Error::invalid(FORMAT, place, what),
             });
         }
     }
-    Ok(unpacked)
+    Ok(decompressed)
 }
 
 /// The bytes after a skippable frame that starts at byte `at` of the file.
@@ -73,7 +73,7 @@ fn after_skippable(rest: &[u8], at: usize) -> Result<&[u8]> {
     let length =
         rest.get(4..8).map(|length| u32::from_le_bytes([length[0], length[1], length[2], length[3]]));
     length.and_then(|length| rest.get(8 + length as usize..)).ok_or_else(|| {
-        Error::short(FORMAT, Position::Offset(at as u64), "the file ends within a skippable frame")
+        Error::truncated(FORMAT, Position::Offset(at as u64), "the file ends within a skippable frame")
     })
 }
 
@@ -82,18 +82,18 @@ fn decompress_frame<'a>(
     bytes: &'a [u8],
     at: usize,
     limits: &Limits,
-    unpacked: &mut Vec<u8>,
+    decompressed: &mut Vec<u8>,
 ) -> Result<&'a [u8]> {
     let mut decoder = decoder_of(bytes, at)?;
     loop {
-        let before = unpacked.len();
-        let outcome = decoder.by_ref().take(PIECE_BYTES as u64).read_to_end(unpacked);
+        let before = decompressed.len();
+        let outcome = decoder.by_ref().take(PIECE_BYTES as u64).read_to_end(decompressed);
         let consumed = bytes.len() - decoder.get_ref().len();
-        limits.check_decompressed(FORMAT, unpacked.len() as u64, consumed as u64)?;
+        limits.check_decompressed(FORMAT, decompressed.len() as u64, consumed as u64)?;
         if let Err(source) = outcome {
             return Err(damage(&source, consumed));
         }
-        if unpacked.len() == before {
+        if decompressed.len() == before {
             check_sum(&decoder.decoder, consumed)?;
             return Ok(decoder.into_inner());
         }
@@ -129,7 +129,7 @@ fn check_sum(decoder: &FrameDecoder, consumed: usize) -> Result<()> {
 fn damage(source: &std::io::Error, consumed: usize) -> Error {
     let place = Position::Offset(consumed as u64);
     match is_end(source) {
-        true => Error::short(FORMAT, place, "the compressed data ends too early"),
+        true => Error::truncated(FORMAT, place, "the compressed data ends too early"),
         false => Error::invalid(FORMAT, place, format!("the compressed data is damaged: {source}")),
     }
 }
@@ -214,7 +214,7 @@ mod tests {
         assert_eq!(decompress_head(&behind_empty, 9), b"one ");
         assert_eq!(decompress_head(&packed(b""), 9), b"");
         let error = decompress(&[&file[..], b"more"].concat(), &Limits::default()).unwrap_err();
-        assert!(!error.is_short() && error.to_string().contains("followed by other bytes"), "{error}");
+        assert!(!error.is_truncated() && error.to_string().contains("followed by other bytes"), "{error}");
     }
 
     #[test]
@@ -225,7 +225,7 @@ mod tests {
                 continue;
             }
             let error = decompress(&file[..length], &Limits::default()).unwrap_err();
-            assert!(error.is_short(), "{length} of {}: {error}", file.len());
+            assert!(error.is_truncated(), "{length} of {}: {error}", file.len());
         }
         let mut damaged = file.clone();
         let last = damaged.len() - 1;

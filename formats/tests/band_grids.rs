@@ -7,7 +7,7 @@ use crate::solids;
 use std::io::Cursor;
 
 use meniscus_formats::OutputFormat;
-use meniscus_formats::is_whole;
+use meniscus_formats::is_complete;
 use meniscus_formats::vdb::{
     Compression, WriteOptions, grid_notes, grids, read_level_set, read_vectors, write,
 };
@@ -207,7 +207,7 @@ fn bytes_do_not_depend_on_threads_and_truncation_is_detected() {
     let bytes = to_bytes(&view, Compression::Blosc, false);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(7).build().expect("threads");
     assert!(pool.install(|| to_bytes(&view, Compression::Blosc, false)) == bytes);
-    let is_whole = |bytes: &[u8]| is_whole(OutputFormat::Vdb, &mut Cursor::new(bytes));
+    let is_whole = |bytes: &[u8]| is_complete(OutputFormat::Vdb, &mut Cursor::new(bytes));
     assert!(is_whole(&bytes).expect("our own file"));
     let ends = [bytes.len() / 4, bytes.len() / 2, bytes.len() - 1, bytes.len() - 100_000];
     for length in ends.into_iter().chain(0..300) {

@@ -20,7 +20,7 @@ fn read_in_batches(
     let mut frame = ParticleFrame { notes: batches.notes().to_vec(), ..ParticleFrame::default() };
     for index in (0..batches.batch_count()).rev() {
         batches.read_batch(index, &mut batch)?;
-        assert_eq!(batch.positions.len(), batches.particles_of(index).len());
+        assert_eq!(batch.positions.len(), batches.particle_range(index).len());
         assert!(!batch.positions.is_empty(), "batch {index}");
         frame.positions = match (&batch.positions, frame.positions) {
             (FilePositions::F32(batch), FilePositions::F32(after)) => {
@@ -167,7 +167,7 @@ fn file_that_becomes_shorter_is_a_short_error() {
     shrinking.length.store(bytes.len() / 2, std::sync::atomic::Ordering::Relaxed);
     batches.read_batch(0, &mut batch).unwrap();
     let error = batches.read_batch(batches.batch_count() - 1, &mut batch).unwrap_err();
-    assert!(error.is_short(), "{error}");
+    assert!(error.is_truncated(), "{error}");
 }
 
 struct Shrinking<'a> {

@@ -7,7 +7,7 @@ use std::io::Cursor;
 
 use meniscus_formats::{
     AttributeRole, Error, Limits, MeshData, MeshOptions, MeshView, OutputFormat, Values, VertexAttribute,
-    VertexValues, gltf, is_whole, read_particles, read_provenance, stl, usda, vtk,
+    VertexValues, gltf, is_complete, read_particles, read_provenance, stl, usda, vtk,
 };
 
 const FAR: [f64; 3] = [1e6 + 0.1, -2e6, 0.3];
@@ -435,7 +435,7 @@ fn provenance_is_read_from_the_head() {
 #[test]
 fn truncated_or_extended_files_are_incomplete() {
     for (kind, bytes) in files() {
-        let whole = |bytes: &[u8]| is_whole(kind, &mut Cursor::new(bytes)).unwrap_or(false);
+        let whole = |bytes: &[u8]| is_complete(kind, &mut Cursor::new(bytes)).unwrap_or(false);
         assert!(whole(&bytes), "{kind:?}");
         for length in (0..bytes.len()).rev().step_by(7).chain(bytes.len() - 40..bytes.len()) {
             assert!(!whole(&bytes[..length]), "{kind:?} at {length} of {}", bytes.len());

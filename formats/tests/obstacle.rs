@@ -200,7 +200,7 @@ fn buffers_can_be_external_files() {
         let document = text(uri).0;
         let unasked = |path: &str| panic!("{path} was requested");
         let error = read_obstacle(document.as_bytes(), "a.gltf", &Limits::default(), &unasked);
-        let errors = [error.expect_err(uri), gltf::files_beside(document.as_bytes()).expect_err(uri)];
+        let errors = [error.expect_err(uri), gltf::external_files(document.as_bytes()).expect_err(uri)];
         assert!(errors.iter().all(|error| error.to_string().contains(word)), "{errors:?}");
     }
 }
@@ -215,7 +215,7 @@ fn external_files_are_listed_once() {
         "bufferViews":[{"buffer":1,"byteLength":36},{"buffer":3,"byteLength":36}],
         "buffers":[{"byteLength":3,"uri":"data:;base64,AAAA"},{"byteLength":36,"uri":"./b/a.bin"},
         {"byteLength":5,"uri":"a.bin"},{"byteLength":60,"uri":"b//a%2ebin"}]}"#;
-    let files = gltf::files_beside(document).expect("a document");
+    let files = gltf::external_files(document).expect("a document");
     let files: Vec<_> = files.iter().map(|file| (file.path.as_str(), file.byte_count)).collect();
     assert_eq!(files, [("b/a.bin", 60), ("a.bin", 5)]);
     let requested = RefCell::new(Vec::new());
@@ -226,7 +226,7 @@ fn external_files_are_listed_once() {
     let found = read_obstacle(document, "a.gltf", &Limits::default(), &read_external).expect("three files");
     assert!(matches!(found, ObstacleData::Mesh(mesh) if mesh.triangles.len() == 2));
     assert_eq!(requested.into_inner(), ["b/a.bin", "a.bin"]);
-    assert!(gltf::files_beside(b"v 0 0 0").is_err());
+    assert!(gltf::external_files(b"v 0 0 0").is_err());
 }
 
 #[test]

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use meniscus_formats::{
     AttributeRole, FileAttribute, FilePositions, Limits, OutputFormat, ParticleFrame, Provenance, Result,
-    Values, is_whole, ply, read_particles, read_provenance, vtk,
+    Values, is_complete, ply, read_particles, read_provenance, vtk,
 };
 
 type Writer = fn(&ParticleFrame, &Provenance, &mut Vec<u8>) -> Result<()>;
@@ -88,9 +88,9 @@ fn written_particles_are_read_back_exactly() {
             let mut bytes = Vec::new();
             write(frame, &provenance, &mut bytes).unwrap_or_else(|error| panic!("{name}: {error}"));
             assert_eq!(read_provenance(kind, &*bytes).unwrap(), provenance, "{name} as {written_name}");
-            assert!(is_whole(kind, &mut Cursor::new(&bytes)).unwrap(), "{name} as {written_name}");
+            assert!(is_complete(kind, &mut Cursor::new(&bytes)).unwrap(), "{name} as {written_name}");
             let cut = &bytes[..bytes.len() - 1];
-            assert!(!is_whole(kind, &mut Cursor::new(cut)).unwrap(), "{name} as {written_name}");
+            assert!(!is_complete(kind, &mut Cursor::new(cut)).unwrap(), "{name} as {written_name}");
             let found = read(&bytes, written_name);
             let shown = format!("{name} as {written_name}");
             let is_wide = |positions: &FilePositions| matches!(positions, FilePositions::F64(_));

@@ -4,7 +4,7 @@
 
 use std::io::{self, Cursor};
 
-use meniscus_formats::gltf::{self, SequenceFrame, ShotFrame, UpAxis};
+use meniscus_formats::gltf::{self, GlbFrame, SequenceFrame, UpAxis};
 use meniscus_formats::{AttributeRole, Error, MeshOptions, MeshView, VertexAttribute, VertexValues, usda};
 
 /// A pyramid over a polygon, and the options for writing it.
@@ -73,12 +73,12 @@ impl Frame {
 }
 
 /// The frames of a sequence, and their files.
-fn gathered(up: UpAxis) -> (Vec<ShotFrame>, Vec<Vec<u8>>) {
+fn gathered(up: UpAxis) -> (Vec<SequenceFrame>, Vec<Vec<u8>>) {
     let files: Vec<Vec<u8>> = frames().iter().map(|frame| frame.glb(up)).collect();
-    let shot = |(frame, bytes): (&Frame, &Vec<u8>)| ShotFrame {
+    let shot = |(frame, bytes): (&Frame, &Vec<u8>)| SequenceFrame {
         name: format!("dam.{}", frame.code),
         code: frame.code,
-        file: SequenceFrame::read(&mut Cursor::new(bytes)).expect("our own file"),
+        file: GlbFrame::read(&mut Cursor::new(bytes)).expect("our own file"),
     };
     (frames().iter().zip(&files).map(shot).collect(), files)
 }
@@ -230,7 +230,7 @@ fn usda_sequence_has_a_sample_per_frame() {
 fn invalid_sequences_are_errors() {
     let (mut shot, files) = gathered(UpAxis::Y);
     let open = |index: usize| -> io::Result<_> { Ok(Cursor::new(&files[index])) };
-    let both = |shot: &[ShotFrame]| {
+    let both = |shot: &[SequenceFrame]| {
         let glb = gltf::write_sequence(shot, 24.0, &[], open, &mut Vec::new());
         (glb, usda::write_sequence(shot, (24.0, 1.0), &[], open, &mut Vec::new()).map(|_| ()))
     };
@@ -239,7 +239,7 @@ fn invalid_sequences_are_errors() {
     assert!(matches!(both(&shot), (Err(Error::Invalid { .. }), Err(Error::Invalid { .. }))));
     shot[1].code = 6;
     let turned = frames()[1].glb(UpAxis::Z);
-    shot[1].file = SequenceFrame::read(&mut Cursor::new(&turned)).expect("our own file");
+    shot[1].file = GlbFrame::read(&mut Cursor::new(&turned)).expect("our own file");
     assert!(matches!(both(&shot), (_, Err(Error::Invalid { .. }))));
     // A file that changed after it was opened.
     let (shot, mut files) = gathered(UpAxis::Y);
@@ -257,7 +257,7 @@ fn invalid_sequences_are_errors() {
 
 #[test]
 fn other_and_damaged_files_are_not_frames() {
-    let read = |bytes: &[u8]| SequenceFrame::read(&mut Cursor::new(bytes));
+    let read = |bytes: &[u8]| GlbFrame::read(&mut Cursor::new(bytes));
     assert!(matches!(read(&glb_shot(UpAxis::Y)), Err(Error::Unsupported { .. })));
     assert!(read(b"").is_err() && read(b"ply\n").is_err());
     let whole = frames()[1].glb(UpAxis::Z);
@@ -278,7 +278,7 @@ fn other_and_damaged_files_are_not_frames() {
         }
         // A file accepted as a frame may or may not be usable in a sequence, but nothing may panic.
         if let Ok(file) = read(&broken) {
-            let shot = [ShotFrame { name: "a".into(), code: 1, file }];
+            let shot = [SequenceFrame { name: "a".into(), code: 1, file }];
             let open = |_: usize| -> io::Result<_> { Ok(Cursor::new(&broken)) };
             let _ = gltf::write_sequence(&shot, 24.0, &[], open, &mut Vec::new());
             let _ = usda::write_sequence(&shot, (24.0, 1.0), &[], open, &mut Vec::new());
@@ -302,8 +302,8 @@ fn triangle(attributes: &[VertexAttribute]) -> Vec<u8> {
 
 /// The sequence of one frame, and its notes.
 fn usda_of(bytes: &[u8]) -> Result<(String, Vec<String>), Error> {
-    let file = SequenceFrame::read(&mut Cursor::new(bytes))?;
-    let shot = [ShotFrame { name: "a".into(), code: 1, file }];
+    let file = GlbFrame::read(&mut Cursor::new(bytes))?;
+    let shot = [SequenceFrame { name: "a".into(), code: 1, file }];
     let mut text = Vec::new();
     let notes = usda::write_sequence(&shot, (24.0, 1.0), &[], |_| Ok(Cursor::new(bytes)), &mut text)?;
     Ok((String::from_utf8(text).expect("UTF-8"), notes))

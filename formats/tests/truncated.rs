@@ -48,7 +48,7 @@ fn check_all_cuts(name: &str, bytes: &[u8]) {
         let start = &bytes[..cut];
         match read(start, name) {
             Ok(found) => assert_eq!(found, count, "{name}, cut at {cut} of {}", bytes.len()),
-            Err(error) if error.is_short() => {}
+            Err(error) if error.is_truncated() => {}
             Err(error) => panic!("{name}, cut at {cut} of {}: {error}", bytes.len()),
         }
         let found = completeness(&mut std::io::Cursor::new(start), name).unwrap();
@@ -125,7 +125,7 @@ fn truncated_tables_are_never_invalid() {
         for cut in separated.find('\n').unwrap()..separated.len() {
             match csv::read(&separated.as_bytes()[..cut], &Limits::default()) {
                 Ok(_) => {}
-                Err(error) => assert!(error.is_short(), "{:?}: {error}", &separated[..cut]),
+                Err(error) => assert!(error.is_truncated(), "{:?}: {error}", &separated[..cut]),
             }
         }
     }
@@ -138,8 +138,7 @@ fn valid_files_are_complete() {
         let found = completeness(&mut std::io::Cursor::new(&bytes), &name).unwrap();
         // These formats can always have more rows.
         let is_table = name.ends_with(".csv") || name.ends_with(".vtk");
-        let expected =
-            if is_table { found == Completeness::Unproven } else { found != Completeness::Unproven };
+        let expected = if is_table { found == Completeness::Unknown } else { found != Completeness::Unknown };
         assert!(expected && !matches!(found, Completeness::Incomplete { .. }), "{name}: {found:?}");
     }
 }
@@ -162,10 +161,10 @@ fn invalid_files_are_not_short() {
     ];
     for (case, text) in table {
         let error = read(text.as_bytes(), "a.ply").expect_err(case);
-        assert!(!error.is_short(), "{case}: {error}");
+        assert!(!error.is_truncated(), "{case}: {error}");
     }
     let mut damaged = gzipped(ascii("0 0 0\n1 1 1\n").as_bytes());
     let checksum = damaged.len() - 7;
     damaged[checksum] ^= 1;
-    assert!(!read(&damaged, "a.ply.gz").expect_err("damaged").is_short());
+    assert!(!read(&damaged, "a.ply.gz").expect_err("damaged").is_truncated());
 }

@@ -4,7 +4,7 @@
 
 use meniscus_formats::{
     AttributeRole, FileAttribute, Limits, MeshOptions, MeshView, OutputFormat, ParticleFrame, Values,
-    VertexAttribute, VertexValues, gltf, is_whole, obj, ply, read_provenance,
+    VertexAttribute, VertexValues, gltf, is_complete, obj, ply, read_provenance,
 };
 
 const VERTEX_COUNT: usize = 5000; // more than one chunk of formatting or conversion
@@ -56,7 +56,7 @@ fn ply_frame(attributes: &[VertexAttribute]) -> (ParticleFrame, String) {
     });
     assert_eq!(read_provenance(OutputFormat::Ply, &bytes[..]).expect("ours"), provenance);
     let mut file = std::io::Cursor::new(&bytes);
-    assert!(is_whole(OutputFormat::Ply, &mut file).expect("ours"));
+    assert!(is_complete(OutputFormat::Ply, &mut file).expect("ours"));
     let (mesh, frame) = ply::read_mesh_and_vertices(&bytes, &Limits::default()).expect("our own file");
     assert_eq!(mesh.triangles, triangles());
     assert_eq!(mesh.positions, positions().iter().map(|p| p.map(f64::from)).collect::<Vec<_>>());

@@ -50,7 +50,7 @@ pub(super) fn ignored(method: &MethodArgs, formats: &FormatArgs, written: &[Outp
     let successor = options.preset.and_then(|preset| Some((preset, preset.successor()?)));
     let deprecated = successor
         .map(|(preset, successor)| format!("the preset `{preset}` is deprecated: use --preset {successor}"));
-    let ignored = options.without_effect(!method.obstacle.is_empty()).into_iter();
+    let ignored = options.ineffective(!method.obstacle.is_empty()).into_iter();
     let ignored = ignored.map(|(name, need)| format!("{} is ignored: it is for {need} only", typed(name)));
     let idle = method.given().into_iter().chain(formats.given()).filter_map(|name| {
         // --quantize without effect is an error, and reported elsewhere.

@@ -86,8 +86,8 @@ impl Conversion {
                 warn_of(sequence, &settings, console);
                 (settings, measured)
             }
-            Job::LevelSet { .. } => (Settings::of_level_sets(&self.options)?, None),
-            Job::Particles => (Settings::of_level_sets(&MethodOptions::default())?, None),
+            Job::LevelSet { .. } => (Settings::for_level_sets(&self.options)?, None),
+            Job::Particles => (Settings::for_level_sets(&MethodOptions::default())?, None),
         };
         let outputs = pool.install(|| outputs_of(sequence, &settings, &self.outputs));
         let resolved =

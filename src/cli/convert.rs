@@ -26,7 +26,7 @@ use super::run::{Batch, RunOptions};
 use super::selecting::{SelectedSequence, refuse_level_sets, refuse_report_of_plan, select_frames};
 use super::sequence::SequenceOutputs;
 use super::standard_input::StandardInput;
-use super::wording::counted;
+use super::wording::pluralize;
 
 /// Converts the selected frames.
 ///
@@ -204,7 +204,7 @@ fn convert_shard(
     if let Some(sequence) = plan.sequences.first() {
         check_outputs(&planned, &inputs, &obstacles, &sequence.outputs, None)?;
     }
-    console.say(format_args!("shard {shard} of {}: {}", plan.shards.len(), counted(frames.len(), "frame")));
+    console.say(format_args!("shard {shard} of {}: {}", plan.shards.len(), pluralize(frames.len(), "frame")));
     for planned in frames {
         add_planned(&mut batch, planned, plan.frame(planned, &obstacles), console);
     }

@@ -25,7 +25,7 @@ use super::console::Console;
 use super::interrupt::remove_when_interrupted;
 use super::out_folder::folder_of;
 use super::selecting::InputSelection;
-use super::wording::counted;
+use super::wording::pluralize;
 
 /// Where the results are written.
 pub(super) enum Destination {
@@ -117,7 +117,7 @@ impl Destination {
         let [frame] = &mut selected[..] else {
             bail!(
                 "{place}: only one frame fits, and {} are selected: name a folder with --out, or one frame with --frames",
-                counted(selected.len(), "frame")
+                pluralize(selected.len(), "frame")
             );
         };
         **frame = frame.clone().with_output_stem(stem);

@@ -16,7 +16,7 @@ use super::frame_selection::gaps;
 use super::level_sets::surface_job;
 use super::machine::thread_pool;
 use super::selecting::select_frames;
-use super::wording::{counted, counted_are};
+use super::wording::{counted_are, pluralize};
 
 /// Writes the plan.
 ///
@@ -107,12 +107,12 @@ fn whole(path: &Path) -> Result<PathBuf> {
 }
 
 fn say(plan: &ShardPlan, args: &PlanArgs, console: &mut Console) {
-    let (frames, shards) = (counted(plan.frames.len(), "frame"), counted(plan.shards.len(), "shard"));
+    let (frames, shards) = (pluralize(plan.frames.len(), "frame"), pluralize(plan.shards.len(), "shard"));
     let most = plan.shards.iter().map(ExactSizeIterator::len).max().unwrap_or(0);
     let empty_count = plan.shards.iter().filter(|shard| shard.is_empty()).count();
     console.say(format_args!("{}: {frames} in {shards}, {most} at most in each", args.output.display()));
     if empty_count > 0 {
-        let empty = counted(empty_count, "shard");
+        let empty = pluralize(empty_count, "shard");
         console.warning(format_args!("{empty} without frames: there are more shards than frames"));
     }
 }

@@ -64,7 +64,7 @@ pub(super) fn print_settings(
     let options = method.to_options();
     for SelectedSequence { sequence, .. } in sequences {
         let settings = match job {
-            Job::LevelSet { .. } => Settings::of_level_sets(&options)?,
+            Job::LevelSet { .. } => Settings::for_level_sets(&options)?,
             Job::Surface | Job::Particles => {
                 let measured = pool.install(|| measured_spacing(sequence, &options, console))?;
                 settings_of(sequence, &options, measured.as_ref())?

@@ -8,7 +8,7 @@ use indicatif::ProgressBar;
 
 use crate::pipeline::{Frame, FrameReport, Observer, Stage, shown};
 use crate::surface::options::{Integrator, Settings};
-use crate::surface::skin::MemoryPlan;
+use crate::surface::reconstruction::MemoryPlan;
 
 use super::console::print_error;
 
@@ -81,7 +81,7 @@ impl ProgressDisplay {
         let Some(index) = state.under_way.iter().position(|one| one.input == frame.input) else { return };
         let ended = state.under_way.remove(index);
         if let Some(report) = report.filter(|_| ended.work_gib > 0.0) {
-            let measured = report.skin.seconds.total() / ended.work_gib;
+            let measured = report.reconstruction.seconds.total() / ended.work_gib;
             state.measured_s_per_gib =
                 Some(state.measured_s_per_gib.map_or(measured, |most| most.max(measured)));
         }
@@ -188,7 +188,7 @@ impl FrameEstimate {
 /// The amount of computation, in GiB of a plan in memory.
 fn work_gib(plan: &MemoryPlan) -> f64 {
     let tiled = if plan.tile_leaves.is_some() { TILED } else { 1.0 };
-    plan.whole_bytes as f64 / GIB * tiled
+    plan.in_core_bytes as f64 / GIB * tiled
 }
 
 /// The approximate time of an integrator, relative to the default one.
@@ -217,7 +217,7 @@ mod tests {
     }
 
     fn plan(gib: u64) -> MemoryPlan {
-        MemoryPlan { memory_bytes: gib << 30, tile_leaves: None, whole_bytes: gib << 30 }
+        MemoryPlan { memory_bytes: gib << 30, tile_leaves: None, in_core_bytes: gib << 30 }
     }
 
     #[test]
@@ -269,7 +269,7 @@ mod tests {
         progress.began(&frame, Stage::Read);
         progress.planned(&frame, &plan(1), 0);
         let mut report = FrameReport::default();
-        report.skin.seconds.smooth = 7.0;
+        report.reconstruction.seconds.smooth = 7.0;
         progress.finished(&frame, Some(&report));
         assert_eq!(estimate(&progress), 14.0);
     }

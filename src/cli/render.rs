@@ -1,8 +1,8 @@
 //! `meniscus render`: pictures of frames.
 //!
 //! ```text
-//!   INPUT ──▶ sequences ──▶ a camera for each ──▶ frame ─┬─ .vdb: read ──────┬─▶ pictures: one, or once around
-//!                                                        └─ particles: skin ─┘
+//!   INPUT ──▶ sequences ──▶ a camera for each ──▶ frame ─┬─ .vdb: read ─────────────┬─▶ pictures: one, or once around
+//!                                                        └─ particles: reconstruct ─┘
 //! ```
 
 use std::path::PathBuf;
@@ -24,7 +24,7 @@ use super::machine::thread_pool;
 use super::out_folder::{OutFolder, write_file};
 use super::render_session::{RenderSession, RenderSource, catch_panic, find_render_sources, named_picture};
 use super::selecting::{SelectedSequence, selected_files, selected_of};
-use super::wording::{counted, with_causes};
+use super::wording::{pluralize, with_causes};
 use super::{CommandOutcome, DoneCounts};
 
 /// Renders the requested pictures.
@@ -130,7 +130,7 @@ impl<'a> RequestedPictures<'a> {
                     let seconds = start.elapsed().as_secs_f64();
                     let what = match &names[..] {
                         [name] => name.strip_prefix(".").unwrap_or(name).display().to_string(),
-                        names => counted(names.len(), "picture"),
+                        names => pluralize(names.len(), "picture"),
                     };
                     console.say(format_args!("{}: {what}, {seconds:.2} s", file.path.display()));
                 }

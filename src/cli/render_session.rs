@@ -2,8 +2,8 @@
 //!
 //! ```text
 //!   sequence ──▶ settings, viewpoint
-//!   frame ─┬─ .vdb: read ──────┬─▶ source ──▶ pictures
-//!          └─ particles: skin ─┘
+//!   frame ─┬─ .vdb: read ─────────────┬─▶ source ──▶ pictures
+//!          └─ particles: reconstruct ─┘
 //! ```
 
 use std::collections::HashSet;
@@ -30,7 +30,7 @@ use super::out_folder::folder_of;
 use super::quantities::PictureSize;
 use super::remedies::with_remedy;
 use super::resolving::{measured_spacing, settings_of, warn_of};
-use super::wording::counted;
+use super::wording::pluralize;
 
 /// Settings and resources shared by all pictures of a command.
 pub(super) struct RenderSession<'a> {
@@ -46,7 +46,7 @@ pub(super) enum RenderSource {
     /// A level set, and the hash of its file.
     LevelSet(Box<LevelSetFile>),
     /// Particles and their surface.
-    Skinned(Box<RenderedFrame>),
+    Reconstructed(Box<RenderedFrame>),
 }
 
 /// A frame that was converted for its pictures.
@@ -165,8 +165,8 @@ impl<'a> RenderSession<'a> {
         } else {
             let settings = settings.context("particles among level sets have no settings")?;
             let frame = LoadedFrame::read((&file.path, file.number()), settings)?;
-            let made = self.skin(&frame, settings)?;
-            RenderSource::Skinned(Box::new(RenderedFrame { frame, made, settings: settings.clone() }))
+            let made = self.reconstruct(&frame, settings)?;
+            RenderSource::Reconstructed(Box::new(RenderedFrame { frame, made, settings: settings.clone() }))
         };
         self.print_warnings(file, &source, console);
         Ok(source)
@@ -176,19 +176,19 @@ impl<'a> RenderSession<'a> {
     ///
     /// # Errors
     /// The errors of every stage.
-    pub(super) fn skin(
+    pub(super) fn reconstruct(
         &self,
         frame: &LoadedFrame,
         settings: &Settings,
     ) -> Result<Reconstruction, FrameError> {
-        frame.skin(settings, &self.obstacles, &self.outputs, self.memory_bytes)
+        frame.reconstruct(settings, &self.obstacles, &self.outputs, self.memory_bytes)
     }
 
     /// Prints the warnings about a frame. Missing velocities are a warning only if the user requested them.
     fn print_warnings(&self, file: &FrameFile, source: &RenderSource, console: &Console) {
         let warnings = match source {
             RenderSource::LevelSet(level_set) => &level_set.warnings,
-            RenderSource::Skinned(skinned) => &skinned.made.warnings,
+            RenderSource::Reconstructed(reconstructed) => &reconstructed.made.warnings,
         };
         let is_asked = self.method.options.attributes.is_some();
         let is_velocity =
@@ -209,9 +209,12 @@ impl RenderSource {
     pub(super) fn picture(&self, viewpoint: &Viewpoint, size: [usize; 2], has_data: bool) -> Picture {
         match self {
             RenderSource::LevelSet(level_set) => level_set.scene().picture(viewpoint, size, has_data),
-            RenderSource::Skinned(skinned) => {
-                picture_of_reconstruction(&skinned.made, &skinned.settings, (viewpoint, size), has_data)
-            }
+            RenderSource::Reconstructed(reconstructed) => picture_of_reconstruction(
+                &reconstructed.made,
+                &reconstructed.settings,
+                (viewpoint, size),
+                has_data,
+            ),
         }
     }
 
@@ -219,19 +222,21 @@ impl RenderSource {
     /// surface.
     pub(super) fn picture_beside_particles(&self, viewpoint: &Viewpoint, size: [usize; 2]) -> Picture {
         let [width, height] = size;
-        let RenderSource::Skinned(skinned) = self else { return self.picture(viewpoint, size, false) };
+        let RenderSource::Reconstructed(reconstructed) = self else {
+            return self.picture(viewpoint, size, false);
+        };
         let right = self.picture(viewpoint, [width - width / 2, height], false);
         let view = viewpoint.view([width / 2, height]);
-        let radius = BALL_RADIUS * skinned.settings.radius_min;
-        side_by_side(&[render_particles(skinned.frame.particles(), radius, &view), right])
+        let radius = BALL_RADIUS * reconstructed.settings.radius_min;
+        side_by_side(&[render_particles(reconstructed.frame.particles(), radius, &view), right])
     }
 
     /// The metadata of a picture of it.
     pub(super) fn provenance(&self, input: &Path, options: &PictureOptions) -> Vec<(String, String)> {
         match self {
             RenderSource::LevelSet(level_set) => picture_provenance(input, level_set.hash, None, options),
-            RenderSource::Skinned(skinned) => {
-                let RenderedFrame { frame, made, settings } = &**skinned;
+            RenderSource::Reconstructed(reconstructed) => {
+                let RenderedFrame { frame, made, settings } = &**reconstructed;
                 picture_provenance(input, frame.hash(), Some((settings, &made.obstacles)), options)
             }
         }
@@ -276,7 +281,7 @@ fn add_level_sets(found: &mut MatchedInputs, level_sets: Vec<FrameFile>, folder:
             "{}: skipped {} of {}: their frames have particle files",
             folder.display(),
             known.len(),
-            counted(count, "level set")
+            pluralize(count, "level set")
         ));
     }
     found.add(MatchedInputs { files: new, ..MatchedInputs::default() });

@@ -13,7 +13,7 @@ use crate::surface::options::{Length, MethodOptions, SequenceSpacing, Settings};
 
 use super::console::Console;
 use super::out_folder::folder_of;
-use super::wording::{counted, significant};
+use super::wording::{pluralize, significant};
 
 /// The settings for a sequence of particles with this spacing.
 ///
@@ -50,8 +50,8 @@ pub(super) fn measured_spacing(
     let warn = |what: &dyn fmt::Display| console.warning(format_args!("{}: {what}", sequence.name));
     let paths = sequence.frames.iter().map(|file| &*file.path);
     // An invalid scale is refused with the settings.
-    let own_radii = choices.own_radii().ok().flatten();
-    match (measure_spacing(paths, own_radii.as_ref()), choices.voxel_size.and_then(Length::world)) {
+    let per_particle_radius = choices.per_particle_radius().ok().flatten();
+    match (measure_spacing(paths, per_particle_radius.as_ref()), choices.voxel_size.and_then(Length::world)) {
         (Ok(measured), _) => {
             measured.warnings.iter().for_each(|warning| warn(warning));
             Ok(Some(measured))
@@ -124,7 +124,7 @@ pub(super) fn say_settings(
     measured: Option<&MeasuredSpacing>,
     console: &mut Console,
 ) {
-    let frames = counted(selected_count, "frame");
+    let frames = pluralize(selected_count, "frame");
     let spacing = measured.map(|measured| {
         let MeasuredSpacing { spacing, radius_median, measured_on, .. } = measured;
         let radius = radius_median.map_or(String::new(), |radius| {
@@ -139,6 +139,6 @@ pub(super) fn say_settings(
     console.say(format_args!(
         "{}: {frames}, {spacing}voxel size {voxel_size}, radii {radius_min} / {radius_init} / {radius_max}, {}",
         sequence.name,
-        counted(settings.steps as usize, "step")
+        pluralize(settings.steps as usize, "step")
     ));
 }

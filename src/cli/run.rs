@@ -19,7 +19,7 @@ use super::machine::{memory_bytes, thread_pool};
 use super::output_records::OutputRecords;
 use super::progress::ProgressDisplay;
 use super::remedies::{velocity_hint, with_remedy};
-use super::wording::{FRAMES_IN_VIEW, counted, described, failed_validation};
+use super::wording::{FRAMES_IN_VIEW, described, failed_validation, pluralize};
 
 /// A frame of a batch.
 struct BatchItem {
@@ -318,7 +318,7 @@ impl<'a> Batch<'a> {
         let seconds = start.elapsed().as_secs_f64();
         let failed_count = self.outcomes.failures.len();
         let mut summary =
-            format!("{}: {} done", counted(self.outcomes.noted_count, "frame"), self.outcomes.done_count);
+            format!("{}: {} done", pluralize(self.outcomes.noted_count, "frame"), self.outcomes.done_count);
         for (count, what) in [(failed_count, "failed"), (self.outcomes.not_started_count, "not started")] {
             if count > 0 {
                 summary += &format!(", {count} {what}");
@@ -333,7 +333,7 @@ impl<'a> Batch<'a> {
             }
         }
         if self.outcomes.suppressed_count > 0 {
-            let more = counted(self.outcomes.suppressed_count, "more warning");
+            let more = pluralize(self.outcomes.suppressed_count, "more warning");
             console
                 .warn(format_args!("{more} like those of earlier frames suppressed: --report has them all"));
         }

@@ -17,7 +17,7 @@ use super::console::Console;
 use super::frame_selection::FrameSelection;
 use super::inputs::find_inputs;
 use super::out_folder::folder_of;
-use super::wording::{counted, counted_are};
+use super::wording::{counted_are, pluralize};
 
 /// The frames to convert.
 pub(super) struct InputSelection {
@@ -56,7 +56,7 @@ pub(super) fn select_frames(
         match count {
             1 => console.say(format_args!("skipped {name}: not a particle file")),
             _ => {
-                let others = counted(count - 1, "other file");
+                let others = pluralize(count - 1, "other file");
                 console.say(format_args!("skipped {name} and {others}: not particle files"));
             }
         }
@@ -141,7 +141,7 @@ fn without_rivals(sequences: Vec<SelectedSequence>, console: &mut Console) -> Ve
         if let Some((owner, rival)) = rivals.first() {
             let others = match rivals.len() - 1 {
                 0 => String::new(),
-                count => format!(" and {} of {}", counted(count, "more frame"), selected.sequence.name),
+                count => format!(" and {} of {}", pluralize(count, "more frame"), selected.sequence.name),
             };
             console.fail(format_args!(
                 "{} and {} would both become {}.*: converting only the first; convert the second{others} into another \

@@ -17,7 +17,7 @@ use super::frame_selection::gaps;
 use super::inputs::find_inputs;
 use super::machine::thread_pool;
 use super::selecting::{only_sequence, refuse_odd_place};
-use super::wording::{counted, counted_are};
+use super::wording::{counted_are, pluralize};
 
 /// Combines the frames that the arguments name.
 ///
@@ -98,7 +98,7 @@ fn told(path: &Path, shot: &ShotReport, console: &mut Console) {
     for note in &shot.notes {
         console.warning(format_args!("{}: {note}", path.display()));
     }
-    let frames = counted(shot.frame_count, "frame");
+    let frames = pluralize(shot.frame_count, "frame");
     console.say(format_args!("{}: a shot of {frames}, {} bytes", path.display(), shot.size_bytes));
 }
 

@@ -13,7 +13,7 @@ use super::args::VerifyArgs;
 use super::console::Console;
 use super::machine::thread_pool;
 use super::selecting::refuse_report_of_plan;
-use super::wording::counted;
+use super::wording::pluralize;
 
 /// Checks the outputs of a plan.
 ///
@@ -81,7 +81,7 @@ fn told(shard: &[(&PlannedFrame, &FrameVerdict)]) -> Vec<String> {
 
 fn summarize(verdicts: &Verdicts, seconds: f64, console: &mut Console) {
     let [(_, done), others @ ..] = verdicts.counts();
-    let mut summary = format!("{}: {done} done", counted(verdicts.frames.len(), "frame"));
+    let mut summary = format!("{}: {done} done", pluralize(verdicts.frames.len(), "frame"));
     for (status, count) in others.into_iter().filter(|&(_, count)| count > 0) {
         summary += &format!(", {count} {status}");
     }
@@ -90,7 +90,7 @@ fn summarize(verdicts: &Verdicts, seconds: f64, console: &mut Console) {
         [(verdicts.input_missing_count(), "input"), (verdicts.obstacle_missing_count(), "frame's obstacle")]
     {
         if gone > 0 {
-            let gone = counted(gone, what);
+            let gone = pluralize(gone, what);
             console.warning(format_args!(
                 "{gone} missing: cannot check whether the results are up to date with them"
             ));

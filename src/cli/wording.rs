@@ -1,7 +1,7 @@
 //! Formats numbers, options and errors as text.
 
 use crate::pipeline::{FrameReport, Job};
-pub(in crate::cli) use crate::surface::words::{counted, rounded_down, significant};
+pub(in crate::cli) use crate::surface::words::{pluralize, rounded_down, significant};
 
 /// Output from before this many frames has probably scrolled away.
 pub(super) const FRAMES_IN_VIEW: usize = 20;
@@ -21,13 +21,14 @@ pub(super) fn all_typed(names: &[&str]) -> String {
 
 /// One line about a converted frame.
 pub(super) fn described(job: &Job, report: &FrameReport) -> String {
-    let skin = &report.skin;
-    let particles = counted(skin.particle_count, "particle");
-    let seconds = report.seconds.total() + skin.transfer.as_ref().map_or(0.0, |transfer| transfer.seconds);
+    let reconstruction = &report.reconstruction;
+    let particles = pluralize(reconstruction.particle_count, "particle");
+    let seconds =
+        report.seconds.total() + reconstruction.transfer.as_ref().map_or(0.0, |transfer| transfer.seconds);
     let mesh = format!(
         "{}, {}",
-        counted(skin.mesh.vertex_count, "vertex"),
-        counted(skin.mesh.triangle_count, "triangle")
+        pluralize(reconstruction.mesh.vertex_count, "vertex"),
+        pluralize(reconstruction.mesh.triangle_count, "triangle")
     );
     match job {
         Job::Surface => format!("{particles}, {mesh}, {seconds:.2} s"),
@@ -49,7 +50,7 @@ pub(super) fn with_causes(error: &anyhow::Error) -> String {
 
 /// The last line of a run in which some results failed validation.
 pub(super) fn failed_validation(broken_count: usize, frame_count: usize, details: &str) -> String {
-    let frames = counted(frame_count, "frame");
+    let frames = pluralize(frame_count, "frame");
     format!("{broken_count} of {frames} failed validation{details}; outputs were kept")
 }
 

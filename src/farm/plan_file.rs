@@ -23,7 +23,7 @@ use crate::pipeline::{
     PictureOptions, file_of, open_regular, write_whole,
 };
 use crate::surface::options::{MethodOptions, Settings};
-use crate::surface::skin::SLACK_MAX_VOXELS;
+use crate::surface::reconstruction::SLACK_MAX_VOXELS;
 
 use super::dealing::SHARDS_MAX;
 use super::plan::{PlannedFrame, PlannedSequence, ShardPlan};

@@ -6,7 +6,7 @@ use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
-use crate::surface::skin::{TooFine, TooLarge};
+use crate::surface::reconstruction::{TooLarge, VoxelTooSmall};
 
 use crate::pipeline::files::out_folder::is_disk_full;
 use crate::pipeline::files::shown::shown;
@@ -67,7 +67,7 @@ pub enum Cause {
     /// The frame does not fit into the memory limit.
     TooLarge(TooLarge),
     /// The voxels are too small for the frame.
-    TooFine(TooFine),
+    VoxelTooSmall(VoxelTooSmall),
     /// Scratch files could not be written to disk beside the outputs.
     Scratch(io::Error),
     /// A bug in this program: a broken invariant, with the panic's message.
@@ -140,7 +140,7 @@ impl fmt::Display for FrameError {
             Cause::Obstacle(error) => write!(f, "{}: {error}", path),
             Cause::Missing(what) => write!(f, "{}: {what}", path),
             Cause::TooLarge(too_large) => write!(f, "{}: {too_large}", path),
-            Cause::TooFine(too_fine) => write!(f, "{}: {too_fine}", path),
+            Cause::VoxelTooSmall(too_small) => write!(f, "{}: {too_small}", path),
             Cause::Scratch(source) => {
                 write!(f, "{}: cannot keep what does not fit into memory here: {source}", path)
             }
@@ -157,7 +157,7 @@ impl std::error::Error for FrameError {
             Cause::File(source) => Some(source),
             Cause::Obstacle(error) => error.source.as_ref().map(|source| source as _),
             Cause::TooLarge(source) => Some(source),
-            Cause::TooFine(source) => Some(source),
+            Cause::VoxelTooSmall(source) => Some(source),
             Cause::Scratch(source) => Some(source),
             Cause::Changed | Cause::Missing(_) | Cause::Panic(_) => None,
         }

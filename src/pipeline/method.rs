@@ -6,10 +6,10 @@ use std::path::Path;
 use std::time::Instant;
 
 use crate::surface::options::Settings;
-use crate::surface::skin::tiled::{self, TiledError, TiledFrame};
-use crate::surface::skin::{
-    self, BoundedBand, FrameSurface, MemoryPlan, PlanInputs, SHELF_COUNT, ShapedSource, Storage, Targets,
-    TooLarge, Unfit,
+use crate::surface::reconstruction::tiled::{self, TiledError, TiledFrame};
+use crate::surface::reconstruction::{
+    self, BoundedBand, FIELD_STORE_FILES, FrameSurface, MemoryPlan, MemoryPlanError, PlanInputs,
+    ShapedSource, Storage, Targets, TooLarge,
 };
 
 use crate::pipeline::error::Cause;
@@ -80,8 +80,8 @@ pub enum StagedSurface<T> {
 }
 
 impl Method for LevelSetSkinning {
-    type Rasterized = StagedSurface<skin::Rasterized>;
-    type Smoothed = StagedSurface<skin::Smoothed>;
+    type Rasterized = StagedSurface<reconstruction::RasterizedFrame>;
+    type Smoothed = StagedSurface<reconstruction::SmoothedFrame>;
 
     fn plan(
         &self,
@@ -92,14 +92,14 @@ impl Method for LevelSetSkinning {
     ) -> Result<MemoryPlan, Cause> {
         if let FrameInput::LevelSet(given) = particles {
             let LevelSetInput { band, slack_voxels, .. } = &**given;
-            let whole_bytes = skin::resurfacing_bytes(band, *slack_voxels, settings);
-            level_set_limits(allowed_bytes).check_level_set(whole_bytes, "").map_err(Cause::File)?;
-            let memory_bytes = whole_bytes.saturating_sub(particles.size_bytes());
-            return Ok(MemoryPlan { memory_bytes, tile_leaves: None, whole_bytes });
+            let in_core_bytes = reconstruction::smooth_level_set_bytes(band, *slack_voxels, settings);
+            level_set_limits(allowed_bytes).check_level_set(in_core_bytes, "").map_err(Cause::File)?;
+            let memory_bytes = in_core_bytes.saturating_sub(particles.size_bytes());
+            return Ok(MemoryPlan { memory_bytes, tile_leaves: None, in_core_bytes });
         }
         // The input needs memory in addition to the plan.
         let given_bytes = particles.size_bytes().saturating_add(obstacles.all_bytes);
-        let planned = skin::plan(
+        let planned = reconstruction::plan_memory(
             particles,
             settings,
             PlanInputs {
@@ -109,11 +109,11 @@ impl Method for LevelSetSkinning {
             allowed_bytes.saturating_sub(given_bytes),
         )?;
         planned.map_err(|unfit| match unfit {
-            Unfit::TooLarge(too_large) => {
+            MemoryPlanError::TooLarge(too_large) => {
                 let least_bytes = too_large.least_bytes.saturating_add(given_bytes);
                 Cause::TooLarge(TooLarge { least_bytes, allowed_bytes, ..too_large })
             }
-            Unfit::TooFine(too_fine) => Cause::TooFine(too_fine),
+            MemoryPlanError::VoxelTooSmall(too_small) => Cause::VoxelTooSmall(too_small),
         })
     }
 
@@ -128,21 +128,21 @@ impl Method for LevelSetSkinning {
         let started = Instant::now();
         if let FrameInput::LevelSet(given) = particles {
             let LevelSetInput { band, origin, slack_voxels } = *given;
-            let mut bounded = skin::bound(band, origin, slack_voxels, settings);
+            let mut bounded = reconstruction::bound_level_set(band, origin, slack_voxels, settings);
             bounded.report_mut().seconds.rasterize = started.elapsed().as_secs_f64();
             return Ok(StagedSurface::OfLevelSet(Box::new(bounded)));
         }
-        let (particles, shaping) = particles.shaped(settings)?;
+        let (particles, shape_stats) = particles.shaped(settings)?;
         let Some(tile_leaves) = plan.tile_leaves else {
-            let mut rasterized = skin::rasterize(&particles, settings, shaping, obstacles)?;
+            let mut rasterized = reconstruction::rasterize(&particles, settings, shape_stats, obstacles)?;
             rasterized.report_mut().seconds.rasterize = started.elapsed().as_secs_f64();
             particles.given().check_unchanged()?;
             return Ok(StagedSurface::Whole(rasterized, settings.attributes.is_some().then_some(particles)));
         };
         let storages =
-            (0..SHELF_COUNT).map(|_| ScratchFile::storage(scratch)).collect::<io::Result<Vec<_>>>();
+            (0..FIELD_STORE_FILES).map(|_| ScratchFile::storage(scratch)).collect::<io::Result<Vec<_>>>();
         let storages = storages.map_err(Cause::Scratch)?;
-        let mut frame = tiled::rasterize(particles, settings, shaping, obstacles, tile_leaves, storages)?;
+        let mut frame = tiled::rasterize(particles, settings, shape_stats, obstacles, tile_leaves, storages)?;
         frame.report_mut().seconds.rasterize = started.elapsed().as_secs_f64();
         // It will be read again, but the next steps take a while.
         frame.source().given().check_unchanged()?;
@@ -158,7 +158,7 @@ impl Method for LevelSetSkinning {
         let started = Instant::now();
         Ok(match rasterized {
             StagedSurface::Whole(rasterized, particles) => {
-                let mut smoothed = skin::smooth_observed(rasterized, settings, advanced);
+                let mut smoothed = reconstruction::smooth_observed(rasterized, settings, advanced);
                 smoothed.report_mut().seconds.smooth = started.elapsed().as_secs_f64();
                 StagedSurface::Whole(smoothed, particles)
             }
@@ -184,7 +184,7 @@ impl Method for LevelSetSkinning {
         let started = Instant::now();
         let (mut surface, particles) = match smoothed {
             StagedSurface::Whole(smoothed, particles) => {
-                (skin::contour(smoothed, settings, &stored(outputs)), particles)
+                (reconstruction::contour(smoothed, settings, &stored(outputs)), particles)
             }
             StagedSurface::Tiled(frame) => {
                 let (surface, particles) = tiled::contour(*frame, settings, &stored(outputs))?;
@@ -203,7 +203,7 @@ impl Method for LevelSetSkinning {
         let cloud = particles.filter(|_| is_wanted).and_then(|particles| particles.into_cloud(in_memory));
         if let Some(cloud) = cloud {
             let started = Instant::now();
-            skin::transfer(&mut surface, &cloud, settings, targets(outputs));
+            reconstruction::transfer_attributes(&mut surface, &cloud, settings, targets(outputs));
             if let Some(transfer) = &mut surface.report.transfer {
                 transfer.seconds = started.elapsed().as_secs_f64();
             }

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::surface::skin::MemoryPlan;
+use crate::surface::reconstruction::MemoryPlan;
 
 use crate::pipeline::error::Stage;
 use crate::pipeline::input::frame::Frame;

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use twox_hash::XxHash3_128;
 
 use crate::surface::options::Settings;
-use crate::surface::particles::{Cloud, Particles};
-use crate::surface::skin::FrameSurface;
+use crate::surface::particles::{OwnedPositions, ParticleCloud};
+use crate::surface::reconstruction::FrameSurface;
 
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::input::attributes::Wanted;
@@ -24,7 +24,7 @@ use crate::pipeline::warning::Warning;
 pub struct LoadedFrame {
     path: PathBuf,
     number: Option<u64>,
-    cloud: Cloud,
+    cloud: ParticleCloud,
     hash: u128,
     warnings: Vec<Warning>,
 }
@@ -64,7 +64,7 @@ impl LoadedFrame {
     }
 
     /// Its particles, unmodified.
-    pub fn particles(&self) -> &Particles {
+    pub fn particles(&self) -> &OwnedPositions {
         &self.cloud.positions
     }
 
@@ -79,7 +79,7 @@ impl LoadedFrame {
     ///
     /// # Errors
     /// Those of every stage.
-    pub fn skin(
+    pub fn reconstruct(
         &self,
         settings: &Settings,
         obstacles: &ObstacleFiles,

@@ -11,7 +11,7 @@ use glam::DVec3;
 
 use crate::surface::level_set::RebuildReason;
 use crate::surface::mesh::MeshMeasures;
-use crate::surface::words::{counted, significant};
+use crate::surface::words::{pluralize, significant};
 
 /// A warning about a converted frame. Its `Display` form is a sentence.
 #[derive(Clone, Debug, PartialEq)]
@@ -188,7 +188,7 @@ impl fmt::Display for Warning {
             f.write_str("the result breaks a guarantee: ")?;
         }
         if let Some((count, noun, what)) = self.counted() {
-            return write!(f, "{} {what}", counted(count, noun));
+            return write!(f, "{} {what}", pluralize(count, noun));
         }
         match self {
             Warning::Sentence(text) => f.write_str(text),
@@ -279,7 +279,7 @@ impl Warning {
                 f,
                 "the surface of {particle_count} particles has {}: it is a net, or it is torn because voxels of {} \
                  or the radii are too small for the particle spacing",
-                counted(*hole_count, "hole"),
+                pluralize(*hole_count, "hole"),
                 significant(*voxel_size)
             ),
             Warning::Torn { particle_count, piece_count, voxel_size } => write!(
@@ -308,14 +308,14 @@ impl Warning {
                 "{name} is not in the .vdb: its grids hold one or three numbers for each voxel that can be averaged"
             ),
             Warning::LeftOut { count, near } => {
-                write!(f, "{} left out: not finite, or too far away", counted(count, "particle"))?;
+                write!(f, "{} left out: not finite, or too far away", pluralize(count, "particle"))?;
                 near.map_or(Ok(()), |near| {
                     let [x, y, z] = near.to_array().map(significant);
                     write!(f, "; one is near ({x}, {y}, {z})")
                 })
             }
             Warning::ParticlesInObstacles { count, are_most } => {
-                let particles = counted(count, "particle");
+                let particles = pluralize(count, "particle");
                 write!(f, "{particles} inside obstacles: the surface avoids the obstacle nevertheless")?;
                 // The mesh of a container may be only its inner side.
                 f.write_str(if are_most { "; a container needs walls, or it counts as full" } else { "" })
@@ -329,21 +329,21 @@ impl Warning {
             Warning::ParticlesOutside { count, particle_count } => write!(
                 f,
                 "{count} of {} are outside the surface: an offset moved it inward, or their positions were smoothed",
-                counted(particle_count, "particle")
+                pluralize(particle_count, "particle")
             ),
             Warning::OutOfBounds { voxel_count } => {
-                write!(f, "the level set leaves its bounds (Eq. 6) at {}", counted(voxel_count, "voxel"))
+                write!(f, "the level set leaves its bounds (Eq. 6) at {}", pluralize(voxel_count, "voxel"))
             }
             Warning::VerticesTooNear { count, nearest_voxels } => write!(
                 f,
                 "{} of the mesh nearer than r_min to a particle by more than half a voxel, the nearest at {} voxels",
-                counted(count, "vertex"),
+                pluralize(count, "vertex"),
                 significant(nearest_voxels)
             ),
             Warning::VerticesTooFar { count, farthest_voxels } => write!(
                 f,
                 "{} of the mesh farther than r_max from all particles by more than half a voxel, the farthest at {} voxels",
-                counted(count, "vertex"),
+                pluralize(count, "vertex"),
                 significant(farthest_voxels)
             ),
             Warning::NotClosed(ref mesh) => {
@@ -354,7 +354,7 @@ impl Warning {
                     (mesh.degenerate_triangle_count, "triangle without area"),
                 ];
                 let faults = faults.into_iter().filter(|(count, _)| *count > 0);
-                let faults: Vec<String> = faults.map(|(count, what)| counted(count, what)).collect();
+                let faults: Vec<String> = faults.map(|(count, what)| pluralize(count, what)).collect();
                 write!(f, "the mesh is not closed and manifold: {}", faults.join(", "))
             }
             // All other variants are formatted above.

@@ -77,7 +77,7 @@ impl CameraPlacement {
         let level = turn * self.up.front();
         let elevation = self.elevation_degrees.to_radians();
         let backward = level * elevation.cos() + up * elevation.sin();
-        let camera = Camera::towards(-backward, up, (self.view_degrees.to_radians() / 2.0).tan());
+        let camera = Camera::looking_along(-backward, up, (self.view_degrees.to_radians() / 2.0).tan());
         let center = (least + greatest) / 2.0;
         let half = (greatest - least) / 2.0;
         let corners = (0..8).map(|corner| {
@@ -99,7 +99,7 @@ const MARGIN: f64 = 0.88;
 
 impl Camera {
     /// A camera at the origin that looks along `forward`, with `up` as far up as possible.
-    pub fn towards(forward: DVec3, up: DVec3, tan_half_view: f64) -> Camera {
+    pub fn looking_along(forward: DVec3, up: DVec3, tan_half_view: f64) -> Camera {
         let forward = forward.normalize_or(DVec3::NEG_Z);
         let aside = forward.cross(up);
         // Straight up or down, the right direction is undefined; choose one.

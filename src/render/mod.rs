@@ -31,7 +31,7 @@ pub use sheet::{Cell, CellGroup, CellPicture, Sheet, side_by_side, stacked};
 
 use crate::surface::grid::Field;
 use crate::surface::level_set::NarrowBand;
-use crate::surface::particles::Particles;
+use crate::surface::particles::OwnedPositions;
 use crate::surface::space::Lattice;
 use light::Lighting;
 use sky::Sky;
@@ -100,7 +100,7 @@ pub fn render(band: &NarrowBand, lattice: &Lattice, view: &View, layers: Layers)
 }
 
 /// Renders particles as balls of this radius, world units, with the same lighting.
-pub fn render_particles(particles: &Particles, radius: f64, view: &View) -> Picture {
+pub fn render_particles(particles: &OwnedPositions, radius: f64, view: &View) -> Picture {
     splats::render(particles, radius, view)
 }
 

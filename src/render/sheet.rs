@@ -29,11 +29,11 @@ pub struct Sheet {
     /// Text above everything; may be empty.
     pub title: String,
     /// Width and height of a cell's picture area, pixels. No picture is larger.
-    pub place: [usize; 2],
+    pub picture_size: [usize; 2],
     /// From top to bottom.
     pub blocks: Vec<CellGroup>,
     /// Paragraphs below everything.
-    pub foot: Vec<String>,
+    pub footer: Vec<String>,
 }
 
 /// A group of cells.
@@ -51,7 +51,7 @@ pub struct CellGroup {
 #[derive(Clone, Debug)]
 pub struct Cell {
     /// The contents of the picture area.
-    pub shown: CellPicture,
+    pub content: CellPicture,
     /// Lines of text, from the top.
     pub lines: Vec<String>,
 }
@@ -62,7 +62,7 @@ pub enum CellPicture {
     /// A picture.
     Picture(Picture),
     /// Text instead of a picture: why it is missing.
-    Words(String),
+    Text(String),
 }
 
 impl Sheet {
@@ -70,11 +70,12 @@ impl Sheet {
     pub fn picture(&self) -> Picture {
         let width = self.width();
         let title = TextLines::new(&self.title, &HEADING, width);
-        let foot: Vec<TextLines> = self.foot.iter().map(|text| TextLines::new(text, &TEXT, width)).collect();
+        let footer: Vec<TextLines> =
+            self.footer.iter().map(|text| TextLines::new(text, &TEXT, width)).collect();
         let heights = self.blocks.iter().map(|block| self.block_height(block, width)).sum::<usize>();
-        let foot_height: usize = foot.iter().map(TextLines::height).sum();
+        let foot_height: usize = footer.iter().map(TextLines::height).sum();
         let height = GAP + title.height_with_gap() + heights + foot_height;
-        let foot_gap = if foot.is_empty() { 0 } else { GAP };
+        let foot_gap = if footer.is_empty() { 0 } else { GAP };
         let mut canvas = Canvas::new([width + 2 * GAP, height + foot_gap]);
         let mut top = GAP;
         canvas.write(&title, [GAP, top]);
@@ -83,7 +84,7 @@ impl Sheet {
             self.draw(block, width, &mut canvas, top);
             top += self.block_height(block, width);
         }
-        for words in &foot {
+        for words in &footer {
             canvas.write(words, [GAP, top]);
             top += words.height();
         }
@@ -93,8 +94,8 @@ impl Sheet {
     /// Width between the margins, pixels.
     fn width(&self) -> usize {
         let columns = self.blocks.iter().map(|block| block.columns.min(block.cells.len())).max();
-        let of_cells = columns.unwrap_or(0) * (self.place[0] + GAP);
-        let least = if self.foot.is_empty() { MIN_WIDTH } else { MIN_WIDTH_WITH_FOOTER };
+        let of_cells = columns.unwrap_or(0) * (self.picture_size[0] + GAP);
+        let least = if self.footer.is_empty() { MIN_WIDTH } else { MIN_WIDTH_WITH_FOOTER };
         of_cells.saturating_sub(GAP).max(least)
     }
 
@@ -106,31 +107,32 @@ impl Sheet {
 
     fn row_height(&self, block: &CellGroup) -> usize {
         let of_lines = |cell: &Cell| cell.lines.iter().map(|line| self.label(line).height()).sum::<usize>();
-        self.place[1] + LABEL_GAP + block.cells.iter().map(of_lines).max().unwrap_or(0) + GAP
+        self.picture_size[1] + LABEL_GAP + block.cells.iter().map(of_lines).max().unwrap_or(0) + GAP
     }
 
     fn label(&self, line: &str) -> TextLines<'_> {
-        TextLines::new(line, &TEXT, self.place[0])
+        TextLines::new(line, &TEXT, self.picture_size[0])
     }
 
     fn draw(&self, block: &CellGroup, width: usize, canvas: &mut Canvas, mut top: usize) {
         let title = TextLines::new(&block.title, &TEXT, width);
         canvas.write(&title, [GAP, top]);
         top += title.height_with_gap();
-        let [place_width, place_height] = self.place;
+        let [place_width, place_height] = self.picture_size;
         let row_height = self.row_height(block);
         for (index, cell) in block.cells.iter().enumerate() {
             let (row, column) = (index / block.columns.max(1), index % block.columns.max(1));
             let left = GAP + column * (place_width + GAP);
             let cell_top = top + row * row_height;
-            match &cell.shown {
+            match &cell.content {
                 CellPicture::Picture(picture) => {
-                    let [x, y] = [0, 1].map(|axis| self.place[axis].saturating_sub(picture.size[axis]) / 2);
+                    let [x, y] =
+                        [0, 1].map(|axis| self.picture_size[axis].saturating_sub(picture.size[axis]) / 2);
                     canvas.paste(picture, [left + x, cell_top + y]);
                 }
-                CellPicture::Words(words) => {
-                    canvas.fill(EMPTY, [left, cell_top], self.place);
-                    let room = self.place.map(|edge| edge.saturating_sub(2 * GAP));
+                CellPicture::Text(words) => {
+                    canvas.fill(EMPTY, [left, cell_top], self.picture_size);
+                    let room = self.picture_size.map(|edge| edge.saturating_sub(2 * GAP));
                     let words = TextLines::new(words, &TEXT, room[0]).within(room[1]);
                     canvas.write(&words, [left + GAP, cell_top + GAP]);
                 }
@@ -287,8 +289,8 @@ impl Canvas {
     pub(super) fn write(&mut self, words: &TextLines, [left, top]: [usize; 2]) {
         let style = MonoTextStyle::new(&words.style.font, BinaryColor::On);
         for (index, line) in words.lines.iter().enumerate() {
-            let place = Point::new(left as i32, (top + index * words.style.line_height) as i32);
-            let Ok(_) = Text::with_baseline(line, place, style, Baseline::Top).draw(self);
+            let picture_size = Point::new(left as i32, (top + index * words.style.line_height) as i32);
+            let Ok(_) = Text::with_baseline(line, picture_size, style, Baseline::Top).draw(self);
         }
     }
 }
@@ -305,8 +307,10 @@ impl DrawTarget for Canvas {
 
     fn draw_iter<I: IntoIterator<Item = Pixel<BinaryColor>>>(&mut self, pixels: I) -> Result<(), Infallible> {
         let [width, height] = self.picture.size;
-        for Pixel(place, color) in pixels {
-            let (Ok(x), Ok(y)) = (usize::try_from(place.x), usize::try_from(place.y)) else { continue };
+        for Pixel(picture_size, color) in pixels {
+            let (Ok(x), Ok(y)) = (usize::try_from(picture_size.x), usize::try_from(picture_size.y)) else {
+                continue;
+            };
             if color.is_on() && x < width && y < height {
                 self.picture.color[y * width + x] = INK;
             }
@@ -325,7 +329,7 @@ mod tests {
     }
 
     fn cell(value: f32, line: &str) -> Cell {
-        Cell { shown: CellPicture::Picture(plain([140, 20], value)), lines: vec![line.into()] }
+        Cell { content: CellPicture::Picture(plain([140, 20], value)), lines: vec![line.into()] }
     }
 
     /// The number of pixels with ink in these rows, from column `left` on.
@@ -337,13 +341,14 @@ mod tests {
 
     #[test]
     fn cells_are_laid_out_in_rows_with_their_lines_below() {
-        let words = Cell { shown: CellPicture::Words("why not".into()), lines: vec!["third".into()] };
+        let words = Cell { content: CellPicture::Text("why not".into()), lines: vec!["third".into()] };
         let block = CellGroup {
             title: String::new(),
             cells: vec![cell(0.1, "a"), cell(0.2, "b"), words],
             columns: 2,
         };
-        let sheet = Sheet { title: "three".into(), place: [140, 40], blocks: vec![block], foot: Vec::new() };
+        let sheet =
+            Sheet { title: "three".into(), picture_size: [140, 40], blocks: vec![block], footer: Vec::new() };
         let drawn = sheet.picture();
         let (head, row) = (10 + 22 + 10, 40 + 3 + 15 + 10);
         assert_eq!(drawn.size, [10 + 2 * 150, head + 2 * row]);
@@ -359,11 +364,11 @@ mod tests {
 
     #[test]
     fn long_lines_are_wrapped() {
-        let sheet = |line: &str, foot: &[&str]| Sheet {
+        let sheet = |line: &str, footer: &[&str]| Sheet {
             title: String::new(),
-            place: [140, 20],
+            picture_size: [140, 20],
             blocks: vec![CellGroup { title: String::new(), cells: vec![cell(0.5, line)], columns: 3 }],
-            foot: foot.iter().map(|&text| text.to_owned()).collect(),
+            footer: footer.iter().map(|&text| text.to_owned()).collect(),
         };
         let [short, long] = ["short", "three words and a few more"].map(|line| sheet(line, &[]).picture());
         assert_eq!(long.size[1], short.size[1] + 15);

@@ -7,7 +7,7 @@ use super::Picture;
 
 impl Picture {
     /// Scales the picture to fit into `room`, with the same aspect ratio. A picture that fits is unchanged.
-    pub fn shrunk(&self, room: [usize; 2]) -> Picture {
+    pub fn scaled_to_fit(&self, room: [usize; 2]) -> Picture {
         let scale = [0, 1].map(|axis| room[axis] as f64 / self.size[axis].max(1) as f64);
         let scale = scale[0].min(scale[1]);
         if scale >= 1.0 {
@@ -71,14 +71,14 @@ mod tests {
             picture.color.iter().map(|color| f64::from(color[0])).sum::<f64>() / picture.color.len() as f64
         };
         for (room, size) in [([15, 100], [15, 10]), ([7, 7], [7, 5]), ([100, 6], [9, 6]), ([1, 1], [1, 1])] {
-            let shrunk = wide.shrunk(room);
+            let shrunk = wide.scaled_to_fit(room);
             assert_eq!((shrunk.size, shrunk.color.len()), (size, size[0] * size[1]));
             assert!((mean(&shrunk) / mean(&wide) - 1.0).abs() < 1e-4, "{room:?}");
             assert!(shrunk.coverage.iter().all(|part| (part - 0.5).abs() < 1e-5));
         }
-        assert_eq!(wide.shrunk([30, 20]), wide);
-        assert_eq!(wide.shrunk([300, 200]), wide);
+        assert_eq!(wide.scaled_to_fit([30, 20]), wide);
+        assert_eq!(wide.scaled_to_fit([300, 200]), wide);
         let halves = picture([4, 2], |x, _| if x < 2 { 1.0 } else { 3.0 });
-        assert_eq!(halves.shrunk([2, 2]).color, [[1.0; 3], [3.0; 3]]);
+        assert_eq!(halves.scaled_to_fit([2, 2]).color, [[1.0; 3], [3.0; 3]]);
     }
 }

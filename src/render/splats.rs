@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::light::Lighting;
 use super::sky::Sky;
 use super::{Camera, Mark, Picture, View};
-use crate::surface::particles::Particles;
+use crate::surface::particles::OwnedPositions;
 
 /// Number of rays along the edge of a pixel.
 const SAMPLES: usize = 2;
@@ -36,7 +36,7 @@ struct Disc {
 const BAND_ROWS: usize = 64;
 
 /// Renders balls of this radius, world units.
-pub(super) fn render(particles: &Particles, radius: f64, view: &View) -> Picture {
+pub(super) fn render(particles: &OwnedPositions, radius: f64, view: &View) -> Picture {
     let splats = draw(particles.len(), |index| particles.position(index), radius, view);
     shade(&splats, view, |lighting, Splat { normal, .. }, toward| {
         lighting.water(lighting.unoccluded(normal), normal, toward, true)

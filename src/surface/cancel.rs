@@ -9,7 +9,7 @@ use glam::DVec3;
 
 use crate::surface::error::Error;
 use crate::surface::particles::{ParticleSource, Positions, Shapes};
-use crate::surface::skin::Storage;
+use crate::surface::reconstruction::Storage;
 
 /// Cancels a [`Reconstructor`](crate::surface::Reconstructor) from another thread, a signal handler or its
 /// progress callback. Clones cancel the same work. A cancelled token stays cancelled: create a new one for
@@ -70,19 +70,19 @@ impl ParticleSource for CancellableParticles<'_> {
         Ok(positions)
     }
 
-    fn count_of(&self, batch: usize) -> usize {
-        self.positions.count_of(batch)
+    fn batch_len(&self, batch: usize) -> usize {
+        self.positions.batch_len(batch)
     }
 
     fn has_shapes(&self) -> bool {
-        !self.shapes.are_balls()
+        !self.shapes.is_uniform()
     }
 
-    fn shapes_of(&self, batch: usize) -> Shapes {
-        self.shapes.in_range(self.positions.range_of(batch))
+    fn batch_shapes(&self, batch: usize) -> Shapes {
+        self.shapes.slice(self.positions.range_of(batch))
     }
 
-    fn given_of(&self, _batch: usize) -> Result<Vec<[DVec3; 2]>, Error> {
+    fn moved_pairs(&self, _batch: usize) -> Result<Vec<[DVec3; 2]>, Error> {
         Ok(Vec::new())
     }
 }

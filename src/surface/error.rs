@@ -21,7 +21,7 @@ pub enum Error {
     /// range of the grid.
     NoParticles {
         /// Number of particles in the input.
-        given: usize,
+        input_count: usize,
     },
     /// The options name an attribute that the particles lack, or whose arity (values per particle) differs.
     MissingAttribute {
@@ -69,8 +69,8 @@ impl fmt::Display for Error {
                 "cannot measure the particle spacing: fewer than two particles have different positions; \
                  set `spacing` or `voxel_size`",
             ),
-            Error::NoParticles { given: 0 } => f.write_str("the frame has no particles"),
-            Error::NoParticles { given } => {
+            Error::NoParticles { input_count: 0 } => f.write_str("the frame has no particles"),
+            Error::NoParticles { input_count: given } => {
                 write!(f, "none of the {given} particles has a finite position inside the grid")
             }
             Error::MissingAttribute { name, arity } => {

@@ -23,14 +23,14 @@ pub use self::{
     grid::{Field, LEAF_EDGE, LEAF_VOXELS, Leaf, Topology},
     level_set::NarrowBand,
     mesh::MeshMeasures,
-    obstacle::{ContactTally, DepthTally, MeshFindings, Obstacle},
+    obstacle::{ContactStats, DepthStats, MeshFindings, Obstacle},
     options::{
         Anisotropy, AnisotropyKind, AttributeSelection, ClipBox, Length, LengthUnit,
-        MethodOptions as Options, OwnRadii, Preset, Settings, SettingsError,
+        MethodOptions as Options, PerParticleRadius, Preset, Settings, SettingsError,
     },
-    particles::{Attribute, AttributeValues, Meaning, Positions},
-    report::{EditReport, Phase, Shaping, SkinReport as Report, StageSeconds, TransferReport},
-    skin::Storage,
+    particles::{Attribute, AttributeValues, Positions, Role},
+    reconstruction::Storage,
+    report::{EditReport, Phase, ReconstructionReport as Report, ShapeStats, StageSeconds, TransferReport},
     smooth::{Convergence, Integrator},
     spacing::{SequenceEstimate, SpacingEstimate, combine_estimates, estimate_spacing},
     validation::{Certificate, ParticlesOutside},
@@ -40,7 +40,7 @@ pub use self::{
 // other parts of this crate. They are not part of the API: anything in them may change in any version.
 
 #[doc(hidden)]
-pub mod skin;
+pub mod reconstruction;
 
 #[doc(hidden)]
 pub mod options;

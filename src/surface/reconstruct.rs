@@ -13,12 +13,13 @@ use crate::surface::level_set::NarrowBand;
 use crate::surface::mesh::Mesh;
 use crate::surface::obstacle::{Obstacle, Obstacles};
 use crate::surface::options::{Anisotropy, Length, SequenceSpacing, Settings};
-use crate::surface::particles::{Attribute, Positions, Shapes, attribute_of};
-use crate::surface::report::{Phase, Shaping};
-use crate::surface::skin::tiled::{self, TiledError};
-use crate::surface::skin::{
-    self, MemoryPlan, PlanInputs, SHELF_COUNT, ShapedSource, Storage, Stored, Targets, Unfit,
+use crate::surface::particles::{Attribute, Positions, Shapes, find_attribute};
+use crate::surface::reconstruction::tiled::{self, TiledError};
+use crate::surface::reconstruction::{
+    self, FIELD_STORE_FILES, MemoryPlan, MemoryPlanError, PlanInputs, PositionFormat, ShapedSource, Storage,
+    Targets,
 };
+use crate::surface::report::{Phase, ShapeStats};
 use crate::surface::spacing::{estimate_spacing, median, rounded};
 use crate::surface::{Options, Report};
 
@@ -219,7 +220,7 @@ impl<'a> Reconstructor<'a> {
         let positions = positions.into();
         self.begin(Phase::Prepare)?;
         if positions.is_empty() {
-            return Err(Error::NoParticles { given: 0 });
+            return Err(Error::NoParticles { input_count: 0 });
         }
         check_lengths(&positions, attributes)?;
         let settings = match &self.settings {
@@ -229,13 +230,14 @@ impl<'a> Reconstructor<'a> {
         self.settings = Some(settings.clone());
         check_required_attributes(&settings, attributes)?;
         let token = self.token.clone();
-        let given = CancellableParticles { positions, shapes: Shapes::Balls, token };
+        let given = CancellableParticles { positions, shapes: Shapes::Uniform, token };
         let plan = self.plan(&given, attributes, &settings)?;
         self.begin(Phase::Rasterize)?;
-        let (shapes, shaping) = skin::shapes_by_attributes(given.positions.len(), attributes, &settings);
+        let (shapes, shape_stats) =
+            reconstruction::shapes_by_attributes(given.positions.len(), attributes, &settings);
         let given = CancellableParticles { shapes, ..given };
-        let (shaped, shaping) = skin::shape_by_neighbors(given, shaping, &settings)?;
-        let work = ShapedFrame { settings: &settings, shaped, shaping };
+        let (shaped, shape_stats) = reconstruction::shape_by_neighbors(given, shape_stats, &settings)?;
+        let work = ShapedFrame { settings: &settings, shaped, shape_stats };
         let (mut surface, shaped) = match plan.tile_leaves {
             None => self.reconstruct_in_memory(work)?,
             Some(tile_leaves) => self.reconstruct_tiled(work, tile_leaves)?,
@@ -244,7 +246,12 @@ impl<'a> Reconstructor<'a> {
             self.begin(Phase::Interpolate)?;
             let (positions, shapes) = shaped.into_positions(|given| (given.positions, given.shapes));
             let targets = Targets { vertices: true, band_half_width_voxels: None };
-            skin::transfer_from((positions, &shapes, attributes), &mut surface, &settings, targets);
+            reconstruction::transfer_attributes_from(
+                (positions, &shapes, attributes),
+                &mut surface,
+                &settings,
+                targets,
+            );
         }
         Ok(with_absolute_positions(surface, settings))
     }
@@ -283,14 +290,14 @@ impl<'a> Reconstructor<'a> {
             limit_bytes: self.memory_limit,
         };
         let planned = match &self.scratch {
-            Some(_) => skin::plan(given, settings, surroundings, allowed_bytes)?,
-            None => skin::plan_whole(given, settings, surroundings, allowed_bytes)?,
+            Some(_) => reconstruction::plan_memory(given, settings, surroundings, allowed_bytes)?,
+            None => reconstruction::plan_in_core(given, settings, surroundings, allowed_bytes)?,
         };
         match planned {
             Ok(plan) => Ok(plan),
-            Err(Unfit::TooLarge(too_large)) => Err(over(too_large.least_bytes)),
-            Err(Unfit::TooFine(too_fine)) => {
-                Err(Error::VoxelTooSmall { voxel_size: too_fine.voxel_size, least: too_fine.least })
+            Err(MemoryPlanError::TooLarge(too_large)) => Err(over(too_large.least_bytes)),
+            Err(MemoryPlanError::VoxelTooSmall(too_small)) => {
+                Err(Error::VoxelTooSmall { voxel_size: too_small.voxel_size, least: too_small.least })
             }
         }
     }
@@ -299,19 +306,21 @@ impl<'a> Reconstructor<'a> {
     fn reconstruct_in_memory<'p>(
         &mut self,
         work: ShapedFrame<'_, 'p>,
-    ) -> Result<(skin::FrameSurface, PreparedSource<'p>), Error> {
-        let ShapedFrame { settings, shaped, shaping } = work;
-        let mut rasterized = skin::rasterize(&shaped, settings, shaping, self.obstacles.clone())?;
+    ) -> Result<(reconstruction::FrameSurface, PreparedSource<'p>), Error> {
+        let ShapedFrame { settings, shaped, shape_stats } = work;
+        let mut rasterized =
+            reconstruction::rasterize(&shaped, settings, shape_stats, self.obstacles.clone())?;
         require_particles(rasterized.report_mut().particle_count, &shaped)?;
         self.begin(Phase::Smooth)?;
         let token = self.token.clone();
-        let smoothed = skin::smooth_while(rasterized, settings, &mut |fraction| {
+        let smoothed = reconstruction::smooth_while(rasterized, settings, &mut |fraction| {
             self.report_progress(Phase::Smooth, fraction);
             token.flow()
         });
         let smoothed = flow_result(smoothed)?;
         self.begin(Phase::Contour)?;
-        let surface = skin::contour_while(smoothed, settings, &[Stored::AsTheyAre], &|| token.flow());
+        let surface =
+            reconstruction::contour_while(smoothed, settings, &[PositionFormat::Exact], &|| token.flow());
         Ok((flow_result(surface)?, shaped))
     }
 
@@ -320,17 +329,17 @@ impl<'a> Reconstructor<'a> {
         &mut self,
         work: ShapedFrame<'_, 'p>,
         tile_leaves: i32,
-    ) -> Result<(skin::FrameSurface, PreparedSource<'p>), Error> {
-        let ShapedFrame { settings, shaped, shaping } = work;
+    ) -> Result<(reconstruction::FrameSurface, PreparedSource<'p>), Error> {
+        let ShapedFrame { settings, shaped, shape_stats } = work;
         let mut storages: Vec<Box<dyn Storage>> = Vec::new();
         if let Some(make) = &mut self.scratch {
-            for _ in 0..SHELF_COUNT {
+            for _ in 0..FIELD_STORE_FILES {
                 let (storage, token) = (make().map_err(Error::Scratch)?, self.token.clone());
                 storages.push(Box::new(CancellableStorage { storage, token }));
             }
         }
         let obstacles = self.obstacles.clone();
-        let mut frame = tiled::rasterize(shaped, settings, shaping, obstacles, tile_leaves, storages)
+        let mut frame = tiled::rasterize(shaped, settings, shape_stats, obstacles, tile_leaves, storages)
             .map_err(tiled_error)?;
         let left = frame.report_mut().particle_count;
         require_particles(left, frame.source())?;
@@ -339,7 +348,7 @@ impl<'a> Reconstructor<'a> {
             tiled::smooth(frame, settings, &mut |fraction| self.report_progress(Phase::Smooth, fraction));
         let frame = frame.map_err(storage_error)?;
         self.begin(Phase::Contour)?;
-        tiled::contour(frame, settings, &[Stored::AsTheyAre]).map_err(tiled_error)
+        tiled::contour(frame, settings, &[PositionFormat::Exact]).map_err(tiled_error)
     }
 }
 
@@ -350,7 +359,7 @@ type PreparedSource<'p> = ShapedSource<CancellableParticles<'p>>;
 struct ShapedFrame<'s, 'p> {
     settings: &'s Settings,
     shaped: PreparedSource<'p>,
-    shaping: Shaping,
+    shape_stats: ShapeStats,
 }
 
 /// Resolves the options, and measures the spacing if they need it.
@@ -359,12 +368,12 @@ fn resolve(
     positions: &Positions<'_>,
     attributes: &[Attribute],
 ) -> Result<Settings, Error> {
-    let own_radii = options.own_radii()?;
+    let per_particle_radius = options.per_particle_radius()?;
     let mut measured = None;
     if options.needs_spacing() {
         measured = estimate_spacing(positions.borrowed()).map(|estimate| SequenceSpacing {
             spacing: rounded(estimate.spacing),
-            radius_median: own_radii.and_then(|own| median(own.radii_min(attributes))),
+            radius_median: per_particle_radius.and_then(|own| median(own.radii_min(attributes))),
         });
         if measured.is_none() && options.voxel_size.and_then(Length::world).is_none() {
             return Err(Error::UnknownSpacing);
@@ -386,10 +395,10 @@ fn check_lengths(positions: &Positions<'_>, attributes: &[Attribute]) -> Result<
 
 /// Checks that the attributes that shape particles exist.
 fn check_required_attributes(settings: &Settings, attributes: &[Attribute]) -> Result<(), Error> {
-    let radius = settings.own_radii.as_ref().map(|own| (&*own.attribute, 1));
+    let radius = settings.per_particle_radius.as_ref().map(|own| (&*own.attribute, 1));
     let velocity = matches!(settings.anisotropy, Anisotropy::Velocity { .. }).then_some(("velocity", 3));
     for (name, arity) in radius.into_iter().chain(velocity) {
-        if attribute_of(attributes, name, arity).is_none() {
+        if find_attribute(attributes, name, arity).is_none() {
             return Err(Error::MissingAttribute { name: name.to_owned(), arity });
         }
     }
@@ -399,7 +408,7 @@ fn check_required_attributes(settings: &Settings, attributes: &[Attribute]) -> R
 /// Fails if no particle is left.
 fn require_particles(left: usize, shaped: &PreparedSource<'_>) -> Result<(), Error> {
     match left {
-        0 => Err(Error::NoParticles { given: shaped.given().positions.len() }),
+        0 => Err(Error::NoParticles { input_count: shaped.given().positions.len() }),
         _ => Ok(()),
     }
 }
@@ -428,8 +437,8 @@ fn tiled_error(error: TiledError<Error>) -> Error {
 }
 
 /// Converts the mesh to absolute positions.
-fn with_absolute_positions(surface: skin::FrameSurface, settings: Settings) -> Surface {
-    let skin::FrameSurface { band, mesh, attributes, report } = surface;
+fn with_absolute_positions(surface: reconstruction::FrameSurface, settings: Settings) -> Surface {
+    let reconstruction::FrameSurface { band, mesh, attributes, report } = surface;
     let Mesh { positions, normals, triangles, origin } = mesh;
     let positions = positions.into_par_iter().map(|position| origin + position.as_dvec3()).collect();
     let attributes = attributes.vertices;

@@ -4,7 +4,7 @@ use glam::DVec3;
 
 pub use crate::surface::attributes::TransferCounts;
 use crate::surface::mesh::MeshMeasures;
-pub use crate::surface::obstacle::{ContactTally, DepthTally};
+pub use crate::surface::obstacle::{ContactStats, DepthStats};
 pub use crate::surface::smooth::Convergence;
 pub use crate::surface::validation::{Certificate, ParticlesOutside};
 
@@ -12,20 +12,20 @@ pub use crate::surface::validation::{Certificate, ParticlesOutside};
 /// before you use a surface, and `dropped_count` if the input may be damaged.
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
-pub struct SkinReport {
+pub struct ReconstructionReport {
     /// Number of particles that the surface was made from.
     pub particle_count: usize,
     /// Number of particles left out: not finite, outside the grid's range of indices, or so far from the
     /// others that 32-bit positions cannot hold a surface around them.
     pub dropped_count: usize,
     /// Approximate position of one of the dropped particles, world units; `None` if none of them is finite.
-    pub stray: Option<DVec3>,
+    pub stray_position: Option<DVec3>,
     /// Statistics of particle radii and anisotropy; all zero if all particles are balls of one size.
-    pub shaping: Shaping,
+    pub shapes: ShapeStats,
     /// What the obstacles changed in the level sets.
-    pub contact: ContactTally,
+    pub contact: ContactStats,
     /// How deep vertices lie inside obstacles.
-    pub depth: DepthTally,
+    pub depth: DepthStats,
     /// What islands, cavities, clipping and decimation changed.
     pub edits: EditReport,
     /// Number of stored leaves of 8³ voxels.
@@ -36,7 +36,7 @@ pub struct SkinReport {
     /// Number of passes of the biharmonic operator; a voxel takes part in at most this many.
     pub pass_count: usize,
     /// Number of updates of free voxels: free voxels times passes, if every voxel takes part in every pass.
-    pub moved_count: u64,
+    pub voxel_update_count: u64,
     /// How far a change of one particle can reach, in voxels; `None` if the integrator couples all voxels
     /// (conjugate gradients).
     pub reach_voxels: Option<u32>,
@@ -49,7 +49,7 @@ pub struct SkinReport {
     /// The checks of the result.
     pub certificate: Certificate,
     /// Number of vertices that were more than half a voxel outside their bounds and were moved back.
-    pub vertices_returned: usize,
+    pub vertices_clamped: usize,
     /// Number of triangles removed because they have no area at the positions that are written.
     pub flat_triangles_removed: usize,
     /// ∫H² over the surface, from φ; 4π for a sphere of any size.
@@ -88,7 +88,7 @@ fn as_f64<S: serde::Serializer>(number: &f32, serializer: S) -> Result<S::Ok, S:
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
-pub struct Shaping {
+pub struct ShapeStats {
     /// Particles whose own r_min is too small for the grid; it was raised to √3·h.
     #[cfg_attr(feature = "serde", serde(rename = "small_radii"))]
     pub small_radius_count: usize,

@@ -2,7 +2,7 @@
 
 #[cfg(any(test, feature = "pipeline"))]
 /// A count with its noun, in the plural unless the count is 1.
-pub(crate) fn counted(count: usize, noun: &str) -> String {
+pub(crate) fn pluralize(count: usize, noun: &str) -> String {
     if count == 1 {
         return format!("1 {noun}");
     }
@@ -118,10 +118,10 @@ mod tests {
     }
 
     #[test]
-    fn counted_uses_the_plural_unless_the_count_is_one() {
-        assert_eq!(counted(1, "vertex"), "1 vertex");
-        assert_eq!(counted(0, "non-manifold vertex"), "0 non-manifold vertices");
-        assert_eq!(counted(2, "triangle without area"), "2 triangles without area");
-        assert_eq!(counted(3, "frame"), "3 frames");
+    fn pluralize_uses_the_plural_unless_the_count_is_one() {
+        assert_eq!(pluralize(1, "vertex"), "1 vertex");
+        assert_eq!(pluralize(0, "non-manifold vertex"), "0 non-manifold vertices");
+        assert_eq!(pluralize(2, "triangle without area"), "2 triangles without area");
+        assert_eq!(pluralize(3, "frame"), "3 frames");
     }
 }

@@ -20,8 +20,8 @@ use std::time::Duration;
 use glam::{IVec3, Vec3};
 use meniscus::pipeline::encode_level_set;
 use meniscus::surface::options::{MethodOptions, Settings};
-use meniscus::surface::particles::Particles;
-use meniscus::surface::skin::skin;
+use meniscus::surface::particles::OwnedPositions;
+use meniscus::surface::reconstruction::reconstruct_frame;
 use meniscus_formats::{AttributeRole, FileAttribute, FilePositions, ParticleFrame, Values, bgeo, vdb};
 use tempfile::{TempDir, tempdir};
 
@@ -448,7 +448,7 @@ fn write_ship(path: &Path) {
 /// The level set of a block.
 fn write_level_set(path: &Path) {
     let settings = Settings::paper(0.05, &MethodOptions::default()).expect("sound");
-    let surface = skin(&Particles::Double(block(4, 0.0)), &settings);
+    let surface = reconstruct_frame(&OwnedPositions::F64(block(4, 0.0)), &settings);
     let encoded = encode_level_set(&surface, &settings, &vdb::WriteOptions::default(), &[]);
     let mut out = BufWriter::new(File::create(path).expect("made"));
     encoded.expect("it fits").write(&mut out).expect("written");

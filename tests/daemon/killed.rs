@@ -10,7 +10,7 @@ use std::thread;
 use std::time::Duration;
 
 use meniscus_formats::OutputFormat;
-use meniscus_formats::is_whole;
+use meniscus_formats::is_complete;
 
 use crate::scene::{Scene, by_length, moving, ply, text_ply};
 
@@ -58,7 +58,7 @@ fn killed_daemon_loses_no_frame_and_shows_no_incomplete_output() {
     scene.assert_no_temporaries();
     assert_eq!(names_seen(&seen), 4 * frame_count);
     for Sight { name, bytes } in seen {
-        assert!(is_whole(kind(&name), &mut Cursor::new(&bytes)).unwrap_or(false), "{name} was not whole");
+        assert!(is_complete(kind(&name), &mut Cursor::new(&bytes)).unwrap_or(false), "{name} was not whole");
         // The same frame gives the same bytes in every conversion.
         assert!(scene.bytes(&format!("out/{name}")) == bytes, "{name} was not what it is now");
     }

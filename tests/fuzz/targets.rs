@@ -20,7 +20,7 @@ use meniscus::watch::status_store::StatusStore;
 use meniscus_formats::steps::find_steps;
 use meniscus_formats::{
     Format, Limits, OutputFormat, ParticleBatch, ParticleBatches, ParticleFrame, ProbedKind, Result, Values,
-    bgeo, completeness, compression, csv, gltf, houdini, is_whole, lammps, looks_like_particles, npy, obj,
+    bgeo, completeness, compression, csv, gltf, houdini, is_complete, lammps, looks_like_particles, npy, obj,
     ply, png, probe, read_obstacle, read_particles, read_provenance, stl, usda, vdb, vtk, xyz, xyz_ext,
 };
 use twox_hash::XxHash3_64;
@@ -73,7 +73,7 @@ pub(crate) const TARGETS: [Target; 33] = [
     plain("obj", |bytes| drop(obj::read_mesh(bytes))),
     Target { name: "png", content: Content::Picture, run: |bytes| drop(png::read(bytes)) },
     packed("obstacle", |bytes| named(bytes, obstacle)),
-    packed("packing", |bytes| drop(compression::unpacked(bytes, &limits()))),
+    packed("packing", |bytes| drop(compression::decompressed(bytes, &limits()))),
     packed("particles", |bytes| named(bytes, particles)),
     plain("batches", |bytes| named(bytes, batches)),
     plain("ends", ends),
@@ -151,7 +151,7 @@ fn batches(bytes: &[u8], name: &str) {
     let mut count = 0;
     for index in 0..batches.batch_count() {
         batches.read_batch(index, &mut batch).expect("a batch of a file that has not changed");
-        assert_eq!(batch.positions.len(), batches.particles_of(index).len());
+        assert_eq!(batch.positions.len(), batches.particle_range(index).len());
         count += batch.positions.len();
     }
     assert_eq!(count, batches.particle_count());
@@ -181,8 +181,8 @@ fn vdb_grids(bytes: &[u8]) {
 }
 
 fn gltf_parts(bytes: &[u8]) {
-    let _ = gltf::files_beside(bytes);
-    let _ = gltf::read_mesh_with(bytes, &limits(), &|_| Ok(vec![7; 96]));
+    let _ = gltf::external_files(bytes);
+    let _ = gltf::read_mesh_with_external(bytes, &limits(), &|_| Ok(vec![7; 96]));
     let _ = gltf::read_attributes(bytes, &limits());
     let _ = gltf::read_camera(bytes);
 }
@@ -190,8 +190,8 @@ fn gltf_parts(bytes: &[u8]) {
 /// A frame of a sequence file, used twice: its columns and triangles are read for the .usda, its data is
 /// copied for the .glb.
 fn gltf_frame(bytes: &[u8]) {
-    let Ok(file) = gltf::SequenceFrame::read(&mut Cursor::new(bytes)) else { return };
-    let frame = |code| gltf::ShotFrame { name: "f".into(), code, file: file.clone() };
+    let Ok(file) = gltf::GlbFrame::read(&mut Cursor::new(bytes)) else { return };
+    let frame = |code| gltf::SequenceFrame { name: "f".into(), code, file: file.clone() };
     let (shot, open) = ([frame(1), frame(3)], |_: usize| Ok(Cursor::new(bytes)));
     let _ = usda::write_sequence(&shot, (24.0, 1.0), &[], open, &mut std::io::sink());
     let _ = gltf::write_sequence(&shot, 24.0, &[], open, &mut std::io::sink());
@@ -213,7 +213,7 @@ fn ends(bytes: &[u8]) {
     ];
     let [choice, bytes @ ..] = bytes else { return };
     let format = FORMATS[usize::from(*choice) % FORMATS.len()];
-    let _ = is_whole(format, &mut Cursor::new(bytes));
+    let _ = is_complete(format, &mut Cursor::new(bytes));
     let _ = read_provenance(format, bytes);
     let _ = completeness(&mut Cursor::new(bytes), NAMES[usize::from(*choice) % NAMES.len()]);
 }

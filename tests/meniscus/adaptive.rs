@@ -21,7 +21,10 @@ fn adaptive_steps_give_the_result_of_explicit_ones() {
         assert_eq!(many.pass_count, 500);
         assert!((FEWEST_STEPS..450).contains(&fewer.pass_count), "{fewer:?}");
         assert_eq!((fewer.reach_voxels, fewer.cfl_exceeded_count), (None, 0));
-        assert!(fewer.moved_count < many.moved_count && fewer.free_voxel_count == many.free_voxel_count);
+        assert!(
+            fewer.voxel_update_count < many.voxel_update_count
+                && fewer.free_voxel_count == many.free_voxel_count
+        );
         let near = voxels(&explicit).zip(voxels(&adaptive)).filter(|((_, phi), _)| phi.abs() < 1.0);
         let (mut sum, mut count, mut worst) = (0.0, 0.0, 0.0f32);
         for ((_, one), (_, other)) in near {

@@ -10,17 +10,19 @@ use glam::{DVec3, Vec3};
 use meniscus::surface::mesh::Mesh;
 use meniscus::surface::obstacle::Obstacles;
 use meniscus::surface::options::{MethodOptions, Settings};
-use meniscus::surface::particles::Particles;
-use meniscus::surface::report::Shaping;
-use meniscus::surface::skin::{FrameSurface, Stored, contour, rasterize, skin, smooth};
+use meniscus::surface::particles::OwnedPositions;
+use meniscus::surface::reconstruction::{
+    FrameSurface, PositionFormat, contour, rasterize, reconstruct_frame, smooth,
+};
+use meniscus::surface::report::ShapeStats;
 use serde_json::Value;
 use tempfile::tempdir;
 
 use crate::scene::{block, meniscus, write_ply};
 
-fn skinned(positions: &[[f64; 3]], settings: &Settings, stored: &[Stored]) -> FrameSurface {
-    let particles = Particles::Double(positions.to_vec());
-    let rasterized = rasterize(&particles, settings, Shaping::default(), Obstacles::default());
+fn skinned(positions: &[[f64; 3]], settings: &Settings, stored: &[PositionFormat]) -> FrameSurface {
+    let particles = OwnedPositions::F64(positions.to_vec());
+    let rasterized = rasterize(&particles, settings, ShapeStats::default(), Obstacles::default());
     let Ok(rasterized) = rasterized;
     contour(smooth(rasterized, settings), settings, stored)
 }
@@ -67,13 +69,14 @@ fn every_particle_outside_the_written_mesh_is_counted() {
             ..MethodOptions::default()
         };
         let settings = Settings::paper(1.0, &choices).expect("sound");
-        for (seed, stored) in [(1, Stored::AsTheyAre), (2, Stored::Rounded(quarters)), (3, Stored::AsTheyAre)]
+        for (seed, stored) in
+            [(1, PositionFormat::Exact), (2, PositionFormat::Rounded(quarters)), (3, PositionFormat::Exact)]
         {
             let positions = cloud(seed, 300, 16.0);
             let surface = skinned(&positions, &settings, &[stored]);
             let written = match stored {
-                Stored::AsTheyAre => surface.mesh.positions.clone(),
-                Stored::Rounded(rounding) => surface.mesh.rounded(rounding),
+                PositionFormat::Exact => surface.mesh.positions.clone(),
+                PositionFormat::Rounded(rounding) => surface.mesh.rounded(rounding),
             };
             let is_outside =
                 |position: &&[f64; 3]| winding(&surface.mesh, &written, DVec3::from(**position)) < 0.5;
@@ -98,7 +101,7 @@ fn rounded_mesh_is_closed_and_within_its_bounds() {
     let mut removed_count = 0;
     for seed in 0..4 {
         let positions = cloud(40 + seed, 400, 24.0);
-        let surface = skinned(&positions, &settings, &[Stored::Rounded(eighths)]);
+        let surface = skinned(&positions, &settings, &[PositionFormat::Rounded(eighths)]);
         let certificate = &surface.report.certificate;
         let measures = &surface.report.mesh;
         assert_eq!((measures.boundary_edge_count, measures.non_manifold_edge_count), (0, 0), "{measures:?}");
@@ -139,7 +142,7 @@ fn drops_at_the_limit_of_precision_are_closed() {
             let at = |axis: u64| 0.1 * voxels * (0.2 + 0.8 * random(100 * seed as u64 + 10 * drop + axis));
             let [x, y, z] = [at(0), -at(1), 0.1 * voxels];
             positions.extend([[x, y, z], [x + 0.25, y + 0.1, z], [x, y + 0.3, z + 0.1]]);
-            let report = skin(&Particles::Double(positions), &settings).report;
+            let report = reconstruct_frame(&OwnedPositions::F64(positions), &settings).report;
             assert_eq!(report.dropped_count, 0);
             assert!(report.certificate.holds(), "at {voxels}: {:?} {:?}", report.certificate, report.mesh);
             removed_count += report.flat_triangles_removed;
@@ -152,16 +155,16 @@ fn drops_at_the_limit_of_precision_are_closed() {
 fn escaped_particle_is_left_out_and_the_others_are_certified() {
     let settings = Settings::paper(0.1, &MethodOptions::default()).expect("sound");
     let positions = block(8, 0.0);
-    let alone = skin(&Particles::Double(positions.clone()), &settings);
+    let alone = reconstruct_frame(&OwnedPositions::F64(positions.clone()), &settings);
     for far in [3e5, -4e6, 9e7, 1e30] {
         let mut escaped = positions.clone();
         escaped.insert(100, [0.3, far, 0.0]);
-        let surface = skin(&Particles::Double(escaped), &settings);
+        let surface = reconstruct_frame(&OwnedPositions::F64(escaped), &settings);
         assert!(surface.mesh == alone.mesh && surface.band.phi == alone.band.phi, "at {far}");
         assert_eq!((surface.report.particle_count, surface.report.dropped_count), (512, 1));
         assert_eq!(surface.report.certificate.particles_left_out, 1);
         assert!(surface.report.certificate.holds());
-        let at = surface.report.stray.expect("a place");
+        let at = surface.report.stray_position.expect("a place");
         assert!((at.y / far - 1.0).abs() < 1e-3, "{at}");
     }
 }
@@ -172,7 +175,7 @@ fn frame_of_two_distant_parts_keeps_both() {
     let settings = Settings::paper(0.1, &MethodOptions::default()).expect("sound");
     let mut positions = block(8, 0.0);
     positions.extend(block(8, 3e5));
-    let report = skin(&Particles::Double(positions), &settings).report;
+    let report = reconstruct_frame(&OwnedPositions::F64(positions), &settings).report;
     assert_eq!((report.particle_count, report.dropped_count), (1024, 0));
     assert_eq!(report.mesh.component_count, 2);
 }

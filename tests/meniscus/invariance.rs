@@ -5,9 +5,9 @@
 use glam::{DVec3, IVec3};
 use meniscus::surface::level_set::NarrowBand;
 use meniscus::surface::options::{MethodOptions, Settings};
-use meniscus::surface::particles::Particles;
-use meniscus::surface::rasterize::{RasterFields, Scene, rasterize};
-use meniscus::surface::skin::skin;
+use meniscus::surface::particles::OwnedPositions;
+use meniscus::surface::rasterize::{RasterFields, RasterParams, rasterize};
+use meniscus::surface::reconstruction::reconstruct_frame;
 use meniscus::surface::smooth::{Integrator, smooth};
 use meniscus::surface::space::Lattice;
 
@@ -21,9 +21,9 @@ const INTEGRATORS: [Integrator; 4] =
 
 /// The surface of particles in world units.
 fn skinned_world(positions: &[DVec3], voxel_size: f64, integrator: Integrator) -> NarrowBand {
-    let particles = Particles::Double(positions.iter().map(|p| p.to_array()).collect());
+    let particles = OwnedPositions::F64(positions.iter().map(|p| p.to_array()).collect());
     let Ok(RasterFields { mut band, bounds, .. }) =
-        rasterize(&particles, &Scene::open(Lattice { voxel_size }, default_radii()));
+        rasterize(&particles, &RasterParams::open(Lattice { voxel_size }, default_radii()));
     smooth(&mut band, &bounds, &default_config(integrator));
     band
 }
@@ -112,8 +112,8 @@ fn assert_same_band(here: &NarrowBand, there: &NarrowBand, shift: IVec3) -> usiz
 #[test]
 fn far_changes_keep_the_surface() {
     let reach = {
-        let one = skin(
-            &Particles::Double(vec![[0.0; 3]]),
+        let one = reconstruct_frame(
+            &OwnedPositions::F64(vec![[0.0; 3]]),
             &Settings::paper(1.0, &MethodOptions::default()).unwrap(),
         );
         i32::try_from(one.report.reach_voxels.unwrap()).unwrap()
@@ -176,15 +176,15 @@ fn bounds_hold_and_no_particle_is_outside() {
 fn particles_between_voxels_are_counted_as_outside() {
     let tiny = MethodOptions { radius_min: Some(0.3.into()), ..MethodOptions::default() };
     let settings = Settings::paper(1.0, &tiny).unwrap();
-    let lost = skin(&Particles::Double(vec![[0.5; 3]]), &settings).report;
+    let lost = reconstruct_frame(&OwnedPositions::F64(vec![[0.5; 3]]), &settings).report;
     assert_eq!((lost.mesh.triangle_count, lost.certificate.particles_outside.count), (0, 1));
     assert!(!lost.certificate.holds());
-    let caught = skin(&Particles::Double(vec![[0.1, 0.0, 0.0]]), &settings).report.certificate;
+    let caught = reconstruct_frame(&OwnedPositions::F64(vec![[0.1, 0.0, 0.0]]), &settings).report.certificate;
     assert_eq!(caught.particles_outside.count, 0, "{caught:?}");
     // Deep inside nothing is stored either.
     let block = (0..18 * 18 * 18).map(|i| [i / 324, i / 18 % 18, i % 18].map(|side| f64::from(side) * 2.0));
     let settings = Settings::paper(1.0, &MethodOptions::default()).unwrap();
-    let inside = skin(&Particles::Double(block.collect()), &settings).report.certificate;
+    let inside = reconstruct_frame(&OwnedPositions::F64(block.collect()), &settings).report.certificate;
     assert!(inside.holds(), "{inside:?}");
 }
 
@@ -195,11 +195,12 @@ fn culled_particles_are_certified_too() {
     let mut random = Random::new(73);
     let solid: Vec<DVec3> =
         jittered_lattice(&mut random, 34, |p| p.length() < 34.0).iter().map(|p| p * 0.5).collect();
-    let particles = Particles::Double(solid.iter().map(|p| p.to_array()).collect());
+    let particles = OwnedPositions::F64(solid.iter().map(|p| p.to_array()).collect());
     let settings = Settings::paper(1.0, &MethodOptions::default()).unwrap();
-    let Ok(rasterized) = rasterize(&particles, &Scene::open(Lattice { voxel_size: 1.0 }, default_radii()));
+    let Ok(rasterized) =
+        rasterize(&particles, &RasterParams::open(Lattice { voxel_size: 1.0 }, default_radii()));
     assert!(rasterized.bins.len() < solid.len() * 3 / 4, "{} are kept", rasterized.bins.len());
-    let surface = skin(&particles, &settings);
+    let surface = reconstruct_frame(&particles, &settings);
     let certificate = surface.report.certificate;
     assert!(certificate.holds(), "{certificate:?}");
     assert_eq!(surface.report.particle_count, solid.len());
@@ -225,9 +226,9 @@ fn escaped_particle_costs_the_others_no_precision() {
     let settings = Settings::paper(0.025, &MethodOptions::default()).unwrap();
     let mut positions: Vec<[f64; 3]> =
         (0..512).map(|i| [i / 64, i / 8 % 8, i % 8].map(|side| f64::from(side) * 0.05)).collect();
-    let alone = skin(&Particles::Double(positions.clone()), &settings);
+    let alone = reconstruct_frame(&OwnedPositions::F64(positions.clone()), &settings);
     positions.push([1e4, 0.0, 0.0]);
-    let with_stray = skin(&Particles::Double(positions), &settings);
+    let with_stray = reconstruct_frame(&OwnedPositions::F64(positions), &settings);
     assert_eq!(with_stray.mesh.origin, alone.mesh.origin);
     let count = alone.mesh.positions.len();
     assert_eq!(with_stray.mesh.positions[..count], alone.mesh.positions);

@@ -8,10 +8,10 @@ use std::sync::Arc;
 
 use glam::{DQuat, DVec3, EulerRot};
 use meniscus::surface::grid::voxel_in_leaf;
-use meniscus::surface::obstacle::{Obstacle, Obstacles, Shape, Solid};
+use meniscus::surface::obstacle::{MeshSdf, Obstacle, ObstacleSdf, Obstacles};
 use meniscus::surface::options::{MethodOptions, Settings};
-use meniscus::surface::particles::{Cloud, Particles, Shapes};
-use meniscus::surface::skin::{FrameSurface, skin_cloud};
+use meniscus::surface::particles::{OwnedPositions, ParticleCloud, Shapes};
+use meniscus::surface::reconstruction::{FrameSurface, reconstruct_cloud};
 use serde_json::Value;
 use tempfile::tempdir;
 
@@ -26,9 +26,9 @@ struct Body {
 
 impl Body {
     fn obstacles(&self) -> Obstacles {
-        let solid = Solid::new(&self.positions, &self.triangles);
+        let solid = MeshSdf::new(&self.positions, &self.triangles);
         assert_eq!(solid.findings().open_edge_count, 0);
-        Obstacles { members: vec![Arc::new(Obstacle::new(Shape::Solid(solid), 1 << 28))] }
+        Obstacles { members: vec![Arc::new(Obstacle::new(ObstacleSdf::Mesh(solid), 1 << 28))] }
     }
 
     fn corners(&self, triangle: [u32; 3]) -> [DVec3; 3] {
@@ -146,9 +146,9 @@ fn skinned_and_moved(
         ..MethodOptions::default()
     };
     let settings = Settings::paper(1.0, &choices).expect("sound");
-    let positions = Particles::Double(particles);
-    let cloud = Cloud { positions, shapes: Shapes::Balls, attributes: Vec::new() };
-    skin_cloud(cloud, &settings, &body.obstacles())
+    let positions = OwnedPositions::F64(particles);
+    let cloud = ParticleCloud { positions, shapes: Shapes::Uniform, attributes: Vec::new() };
+    reconstruct_cloud(cloud, &settings, &body.obstacles())
 }
 
 /// Nothing is deeper than a quarter of a voxel; the mesh is closed; the certificate holds. Returns the distances of

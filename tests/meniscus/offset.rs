@@ -6,8 +6,8 @@ use std::fs;
 use glam::{DVec3, Vec3};
 use meniscus::surface::obstacle::Obstacles;
 use meniscus::surface::options::{AnisotropyKind, AttributeSelection, MethodOptions, Settings};
-use meniscus::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
-use meniscus::surface::skin::{FrameSurface, skin, skin_cloud};
+use meniscus::surface::particles::{Attribute, AttributeValues, OwnedPositions, ParticleCloud, Role};
+use meniscus::surface::reconstruction::{FrameSurface, reconstruct_cloud, reconstruct_frame};
 use serde_json::Value;
 use tempfile::tempdir;
 
@@ -16,7 +16,10 @@ use crate::scene::{block, meniscus, write_ply};
 /// The surface of particles with voxels of 1.
 fn skinned(positions: &[DVec3], choices: &MethodOptions) -> FrameSurface {
     let settings = Settings::paper(1.0, choices).expect("sound");
-    skin(&Particles::Double(positions.iter().map(|position| position.to_array()).collect()), &settings)
+    reconstruct_frame(
+        &OwnedPositions::F64(positions.iter().map(|position| position.to_array()).collect()),
+        &settings,
+    )
 }
 
 fn with_offset(offset: f64) -> MethodOptions {
@@ -168,7 +171,7 @@ fn normals_and_attributes_follow_the_moved_surface() {
     let velocities = positions.iter().flat_map(|position| [1.0, position.x as f32, -2.0]).collect();
     let velocity = Attribute {
         name: "v".into(),
-        meaning: Meaning::Velocity,
+        role: Role::Velocity,
         arity: 3,
         values: AttributeValues::Numbers(velocities),
     };
@@ -179,15 +182,15 @@ fn normals_and_attributes_follow_the_moved_surface() {
             ..with_offset(offset)
         };
         let settings = Settings::paper(1.0, &choices).expect("sound");
-        let particles = Particles::Double(positions.iter().map(|position| position.to_array()).collect());
-        let cloud = Cloud { attributes: vec![velocity.clone()], ..Cloud::from(particles) };
-        let surface = skin_cloud(cloud, &settings, &Obstacles::default());
+        let particles = OwnedPositions::F64(positions.iter().map(|position| position.to_array()).collect());
+        let cloud = ParticleCloud { attributes: vec![velocity.clone()], ..ParticleCloud::from(particles) };
+        let surface = reconstruct_cloud(cloud, &settings, &Obstacles::default());
         let certificate = &surface.report.certificate;
         assert!(certificate.holds(), "{offset}: {certificate:?}");
         assert!(surface.mesh.normals.iter().all(|normal: &Vec3| (normal.length() - 1.0).abs() < 1e-3));
         let transfer = surface.report.transfer.as_ref().expect("transferred");
         assert_eq!(
-            (transfer.vertices.place_count, transfer.vertices.empty_count),
+            (transfer.vertices.point_count, transfer.vertices.empty_count),
             (surface.mesh.positions.len(), 0)
         );
         let AttributeValues::Numbers(values) = &surface.attributes.vertices[0].values else {

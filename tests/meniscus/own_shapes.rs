@@ -5,35 +5,35 @@
 use glam::{DVec3, Vec3};
 use meniscus::surface::obstacle::Obstacles;
 use meniscus::surface::options::{AnisotropyKind, MethodOptions, Preset, Settings};
-use meniscus::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
-use meniscus::surface::skin::{FrameSurface, skin_cloud};
+use meniscus::surface::particles::{Attribute, AttributeValues, OwnedPositions, ParticleCloud, Role};
+use meniscus::surface::reconstruction::{FrameSurface, reconstruct_cloud};
 use meniscus::surface::smooth::Integrator;
 
 use crate::shapes::{Random, same_bits};
 
-fn cloud(positions: &[DVec3]) -> Cloud {
-    Particles::Double(positions.iter().map(|position| position.to_array()).collect()).into()
+fn cloud(positions: &[DVec3]) -> ParticleCloud {
+    OwnedPositions::F64(positions.iter().map(|position| position.to_array()).collect()).into()
 }
 
-fn with(mut cloud: Cloud, name: &str, meaning: Meaning, arity: usize, numbers: Vec<f32>) -> Cloud {
+fn with(mut cloud: ParticleCloud, name: &str, role: Role, arity: usize, numbers: Vec<f32>) -> ParticleCloud {
     let values = AttributeValues::Numbers(numbers);
-    cloud.attributes.push(Attribute { name: name.to_owned(), meaning, arity, values });
+    cloud.attributes.push(Attribute { name: name.to_owned(), role, arity, values });
     cloud
 }
 
-fn with_radii(cloud: Cloud, radii: Vec<f32>) -> Cloud {
-    with(cloud, "pscale", Meaning::Radius, 1, radii)
+fn with_radii(cloud: ParticleCloud, radii: Vec<f32>) -> ParticleCloud {
+    with(cloud, "pscale", Role::Radius, 1, radii)
 }
 
-fn with_velocities(cloud: Cloud, velocities: &[Vec3]) -> Cloud {
+fn with_velocities(cloud: ParticleCloud, velocities: &[Vec3]) -> ParticleCloud {
     let numbers = velocities.iter().flat_map(|velocity| velocity.to_array()).collect();
-    with(cloud, "v", Meaning::Velocity, 3, numbers)
+    with(cloud, "v", Role::Velocity, 3, numbers)
 }
 
 /// Reconstructs the surface with a voxel size of 1.
-fn skinned(cloud: Cloud, choices: &MethodOptions) -> FrameSurface {
+fn skinned(cloud: ParticleCloud, choices: &MethodOptions) -> FrameSurface {
     let settings = Settings::paper(1.0, choices).expect("sound");
-    let surface = skin_cloud(cloud, &settings, &Obstacles::default());
+    let surface = reconstruct_cloud(cloud, &settings, &Obstacles::default());
     let certificate = &surface.report.certificate;
     assert!(certificate.holds(), "{certificate:?}");
     surface
@@ -98,7 +98,7 @@ fn sphere_errors(radii: &[f32], choices: &MethodOptions) -> Vec<f64> {
         (0..radii.len()).map(|index| DVec3::new(90.3 * index as f64, 0.4, -0.2)).collect();
     let surface = skinned(with_radii(cloud(&centers), radii.to_vec()), choices);
     let small_count = radii.iter().filter(|radius| **radius < 3f32.sqrt()).count();
-    assert_eq!(surface.report.shaping.small_radius_count, small_count);
+    assert_eq!(surface.report.shapes.small_radius_count, small_count);
     assert_eq!(surface.report.mesh.component_count, radii.len());
     let error = |(center, &radius): (&DVec3, &f32)| {
         let radius_min = f64::from(radius).max(3f64.sqrt());

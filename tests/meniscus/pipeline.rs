@@ -13,8 +13,8 @@ use meniscus::surface::grid::{Field, Topology};
 use meniscus::surface::level_set::NarrowBand;
 use meniscus::surface::mesh::Mesh;
 use meniscus::surface::options::{MethodOptions, Settings};
-use meniscus::surface::report::SkinReport;
-use meniscus::surface::skin::{FrameSurface, MemoryPlan, SurfaceAttributes};
+use meniscus::surface::reconstruction::{FrameSurface, MemoryPlan, SurfaceAttributes};
+use meniscus::surface::report::ReconstructionReport;
 use meniscus_formats::{gltf, vdb};
 use rayon::ThreadPool;
 use tempfile::{TempDir, tempdir};
@@ -52,7 +52,7 @@ impl Method for Quick {
         _settings: &Settings,
         _allowed_bytes: u64,
     ) -> Result<MemoryPlan, Cause> {
-        Ok(MemoryPlan { memory_bytes: 1 << 20, tile_leaves: None, whole_bytes: 0 })
+        Ok(MemoryPlan { memory_bytes: 1 << 20, tile_leaves: None, in_core_bytes: 0 })
     }
 
     fn rasterize(
@@ -93,7 +93,7 @@ pub(crate) fn tetrahedron(count: usize, settings: &Settings) -> FrameSurface {
     let mut phi = Field::splat(1, 6.0);
     phi.leaves[0].values[0] = -1.0;
     let band = NarrowBand { topology, phi, half_width: 6.0 };
-    let mut report = SkinReport::default();
+    let mut report = ReconstructionReport::default();
     report.particle_count = count;
     FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report }
 }
@@ -229,7 +229,7 @@ fn frames_are_converted_in_order() {
     assert_eq!(letters(&outcomes), "cccccccccccccccc");
     assert_eq!(bench.written().len(), 16);
     let Outcome::Converted(report) = &outcomes[1] else { panic!("not converted") };
-    assert_eq!(report.skin.particle_count, 27);
+    assert_eq!(report.reconstruction.particle_count, 27);
     assert_eq!(report.outputs[0], bench.out().join("f.1.glb"));
     let size_bytes = |path: &PathBuf| fs::metadata(path).expect("there").len();
     assert_eq!(report.output_bytes, report.outputs.iter().map(size_bytes).collect::<Vec<_>>());

@@ -5,8 +5,8 @@
 use std::f64::consts::PI;
 
 use meniscus::surface::options::{MethodOptions, Settings};
-use meniscus::surface::particles::Particles;
-use meniscus::surface::skin::skin;
+use meniscus::surface::particles::OwnedPositions;
+use meniscus::surface::reconstruction::reconstruct_frame;
 
 use crate::shapes::{Random, crossings};
 
@@ -19,7 +19,7 @@ fn random_particles_in_a_ball_come_out_as_one_ball() {
     let mut random = Random::new(12);
     let positions = (0..PARTICLE_COUNT).map(|_| random.in_ball(RADIUS).to_array()).collect();
     let settings = Settings::paper(1.0, &MethodOptions::default()).unwrap();
-    let surface = skin(&Particles::Double(positions), &settings);
+    let surface = reconstruct_frame(&OwnedPositions::F64(positions), &settings);
     let of_field: Vec<f64> = crossings(&surface.band).iter().map(|p| p.as_dvec3().length()).collect();
     let of_mesh: Vec<f64> = surface.mesh.positions.iter().map(|p| p.as_dvec3().length()).collect();
     for (what, radii) in [("zero set", of_field), ("mesh", of_mesh)] {

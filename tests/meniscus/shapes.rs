@@ -5,8 +5,8 @@
 use glam::{DMat3, DVec3, IVec3, Vec3};
 use meniscus::surface::grid::{LEAF_VOXELS, offset_in_leaf, voxel_in_leaf};
 use meniscus::surface::level_set::{Bounds, NarrowBand};
-use meniscus::surface::particles::Particles;
-use meniscus::surface::rasterize::{Radii, RasterFields, Scene, rasterize};
+use meniscus::surface::particles::OwnedPositions;
+use meniscus::surface::rasterize::{Radii, RasterFields, RasterParams, rasterize};
 use meniscus::surface::smooth::{Integrator, SmoothConfig, SmoothReport, smooth};
 use meniscus::surface::space::Lattice;
 
@@ -16,7 +16,7 @@ pub(crate) const SPACING: f64 = 2.0;
 /// The radii that follow from the voxel size alone (paper, §3.7).
 pub(crate) fn default_radii() -> Radii {
     let min = 3f32.sqrt();
-    Radii::of_balls(min, 1.5 * min, 2.0 * min)
+    Radii::uniform(min, 1.5 * min, 2.0 * min)
 }
 
 /// The defaults of each integrator.
@@ -39,9 +39,9 @@ pub(crate) fn default_config(integrator: Integrator) -> SmoothConfig {
 
 /// The three unions of spheres of particles given in voxels.
 pub(crate) fn rasterized(positions: &[DVec3]) -> (NarrowBand, Bounds) {
-    let particles = Particles::Double(positions.iter().map(|p| p.to_array()).collect());
+    let particles = OwnedPositions::F64(positions.iter().map(|p| p.to_array()).collect());
     let Ok(RasterFields { band, bounds, .. }) =
-        rasterize(&particles, &Scene::open(Lattice { voxel_size: 1.0 }, default_radii()));
+        rasterize(&particles, &RasterParams::open(Lattice { voxel_size: 1.0 }, default_radii()));
     (band, bounds)
 }
 

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 use meniscus::pipeline::particles;
-use meniscus::surface::particles::Particles;
+use meniscus::surface::particles::OwnedPositions;
 use meniscus::surface::spacing::{SpacingEstimate, combine_estimates, estimate_spacing};
 use meniscus_formats::{Limits, read_particles};
 use serde_json::Value;
@@ -234,7 +234,7 @@ fn farther() -> Vec<Set> {
 }
 
 fn estimate(points: &[DVec3]) -> Option<SpacingEstimate> {
-    estimate_spacing(Particles::Double(points.iter().map(DVec3::to_array).collect()))
+    estimate_spacing(OwnedPositions::F64(points.iter().map(DVec3::to_array).collect()))
 }
 
 /// The sets whose estimated spacing is off by more than this share, with the estimates.

@@ -15,7 +15,7 @@ use meniscus::pipeline::{
     PipelineOptions, Stage, default_in_flight, is_own_output, run, stream,
 };
 use meniscus::surface::options::Settings;
-use meniscus::surface::skin::{FrameSurface, MemoryPlan};
+use meniscus::surface::reconstruction::{FrameSurface, MemoryPlan};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 
@@ -37,7 +37,7 @@ impl<H: Fn(Stage, usize) + Sync> Method for Told<H> {
         _settings: &Settings,
         _allowed_bytes: u64,
     ) -> Result<MemoryPlan, Cause> {
-        Ok(MemoryPlan { memory_bytes: (particles.len() as u64) << 20, tile_leaves: None, whole_bytes: 0 })
+        Ok(MemoryPlan { memory_bytes: (particles.len() as u64) << 20, tile_leaves: None, in_core_bytes: 0 })
     }
 
     fn rasterize(

@@ -3,8 +3,8 @@
 #![expect(clippy::print_stdout, reason = "tests print measurements, visible with --nocapture")]
 
 use glam::{DVec3, IVec3};
-use meniscus::surface::particles::Particles;
-use meniscus::surface::rasterize::{Radii, RasterFields, Scene, rasterize};
+use meniscus::surface::particles::OwnedPositions;
+use meniscus::surface::rasterize::{Radii, RasterFields, RasterParams, rasterize};
 use meniscus::surface::smooth::{Integrator, smooth};
 use meniscus::surface::space::{INDEX_LIMIT, Lattice};
 
@@ -62,9 +62,9 @@ fn distances_outside_are_exact() {
 fn swept_distances_of_a_sphere_are_near() {
     let center = DVec3::new(0.4, 0.1, -0.3);
     let lattice = Lattice { voxel_size: 1.0 };
-    let particle = Particles::Double(vec![center.to_array()]);
+    let particle = OwnedPositions::F64(vec![center.to_array()]);
     let Ok(RasterFields { band, .. }) =
-        rasterize(&particle, &Scene::open(lattice, Radii::of_balls(9.5, 10.0, 10.5)));
+        rasterize(&particle, &RasterParams::open(lattice, Radii::uniform(9.5, 10.0, 10.5)));
     let error = |(voxel, phi): (IVec3, f32)| {
         let exact = voxel.as_dvec3().distance(center) - 10.0;
         (exact.abs() < f64::from(band.half_width) - 0.5).then_some((f64::from(phi) - exact).abs())
@@ -133,7 +133,8 @@ fn positions_that_are_not_finite_are_dropped_and_counted() {
     ];
     let mixed = vec![bad[0], good[0], bad[1], bad[2], good[1], bad[3], good[2], bad[4]];
     let rasterized = |positions: Vec<[f64; 3]>| {
-        let Ok(rasterized) = rasterize(&Particles::Double(positions), &Scene::open(lattice, default_radii()));
+        let Ok(rasterized) =
+            rasterize(&OwnedPositions::F64(positions), &RasterParams::open(lattice, default_radii()));
         rasterized
     };
     let (clean, dirty) = (rasterized(good.to_vec()), rasterized(mixed));

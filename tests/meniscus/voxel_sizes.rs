@@ -7,15 +7,17 @@ use std::path::Path;
 
 use meniscus::surface::obstacle::Obstacles;
 use meniscus::surface::options::{MethodOptions, Settings};
-use meniscus::surface::particles::Particles;
-use meniscus::surface::skin::{Limit, MemoryPlan, PlanInputs, Unfit, plan, skin};
+use meniscus::surface::particles::OwnedPositions;
+use meniscus::surface::reconstruction::{
+    MemoryPlan, MemoryPlanError, PlanInputs, PrecisionLimit, plan_memory, reconstruct_frame,
+};
 use tempfile::tempdir;
 
 use crate::scene::{Ran, block, meniscus, names_in, write_ply};
 
 /// The plan for these particles, whose spacing is 0.1, with voxels of this many spacings; with r_min at 0.87
 /// spacings if the radii would be smaller.
-fn planned(particles: &[[f64; 3]], spacings: f64) -> Result<MemoryPlan, Unfit> {
+fn planned(particles: &[[f64; 3]], spacings: f64) -> Result<MemoryPlan, MemoryPlanError> {
     let voxel_size = 0.1 * spacings;
     let radius_min = (0.02..0.5).contains(&spacings).then_some(0.087);
     let radius_ratio = (spacings < 0.1).then_some(1.25);
@@ -23,12 +25,12 @@ fn planned(particles: &[[f64; 3]], spacings: f64) -> Result<MemoryPlan, Unfit> {
         MethodOptions { radius_min: radius_min.map(Into::into), radius_ratio, ..MethodOptions::default() };
     let settings = Settings::paper(voxel_size, &choices).expect("settings");
     let around = PlanInputs { obstacles: &Obstacles::default(), attribute_bytes: 0.0 };
-    let Ok(planned) = plan(&Particles::Double(particles.to_vec()), &settings, around, u64::MAX);
+    let Ok(planned) = plan_memory(&OwnedPositions::F64(particles.to_vec()), &settings, around, u64::MAX);
     planned
 }
 
 fn is_too_fine(particles: &[[f64; 3]], spacings: f64) -> bool {
-    matches!(planned(particles, spacings), Err(Unfit::TooFine(_)))
+    matches!(planned(particles, spacings), Err(MemoryPlanError::VoxelTooSmall(_)))
 }
 
 #[test]
@@ -38,18 +40,22 @@ fn voxels_below_the_precision_of_positions_are_refused() {
         assert!(!is_too_fine(&cloud, spacings), "{spacings}");
     }
     for spacings in [1e-6, 1e-8, 1e-10, 1e-12, 1e-30] {
-        let Err(Unfit::TooFine(too_fine)) = planned(&cloud, spacings) else { panic!("{spacings}") };
-        assert!((too_fine.spacing / 0.1 - 1.0).abs() < 0.2, "{too_fine}");
-        let named = [too_fine.least, 0.999 * too_fine.least].map(|size| is_too_fine(&cloud, 10.0 * size));
-        assert_eq!(named, [false, true], "{too_fine}");
+        let Err(MemoryPlanError::VoxelTooSmall(too_small)) = planned(&cloud, spacings) else {
+            panic!("{spacings}")
+        };
+        assert!((too_small.spacing / 0.1 - 1.0).abs() < 0.2, "{too_small}");
+        let named = [too_small.least, 0.999 * too_small.least].map(|size| is_too_fine(&cloud, 10.0 * size));
+        assert_eq!(named, [false, true], "{too_small}");
     }
 }
 
 #[test]
 fn error_for_a_frame_beyond_the_grid_has_its_distance() {
-    let Err(Unfit::TooFine(too_fine)) = planned(&block(6, 1e9), 0.5) else { panic!("it is in the grid") };
-    let told = too_fine.to_string();
-    assert_eq!(too_fine.limit, Limit::Reach);
+    let Err(MemoryPlanError::VoxelTooSmall(too_small)) = planned(&block(6, 1e9), 0.5) else {
+        panic!("it is in the grid")
+    };
+    let told = too_small.to_string();
+    assert_eq!(too_small.limit, PrecisionLimit::Reach);
     assert!(told.contains("so far from the origin") && !told.contains("usual"), "{told}");
 }
 
@@ -182,7 +188,10 @@ fn only_a_torn_surface_causes_a_warning() {
         })
         .collect();
     let settings = Settings::paper(0.04, &MethodOptions::default()).expect("settings");
-    assert_eq!(skin(&Particles::Double(bubble.clone()), &settings).mesh.measure().component_count, 2);
+    assert_eq!(
+        reconstruct_frame(&OwnedPositions::F64(bubble.clone()), &settings).mesh.measure().component_count,
+        2
+    );
     for (particles, options, expected) in [
         (&ring, &["--voxel-size", "0.05"][..], false),
         (&bubble, &["--voxel-size", "0.04"], false),

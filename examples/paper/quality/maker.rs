@@ -5,10 +5,10 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use glam::DVec3;
-use meniscus::surface::obstacle::{Obstacles, Solid};
+use meniscus::surface::obstacle::{MeshSdf, Obstacles};
 use meniscus::surface::options::{MethodOptions, SequenceSpacing, Settings};
-use meniscus::surface::particles::{Cloud, Particles};
-use meniscus::surface::skin::skin_cloud;
+use meniscus::surface::particles::{OwnedPositions, ParticleCloud};
+use meniscus::surface::reconstruction::reconstruct_cloud;
 use meniscus_formats::{Limits, MeshData, ply};
 
 use super::sets::{Frame, Set};
@@ -28,7 +28,7 @@ pub(super) enum Maker {
 /// A surface and its cost.
 pub(super) struct MadeSurface {
     pub(super) mesh: MeshData,
-    pub(super) solid: Solid,
+    pub(super) solid: MeshSdf,
     /// Voxels times smoothing passes; `None` if another program made the surface.
     pub(super) voxel_passes: Option<u64>,
     /// Whether the certificate holds; `None` if another program made the surface.
@@ -44,9 +44,10 @@ impl Maker {
         let (mesh, seconds) = match self {
             Maker::Ours(pairs) => {
                 let settings = settings_of(pairs, set.spacing)?;
-                let positions = Particles::Double(frame.points.iter().map(DVec3::to_array).collect());
-                let surface = skin_cloud(Cloud::from(positions), &settings, &Obstacles::default());
-                voxel_passes = Some(surface.report.moved_count);
+                let positions = OwnedPositions::F64(frame.points.iter().map(DVec3::to_array).collect());
+                let surface =
+                    reconstruct_cloud(ParticleCloud::from(positions), &settings, &Obstacles::default());
+                voxel_passes = Some(surface.report.voxel_update_count);
                 is_certified = Some(surface.report.certificate.holds());
                 (data(&surface), start.elapsed().as_secs_f64())
             }
@@ -60,7 +61,7 @@ impl Maker {
                 (ply::read_mesh(&bytes, &Limits::default())?, seconds_in(&bytes).unwrap_or(f64::NAN))
             }
         };
-        let solid = Solid::new(&mesh.positions, &mesh.triangles);
+        let solid = MeshSdf::new(&mesh.positions, &mesh.triangles);
         Ok(MadeSurface { mesh, solid, voxel_passes, is_certified, seconds })
     }
 }

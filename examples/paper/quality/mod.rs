@@ -22,7 +22,7 @@ mod sets;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use meniscus::surface::particles::Particles;
+use meniscus::surface::particles::OwnedPositions;
 use meniscus::surface::spacing::{SpacingEstimate, combine_estimates, estimate_spacing};
 use meniscus_formats::{FilePositions, ParticleFrame, ply};
 use serde_json::{Map, Value, json};
@@ -119,7 +119,7 @@ fn estimated_spacing(set: &Set) -> Map<String, Value> {
     indices.dedup();
     let estimate = |index: usize| {
         let points = set.frames[index].points.iter().map(|point| point.to_array()).collect();
-        estimate_spacing(Particles::Double(points))
+        estimate_spacing(OwnedPositions::F64(points))
     };
     let estimates: Vec<SpacingEstimate> = indices.into_iter().filter_map(estimate).collect();
     let found = combine_estimates(&estimates);

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use glam::DVec3;
 use meniscus::surface::flicker::{Carrier, Distribution, FlickerFrame, MovingParticles, flicker};
 use meniscus::surface::mesh::Mesh;
-use meniscus::surface::obstacle::{MeshDistance, Solid};
-use meniscus::surface::particles::Particles;
+use meniscus::surface::obstacle::{MeshDistance, MeshSdf};
+use meniscus::surface::particles::OwnedPositions;
 use meniscus_formats::MeshData;
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
@@ -76,7 +76,7 @@ fn moving(maker: &Maker, set: &Set, seconds: f64, measures: &mut Measures) -> Ou
         measures.add_costs(&made);
         measures.add_shape(&made, frame, set.spacing);
         let particles = MovingParticles {
-            positions: Particles::Double(frame.points.iter().map(DVec3::to_array).collect()),
+            positions: OwnedPositions::F64(frame.points.iter().map(DVec3::to_array).collect()),
             ids: frame.motion.ids.clone(),
             velocities: frame.motion.velocities.clone(),
         };
@@ -195,7 +195,7 @@ impl Measures {
 }
 
 /// The fraction of particles outside, and the depth of the deepest, in spacings.
-fn outside_fraction_and_depth(solid: &Solid, points: &[DVec3], spacing: f64) -> (f64, f64) {
+fn outside_fraction_and_depth(solid: &MeshSdf, points: &[DVec3], spacing: f64) -> (f64, f64) {
     let depths: Vec<f64> =
         points.par_iter().map(|point| solid.distance(*point).unwrap_or(f64::INFINITY) / spacing).collect();
     let outside = depths.iter().filter(|depth| **depth > 0.0).count();

@@ -175,8 +175,10 @@ fn require(cursor: &Cursor, byte_count: usize, what: &str) -> Result<()> {
     if byte_count <= cursor.remaining() {
         return Ok(());
     }
-    Err(cursor
-        .short(format!("expected at least {byte_count} bytes of {what}, but {} remain", cursor.remaining())))
+    Err(cursor.truncated(format!(
+        "expected at least {byte_count} bytes of {what}, but {} remain",
+        cursor.remaining()
+    )))
 }
 
 /// Reads a count of `things`, which must not be negative.

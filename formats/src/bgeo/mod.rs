@@ -91,8 +91,8 @@ pub(crate) static TEXT: FormatRow = FormatRow {
 fn completeness(head: &[u8], file_bytes: u64) -> Result<HeadCheck> {
     let header = header(head)?;
     Ok(HeadCheck::Known(match header.point_count {
-        0 => Completeness::Unproven,
+        0 => Completeness::Unknown,
         _ if header.expected_bytes_is_exact => exactly(header.expected_bytes, file_bytes),
-        _ => at_least(header.expected_bytes, file_bytes, Completeness::ByReading),
+        _ => at_least(header.expected_bytes, file_bytes, Completeness::NeedsReading),
     }))
 }

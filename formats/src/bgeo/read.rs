@@ -74,7 +74,7 @@ fn checked_points_bytes(header: &BgeoHeader, file_bytes: u64) -> Result<usize> {
             "expected {} points of {} bytes each, {points_bytes} bytes in all, but {remaining} remain",
             header.point_count, header.record_bytes,
         );
-        Error::short(FORMAT, Position::Offset(header.points_offset as u64), what)
+        Error::truncated(FORMAT, Position::Offset(header.points_offset as u64), what)
     })
 }
 

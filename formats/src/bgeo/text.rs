@@ -155,7 +155,7 @@ fn points(words: &mut WordReader, count: usize, columns: &mut [TextColumn]) -> R
     const POINT_BYTES_MIN: usize = 8; // four numbers and their separators
     let remaining = words.bytes.len() - words.at;
     if count.saturating_mul(POINT_BYTES_MIN) > remaining + 1 {
-        return Err(words.short(format!("expected {count} points, but only {remaining} bytes remain")));
+        return Err(words.truncated(format!("expected {count} points, but only {remaining} bytes remain")));
     }
     let mut positions = Vec::with_capacity(count);
     for _ in 0..count {
@@ -196,7 +196,7 @@ impl<'a> WordReader<'a> {
         let length = end.unwrap_or(rest.len());
         self.at += blanks + length;
         match length {
-            0 => Err(self.short(format!("the file ends before {what}"))),
+            0 => Err(self.truncated(format!("the file ends before {what}"))),
             _ => Ok(&rest[..length]),
         }
     }
@@ -205,7 +205,7 @@ impl<'a> WordReader<'a> {
         let word = self.next(what)?;
         let number = std::str::from_utf8(word).ok().and_then(|word| word.parse().ok());
         number.ok_or_else(|| match self.at == self.bytes.len() {
-            true => self.short(format!("the file ends within {what}")),
+            true => self.truncated(format!("the file ends within {what}")),
             false => self.expected(what, word),
         })
     }
@@ -218,8 +218,8 @@ impl<'a> WordReader<'a> {
         Error::invalid(FORMAT, Position::Line(line_number(self.bytes, self.at.saturating_sub(1))), what)
     }
 
-    fn short(&self, what: String) -> Error {
-        Error::short(FORMAT, Position::Line(line_number(self.bytes, self.at.saturating_sub(1))), what)
+    fn truncated(&self, what: String) -> Error {
+        Error::truncated(FORMAT, Position::Line(line_number(self.bytes, self.at.saturating_sub(1))), what)
     }
 }
 

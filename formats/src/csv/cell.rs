@@ -100,7 +100,7 @@ pub(super) fn unquoted(cell: &[u8]) -> Cow<'_, [u8]> {
 }
 
 /// Classifies an unquoted cell. Accepts Fortran exponents such as `1.5D-3`.
-pub(super) fn meaning(text: &[u8]) -> CellValue {
+pub(super) fn parse_cell(text: &[u8]) -> CellValue {
     let text = text.trim_ascii();
     if let Some((value, length)) = parse_number::<f64>(text)
         && length == text.len()
@@ -126,14 +126,14 @@ pub(super) fn meaning(text: &[u8]) -> CellValue {
 pub(super) fn has_decimal_comma(text: &[u8]) -> bool {
     let commas = text.iter().filter(|&&byte| byte == b',').count();
     let with_point: Vec<u8> = text.iter().map(|&byte| if byte == b',' { b'.' } else { byte }).collect();
-    commas == 1 && matches!(meaning(&with_point), CellValue::Number(_))
+    commas == 1 && matches!(parse_cell(&with_point), CellValue::Number(_))
 }
 
 /// Whether `text` is an integer that a 64-bit float cannot represent.
 #[inline]
 pub(super) fn is_rounded_integer(text: &[u8]) -> bool {
-    const DIGITS_ALWAYS_HELD: usize = 15;
-    DIGITS_ALWAYS_HELD < text.len() && is_rounded_long_integer(text)
+    const DIGITS_ALWAYS_EXACT: usize = 15;
+    DIGITS_ALWAYS_EXACT < text.len() && is_rounded_long_integer(text)
 }
 
 #[cold]
@@ -152,7 +152,7 @@ pub(super) fn is_rounded(magnitude: u128) -> bool {
 }
 
 /// A piece of the file in quotes, for a message.
-pub(super) fn shown(text: &[u8]) -> String {
+pub(super) fn quoted_excerpt(text: &[u8]) -> String {
     format!("\"{}\"", excerpt(text))
 }
 

@@ -2,7 +2,8 @@
 
 use super::FORMAT;
 use super::cell::{
-    CellValue, DELIMITERS, Delimiter, cells, has_cells, has_decimal_comma, meaning, shown, unquoted,
+    CellValue, DELIMITERS, Delimiter, cells, has_cells, has_decimal_comma, parse_cell, quoted_excerpt,
+    unquoted,
 };
 use crate::columns::{self, Columns};
 use crate::excerpt::excerpts;
@@ -175,22 +176,27 @@ impl<'a> TableHead<'a> {
             "expected a header with position columns, such as x,y,z, or rows of at least three numbers";
         Err(match self.text_first {
             Some(text) => {
-                let what = format!("{expected}, found {}", shown(text.text));
+                let what = format!("{expected}, found {}", quoted_excerpt(text.text));
                 let place = Position::Line(text.number);
                 match bytes.ends_with(b"\n") || bytes.ends_with(b"\r") {
                     true => Error::invalid(FORMAT, place, what),
-                    false => Error::short(FORMAT, place, what), // the line may be truncated
+                    false => Error::truncated(FORMAT, place, what), // the line may be truncated
                 }
             }
-            None => Error::short(FORMAT, Position::File, format!("{expected}, found only comments")),
+            None => Error::truncated(FORMAT, Position::File, format!("{expected}, found only comments")),
         })
     }
 
     fn notes(&self) -> Vec<String> {
         match (self.text_line_count, self.text_first) {
-            (1, Some(first)) => vec![format!("skipped a line above the table: {}", shown(first.text))],
+            (1, Some(first)) => {
+                vec![format!("skipped a line above the table: {}", quoted_excerpt(first.text))]
+            }
             (count, Some(first)) => {
-                vec![format!("skipped {count} lines above the table; the first is {}", shown(first.text))]
+                vec![format!(
+                    "skipped {count} lines above the table; the first is {}",
+                    quoted_excerpt(first.text)
+                )]
             }
             (_, None) => Vec::new(),
         }
@@ -209,7 +215,7 @@ impl ColumnNames {
         let is_coordinate = |&column: &usize| {
             let cell = cells(row, delimiter).nth(column).unwrap_or_default();
             let cell = unquoted(cell);
-            has_decimal_comma(&cell) || meaning(&cell) != CellValue::Text
+            has_decimal_comma(&cell) || parse_cell(&cell) != CellValue::Text
         };
         has_cells(row, delimiter, self.names.len()) && self.position.iter().all(is_coordinate)
     }
@@ -272,7 +278,7 @@ fn column_name(index: usize) -> String {
 /// The delimiter and the number of cells of a line that starts with three numbers.
 fn row_shape(line: &[u8]) -> Option<(Delimiter, usize)> {
     DELIMITERS.into_iter().find_map(|delimiter| {
-        let is_number = |cell| matches!(meaning(&unquoted(cell)), CellValue::Number(_));
+        let is_number = |cell| matches!(parse_cell(&unquoted(cell)), CellValue::Number(_));
         if !has_enough_cells(line, delimiter) || !cells(line, delimiter).take(3).all(is_number) {
             return None;
         }
@@ -286,7 +292,7 @@ fn row_shape(line: &[u8]) -> Option<(Delimiter, usize)> {
 fn begins_with_numbers(line: &[u8], delimiter: Delimiter) -> bool {
     let is_number = |cell| {
         let cell = unquoted(cell);
-        has_decimal_comma(&cell) || matches!(meaning(&cell), CellValue::Number(_))
+        has_decimal_comma(&cell) || matches!(parse_cell(&cell), CellValue::Number(_))
     };
     has_enough_cells(line, delimiter) && cells(line, delimiter).take(3).all(is_number)
 }
@@ -297,7 +303,7 @@ fn has_enough_cells(line: &[u8], delimiter: Delimiter) -> bool {
 
 /// Whether the line must be a header: the same number of cells as the row below it, and no numbers.
 fn is_header_like(line: &[u8], delimiter: Delimiter, count: usize) -> bool {
-    let is_text = |cell| matches!(meaning(&unquoted(cell)), CellValue::Text);
+    let is_text = |cell| matches!(parse_cell(&unquoted(cell)), CellValue::Text);
     has_cells(line, delimiter, count) && cells(line, delimiter).take(count).all(is_text)
 }
 

@@ -46,7 +46,7 @@ const FORMAT: &str = "delimited text";
 /// `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     if bytes.is_empty() {
-        return Err(Error::short(FORMAT, Position::File, "expected text, found an empty file"));
+        return Err(Error::truncated(FORMAT, Position::File, "expected text, found an empty file"));
     }
     refuse_binary(bytes)?;
     let layout = layout::layout(bytes, limits)?;

@@ -6,7 +6,9 @@
 //! Large tables are read in parts, see [`super::parts`]; each part is such a pass.
 
 use super::FORMAT;
-use super::cell::{CellValue, Delimiter, cells, has_decimal_comma, meaning, quoted_length, shown, unquoted};
+use super::cell::{
+    CellValue, Delimiter, cells, has_decimal_comma, parse_cell, quoted_excerpt, quoted_length, unquoted,
+};
 use super::column::{Column, ColumnValues};
 use super::layout::{TableLayout, comment, decimal_commas};
 use crate::{Error, Limits, Position, Result};
@@ -180,11 +182,11 @@ impl<'a> RowReader<'a> {
         let length = rest[quoted..].iter().position(ends).map_or(rest.len(), |length| quoted + length);
         let cell = rest[..length].trim_ascii();
         if cell.starts_with(b"\"") && quoted_length(cell) != Some(cell.len()) {
-            let what = format!("expected a quote at the end of {}", shown(cell));
+            let what = format!("expected a quote at the end of {}", quoted_excerpt(cell));
             return Err(self.wrong(what));
         }
         let text = unquoted(cell);
-        match meaning(&text) {
+        match parse_cell(&text) {
             // More likely a truncated number than a mark for a missing value.
             CellValue::Missing if is_position && &*text == b"-" && self.at + length == self.bytes.len() => {
                 return Err(self.not_a_number(&text, index));
@@ -243,8 +245,8 @@ impl<'a> RowReader<'a> {
         }
         let what = format!(
             "expected a number in column {}, found {}",
-            shown(self.names[index].as_bytes()),
-            shown(text)
+            quoted_excerpt(self.names[index].as_bytes()),
+            quoted_excerpt(text)
         );
         self.wrong(what)
     }
@@ -254,7 +256,7 @@ impl<'a> RowReader<'a> {
         let place = Position::Line(self.line);
         match self.at + self.line_text().len() < self.bytes.len() {
             true => Error::invalid(FORMAT, place, what),
-            false => Error::short(
+            false => Error::truncated(
                 FORMAT,
                 place,
                 format!("{what}; the file ends in this line, which has no line end"),

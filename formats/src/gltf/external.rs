@@ -17,11 +17,11 @@ use super::FORMAT;
 use super::buffer::invalid;
 use super::chunks::{chunks, parse};
 use crate::error::{Error, Result};
-use crate::row::Beside;
+use crate::row::ReadExternal;
 
 /// An external file with buffers of a document.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct FileBeside {
+pub struct ExternalFile {
     /// Its path relative to the document's folder: names separated by `/`, without `..`.
     pub path: String,
     /// Number of bytes to read from its start.
@@ -33,7 +33,7 @@ pub struct FileBeside {
 /// # Errors
 /// [`Error::Invalid`] if the file is not glTF; [`Error::Unsupported`] for a buffer outside the document's
 /// folder.
-pub fn files_beside(bytes: &[u8]) -> Result<Vec<FileBeside>> {
+pub fn external_files(bytes: &[u8]) -> Result<Vec<ExternalFile>> {
     #[derive(Deserialize)]
     struct Document {
         #[serde(default)]
@@ -46,7 +46,7 @@ pub fn files_beside(bytes: &[u8]) -> Result<Vec<FileBeside>> {
         byte_count: u64,
     }
     let document: Document = parse(chunks(bytes)?.0)?;
-    let mut files: Vec<FileBeside> = Vec::new();
+    let mut files: Vec<ExternalFile> = Vec::new();
     let mut index_of: BTreeMap<String, usize> = BTreeMap::new();
     for Buffer { uri, byte_count } in document.buffers {
         let Some(uri) = uri.filter(|uri| !is_data(uri)) else { continue };
@@ -54,7 +54,7 @@ pub fn files_beside(bytes: &[u8]) -> Result<Vec<FileBeside>> {
         let index = *index_of.entry(path.clone()).or_insert(files.len());
         match files.get_mut(index) {
             Some(file) => file.byte_count = file.byte_count.max(byte_count),
-            None => files.push(FileBeside { path, byte_count }),
+            None => files.push(ExternalFile { path, byte_count }),
         }
     }
     Ok(files)
@@ -66,16 +66,16 @@ pub(super) fn is_data(uri: &str) -> bool {
 }
 
 /// Reads external files, each only once even if it has several buffers.
-pub(super) struct ReadBeside<'a> {
-    read_external: Option<&'a Beside<'a>>,
+pub(super) struct ExternalReader<'a> {
+    read_external: Option<&'a ReadExternal<'a>>,
     read: BTreeMap<String, Rc<Vec<u8>>>,
     /// Their total size in bytes.
     pub(super) size_bytes: u64,
 }
 
-impl<'a> ReadBeside<'a> {
-    pub(super) fn new(read_external: Option<&'a Beside<'a>>) -> ReadBeside<'a> {
-        ReadBeside { read_external, read: BTreeMap::new(), size_bytes: 0 }
+impl<'a> ExternalReader<'a> {
+    pub(super) fn new(read_external: Option<&'a ReadExternal<'a>>) -> ExternalReader<'a> {
+        ExternalReader { read_external, read: BTreeMap::new(), size_bytes: 0 }
     }
 
     /// The content of the file at a URI.

@@ -12,7 +12,7 @@ use crate::mesh_options::UpAxis;
 
 /// A frame of a sequence.
 #[derive(Clone, Debug)]
-pub struct SequenceFrame {
+pub struct GlbFrame {
     /// The document, which is small compared to the data.
     pub(crate) document: Value,
     /// Offset and size of the data in the file.
@@ -36,7 +36,7 @@ pub(crate) struct VertexColumn {
 
 /// The placement of a frame in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct FramePlace {
+pub(crate) struct FramePlacement {
     pub(crate) up: UpAxis,
     /// The point that positions are relative to, in the axes of the particles.
     pub(crate) origin: [f64; 3],
@@ -44,14 +44,14 @@ pub(crate) struct FramePlace {
     pub(crate) scale: f64,
 }
 
-impl SequenceFrame {
+impl GlbFrame {
     /// Reads the document of a frame, and checks that the file is complete and was written by this program.
     ///
     /// # Errors
     ///
     /// [`Error::Io`] if reading fails; [`Error::Short`] if the file is truncated; [`Error::Unsupported`] if
     /// another program wrote the file, or if it is already a sequence; [`Error::Invalid`] if it is damaged.
-    pub fn read(file: &mut (impl Read + Seek)) -> Result<SequenceFrame> {
+    pub fn read(file: &mut (impl Read + Seek)) -> Result<GlbFrame> {
         let file_bytes = file.seek(SeekFrom::End(0))?;
         file.seek(SeekFrom::Start(0))?;
         let mut head = [0; 20];
@@ -62,7 +62,7 @@ impl SequenceFrame {
             return Err(Error::unsupported("", NO_GLB));
         }
         if head_bytes < head.len() {
-            return Err(Error::short(FORMAT, Position::File, "expected a GLB header"));
+            return Err(Error::truncated(FORMAT, Position::File, "expected a GLB header"));
         }
         let word = |at: usize| u32::from_le_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]);
         if head[16..] != CHUNK_JSON {
@@ -70,7 +70,7 @@ impl SequenceFrame {
         }
         if u64::from(word(8)) != file_bytes {
             let what = format!("the file has {file_bytes} bytes, but its header declares {}", word(8));
-            return Err(Error::short(FORMAT, Position::File, what));
+            return Err(Error::truncated(FORMAT, Position::File, what));
         }
         let json_bytes = u64::from(word(12));
         if json_bytes > JSON_BYTES_MAX.min(file_bytes) {
@@ -92,7 +92,7 @@ impl SequenceFrame {
                 (at, length)
             }
         };
-        let frame = SequenceFrame { document, bin_at, bin_bytes };
+        let frame = GlbFrame { document, bin_at, bin_bytes };
         frame.check()?;
         Ok(frame)
     }
@@ -107,7 +107,7 @@ impl SequenceFrame {
             return Err(Error::unsupported(FORMAT, "this file is already a sequence, not a single frame"));
         }
         if self.has_mesh() {
-            self.place()?;
+            self.placement()?;
             self.triangle_count()?;
             let position = self.column("POSITION")?.ok_or_else(|| invalid("the mesh has no positions"))?;
             let normal = self.column("NORMAL")?.ok_or_else(|| invalid("the mesh has no normals"))?;
@@ -201,7 +201,7 @@ impl SequenceFrame {
     }
 
     /// The placement of the frame.
-    pub(crate) fn place(&self) -> Result<FramePlace> {
+    pub(crate) fn placement(&self) -> Result<FramePlacement> {
         let node = &self.document["nodes"][0];
         let vector =
             |name: &str| -> Option<Vec<f64>> { node[name].as_array()?.iter().map(Value::as_f64).collect() };
@@ -219,7 +219,7 @@ impl SequenceFrame {
             UpAxis::Y => [x, y, z],
             UpAxis::Z => [x, 0.0 - z, y],
         };
-        Ok(FramePlace { up, origin, scale })
+        Ok(FramePlacement { up, origin, scale })
     }
 
     /// The smallest and largest position, with integers scaled to 0 to 1; zeros for a frame without a mesh.
@@ -297,9 +297,11 @@ impl SequenceFrame {
         file.take(byte_count).read_to_end(&mut bytes)?;
         match bytes.len() as u64 == byte_count {
             true => Ok(bytes),
-            false => {
-                Err(Error::short(FORMAT, Position::File, "the file became shorter while it was being read"))
-            }
+            false => Err(Error::truncated(
+                FORMAT,
+                Position::File,
+                "the file became shorter while it was being read",
+            )),
         }
     }
 }

@@ -34,18 +34,18 @@ mod vertex_data;
 mod write;
 
 pub use crate::mesh_options::UpAxis;
-pub use crate::row::Beside;
-pub use external::{FileBeside, files_beside};
-pub use frame_file::SequenceFrame;
+pub use crate::row::ReadExternal;
+pub use external::{ExternalFile, external_files};
+pub use frame_file::GlbFrame;
 pub use quantized::{quantization_error, quantized_positions};
-pub use read::{read_mesh, read_mesh_with};
+pub use read::{read_mesh, read_mesh_with_external};
 pub use read_attributes::read_attributes;
 pub use read_camera::{CameraData, read_camera};
-pub use sequence::{SHOT_FRAMES, ShotFrame, ShotInfo, read_shot_info, write_sequence};
+pub use sequence::{SEQUENCE_FRAMES, SequenceFrame, SequenceInfo, read_sequence_info, write_sequence};
 pub use vertex_data::attribute_notes;
 pub use write::{write_glb, write_gltf};
 
-pub(crate) use frame_file::{FramePlace, VertexColumn};
+pub(crate) use frame_file::{FramePlacement, VertexColumn};
 
 use read_provenance::{glb_bytes_declared, json_of_glb_head, read_provenance};
 
@@ -89,7 +89,7 @@ pub(crate) static GLB: OutputRow = OutputRow {
 
 /// The row of the text form in the table of formats.
 pub(crate) static GLTF: OutputRow = OutputRow {
-    format: FormatRow { read_mesh: Some(read_mesh_with), ..FormatRow::new(FORMAT, &["gltf"]) },
+    format: FormatRow { read_mesh: Some(read_mesh_with_external), ..FormatRow::new(FORMAT, &["gltf"]) },
     help: "Text glTF",
     content: Content::Mesh(MeshWriter {
         attribute_notes,
@@ -107,18 +107,18 @@ pub(crate) static GLTF: OutputRow = OutputRow {
 static QUANTIZED: PositionRounding = PositionRounding {
     positions: |positions, _| quantized_positions(positions),
     error: |positions, _| quantization_error(positions),
-    certified_as: "mesh, at its 16-bit positions",
+    certificate_subject: "mesh, at its 16-bit positions",
     reason: "the quantized .glb: the frame is too wide for 65536 steps",
 };
 
 /// Rejects sequences: they have a mesh per frame, and which one to use is unknown.
-fn read_one_mesh(bytes: &[u8], limits: &Limits, read_external: &Beside) -> Result<MeshData> {
-    if let Some(shot) = read_shot_info(bytes)? {
+fn read_one_mesh(bytes: &[u8], limits: &Limits, read_external: &ReadExternal) -> Result<MeshData> {
+    if let Some(shot) = read_sequence_info(bytes)? {
         let what = format!(
             "this file is a sequence of {} frames, and a single mesh is needed: use the .glb of one frame, or of each frame, as in body.####.glb",
             shot.frames
         );
         return Err(Error::unsupported(GLB.format.name, what));
     }
-    read_mesh_with(bytes, limits, read_external)
+    read_mesh_with_external(bytes, limits, read_external)
 }

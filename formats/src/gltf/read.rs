@@ -15,11 +15,11 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde::Deserialize;
 
-use super::Beside;
 use super::FORMAT;
+use super::ReadExternal;
 use super::buffer::{Buffers, invalid};
 use super::chunks::{chunks, parse};
-use super::external::{ReadBeside, is_data};
+use super::external::{ExternalReader, is_data};
 use crate::data::MeshData;
 use crate::error::{Error, Result};
 use crate::limits::Limits;
@@ -40,11 +40,15 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
 /// # Errors
 ///
 /// Those of [`read_mesh`]; [`Error::Io`] if a buffer cannot be read.
-pub fn read_mesh_with(bytes: &[u8], limits: &Limits, read_external: &Beside) -> Result<MeshData> {
+pub fn read_mesh_with_external(
+    bytes: &[u8],
+    limits: &Limits,
+    read_external: &ReadExternal,
+) -> Result<MeshData> {
     read(bytes, limits, Some(read_external))
 }
 
-fn read(bytes: &[u8], limits: &Limits, read_external: Option<&Beside>) -> Result<MeshData> {
+fn read(bytes: &[u8], limits: &Limits, read_external: Option<&ReadExternal>) -> Result<MeshData> {
     let OpenDocument { document, places, buffers, budget } = open(bytes, limits, read_external)?;
     let mut collector = Collector { buffers, budget, mesh: MeshData::default(), has_normals: true };
     for (mesh, placement) in placed_meshes(&document, &places)? {
@@ -64,11 +68,15 @@ pub(super) struct OpenDocument {
     pub(super) budget: u64,
 }
 
-pub(super) fn open(bytes: &[u8], limits: &Limits, read_external: Option<&Beside>) -> Result<OpenDocument> {
+pub(super) fn open(
+    bytes: &[u8],
+    limits: &Limits,
+    read_external: Option<&ReadExternal>,
+) -> Result<OpenDocument> {
     let (json, bin) = chunks(bytes)?;
     let document = document(json)?;
     let places: NodeTransforms = parse(json)?;
-    let mut files = ReadBeside::new(read_external);
+    let mut files = ExternalReader::new(read_external);
     let buffers = document.buffers().map(|buffer| match buffer.source() {
         Source::Bin => bin
             .filter(|_| buffer.index() == 0)

@@ -60,14 +60,14 @@ fn values_of(buffers: &Buffers, accessor: &::gltf::Accessor) -> Result<Values> {
     use ::gltf::accessor::DataType;
     Ok(match accessor.data_type() {
         DataType::F32 => Values::F32(buffers.components::<f32>(accessor)?),
-        DataType::I8 => whole(buffers.components::<i8>(accessor)?),
-        DataType::U8 => whole(buffers.components::<u8>(accessor)?),
-        DataType::I16 => whole(buffers.components::<i16>(accessor)?),
-        DataType::U16 => whole(buffers.components::<u16>(accessor)?),
-        DataType::U32 => whole(buffers.components::<u32>(accessor)?),
+        DataType::I8 => integers(buffers.components::<i8>(accessor)?),
+        DataType::U8 => integers(buffers.components::<u8>(accessor)?),
+        DataType::I16 => integers(buffers.components::<i16>(accessor)?),
+        DataType::U16 => integers(buffers.components::<u16>(accessor)?),
+        DataType::U32 => integers(buffers.components::<u32>(accessor)?),
     })
 }
 
-fn whole<T: Into<i64>>(components: Vec<T>) -> Values {
+fn integers<T: Into<i64>>(components: Vec<T>) -> Values {
     Values::I64(components.into_iter().map(Into::into).collect())
 }

@@ -18,7 +18,7 @@
 //! The data of each frame is copied from its own file, byte for byte; only the indices by which a document
 //! refers to its parts change. So nothing is lost or computed, and only one copy buffer of data is in memory.
 //!
-//! The provenance of a sequence includes its [number of frames](SHOT_FRAMES), which distinguishes it from a
+//! The provenance of a sequence includes its [number of frames](SEQUENCE_FRAMES), which distinguishes it from a
 //! single mesh.
 
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -27,7 +27,7 @@ use serde_json::{Map, Value, json};
 
 use super::buffer::invalid;
 use super::chunks::{chunks, parse};
-use super::frame_file::SequenceFrame;
+use super::frame_file::GlbFrame;
 use super::read_provenance::read_provenance;
 use super::write::{glb_bytes, write_chunk_head};
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component};
@@ -36,11 +36,11 @@ use crate::error::{Error, Result};
 use crate::provenance::GENERATOR;
 
 /// The provenance name of the number of frames in a sequence.
-pub const SHOT_FRAMES: &str = "frames";
+pub const SEQUENCE_FRAMES: &str = "frames";
 
 /// The content of a sequence.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct ShotInfo {
+pub struct SequenceInfo {
     /// Number of frames, including those without a mesh.
     pub frames: u64,
     /// Number of vertices, in all frames.
@@ -54,13 +54,15 @@ pub struct ShotInfo {
 /// # Errors
 ///
 /// [`Error::Invalid`] if the sequence is damaged.
-pub fn read_shot_info(bytes: &[u8]) -> Result<Option<ShotInfo>> {
+pub fn read_sequence_info(bytes: &[u8]) -> Result<Option<SequenceInfo>> {
     if !bytes.starts_with(&GLB_MAGIC) {
         return Ok(None);
     }
     let (json, _) = chunks(bytes)?;
     let provenance = read_provenance(json)?;
-    let Some((_, frames)) = provenance.iter().find(|(name, _)| name == SHOT_FRAMES) else { return Ok(None) };
+    let Some((_, frames)) = provenance.iter().find(|(name, _)| name == SEQUENCE_FRAMES) else {
+        return Ok(None);
+    };
     let frames = frames
         .parse()
         .map_err(|_| invalid(format!("the sequence has an invalid number of frames `{frames}`")))?;
@@ -69,7 +71,7 @@ pub fn read_shot_info(bytes: &[u8]) -> Result<Option<ShotInfo>> {
         let index = usize::try_from(accessor.as_u64()?).ok()?;
         document["accessors"].get(index)?["count"].as_u64()
     };
-    let mut info = ShotInfo { frames, ..ShotInfo::default() };
+    let mut info = SequenceInfo { frames, ..SequenceInfo::default() };
     for mesh in document["meshes"].as_array().into_iter().flatten() {
         let primitive = &mesh["primitives"][0];
         let counts = count(&primitive["attributes"]["POSITION"]).zip(count(&primitive["indices"]));
@@ -82,13 +84,13 @@ pub fn read_shot_info(bytes: &[u8]) -> Result<Option<ShotInfo>> {
 
 /// A frame and its time.
 #[derive(Clone, Debug)]
-pub struct ShotFrame {
+pub struct SequenceFrame {
     /// Its name.
     pub name: String,
     /// The frame number. The first frame is visible at rest; a frame is shown until the next existing one.
     pub code: u64,
     /// Its file.
-    pub file: SequenceFrame,
+    pub file: GlbFrame,
 }
 
 /// Writes a sequence of frames, whose numbers must increase. `open` opens the file of a frame, by its index.
@@ -98,7 +100,7 @@ pub struct ShotFrame {
 /// [`Error::Io`] if a file cannot be read or `out` fails; [`Error::TooLarge`], before anything is written, if
 /// the file would reach 4 GiB; [`Error::Invalid`] if a document is damaged or the numbers do not increase.
 pub fn write_sequence<R: Read + Seek>(
-    frames: &[ShotFrame],
+    frames: &[SequenceFrame],
     fps: f64,
     provenance: &Provenance,
     open: impl Fn(usize) -> io::Result<R>,
@@ -158,7 +160,7 @@ type ScaleKey = (f32, f32);
 const KEY_BYTES: u64 = 16;
 
 /// The keys of each frame; empty for a frame without a mesh.
-fn keys(frames: &[ShotFrame], fps: f64) -> Result<Vec<Vec<ScaleKey>>> {
+fn keys(frames: &[SequenceFrame], fps: f64) -> Result<Vec<Vec<ScaleKey>>> {
     let first = frames.first().map_or(0, |frame| frame.code);
     // A frame starts half a frame before its own time; the first frame has number 1.
     #[expect(clippy::cast_possible_truncation, reason = "times have 32 bits")]
@@ -176,7 +178,7 @@ fn keys(frames: &[ShotFrame], fps: f64) -> Result<Vec<Vec<ScaleKey>>> {
             continue;
         }
         #[expect(clippy::cast_possible_truncation, reason = "scales are written in 32 bits")]
-        let scale = frame.file.place()?.scale as f32;
+        let scale = frame.file.placement()?.scale as f32;
         let hidden = (index > 0).then_some((0.0, 0.0));
         // The last frame is shown for the length of one frame.
         let last = if next.is_some() { (end, 0.0) } else { (end, scale) };
@@ -210,7 +212,12 @@ struct SequenceDocument {
 
 impl SequenceDocument {
     /// Adds the keys of all frames: two views, and two accessors for each frame.
-    fn add_animation(&mut self, frames: &[ShotFrame], keys: &[Vec<ScaleKey>], key_bytes: u64) -> Result<()> {
+    fn add_animation(
+        &mut self,
+        frames: &[SequenceFrame],
+        keys: &[Vec<ScaleKey>],
+        key_bytes: u64,
+    ) -> Result<()> {
         if key_bytes == 0 {
             return Ok(());
         }
@@ -239,7 +246,7 @@ impl SequenceDocument {
     }
 
     /// Adds a frame whose data starts at offset `data_at` of the buffer.
-    fn add_frame(&mut self, frame: &ShotFrame, keys: &[ScaleKey], data_at: u64) -> Result<()> {
+    fn add_frame(&mut self, frame: &SequenceFrame, keys: &[ScaleKey], data_at: u64) -> Result<()> {
         let document = &frame.file.document;
         let list = |name: &str| document[name].as_array().cloned().unwrap_or_default();
         for extension in list("extensionsRequired") {

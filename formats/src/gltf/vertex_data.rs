@@ -16,7 +16,7 @@ use std::io::Write;
 use crate::data::{MeshView, VertexAttribute, VertexValues};
 use crate::error::Result;
 use crate::le_bytes::{write_f32s, write_pieces};
-use crate::vertex_attributes::{NamesTaken, Purpose, plain_name, purposes, string_index};
+use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes, string_index};
 
 /// Integers up to this magnitude are exact as 32-bit floats.
 const EXACT_INTEGER_MAX: u64 = 1 << 24;
@@ -35,7 +35,7 @@ pub(super) struct GltfAttribute<'a> {
 /// Notes on vertex attributes that a glTF file cannot store exactly.
 pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
     let mut notes = Vec::new();
-    let placed = place(attributes, &mut notes);
+    let placed = assign_names(attributes, &mut notes);
     let mut arities =
         placed.iter().filter(|placed| placed.semantic.starts_with('_')).map(|placed| placed.arity);
     let first = arities.next();
@@ -50,12 +50,12 @@ pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
 }
 
 /// The attributes of a mesh that can be stored, in order.
-pub(super) fn placed<'a>(mesh: &MeshView<'a>) -> Vec<GltfAttribute<'a>> {
-    place(mesh.attributes, &mut Vec::new())
+pub(super) fn stored_attributes<'a>(mesh: &MeshView<'a>) -> Vec<GltfAttribute<'a>> {
+    assign_names(mesh.attributes, &mut Vec::new())
 }
 
-fn place<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>) -> Vec<GltfAttribute<'a>> {
-    let mut taken = NamesTaken::new(&[]);
+fn assign_names<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>) -> Vec<GltfAttribute<'a>> {
+    let mut taken = UsedNames::new(&[]);
     let mut placed = Vec::new();
     for (attribute, purpose) in attributes.iter().zip(purposes(attributes)) {
         let VertexAttribute { name, arity, values, .. } = *attribute;

@@ -11,7 +11,7 @@ use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 
 use super::quantized::{Cube, EXTENSION, write_normals};
-use super::vertex_data::{GltfAttribute, placed};
+use super::vertex_data::{GltfAttribute, stored_attributes};
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component};
 use crate::data::{MeshView, Provenance};
 use crate::error::{Error, Position, Result};
@@ -165,7 +165,7 @@ impl<'a> BufferLayout<'a> {
         BufferLayout {
             vertex_count: mesh.positions.len(),
             cube: quantize.then(|| Cube::around(mesh.positions)),
-            attributes: placed(mesh),
+            attributes: stored_attributes(mesh),
             index_bytes: 3 * mesh.triangles.len() as u64 * if narrow { 2 } else { 4 },
             index_component: if narrow { component::U16 } else { component::U32 },
         }

@@ -53,7 +53,11 @@ impl<'a> Binary<'a> {
             Some(start) if start == SIGNATURE_BIG => Endian::Big,
             Some(_) => return Err(Error::invalid(FORMAT, Position::Offset(0), "expected the signature")),
             None => {
-                return Err(Error::short(FORMAT, Position::Offset(0), "the file ends within its signature"));
+                return Err(Error::truncated(
+                    FORMAT,
+                    Position::Offset(0),
+                    "the file ends within its signature",
+                ));
             }
         };
         let cursor = Cursor::new(FORMAT, endian, bytes, SIGNATURE.len());
@@ -139,8 +143,10 @@ impl<'a> Binary<'a> {
         let at = self.cursor.at();
         let count = self.length()?;
         let too_many = |cursor: &Cursor| {
-            cursor
-                .short(format!("expected {count} items of an array, but {} bytes remain", cursor.remaining()))
+            cursor.truncated(format!(
+                "expected {count} items of an array, but {} bytes remain",
+                cursor.remaining()
+            ))
         };
         let length = usize::try_from(count).ok().filter(|&count| count / 8 <= self.cursor.remaining());
         let length = length.ok_or_else(|| too_many(&self.cursor))?;

@@ -33,20 +33,20 @@ const FRAME_BYTES_MIN: usize = 16;
 pub(super) fn decompress(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     if !bytes.ends_with(END) {
         let place = Position::Offset(bytes.len() as u64);
-        return Err(Error::short(FORMAT, place, "the file ends without its index"));
+        return Err(Error::truncated(FORMAT, place, "the file ends without its index"));
     }
     let Index { frames, block_bytes, bytes: unpacked_bytes } = index(bytes)?;
     let packed_bytes: usize = frames.iter().map(|(_, frame)| frame.len()).sum();
     limits.check_decompressed(FORMAT, unpacked_bytes as u64, packed_bytes as u64)?;
-    let mut unpacked = vec![0; unpacked_bytes];
-    let blocks = unpacked.par_chunks_mut(block_bytes.max(1)).zip(&frames);
+    let mut decompressed = vec![0; unpacked_bytes];
+    let blocks = decompressed.par_chunks_mut(block_bytes.max(1)).zip(&frames);
     blocks.try_for_each(|(block, &(at, frame))| {
         decode_frame(frame, block).map_err(|error| match error {
             BloscError::Invalid(what) => Error::invalid(FORMAT, Position::Offset(at as u64), what),
             BloscError::Unsupported(what) => Error::unsupported(FORMAT, what),
         })
     })?;
-    Ok(unpacked)
+    Ok(decompressed)
 }
 
 /// The parsed index.

@@ -69,10 +69,10 @@ pub fn read_text(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 ///
 /// Those of [`read_binary`], with offsets into the decompressed data, and those of the container.
 pub fn read_container(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
-    let unpacked = container::decompress(bytes, limits)?;
-    match is_binary(&unpacked) {
-        true => read_binary(&unpacked, limits),
-        false => read_text(&unpacked, limits),
+    let decompressed = container::decompress(bytes, limits)?;
+    match is_binary(&decompressed) {
+        true => read_binary(&decompressed, limits),
+        false => read_text(&decompressed, limits),
     }
 }
 
@@ -80,13 +80,13 @@ pub fn read_container(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 pub(crate) static BINARY: FormatRow = FormatRow {
     signatures: &[b"\x7fNSJb", b"\x7fbJSN"],
     beginnings: &[b"\x7fNSJb", b"\x7fbJSN"],
-    particles: Some(ParticleInput::complete_by_reading(read_binary)),
+    particles: Some(ParticleInput::needs_reading(read_binary)),
     ..FormatRow::new("Houdini geometry (binary JSON)", &["bgeo"])
 };
 
 /// The row of text files in the table of formats.
 pub(crate) static TEXT: FormatRow = FormatRow {
-    particles: Some(ParticleInput::complete_by_reading(read_text)),
+    particles: Some(ParticleInput::needs_reading(read_text)),
     ..FormatRow::new("Houdini geometry (JSON text)", &["geo"])
 };
 
@@ -94,6 +94,6 @@ pub(crate) static TEXT: FormatRow = FormatRow {
 pub(crate) static CONTAINER: FormatRow = FormatRow {
     signatures: &[b"scf1"],
     beginnings: &[b"scf1"],
-    particles: Some(ParticleInput::complete_by_reading(read_container)),
+    particles: Some(ParticleInput::needs_reading(read_container)),
     ..FormatRow::new("Houdini geometry (.sc, Blosc-compressed)", &["bgeo.sc", "geo.sc"])
 };

@@ -97,7 +97,7 @@ impl<'a> TokenWalk<'a> {
             Some(token) => Ok(token),
             None => {
                 let what = format!("{}: the file ends within the document", self.shown_path());
-                Err(Error::short(FORMAT, Position::Offset(self.lexer.at() as u64), what))
+                Err(Error::truncated(FORMAT, Position::Offset(self.lexer.at() as u64), what))
             }
         }
     }

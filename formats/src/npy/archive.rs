@@ -102,14 +102,14 @@ fn end_of_directory(bytes: &[u8]) -> Result<usize> {
     let found = exact.or_else(|| places.clone().find(|&at| end_of(at).is_some_and(|end| end <= bytes.len())));
     found.ok_or_else(|| {
         let what = "the archive ends before its central directory does";
-        Error::short(ARCHIVE, Position::Offset(bytes.len() as u64), what)
+        Error::truncated(ARCHIVE, Position::Offset(bytes.len() as u64), what)
     })
 }
 
 /// Turns `Short` into `Invalid`: the archive's end is present, so nothing more will be appended.
 fn as_invalid(error: Error) -> Error {
     match error {
-        Error::Short { format, place, what } => Error::Invalid { format, place, what },
+        Error::Truncated { format, place, what } => Error::Invalid { format, place, what },
         other => other,
     }
 }

@@ -62,7 +62,7 @@ impl ArrayHeader {
         let data = usize::try_from(length).ok().and_then(|length| rest.get(..length));
         data.ok_or_else(|| {
             let what = format!("expected {length} bytes for {}, {} remain", self.shown(), rest.len());
-            Error::short(FORMAT, Position::Offset(self.data_offset as u64), what)
+            Error::truncated(FORMAT, Position::Offset(self.data_offset as u64), what)
         })
     }
 

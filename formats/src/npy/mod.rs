@@ -36,7 +36,7 @@ const ARCHIVE: &str = "NumPy archive";
 ///
 /// # Errors
 ///
-/// [`Error::Invalid`] for a malformed header or an array that is not a list of positions, [`Error::Short`] if
+/// [`Error::Invalid`] for a malformed header or an array that is not a list of positions, [`Error::Truncated`] if
 /// data is missing, [`Error::Unsupported`] for non-numeric types, [`Error::TooLarge`] beyond `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let header = header::read(bytes, limits)?;
@@ -90,7 +90,7 @@ pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 fn within_member(error: Error, name: &str) -> Error {
     match error {
         // The array is complete: the archive's checksum confirmed it.
-        Error::Short { place, what, .. } | Error::Invalid { place, what, .. } => {
+        Error::Truncated { place, what, .. } | Error::Invalid { place, what, .. } => {
             Error::invalid(ARCHIVE, Position::File, format!("the array `{}`, {place}: {what}", excerpt(name)))
         }
         Error::TooLarge { what, .. } => {
@@ -263,7 +263,7 @@ pub(crate) static ROW: FormatRow = FormatRow {
     particles: Some(ParticleInput {
         completeness: |head, file_bytes| {
             let declared = header::bytes_declared(head, &Limits::default())?;
-            let known = declared.map_or(Completeness::Unproven, |declared| exactly(declared, file_bytes));
+            let known = declared.map_or(Completeness::Unknown, |declared| exactly(declared, file_bytes));
             Ok(HeadCheck::Known(known))
         },
         ..ParticleInput::new(read)
@@ -274,6 +274,6 @@ pub(crate) static ROW: FormatRow = FormatRow {
 /// The row of archives in the table of formats.
 pub(crate) static ARCHIVE_ROW: FormatRow = FormatRow {
     beginnings: &[b"PK\x03\x04"],
-    particles: Some(ParticleInput::complete_by_reading(read_archive)),
+    particles: Some(ParticleInput::needs_reading(read_archive)),
     ..FormatRow::new(ARCHIVE, &["npz"])
 };

@@ -118,7 +118,7 @@ impl<'a> BodyLines<'a> {
 
     fn missing(&self, what: &str) -> Error {
         match self.at == self.bytes.len() {
-            true => self.short(format!("the file ends where a value of `{what}` was expected")),
+            true => self.truncated(format!("the file ends where a value of `{what}` was expected")),
             false => self.invalid(format!("the line ends where a value of `{what}` was expected")),
         }
     }
@@ -127,12 +127,12 @@ impl<'a> BodyLines<'a> {
     fn wrong_value(&self, what: String) -> Error {
         match self.bytes[self.at..].iter().any(u8::is_ascii_whitespace) {
             true => self.invalid(what),
-            false => self.short(what),
+            false => self.truncated(what),
         }
     }
 
-    pub(super) fn short(&self, what: String) -> Error {
-        Error::short(FORMAT, Position::Line(line_number(self.bytes, self.at)), what)
+    pub(super) fn truncated(&self, what: String) -> Error {
+        Error::truncated(FORMAT, Position::Line(line_number(self.bytes, self.at)), what)
     }
 
     pub(super) fn invalid(&self, what: String) -> Error {

@@ -184,7 +184,7 @@ pub fn read_header(bytes: &[u8], limits: &Limits) -> Result<PlyHeader> {
             format!("no `end_header` within the {} bytes allowed for a header", limits.header_bytes),
         ));
     }
-    Err(Error::short(FORMAT, Position::Offset(bytes.len() as u64), "the file ends before `end_header`"))
+    Err(Error::truncated(FORMAT, Position::Offset(bytes.len() as u64), "the file ends before `end_header`"))
 }
 
 /// The header parsed so far.

@@ -84,13 +84,13 @@ pub(crate) static ROW: OutputRow = OutputRow {
 /// The completeness of a file according to its header.
 fn completeness(head: &[u8], file_bytes: u64) -> Result<HeadCheck> {
     let header = read_header(head, &Limits::default())?;
-    let Some(declared) = header.file_size_min() else { return Ok(HeadCheck::Known(Completeness::Unproven)) };
+    let Some(declared) = header.file_size_min() else { return Ok(HeadCheck::Known(Completeness::Unknown)) };
     Ok(HeadCheck::Known(match header.encoding {
-        _ if declared == header.body_offset as u64 => Completeness::Unproven,
+        _ if declared == header.body_offset as u64 => Completeness::Unknown,
         Encoding::Ascii if declared <= file_bytes => return Ok(HeadCheck::NeedsLastByte),
-        Encoding::Ascii => at_least(declared, file_bytes, Completeness::ByReading),
+        Encoding::Ascii => at_least(declared, file_bytes, Completeness::NeedsReading),
         _ if header.elements.iter().any(Element::has_list) => {
-            at_least(declared, file_bytes, Completeness::ByReading)
+            at_least(declared, file_bytes, Completeness::NeedsReading)
         }
         _ => exactly(declared, file_bytes),
     }))

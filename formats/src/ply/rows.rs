@@ -69,9 +69,8 @@ impl<'a> RecordReader<'a> {
             let name = &property.name;
             match count < 0 {
                 true => self.invalid(format!("list `{name}` has a negative count, {count}")),
-                false => {
-                    self.short(format!("list `{name}` has a count of {count}, beyond the end of the file"))
-                }
+                false => self
+                    .truncated(format!("list `{name}` has a count of {count}, beyond the end of the file")),
             }
         })
     }
@@ -109,10 +108,10 @@ impl<'a> RecordReader<'a> {
         Ok(())
     }
 
-    fn short(&self, what: String) -> Error {
+    fn truncated(&self, what: String) -> Error {
         match self {
-            RecordReader::Binary(cursor) => cursor.short(what),
-            RecordReader::Ascii(lines) => lines.short(what),
+            RecordReader::Binary(cursor) => cursor.truncated(what),
+            RecordReader::Ascii(lines) => lines.truncated(what),
         }
     }
 
@@ -164,7 +163,7 @@ fn checked(
         // No file ever grows to such a size.
         match count.checked_mul(record as u64) {
             None => Error::invalid(FORMAT, place, what),
-            Some(_) => Error::short(FORMAT, place, what),
+            Some(_) => Error::truncated(FORMAT, place, what),
         }
     })
 }

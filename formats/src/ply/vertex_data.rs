@@ -10,7 +10,7 @@
 
 use crate::data::{VertexAttribute, VertexValues};
 use crate::provenance::escape;
-use crate::vertex_attributes::{NamesTaken, Purpose, clamp_note, plain_name, purposes, string_index};
+use crate::vertex_attributes::{Purpose, UsedNames, clamp_note, plain_name, purposes, string_index};
 
 /// Integers up to this magnitude are exact as 64-bit floats.
 const EXACT_INTEGER_MAX: u64 = 1 << 53;
@@ -37,17 +37,17 @@ enum StoredValues<'a> {
 /// Notes on vertex attributes that a PLY file cannot store exactly.
 pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
     let mut notes = Vec::new();
-    place(attributes, &mut notes);
+    assign_names(attributes, &mut notes);
     notes
 }
 
 /// The attributes that can be stored, in order.
-pub(super) fn placed<'a>(attributes: &[VertexAttribute<'a>]) -> Vec<PlyAttribute<'a>> {
-    place(attributes, &mut Vec::new())
+pub(super) fn stored_attributes<'a>(attributes: &[VertexAttribute<'a>]) -> Vec<PlyAttribute<'a>> {
+    assign_names(attributes, &mut Vec::new())
 }
 
-fn place<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>) -> Vec<PlyAttribute<'a>> {
-    let mut taken = NamesTaken::new(&["x", "y", "z", "nx", "ny", "nz"]);
+fn assign_names<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>) -> Vec<PlyAttribute<'a>> {
+    let mut taken = UsedNames::new(&["x", "y", "z", "nx", "ny", "nz"]);
     let mut placed = Vec::new();
     for (attribute, purpose) in attributes.iter().zip(purposes(attributes)) {
         let VertexAttribute { name, arity, .. } = *attribute;

@@ -2,7 +2,7 @@
 
 use std::io::Write;
 
-use super::vertex_data::{PlyAttribute, placed};
+use super::vertex_data::{PlyAttribute, stored_attributes};
 use crate::data::{MeshView, Provenance};
 use crate::error::{Error, Result};
 use crate::provenance::{GENERATOR, comments};
@@ -26,7 +26,7 @@ pub fn write_mesh(mesh: &MeshView, provenance: &Provenance, out: &mut impl Write
         return Err(Error::too_large(FORMAT, what));
     }
     let far = mesh.origin != [0.0; 3];
-    let attributes = placed(mesh.attributes);
+    let attributes = stored_attributes(mesh.attributes);
     out.write_all(header(mesh, &attributes, far, provenance).as_bytes())?;
     let vertices = mesh.positions.iter().zip(mesh.normals).enumerate();
     write_pieces(vertices, out, |(vertex, (position, normal)), bytes| {

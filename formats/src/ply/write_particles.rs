@@ -17,7 +17,7 @@ use crate::data::{AttributeRole, FileAttribute, FilePositions, ParticleFrame, Pr
 use crate::error::Result;
 use crate::particle_columns::{check, written};
 use crate::provenance::{GENERATOR, comments};
-use crate::vertex_attributes::{NamesTaken, string_index};
+use crate::vertex_attributes::{UsedNames, string_index};
 
 const FORMAT: &str = "PLY";
 
@@ -145,7 +145,7 @@ impl PlyType {
 }
 
 fn columns_of(frame: &ParticleFrame) -> Vec<PlyColumn<'_>> {
-    let mut taken = NamesTaken::new(&["x", "y", "z"]);
+    let mut taken = UsedNames::new(&["x", "y", "z"]);
     let column = |attribute| {
         let values = written(attribute);
         let stem = word(&attribute.name);

@@ -19,9 +19,9 @@ use std::io::{self, Read, Seek, Write};
 
 use crate::data::Provenance;
 use crate::error::{Error, Position, Result};
-use crate::gltf::{FramePlace, ShotFrame, VertexColumn};
+use crate::gltf::{FramePlacement, SequenceFrame, VertexColumn};
 use crate::mesh_options::UpAxis;
-use crate::vertex_attributes::NamesTaken;
+use crate::vertex_attributes::UsedNames;
 
 use super::FORMAT;
 use super::arrays::Elements;
@@ -42,7 +42,7 @@ const CODE_MAX: u64 = 1 << 53;
 /// [`Error::Io`] if a file cannot be read or `out` fails; [`Error::Invalid`] if a document is damaged,
 /// numbers do not increase, or frames differ in their up axis; [`Error::Unsupported`] for numbers beyond 2⁵³.
 pub fn write_sequence<R: Read + Seek>(
-    frames: &[ShotFrame],
+    frames: &[SequenceFrame],
     (fps, meters_per_unit): (f64, f64),
     provenance: &Provenance,
     open: impl Fn(usize) -> io::Result<R>,
@@ -75,10 +75,10 @@ pub fn write_sequence<R: Read + Seek>(
     out.write_all(b"        uniform token orientation = \"rightHanded\"\n")?;
     for attribute in &attributes {
         let SequenceAttribute { semantic, name, first, arity, about } = attribute;
-        shot.write_samples(name, about, out, |index, place| {
+        shot.write_samples(name, about, out, |index, property| {
             let frame = &frames[index].file;
             let Some(column) = frame.column(semantic)? else { return Ok(Vec::new()) };
-            let scale = if semantic == POSITION { place.scale } else { 1.0 };
+            let scale = if semantic == POSITION { property.scale } else { 1.0 };
             let values = frame.read_column(&column, scale, &mut open(index)?)?;
             let (stride, first, arity) = (column.arity, *first, *arity);
             Ok(Elements::Reals { values: &values, stride, first, arity }.texts())
@@ -95,8 +95,8 @@ const POSITION: &str = "POSITION";
 
 /// The frames and their placements, `None` for frames without a mesh.
 struct UsdaSequence<'a> {
-    frames: &'a [ShotFrame],
-    places: Vec<Option<FramePlace>>,
+    frames: &'a [SequenceFrame],
+    properties: Vec<Option<FramePlacement>>,
     up: UpAxis,
 }
 
@@ -115,23 +115,24 @@ struct SequenceAttribute {
 const OF_VERTICES: &str = "            interpolation = \"vertex\"\n";
 
 impl<'a> UsdaSequence<'a> {
-    fn of(frames: &'a [ShotFrame]) -> Result<UsdaSequence<'a>> {
+    fn of(frames: &'a [SequenceFrame]) -> Result<UsdaSequence<'a>> {
         let invalid = |what: String| Error::invalid(FORMAT, Position::File, what);
         if let Some(pair) = frames.windows(2).find(|pair| pair[1].code <= pair[0].code) {
             let [a, b] = [0, 1].map(|index| (&pair[index].name, pair[index].code));
             return Err(invalid(format!("{} and {} have the time codes {} and {}", a.0, b.0, a.1, b.1)));
         }
-        if let Some(ShotFrame { name, code, .. }) = frames.last().filter(|frame| frame.code > CODE_MAX) {
+        if let Some(SequenceFrame { name, code, .. }) = frames.last().filter(|frame| frame.code > CODE_MAX) {
             let what =
                 format!("the frame number {code} of {name} exceeds the limit for time codes, {CODE_MAX}");
             return Err(Error::unsupported(FORMAT, what));
         }
-        let place = |frame: &ShotFrame| frame.file.has_mesh().then(|| frame.file.place()).transpose();
-        let places: Vec<Option<FramePlace>> = frames.iter().map(place).collect::<Result<_>>()?;
-        let mut ups = places.iter().flatten().map(|place| place.up);
+        let property =
+            |frame: &SequenceFrame| frame.file.has_mesh().then(|| frame.file.placement()).transpose();
+        let properties: Vec<Option<FramePlacement>> = frames.iter().map(property).collect::<Result<_>>()?;
+        let mut ups = properties.iter().flatten().map(|property| property.up);
         let up = ups.next().unwrap_or_default();
         match ups.all(|other| other == up) {
-            true => Ok(UsdaSequence { frames, places, up }),
+            true => Ok(UsdaSequence { frames, properties, up }),
             false => Err(invalid("some frames have y up and others z up".to_owned())),
         }
     }
@@ -157,7 +158,7 @@ impl<'a> UsdaSequence<'a> {
         names.sort();
         names.dedup();
         names.retain(|name| !["NORMAL", POSITION].contains(&name.as_str()));
-        let (mut notes, mut taken) = (Vec::new(), NamesTaken::new(&RESERVED));
+        let (mut notes, mut taken) = (Vec::new(), UsedNames::new(&RESERVED));
         for name in names {
             if files().any(|file| file.has_string_indices(name)) {
                 notes.push(format!(
@@ -206,7 +207,7 @@ impl<'a> UsdaSequence<'a> {
         name: &str,
         about: &str,
         out: &mut impl Write,
-        texts: impl Fn(usize, &FramePlace) -> Result<Vec<Vec<u8>>>,
+        texts: impl Fn(usize, &FramePlacement) -> Result<Vec<Vec<u8>>>,
     ) -> Result<()> {
         if !about.is_empty() {
             write!(out, "        {name} (\n{about}        )\n")?;
@@ -214,8 +215,8 @@ impl<'a> UsdaSequence<'a> {
         writeln!(out, "        {name}.timeSamples = {{")?;
         for (index, frame) in self.frames.iter().enumerate() {
             write!(out, "            {}: [", frame.code)?;
-            if let Some(place) = &self.places[index] {
-                for text in texts(index, place)? {
+            if let Some(property) = &self.properties[index] {
+                for text in texts(index, property)? {
                     out.write_all(&text)?;
                 }
             }
@@ -246,7 +247,7 @@ impl<'a> UsdaSequence<'a> {
 
     fn write_extents(&self, out: &mut impl Write) -> Result<()> {
         self.write_lines("float3[] extent", out, |index| {
-            let scale = self.places[index].map_or(0.0, |place| place.scale);
+            let scale = self.properties[index].map_or(0.0, |property| property.scale);
             let [low, high] = self.frames[index].file.bounds()?.map(|corner| {
                 #[expect(clippy::cast_possible_truncation, reason = "positions have 32 bits")]
                 corner.map(|x| (x * scale) as f32)
@@ -259,8 +260,8 @@ impl<'a> UsdaSequence<'a> {
     fn write_origins(&self, out: &mut impl Write) -> Result<()> {
         // A frame without a mesh keeps the origin of the previous one.
         let origin = |index: usize| {
-            let place = self.places[..=index].iter().rev().flatten().next();
-            place.map_or([0.0; 3], |place| place.origin)
+            let property = self.properties[..=index].iter().rev().flatten().next();
+            property.map_or([0.0; 3], |property| property.origin)
         };
         if (0..self.frames.len()).all(|index| origin(index) == [0.0; 3]) {
             return Ok(());

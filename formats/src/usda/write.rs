@@ -21,7 +21,7 @@ use crate::data::{MeshView, Provenance, VertexAttribute, VertexValues};
 use crate::error::Result;
 use crate::mesh_options::MeshOptions;
 use crate::quads::{check_quads, quad_count};
-use crate::vertex_attributes::{NamesTaken, Purpose, plain_name, purposes};
+use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes};
 
 use super::FORMAT;
 use super::arrays::Elements;
@@ -144,7 +144,7 @@ fn sections<'a>(mesh: &MeshView<'a>, options: &'a MeshOptions) -> Vec<PropertyTe
         PropertyText::line("uniform token orientation = \"rightHanded\"".to_owned()),
         PropertyText::array("point3f[] points", Elements::reals(mesh.positions.as_flattened(), 3), ""),
     ]);
-    for (attribute, place) in mesh.attributes.iter().zip(places(mesh.attributes)) {
+    for (attribute, place) in mesh.attributes.iter().zip(properties(mesh.attributes)) {
         sections.extend(of_attribute(attribute, &place));
     }
     sections.push(PropertyText::line("uniform token subdivisionScheme = \"none\"".to_owned()));
@@ -178,8 +178,8 @@ enum UsdProperty {
 pub(super) const RESERVED: [&str; 3] = ["displayColor", "displayOpacity", "normals"];
 
 /// The property of each attribute.
-fn places(attributes: &[VertexAttribute]) -> Vec<UsdProperty> {
-    let mut taken = NamesTaken::new(&RESERVED);
+fn properties(attributes: &[VertexAttribute]) -> Vec<UsdProperty> {
+    let mut taken = UsedNames::new(&RESERVED);
     let place = |(attribute, purpose): (&VertexAttribute, Purpose)| match purpose {
         Purpose::Velocity => UsdProperty::Velocities,
         Purpose::Color(_) => UsdProperty::Color,
@@ -198,12 +198,13 @@ pub(super) fn identifier(name: &str) -> String {
 
 /// Notes on vertex attributes that are renamed in a .usda file.
 pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
-    let renamed = attributes.iter().zip(places(attributes)).filter_map(|(attribute, place)| match place {
-        UsdProperty::Primvar(name) if name != attribute.name => {
-            Some(format!("{} is named primvars:{name} in the .usda", attribute.name))
-        }
-        _ => None,
-    });
+    let renamed =
+        attributes.iter().zip(properties(attributes)).filter_map(|(attribute, place)| match place {
+            UsdProperty::Primvar(name) if name != attribute.name => {
+                Some(format!("{} is named primvars:{name} in the .usda", attribute.name))
+            }
+            _ => None,
+        });
     renamed.collect()
 }
 

@@ -45,7 +45,7 @@ pub use metadata::MetaValue;
 pub use read::{GridInfo, grids, read_level_set, read_vectors};
 pub use read_tree::{ConstantTile, GridData, LevelSetData, VectorGridData};
 pub use transform::Transform;
-pub use write::{Encoded, WriteOptions, encode, grid_notes, write};
+pub use write::{EncodedVdb, WriteOptions, encode, grid_notes, write};
 
 use read::{first_grid_metadata, last_grid_end};
 

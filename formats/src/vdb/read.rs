@@ -175,7 +175,7 @@ pub(crate) fn last_grid_end(
 
 /// The location of a tree and the storage of its values.
 #[derive(Clone, Copy)]
-struct TreePlace {
+struct TreeLocation {
     position: usize,
     /// The end of the grid, or of the file if unknown.
     end: usize,
@@ -188,11 +188,11 @@ struct GridEntry {
     descriptor_name: String,
     /// The unique name of the grid whose tree this one shares, or empty.
     instance_parent: String,
-    tree: Option<TreePlace>,
+    tree: Option<TreeLocation>,
 }
 
 impl GridEntry {
-    fn tree_of(&self, entries: &[GridEntry]) -> Option<TreePlace> {
+    fn tree_of(&self, entries: &[GridEntry]) -> Option<TreeLocation> {
         if self.instance_parent.is_empty() {
             return self.tree;
         }
@@ -344,7 +344,7 @@ fn read_entry(cursor: &mut VdbCursor, descriptor: Descriptor) -> Result<GridEntr
     };
     let storage = ValueStorage { compression, half };
     let (position, end) = (cursor.position(), cursor.position() + cursor.remaining());
-    let tree = transform.map(|_| TreePlace { position, end, storage });
+    let tree = transform.map(|_| TreeLocation { position, end, storage });
     Ok(GridEntry { info, descriptor_name, instance_parent, tree })
 }
 

@@ -34,7 +34,7 @@ use super::{Compression, FORMAT};
 use crate::data::{AttributeRole, BandGrid, LevelSetView, Provenance};
 use crate::error::{Error, Position, Result};
 use crate::provenance::{GENERATOR, prefixed};
-use crate::vertex_attributes::NamesTaken;
+use crate::vertex_attributes::UsedNames;
 
 /// Options for writing a level set.
 #[derive(Clone, Debug)]
@@ -61,7 +61,7 @@ impl Default for WriteOptions {
 }
 
 /// An encoded file: its leaves are compressed, so the level set is no longer needed.
-pub struct Encoded {
+pub struct EncodedVdb {
     header: Vec<u8>,
     grids: Vec<EncodedGrid>,
 }
@@ -74,7 +74,7 @@ struct EncodedGrid {
     buffers: Vec<Packed>,
 }
 
-impl Encoded {
+impl EncodedVdb {
     /// Writes the file sequentially.
     ///
     /// # Errors
@@ -116,7 +116,7 @@ pub fn write(
 /// [`Error::Invalid`] if the level set is invalid: origins that are not distinct multiples of 8, NaN values,
 /// or a background that is not positive and finite in the precision of the file; or if a grid has a value
 /// that is not finite, or a number of components other than one or three.
-pub fn encode(levels: &LevelSetView, options: &WriteOptions, provenance: &Provenance) -> Result<Encoded> {
+pub fn encode(levels: &LevelSetView, options: &WriteOptions, provenance: &Provenance) -> Result<EncodedVdb> {
     let order = tree_order(levels)?;
     let encoding = encoding(levels, options)?;
     let batches = encode_leaves(levels.leaves, &order, encoding);
@@ -171,7 +171,7 @@ pub fn grid_notes(grids: &[BandGrid], name: &str) -> Vec<String> {
 
 /// The unique names of grids. Programs find a velocity by its name.
 fn grid_names(grids: &[BandGrid], surface: &str) -> Vec<String> {
-    let mut taken = NamesTaken::new(&[surface]);
+    let mut taken = UsedNames::new(&[surface]);
     let name_of = |grid: &BandGrid| {
         let own = grid.name.trim().replace(char::is_control, "_");
         let stem = match grid.role {
@@ -224,7 +224,7 @@ impl GridParts<'_> {
 }
 
 /// Assembles the grids of a file and fills in their offsets.
-fn assembled(mut grids: Vec<EncodedGrid>) -> Encoded {
+fn assembled(mut grids: Vec<EncodedGrid>) -> EncodedVdb {
     let digests: Vec<Digest> = grids
         .iter()
         .flat_map(|grid| std::iter::once(digest(&grid.body)).chain(grid.buffers.iter().map(|b| b.digest)))
@@ -239,7 +239,7 @@ fn assembled(mut grids: Vec<EncodedGrid>) -> Encoded {
             descriptor.extend_from_slice(&position.to_le_bytes());
         }
     }
-    Encoded { header, grids }
+    EncodedVdb { header, grids }
 }
 
 /// The leaves' indices in tree order: by root child, lower node and leaf, each by x, y, z.

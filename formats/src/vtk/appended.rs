@@ -19,7 +19,7 @@ use std::io::Write;
 use crate::data::Provenance;
 use crate::error::Result;
 use crate::provenance::{GENERATOR, prefixed};
-use crate::vertex_attributes::NamesTaken;
+use crate::vertex_attributes::UsedNames;
 
 /// The end of the file.
 const END: &str = "\n  </AppendedData>\n</VTKFile>\n";
@@ -203,7 +203,7 @@ fn string_array(name: &str, strings: &[impl AsRef<str>]) -> String {
 /// The name of each array in the file: its own, unless it contains characters that XML does not allow, or the
 /// name is reserved or already used.
 pub(super) fn names_of<'a>(names: impl Iterator<Item = &'a str>, reserved: &[&str]) -> Vec<String> {
-    let mut taken = NamesTaken::new(reserved);
+    let mut taken = UsedNames::new(reserved);
     names.map(|name| taken.take(&allowed(name), |stem| vec![stem.to_owned()]).concat()).collect()
 }
 

@@ -156,7 +156,7 @@ fn decode_blocks(
     let bytes = block_count.saturating_mul(block_bytes).saturating_sub(missing_bytes);
     totals.take(packed_bytes, bytes, name, limits)?;
 
-    let mut unpacked = Vec::new();
+    let mut decompressed = Vec::new();
     let mut rest = &data[..];
     for (index, &size) in packed_sizes.iter().enumerate() {
         let is_last = index + 1 == packed_sizes.len() && last_bytes != 0;
@@ -164,15 +164,15 @@ fn decode_blocks(
         let (block, after) =
             rest.split_at_checked(usize::try_from(size).unwrap_or(usize::MAX)).unwrap_or_default();
         rest = after;
-        let before = unpacked.len();
-        let is_good = decompress(compression, block, length, &mut unpacked);
-        if !is_good || (unpacked.len() - before) as u64 != length {
+        let before = decompressed.len();
+        let is_good = decompress(compression, block, length, &mut decompressed);
+        if !is_good || (decompressed.len() - before) as u64 != length {
             let what =
                 format!("`{name}`: block {index} of {block_count} does not decompress to {length} bytes");
             return Err(Error::invalid(XML, Position::Offset(encoded.offset), what));
         }
     }
-    Ok(unpacked)
+    Ok(decompressed)
 }
 
 /// Appends the `length` decompressed bytes of a block; returns false if it is invalid. Memory grows with the

@@ -51,7 +51,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     if found.has_polygons {
         found.notes.push(POLYGONS_NOTE.into());
     }
-    let positions = found.positions.ok_or_else(|| file.short("the file ends before any POINTS"))?;
+    let positions = found.positions.ok_or_else(|| file.truncated("the file ends before any POINTS"))?;
     Ok(joined(vec![VtkPiece { positions, arrays: found.arrays }], found.notes))
 }
 
@@ -74,7 +74,7 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
             positions.into_iter().map(|position| position.map(f64::from)).collect()
         }
         Some(FilePositions::F64(positions)) => positions,
-        None => return Err(file.short("the file ends before any POINTS")),
+        None => return Err(file.truncated("the file ends before any POINTS")),
     };
     let mut mesh = MeshData { positions, ..MeshData::default() };
     let points = Points { first: 0, count: mesh.positions.len() as u64 };
@@ -158,7 +158,7 @@ enum Type {
 
 impl<'a> File<'a> {
     fn head(&mut self) -> Result<()> {
-        let missing = |file: &File| file.short("the file ends within its first lines");
+        let missing = |file: &File| file.truncated("the file ends within its first lines");
         let version = self.raw_line()?.ok_or_else(|| missing(self))?;
         let version = version.strip_prefix(b"# vtk DataFile Version ").unwrap_or_default().trim_ascii();
         if !matches!(version.first(), Some(b'1'..=b'5')) {
@@ -275,14 +275,14 @@ impl<'a> File<'a> {
             }
             return Ok(());
         }
-        let offsets = self.line()?.ok_or_else(|| self.short("the file ends before OFFSETS"))?;
+        let offsets = self.line()?.ok_or_else(|| self.truncated("the file ends before OFFSETS"))?;
         let mut ends = self.typed_cell_numbers(&offsets, count, found)?;
         let corners = match self.line()? {
             Some(connectivity) if connectivity.keyword() == "CONNECTIVITY" => {
                 self.typed_cell_numbers(&connectivity, size, found)?
             }
             Some(other) => return Err(other.invalid("expected CONNECTIVITY")),
-            None => return Err(self.short("the file ends before CONNECTIVITY")),
+            None => return Err(self.truncated("the file ends before CONNECTIVITY")),
         };
         if found.keeps_cells {
             // The first offset is the start of the first cell.
@@ -362,7 +362,7 @@ impl<'a> File<'a> {
                     excerpt(line.word(1))
                 )
             };
-            let next = next.ok_or_else(|| self.short(what()))?;
+            let next = next.ok_or_else(|| self.truncated(what()))?;
             let [arity, tuples] =
                 [next.count(1, "the number of components")?, next.count(2, "the number of values")?];
             let expected = found.positions.as_ref().map(|positions| positions.len() as u64);
@@ -451,7 +451,9 @@ impl<'a> File<'a> {
         self.at += end;
         match found == count {
             true => Ok(values),
-            false => Err(self.short(format!("expected {count} numbers of {}, found {found}", line.word(0)))),
+            false => {
+                Err(self.truncated(format!("expected {count} numbers of {}, found {found}", line.word(0))))
+            }
         }
     }
 
@@ -468,7 +470,9 @@ impl<'a> File<'a> {
         self.at += end;
         match found == count {
             true => Ok(()),
-            false => Err(self.short(format!("expected {count} numbers of {}, found {found}", line.word(0)))),
+            false => {
+                Err(self.truncated(format!("expected {count} numbers of {}, found {found}", line.word(0))))
+            }
         }
     }
 
@@ -484,7 +488,7 @@ impl<'a> File<'a> {
     /// The count as a length, if at most `most` remain.
     fn fitting(&self, line: &LegacyLine, count: u64, most: usize) -> Result<usize> {
         usize::try_from(count).ok().filter(|&count| count <= most).ok_or_else(|| {
-            self.short(format!("expected {count} numbers of {}, but at most {most} remain", line.word(0)))
+            self.truncated(format!("expected {count} numbers of {}, but at most {most} remain", line.word(0)))
         })
     }
 
@@ -544,13 +548,13 @@ impl<'a> File<'a> {
                 self.at = self.bytes.len();
                 Ok(None)
             }
-            None if searched.len() == rest.len() => Err(self.short("the file ends within a line")),
+            None if searched.len() == rest.len() => Err(self.truncated("the file ends within a line")),
             None => Err(Error::invalid(LEGACY, Position::Offset(self.at as u64), "expected a line of text")),
         }
     }
 
-    fn short(&self, what: impl Into<String>) -> Error {
-        Error::short(LEGACY, Position::Offset(self.at as u64), what)
+    fn truncated(&self, what: impl Into<String>) -> Error {
+        Error::truncated(LEGACY, Position::Offset(self.at as u64), what)
     }
 }
 

@@ -49,7 +49,7 @@ pub(crate) static LEGACY_ROW: FormatRow = FormatRow {
 /// The row of the XML formats in the table of formats.
 pub(crate) static ROW: OutputRow = OutputRow {
     format: FormatRow {
-        particles: Some(ParticleInput::complete_by_reading(read_xml)),
+        particles: Some(ParticleInput::needs_reading(read_xml)),
         read_mesh: Some(|bytes, limits, _| read_mesh(bytes, limits)),
         ..FormatRow::new(XML, &["vtp", "vtu"])
     },

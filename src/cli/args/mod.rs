@@ -22,7 +22,7 @@ use clap::{Args, Parser, Subcommand};
 
 use crate::pipeline::OnError;
 use crate::surface::options::ranged;
-use crate::surface::skin::SLACK_MAX_VOXELS;
+use crate::surface::reconstruction::SLACK_MAX_VOXELS;
 
 use super::frame_selection::FrameSelection;
 use super::quantities::one_of;

@@ -27,7 +27,7 @@ use super::machine::thread_pool;
 use super::out_folder::write_file;
 use super::render_session::{catch_panic, named_picture};
 use super::selecting::refuse_odd_place;
-use super::wording::{counted, significant, with_causes};
+use super::wording::{pluralize, significant, with_causes};
 
 use frames::FlickerFrames;
 use tally::{FlickerTotals, ScoredFrame};
@@ -130,11 +130,11 @@ impl Scoring<'_> {
         }
         let samples = usize::try_from(self.args.samples).unwrap_or(usize::MAX);
         let found = flicker([before, middle, after], carrier, self.spacing, samples);
-        if found.uncarried_count as f64 > UNCARRIED_MOST * samples as f64 {
+        if found.untracked_count as f64 > UNCARRIED_MOST * samples as f64 {
             console.warning(format_args!(
                 "{name}: {} of {samples} points on the surface have no particle within {CARRY_REACH} spacings ({}): check \
                  --spacing, --fps or --dt, and that meshes and particles have the same unit and the same axes",
-                found.uncarried_count,
+                found.untracked_count,
                 significant(CARRY_REACH * self.spacing)
             ));
         }
@@ -157,7 +157,7 @@ impl Scoring<'_> {
             console.warning(format_args!(
                 "{}: the mesh is open at {}: a point that moves beyond its rim counts by its distance to the rim",
                 shown(&files.mesh),
-                counted(frame.surface().open_edge_count(), "edge")
+                pluralize(frame.surface().open_edge_count(), "edge")
             ));
         }
         let carrier = match self.carrier {
@@ -236,7 +236,7 @@ fn report(
     (spacing, carrier): (f64, Carrier),
     console: &mut Console,
 ) {
-    let count = counted(tally.frames.iter().filter(|frame| frame.summary.count > 0).count(), "frame");
+    let count = pluralize(tally.frames.iter().filter(|frame| frame.summary.count > 0).count(), "frame");
     console.say(format_args!("{}: {} spacings, {count}", frames.name, numbers_of(summary)));
     let carrier = match carrier {
         Carrier::Ids => "ids".to_owned(),

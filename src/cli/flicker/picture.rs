@@ -41,13 +41,13 @@ pub(super) fn encoded(
     let plot = plot(frames, tally).picture();
     let head = Sheet {
         title: format!("{}: {} spacings", frames.name, numbers_of(summary)),
-        place: PLOT,
+        picture_size: PLOT,
         blocks: vec![CellGroup {
             title: "Flicker of each frame, in particle spacings".to_owned(),
-            cells: vec![Cell { shown: CellPicture::Picture(plot), lines: Vec::new() }],
+            cells: vec![Cell { content: CellPicture::Picture(plot), lines: Vec::new() }],
             columns: 1,
         }],
-        foot: Vec::new(),
+        footer: Vec::new(),
     };
     let worst: Vec<&ScoredFrame> =
         tally.worst_frames().into_iter().map(|index| &tally.frames[index]).collect();
@@ -56,11 +56,11 @@ pub(super) fn encoded(
         CameraChoice::default().viewpoint(bounds, aspect, Up::Y).view(PLACE)
     });
     let cell = |frame: &&ScoredFrame| Cell {
-        shown: match &camera {
+        content: match &camera {
             Some(view) => {
                 CellPicture::Picture(render_marks(&marks(frame.points()), mark_radius(frame.points()), view))
             }
-            None => CellPicture::Words("no points".to_owned()),
+            None => CellPicture::Text("no points".to_owned()),
         },
         lines: vec![
             frame.name.clone(),
@@ -69,13 +69,13 @@ pub(super) fn encoded(
     };
     let body = Sheet {
         title: String::new(),
-        place: PLACE,
+        picture_size: PLACE,
         blocks: vec![CellGroup {
             title: format!("The frames that flicker most. {LEGEND}"),
             cells: worst.iter().map(cell).collect(),
             columns: COLUMNS,
         }],
-        foot: Vec::new(),
+        footer: Vec::new(),
     };
     let picture: Picture = stacked(&[head.picture(), body.picture()]);
     let part = SheetPart {

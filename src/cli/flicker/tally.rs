@@ -34,7 +34,7 @@ pub(super) const WORST_FRAMES: usize = 6;
 
 impl ScoredFrame {
     pub(super) fn new(number: u64, name: String, found: FrameFlicker) -> ScoredFrame {
-        let FrameFlicker { points, uncarried_count, left_count } = found;
+        let FrameFlicker { points, untracked_count: uncarried_count, clamped_count: left_count } = found;
         let worse = |one: ScoredPoint, other: &ScoredPoint| {
             if other.value.abs() > one.value.abs() { *other } else { one }
         };
@@ -112,7 +112,7 @@ mod tests {
         ScoredFrame::new(
             number,
             format!("f{number}"),
-            FrameFlicker { points, uncarried_count: 1, left_count: 0 },
+            FrameFlicker { points, untracked_count: 1, clamped_count: 0 },
         )
     }
 

@@ -163,7 +163,7 @@ impl FileInfo {
         let Probe { kind, codec } = probe(&bytes, &name);
         self.kind = kind.name().to_owned();
         self.gzipped = codec == Some(Codec::Gzip);
-        self.packed = codec.map(Codec::participle);
+        self.packed = codec.map(Codec::adjective);
         self.bytes = bytes.len();
         let limits = Limits::default();
         self.made_by = if codec.is_none() { made_by(kind, &bytes) } else { None };
@@ -172,8 +172,8 @@ impl FileInfo {
                 self.grids = Some(vdb::grids(&bytes, &limits)?.into_iter().map(GridRecord::from).collect());
             }
             ProbedKind::Format(Format::Glb | Format::Gltf) if codec.is_none() => {
-                match gltf::read_shot_info(&bytes)? {
-                    Some(gltf::ShotInfo { frames, vertices, triangles }) => {
+                match gltf::read_sequence_info(&bytes)? {
+                    Some(gltf::SequenceInfo { frames, vertices, triangles }) => {
                         self.set_shot(frames, [vertices, triangles]);
                     }
                     None => {

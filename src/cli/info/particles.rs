@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::pipeline::{MeasuredSpacing, particles};
 use crate::surface::options::Preset;
-use crate::surface::particles::Particles;
+use crate::surface::particles::OwnedPositions;
 
 use super::super::wording::significant;
 use super::{BoundingBox, row, short};
@@ -62,13 +62,13 @@ impl ParticlesInfo {
         ParticlesInfo {
             count: particles.len(),
             position_type: match particles {
-                Particles::Single(_) => "f32",
-                Particles::Double(_) => "f64",
+                OwnedPositions::F32(_) => "f32",
+                OwnedPositions::F64(_) => "f64",
             },
             not_finite: positions().filter(|position| !position.is_finite()).count(),
             bounds: match particles {
-                Particles::Single(_) => bounds.map(BoundingBox::short),
-                Particles::Double(_) => bounds,
+                OwnedPositions::F32(_) => bounds.map(BoundingBox::short),
+                OwnedPositions::F64(_) => bounds,
             },
             attributes,
             spacing: measured.map(|measured| measured.spacing),

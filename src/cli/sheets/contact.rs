@@ -10,7 +10,7 @@ use crate::cli::console::Console;
 use crate::cli::frame_selection::FrameSelection;
 use crate::cli::machine::thread_pool;
 use crate::cli::render_session::{RenderSession, RenderSource, catch_panic};
-use crate::cli::wording::{counted, significant, with_causes};
+use crate::cli::wording::{pluralize, significant, with_causes};
 use crate::cli::{CommandOutcome, DoneCounts};
 use crate::pipeline::{FrameFile, PictureOptions, SheetPart, Viewpoint, read_picture};
 use crate::render::{Cell, CellGroup, CellPicture, Picture, Sheet};
@@ -30,8 +30,8 @@ pub(in crate::cli) fn contact_sheet(
     refuse_stray_rounds(&args.pictures.method, &args.inputs)?;
     let Sources { strips, files, found } = find_sources(&args.inputs, kinds(&args.pictures))?;
     found.report(console);
-    let shown = shown(strips, args)?;
-    let cell_count = shown.iter().map(|shown| shown.frames.len()).sum();
+    let selected_strips = select_frames(strips, args)?;
+    let cell_count = selected_strips.iter().map(|strip| strip.frames.len()).sum();
     refuse_large(cell_count, args.size)?;
     let (file, session) =
         SheetFile::prepare(&args.output, &args.pictures, (args.size, &files), None, console)?;
@@ -39,8 +39,10 @@ pub(in crate::cli) fn contact_sheet(
     console.show_bar(cell_count);
     let pool = thread_pool(args.pictures.run.threads)?;
     let mut tally = DoneCounts::default();
-    let parts: Vec<SequenceRows> =
-        shown.into_iter().map(|shown| pool.install(|| contact.part(shown, &mut tally, console))).collect();
+    let parts: Vec<SequenceRows> = selected_strips
+        .into_iter()
+        .map(|selected_strip| pool.install(|| contact.part(selected_strip, &mut tally, console)))
+        .collect();
     console.hide_bar();
     if tally.done_count > 0 {
         for part in &parts {
@@ -65,26 +67,27 @@ fn kinds(PictureArgs { camera, camera_from, up, method, .. }: &PictureArgs) -> &
 }
 
 /// A sequence, and its frames on the sheet.
-struct ShownStrip {
+struct SelectedStrip {
     strip: Strip,
     /// The number of selected frames.
     selected_count: usize,
     frames: Vec<FrameFile>,
 }
 
-fn shown(strips: Vec<Strip>, args: &ContactSheetArgs) -> Result<Vec<ShownStrip>> {
+fn select_frames(strips: Vec<Strip>, args: &ContactSheetArgs) -> Result<Vec<SelectedStrip>> {
     let is_selected = |file: &&FrameFile| FrameSelection::takes(args.frames.as_ref(), file);
-    let shown = strips.into_iter().map(|strip| {
+    let selected_strips = strips.into_iter().map(|strip| {
         let selected: Vec<FrameFile> = strip.sequence.frames.iter().filter(is_selected).cloned().collect();
         let indices = evenly(selected.len(), usize::from(args.count));
         let frames = indices.into_iter().map(|index| selected[index].clone()).collect();
-        ShownStrip { strip, selected_count: selected.len(), frames }
+        SelectedStrip { strip, selected_count: selected.len(), frames }
     });
-    let shown: Vec<ShownStrip> = shown.filter(|shown| !shown.frames.is_empty()).collect();
-    if shown.is_empty() {
+    let selected_strips: Vec<SelectedStrip> =
+        selected_strips.filter(|strip| !strip.frames.is_empty()).collect();
+    if selected_strips.is_empty() {
         bail!("--frames selects none of the frames");
     }
-    Ok(shown)
+    Ok(selected_strips)
 }
 
 /// At most `most` of `count` indices, evenly spaced, including the first and the last.
@@ -93,12 +96,12 @@ fn evenly(count: usize, most: usize) -> Vec<usize> {
         return (0..count).collect();
     }
     let last = most.saturating_sub(1).max(1);
-    (0..most).map(|place| (place * (count - 1) + last / 2) / last).collect()
+    (0..most).map(|index| (index * (count - 1) + last / 2) / last).collect()
 }
 
 /// The cells of a sequence.
 struct SequenceRows {
-    shown: ShownStrip,
+    selected_strip: SelectedStrip,
     cells: Vec<Cell>,
     settings: Option<Settings>,
     options: Option<PictureOptions>,
@@ -109,16 +112,16 @@ struct SequenceRows {
 impl SequenceRows {
     /// Whether it is a single file and not a sequence.
     fn is_single(&self) -> bool {
-        self.shown.strip.sequence.frames.len() == 1
+        self.selected_strip.strip.sequence.frames.len() == 1
     }
 
     fn title(&self) -> String {
-        format!("{}: {}", self.shown.strip.name, self.what())
+        format!("{}: {}", self.selected_strip.strip.name, self.what())
     }
 
     /// The title and the rendering time. The time differs from run to run, so it is not part of the picture.
     fn told(&self) -> String {
-        match self.shown.strip.kind {
+        match self.selected_strip.strip.kind {
             SourceKind::Pictures => self.title(),
             SourceKind::LevelSets | SourceKind::Particles => {
                 format!("{}, {:.2} s", self.title(), self.seconds)
@@ -128,10 +131,10 @@ impl SequenceRows {
 
     /// The number of frames, and the kind of files they were made from.
     fn what(&self) -> String {
-        let ShownStrip { strip, selected_count, frames } = &self.shown;
+        let SelectedStrip { strip, selected_count, frames } = &self.selected_strip;
         let frames = match frames.len() == *selected_count {
-            true => counted(frames.len(), "frame"),
-            false => format!("{} of {}", frames.len(), counted(*selected_count, "frame")),
+            true => pluralize(frames.len(), "frame"),
+            false => format!("{} of {}", frames.len(), pluralize(*selected_count, "frame")),
         };
         let kind = strip.kind.name();
         let voxels = self.settings.as_ref().map(|settings| significant(settings.voxel_size));
@@ -140,7 +143,7 @@ impl SequenceRows {
     }
 
     fn made_from(&self) -> SheetPart {
-        let name = self.shown.strip.name.clone();
+        let name = self.selected_strip.strip.name.clone();
         SheetPart {
             name,
             hash: None,
@@ -159,17 +162,22 @@ struct Contact<'a> {
 
 impl Contact<'_> {
     /// The cells of a sequence. If it has no settings or no camera, no cell has a picture.
-    fn part(&self, shown: ShownStrip, tally: &mut DoneCounts, console: &mut Console) -> SequenceRows {
+    fn part(
+        &self,
+        selected_strip: SelectedStrip,
+        tally: &mut DoneCounts,
+        console: &mut Console,
+    ) -> SequenceRows {
         let start = Instant::now();
-        let prepared = self.prepared(&shown.strip, console);
+        let prepared = self.prepared(&selected_strip.strip, console);
         if let Err(error) = &prepared {
             console.error(with_causes(error));
         }
-        let cells = shown.frames.iter().map(|file| {
+        let cells = selected_strip.frames.iter().map(|file| {
             let taken = match &prepared {
-                Ok(prepared) => {
-                    catch_panic(&file.path, || self.picture(file, shown.strip.kind, prepared, console))
-                }
+                Ok(prepared) => catch_panic(&file.path, || {
+                    self.picture(file, selected_strip.strip.kind, prepared, console)
+                }),
                 Err(error) => Err(anyhow::anyhow!(with_causes(error))),
             };
             console.advance_bar();
@@ -177,12 +185,12 @@ impl Contact<'_> {
             if let (Ok(_), Err(error)) = (&prepared, &taken) {
                 console.error(with_causes(error));
             }
-            cell(file, shown.strip.kind, taken)
+            cell(file, selected_strip.strip.kind, taken)
         });
         let cells = cells.collect();
         let (settings, viewpoint) = prepared.unwrap_or_default();
         let options = viewpoint.map(|viewpoint| fixed(&self.session, viewpoint));
-        SequenceRows { shown, cells, settings, options, seconds: start.elapsed().as_secs_f64() }
+        SequenceRows { selected_strip, cells, settings, options, seconds: start.elapsed().as_secs_f64() }
     }
 
     /// What all pictures of a sequence share, if they are still to be rendered.
@@ -205,12 +213,12 @@ impl Contact<'_> {
     ) -> Result<(Picture, Option<usize>)> {
         let size = self.session.outputs.picture.size;
         let Some(viewpoint) = viewpoint.as_ref().filter(|_| kind != SourceKind::Pictures) else {
-            return Ok((read_picture(&file.path)?.shrunk(size), None));
+            return Ok((read_picture(&file.path)?.scaled_to_fit(size), None));
         };
         let source = self.session.source(file, settings.as_ref(), console)?;
         let particle_count = match &source {
             RenderSource::LevelSet(..) => None,
-            RenderSource::Skinned(skinned) => Some(skinned.frame.particles().len()),
+            RenderSource::Reconstructed(reconstructed) => Some(reconstructed.frame.particles().len()),
         };
         Ok((source.picture(viewpoint, size, false), particle_count))
     }
@@ -225,12 +233,12 @@ impl Contact<'_> {
             parts.into_iter().partition(SequenceRows::is_single);
         let counts = [(sequences.len(), "sequence"), (singles.len(), "file")];
         let counts = counts.into_iter().filter(|(count, _)| *count > 0);
-        let counts: Vec<String> = counts.map(|(count, noun)| counted(count, noun)).collect();
+        let counts: Vec<String> = counts.map(|(count, noun)| pluralize(count, noun)).collect();
         let mut blocks: Vec<CellGroup> =
             sequences.into_iter().map(|part| block(part.title(), part.cells)).collect();
         let of_singles = match &singles[..] {
             [part] => part.title(),
-            parts => format!("{}, each by itself", counted(parts.len(), "file")),
+            parts => format!("{}, each by itself", pluralize(parts.len(), "file")),
         };
         let cells: Vec<Cell> = singles.into_iter().flat_map(|part| part.cells).collect();
         if !cells.is_empty() {
@@ -241,21 +249,21 @@ impl Contact<'_> {
             [block] => std::mem::take(&mut block.title),
             _ => counts.join(" and "),
         };
-        Sheet { title, place: self.args.size.map(usize::from), blocks, foot: Vec::new() }
+        Sheet { title, picture_size: self.args.size.map(usize::from), blocks, footer: Vec::new() }
     }
 }
 
 /// A picture with its frame's name, and the number of particles if known.
 fn cell(file: &FrameFile, kind: SourceKind, taken: Result<(Picture, Option<usize>)>) -> Cell {
     let mut lines = vec![without_extension(&file.name(), kind)];
-    let shown = match taken {
+    let content = match taken {
         Ok((picture, particle_count)) => {
-            lines.extend(particle_count.map(|count| counted(count, "particle")));
+            lines.extend(particle_count.map(|count| pluralize(count, "particle")));
             CellPicture::Picture(picture)
         }
-        Err(error) => CellPicture::Words(reason(&error, &file.path)),
+        Err(error) => CellPicture::Text(reason(&error, &file.path)),
     };
-    Cell { shown, lines }
+    Cell { content, lines }
 }
 
 #[cfg(test)]

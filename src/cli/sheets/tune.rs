@@ -23,7 +23,7 @@ use crate::cli::remedies::with_remedy;
 use crate::cli::render_session::{RenderSession, catch_panic, measured_settings, picture_of_reconstruction};
 use crate::cli::selecting::{SelectedSequence, only_sequence, selected_of};
 use crate::cli::vary::{Parameter, SweepValue};
-use crate::cli::wording::{counted, with_causes};
+use crate::cli::wording::{pluralize, with_causes};
 use crate::cli::{CommandOutcome, DoneCounts};
 use crate::pipeline::{
     CameraChoice, FrameFile, LoadedFrame, NOTHING, OutputFormat, Reconstruction, ReportedWarnings, Sequence,
@@ -58,7 +58,7 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Com
     let tuning = pool.install(|| Tuning::new(args, session, sequence, frame, console))?;
     let grid = Grid::new(args, &tuning.without)?;
     if sequence.frames.len() > 1 {
-        let frame_count = counted(sequence.frames.len(), "frame");
+        let frame_count = pluralize(sequence.frames.len(), "frame");
         console.say(format_args!("{}: of {frame_count} of {}", frame.name(), sequence.name));
     }
     console.show_bar(grid.settings.len());
@@ -178,7 +178,7 @@ impl<'a> Tuning<'a> {
             let settings = Settings::resolve(&options, self.measured);
             let label = self.label(number, values, settings.as_ref().unwrap_or(&self.without));
             let mut lines = vec![label.clone()];
-            let (shown, command) = match catch_panic(self.frame.path(), || self.taken(&options)) {
+            let (content, command) = match catch_panic(self.frame.path(), || self.taken(&options)) {
                 Ok((made, settings, picture)) => {
                     tally.add(true);
                     let of_settings = settings.warnings().into_iter().map(Warning::Sentence);
@@ -187,7 +187,7 @@ impl<'a> Tuning<'a> {
                             console.warning(format_args!("cell {number}: {}", with_remedy(&warning)));
                         }
                     }
-                    let triangles = counted(made.surface.report.mesh.triangle_count, "triangle");
+                    let triangles = pluralize(made.surface.report.mesh.triangle_count, "triangle");
                     let command = CommandLine::convert(self.args, &options);
                     // The time differs from run to run, so it is not part of the picture.
                     let seconds = seconds(&made);
@@ -199,11 +199,11 @@ impl<'a> Tuning<'a> {
                 Err(error) => {
                     tally.add(false);
                     console.error(format_args!("cell {label}: {}", with_causes(&error)));
-                    (CellPicture::Words(reason(&error, self.frame.path())), None)
+                    (CellPicture::Text(reason(&error, self.frame.path())), None)
                 }
             };
             console.advance_bar();
-            cells.push((Cell { shown, lines }, command));
+            cells.push((Cell { content, lines }, command));
         }
         (cells, tally)
     }
@@ -217,7 +217,7 @@ impl<'a> Tuning<'a> {
 
     fn taken(&self, options: &MethodOptions) -> Result<(Reconstruction, Settings, Picture)> {
         let settings = Settings::resolve(options, self.measured)?;
-        let made = self.session.skin(&self.frame, &settings)?;
+        let made = self.session.reconstruct(&self.frame, &settings)?;
         let seen = (&self.viewpoint, self.session.outputs.picture.size);
         let picture = picture_of_reconstruction(&made, &settings, seen, false);
         Ok((made, settings, picture))
@@ -235,12 +235,12 @@ impl<'a> Tuning<'a> {
     }
 
     fn sheet(&self, grid: &Grid, cells: Vec<(Cell, Option<CommandLine>)>) -> Sheet {
-        let particles = counted(self.frame.particles().len(), "particle");
+        let particles = pluralize(self.frame.particles().len(), "particle");
         let title = format!("{}: {particles}; {}", self.name(), grid.meaning());
         let commands = cells.iter().enumerate().filter_map(|(index, (_, command))| {
             Some(format!("{}: {}", index + 1, command.as_ref()?.short_text()))
         });
-        let foot = commands.collect();
+        let footer = commands.collect();
         let mut cells: Vec<Cell> = cells.into_iter().map(|(cell, _)| cell).collect();
         let of_block = cells.len() / grid.blocks.len().max(1);
         let blocks = grid.blocks.iter().map(|value| {
@@ -248,7 +248,7 @@ impl<'a> Tuning<'a> {
             let title = value.map_or(String::new(), |value| value.label(&self.without));
             CellGroup { title, cells: std::mem::replace(&mut cells, rest), columns: grid.columns }
         });
-        Sheet { title, place: self.args.size.map(usize::from), blocks: blocks.collect(), foot }
+        Sheet { title, picture_size: self.args.size.map(usize::from), blocks: blocks.collect(), footer }
     }
 
     fn made_from(&self, grid: &Grid) -> SheetPart {
@@ -256,7 +256,7 @@ impl<'a> Tuning<'a> {
         SheetPart {
             name: self.name(),
             hash: Some(self.frame.hash()),
-            what: format!("{} by {}", counted(grid.settings.len(), "cell"), axes.join(", ")),
+            what: format!("{} by {}", pluralize(grid.settings.len(), "cell"), axes.join(", ")),
             settings: Some(self.without.clone()),
             options: Some(fixed(&self.session, self.viewpoint)),
         }

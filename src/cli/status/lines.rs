@@ -1,7 +1,7 @@
 //! The status as text.
 
 use crate::cli::clock::ago;
-use crate::cli::wording::{counted, significant};
+use crate::cli::wording::{pluralize, significant};
 
 use super::{DaemonStatus, FrameStatus, StatusCounts, StatusRecord, WaitingStatus, WatchStatus};
 
@@ -25,7 +25,7 @@ impl StatusRecord {
             lines.extend(watches.iter().map(|watch| format!("  {}", watch.text())));
         }
         if !self.waiting.is_empty() {
-            lines.push(format!("waiting for the writers of {}:", counted(self.waiting.len(), "file")));
+            lines.push(format!("waiting for the writers of {}:", pluralize(self.waiting.len(), "file")));
             for WaitingStatus { input, reason } in self.waiting.iter().take(TOLD_MAX) {
                 lines.push(format!("  {input}: {reason}"));
             }
@@ -46,7 +46,7 @@ impl StatusRecord {
             lines.extend(more(frames.len()));
         }
         if self.damaged_lines > 0 {
-            let damaged = counted(self.damaged_lines, "line");
+            let damaged = pluralize(self.damaged_lines, "line");
             lines.push(format!(
                 "{damaged} of the journal cannot be read: the daemon determines their content again"
             ));
@@ -101,7 +101,7 @@ impl WatchStatus {
 impl FrameStatus {
     pub(super) fn text(&self, now_ms: u64) -> String {
         let mut about = Vec::new();
-        about.extend(self.particles.map(|count| counted(count, "particle")));
+        about.extend(self.particles.map(|count| pluralize(count, "particle")));
         about.extend(self.seconds.map(|seconds| format!("{} s", significant(seconds))));
         if self.attempts > 1 {
             about.push(format!("{} attempts", self.attempts));

@@ -33,7 +33,7 @@ use crate::watch::{self, DaemonRequest, EndReason, FailedFrame, Notice, Watch, W
 use super::CommandOutcome;
 use super::args::{LogChoice, WatchArgs};
 use super::render_session::level_sets_in;
-use super::wording::{FRAMES_IN_VIEW, counted, failed_validation, with_causes};
+use super::wording::{FRAMES_IN_VIEW, failed_validation, pluralize, with_causes};
 
 use plan::WatchPlan;
 pub(super) use plan::make_plan;
@@ -147,7 +147,7 @@ fn level_sets_left(watches: &[Watch]) -> String {
         0 => String::new(),
         count => format!(
             ": {} left alone; --pattern '*.vdb' takes those that meniscus did not write",
-            counted(count, "level set")
+            pluralize(count, "level set")
         ),
     }
 }

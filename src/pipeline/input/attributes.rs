@@ -5,8 +5,8 @@ use std::sync::Arc;
 use meniscus_formats::columns::aliases;
 use meniscus_formats::{AttributeRole, FileAttribute, Values};
 
-use crate::surface::options::{Anisotropy, AttributeSelection, OwnRadii, Settings};
-use crate::surface::particles::{Attribute, AttributeValues, Meaning, attribute_of};
+use crate::surface::options::{Anisotropy, AttributeSelection, PerParticleRadius, Settings};
+use crate::surface::particles::{Attribute, AttributeValues, Role, find_attribute};
 
 use crate::pipeline::warning::Warning;
 
@@ -36,7 +36,7 @@ impl Needed {
     fn why_missing(&self, all: &[Attribute]) -> String {
         let Needed { name, arity, option, .. } = self;
         let kind = if *arity == 1 { "one number" } else { "a vector of three numbers" };
-        match all.iter().find(|attribute| attribute.is_called(name)) {
+        match all.iter().find(|attribute| attribute.matches(name)) {
             None => {
                 let names: Vec<&str> = all.iter().map(|attribute| &*attribute.name).collect();
                 let there = if all.is_empty() { "none".to_owned() } else { names.join(", ") };
@@ -59,7 +59,7 @@ impl Needed {
     }
 
     fn is(&self, attribute: &Attribute) -> bool {
-        attribute.is_called(&self.name) && attribute.has_numbers(self.arity)
+        attribute.matches(&self.name) && attribute.has_numbers(self.arity)
     }
 
     /// The error if it exists, but has no usable value for any particle.
@@ -78,7 +78,7 @@ impl Needed {
 impl Wanted {
     /// The attributes that these settings require.
     pub fn by(settings: &Settings) -> Wanted {
-        let mut needed = Wanted::radii(settings.own_radii.as_ref()).needed;
+        let mut needed = Wanted::radii(settings.per_particle_radius.as_ref()).needed;
         if matches!(settings.anisotropy, Anisotropy::Velocity { .. }) {
             let name = "velocity".to_owned();
             needed.push(Needed { name, arity: 3, option: "--anisotropy velocity", is_length: false });
@@ -87,8 +87,8 @@ impl Wanted {
     }
 
     /// The per-particle radii only.
-    pub(crate) fn radii(own: Option<&OwnRadii>) -> Wanted {
-        let needed = |own: &OwnRadii| Needed {
+    pub(crate) fn radii(own: Option<&PerParticleRadius>) -> Wanted {
+        let needed = |own: &PerParticleRadius| Needed {
             name: own.attribute.clone(),
             arity: 1,
             option: "--radius-attribute",
@@ -120,9 +120,9 @@ impl Wanted {
         }
         let all: Vec<Attribute> = attributes.into_iter().map(attribute).collect();
         let available = || all.iter().map(|attribute| attribute.name.clone()).collect::<Vec<_>>();
-        let is_there = |name: &str| all.iter().any(|attribute| attribute.is_called(name));
+        let is_there = |name: &str| all.iter().any(|attribute| attribute.matches(name));
         for needed in &self.needed {
-            let why = match attribute_of(&all, &needed.name, needed.arity) {
+            let why = match find_attribute(&all, &needed.name, needed.arity) {
                 Some(attribute) => needed.why_useless(attribute),
                 None => Some(needed.why_missing(&all)),
             };
@@ -143,7 +143,7 @@ impl Wanted {
         let is_named = |attribute: &Attribute| {
             named.iter().any(|name| match has_own(name) {
                 true => attribute.name.eq_ignore_ascii_case(name),
-                false => attribute.is_called(name),
+                false => attribute.matches(name),
             })
         };
         let is_all = self.selected == Some(AttributeSelection::All);
@@ -180,15 +180,15 @@ impl Wanted {
 /// Converts a file's attribute for the method: 32-bit floats, colours from 0 to 1.
 fn attribute(attribute: FileAttribute) -> Attribute {
     let FileAttribute { name, arity, role, values } = attribute;
-    let meaning = match role {
-        Some(AttributeRole::Velocity) => Meaning::Velocity,
-        Some(AttributeRole::Color) => Meaning::Color,
-        Some(AttributeRole::Radius) => Meaning::Radius,
-        Some(AttributeRole::Id) => Meaning::Id,
+    let surface_role = match role {
+        Some(AttributeRole::Velocity) => Role::Velocity,
+        Some(AttributeRole::Color) => Role::Color,
+        Some(AttributeRole::Radius) => Role::Radius,
+        Some(AttributeRole::Id) => Role::Id,
         Some(AttributeRole::Normal | AttributeRole::Density | AttributeRole::Mass | AttributeRole::Kind)
-        | None => Meaning::Other,
+        | None => Role::Other,
     };
-    let is_color = meaning == Meaning::Color;
+    let is_color = surface_role == Role::Color;
     let values = match values {
         Values::F32(values) => AttributeValues::Numbers(values),
         Values::F64(values) => {
@@ -202,7 +202,7 @@ fn attribute(attribute: FileAttribute) -> Attribute {
         Values::I64(values) => AttributeValues::Integers(values),
         Values::Strings { table, indices } => AttributeValues::Strings { table: Arc::from(table), indices },
     };
-    Attribute { name, meaning, arity, values }
+    Attribute { name, role: surface_role, arity, values }
 }
 
 #[cfg(test)]
@@ -240,13 +240,13 @@ mod tests {
     /// The method knows no formats, so it has a separate list of names, which must match the readers' list.
     #[test]
     fn names_of_velocities_and_colors_match_the_readers() {
-        for (role, meaning) in
-            [(AttributeRole::Velocity, Meaning::Velocity), (AttributeRole::Color, Meaning::Color)]
+        for (role, surface_role) in
+            [(AttributeRole::Velocity, Role::Velocity), (AttributeRole::Color, Role::Color)]
         {
             let values = AttributeValues::Numbers(vec![0.0; 3]);
-            let attribute = Attribute { name: "some name".to_owned(), meaning, arity: 3, values };
+            let attribute = Attribute { name: "some name".to_owned(), role: surface_role, arity: 3, values };
             for alias in aliases(role) {
-                assert!(attribute.is_called(alias) && attribute.is_called(&alias.to_uppercase()), "{alias}");
+                assert!(attribute.matches(alias) && attribute.matches(&alias.to_uppercase()), "{alias}");
             }
         }
     }

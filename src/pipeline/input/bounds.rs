@@ -14,7 +14,7 @@ use super::reading::{parse_particles, read_file};
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::target::picture::PictureScene;
 use crate::surface::grid::{LeafMask, negative_masks};
-use crate::surface::particles::Particles;
+use crate::surface::particles::OwnedPositions;
 use crate::surface::space::{CoordBox, box_of, joined};
 
 /// The box that a camera shows if a frame is empty.
@@ -63,7 +63,7 @@ fn file_bounds(path: &Path, radius: f64) -> Result<Option<[DVec3; 2]>, FrameErro
 
 /// The bounding box of balls of this radius at the particles, without outliers; world units, `None` without
 /// particles.
-pub fn bounds_of_particles(particles: &Particles, radius: f64) -> Option<[DVec3; 2]> {
+pub fn bounds_of_particles(particles: &OwnedPositions, radius: f64) -> Option<[DVec3; 2]> {
     let place = |index: usize| [particles.position(index); 2];
     box_of(particles.len(), place).map(|[least, greatest]| [least - radius, greatest + radius])
 }

@@ -7,7 +7,7 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use crate::surface::options::Settings;
-use crate::surface::report::SkinReport;
+use crate::surface::report::ReconstructionReport;
 
 use super::level_set_file::is_level_set;
 use super::obstacles::ObstacleFiles;
@@ -192,7 +192,7 @@ pub struct FrameReport {
     /// The state of the input that was read.
     pub input: ReadInput,
     /// The report of the method.
-    pub skin: SkinReport,
+    pub reconstruction: ReconstructionReport,
     /// The names and hashes of its obstacle files; empty without obstacles.
     pub obstacles: String,
     /// The number of boundary edges of the obstacle meshes.

@@ -11,11 +11,11 @@ use meniscus_formats::{Error, FilePositions, Limits, ParticleBatch, ParticleBatc
 
 use crate::surface::grid::Leaf;
 use crate::surface::level_set::NarrowBand;
-use crate::surface::particles::{self, Cloud, ParticleSource, Shapes};
+use crate::surface::particles::{self, ParticleCloud, ParticleSource, Shapes};
 
 use crate::surface::options::Settings;
-use crate::surface::report::Shaping;
-use crate::surface::skin::{self, ShapedSource};
+use crate::surface::reconstruction::{self, ShapedSource};
+use crate::surface::report::ShapeStats;
 
 use super::frame::{Frame, Job};
 use super::level_set_file::LevelSetFile;
@@ -28,7 +28,7 @@ use crate::pipeline::warning::Warning;
 #[derive(Debug)]
 pub enum FrameInput {
     /// All of its particles.
-    InMemory(Cloud),
+    InMemory(ParticleCloud),
     /// The particles in a file whose records can be read one by one.
     OnDisk(Box<FileParticles>),
     /// A level set instead of particles.
@@ -153,24 +153,24 @@ impl FrameInput {
     ///
     /// # Errors
     /// When they are on disk and cannot be read.
-    pub fn shaped(self, settings: &Settings) -> Result<(ShapedSource<FrameInput>, Shaping), Cause> {
+    pub fn shaped(self, settings: &Settings) -> Result<(ShapedSource<FrameInput>, ShapeStats), Cause> {
         let started = Instant::now();
-        let (particles, shaping) = self.shaped_by_attributes(settings);
-        let (shaped, mut shaping) = skin::shape_by_neighbors(particles, shaping, settings)?;
-        if settings.has_shapes() || settings.uses_neighbors() {
-            shaping.seconds = started.elapsed().as_secs_f64();
+        let (particles, shape_stats) = self.shaped_by_attributes(settings);
+        let (shaped, mut shape_stats) = reconstruction::shape_by_neighbors(particles, shape_stats, settings)?;
+        if settings.has_per_particle_shapes() || settings.uses_neighbors() {
+            shape_stats.seconds = started.elapsed().as_secs_f64();
         }
-        Ok((shaped, shaping))
+        Ok((shaped, shape_stats))
     }
 
-    fn shaped_by_attributes(self, settings: &Settings) -> (FrameInput, Shaping) {
+    fn shaped_by_attributes(self, settings: &Settings) -> (FrameInput, ShapeStats) {
         match self {
             FrameInput::InMemory(cloud) => {
-                let (cloud, shaping) = skin::shape_by_attributes(cloud, settings);
-                (FrameInput::InMemory(cloud), shaping)
+                let (cloud, shape_stats) = reconstruction::shape_by_attributes(cloud, settings);
+                (FrameInput::InMemory(cloud), shape_stats)
             }
             // What needs attributes is never read in batches.
-            FrameInput::OnDisk(_) | FrameInput::LevelSet(_) => (self, Shaping::default()),
+            FrameInput::OnDisk(_) | FrameInput::LevelSet(_) => (self, ShapeStats::default()),
         }
     }
 
@@ -219,10 +219,10 @@ impl ParticleSource for FrameInput {
         }
     }
 
-    fn count_of(&self, batch: usize) -> usize {
+    fn batch_len(&self, batch: usize) -> usize {
         match self {
-            FrameInput::InMemory(cloud) => cloud.count_of(batch),
-            FrameInput::OnDisk(file) => file.batches.particles_of(batch).len(),
+            FrameInput::InMemory(cloud) => cloud.batch_len(batch),
+            FrameInput::OnDisk(file) => file.batches.particle_range(batch).len(),
             FrameInput::LevelSet(_) => 0,
         }
     }
@@ -234,10 +234,10 @@ impl ParticleSource for FrameInput {
         }
     }
 
-    fn shapes_of(&self, batch: usize) -> Shapes {
+    fn batch_shapes(&self, batch: usize) -> Shapes {
         match self {
-            FrameInput::InMemory(cloud) => cloud.shapes_of(batch),
-            FrameInput::OnDisk(_) | FrameInput::LevelSet(_) => Shapes::Balls,
+            FrameInput::InMemory(cloud) => cloud.batch_shapes(batch),
+            FrameInput::OnDisk(_) | FrameInput::LevelSet(_) => Shapes::Uniform,
         }
     }
 }

@@ -18,8 +18,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::surface::options::{self, OwnRadii};
-use crate::surface::particles::{Attribute, Meaning};
+use crate::surface::options::{self, PerParticleRadius};
+use crate::surface::particles::{Attribute, Role};
 use crate::surface::spacing::{
     CONFIDENCE_MIN, SequenceEstimate, SourceSample, SpacingEstimate, combine_estimates, estimate_spacing,
     median, rounded,
@@ -104,7 +104,7 @@ impl std::error::Error for NoSpacing {}
 /// reports the reason.
 pub fn measure_spacing<'a>(
     files: impl IntoIterator<Item = &'a Path>,
-    own_radii: Option<&OwnRadii>,
+    per_particle_radius: Option<&PerParticleRadius>,
 ) -> Result<MeasuredSpacing, NoSpacing> {
     let files: Vec<&Path> = files.into_iter().collect();
     let mut none = NoSpacing { sparse_count: 0, unreadable_count: 0, unreadable: None };
@@ -116,7 +116,7 @@ pub fn measure_spacing<'a>(
             none.unreadable.get_or_insert(error);
         }
     };
-    measure_sequence(&files, own_radii, note).ok_or(none)
+    measure_sequence(&files, per_particle_radius, note).ok_or(none)
 }
 
 /// The result of measuring a frame.
@@ -134,7 +134,7 @@ pub(crate) enum Attempt {
 /// cannot be measured; `note` receives every frame that was read. `None` if none can be measured.
 pub(crate) fn measure_sequence(
     files: &[&Path],
-    own_radii: Option<&OwnRadii>,
+    per_particle_radius: Option<&PerParticleRadius>,
     mut note: impl FnMut(&Path, Attempt),
 ) -> Option<MeasuredSpacing> {
     let mut is_read = vec![false; files.len()];
@@ -143,7 +143,7 @@ pub(crate) fn measure_sequence(
             if std::mem::replace(&mut is_read[index], true) {
                 continue;
             }
-            let (attempt, frame) = match measured(files[index], own_radii) {
+            let (attempt, frame) = match measured(files[index], per_particle_radius) {
                 Ok(Some(frame)) => (Attempt::Measured, Some((index, frame))),
                 Ok(None) => (Attempt::Sparse, None),
                 Err(error) => (Attempt::Unreadable(error), None),
@@ -175,9 +175,12 @@ struct FrameSpacing {
 }
 
 /// Measures a frame; `None` if it has too few particles.
-fn measured(path: &Path, own_radii: Option<&OwnRadii>) -> Result<Option<FrameSpacing>, FrameError> {
+fn measured(
+    path: &Path,
+    per_particle_radius: Option<&PerParticleRadius>,
+) -> Result<Option<FrameSpacing>, FrameError> {
     let measure = || {
-        if own_radii.is_none()
+        if per_particle_radius.is_none()
             && let Some(particles) = large_file(path)?
         {
             let failed = |cause| FrameError { path: path.to_owned(), during: Stage::Read, cause };
@@ -193,8 +196,8 @@ fn measured(path: &Path, own_radii: Option<&OwnRadii>) -> Result<Option<FrameSpa
             return Ok(estimate.map(of_estimate));
         }
         let bytes = read_file(path)?;
-        let read = parse_particles(path, &bytes, &Wanted::radii(own_radii).and_radius())?;
-        Ok(measured_of(path, &read, own_radii))
+        let read = parse_particles(path, &bytes, &Wanted::radii(per_particle_radius).and_radius())?;
+        Ok(measured_of(path, &read, per_particle_radius))
     };
     FrameError::catch(path, Stage::Read, measure).flatten()
 }
@@ -215,11 +218,15 @@ fn large_file(path: &Path) -> Result<Option<FileParticles>, FrameError> {
 /// In files of this size and larger, only a sample of the positions is measured, and no radii.
 const SAMPLED_FROM_BYTES: u64 = 256 << 20;
 
-fn measured_of(path: &Path, read: &ReadFrame, own_radii: Option<&OwnRadii>) -> Option<FrameSpacing> {
+fn measured_of(
+    path: &Path,
+    read: &ReadFrame,
+    per_particle_radius: Option<&PerParticleRadius>,
+) -> Option<FrameSpacing> {
     let by_positions = estimate_spacing(&read.cloud.positions);
-    let radius = match own_radii {
-        Some(own) => read.cloud.attribute_of(&own.attribute, 1),
-        None => read.cloud.attributes.iter().find(|attribute| attribute.meaning == Meaning::Radius),
+    let radius = match per_particle_radius {
+        Some(own) => read.cloud.find_attribute(&own.attribute, 1),
+        None => read.cloud.attributes.iter().find(|attribute| attribute.role == Role::Radius),
     };
     let by_radius = radius.and_then(|radius| Some((radius.name.clone(), 2.0 * median(positive(radius))?)));
     let of_radius = |spacing| SpacingEstimate { spacing, confidence: 1.0 };
@@ -237,7 +244,7 @@ fn measured_of(path: &Path, read: &ReadFrame, own_radii: Option<&OwnRadii>) -> O
         (None, Some((_, spacing))) => (of_radius(spacing), None),
         (None, None) => return None,
     };
-    let radius_median = own_radii.and_then(|own| median(own.radii_min(&read.cloud.attributes)));
+    let radius_median = per_particle_radius.and_then(|own| median(own.radii_min(&read.cloud.attributes)));
     Some(FrameSpacing { path: path.to_owned(), estimate, doubted, radius_median })
 }
 
@@ -304,7 +311,7 @@ fn warnings(frames: &[FrameSpacing], estimate: &SequenceEstimate) -> Vec<String>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::surface::particles::{AttributeValues, Cloud, Particles};
+    use crate::surface::particles::{AttributeValues, OwnedPositions, ParticleCloud};
 
     #[test]
     fn median_of_per_particle_radii_is_measured() {
@@ -316,18 +323,18 @@ mod tests {
             values.iter_mut().zip(radii.iter().cycle()).take(90).for_each(|(value, radius)| *value = *radius);
             let radii = Attribute {
                 name: "pscale".into(),
-                meaning: Meaning::Radius,
+                role: Role::Radius,
                 arity: 1,
                 values: AttributeValues::Numbers(values),
             };
-            let positions = Particles::Double(Vec::clone(&positions));
-            let cloud = Cloud { attributes: vec![radii], ..Cloud::from(positions) };
+            let positions = OwnedPositions::F64(Vec::clone(&positions));
+            let cloud = ParticleCloud { attributes: vec![radii], ..ParticleCloud::from(positions) };
             ReadFrame { cloud, warnings: Vec::new(), unused_velocity: None }
         };
-        let of_frame = |read: &ReadFrame, own: Option<&OwnRadii>| {
+        let of_frame = |read: &ReadFrame, own: Option<&PerParticleRadius>| {
             combined(&[measured_of(Path::new("a"), read, own).expect("enough")]).expect("a frame")
         };
-        let own = OwnRadii { attribute: "pscale".into(), scale: 2.0 };
+        let own = PerParticleRadius { attribute: "pscale".into(), scale: 2.0 };
         assert_eq!(of_frame(&of_radii([0.25, 0.01, 40.0]), Some(&own)).radius_median, Some(0.5));
         assert_eq!(of_frame(&of_radii([3.0, 2.0, 1.0]), Some(&own)).radius_median, Some(4.0));
         assert_eq!(of_frame(&of_radii([0.0, -1.0, f32::NAN]), Some(&own)).radius_median, None);

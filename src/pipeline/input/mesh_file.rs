@@ -17,7 +17,7 @@ pub fn read_mesh_file(path: &Path) -> Result<MeshData, FrameError> {
     let bytes = read_regular(path).map_err(|error| fail(error.into()))?;
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let beside = |relative: &str| {
-        let files = gltf::files_beside(&bytes).map_err(io::Error::other)?;
+        let files = gltf::external_files(&bytes).map_err(io::Error::other)?;
         let file = files.iter().find(|file| file.path == relative).ok_or(io::ErrorKind::NotFound)?;
         let mut content = Vec::new();
         let at = path.parent().unwrap_or(Path::new("")).join(relative);

@@ -1,6 +1,6 @@
 //! Checks for likely mistakes in obstacle files.
 
-use crate::surface::obstacle::{MeshFindings, Shape};
+use crate::surface::obstacle::{MeshFindings, ObstacleSdf};
 use crate::surface::options::Settings;
 
 use crate::pipeline::warning::ObstacleFinding;
@@ -9,30 +9,30 @@ use crate::pipeline::warning::ObstacleFinding;
 const KNOWN_MIN: f64 = 1.0;
 
 /// The likely mistakes in an obstacle.
-pub(crate) fn findings_of(shape: &Shape, settings: &Settings) -> Vec<ObstacleFinding> {
+pub(crate) fn findings_of(shape: &ObstacleSdf, settings: &Settings) -> Vec<ObstacleFinding> {
     let mut found = Vec::new();
     match shape {
-        Shape::Solid(solid) => {
-            let MeshFindings { open_edge_count, encloses_nothing, turned_count, .. } = *solid.findings();
-            let MeshFindings { unasked_part_count, broken_count, triangle_count, .. } = *solid.findings();
+        ObstacleSdf::Mesh(solid) => {
+            let MeshFindings { open_edge_count, encloses_nothing, flipped_count, .. } = *solid.findings();
+            let MeshFindings { unchecked_part_count, invalid_count, triangle_count, .. } = *solid.findings();
             if open_edge_count > 0 {
                 found.push(ObstacleFinding::Open { edge_count: open_edge_count, encloses_nothing });
             }
-            if turned_count > 0 {
-                found.push(ObstacleFinding::Turned { triangle_count: turned_count });
+            if flipped_count > 0 {
+                found.push(ObstacleFinding::Turned { triangle_count: flipped_count });
             }
-            if unasked_part_count > 0 {
-                found.push(ObstacleFinding::Unasked { part_count: unasked_part_count });
+            if unchecked_part_count > 0 {
+                found.push(ObstacleFinding::Unasked { part_count: unchecked_part_count });
             }
-            if broken_count > 0 {
-                found.push(ObstacleFinding::Broken { triangle_count: broken_count });
+            if invalid_count > 0 {
+                found.push(ObstacleFinding::Broken { triangle_count: invalid_count });
             }
             if triangle_count == 0 {
                 found.push(ObstacleFinding::Flat);
             }
         }
-        Shape::Sampled(sampled) => {
-            found.extend(sampled.rebuilt_because().map(ObstacleFinding::Rebuilt));
+        ObstacleSdf::Grid(sampled) => {
+            found.extend(sampled.rebuild_reason().map(ObstacleFinding::Rebuilt));
             let known_voxels = (sampled.band_width() - sampled.voxel_size()) / settings.voxel_size;
             if known_voxels < KNOWN_MIN {
                 found.push(ObstacleFinding::NarrowBand { known_voxels });

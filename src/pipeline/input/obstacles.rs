@@ -22,7 +22,7 @@ use meniscus_formats::{ObstacleData, gltf, read_obstacle};
 use twox_hash::XxHash3_128;
 use twox_hash::xxhash3_128::Hasher;
 
-use crate::surface::obstacle::{LevelSetSource, Obstacle, Obstacles, Sampled, Shape, Solid};
+use crate::surface::obstacle::{GridSdf, MeshSdf, Obstacle, ObstacleSdf, Obstacles, SourceLevelSet};
 use crate::surface::options::Settings;
 
 use super::level_set_file::level_set_limits;
@@ -184,7 +184,7 @@ impl ObstacleFiles {
             return files.clone();
         }
         let Ok(Some((bytes, stamp))) = read_unchanged(path) else { return Vec::new() };
-        let files = gltf::files_beside(&bytes).unwrap_or_default();
+        let files = gltf::external_files(&bytes).unwrap_or_default();
         let files: Vec<PathBuf> = files.iter().map(|file| folder_of(path).join(&file.path)).collect();
         lock().insert(path.to_owned(), (stamp, files.clone()));
         files
@@ -244,7 +244,7 @@ impl ObstacleFiles {
             let (data, file_bytes) = match file.content {
                 ObstacleShape::Obstacle(obstacle) => {
                     all.all_bytes += obstacle.size_bytes_max() as u64;
-                    all.open_edge_count += open_edges(obstacle.shape());
+                    all.open_edge_count += open_edges(obstacle.sdf());
                     all.obstacles.members.push(obstacle);
                     continue;
                 }
@@ -353,8 +353,8 @@ fn read(path: PathBuf, still: Option<usize>) -> Result<FoundObstacle, ObstacleEr
     let mut contents = HashMap::new();
     if is_gltf_text(&path) {
         let mut hasher: Option<Hasher> = None;
-        for gltf::FileBeside { path: relative, byte_count } in
-            gltf::files_beside(&bytes).map_err(|error| failed(&path, error))?
+        for gltf::ExternalFile { path: relative, byte_count } in
+            gltf::external_files(&bytes).map_err(|error| failed(&path, error))?
         {
             let at = folder_of(&path).join(&relative);
             let unchanged = read_start_unchanged(&at, byte_count).map_err(|error| {
@@ -396,14 +396,14 @@ fn parse(
 }
 
 /// The obstacle in the data; `memory_bytes` limits a level set, including all memory for rebuilding it.
-fn shape_of(data: ObstacleData, memory_bytes: u64) -> Result<Shape, String> {
+fn shape_of(data: ObstacleData, memory_bytes: u64) -> Result<ObstacleSdf, String> {
     Ok(match data {
-        ObstacleData::Mesh(mesh) => Shape::Solid(Solid::new(&mesh.positions, &mesh.triangles)),
+        ObstacleData::Mesh(mesh) => ObstacleSdf::Mesh(MeshSdf::new(&mesh.positions, &mesh.triangles)),
         ObstacleData::LevelSet(data) => {
             let name = data.name.clone();
             let rebuilding_bytes = memory_bytes.saturating_sub(data.memory_bytes());
-            Shape::Sampled(
-                Sampled::new(source_of(*data), rebuilding_bytes)
+            ObstacleSdf::Grid(
+                GridSdf::new(source_of(*data), rebuilding_bytes)
                     .map(Box::new)
                     .map_err(|what| format!("the grid \"{name}\" {what}"))?,
             )
@@ -411,8 +411,8 @@ fn shape_of(data: ObstacleData, memory_bytes: u64) -> Result<Shape, String> {
     })
 }
 
-fn source_of(data: LevelSetData) -> LevelSetSource {
-    LevelSetSource {
+fn source_of(data: LevelSetData) -> SourceLevelSet {
+    SourceLevelSet {
         origins: data.origins.into_iter().map(IVec3::from).collect(),
         leaves: data.leaves,
         tiles: data.tiles.into_iter().map(|tile| (IVec3::from(tile.origin), tile.size, tile.value)).collect(),
@@ -438,10 +438,10 @@ fn loading_factor(path: &Path) -> u64 {
     }
 }
 
-fn open_edges(shape: &Shape) -> usize {
+fn open_edges(shape: &ObstacleSdf) -> usize {
     match shape {
-        Shape::Solid(solid) => solid.findings().open_edge_count,
-        Shape::Sampled(_) => 0,
+        ObstacleSdf::Mesh(solid) => solid.findings().open_edge_count,
+        ObstacleSdf::Grid(_) => 0,
     }
 }
 

@@ -36,7 +36,7 @@ pub(crate) fn out_of_reach(
     let reach = reach(settings);
     let members = obstacles.paths.iter().zip(&obstacles.obstacles.members);
     let warnings = members.filter_map(|(path, obstacle)| {
-        let of_obstacle = obstacle.shape().bounds()?;
+        let of_obstacle = obstacle.sdf().bounds()?;
         let is_near = (0..3).all(|axis| {
             of_obstacle[0][axis] - reach <= of_particles[1][axis]
                 && of_particles[0][axis] <= of_obstacle[1][axis] + reach
@@ -50,7 +50,7 @@ pub(crate) fn out_of_reach(
 /// The largest distance from a particle at which anything is computed, in world units.
 fn reach(settings: &Settings) -> f64 {
     let h = settings.voxel_size;
-    let radius = match settings.own_radii {
+    let radius = match settings.per_particle_radius {
         Some(_) => settings.radius_max.max(RADIUS_MAX_VOXELS * h),
         None => settings.radius_max,
     };

@@ -4,9 +4,11 @@ use std::io::{self, Read};
 use std::path::Path;
 
 use meniscus_formats::compression::read_head;
-use meniscus_formats::{AttributeRole, FilePositions, Limits, ParticleFrame, read_particles, refuse_foreign};
+use meniscus_formats::{
+    AttributeRole, FilePositions, Limits, ParticleFrame, check_supported, read_particles,
+};
 
-use crate::surface::particles::{Cloud, Particles, Shapes};
+use crate::surface::particles::{OwnedPositions, ParticleCloud, Shapes};
 
 use super::attributes::Wanted;
 use super::steps::{StepsFoundBy, by_lines_of_file, file_of, read_step, step_of};
@@ -20,7 +22,7 @@ use crate::pipeline::warning::Warning;
 #[derive(Clone, Debug)]
 pub struct ReadFrame {
     /// The particles.
-    pub cloud: Cloud,
+    pub cloud: ParticleCloud,
     /// Warnings about a file that could be read.
     pub warnings: Vec<Warning>,
     /// The name of the velocities, if the file has some that were not requested.
@@ -70,7 +72,7 @@ fn refuse_large_foreign(path: &Path) -> meniscus_formats::Result<()> {
         return Ok(());
     }
     let head = read_head(open_regular(path)?, LARGE_HEAD_BYTES)?;
-    refuse_foreign(&head, &path.file_name().unwrap_or_default().to_string_lossy())
+    check_supported(&head, &path.file_name().unwrap_or_default().to_string_lossy())
 }
 
 /// From this size on, the head of a file is checked first.
@@ -101,14 +103,14 @@ pub fn parse_particles(path: &Path, bytes: &[u8], wanted: &Wanted) -> Result<Rea
         velocity.map(|attribute| attribute.name.clone()).filter(|name| !wanted.has_velocity(name));
     let (attributes, missing) = wanted.of(attributes).map_err(unfit)?;
     let warnings = notes.into_iter().map(Warning::Sentence).chain(missing).collect();
-    let cloud = Cloud { positions: particles(positions), shapes: Shapes::Balls, attributes };
+    let cloud = ParticleCloud { positions: particles(positions), shapes: Shapes::Uniform, attributes };
     Ok(ReadFrame { cloud, warnings, unused_velocity })
 }
 
 /// Converts positions to the type of the reconstruction.
-pub fn particles(positions: FilePositions) -> Particles {
+pub fn particles(positions: FilePositions) -> OwnedPositions {
     match positions {
-        FilePositions::F32(positions) => Particles::Single(positions),
-        FilePositions::F64(positions) => Particles::Double(positions),
+        FilePositions::F32(positions) => OwnedPositions::F32(positions),
+        FilePositions::F64(positions) => OwnedPositions::F64(positions),
     }
 }

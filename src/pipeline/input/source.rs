@@ -17,7 +17,7 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use meniscus_formats::compression::unpacked_name;
+use meniscus_formats::compression::name_without_compression;
 
 use super::steps::{STEP, name_of, step_in, step_of};
 use crate::pipeline::files::frame_number::{
@@ -282,15 +282,19 @@ pub fn has_particle_extension(name: &str) -> bool {
 /// Whether the extension is specific to particles, so that a file without any is broken. Readme files and
 /// logs share the other extensions, so only their content shows what they are.
 pub fn promises_particles(name: &str) -> bool {
-    let unpacked = unpacked_name(name).to_ascii_lowercase();
-    let may_be_any_text = [".txt", ".dat", ".asc"].iter().any(|extension| unpacked.ends_with(extension));
+    let name_without_suffix = name_without_compression(name).to_ascii_lowercase();
+    let may_be_any_text =
+        [".txt", ".dat", ".asc"].iter().any(|extension| name_without_suffix.ends_with(extension));
     has_particle_extension(name) && !may_be_any_text
 }
 
 /// The file name without its particle extensions, if it has any.
 fn stem(name: &str) -> &str {
-    let unpacked = unpacked_name(name);
-    PARTICLE_EXTENSIONS.iter().find_map(|extension| strip_extension(unpacked, extension)).unwrap_or(name)
+    let name_without_suffix = name_without_compression(name);
+    PARTICLE_EXTENSIONS
+        .iter()
+        .find_map(|extension| strip_extension(name_without_suffix, extension))
+        .unwrap_or(name)
 }
 
 /// The file name without its extension, for particle files and outputs.

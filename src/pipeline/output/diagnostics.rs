@@ -13,18 +13,18 @@ use glam::Vec3;
 
 use crate::surface::mesh::Mesh;
 use crate::surface::options::Settings;
-use crate::surface::report::SkinReport;
+use crate::surface::report::ReconstructionReport;
 
 use crate::pipeline::warning::Warning;
 
 /// A warning about a surface that is empty, fragmented, full of holes, or a single blob.
-pub(crate) fn diagnose(mesh: &Mesh, report: &SkinReport, settings: &Settings) -> Option<Warning> {
+pub(crate) fn diagnose(mesh: &Mesh, report: &ReconstructionReport, settings: &Settings) -> Option<Warning> {
     why_empty(report, settings).or_else(|| misfit(mesh, report, settings.voxel_size))
 }
 
 /// Why the surface of a frame with particles is empty.
-fn why_empty(report: &SkinReport, settings: &Settings) -> Option<Warning> {
-    let SkinReport { edits, contact, .. } = report;
+fn why_empty(report: &ReconstructionReport, settings: &Settings) -> Option<Warning> {
+    let ReconstructionReport { edits, contact, .. } = report;
     if report.particle_count == 0 || report.mesh.vertex_count > 0 {
         return None;
     }
@@ -33,7 +33,7 @@ fn why_empty(report: &SkinReport, settings: &Settings) -> Option<Warning> {
         Warning::ClippedAway
     } else if edits.island_count > 0 {
         Warning::IslandsDropped
-    } else if contact.particle_count > 0 || contact.taken_count > 0 {
+    } else if contact.particle_count > 0 || contact.displaced_voxel_count > 0 {
         Warning::SurfaceInsideObstacles
     } else {
         // Balls of √3 voxels or more always contain voxels, so these are smaller.
@@ -44,13 +44,13 @@ fn why_empty(report: &SkinReport, settings: &Settings) -> Option<Warning> {
 
 /// Detects voxels that do not fit the particles: most particles are isolated drops, the surface is torn, or
 /// all of it is one blob.
-fn misfit(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> Option<Warning> {
-    let SkinReport { edits, contact, .. } = report;
+fn misfit(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Option<Warning> {
+    let ReconstructionReport { edits, contact, .. } = report;
     let particle_count = report.particle_count;
     let is_whole = edits.clipped_voxel_count == 0
         && edits.island_count == 0
         && contact.particle_count == 0
-        && contact.taken_count == 0;
+        && contact.displaced_voxel_count == 0;
     if particle_count < CROWD || !is_whole {
         return None;
     }
@@ -69,7 +69,7 @@ fn misfit(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> Option<Warning> 
 }
 
 /// The fault of a surface whose spheres seem not to overlap.
-fn torn(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> Option<Warning> {
+fn torn(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Option<Warning> {
     let (particle_count, measures) = (report.particle_count, &report.mesh);
     let few_pieces = particle_count / HOLED_ONE_IN;
     let few_holes = few_pieces.max(FEW_HOLES);
@@ -94,7 +94,7 @@ fn torn(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> Option<Warning> {
 }
 
 /// Whether all particles are in one blob of the size of one particle's ball.
-fn is_blob(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> bool {
+fn is_blob(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> bool {
     if mesh.positions.is_empty() || mesh.positions.len() > BLOB_VERTICES {
         return false;
     }

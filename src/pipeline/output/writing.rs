@@ -14,9 +14,9 @@ use crate::surface::attributes::BandAttribute;
 use crate::surface::level_set::NarrowBand;
 use crate::surface::mesh::Mesh;
 use crate::surface::options::Settings;
-use crate::surface::particles::{Attribute, AttributeValues, Meaning};
-use crate::surface::report::SkinReport;
-use crate::surface::skin::FrameSurface;
+use crate::surface::particles::{Attribute, AttributeValues, Role};
+use crate::surface::reconstruction::FrameSurface;
+use crate::surface::report::ReconstructionReport;
 use crate::surface::space::Lattice;
 
 use super::diagnostics::diagnose;
@@ -51,7 +51,7 @@ pub(crate) struct WrittenFiles {
 pub(crate) fn write_files(
     frame: &Frame,
     write: impl Fn(OutputFormat, &mut BufWriter<&File>) -> meniscus_formats::Result<()>,
-    certify: Option<(u128, &SkinReport)>,
+    certify: Option<(u128, &ReconstructionReport)>,
 ) -> Result<WrittenFiles, FrameError> {
     let OutputOptions { folder, formats, .. } = &*frame.outputs;
     let fail = |path: &Path, error| FrameError::file(path, Stage::Write, error);
@@ -144,7 +144,7 @@ fn encode_levels(
     surface: &FrameSurface,
     frame: &Frame,
     provenance: &Provenance,
-) -> meniscus_formats::Result<vdb::Encoded> {
+) -> meniscus_formats::Result<vdb::EncodedVdb> {
     let options = vdb::WriteOptions {
         half: frame.outputs.vdb_half,
         compression: frame.outputs.vdb_compression,
@@ -164,7 +164,7 @@ pub fn encode_level_set(
     settings: &Settings,
     options: &vdb::WriteOptions,
     provenance: &Provenance,
-) -> meniscus_formats::Result<vdb::Encoded> {
+) -> meniscus_formats::Result<vdb::EncodedVdb> {
     let origins = leaf_origins(&surface.band);
     let voxels: Vec<Voxels> = surface.attributes.band.iter().map(Voxels).collect();
     let grids = band_grids(&voxels);
@@ -198,7 +198,7 @@ fn leaf_origins(band: &NarrowBand) -> Vec<[i32; 3]> {
 pub fn vertex_attributes<'a>(attributes: &'a [Attribute]) -> Vec<VertexAttribute<'a>> {
     let view = |attribute: &'a Attribute| VertexAttribute {
         name: &attribute.name,
-        role: role(attribute.meaning),
+        role: file_role(attribute.role),
         arity: attribute.arity,
         values: match &attribute.values {
             AttributeValues::Numbers(values) => VertexValues::Numbers(values),
@@ -221,19 +221,19 @@ impl LeafValues for Voxels<'_> {
 
 fn band_grids<'a>(voxels: &'a [Voxels<'a>]) -> Vec<BandGrid<'a>> {
     let grid = |voxels: &'a Voxels<'a>| {
-        let BandAttribute { name, meaning, arity, .. } = voxels.0;
-        BandGrid { name, role: role(*meaning), arity: *arity, values: voxels }
+        let BandAttribute { name, role, arity, .. } = voxels.0;
+        BandGrid { name, role: file_role(*role), arity: *arity, values: voxels }
     };
     voxels.iter().map(grid).collect()
 }
 
-fn role(meaning: Meaning) -> Option<AttributeRole> {
-    match meaning {
-        Meaning::Velocity => Some(AttributeRole::Velocity),
-        Meaning::Color => Some(AttributeRole::Color),
-        Meaning::Radius => Some(AttributeRole::Radius),
-        Meaning::Id => Some(AttributeRole::Id),
-        Meaning::Other => None,
+fn file_role(role: Role) -> Option<AttributeRole> {
+    match role {
+        Role::Velocity => Some(AttributeRole::Velocity),
+        Role::Color => Some(AttributeRole::Color),
+        Role::Radius => Some(AttributeRole::Radius),
+        Role::Id => Some(AttributeRole::Id),
+        Role::Other => None,
     }
 }
 

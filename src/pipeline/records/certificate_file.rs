@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::surface::report::SkinReport;
+use crate::surface::report::ReconstructionReport;
 
 use super::provenance::{GENERATOR_AND_VERSION, hash_text};
 use super::record::{CertificateRecord, certificate_record};
@@ -94,7 +94,7 @@ pub fn certificate_path(folder: &Path, stem: &str) -> PathBuf {
 pub(crate) fn write_certificate(
     path: &Path,
     (input, input_hash): (&Path, u128),
-    report: &SkinReport,
+    report: &ReconstructionReport,
     outputs: &[(&StagedFile, &'static str)],
 ) -> meniscus_formats::Result<StagedFile> {
     let written = CertificateFile {

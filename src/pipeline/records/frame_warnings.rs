@@ -2,48 +2,48 @@
 
 use crate::pipeline::input::frame::FrameReport;
 use crate::pipeline::warning::Warning;
-use crate::surface::report::{SkinReport, TransferReport};
+use crate::surface::report::{ReconstructionReport, TransferReport};
 use crate::surface::validation::ParticlesOutside;
 
 impl FrameReport {
     /// All warnings about a frame that was converted.
     pub fn all_warnings(&self) -> Vec<Warning> {
-        let skin = &self.skin;
+        let reconstruction = &self.reconstruction;
         let mut warnings = self.warnings.clone();
-        warnings.extend(shape_warnings(skin));
-        warnings.extend(skin.transfer.iter().flat_map(transfer_warnings));
-        warnings.extend(left_out(skin));
-        if skin.contact.particle_count > 0 {
-            let count = skin.contact.particle_count;
-            let are_most = 2 * count > skin.particle_count;
+        warnings.extend(shape_warnings(reconstruction));
+        warnings.extend(reconstruction.transfer.iter().flat_map(transfer_warnings));
+        warnings.extend(left_out(reconstruction));
+        if reconstruction.contact.particle_count > 0 {
+            let count = reconstruction.contact.particle_count;
+            let are_most = 2 * count > reconstruction.particle_count;
             warnings.push(Warning::ParticlesInObstacles { count, are_most });
         }
-        if skin.convergence.is_some_and(|convergence| !convergence.reached) {
+        if reconstruction.convergence.is_some_and(|convergence| !convergence.reached) {
             warnings.push(Warning::NotConverged);
         }
-        if skin.cfl_exceeded_count > 0 {
-            warnings.push(Warning::CflExceeded { step_count: skin.cfl_exceeded_count });
+        if reconstruction.cfl_exceeded_count > 0 {
+            warnings.push(Warning::CflExceeded { step_count: reconstruction.cfl_exceeded_count });
         }
-        if skin.certificate.position_rounding > ROUNDING_REPORTED_FROM {
-            warnings.push(Warning::CoarsePositions { voxels: skin.certificate.position_rounding });
+        if reconstruction.certificate.position_rounding > ROUNDING_REPORTED_FROM {
+            warnings.push(Warning::CoarsePositions { voxels: reconstruction.certificate.position_rounding });
         }
-        warnings.extend(outside(skin));
-        warnings.extend(broken_guarantees(skin));
+        warnings.extend(outside(reconstruction));
+        warnings.extend(broken_guarantees(reconstruction));
         warnings
     }
 
     /// Whether all guarantees for the frame's result hold.
     pub fn keeps_guarantees(&self) -> bool {
-        self.skin.certificate.holds()
+        self.reconstruction.certificate.holds()
     }
 }
 
 /// The number of particles outside the surface, if an offset or smoothed positions leave more than a few
 /// there.
-fn outside(report: &SkinReport) -> Option<Warning> {
+fn outside(report: &ReconstructionReport) -> Option<Warning> {
     let certificate = &report.certificate;
     let of_offset = certificate.may_leave_particles_outside.then_some(certificate.particles_outside);
-    let ParticlesOutside { count, .. } = certificate.given_outside.or(of_offset)?;
+    let ParticlesOutside { count, .. } = certificate.input_positions_outside.or(of_offset)?;
     let particle_count = report.particle_count;
     (count as f64 > OUTSIDE_REPORTED_FROM * particle_count as f64)
         .then_some(Warning::ParticlesOutside { count, particle_count })
@@ -56,23 +56,26 @@ const OUTSIDE_REPORTED_FROM: f64 = 0.02;
 const ROUNDING_REPORTED_FROM: f64 = 1.0 / 256.0;
 
 /// The particles that are not in the surface, if any.
-pub(crate) fn left_out(report: &SkinReport) -> Option<Warning> {
+pub(crate) fn left_out(report: &ReconstructionReport) -> Option<Warning> {
     let count = report.dropped_count;
-    (count > 0).then_some(Warning::LeftOut { count, near: report.stray })
+    (count > 0).then_some(Warning::LeftOut { count, near: report.stray_position })
 }
 
 /// Warnings about the shapes of particles. There is no warning about thin ellipsoids that are widened to the
 /// grid's resolution, because at the default radii nearly all are, nor about a few unstretched particles:
 /// drops are isolated.
-fn shape_warnings(report: &SkinReport) -> impl Iterator<Item = Warning> {
-    let shaping = &report.shaping;
+fn shape_warnings(report: &ReconstructionReport) -> impl Iterator<Item = Warning> {
+    let shape_stats = &report.shapes;
     // If the neighbour search found near particles, isolated ones are normal.
-    let is_unstretched = shaping.near_count == 0 && 2 * shaping.ball_count > report.particle_count;
-    let not_stretched = if is_unstretched { shaping.ball_count } else { 0 };
+    let is_unstretched = shape_stats.near_count == 0 && 2 * shape_stats.ball_count > report.particle_count;
+    let not_stretched = if is_unstretched { shape_stats.ball_count } else { 0 };
     let warnings = [
-        Warning::SmallRadii { count: shaping.small_radius_count, radius_min: shaping.small_radius_min },
-        Warning::InvalidRadii { count: shaping.invalid_radius_count },
-        Warning::LargeRadii { count: shaping.large_radius_count },
+        Warning::SmallRadii {
+            count: shape_stats.small_radius_count,
+            radius_min: shape_stats.small_radius_min,
+        },
+        Warning::InvalidRadii { count: shape_stats.invalid_radius_count },
+        Warning::LargeRadii { count: shape_stats.large_radius_count },
         Warning::NotStretched { count: not_stretched },
     ];
     warnings.into_iter().filter(Warning::is_about_any)
@@ -83,7 +86,7 @@ fn transfer_warnings(
     TransferReport { vertices, band, .. }: &TransferReport,
 ) -> impl Iterator<Item = Warning> {
     let warnings = [
-        Warning::ValuesNotFinite { count: vertices.left_out_count.max(band.left_out_count) },
+        Warning::ValuesNotFinite { count: vertices.ignored_value_count.max(band.ignored_value_count) },
         Warning::VerticesWithoutAttributes { count: vertices.empty_count },
         Warning::VoxelsWithoutAttributes { count: band.empty_count },
     ];
@@ -91,8 +94,8 @@ fn transfer_warnings(
 }
 
 /// A description of the failed checks of a frame; `None` if all hold.
-pub(crate) fn fault(report: &SkinReport) -> Option<String> {
-    (!report.certificate.holds()).then(|| does_not_hold(&report.certificate.fault()))
+pub(crate) fn fault(report: &ReconstructionReport) -> Option<String> {
+    (!report.certificate.holds()).then(|| does_not_hold(&report.certificate.violations()))
 }
 
 /// The message for a certificate that does not hold.
@@ -101,7 +104,7 @@ pub(crate) fn does_not_hold(fault: &str) -> String {
 }
 
 /// A warning for each guarantee that does not hold.
-fn broken_guarantees(report: &SkinReport) -> Vec<Warning> {
+fn broken_guarantees(report: &ReconstructionReport) -> Vec<Warning> {
     let certificate = &report.certificate;
     let mut broken = Vec::new();
     if certificate.bound_violation_count > 0 {
@@ -132,10 +135,10 @@ mod tests {
     fn broken_guarantees_become_warnings() {
         let mut report = FrameReport::default();
         assert_eq!(report.all_warnings(), []);
-        report.skin.certificate.particles_outside.count = 2;
-        report.skin.certificate.vertices_outside_max = 1;
-        report.skin.certificate.vertex_distance_max = 7.25;
-        report.skin.mesh.boundary_edge_count = 3;
+        report.reconstruction.certificate.particles_outside.count = 2;
+        report.reconstruction.certificate.vertices_outside_max = 1;
+        report.reconstruction.certificate.vertex_distance_max = 7.25;
+        report.reconstruction.mesh.boundary_edge_count = 3;
         let notes: Vec<String> = report.all_warnings().iter().map(ToString::to_string).collect();
         assert_eq!(notes.len(), 3, "{notes:?}");
         assert!(

@@ -18,7 +18,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use meniscus_formats::{Error, is_whole, read_provenance};
+use meniscus_formats::{Error, is_complete, read_provenance};
 use twox_hash::XxHash3_128;
 
 use super::certificate_file::{CertifiedFrame, certificate_path, read_certificate};
@@ -179,7 +179,7 @@ fn look_at(
     let unreadable = |error: meniscus_formats::Error| damaged(error.to_string());
     let mut file = open_regular(path).map_err(|error| damaged(error.to_string()))?;
     let recorded = read_provenance(format, &file).map_err(unreadable)?;
-    if !is_whole(format, &mut file).map_err(unreadable)? {
+    if !is_complete(format, &mut file).map_err(unreadable)? {
         return Err(damaged("its end is missing, or more bytes follow it".to_owned()));
     }
     let hash = made_from.input_hash.unwrap_or_default();

@@ -7,7 +7,7 @@
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use meniscus_formats::{WriteOption, is_whole, read_provenance};
+use meniscus_formats::{WriteOption, is_complete, read_provenance};
 use twox_hash::XxHash3_64;
 
 use crate::surface::options::{MethodOptions, OptionGroup, Pairs, Settings};
@@ -88,11 +88,11 @@ pub(crate) fn level_set_pairs(settings: &Settings, slack_voxels: f64, format: Ou
 pub fn picture_provenance(
     input: &Path,
     hash: u128,
-    skinned: Option<(&Settings, &str)>,
+    reconstructed: Option<(&Settings, &str)>,
     options: &PictureOptions,
 ) -> Vec<(String, String)> {
     let mut pairs = made_from(input, hash);
-    if let Some((settings, obstacles)) = skinned {
+    if let Some((settings, obstacles)) = reconstructed {
         pairs.extend(settings_pairs(settings, OutputFormat::Png));
         pairs.extend(obstacle_pairs(settings, obstacles));
     }
@@ -192,7 +192,7 @@ fn is_whole_and(
 ) -> meniscus_formats::Result<bool> {
     let mut file = open_regular(path)?;
     let recorded = read_provenance(format, &file)?;
-    Ok(is_meant(&recorded) && is_whole(format, &mut file)?)
+    Ok(is_meant(&recorded) && is_complete(format, &mut file)?)
 }
 
 /// The files in a folder that have this stem and an output format, are complete, and record an input with the

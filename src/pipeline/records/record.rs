@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use crate::surface::mesh::MeshMeasures;
 use crate::surface::options::Settings;
 use crate::surface::report::{
-    Convergence, EditReport, ParticlesOutside, Shaping, SkinReport, TransferReport,
+    Convergence, EditReport, ParticlesOutside, ReconstructionReport, ShapeStats, TransferReport,
 };
 use crate::surface::validation::Certificate;
 
@@ -84,7 +84,7 @@ struct MeasuredRecord {
     particles: usize,
     dropped: usize,
     /// Null if all particles are balls of the same size.
-    shapes: Option<Shaping>,
+    shapes: Option<ShapeStats>,
     /// Null if no edit changed the surface.
     edits: Option<EditReport>,
     /// Null without obstacles.
@@ -349,41 +349,42 @@ fn settings_of_level_sets(settings: &Settings, slack_voxels: f64, outputs: &Outp
 }
 
 fn measured(report: &FrameReport) -> MeasuredRecord {
-    let SkinReport { mesh, convergence, .. } = &report.skin;
+    let ReconstructionReport { mesh, convergence, .. } = &report.reconstruction;
     MeasuredRecord {
         outputs: report.outputs.iter().map(|path| text(path)).collect(),
         notes: report.warnings.iter().map(ToString::to_string).collect(),
         voxel_size: report.voxel_size,
-        particles: report.skin.particle_count,
-        dropped: report.skin.dropped_count,
-        shapes: Some(report.skin.shaping).filter(|shaping| *shaping != Shaping::default()),
-        edits: Some(report.skin.edits).filter(|edits| *edits != EditReport::default()),
+        particles: report.reconstruction.particle_count,
+        dropped: report.reconstruction.dropped_count,
+        shapes: Some(report.reconstruction.shapes)
+            .filter(|shape_stats| *shape_stats != ShapeStats::default()),
+        edits: Some(report.reconstruction.edits).filter(|edits| *edits != EditReport::default()),
         obstacles: obstacles_record(report),
-        leaves: report.skin.leaf_count,
-        voxels: report.skin.leaf_count * crate::surface::grid::LEAF_VOXELS,
-        free_voxels: report.skin.free_voxel_count,
-        passes: report.skin.pass_count,
-        voxel_passes: report.skin.moved_count,
-        reach_voxels: report.skin.reach_voxels,
+        leaves: report.reconstruction.leaf_count,
+        voxels: report.reconstruction.leaf_count * crate::surface::grid::LEAF_VOXELS,
+        free_voxels: report.reconstruction.free_voxel_count,
+        passes: report.reconstruction.pass_count,
+        voxel_passes: report.reconstruction.voxel_update_count,
+        reach_voxels: report.reconstruction.reach_voxels,
         convergence: *convergence,
-        cfl_exceeded: report.skin.cfl_exceeded_count,
-        attributes: report.skin.transfer.clone(),
+        cfl_exceeded: report.reconstruction.cfl_exceeded_count,
+        attributes: report.reconstruction.transfer.clone(),
         seconds: report.seconds,
         peak_memory_bytes: report.peak_memory_bytes,
-        certificate: certificate_record(&report.skin),
-        bending_energy: report.skin.bending_energy,
+        certificate: certificate_record(&report.reconstruction),
+        bending_energy: report.reconstruction.bending_energy,
         mesh: *mesh,
     }
 }
 
 fn obstacles_record(report: &FrameReport) -> Option<ObstaclesRecord> {
-    let SkinReport { contact, depth, .. } = &report.skin;
+    let ReconstructionReport { contact, depth, .. } = &report.reconstruction;
     (!report.obstacles.is_empty()).then(|| ObstaclesRecord {
         files: report.obstacles.clone(),
         open_edges: report.obstacle_open_edge_count,
         particles_inside: contact.particle_count,
         void_voxels_filled: contact.void_count,
-        voxels_taken: contact.taken_count,
+        voxels_taken: contact.displaced_voxel_count,
         deepest_vertex_voxels: depth.deepest_voxels,
         vertices_cleared: depth.moved_count,
     })
@@ -404,7 +405,7 @@ impl CertificateRecord {
             mesh_is_closed_manifold: self.closed_manifold,
             ..Certificate::default()
         };
-        let fault = certificate.fault();
+        let fault = certificate.violations();
         if (self.positions == CheckedPositions::Smoothed) != self.given_outside.is_some() {
             return Err("given_outside is for smoothed positions, and for these only".to_owned());
         }
@@ -424,7 +425,7 @@ impl CertificateRecord {
     }
 }
 
-pub(crate) fn certificate_record(report: &SkinReport) -> CertificateRecord {
+pub(crate) fn certificate_record(report: &ReconstructionReport) -> CertificateRecord {
     let certificate = &report.certificate;
     CertificateRecord {
         holds: certificate.holds(),
@@ -437,15 +438,15 @@ pub(crate) fn certificate_record(report: &SkinReport) -> CertificateRecord {
         vertices_inside_min: certificate.vertices_inside_min,
         vertices_outside_max: certificate.vertices_outside_max,
         particles_left_out: certificate.particles_left_out,
-        positions: match certificate.given_outside {
+        positions: match certificate.input_positions_outside {
             None => CheckedPositions::Given,
             Some(_) => CheckedPositions::Smoothed,
         },
         particles_outside: certificate.particles_outside,
         particles_may_be_outside: certificate.may_leave_particles_outside,
-        given_outside: certificate.given_outside,
+        given_outside: certificate.input_positions_outside,
         particles_exempt: certificate.particles_exempt,
-        vertices_returned: report.vertices_returned,
+        vertices_returned: report.vertices_clamped,
         flat_triangles_removed: report.flat_triangles_removed,
         closed_manifold: certificate.mesh_is_closed_manifold,
         position_rounding_voxels: certificate.position_rounding,
@@ -462,7 +463,7 @@ mod tests {
 
     #[test]
     fn certificate_with_infinite_largest_distance_is_read_back() {
-        let mut report = SkinReport::default();
+        let mut report = ReconstructionReport::default();
         report.certificate.vertex_distance_max = f64::INFINITY;
         report.certificate.vertices_outside_max = 1;
         report.certificate.mesh_is_closed_manifold = true;

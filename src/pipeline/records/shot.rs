@@ -18,7 +18,7 @@ use std::fmt;
 use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-use meniscus_formats::gltf::{self, SHOT_FRAMES, SequenceFrame as GlbFrame, ShotFrame};
+use meniscus_formats::gltf::{self, GlbFrame, SEQUENCE_FRAMES, SequenceFrame};
 use meniscus_formats::usda;
 use meniscus_formats::{OutputFormat, read_provenance};
 
@@ -126,7 +126,7 @@ pub fn write_shot(
     let (mut frames, mut opened) = (Vec::new(), Vec::new());
     for (SourceFrame { source, stamp, file }, code) in there.into_iter().zip(codes) {
         let name = source.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        frames.push(ShotFrame { name, code, file });
+        frames.push(SequenceFrame { name, code, file });
         opened.push((&source.path, stamp));
     }
     let open = |index: usize| -> io::Result<_> { Ok(BufReader::new(open_regular(opened[index].0)?)) };
@@ -197,7 +197,7 @@ pub fn is_shot(path: &Path) -> bool {
     let recorded = open_regular(path)
         .ok()
         .and_then(|file| read_provenance(OutputFormat::Glb, file.take(HEAD_BYTES)).ok());
-    recorded.is_some_and(|pairs| pairs.iter().any(|(name, _)| name == SHOT_FRAMES))
+    recorded.is_some_and(|pairs| pairs.iter().any(|(name, _)| name == SEQUENCE_FRAMES))
 }
 
 /// The provenance of the shot; the meshes have the provenance of their frames.
@@ -206,7 +206,7 @@ fn provenance(numbers: &[u64], fps: f64) -> Vec<(String, String)> {
     let number = |number: Option<&u64>| number.copied().unwrap_or_default().to_string();
     vec![
         pair("generator", GENERATOR_AND_VERSION.to_owned()),
-        pair(SHOT_FRAMES, numbers.len().to_string()),
+        pair(SEQUENCE_FRAMES, numbers.len().to_string()),
         pair("first", number(numbers.first())),
         pair("last", number(numbers.last())),
         pair("fps", fps.to_string()),

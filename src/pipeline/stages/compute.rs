@@ -8,7 +8,7 @@ use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::input::frame::Frame;
 use crate::pipeline::input::steps::{by_lines_of_file, file_of};
 use crate::pipeline::method::Method;
-use crate::surface::skin::FrameSurface;
+use crate::surface::reconstruction::FrameSurface;
 
 use super::shared::{
     FinishedFrame, Inlet, InputInfo, LinkSlot, Outlet, Read, Staged, Stages, WorkItem, outcome_of,

@@ -214,7 +214,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
             warnings.extend(out_of_reach(&obstacles, &given, &frame.settings).map_err(failed)?);
             let plan = method.plan(&given, &obstacles, &frame.settings, allowed_bytes).map_err(failed)?;
             if plan.tile_leaves.is_some() {
-                let whole_bytes = plan.whole_bytes.saturating_add(given.size_bytes());
+                let whole_bytes = plan.in_core_bytes.saturating_add(given.size_bytes());
                 warnings.push(Warning::Tiled { whole_bytes });
             }
             Ok((Read::Surface { input: Box::new(given), obstacles, plan }, noted))

@@ -17,7 +17,7 @@ use crate::pipeline::input::obstacles::FrameObstacles;
 use crate::pipeline::scheduler::Scheduler;
 use crate::pipeline::semaphore::{Permit, Semaphore};
 use crate::pipeline::warning::Warning;
-use crate::surface::skin::MemoryPlan;
+use crate::surface::reconstruction::MemoryPlan;
 
 use super::{OnError, PipelineOptions};
 

@@ -21,7 +21,7 @@ use crate::pipeline::records::provenance::provenance;
 use crate::pipeline::target::outputs::OutputFormat;
 use crate::pipeline::target::picture::PictureScene;
 use crate::pipeline::warning::Warning;
-use crate::surface::skin::FrameSurface;
+use crate::surface::reconstruction::FrameSurface;
 use crate::surface::space::Lattice;
 
 use super::shared::{FinishedFrame, Inlet, InputInfo, Noted, StageContext, Staged, Stages, WorkItem};
@@ -68,7 +68,7 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
             Ok(written) => {
                 let warnings = particle_warnings(particles, &frame.outputs.formats);
                 let mut report = report(frame, info, (written, warnings));
-                report.skin.particle_count = particles.positions.len();
+                report.reconstruction.particle_count = particles.positions.len();
                 report.seconds.write = start.elapsed().as_secs_f64();
                 Outcome::Converted(Box::new(report))
             }
@@ -117,7 +117,7 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
         let preview_time = *preview_time.lock().unwrap_or_else(PoisonError::into_inner);
         match written.flatten() {
             Ok((written, warnings)) => Outcome::Converted(Box::new(FrameReport {
-                skin: surface.report.clone(),
+                reconstruction: surface.report.clone(),
                 seconds: Seconds {
                     read: info.read_seconds,
                     rasterize: surface.report.seconds.rasterize,

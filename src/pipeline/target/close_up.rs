@@ -15,7 +15,7 @@ use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
 use crate::surface::grid::FACE_STEPS;
-use crate::surface::particles::Particles;
+use crate::surface::particles::OwnedPositions;
 
 /// Edge of a cell, in particle spacings: wide enough that the cells of a body have no gaps.
 const CELL_SPACINGS: f64 = 2.0;
@@ -28,7 +28,7 @@ const HIDING_CELLS: i32 = 3 * BOX_CELLS;
 
 /// The box of a close-up of these particles, seen from the direction `to_eye`: minimum and maximum corner in
 /// world units. `None` if all particles are in a box of twice its edge, or there are none.
-pub fn close_up(particles: &Particles, spacing: f64, to_eye: DVec3) -> Option<[DVec3; 2]> {
+pub fn close_up(particles: &OwnedPositions, spacing: f64, to_eye: DVec3) -> Option<[DVec3; 2]> {
     let edge = CELL_SPACINGS * spacing;
     let cell = |index: usize| (particles.position(index) / edge).floor().as_ivec3().to_array();
     let mut cells: Vec<[i32; 3]> = (0..particles.len()).into_par_iter().map(cell).collect();
@@ -80,10 +80,10 @@ mod tests {
     use super::*;
 
     /// A pool of 100 × 3 × 100 particles, and more of them.
-    fn pool(more: impl Iterator<Item = [f64; 3]>) -> Particles {
+    fn pool(more: impl Iterator<Item = [f64; 3]>) -> OwnedPositions {
         let of_pool = (0..30_000)
             .map(|index| [index % 100, index / 100 % 3, index / 300].map(|along| f64::from(along) * 0.1));
-        Particles::Double(of_pool.chain(more).collect())
+        OwnedPositions::F64(of_pool.chain(more).collect())
     }
 
     #[test]
@@ -115,8 +115,8 @@ mod tests {
 
     #[test]
     fn small_frame_has_no_close_up() {
-        assert_eq!(close_up(&Particles::Double(Vec::new()), 0.1, DVec3::Y), None);
-        let few = Particles::Double((0..30).map(|index| [f64::from(index) * 0.1, 0.0, 0.0]).collect());
+        assert_eq!(close_up(&OwnedPositions::F64(Vec::new()), 0.1, DVec3::Y), None);
+        let few = OwnedPositions::F64((0..30).map(|index| [f64::from(index) * 0.1, 0.0, 0.0]).collect());
         assert_eq!(close_up(&few, 0.1, DVec3::Y), None);
     }
 }

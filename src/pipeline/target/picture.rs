@@ -16,8 +16,8 @@ use crate::render::{self, Layers, Picture, Up};
 use crate::surface::attributes::BandAttribute;
 use crate::surface::grid::Field;
 use crate::surface::level_set::NarrowBand;
-use crate::surface::particles::Meaning;
-use crate::surface::skin::FrameSurface;
+use crate::surface::particles::Role;
+use crate::surface::reconstruction::FrameSurface;
 use crate::surface::space::Lattice;
 
 use super::viewpoint::{CameraChoice, Viewpoint};
@@ -79,8 +79,7 @@ impl PictureScene<'_> {
 
 /// The velocities of a surface as the renderer takes them, if it has any.
 pub fn velocities(surface: &FrameSurface) -> Option<[Field; 3]> {
-    let is_velocity =
-        |attribute: &&BandAttribute| attribute.meaning == Meaning::Velocity && attribute.arity == 3;
+    let is_velocity = |attribute: &&BandAttribute| attribute.role == Role::Velocity && attribute.arity == 3;
     let attribute = surface.attributes.band.iter().find(is_velocity)?;
     let mut fields: [Field; 3] = std::array::from_fn(|_| Field::splat(surface.band.topology.len(), 0.0));
     let mut voxels = [0.0; 3 * crate::surface::grid::LEAF_VOXELS];

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use meniscus_formats::{Content, OutputFormat, PositionRounding};
 
-use crate::surface::skin::Stored;
+use crate::surface::reconstruction::PositionFormat;
 
 use super::outputs::OutputOptions;
 
@@ -14,17 +14,17 @@ pub(crate) fn rounding(format: OutputFormat, outputs: &OutputOptions) -> Option<
 }
 
 /// The distinct roundings of the output formats. If no format holds the mesh, it is checked unrounded.
-pub(crate) fn stored(outputs: &OutputOptions) -> Vec<Stored> {
+pub(crate) fn stored(outputs: &OutputOptions) -> Vec<PositionFormat> {
     let mut stored = Vec::new();
     let mut is_rounded_always = true;
     for format in OutputFormat::ALL.into_iter().filter(|format| outputs.formats.contains(format)) {
         match rounding(format, outputs) {
-            Some(rounding) => stored.push(Stored::Rounded(rounding.positions)),
+            Some(rounding) => stored.push(PositionFormat::Rounded(rounding.positions)),
             None => is_rounded_always &= !format.is_mesh(),
         }
     }
     if stored.is_empty() || !is_rounded_always {
-        stored.push(Stored::AsTheyAre);
+        stored.push(PositionFormat::Exact);
     }
     stored
 }
@@ -36,6 +36,6 @@ pub(crate) fn checked_as(format: OutputFormat, outputs: &OutputOptions) -> &'sta
         Content::LevelSet => "level set",
         Content::Picture(_) => "level set, of which it is a picture",
         Content::Mesh(_) => rounding(format, outputs)
-            .map_or("mesh, at its positions relative to its origin", |rounding| rounding.certified_as),
+            .map_or("mesh, at its positions relative to its origin", |rounding| rounding.certificate_subject),
     }
 }

@@ -139,7 +139,7 @@ impl Viewpoint {
 
     fn camera(&self) -> Camera {
         let tan_half_view = (self.view_degrees.to_radians() / 2.0).tan();
-        let camera = Camera::towards(self.target - self.eye, self.top, tan_half_view);
+        let camera = Camera::looking_along(self.target - self.eye, self.top, tan_half_view);
         Camera { eye: self.eye, ..camera }
     }
 

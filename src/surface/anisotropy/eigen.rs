@@ -72,7 +72,7 @@ fn rotate_pair<V: Lanes>(p: &mut V, q: &mut V, cosine: V, sine: V) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::surface::simd::{Kernel, Level, dispatch_at};
+    use crate::surface::simd::{Kernel, SimdLevel, dispatch_at};
     use glam::{DMat3, DVec3};
 
     struct Decompose([[f32; 8]; 6]);
@@ -98,7 +98,7 @@ mod tests {
     }
 
     /// The largest error: of M·v against λ·v, and of the vectors against orthonormal ones.
-    fn error(matrices: [[f32; 8]; 6], level: Level) -> f64 {
+    fn error(matrices: [[f32; 8]; 6], level: SimdLevel) -> f64 {
         let rows = dispatch_at(level, Decompose(matrices));
         let mut error = 0f64;
         for lane in 0..8 {
@@ -139,7 +139,7 @@ mod tests {
             if round % 6 == 0 {
                 (matrices[2], matrices[4]) = (matrices[0], matrices[3]);
             }
-            for level in Level::ALL {
+            for level in SimdLevel::ALL {
                 let error = error(matrices, level);
                 assert!(error < 2e-6, "{error} for {matrices:?}");
             }
@@ -151,7 +151,7 @@ mod tests {
         let tiny = f32::MIN_POSITIVE;
         let cases = [[0.0; 6], [1.0, 1.0, 1.0, 0.0, 0.0, 0.0], [0.5, 0.5, 0.5, tiny, -tiny, 1e-20], [1.0; 6]];
         for entries in cases {
-            let error = error(entries.map(|entry| [entry; 8]), Level::Baseline);
+            let error = error(entries.map(|entry| [entry; 8]), SimdLevel::Baseline);
             assert!(error < 1e-6, "{error} for {entries:?}");
         }
     }

@@ -165,12 +165,12 @@ fn scaled<V: Lanes>(half_axes: [V; 3], part: V, scale: V, limits: Stretch) -> ([
 
 #[inline(always)]
 fn ellipsoids<V: Lanes>(half_axes: [V; 3], vectors: [[V; 3]; 3], balls: u8) -> [Ellipsoid; 8] {
-    let mut to_ball = [V::splat(0.0); 6];
+    let mut to_unit_ball = [V::splat(0.0); 6];
     for (half_axis, [x, y, z]) in half_axes.into_iter().zip(vectors) {
         let inverse = V::splat(1.0).div(half_axis);
         let (of_x, of_y, of_z) = (x.mul(inverse), y.mul(inverse), z.mul(inverse));
         let products = [of_x.mul(x), of_y.mul(y), of_z.mul(z), of_x.mul(y), of_x.mul(z), of_y.mul(z)];
-        for (entry, product) in to_ball.iter_mut().zip(products) {
+        for (entry, product) in to_unit_ball.iter_mut().zip(products) {
             *entry = entry.add(product);
         }
     }
@@ -178,13 +178,13 @@ fn ellipsoids<V: Lanes>(half_axes: [V; 3], vectors: [[V; 3]; 3], balls: u8) -> [
     let mut longest = [0.0; 8];
     a.max(b).max(c).store(&mut longest);
     let mut rows = [[0.0; 8]; 6];
-    for (row, entry) in rows.iter_mut().zip(to_ball) {
+    for (row, entry) in rows.iter_mut().zip(to_unit_ball) {
         entry.store(row);
     }
-    let mut shapes = [Ellipsoid { to_ball: [0.0; 6], longest: 0.0 }; 8];
+    let mut shapes = [Ellipsoid { to_unit_ball: [0.0; 6], longest: 0.0 }; 8];
     for (lane, shape) in shapes.iter_mut().enumerate() {
         shape.longest = longest[lane];
-        for (entry, row) in shape.to_ball.iter_mut().zip(&rows) {
+        for (entry, row) in shape.to_unit_ball.iter_mut().zip(&rows) {
             *entry = row[lane];
         }
         if balls >> lane & 1 == 1 {

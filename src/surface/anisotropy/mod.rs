@@ -25,7 +25,7 @@ mod velocity;
 
 use crate::surface::particles::Ellipsoid;
 
-pub use neighborhoods::{ByNeighbors, NeighborConfig, Stretch, from_neighbors};
+pub use neighborhoods::{NeighborConfig, NeighborShapes, Stretch, from_neighbors};
 pub use radii::{RadiusScales, radius_scales};
 pub use velocity::{VelocityConfig, from_velocities};
 

@@ -15,7 +15,7 @@
 
 use glam::Vec3;
 
-use crate::surface::neighbors::Eight;
+use crate::surface::neighbors::Particle8;
 use crate::surface::simd::Lanes;
 
 /// Number of sums: W; those of w·x, w·y and w·z; those of w·xx, w·yy, w·zz, w·xy, w·xz and w·yz.
@@ -27,7 +27,7 @@ pub(super) const MEAN_COUNT: usize = 4;
 /// The first `COUNT` moments around a particle at `at`, in units of the radius. `within` is a buffer.
 #[inline(always)]
 pub(super) fn moments<V: Lanes, const COUNT: usize>(
-    eights: &[Eight],
+    eights: &[Particle8],
     at: Vec3,
     within: &mut Vec<u32>,
 ) -> [f32; COUNT] {
@@ -53,7 +53,7 @@ pub(super) fn moments<V: Lanes, const COUNT: usize>(
 
 /// Writes the indices of the particles within the radius to the front of `within`. Returns their number.
 #[inline(always)]
-fn find_within<V: Lanes>(eights: &[Eight], at: Vec3, within: &mut Vec<u32>) -> usize {
+fn find_within<V: Lanes>(eights: &[Particle8], at: Vec3, within: &mut Vec<u32>) -> usize {
     // Eight are written at once, of which only some count.
     within.resize(8 * eights.len() + 8, 0);
     let [x, y, z] = [V::splat(at.x), V::splat(at.y), V::splat(at.z)];
@@ -103,7 +103,7 @@ impl ParticlePacket {
     const NONE: ParticlePacket = ParticlePacket { along: [[0.0; 8]; 3], multiplicity: [0.0; 8] };
 
     #[inline(always)]
-    fn take(&mut self, eights: &[Eight], indices: &[u32]) {
+    fn take(&mut self, eights: &[Particle8], indices: &[u32]) {
         for (k, &index) in indices.iter().enumerate().take(8) {
             let (eight, lane) = (&eights[index as usize / 8], index as usize % 8);
             for axis in 0..3 {

@@ -26,8 +26,8 @@ use super::half_axes::{means, shapes};
 use super::moments::{MEAN_COUNT, MOMENT_COUNT, moments};
 use super::scale_of;
 use crate::surface::neighbors::{NeighborPackets, Neighbors};
-use crate::surface::particles::{Ellipsoid, Particles};
-use crate::surface::simd::{Kernel, Lanes, Level, dispatch_at};
+use crate::surface::particles::{Ellipsoid, OwnedPositions};
+use crate::surface::simd::{Kernel, Lanes, SimdLevel, dispatch_at};
 
 /// How neighbours shape particles.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,7 +53,7 @@ pub struct Stretch {
 
 /// Means and shapes that the neighbours of some particles give.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct ByNeighbors {
+pub struct NeighborShapes {
     /// Indices of these particles, each once.
     pub indices: Vec<u32>,
     /// For each of them, the mean position of its neighbours relative to it, in units of R (Yu and Turk, Eq.
@@ -77,21 +77,21 @@ const CELL_MAX: usize = 128;
 /// The result for a particle does not depend on which others are wanted, nor on particles missing from
 /// `particles` in cells of edge R that are not adjacent to its own. Particles keep their order.
 pub fn from_neighbors(
-    particles: &Particles,
+    particles: &OwnedPositions,
     is_wanted: impl Fn(usize) -> bool + Sync,
     scales: Option<&[f32]>,
     config: &NeighborConfig,
-) -> ByNeighbors {
-    by_neighbors(particles, is_wanted, scales, config, Level::current())
+) -> NeighborShapes {
+    neighbor_shapes(particles, is_wanted, scales, config, SimdLevel::current())
 }
 
-fn by_neighbors(
-    particles: &Particles,
+fn neighbor_shapes(
+    particles: &OwnedPositions,
     is_wanted: impl Fn(usize) -> bool + Sync,
     scales: Option<&[f32]>,
     config: &NeighborConfig,
-    level: Level,
-) -> ByNeighbors {
+    level: SimdLevel,
+) -> NeighborShapes {
     assert!(scales.is_none_or(|scales| scales.len() == particles.len()), "a scale for each particle");
     let neighbors = Neighbors::new(particles, config.radius_world);
     let in_order = (0u32..).zip(neighbors.indices());
@@ -107,8 +107,8 @@ fn by_neighbors(
         .map(|((slots, means), shapes)| {
             dispatch_at(level, ParticleRun { neighbors: &neighbors, scales, config, slots, means, shapes })
         })
-        .reduce(ShapeCounts::default, ShapeCounts::plus);
-    ByNeighbors {
+        .reduce(ShapeCounts::default, ShapeCounts::merge);
+    NeighborShapes {
         indices: slots.iter().map(|&slot| neighbors.indices()[slot as usize]).collect(),
         means,
         shapes,
@@ -134,7 +134,7 @@ struct ShapeCounts {
 }
 
 impl ShapeCounts {
-    fn plus(self, other: ShapeCounts) -> ShapeCounts {
+    fn merge(self, other: ShapeCounts) -> ShapeCounts {
         ShapeCounts { raised: self.raised + other.raised, balls: self.balls + other.balls }
     }
 }
@@ -189,7 +189,7 @@ impl ParticleRun<'_> {
             waiting_count += 1;
             if waiting_count == 8 || number + 1 == self.slots.len() {
                 let first = number + 1 - waiting_count;
-                counts = counts.plus(self.finish::<V, COUNT>(&waiting, first, waiting_count, stretch));
+                counts = counts.merge(self.finish::<V, COUNT>(&waiting, first, waiting_count, stretch));
                 waiting_count = 0;
             }
         }

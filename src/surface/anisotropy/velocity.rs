@@ -71,7 +71,7 @@ fn stretched(velocity: DVec3, scale: f32, most: f64, config: &VelocityConfig) ->
     let of_ball = 1.0 / across;
     let (x, y, z) = direction.into();
     let more = 1.0 / along - of_ball;
-    let to_ball = [
+    let to_unit_ball = [
         of_ball + more * x * x,
         of_ball + more * y * y,
         of_ball + more * z * z,
@@ -79,7 +79,7 @@ fn stretched(velocity: DVec3, scale: f32, most: f64, config: &VelocityConfig) ->
         more * x * z,
         more * y * z,
     ];
-    (Ellipsoid { to_ball, longest: along }, is_raised)
+    (Ellipsoid { to_unit_ball, longest: along }, is_raised)
 }
 
 #[cfg(test)]

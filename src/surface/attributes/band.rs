@@ -9,7 +9,7 @@ use super::source::TransferSource;
 use super::{Support, TransferCounts, interpolate_at};
 use crate::surface::grid::{LEAF_VOXELS, NO_LEAF, Topology};
 use crate::surface::level_set::NarrowBand;
-use crate::surface::particles::{Attribute, AttributeValues, Meaning, Positions};
+use crate::surface::particles::{Attribute, AttributeValues, Positions, Role};
 use crate::surface::simd::{Kernel, Lanes, dispatch};
 use crate::surface::space::Lattice;
 
@@ -19,7 +19,7 @@ pub struct BandAttribute {
     /// Its name in the particle file.
     pub name: String,
     /// Its semantic.
-    pub meaning: Meaning,
+    pub role: Role,
     /// Number of components per voxel.
     pub arity: usize,
     nodes: Arc<Nodes>,
@@ -41,7 +41,7 @@ struct Nodes {
 ///
 /// Panics if an attribute does not have `arity` values per particle, or if the number of shapes does not
 /// match.
-pub fn to_band<'a>(
+pub fn interpolate_to_band<'a>(
     particles: impl Into<Positions<'a>>,
     attributes: &[&'a Attribute],
     (band, lattice): (&NarrowBand, &Lattice),
@@ -68,7 +68,7 @@ pub fn to_band<'a>(
     let nodes = Arc::new(Nodes { topology: Arc::clone(&band.topology), needed, starts });
     let found = source.attributes.iter().zip(interpolated.numbers).map(|(attribute, values)| BandAttribute {
         name: attribute.name.clone(),
-        meaning: attribute.meaning,
+        role: attribute.role,
         arity: attribute.arity,
         nodes: Arc::clone(&nodes),
         values,

@@ -8,7 +8,7 @@ use glam::{DVec3, IVec3, Vec3};
 
 use super::NO_PARTICLE;
 use super::source::{NumericAttribute, TransferSource};
-use crate::surface::neighbors::{Eight, NeighborPackets};
+use crate::surface::neighbors::{NeighborPackets, Particle8};
 use crate::surface::simd::{Kernel, Lanes, dispatch};
 
 /// The result at some points.
@@ -88,7 +88,7 @@ impl Interpolated {
 /// Kernel: the points in one cell.
 struct CellKernel<'a> {
     source: &'a TransferSource<'a>,
-    eights: &'a [Eight],
+    eights: &'a [Particle8],
     group: &'a [CellPoint],
     near: &'a mut Vec<WeightedParticle>,
     interpolated: &'a mut Interpolated,
@@ -119,7 +119,7 @@ impl Kernel for CellKernel<'_> {
 
 /// Collects the particles within the radius of a point.
 #[inline(always)]
-fn collect_near<V: Lanes>(eights: &[Eight], point: Vec3, near: &mut Vec<WeightedParticle>) {
+fn collect_near<V: Lanes>(eights: &[Particle8], point: Vec3, near: &mut Vec<WeightedParticle>) {
     let [x, y, z] = point.to_array().map(V::splat);
     near.clear();
     for eight in eights {

@@ -38,7 +38,7 @@ pub(super) fn assign_nearest(
             continue;
         }
         counts.empty_count -= 1;
-        counts.lonely_count += 1;
+        counts.isolated_count += 1;
         interpolated.nearest[point] = particle;
         for (numbers, out) in source.numbers.iter().zip(&mut interpolated.numbers) {
             let out = &mut out[point * numbers.arity..(point + 1) * numbers.arity];

@@ -42,7 +42,7 @@ use rayon::prelude::*;
 use crate::surface::mesh::Mesh;
 use crate::surface::particles::{Attribute, AttributeValues, Positions, Shapes};
 
-pub use band::{BandAttribute, to_band};
+pub use band::{BandAttribute, interpolate_to_band};
 
 use interpolate::{Interpolated, Scratch, interpolate};
 use source::TransferSource;
@@ -63,7 +63,7 @@ pub struct Support<'a> {
 impl Support<'_> {
     /// Distance up to which a particle is used if none is within the radius. Depends on this particle alone.
     fn limit_world(&self, particle: u32) -> f64 {
-        let longest = self.shapes.longest(particle as usize).max(1.0);
+        let longest = self.shapes.outer_radius(particle as usize).max(1.0);
         self.radius_max_world * f64::from(longest) + self.margin_world
     }
 }
@@ -76,24 +76,24 @@ impl Support<'_> {
 pub struct TransferCounts {
     /// Number of points: vertices, or nodes in the band.
     #[cfg_attr(feature = "serde", serde(rename = "places"))]
-    pub place_count: usize,
+    pub point_count: usize,
     /// Points without a particle within the radius, which got the values of the nearest particle that reaches
     /// them.
     #[cfg_attr(feature = "serde", serde(rename = "lonely"))]
-    pub lonely_count: usize,
+    pub isolated_count: usize,
     /// Points that no particle reaches.
     #[cfg_attr(feature = "serde", serde(rename = "empty"))]
     pub empty_count: usize,
     /// Number of ignored values, because they are not finite, over all particles near the surface.
     #[cfg_attr(feature = "serde", serde(rename = "left_out"))]
-    pub left_out_count: usize,
+    pub ignored_value_count: usize,
 }
 
 /// The attributes of a mesh's vertices, in the order of the particles' attributes.
 ///
 /// Panics if an attribute does not have `arity` values per particle, or if the number of shapes does not
 /// match.
-pub fn to_vertices<'a>(
+pub fn interpolate_to_vertices<'a>(
     particles: impl Into<Positions<'a>>,
     attributes: &[&'a Attribute],
     mesh: &Mesh,
@@ -120,7 +120,7 @@ pub fn to_vertices<'a>(
     };
     let transferred = source.attributes.iter().map(|attribute| Attribute {
         name: attribute.name.clone(),
-        meaning: attribute.meaning,
+        role: attribute.role,
         arity: attribute.arity,
         values: values_of(attribute),
     });
@@ -164,8 +164,8 @@ fn interpolate_at(
         .collect();
     let mut interpolated = Interpolated::joined(source, &chunks);
     let mut counts = isolated::assign_nearest(source, &mut interpolated, point_of);
-    counts.place_count = count;
-    counts.left_out_count = source.left_out_count;
+    counts.point_count = count;
+    counts.ignored_value_count = source.ignored_value_count;
     (interpolated, counts)
 }
 

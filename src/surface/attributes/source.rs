@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use super::near_particles::near_particles;
 use super::{NO_PARTICLE, Support};
 use crate::surface::neighbors::Neighbors;
-use crate::surface::particles::{Attribute, AttributeValues, Particles, Positions};
+use crate::surface::particles::{Attribute, AttributeValues, OwnedPositions, Positions};
 
 /// The particles that values are interpolated from.
 pub(super) struct TransferSource<'a> {
@@ -30,7 +30,7 @@ pub(super) struct TransferSource<'a> {
     pub(super) row_count: usize,
     /// The numeric attributes, in order.
     pub(super) numbers: Vec<NumericAttribute<'a>>,
-    pub(super) left_out_count: usize,
+    pub(super) ignored_value_count: usize,
 }
 
 /// A numeric attribute.
@@ -57,11 +57,11 @@ impl<'a> TransferSource<'a> {
         let neighbors = Neighbors::new(&subset(&particles, &indices), support.radius_world);
         let mut numbers: Vec<NumericAttribute> =
             attributes.iter().filter_map(|attribute| numbers_of(attribute)).collect();
-        let mut left_out_count = 0;
+        let mut ignored_value_count = 0;
         let mut width = 0;
         for numbers in &mut numbers {
             let broken_count = broken_count(numbers, &indices);
-            left_out_count += broken_count;
+            ignored_value_count += broken_count;
             if broken_count == 0 {
                 numbers.column = Some(width);
                 width += numbers.arity;
@@ -78,7 +78,7 @@ impl<'a> TransferSource<'a> {
             rows,
             row_count,
             numbers,
-            left_out_count,
+            ignored_value_count,
         }
     }
 
@@ -88,13 +88,13 @@ impl<'a> TransferSource<'a> {
     }
 }
 
-fn subset(particles: &Positions<'_>, indices: &[u32]) -> Particles {
+fn subset(particles: &Positions<'_>, indices: &[u32]) -> OwnedPositions {
     match particles {
         Positions::F32(positions) => {
-            Particles::Single(indices.par_iter().map(|&index| positions[index as usize]).collect())
+            OwnedPositions::F32(indices.par_iter().map(|&index| positions[index as usize]).collect())
         }
         Positions::F64(positions) => {
-            Particles::Double(indices.par_iter().map(|&index| positions[index as usize]).collect())
+            OwnedPositions::F64(indices.par_iter().map(|&index| positions[index as usize]).collect())
         }
     }
 }

@@ -4,18 +4,18 @@ use std::sync::Arc;
 
 use glam::{DVec3, IVec3, Vec3};
 
-use super::{to_vertices as to_vertices_of, *};
+use super::{interpolate_to_vertices as to_vertices_of, *};
 use crate::surface::grid::{Field, LEAF_EDGE, Leaf, Topology, voxel_in_leaf};
 use crate::surface::level_set::NarrowBand;
-use crate::surface::particles::{Meaning, Particles};
+use crate::surface::particles::{OwnedPositions, Role};
 use crate::surface::space::Lattice;
 
 const REACH: Support =
-    Support { radius_world: 0.26, radius_max_world: 0.5, margin_world: 0.1, shapes: &Shapes::Balls };
+    Support { radius_world: 0.26, radius_max_world: 0.5, margin_world: 0.1, shapes: &Shapes::Uniform };
 const VOXEL: f64 = 0.05;
 
-fn to_vertices(
-    particles: &Particles,
+fn transferred_to_vertices(
+    particles: &OwnedPositions,
     attributes: &[Attribute],
     mesh: &Mesh,
     support: Support,
@@ -64,16 +64,11 @@ fn mesh_around(center: DVec3, radius: f64, count: usize) -> Mesh {
 
 fn numbers(name: &str, arity: usize, values: Vec<f32>) -> Attribute {
     let values = AttributeValues::Numbers(values);
-    Attribute { name: name.to_owned(), meaning: Meaning::Other, arity, values }
+    Attribute { name: name.to_owned(), role: Role::Other, arity, values }
 }
 
 fn integers(name: &str, values: Vec<i64>) -> Attribute {
-    Attribute {
-        name: name.to_owned(),
-        meaning: Meaning::Id,
-        arity: 1,
-        values: AttributeValues::Integers(values),
-    }
+    Attribute { name: name.to_owned(), role: Role::Id, arity: 1, values: AttributeValues::Integers(values) }
 }
 
 fn found(attribute: &Attribute) -> &[f32] {
@@ -117,8 +112,9 @@ fn constant_and_linear_fields_are_reproduced() {
         field,
     ];
     let mesh = mesh_around(center, 1.0, 3000);
-    let (transferred, counts) = to_vertices(&Particles::Double(positions), &attributes, &mesh, REACH);
-    assert_eq!(counts, TransferCounts { place_count: 3000, ..TransferCounts::default() });
+    let (transferred, counts) =
+        transferred_to_vertices(&OwnedPositions::F64(positions), &attributes, &mesh, REACH);
+    assert_eq!(counts, TransferCounts { point_count: 3000, ..TransferCounts::default() });
     assert!(found(&transferred[0]).iter().all(|value| *value == 0.1));
     for values in found(&transferred[2]).chunks(9) {
         assert!(values.iter().enumerate().all(|(k, value)| *value == 1.0 / (k as f32 + 3.0)));
@@ -156,10 +152,11 @@ fn means_and_nearest_particles_match_brute_force() {
     let attributes = [
         integers("id", (0..positions.len() as i64).map(|index| index * 1_000_000_007).collect()),
         numbers("value", 1, values.clone()),
-        Attribute { name: "kind".into(), meaning: Meaning::Other, arity: 1, values: strings },
+        Attribute { name: "kind".into(), role: Role::Other, arity: 1, values: strings },
     ];
     let mesh = mesh_around(DVec3::ZERO, 0.7, 500);
-    let (transferred, _) = to_vertices(&Particles::Double(positions.clone()), &attributes, &mesh, REACH);
+    let (transferred, _) =
+        transferred_to_vertices(&OwnedPositions::F64(positions.clone()), &attributes, &mesh, REACH);
     let AttributeValues::Integers(ids) = &transferred[0].values else { panic!("no integers") };
     let AttributeValues::Strings { indices, table: same } = &transferred[2].values else {
         panic!("no strings")
@@ -182,7 +179,8 @@ fn ties_go_to_the_first_particle() {
         vec![[5.0, 0.0, 0.0], [0.125, 0.0, 0.0], [-0.125, 0.0, 0.0], [0.0, 0.125, 0.0], [0.125, 0.0, 0.0]];
     let mesh = Mesh { positions: vec![Vec3::ZERO, Vec3::X * 0.1, Vec3::X * -0.1], ..Mesh::default() };
     let attributes = [integers("id", vec![7, 6, 5, 4, 3])];
-    let (transferred, _) = to_vertices(&Particles::Single(positions), &attributes, &mesh, REACH);
+    let (transferred, _) =
+        transferred_to_vertices(&OwnedPositions::F32(positions), &attributes, &mesh, REACH);
     assert_eq!(transferred[0].values, AttributeValues::Integers(vec![6, 6, 5]));
 }
 
@@ -194,7 +192,8 @@ fn values_stay_within_the_particles_range() {
         let values: Vec<f32> =
             (0..positions.len()).map(|index| if index % 3 == 0 { low } else { high }).collect();
         let attributes = [numbers("a", 1, values)];
-        let (transferred, _) = to_vertices(&Particles::Double(positions.clone()), &attributes, &mesh, REACH);
+        let (transferred, _) =
+            transferred_to_vertices(&OwnedPositions::F64(positions.clone()), &attributes, &mesh, REACH);
         let values = found(&transferred[0]);
         assert!(values.iter().all(|value| (low..=high).contains(value)), "{low} to {high}: {values:?}");
     }
@@ -221,11 +220,15 @@ fn non_finite_values_are_ignored() {
     let mut with_nan = positions.clone();
     with_nan[0] = [f64::NAN, 0.0, 0.0];
     for positions in [positions, with_nan] {
-        let (transferred, counts) = to_vertices(&Particles::Double(positions), &attributes, &mesh, REACH);
+        let (transferred, counts) =
+            transferred_to_vertices(&OwnedPositions::F64(positions), &attributes, &mesh, REACH);
         assert!(found(&transferred[0]).iter().all(|value| *value == 2.5));
         assert!(found(&transferred[1]).iter().all(|value| *value == -1.25));
         assert!(found(&transferred[2]).iter().all(|value| *value == 0.0));
-        assert!(left_out + count - 2 <= counts.left_out_count && counts.left_out_count <= left_out + count);
+        assert!(
+            left_out + count - 2 <= counts.ignored_value_count
+                && counts.ignored_value_count <= left_out + count
+        );
     }
 }
 
@@ -240,22 +243,25 @@ fn isolated_points_get_the_nearest_value_and_unreached_ones_zero() {
         numbers("a", 1, vec![4.0, 5.0, 6.0]),
         integers("id", vec![40, 50, 60]),
         numbers("broken", 1, vec![f32::NAN, 5.0, 6.0]),
-        Attribute { name: "kind".into(), meaning: Meaning::Other, arity: 1, values: strings },
+        Attribute { name: "kind".into(), role: Role::Other, arity: 1, values: strings },
     ];
-    let (transferred, counts) = to_vertices(&Particles::Single(positions.clone()), &attributes, &mesh, REACH);
+    let (transferred, counts) =
+        transferred_to_vertices(&OwnedPositions::F32(positions.clone()), &attributes, &mesh, REACH);
     assert_eq!(found(&transferred[0]), [4.0, 4.0, 4.0, 0.0, 5.0, 0.0, 0.0]);
     assert_eq!(transferred[1].values, AttributeValues::Integers(vec![40, 40, 40, -1, 50, -1, -1]));
     assert_eq!(found(&transferred[2]), [0.0, 0.0, 0.0, 0.0, 5.0, 0.0, 0.0]);
     let AttributeValues::Strings { indices, .. } = &transferred[3].values else { panic!("no strings") };
     assert_eq!(*indices, [0, 0, 0, -1, 0, -1, -1]);
-    assert_eq!((counts.place_count, counts.lonely_count, counts.empty_count), (7, 3, 3));
+    assert_eq!((counts.point_count, counts.isolated_count, counts.empty_count), (7, 3, 3));
     let no_farther = Support { radius_max_world: 0.1, ..REACH };
-    let (_, counts) = to_vertices(&Particles::Single(positions), &attributes, &mesh, no_farther);
-    assert_eq!((counts.lonely_count, counts.empty_count), (0, 6));
+    let (_, counts) =
+        transferred_to_vertices(&OwnedPositions::F32(positions), &attributes, &mesh, no_farther);
+    assert_eq!((counts.isolated_count, counts.empty_count), (0, 6));
     let (transferred, _) =
-        to_vertices(&Particles::Single(Vec::new()), &[numbers("a", 1, vec![])], &mesh, REACH);
+        transferred_to_vertices(&OwnedPositions::F32(Vec::new()), &[numbers("a", 1, vec![])], &mesh, REACH);
     assert_eq!(found(&transferred[0]), [0.0; 7]);
-    let (transferred, counts) = to_vertices(&Particles::Single(Vec::new()), &[], &Mesh::default(), REACH);
+    let (transferred, counts) =
+        transferred_to_vertices(&OwnedPositions::F32(Vec::new()), &[], &Mesh::default(), REACH);
     assert_eq!((transferred.len(), counts), (0, TransferCounts::default()));
 }
 
@@ -266,7 +272,8 @@ fn distant_particles_and_thread_count_change_no_bit() {
     let mesh = mesh_around(DVec3::ZERO, 0.8, 5000);
     let run = |positions: &[[f64; 3]]| {
         let attributes = [numbers("a", 1, positions.iter().map(value).collect())];
-        let (transferred, _) = to_vertices(&Particles::Double(positions.to_vec()), &attributes, &mesh, REACH);
+        let (transferred, _) =
+            transferred_to_vertices(&OwnedPositions::F64(positions.to_vec()), &attributes, &mesh, REACH);
         found(&transferred[0]).iter().map(|value| value.to_bits()).collect::<Vec<u32>>()
     };
     let reference = run(&positions);
@@ -345,15 +352,15 @@ fn band_voxels_have_the_surface_values() {
     let [point, field] = place_and_field(&positions, center);
     let attributes = [point, field, numbers("one", 1, vec![0.1; positions.len()])];
     let lattice = Lattice { voxel_size: VOXEL };
-    let particles = Particles::Double(positions);
+    let particles = OwnedPositions::F64(positions);
     // The wide band extends beyond the visible voxels. The narrow band ends with their leaves, and nodes
     // beyond it cannot be moved to the surface.
     for half_width in [6.0, 3.0] {
         let band = band(center, 1.13, half_width);
         let selected: Vec<&Attribute> = attributes.iter().collect();
-        let (found, counts) = to_band(&particles, &selected, (&band, &lattice), 3.0, REACH);
+        let (found, counts) = interpolate_to_band(&particles, &selected, (&band, &lattice), 3.0, REACH);
         assert_eq!(found.iter().map(|attribute| attribute.arity).collect::<Vec<_>>(), [3, 3, 1]);
-        assert_eq!((counts.lonely_count == 0, counts.empty_count), (half_width == 6.0, 0));
+        assert_eq!((counts.isolated_count == 0, counts.empty_count), (half_width == 6.0, 0));
         let mut points = Vec::new();
         each_voxel(&band, &found[0], |_, _, values| points.push([values[0], values[1], values[2]]));
         let mut at = points.iter();
@@ -367,7 +374,7 @@ fn band_voxels_have_the_surface_values() {
             assert!(distance < 0.22 || half_width == 3.0, "{distance} at {voxel}, φ {phi}");
         });
         assert_eq!(each_voxel(&band, &found[2], |_, _, values| assert_eq!(values, [0.1])), count);
-        assert!(counts.place_count < count / 4, "{counts:?} for {count} voxels");
+        assert!(counts.point_count < count / 4, "{counts:?} for {count} voxels");
     }
 }
 
@@ -380,8 +387,9 @@ fn voxels_midway_between_surfaces_have_values() {
     let sides = positions.iter().map(|position| position[0].signum() as f32).collect();
     let side = numbers("side", 1, sides);
     let (band, lattice) = (band_of(&centers, 0.8, 6.0), Lattice { voxel_size: VOXEL });
-    let (found, counts) = to_band(Particles::Double(positions), &[&side], (&band, &lattice), 3.0, REACH);
-    assert_eq!((counts.lonely_count, counts.empty_count), (0, 0));
+    let (found, counts) =
+        interpolate_to_band(OwnedPositions::F64(positions), &[&side], (&band, &lattice), 3.0, REACH);
+    assert_eq!((counts.isolated_count, counts.empty_count), (0, 0));
     each_voxel(&band, &found[0], |voxel, _, values| {
         let of_one = values[0] == voxel.x.signum() as f32;
         assert!(of_one || voxel.x.abs() < 2, "{values:?} at {voxel}");
@@ -396,10 +404,10 @@ fn band_values_stay_in_range_on_any_number_of_threads() {
     let range = values.iter().fold((f32::MAX, f32::MIN), |range, &v| (range.0.min(v), range.1.max(v)));
     let attributes = [numbers("a", 1, values), integers("id", vec![0; positions.len()])];
     let (band, lattice) = (band(DVec3::ZERO, 0.73, 6.0), Lattice { voxel_size: VOXEL });
-    let particles = Particles::Double(positions);
+    let particles = OwnedPositions::F64(positions);
     let run = || {
         let selected: Vec<&Attribute> = attributes.iter().collect();
-        to_band(&particles, &selected, (&band, &lattice), 3.0, REACH).0
+        interpolate_to_band(&particles, &selected, (&band, &lattice), 3.0, REACH).0
     };
     let found = run();
     assert_eq!(found.len(), 1, "integer attributes are not transferred to grids");
@@ -423,8 +431,8 @@ fn empty_band_has_no_attribute_values() {
     let band =
         NarrowBand { topology: Arc::new(Topology::new(Vec::new())), phi: Field::default(), half_width: 6.0 };
     let attributes = numbers("a", 1, vec![1.0]);
-    let particles = Particles::Single(vec![[0.0; 3]]);
+    let particles = OwnedPositions::F32(vec![[0.0; 3]]);
     let lattice = Lattice { voxel_size: VOXEL };
-    let (found, counts) = to_band(&particles, &[&attributes], (&band, &lattice), 3.0, REACH);
+    let (found, counts) = interpolate_to_band(&particles, &[&attributes], (&band, &lattice), 3.0, REACH);
     assert_eq!((found.len(), found[0].size_bytes(), counts), (1, 0, TransferCounts::default()));
 }

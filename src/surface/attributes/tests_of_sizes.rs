@@ -6,7 +6,7 @@ use glam::{DVec3, Vec3};
 
 use super::tree::{Tree, TreeParticle};
 use super::*;
-use crate::surface::particles::{Meaning, Particles};
+use crate::surface::particles::{OwnedPositions, Role};
 
 const RADIUS: f64 = 0.26;
 
@@ -69,13 +69,14 @@ impl Sizes {
 
     /// The values at these points: the bits of the numbers, and the ids of the particles.
     fn transferred(&self, mesh: &Mesh) -> (Vec<u32>, Vec<i64>, TransferCounts) {
-        let attribute = |values| Attribute { name: "a".into(), meaning: Meaning::Other, arity: 1, values };
+        let attribute = |values| Attribute { name: "a".into(), role: Role::Other, arity: 1, values };
         let numbers: Vec<f32> = self.ids.iter().map(|&id| 1.0 + (id as f32).sin()).collect();
         let attributes = [AttributeValues::Numbers(numbers), AttributeValues::Integers(self.ids.clone())];
         let attributes = attributes.map(attribute);
         let shapes = Shapes::Scaled(self.scales.clone());
-        let particles = Particles::Double(self.positions.clone());
-        let (found, counts) = to_vertices(&particles, &attributes.each_ref()[..], mesh, support(&shapes));
+        let particles = OwnedPositions::F64(self.positions.clone());
+        let (found, counts) =
+            interpolate_to_vertices(&particles, &attributes.each_ref()[..], mesh, support(&shapes));
         let [AttributeValues::Numbers(numbers), AttributeValues::Integers(ids)] =
             [&found[0].values, &found[1].values]
         else {
@@ -104,7 +105,7 @@ fn isolated_points_get_the_nearest_particle_that_reaches_them() {
     let sizes = Sizes::mixed();
     let mesh = sizes.points();
     let (numbers, ids, counts) = sizes.transferred(&mesh);
-    let (mut lonely_count, mut empty_count) = (0, 0);
+    let (mut isolated_count, mut empty_count) = (0, 0);
     for (vertex, position) in mesh.positions.iter().enumerate() {
         match sizes.brute_force(position.as_dvec3()) {
             Err(()) => assert_ne!(ids[vertex], -1),
@@ -113,14 +114,14 @@ fn isolated_points_get_the_nearest_particle_that_reaches_them() {
                 assert_eq!((numbers[vertex], ids[vertex]), (0, -1), "at {position}");
             }
             Ok(Some(nearest)) => {
-                lonely_count += 1;
+                isolated_count += 1;
                 let id = sizes.ids[nearest];
                 assert_eq!((numbers[vertex], ids[vertex]), ((1.0 + (id as f32).sin()).to_bits(), id));
             }
         }
     }
-    assert_eq!((counts.lonely_count, counts.empty_count), (lonely_count, empty_count));
-    assert!(lonely_count > 50 && empty_count > 5, "{counts:?}");
+    assert_eq!((counts.isolated_count, counts.empty_count), (isolated_count, empty_count));
+    assert!(isolated_count > 50 && empty_count > 5, "{counts:?}");
     let pool = rayon::ThreadPoolBuilder::new().num_threads(5).build().expect("threads");
     assert_eq!(pool.install(|| sizes.transferred(&mesh)), (numbers, ids, counts));
 }

@@ -67,7 +67,7 @@ pub(super) fn dual_contour(band: &NarrowBand, placement: &MeshFrame) -> Mesh {
     let mut positions = bytemuck::zeroed_vec(layout.vertex_count);
     let mut normals = bytemuck::zeroed_vec(layout.vertex_count);
     let mut locals = bytemuck::zeroed_vec(layout.vertex_count);
-    let vertices = |patch: &Patch| patch.vertex_count();
+    let vertices = |patch: &LeafPatch| patch.vertex_count();
     let slices = layout.split(&mut positions, vertices).into_par_iter();
     let slices = slices.zip(layout.split(&mut normals, vertices)).zip(layout.split(&mut locals, vertices));
     slices.zip(layout.patches.par_chunks(PATCHES_AT_ONCE)).for_each(
@@ -98,7 +98,7 @@ const NO_PATCH: u32 = u32::MAX;
 const PATCHES_AT_ONCE: usize = 16;
 
 /// What a leaf adds to the mesh, determined from signs alone.
-pub(super) struct Patch {
+pub(super) struct LeafPatch {
     pub(super) leaf: u32,
     pub(super) neighborhood: LeafNeighborhood,
     /// Index in the mesh of its first vertex.
@@ -111,10 +111,10 @@ pub(super) struct Patch {
     pub(super) triangle_count: u16,
 }
 
-impl Patch {
+impl LeafPatch {
     /// The patch of a leaf that the surface crosses. Its vertices on edges are counted later.
     #[inline(always)]
-    fn new(leaf: usize, neighborhood: LeafNeighborhood, inside_masks: &[LeafMask]) -> Option<Patch> {
+    fn new(leaf: usize, neighborhood: LeafNeighborhood, inside_masks: &[LeafMask]) -> Option<LeafPatch> {
         let rows = SignRows::new(&neighborhood, inside_masks);
         let crossed = rows.crossed_cells();
         if crossed.is_empty() {
@@ -132,7 +132,7 @@ impl Patch {
         }
         let on_faces_count = if any_joined == 0 { 0 } else { joined_segments(&rows).count() };
         let edge_count: u32 = (0..3).map(|axis| rows.crossed_edges(axis).count()).sum();
-        Some(Patch {
+        Some(LeafPatch {
             leaf: leaf as u32,
             neighborhood,
             first_vertex: 0,
@@ -162,7 +162,7 @@ impl Patch {
 pub(super) struct MeshLayout {
     pub(super) inside_masks: Vec<LeafMask>,
     /// Patches in the topology's order.
-    pub(super) patches: Vec<Patch>,
+    pub(super) patches: Vec<LeafPatch>,
     /// For each leaf its patch, or [`NO_PATCH`].
     patch_of_leaf: Vec<u32>,
     vertex_count: usize,
@@ -177,7 +177,7 @@ impl MeshLayout {
             let may_have_surface = neighborhood.may_have_surface(&inside_masks);
             may_have_surface.then(|| dispatch(NewPatch(leaf, neighborhood, &inside_masks))).flatten()
         };
-        let patches: Vec<Patch> = (0..band.topology.len()).into_par_iter().filter_map(patch).collect();
+        let patches: Vec<LeafPatch> = (0..band.topology.len()).into_par_iter().filter_map(patch).collect();
         let mut patch_of_leaf = vec![NO_PATCH; band.topology.len()];
         for (index, patch) in patches.iter().enumerate() {
             patch_of_leaf[patch.leaf as usize] = index as u32;
@@ -196,7 +196,7 @@ impl MeshLayout {
 
     /// The patch of a leaf that contains surface.
     #[inline(always)]
-    pub(super) fn patch(&self, leaf: u32) -> &Patch {
+    pub(super) fn patch(&self, leaf: u32) -> &LeafPatch {
         &self.patches[self.patch_of_leaf[leaf as usize] as usize]
     }
 
@@ -211,7 +211,7 @@ impl MeshLayout {
                 self.patch_of_leaf.get(leaf as usize).and_then(|&patch| self.patches.get(patch as usize));
             patch.is_some_and(|patch| patch.on_faces_count > 0)
         };
-        let added = |(index, patch): (usize, &Patch)| {
+        let added = |(index, patch): (usize, &LeafPatch)| {
             let is_near = patch.neighborhood.leaves().iter().any(has_any);
             let rows = is_near.then(|| SignRows::new(&patch.neighborhood, &self.inside_masks))?;
             let sides = joined_rings(&rows).map(|(_, ring)| ring.joined_sides.count_ones() as u16);
@@ -238,7 +238,7 @@ impl MeshLayout {
     }
 
     /// Splits an array with `count` items per patch into one slice per task.
-    fn split<'a, T>(&self, whole: &'a mut [T], count: impl Fn(&Patch) -> usize) -> Vec<&'a mut [T]> {
+    fn split<'a, T>(&self, whole: &'a mut [T], count: impl Fn(&LeafPatch) -> usize) -> Vec<&'a mut [T]> {
         split(whole, self.patches.chunks(PATCHES_AT_ONCE).map(|patches| patches.iter().map(&count).sum()))
     }
 }
@@ -259,11 +259,11 @@ fn joined_rings(rows: &SignRows) -> impl Iterator<Item = (IVec3, Ring)> + '_ {
 struct NewPatch<'a>(usize, LeafNeighborhood, &'a [LeafMask]);
 
 impl Kernel for NewPatch<'_> {
-    type Output = Option<Patch>;
+    type Output = Option<LeafPatch>;
 
     #[inline(always)]
-    fn run<V: Lanes>(self) -> Option<Patch> {
-        Patch::new(self.0, self.1, self.2)
+    fn run<V: Lanes>(self) -> Option<LeafPatch> {
+        LeafPatch::new(self.0, self.1, self.2)
     }
 }
 
@@ -272,7 +272,7 @@ struct PatchVertices<'a> {
     band: &'a NarrowBand,
     placement: &'a MeshFrame,
     layout: &'a MeshLayout,
-    patches: &'a [Patch],
+    patches: &'a [LeafPatch],
     /// Positions relative to the cells.
     locals: &'a mut [Vec3],
     positions: &'a mut [Vec3],
@@ -330,7 +330,7 @@ impl PatchVertices<'_> {
     /// Adds a patch's vertices on faces and edges, and returns the index after them.
     fn add_on_faces_and_edges(
         &mut self,
-        patch: &Patch,
+        patch: &LeafPatch,
         rows: &SignRows,
         block: &PhiBlock,
         first: usize,
@@ -359,7 +359,7 @@ impl PatchVertices<'_> {
 /// Kernel: writes the triangles of patches.
 struct PatchTriangles<'a> {
     quads: &'a Quads<'a>,
-    patches: &'a [Patch],
+    patches: &'a [LeafPatch],
     triangles: &'a mut [[u32; 3]],
 }
 

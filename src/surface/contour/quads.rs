@@ -11,9 +11,9 @@
 use glam::{DVec3, IVec3, Vec3};
 
 use super::cell_cycles::cell_cycles;
-use super::dual_contouring::{MeshLayout, Patch};
+use super::dual_contouring::{LeafPatch, MeshLayout};
 use super::neighborhood::SignRows;
-use super::ring::{RING_PLACES, RING_SIDES, Ring, segment_key};
+use super::ring::{RING_CELLS, RING_SIDES, Ring, segment_key};
 use crate::surface::grid::{offset_in_leaf, voxel_in_leaf};
 
 /// Input for the triangles.
@@ -29,7 +29,7 @@ pub(super) struct Quads<'a> {
 impl Quads<'_> {
     /// Writes the triangles around the crossed edges that start in a patch's leaf.
     #[inline(always)]
-    pub(super) fn write(&self, patch: &Patch, triangles: &mut [[u32; 3]]) {
+    pub(super) fn write(&self, patch: &LeafPatch, triangles: &mut [[u32; 3]]) {
         let rows = SignRows::new(&patch.neighborhood, &self.layout.inside_masks);
         let cells = CellGrid::new(patch, self.layout, &rows);
         let mut next_on_edge = patch.first_on_edges();
@@ -61,7 +61,7 @@ impl Quads<'_> {
     }
 
     /// The corners of a ring's quad, with the vertices on its joined sides inserted.
-    fn subdivided(&self, patch: &Patch, ring: &Ring, corners: [u32; 4], inside_end: IVec3) -> Vec<u32> {
+    fn subdivided(&self, patch: &LeafPatch, ring: &Ring, corners: [u32; 4], inside_end: IVec3) -> Vec<u32> {
         let mut rim = Vec::with_capacity(8);
         for (side, (turn, far)) in RING_SIDES.into_iter().enumerate() {
             rim.push(corners[side]);
@@ -93,7 +93,7 @@ const CELL_STEP: [usize; 3] = [81, 9, 1];
 
 impl CellGrid {
     #[inline(always)]
-    fn new(patch: &Patch, layout: &MeshLayout, rows: &SignRows) -> CellGrid {
+    fn new(patch: &LeafPatch, layout: &MeshLayout, rows: &SignRows) -> CellGrid {
         let mut cells = CellGrid { first_vertices: [0; CELL_STEP[0] * 9], signs: [0; CELL_STEP[0] * 9] };
         for (x, crossed) in rows.crossed_rows().into_iter().enumerate() {
             for (y, crossed) in crossed.into_iter().enumerate().filter(|(_, crossed)| *crossed != 0) {
@@ -105,7 +105,14 @@ impl CellGrid {
 
     /// Adds the crossed cells of a row that starts at `first`.
     #[inline(always)]
-    fn add_row(&mut self, patch: &Patch, layout: &MeshLayout, rows: &SignRows, first: IVec3, crossed: u16) {
+    fn add_row(
+        &mut self,
+        patch: &LeafPatch,
+        layout: &MeshLayout,
+        rows: &SignRows,
+        first: IVec3,
+        crossed: u16,
+    ) {
         let row_in_leaf = offset_in_leaf(IVec3::new(first.x & 7, first.y & 7, 0)) / 8;
         let step = IVec3::new(first.x >> 3, first.y >> 3, 0);
         let starts = |step: IVec3, end: usize| {
@@ -149,7 +156,7 @@ impl CellGrid {
         let index = CellGrid::index(start);
         let indices = [index, index - b, index - b - c, index - c];
         std::array::from_fn(|k| {
-            let cycle = cell_cycles(self.signs[indices[k]]).of_edge[axis * 4 + RING_PLACES[k]];
+            let cycle = cell_cycles(self.signs[indices[k]]).of_edge[axis * 4 + RING_CELLS[k]];
             self.first_vertices[indices[k]] + u32::from(cycle)
         })
     }

@@ -69,7 +69,7 @@ pub(super) struct Ring {
 }
 
 /// The edge's position in each cell of a ring, as `2b + c`.
-pub(super) const RING_PLACES: [usize; 4] = [0, 2, 3, 1];
+pub(super) const RING_CELLS: [usize; 4] = [0, 2, 3, 1];
 
 /// For each side of a ring, which of the two axes is normal to it, and the cell on its far side: the one with
 /// the same first voxel as the face.

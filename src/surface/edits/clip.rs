@@ -15,7 +15,7 @@
 //!
 //! Where a cap meets the fluid's own surface in a sharp edge, a mesher locates the edge only to a fraction of
 //! a voxel and may place vertices slightly beyond the plane. So the mesh is clamped to the box afterwards
-//! ([`VoxelClip::hold`]).
+//! ([`VoxelClip::clamp_mesh`]).
 
 use std::sync::Arc;
 
@@ -44,7 +44,7 @@ impl VoxelClip {
 
     /// Clamps mesh vertices to the box. Intended for vertices at the edges of caps, which are off by a
     /// fraction of a voxel.
-    pub fn hold(&self, mesh: &mut Mesh) {
+    pub fn clamp_mesh(&self, mesh: &mut Mesh) {
         let [least, most] = [self.min - mesh.origin, self.max - mesh.origin].map(|corner| corner.to_array());
         let (least, most) = (Vec3::from(least.map(rounded_up)), Vec3::from(most.map(rounded_down)));
         for position in &mut mesh.positions {

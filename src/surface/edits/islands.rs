@@ -65,7 +65,7 @@ pub fn drop_islands<P: AsRef<[Vec3]>>(
 impl DroppedIslands {
     /// True if a particle was in a removed component. `local` is in voxels relative to the origin of its
     /// leaf.
-    pub fn holds(&self, leaf_origin: IVec3, local: Vec3) -> bool {
+    pub fn contains(&self, leaf_origin: IVec3, local: Vec3) -> bool {
         self.component_of(leaf_origin, local).is_some_and(|component| self.is_dropped[component as usize])
     }
 

@@ -27,7 +27,7 @@ use rustc_hash::FxHashMap;
 
 use crate::surface::neighbors::Neighbors;
 use crate::surface::obstacle::MeshDistance;
-use crate::surface::particles::Particles;
+use crate::surface::particles::OwnedPositions;
 
 pub use carry::CARRY_REACH;
 pub use summary::Distribution;
@@ -54,7 +54,7 @@ pub enum Carrier {
 #[derive(Clone, Debug)]
 pub struct MovingParticles {
     /// Positions, world units.
-    pub positions: Particles,
+    pub positions: OwnedPositions,
     /// The id of each particle, constant over time. Ids that several particles share are not used.
     pub ids: Option<Vec<i64>>,
     /// Velocities, world units per second.
@@ -87,9 +87,9 @@ pub struct FrameFlicker {
     /// Points that were carried to both neighbours.
     pub points: Vec<ScoredPoint>,
     /// Number of other points: no particle near them can be followed to both neighbours.
-    pub uncarried_count: usize,
+    pub untracked_count: usize,
     /// Number of carried points [`REACH`] or farther from a surface, whose distance is clamped to that.
-    pub left_count: usize,
+    pub clamped_count: usize,
 }
 
 impl FlickerFrame {
@@ -164,9 +164,9 @@ pub fn flicker(
         match scored {
             Some((point, has_left)) => {
                 found.points.push(point);
-                found.left_count += usize::from(has_left);
+                found.clamped_count += usize::from(has_left);
             }
-            None => found.uncarried_count += 1,
+            None => found.untracked_count += 1,
         }
     }
     found

@@ -49,7 +49,7 @@ fn particles(
     velocity: impl Fn(DVec3) -> DVec3,
 ) -> MovingParticles {
     MovingParticles {
-        positions: Particles::Double(rest.iter().map(|&at| place(at).to_array()).collect()),
+        positions: OwnedPositions::F64(rest.iter().map(|&at| place(at).to_array()).collect()),
         ids: Some((0..rest.len() as i64).map(|index| 7 * index + 3).collect()),
         velocities: Some(rest.iter().map(|&at| velocity(at).as_vec3().to_array()).collect()),
     }
@@ -86,7 +86,7 @@ fn still_and_uniformly_moving_balls_do_not_flicker() {
     for step in [DVec3::ZERO, DVec3::new(0.75, -0.5, 0.125)] {
         for carrier in BOTH {
             let found = of_ball([-step, DVec3::ZERO, step], [step / SECONDS; 3], ([1.05; 3], 24), carrier);
-            assert_eq!((found.points.len(), found.uncarried_count, found.left_count), (SAMPLES, 0, 0));
+            assert_eq!((found.points.len(), found.untracked_count, found.clamped_count), (SAMPLES, 0, 0));
             assert!(summary(&found).max < 1e-6, "{:?}", summary(&found));
         }
     }
@@ -171,7 +171,7 @@ fn vanished_surface_counts_as_the_maximum_distance() {
         [([&ball, &ball, &none], REACH), ([&none, &ball, &none], 2.0 * REACH), ([&far, &ball, &ball], -REACH)]
     {
         let found = flicker(frames, Carrier::Ids, SPACING, SAMPLES);
-        assert_eq!((found.left_count, found.points.len()), (SAMPLES, SAMPLES));
+        assert_eq!((found.clamped_count, found.points.len()), (SAMPLES, SAMPLES));
         assert!(found.points.iter().all(|point| (point.value - expected).abs() < 1e-9), "{expected}");
     }
     assert_eq!(flicker([&ball, &none, &ball], Carrier::Ids, SPACING, SAMPLES), FrameFlicker::default());
@@ -188,22 +188,22 @@ fn points_without_particles_are_counted_and_left_out() {
     };
     let [one, other] = [frame(None), frame(None)];
     let found = flicker([&one, &other, &one], Carrier::Ids, SPACING, SAMPLES);
-    assert_eq!(found.points.len() + found.uncarried_count, SAMPLES);
-    assert!((0.3..0.5).contains(&(found.uncarried_count as f64 / SAMPLES as f64)), "{found:?}");
+    assert_eq!(found.points.len() + found.untracked_count, SAMPLES);
+    assert!((0.3..0.5).contains(&(found.untracked_count as f64 / SAMPLES as f64)), "{found:?}");
     assert!(found.points.iter().all(|point| point.position.x < 0.35 && point.value.abs() < 1e-9));
     // Ids of other particles, and ids that all particles share.
     for ids in [vec![-1; rest.len()], (0..rest.len() as i64).map(|index| -1 - index).collect()] {
         let strange = frame(Some(ids));
         for frames in [[&strange, &one, &one], [&one, &strange, &one], [&one, &one, &strange]] {
             let found = flicker(frames, Carrier::Ids, SPACING, SAMPLES);
-            assert_eq!((found.points.len(), found.uncarried_count), (0, SAMPLES));
+            assert_eq!((found.points.len(), found.untracked_count), (0, SAMPLES));
         }
     }
     assert!(one.has(Carrier::Ids) && !frame(Some(vec![-1; rest.len()])).has(Carrier::Ids));
-    let nothing = MovingParticles { positions: Particles::Double(Vec::new()), ids: None, velocities: None };
+    let nothing = MovingParticles { positions: OwnedPositions::F64(Vec::new()), ids: None, velocities: None };
     let nothing = FlickerFrame::new(nothing, sphere(1.05, DVec3::ZERO, 24), SPACING);
     assert!(BOTH.iter().all(|&carrier| nothing.has(carrier)) && !nothing.has_particles());
-    assert_eq!(flicker([&one, &nothing, &one], Carrier::Ids, SPACING, SAMPLES).uncarried_count, SAMPLES);
+    assert_eq!(flicker([&one, &nothing, &one], Carrier::Ids, SPACING, SAMPLES).untracked_count, SAMPLES);
 }
 
 #[test]

@@ -178,7 +178,7 @@ fn rows_of(leaf: &Leaf, x: usize) -> &StencilRows {
 
 /// The slabs that contain any of these rows (bit `x·8 + y`): x, and a mask of the rows' y.
 #[inline(always)]
-pub fn slabs_in(rows: u64) -> impl Iterator<Item = (usize, Bits)> {
+pub fn slabs_in(rows: u64) -> impl Iterator<Item = (usize, SetBits)> {
     SlabsIn { rows, x: 0 }
 }
 
@@ -190,15 +190,15 @@ struct SlabsIn {
 }
 
 impl Iterator for SlabsIn {
-    type Item = (usize, Bits);
+    type Item = (usize, SetBits);
 
     #[inline(always)]
-    fn next(&mut self) -> Option<(usize, Bits)> {
+    fn next(&mut self) -> Option<(usize, SetBits)> {
         while self.x < 8 {
             let (x, bits) = (self.x, (self.rows >> (8 * self.x)) as u8);
             self.x += 1;
             if bits != 0 {
-                return Some((x, Bits(bits)));
+                return Some((x, SetBits(bits)));
             }
         }
         None
@@ -207,9 +207,9 @@ impl Iterator for SlabsIn {
 
 /// The set bits of a byte, in order.
 #[derive(Clone, Copy, Debug)]
-pub struct Bits(pub u8);
+pub struct SetBits(pub u8);
 
-impl Iterator for Bits {
+impl Iterator for SetBits {
     type Item = usize;
 
     #[inline(always)]
@@ -227,7 +227,7 @@ impl Iterator for Bits {
 mod tests {
     use super::super::{Field, Topology, voxel_in_leaf};
     use super::*;
-    use crate::surface::simd::{Kernel, Level, dispatch_at};
+    use crate::surface::simd::{Kernel, SimdLevel, dispatch_at};
     use glam::IVec3;
 
     fn quadratic(p: glam::Vec3) -> f32 {
@@ -249,7 +249,7 @@ mod tests {
         }
         let center = topology.find(IVec3::ZERO).unwrap();
         let around = Neighborhood::new(&field.leaves, topology.neighbors(), center);
-        for level in Level::ALL {
+        for level in SimdLevel::ALL {
             let found = dispatch_at(level, Stencils { around: &around });
             for (row, stencils) in found.into_iter().enumerate() {
                 for z in 0..8 {

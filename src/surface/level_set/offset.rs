@@ -46,7 +46,7 @@ pub fn offset_surface(
             };
         }
     });
-    let fixed = beside_surface(band);
+    let fixed = next_to_surface(band);
     band.phi.leaves.par_iter_mut().zip(&fixed).for_each(|(phi, fixed)| {
         for free in fixed.complement().iter() {
             phi.values[free] = UNREACHED.copysign(phi.values[free]);
@@ -77,7 +77,7 @@ pub fn extend_distances(band: &mut NarrowBand, sweeps: Sweeps) {
     band.phi.leaves.par_iter_mut().flat_map_iter(|leaf| &mut leaf.values).for_each(|phi| {
         *phi = outside_if_zero(*phi);
     });
-    let fixed = beside_surface(band);
+    let fixed = next_to_surface(band);
     sweep(band, &fixed, sweeps);
 }
 
@@ -90,11 +90,12 @@ fn sweep(band: &mut NarrowBand, fixed: &[LeafMask], sweeps: Sweeps) {
 }
 
 /// The voxels of each leaf with a face neighbor on the other side of the surface.
-fn beside_surface(band: &NarrowBand) -> Vec<LeafMask> {
+fn next_to_surface(band: &NarrowBand) -> Vec<LeafMask> {
     let inside = negative_masks(&band.phi);
     let outside: Vec<LeafMask> = inside.par_iter().map(LeafMask::complement).collect();
     let beside = |leaf: usize| {
-        let [inside, outside] = [&inside, &outside].map(|sides| beside_others(&band.topology, sides, leaf));
+        let [inside, outside] =
+            [&inside, &outside].map(|sides| next_to_other_side(&band.topology, sides, leaf));
         inside.or(&outside)
     };
     (0..inside.len()).into_par_iter().map(beside).collect()
@@ -102,7 +103,7 @@ fn beside_surface(band: &NarrowBand) -> Vec<LeafMask> {
 
 /// The voxels of a leaf that are on a side and have a face neighbor on the other. Voxels that are not stored
 /// count as being on the same side as the adjacent stored ones.
-fn beside_others(topology: &Topology, side: &[LeafMask], leaf: usize) -> LeafMask {
+fn next_to_other_side(topology: &Topology, side: &[LeafMask], leaf: usize) -> LeafMask {
     let faces = topology.neighbors()[leaf].map(|neighbor| match neighbor {
         NO_LEAF => &LeafMask::FULL,
         neighbor => &side[neighbor as usize],

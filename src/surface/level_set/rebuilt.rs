@@ -146,7 +146,7 @@ pub fn rebuilt(
             let own = raw.leaves[leaf].values[offset];
             let known = match lookup.is_known(own) {
                 true => Some(own.abs() * scale),
-                false => distance_from_beside(&lookup, &raw, &topology, (leaf, offset), scale),
+                false => distance_from_neighbors(&lookup, &raw, &topology, (leaf, offset), scale),
             };
             if known.is_some() {
                 fixed.insert(offset);
@@ -171,7 +171,7 @@ pub fn rebuilt(
 
 /// Distance to the surface of a voxel without one, if the surface lies between it and an adjacent voxel, in
 /// voxels.
-fn distance_from_beside(
+fn distance_from_neighbors(
     lookup: &LevelSetLookup<'_>,
     raw: &Field,
     topology: &Topology,
@@ -179,7 +179,7 @@ fn distance_from_beside(
     scale: f32,
 ) -> Option<f32> {
     let own = raw.leaves[leaf].values[offset];
-    let across = beside(raw, topology, leaf, offset)
+    let across = face_neighbors(raw, topology, leaf, offset)
         .into_iter()
         .flatten()
         .filter(|&value| is_inside(value) != is_inside(own));
@@ -197,7 +197,7 @@ fn is_inside(value: f32) -> bool {
 }
 
 /// The values of the six adjacent voxels; `None` if the leaf is not stored.
-fn beside(raw: &Field, topology: &Topology, leaf: usize, offset: usize) -> [Option<f32>; 6] {
+fn face_neighbors(raw: &Field, topology: &Topology, leaf: usize, offset: usize) -> [Option<f32>; 6] {
     let voxel = voxel_in_leaf(offset);
     let neighbors = &topology.neighbors()[leaf];
     std::array::from_fn(|face| {

@@ -16,7 +16,7 @@
 //! Invariants: the order depends on the particles only, not on threads. The data of a cell and its particles
 //! depends on nothing outside the cell. Scaling positions and edge by a power of two changes no bit.
 
-mod surroundings;
+mod packets;
 
 use std::ops::Range;
 
@@ -24,10 +24,10 @@ use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
-use crate::surface::particles::Particles;
+use crate::surface::particles::OwnedPositions;
 use crate::surface::space::{INDEX_LIMIT, Lattice};
 
-pub use surroundings::{Eight, NO_PARTICLE, NeighborPackets};
+pub use packets::{NO_PARTICLE, NeighborPackets, Particle8};
 
 /// Particles sorted into cells.
 #[derive(Clone, Debug)]
@@ -60,7 +60,7 @@ pub struct CellRun {
 impl Neighbors {
     /// Sorts these particles into cells of this edge, world units. If the edge is not positive, the grid is
     /// empty.
-    pub fn new(particles: &Particles, edge_world: f64) -> Neighbors {
+    pub fn new(particles: &OwnedPositions, edge_world: f64) -> Neighbors {
         let cells = Lattice { voxel_size: edge_world };
         let keys = sorted_keys(particles, &cells);
         let (coords, starts) = cells_of(&keys);
@@ -74,7 +74,8 @@ impl Neighbors {
                 for (slot, &key) in keys.iter().enumerate() {
                     let index = index_of(key);
                     // The particle was located when it was sorted, so this succeeds again.
-                    let (_, local) = place_in(particles.position(index as usize), &cells).unwrap_or_default();
+                    let (_, local) =
+                        cell_and_offset(particles.position(index as usize), &cells).unwrap_or_default();
                     (x[slot], y[slot], z[slot], indices[slot]) = (local.x, local.y, local.z, index);
                 }
             },
@@ -91,7 +92,7 @@ impl Neighbors {
     /// The cell of a world position, and the position in it, in edges from its lower corner. `None` if it is
     /// not finite or outside the range of indices: then it has no neighbours.
     pub fn locate(&self, world: DVec3) -> Option<(IVec3, Vec3)> {
-        place_in(world, &self.cells)
+        cell_and_offset(world, &self.cells)
     }
 
     /// Cells with particles, sorted by x, then y, then z.
@@ -162,10 +163,10 @@ fn cell_of(key: CellKey) -> IVec3 {
     IVec3::new(along(2 * COORD_BITS), along(COORD_BITS), along(0))
 }
 
-fn sorted_keys(particles: &Particles, cells: &Lattice) -> Vec<CellKey> {
+fn sorted_keys(particles: &OwnedPositions, cells: &Lattice) -> Vec<CellKey> {
     let count = u32::try_from(particles.len()).unwrap_or(u32::MAX);
     let key = |index: u32| {
-        let (cell, _) = place_in(particles.position(index as usize), cells)?;
+        let (cell, _) = cell_and_offset(particles.position(index as usize), cells)?;
         Some(key_of(cell, index))
     };
     let mut keys: Vec<CellKey> = (0..count).into_par_iter().filter_map(key).collect();
@@ -173,7 +174,7 @@ fn sorted_keys(particles: &Particles, cells: &Lattice) -> Vec<CellKey> {
     keys
 }
 
-fn place_in(world: DVec3, cells: &Lattice) -> Option<(IVec3, Vec3)> {
+fn cell_and_offset(world: DVec3, cells: &Lattice) -> Option<(IVec3, Vec3)> {
     let index = cells.index_from_world(world)?;
     let corner = index.floor();
     Some((corner.as_ivec3(), (index - corner).as_vec3()))

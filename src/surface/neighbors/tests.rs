@@ -41,7 +41,7 @@ fn all_particles_within_an_edge_are_found() {
     for (around, radius) in [(0.0, 0.3), (-1234.5, 0.17), (3e7, 0.4)] {
         let around = DVec3::new(around, 0.5 * around, -around);
         let positions = cloud(3000, 2.0, around);
-        let neighbors = Neighbors::new(&Particles::Double(positions.clone()), radius);
+        let neighbors = Neighbors::new(&OwnedPositions::F64(positions.clone()), radius);
         assert_eq!((neighbors.indices().len(), neighbors.dropped_count), (3000, 0));
         for point in cloud(200, 2.5, around) {
             let world = DVec3::from(point);
@@ -54,7 +54,7 @@ fn all_particles_within_an_edge_are_found() {
 fn cells_are_sorted_and_particles_keep_file_order() {
     let mut positions = cloud(5000, 2.0, DVec3::ZERO);
     positions.extend_from_within(..100);
-    let neighbors = Neighbors::new(&Particles::Double(positions.clone()), 0.25);
+    let neighbors = Neighbors::new(&OwnedPositions::F64(positions.clone()), 0.25);
     assert!(neighbors.cells().is_sorted_by_key(|cell| cell.to_array()));
     for (cell, coord) in neighbors.cells().iter().enumerate() {
         let slots = neighbors.slots(cell);
@@ -73,15 +73,15 @@ fn cells_are_sorted_and_particles_keep_file_order() {
 fn particles_outside_the_grid_are_left_out() {
     let (nan, far) = (f32::NAN, 3e38);
     let positions = vec![[nan, 0.0, 0.0], [0.5, 0.5, 0.5], [0.0, f32::INFINITY, 0.0], [0.0, 0.0, far]];
-    let neighbors = Neighbors::new(&Particles::Single(positions), 0.1);
+    let neighbors = Neighbors::new(&OwnedPositions::F32(positions), 0.1);
     assert_eq!((neighbors.indices(), neighbors.dropped_count), (&[1u32][..], 3));
     assert_eq!(found(&neighbors, DVec3::splat(0.5)), [1]);
     assert_eq!(found(&neighbors, DVec3::splat(f64::NAN)), [0u32; 0]);
     for edge in [0.0, f64::NAN] {
-        let neighbors = Neighbors::new(&Particles::Single(vec![[1.0; 3]]), edge);
+        let neighbors = Neighbors::new(&OwnedPositions::F32(vec![[1.0; 3]]), edge);
         assert!(neighbors.cells().is_empty());
     }
-    let empty = Neighbors::new(&Particles::Single(Vec::new()), 1.0);
+    let empty = Neighbors::new(&OwnedPositions::F32(Vec::new()), 1.0);
     assert_eq!((empty.cells().len(), found(&empty, DVec3::ZERO).len()), (0, 0));
 }
 
@@ -90,7 +90,7 @@ fn cells_at_both_ends_of_the_range_differ() {
     let end = f64::from(INDEX_LIMIT) - 1.0;
     let positions: Vec<[f64; 3]> =
         vec![[end, -end, end], [-end, end, 0.5], [end, -end, end - 1.5], [-end, -end, -end]];
-    let neighbors = Neighbors::new(&Particles::Double(positions), 1.0);
+    let neighbors = Neighbors::new(&OwnedPositions::F64(positions), 1.0);
     assert_eq!(neighbors.indices(), [3, 1, 2, 0]);
     assert_eq!(found(&neighbors, DVec3::new(end, -end, end - 0.75)), [0, 2]);
     assert_eq!(neighbors.cells()[0], IVec3::splat(1 - INDEX_LIMIT));
@@ -101,8 +101,8 @@ fn distant_particles_change_nothing() {
     let here = cloud(2000, 2.0, DVec3::ZERO);
     let mut more = cloud(500, 2.0, DVec3::splat(-90.0));
     more.extend(&here);
-    let one = Neighbors::new(&Particles::Double(here), 0.3);
-    let other = Neighbors::new(&Particles::Double(more), 0.3);
+    let one = Neighbors::new(&OwnedPositions::F64(here), 0.3);
+    let other = Neighbors::new(&OwnedPositions::F64(more), 0.3);
     let (mut around, mut around_other) = (NeighborPackets::default(), NeighborPackets::default());
     for &cell in one.cells() {
         around.gather(&one, cell, 20);
@@ -118,7 +118,7 @@ fn distant_particles_change_nothing() {
 fn crowded_cells_are_sampled() {
     let mut positions = vec![[0.5f32, 0.5, 0.5]; 1000];
     positions.push([1.5, 0.5, 0.5]);
-    let neighbors = Neighbors::new(&Particles::Single(positions), 1.0);
+    let neighbors = Neighbors::new(&OwnedPositions::F32(positions), 1.0);
     let mut surroundings = NeighborPackets::default();
     surroundings.gather(&neighbors, IVec3::ZERO, 64);
     assert_eq!((surroundings.len(), surroundings.is_empty(), surroundings.eights().len()), (65, false, 9));

@@ -40,21 +40,21 @@ use crate::surface::simd::{self, Kernel, Lanes};
 /// The contact of fluid and obstacles: filled gaps and displaced fluid. All 0 without obstacles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
-pub struct ContactTally {
+pub struct ContactStats {
     /// Voxels between surface and obstacle that were filled.
     pub void_count: u64,
     /// Voxels that obstacles removed from the inner spheres of particles.
-    pub taken_count: u64,
+    pub displaced_voxel_count: u64,
     /// Particles inside an obstacle.
     pub particle_count: usize,
 }
 
-impl ContactTally {
+impl ContactStats {
     /// The sum of both.
-    pub fn and(self, other: ContactTally) -> ContactTally {
-        ContactTally {
+    pub fn merge(self, other: ContactStats) -> ContactStats {
+        ContactStats {
             void_count: self.void_count + other.void_count,
-            taken_count: self.taken_count + other.taken_count,
+            displaced_voxel_count: self.displaced_voxel_count + other.displaced_voxel_count,
             particle_count: self.particle_count + other.particle_count,
         }
     }
@@ -62,12 +62,12 @@ impl ContactTally {
 
 /// Makes φ_0 and its bounds respect the obstacles. `obstacle` returns their leaf for an origin, clamped to
 /// the half width of the band. Fills voids narrower than `void_threshold` voxels; 0 fills none.
-pub fn hold_contact(
+pub fn apply_obstacle_constraint(
     obstacle: impl Fn(IVec3) -> ObstacleLeaf + Sync,
     void_threshold: f32,
     band: &mut NarrowBand,
     bounds: &mut Bounds,
-) -> ContactTally {
+) -> ContactStats {
     let half_width = band.half_width;
     let fields = bounds.lower.leaves.par_iter_mut().zip(&mut bounds.upper.leaves);
     let fields = band.phi.leaves.par_iter_mut().zip(fields).zip(band.topology.origins());
@@ -75,13 +75,13 @@ pub fn hold_contact(
         let inside = Leaf::splat(-half_width);
         let leaf = obstacle(origin);
         let obstacle = match &leaf {
-            ObstacleLeaf::Outside => return ContactTally::default(),
+            ObstacleLeaf::Outside => return ContactStats::default(),
             ObstacleLeaf::Inside => &inside,
             ObstacleLeaf::Near(distances) => distances,
         };
         simd::dispatch(ContactKernel { obstacle, void_threshold, phi, lower, upper })
     };
-    fields.map(of_leaf).reduce(ContactTally::default, ContactTally::and)
+    fields.map(of_leaf).reduce(ContactStats::default, ContactStats::merge)
 }
 
 /// The slope of φ where the filled part ends. A smaller slope leaves voids near the threshold half filled; a
@@ -98,12 +98,12 @@ struct ContactKernel<'a> {
 }
 
 impl Kernel for ContactKernel<'_> {
-    type Output = ContactTally;
+    type Output = ContactStats;
 
     #[inline(always)]
-    fn run<V: Lanes>(self) -> ContactTally {
+    fn run<V: Lanes>(self) -> ContactStats {
         let (zero, threshold) = (V::splat(0.0), V::splat(self.void_threshold));
-        let mut tally = ContactTally::default();
+        let mut tally = ContactStats::default();
         for row in 0..ROW_COUNT {
             let obstacle = V::load(self.obstacle.row(row));
             let wall = zero.sub(obstacle);
@@ -121,7 +121,7 @@ impl Kernel for ContactKernel<'_> {
             let is_void = V::both(is_outside, gap.lt(zero));
             tally.void_count += u64::from(V::bits(is_void).count_ones());
             let is_taken = V::both(obstacle.lt(zero), upper.lt(wall));
-            tally.taken_count += u64::from(V::bits(is_taken).count_ones());
+            tally.displaced_voxel_count += u64::from(V::bits(is_taken).count_ones());
             contact.max(new_lower).min(new_upper).store(self.phi.row_mut(row));
             new_lower.store(self.lower.row_mut(row));
             new_upper.store(self.upper.row_mut(row));

@@ -10,7 +10,7 @@
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
-use super::{Obstacle, ObstacleLeaf, Obstacles, Shape};
+use super::{Obstacle, ObstacleLeaf, ObstacleSdf, Obstacles};
 use crate::surface::grid::{LEAF_EDGE, offset_in_leaf};
 use crate::surface::mesh::Mesh;
 use crate::surface::space::Lattice;
@@ -18,7 +18,7 @@ use crate::surface::space::Lattice;
 /// How deep vertices are inside obstacles, after vertices that were too deep were moved out.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
-pub struct DepthTally {
+pub struct DepthStats {
     /// The depth of the deepest vertex inside an obstacle, in voxels; 0 if all are outside.
     pub deepest_voxels: f64,
     /// Number of vertices that were moved out.
@@ -39,10 +39,10 @@ impl Obstacles {
     /// Moves vertices out of obstacles that are sharper than the grid. The normal of a moved vertex faces the
     /// obstacle. Returns the depth of the deepest vertex afterwards. `half_width` is that of the cached
     /// leaves.
-    pub fn clear(&self, mesh: &mut Mesh, lattice: &Lattice, half_width: f32) -> DepthTally {
+    pub fn move_vertices_out(&self, mesh: &mut Mesh, lattice: &Lattice, half_width: f32) -> DepthStats {
         let origin = mesh.origin;
         let of_vertex = |(position, normal): (&mut Vec3, &mut Vec3)| {
-            let mut tally = DepthTally::default();
+            let mut tally = DepthStats::default();
             let point = origin + position.as_dvec3();
             let Some((depth, outside)) = self.depth(point, lattice, half_width) else {
                 return tally;
@@ -53,16 +53,16 @@ impl Obstacles {
                 *normal = (point - outside).normalize_or_zero().as_vec3();
                 // It may now be inside another obstacle.
                 let left = self.depth(origin + position.as_dvec3(), lattice, half_width);
-                tally = DepthTally { deepest_voxels: left.map_or(0.0, |(depth, _)| depth), moved_count: 1 };
+                tally = DepthStats { deepest_voxels: left.map_or(0.0, |(depth, _)| depth), moved_count: 1 };
             }
             tally
         };
-        let both = |one: DepthTally, other: DepthTally| DepthTally {
+        let both = |one: DepthStats, other: DepthStats| DepthStats {
             deepest_voxels: one.deepest_voxels.max(other.deepest_voxels),
             moved_count: one.moved_count + other.moved_count,
         };
         let vertices = mesh.positions.par_iter_mut().zip(&mut mesh.normals);
-        vertices.map(of_vertex).reduce(DepthTally::default, both)
+        vertices.map(of_vertex).reduce(DepthStats::default, both)
     }
 
     /// How deep a world position is inside an obstacle, in voxels, and the nearest point on its surface;
@@ -73,7 +73,7 @@ impl Obstacles {
         let of_one = |obstacle: &Obstacle| match obstacle.leaf(voxel - local, lattice, half_width) {
             ObstacleLeaf::Outside => None,
             ObstacleLeaf::Near(leaf) if leaf.values[offset_in_leaf(local)] > NEAR => None,
-            _ => obstacle.shape().depth(point),
+            _ => obstacle.sdf().depth(point),
         };
         let depths = self.members.iter().filter_map(|obstacle| of_one(obstacle));
         let deepest = depths.reduce(|one, other| if other.0 > one.0 { other } else { one });
@@ -81,13 +81,13 @@ impl Obstacles {
     }
 }
 
-impl Shape {
+impl ObstacleSdf {
     /// How deep a point is inside, world units, and the nearest point on the surface. `None` if it is
     /// outside.
     fn depth(&self, point: DVec3) -> Option<(f64, DVec3)> {
         match self {
-            Shape::Solid(solid) => solid.depth(point),
-            Shape::Sampled(sampled) => sampled.depth(point),
+            ObstacleSdf::Mesh(solid) => solid.depth(point),
+            ObstacleSdf::Grid(sampled) => sampled.depth(point),
         }
     }
 }

@@ -13,12 +13,12 @@ mod boundary;
 mod contact;
 mod count_inside;
 mod depth;
+mod grid_sdf;
 mod inside_test;
 mod leaf;
 mod leaf_cache;
 mod mesh_distance;
-mod sampled;
-mod solid;
+mod mesh_sdf;
 mod surface;
 #[cfg(test)]
 mod tests;
@@ -30,46 +30,46 @@ use std::sync::Arc;
 
 use glam::{DVec3, IVec3};
 
-pub use contact::{ContactTally, hold_contact};
-pub use depth::DepthTally;
+pub use contact::{ContactStats, apply_obstacle_constraint};
+pub use depth::DepthStats;
+pub use grid_sdf::{GridSdf, SourceLevelSet};
 pub use leaf::ObstacleLeaf;
 pub use mesh_distance::MeshDistance;
-pub use sampled::{LevelSetSource, Sampled};
-pub use solid::Solid;
+pub use mesh_sdf::MeshSdf;
 pub use surface::MeshFindings;
 
 use crate::surface::space::Lattice;
 use leaf_cache::LeafCache;
 
 /// The geometry of an obstacle.
-pub enum Shape {
+pub enum ObstacleSdf {
     /// The inside of a mesh.
-    Solid(Solid),
+    Mesh(MeshSdf),
     /// The inside of a level set.
-    Sampled(Box<Sampled>),
+    Grid(Box<GridSdf>),
 }
 
-impl Shape {
+impl ObstacleSdf {
     /// The lower and the upper corner of a box around it, world units; `None` if it is empty.
     pub fn bounds(&self) -> Option<[DVec3; 2]> {
         match self {
-            Shape::Solid(solid) => solid.bounds(),
-            Shape::Sampled(sampled) => sampled.bounds(),
+            ObstacleSdf::Mesh(solid) => solid.bounds(),
+            ObstacleSdf::Grid(sampled) => sampled.bounds(),
         }
     }
 
     /// Its memory, in bytes.
     fn size_bytes(&self) -> usize {
         match self {
-            Shape::Solid(solid) => solid.size_bytes(),
-            Shape::Sampled(sampled) => sampled.size_bytes(),
+            ObstacleSdf::Mesh(solid) => solid.size_bytes(),
+            ObstacleSdf::Grid(sampled) => sampled.size_bytes(),
         }
     }
 }
 
 /// A body that the fluid must not enter. Share it between frames by an `Arc`: its distances are cached in it.
 pub struct Obstacle {
-    shape: Shape,
+    sdf: ObstacleSdf,
     cache: LeafCache,
 }
 
@@ -78,46 +78,46 @@ impl Obstacle {
     /// that face the wrong way. Triangles that cannot be part of a surface are left out: see
     /// [`mesh_findings`](Self::mesh_findings). Up to 64 MiB of distances are cached.
     pub fn from_mesh(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> Obstacle {
-        Obstacle::new(Shape::Solid(Solid::new(positions, triangles)), CACHED_BYTES_MAX)
+        Obstacle::new(ObstacleSdf::Mesh(MeshSdf::new(positions, triangles)), CACHED_BYTES_MAX)
     }
 
     #[doc(hidden)]
     /// An obstacle with a cache of at most this many bytes for its leaves: a frame requests each leaf more
     /// than once, and if the obstacle is static the next frame requests the same ones.
-    pub fn new(shape: Shape, cache_bytes_max: usize) -> Obstacle {
-        Obstacle { shape, cache: LeafCache::new(cache_bytes_max) }
+    pub fn new(sdf: ObstacleSdf, cache_bytes_max: usize) -> Obstacle {
+        Obstacle { sdf, cache: LeafCache::new(cache_bytes_max) }
     }
 
     /// Problems of its mesh: holes, and triangles that were left out or turned. `None` for a level set.
     pub fn mesh_findings(&self) -> Option<&MeshFindings> {
-        match &self.shape {
-            Shape::Solid(solid) => Some(solid.findings()),
-            Shape::Sampled(_) => None,
+        match &self.sdf {
+            ObstacleSdf::Mesh(solid) => Some(solid.findings()),
+            ObstacleSdf::Grid(_) => None,
         }
     }
 
     /// Its geometry.
     #[doc(hidden)]
-    pub fn shape(&self) -> &Shape {
-        &self.shape
+    pub fn sdf(&self) -> &ObstacleSdf {
+        &self.sdf
     }
 
     /// Its memory, in bytes.
     pub fn size_bytes(&self) -> usize {
-        self.cache.size_bytes() + self.shape.size_bytes()
+        self.cache.size_bytes() + self.sdf.size_bytes()
     }
 
     /// Its memory once its cache is full, in bytes.
     pub fn size_bytes_max(&self) -> usize {
-        self.cache.size_bytes_max().saturating_add(self.shape.size_bytes())
+        self.cache.size_bytes_max().saturating_add(self.sdf.size_bytes())
     }
 
     #[doc(hidden)]
     /// Its signed distances in the leaf with this origin, in voxels, clamped to ± `half_width`.
     pub fn leaf(&self, origin: IVec3, lattice: &Lattice, half_width: f32) -> ObstacleLeaf {
-        let compute = || match &self.shape {
-            Shape::Solid(solid) => solid.leaf(origin, lattice, half_width),
-            Shape::Sampled(sampled) => sampled.leaf(origin, lattice, half_width),
+        let compute = || match &self.sdf {
+            ObstacleSdf::Mesh(solid) => solid.leaf(origin, lattice, half_width),
+            ObstacleSdf::Grid(sampled) => sampled.leaf(origin, lattice, half_width),
         };
         self.cache.get(origin, lattice, half_width, compute)
     }
@@ -126,9 +126,9 @@ impl Obstacle {
     /// Whether its surface may come within `margin_voxels` of the voxels of the leaf with this origin. A
     /// cheap test without false negatives.
     pub fn touches(&self, origin: IVec3, lattice: &Lattice, margin_voxels: f32) -> bool {
-        match &self.shape {
-            Shape::Solid(solid) => solid.touches(origin, lattice, margin_voxels),
-            Shape::Sampled(sampled) => sampled.touches(origin, lattice, margin_voxels),
+        match &self.sdf {
+            ObstacleSdf::Mesh(solid) => solid.touches(origin, lattice, margin_voxels),
+            ObstacleSdf::Grid(sampled) => sampled.touches(origin, lattice, margin_voxels),
         }
     }
 }

@@ -32,20 +32,20 @@ pub struct MeshFindings {
     /// Number of triangles that bound the obstacle.
     pub triangle_count: usize,
     /// Triangles left out because a corner is not finite, or its index is out of range.
-    pub broken_count: usize,
+    pub invalid_count: usize,
     /// Triangles without area.
     pub degenerate_count: usize,
     /// Triangles left out because they are duplicates.
     pub duplicate_count: usize,
     /// Triangles flipped to agree with their neighbours, or because their part had negative volume.
-    pub turned_count: usize,
+    pub flipped_count: usize,
     /// Boundary edges of the surface, as at a hole.
     pub open_edge_count: usize,
     /// Whether the mesh is so open that it encloses nothing, like a plane.
     pub encloses_nothing: bool,
     /// Parts that seem to face inwards and were left as they are: with this many parts, finding the cavities
     /// would take too long.
-    pub unasked_part_count: usize,
+    pub unchecked_part_count: usize,
 }
 
 /// Consistently oriented triangles.
@@ -72,8 +72,8 @@ impl RepairedMesh {
         let mut flipped = vec![false; faces.len()];
         let parts = orient(&points, &faces, &edges, &mut flipped);
         flip(&mut faces, &flipped);
-        findings.unasked_part_count = flip_parts(&points, &mut faces, &parts, &mut flipped);
-        findings.turned_count = flipped.iter().filter(|&&flipped| flipped).count();
+        findings.unchecked_part_count = flip_parts(&points, &mut faces, &parts, &mut flipped);
+        findings.flipped_count = flipped.iter().filter(|&&flipped| flipped).count();
         let boundary = BoundaryEdges::new(boundary(&points, &faces));
         findings.open_edge_count = boundary.len();
         let corners: Vec<[DVec3; 3]> = faces
@@ -162,7 +162,7 @@ fn distinct_faces(
     let mut faces = Vec::with_capacity(triangles.len());
     for &[a, b, c] in triangles {
         let (Some(a), Some(b), Some(c)) = (corner(a), corner(b), corner(c)) else {
-            findings.broken_count += 1;
+            findings.invalid_count += 1;
             continue;
         };
         if a == b || b == c || c == a {

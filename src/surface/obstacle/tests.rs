@@ -8,7 +8,7 @@ use glam::{DVec3, IVec3, Vec3};
 
 use super::tree::TriangleTree;
 use super::winding::{winding, winding_gradient};
-use super::{LevelSetSource, MeshFindings, Obstacle, ObstacleLeaf, Obstacles, Sampled, Shape, Solid};
+use super::{GridSdf, MeshFindings, MeshSdf, Obstacle, ObstacleLeaf, ObstacleSdf, Obstacles, SourceLevelSet};
 use crate::surface::grid::{LEAF_VOXELS, voxel_in_leaf};
 use crate::surface::space::Lattice;
 
@@ -76,13 +76,13 @@ impl TestMesh {
         self
     }
 
-    fn turned(mut self) -> TestMesh {
+    fn flipped(mut self) -> TestMesh {
         self.triangles.iter_mut().for_each(|triangle| triangle.swap(1, 2));
         self
     }
 
-    fn solid(&self) -> Solid {
-        Solid::new(&self.positions, &self.triangles)
+    fn solid(&self) -> MeshSdf {
+        MeshSdf::new(&self.positions, &self.triangles)
     }
 
     fn corners(&self) -> Vec<[DVec3; 3]> {
@@ -120,7 +120,7 @@ fn sample(
 }
 
 /// The largest difference between φ_o around the origin and a known distance.
-fn error_of(solid: &Solid, lattice: &Lattice, known: impl Fn(DVec3) -> f64) -> f64 {
+fn error_of(solid: &MeshSdf, lattice: &Lattice, known: impl Fn(DVec3) -> f64) -> f64 {
     let reach = IVec3::splat(24);
     let far = f64::from(HALF_WIDTH);
     let error = |(voxel, value): (IVec3, f32)| {
@@ -226,18 +226,18 @@ fn winding_numbers_match_the_sum_over_all_triangles() {
 fn defective_meshes_enclose_the_intended_volume() {
     let mesh = TestMesh::torus(DVec3::new(0.2, 0.1, -0.3), 12.0, 5.0, 16);
     let sound = mesh.solid();
-    let values = |solid: &Solid| {
+    let values = |solid: &MeshSdf| {
         sample(IVec3::splat(-24), IVec3::splat(24), &UNIT, |origin, lattice, far| {
             solid.leaf(origin, lattice, far)
         })
     };
     let expected = values(&sound);
-    let inside_out = mesh.clone().turned().solid();
-    assert_eq!(inside_out.findings().turned_count, mesh.triangles.len());
+    let inside_out = mesh.clone().flipped().solid();
+    assert_eq!(inside_out.findings().flipped_count, mesh.triangles.len());
     let mut patched = mesh.clone();
     patched.triangles[100..300].iter_mut().for_each(|triangle| triangle.swap(0, 1));
     let mut two_sided = mesh.clone();
-    two_sided.triangles.extend(mesh.clone().turned().triangles);
+    two_sided.triangles.extend(mesh.clone().flipped().triangles);
     // Each triangle has its own corners.
     let own = |corner: &u32| mesh.positions[*corner as usize];
     let torn = TestMesh {
@@ -262,7 +262,7 @@ fn defective_meshes_enclose_the_intended_volume() {
     }
     assert_eq!(two_sided.solid().findings().duplicate_count, mesh.triangles.len());
     let findings = *broken.solid().findings();
-    assert_eq!((findings.broken_count, findings.degenerate_count), (2, 1));
+    assert_eq!((findings.invalid_count, findings.degenerate_count), (2, 1));
     assert_eq!(findings.triangle_count, mesh.triangles.len());
 }
 
@@ -271,7 +271,7 @@ fn parts_are_united_and_cavities_stay() {
     let (min, max, step) = (DVec3::splat(-9.5), DVec3::splat(3.5), DVec3::splat(6.0));
     let both = |point: DVec3| to_cuboid(min, max, point).min(to_cuboid(min + step, max + step, point));
     let second = TestMesh::cuboid(min + step, max + step);
-    for second in [second.clone(), second.turned()] {
+    for second in [second.clone(), second.flipped()] {
         let solid = TestMesh::cuboid(min, max).and(second).solid();
         for (voxel, value) in sample(IVec3::splat(-16), IVec3::splat(16), &UNIT, |at, lattice, far| {
             solid.leaf(at, lattice, far)
@@ -283,8 +283,8 @@ fn parts_are_united_and_cavities_stay() {
         }
     }
     let (inner, outer) = (TestMesh::ball(DVec3::ZERO, 8.0, 24), TestMesh::ball(DVec3::ZERO, 18.0, 24));
-    let hollow = outer.clone().and(inner.clone().turned());
-    for mesh in [hollow.clone(), hollow.turned()] {
+    let hollow = outer.clone().and(inner.clone().flipped());
+    for mesh in [hollow.clone(), hollow.flipped()] {
         let solid = mesh.solid();
         let error = error_of(&solid, &UNIT, |point| (point.length() - 18.0).max(8.0 - point.length()));
         assert!(error < 0.12, "{error}");
@@ -303,14 +303,14 @@ fn inward_facing_parts_are_flipped_or_reported() {
     };
     let block = TestMesh::cuboid(DVec3::new(-2.0, -2.0, -2.0), DVec3::new(262.0, 262.0, 3.0));
     for (cavity_count, is_asked) in [(3, true), (4000, true), (4100, false)] {
-        let aside = TestMesh::cuboid(DVec3::new(-9.0, -9.0, -9.0), DVec3::splat(-5.0)).turned();
+        let aside = TestMesh::cuboid(DVec3::new(-9.0, -9.0, -9.0), DVec3::splat(-5.0)).flipped();
         let mut mesh = aside.and(block.clone());
         for index in 0..cavity_count {
-            mesh = mesh.and(cube(index % 65, index / 65, 1.0).turned());
+            mesh = mesh.and(cube(index % 65, index / 65, 1.0).flipped());
         }
         let findings = *mesh.solid().findings();
         let expected = if is_asked { (12, 0) } else { (0, cavity_count + 1) };
-        assert_eq!((findings.turned_count, findings.unasked_part_count), expected, "{cavity_count}");
+        assert_eq!((findings.flipped_count, findings.unchecked_part_count), expected, "{cavity_count}");
     }
 }
 
@@ -372,7 +372,7 @@ fn precision_is_kept_far_from_the_origin() {
 }
 
 /// A ball as a level set with voxels of this edge, rotated about z.
-fn level_set(center: DVec3, radius: f64, voxel_size: f64, band_voxels: f32) -> LevelSetSource {
+fn level_set(center: DVec3, radius: f64, voxel_size: f64, band_voxels: f32) -> SourceLevelSet {
     let (sine, cosine) = 0.3f64.sin_cos();
     let axes =
         [DVec3::new(cosine, sine, 0.0), DVec3::new(-sine, cosine, 0.0), DVec3::Z].map(|a| a * voxel_size);
@@ -382,7 +382,7 @@ fn level_set(center: DVec3, radius: f64, voxel_size: f64, band_voxels: f32) -> L
             axes[0] * f64::from(voxel.x) + axes[1] * f64::from(voxel.y) + axes[2] * f64::from(voxel.z);
         ((place.length() - radius) as f32).clamp(-background, background)
     };
-    let mut source = LevelSetSource {
+    let mut source = SourceLevelSet {
         origins: Vec::new(),
         leaves: Vec::new(),
         tiles: Vec::new(),
@@ -410,7 +410,7 @@ fn level_set(center: DVec3, radius: f64, voxel_size: f64, band_voxels: f32) -> L
 fn resampled_level_sets_match_the_original_ball() {
     let center = DVec3::new(1.7, -2.2, 0.4);
     for (voxel_size, band, tolerance) in [(1.0, 8.0, 0.05), (0.37, 20.0, 0.02), (2.3, 4.0, 0.25)] {
-        let sampled = Sampled::new(level_set(center, 12.0, voxel_size, band), 1 << 30).expect("a level set");
+        let sampled = GridSdf::new(level_set(center, 12.0, voxel_size, band), 1 << 30).expect("a level set");
         let mut worst: f64 = 0.0;
         for (voxel, value) in sample(IVec3::splat(-24), IVec3::splat(24), &UNIT, |at, lattice, far| {
             sampled.leaf(at, lattice, far)
@@ -420,7 +420,7 @@ fn resampled_level_sets_match_the_original_ball() {
         }
         assert!(worst < tolerance, "voxels of {voxel_size}: {worst}");
     }
-    let narrow = Sampled::new(level_set(center, 12.0, 1.0, 3.0), 1 << 30).expect("a level set");
+    let narrow = GridSdf::new(level_set(center, 12.0, 1.0, 3.0), 1 << 30).expect("a level set");
     for (voxel, value) in
         sample(IVec3::splat(-24), IVec3::splat(24), &UNIT, |at, lattice, far| narrow.leaf(at, lattice, far))
     {
@@ -435,19 +435,19 @@ fn resampled_level_sets_match_the_original_ball() {
 fn invalid_level_sets_are_rejected() {
     let sound = level_set(DVec3::ZERO, 5.0, 1.0, 3.0);
     for (source, word) in [
-        (LevelSetSource { axes: [DVec3::X, DVec3::Y * 2.0, DVec3::Z], ..sound.clone() }, "cubes"),
-        (LevelSetSource { axes: [DVec3::X, DVec3::Y, DVec3::Y], ..sound.clone() }, "cubes"),
-        (LevelSetSource { axes: [DVec3::ZERO; 3], ..sound.clone() }, "cubes"),
-        (LevelSetSource { background: 0.0, ..sound.clone() }, "background"),
-        (LevelSetSource { leaves: Vec::new(), ..sound }, "leaves"),
+        (SourceLevelSet { axes: [DVec3::X, DVec3::Y * 2.0, DVec3::Z], ..sound.clone() }, "cubes"),
+        (SourceLevelSet { axes: [DVec3::X, DVec3::Y, DVec3::Y], ..sound.clone() }, "cubes"),
+        (SourceLevelSet { axes: [DVec3::ZERO; 3], ..sound.clone() }, "cubes"),
+        (SourceLevelSet { background: 0.0, ..sound.clone() }, "background"),
+        (SourceLevelSet { leaves: Vec::new(), ..sound }, "leaves"),
     ] {
-        let error = Sampled::new(source, 1 << 30).err().expect("no level set");
+        let error = GridSdf::new(source, 1 << 30).err().expect("no level set");
         assert!(error.contains(word), "{error}");
     }
 }
 
 fn obstacle(mesh: &TestMesh, cache_bytes_max: usize) -> Arc<Obstacle> {
-    Arc::new(Obstacle::new(Shape::Solid(mesh.solid()), cache_bytes_max))
+    Arc::new(Obstacle::new(ObstacleSdf::Mesh(mesh.solid()), cache_bytes_max))
 }
 
 #[test]
@@ -487,7 +487,7 @@ fn empty_mesh_is_outside_everywhere() {
         (vec![[0.0; 3]; 3], vec![[0, 1, 2]]),
         (vec![[f64::INFINITY; 3]; 3], vec![[0, 1, 2]]),
     ] {
-        let solid = Solid::new(&positions, &triangles);
+        let solid = MeshSdf::new(&positions, &triangles);
         assert_eq!(solid.findings().triangle_count, 0);
         assert_eq!(solid.leaf(IVec3::ZERO, &UNIT, 6.0), ObstacleLeaf::Outside);
         assert!(!solid.touches(IVec3::ZERO, &UNIT, 6.0));
@@ -505,7 +505,7 @@ fn moved_vertices_face_the_wall() {
         normals: vec![Vec3::X; 3],
         ..crate::surface::mesh::Mesh::default()
     };
-    let tally = obstacles.clear(&mut mesh, &UNIT, HALF_WIDTH);
+    let tally = obstacles.move_vertices_out(&mut mesh, &UNIT, HALF_WIDTH);
     assert_eq!(tally.moved_count, 1);
     assert!(mesh.positions[0].distance(Vec3::new(1.0, 2.0, 0.25)) < 1e-6, "{}", mesh.positions[0]);
     assert!(mesh.normals[0].distance(Vec3::NEG_Z) < 1e-6, "{}", mesh.normals[0]);
@@ -535,7 +535,7 @@ fn open_meshes_that_enclose_nothing_are_reported() {
     plane.triangles.truncate(2);
     for (name, mesh, expected) in [
         ("a plane", plane.clone(), true),
-        ("a plane that faces the other way", plane.clone().turned(), true),
+        ("a plane that faces the other way", plane.clone().flipped(), true),
         ("hardly bent", terrain(0.0), true),
         ("a box", TestMesh::cuboid(DVec3::ZERO, DVec3::splat(4.0)), false),
         ("a box without a side", open_box, false),
@@ -548,7 +548,7 @@ fn open_meshes_that_enclose_nothing_are_reported() {
 
 #[test]
 fn distances_of_points_are_negative_inside() {
-    let solid = |mesh: &TestMesh| Solid::new(&mesh.positions, &mesh.triangles);
+    let solid = |mesh: &TestMesh| MeshSdf::new(&mesh.positions, &mesh.triangles);
     let torus = solid(&TestMesh::torus(DVec3::new(1.0, 2.0, 3.0), 5.0, 1.5, 96));
     for at in [DVec3::ZERO, DVec3::new(6.0, 2.0, 3.0), DVec3::new(1.0, 2.0, 3.0), DVec3::new(40.0, -7.0, 3.5)]
     {

@@ -20,7 +20,7 @@ use super::length::{Length, LengthUnit};
 use super::pairs::Pairs;
 use super::presets::{Preset, Recipe};
 use super::values::{AnisotropyKind, AttributeSelection, ClipBox};
-use super::{OwnRadii, SettingsError, positive};
+use super::{PerParticleRadius, SettingsError, positive};
 
 /// Upper limit of `drop_islands`. A larger piece is not an island to drop; it may also be so thick that its
 /// inside is not stored.
@@ -274,15 +274,15 @@ impl MethodOptions {
     ///
     /// # Errors
     /// If their scale is not a positive number.
-    pub fn own_radii(&self) -> Result<Option<OwnRadii>, SettingsError> {
+    pub fn per_particle_radius(&self) -> Result<Option<PerParticleRadius>, SettingsError> {
         let Some(attribute) = &self.radius_attribute else { return Ok(None) };
         let scale = positive("radius scale", self.radius_scale.unwrap_or(1.0))?;
-        Ok(Some(OwnRadii { attribute: attribute.clone(), scale }))
+        Ok(Some(PerParticleRadius { attribute: attribute.clone(), scale }))
     }
 
     /// The given options that have no effect, each with the option that it requires; `has_obstacles` says
     /// whether there are obstacles.
-    pub fn without_effect(&self, has_obstacles: bool) -> Vec<(&'static str, &'static str)> {
+    pub fn ineffective(&self, has_obstacles: bool) -> Vec<(&'static str, &'static str)> {
         let unmet = |name: &'static str| {
             let need = MethodOptions::info(name)?.need.as_ref()?;
             (!(need.is_met)(self, has_obstacles)).then_some((name, need.what))

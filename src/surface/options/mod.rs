@@ -13,7 +13,7 @@ mod values;
 use std::fmt;
 
 pub use crate::surface::contour::Contouring;
-use crate::surface::particles::{Attribute, attribute_of};
+use crate::surface::particles::{Attribute, find_attribute};
 use crate::surface::smooth::EIGENVALUE_MAX;
 pub use crate::surface::smooth::Integrator;
 use crate::surface::words::significant;
@@ -48,7 +48,7 @@ pub struct Settings {
     pub radius_ratio: f64,
     /// Per-particle radii. If set, the three radii above belong to a particle whose own radius is
     /// `radius_min` / `scale`.
-    pub own_radii: Option<OwnRadii>,
+    pub per_particle_radius: Option<PerParticleRadius>,
     /// How particles are stretched.
     pub anisotropy: Anisotropy,
     /// How far particles are moved toward the mean of their neighbours: 0 (not at all) to 1.
@@ -91,17 +91,17 @@ pub struct Settings {
 /// Per-particle radii.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
-pub struct OwnRadii {
+pub struct PerParticleRadius {
     /// The attribute that holds the radii, world units.
     pub attribute: String,
     /// A particle's r_min divided by its own radius.
     pub scale: f64,
 }
 
-impl OwnRadii {
+impl PerParticleRadius {
     /// r_min of each particle whose own radius is positive and finite, world units.
     pub fn radii_min(&self, attributes: &[Attribute]) -> Vec<f64> {
-        let attribute = attribute_of(attributes, &self.attribute, 1);
+        let attribute = find_attribute(attributes, &self.attribute, 1);
         let radii = attribute.and_then(|attribute| attribute.values.numbers()).unwrap_or_default();
         let radii = radii.iter().map(|&radius| self.scale * f64::from(radius));
         radii.filter(|radius| radius.is_finite() && *radius > 0.0).collect()
@@ -228,7 +228,7 @@ impl Settings {
             radius_max,
             offset: offset(options, radius_min, &scale)?,
             radius_ratio,
-            own_radii: options.own_radii()?,
+            per_particle_radius: options.per_particle_radius()?,
             anisotropy: anisotropy(options, radius_min, &scale)?,
             position_smoothing: options.position_smoothing(),
             neighbor_radius,
@@ -272,7 +272,7 @@ impl Settings {
     ///
     /// # Errors
     /// If these options are invalid for every voxel size.
-    pub fn of_level_sets(options: &MethodOptions) -> Result<Settings, SettingsError> {
+    pub fn for_level_sets(options: &MethodOptions) -> Result<Settings, SettingsError> {
         let offset =
             options.offset.and_then(Length::world).filter(|offset| offset.is_finite()).unwrap_or(0.0);
         Settings::paper(if offset == 0.0 { 1.0 } else { offset.abs() }, options)
@@ -315,8 +315,8 @@ impl Settings {
     }
 
     /// Whether particles differ in size or shape.
-    pub fn has_shapes(&self) -> bool {
-        self.own_radii.is_some() || self.anisotropy != Anisotropy::None
+    pub fn has_per_particle_shapes(&self) -> bool {
+        self.per_particle_radius.is_some() || self.anisotropy != Anisotropy::None
     }
 
     /// Approximate distance from the outermost particles of a fluid at rest to its surface, world units. If

@@ -57,7 +57,7 @@ impl AttributeSelection {
     pub fn selects(&self, attribute: &Attribute) -> bool {
         match self {
             AttributeSelection::All => true,
-            AttributeSelection::Named(names) => names.iter().any(|name| attribute.is_called(name)),
+            AttributeSelection::Named(names) => names.iter().any(|name| attribute.matches(name)),
         }
     }
 }

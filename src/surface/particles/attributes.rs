@@ -9,7 +9,7 @@ pub struct Attribute {
     /// Its name.
     pub name: String,
     /// Its semantic.
-    pub meaning: Meaning,
+    pub role: Role,
     /// Values per particle, at least 1.
     pub arity: usize,
     /// `arity` values per particle, particle by particle.
@@ -18,7 +18,7 @@ pub struct Attribute {
 
 /// The semantic of an attribute. Options find velocities and radii by it, whatever their name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Meaning {
+pub enum Role {
     /// World units per second, arity 3.
     Velocity,
     /// Red, green and blue from 0 to 1, optionally alpha, in the file's colour space: arity 3 or 4.
@@ -55,29 +55,29 @@ impl Attribute {
     }
 
     /// Whether `name` refers to this attribute: it is its own name, ignoring case, or a name of its semantic.
-    pub fn is_called(&self, name: &str) -> bool {
+    pub fn matches(&self, name: &str) -> bool {
         let is = |other: &&str| name.eq_ignore_ascii_case(other);
-        is(&&*self.name) || self.meaning.names().iter().any(is)
+        is(&&*self.name) || self.role.names().iter().any(is)
     }
 }
 
 /// Finds the attribute that `name` refers to, with `arity` numbers per particle. An attribute with this name
 /// takes precedence over one with this semantic.
-pub fn attribute_of<'a>(all: &'a [Attribute], name: &str, arity: usize) -> Option<&'a Attribute> {
+pub fn find_attribute<'a>(all: &'a [Attribute], name: &str, arity: usize) -> Option<&'a Attribute> {
     let fitting = || all.iter().filter(|attribute| attribute.has_numbers(arity));
     let own = fitting().find(|attribute| attribute.name == name);
-    own.or_else(|| fitting().find(|attribute| attribute.is_called(name)))
+    own.or_else(|| fitting().find(|attribute| attribute.matches(name)))
 }
 
-impl Meaning {
+impl Role {
     /// The names by which users refer to it.
     fn names(self) -> &'static [&'static str] {
         match self {
-            Meaning::Velocity => &["velocity", "velocities", "vel", "v"],
-            Meaning::Color => &["color", "colour", "colors", "colours", "cd", "rgb", "rgba"],
-            Meaning::Radius => &["radius", "pscale"],
-            Meaning::Id => &["id"],
-            Meaning::Other => &[],
+            Role::Velocity => &["velocity", "velocities", "vel", "v"],
+            Role::Color => &["color", "colour", "colors", "colours", "cd", "rgb", "rgba"],
+            Role::Radius => &["radius", "pscale"],
+            Role::Id => &["id"],
+            Role::Other => &[],
         }
     }
 }

@@ -17,40 +17,40 @@ use std::ops::Range;
 
 use glam::DVec3;
 
-pub use attributes::{Attribute, AttributeValues, Meaning, attribute_of};
+pub use attributes::{Attribute, AttributeValues, Role, find_attribute};
 pub use shapes::{Ellipsoid, Shapes};
 
 /// Particle positions in world units, in the precision of the input.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Particles {
+pub enum OwnedPositions {
     /// 32-bit positions.
-    Single(Vec<[f32; 3]>),
+    F32(Vec<[f32; 3]>),
     /// 64-bit positions.
-    Double(Vec<[f64; 3]>),
+    F64(Vec<[f64; 3]>),
 }
 
 /// A frame of particles: positions, shapes and attributes.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Cloud {
+pub struct ParticleCloud {
     /// Positions.
-    pub positions: Particles,
+    pub positions: OwnedPositions,
     /// Shapes.
     pub shapes: Shapes,
     /// Attributes, each with values for every particle.
     pub attributes: Vec<Attribute>,
 }
 
-impl Cloud {
+impl ParticleCloud {
     /// Finds the attribute that `name` refers to, with `arity` numbers per particle. An attribute with this
     /// name takes precedence over one with this semantic.
-    pub fn attribute_of(&self, name: &str, arity: usize) -> Option<&Attribute> {
-        attribute_of(&self.attributes, name, arity)
+    pub fn find_attribute(&self, name: &str, arity: usize) -> Option<&Attribute> {
+        find_attribute(&self.attributes, name, arity)
     }
 
     /// The memory of positions, shapes and attributes, in bytes.
     pub fn size_bytes(&self) -> usize {
         let shapes = match &self.shapes {
-            Shapes::Balls => 0,
+            Shapes::Uniform => 0,
             Shapes::Scaled(scales) => size_of_val(&**scales),
             Shapes::Ellipsoids(ellipsoids) => size_of_val(&**ellipsoids),
         };
@@ -59,9 +59,9 @@ impl Cloud {
     }
 }
 
-impl From<Particles> for Cloud {
-    fn from(positions: Particles) -> Cloud {
-        Cloud { positions, shapes: Shapes::Balls, attributes: Vec::new() }
+impl From<OwnedPositions> for ParticleCloud {
+    fn from(positions: OwnedPositions) -> ParticleCloud {
+        ParticleCloud { positions, shapes: Shapes::Uniform, attributes: Vec::new() }
     }
 }
 
@@ -81,7 +81,7 @@ pub trait ParticleSource: Sync {
     fn batch(&self, batch: usize) -> Result<Positions<'_>, Self::Error>;
 
     /// The number of particles in a batch.
-    fn count_of(&self, batch: usize) -> usize;
+    fn batch_len(&self, batch: usize) -> usize;
 
     /// Whether particles differ in size or shape.
     fn has_shapes(&self) -> bool {
@@ -89,13 +89,13 @@ pub trait ParticleSource: Sync {
     }
 
     /// The shapes of the particles of a batch, in their order. All batches have the same variant:
-    /// [`Shapes::Balls`] unless they [have shapes](Self::has_shapes).
-    fn shapes_of(&self, _batch: usize) -> Shapes {
-        Shapes::Balls
+    /// [`Shapes::Uniform`] unless they [have shapes](Self::has_shapes).
+    fn batch_shapes(&self, _batch: usize) -> Shapes {
+        Shapes::Uniform
     }
 
     /// Whether position smoothing moved particles.
-    fn has_moved(&self) -> bool {
+    fn is_smoothed(&self) -> bool {
         false
     }
 
@@ -103,7 +103,7 @@ pub trait ParticleSource: Sync {
     ///
     /// # Errors
     /// As for [`batch`](Self::batch).
-    fn given_of(&self, _batch: usize) -> Result<Vec<[DVec3; 2]>, Self::Error> {
+    fn moved_pairs(&self, _batch: usize) -> Result<Vec<[DVec3; 2]>, Self::Error> {
         Ok(Vec::new())
     }
 }
@@ -120,24 +120,24 @@ impl<S: ParticleSource> ParticleSource for &S {
         (**self).batch(batch)
     }
 
-    fn count_of(&self, batch: usize) -> usize {
-        (**self).count_of(batch)
+    fn batch_len(&self, batch: usize) -> usize {
+        (**self).batch_len(batch)
     }
 
     fn has_shapes(&self) -> bool {
         (**self).has_shapes()
     }
 
-    fn shapes_of(&self, batch: usize) -> Shapes {
-        (**self).shapes_of(batch)
+    fn batch_shapes(&self, batch: usize) -> Shapes {
+        (**self).batch_shapes(batch)
     }
 
-    fn has_moved(&self) -> bool {
-        (**self).has_moved()
+    fn is_smoothed(&self) -> bool {
+        (**self).is_smoothed()
     }
 
-    fn given_of(&self, batch: usize) -> Result<Vec<[DVec3; 2]>, S::Error> {
-        (**self).given_of(batch)
+    fn moved_pairs(&self, batch: usize) -> Result<Vec<[DVec3; 2]>, S::Error> {
+        (**self).moved_pairs(batch)
     }
 }
 
@@ -185,29 +185,29 @@ macro_rules! positions_from {
 positions_from!(f32, F32);
 positions_from!(f64, F64);
 
-impl<'a> From<&'a Particles> for Positions<'a> {
-    fn from(particles: &'a Particles) -> Positions<'a> {
+impl<'a> From<&'a OwnedPositions> for Positions<'a> {
+    fn from(particles: &'a OwnedPositions) -> Positions<'a> {
         match particles {
-            Particles::Single(positions) => positions.into(),
-            Particles::Double(positions) => positions.into(),
+            OwnedPositions::F32(positions) => positions.into(),
+            OwnedPositions::F64(positions) => positions.into(),
         }
     }
 }
 
-impl From<Particles> for Positions<'_> {
-    fn from(particles: Particles) -> Self {
+impl From<OwnedPositions> for Positions<'_> {
+    fn from(particles: OwnedPositions) -> Self {
         match particles {
-            Particles::Single(positions) => positions.into(),
-            Particles::Double(positions) => positions.into(),
+            OwnedPositions::F32(positions) => positions.into(),
+            OwnedPositions::F64(positions) => positions.into(),
         }
     }
 }
 
-impl From<Positions<'_>> for Particles {
-    fn from(positions: Positions<'_>) -> Particles {
+impl From<Positions<'_>> for OwnedPositions {
+    fn from(positions: Positions<'_>) -> OwnedPositions {
         match positions {
-            Positions::F32(positions) => Particles::Single(positions.into_owned()),
-            Positions::F64(positions) => Particles::Double(positions.into_owned()),
+            Positions::F32(positions) => OwnedPositions::F32(positions.into_owned()),
+            Positions::F64(positions) => OwnedPositions::F64(positions.into_owned()),
         }
     }
 }
@@ -258,7 +258,7 @@ impl Positions<'_> {
     }
 }
 
-impl Particles {
+impl OwnedPositions {
     /// The number of particles.
     pub fn len(&self) -> usize {
         Positions::from(self).len()
@@ -272,8 +272,8 @@ impl Particles {
     /// The memory of the positions, in bytes.
     pub fn size_bytes(&self) -> usize {
         match self {
-            Particles::Single(positions) => size_of_val(&**positions),
-            Particles::Double(positions) => size_of_val(&**positions),
+            OwnedPositions::F32(positions) => size_of_val(&**positions),
+            OwnedPositions::F64(positions) => size_of_val(&**positions),
         }
     }
 
@@ -281,8 +281,8 @@ impl Particles {
     #[inline]
     pub fn position(&self, index: usize) -> DVec3 {
         match self {
-            Particles::Single(positions) => glam::Vec3::from(positions[index]).as_dvec3(),
-            Particles::Double(positions) => DVec3::from(positions[index]),
+            OwnedPositions::F32(positions) => glam::Vec3::from(positions[index]).as_dvec3(),
+            OwnedPositions::F64(positions) => DVec3::from(positions[index]),
         }
     }
 
@@ -303,12 +303,12 @@ impl ParticleSource for Positions<'_> {
         Ok(self.part(self.range_of(batch)))
     }
 
-    fn count_of(&self, batch: usize) -> usize {
+    fn batch_len(&self, batch: usize) -> usize {
         self.range_of(batch).len()
     }
 }
 
-impl ParticleSource for Particles {
+impl ParticleSource for OwnedPositions {
     type Error = Infallible;
 
     fn batch_count(&self) -> usize {
@@ -318,17 +318,17 @@ impl ParticleSource for Particles {
     fn batch(&self, batch: usize) -> Result<Positions<'_>, Infallible> {
         let range = self.range_of(batch);
         Ok(match self {
-            Particles::Single(positions) => Positions::from(&positions[range]),
-            Particles::Double(positions) => Positions::from(&positions[range]),
+            OwnedPositions::F32(positions) => Positions::from(&positions[range]),
+            OwnedPositions::F64(positions) => Positions::from(&positions[range]),
         })
     }
 
-    fn count_of(&self, batch: usize) -> usize {
+    fn batch_len(&self, batch: usize) -> usize {
         self.range_of(batch).len()
     }
 }
 
-impl ParticleSource for Cloud {
+impl ParticleSource for ParticleCloud {
     type Error = Infallible;
 
     fn batch_count(&self) -> usize {
@@ -339,15 +339,15 @@ impl ParticleSource for Cloud {
         self.positions.batch(batch)
     }
 
-    fn count_of(&self, batch: usize) -> usize {
-        self.positions.count_of(batch)
+    fn batch_len(&self, batch: usize) -> usize {
+        self.positions.batch_len(batch)
     }
 
     fn has_shapes(&self) -> bool {
-        !self.shapes.are_balls()
+        !self.shapes.is_uniform()
     }
 
-    fn shapes_of(&self, batch: usize) -> Shapes {
-        self.shapes.in_range(self.positions.range_of(batch))
+    fn batch_shapes(&self, batch: usize) -> Shapes {
+        self.shapes.slice(self.positions.range_of(batch))
     }
 }

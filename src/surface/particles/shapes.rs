@@ -17,7 +17,7 @@ use glam::Vec3;
 pub enum Shapes {
     /// Balls of the settings' radii.
     #[default]
-    Balls,
+    Uniform,
     /// Balls, with one scale of the settings' radii per particle.
     Scaled(Vec<f32>),
     /// Ellipsoids, one per particle.
@@ -26,15 +26,15 @@ pub enum Shapes {
 
 impl Shapes {
     /// Whether all particles have the same shape.
-    pub fn are_balls(&self) -> bool {
-        matches!(self, Shapes::Balls)
+    pub fn is_uniform(&self) -> bool {
+        matches!(self, Shapes::Uniform)
     }
 
     /// Circumscribed radius: how far particle `index` reaches from its centre, in units of the settings'
     /// radii.
-    pub fn longest(&self, index: usize) -> f32 {
+    pub fn outer_radius(&self, index: usize) -> f32 {
         match self {
-            Shapes::Balls => 1.0,
+            Shapes::Uniform => 1.0,
             Shapes::Scaled(scales) => scales[index],
             Shapes::Ellipsoids(ellipsoids) => ellipsoids[index].longest,
         }
@@ -42,27 +42,27 @@ impl Shapes {
 
     /// Inscribed radius, or a little less: a ball of this radius around the centre of particle `index` is
     /// inside it, in units of the settings' radii.
-    pub fn held(&self, index: usize) -> f32 {
+    pub fn inner_radius(&self, index: usize) -> f32 {
         match self {
-            Shapes::Balls => 1.0,
+            Shapes::Uniform => 1.0,
             Shapes::Scaled(scales) => scales[index],
-            Shapes::Ellipsoids(ellipsoids) => ellipsoids[index].held(),
+            Shapes::Ellipsoids(ellipsoids) => ellipsoids[index].inner_radius(),
         }
     }
 
     /// The shapes of a range of particles.
-    pub fn in_range(&self, range: Range<usize>) -> Shapes {
+    pub fn slice(&self, range: Range<usize>) -> Shapes {
         match self {
-            Shapes::Balls => Shapes::Balls,
+            Shapes::Uniform => Shapes::Uniform,
             Shapes::Scaled(scales) => Shapes::Scaled(scales[range].to_vec()),
             Shapes::Ellipsoids(ellipsoids) => Shapes::Ellipsoids(ellipsoids[range].to_vec()),
         }
     }
 
     /// The shapes of these particles.
-    pub fn of(&self, indices: &[u32]) -> Shapes {
+    pub fn select(&self, indices: &[u32]) -> Shapes {
         match self {
-            Shapes::Balls => Shapes::Balls,
+            Shapes::Uniform => Shapes::Uniform,
             Shapes::Scaled(scales) => {
                 Shapes::Scaled(indices.iter().map(|&index| scales[index as usize]).collect())
             }
@@ -80,7 +80,7 @@ impl Shapes {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ellipsoid {
     /// T: xx, yy, zz, xy, xz, yz.
-    pub to_ball: [f32; 6],
+    pub to_unit_ball: [f32; 6],
     /// The longest half axis: no point of the ellipsoid is farther from its centre.
     pub longest: f32,
 }
@@ -89,26 +89,26 @@ impl Ellipsoid {
     /// The ball whose half axes are all `scale`.
     pub fn ball(scale: f32) -> Ellipsoid {
         let inverse = 1.0 / scale;
-        Ellipsoid { to_ball: [inverse, inverse, inverse, 0.0, 0.0, 0.0], longest: scale }
+        Ellipsoid { to_unit_ball: [inverse, inverse, inverse, 0.0, 0.0, 0.0], longest: scale }
     }
 
     /// The ellipsoid with these half axes along these directions, which must be orthonormal.
     pub fn new(half_axes: [f32; 3], directions: [Vec3; 3]) -> Ellipsoid {
-        let mut to_ball = [0.0f32; 6];
+        let mut to_unit_ball = [0.0f32; 6];
         for (half_axis, direction) in half_axes.into_iter().zip(directions) {
             let Vec3 { x, y, z } = direction;
-            for (entry, product) in to_ball.iter_mut().zip([x * x, y * y, z * z, x * y, x * z, y * z]) {
+            for (entry, product) in to_unit_ball.iter_mut().zip([x * x, y * y, z * z, x * y, x * z, y * z]) {
                 *entry += product / half_axis;
             }
         }
-        Ellipsoid { to_ball, longest: half_axes.into_iter().fold(0.0, f32::max) }
+        Ellipsoid { to_unit_ball, longest: half_axes.into_iter().fold(0.0, f32::max) }
     }
 
     /// The shortest half axis, or a little less, in units of its radius. The largest eigenvalue of T is at
     /// most m + √2 s, with the mean m and the standard deviation s of the eigenvalues (Wolkowicz and Styan
     /// 1980, Theorem 2.1).
-    pub fn held(&self) -> f32 {
-        let [xx, yy, zz, xy, xz, yz] = self.to_ball;
+    pub fn inner_radius(&self) -> f32 {
+        let [xx, yy, zz, xy, xz, yz] = self.to_unit_ball;
         let mean = (xx + yy + zz) / 3.0;
         let diagonal = Vec3::new(xx - mean, yy - mean, zz - mean).length_squared();
         let variance = (diagonal + 2.0 * Vec3::new(xy, xz, yz).length_squared()) / 3.0;
@@ -119,7 +119,7 @@ impl Ellipsoid {
     /// How far it reaches from its centre along x, y and z, in units of its radius: the lengths of the rows
     /// of T⁻¹.
     pub fn extents(&self) -> Vec3 {
-        let [xx, yy, zz, xy, xz, yz] = self.to_ball;
+        let [xx, yy, zz, xy, xz, yz] = self.to_unit_ball;
         let cofactors = [
             Vec3::new(yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy),
             Vec3::new(xz * yz - xy * zz, xx * zz - xz * xz, xy * xz - xx * yz),
@@ -133,7 +133,7 @@ impl Ellipsoid {
     /// T·`v`.
     #[inline(always)]
     pub fn apply(&self, v: Vec3) -> Vec3 {
-        let [xx, yy, zz, xy, xz, yz] = self.to_ball;
+        let [xx, yy, zz, xy, xz, yz] = self.to_unit_ball;
         Vec3::new(
             xx * v.x + xy * v.y + xz * v.z,
             xy * v.x + yy * v.y + yz * v.z,
@@ -164,8 +164,8 @@ mod tests {
         };
         let expected = Vec3::new(reach(Vec3::X), reach(Vec3::Y), reach(Vec3::Z));
         assert!((ellipsoid.extents() - expected).length() < 1e-5, "{expected}");
-        assert!((0.4..0.5).contains(&ellipsoid.held()), "{}", ellipsoid.held());
-        assert!((1.999..2.0).contains(&Ellipsoid::ball(2.0).held()));
+        assert!((0.4..0.5).contains(&ellipsoid.inner_radius()), "{}", ellipsoid.inner_radius());
+        assert!((1.999..2.0).contains(&Ellipsoid::ball(2.0).inner_radius()));
         assert_eq!(Ellipsoid::ball(2.0).apply(Vec3::new(2.0, -4.0, 1.0)), Vec3::new(1.0, -2.0, 0.5));
     }
 }

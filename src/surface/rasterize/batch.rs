@@ -169,7 +169,7 @@ impl<T: Copy + Into<f64>> Kernel for ToLeafCoords<'_, T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::surface::particles::{ParticleSource, Particles};
+    use crate::surface::particles::{OwnedPositions, ParticleSource};
 
     #[test]
     fn batch_leaves_match_the_lattice() {
@@ -180,7 +180,7 @@ mod tests {
             .collect();
         positions.extend([[0.0, -1e-20, 0.0], [f64::NAN, 0.0, 0.0], [0.0, 0.0, f64::INFINITY]]);
         positions.extend([[limit, 0.0, 0.0], [0.0, -limit, 0.0], [0.999 * limit, 0.0, -0.999 * limit]]);
-        let particles = Particles::Double(positions.clone());
+        let particles = OwnedPositions::F64(positions.clone());
         let Ok(batch) = particles.batch(0);
         let batch = LeafBatch::new(&batch, &lattice, true);
         let mut found = 0;

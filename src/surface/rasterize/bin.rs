@@ -52,7 +52,7 @@ pub struct ParticleBins {
     /// from the others.
     pub dropped_count: usize,
     /// Approximate world position of one dropped particle, if any of them is finite.
-    pub stray: Option<DVec3>,
+    pub stray_position: Option<DVec3>,
 }
 
 impl ParticleBins {
@@ -72,7 +72,7 @@ impl ParticleBins {
                 return Ok(KeptParticles::default());
             }
             let sorted = LeafBatch::new(&source.batch(batch)?, lattice, occupancy.has_shapes);
-            Ok(KeptParticles::new(&sorted, &source.shapes_of(batch), culling))
+            Ok(KeptParticles::new(&sorted, &source.batch_shapes(batch), culling))
         };
         let batch_count = source.batch_count();
         let group = batch_count.div_ceil(GROUPS).max(1);
@@ -87,9 +87,18 @@ impl ParticleBins {
         let topology =
             Topology::new(leaves.iter().map(|&leaf| culling.occupied().origins()[leaf as usize]).collect());
         let (particle_count, dropped_count) = (occupancy.particle_count(), occupancy.dropped_count());
-        let stray = occupancy.stray();
+        let stray_position = occupancy.stray_position();
         let deep = if occupancy.has_shapes { culling.deep_leaves().collect() } else { FxHashSet::default() };
-        Ok(ParticleBins { topology, starts, positions, shapes, deep, particle_count, dropped_count, stray })
+        Ok(ParticleBins {
+            topology,
+            starts,
+            positions,
+            shapes,
+            deep,
+            particle_count,
+            dropped_count,
+            stray_position,
+        })
     }
 
     /// The particles of a leaf, in voxels relative to its origin.
@@ -140,7 +149,7 @@ const GROUPS: usize = 256;
 
 impl Default for KeptParticles {
     fn default() -> KeptParticles {
-        KeptParticles { leaves: Vec::new(), starts: vec![0], positions: Vec::new(), shapes: Shapes::Balls }
+        KeptParticles { leaves: Vec::new(), starts: vec![0], positions: Vec::new(), shapes: Shapes::Uniform }
     }
 }
 
@@ -169,7 +178,7 @@ impl KeptParticles {
             }
         }
         positions.shrink_to_fit();
-        KeptParticles { leaves, starts, positions, shapes: shapes.of(&kept_indices) }
+        KeptParticles { leaves, starts, positions, shapes: shapes.select(&kept_indices) }
     }
 
     /// Merges batches. Particles of one leaf keep the order of the batches.
@@ -213,8 +222,8 @@ pub(super) fn cell_of(local: Vec3) -> usize {
 /// Gathers the shapes of the particles of these leaves from all batches.
 fn gather_shapes(batches: &[KeptParticles], leaves: &[u32], starts: &[usize]) -> Shapes {
     // All batches have the same variant.
-    match batches.iter().map(|batch| &batch.shapes).find(|shapes| !shapes.are_balls()) {
-        None | Some(Shapes::Balls) => Shapes::Balls,
+    match batches.iter().map(|batch| &batch.shapes).find(|shapes| !shapes.is_uniform()) {
+        None | Some(Shapes::Uniform) => Shapes::Uniform,
         Some(Shapes::Scaled(_)) => {
             Shapes::Scaled(gather(batches, leaves, starts, 1.0, |batch| match &batch.shapes {
                 Shapes::Scaled(scales) => scales,

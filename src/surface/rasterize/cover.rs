@@ -136,7 +136,7 @@ fn voxels_of(found: [[u32; 8]; 8]) -> LeafMask {
 mod tests {
     use super::*;
     use crate::surface::grid::voxel_in_leaf;
-    use crate::surface::simd::{Level, dispatch_at};
+    use crate::surface::simd::{SimdLevel, dispatch_at};
     use glam::{IVec3, Vec3};
 
     /// All octants around a leaf as one list, relative to its origin.
@@ -178,7 +178,7 @@ mod tests {
                 |voxel: IVec3| all.iter().filter_map(|&octant| far(voxel, octant)).fold(99.0, f32::min);
             let expected = LeafMask::from_fn(|offset| nearest(voxel_in_leaf(offset)) < radius - ROUNDING);
             let balls = [OctantBall::new(radius), OctantBall::new(0.0)];
-            for level in Level::ALL {
+            for level in SimdLevel::ALL {
                 let cover = Cover { around: around.each_ref(), balls: balls.each_ref() };
                 assert_eq!(dispatch_at(level, cover), [expected, LeafMask::EMPTY], "{radius}, {level:?}");
             }
@@ -193,7 +193,7 @@ mod tests {
         around[13].rows[9 * 16 + 6] = 1 << 3;
         let balls = [OctantBall::new(2.598)];
         let [covered] =
-            dispatch_at(Level::Baseline, Cover { around: around.each_ref(), balls: balls.each_ref() });
+            dispatch_at(SimdLevel::Baseline, Cover { around: around.each_ref(), balls: balls.each_ref() });
         assert!(covered.count() > 40);
         for voxel in covered.iter().map(|offset| voxel_in_leaf(offset).as_vec3()) {
             for corner in [Vec3::new(4.5, 3.0, 1.5), Vec3::new(5.0, 3.5, 2.0), Vec3::new(4.5, 3.5, 1.5)] {

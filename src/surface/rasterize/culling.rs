@@ -56,7 +56,7 @@ use rustc_hash::FxHashSet;
 use super::cover::{Cover, OctantBall};
 use super::occupancy::{Occupancy, Octants, ROUND};
 use super::region::Regions;
-use super::{Radii, Scene};
+use super::{Radii, RasterParams};
 use crate::surface::grid::{LEAF_EDGE, LeafMask, NO_LEAF, Topology, leaf_steps_within};
 use crate::surface::simd::{self, Kernel, Lanes};
 use crate::surface::space::CoordBox;
@@ -96,7 +96,7 @@ const ROUNDING: f32 = 1e-2;
 
 impl<'a> Culling<'a> {
     /// What can matter to the leaves of a window.
-    pub(super) fn new(occupancy: &'a Occupancy, scene: &Scene, regions: &Regions) -> Culling<'a> {
+    pub(super) fn new(occupancy: &'a Occupancy, scene: &RasterParams, regions: &Regions) -> Culling<'a> {
         let radii = scene.radii;
         let occupied = populated(&occupancy.topology, &regions.populated);
         let inward = (-radii.offset).max(0.0);
@@ -215,8 +215,8 @@ fn covers(
     radii: Radii,
     balls: impl Fn(f32) -> [OctantBall; 2],
 ) -> Vec<Covers> {
-    let of_any = balls(radii.shortest);
-    let of_round = balls(ROUND.max(radii.shortest));
+    let of_any = balls(radii.min_scale);
+    let of_round = balls(ROUND.max(radii.min_scale));
     let is_any_empty = of_any.iter().all(OctantBall::is_empty);
     let around = |origin: IVec3, octants: fn(&Occupancy, IVec3) -> Option<&Octants>| {
         cube(|step| octants(occupancy, origin + step).unwrap_or(&Octants::EMPTY))
@@ -227,7 +227,7 @@ fn covers(
             let around = around(origin, Occupancy::octants_of);
             covers = simd::dispatch(Cover { around, balls: of_any.each_ref() });
         }
-        if occupancy.has_shapes && radii.shortest < ROUND {
+        if occupancy.has_shapes && radii.min_scale < ROUND {
             let around = around(origin, Occupancy::round_octants_of);
             let by_round = simd::dispatch(Cover { around, balls: of_round.each_ref() });
             covers = [0, 1].map(|ball| covers[ball].or(&by_round[ball]));
@@ -268,7 +268,7 @@ fn near_leaves(
     occupancy: &Occupancy,
     occupied: &Topology,
     inside: &[LeafMask],
-    scene: &Scene,
+    scene: &RasterParams,
     region: &CoordBox,
 ) -> Topology {
     let radius = scene.radii.init;

@@ -56,7 +56,7 @@ impl<'a> DistanceSolver<'a> {
     /// A solver for these particles.
     pub(super) fn new(bins: &'a ParticleBins, radii: Radii) -> DistanceSolver<'a> {
         match &bins.shapes {
-            Shapes::Balls => DistanceSolver::Centers(ParticlePackets::new(bins), radii.exact_reach(1.0)),
+            Shapes::Uniform => DistanceSolver::Centers(ParticlePackets::new(bins), radii.exact_reach(1.0)),
             Shapes::Scaled(scales) => {
                 DistanceSolver::Balls(Primitives::new(bins, radii, |particle| BallShape(scales[particle])))
             }

@@ -29,7 +29,9 @@ use rayon::prelude::*;
 use super::bin::ParticleBins;
 use super::sphere::{OUT_OF_REACH, greatest};
 use super::{EXACT_MARGIN, Radii};
-use crate::surface::grid::{Bits, Field, LEAF_EDGE, Leaf, LeafMask, ROW_COUNT, Topology, leaf_steps_within};
+use crate::surface::grid::{
+    Field, LEAF_EDGE, Leaf, LeafMask, ROW_COUNT, SetBits, Topology, leaf_steps_within,
+};
 use crate::surface::particles::Ellipsoid;
 use crate::surface::simd::{self, Kernel, Lanes};
 
@@ -79,7 +81,7 @@ pub(super) struct EllipsoidShape {
 
 impl EllipsoidShape {
     pub(super) fn new(ellipsoid: Ellipsoid) -> EllipsoidShape {
-        let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball;
+        let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_unit_ball;
         let norm = (xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + xz * xz + yz * yz)).sqrt();
         EllipsoidShape { row_form: RowForm::of(&ellipsoid), ratio_min: 1.0 / norm, ellipsoid }
     }
@@ -302,7 +304,7 @@ impl<F: ParticleShape> Kernel for Signed<'_, F> {
         let mut values = EllipsoidDistances::new::<V>(self.settled, self.radii, axes);
         for around in self.around {
             for (eight, boxes) in around.boxes.iter().enumerate() {
-                for lane in Bits(near_bits::<V>(boxes, around.step)) {
+                for lane in SetBits(near_bits::<V>(boxes, around.step)) {
                     let primitive = &around.primitives[8 * eight + (lane & 7)];
                     primitive.shape.lower::<V>(
                         &mut values,
@@ -433,7 +435,7 @@ impl ParticleShape for BallShape {
 
     /// A larger ball stops contributing farther from its S_0, so the smallest ball gives the bound.
     fn complete_to(radii: &Radii) -> [f32; 3] {
-        [radii.max, radii.init, radii.min].map(|radius| EXACT_MARGIN + radii.shortest * (radii.max - radius))
+        [radii.max, radii.init, radii.min].map(|radius| EXACT_MARGIN + radii.min_scale * (radii.max - radius))
     }
 
     fn extents(&self, outermost: f32) -> Vec3 {
@@ -487,7 +489,7 @@ impl ParticleShape for EllipsoidShape {
     #[inline(always)]
     fn lower<V: Lanes>(&self, values: &mut EllipsoidDistances, center: Vec3, extents: Vec3) {
         let EllipsoidShape { ellipsoid, row_form, ratio_min } = self;
-        let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball;
+        let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_unit_ball;
         let dz = along_z::<V>(center.z);
         let counts_along_z = V::not(V::splat(extents.z).lt(dz.abs()));
         let (along_x, along_y, along_z) = (V::splat(xz).mul(dz), V::splat(yz).mul(dz), V::splat(zz).mul(dz));
@@ -533,7 +535,7 @@ struct RowForm {
 
 impl RowForm {
     fn of(ellipsoid: &Ellipsoid) -> RowForm {
-        let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball;
+        let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_unit_ball;
         let (x, y, z) = (Vec3::new(xx, xy, xz), Vec3::new(xy, yy, yz), Vec3::new(xz, yz, zz));
         // A step along z cancels the component along T·z.
         let per_square = 1.0 / z.dot(z);
@@ -554,7 +556,7 @@ impl RowForm {
 
 /// An upper bound of |T·v| over unit vectors v: the maximum absolute row sum.
 fn longest_image(ellipsoid: &Ellipsoid) -> f32 {
-    let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball.map(f32::abs);
+    let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_unit_ball.map(f32::abs);
     (xx + xy + xz).max(xy + yy + yz).max(xz + yz + zz)
 }
 

@@ -16,7 +16,7 @@ use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 use rustc_hash::{FxHashMap, FxHashSet};
 
-use super::Scene;
+use super::RasterParams;
 use super::batch::LeafBatch;
 use super::leaf_map::ConcurrentLeafMap;
 use super::spread::spread;
@@ -102,11 +102,11 @@ fn shaped_count(occupied: &FxHashMap<IVec3, (usize, bool)>, near: NearSurface) -
 /// Returns the source's error if a batch cannot be read.
 pub fn footprint<S: ParticleSource>(
     source: &S,
-    scene: &Scene,
+    scene: &RasterParams,
     shaped: Option<NearSurface>,
 ) -> Result<Footprint, S::Error> {
-    let Scene { lattice, radii, .. } = scene;
-    let near = LeafReach::new(radii.init * radii.roomy + radii.half_width());
+    let RasterParams { lattice, radii, .. } = scene;
+    let near = LeafReach::new(radii.init * radii.band_scale + radii.half_width());
     let cells = LeafCells::new(radii.init);
     let leaf_map: ConcurrentLeafMap<FootprintLeaf> = ConcurrentLeafMap::new();
     let dropped_count = AtomicUsize::new(0);
@@ -168,7 +168,7 @@ pub fn footprint<S: ParticleSource>(
 }
 
 /// Leaves that an obstacle's surface passes through: the fluid has a surface there, too.
-fn leaves_at_obstacles(scene: &Scene, occupied: impl Iterator<Item = IVec3>) -> Vec<IVec3> {
+fn leaves_at_obstacles(scene: &RasterParams, occupied: impl Iterator<Item = IVec3>) -> Vec<IVec3> {
     if scene.obstacles.is_empty() {
         return Vec::new();
     }
@@ -313,24 +313,24 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::surface::obstacle::{Obstacle, Obstacles, Shape, Solid};
-    use crate::surface::particles::Particles;
+    use crate::surface::obstacle::{MeshSdf, Obstacle, ObstacleSdf, Obstacles};
+    use crate::surface::particles::OwnedPositions;
     use crate::surface::rasterize::{Radii, rasterize};
     use crate::surface::space::Lattice;
 
-    const RADII: Radii = Radii::of_balls(1.732, 2.598, 3.464);
+    const RADII: Radii = Radii::uniform(1.732, 2.598, 3.464);
     const LATTICE: Lattice = Lattice { voxel_size: 1.0 };
 
     /// Particles with an average spacing of two voxels in a box of `counts` particles, each jittered by up to
     /// a voxel; keeps only one in `every`.
-    fn scattered(counts: [usize; 3], every: usize) -> Particles {
+    fn scattered(counts: [usize; 3], every: usize) -> OwnedPositions {
         let moved = |seed: usize| ((seed as u32).wrapping_mul(0x9e37_79b9) >> 8) as f32 / (1 << 24) as f32;
         let particle = |index: usize| {
             let steps = [index / counts[2] / counts[1], index / counts[2] % counts[1], index % counts[2]];
             [0, 1, 2].map(|axis| 2.0 * steps[axis] as f32 + moved(3 * index + axis))
         };
         let indices = (0..counts.iter().product()).filter(|&index| moved(7 * index) * (every as f32) < 1.0);
-        Particles::Single(indices.map(particle).collect())
+        OwnedPositions::F32(indices.map(particle).collect())
     }
 
     #[test]
@@ -339,8 +339,8 @@ mod tests {
         for (counts, every) in scenes {
             let particles = scattered(counts, every);
             let Ok(Footprint { surface, near_particle_count, .. }) =
-                footprint(&particles, &Scene::open(LATTICE, RADII), None);
-            let Ok(rasterized) = rasterize(&particles, &Scene::open(LATTICE, RADII));
+                footprint(&particles, &RasterParams::open(LATTICE, RADII), None);
+            let Ok(rasterized) = rasterize(&particles, &RasterParams::open(LATTICE, RADII));
             let (found, real) = (surface.len(), rasterized.band.topology.len());
             let ratio = found as f64 / real as f64;
             assert!((1.0..1.7).contains(&ratio), "{found} leaves for {real} in {counts:?} / {every}");
@@ -361,12 +361,12 @@ mod tests {
             });
             let faces =
                 [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]];
-            let shape = Shape::Solid(Solid::new(&corners, &faces));
+            let shape = ObstacleSdf::Mesh(MeshSdf::new(&corners, &faces));
             Obstacles { members: vec![Arc::new(Obstacle::new(shape, 1 << 24))] }
         };
         for radius in [10.0, 25.0] {
             let obstacles = octahedron(radius);
-            let scene = Scene { obstacles: &obstacles, ..Scene::open(LATTICE, RADII) };
+            let scene = RasterParams { obstacles: &obstacles, ..RasterParams::open(LATTICE, RADII) };
             let Ok(Footprint { surface, .. }) = footprint(&particles, &scene, None);
             let Ok(rasterized) = rasterize(&particles, &scene);
             let ratio = surface.len() as f64 / rasterized.band.topology.len() as f64;
@@ -377,13 +377,13 @@ mod tests {
     #[test]
     fn footprint_area_counts_open_cell_faces() {
         // A block that fills 3 × 3 × 3 leaves, and an isolated particle in a cell of 4 voxels.
-        let Ok(block) = footprint(&scattered([12, 12, 12], 1), &Scene::open(LATTICE, RADII), None);
+        let Ok(block) = footprint(&scattered([12, 12, 12], 1), &RasterParams::open(LATTICE, RADII), None);
         assert_eq!(block.area_voxels, 6 * 24 * 24);
         let Ok(particle) =
-            footprint(&Particles::Single(vec![[100.5; 3]]), &Scene::open(LATTICE, RADII), None);
+            footprint(&OwnedPositions::F32(vec![[100.5; 3]]), &RasterParams::open(LATTICE, RADII), None);
         assert_eq!(particle.area_voxels, 6 * 4 * 4);
         let Ok(nothing) =
-            footprint(&Particles::Single(vec![[f32::NAN; 3]]), &Scene::open(LATTICE, RADII), None);
+            footprint(&OwnedPositions::F32(vec![[f32::NAN; 3]]), &RasterParams::open(LATTICE, RADII), None);
         assert_eq!(nothing, Footprint { dropped_count: 1, ..Footprint::default() });
     }
 }

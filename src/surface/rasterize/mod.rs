@@ -35,7 +35,7 @@ mod region;
 mod signed_distance;
 mod sphere;
 mod spread;
-mod strayed;
+mod stray;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]
@@ -54,7 +54,7 @@ pub use vicinity::{GatherBlock, Gathered, Vicinity};
 
 use crate::surface::grid::{FACE_STEPS, Field, LEAF_EDGE, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
 use crate::surface::level_set::{Bounds, NarrowBand};
-use crate::surface::obstacle::{ContactTally, ObstacleLeaf, Obstacles, hold_contact};
+use crate::surface::obstacle::{ContactStats, ObstacleLeaf, Obstacles, apply_obstacle_constraint};
 use crate::surface::particles::ParticleSource;
 use crate::surface::simd::{self, Kernel, Lanes};
 use crate::surface::space::{CoordBox, Lattice};
@@ -74,10 +74,10 @@ pub struct Radii {
     /// r_max: the surface stays inside these spheres.
     pub max: f32,
     /// Lower bound of all half axes, in units of the radii: 1 for uniform balls.
-    pub shortest: f32,
+    pub min_scale: f32,
     /// Half axis that the band is sized for, in units of the radii: 1 for uniform balls. Particles may have
     /// longer half axes; then the surface cannot move quite as far as their bounds would allow.
-    pub roomy: f32,
+    pub band_scale: f32,
     /// Offset of the finished surface, in voxels: positive outward, negative inward. The band is sized for
     /// it.
     pub offset: f32,
@@ -88,8 +88,8 @@ const EXACT_MARGIN: f32 = 2.0;
 
 impl Radii {
     /// The radii of uniform balls.
-    pub const fn of_balls(min: f32, init: f32, max: f32) -> Radii {
-        Radii { min, init, max, shortest: 1.0, roomy: 1.0, offset: 0.0 }
+    pub const fn uniform(min: f32, init: f32, max: f32) -> Radii {
+        Radii { min, init, max, min_scale: 1.0, band_scale: 1.0, offset: 0.0 }
     }
 
     /// Half width of the band during smoothing, in voxels. After the surface is moved by the offset, the part
@@ -101,7 +101,7 @@ impl Radii {
     /// Half width that smoothing may need (Eq. 7), in voxels: it reads values up to 5 voxels from the surface,
     /// and the surface may move to either bound. The resulting band has this half width, too.
     pub fn result_half_width(&self) -> f32 {
-        let gap = (self.max - self.init).max(self.init - self.min) * self.roomy;
+        let gap = (self.max - self.init).max(self.init - self.min) * self.band_scale;
         // Tolerates rounding: radii that differ by whole voxels need no extra voxel.
         5.0 + (gap - 1e-4).max(0.0).ceil()
     }
@@ -116,7 +116,7 @@ impl Radii {
 
     /// Number of leaves around a window that are rasterized with it.
     pub fn window_halo_leaves(&self) -> i32 {
-        let regions = Regions::new(CoordBox { min: IVec3::ZERO, max: IVec3::ZERO }, *self, self.roomy);
+        let regions = Regions::new(CoordBox { min: IVec3::ZERO, max: IVec3::ZERO }, *self, self.band_scale);
         (regions.own.min.x - regions.measured.min.x) / LEAF_EDGE
     }
 
@@ -141,7 +141,7 @@ impl Radii {
 
 /// Parameters of rasterization.
 #[derive(Clone, Copy)]
-pub struct Scene<'a> {
+pub struct RasterParams<'a> {
     /// Maps world positions to voxels.
     pub lattice: Lattice,
     /// The radii of the spheres.
@@ -154,11 +154,17 @@ pub struct Scene<'a> {
     pub keeps_all_particles: bool,
 }
 
-impl Scene<'_> {
+impl RasterParams<'_> {
     /// A scene without obstacles.
-    pub fn open(lattice: Lattice, radii: Radii) -> Scene<'static> {
+    pub fn open(lattice: Lattice, radii: Radii) -> RasterParams<'static> {
         static NO_OBSTACLES: Obstacles = Obstacles { members: Vec::new() };
-        Scene { lattice, radii, obstacles: &NO_OBSTACLES, void_threshold: 0.0, keeps_all_particles: false }
+        RasterParams {
+            lattice,
+            radii,
+            obstacles: &NO_OBSTACLES,
+            void_threshold: 0.0,
+            keeps_all_particles: false,
+        }
     }
 
     /// The obstacles' signed distances in the leaf with this origin, in voxels.
@@ -197,14 +203,14 @@ pub struct RasterFields {
     /// The bounds, on the same leaves.
     pub bounds: Bounds,
     /// What the obstacles changed.
-    pub contact: ContactTally,
+    pub contact: ContactStats,
 }
 
 /// Rasterizes a frame.
 ///
 /// # Errors
 /// Returns the source's error if a batch cannot be read.
-pub fn rasterize<S: ParticleSource>(source: &S, scene: &Scene) -> Result<RasterFields, S::Error> {
+pub fn rasterize<S: ParticleSource>(source: &S, scene: &RasterParams) -> Result<RasterFields, S::Error> {
     let occupancy = Occupancy::new(source, &scene.lattice)?;
     let regions = Regions::new(CoordBox::ALL, scene.radii, occupancy.longest());
     let measured = measure(source, &occupancy, scene, &regions)?;
@@ -220,7 +226,7 @@ pub fn rasterize<S: ParticleSource>(source: &S, scene: &Scene) -> Result<RasterF
 pub fn rasterize_window<S: ParticleSource>(
     source: &S,
     occupancy: &Occupancy,
-    scene: &Scene,
+    scene: &RasterParams,
     window: CoordBox,
 ) -> Result<RasterFields, S::Error> {
     let regions = Regions::new(window, scene.radii, occupancy.longest());
@@ -232,10 +238,10 @@ pub fn rasterize_window<S: ParticleSource>(
 ///
 /// # Errors
 /// Returns the source's error if a batch cannot be read.
-pub fn particles_of_window<S: ParticleSource>(
+pub fn particles_in_window<S: ParticleSource>(
     source: &S,
     occupancy: &Occupancy,
-    scene: &Scene,
+    scene: &RasterParams,
     window: CoordBox,
 ) -> Result<ParticleBins, S::Error> {
     let regions = Regions::new(window, scene.radii, occupancy.longest());
@@ -253,7 +259,7 @@ struct NearDistances {
 fn measure<S: ParticleSource>(
     source: &S,
     occupancy: &Occupancy,
-    scene: &Scene,
+    scene: &RasterParams,
     regions: &Regions,
 ) -> Result<NearDistances, S::Error> {
     let culling = Culling::new(occupancy, scene, regions);
@@ -273,7 +279,7 @@ fn measure<S: ParticleSource>(
 fn leaves_near_surface(
     culling: &Culling,
     distances: &SphereDistances,
-    scene: &Scene,
+    scene: &RasterParams,
     regions: &Regions,
 ) -> Vec<IVec3> {
     let mut inside = distances.inside(SphereUnion::Init, scene.radii);
@@ -324,7 +330,7 @@ fn remove_obstacle(inside: &mut LeafMask, obstacle: &ObstacleLeaf) {
 }
 
 /// φ_0 and the bounds, on the leaves with a value of φ_0 within the half width.
-fn level_sets(measured: NearDistances, scene: &Scene, regions: &Regions) -> RasterFields {
+fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) -> RasterFields {
     let NearDistances { bins, topology, mut distances } = measured;
     let radii = scene.radii;
     let half_width = radii.half_width();
@@ -355,11 +361,11 @@ fn level_sets(measured: NearDistances, scene: &Scene, regions: &Regions) -> Rast
     // bounds beyond the band must not let the surface leave it; those of uniform balls never do. The surface
     // moves far inward only where it is sharply convex, as around small balls, and their own S_min is near.
     // The room for the offset is not included.
-    let held_beyond = if bins.shapes.are_balls() { f32::INFINITY } else { radii.result_half_width() - 2.0 };
-    finish(&mut band, &mut bounds, (held_beyond, POSITIVE_MARGIN + radii.outward()));
+    let inner_from = if bins.shapes.is_uniform() { f32::INFINITY } else { radii.result_half_width() - 2.0 };
+    finish(&mut band, &mut bounds, (inner_from, POSITIVE_MARGIN + radii.outward()));
     let contact = match scene.obstacles.is_empty() {
-        true => ContactTally::default(),
-        false => hold_contact(
+        true => ContactStats::default(),
+        false => apply_obstacle_constraint(
             |origin| scene.obstacle_before_offset(origin),
             scene.void_threshold,
             &mut band,
@@ -408,12 +414,12 @@ fn sweep_count(half_width: f32) -> u32 {
 }
 
 /// Clamps all values to ± half width, ensures `lower` ≤ `upper` at every voxel (independent sweeps do not
-/// guarantee it), and clamps φ between them. Where φ_0 is more than `held_beyond`, φ stays above `held`.
-fn finish(band: &mut NarrowBand, bounds: &mut Bounds, (held_beyond, held): (f32, f32)) {
+/// guarantee it), and clamps φ between them. X.
+fn finish(band: &mut NarrowBand, bounds: &mut Bounds, (inner_from, inner_value): (f32, f32)) {
     let half_width = band.half_width;
     let bounds = bounds.lower.leaves.par_iter_mut().zip(&mut bounds.upper.leaves);
     band.phi.leaves.par_iter_mut().zip(bounds).for_each(|(phi, (lower, upper))| {
-        simd::dispatch(ClampLeaf { half_width, held_beyond, held, phi, lower, upper });
+        simd::dispatch(ClampLeaf { half_width, inner_from, inner_value, phi, lower, upper });
     });
 }
 
@@ -423,8 +429,8 @@ const POSITIVE_MARGIN: f32 = 1.0;
 /// Kernel: clamps the values of one leaf.
 struct ClampLeaf<'a> {
     half_width: f32,
-    held_beyond: f32,
-    held: f32,
+    inner_from: f32,
+    inner_value: f32,
     phi: &'a mut Leaf,
     lower: &'a mut Leaf,
     upper: &'a mut Leaf,
@@ -436,12 +442,12 @@ impl Kernel for ClampLeaf<'_> {
     #[inline(always)]
     fn run<V: Lanes>(self) {
         let (least, most) = (V::splat(-self.half_width), V::splat(self.half_width));
-        let (held, held_beyond) = (V::splat(self.held), V::splat(self.held_beyond));
+        let (inner_value, inner_from) = (V::splat(self.inner_value), V::splat(self.inner_from));
         for row in 0..ROW_COUNT {
             let (phi, lower, upper) =
                 (self.phi.row_mut(row), self.lower.row_mut(row), self.upper.row_mut(row));
             let start = V::load(phi).max(least).min(most);
-            let lowest = V::select(held_beyond.lt(start), held, least);
+            let lowest = V::select(inner_from.lt(start), inner_value, least);
             let new_upper = V::load(upper).max(least).min(most);
             let new_lower = V::load(lower).max(lowest).min(most).min(new_upper);
             let new_phi = start.max(new_lower).min(new_upper);

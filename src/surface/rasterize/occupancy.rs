@@ -17,7 +17,7 @@ use rayon::prelude::*;
 
 use super::batch::LeafBatch;
 use super::leaf_map::{ConcurrentLeafMap, LeafMap};
-use super::strayed::strayed;
+use super::stray::stray_leaves;
 use crate::surface::grid::{LEAF_EDGE, Topology};
 use crate::surface::particles::ParticleSource;
 use crate::surface::space::{CoordBox, Lattice};
@@ -33,9 +33,9 @@ pub struct Occupancy {
     /// A summary of each batch.
     pub(super) batches: Vec<BatchSummary>,
     /// Number of particles [too far](strayed) from the others.
-    strayed_count: usize,
+    stray_count: usize,
     /// Approximate world position of one particle that is too far away, for the grid or from the others.
-    stray: Option<DVec3>,
+    stray_position: Option<DVec3>,
 }
 
 /// The particles of a leaf.
@@ -103,11 +103,11 @@ impl Occupancy {
         let leaf_map: ConcurrentLeafMap<OccupiedLeaf> = ConcurrentLeafMap::new();
         let has_shapes = source.has_shapes();
         let look = |batch_index: usize| -> Result<BatchSummary, S::Error> {
-            let shapes = source.shapes_of(batch_index);
+            let shapes = source.batch_shapes(batch_index);
             let batch = LeafBatch::new(&source.batch(batch_index)?, lattice, has_shapes);
             let mut voxels = CoordBox::EMPTY;
             for (origin, locals, indices) in batch.leaves_with_indices() {
-                let longest = indices.iter().map(|&index| shapes.longest(index as usize));
+                let longest = indices.iter().map(|&index| shapes.outer_radius(index as usize));
                 let longest = longest.fold(if has_shapes { 0.0 } else { 1.0 }, f32::max);
                 voxels.include(origin);
                 voxels.include(origin + IVec3::splat(LEAF_EDGE - 1));
@@ -123,7 +123,7 @@ impl Occupancy {
                     |leaf| {
                         locals.iter().for_each(|&local| leaf.octants.insert(local));
                         if let Some(round) = &mut leaf.round {
-                            let is_round = |index: u32| shapes.held(index as usize) >= ROUND;
+                            let is_round = |index: u32| shapes.inner_radius(index as usize) >= ROUND;
                             let particles = locals.iter().zip(indices).filter(|(_, index)| is_round(**index));
                             particles.for_each(|(&local, _)| round.insert(local));
                         }
@@ -138,30 +138,30 @@ impl Occupancy {
         };
         let batches = (0..source.batch_count()).into_par_iter().map(look).collect::<Result<Vec<_>, _>>()?;
         let mut occupied = leaf_map.freeze();
-        let strayed = strayed(|| occupied.iter().map(|(&origin, leaf)| (origin, leaf.count)));
+        let strayed = stray_leaves(|| occupied.iter().map(|(&origin, leaf)| (origin, leaf.count)));
         let mut count_of_removed = |&origin: &IVec3| occupied.remove(origin).map_or(0, |leaf| leaf.count);
-        let strayed_count = strayed.iter().map(&mut count_of_removed).sum();
+        let stray_count = strayed.iter().map(&mut count_of_removed).sum();
         let of_leaf = |origin: &IVec3| (origin.as_dvec3() + 0.5 * f64::from(LEAF_EDGE)) * lattice.voxel_size;
-        let stray =
+        let stray_position =
             batches.iter().find_map(|batch| batch.beyond_grid).or_else(|| strayed.first().map(of_leaf));
         let topology = Topology::new(occupied.iter().map(|(&origin, _)| origin).collect());
-        Ok(Occupancy { topology, occupied, has_shapes, batches, strayed_count, stray })
+        Ok(Occupancy { topology, occupied, has_shapes, batches, stray_count, stray_position })
     }
 
     /// Number of particles that were not dropped.
     pub fn particle_count(&self) -> usize {
-        self.batches.iter().map(|batch| batch.placed_count).sum::<usize>() - self.strayed_count
+        self.batches.iter().map(|batch| batch.placed_count).sum::<usize>() - self.stray_count
     }
 
     /// Number of dropped particles: positions that are not finite, outside the grid's index range, or too far
     /// from the others.
     pub fn dropped_count(&self) -> usize {
-        self.batches.iter().map(|batch| batch.dropped_count).sum::<usize>() + self.strayed_count
+        self.batches.iter().map(|batch| batch.dropped_count).sum::<usize>() + self.stray_count
     }
 
     /// Approximate world position of one dropped particle, if any of them is finite.
-    pub fn stray(&self) -> Option<DVec3> {
-        self.stray
+    pub fn stray_position(&self) -> Option<DVec3> {
+        self.stray_position
     }
 
     /// The octants of the leaf with this origin.
@@ -193,13 +193,13 @@ impl Occupancy {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::surface::particles::{Particles, Positions};
+    use crate::surface::particles::{OwnedPositions, Positions};
 
     #[test]
     fn octants_contain_the_particles() {
         let positions = vec![[0.0, 0.4, 0.5], [7.9, -0.1, 3.0], [f32::NAN; 3], [0.1, 0.2, 0.9]];
         let lattice = Lattice { voxel_size: 1.0 };
-        let Ok(occupancy) = Occupancy::new(&Particles::Single(positions), &lattice);
+        let Ok(occupancy) = Occupancy::new(&OwnedPositions::F32(positions), &lattice);
         assert_eq!((occupancy.particle_count(), occupancy.dropped_count()), (3, 1));
         assert_eq!(occupancy.topology.origins(), [IVec3::new(0, -8, 0), IVec3::ZERO]);
         let octants = [IVec3::new(0, -8, 0), IVec3::ZERO].map(|origin| occupancy.octants_of(origin).unwrap());
@@ -231,7 +231,7 @@ mod tests {
             if batch == 2 { Err("the end is missing") } else { Ok(Positions::F32(vec![[0.0; 3]].into())) }
         }
 
-        fn count_of(&self, _batch: usize) -> usize {
+        fn batch_len(&self, _batch: usize) -> usize {
             1
         }
     }

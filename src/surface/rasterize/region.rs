@@ -71,7 +71,7 @@ mod tests {
 
     #[test]
     fn one_leaf_window_needs_these_rings_of_leaves() {
-        let radii = Radii::of_balls(1.732, 2.598, 3.464);
+        let radii = Radii::uniform(1.732, 2.598, 3.464);
         let regions = Regions::new(CoordBox { min: IVec3::ZERO, max: IVec3::splat(7) }, radii, 1.0);
         // 23 voxels for the sweeps are three leaves; then follow 7 voxels, 1 voxel and 7 voxels.
         let rings = [0, 3, 6, 7, 8, 9];
@@ -93,7 +93,7 @@ mod tests {
 
     #[test]
     fn everywhere_contains_the_index_range() {
-        let radii = Radii::of_balls(32.0, 48.0, 64.0);
+        let radii = Radii::uniform(32.0, 48.0, 64.0);
         let own = Regions::new(CoordBox::ALL, radii, 1.0).own;
         let farthest = IVec3::splat(crate::surface::space::INDEX_LIMIT + 1000);
         assert!(own.contains(farthest) && own.contains(-farthest));

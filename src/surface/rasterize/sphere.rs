@@ -16,7 +16,7 @@ use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::bin::ParticleBins;
-use crate::surface::grid::{Bits, Field, LEAF_EDGE, Leaf, LeafMask, Topology, leaf_steps_within};
+use crate::surface::grid::{Field, LEAF_EDGE, Leaf, LeafMask, SetBits, Topology, leaf_steps_within};
 use crate::surface::simd::{self, Kernel, Lanes};
 
 /// Distance value of voxels without a particle within reach.
@@ -108,7 +108,7 @@ impl Kernel for NearestDistances<'_> {
         let mut lowered_count = 0;
         for &(step, packets) in self.around {
             for eight in packets {
-                for lane in Bits(near_bits::<V>(eight, step, limits.greatest)) {
+                for lane in SetBits(near_bits::<V>(eight, step, limits.greatest)) {
                     let local = Vec3::new(eight[0][lane & 7], eight[1][lane & 7], eight[2][lane & 7]);
                     lower_to_sphere::<V>(&mut squared, &limits, local + step);
                     lowered_count += 1;
@@ -205,7 +205,7 @@ fn lower_to_sphere<V: Lanes>(squared: &mut Leaf, limits: &SlabLimits, position: 
     let (mut along_x, mut along_y) = ([0.0; 8], [0.0; 8]);
     dx.store(&mut along_x);
     dy.store(&mut along_y);
-    for x in Bits(slabs) {
+    for x in SetBits(slabs) {
         // All rows of a slab: selecting rows takes longer.
         for (y, along_y) in along_y.iter().enumerate() {
             let row = squared.row_mut((x & 7) * 8 + y);
@@ -239,7 +239,7 @@ fn squares_aside<V: Lanes>(along: V) -> V {
 mod tests {
     use super::*;
     use crate::surface::grid::voxel_in_leaf;
-    use crate::surface::simd::{Level, dispatch_at};
+    use crate::surface::simd::{SimdLevel, dispatch_at};
 
     /// Reference implementation, directly from the definition.
     fn expected(particles: &[Vec3], reach: f32, settled: &LeafMask) -> Leaf {
@@ -280,7 +280,7 @@ mod tests {
                 packets.iter().map(|(step, packets)| (*step, packets.as_slice())).collect();
             for settled in [&LeafMask::EMPTY, &some] {
                 let expected = expected(&all, reach, settled).values.map(f32::to_bits);
-                for level in Level::ALL {
+                for level in SimdLevel::ALL {
                     let nearest = NearestDistances { around: &around, reach_squared: reach * reach, settled };
                     let found = dispatch_at(level, nearest).values.map(f32::to_bits);
                     assert_eq!(found, expected, "{count} particles a leaf within {reach}, {level:?}");

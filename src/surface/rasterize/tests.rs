@@ -8,18 +8,18 @@ use rustc_hash::FxHashMap;
 use super::*;
 use crate::surface::grid::{Leaf, voxel_in_leaf};
 use crate::surface::level_set::{Sweeps, UNREACHED, extend};
-use crate::surface::particles::{Particles, Positions};
+use crate::surface::particles::{OwnedPositions, Positions};
 
 pub(super) const LATTICE: Lattice = Lattice { voxel_size: 1.0 };
 
 /// Usual radii; radii so small that no particle may be dropped; larger radii, far apart; three equal radii;
 /// and radii that reach across the adjacent leaf.
 pub(super) const RADII: [Radii; 5] = [
-    Radii::of_balls(1.732_050_8, 2.598_076, 3.464_101_6),
-    Radii::of_balls(1.1, 1.3, 1.8),
-    Radii::of_balls(3.0, 5.5, 9.0),
-    Radii::of_balls(2.0, 2.0, 2.0),
-    Radii::of_balls(11.5, 12.0, 12.5),
+    Radii::uniform(1.732_050_8, 2.598_076, 3.464_101_6),
+    Radii::uniform(1.1, 1.3, 1.8),
+    Radii::uniform(3.0, 5.5, 9.0),
+    Radii::uniform(2.0, 2.0, 2.0),
+    Radii::uniform(11.5, 12.0, 12.5),
 ];
 
 /// A source with seven particles per batch.
@@ -37,7 +37,7 @@ impl ParticleSource for Small<'_> {
         Ok(Positions::F32(positions.into()))
     }
 
-    fn count_of(&self, batch: usize) -> usize {
+    fn batch_len(&self, batch: usize) -> usize {
         self.0.chunks(7).nth(batch).map_or(0, <[_]>::len)
     }
 }
@@ -218,7 +218,8 @@ fn culling_changes_no_bit() {
         // The reference takes long for many particles with a long reach.
         for radii in RADII.into_iter().filter(|radii| radii.init < 10.0 || positions.len() < 1000) {
             let (band, bounds) = reference(&positions, radii);
-            let Ok(whole) = rasterize(&Particles::Single(positions.clone()), &Scene::open(LATTICE, radii));
+            let Ok(whole) =
+                rasterize(&OwnedPositions::F32(positions.clone()), &RasterParams::open(LATTICE, radii));
             assert!(values_of(&whole) == values(&band, &bounds), "{name}, {radii:?}");
             assert_eq!(whole.bins.particle_count, positions.len());
             // Particles are dropped if the inside is large, and never if the radius is too small to decide.
@@ -241,14 +242,16 @@ fn windows_equal_the_whole_frame() {
     positions.extend(jittered(14, 1.0, |point| point.length() < 14.0));
     let mut whole_count = 0;
     for radii in [RADII[0], RADII[2]] {
-        let Ok(whole) = rasterize(&Particles::Single(positions.clone()), &Scene::open(LATTICE, radii));
+        let Ok(whole) =
+            rasterize(&OwnedPositions::F32(positions.clone()), &RasterParams::open(LATTICE, radii));
         let source = Small(&positions);
         let Ok(occupancy) = Occupancy::new(&source, &LATTICE);
         let (mut parts, mut fewest) = (LeafBits::new(), usize::MAX);
         for (first, last) in [(-200, -137), (-136, -41), (-40, -33), (-32, -1), (0, 23), (24, 199)] {
             for (low, high) in [(-64, 7), (8, 63)] {
                 let window = CoordBox { min: IVec3::new(first, -64, low), max: IVec3::new(last, 63, high) };
-                let Ok(part) = rasterize_window(&source, &occupancy, &Scene::open(LATTICE, radii), window);
+                let Ok(part) =
+                    rasterize_window(&source, &occupancy, &RasterParams::open(LATTICE, radii), window);
                 parts.extend(values_of(&part));
                 fewest = fewest.min(part.bins.len());
             }

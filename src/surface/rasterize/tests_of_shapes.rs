@@ -6,10 +6,10 @@ use rustc_hash::FxHashMap;
 use super::tests::{LATTICE, LeafBits, RADII, assembled, jittered, scenes, swept, values, values_of};
 use super::*;
 use crate::surface::grid::{offset_in_leaf, voxel_in_leaf};
-use crate::surface::particles::{Cloud, Ellipsoid, Particles, Shapes};
+use crate::surface::particles::{Ellipsoid, OwnedPositions, ParticleCloud, Shapes};
 
-fn cloud(positions: &[[f32; 3]], shapes: Shapes) -> Cloud {
-    Cloud { shapes, ..Cloud::from(Particles::Single(positions.to_vec())) }
+fn cloud(positions: &[[f32; 3]], shapes: Shapes) -> ParticleCloud {
+    ParticleCloud { shapes, ..ParticleCloud::from(OwnedPositions::F32(positions.to_vec())) }
 }
 
 /// Pseudo-random numbers from 0 to 1, a function of the index and the salt.
@@ -53,9 +53,10 @@ fn flat_among_round(count: usize, thickness: f32) -> Shapes {
 fn scaled_balls_of_scale_one_equal_uniform_balls() {
     for (name, positions) in scenes() {
         for radii in RADII.into_iter().filter(|radii| radii.init < 10.0) {
-            let Ok(balls) = rasterize(&Particles::Single(positions.clone()), &Scene::open(LATTICE, radii));
+            let Ok(balls) =
+                rasterize(&OwnedPositions::F32(positions.clone()), &RasterParams::open(LATTICE, radii));
             let scaled = cloud(&positions, Shapes::Scaled(vec![1.0; positions.len()]));
-            let Ok(scaled) = rasterize(&scaled, &Scene::open(LATTICE, radii));
+            let Ok(scaled) = rasterize(&scaled, &RasterParams::open(LATTICE, radii));
             assert!(values_of(&scaled) == values_of(&balls), "{name}, {radii:?}");
         }
     }
@@ -66,9 +67,10 @@ fn scaled_balls_of_scale_one_equal_uniform_balls() {
 #[test]
 fn round_ellipsoids_approximate_balls() {
     let (_, positions) = scenes().swap_remove(2);
-    let Ok(balls) = rasterize(&Particles::Single(positions.clone()), &Scene::open(LATTICE, RADII[0]));
+    let Ok(balls) =
+        rasterize(&OwnedPositions::F32(positions.clone()), &RasterParams::open(LATTICE, RADII[0]));
     let round = Shapes::Ellipsoids(vec![Ellipsoid::ball(1.0); positions.len()]);
-    let Ok(round) = rasterize(&cloud(&positions, round), &Scene::open(LATTICE, RADII[0]));
+    let Ok(round) = rasterize(&cloud(&positions, round), &RasterParams::open(LATTICE, RADII[0]));
     let fields = [
         (&round.band.phi, &balls.band.phi),
         (&round.bounds.lower, &balls.bounds.lower),
@@ -105,14 +107,14 @@ fn culling_changes_no_bit() {
     for (name, positions) in scenes() {
         let count = positions.len();
         for (radii, shapes) in [
-            (Radii { roomy: 2.0, ..RADII[0] }, scales(count, 4.0)),
-            (Radii { roomy: 1.5, shortest: 0.7, ..RADII[2] }, ellipsoids(count, 0.7, 1.4)),
-            (Radii { roomy: 2.0, ..RADII[0] }, ellipsoids(count, 1.0, 2.2)),
-            (Radii { shortest: 0.3, ..RADII[2] }, flat_among_round(count, 0.3)),
+            (Radii { band_scale: 2.0, ..RADII[0] }, scales(count, 4.0)),
+            (Radii { band_scale: 1.5, min_scale: 0.7, ..RADII[2] }, ellipsoids(count, 0.7, 1.4)),
+            (Radii { band_scale: 2.0, ..RADII[0] }, ellipsoids(count, 1.0, 2.2)),
+            (Radii { min_scale: 0.3, ..RADII[2] }, flat_among_round(count, 0.3)),
         ] {
             let source = cloud(&positions, shapes);
             let (band, bounds) = reference(&source, radii);
-            let Ok(whole) = rasterize(&source, &Scene::open(LATTICE, radii));
+            let Ok(whole) = rasterize(&source, &RasterParams::open(LATTICE, radii));
             assert!(values_of(&whole) == values(&band, &bounds), "{name}, {radii:?}");
             assert_eq!(whole.bins.particle_count, count);
         }
@@ -124,9 +126,9 @@ fn culling_changes_no_bit() {
 #[test]
 fn surface_stays_in_the_band_if_bounds_exceed_it() {
     let positions = [[0.2, 0.1, 5.3], [27.4, 21.6, 53.5], [30.6, 22.3, 49.7]];
-    let radii = Radii::of_balls(1.75, 2.6, 3.5);
+    let radii = Radii::uniform(1.75, 2.6, 3.5);
     let source = cloud(&positions, Shapes::Scaled(vec![18.0, 1.0, 1.0]));
-    let Ok(RasterFields { band, bounds, .. }) = rasterize(&source, &Scene::open(LATTICE, radii));
+    let Ok(RasterFields { band, bounds, .. }) = rasterize(&source, &RasterParams::open(LATTICE, radii));
     let mut held_count = 0;
     for (leaf, &origin) in band.topology.origins().iter().enumerate() {
         for offset in 0..512 {
@@ -151,16 +153,17 @@ fn windows_equal_the_whole_frame() {
     let bar = |point: Vec3| point.y.abs() < 5.0 && (point.z - 0.1 * point.x).abs() < 3.0;
     let mut positions = jittered(100, 2.0, bar);
     positions.extend(jittered(14, 1.0, |point| point.length() < 14.0));
-    let radii = Radii { roomy: 2.0, ..RADII[0] };
+    let radii = Radii { band_scale: 2.0, ..RADII[0] };
     for shapes in [scales(positions.len(), 5.0), ellipsoids(positions.len(), 1.0, 2.5)] {
         let source = cloud(&positions, shapes);
-        let Ok(whole) = rasterize(&source, &Scene::open(LATTICE, radii));
+        let Ok(whole) = rasterize(&source, &RasterParams::open(LATTICE, radii));
         let Ok(occupancy) = Occupancy::new(&source, &LATTICE);
         let mut parts = LeafBits::new();
         for (first, last) in [(-160, -41), (-40, -33), (-32, -1), (0, 23), (24, 159)] {
             for (low, high) in [(-64, 7), (8, 63)] {
                 let window = CoordBox { min: IVec3::new(first, -64, low), max: IVec3::new(last, 63, high) };
-                let Ok(part) = rasterize_window(&source, &occupancy, &Scene::open(LATTICE, radii), window);
+                let Ok(part) =
+                    rasterize_window(&source, &occupancy, &RasterParams::open(LATTICE, radii), window);
                 parts.extend(values_of(&part));
             }
         }
@@ -172,7 +175,7 @@ fn windows_equal_the_whole_frame() {
 
 /// Reference implementation from the definition, with all particles. Values are rounded as in the optimized
 /// code.
-fn reference(source: &Cloud, radii: Radii) -> (NarrowBand, Bounds) {
+fn reference(source: &ParticleCloud, radii: Radii) -> (NarrowBand, Bounds) {
     let (values, half_width) = (Definition::new(source, radii), radii.half_width());
     let signed = |topology: &Topology, surface: usize| values.signed(topology, surface, half_width);
     assembled(values.leaves.keys().copied(), |voxel| values.is_crossing(voxel), signed, half_width)
@@ -185,15 +188,17 @@ struct Definition {
 }
 
 impl Definition {
-    fn new(source: &Cloud, radii: Radii) -> Definition {
-        let Particles::Single(positions) = &source.positions else { unreachable!("single by construction") };
+    fn new(source: &ParticleCloud, radii: Radii) -> Definition {
+        let OwnedPositions::F32(positions) = &source.positions else {
+            unreachable!("single by construction")
+        };
         let mut leaves: FxHashMap<IVec3, [Leaf; 3]> = FxHashMap::default();
         let radii = [radii.max, radii.init, radii.min];
         for (particle, &position) in positions.iter().enumerate() {
             let position = Vec3::from(position).as_dvec3();
             let leaf = (position / 8.0).floor() * 8.0;
             let local = (position - leaf).as_vec3();
-            let reach = (radii[0] * source.shapes.longest(particle) + 2.0).ceil() as i32;
+            let reach = (radii[0] * source.shapes.outer_radius(particle) + 2.0).ceil() as i32;
             let first = (local.floor().as_ivec3() - reach).div_euclid(IVec3::splat(8));
             let last = (local.ceil().as_ivec3() + reach).div_euclid(IVec3::splat(8));
             for x in first.x..=last.x {
@@ -252,7 +257,7 @@ impl Definition {
 /// A particle's values at a position relative to its center, infinite outside its range.
 fn value_of(shapes: &Shapes, particle: usize, apart: Vec3, radii: [f32; 3]) -> [f32; 3] {
     match shapes {
-        Shapes::Balls => unreachable!("uniform balls have separate tests"),
+        Shapes::Uniform => unreachable!("uniform balls have separate tests"),
         Shapes::Scaled(scales) => {
             let squared = apart.x * apart.x + apart.y * apart.y + apart.z * apart.z;
             radii.map(|radius| {
@@ -264,7 +269,7 @@ fn value_of(shapes: &Shapes, particle: usize, apart: Vec3, radii: [f32; 3]) -> [
         Shapes::Ellipsoids(ellipsoids) => {
             let ellipsoid = ellipsoids[particle];
             let extents = radii[0] * ellipsoid.extents() + 1.125;
-            let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball;
+            let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_unit_ball;
             let along = |a: f32, b: f32, c: f32, v: Vec3| (a * v.x + b * v.y) + c * v.z;
             let times = |v: Vec3| Vec3::new(along(xx, xy, xz, v), along(xy, yy, yz, v), along(xz, yz, zz, v));
             let (once, twice) = (times(apart), times(times(apart)));

@@ -192,11 +192,11 @@ impl Vicinity {
                 let near = of_cells.filter(|(_, cell)| self.around[leaf].contains(*cell));
                 selected.extend(near.map(|(particle, cell)| (particle as u32, own.contains(cell))));
             }
-            let scales = match source.shapes_of(index) {
+            let scales = match source.batch_shapes(index) {
                 Shapes::Scaled(scales) => {
                     selected.iter().map(|&(particle, _)| scales[particle as usize]).collect()
                 }
-                Shapes::Balls | Shapes::Ellipsoids(_) => Vec::new(),
+                Shapes::Uniform | Shapes::Ellipsoids(_) => Vec::new(),
             };
             Ok(Gathered {
                 sources: selected.iter().map(|&(particle, _)| [index as u32, particle]).collect(),

@@ -8,8 +8,8 @@ use glam::DVec3;
 
 use super::*;
 use crate::surface::options::{AnisotropyKind, AttributeSelection, ClipBox, Integrator, LengthUnit, Preset};
-use crate::surface::particles::{AttributeValues, Meaning, Particles};
-use crate::surface::skin::skin;
+use crate::surface::particles::{AttributeValues, OwnedPositions, Role};
+use crate::surface::reconstruction::reconstruct_frame;
 
 /// A block of particles, 1 apart, with this lower corner.
 fn block(edge: usize, corner: [f64; 3]) -> Vec<[f64; 3]> {
@@ -18,8 +18,8 @@ fn block(edge: usize, corner: [f64; 3]) -> Vec<[f64; 3]> {
     (0..edge.pow(3)).map(|index| at(place(index))).collect()
 }
 
-fn numbers(name: &str, meaning: Meaning, arity: usize, values: Vec<f32>) -> Attribute {
-    Attribute { name: name.to_owned(), meaning, arity, values: AttributeValues::Numbers(values) }
+fn numbers(name: &str, role: Role, arity: usize, values: Vec<f32>) -> Attribute {
+    Attribute { name: name.to_owned(), role, arity, values: AttributeValues::Numbers(values) }
 }
 
 #[test]
@@ -28,7 +28,7 @@ fn reconstruct_matches_the_stages_with_absolute_positions() {
     let particles = block(6, corner);
     let surface = reconstruct(&particles, &Options::default()).expect("valid");
     assert_eq!(surface.settings.spacing, 1.0);
-    let expected = skin(&Particles::Double(particles.clone()), &surface.settings);
+    let expected = reconstruct_frame(&OwnedPositions::F64(particles.clone()), &surface.settings);
     assert_eq!(surface.triangles, expected.mesh.triangles);
     let absolute = |position: &Vec3| expected.mesh.origin + position.as_dvec3();
     assert!(surface.positions.iter().copied().eq(expected.mesh.positions.iter().map(absolute)));
@@ -65,7 +65,7 @@ fn settings_of_the_first_frame_apply_to_all_frames() {
 #[test]
 fn phases_are_reported_in_order_and_each_can_be_cancelled() {
     let particles = block(5, [0.0; 3]);
-    let speeds = numbers("v", Meaning::Velocity, 3, vec![1.0; 3 * particles.len()]);
+    let speeds = numbers("v", Role::Velocity, 3, vec![1.0; 3 * particles.len()]);
     let options = Options { attributes: Some(AttributeSelection::All), ..Options::default() };
     let all = [Phase::Prepare, Phase::Rasterize, Phase::Smooth, Phase::Contour, Phase::Interpolate];
     for cancelled_in in all.map(Some).into_iter().chain([None]) {
@@ -180,13 +180,13 @@ fn error(positions: &[[f64; 3]], attributes: &[Attribute], options: Options) -> 
 fn invalid_input_returns_the_matching_error() {
     let (particles, default) = (block(4, [0.0; 3]), Options::default());
     let count = particles.len();
-    let radii = |values| numbers("pscale", Meaning::Radius, 1, values);
+    let radii = |values| numbers("pscale", Role::Radius, 1, values);
     let by_radius = Options { radius_attribute: Some("pscale".into()), ..Options::default() };
     let by_speed = Options { anisotropy: Some(AnisotropyKind::Velocity), ..Options::default() };
     let with = |voxel_size: f64| Options { voxel_size: Some(voxel_size.into()), ..Options::default() };
-    assert!(matches!(error(&[], &[], default.clone()), Error::NoParticles { given: 0 }));
+    assert!(matches!(error(&[], &[], default.clone()), Error::NoParticles { input_count: 0 }));
     let nowhere = [[f64::NAN; 3], [f64::INFINITY, 0.0, 0.0]];
-    assert!(matches!(error(&nowhere, &[], with(0.5)), Error::NoParticles { given: 2 }));
+    assert!(matches!(error(&nowhere, &[], with(0.5)), Error::NoParticles { input_count: 2 }));
     assert!(matches!(
         error(&[[1e300; 3]], &[], with(0.5)),
         Error::NoParticles { .. } | Error::VoxelTooSmall { .. }
@@ -336,14 +336,14 @@ impl Hostile {
     fn attributes(&mut self, count: usize) -> Vec<Attribute> {
         let mut values = |count| (0..count).map(|_| self.number() as f32).collect::<Vec<f32>>();
         let mut all = vec![
-            numbers("pscale", Meaning::Radius, 1, values(count)),
-            numbers("v", Meaning::Velocity, 3, values(3 * count)),
+            numbers("pscale", Role::Radius, 1, values(count)),
+            numbers("v", Role::Velocity, 3, values(3 * count)),
         ];
         let kinds = AttributeValues::Strings {
             table: Arc::new(["a".to_owned(), "b".to_owned()]),
             indices: (0..count).map(|index| index as i32 - 3).collect(),
         };
-        all.push(Attribute { name: "kind".into(), meaning: Meaning::Other, arity: 1, values: kinds });
+        all.push(Attribute { name: "kind".into(), role: Role::Other, arity: 1, values: kinds });
         all
     }
 }

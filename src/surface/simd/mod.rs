@@ -1,6 +1,6 @@
 //! Runtime selection of the processor's widest vectors.
 //!
-//! A kernel is written once, over rows of eight values ([`Lanes`]), and compiled for each [`Level`]. Levels
+//! A kernel is written once, over rows of eight values ([`Lanes`]), and compiled for each [`SimdLevel`]. Levels
 //! differ only in instructions: multiplications are never fused with additions, and every sum has a fixed
 //! order. So a frame is bit-identical on every processor, and tests compare the other levels with the
 //! baseline.
@@ -25,7 +25,7 @@ use lanes::Portable;
 
 /// The instructions that kernels may use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Level {
+pub enum SimdLevel {
     /// Supported by every processor of the architecture.
     Baseline,
     /// x86-64 with AVX2.
@@ -34,16 +34,16 @@ pub enum Level {
     Avx512,
 }
 
-impl Level {
+impl SimdLevel {
     /// All levels, from narrow to wide.
-    pub const ALL: [Level; 3] = [Level::Baseline, Level::Avx2, Level::Avx512];
+    pub const ALL: [SimdLevel; 3] = [SimdLevel::Baseline, SimdLevel::Avx2, SimdLevel::Avx512];
 
     /// Name in [`LEVEL_VARIABLE`] and in reports.
     pub fn name(self) -> &'static str {
         match self {
-            Level::Baseline => "baseline",
-            Level::Avx2 => "avx2",
-            Level::Avx512 => "avx512",
+            SimdLevel::Baseline => "baseline",
+            SimdLevel::Avx2 => "avx2",
+            SimdLevel::Avx512 => "avx512",
         }
     }
 
@@ -60,9 +60,9 @@ impl Level {
                     && is_x86_feature_detected!("f16c")
             };
             match self {
-                Level::Baseline => true,
-                Level::Avx2 => avx2(),
-                Level::Avx512 => {
+                SimdLevel::Baseline => true,
+                SimdLevel::Avx2 => avx2(),
+                SimdLevel::Avx512 => {
                     avx2()
                         && is_x86_feature_detected!("avx512f")
                         && is_x86_feature_detected!("avx512bw")
@@ -73,24 +73,24 @@ impl Level {
         }
         #[cfg(not(target_arch = "x86_64"))]
         {
-            self == Level::Baseline
+            self == SimdLevel::Baseline
         }
     }
 
     /// The widest level of this processor, or the one in [`LEVEL_VARIABLE`] if that is narrower.
-    pub fn current() -> Level {
-        static CURRENT: OnceLock<Level> = OnceLock::new();
+    pub fn current() -> SimdLevel {
+        static CURRENT: OnceLock<SimdLevel> = OnceLock::new();
         *CURRENT.get_or_init(|| {
             let asked = std::env::var(LEVEL_VARIABLE).ok();
-            let most = Level::ALL
+            let most = SimdLevel::ALL
                 .into_iter()
                 .find(|level| asked.as_deref() == Some(level.name()))
-                .unwrap_or(Level::Avx512);
-            Level::ALL
+                .unwrap_or(SimdLevel::Avx512);
+            SimdLevel::ALL
                 .into_iter()
                 .rev()
                 .find(|level| *level <= most && level.is_available())
-                .unwrap_or(Level::Baseline)
+                .unwrap_or(SimdLevel::Baseline)
         })
     }
 }
@@ -98,19 +98,19 @@ impl Level {
 /// A warning for users if [`LEVEL_VARIABLE`] has no effect; without a full stop.
 pub fn level_warning() -> Option<String> {
     let asked = std::env::var_os(LEVEL_VARIABLE)?;
-    warning_of(&asked.to_string_lossy(), Level::current())
+    warning_of(&asked.to_string_lossy(), SimdLevel::current())
 }
 
 /// The warning if the requested level differs from the one used. An empty value requests nothing.
-fn warning_of(asked: &str, used: Level) -> Option<String> {
-    match Level::ALL.into_iter().find(|level| level.name() == asked) {
+fn warning_of(asked: &str, used: SimdLevel) -> Option<String> {
+    match SimdLevel::ALL.into_iter().find(|level| level.name() == asked) {
         Some(level) if level <= used => None,
         Some(_) => {
             Some(format!("{LEVEL_VARIABLE}={asked}: not supported by this processor, using {}", used.name()))
         }
         None if asked.is_empty() => None,
         None => {
-            let [first, second, third] = Level::ALL.map(Level::name);
+            let [first, second, third] = SimdLevel::ALL.map(SimdLevel::name);
             Some(format!("{LEVEL_VARIABLE}={asked} is ignored: expected {first}, {second} or {third}"))
         }
     }
@@ -132,29 +132,29 @@ pub trait Kernel {
     fn run<V: Lanes>(self) -> Self::Output;
 }
 
-/// Runs a kernel at [`Level::current`].
+/// Runs a kernel at [`SimdLevel::current`].
 #[inline]
 pub fn dispatch<K: Kernel>(kernel: K) -> K::Output {
-    run_available(Level::current(), kernel)
+    run_available(SimdLevel::current(), kernel)
 }
 
 /// Runs a kernel at this level, or at the baseline if the processor does not support it.
 #[inline]
-pub fn dispatch_at<K: Kernel>(level: Level, kernel: K) -> K::Output {
-    run_available(if level.is_available() { level } else { Level::Baseline }, kernel)
+pub fn dispatch_at<K: Kernel>(level: SimdLevel, kernel: K) -> K::Output {
+    run_available(if level.is_available() { level } else { SimdLevel::Baseline }, kernel)
 }
 
 /// Runs a kernel at an available level. Does not check again, which would be measurable per leaf.
 #[inline]
 #[allow(unsafe_code, reason = "callers have checked the processor features")]
-fn run_available<K: Kernel>(level: Level, kernel: K) -> K::Output {
+fn run_available<K: Kernel>(level: SimdLevel, kernel: K) -> K::Output {
     match level {
         // SAFETY: callers have checked every feature that the function is compiled for.
         #[cfg(target_arch = "x86_64")]
-        Level::Avx512 => unsafe { x86::run_avx512(kernel) },
+        SimdLevel::Avx512 => unsafe { x86::run_avx512(kernel) },
         // SAFETY: as above.
         #[cfg(target_arch = "x86_64")]
-        Level::Avx2 => unsafe { x86::run_avx2(kernel) },
+        SimdLevel::Avx2 => unsafe { x86::run_avx2(kernel) },
         _ => kernel.run::<Portable>(),
     }
 }
@@ -201,8 +201,8 @@ mod tests {
 
     #[test]
     fn unavailable_or_unknown_level_gives_a_warning() {
-        for used in Level::ALL {
-            for asked in Level::ALL {
+        for used in SimdLevel::ALL {
+            for asked in SimdLevel::ALL {
                 let warning = warning_of(asked.name(), used);
                 assert_eq!(warning.is_some(), asked > used, "{asked:?} {used:?}");
                 assert!(warning.is_none_or(|text| text.contains(used.name())), "{asked:?} {used:?}");
@@ -224,7 +224,7 @@ mod tests {
             [[0.0; 8], [-0.0; 8], odd],
         ] {
             let baseline = Everything(rows).run::<Portable>();
-            for level in Level::ALL {
+            for level in SimdLevel::ALL {
                 assert_eq!(dispatch_at(level, Everything(rows)), baseline, "{level:?} {rows:?}");
             }
         }

@@ -31,7 +31,7 @@ impl FreeVoxels {
     }
 
     /// Like [`new`](Self::new), without the voxels that are pinned.
-    pub(super) fn without(topology: &Topology, phi: &Field, width: f32, held: &[LeafMask]) -> FreeVoxels {
+    pub(super) fn excluding(topology: &Topology, phi: &Field, width: f32, held: &[LeafMask]) -> FreeVoxels {
         let mut free = near(phi, width);
         free.par_iter_mut().zip(held).for_each(|(free, held)| free.remove_all(held));
         FreeVoxels::of(topology, free)

@@ -126,15 +126,15 @@ impl HeavyBall<'_> {
         let [thin_end, thick_end] = self.params.passes;
         let count_until = |end: u32| passes.end.min(end).saturating_sub(passes.start);
         let together = count_until(thin_end);
-        let moved_count = self.pass(&region, &thick, together);
+        let voxel_update_count = self.pass(&region, &thick, together);
         let alone = count_until(thick_end) - together;
         if alone == 0 || thick.par_iter().all(LeafMask::is_empty) {
-            return moved_count;
+            return voxel_update_count;
         }
         // Voxels that stop being updated must have the same value in both buffers.
         let fields = self.previous.leaves.par_iter_mut().zip(&self.band.phi.leaves).zip(&thick);
         fields.for_each(|((previous, phi), thick)| simd::dispatch(CopyFrozen { previous, phi, thick }));
-        moved_count + self.pass(&FreeVoxels::of(&topology, thick.clone()), &thick, alone)
+        voxel_update_count + self.pass(&FreeVoxels::of(&topology, thick.clone()), &thick, alone)
     }
 
     /// Sets x and x⁻ to the prediction, and stores the band's φ as the start.

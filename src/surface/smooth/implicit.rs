@@ -41,7 +41,7 @@ impl Convergence {
     }
 
     /// Combines this step's record with that of the steps before it.
-    pub(super) fn and(self, before: Option<Convergence>) -> Convergence {
+    pub(super) fn merge(self, before: Option<Convergence>) -> Convergence {
         let Some(before) = before else { return self };
         Convergence {
             iterations: self.iterations + before.iterations,

@@ -90,7 +90,7 @@ pub struct SmoothReport {
     /// Maximum number of applications of the biharmonic operator to a voxel.
     pub pass_count: usize,
     /// Number of voxel updates: free voxels times passes, if all have the same number of passes.
-    pub moved_count: u64,
+    pub voxel_update_count: u64,
     /// How far a change of φ_0 or the bounds can propagate, in voxels. `None` for `Implicit`, whose dot
     /// products couple all voxels, and for `Adaptive`, whose step size depends on the fastest voxel.
     pub reach_voxels: Option<u32>,

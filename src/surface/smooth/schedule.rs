@@ -228,7 +228,7 @@ pub struct SmoothStats {
     /// Number of free voxels at the start of a step.
     pub free_count: u64,
     /// Number of voxel updates.
-    pub moved_count: u64,
+    pub voxel_update_count: u64,
     /// Number of adaptive steps.
     pub adaptive_step_count: usize,
     /// For each explicit step, true if a value moved by more than a voxel (Eq. 8).
@@ -259,8 +259,8 @@ impl SmoothContext<'_> {
                 let Workspace { first: start, second: previous } = &mut **workspace;
                 let params = params(config, step);
                 let mut solver = HeavyBall { band, bounds, start, previous, params, own: *own };
-                let moved_count = solver.passes(region, step == 0, first..first + count);
-                SmoothStats { free_count, moved_count, ..SmoothStats::default() }
+                let voxel_update_count = solver.passes(region, step == 0, first..first + count);
+                SmoothStats { free_count, voxel_update_count, ..SmoothStats::default() }
             }
             SmoothOp::Explicit { count } => self.explicit(count),
             SmoothOp::Adaptive { count } => self.adaptive(count),
@@ -269,8 +269,13 @@ impl SmoothContext<'_> {
                 let free_count = region.free_count(*own);
                 let (step_size, tolerance) = (config.step_size, config.cg_tolerance);
                 let solved = implicit::step(band, bounds, region, step_size, tolerance, &mut workspace.first);
-                let moved_count = free_count * solved.pass_count() as u64;
-                SmoothStats { free_count, moved_count, convergence: Some(solved), ..SmoothStats::default() }
+                let voxel_update_count = free_count * solved.pass_count() as u64;
+                SmoothStats {
+                    free_count,
+                    voxel_update_count,
+                    convergence: Some(solved),
+                    ..SmoothStats::default()
+                }
             }
             SmoothOp::Extend => {
                 extend_distances(band, Sweeps::accurate(REDISTANCE_SWEEPS));
@@ -298,7 +303,7 @@ impl SmoothContext<'_> {
             if index == 0 {
                 stats.free_count = free_count;
             }
-            stats.moved_count += free_count;
+            stats.voxel_update_count += free_count;
             let moved = explicit::step(
                 self.band,
                 self.bounds,
@@ -322,7 +327,7 @@ impl SmoothContext<'_> {
             if stats.adaptive_step_count == 0 {
                 stats.free_count = free_count;
             }
-            stats.moved_count += free_count;
+            stats.voxel_update_count += free_count;
             stats.adaptive_step_count += 1;
             let SmoothContext { band, bounds, workspace, .. } = self;
             time_left -=
@@ -338,7 +343,7 @@ const TIME_TOLERANCE: f64 = 1e-6;
 /// The free voxels of an implicit step.
 fn free_region(topology: &Topology, phi: &Field, pins_peaks: bool) -> FreeVoxels {
     match pins_peaks {
-        true => FreeVoxels::without(topology, phi, FREE_WIDTH, &pinned_peaks(topology, phi)),
+        true => FreeVoxels::excluding(topology, phi, FREE_WIDTH, &pinned_peaks(topology, phi)),
         false => FreeVoxels::new(topology, phi, FREE_WIDTH),
     }
 }
@@ -352,9 +357,9 @@ fn sweeps_after(config: &SmoothConfig) -> Sweeps {
 
 impl SmoothStats {
     /// Combines the statistics of the same operation on two parts of the frame.
-    pub fn and(mut self, other: SmoothStats) -> SmoothStats {
+    pub fn merge(mut self, other: SmoothStats) -> SmoothStats {
         self.free_count += other.free_count;
-        self.moved_count += other.moved_count;
+        self.voxel_update_count += other.voxel_update_count;
         self.cfl_exceeded.resize(self.cfl_exceeded.len().max(other.cfl_exceeded.len()), false);
         for (one, other) in self.cfl_exceeded.iter_mut().zip(other.cfl_exceeded) {
             *one |= other;
@@ -379,7 +384,7 @@ impl SmoothReport {
         if self.free_voxel_count == 0 {
             self.free_voxel_count = stats.free_count as usize;
         }
-        self.moved_count += stats.moved_count;
+        self.voxel_update_count += stats.voxel_update_count;
         self.cfl_exceeded_count += stats.cfl_exceeded.iter().filter(|&&exceeded| exceeded).count();
         self.pass_count += match op {
             SmoothOp::Passes { count, .. } | SmoothOp::Explicit { count } => count as usize,
@@ -387,7 +392,7 @@ impl SmoothReport {
             _ => stats.convergence.map_or(0, |convergence| convergence.pass_count()),
         };
         if let Some(convergence) = stats.convergence {
-            self.convergence = Some(convergence.and(self.convergence));
+            self.convergence = Some(convergence.merge(self.convergence));
         }
     }
 }

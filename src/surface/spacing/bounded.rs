@@ -9,7 +9,7 @@
 
 use glam::DVec3;
 
-use crate::surface::particles::{ParticleSource, Particles, Positions};
+use crate::surface::particles::{OwnedPositions, ParticleSource, Positions};
 
 use super::{SpacingEstimate, estimate_spacing};
 
@@ -27,7 +27,7 @@ const HALF_EDGE_SPACINGS: f64 = 8.0;
 #[derive(Debug)]
 pub(crate) struct SourceSample {
     /// The finite ones.
-    pub(crate) particles: Particles,
+    pub(crate) particles: OwnedPositions,
     /// n: one of this many particles is in the sample.
     every: usize,
 }
@@ -83,7 +83,7 @@ impl SourceSample {
 fn collect_wanted<S: ParticleSource>(
     source: &S,
     mut is_wanted: impl FnMut(DVec3) -> bool,
-) -> Result<Particles, S::Error> {
+) -> Result<OwnedPositions, S::Error> {
     let mut found: Vec<[f64; 3]> = Vec::new();
     for batch in 0..source.batch_count() {
         let mut take = |position: [f64; 3]| {
@@ -99,7 +99,7 @@ fn collect_wanted<S: ParticleSource>(
             Positions::F64(positions) => positions.iter().for_each(|&position| take(position)),
         }
     }
-    Ok(Particles::Double(found))
+    Ok(OwnedPositions::F64(found))
 }
 
 #[cfg(test)]
@@ -112,7 +112,7 @@ mod tests {
             let [x, y, z] = counts;
             let at =
                 |index: usize| [index % x, index / x % y, index / x / y].map(|step| step as f64 * spacing);
-            Particles::Double((0..x * y * z).map(at).collect())
+            OwnedPositions::F64((0..x * y * z).map(at).collect())
         };
         // A body and a sheet; every second or third particle of each is sampled.
         for counts in [[130, 130, 130], [1700, 1700, 1]] {

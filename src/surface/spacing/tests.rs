@@ -1,6 +1,6 @@
 use super::sample::mix;
 use super::*;
-use crate::surface::particles::Particles;
+use crate::surface::particles::OwnedPositions;
 
 fn lattice(edge_count: usize, spacing: f64) -> Vec<[f64; 3]> {
     let along = |index: usize| index as f64 * spacing;
@@ -16,7 +16,7 @@ fn random(count: u64) -> Vec<[f64; 3]> {
 }
 
 fn measured(points: Vec<[f64; 3]>) -> SpacingEstimate {
-    estimate_spacing(Particles::Double(points)).expect("enough particles")
+    estimate_spacing(OwnedPositions::F64(points)).expect("enough particles")
 }
 
 fn estimate(points: Vec<[f64; 3]>) -> f64 {
@@ -124,18 +124,18 @@ fn cluster_with_most_particles_determines_the_spacing() {
 #[test]
 fn fewer_than_two_distinct_particles_give_no_estimate() {
     let mut points = vec![[0.5; 3]; 1000];
-    assert_eq!(estimate_spacing(Particles::Double(points.clone())), None);
+    assert_eq!(estimate_spacing(OwnedPositions::F64(points.clone())), None);
     points.push([0.5, 0.5, 1.0]);
     assert_eq!(estimate(points), 0.5);
-    assert_eq!(estimate_spacing(Particles::Single(Vec::new())), None);
-    assert_eq!(estimate_spacing(Particles::Single(vec![[f32::NAN; 3], [0.0; 3]])), None);
+    assert_eq!(estimate_spacing(OwnedPositions::F32(Vec::new())), None);
+    assert_eq!(estimate_spacing(OwnedPositions::F32(vec![[f32::NAN; 3], [0.0; 3]])), None);
 }
 
 #[test]
 fn overflowing_distances_give_no_invalid_estimate() {
     for scale in [1e-320, 1e-200, 1e-160, 1e153, 1e160, 1e300] {
         let points: Vec<_> = lattice(3, 1.0).iter().map(|p| p.map(|x| x * scale)).collect();
-        if let Some(found) = estimate_spacing(Particles::Double(points)) {
+        if let Some(found) = estimate_spacing(OwnedPositions::F64(points)) {
             assert_close(found.spacing, scale, 1e-3);
         }
     }

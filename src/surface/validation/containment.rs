@@ -93,7 +93,7 @@ impl Kernel for LeafParticles<'_> {
         let CheckedRegion { bins, radii, .. } = self.part;
         for (index, &particle) in bins.range(self.leaf).zip(bins.in_leaf(self.leaf)) {
             // Removed regions are not checked: without stored values, nothing is known about them.
-            if !exempt.is_nothing() && exempt.particle(self.origin, particle) {
+            if !exempt.is_empty() && exempt.particle(self.origin, particle) {
                 unsettled.exempt_count += 1;
                 continue;
             }
@@ -101,7 +101,7 @@ impl Kernel for LeafParticles<'_> {
             // Rounding may have moved a particle to the leaf's far side, into a cell of the next leaf.
             let is_in =
                 |mask: &LeafMask| cell.max_element() < LEAF_EDGE && mask.contains(offset_in_leaf(cell));
-            let is_sure = || radii.init * bins.shapes.held(index) > SURE_RADIUS;
+            let is_sure = || radii.init * bins.shapes.inner_radius(index) > SURE_RADIUS;
             if !(is_in(&known) || is_in(&with_unstored) && is_sure()) {
                 unsettled.particles.push(particle);
             }

@@ -9,8 +9,8 @@ use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::DistanceLimits;
+use super::bound_violations::{BoundViolation, MOVE_MAX, corrected_position};
 use super::particle_checks::{CheckedRegion, ParticleChecks};
-use super::strays::{MOVE_MAX, Stray, corrected_position};
 use super::surfaces::{ShapedParticles, Sides};
 use crate::surface::grid::{LEAF_EDGE, leaf_steps_within};
 use crate::surface::rasterize::ParticleBins;
@@ -30,7 +30,7 @@ pub(super) type VertexCoordinate = [f32; LANES];
 
 /// Checks how far the vertices of a part are from its particles. Returns the checks, and corrected positions
 /// for vertices that are out of bounds.
-pub(super) fn check_vertices(part: &CheckedRegion) -> (ParticleChecks, Vec<Stray>) {
+pub(super) fn check_vertices(part: &CheckedRegion) -> (ParticleChecks, Vec<BoundViolation>) {
     let shaped = ShapedParticles::of(part.bins);
     let longest = shaped.as_ref().map_or(1.0, ShapedParticles::longest);
     let reach = part.radii.max * longest + part.radii.outward();
@@ -40,8 +40,8 @@ pub(super) fn check_vertices(part: &CheckedRegion) -> (ParticleChecks, Vec<Stray
         let first = piece * CHUNK;
         dispatch(PieceChecks { part, shaped: shaped.as_ref(), steps: &steps, first, positions })
     };
-    let pieces: Vec<(ParticleChecks, Vec<Stray>)> = pieces.map(check).collect();
-    let checks = pieces.iter().fold(ParticleChecks::NOTHING, |checks, (piece, _)| checks.and(*piece));
+    let pieces: Vec<(ParticleChecks, Vec<BoundViolation>)> = pieces.map(check).collect();
+    let checks = pieces.iter().fold(ParticleChecks::EMPTY, |checks, (piece, _)| checks.merge(*piece));
     (checks, pieces.into_iter().flat_map(|(_, strays)| strays).collect())
 }
 
@@ -57,23 +57,23 @@ struct PieceChecks<'a> {
 }
 
 impl Kernel for PieceChecks<'_> {
-    type Output = (ParticleChecks, Vec<Stray>);
+    type Output = (ParticleChecks, Vec<BoundViolation>);
 
     #[inline(always)]
-    fn run<V: Lanes>(self) -> (ParticleChecks, Vec<Stray>) {
-        let (mut checks, mut strays) = (ParticleChecks::NOTHING, Vec::new());
+    fn run<V: Lanes>(self) -> (ParticleChecks, Vec<BoundViolation>) {
+        let (mut checks, mut strays) = (ParticleChecks::EMPTY, Vec::new());
         let limits = DistanceLimits::new(&self.part.radii).with_margin(CELL_MARGIN);
         let [least, greatest] = limits.limits();
-        let mut near = NearLeaves::nowhere();
+        let mut near = NearLeaves::empty();
         let mut rest = self.positions;
         while let Some(&first) = rest.first() {
-            let (origin, _) = place_of(self.part, first);
+            let (origin, _) = leaf_and_offset(self.part, first);
             let mut locals = [[0.0; LANES]; 3];
             let mut count = 0;
             // The last vertex repeats in unused lanes.
             for lane in 0..LANES {
                 if let Some(&position) = rest.get(count) {
-                    let (leaf, local) = place_of(self.part, position);
+                    let (leaf, local) = leaf_and_offset(self.part, position);
                     if count == lane && leaf == origin {
                         [locals[0][lane], locals[1][lane], locals[2][lane]] = local.to_array();
                         count += 1;
@@ -109,7 +109,7 @@ impl Kernel for PieceChecks<'_> {
                 checks.vertices_outside_max += usize::from(!is_within_max[lane]);
                 if is_inside_min[lane] | !is_within_max[lane] {
                     let local = Vec3::new(locals[0][lane], locals[1][lane], locals[2][lane]);
-                    strays.extend(self.stray(&near, first + lane, origin, local));
+                    strays.extend(self.bound_violation(&near, first + lane, origin, local));
                 }
             }
         }
@@ -120,16 +120,22 @@ impl Kernel for PieceChecks<'_> {
 impl PieceChecks<'_> {
     /// The corrected position of a vertex that is out of bounds: these are few.
     #[cold]
-    fn stray(&self, near: &NearLeaves, vertex: usize, origin: IVec3, local: Vec3) -> Option<Stray> {
+    fn bound_violation(
+        &self,
+        near: &NearLeaves,
+        vertex: usize,
+        origin: IVec3,
+        local: Vec3,
+    ) -> Option<BoundViolation> {
         let corrected = origin.as_dvec3() + corrected_position(self.part, near, local)?.as_dvec3();
         let CheckedRegion { mesh, lattice, .. } = self.part;
-        Some(Stray { vertex, position: (corrected * lattice.voxel_size - mesh.origin).as_vec3() })
+        Some(BoundViolation { vertex, position: (corrected * lattice.voxel_size - mesh.origin).as_vec3() })
     }
 }
 
 /// The origin of the leaf of a vertex, and its position relative to that, in voxels.
 #[inline(always)]
-fn place_of(part: &CheckedRegion, position: Vec3) -> (IVec3, Vec3) {
+fn leaf_and_offset(part: &CheckedRegion, position: Vec3) -> (IVec3, Vec3) {
     let index = (part.mesh.origin + position.as_dvec3()) / part.lattice.voxel_size;
     let edge = f64::from(LEAF_EDGE);
     let origin: DVec3 = (index / edge).floor() * edge;
@@ -140,7 +146,7 @@ fn place_of(part: &CheckedRegion, position: Vec3) -> (IVec3, Vec3) {
 #[inline(always)]
 fn is_exempt(part: &CheckedRegion, position: Vec3) -> bool {
     let CheckedRegion { exempt, mesh, lattice, .. } = part;
-    !exempt.is_nothing() && exempt.vertex((mesh.origin + position.as_dvec3()) / lattice.voxel_size)
+    !exempt.is_empty() && exempt.vertex((mesh.origin + position.as_dvec3()) / lattice.voxel_size)
 }
 
 /// The leaves around a leaf that hold particles, the nearest first.
@@ -152,7 +158,7 @@ pub(super) struct NearLeaves {
 
 impl NearLeaves {
     /// No leaves.
-    pub(super) fn nowhere() -> NearLeaves {
+    pub(super) fn empty() -> NearLeaves {
         NearLeaves { origin: IVec3::MAX, leaves: Vec::new() }
     }
 
@@ -223,7 +229,7 @@ pub(super) fn is_inside_one(
     radius: f32,
 ) -> bool {
     let longest = shaped.map_or(1.0, ShapedParticles::longest);
-    let mut near = NearLeaves::nowhere();
+    let mut near = NearLeaves::empty();
     near.find_around(bins, origin, &leaf_steps_within(radius * longest));
     let points = point.to_array().map(|axis| [axis; LANES]);
     match shaped {

@@ -24,29 +24,31 @@
 //! The tolerance of half a voxel is what interpolation inside a cell may hide: the bounds hold at voxels, and
 //! a sphere is curved between them.
 
+mod bound_violations;
 mod containment;
 mod distances;
-mod given;
+mod input_positions;
 mod mesh_cells;
 mod particle_checks;
 mod rays;
-mod strays;
 mod surfaces;
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
-pub use given::{GivenPlace, doubtful_places, given_outside, given_outside_of};
+pub use bound_violations::BoundViolation;
+pub use input_positions::{
+    MovedParticle, count_inputs_outside, count_inputs_outside_of_source, possibly_outside,
+};
 pub use mesh_cells::MeshCells;
 pub use particle_checks::{CheckedRegion, ParticleChecks, check};
-pub use strays::Stray;
 
 use crate::surface::mesh::{Mesh, MeshMeasures};
 use crate::surface::rasterize::Radii;
 use crate::surface::space::Lattice;
 
 /// The checks of the finished surface. [`holds`](Self::holds) says whether all guarantees hold, and
-/// [`fault`](Self::fault) which do not. Distances are in voxels unless a field says world units, to the
+/// [`violations`](Self::fault) which do not. Distances are in voxels unless a field says world units, to the
 /// centre of the nearest particle. For particles with their own shapes, r_min and r_max mean their inner and
 /// outer ellipsoids.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -77,7 +79,7 @@ pub struct Certificate {
     pub may_leave_particles_outside: bool,
     /// If position smoothing moved the particles before they were checked: the particles whose input position
     /// is outside the surface. They violate no guarantee. `None` if particles were not moved.
-    pub given_outside: Option<ParticlesOutside>,
+    pub input_positions_outside: Option<ParticlesOutside>,
     /// Exempt particles: in a dropped island, outside a clip box or next to its faces, inside an obstacle or
     /// next to it. Only those near a surface are counted.
     pub particles_exempt: usize,
@@ -105,7 +107,7 @@ impl Certificate {
     }
 
     /// The violated guarantees as text; empty if all hold.
-    pub fn fault(&self) -> String {
+    pub fn violations(&self) -> String {
         let counts = [
             (self.bound_violation_count, "voxels out of bounds"),
             (self.vertices_inside_min, "vertices too near to particles"),
@@ -134,9 +136,9 @@ pub struct ParticlesOutside {
 }
 
 /// Regions of a result that are not checked because they were removed on purpose.
-pub trait Exempt: Sync {
+pub trait ExclusionMask: Sync {
     /// Whether everything is checked.
-    fn is_nothing(&self) -> bool;
+    fn is_empty(&self) -> bool;
 
     /// Whether a particle, in voxels relative to the origin of its leaf, may be outside.
     fn particle(&self, leaf_origin: IVec3, local: Vec3) -> bool;
@@ -147,10 +149,10 @@ pub trait Exempt: Sync {
 
 /// Checks everything.
 #[derive(Clone, Copy, Debug)]
-pub struct NothingExempt;
+pub struct NoExclusions;
 
-impl Exempt for NothingExempt {
-    fn is_nothing(&self) -> bool {
+impl ExclusionMask for NoExclusions {
+    fn is_empty(&self) -> bool {
         true
     }
 
@@ -191,7 +193,7 @@ pub fn certificate(
             deepest: f64::from(checks.deepest_outside) * lattice.voxel_size,
         },
         may_leave_particles_outside: radii.is_some_and(may_leave_particles_outside),
-        given_outside: None,
+        input_positions_outside: None,
         particles_exempt: checks.particles_exempt,
     }
 }
@@ -199,7 +201,7 @@ pub fn certificate(
 /// Whether the inward offset is so large that a particle may end up outside: the corners of its cell need not
 /// be inside.
 fn may_leave_particles_outside(radii: &Radii) -> bool {
-    radii.offset < 0.0 && radii.min * radii.shortest + radii.offset <= SURE_DEPTH
+    radii.offset < 0.0 && radii.min * radii.min_scale + radii.offset <= SURE_DEPTH
 }
 
 /// A ball of this radius, in voxels, contains all corners of the cell around its centre: √3. Inside smaller

@@ -12,7 +12,7 @@
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-use super::{Exempt, MeshCells, Stray, containment, distances};
+use super::{BoundViolation, ExclusionMask, MeshCells, containment, distances};
 use crate::surface::level_set::NarrowBand;
 use crate::surface::mesh::Mesh;
 use crate::surface::rasterize::{ParticleBins, Radii};
@@ -39,7 +39,7 @@ pub struct CheckedRegion<'a> {
     /// The voxels whose leaves are checked.
     pub owned: CoordBox,
     /// The regions that are not checked.
-    pub exempt: &'a dyn Exempt,
+    pub exempt: &'a dyn ExclusionMask,
 }
 
 /// The checks of vertices and particles. Distances are in voxels, to the centre of the nearest particle.
@@ -63,7 +63,7 @@ pub struct ParticleChecks {
 
 impl ParticleChecks {
     /// The checks of an empty part.
-    pub const NOTHING: ParticleChecks = ParticleChecks {
+    pub const EMPTY: ParticleChecks = ParticleChecks {
         vertex_distance_min: f32::INFINITY,
         vertex_distance_max: 0.0,
         vertices_inside_min: 0,
@@ -74,7 +74,7 @@ impl ParticleChecks {
     };
 
     /// The worse of each value, of two files.
-    pub fn or_worse(self, other: ParticleChecks) -> ParticleChecks {
+    pub fn worst_of(self, other: ParticleChecks) -> ParticleChecks {
         ParticleChecks {
             vertex_distance_min: self.vertex_distance_min.min(other.vertex_distance_min),
             vertex_distance_max: self.vertex_distance_max.max(other.vertex_distance_max),
@@ -87,7 +87,7 @@ impl ParticleChecks {
     }
 
     /// The combined checks of two parts without common leaves.
-    pub fn and(self, other: ParticleChecks) -> ParticleChecks {
+    pub fn merge(self, other: ParticleChecks) -> ParticleChecks {
         ParticleChecks {
             vertex_distance_min: self.vertex_distance_min.min(other.vertex_distance_min),
             vertex_distance_max: self.vertex_distance_max.max(other.vertex_distance_max),
@@ -102,7 +102,7 @@ impl ParticleChecks {
 
 /// Checks a part of a frame. Returns the checks, and corrected positions for vertices that are out of bounds,
 /// if one exists within a voxel.
-pub fn check(part: &CheckedRegion) -> (ParticleChecks, Vec<Stray>) {
+pub fn check(part: &CheckedRegion) -> (ParticleChecks, Vec<BoundViolation>) {
     let (vertices, strays) = distances::check_vertices(part);
     let (outside, particles_exempt) = containment::particles_outside(part);
     let depth = |&(origin, local): &(IVec3, Vec3)| containment::depth_outside(part.band, origin, local);
@@ -116,32 +116,34 @@ pub fn check(part: &CheckedRegion) -> (ParticleChecks, Vec<Stray>) {
 mod tests {
     use super::*;
     use crate::surface::contour::{Contouring, contour};
-    use crate::surface::particles::{Cloud, Particles, Shapes};
-    use crate::surface::rasterize::{RasterFields, Scene, rasterize};
-    use crate::surface::validation::NothingExempt;
+    use crate::surface::particles::{OwnedPositions, ParticleCloud, Shapes};
+    use crate::surface::rasterize::{RasterFields, RasterParams, rasterize};
+    use crate::surface::validation::NoExclusions;
 
     /// Particles in a wavy sheet, and a few beside it.
-    fn particles(spacing: f64) -> Particles {
+    fn particles(spacing: f64) -> OwnedPositions {
         let place = |index: usize| {
             let (x, y, z) = (index / 60, index / 3 % 20, index % 3);
             [x as f64 * spacing, y as f64 * spacing, z as f64 * spacing + 3.0 * (x as f64 * 0.4).sin()]
         };
-        Particles::Double((0..1800).map(place).chain([[-9.0, -9.0, 30.0], [70.0, 7.0, -20.0]]).collect())
+        OwnedPositions::F64((0..1800).map(place).chain([[-9.0, -9.0, 30.0], [70.0, 7.0, -20.0]]).collect())
     }
 
     #[test]
-    fn the_parts_of_a_frame_make_the_whole() {
+    fn merged_parts_equal_the_whole_frame() {
         let lattice = Lattice { voxel_size: 1.0 };
-        let made = Radii::of_balls(1.7, 2.6, 3.4);
-        let Ok(RasterFields { bins, band, .. }) = rasterize(&particles(1.9), &Scene::open(lattice, made));
+        let made = Radii::uniform(1.7, 2.6, 3.4);
+        let Ok(RasterFields { bins, band, .. }) =
+            rasterize(&particles(1.9), &RasterParams::open(lattice, made));
         let mesh = contour(&band, &lattice, Contouring::Dual);
         // The surface of these particles passes; with other particles or radii, every check fails.
-        let Ok(RasterFields { bins: others, .. }) = rasterize(&particles(2.3), &Scene::open(lattice, made));
-        let other_radii = Radii::of_balls(3.0, 1.0, 2.2);
+        let Ok(RasterFields { bins: others, .. }) =
+            rasterize(&particles(2.3), &RasterParams::open(lattice, made));
+        let other_radii = Radii::uniform(3.0, 1.0, 2.2);
         for (bins, radii, holds) in [(&bins, made, true), (&others, other_radii, false)] {
             let cells = &MeshCells::new(&mesh, &band, &lattice);
             let part = |owned: CoordBox| -> ParticleChecks {
-                let (exempt, mesh, lattice) = (&NothingExempt, &mesh, &lattice);
+                let (exempt, mesh, lattice) = (&NoExclusions, &mesh, &lattice);
                 check(&CheckedRegion {
                     bins,
                     radii,
@@ -166,7 +168,7 @@ mod tests {
             ];
             let checks = parts.map(part);
             assert!(checks.iter().all(|checks| checks.vertex_distance_max > 0.0));
-            assert_eq!(checks.into_iter().fold(ParticleChecks::NOTHING, ParticleChecks::and), whole);
+            assert_eq!(checks.into_iter().fold(ParticleChecks::EMPTY, ParticleChecks::merge), whole);
         }
     }
 
@@ -188,17 +190,17 @@ mod tests {
             false => 1.0,
         };
         let shapes = Shapes::Scaled(positions.iter().map(scale).collect());
-        let cloud = Cloud { shapes, ..Cloud::from(Particles::Double(positions)) };
+        let cloud = ParticleCloud { shapes, ..ParticleCloud::from(OwnedPositions::F64(positions)) };
         let lattice = Lattice { voxel_size: 1.0 };
-        let radii = Radii { shortest: 0.3, ..Radii::of_balls(3.0, 4.0, 5.0) };
-        let Ok(RasterFields { bins, band, .. }) = rasterize(&cloud, &Scene::open(lattice, radii));
+        let radii = Radii { min_scale: 0.3, ..Radii::uniform(3.0, 4.0, 5.0) };
+        let Ok(RasterFields { bins, band, .. }) = rasterize(&cloud, &RasterParams::open(lattice, radii));
         assert!(bins.len() < bins.particle_count, "none was left out");
-        let has_small = |leaf: usize| bins.range(leaf).any(|index| bins.shapes.held(index) < 0.5);
+        let has_small = |leaf: usize| bins.range(leaf).any(|index| bins.shapes.inner_radius(index) < 0.5);
         let mut leaves = bins.topology.origins().iter().enumerate();
         assert!(leaves.any(|(leaf, &origin)| bins.is_deep(origin) && has_small(leaf)));
         let mesh = &contour(&band, &lattice, Contouring::Dual);
         let cells = &MeshCells::new(mesh, &band, &lattice);
-        let (owned, exempt, lattice) = (CoordBox::ALL, &NothingExempt, &lattice);
+        let (owned, exempt, lattice) = (CoordBox::ALL, &NoExclusions, &lattice);
         let part = CheckedRegion {
             bins: &bins,
             radii,

@@ -20,10 +20,11 @@ pub(super) struct ShapedParticles<'a> {
 impl<'a> ShapedParticles<'a> {
     /// `None` if all particles have the same shape.
     pub(super) fn of(bins: &'a ParticleBins) -> Option<ShapedParticles<'a>> {
-        if bins.shapes.are_balls() {
+        if bins.shapes.is_uniform() {
             return None;
         }
-        let longest = |leaf| bins.range(leaf).map(|index| bins.shapes.longest(index)).fold(0.0, f32::max);
+        let longest =
+            |leaf| bins.range(leaf).map(|index| bins.shapes.outer_radius(index)).fold(0.0, f32::max);
         Some(ShapedParticles { bins, longest: (0..bins.topology.len()).map(longest).collect() })
     }
 
@@ -62,7 +63,7 @@ impl<'a> ShapedParticles<'a> {
             }
             let [x, y, z] = locals;
             for (index, particle) in self.bins.range(leaf).zip(self.bins.in_leaf(leaf)) {
-                let longest = self.bins.shapes.longest(index);
+                let longest = self.bins.shapes.outer_radius(index);
                 let reaches = [longest * max + beyond[0], longest * min + beyond[1]];
                 let reaches = reaches.map(|reach| reach * reach);
                 for lane in 0..LANES {
@@ -92,7 +93,7 @@ pub(super) struct Sides {
 #[cold]
 fn is_nearer(shapes: &Shapes, index: usize, apart: Vec3, (radius, distance): (f32, f32)) -> bool {
     match shapes {
-        Shapes::Balls | Shapes::Scaled(_) => true,
+        Shapes::Uniform | Shapes::Scaled(_) => true,
         Shapes::Ellipsoids(ellipsoids) => {
             distance_to_ellipsoid(&ellipsoids[index], f64::from(radius), apart.as_dvec3())
                 < f64::from(distance)
@@ -106,11 +107,12 @@ fn is_nearer(shapes: &Shapes, index: usize, apart: Vec3, (radius, distance): (f3
 /// At the nearest point y, x − y is along the normal T²y: y = (1 + λT²)⁻¹ x, with the λ ≥ 0 that puts y on
 /// the surface. |T y| decreases as λ grows.
 fn distance_to_ellipsoid(ellipsoid: &Ellipsoid, radius: f64, x: DVec3) -> f64 {
-    let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball.map(f64::from);
-    let to_ball = DMat3::from_cols(DVec3::new(xx, xy, xz), DVec3::new(xy, yy, yz), DVec3::new(xz, yz, zz));
-    let squared = to_ball * to_ball;
+    let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_unit_ball.map(f64::from);
+    let to_unit_ball =
+        DMat3::from_cols(DVec3::new(xx, xy, xz), DVec3::new(xy, yy, yz), DVec3::new(xz, yz, zz));
+    let squared = to_unit_ball * to_unit_ball;
     let point_at = |lambda: f64| (DMat3::IDENTITY + lambda * squared).inverse() * x;
-    let is_beyond = |lambda: f64| (to_ball * point_at(lambda)).length() > radius;
+    let is_beyond = |lambda: f64| (to_unit_ball * point_at(lambda)).length() > radius;
     if !is_beyond(0.0) {
         return 0.0;
     }
@@ -136,7 +138,7 @@ const BISECTIONS: usize = 40;
 #[inline(always)]
 fn distances(shapes: &Shapes, index: usize, apart: Vec3, radii: [f32; 2]) -> [f32; 2] {
     match shapes {
-        Shapes::Balls => radii.map(|radius| apart.length() - radius),
+        Shapes::Uniform => radii.map(|radius| apart.length() - radius),
         Shapes::Scaled(scales) => radii.map(|radius| apart.length() - scales[index] * radius),
         Shapes::Ellipsoids(ellipsoids) => {
             let ellipsoid = &ellipsoids[index];
@@ -157,7 +159,7 @@ pub(super) fn distances_and_outward(
     radii: [f32; 2],
 ) -> ([f32; 2], Vec3) {
     let steepest = match shapes {
-        Shapes::Balls | Shapes::Scaled(_) => apart,
+        Shapes::Uniform | Shapes::Scaled(_) => apart,
         Shapes::Ellipsoids(ellipsoids) => ellipsoids[index].apply(ellipsoids[index].apply(apart)),
     };
     (distances(shapes, index, apart, radii), steepest.normalize_or(Vec3::X))

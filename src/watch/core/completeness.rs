@@ -153,8 +153,8 @@ impl Candidate {
             _ => {}
         }
         self.left_alone(now, patience.settle, WaitReason::Changing).unwrap_or_else(|| match completeness() {
-            Completeness::Complete | Completeness::ByReading => Readiness::Ready(Proof::Format),
-            Completeness::Unproven => self
+            Completeness::Complete | Completeness::NeedsReading => Readiness::Ready(Proof::Format),
+            Completeness::Unknown => self
                 .left_alone(now, patience.unproven, WaitReason::Unproven)
                 .unwrap_or(Readiness::Ready(Proof::Unchanged)),
             Completeness::Incomplete { expected, found } => self
@@ -296,7 +296,7 @@ mod tests {
     }
 
     use Answer::{Never, Ready, Until};
-    use Completeness::{ByReading, Complete, Unproven};
+    use Completeness::{Complete, NeedsReading, Unknown};
     use Step::{Ask, Renamed, See};
 
     const NONE: Sentinel = Sentinel { is_required: false, is_there: false };
@@ -345,15 +345,15 @@ mod tests {
                 (0, Ask(NONE, Complete, Until(500, WaitReason::Changing))),
                 (499, Ask(NONE, Complete, Until(500, WaitReason::Changing))),
                 (500, Ask(NONE, Complete, Ready(Proof::Format))),
-                (500, Ask(NONE, ByReading, Ready(Proof::Format))),
+                (500, Ask(NONE, NeedsReading, Ready(Proof::Format))),
             ],
         );
         check(
             "format without a length",
             &[
                 (0, See(100, 1, 1, Some(0))),
-                (600, Ask(NONE, Unproven, Until(2000, WaitReason::Unproven))),
-                (2000, Ask(NONE, Unproven, Ready(Proof::Unchanged))),
+                (600, Ask(NONE, Unknown, Until(2000, WaitReason::Unproven))),
+                (2000, Ask(NONE, Unknown, Ready(Proof::Unchanged))),
             ],
         );
         check(
@@ -369,7 +369,7 @@ mod tests {
             &[
                 (0, See(100, 1, 1, Some(3_600_000))),
                 (0, Ask(NONE, Complete, Ready(Proof::Format))),
-                (0, Ask(NONE, Unproven, Ready(Proof::Unchanged))),
+                (0, Ask(NONE, Unknown, Ready(Proof::Unchanged))),
                 (0, Ask(NONE, HALF, Ready(Proof::Stalled))),
             ],
         );
@@ -378,7 +378,7 @@ mod tests {
             &[
                 (0, See(100, 1, 1, Some(1000))),
                 (0, Ask(NONE, Complete, Ready(Proof::Format))),
-                (0, Ask(NONE, Unproven, Until(1000, WaitReason::Unproven))),
+                (0, Ask(NONE, Unknown, Until(1000, WaitReason::Unproven))),
             ],
         );
         check(
@@ -489,7 +489,7 @@ mod tests {
             &[
                 (0, See(100, 1, 1, Some(0))),
                 (1, Renamed(100, 1, 1, Some(1))),
-                (1, Ask(NONE, Unproven, Ready(Proof::Renamed))),
+                (1, Ask(NONE, Unknown, Ready(Proof::Renamed))),
             ],
         );
         check(
@@ -523,7 +523,7 @@ mod tests {
             &[
                 (0, See(100, 1, 1, Some(0))),
                 (0, Ask(NONE, Complete, Until(500, WaitReason::Changing))),
-                (0, Ask(Sentinel { is_required: false, is_there: true }, Unproven, Ready(Proof::Sentinel))),
+                (0, Ask(Sentinel { is_required: false, is_there: true }, Unknown, Ready(Proof::Sentinel))),
             ],
         );
         let (older, frame, later) = (stamp(0, 9, 7), stamp(100, 10, 1), stamp(0, 11, 7));

@@ -43,14 +43,14 @@ impl Core {
             self.note_camera(index);
         }
         self.guard.on_success();
-        let skin = &report.skin;
+        let reconstruction = &report.reconstruction;
         let seconds = report.seconds.total();
         let figures = Arc::new(Figures::of(report));
         self.counters.add_converted(&figures, report.input.stamp.size, report.output_bytes.iter().sum());
         let record = JournaledFrame {
             outputs,
             hash: Some(report.input.hash),
-            particle_count: Some(skin.particle_count),
+            particle_count: Some(reconstruction.particle_count),
             seconds: Some(rounded(seconds)),
             flaws: report.all_warnings().iter().filter(|w| w.is_flaw()).map(Warning::to_string).collect(),
             figures: Some(Arc::clone(&figures)),

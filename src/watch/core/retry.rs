@@ -33,7 +33,7 @@ pub(crate) fn recovery(error: &FrameError) -> RetryAction {
         Cause::Scratch(_) | Cause::Changed => RetryAction::Retry,
         Cause::Obstacle(error) => recovery_of_obstacle(error),
         Cause::TooLarge(_) => RetryAction::AwaitRestart,
-        Cause::TooFine(_) | Cause::Missing(_) | Cause::Panic(_) => RetryAction::GiveUp,
+        Cause::VoxelTooSmall(_) | Cause::Missing(_) | Cause::Panic(_) => RetryAction::GiveUp,
     }
 }
 
@@ -41,7 +41,9 @@ pub(crate) fn recovery(error: &FrameError) -> RetryAction {
 /// restart.
 fn recovery_of_obstacle(error: &ObstacleError) -> RetryAction {
     match &error.source {
-        Some(source) if !matches!(source, Error::Io(_)) && !source.is_short() => RetryAction::AwaitRestart,
+        Some(source) if !matches!(source, Error::Io(_)) && !source.is_truncated() => {
+            RetryAction::AwaitRestart
+        }
         _ => RetryAction::Retry,
     }
 }
@@ -55,7 +57,7 @@ fn recovery_of_file(during: Stage, source: &Error) -> RetryAction {
             RetryAction::AwaitSpace
         }
         Error::Io(_) => RetryAction::Retry,
-        source if source.is_short() => RetryAction::Retry,
+        source if source.is_truncated() => RetryAction::Retry,
         _ => RetryAction::GiveUp,
     }
 }
@@ -94,7 +96,7 @@ const ATTEMPTS_MAX_ONCE: u32 = 4;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::surface::skin::TooLarge;
+    use crate::surface::reconstruction::TooLarge;
     use meniscus_formats::Position;
     use std::path::Path;
 
@@ -124,7 +126,7 @@ mod tests {
         assert_eq!(scratch(io::ErrorKind::PermissionDenied), RetryAction::Retry);
         assert_eq!(scratch(io::ErrorKind::NotFound), RetryAction::Retry);
         assert_eq!(smoothing(Cause::Changed), RetryAction::Retry);
-        let too_large = TooLarge { least_bytes: 2, allowed_bytes: 1, is_coupled: false };
+        let too_large = TooLarge { least_bytes: 2, allowed_bytes: 1, requires_in_core: false };
         assert_eq!(smoothing(Cause::TooLarge(too_large)), RetryAction::AwaitRestart);
         assert_eq!(smoothing(Cause::Panic("no".into())), RetryAction::GiveUp);
         let obstacle =

@@ -22,7 +22,7 @@ use crate::pipeline::{
     FileStamp, FrameError, Framing, Job, ObstacleStamps, OutputOptions, PictureOptions, ReportedWarnings,
     have_fallen_apart, settings_fingerprint,
 };
-use crate::surface::options::{self, OwnRadii, Settings};
+use crate::surface::options::{self, PerParticleRadius, Settings};
 use crate::watch::config::Watch;
 use crate::watch::journal::{JournaledSequence, SequenceCamera, SequenceKey};
 
@@ -85,7 +85,7 @@ pub(crate) enum SequenceSettings {
     /// The settings of all its frames, and their fingerprint.
     Fixed(Arc<Settings>, Arc<str>),
     /// Not measured yet; the attribute of per-particle radii, if there is one.
-    Unknown(Option<OwnRadii>),
+    Unknown(Option<PerParticleRadius>),
     /// The measurement is in progress.
     BeingMeasured,
     /// The settings cannot be determined, for this reason.
@@ -175,9 +175,9 @@ impl SequenceSettings {
         let measured =
             remembered.and_then(|record| record.measured.as_ref()).map(options::SequenceSpacing::from);
         let lacks_camera = watch.outputs.needs_camera() && framing_of(watch, remembered).is_none();
-        let unknown = || watch.choices.own_radii().map(SequenceSettings::Unknown);
+        let unknown = || watch.choices.per_particle_radius().map(SequenceSettings::Unknown);
         let resolved = || match watch.job() {
-            Job::LevelSet { .. } => Settings::of_level_sets(&watch.choices),
+            Job::LevelSet { .. } => Settings::for_level_sets(&watch.choices),
             Job::Surface | Job::Particles => Settings::resolve(&watch.choices, measured),
         };
         let settings = match watch.needs_spacing() && measured.is_none() {
@@ -229,7 +229,7 @@ pub(crate) struct MeasureOrder {
     /// Its complete frames in natural order, with their stamps when they were found complete.
     pub(crate) files: Vec<(FrameId, FileStamp)>,
     /// The attribute of per-particle radii, if there is one.
-    pub(crate) own_radii: Option<OwnRadii>,
+    pub(crate) per_particle_radius: Option<PerParticleRadius>,
     /// The known particle spacing, if only the camera is missing.
     pub(crate) known: Option<JournaledSequence>,
     /// The configuration of the watched folder.

@@ -70,7 +70,7 @@ impl Core {
     /// are none, or nothing must be measured.
     fn what_to_measure(&self, index: usize) -> Option<MeasureOrder> {
         let sequence = self.sequences.get(index);
-        let SequenceSettings::Unknown(own_radii) = &sequence.settings else { return None };
+        let SequenceSettings::Unknown(per_particle_radius) = &sequence.settings else { return None };
         let mut members: Vec<(&FrameId, Option<FileStamp>)> = self
             .frames
             .iter()
@@ -90,8 +90,14 @@ impl Core {
         let watch = self.config.watches[sequence.root].clone();
         let remembered = self.output(sequence.root).journal.sequences.get(&sequence.key).cloned();
         let given = (!watch.needs_spacing()).then(JournaledSequence::default);
-        let (own_radii, known) = (own_radii.clone(), given.or(remembered));
-        (!files.is_empty()).then_some(MeasureOrder { sequence: index, files, own_radii, known, watch })
+        let (per_particle_radius, known) = (per_particle_radius.clone(), given.or(remembered));
+        (!files.is_empty()).then_some(MeasureOrder {
+            sequence: index,
+            files,
+            per_particle_radius,
+            known,
+            watch,
+        })
     }
 
     /// A sequence was measured, or could not be.

@@ -30,5 +30,5 @@ pub(crate) fn readiness_of(
 fn completeness_of(path: &Path) -> Completeness {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let look = || completeness(&mut open_regular(path)?, &name);
-    look().unwrap_or(Completeness::Unproven)
+    look().unwrap_or(Completeness::Unknown)
 }

@@ -25,7 +25,7 @@ pub(super) fn measure(order: MeasureOrder) -> SpacingResult {
         None => {
             let paths: Vec<&Path> = order.files.iter().map(|(id, _)| &*id.path).collect();
             let note = |path: &Path, attempt: Attempt| note(&mut measured, path, attempt, &order);
-            let found = measure_sequence(&paths, order.own_radii.as_ref(), note);
+            let found = measure_sequence(&paths, order.per_particle_radius.as_ref(), note);
             found.map(|found| {
                 measured.warnings.clone_from(&found.warnings);
                 JournaledSequence { measured: Some(found), camera: None }

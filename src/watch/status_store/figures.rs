@@ -47,21 +47,21 @@ pub struct CertificateView {
 impl Figures {
     /// The figures of a report.
     pub fn of(report: &FrameReport) -> Figures {
-        let skin = &report.skin;
+        let reconstruction = &report.reconstruction;
         Figures {
-            particles: skin.particle_count,
-            dropped: skin.dropped_count,
-            voxels: skin.leaf_count * LEAF_VOXELS,
-            vertices: skin.mesh.vertex_count,
-            triangles: skin.mesh.triangle_count,
-            components: skin.mesh.component_count,
+            particles: reconstruction.particle_count,
+            dropped: reconstruction.dropped_count,
+            voxels: reconstruction.leaf_count * LEAF_VOXELS,
+            vertices: reconstruction.mesh.vertex_count,
+            triangles: reconstruction.mesh.triangle_count,
+            components: reconstruction.mesh.component_count,
             seconds: report.seconds,
             peak_memory_bytes: report.peak_memory_bytes,
             certificate: CertificateView {
-                holds: skin.certificate.holds(),
-                bound_violations: skin.certificate.bound_violation_count,
-                particles_outside: skin.certificate.particles_outside.count,
-                closed_manifold: skin.certificate.mesh_is_closed_manifold,
+                holds: reconstruction.certificate.holds(),
+                bound_violations: reconstruction.certificate.bound_violation_count,
+                particles_outside: reconstruction.certificate.particles_outside.count,
+                closed_manifold: reconstruction.certificate.mesh_is_closed_manifold,
             },
             notes: report.warnings.iter().map(ToString::to_string).collect(),
         }

@@ -79,7 +79,7 @@ fn removed_speck_moves_nothing_else() {
             [DROP, SPECK][left.len() - 1..].iter().map(|(_, radius)| 4.0 / 3.0 * PI * radius.powi(3)).sum();
         assert!((dropped.voxel_count as f64 - volume).abs() <= 0.1 * volume, "{}", dropped.voxel_count);
         let held = all.iter().map(|(origin, locals)| {
-            locals.iter().filter(|local| dropped.holds(*origin, **local)).count() as u64
+            locals.iter().filter(|local| dropped.contains(*origin, **local)).count() as u64
         });
         assert_eq!(held.sum::<u64>(), gone);
         // The values are distances to the remaining surface. Those that were nearer to it before are
@@ -175,7 +175,7 @@ fn clipped_ball(h: f64, clip_box: VoxelClip, contouring: Contouring) -> (f64, Cl
     let beyond = |p: &Vec3| clip_box.distance(mesh.origin + p.as_dvec3());
     let worst = mesh.positions.iter().map(beyond).fold(f64::MIN, f64::max);
     assert!(worst < 0.15 * h, "{worst}");
-    clip_box.hold(&mut mesh);
+    clip_box.clamp_mesh(&mut mesh);
     let measures = mesh.measure();
     assert!(measures.is_closed_manifold(), "{measures:?}");
     (measures.volume, clipped, mesh.positions.iter().map(|p| p.as_dvec3() + mesh.origin).collect())

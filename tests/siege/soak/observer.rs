@@ -10,7 +10,7 @@ use std::thread;
 use std::time::Duration;
 
 use meniscus_formats::OutputFormat;
-use meniscus_formats::is_whole;
+use meniscus_formats::is_complete;
 
 /// Opens every output as soon as it appears, and again whenever another file replaces it; returns their
 /// number.
@@ -32,7 +32,7 @@ pub(super) fn observe(folder: &Path, is_over: &AtomicBool) -> usize {
                 Err(error) if error.kind() == ErrorKind::NotFound => continue,
                 Err(error) => panic!("{}: {error}", path.display()),
             };
-            assert!(is_whole(kind, &mut file).unwrap_or(false), "{} was not whole", path.display());
+            assert!(is_complete(kind, &mut file).unwrap_or(false), "{} was not whole", path.display());
             inodes.insert(path, entry.ino());
             sight_count += 1;
         }

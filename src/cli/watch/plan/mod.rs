@@ -128,7 +128,7 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
     let choices = frames.method.to_options();
     if names_level_sets(frames.pattern.as_deref()) {
         refuse_options(&frames.method, Use::AsItIs)?;
-        Settings::of_level_sets(&choices)?;
+        Settings::for_level_sets(&choices)?;
     } else if choices.needs_spacing() {
         Settings::check(&choices)?;
     } else {

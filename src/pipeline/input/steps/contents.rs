@@ -17,7 +17,7 @@ use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use meniscus_formats::compression::{read_head, unpacked};
+use meniscus_formats::compression::{decompressed, read_head};
 use meniscus_formats::steps::{FoundStep, find_more_steps, find_steps, may_have_steps};
 use meniscus_formats::{Limits, Probe, ProbedKind, Result, probe};
 use twox_hash::XxHash3_128;
@@ -171,9 +171,9 @@ pub(super) fn look_through(
 fn look_through_packed(mut source: impl Read, stamp: FileStamp, kind: ProbedKind) -> Result<StepContents> {
     let mut bytes = Vec::new();
     source.read_to_end(&mut bytes)?;
-    let unpacked = unpacked(&bytes, &Limits::default())?;
-    let found = find_steps(kind, &*unpacked, &Limits::default())?;
-    let unpacking_bytes = Some((bytes.len() + unpacked.len()) as u64);
+    let decompressed = decompressed(&bytes, &Limits::default())?;
+    let found = find_steps(kind, &*decompressed, &Limits::default())?;
+    let unpacking_bytes = Some((bytes.len() + decompressed.len()) as u64);
     Ok(StepContents { unpacking_bytes, ..StepContents::new(stamp, kind, found) })
 }
 

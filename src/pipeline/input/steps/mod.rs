@@ -26,7 +26,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use meniscus_formats::compression::unpacked;
+use meniscus_formats::compression::decompressed;
 use meniscus_formats::steps::may_have_steps;
 use meniscus_formats::{Error, Limits, ReadAt, Result};
 use twox_hash::XxHash3_128;
@@ -227,7 +227,7 @@ pub(crate) fn read_step(
     let Some(bytes) = read(stored.clone())? else { return Ok(None) };
     let hash = XxHash3_128::oneshot(&bytes);
     let bytes = if is_packed {
-        let whole = unpacked(&bytes, &Limits::default())?;
+        let whole = decompressed(&bytes, &Limits::default())?;
         let [start, end] = [range.start, range.end].map(|at| usize::try_from(at).unwrap_or(usize::MAX));
         // The step has moved, so the file has changed.
         let Some(step) = whole.get(start..end) else { return Ok(None) };
@@ -244,7 +244,7 @@ pub(crate) fn read_step(
 pub(crate) fn by_lines_of_file(frame: &Path, error: Error) -> Error {
     let lines_before =
         |(file, step): (&Path, &str)| Some(contents_known(file)?.step(step).ok()?.lines_before);
-    error.lines_later(step_of(frame).and_then(lines_before).unwrap_or(0))
+    error.with_line_offset(step_of(frame).and_then(lines_before).unwrap_or(0))
 }
 
 /// The index of a file in its current state.

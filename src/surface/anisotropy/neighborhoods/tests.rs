@@ -27,17 +27,18 @@ struct Whole {
     ball_count: usize,
 }
 
-fn from_neighbors(particles: &Particles, scales: Option<&[f32]>, config: &Config) -> Whole {
-    shaped(particles, scales, config, Level::current())
+fn from_neighbors(particles: &OwnedPositions, scales: Option<&[f32]>, config: &Config) -> Whole {
+    shaped(particles, scales, config, SimdLevel::current())
 }
 
-fn shaped(particles: &Particles, scales: Option<&[f32]>, config: &Config, level: Level) -> Whole {
+fn shaped(particles: &OwnedPositions, scales: Option<&[f32]>, config: &Config, level: SimdLevel) -> Whole {
     let &Config { radius_world, max_stretch, position_smoothing, floor } = config;
     let stretch = Stretch { max_stretch, floor, lone: 1.0, lone_floor: floor };
     let config = NeighborConfig { radius_world, stretch: Some(stretch) };
-    let found = by_neighbors(particles, |_| true, scales, &config, level);
+    let found = neighbor_shapes(particles, |_| true, scales, &config, level);
     // Means are the same without shapes.
-    let means = by_neighbors(particles, |_| true, scales, &NeighborConfig { stretch: None, ..config }, level);
+    let means =
+        neighbor_shapes(particles, |_| true, scales, &NeighborConfig { stretch: None, ..config }, level);
     assert_eq!((&means.means, &means.indices), (&found.means, &found.indices));
     let ball = |index| Ellipsoid::ball(scale_of(scales, index).max(floor));
     let mut whole = Whole {
@@ -83,8 +84,8 @@ fn lattice(half: [i32; 3], jitter: f64) -> Vec<DVec3> {
     points
 }
 
-fn double(points: &[DVec3]) -> Particles {
-    Particles::Double(points.iter().map(DVec3::to_array).collect())
+fn double(points: &[DVec3]) -> OwnedPositions {
+    OwnedPositions::F64(points.iter().map(DVec3::to_array).collect())
 }
 
 fn shapes_of(points: &[DVec3], config: &Config) -> Vec<Ellipsoid> {
@@ -102,7 +103,7 @@ fn inner<'a>(
 }
 
 fn matrix(shape: &Ellipsoid) -> DMat3 {
-    let [xx, yy, zz, xy, xz, yz] = shape.to_ball.map(f64::from);
+    let [xx, yy, zz, xy, xz, yz] = shape.to_unit_ball.map(f64::from);
     DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz])
 }
 
@@ -314,15 +315,15 @@ fn particles_beyond_the_radius_do_not_matter() {
 fn threads_and_levels_give_the_same_bits() {
     let mut points = lattice([9, 9, 3], 0.9);
     points.extend(vec![DVec3::splat(0.5); 700]);
-    let particles = Particles::Single(points.iter().map(|point| point.as_vec3().to_array()).collect());
+    let particles = OwnedPositions::F32(points.iter().map(|point| point.as_vec3().to_array()).collect());
     let config = Config { position_smoothing: 0.3, ..CONFIG };
     let scales: Vec<f32> = (0..points.len()).map(|index| 1.0 + (index % 5) as f32).collect();
-    let with = |threads: usize, level: Level| {
+    let with = |threads: usize, level: SimdLevel| {
         let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| shaped(&particles, Some(&scales), &config, level))
     };
-    let plain = with(1, Level::Baseline);
-    for level in Level::ALL {
+    let plain = with(1, SimdLevel::Baseline);
+    for level in SimdLevel::ALL {
         for threads in [1, 2, 5] {
             assert!(with(threads, level) == plain, "{threads} threads, {level:?}");
         }
@@ -357,14 +358,14 @@ fn corners_move_inward() {
 #[test]
 fn invalid_particles_are_balls() {
     let config = Config { position_smoothing: 1.0, ..CONFIG };
-    for particles in [Particles::Single(Vec::new()), Particles::Double(Vec::new())] {
+    for particles in [OwnedPositions::F32(Vec::new()), OwnedPositions::F64(Vec::new())] {
         let shaped = from_neighbors(&particles, None, &config);
         assert_eq!((shaped.shapes.len(), shaped.positions.len(), shaped.ball_count), (0, 0, 0));
     }
     let (nan, infinite) = (f64::NAN, f64::INFINITY);
     let positions = vec![[nan, 0.0, 0.0], [0.0, infinite, 0.0], [1e300, -1e300, 1e300], [4.0, 5.0, 6.0]];
     let scales = [1.0, 2.0, 1e-9, f32::NAN];
-    let shaped = from_neighbors(&Particles::Double(positions.clone()), Some(&scales), &config);
+    let shaped = from_neighbors(&OwnedPositions::F64(positions.clone()), Some(&scales), &config);
     let expected = [1.0, 2.0, CONFIG.floor, CONFIG.floor].map(Ellipsoid::ball);
     // Only the last of these is inside the grid.
     assert_eq!((shaped.shapes, shaped.ball_count, shaped.raised_count), (expected.to_vec(), 1, 1));
@@ -373,7 +374,7 @@ fn invalid_particles_are_balls() {
         assert_eq!(found.to_array(), *expected);
     }
     // All particles at one point: no direction is preferred.
-    let heap = Particles::Single(vec![[0.1, 0.7, -0.3]; 20_000]);
+    let heap = OwnedPositions::F32(vec![[0.1, 0.7, -0.3]; 20_000]);
     let shaped = from_neighbors(&heap, None, &CONFIG);
     for shape in &shaped.shapes {
         assert!((shape.longest - 1.0).abs() < 1e-3, "{shape:?}");

@@ -77,7 +77,7 @@ impl Rings {
     pub(super) fn can_collapse(&self, vertex: u32, target: u32) -> bool {
         let (ring, around_target) = (self.of(vertex), self.of(target));
         let Some(index) = ring.iter().position(|&neighbor| neighbor == target) else { return false };
-        let (before, after) = beside(ring, index);
+        let (before, after) = adjacent(ring, index);
         let common = around_target.iter().filter(|neighbor| ring.contains(neighbor)).count();
         common == 2
             && self.of(before).len() > DEGREE_LEAST
@@ -158,7 +158,7 @@ const SPARE: u32 = 2;
 
 /// The neighbors before and after an index of a ring.
 #[inline(always)]
-fn beside(ring: &[u32], index: usize) -> (u32, u32) {
+fn adjacent(ring: &[u32], index: usize) -> (u32, u32) {
     let before = if index == 0 { ring.len() - 1 } else { index - 1 };
     let after = if index + 1 == ring.len() { 0 } else { index + 1 };
     (ring[before], ring[after])

@@ -19,7 +19,7 @@ use super::Neighbors;
 
 /// Eight particles. Unused lanes are at infinity and have a multiplicity of 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Eight {
+pub struct Particle8 {
     /// x, y and z in edges of a cell, from the lower corner of the middle cell.
     pub along: [[f32; 8]; 3],
     /// The multiplicity: how many particles each represents.
@@ -31,15 +31,15 @@ pub struct Eight {
 /// The index of an unused lane.
 pub const NO_PARTICLE: u32 = u32::MAX;
 
-impl Eight {
-    const EMPTY: Eight =
-        Eight { along: [[f32::INFINITY; 8]; 3], multiplicity: [0.0; 8], indices: [NO_PARTICLE; 8] };
+impl Particle8 {
+    const EMPTY: Particle8 =
+        Particle8 { along: [[f32::INFINITY; 8]; 3], multiplicity: [0.0; 8], indices: [NO_PARTICLE; 8] };
 }
 
 /// The particles in a cell and its 26 neighbours.
 #[derive(Clone, Debug, Default)]
 pub struct NeighborPackets {
-    eights: Vec<Eight>,
+    eights: Vec<Particle8>,
     len: usize,
 }
 
@@ -65,7 +65,7 @@ impl NeighborPackets {
     }
 
     /// The packets.
-    pub fn eights(&self) -> &[Eight] {
+    pub fn eights(&self) -> &[Particle8] {
         &self.eights
     }
 
@@ -84,7 +84,7 @@ impl NeighborPackets {
         while !rest.is_empty() {
             let at = self.len % 8;
             if at == 0 {
-                self.eights.push(Eight::EMPTY);
+                self.eights.push(Particle8::EMPTY);
             }
             let Some(eight) = self.eights.last_mut() else { return };
             let count = rest.len().min(8 - at);

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! At that distance from the mesh's origin, positions are off by 1/16 voxel or more, which is also the limit
-//! for the spread of a frame (`skin::SPREAD_MAX_VOXELS`). If more than a few particles are that far away, the
+//! for the spread of a frame (`reconstruction::SPREAD_MAX_VOXELS`). If more than a few particles are that far away, the
 //! frame really is that wide and all particles are kept. The result depends only on the number of particles
 //! in each leaf.
 
@@ -24,7 +24,7 @@ const FEW_ONE_IN: usize = 100;
 
 /// Origins of the leaves whose particles are dropped, sorted. `leaves` yields leaf origins with their
 /// particle counts.
-pub(super) fn strayed<L: Iterator<Item = (IVec3, usize)>>(leaves: impl Fn() -> L) -> Vec<IVec3> {
+pub(super) fn stray_leaves<L: Iterator<Item = (IVec3, usize)>>(leaves: impl Fn() -> L) -> Vec<IVec3> {
     let bounds = leaves().map(|(origin, _)| (origin, origin));
     let bounds = bounds.reduce(|(low, high), (one, other)| (low.min(one), high.max(other)));
     // Twice an index still fits into 32 bits.
@@ -53,7 +53,7 @@ mod tests {
     #[test]
     fn only_a_few_particles_far_from_the_rest_are_stray() {
         let strayed_of = |leaves: &[(i32, usize)]| -> Vec<i32> {
-            let found = strayed(|| leaves.iter().map(|&(x, count)| (IVec3::new(8, x, 0), count)));
+            let found = stray_leaves(|| leaves.iter().map(|&(x, count)| (IVec3::new(8, x, 0), count)));
             found.into_iter().map(|origin| origin.y).collect()
         };
         let far = 2 * FARTHEST_VOXELS;

@@ -14,7 +14,7 @@ use crate::surface::simd;
 use crate::surface::space::Lattice;
 
 /// The inside of a mesh.
-pub struct Solid {
+pub struct MeshSdf {
     surface: RepairedMesh,
 }
 
@@ -27,11 +27,11 @@ const RADIUS: f64 = HALF_EDGE * 1.732_050_807_568_877_2;
 /// More than the rounding error of distances, in voxels.
 const ROUNDING: f64 = 1e-3;
 
-impl Solid {
+impl MeshSdf {
     /// The inside of these triangles, in world units. Triangles that cannot be part of a surface are left out
-    /// and counted in [`Solid::findings`].
-    pub fn new(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> Solid {
-        Solid { surface: RepairedMesh::new(positions, triangles) }
+    /// and counted in [`MeshSdf::findings`].
+    pub fn new(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> MeshSdf {
+        MeshSdf { surface: RepairedMesh::new(positions, triangles) }
     }
 
     /// The problems of the mesh.

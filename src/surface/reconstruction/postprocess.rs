@@ -19,7 +19,7 @@ use std::sync::Arc;
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
-use super::{Scene, lattice};
+use super::{RasterParams, lattice};
 use crate::surface::contour;
 use crate::surface::edits::{self, DroppedIslands};
 use crate::surface::grid::{LEAF_EDGE, LeafMask, offset_in_leaf};
@@ -27,8 +27,8 @@ use crate::surface::level_set::{NarrowBand, offset_surface};
 use crate::surface::mesh::{Mesh, RoundedPositions, decimate};
 use crate::surface::obstacle::ObstacleLeaf;
 use crate::surface::options::Settings;
-use crate::surface::report::{DepthTally, EditReport, SkinReport};
-use crate::surface::validation::{self, CheckedRegion, Exempt, ParticleChecks};
+use crate::surface::report::{DepthStats, EditReport, ReconstructionReport};
+use crate::surface::validation::{self, CheckedRegion, ExclusionMask, ParticleChecks};
 
 /// What edits removed from the level set.
 #[derive(Default)]
@@ -43,7 +43,7 @@ pub(super) fn has_edits(settings: &Settings) -> bool {
 }
 
 /// Moves the surface by the offset, if any, but not into obstacles.
-pub(super) fn offset(band: &mut NarrowBand, scene: &Scene) {
+pub(super) fn offset(band: &mut NarrowBand, scene: &RasterParams) {
     let radii = scene.radii;
     if radii.offset == 0.0 {
         return;
@@ -64,7 +64,7 @@ pub(super) fn offset(band: &mut NarrowBand, scene: &Scene) {
 pub(super) fn edit<P: AsRef<[Vec3]>>(
     band: &mut NarrowBand,
     particles: impl IntoIterator<Item = (IVec3, P)>,
-    (scene, settings): (&Scene, &Settings),
+    (scene, settings): (&RasterParams, &Settings),
     report: &mut EditReport,
 ) -> Edits {
     let mut edits = Edits::default();
@@ -99,31 +99,31 @@ pub(super) fn edit<P: AsRef<[Vec3]>>(
 pub(super) fn mesh(
     band: &NarrowBand,
     edits: &Edits,
-    (scene, settings): (&Scene, &Settings),
-    depth: &mut DepthTally,
+    (scene, settings): (&RasterParams, &Settings),
+    depth: &mut DepthStats,
 ) -> Mesh {
     let mut mesh = contour::contour(band, &scene.lattice, settings.contouring);
     if !scene.obstacles.is_empty() {
-        *depth = scene.obstacles.clear(&mut mesh, &scene.lattice, scene.obstacle_half_width());
+        *depth = scene.obstacles.move_vertices_out(&mut mesh, &scene.lattice, scene.obstacle_half_width());
     }
     if let Some(clip) = &edits.clip {
-        clip.hold(&mut mesh);
+        clip.clamp_mesh(&mut mesh);
     }
     mesh
 }
 
 /// How a file stores the positions of a mesh.
 #[derive(Clone, Copy, Debug)]
-pub enum Stored {
+pub enum PositionFormat {
     /// Unchanged: 32 bits, relative to the mesh's origin.
-    AsTheyAre,
+    Exact,
     /// With this rounding.
     Rounded(RoundedPositions),
 }
 
 /// Number of times that vertices are moved back into their bounds. Any left outside are then reported as
 /// violations.
-const RETURNS_MAX: usize = 3;
+const CLAMP_ROUNDS_MAX: usize = 3;
 
 /// Replaces the mesh by the one that is written, and validates it part by part, as each file stores it.
 ///
@@ -131,8 +131,8 @@ const RETURNS_MAX: usize = 3;
 /// Returns the errors of `each_part`.
 pub(super) fn finalize<E>(
     mesh: &mut Mesh,
-    (settings, stored): (&Settings, &[Stored]),
-    report: &mut SkinReport,
+    (settings, stored): (&Settings, &[PositionFormat]),
+    report: &mut ReconstructionReport,
     mut each_part: impl FnMut(&StoredMesh, &mut dyn FnMut(&CheckedRegion)) -> Result<(), E>,
 ) -> Result<ParticleChecks, E> {
     let lattice = lattice(settings);
@@ -141,19 +141,19 @@ pub(super) fn finalize<E>(
         report.edits.removed_triangle_count = decimated.removed_triangle_count;
         report.edits.decimation_error_voxels = decimated.error_world_max / lattice.voxel_size;
     }
-    let rounding = |stored: &Stored| match stored {
-        Stored::AsTheyAre => None,
-        Stored::Rounded(rounding) => Some(*rounding),
+    let rounding = |stored: &PositionFormat| match stored {
+        PositionFormat::Exact => None,
+        PositionFormat::Rounded(rounding) => Some(*rounding),
     };
     let roundings: Vec<RoundedPositions> = stored.iter().filter_map(rounding).collect();
     report.flat_triangles_removed = mesh.remove_flat_triangles(&roundings);
     let has_unrounded = roundings.len() < stored.len();
-    let mut checks = ParticleChecks::NOTHING;
-    for returns in 0..=RETURNS_MAX {
-        checks = ParticleChecks::NOTHING;
+    let mut checks = ParticleChecks::EMPTY;
+    for returns in 0..=CLAMP_ROUNDS_MAX {
+        checks = ParticleChecks::EMPTY;
         let mut strays: BTreeMap<usize, Vec3> = BTreeMap::new();
         for stored in stored {
-            let mut of_file = ParticleChecks::NOTHING;
+            let mut of_file = ParticleChecks::EMPTY;
             let mut rounded = rounding(stored).map(|rounding| mesh.rounded(rounding));
             // Rounding that changes nothing needs no second check.
             if has_unrounded && rounded.as_ref().is_some_and(|rounded| *rounded == mesh.positions) {
@@ -169,19 +169,19 @@ pub(super) fn finalize<E>(
             let checked = StoredMesh { mesh, rounding: moved_voxels as f32 };
             let parts = each_part(&checked, &mut |part| {
                 let (of_part, found) = validation::check(part);
-                of_file = of_file.and(of_part);
+                of_file = of_file.merge(of_part);
                 strays.extend(found.into_iter().map(|stray| (stray.vertex, stray.position)));
             });
             if let Some(rounded) = &mut rounded {
                 std::mem::swap(rounded, &mut mesh.positions);
             }
             parts?;
-            checks = checks.or_worse(of_file);
+            checks = checks.worst_of(of_file);
         }
-        if strays.is_empty() || returns == RETURNS_MAX {
+        if strays.is_empty() || returns == CLAMP_ROUNDS_MAX {
             break;
         }
-        report.vertices_returned += strays.len();
+        report.vertices_clamped += strays.len();
         for (vertex, position) in strays {
             mesh.positions[vertex] = position;
             mesh.normals[vertex] = Vec3::ZERO;
@@ -208,18 +208,19 @@ pub(super) struct StoredMesh<'a> {
 }
 
 /// What validation skips.
-pub(super) struct Exemptions<'a> {
-    pub(super) scene: &'a Scene<'a>,
+pub(super) struct SurfaceExclusions<'a> {
+    pub(super) scene: &'a RasterParams<'a>,
     pub(super) edits: &'a Edits,
 }
 
-impl Exempt for Exemptions<'_> {
-    fn is_nothing(&self) -> bool {
+impl ExclusionMask for SurfaceExclusions<'_> {
+    fn is_empty(&self) -> bool {
         self.scene.obstacles.is_empty() && self.edits.islands.is_none() && self.edits.clip.is_none()
     }
 
     fn particle(&self, leaf_origin: IVec3, local: Vec3) -> bool {
-        let is_dropped = self.edits.islands.as_ref().is_some_and(|islands| islands.holds(leaf_origin, local));
+        let is_dropped =
+            self.edits.islands.as_ref().is_some_and(|islands| islands.contains(leaf_origin, local));
         let index = leaf_origin.as_dvec3() + local.as_dvec3();
         is_dropped || self.is_near_cut(index) || self.obstacle_distance(index) < PARTICLE_MARGIN
     }
@@ -237,7 +238,7 @@ const PARTICLE_MARGIN: f32 = 1.0;
 /// Beyond the widest filled gap plus this margin, in voxels, an obstacle does not affect vertices.
 const VERTEX_MARGIN: f32 = 2.0;
 
-impl Exemptions<'_> {
+impl SurfaceExclusions<'_> {
     /// True if a position, in voxels, is outside the box or within a voxel of its faces.
     fn is_near_cut(&self, index: DVec3) -> bool {
         let voxel_size = self.scene.lattice.voxel_size;

@@ -3,9 +3,9 @@
 use std::borrow::Cow;
 
 use super::{FrameSurface, lattice};
-use crate::surface::attributes::{BandAttribute, Support, to_band, to_vertices};
+use crate::surface::attributes::{BandAttribute, Support, interpolate_to_band, interpolate_to_vertices};
 use crate::surface::options::Settings;
-use crate::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Positions, Shapes};
+use crate::surface::particles::{Attribute, AttributeValues, ParticleCloud, Positions, Role, Shapes};
 use crate::surface::report::TransferReport;
 
 /// Attributes of a surface.
@@ -26,7 +26,7 @@ impl SurfaceAttributes {
 
     /// Upper limit of the additional memory while grids are compressed, in bytes.
     pub fn packing_bytes(&self) -> usize {
-        VOXELS_PER_PLACE * self.band.iter().map(BandAttribute::size_bytes).sum::<usize>()
+        VOXELS_PER_POINT * self.band.iter().map(BandAttribute::size_bytes).sum::<usize>()
     }
 }
 
@@ -40,13 +40,18 @@ pub struct Targets {
 }
 
 /// Transfers the attributes selected in the settings from the particles to the surface.
-pub fn transfer(surface: &mut FrameSurface, cloud: &Cloud, settings: &Settings, targets: Targets) {
+pub fn transfer_attributes(
+    surface: &mut FrameSurface,
+    cloud: &ParticleCloud,
+    settings: &Settings,
+    targets: Targets,
+) {
     let particles = (Positions::from(&cloud.positions), &cloud.shapes, &*cloud.attributes);
-    transfer_from(particles, surface, settings, targets);
+    transfer_attributes_from(particles, surface, settings, targets);
 }
 
-/// Like [`transfer`], for particles that may be borrowed: positions, shapes and attributes.
-pub(crate) fn transfer_from(
+/// Like [`transfer_attributes`], for particles that may be borrowed: positions, shapes and attributes.
+pub(crate) fn transfer_attributes_from(
     (positions, shapes, attributes): (Positions<'_>, &Shapes, &[Attribute]),
     surface: &mut FrameSurface,
     settings: &Settings,
@@ -61,21 +66,22 @@ pub(crate) fn transfer_from(
         ..TransferReport::default()
     };
     if targets.vertices {
-        let (vertices, counts) = to_vertices(positions.borrowed(), &selected, &surface.mesh, support);
+        let (vertices, counts) =
+            interpolate_to_vertices(positions.borrowed(), &selected, &surface.mesh, support);
         (surface.attributes.vertices, report.vertices) = (vertices, counts);
     }
     if let Some(half_width_voxels) = targets.band_half_width_voxels {
         let grids: Vec<Cow<Attribute>> = selected.iter().copied().filter_map(of_grid).collect();
         let grids: Vec<&Attribute> = grids.iter().map(Cow::as_ref).collect();
         let band = (&surface.band, &lattice(settings));
-        let (found, counts) = to_band(positions, &grids, band, half_width_voxels, support);
+        let (found, counts) = interpolate_to_band(positions, &grids, band, half_width_voxels, support);
         (surface.attributes.band, report.band) = (found, counts);
     }
     surface.report.transfer = Some(report);
 }
 
 /// Upper estimate of the number of voxels in the band per sample point.
-const VOXELS_PER_PLACE: usize = 6;
+const VOXELS_PER_POINT: usize = 6;
 
 /// How far values reach; see [`crate::surface::attributes`].
 fn support<'a>(settings: &Settings, shapes: &'a Shapes) -> Support<'a> {
@@ -97,12 +103,12 @@ const MARGIN_VOXELS: f64 = 2.0;
 /// The part of an attribute that a grid can store, if any: a color loses its alpha channel.
 fn of_grid(attribute: &Attribute) -> Option<Cow<'_, Attribute>> {
     let AttributeValues::Numbers(values) = &attribute.values else { return None };
-    match (attribute.arity, attribute.meaning) {
+    match (attribute.arity, attribute.role) {
         (1 | 3, _) => Some(Cow::Borrowed(attribute)),
-        (4, Meaning::Color) => {
+        (4, Role::Color) => {
             let opaque = values.chunks_exact(4).flat_map(|color| &color[..3]).copied().collect();
-            let (name, meaning) = (attribute.name.clone(), attribute.meaning);
-            Some(Cow::Owned(Attribute { name, meaning, arity: 3, values: AttributeValues::Numbers(opaque) }))
+            let (name, role) = (attribute.name.clone(), attribute.role);
+            Some(Cow::Owned(Attribute { name, role, arity: 3, values: AttributeValues::Numbers(opaque) }))
         }
         _ => None,
     }
@@ -113,14 +119,14 @@ mod tests {
     use super::*;
     use crate::surface::obstacle::Obstacles;
     use crate::surface::options::{AttributeSelection, MethodOptions};
-    use crate::surface::particles::Particles;
-    use crate::surface::skin::skin_cloud;
+    use crate::surface::particles::OwnedPositions;
+    use crate::surface::reconstruction::reconstruct_cloud;
 
     /// Isolated particles at these positions along x, with their scale.
-    fn drops(drops: &[(f64, f32)]) -> Cloud {
+    fn drops(drops: &[(f64, f32)]) -> ParticleCloud {
         let attribute = |name: &str, values| Attribute {
             name: name.to_owned(),
-            meaning: Meaning::Other,
+            role: Role::Other,
             arity: 1,
             values: AttributeValues::Numbers(values),
         };
@@ -129,7 +135,7 @@ mod tests {
             attribute("pscale", drops.iter().map(|(_, radius)| *radius).collect()),
             attribute("x", drops.iter().map(|(x, _)| *x as f32).collect()),
         ];
-        Cloud { attributes, ..Cloud::from(Particles::Double(places)) }
+        ParticleCloud { attributes, ..ParticleCloud::from(OwnedPositions::F64(places)) }
     }
 
     #[test]
@@ -140,22 +146,26 @@ mod tests {
             ..MethodOptions::default()
         };
         let settings = Settings::paper(0.1, &choices).expect("sound");
-        let mut surface = skin_cloud(drops(&[(0.0, 1.5), (9.0, 2.0)]), &settings, &Obstacles::default());
+        let mut surface =
+            reconstruct_cloud(drops(&[(0.0, 1.5), (9.0, 2.0)]), &settings, &Obstacles::default());
         let counts = surface.report.transfer.clone().expect("transferred").vertices;
-        assert!(counts.lonely_count == surface.mesh.positions.len() && counts.empty_count == 0, "{counts:?}");
+        assert!(
+            counts.isolated_count == surface.mesh.positions.len() && counts.empty_count == 0,
+            "{counts:?}"
+        );
         let AttributeValues::Numbers(found) = &surface.attributes.vertices[1].values else { panic!("reals") };
         for (position, x) in surface.mesh.positions.iter().zip(found) {
             let own = if f64::from(position.x) + surface.mesh.origin.x < 4.0 { 0.0 } else { 9.0 };
             assert_eq!(*x, own, "at {position}");
         }
         let reference = surface.attributes.vertices.clone();
-        let (more, _) = crate::surface::skin::shape(
+        let (more, _) = crate::surface::reconstruction::shape_particles(
             drops(&[(900.0, 4.0), (0.0, 1.5), (-50.0, 3.0), (9.0, 2.0)]),
             &settings,
         );
         let more = more.into_moved();
         let targets = Targets { vertices: true, band_half_width_voxels: None };
-        transfer(&mut surface, &more, &settings, targets);
+        transfer_attributes(&mut surface, &more, &settings, targets);
         for (one, other) in surface.attributes.vertices.iter().zip(&reference) {
             assert_eq!(one.values, other.values);
         }

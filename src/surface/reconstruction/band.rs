@@ -14,16 +14,16 @@ use std::ops::ControlFlow;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::finish::{Stored, StoredMesh};
 use super::plan::{FIELD_BYTES, mesh_bytes, smoothing_fields};
-use super::{FrameSurface, SurfaceAttributes, TOPOLOGY_LEAF_BYTES, finish, lattice, smooth_config};
+use super::postprocess::{PositionFormat, StoredMesh};
+use super::{FrameSurface, SurfaceAttributes, TOPOLOGY_LEAF_BYTES, lattice, postprocess, smooth_config};
 use crate::surface::contour;
 use crate::surface::grid::{Field, negative_masks};
 use crate::surface::level_set::{
     Bounds, NarrowBand, WIDENED_MAX, offset_surface, widened, widened_leaf_count,
 };
 use crate::surface::options::Settings;
-use crate::surface::report::SkinReport;
+use crate::surface::report::ReconstructionReport;
 use crate::surface::smooth;
 use crate::surface::validation::{CheckedRegion, certificate};
 
@@ -40,41 +40,48 @@ const MARGIN: f32 = 5.0;
 /// is the smoothest surface that stays within that distance of the given one; the settings' offset is applied
 /// afterwards. Settings for particles have no effect. Voxel (0, 0, 0) is at `translation`, in world units.
 /// The mesh is validated as stored in each of the formats in `stored`.
-pub fn resurface(
+pub fn smooth_level_set(
     band: NarrowBand,
     translation: DVec3,
     slack_voxels: f32,
     settings: &Settings,
-    stored: &[Stored],
+    stored: &[PositionFormat],
 ) -> FrameSurface {
-    bound(band, translation, slack_voxels, settings).smooth(settings, &mut |_| {}).contour(settings, stored)
+    bound_level_set(band, translation, slack_voxels, settings)
+        .smooth(settings, &mut |_| {})
+        .contour(settings, stored)
 }
 
-/// A level set between two stages of [`resurface`], with the bounds that its surface must keep.
+/// A level set between two stages of [`smooth_level_set`], with the bounds that its surface must keep.
 #[derive(Clone, Debug)]
 pub struct BoundedBand {
     band: NarrowBand,
     bounds: Bounds,
     slack: f32,
     translation: DVec3,
-    report: SkinReport,
+    report: ReconstructionReport,
 }
 
-/// First stage of [`resurface`]: widens the band and computes the bounds.
-pub fn bound(band: NarrowBand, translation: DVec3, slack_voxels: f32, settings: &Settings) -> BoundedBand {
+/// First stage of [`smooth_level_set`]: widens the band and computes the bounds.
+pub fn bound_level_set(
+    band: NarrowBand,
+    translation: DVec3,
+    slack_voxels: f32,
+    settings: &Settings,
+) -> BoundedBand {
     let slack = slack_voxels.clamp(0.0, SLACK_MAX_VOXELS);
     let band = match working_half_width(&band, slack, offset_voxels(settings)) {
         Some(half_width) => widened(&band, half_width),
         None => band,
     };
     let bounds = Bounds { lower: moved(&band.phi, -slack), upper: moved(&band.phi, slack) };
-    let report = SkinReport { leaf_count: band.topology.len(), ..SkinReport::default() };
+    let report = ReconstructionReport { leaf_count: band.topology.len(), ..ReconstructionReport::default() };
     BoundedBand { band, bounds, slack, translation, report }
 }
 
 impl BoundedBand {
     /// The report so far.
-    pub fn report_mut(&mut self) -> &mut SkinReport {
+    pub fn report_mut(&mut self) -> &mut ReconstructionReport {
         &mut self.report
     }
 
@@ -92,7 +99,7 @@ impl BoundedBand {
                 smooth::smooth_while::<Infallible>(band, bounds, &config, &mut advanced);
             report.free_voxel_count = smoothed.free_voxel_count;
             report.pass_count = smoothed.pass_count;
-            report.moved_count = smoothed.moved_count;
+            report.voxel_update_count = smoothed.voxel_update_count;
             report.reach_voxels = smoothed.reach_voxels;
             report.convergence = smoothed.convergence;
             report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
@@ -101,7 +108,7 @@ impl BoundedBand {
     }
 
     /// Third stage: the mesh and its validation, for each storage format.
-    pub fn contour(self, settings: &Settings, stored: &[Stored]) -> FrameSurface {
+    pub fn contour(self, settings: &Settings, stored: &[PositionFormat]) -> FrameSurface {
         let BoundedBand { mut band, bounds, translation, mut report, .. } = self;
         let bound_violation_count = bounds.violation_count(&band.phi);
         drop(bounds);
@@ -117,7 +124,7 @@ impl BoundedBand {
         mesh.origin += translation;
         // A level set has no particles to check.
         let no_part = |_: &StoredMesh, _: &mut dyn FnMut(&CheckedRegion)| Ok::<(), Infallible>(());
-        let Ok(checks) = finish::finalize(&mut mesh, (settings, stored), &mut report, no_part);
+        let Ok(checks) = postprocess::finalize(&mut mesh, (settings, stored), &mut report, no_part);
         let counts = (bound_violation_count, 0);
         report.certificate =
             certificate(checks, counts, (None, settings.offset), &mesh, &report.mesh, &lattice);
@@ -143,8 +150,8 @@ fn working_half_width(band: &NarrowBand, slack: f32, offset: f32) -> Option<f32>
     Some((without_offset.unwrap_or(HALF_WIDTH_MIN) + offset.abs().ceil()).min(WIDENED_MAX))
 }
 
-/// Peak memory of [`resurface`] with these arguments, in bytes, including the given band. An upper estimate.
-pub fn resurfacing_bytes(band: &NarrowBand, slack_voxels: f32, settings: &Settings) -> u64 {
+/// Peak memory of [`smooth_level_set`] with these arguments, in bytes, including the given band. An upper estimate.
+pub fn smooth_level_set_bytes(band: &NarrowBand, slack_voxels: f32, settings: &Settings) -> u64 {
     let given = band.topology.len() as f64;
     let (leaves, widening) = match working_half_width(band, slack_voxels, offset_voxels(settings)) {
         Some(_) => {
@@ -202,7 +209,7 @@ mod tests {
 
     #[test]
     fn distant_mesh_is_validated_at_rounded_world_positions() {
-        let world_positions = Stored::Rounded(|positions, origin| {
+        let world_positions = PositionFormat::Rounded(|positions, origin| {
             let origin = DVec3::from(origin);
             let read = |position: &[f32; 3]| {
                 let world = (origin + Vec3::from(*position).as_dvec3()).as_vec3();
@@ -220,7 +227,7 @@ mod tests {
         let band = NarrowBand { topology: topology.into(), phi, half_width: 3.0 };
         let settings = Settings::paper(0.01, &MethodOptions::default()).expect("sound");
         let flat_count = |translation: DVec3| {
-            let surface = resurface(band.clone(), translation, 0.0, &settings, &[world_positions]);
+            let surface = smooth_level_set(band.clone(), translation, 0.0, &settings, &[world_positions]);
             surface.report.flat_triangles_removed + surface.report.mesh.degenerate_triangle_count
         };
         assert_eq!(flat_count(DVec3::ZERO), 0);

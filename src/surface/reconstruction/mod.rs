@@ -1,6 +1,6 @@
 //! The whole method in three stages: rasterize, smooth, contour.
 //!
-//! The stages are separate functions so that a pipeline can run a different frame in each; [`skin`] runs all
+//! The stages are separate functions so that a pipeline can run a different frame in each; [`reconstruct_frame`] runs all
 //! three. They do not start threads or open files: loops run in the caller's rayon pool. `plan` estimates the
 //! memory of a frame, and `tiled` has the same three stages for frames larger than memory.
 
@@ -8,9 +8,9 @@ mod attributes;
 mod band;
 mod changes;
 mod field_store;
-mod fineness;
-mod finish;
 mod plan;
+mod postprocess;
+mod precision;
 mod shape;
 pub mod tiled;
 mod tiles;
@@ -18,32 +18,32 @@ mod tiles;
 use std::convert::Infallible;
 use std::ops::ControlFlow;
 
-pub(crate) use attributes::transfer_from;
-pub use attributes::{SurfaceAttributes, Targets, transfer};
-pub use band::{BoundedBand, SLACK_MAX_VOXELS, bound, resurface, resurfacing_bytes};
-pub use field_store::{SHELF_COUNT, Storage};
-pub use fineness::{Limit, SPREAD_MAX_VOXELS, TooFine};
-pub use finish::Stored;
-pub(crate) use plan::plan_whole;
-pub use plan::{MemoryPlan, PlanInputs, TooLarge, Unfit, plan};
+pub(crate) use attributes::transfer_attributes_from;
+pub use attributes::{SurfaceAttributes, Targets, transfer_attributes};
+pub use band::{BoundedBand, SLACK_MAX_VOXELS, bound_level_set, smooth_level_set, smooth_level_set_bytes};
+pub use field_store::{FIELD_STORE_FILES, Storage};
+pub(crate) use plan::plan_in_core;
+pub use plan::{MemoryPlan, MemoryPlanError, PlanInputs, TooLarge, plan_memory};
+pub use postprocess::PositionFormat;
+pub use precision::{PrecisionLimit, SPREAD_MAX_VOXELS, VoxelTooSmall};
 pub(crate) use shape::shapes_by_attributes;
-pub use shape::{ShapedSource, shape, shape_by_attributes, shape_by_neighbors};
+pub use shape::{ShapedSource, shape_by_attributes, shape_by_neighbors, shape_particles};
 
 use crate::surface::contour;
 use crate::surface::grid::Leaf;
 use crate::surface::level_set::{Bounds, NarrowBand, offset_reach_voxels};
 use crate::surface::mesh::Mesh;
-use crate::surface::obstacle::{ContactTally, Obstacles};
+use crate::surface::obstacle::{ContactStats, Obstacles};
 use crate::surface::options::Settings;
-use crate::surface::particles::{Cloud, ParticleSource, Particles};
-use crate::surface::rasterize::{self, ParticleBins, Radii, Scene};
-use crate::surface::report::{Phase, Shaping, SkinReport};
+use crate::surface::particles::{OwnedPositions, ParticleCloud, ParticleSource};
+use crate::surface::rasterize::{self, ParticleBins, Radii, RasterParams};
+use crate::surface::report::{Phase, ReconstructionReport, ShapeStats};
 use crate::surface::smooth;
 use crate::surface::space::{CoordBox, Lattice};
 use crate::surface::validation::{
-    CheckedRegion, GivenPlace, MeshCells, certificate, doubtful_places, given_outside,
+    CheckedRegion, MeshCells, MovedParticle, certificate, count_inputs_outside, possibly_outside,
 };
-use finish::{Edits, Exemptions, StoredMesh};
+use postprocess::{Edits, StoredMesh, SurfaceExclusions};
 
 /// The surface of one frame.
 #[derive(Clone, Debug)]
@@ -55,7 +55,7 @@ pub struct FrameSurface {
     /// Attributes of the surface; empty unless [transferred](transfer).
     pub attributes: SurfaceAttributes,
     /// Measurements and validation results.
-    pub report: SkinReport,
+    pub report: ReconstructionReport,
 }
 
 impl FrameSurface {
@@ -70,38 +70,38 @@ impl FrameSurface {
 
 /// Result of rasterization, input of smoothing.
 #[derive(Clone)]
-pub struct Rasterized {
+pub struct RasterizedFrame {
     bins: ParticleBins,
     band: NarrowBand,
     bounds: Bounds,
     obstacles: Obstacles,
     /// Original positions of moved particles that may lie outside the surface; `None` if no particle was
     /// moved.
-    given: Option<Vec<Vec<GivenPlace>>>,
-    report: SkinReport,
+    possibly_outside: Option<Vec<Vec<MovedParticle>>>,
+    report: ReconstructionReport,
 }
 
 /// Result of smoothing, input of contouring.
 #[derive(Clone)]
-pub struct Smoothed {
+pub struct SmoothedFrame {
     bins: ParticleBins,
     band: NarrowBand,
     bounds: Bounds,
     obstacles: Obstacles,
-    given: Option<Vec<Vec<GivenPlace>>>,
-    report: SkinReport,
+    possibly_outside: Option<Vec<Vec<MovedParticle>>>,
+    report: ReconstructionReport,
 }
 
-impl Rasterized {
+impl RasterizedFrame {
     /// The report so far. Callers that measure time add it here.
-    pub fn report_mut(&mut self) -> &mut SkinReport {
+    pub fn report_mut(&mut self) -> &mut ReconstructionReport {
         &mut self.report
     }
 }
 
-impl Smoothed {
+impl SmoothedFrame {
     /// The report so far. Callers that measure time add it here.
-    pub fn report_mut(&mut self) -> &mut SkinReport {
+    pub fn report_mut(&mut self) -> &mut ReconstructionReport {
         &mut self.report
     }
 }
@@ -109,49 +109,49 @@ impl Smoothed {
 /// Surfaces one frame: applies anisotropy, rasterizes, smooths, contours. Runs in the caller's rayon pool;
 /// the same particles and settings give bit-identical results on any number of threads. Particles that are
 /// not finite, or too far away for the grid, are dropped and counted in the report, and so are a few that are
-/// more than 2²⁰ voxels from all others. [`plan()`] detects voxels that are too small for a frame.
+/// more than 2²⁰ voxels from all others. [`plan_memory()`] detects voxels that are too small for a frame.
 ///
 /// Positions are in world units, like the voxel size and the radii in the settings. `docs/method.md` explains
 /// the method, after Bhattacharya, Gao and Bargteil.
 ///
 /// ```
-/// use meniscus::surface::particles::Particles;
+/// use meniscus::surface::particles::OwnedPositions;
 /// use meniscus::surface::options::{MethodOptions, Settings};
-/// use meniscus::surface::skin::skin;
+/// use meniscus::surface::reconstruction::reconstruct_frame;
 ///
 /// let settings = Settings::paper(0.1, &MethodOptions::default())?;
-/// let drop = skin(&Particles::Single(vec![[1.0, 2.0, 3.0]]), &settings);
+/// let drop = reconstruct_frame(&OwnedPositions::F32(vec![[1.0, 2.0, 3.0]]), &settings);
 /// // An isolated particle becomes a ball, and the certificate confirms that it lies between its two radii.
 /// assert!(drop.report.certificate.holds());
 /// assert_eq!(drop.mesh.measure().euler_characteristic, 2);
 /// # Ok::<(), meniscus::surface::options::SettingsError>(())
 /// ```
-pub fn skin(particles: &Particles, settings: &Settings) -> FrameSurface {
-    skin_observed(particles, settings, &mut |_| {})
+pub fn reconstruct_frame(particles: &OwnedPositions, settings: &Settings) -> FrameSurface {
+    reconstruct_frame_observed(particles, settings, &mut |_| {})
 }
 
-/// Like [`skin`]; `entered` is called at the start of each phase.
-pub fn skin_observed(
-    particles: &Particles,
+/// Like [`reconstruct_frame`]; `entered` is called at the start of each phase.
+pub fn reconstruct_frame_observed(
+    particles: &OwnedPositions,
     settings: &Settings,
     entered: &mut dyn FnMut(Phase),
 ) -> FrameSurface {
     entered(Phase::Rasterize);
-    let Ok((shaped, shaping)) = shape_by_neighbors(particles, Shaping::default(), settings);
-    let Ok(rasterized) = rasterize(&shaped, settings, shaping, Obstacles::default());
+    let Ok((shaped, shape_stats)) = shape_by_neighbors(particles, ShapeStats::default(), settings);
+    let Ok(rasterized) = rasterize(&shaped, settings, shape_stats, Obstacles::default());
     entered(Phase::Smooth);
     let smoothed = smooth(rasterized, settings);
     entered(Phase::Contour);
-    contour(smoothed, settings, &[Stored::AsTheyAre])
+    contour(smoothed, settings, &[PositionFormat::Exact])
 }
 
 /// Surfaces one frame of particles with attributes, among obstacles, and transfers the selected attributes to
 /// the vertices.
-pub fn skin_cloud(cloud: Cloud, settings: &Settings, obstacles: &Obstacles) -> FrameSurface {
-    let (shaped, shaping) = shape(cloud, settings);
-    let Ok(rasterized) = rasterize(&shaped, settings, shaping, obstacles.clone());
-    let mut surface = contour(smooth(rasterized, settings), settings, &[Stored::AsTheyAre]);
-    transfer(
+pub fn reconstruct_cloud(cloud: ParticleCloud, settings: &Settings, obstacles: &Obstacles) -> FrameSurface {
+    let (shaped, shape_stats) = shape_particles(cloud, settings);
+    let Ok(rasterized) = rasterize(&shaped, settings, shape_stats, obstacles.clone());
+    let mut surface = contour(smooth(rasterized, settings), settings, &[PositionFormat::Exact]);
+    transfer_attributes(
         &mut surface,
         &shaped.into_moved(),
         settings,
@@ -160,49 +160,49 @@ pub fn skin_cloud(cloud: Cloud, settings: &Settings, obstacles: &Obstacles) -> F
     surface
 }
 
-/// First stage: particles to level sets. `shaping` reports how the particles got their shapes.
+/// First stage: particles to level sets. `shape_stats` reports how the particles got their shapes.
 ///
 /// # Errors
 /// Returns the source's error if a batch cannot be read. Sources in memory have none.
 pub fn rasterize<S: ParticleSource>(
     source: &S,
     settings: &Settings,
-    shaping: Shaping,
+    shape_stats: ShapeStats,
     obstacles: Obstacles,
-) -> Result<Rasterized, S::Error> {
-    let scene = scene(settings, &obstacles);
+) -> Result<RasterizedFrame, S::Error> {
+    let scene = raster_params(settings, &obstacles);
     let rasterize::RasterFields { bins, band, bounds, contact } = rasterize::rasterize(source, &scene)?;
-    let contact = ContactTally { particle_count: inside_obstacles(source, &scene)?, ..contact };
-    let given = match source.has_moved() {
+    let contact = ContactStats { particle_count: inside_obstacles(source, &scene)?, ..contact };
+    let possibly_outside = match source.is_smoothed() {
         true => {
             let upper = (&*band.topology, &bounds.upper, scene.radii.offset);
-            Some(doubtful_places(source, &scene.lattice, upper)?)
+            Some(possibly_outside(source, &scene.lattice, upper)?)
         }
         false => None,
     };
-    let report = SkinReport {
+    let report = ReconstructionReport {
         particle_count: bins.particle_count,
         dropped_count: bins.dropped_count,
-        stray: bins.stray,
+        stray_position: bins.stray_position,
         leaf_count: band.topology.len(),
-        shaping,
+        shapes: shape_stats,
         contact,
-        ..SkinReport::default()
+        ..ReconstructionReport::default()
     };
-    Ok(Rasterized { bins, band, bounds, obstacles, given, report })
+    Ok(RasterizedFrame { bins, band, bounds, obstacles, possibly_outside, report })
 }
 
 /// Second stage: constrained smoothing.
-pub fn smooth(rasterized: Rasterized, settings: &Settings) -> Smoothed {
+pub fn smooth(rasterized: RasterizedFrame, settings: &Settings) -> SmoothedFrame {
     smooth_observed(rasterized, settings, &mut |_| {})
 }
 
 /// Second stage. `advanced` receives the progress, from 0 to 1.
 pub fn smooth_observed(
-    rasterized: Rasterized,
+    rasterized: RasterizedFrame,
     settings: &Settings,
     advanced: &mut dyn FnMut(f64),
-) -> Smoothed {
+) -> SmoothedFrame {
     let mut advanced = |fraction| {
         advanced(fraction);
         ControlFlow::Continue(())
@@ -213,22 +213,22 @@ pub fn smooth_observed(
 
 /// Second stage; `advanced` may cancel it.
 pub(crate) fn smooth_while<B>(
-    rasterized: Rasterized,
+    rasterized: RasterizedFrame,
     settings: &Settings,
     advanced: &mut dyn FnMut(f64) -> ControlFlow<B>,
-) -> ControlFlow<B, Smoothed> {
-    let Rasterized { bins, mut band, bounds, obstacles, given, mut report } = rasterized;
+) -> ControlFlow<B, SmoothedFrame> {
+    let RasterizedFrame { bins, mut band, bounds, obstacles, possibly_outside, mut report } = rasterized;
     let smoothed = smooth::smooth_while(&mut band, &bounds, &smooth_config(settings), advanced)?;
     report_smoothing(&mut report, smoothed, settings);
-    ControlFlow::Continue(Smoothed { bins, band, bounds, obstacles, given, report })
+    ControlFlow::Continue(SmoothedFrame { bins, band, bounds, obstacles, possibly_outside, report })
 }
 
-fn report_smoothing(report: &mut SkinReport, smoothed: smooth::SmoothReport, settings: &Settings) {
+fn report_smoothing(report: &mut ReconstructionReport, smoothed: smooth::SmoothReport, settings: &Settings) {
     report.free_voxel_count = smoothed.free_voxel_count;
     report.pass_count = smoothed.pass_count;
-    report.moved_count = smoothed.moved_count;
+    report.voxel_update_count = smoothed.voxel_update_count;
     let radii = radii(settings);
-    let longest = longest_of(&report.shaping);
+    let longest = longest_of(&report.shapes);
     let of_shapes = shape::shape_reach(settings, longest);
     let of_offset = if radii.offset == 0.0 { 0 } else { offset_reach_voxels(radii.result_half_width()) };
     let reach_before = radii.reach_voxels(longest).saturating_add(of_shapes).saturating_add(of_offset);
@@ -238,7 +238,7 @@ fn report_smoothing(report: &mut SkinReport, smoothed: smooth::SmoothReport, set
 }
 
 /// Third stage: the mesh, its measures, and the certificate, which validates the mesh as each file stores it.
-pub fn contour(smoothed: Smoothed, settings: &Settings, stored: &[Stored]) -> FrameSurface {
+pub fn contour(smoothed: SmoothedFrame, settings: &Settings, stored: &[PositionFormat]) -> FrameSurface {
     let ControlFlow::Continue(surface) =
         contour_while::<Infallible>(smoothed, settings, stored, &|| ControlFlow::Continue(()));
     surface
@@ -246,27 +246,27 @@ pub fn contour(smoothed: Smoothed, settings: &Settings, stored: &[Stored]) -> Fr
 
 /// Third stage; `go_on` may cancel it between its parts.
 pub(crate) fn contour_while<B>(
-    smoothed: Smoothed,
+    smoothed: SmoothedFrame,
     settings: &Settings,
-    stored: &[Stored],
+    stored: &[PositionFormat],
     go_on: &dyn Fn() -> ControlFlow<B>,
 ) -> ControlFlow<B, FrameSurface> {
-    let Smoothed { bins, mut band, bounds, obstacles, given, mut report } = smoothed;
-    let scene = scene(settings, &obstacles);
-    let Scene { lattice, radii, .. } = scene;
+    let SmoothedFrame { bins, mut band, bounds, obstacles, possibly_outside, mut report } = smoothed;
+    let scene = raster_params(settings, &obstacles);
+    let RasterParams { lattice, radii, .. } = scene;
     let bound_violation_count = bounds.violation_count(&band.phi);
     drop(bounds);
-    finish::offset(&mut band, &scene);
-    let edits = match finish::has_edits(settings) {
-        true => finish::edit(&mut band, bins.leaves(), (&scene, settings), &mut report.edits),
+    postprocess::offset(&mut band, &scene);
+    let edits = match postprocess::has_edits(settings) {
+        true => postprocess::edit(&mut band, bins.leaves(), (&scene, settings), &mut report.edits),
         false => Edits::default(),
     };
     go_on()?;
-    let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.depth);
+    let mut mesh = postprocess::mesh(&band, &edits, (&scene, settings), &mut report.depth);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
-    let (exempt, owned) = (&Exemptions { scene: &scene, edits: &edits }, CoordBox::ALL);
+    let (exempt, owned) = (&SurfaceExclusions { scene: &scene, edits: &edits }, CoordBox::ALL);
     let how = (settings, stored);
-    let settled = finish::finalize(&mut mesh, how, &mut report, |checked, check| {
+    let settled = postprocess::finalize(&mut mesh, how, &mut report, |checked, check| {
         if let ControlFlow::Break(broken) = go_on() {
             return Err(broken);
         }
@@ -283,8 +283,9 @@ pub(crate) fn contour_while<B>(
     let counts = (bound_violation_count, report.dropped_count);
     report.certificate =
         certificate(checks, counts, (Some(&radii), settings.offset), &mesh, &report.mesh, &lattice);
-    report.certificate.given_outside =
-        given.map(|given| given_outside(&given, &band, (&lattice, radii.offset), exempt));
+    report.certificate.input_positions_outside = possibly_outside.map(|possibly_outside| {
+        count_inputs_outside(&possibly_outside, &band, (&lattice, radii.offset), exempt)
+    });
     ControlFlow::Continue(FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report })
 }
 
@@ -293,8 +294,8 @@ fn lattice(settings: &Settings) -> Lattice {
 }
 
 /// Parameters of rasterization.
-fn scene<'a>(settings: &Settings, obstacles: &'a Obstacles) -> Scene<'a> {
-    Scene {
+fn raster_params<'a>(settings: &Settings, obstacles: &'a Obstacles) -> RasterParams<'a> {
+    RasterParams {
         lattice: lattice(settings),
         radii: radii(settings),
         obstacles,
@@ -304,7 +305,7 @@ fn scene<'a>(settings: &Settings, obstacles: &'a Obstacles) -> Scene<'a> {
 }
 
 /// Number of particles inside obstacles.
-fn inside_obstacles<S: ParticleSource>(source: &S, scene: &Scene) -> Result<usize, S::Error> {
+fn inside_obstacles<S: ParticleSource>(source: &S, scene: &RasterParams) -> Result<usize, S::Error> {
     match scene.obstacles.is_empty() {
         true => Ok(0),
         false => scene.obstacles.count_inside(source, &scene.lattice, scene.obstacle_half_width()),
@@ -316,23 +317,23 @@ fn radii(settings: &Settings) -> Radii {
     let voxels = |world: f64| (world / settings.voxel_size) as f32;
     let [min, init, max] = [settings.radius_min, settings.radius_init, settings.radius_max].map(voxels);
     let offset = voxels(settings.offset);
-    match settings.has_shapes() {
-        false => Radii { offset, ..Radii::of_balls(min, init, max) },
+    match settings.has_per_particle_shapes() {
+        false => Radii { offset, ..Radii::uniform(min, init, max) },
         // The decomposition returns half axes slightly shorter than they were.
         true => Radii {
             min,
             init,
             max,
-            shortest: 0.9999 * shape::shortest(settings),
-            roomy: shape::roomy(settings),
+            min_scale: 0.9999 * shape::min_scale(settings),
+            band_scale: shape::band_scale(settings),
             offset,
         },
     }
 }
 
 /// Longest half axis of all particles, in units of the radii.
-fn longest_of(shaping: &Shaping) -> f32 {
-    if *shaping == Shaping::default() { 1.0 } else { shaping.longest }
+fn longest_of(shape_stats: &ShapeStats) -> f32 {
+    if *shape_stats == ShapeStats::default() { 1.0 } else { shape_stats.longest }
 }
 
 fn smooth_config(settings: &Settings) -> smooth::SmoothConfig {
@@ -358,7 +359,7 @@ const SHRINKING_MAX: f64 = 0.15;
 fn can_spheres_shrink(settings: &Settings) -> bool {
     let [least, init] = [settings.radius_min, settings.radius_init].map(|world| world / settings.voxel_size);
     let left = smooth::radius_after_laplacian(init, settings.laplacian_steps);
-    settings.own_radii.is_some() || left - least > SHRINKING_MAX
+    settings.per_particle_radius.is_some() || left - least > SHRINKING_MAX
 }
 
 /// Memory per leaf of a topology: its origin, its neighbors, and its entry in the map.

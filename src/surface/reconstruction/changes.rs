@@ -171,7 +171,7 @@ impl NeighborChanges {
     pub(super) fn shapes_of(&self, batch: usize, given: Shapes, count: usize) -> Shapes {
         let Some(ball) = self.ball else { return given };
         let mut shapes = match given {
-            Shapes::Balls => vec![Ellipsoid::ball(ball); count],
+            Shapes::Uniform => vec![Ellipsoid::ball(ball); count],
             Shapes::Scaled(scales) => scales.into_iter().map(Ellipsoid::ball).collect(),
             Shapes::Ellipsoids(ellipsoids) => ellipsoids,
         };
@@ -204,9 +204,9 @@ impl NeighborChanges {
         }
         let of_batch = |batch| {
             let range = positions.range_of(batch);
-            match self.shapes_of(batch, shapes.in_range(range.clone()), range.len()) {
+            match self.shapes_of(batch, shapes.slice(range.clone()), range.len()) {
                 Shapes::Ellipsoids(ellipsoids) => ellipsoids,
-                Shapes::Balls | Shapes::Scaled(_) => Vec::new(),
+                Shapes::Uniform | Shapes::Scaled(_) => Vec::new(),
             }
         };
         let stretched = Shapes::Ellipsoids((0..batch_count).flat_map(of_batch).collect());

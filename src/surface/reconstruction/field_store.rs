@@ -42,7 +42,7 @@ pub(super) struct FieldStore {
 }
 
 /// Number of storages that a frame needs.
-pub const SHELF_COUNT: usize = 8;
+pub const FIELD_STORE_FILES: usize = 8;
 
 /// Indices of the bounds' storages, after two for each changing field.
 const LOWER: usize = 6;
@@ -51,7 +51,7 @@ const UPPER: usize = 7;
 impl FieldStore {
     /// Creates an empty store.
     pub(super) fn new(storages: Vec<Box<dyn Storage>>) -> FieldStore {
-        assert_eq!(storages.len(), SHELF_COUNT, "one storage per field");
+        assert_eq!(storages.len(), FIELD_STORE_FILES, "one storage per field");
         FieldStore { storages, current: [0; 3] }
     }
 

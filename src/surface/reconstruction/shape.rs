@@ -23,29 +23,32 @@ use glam::DVec3;
 use super::changes::{BlockChanges, NeighborChanges, changed_bytes};
 use super::lattice;
 use crate::surface::anisotropy::{
-    ByNeighbors, NeighborConfig, RadiusScales, Stretch, VelocityConfig, from_neighbors, from_velocities,
+    NeighborConfig, NeighborShapes, RadiusScales, Stretch, VelocityConfig, from_neighbors, from_velocities,
     radius_scales,
 };
-use crate::surface::options::{Anisotropy, OwnRadii, RADIUS_MAX_VOXELS, Settings};
+use crate::surface::options::{Anisotropy, PerParticleRadius, RADIUS_MAX_VOXELS, Settings};
 use crate::surface::particles::{
-    Attribute, Cloud, ParticleSource, Particles, Positions, Shapes, attribute_of,
+    Attribute, OwnedPositions, ParticleCloud, ParticleSource, Positions, Shapes, find_attribute,
 };
 use crate::surface::rasterize::{NearSurface, Vicinity};
-use crate::surface::report::Shaping;
+use crate::surface::report::ShapeStats;
 
 /// Applies the shapes and positions that the settings request. Attributes that the settings name must exist,
 /// with a number or a vector per particle; otherwise particles are balls.
-pub fn shape(cloud: Cloud, settings: &Settings) -> (ShapedSource<Cloud>, Shaping) {
-    let (cloud, shaping) = shape_by_attributes(cloud, settings);
-    let Ok(shaped) = shape_by_neighbors(cloud, shaping, settings);
+pub fn shape_particles(
+    cloud: ParticleCloud,
+    settings: &Settings,
+) -> (ShapedSource<ParticleCloud>, ShapeStats) {
+    let (cloud, shape_stats) = shape_by_attributes(cloud, settings);
+    let Ok(shaped) = shape_by_neighbors(cloud, shape_stats, settings);
     shaped
 }
 
 /// Applies the shapes that the settings derive from attributes.
-pub fn shape_by_attributes(cloud: Cloud, settings: &Settings) -> (Cloud, Shaping) {
-    let (shapes, shaping) = shapes_by_attributes(cloud.positions.len(), &cloud.attributes, settings);
-    let shapes = if settings.has_shapes() { shapes } else { cloud.shapes };
-    (Cloud { shapes, ..cloud }, shaping)
+pub fn shape_by_attributes(cloud: ParticleCloud, settings: &Settings) -> (ParticleCloud, ShapeStats) {
+    let (shapes, shape_stats) = shapes_by_attributes(cloud.positions.len(), &cloud.attributes, settings);
+    let shapes = if settings.has_per_particle_shapes() { shapes } else { cloud.shapes };
+    (ParticleCloud { shapes, ..cloud }, shape_stats)
 }
 
 /// The shapes that the settings derive from attributes, for `count` particles.
@@ -53,59 +56,61 @@ pub(crate) fn shapes_by_attributes(
     count: usize,
     attributes: &[Attribute],
     settings: &Settings,
-) -> (Shapes, Shaping) {
-    if !settings.has_shapes() {
-        return (Shapes::Balls, Shaping::default());
+) -> (Shapes, ShapeStats) {
+    if !settings.has_per_particle_shapes() {
+        return (Shapes::Uniform, ShapeStats::default());
     }
-    let mut shaping = Shaping::default();
+    let mut shape_stats = ShapeStats::default();
     let of_particles = (count, attributes);
-    let scales =
-        settings.own_radii.as_ref().and_then(|own| scales(of_particles, own, settings, &mut shaping));
+    let scales = settings
+        .per_particle_radius
+        .as_ref()
+        .and_then(|own| scales(of_particles, own, settings, &mut shape_stats));
     let by_velocity = match settings.anisotropy {
         Anisotropy::None | Anisotropy::Neighbors { .. } => None,
         Anisotropy::Velocity { gain, max_stretch } => {
             let gain_per_speed = (gain / settings.radius_min) as f32;
             let max_stretch = max_stretch as f32;
-            let config = VelocityConfig { gain_per_speed, max_stretch, floor: held(settings) };
+            let config = VelocityConfig { gain_per_speed, max_stretch, floor: resolved_radius(settings) };
             numbers(of_particles, "velocity", 3)
                 .map(|velocities| from_velocities(&velocities, scales.as_deref(), &config))
         }
     };
     let shapes = match (by_velocity, scales) {
         (Some(shaped), _) => {
-            shaping.raised_count = shaped.raised_count;
-            shaping.ball_count = shaped.ball_count;
+            shape_stats.raised_count = shaped.raised_count;
+            shape_stats.ball_count = shaped.ball_count;
             Shapes::Ellipsoids(shaped.shapes)
         }
         (None, Some(scales)) => Shapes::Scaled(scales),
-        (None, None) => Shapes::Balls,
+        (None, None) => Shapes::Uniform,
     };
-    shaping.longest = (0..count).map(|index| shapes.longest(index)).fold(0.0, f32::max);
-    (shapes, shaping)
+    shape_stats.longest = (0..count).map(|index| shapes.outer_radius(index)).fold(0.0, f32::max);
+    (shapes, shape_stats)
 }
 
-/// Applies the positions and shapes that the settings derive from neighbors. `shaping` is the report of the
+/// Applies the positions and shapes that the settings derive from neighbors. `shape_stats` is the report of the
 /// attribute step.
 ///
 /// # Errors
 /// Returns the source's error if a batch cannot be read.
 pub fn shape_by_neighbors<S: ParticleSource>(
     given: S,
-    shaping: Shaping,
+    shape_stats: ShapeStats,
     settings: &Settings,
-) -> Result<(ShapedSource<S>, Shaping), S::Error> {
-    in_blocks(given, shaping, settings, GATHERED_MAX)
+) -> Result<(ShapedSource<S>, ShapeStats), S::Error> {
+    in_blocks(given, shape_stats, settings, GATHERED_MAX)
 }
 
 /// Like [`shape_by_neighbors`], with blocks of about `gathered_max` particles, including neighbors.
 fn in_blocks<S: ParticleSource>(
     given: S,
-    mut shaping: Shaping,
+    mut shape_stats: ShapeStats,
     settings: &Settings,
     gathered_max: usize,
-) -> Result<(ShapedSource<S>, Shaping), S::Error> {
+) -> Result<(ShapedSource<S>, ShapeStats), S::Error> {
     if !settings.uses_neighbors() {
-        return Ok((ShapedSource { given, changes: NeighborChanges::default() }, shaping));
+        return Ok((ShapedSource { given, changes: NeighborChanges::default() }, shape_stats));
     }
     let stretch = stretch(settings);
     let lattice = lattice(settings);
@@ -116,17 +121,17 @@ fn in_blocks<S: ParticleSource>(
     let vicinity = Vicinity::new(&given, &lattice, depth.cover_voxels, depth_of, margin)?;
     let config = NeighborConfig { radius_world: settings.neighbor_radius, stretch };
     let mut found: Vec<BlockChanges> = Vec::new();
-    shaping.longest = vicinity.longest().max(if stretch.is_some() { depth.ball } else { 0.0 });
+    shape_stats.longest = vicinity.longest().max(if stretch.is_some() { depth.ball } else { 0.0 });
     for block in vicinity.blocks(gathered_max) {
         let gathered = vicinity.gather(&block, &given, &lattice)?;
-        let positions = Particles::Double(gathered.positions);
+        let positions = OwnedPositions::F64(gathered.positions);
         let scales = (!gathered.scales.is_empty()).then_some(&*gathered.scales);
-        let ByNeighbors { indices, means, shapes, raised_count, ball_count } =
+        let NeighborShapes { indices, means, shapes, raised_count, ball_count } =
             from_neighbors(&positions, |index| gathered.is_own[index], scales, &config);
-        shaping.near_count += gathered.is_own.iter().filter(|is_own| **is_own).count();
-        shaping.raised_count += raised_count;
-        shaping.ball_count += ball_count;
-        shaping.longest = shapes.iter().map(|shape| shape.longest).fold(shaping.longest, f32::max);
+        shape_stats.near_count += gathered.is_own.iter().filter(|is_own| **is_own).count();
+        shape_stats.raised_count += raised_count;
+        shape_stats.ball_count += ball_count;
+        shape_stats.longest = shapes.iter().map(|shape| shape.longest).fold(shape_stats.longest, f32::max);
         let sources = indices.iter().map(|&index| gathered.sources[index as usize]).collect();
         let means = if settings.position_smoothing > 0.0 { &*means } else { &[] };
         found.push(BlockChanges::new(sources, means, shapes));
@@ -135,8 +140,8 @@ fn in_blocks<S: ParticleSource>(
     let step_world = settings.position_smoothing * settings.neighbor_radius;
     let ball = stretch.is_some().then_some(depth.ball);
     let changes =
-        NeighborChanges::new(found, (step_world, ball), given.batch_count(), |batch| given.count_of(batch));
-    Ok((ShapedSource { given, changes }, shaping))
+        NeighborChanges::new(found, (step_world, ball), given.batch_count(), |batch| given.batch_len(batch));
+    Ok((ShapedSource { given, changes }, shape_stats))
 }
 
 /// Approximate number of particles per block: some hundred bytes each.
@@ -155,10 +160,10 @@ struct Depth {
 impl Depth {
     fn new(settings: &Settings, given_have_shapes: bool) -> Depth {
         let voxels = |world: f64| world / settings.voxel_size;
-        let ball = if settings.has_shapes() { held(settings).max(1.0) } else { 1.0 };
+        let ball = if settings.has_per_particle_shapes() { resolved_radius(settings).max(1.0) } else { 1.0 };
         let surely = match given_have_shapes {
             // The decomposition returns half axes slightly shorter than they were.
-            true => 0.9999 * held(settings),
+            true => 0.9999 * resolved_radius(settings),
             false => ball,
         };
         Depth {
@@ -186,7 +191,7 @@ impl Depth {
 
 /// Which particles neighbors may move or stretch; `None` if the settings have no such step.
 pub(super) fn near_surface(settings: &Settings) -> Option<NearSurface> {
-    let depth = Depth::new(settings, settings.own_radii.is_some());
+    let depth = Depth::new(settings, settings.per_particle_radius.is_some());
     settings.uses_neighbors().then(|| NearSurface { depth: depth.voxels(1.0), cover: depth.cover_voxels })
 }
 
@@ -212,7 +217,7 @@ pub(super) fn shape_reach(settings: &Settings, longest: f32) -> u32 {
         return 0;
     }
     let radius = settings.neighbor_radius / settings.voxel_size;
-    let depth = Depth::new(settings, settings.own_radii.is_some());
+    let depth = Depth::new(settings, settings.per_particle_radius.is_some());
     let moved = settings.position_smoothing * radius;
     // In crowds, sampling depends on the whole cells around.
     (moved + depth.reach_voxels(longest).max(2.0 * radius)).ceil() as u32
@@ -237,11 +242,11 @@ impl<S> ShapedSource<S> {
     }
 
     /// The changed particles. `to_cloud` extracts the given ones.
-    pub fn into_cloud(self, to_cloud: impl FnOnce(S) -> Option<Cloud>) -> Option<Cloud> {
+    pub fn into_cloud(self, to_cloud: impl FnOnce(S) -> Option<ParticleCloud>) -> Option<ParticleCloud> {
         let ShapedSource { given, changes } = self;
-        let Cloud { positions, shapes, attributes } = to_cloud(given)?;
+        let ParticleCloud { positions, shapes, attributes } = to_cloud(given)?;
         let (positions, shapes) = changes.apply(positions.into(), shapes);
-        Some(Cloud { positions: positions.into(), shapes, attributes })
+        Some(ParticleCloud { positions: positions.into(), shapes, attributes })
     }
 
     /// The changed positions and shapes. Borrowed positions are copied only if some particles are moved.
@@ -255,10 +260,10 @@ impl<S> ShapedSource<S> {
     }
 }
 
-impl ShapedSource<Cloud> {
+impl ShapedSource<ParticleCloud> {
     /// The changed particles.
-    pub fn into_moved(self) -> Cloud {
-        let empty = || Cloud::from(Particles::Single(Vec::new()));
+    pub fn into_moved(self) -> ParticleCloud {
+        let empty = || ParticleCloud::from(OwnedPositions::F32(Vec::new()));
         self.into_cloud(Some).unwrap_or_else(empty)
     }
 }
@@ -280,19 +285,19 @@ impl<S: ParticleSource> ParticleSource for ShapedSource<S> {
         self.changes.stretches() || self.given.has_shapes()
     }
 
-    fn shapes_of(&self, batch: usize) -> Shapes {
-        self.changes.shapes_of(batch, self.given.shapes_of(batch), self.given.count_of(batch))
+    fn batch_shapes(&self, batch: usize) -> Shapes {
+        self.changes.shapes_of(batch, self.given.batch_shapes(batch), self.given.batch_len(batch))
     }
 
-    fn count_of(&self, batch: usize) -> usize {
-        self.given.count_of(batch)
+    fn batch_len(&self, batch: usize) -> usize {
+        self.given.batch_len(batch)
     }
 
-    fn has_moved(&self) -> bool {
+    fn is_smoothed(&self) -> bool {
         self.changes.moves()
     }
 
-    fn given_of(&self, batch: usize) -> Result<Vec<[DVec3; 2]>, S::Error> {
+    fn moved_pairs(&self, batch: usize) -> Result<Vec<[DVec3; 2]>, S::Error> {
         let mut moves = self.changes.moves_of(batch).peekable();
         if moves.peek().is_none() {
             return Ok(Vec::new());
@@ -309,20 +314,22 @@ impl<S: ParticleSource> ParticleSource for ShapedSource<S> {
 /// Scale of each particle, in units of the settings' radii.
 fn scales(
     of_particles: (usize, &[Attribute]),
-    own: &OwnRadii,
+    own: &PerParticleRadius,
     settings: &Settings,
-    shaping: &mut Shaping,
+    shape_stats: &mut ShapeStats,
 ) -> Option<Vec<f32>> {
     let radii = numbers(of_particles, &own.attribute, 1)?;
     let RadiusScales { mut scales, raised_count, invalid_count } =
-        radius_scales(&radii, own.scale, settings.radius_min, held(settings));
-    shaping.small_radius_count = raised_count;
+        radius_scales(&radii, own.scale, settings.radius_min, resolved_radius(settings));
+    shape_stats.small_radius_count = raised_count;
     if raised_count > 0 {
-        shaping.small_radius_min = own.radii_min(of_particles.1).into_iter().reduce(f64::min).unwrap_or(0.0);
+        shape_stats.small_radius_min =
+            own.radii_min(of_particles.1).into_iter().reduce(f64::min).unwrap_or(0.0);
     }
-    shaping.invalid_radius_count = invalid_count;
-    let most = ((RADIUS_MAX_VOXELS * settings.voxel_size / settings.radius_max) as f32).max(held(settings));
-    shaping.large_radius_count = scales.iter().filter(|&&scale| scale > most).count();
+    shape_stats.invalid_radius_count = invalid_count;
+    let most = ((RADIUS_MAX_VOXELS * settings.voxel_size / settings.radius_max) as f32)
+        .max(resolved_radius(settings));
+    shape_stats.large_radius_count = scales.iter().filter(|&&scale| scale > most).count();
     scales.iter_mut().for_each(|scale| *scale = scale.min(most));
     Some(scales)
 }
@@ -333,7 +340,7 @@ fn numbers<'a>(
     name: &str,
     arity: usize,
 ) -> Option<Cow<'a, [f32]>> {
-    let numbers = attribute_of(attributes, name, arity)?.values.numbers()?;
+    let numbers = find_attribute(attributes, name, arity)?.values.numbers()?;
     (numbers.len() == arity * count).then_some(numbers)
 }
 
@@ -345,7 +352,7 @@ fn stretch(settings: &Settings) -> Option<Stretch> {
             max_stretch: max_stretch as f32,
             floor: in_radii(thin_radius),
             lone: in_radii(lone_radius),
-            lone_floor: held(settings),
+            lone_floor: resolved_radius(settings),
         }),
         Anisotropy::None | Anisotropy::Velocity { .. } => None,
     }
@@ -353,20 +360,21 @@ fn stretch(settings: &Settings) -> Option<Stretch> {
 
 /// Radius of the smallest ball that the grid resolves wherever it is, √3 voxels, in units of the settings'
 /// radii. No half axis of a ball, or of a particle stretched by velocity, is shorter.
-fn held(settings: &Settings) -> f32 {
+fn resolved_radius(settings: &Settings) -> f32 {
     (3f64.sqrt() * settings.voxel_size / settings.radius_min) as f32
 }
 
 /// Lower bound of all half axes, in units of the settings' radii.
-pub(super) fn shortest(settings: &Settings) -> f32 {
-    stretch(settings).map_or(held(settings), |stretch| held(settings).min(stretch.floor))
+pub(super) fn min_scale(settings: &Settings) -> f32 {
+    stretch(settings)
+        .map_or(resolved_radius(settings), |stretch| resolved_radius(settings).min(stretch.floor))
 }
 
 /// Half axis that the band is sized for, in units of the settings' radii. It is the same for all frames of a
 /// sequence, whatever particles they contain. Stretched particles are thin where a surface may move: at the
 /// sides of sheets and threads.
-pub(super) fn roomy(settings: &Settings) -> f32 {
-    if settings.own_radii.is_some() { SCALE_ROOM } else { 1.0 }
+pub(super) fn band_scale(settings: &Settings) -> f32 {
+    if settings.per_particle_radius.is_some() { SCALE_ROOM } else { 1.0 }
 }
 
 /// Particles of three times the smallest radius have gaps of three voxels between their bounds: more than
@@ -381,11 +389,11 @@ mod tests {
     use crate::surface::obstacle::Obstacles;
     use crate::surface::options::{AnisotropyKind, MethodOptions};
     use crate::surface::particles::Ellipsoid;
-    use crate::surface::skin::{FrameSurface, Stored, contour, rasterize, smooth};
+    use crate::surface::reconstruction::{FrameSurface, PositionFormat, contour, rasterize, smooth};
 
     /// A source with batches of a given size, as from a file.
     struct Batches<'a> {
-        cloud: &'a Cloud,
+        cloud: &'a ParticleCloud,
         size: usize,
     }
 
@@ -405,21 +413,21 @@ mod tests {
         fn batch(&self, batch: usize) -> Result<Positions<'_>, Self::Error> {
             let range = self.range(batch);
             Ok(match &self.cloud.positions {
-                Particles::Single(positions) => Positions::F32(Cow::Borrowed(&positions[range])),
-                Particles::Double(positions) => Positions::F64(Cow::Borrowed(&positions[range])),
+                OwnedPositions::F32(positions) => Positions::F32(Cow::Borrowed(&positions[range])),
+                OwnedPositions::F64(positions) => Positions::F64(Cow::Borrowed(&positions[range])),
             })
         }
 
-        fn count_of(&self, batch: usize) -> usize {
+        fn batch_len(&self, batch: usize) -> usize {
             self.range(batch).len()
         }
 
         fn has_shapes(&self) -> bool {
-            !self.cloud.shapes.are_balls()
+            !self.cloud.shapes.is_uniform()
         }
 
-        fn shapes_of(&self, batch: usize) -> Shapes {
-            self.cloud.shapes.in_range(self.range(batch))
+        fn batch_shapes(&self, batch: usize) -> Shapes {
+            self.cloud.shapes.slice(self.range(batch))
         }
     }
 
@@ -429,7 +437,7 @@ mod tests {
     }
 
     /// A block with a deep interior, a crowd in it, a thread, and isolated particles: spacing 1, shuffled.
-    fn cloud(edge: usize) -> Cloud {
+    fn cloud(edge: usize) -> ParticleCloud {
         let mut state = 5;
         let mut jitter = || random(&mut state) * 0.5;
         let mut positions: Vec<[f64; 3]> = (0..edge.pow(3))
@@ -444,7 +452,7 @@ mod tests {
         let count = positions.len();
         let mut order: Vec<usize> = (0..count).collect();
         order.sort_by_key(|index| (*index as u32).wrapping_mul(0x9e37_79b9));
-        Particles::Double(order.into_iter().map(|index| positions[index]).collect()).into()
+        OwnedPositions::F64(order.into_iter().map(|index| positions[index]).collect()).into()
     }
 
     fn choices() -> [MethodOptions; 3] {
@@ -463,7 +471,7 @@ mod tests {
             let Ok(of_batch) = source.batch(batch) else { panic!("in memory") };
             let bits = |particle| of_batch.position(particle).to_array().map(f64::to_bits);
             positions.extend((0..of_batch.len()).map(bits));
-            if let Shapes::Ellipsoids(ellipsoids) = source.shapes_of(batch) {
+            if let Shapes::Ellipsoids(ellipsoids) = source.batch_shapes(batch) {
                 shapes.extend(ellipsoids);
             }
         }
@@ -475,13 +483,16 @@ mod tests {
         let cloud = cloud(24);
         for choices in choices() {
             let settings = Settings::paper(0.5, &choices).expect("sound");
-            let (whole, shaping) = shape(cloud.clone(), &settings);
-            assert!(shaping.near_count > 5000 && shaping.near_count < cloud.positions.len(), "{shaping:?}");
+            let (whole, shape_stats) = shape_particles(cloud.clone(), &settings);
+            assert!(
+                shape_stats.near_count > 5000 && shape_stats.near_count < cloud.positions.len(),
+                "{shape_stats:?}"
+            );
             for (size, gathered_max) in [(1 << 20, 1), (700, 3000), (11, 1 << 22)] {
                 let source = Batches { cloud: &cloud, size };
                 let Ok((streamed, of_streamed)) =
-                    in_blocks(source, Shaping::default(), &settings, gathered_max);
-                assert_eq!(of_streamed, shaping);
+                    in_blocks(source, ShapeStats::default(), &settings, gathered_max);
+                assert_eq!(of_streamed, shape_stats);
                 assert!(bits(&streamed) == bits(&whole), "batches of {size}, blocks of {gathered_max}");
             }
             let moved = whole.clone().into_moved();
@@ -489,18 +500,22 @@ mod tests {
         }
     }
 
-    fn skinned<S: ParticleSource>(source: &S, shaping: Shaping, settings: &Settings) -> FrameSurface {
-        let Ok(rasterized) = rasterize(source, settings, shaping, Obstacles::default()) else {
+    fn reconstructed<S: ParticleSource>(
+        source: &S,
+        shape_stats: ShapeStats,
+        settings: &Settings,
+    ) -> FrameSurface {
+        let Ok(rasterized) = rasterize(source, settings, shape_stats, Obstacles::default()) else {
             panic!("in memory")
         };
-        contour(smooth(rasterized, settings), settings, &[Stored::AsTheyAre])
+        contour(smooth(rasterized, settings), settings, &[PositionFormat::Exact])
     }
 
     /// The particles within a ball, whose surface has all directions.
-    fn round(cloud: &Cloud, radius: f64) -> Cloud {
-        let Particles::Double(positions) = &cloud.positions else { panic!("64 bits") };
+    fn round(cloud: &ParticleCloud, radius: f64) -> ParticleCloud {
+        let OwnedPositions::F64(positions) = &cloud.positions else { panic!("64 bits") };
         let is_in = |at: &&[f64; 3]| DVec3::from(**at).distance(DVec3::splat(radius)) < radius;
-        Particles::Double(positions.iter().filter(is_in).copied().collect()).into()
+        OwnedPositions::F64(positions.iter().filter(is_in).copied().collect()).into()
     }
 
     /// Leaving particles deep inside unmoved does not change the surface.
@@ -511,14 +526,14 @@ mod tests {
         let cases = choices().into_iter().flat_map(|choices| [(choices.clone(), &block), (choices, &ball)]);
         for (choices, cloud) in cases {
             let settings = Settings::paper(0.5, &choices).expect("sound");
-            let (near, shaping) = shape(cloud.clone(), &settings);
-            let deep_count = cloud.positions.len() - shaping.near_count;
+            let (near, shape_stats) = shape_particles(cloud.clone(), &settings);
+            let deep_count = cloud.positions.len() - shape_stats.near_count;
             assert!(deep_count > 2000, "{deep_count}");
             let config =
                 NeighborConfig { radius_world: settings.neighbor_radius, stretch: stretch(&settings) };
             let found = from_neighbors(&cloud.positions, |_| true, None, &config);
             let step = settings.position_smoothing * settings.neighbor_radius;
-            let Particles::Double(mut positions) = cloud.positions.clone() else { panic!("64 bits") };
+            let OwnedPositions::F64(mut positions) = cloud.positions.clone() else { panic!("64 bits") };
             let mut shapes = vec![Ellipsoid::ball(1.0); positions.len()];
             for (particle, &index) in found.indices.iter().enumerate() {
                 let mean = rounded(found.means[particle]).as_dvec3();
@@ -527,9 +542,11 @@ mod tests {
                     shapes[index as usize] = shape;
                 }
             }
-            let shapes = if config.stretch.is_some() { Shapes::Ellipsoids(shapes) } else { Shapes::Balls };
-            let all = Cloud { positions: Particles::Double(positions), shapes, attributes: Vec::new() };
-            let [near, all] = [skinned(&near, shaping, &settings), skinned(&all, shaping, &settings)];
+            let shapes = if config.stretch.is_some() { Shapes::Ellipsoids(shapes) } else { Shapes::Uniform };
+            let all =
+                ParticleCloud { positions: OwnedPositions::F64(positions), shapes, attributes: Vec::new() };
+            let [near, all] =
+                [reconstructed(&near, shape_stats, &settings), reconstructed(&all, shape_stats, &settings)];
             assert!(near.mesh == all.mesh && near.band.phi == all.band.phi, "{choices:?}");
             assert!(near.report.certificate.holds(), "{:?}", near.report.certificate);
         }
@@ -541,30 +558,34 @@ mod tests {
         let settings = Settings::paper(0.25, &choices()[1]).expect("sound");
         let surface = |choices: &MethodOptions| {
             let settings = Settings::paper(0.25, choices).expect("sound");
-            let (source, shaping) = shape(cloud(8), &settings);
-            skinned(&source, shaping, &settings)
+            let (source, shape_stats) = shape_particles(cloud(8), &settings);
+            reconstructed(&source, shape_stats, &settings)
         };
         let radius_min = Some(0.45.into());
         let smoothed = surface(&MethodOptions { radius_min, ..choices()[1].clone() }).report.certificate;
-        let outside = smoothed.given_outside.expect("moved");
+        let outside = smoothed.input_positions_outside.expect("moved");
         assert!(outside.count > 0 && outside.deepest > 0.0, "{outside:?}");
         assert!(outside.deepest < settings.neighbor_radius, "{outside:?}");
         assert!(smoothed.holds());
         let given = surface(&MethodOptions { radius_min, ..choices()[2].clone() }).report.certificate;
-        assert_eq!(given.given_outside, None);
+        assert_eq!(given.input_positions_outside, None);
     }
 
     #[test]
     fn moved_positions_keep_their_precision() {
-        let double = Cloud::from(Particles::Double(vec![[0.0; 3], [1.0, 0.5, 0.0], [0.3, 0.7, 0.1]]));
-        let single = Cloud::from(Particles::Single(vec![[0.0; 3], [1.0, 0.5, 0.0], [0.3, 0.7, 0.1]]));
-        let moved = |cloud: &Cloud, part: f64| {
+        let double =
+            ParticleCloud::from(OwnedPositions::F64(vec![[0.0; 3], [1.0, 0.5, 0.0], [0.3, 0.7, 0.1]]));
+        let single =
+            ParticleCloud::from(OwnedPositions::F32(vec![[0.0; 3], [1.0, 0.5, 0.0], [0.3, 0.7, 0.1]]));
+        let moved = |cloud: &ParticleCloud, part: f64| {
             let choices = MethodOptions { position_smoothing: Some(part), ..choices()[0].clone() };
             let settings = Settings::paper(0.5, &choices).expect("sound");
-            shape(cloud.clone(), &settings).0.into_moved().positions
+            shape_particles(cloud.clone(), &settings).0.into_moved().positions
         };
         let (half, whole) = (moved(&single, 0.5), moved(&single, 1.0));
-        assert!(matches!(half, Particles::Single(_)) && matches!(moved(&double, 0.5), Particles::Double(_)));
+        assert!(
+            matches!(half, OwnedPositions::F32(_)) && matches!(moved(&double, 0.5), OwnedPositions::F64(_))
+        );
         for index in 0..3 {
             let between = (single.positions.position(index) + whole.position(index)) * 0.5;
             assert!(half.position(index).distance(between) < 1e-5);

@@ -15,7 +15,7 @@ use super::surfaces::distances_and_outward;
 
 /// A vertex that is out of bounds, and the nearest position within them.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stray {
+pub struct BoundViolation {
     /// Index of the vertex.
     pub vertex: usize,
     /// Its corrected position, in the coordinates of the mesh.
@@ -60,7 +60,7 @@ fn step(part: &CheckedRegion, near: &NearLeaves, point: Vec3) -> Option<Vec3> {
             let apart = point - from_leaf - center;
             // The first-order distance to an ellipsoid far away is too small. And the result must not depend
             // on which leaves were searched.
-            if apart.length() > max * bins.shapes.longest(index) + from_max + MOVE_MAX {
+            if apart.length() > max * bins.shapes.outer_radius(index) + from_max + MOVE_MAX {
                 continue;
             }
             let ([to_min, to_max], outward) = distances_and_outward(&bins.shapes, index, apart, [min, max]);
@@ -86,22 +86,22 @@ fn step(part: &CheckedRegion, near: &NearLeaves, point: Vec3) -> Option<Vec3> {
 mod tests {
     use super::*;
     use crate::surface::contour::{Contouring, contour};
-    use crate::surface::particles::{Cloud, Ellipsoid, Particles, Shapes};
-    use crate::surface::rasterize::{Radii, RasterFields, Scene, rasterize};
+    use crate::surface::particles::{Ellipsoid, OwnedPositions, ParticleCloud, Shapes};
+    use crate::surface::rasterize::{Radii, RasterFields, RasterParams, rasterize};
     use crate::surface::space::{CoordBox, Lattice};
-    use crate::surface::validation::{MeshCells, NothingExempt, check};
+    use crate::surface::validation::{MeshCells, NoExclusions, check};
 
     /// Vertices that are pushed out of bounds come back, and the others stay.
     #[test]
-    fn strays_come_back() {
+    fn violating_vertices_return_into_their_bounds() {
         let lattice = Lattice { voxel_size: 0.5 };
-        let radii = Radii { roomy: 2.0, shortest: 0.6, ..Radii::of_balls(3.0, 4.5, 6.0) };
+        let radii = Radii { band_scale: 2.0, min_scale: 0.6, ..Radii::uniform(3.0, 4.5, 6.0) };
         let long = Ellipsoid::new([1.8, 0.7, 0.8], [Vec3::X, Vec3::Y, Vec3::Z]);
-        let shapes = [Shapes::Balls, Shapes::Scaled(vec![1.0, 1.3]), Shapes::Ellipsoids(vec![long; 2])];
+        let shapes = [Shapes::Uniform, Shapes::Scaled(vec![1.0, 1.3]), Shapes::Ellipsoids(vec![long; 2])];
         for (shapes, pushed_voxels) in shapes.into_iter().zip([2.4, 2.7, 2.0]) {
-            let positions = Particles::Double(vec![[0.1, 0.2, 0.3], [1.4, 0.5, 0.1]]);
-            let cloud = Cloud { positions, shapes, attributes: Vec::new() };
-            let Ok(RasterFields { bins, band, .. }) = rasterize(&cloud, &Scene::open(lattice, radii));
+            let positions = OwnedPositions::F64(vec![[0.1, 0.2, 0.3], [1.4, 0.5, 0.1]]);
+            let cloud = ParticleCloud { positions, shapes, attributes: Vec::new() };
+            let Ok(RasterFields { bins, band, .. }) = rasterize(&cloud, &RasterParams::open(lattice, radii));
             let mut mesh = contour(&band, &lattice, Contouring::Dual);
             // The bounds are at 1.5 and 0.5 voxels for half axes of 1; the half axis along y is 0.7.
             let by_height =
@@ -112,7 +112,7 @@ mod tests {
                 let pushed_world = sign * pushed_voxels * lattice.voxel_size as f32;
                 mesh.positions[vertex] += mesh.normals[vertex] * pushed_world;
             }
-            let (owned, exempt) = (CoordBox::ALL, &NothingExempt);
+            let (owned, exempt) = (CoordBox::ALL, &NoExclusions);
             let cells = &MeshCells::new(&mesh, &band, &lattice);
             let part = CheckedRegion {
                 bins: &bins,

@@ -15,7 +15,7 @@ use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::mesh_cells::corner;
-use super::{Exempt, ParticlesOutside};
+use super::{ExclusionMask, ParticlesOutside};
 use crate::surface::grid::{Field, LEAF_EDGE, Topology, offset_in_leaf};
 use crate::surface::level_set::NarrowBand;
 use crate::surface::particles::ParticleSource;
@@ -23,7 +23,7 @@ use crate::surface::space::Lattice;
 
 /// A moved particle: its input position. In voxels.
 #[derive(Clone, Copy, Debug)]
-pub struct GivenPlace {
+pub struct MovedParticle {
     /// The origin of the leaf of the input position.
     origin: IVec3,
     /// The input position, relative to that leaf.
@@ -36,19 +36,19 @@ pub struct GivenPlace {
 ///
 /// # Errors
 /// Those of the source.
-fn places_of<S: ParticleSource>(
+fn moved_particles<S: ParticleSource>(
     source: &S,
     batch: usize,
     lattice: &Lattice,
-) -> Result<impl Iterator<Item = GivenPlace>, S::Error> {
+) -> Result<impl Iterator<Item = MovedParticle>, S::Error> {
     let place = move |[given, moved]: [DVec3; 2]| {
         let [given, moved] = [lattice.index_from_world(given)?, lattice.index_from_world(moved)?];
         let edge = f64::from(LEAF_EDGE);
         let origin = (given / edge).floor() * edge;
         let (local, moved) = ((given - origin).as_vec3(), (moved - given).as_vec3());
-        Some(GivenPlace { origin: origin.as_ivec3(), local, moved })
+        Some(MovedParticle { origin: origin.as_ivec3(), local, moved })
     };
-    Ok(source.given_of(batch)?.into_iter().filter_map(place))
+    Ok(source.moved_pairs(batch)?.into_iter().filter_map(place))
 }
 
 /// The moved particles whose input position may be outside the surface, batch by batch. Smoothing keeps φ
@@ -56,22 +56,22 @@ fn places_of<S: ParticleSource>(
 ///
 /// # Errors
 /// Those of the source.
-pub fn doubtful_places<S: ParticleSource>(
+pub fn possibly_outside<S: ParticleSource>(
     source: &S,
     lattice: &Lattice,
     (topology, upper, offset): (&Topology, &Field, f32),
-) -> Result<Vec<Vec<GivenPlace>>, S::Error> {
-    if !source.has_moved() {
+) -> Result<Vec<Vec<MovedParticle>>, S::Error> {
+    if !source.is_smoothed() {
         return Ok(Vec::new());
     }
-    let is_doubtful = |place: &GivenPlace| match place.corner_values(topology, upper) {
+    let is_doubtful = |place: &MovedParticle| match place.corner_values(topology, upper) {
         // Rounding is monotonic: interpolating smaller values gives a smaller result.
         Some(corners) if offset == 0.0 => place.interpolated(corners) > 0.0,
         Some(corners) => corners.iter().any(|value| *value >= offset.min(0.0)),
         None => place.first_stored(topology, upper).is_some(),
     };
     let of_batch = |batch| {
-        let mut doubtful: Vec<_> = places_of(source, batch, lattice)?.filter(is_doubtful).collect();
+        let mut doubtful: Vec<_> = moved_particles(source, batch, lattice)?.filter(is_doubtful).collect();
         doubtful.shrink_to_fit();
         Ok(doubtful)
     };
@@ -79,18 +79,19 @@ pub fn doubtful_places<S: ParticleSource>(
 }
 
 /// How many of these input positions are outside a surface with this offset in voxels, and how far.
-pub fn given_outside(
-    places: &[Vec<GivenPlace>],
+pub fn count_inputs_outside(
+    places: &[Vec<MovedParticle>],
     band: &NarrowBand,
     (lattice, offset): (&Lattice, f32),
-    exempt: &dyn Exempt,
+    exempt: &dyn ExclusionMask,
 ) -> ParticlesOutside {
-    let count = |sum: OutsideCount, place: &GivenPlace| sum.and(place.count_outside((band, offset), exempt));
+    let count =
+        |sum: OutsideCount, place: &MovedParticle| sum.merge(place.count_outside((band, offset), exempt));
     places
         .par_iter()
         .flatten()
         .fold(OutsideCount::default, count)
-        .reduce(OutsideCount::default, OutsideCount::and)
+        .reduce(OutsideCount::default, OutsideCount::merge)
         .in_world(lattice)
 }
 
@@ -98,19 +99,20 @@ pub fn given_outside(
 ///
 /// # Errors
 /// Those of the source.
-pub fn given_outside_of<S: ParticleSource>(
+pub fn count_inputs_outside_of_source<S: ParticleSource>(
     source: &S,
     band: &NarrowBand,
     (lattice, offset): (&Lattice, f32),
-    exempt: &dyn Exempt,
+    exempt: &dyn ExclusionMask,
 ) -> Result<ParticlesOutside, S::Error> {
     let of_batch = |batch| {
-        let places = places_of(source, batch, lattice)?;
-        Ok(places
-            .fold(OutsideCount::default(), |sum, place| sum.and(place.count_outside((band, offset), exempt))))
+        let places = moved_particles(source, batch, lattice)?;
+        Ok(places.fold(OutsideCount::default(), |sum, place| {
+            sum.merge(place.count_outside((band, offset), exempt))
+        }))
     };
     let batches = (0..source.batch_count()).into_par_iter().map(of_batch);
-    let sum = batches.try_reduce(OutsideCount::default, |one, other| Ok(one.and(other)))?;
+    let sum = batches.try_reduce(OutsideCount::default, |one, other| Ok(one.merge(other)))?;
     Ok(sum.in_world(lattice))
 }
 
@@ -122,7 +124,7 @@ struct OutsideCount {
 }
 
 impl OutsideCount {
-    fn and(self, other: OutsideCount) -> OutsideCount {
+    fn merge(self, other: OutsideCount) -> OutsideCount {
         OutsideCount { count: self.count + other.count, deepest: self.deepest.max(other.deepest) }
     }
 
@@ -131,8 +133,8 @@ impl OutsideCount {
     }
 }
 
-impl GivenPlace {
-    fn count_outside(&self, (band, offset): (&NarrowBand, f32), exempt: &dyn Exempt) -> OutsideCount {
+impl MovedParticle {
+    fn count_outside(&self, (band, offset): (&NarrowBand, f32), exempt: &dyn ExclusionMask) -> OutsideCount {
         let phi = match self.corner_values(&band.topology, &band.phi) {
             Some(corners) => self.interpolated(corners),
             None => match self.first_stored(&band.topology, &band.phi) {
@@ -140,7 +142,7 @@ impl GivenPlace {
                 _ => 0.0,
             },
         };
-        if phi > 0.0 && (exempt.is_nothing() || !exempt.particle(self.origin, self.local)) {
+        if phi > 0.0 && (exempt.is_empty() || !exempt.particle(self.origin, self.local)) {
             // Before the offset, the moved particle was inside.
             return OutsideCount { count: 1, deepest: phi.min(self.moved.length() - offset.min(0.0)) };
         }

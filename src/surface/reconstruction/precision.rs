@@ -15,7 +15,7 @@ use std::fmt;
 use glam::DVec3;
 
 use crate::surface::options::Settings;
-use crate::surface::particles::{ParticleSource, Particles};
+use crate::surface::particles::{OwnedPositions, ParticleSource};
 use crate::surface::rasterize::Footprint;
 use crate::surface::space::INDEX_LIMIT;
 use crate::surface::spacing::{SourceSample, median};
@@ -28,7 +28,7 @@ pub const SPREAD_MAX_VOXELS: u32 = 1 << 20;
 /// Error: the voxels are too small for a frame, because most of its particles are too widely spread or too
 /// far from the origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TooFine {
+pub struct VoxelTooSmall {
     /// The voxel size, in world units.
     pub voxel_size: f64,
     /// The measured particle spacing, in world units.
@@ -36,32 +36,32 @@ pub struct TooFine {
     /// The smallest voxel size that the frame allows, in world units.
     pub least: f64,
     /// Which limit is exceeded.
-    pub limit: Limit,
+    pub limit: PrecisionLimit,
 }
 
 /// What limits the voxel size from below.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Limit {
+pub enum PrecisionLimit {
     /// Most particles are more than [`SPREAD_MAX_VOXELS`] from their median position.
     Spread,
     /// Most particles are more than [`INDEX_LIMIT`] voxels from the origin, outside the grid's index range.
     Reach,
 }
 
-impl fmt::Display for TooFine {
+impl fmt::Display for VoxelTooSmall {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let TooFine { voxel_size, spacing, least, limit } = *self;
+        let VoxelTooSmall { voxel_size, spacing, least, limit } = *self;
         // Round up, so that the few digits of the message are enough.
         let least = 1.001 * least;
         let [voxels, half, h, shown_least, shown_spacing] =
             [spacing / voxel_size, 0.5 * spacing, voxel_size, least, spacing].map(significant);
         match limit {
-            Limit::Spread => write!(
+            PrecisionLimit::Spread => write!(
                 f,
                 "the voxel size {h} (--voxel-size) is too small: particles are {shown_spacing} apart ({voxels} voxels), \
                  and 32-bit positions cannot resolve that over the whole frame"
             )?,
-            Limit::Reach => write!(
+            PrecisionLimit::Reach => write!(
                 f,
                 "the voxel size {h} (--voxel-size) is too small so far from the origin: most particles are more than \
                  {INDEX_LIMIT} voxels away, outside the grid; move them closer, or use --voxel-size {shown_least} or more"
@@ -69,27 +69,27 @@ impl fmt::Display for TooFine {
         }
         match limit {
             // The minimum is for experts; it is not a recommendation.
-            Limit::Spread if 0.5 * spacing >= least => {
+            PrecisionLimit::Spread if 0.5 * spacing >= least => {
                 write!(f, "; use --voxel-size {half} (half the spacing); the minimum is {shown_least}")
             }
-            Limit::Spread => write!(f, "; the minimum is --voxel-size {shown_least}"),
-            Limit::Reach => Ok(()),
+            PrecisionLimit::Spread => write!(f, "; the minimum is --voxel-size {shown_least}"),
+            PrecisionLimit::Reach => Ok(()),
         }
     }
 }
 
-impl std::error::Error for TooFine {}
+impl std::error::Error for VoxelTooSmall {}
 
 /// Checks whether the voxels are too small for a frame with this footprint. If so, reads its particles once
 /// more, or three times if there are many.
 ///
 /// # Errors
 /// Returns the source's error if a batch cannot be read.
-pub(super) fn too_fine<S: ParticleSource>(
+pub(super) fn voxel_too_small<S: ParticleSource>(
     source: &S,
     settings: &Settings,
     footprint: &Footprint,
-) -> Result<Option<TooFine>, S::Error> {
+) -> Result<Option<VoxelTooSmall>, S::Error> {
     let Footprint { particle_count, dropped_count, spread_voxels, .. } = *footprint;
     if spread_voxels <= SPREAD_MAX_VOXELS && dropped_count <= particle_count {
         return Ok(None);
@@ -98,12 +98,12 @@ pub(super) fn too_fine<S: ParticleSource>(
     let Some(estimate) = sample.estimate(source)? else { return Ok(None) };
     let spacing = estimate.spacing;
     let (voxel_size, (least, limit)) = (settings.voxel_size, least_voxel_size(&sample.particles));
-    Ok((voxel_size < least).then_some(TooFine { voxel_size, spacing, least, limit }))
+    Ok((voxel_size < least).then_some(VoxelTooSmall { voxel_size, spacing, least, limit }))
 }
 
 /// The smallest voxel size with which most of these particles are near enough to their median and to the
 /// origin, and the limit that determines it.
-fn least_voxel_size(particles: &Particles) -> (f64, Limit) {
+fn least_voxel_size(particles: &OwnedPositions) -> (f64, PrecisionLimit) {
     let positions = || (0..particles.len()).map(|index| particles.position(index));
     let median = |values: Vec<f64>| median(values).unwrap_or(0.0);
     let along = |axis: usize| median(positions().map(|position| position[axis]).collect());
@@ -112,5 +112,9 @@ fn least_voxel_size(particles: &Particles) -> (f64, Limit) {
     let far = median(positions().map(|position| position.abs().max_element()).collect());
     let by_spread = spread / f64::from(SPREAD_MAX_VOXELS);
     let by_reach = far / f64::from(INDEX_LIMIT);
-    if by_spread >= by_reach { (by_spread, Limit::Spread) } else { (by_reach, Limit::Reach) }
+    if by_spread >= by_reach {
+        (by_spread, PrecisionLimit::Spread)
+    } else {
+        (by_reach, PrecisionLimit::Reach)
+    }
 }

@@ -159,7 +159,7 @@ pub(super) fn smooth(
         assert!(op.reach_voxels().is_some(), "global operations cannot run in tiles");
         let mut stats = SmoothStats::default();
         for tile in &tiling.tiles {
-            stats = stats.and(apply(store, tiling, tile, half_width, config, op)?);
+            stats = stats.merge(apply(store, tiling, tile, half_width, config, op)?);
             done_count += 1;
             advanced(f64::from(done_count) * step);
         }

@@ -5,9 +5,9 @@ use std::fmt;
 use glam::IVec3;
 use rustc_hash::FxHashMap;
 
-use super::fineness::{TooFine, too_fine};
+use super::precision::{VoxelTooSmall, voxel_too_small};
 use super::tiles::{HALO_LEAVES, tiles_around};
-use super::{TOPOLOGY_LEAF_BYTES, radii, scene, shape};
+use super::{TOPOLOGY_LEAF_BYTES, radii, raster_params, shape};
 use crate::surface::grid::Leaf;
 use crate::surface::obstacle::Obstacles;
 use crate::surface::options::{Anisotropy, Contouring, Integrator, Settings};
@@ -23,7 +23,7 @@ pub struct MemoryPlan {
     /// Edge of the tiles in leaves; `None` to process the frame in one piece.
     pub tile_leaves: Option<i32>,
     /// Peak memory in one piece, in bytes.
-    pub whole_bytes: u64,
+    pub in_core_bytes: u64,
 }
 
 /// Error: a frame does not fit into the memory limit.
@@ -34,7 +34,7 @@ pub struct TooLarge {
     /// The limit, in bytes.
     pub allowed_bytes: u64,
     /// True if tiles are impossible because the integrator is global.
-    pub is_coupled: bool,
+    pub requires_in_core: bool,
 }
 
 impl fmt::Display for TooLarge {
@@ -46,7 +46,7 @@ impl fmt::Display for TooLarge {
             mebibytes(self.least_bytes),
             self.allowed_bytes / MEBIBYTE
         )?;
-        if self.is_coupled {
+        if self.requires_in_core {
             f.write_str("; other integrators need less: implicit and adaptive cannot work in tiles")?;
         }
         Ok(())
@@ -71,11 +71,11 @@ pub struct PlanInputs<'a> {
 
 /// Why a frame cannot be surfaced.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Unfit {
+pub enum MemoryPlanError {
     /// It does not fit into the memory limit.
     TooLarge(TooLarge),
     /// Its voxels are too small for the precision of positions.
-    TooFine(TooFine),
+    VoxelTooSmall(VoxelTooSmall),
 }
 
 /// Plans a frame with a limit of `allowed_bytes`: in one piece if possible, otherwise in the largest tiles
@@ -83,23 +83,23 @@ pub enum Unfit {
 ///
 /// # Errors
 /// The outer error is the source's. The inner error says why the frame cannot be surfaced: there is
-/// too little memory, or the voxels are [too small](TooFine).
-pub fn plan<S: ParticleSource>(
+/// too little memory, or the voxels are [too small](VoxelTooSmall).
+pub fn plan_memory<S: ParticleSource>(
     source: &S,
     settings: &Settings,
     surroundings: PlanInputs,
     allowed_bytes: u64,
-) -> Result<Result<MemoryPlan, Unfit>, S::Error> {
+) -> Result<Result<MemoryPlan, MemoryPlanError>, S::Error> {
     plan_with_tiles(source, settings, surroundings, allowed_bytes, &TILE_EDGES)
 }
 
-/// Like [`plan`], without tiles.
-pub(crate) fn plan_whole<S: ParticleSource>(
+/// Like [`plan_memory`], without tiles.
+pub(crate) fn plan_in_core<S: ParticleSource>(
     source: &S,
     settings: &Settings,
     surroundings: PlanInputs,
     allowed_bytes: u64,
-) -> Result<Result<MemoryPlan, Unfit>, S::Error> {
+) -> Result<Result<MemoryPlan, MemoryPlanError>, S::Error> {
     plan_with_tiles(source, settings, surroundings, allowed_bytes, &[])
 }
 
@@ -109,36 +109,37 @@ fn plan_with_tiles<S: ParticleSource>(
     surroundings: PlanInputs,
     allowed_bytes: u64,
     tile_edges: &[i32],
-) -> Result<Result<MemoryPlan, Unfit>, S::Error> {
+) -> Result<Result<MemoryPlan, MemoryPlanError>, S::Error> {
     let PlanInputs { obstacles, attribute_bytes } = surroundings;
-    let footprint = rasterize::footprint(source, &scene(settings, obstacles), shape::near_surface(settings))?;
-    if let Some(too_fine) = too_fine(source, settings, &footprint)? {
-        return Ok(Err(Unfit::TooFine(too_fine)));
+    let footprint =
+        rasterize::footprint(source, &raster_params(settings, obstacles), shape::near_surface(settings))?;
+    if let Some(too_small) = voxel_too_small(source, settings, &footprint)? {
+        return Ok(Err(MemoryPlanError::VoxelTooSmall(too_small)));
     }
-    let whole = whole_bytes(&footprint, settings, attribute_bytes);
+    let whole = in_core_bytes(&footprint, settings, attribute_bytes);
     if whole <= allowed_bytes {
-        return Ok(Ok(MemoryPlan { memory_bytes: whole, tile_leaves: None, whole_bytes: whole }));
+        return Ok(Ok(MemoryPlan { memory_bytes: whole, tile_leaves: None, in_core_bytes: whole }));
     }
     if matches!(settings.integrator, Integrator::Implicit | Integrator::Adaptive) {
-        let too_large = TooLarge { least_bytes: whole, allowed_bytes, is_coupled: true };
-        return Ok(Err(Unfit::TooLarge(too_large)));
+        let too_large = TooLarge { least_bytes: whole, allowed_bytes, requires_in_core: true };
+        return Ok(Err(MemoryPlanError::TooLarge(too_large)));
     }
     let mut least_bytes = whole;
     for &tile_leaves in tile_edges {
         let memory_bytes = tiled_bytes(&footprint, settings, attribute_bytes, tile_leaves);
         if memory_bytes <= allowed_bytes {
             let tile_leaves = Some(tile_leaves);
-            return Ok(Ok(MemoryPlan { memory_bytes, tile_leaves, whole_bytes: whole }));
+            return Ok(Ok(MemoryPlan { memory_bytes, tile_leaves, in_core_bytes: whole }));
         }
         least_bytes = least_bytes.min(memory_bytes);
     }
-    Ok(Err(Unfit::TooLarge(TooLarge { least_bytes, allowed_bytes, is_coupled: false })))
+    Ok(Err(MemoryPlanError::TooLarge(TooLarge { least_bytes, allowed_bytes, requires_in_core: false })))
 }
 
 /// Number of fields in memory during rasterization, including temporary fields of the sweeps. Anisotropic
 /// particles need distances to three surfaces; others, to one center.
 fn rasterizing_fields(settings: &Settings) -> f64 {
-    if settings.has_shapes() { 7.4 } else { 5.2 }
+    if settings.has_per_particle_shapes() { 7.4 } else { 5.2 }
 }
 
 /// Number of fields in memory during smoothing.
@@ -169,7 +170,7 @@ fn occupied_leaf_bytes(settings: &Settings) -> f64 {
 }
 
 fn round_octants_bytes(settings: &Settings) -> f64 {
-    if settings.has_shapes() { 512.0 } else { 0.0 }
+    if settings.has_per_particle_shapes() { 512.0 } else { 0.0 }
 }
 
 /// Memory per kept particle, and per particle while sorting.
@@ -182,8 +183,8 @@ const SHAPE_BYTES: f64 = 200.0;
 /// Memory for particle shapes and displacements.
 fn shape_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
     let by_attributes =
-        settings.own_radii.is_some() || matches!(settings.anisotropy, Anisotropy::Velocity { .. });
-    let shaped_count = match (by_attributes, settings.has_shapes()) {
+        settings.per_particle_radius.is_some() || matches!(settings.anisotropy, Anisotropy::Velocity { .. });
+    let shaped_count = match (by_attributes, settings.has_per_particle_shapes()) {
         (true, _) => footprint.particle_count,
         // Made for each batch, and stored for the particles that are kept.
         (false, true) => footprint.near_particle_count,
@@ -193,7 +194,7 @@ fn shape_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
     let of_changes =
         if settings.uses_neighbors() { kept * footprint.shaped_particle_count as f64 } else { 0.0 };
     let given = if settings.position_smoothing > 0.0 {
-        GIVEN_BYTES * footprint.shaped_particle_count.min(footprint.near_particle_count) as f64
+        MOVED_PARTICLE_BYTES * footprint.shaped_particle_count.min(footprint.near_particle_count) as f64
     } else {
         0.0
     };
@@ -201,7 +202,7 @@ fn shape_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
 }
 
 /// Average memory per near particle for original positions that may lie outside the surface. Few do.
-const GIVEN_BYTES: f64 = 6.0;
+const MOVED_PARTICLE_BYTES: f64 = 6.0;
 
 /// Memory while neighborhoods are evaluated, before the rest of the frame exists.
 fn neighbors_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
@@ -267,7 +268,7 @@ const PIECES_LEAF_BYTES: f64 = 500.0;
 /// Additional memory per leaf for a list of its particles.
 const LISTED_LEAF_BYTES: f64 = 64.0;
 
-fn whole_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64) -> u64 {
+fn in_core_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64) -> u64 {
     let [surface, area, occupied, particles] = counts(footprint, settings);
     let stages = [
         FIELD_BYTES * rasterizing_fields(settings) * surface + sorted_leaf_bytes(settings) * occupied,

@@ -24,7 +24,7 @@ use crate::surface::space::{INDEX_LIMIT, Lattice};
 
 /// A level set from a file: signed distances in world units, negative inside.
 #[derive(Clone, Debug, PartialEq)]
-pub struct LevelSetSource {
+pub struct SourceLevelSet {
     /// Origins of the leaves of 8³ voxels, multiples of 8.
     pub origins: Vec<IVec3>,
     /// The values of each leaf, z fastest.
@@ -40,13 +40,13 @@ pub struct LevelSetSource {
 }
 
 /// The inside of a level set.
-pub struct Sampled {
-    source: LevelSetSource,
+pub struct GridSdf {
+    source: SourceLevelSet,
     leaf_of: FxHashMap<IVec3, u32>,
     tile_of: FxHashMap<(IVec3, i32), f32>,
     tile_sizes: Vec<i32>,
     to_index: DMat3,
-    rebuilt_because: Option<RebuildReason>,
+    rebuild_reason: Option<RebuildReason>,
 }
 
 /// Steps that differ by more than this fraction have different lengths, or are not orthogonal.
@@ -94,19 +94,19 @@ const EXTENSION_MAX: i32 = 12;
 /// through one of its voxels.
 const OUTERMOST: f32 = 1.8;
 
-impl LevelSetSource {
+impl SourceLevelSet {
     /// A copy with distances in a band around the surface; `None` if the source already has them.
     fn rebuilt(
         &self,
         voxel_size: f64,
         leaf_count_max: usize,
-    ) -> Result<Option<(LevelSetSource, RebuildReason)>, TooManyLeaves> {
-        let LevelSetSource { origins, leaves, tiles, background, .. } = self;
+    ) -> Result<Option<(SourceLevelSet, RebuildReason)>, TooManyLeaves> {
+        let SourceLevelSet { origins, leaves, tiles, background, .. } = self;
         let stored = StoredLevelSet { origins, leaves, tiles, background: *background, voxel_size };
         let rebuilt = |(NarrowBand { topology, phi, half_width }, reason): (NarrowBand, RebuildReason)| {
             let scale = voxel_size as f32;
             let background = half_width * scale;
-            let source = LevelSetSource {
+            let source = SourceLevelSet {
                 origins: topology.origins().to_vec(),
                 leaves: phi.leaves.iter().map(|leaf| leaf.values.map(|value| value * scale)).collect(),
                 tiles: tiles
@@ -123,14 +123,14 @@ impl LevelSetSource {
     }
 }
 
-impl Sampled {
+impl GridSdf {
     /// The inside of a level set. Rebuilding distances that the file lacks may take `memory_bytes` in
     /// addition.
     ///
     /// # Errors
     /// A sentence without subject with the reason: voxels that are not cubes, a background that is not
     /// positive, or distances that cannot be rebuilt in that memory.
-    pub fn new(mut source: LevelSetSource, memory_bytes: u64) -> Result<Sampled, String> {
+    pub fn new(mut source: SourceLevelSet, memory_bytes: u64) -> Result<GridSdf, String> {
         let [x, y, z] = source.axes;
         let size_squared = x.length_squared();
         let is_even = |squared: f64| (squared - size_squared).abs() <= SKEW_MAX * size_squared;
@@ -155,7 +155,7 @@ impl Sampled {
                  allow more memory (--memory), or save it with a narrow band"
             )
         })?;
-        let rebuilt_because = rebuilt.as_ref().map(|&(_, reason)| reason);
+        let rebuild_reason = rebuilt.as_ref().map(|&(_, reason)| reason);
         source = rebuilt.map_or(source, |(source, _)| source);
         let leaf_of = source.origins.iter().copied().zip(0..).collect();
         let tile_of = source.tiles.iter().map(|&(origin, size, value)| ((origin, size), value)).collect();
@@ -168,12 +168,12 @@ impl Sampled {
         tile_sizes.sort_unstable();
         tile_sizes.dedup();
         let to_index = DMat3::from_cols(x, y, z).inverse();
-        Ok(Sampled { source, leaf_of, tile_of, tile_sizes, to_index, rebuilt_because })
+        Ok(GridSdf { source, leaf_of, tile_of, tile_sizes, to_index, rebuild_reason })
     }
 
     /// Why its distances were rebuilt; `None` if they were not.
-    pub fn rebuilt_because(&self) -> Option<RebuildReason> {
-        self.rebuilt_because
+    pub fn rebuild_reason(&self) -> Option<RebuildReason> {
+        self.rebuild_reason
     }
 
     /// The edge length of its voxels, world units.
@@ -195,7 +195,7 @@ impl Sampled {
 
     /// A box around all stored values.
     pub(super) fn bounds(&self) -> Option<[DVec3; 2]> {
-        let LevelSetSource { origins, tiles, axes: [x, y, z], translation, .. } = &self.source;
+        let SourceLevelSet { origins, tiles, axes: [x, y, z], translation, .. } = &self.source;
         let leaves = origins.iter().map(|&origin| (origin, LEAF_EDGE));
         let cubes = leaves.chain(tiles.iter().map(|&(origin, size, _)| (origin, size)));
         let corners = cubes.flat_map(|(origin, edge)| {

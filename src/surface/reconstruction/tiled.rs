@@ -9,18 +9,20 @@ use std::sync::Arc;
 use glam::IVec3;
 
 use super::field_store::{FieldStore, Storage};
-use super::finish::{self, Edits, Exemptions, Stored, StoredMesh};
+use super::postprocess::{self, Edits, PositionFormat, StoredMesh, SurfaceExclusions};
 use super::tiles::{self, HALO_LEAVES, Tiling, tile_voxels, tiles_around};
-use super::{FrameSurface, SurfaceAttributes, inside_obstacles, report_smoothing, scene, smooth_config};
+use super::{
+    FrameSurface, SurfaceAttributes, inside_obstacles, raster_params, report_smoothing, smooth_config,
+};
 use crate::surface::contour;
 use crate::surface::grid::LEAF_EDGE;
 use crate::surface::level_set::{Bounds, NarrowBand};
-use crate::surface::obstacle::{ContactTally, Obstacles};
+use crate::surface::obstacle::{ContactStats, Obstacles};
 use crate::surface::options::Settings;
 use crate::surface::particles::ParticleSource;
-use crate::surface::rasterize::{self, Occupancy, Scene};
-use crate::surface::report::{Shaping, SkinReport};
-use crate::surface::validation::{CheckedRegion, MeshCells, certificate, given_outside_of};
+use crate::surface::rasterize::{self, Occupancy, RasterParams};
+use crate::surface::report::{ReconstructionReport, ShapeStats};
+use crate::surface::validation::{CheckedRegion, MeshCells, certificate, count_inputs_outside_of_source};
 
 /// Error of a tiled frame.
 #[derive(Debug)]
@@ -48,7 +50,7 @@ pub struct TiledFrame<S> {
     store: FieldStore,
     tiling: Tiling,
     half_width: f32,
-    report: SkinReport,
+    report: ReconstructionReport,
 }
 
 impl<S> TiledFrame<S> {
@@ -58,26 +60,26 @@ impl<S> TiledFrame<S> {
     }
 
     /// The report so far. Callers that measure time add it here.
-    pub fn report_mut(&mut self) -> &mut SkinReport {
+    pub fn report_mut(&mut self) -> &mut ReconstructionReport {
         &mut self.report
     }
 }
 
 /// First stage: particles to level sets, which are written to the storages. Requires
-/// [`SHELF_COUNT`](super::SHELF_COUNT) storages. Tiles are cubes of `tile_leaves` leaves.
+/// [`FIELD_STORE_FILES`](super::FIELD_STORE_FILES) storages. Tiles are cubes of `tile_leaves` leaves.
 ///
 /// # Errors
 /// Returns an error of the source or of the storage.
 pub fn rasterize<S: ParticleSource>(
     source: S,
     settings: &Settings,
-    shaping: Shaping,
+    shape_stats: ShapeStats,
     obstacles: Obstacles,
     tile_leaves: i32,
     storages: Vec<Box<dyn Storage>>,
 ) -> Result<TiledFrame<S>, TiledError<S::Error>> {
-    let scene = scene(settings, &obstacles);
-    let Scene { lattice, radii, .. } = scene;
+    let scene = raster_params(settings, &obstacles);
+    let RasterParams { lattice, radii, .. } = scene;
     let occupancy = Occupancy::new(&source, &lattice).map_err(TiledError::Source)?;
     let tiles = tiles_near(
         &occupancy,
@@ -86,25 +88,25 @@ pub fn rasterize<S: ParticleSource>(
     );
     let store = FieldStore::new(storages);
     let mut origins: Vec<IVec3> = Vec::new();
-    let mut contact = ContactTally::default();
+    let mut contact = ContactStats::default();
     for &tile in &tiles {
         let window = tile_voxels(IVec3::from(tile), tile_leaves);
         let rasterized = rasterize::rasterize_window(&source, &occupancy, &scene, window);
         let rasterized = rasterized.map_err(TiledError::Source)?;
         let rasterize::RasterFields { band, bounds, contact: of_tile, .. } = rasterized;
-        contact = contact.and(of_tile);
+        contact = contact.merge(of_tile);
         store.put(origins.len(), [&band.phi, &bounds.lower, &bounds.upper])?;
         origins.extend_from_slice(band.topology.origins());
     }
     contact.particle_count = inside_obstacles(&source, &scene).map_err(TiledError::Source)?;
-    let report = SkinReport {
+    let report = ReconstructionReport {
         particle_count: occupancy.particle_count(),
         dropped_count: occupancy.dropped_count(),
-        stray: occupancy.stray(),
+        stray_position: occupancy.stray_position(),
         leaf_count: origins.len(),
-        shaping,
+        shapes: shape_stats,
         contact,
-        ..SkinReport::default()
+        ..ReconstructionReport::default()
     };
     let tiling = Tiling::new(&origins, tile_leaves, HALO_LEAVES);
     let half_width = radii.half_width();
@@ -142,7 +144,7 @@ pub fn smooth<S>(
 pub fn contour<S: ParticleSource>(
     frame: TiledFrame<S>,
     settings: &Settings,
-    stored: &[Stored],
+    stored: &[PositionFormat],
 ) -> Result<(FrameSurface, S), TiledError<S::Error>> {
     let TiledFrame {
         source,
@@ -155,33 +157,33 @@ pub fn contour<S: ParticleSource>(
         half_width,
         mut report,
     } = frame;
-    let scene = scene(settings, &obstacles);
-    let Scene { lattice, radii, .. } = scene;
+    let scene = raster_params(settings, &obstacles);
+    let RasterParams { lattice, radii, .. } = scene;
     let bound_violation_count = bound_violations(&store, &tiling)?;
     let phi = store.read(0, &tiling.all_slots())?;
     drop(store);
     let mut band = NarrowBand { topology: Arc::new(tiling.topology), phi, half_width };
     let tile_particles = |tile: [i32; 3]| {
         let owned = tile_voxels(IVec3::from(tile), tile_leaves);
-        let bins = rasterize::particles_of_window(&source, &occupancy, &scene, owned);
+        let bins = rasterize::particles_in_window(&source, &occupancy, &scene, owned);
         bins.map(|bins| (owned, bins)).map_err(TiledError::Source)
     };
-    finish::offset(&mut band, &scene);
+    postprocess::offset(&mut band, &scene);
     let mut edits = Edits::default();
-    if finish::has_edits(settings) {
+    if postprocess::has_edits(settings) {
         let mut particles = Vec::new();
         for &tile in tiles.iter().filter(|_| settings.drop_islands > 0) {
             let (owned, bins) = tile_particles(tile)?;
             let own = bins.leaves().filter(|(origin, _)| owned.contains(*origin));
             particles.extend(own.map(|(origin, locals)| (origin, locals.to_vec())));
         }
-        edits = finish::edit(&mut band, particles, (&scene, settings), &mut report.edits);
+        edits = postprocess::edit(&mut band, particles, (&scene, settings), &mut report.edits);
     }
-    let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.depth);
+    let mut mesh = postprocess::mesh(&band, &edits, (&scene, settings), &mut report.depth);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
-    let exempt = &Exemptions { scene: &scene, edits: &edits };
+    let exempt = &SurfaceExclusions { scene: &scene, edits: &edits };
     let how = (settings, stored);
-    let checks = finish::finalize(&mut mesh, how, &mut report, |checked, check| {
+    let checks = postprocess::finalize(&mut mesh, how, &mut report, |checked, check| {
         let StoredMesh { mesh, rounding } = *checked;
         let cells = &MeshCells::new(mesh, &band, &lattice);
         for &tile in &tiles {
@@ -194,10 +196,11 @@ pub fn contour<S: ParticleSource>(
     let counts = (bound_violation_count, report.dropped_count);
     report.certificate =
         certificate(checks, counts, (Some(&radii), settings.offset), &mesh, &report.mesh, &lattice);
-    if source.has_moved() {
+    if source.is_smoothed() {
         let how = (&lattice, radii.offset);
-        let outside = given_outside_of(&source, &band, how, exempt).map_err(TiledError::Source)?;
-        report.certificate.given_outside = Some(outside);
+        let outside =
+            count_inputs_outside_of_source(&source, &band, how, exempt).map_err(TiledError::Source)?;
+        report.certificate.input_positions_outside = Some(outside);
     }
     Ok((FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report }, source))
 }
@@ -224,11 +227,11 @@ const RUN_LEAVES: usize = 4096;
 mod tests {
     use std::sync::Mutex;
 
-    use super::super::{SHELF_COUNT, skin};
+    use super::super::{FIELD_STORE_FILES, reconstruct_frame};
     use super::*;
-    use crate::surface::obstacle::{Obstacle, Shape, Solid};
+    use crate::surface::obstacle::{MeshSdf, Obstacle, ObstacleSdf};
     use crate::surface::options::{AnisotropyKind, ClipBox, Integrator, MethodOptions};
-    use crate::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
+    use crate::surface::particles::{Attribute, AttributeValues, OwnedPositions, ParticleCloud, Role};
     use glam::DVec3;
 
     /// A storage in memory.
@@ -254,14 +257,14 @@ mod tests {
 
     /// A long bar of two sheets that repeatedly join and separate, much longer than the width of a halo, and
     /// a few isolated particles.
-    fn particles() -> Particles {
-        let Particles::Double(mut positions) = bar(190) else { unreachable!("positions of 64 bits") };
+    fn particles() -> OwnedPositions {
+        let OwnedPositions::F64(mut positions) = bar(190) else { unreachable!("positions of 64 bits") };
         positions.extend([[31.0, -8.0, 8.0], [-20.0, 15.0, -9.0], [120.5, 10.5, 10.5]]);
-        Particles::Double(positions)
+        OwnedPositions::F64(positions)
     }
 
     /// The bar alone, of this length.
-    fn bar(length: i32) -> Particles {
+    fn bar(length: i32) -> OwnedPositions {
         let mut positions = Vec::new();
         for index in 0..length * 5 * 4 {
             let (x, y, z) = (f64::from(index / 20), f64::from(index / 4 % 5), f64::from(index % 4));
@@ -270,32 +273,38 @@ mod tests {
             let lift = 2.0 * (0.05 * x).sin() + gap;
             positions.push([x + jitter(12.9), y + jitter(78.2), z + lift + jitter(37.7)].map(|p| p - 13.0));
         }
-        Particles::Double(positions)
+        OwnedPositions::F64(positions)
     }
 
     fn storages() -> Vec<Box<dyn Storage>> {
-        (0..SHELF_COUNT).map(|_| Box::<InMemory>::default() as Box<dyn Storage>).collect()
+        (0..FIELD_STORE_FILES).map(|_| Box::<InMemory>::default() as Box<dyn Storage>).collect()
     }
 
-    fn rasterized(settings: &Settings, tile_leaves: i32) -> TiledFrame<Particles> {
+    fn rasterized(settings: &Settings, tile_leaves: i32) -> TiledFrame<OwnedPositions> {
         let storages = storages();
-        let frame =
-            rasterize(particles(), settings, Shaping::default(), Obstacles::default(), tile_leaves, storages)
-                .expect("in memory");
+        let frame = rasterize(
+            particles(),
+            settings,
+            ShapeStats::default(),
+            Obstacles::default(),
+            tile_leaves,
+            storages,
+        )
+        .expect("in memory");
         assert!(frame.tiling.tile_count() > 12, "{}", frame.tiling.tile_count());
         frame
     }
 
-    fn finished(frame: TiledFrame<Particles>, settings: &Settings) -> FrameSurface {
+    fn finished(frame: TiledFrame<OwnedPositions>, settings: &Settings) -> FrameSurface {
         let smoothed = smooth(frame, settings, &mut |_| {}).expect("in memory");
-        contour(smoothed, settings, &[Stored::AsTheyAre]).expect("in memory").0
+        contour(smoothed, settings, &[PositionFormat::Exact]).expect("in memory").0
     }
 
     /// A few tiles only, fast enough for every test run.
     #[test]
     fn tiled_result_of_a_short_frame_equals_in_memory_result() {
         let settings = Settings::paper(0.5, &Default::default()).expect("sound");
-        same_in_tiles(Cloud::from(bar(36)), &settings, &Obstacles::default());
+        same_in_tiles(ParticleCloud::from(bar(36)), &settings, &Obstacles::default());
     }
 
     #[test]
@@ -315,7 +324,7 @@ mod tests {
         ];
         for choices in choices {
             let settings = Settings::paper(0.5, &choices).expect("sound");
-            let whole = skin(&particles(), &settings);
+            let whole = reconstruct_frame(&particles(), &settings);
             let tiled = finished(rasterized(&settings, 4), &settings);
             assert_eq!(tiled.band.topology.origins(), whole.band.topology.origins());
             assert!(tiled.band.phi == whole.band.phi, "{choices:?}");
@@ -334,14 +343,14 @@ mod tests {
                 (0..particles().len() * arity).map(|index| 0.9 + 0.7 * (index as f32 * 0.7).sin()).collect(),
             )
         };
-        let attribute = |name: &str, meaning: Meaning, arity: usize| Attribute {
+        let attribute = |name: &str, role: Role, arity: usize| Attribute {
             name: name.to_owned(),
-            meaning,
+            role,
             arity,
             values: numbers(arity),
         };
-        let attributes = vec![attribute("pscale", Meaning::Radius, 1), attribute("v", Meaning::Velocity, 3)];
-        let ball = Shape::Solid(octahedron(DVec3::new(20.0, -10.0, -9.0), 4.0));
+        let attributes = vec![attribute("pscale", Role::Radius, 1), attribute("v", Role::Velocity, 3)];
+        let ball = ObstacleSdf::Mesh(octahedron(DVec3::new(20.0, -10.0, -9.0), 4.0));
         let obstacles = Obstacles { members: vec![Arc::new(Obstacle::new(ball, 1 << 24))] };
         let plain = MethodOptions {
             drop_islands: Some(3),
@@ -372,9 +381,9 @@ mod tests {
         ];
         for choices in all {
             let settings = Settings::paper(0.5, &choices).expect("sound");
-            let cloud = Cloud { attributes: attributes.clone(), ..Cloud::from(particles()) };
+            let cloud = ParticleCloud { attributes: attributes.clone(), ..ParticleCloud::from(particles()) };
             let report = same_in_tiles(cloud, &settings, &obstacles);
-            let SkinReport { certificate, edits, contact, .. } = &report;
+            let ReconstructionReport { certificate, edits, contact, .. } = &report;
             assert!(certificate.holds(), "{certificate:?}");
             assert!(
                 edits.island_count > 0 && edits.clipped_voxel_count > 0 && contact.void_count > 0,
@@ -388,7 +397,7 @@ mod tests {
     #[test]
     #[ignore = "slow: `.ci/run` runs it"]
     fn outward_offset_next_to_an_obstacle_is_closed() {
-        let ball = Shape::Solid(octahedron(DVec3::new(20.0, -10.0, -9.0), 4.0));
+        let ball = ObstacleSdf::Mesh(octahedron(DVec3::new(20.0, -10.0, -9.0), 4.0));
         let obstacles = Obstacles { members: vec![Arc::new(Obstacle::new(ball, 1 << 24))] };
         for offset in [0.4, 0.8] {
             let choices = MethodOptions {
@@ -397,7 +406,7 @@ mod tests {
                 ..MethodOptions::default()
             };
             let settings = Settings::paper(0.5, &choices).expect("sound");
-            let report = same_in_tiles(Cloud::from(particles()), &settings, &obstacles);
+            let report = same_in_tiles(ParticleCloud::from(particles()), &settings, &obstacles);
             assert!(report.certificate.holds(), "{:?}", report.certificate);
         }
     }
@@ -413,7 +422,7 @@ mod tests {
         ];
         for solid in solids {
             let obstacles =
-                Obstacles { members: vec![Arc::new(Obstacle::new(Shape::Solid(solid), 1 << 24))] };
+                Obstacles { members: vec![Arc::new(Obstacle::new(ObstacleSdf::Mesh(solid), 1 << 24))] };
             for (offset, position_smoothing) in [(-0.8, 0.9), (0.25, 0.5), (0.4, 0.4), (0.8, 0.0), (1.0, 0.9)]
             {
                 let choices = MethodOptions {
@@ -422,7 +431,7 @@ mod tests {
                     ..MethodOptions::default()
                 };
                 let settings = Settings::paper(0.5, &choices).expect("sound");
-                let report = same_in_tiles(Cloud::from(bar(36)), &settings, &obstacles);
+                let report = same_in_tiles(ParticleCloud::from(bar(36)), &settings, &obstacles);
                 assert!(report.certificate.holds(), "{choices:?}: {:?}", report.certificate);
             }
         }
@@ -441,7 +450,7 @@ mod tests {
         let velocities = (0..900).map(|index| 8.0 * (random(2000 + index) as f32 - 0.5));
         let velocity = Attribute {
             name: "v".into(),
-            meaning: Meaning::Velocity,
+            role: Role::Velocity,
             arity: 3,
             values: AttributeValues::Numbers(velocities.collect()),
         };
@@ -453,21 +462,28 @@ mod tests {
             ..MethodOptions::default()
         };
         let settings = Settings::paper(0.02, &choices).expect("sound");
-        let cloud = Cloud { attributes: vec![velocity], ..Cloud::from(Particles::Double(slots.collect())) };
+        let cloud = ParticleCloud {
+            attributes: vec![velocity],
+            ..ParticleCloud::from(OwnedPositions::F64(slots.collect()))
+        };
         let report = same_in_tiles(cloud, &settings, &Obstacles::default());
-        assert!(report.vertices_returned > 0, "the scene must clamp some vertices");
+        assert!(report.vertices_clamped > 0, "the scene must clamp some vertices");
         assert!(report.certificate.holds(), "{:?}", report.certificate);
     }
 
     /// Reconstructs particles in one piece and in tiles, and compares the results.
-    fn same_in_tiles(cloud: Cloud, settings: &Settings, obstacles: &Obstacles) -> SkinReport {
-        let (shaped, shaping) = super::super::shape(cloud, settings);
-        let Ok(whole) = super::super::rasterize(&shaped, settings, shaping, obstacles.clone());
+    fn same_in_tiles(
+        cloud: ParticleCloud,
+        settings: &Settings,
+        obstacles: &Obstacles,
+    ) -> ReconstructionReport {
+        let (shaped, shape_stats) = super::super::shape_particles(cloud, settings);
+        let Ok(whole) = super::super::rasterize(&shaped, settings, shape_stats, obstacles.clone());
         let whole =
-            super::super::contour(super::super::smooth(whole, settings), settings, &[Stored::AsTheyAre]);
-        let frame = rasterize(shaped, settings, shaping, obstacles.clone(), 4, storages());
+            super::super::contour(super::super::smooth(whole, settings), settings, &[PositionFormat::Exact]);
+        let frame = rasterize(shaped, settings, shape_stats, obstacles.clone(), 4, storages());
         let smoothed = smooth(frame.expect("in memory"), settings, &mut |_| {}).expect("in memory");
-        let (tiled, _) = contour(smoothed, settings, &[Stored::AsTheyAre]).expect("in memory");
+        let (tiled, _) = contour(smoothed, settings, &[PositionFormat::Exact]).expect("in memory");
         assert_eq!(tiled.band.topology.origins(), whole.band.topology.origins());
         assert!(tiled.band.phi == whole.band.phi, "{settings:?}");
         assert!(tiled.mesh == whole.mesh);
@@ -475,21 +491,21 @@ mod tests {
         whole.report
     }
 
-    fn octahedron(center: DVec3, radius: f64) -> Solid {
+    fn octahedron(center: DVec3, radius: f64) -> MeshSdf {
         let corners = [DVec3::X, -DVec3::X, DVec3::Y, -DVec3::Y, DVec3::Z, -DVec3::Z];
         let positions = corners.map(|corner| (center + radius * corner).to_array());
         let faces = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]];
-        Solid::new(&positions, &faces)
+        MeshSdf::new(&positions, &faces)
     }
 
-    fn cuboid(least: DVec3, greatest: DVec3) -> Solid {
+    fn cuboid(least: DVec3, greatest: DVec3) -> MeshSdf {
         let corner = |slot: usize| {
             [0, 1, 2].map(|axis| if slot >> (2 - axis) & 1 == 1 { greatest[axis] } else { least[axis] })
         };
         let positions: Vec<[f64; 3]> = (0..8).map(corner).collect();
         let sides = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]];
         let faces: Vec<[u32; 3]> = sides.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
-        Solid::new(&positions, &faces)
+        MeshSdf::new(&positions, &faces)
     }
 
     /// Shows that the test above can fail: a tile with too narrow a halo gives a wrong result.
@@ -498,6 +514,6 @@ mod tests {
         let settings = Settings::paper(0.5, &MethodOptions::default()).expect("sound");
         let mut frame = rasterized(&settings, 4);
         frame.tiling = frame.tiling.with_halo(4, 1);
-        assert!(finished(frame, &settings).band.phi != skin(&particles(), &settings).band.phi);
+        assert!(finished(frame, &settings).band.phi != reconstruct_frame(&particles(), &settings).band.phi);
     }
 }
