@@ -89,6 +89,7 @@ pub use input::measured_spacing::{MeasuredSpacing, NoSpacing, measure_spacing};
 pub use input::mesh_file::read_mesh_file;
 pub use input::obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
 pub use input::reading::{ReadFrame, parse_particles, particles, read_file};
+pub(crate) use input::source::output_stem;
 pub use input::source::{
     FrameFile, Sequence, has_particle_extension, have_fallen_apart, natural_order, order_subframes,
     promises_particles, sequences, single_frame_sequences, single_frames_note,

@@ -13,11 +13,18 @@ use std::ffi::{OsStr, OsString};
 
 /// The text of a name.
 pub(crate) fn text_of_name(name: &OsStr) -> String {
+    // Nearly all names are ASCII, and copied as a whole.
+    if let Some(name) = name.to_str().filter(|name| name.is_ascii()) {
+        return name.to_owned();
+    }
     escaped(name.as_encoded_bytes())
 }
 
 /// The name for a text.
 pub(crate) fn name_of_text(text: &str) -> OsString {
+    if text.is_ascii() {
+        return text.into();
+    }
     let mut bytes = Vec::with_capacity(text.len());
     for letter in text.chars() {
         match byte_of(letter) {

@@ -89,14 +89,7 @@ impl FrameFile {
         if let Some(stem) = &self.output_stem {
             return stem.clone();
         }
-        match self.step() {
-            Some((file, step)) => format!("{}.{step}", stem(&name_of(file, false))),
-            None => {
-                let name = self.name();
-                // A level set is not a particle file, but its extension is removed as well.
-                strip_extension(&name, ".vdb").unwrap_or_else(|| stem(&name)).to_owned()
-            }
-        }
+        output_stem(&self.path, self.is_step)
     }
 
     /// The frame's number, if the name has one that fits into 64 bits. Subframes have the number of their
@@ -142,6 +135,18 @@ impl FrameFile {
             name.replace_range(span, "{}");
         }
         (self.path.parent().map(Path::to_owned).unwrap_or_default(), name)
+    }
+}
+
+/// The base name of the outputs of a frame, by its path alone.
+pub(crate) fn output_stem(frame: &Path, is_step: bool) -> String {
+    match step_in(frame, is_step) {
+        Some((file, step)) => format!("{}.{step}", stem(&name_of(file, false))),
+        None => {
+            let name = name_of(frame, is_step);
+            // A level set is not a particle file, but its extension is removed as well.
+            strip_extension(&name, ".vdb").unwrap_or_else(|| stem(&name)).to_owned()
+        }
     }
 }
 

@@ -12,17 +12,22 @@
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
+use std::hash::{Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::pipeline::{FileFrames, FileStamp, FrameFile, ObstacleStamps};
+use crate::pipeline::{FileFrames, FileStamp, FrameFile, ObstacleStamps, output_stem};
 
 use super::completeness::Candidate;
 
 /// A file in a watched folder, or a step of a file. A file in two watched folders is two frames, because
 /// their outputs differ.
-#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+///
+/// Its path is the normal path of its root with names behind it, so equal paths have equal bytes. Comparing
+/// the bytes is several times faster than comparing the components, as [`Path`] does, and frames are looked
+/// up many times.
+#[derive(Clone, Debug, Eq, PartialOrd, Ord)]
 pub(crate) struct FrameId {
     /// The index of its root.
     pub(crate) root: usize,
@@ -31,6 +36,20 @@ pub(crate) struct FrameId {
     /// Whether it is a step of a file. Part of the id, because the path alone does not show it without the
     /// file system.
     is_step: bool,
+}
+
+impl PartialEq for FrameId {
+    fn eq(&self, other: &FrameId) -> bool {
+        let is_same_path = self.path.as_os_str() == other.path.as_os_str();
+        is_same_path && self.root == other.root && self.is_step == other.is_step
+    }
+}
+
+impl Hash for FrameId {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        self.path.as_os_str().hash(state);
+        self.root.hash(state);
+    }
 }
 
 impl FrameId {
@@ -65,8 +84,25 @@ impl FrameId {
 
     /// The folder and stem of its outputs: the path of the file within `root`, mirrored below `out`.
     pub(crate) fn mirrored_folder(&self, root: &Path, out: &Path) -> PathBuf {
-        let within = self.file_path().parent().and_then(|folder| folder.strip_prefix(root).ok());
-        within.map_or_else(|| out.to_owned(), |within| out.join(within))
+        let folder = self.file_path().parent();
+        folder.and_then(|folder| within(folder, root)).map_or_else(|| out.to_owned(), |inner| out.join(inner))
+    }
+
+    /// The base name of its outputs.
+    pub(crate) fn output_stem(&self) -> String {
+        output_stem(&self.path, self.is_step)
+    }
+}
+
+/// The path of a file or folder within `folder`, if it lies there. Nearly all files lie directly in it, and
+/// only for the others are all components compared.
+pub(crate) fn within<'a>(path: &'a Path, folder: &Path) -> Option<&'a Path> {
+    if path.as_os_str() == folder.as_os_str() {
+        return Some(Path::new(""));
+    }
+    match (path.parent(), path.file_name()) {
+        (Some(parent), Some(name)) if parent.as_os_str() == folder.as_os_str() => Some(Path::new(name)),
+        _ => path.strip_prefix(folder).ok(),
     }
 }
 
@@ -206,42 +242,36 @@ impl FrameTable {
     }
 
     pub(crate) fn remove(&mut self, id: &FrameId) {
-        self.end_inspection(id);
-        self.all.remove(id);
+        if let Some(mut frame) = self.all.remove(id) {
+            end_inspection(&mut frame, &mut self.inspected_in);
+        }
     }
 
     /// Starts an inspection of a frame, which replaces any inspection in progress. Returns its number, and
     /// the stamp of the file.
     pub(crate) fn begin_inspection(&mut self, id: &FrameId) -> Option<(u64, FileStamp)> {
-        self.end_inspection(id);
         let frame = self.all.get_mut(id)?;
         self.inspection_count += 1;
-        frame.inspection = Some(self.inspection_count);
-        *self.inspected_in.entry(frame.sequence).or_default() += 1;
+        if frame.inspection.replace(self.inspection_count).is_none() {
+            *self.inspected_in.entry(frame.sequence).or_default() += 1;
+        }
         Some((self.inspection_count, frame.stamp))
     }
 
-    /// Ends the inspection with this number. Returns false if another one was started since, or the frame has
-    /// changed.
-    pub(crate) fn take_inspection(&mut self, id: &FrameId, number: u64) -> bool {
-        let is_current = self.all.get(id).is_some_and(|frame| frame.inspection == Some(number));
-        if is_current {
-            self.end_inspection(id);
-        }
-        is_current
+    /// Ends the inspection with this number, and returns its frame. Returns `None` if another one was started
+    /// since, or the frame has changed.
+    pub(crate) fn take_inspection(&mut self, id: &FrameId, number: u64) -> Option<&mut FrameState> {
+        let frame = self.all.get_mut(id).filter(|frame| frame.inspection == Some(number))?;
+        end_inspection(frame, &mut self.inspected_in);
+        Some(frame)
     }
 
-    /// Cancels the inspection in progress.
-    pub(crate) fn end_inspection(&mut self, id: &FrameId) {
-        if let Some(frame) = self.all.get_mut(id)
-            && frame.inspection.take().is_some()
-            && let Some(count) = self.inspected_in.get_mut(&frame.sequence)
-        {
-            *count -= 1;
-            if *count == 0 {
-                self.inspected_in.remove(&frame.sequence);
-            }
-        }
+    /// Sets the phase of a frame, which cancels the inspection in progress. Returns its sequence.
+    pub(crate) fn set_phase(&mut self, id: &FrameId, phase: FramePhase) -> Option<usize> {
+        let frame = self.all.get_mut(id)?;
+        end_inspection(frame, &mut self.inspected_in);
+        frame.phase = phase;
+        Some(frame.sequence)
     }
 
     /// Whether any frame is being inspected, of this sequence or of all.
@@ -309,5 +339,17 @@ impl FrameTable {
             }
         }
         counts
+    }
+}
+
+/// Ends the inspection of a frame, if one is in progress; `inspected_in` counts those of each sequence.
+fn end_inspection(frame: &mut FrameState, inspected_in: &mut HashMap<usize, usize>) {
+    if frame.inspection.take().is_some()
+        && let Some(count) = inspected_in.get_mut(&frame.sequence)
+    {
+        *count -= 1;
+        if *count == 0 {
+            inspected_in.remove(&frame.sequence);
+        }
     }
 }

@@ -67,7 +67,7 @@ impl Core {
     pub(super) fn add_frame(&mut self, id: &FrameId, candidate: Candidate) {
         let sequence = self.sequence_of(id);
         self.frames.insert(id, sequence, candidate, self.scan_count);
-        self.changed.insert(id.clone());
+        // Clients see it when it has been inspected: at the start, nearly all frames are done already.
         self.inspect_candidate(id);
     }
 
@@ -108,8 +108,9 @@ impl Core {
         let records = &self.output(root).journal.frames;
         let is_done = |path: &Path| records.get(path).is_some_and(|record| record.standing == Standing::Done);
         // Done frames come first, so that they keep their outputs if another frame would have the same.
-        files.sort_by_cached_key(|(path, _)| (!is_done(path), path.clone()));
-        for (path, seen) in &files {
+        files.sort_unstable_by(|(a, _), (b, _)| a.cmp(b));
+        let (done, others): (Vec<_>, Vec<_>) = files.into_iter().partition(|(path, _)| is_done(path));
+        for (path, seen) in done.iter().chain(&others) {
             self.on_file_seen(&FrameId::new(root, path), seen, at, false);
         }
     }
@@ -184,7 +185,7 @@ impl Core {
         self.unqueue(id);
         self.frames.remove(id);
         self.failed.remove(id);
-        self.changed.insert(id.clone());
+        self.mark_changed(id);
         self.release_claim(id);
         self.forget_steps(id);
     }
@@ -278,10 +279,7 @@ impl Core {
     /// Handles the result of an inspection.
     pub(super) fn on_inspected(&mut self, inspected: Inspected) {
         let Inspected { id, number, found, obstacles } = inspected;
-        if !self.frames.take_inspection(&id, number) {
-            return;
-        }
-        let Some(frame) = self.frames.get_mut(&id) else { return };
+        let Some(frame) = self.frames.take_inspection(&id, number) else { return };
         let is_settling = matches!(frame.phase, FramePhase::Settling(_));
         let bytes = frame.stamp.size;
         frame.obstacles = obstacles;
@@ -293,10 +291,12 @@ impl Core {
             InspectionResult::Changed(seen, at) => self.on_file_seen(&id, &seen, at, false),
             InspectionResult::AsRecorded if is_settling => self.take_record(&id),
             InspectionResult::OutputsAway if is_settling => {
-                self.frames.set_alarm(&id, self.now.at + AWAY_RETRY)
+                self.mark_changed(&id);
+                self.frames.set_alarm(&id, self.now.at + AWAY_RETRY);
             }
             InspectionResult::Same | InspectionResult::AsRecorded | InspectionResult::OutputsAway => {}
             InspectionResult::Waiting { until, why } => {
+                self.mark_changed(&id);
                 self.log_about(
                     &*id.path,
                     move |frame| tracing::debug!(%frame, bytes, "waiting because {why}"),
@@ -460,7 +460,7 @@ impl Core {
     /// The output files of the frame.
     fn output_paths(&mut self, id: &FrameId) -> Vec<PathBuf> {
         let outputs = self.outputs(id);
-        let stem = id.frame_file().stem();
+        let stem = id.output_stem();
         outputs.formats.iter().map(|&format| output_path(&outputs.folder, &stem, format)).collect()
     }
 
@@ -489,18 +489,16 @@ impl Core {
     /// The path of a frame's outputs without their extensions.
     pub(super) fn claimed_stem(&self, id: &FrameId) -> PathBuf {
         let folder = id.mirrored_folder(self.root_path(id.root), &self.output(id.root).folder);
-        folder.join(id.frame_file().stem())
+        folder.join(id.output_stem())
     }
 
     pub(super) fn set_phase(&mut self, id: &FrameId, phase: FramePhase) {
-        self.frames.end_inspection(id);
-        let Some(frame) = self.frames.get_mut(id) else { return };
-        frame.phase = phase;
+        let Some(sequence) = self.frames.set_phase(id, phase) else { return };
         // Others may have waited to be measured after this one.
-        if matches!(self.sequences.get(frame.sequence).settings, SequenceSettings::Unknown(_)) {
-            self.dirty_sequences.insert(frame.sequence);
+        if matches!(self.sequences.get(sequence).settings, SequenceSettings::Unknown(_)) {
+            self.dirty_sequences.insert(sequence);
         }
-        self.changed.insert(id.clone());
+        self.mark_changed(id);
     }
 
     /// The record of a frame, if it has one.

@@ -256,7 +256,7 @@ impl Core {
         let record = JournaledFrame { reason, outputs, ..record };
         let entry = Entry::Frame { input: Arc::clone(&id.path), record: Arc::new(record) };
         self.record(self.output_of[id.root], entry, log);
-        self.changed.insert(id.clone());
+        self.mark_changed(id);
     }
 
     /// The fingerprint of the settings of a frame. For a frame in progress, the one at the time when it was

@@ -13,7 +13,7 @@ use crate::watch::status_store::{
     FrameProgress, FrameSummary, FrameView, LiveStatus, OutputView, StatusStore,
 };
 
-use super::frames::{FrameCounts, FrameId, FramePhase};
+use super::frames::{FrameCounts, FrameId, FramePhase, within};
 use super::sequences::SequenceSettings;
 use super::state::Core;
 
@@ -83,10 +83,10 @@ impl Core {
     /// The name of a file in the status store: its path within the folder; with several watched folders,
     /// prefixed with the number of its own.
     fn shown_name(&self, root: usize, folder: &Path, path: &Path) -> String {
-        let within = text_of_name(path.strip_prefix(folder).unwrap_or(path).as_os_str());
+        let name = text_of_name(within(path, folder).unwrap_or(path).as_os_str());
         match self.roots.len() {
-            1 => within,
-            _ => format!("{}/{within}", root + 1),
+            1 => name,
+            _ => format!("{}/{name}", root + 1),
         }
     }
 
@@ -173,8 +173,8 @@ fn state_of(phase: FramePhase) -> Option<FrameProgress> {
 
 /// Whether a file is in the folder or one of its sub-folders.
 fn is_inside(path: &Path, folder: &Path) -> bool {
-    let within = path.strip_prefix(folder);
-    within.is_ok_and(|within| within.components().all(|part| matches!(part, Component::Normal(_))))
+    within(path, folder)
+        .is_some_and(|within| within.components().all(|part| matches!(part, Component::Normal(_))))
 }
 
 /// Whether a record applies to the frame in its current phase.

@@ -53,8 +53,8 @@ pub(crate) struct Core {
     pub(crate) counters: Counters,
     pub(super) now: Now,
     pub(super) effects: Vec<Effect>,
-    /// Frames whose views have changed, or that are gone.
-    pub(super) changed: HashSet<FrameId>,
+    /// Frames whose views have changed, or that are gone; some several times.
+    pub(super) changed: Vec<FrameId>,
     /// Sequences whose settings were determined.
     pub(super) changed_sequences: Vec<usize>,
     last_state: DaemonState,
@@ -148,7 +148,7 @@ impl Core {
             counters: Counters::default(),
             now,
             effects: Vec::new(),
-            changed: HashSet::new(),
+            changed: Vec::new(),
             changed_sequences: Vec::new(),
             last_state: DaemonState::Running,
         }
@@ -181,6 +181,13 @@ impl Core {
         }
         self.scan_all();
         self.effects.push(Effect::StartPipeline(self.pipeline));
+    }
+
+    /// The view of a frame has changed, or the frame is gone.
+    pub(super) fn mark_changed(&mut self, id: &FrameId) {
+        if self.changed.last() != Some(id) {
+            self.changed.push(id.clone());
+        }
     }
 
     pub(super) fn watch(&self, root: usize) -> &Watch {

@@ -1,7 +1,8 @@
 //! The content of the journal: the last record of each frame, each sequence and the daemon, and the daemon's
 //! configuration.
 //!
-//! Records are serialized as they are, so a renamed field needs its old name as a `serde` name.
+//! Records are serialized as they are, so a renamed field needs its old name as a `serde` name. Frames and
+//! their outputs, of which there may be very many, are read through [`FrameForm`] and [`OutputForm`].
 
 use std::collections::HashMap;
 use std::fmt;
@@ -9,6 +10,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::DVec3;
+use serde::de::IgnoredAny;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::pipeline::files::json::{hex, path, text};
@@ -32,7 +34,7 @@ pub struct JournalState {
 }
 
 /// The record of a frame.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct JournaledFrame {
     /// Its standing.
     pub standing: Standing,
@@ -40,15 +42,15 @@ pub struct JournaledFrame {
     #[serde(flatten)]
     pub stamp: FileStamp,
     /// The hash of its content, if it was read.
-    #[serde(with = "hex::option", default, skip_serializing_if = "Option::is_none")]
+    #[serde(with = "hex::option", skip_serializing_if = "Option::is_none")]
     pub hash: Option<u128>,
     /// The fingerprint of the settings with which it was, or would be, converted.
     pub settings: String,
     /// Its outputs.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub outputs: Vec<OutputRecord>,
     /// Why it failed.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
     /// The number of attempts.
     #[serde(rename = "attempts")]
@@ -56,22 +58,17 @@ pub struct JournaledFrame {
     /// When this was recorded, in milliseconds since 1970.
     pub at_ms: u64,
     /// The number of its particles, if it was converted.
-    #[serde(rename = "particles", default, skip_serializing_if = "Option::is_none")]
+    #[serde(rename = "particles", skip_serializing_if = "Option::is_none")]
     pub particle_count: Option<usize>,
     /// The time of its conversion in seconds, if it was converted.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub seconds: Option<f64>,
     /// Warnings about a converted frame, one sentence each.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub flaws: Vec<String>,
-    /// The measurements of a converted frame, as in `/api/frames/NAME`. They are informative only, so values
-    /// that cannot be parsed are dropped.
-    #[serde(deserialize_with = "figures_or_none", default, skip_serializing_if = "Option::is_none")]
+    /// The measurements of a converted frame, as in `/api/frames/NAME`.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub figures: Option<Arc<Figures>>,
-}
-
-fn figures_or_none<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Arc<Figures>>, D::Error> {
-    Ok(serde_json::from_value(serde_json::Value::deserialize(from)?).ok())
 }
 
 /// The standing of a frame.
@@ -96,6 +93,7 @@ pub enum Standing {
 
 /// An output of a frame.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(from = "OutputForm")]
 pub struct OutputRecord {
     /// Its path.
     #[serde(with = "path")]
@@ -104,7 +102,7 @@ pub struct OutputRecord {
     #[serde(flatten)]
     pub stamp: FileStamp,
     /// The hash of its content; `None` in journals of older versions.
-    #[serde(with = "hex::option", default, skip_serializing_if = "Option::is_none")]
+    #[serde(with = "hex::option", skip_serializing_if = "Option::is_none")]
     pub hash: Option<u128>,
 }
 
@@ -148,6 +146,98 @@ impl OutputRecord {
             Some(state) => state.now(&self.path).is_ok_and(|now| now.hash == state.hash),
             None => self.check() == OutputCheck::Unchanged,
         }
+    }
+}
+
+/// The form of a frame's record for reading: the fields of its stamp are listed, because with `flatten` all
+/// fields would be copied first, and a large journal would take several times as long to read.
+#[derive(Deserialize)]
+struct FrameForm {
+    #[serde(with = "path")]
+    input: Arc<Path>,
+    standing: Standing,
+    size_bytes: u64,
+    #[serde(default)]
+    modified_ns: i64,
+    #[serde(default)]
+    inode: u64,
+    #[serde(default)]
+    changed_ns: Option<i64>,
+    #[serde(with = "hex::option", default)]
+    hash: Option<u128>,
+    settings: String,
+    #[serde(default)]
+    outputs: Vec<OutputRecord>,
+    #[serde(default)]
+    reason: Option<String>,
+    attempts: u32,
+    at_ms: u64,
+    #[serde(default)]
+    particles: Option<usize>,
+    #[serde(default)]
+    seconds: Option<f64>,
+    #[serde(default)]
+    flaws: Vec<String>,
+    #[serde(default)]
+    figures: Option<FiguresForm>,
+}
+
+/// The form of figures for reading. They are informative only, so values that cannot be parsed are dropped.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum FiguresForm {
+    Known(Arc<Figures>),
+    Unknown(IgnoredAny),
+}
+
+/// The form of an output's record for reading.
+#[derive(Deserialize)]
+struct OutputForm {
+    #[serde(with = "path")]
+    path: PathBuf,
+    size_bytes: u64,
+    #[serde(default)]
+    modified_ns: i64,
+    #[serde(default)]
+    inode: u64,
+    #[serde(default)]
+    changed_ns: Option<i64>,
+    #[serde(with = "hex::option", default)]
+    hash: Option<u128>,
+}
+
+fn read_frame<'de, D: Deserializer<'de>>(from: D) -> Result<(Arc<Path>, Arc<JournaledFrame>), D::Error> {
+    let form = FrameForm::deserialize(from)?;
+    let record = JournaledFrame {
+        standing: form.standing,
+        stamp: FileStamp {
+            size: form.size_bytes,
+            modified_ns: form.modified_ns,
+            inode: form.inode,
+            changed_ns: form.changed_ns,
+        },
+        hash: form.hash,
+        settings: form.settings,
+        outputs: form.outputs,
+        reason: form.reason,
+        attempt_count: form.attempts,
+        at_ms: form.at_ms,
+        particle_count: form.particles,
+        seconds: form.seconds,
+        flaws: form.flaws,
+        figures: match form.figures {
+            Some(FiguresForm::Known(figures)) => Some(figures),
+            Some(FiguresForm::Unknown(_)) | None => None,
+        },
+    };
+    Ok((form.input, Arc::new(record)))
+}
+
+impl From<OutputForm> for OutputRecord {
+    fn from(
+        OutputForm { path, size_bytes, modified_ns, inode, changed_ns, hash }: OutputForm,
+    ) -> OutputRecord {
+        OutputRecord { path, stamp: FileStamp { size: size_bytes, modified_ns, inode, changed_ns }, hash }
     }
 }
 
@@ -302,6 +392,7 @@ pub(super) enum RecordKey {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(in crate::watch) enum Entry {
+    #[serde(deserialize_with = "read_frame")]
     Frame {
         #[serde(with = "path")]
         input: Arc<Path>,

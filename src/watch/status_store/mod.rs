@@ -20,6 +20,7 @@ mod figures;
 mod metrics;
 mod view;
 
+use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -50,7 +51,7 @@ pub struct StatusStore {
 #[derive(Debug, Default)]
 struct StoreState {
     frames: BTreeMap<NameOrder, Arc<FrameView>>,
-    /// The name of the frame whose outputs have this stem.
+    /// The name of the frame whose outputs have this stem, without frames that are done.
     by_stem: HashMap<PathBuf, NameOrder>,
     /// The frame of each output, by the name of the output.
     by_output: HashMap<String, NameOrder>,
@@ -187,21 +188,26 @@ impl StatusStore {
     pub fn update(&self, mut view: FrameView) {
         let mut state = self.lock();
         let rank = NameOrder(view.summary.name.clone());
-        let old = state.frames.remove(&rank);
+        let (old, view) = match state.frames.entry(rank.clone()) {
+            Entry::Vacant(place) => (None, Arc::clone(place.insert(Arc::new(view)))),
+            Entry::Occupied(mut place) => {
+                let old = place.get();
+                let is_same = old.summary.state == view.summary.state && old.outputs == view.outputs;
+                if is_same && old.summary.reason == view.summary.reason {
+                    view.summary.since_ms = old.summary.since_ms;
+                }
+                if view.figures.is_none() && is_same {
+                    view.figures.clone_from(&old.figures);
+                }
+                let view = Arc::new(view);
+                (Some(place.insert(Arc::clone(&view))), view)
+            }
+        };
         if let Some(old) = &old {
             state.unlink(old);
-            let is_same = old.summary.state == view.summary.state && old.outputs == view.outputs;
-            if is_same && old.summary.reason == view.summary.reason {
-                view.summary.since_ms = old.summary.since_ms;
-            }
-            if view.figures.is_none() && is_same {
-                view.figures.clone_from(&old.figures);
-            }
         }
-        let is_news = old.is_none_or(|old| *old != view);
         state.link(&rank, &view);
-        state.frames.insert(rank.clone(), Arc::new(view));
-        if is_news {
+        if old.is_none_or(|old| old != view) {
             self.note(&mut state, StatusChange::Frame(rank));
         }
     }
@@ -384,7 +390,10 @@ impl StatusStore {
 impl StoreState {
     fn link(&mut self, rank: &NameOrder, view: &FrameView) {
         *self.counts.of(view.summary.state) += 1;
-        self.by_stem.insert(view.stem.clone(), rank.clone());
+        // A frame that is done enters no stage before it is queued again.
+        if view.summary.state != FrameProgress::Done {
+            self.by_stem.insert(view.stem.clone(), rank.clone());
+        }
         for output in &view.outputs {
             self.by_output.insert(output.name.clone(), rank.clone());
         }
