@@ -19,8 +19,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use meniscus::pipeline::{
-    Frame, FrameFile, LevelSetSkinning, Outcome, OutputFormat, OutputOptions, PipelineOptions, Wanted,
-    encode_level_set, mesh_view, parse_particles, read_file, run, write_whole,
+    AttributeRequest, Frame, FrameFile, LevelSetMethod, Outcome, OutputFormat, OutputOptions,
+    PipelineOptions, encode_level_set, mesh_view, parse_particles, read_file, run, write_atomically,
 };
 use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::reconstruction::reconstruct_frame;
@@ -94,7 +94,7 @@ fn convert_with_pipeline(frames: &[Frame], pool: &ThreadPool) -> Result<f64, Box
     let mut first = None;
     let pipeline_options = PipelineOptions { memory_bytes: u64::MAX, ..PipelineOptions::new(pool) };
     let mut failures = Vec::new();
-    run(&LevelSetSkinning, frames, &pipeline_options, |index, outcome| {
+    run(&LevelSetMethod, frames, &pipeline_options, |index, outcome| {
         first.get_or_insert_with(|| start.elapsed().as_secs_f64());
         if !matches!(outcome, Outcome::Converted(_)) {
             failures.push(format!("frame {index}: {outcome:?}"));
@@ -106,15 +106,15 @@ fn convert_with_pipeline(frames: &[Frame], pool: &ThreadPool) -> Result<f64, Box
 /// Converts one frame in the plain loop.
 fn convert_in_loop(frame: &Frame, pool: &ThreadPool) -> Result<(), Box<dyn Error>> {
     let bytes = read_file(&frame.input)?;
-    let read = parse_particles(&frame.input, &bytes, &Wanted::default())?;
+    let read = parse_particles(&frame.input, &bytes, &AttributeRequest::default())?;
     let surface = pool.install(|| reconstruct_frame(&read.cloud.positions, &frame.settings));
     let path =
         |extension: &str| -> PathBuf { frame.outputs.folder.join(format!("{}.{extension}", frame.stem)) };
-    write_whole(&path("glb"), |out| {
+    write_atomically(&path("glb"), |out| {
         let mesh = mesh_view(&surface.mesh, &[]);
         pool.install(|| gltf::write_glb(&mesh, &MeshOptions::default(), &[], out))
     })?;
-    write_whole(&path("vdb"), |out| {
+    write_atomically(&path("vdb"), |out| {
         let options = vdb::WriteOptions::default();
         pool.install(|| encode_level_set(&surface, &frame.settings, &options, &[]))?.write(out)
     })?;

@@ -22,7 +22,7 @@ use std::process::{Command, ExitCode, Stdio};
 use std::thread;
 use std::time::Instant;
 
-use meniscus::pipeline::{Wanted, parse_particles, read_file, write_whole};
+use meniscus::pipeline::{AttributeRequest, parse_particles, read_file, write_atomically};
 use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::reconstruction::{FrameSurface, reconstruct_frame};
 use meniscus_formats::{LevelSetView, MeshOptions, MeshView, gltf, vdb};
@@ -137,7 +137,7 @@ fn plain_loop(folder: &Path) {
         let bytes = read_file(&input).expect("readable");
         let stem = input.file_stem().expect("a name").to_string_lossy().into_owned();
         pool.install(|| {
-            let read = parse_particles(&input, &bytes, &Wanted::default()).expect("particles");
+            let read = parse_particles(&input, &bytes, &AttributeRequest::default()).expect("particles");
             let surface = reconstruct_frame(&read.cloud.positions, &settings);
             write_surface(&surface, &settings, &folder.join("out"), &stem);
         });
@@ -153,7 +153,7 @@ fn write_surface(surface: &FrameSurface, settings: &Settings, folder: &Path, ste
         origin: surface.mesh.origin.to_array(),
         attributes: &[],
     };
-    write_whole(&folder.join(format!("{stem}.glb")), |out| {
+    write_atomically(&folder.join(format!("{stem}.glb")), |out| {
         gltf::write_glb(&mesh, &MeshOptions::default(), &[], out)
     })
     .expect("written");
@@ -167,6 +167,6 @@ fn write_surface(surface: &FrameSurface, settings: &Settings, folder: &Path, ste
         grids: &[],
     };
     let options = vdb::WriteOptions::default();
-    write_whole(&folder.join(format!("{stem}.vdb")), |out| vdb::write(&levels, &options, &[], out))
+    write_atomically(&folder.join(format!("{stem}.vdb")), |out| vdb::write(&levels, &options, &[], out))
         .expect("written");
 }

@@ -10,7 +10,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use meniscus::pipeline::{
-    Frame, Job, LevelSetSkinning, ObstacleFiles, Outcome, OutputFormat, OutputOptions, PipelineOptions,
+    Frame, Job, LevelSetMethod, ObstacleFiles, Outcome, OutputFormat, OutputOptions, PipelineOptions,
     Warning, run,
 };
 use meniscus::surface::options::{ClipBox, MethodOptions, Settings};
@@ -73,7 +73,7 @@ fn taken_by_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) ->
         .collect();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
     let pipeline_options = PipelineOptions { in_flight: 8, memory_bytes, ..PipelineOptions::new(&pool) };
-    run(&LevelSetSkinning, &frames, &pipeline_options, |index, outcome| {
+    run(&LevelSetMethod, &frames, &pipeline_options, |index, outcome| {
         let Outcome::Converted(mut report) = outcome else { panic!("frame {index}: {outcome:?}") };
         // Spray with many holes causes a warning.
         report.warnings.retain(|warning| !matches!(warning, Warning::Holes { .. }));

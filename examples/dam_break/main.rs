@@ -26,7 +26,9 @@ use std::time::{Duration, Instant};
 use crossbeam::channel;
 use meniscus::pipeline::{OutputFormat, OutputOptions, default_in_flight, default_memory_bytes};
 use meniscus::surface::options::MethodOptions;
-use meniscus::watch::{self, DaemonRequest, Order, Patience, Poll, Watch, WatchConfig, WatchSummary};
+use meniscus::watch::{
+    self, DaemonRequest, Order, Poll, StabilityTimeouts, Watch, WatchConfig, WatchSummary,
+};
 use meniscus_formats::{AttributeRole, FileAttribute, FilePositions, ParticleFrame, Values, bgeo};
 
 use water::Water;
@@ -87,9 +89,9 @@ fn config(cache: &Path, surfaces: &Path) -> WatchConfig {
         in_flight: default_in_flight(threads),
         memory_bytes: default_memory_bytes(),
         disk_floor_bytes: 1 << 30,
-        patience: Patience {
+        timeouts: StabilityTimeouts {
             settle: Duration::from_millis(500),
-            unproven: Duration::from_secs(2),
+            unverifiable: Duration::from_secs(2),
             stalled: Duration::from_secs(30),
         },
         poll: Poll::Auto,

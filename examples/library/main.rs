@@ -22,7 +22,7 @@ use std::sync::Arc;
 
 use meniscus::glam::DVec3;
 use meniscus::pipeline::{
-    self, Frame, FrameFile, LevelSetSkinning, Outcome, OutputFormat, OutputOptions, PipelineOptions,
+    self, Frame, FrameFile, LevelSetMethod, Outcome, OutputFormat, OutputOptions, PipelineOptions,
 };
 use meniscus::surface::options::Settings;
 use meniscus::surface::{Options, Phase, Reconstructor};
@@ -98,7 +98,7 @@ pub(crate) fn convert_folder(from: &Path, to: &Path) -> Result<usize, Box<dyn Er
     }
     let pool = ThreadPoolBuilder::new().build()?;
     let mut failures = Vec::new();
-    pipeline::run(&LevelSetSkinning, &frames, &PipelineOptions::new(&pool), |_, outcome| {
+    pipeline::run(&LevelSetMethod, &frames, &PipelineOptions::new(&pool), |_, outcome| {
         if let Outcome::Failed(error) = outcome {
             failures.push(error.to_string());
         }

@@ -44,7 +44,7 @@ impl<F: ReadAt> ParticleBatches<F> {
     ///
     /// # Errors
     /// [`Error::Io`] if reading fails, otherwise the errors of the format's reader. This also checks that the
-    /// file contains all records, so a later [`Error::Short`] means that the file has changed.
+    /// file contains all records, so a later [`Error::Truncated`] means that the file has changed.
     pub fn open(
         file: F,
         file_name: &str,
@@ -78,7 +78,7 @@ impl<F: ReadAt> ParticleBatches<F> {
     /// Reads a batch by its index.
     ///
     /// # Errors
-    /// [`Error::Io`] if reading fails, [`Error::Short`] if the file has become shorter.
+    /// [`Error::Io`] if reading fails, [`Error::Truncated`] if the file has become shorter.
     pub fn read_batch(&self, index: usize, batch: &mut ParticleBatch) -> Result<()> {
         let Records { format, offset, stride, .. } = self.records;
         let particles = self.particle_range(index);

@@ -82,7 +82,7 @@ impl Codec {
 /// The content of a file, decompressed if necessary.
 ///
 /// # Errors
-/// [`crate::Error::Short`] if the file ends too early, [`crate::Error::Invalid`] if it is damaged, both with
+/// [`crate::Error::Truncated`] if the file ends too early, [`crate::Error::Invalid`] if it is damaged, both with
 /// the offset in the compressed file; [`crate::Error::TooLarge`] beyond the limits on decompression.
 pub fn decompressed<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Cow<'a, [u8]>> {
     match Codec::of(bytes) {

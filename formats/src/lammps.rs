@@ -87,7 +87,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 ///
 /// # Errors
 ///
-/// [`Error::Short`] if the dump ends within a step, [`Error::Invalid`] for an unexpected line,
+/// [`Error::Truncated`] if the dump ends within a step, [`Error::Invalid`] for an unexpected line,
 /// [`Error::Unsupported`] for dumps of anything but atoms, [`Error::TooLarge`] beyond `limits`.
 pub fn steps(bytes: &[u8], limits: &Limits) -> Result<Vec<TimeStep>> {
     let mut lines = DumpLines { bytes, at: 0, number: 0 };

@@ -31,7 +31,7 @@ const SAMPLE_COUNT: usize = 4096;
 ///
 /// # Errors
 ///
-/// [`Error::Short`] if the last position is truncated, [`Error::Invalid`] if the bytes are not positions,
+/// [`Error::Truncated`] if the last position is truncated, [`Error::Invalid`] if the bytes are not positions,
 /// [`Error::TooLarge`] beyond `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let count = bytes.len() / RECORD_BYTES;

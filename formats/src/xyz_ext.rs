@@ -80,7 +80,7 @@ fn count(text: &[u8]) -> Option<u64> {
 /// Reads the only frame of a file.
 ///
 /// # Errors
-/// [`Error::Short`] if atoms are missing, [`Error::Invalid`] with the line if a row has the wrong number of
+/// [`Error::Truncated`] if atoms are missing, [`Error::Invalid`] with the line if a row has the wrong number of
 /// cells, or text in a numeric column; [`Error::Unsupported`] for a file with several frames, which
 /// [`crate::steps::find_steps`] locates; [`Error::TooLarge`] beyond `limits`, which also limit the number of
 /// frames.

@@ -11,7 +11,7 @@ use crate::surface::options::{MethodOptions, OptionGroup, Settings};
 
 use super::args::{FormatArgs, MethodArgs, OptionSet};
 use super::console::Console;
-use super::wording::typed;
+use super::wording::option_name;
 
 /// Warns about options that have no effect. Skipped if the options are invalid: that error is reported later.
 pub(super) fn warn_of_ignored(method: &MethodArgs, formats: &FormatArgs, console: &Console) {
@@ -51,12 +51,13 @@ pub(super) fn ignored(method: &MethodArgs, formats: &FormatArgs, written: &[Outp
     let deprecated = successor
         .map(|(preset, successor)| format!("the preset `{preset}` is deprecated: use --preset {successor}"));
     let ignored = options.ineffective(!method.obstacle.is_empty()).into_iter();
-    let ignored = ignored.map(|(name, need)| format!("{} is ignored: it is for {need} only", typed(name)));
+    let ignored =
+        ignored.map(|(name, need)| format!("{} is ignored: it is for {need} only", option_name(name)));
     let idle = method.given().into_iter().chain(formats.given()).filter_map(|name| {
         // --quantize without effect is an error, and reported elsewhere.
         let changed = formats_changed_by(name).filter(|_| name != WriteOption::Quantize.key())?;
         let is_idle = !written.iter().any(|format| changed.contains(format));
-        is_idle.then(|| format!("{} changes no file: it is for {} only", typed(name), kinds(&changed)))
+        is_idle.then(|| format!("{} changes no file: it is for {} only", option_name(name), kinds(&changed)))
     });
     deprecated.into_iter().chain(ignored).chain(idle).collect()
 }

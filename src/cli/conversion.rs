@@ -14,9 +14,9 @@ use super::args::{FormatArgs, MethodArgs};
 use super::choices::{obstacle_files, warn_of_ignored};
 use super::console::Console;
 use super::out_folder::OutFolder;
-use super::resolving::{measured_spacing, outputs_of, say_settings, settings_of, warn_of, warn_of_siblings};
-use super::selecting::{InputSelection, SelectedSequence, refuse_odd_place, selected_files};
-use super::wording::all_typed;
+use super::resolve::{measured_spacing, outputs_of, say_settings, settings_of, warn_of, warn_of_siblings};
+use super::select::{InputSelection, SelectedSequence, check_output_path, selected_files};
+use super::wording::option_names;
 
 /// The frames and their outputs, checked before anything is written.
 pub(super) struct Conversion {
@@ -55,7 +55,7 @@ impl Conversion {
     /// Which file would replace which.
     pub(super) fn refuse_conflicts(&self, other: Option<(&'static str, &Path)>) -> Result<()> {
         if let Some((what, path)) = other {
-            refuse_odd_place(what, path)?;
+            check_output_path(what, path)?;
         }
         let planned: Vec<_> =
             selected_files(&self.sequences).map(|file| (file.path.clone(), file.stem())).collect();
@@ -125,7 +125,7 @@ pub(super) fn warn_of_level(console: &Console) {
 pub(super) fn refuse_beside(given: &[&str], allowed: &[&str], why: &str) -> Result<()> {
     let refused: Vec<&str> = given.iter().copied().filter(|name| !allowed.contains(name)).collect();
     if !refused.is_empty() {
-        bail!("{}: {why}", all_typed(&refused));
+        bail!("{}: {why}", option_names(&refused));
     }
     Ok(())
 }

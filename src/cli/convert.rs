@@ -23,7 +23,7 @@ use super::machine::thread_pool;
 use super::out_folder;
 use super::print_settings::{print_settings, print_settings_of_any};
 use super::run::{Batch, RunOptions};
-use super::selecting::{SelectedSequence, refuse_level_sets, refuse_report_of_plan, select_frames};
+use super::select::{SelectedSequence, refuse_level_sets, refuse_report_of_plan, select_frames};
 use super::sequence::SequenceOutputs;
 use super::standard_input::StandardInput;
 use super::wording::pluralize;
@@ -111,7 +111,7 @@ fn convert_all(
     console: &mut Console,
 ) -> Result<CommandOutcome> {
     let (sequences, outputs) = (&conversion.sequences, &conversion.outputs);
-    let shots = SequenceOutputs::asked_for(&args.shot, outputs, sequences.len(), args.frames.is_some())?;
+    let shots = SequenceOutputs::new(&args.shot, outputs, sequences.len(), args.frames.is_some())?;
     let report = args.report.as_deref();
     conversion.refuse_conflicts(report.map(|path| ("the report", path)))?;
     for path in shots.paths() {
@@ -127,7 +127,7 @@ fn convert_all(
     }
     conversion.folder.keep();
     batch.convert(console);
-    let (frames, frame_count) = (batch.shot_frames().to_vec(), batch.frame_count());
+    let (frames, frame_count) = (batch.sequence_frames().to_vec(), batch.frame_count());
     let verdict = batch.finish(console);
     Ok(options.pool.install(|| shots.write((&frames, frame_count), verdict, console)))
 }
@@ -233,7 +233,7 @@ fn add_planned(batch: &mut Batch, planned: &PlannedFrame, frame: Frame, console:
 /// the reason if its certificate does not hold. `None` for any other frame.
 fn done_without_inputs(frame: &Frame) -> Option<Option<String>> {
     let is_absent = matches!(file_of(&frame.input).try_exists(), Ok(false));
-    let is_gone = is_absent || !frame.obstacles.are_there(frame.number);
+    let is_gone = is_absent || !frame.obstacles.exist(frame.number);
     match is_gone.then(|| inspect(frame).state)? {
         InspectedState::Done => Some(None),
         InspectedState::Uncertified(why) => Some(Some(why)),

@@ -24,7 +24,7 @@ use super::args::{ConvertArgs, FormatArgs};
 use super::console::Console;
 use super::interrupt::remove_when_interrupted;
 use super::out_folder::folder_of;
-use super::selecting::InputSelection;
+use super::select::InputSelection;
 use super::wording::pluralize;
 
 /// Where the results are written.
@@ -38,7 +38,7 @@ pub(super) enum Destination {
 }
 
 /// A destination, the folder for its files, and the format if it allows only one.
-type OutputPlace = (Destination, PathBuf, Option<OutputFormat>);
+type OutputTarget = (Destination, PathBuf, Option<OutputFormat>);
 
 impl Destination {
     /// The destination that `--out` names, with the folder to write to, and the formats.
@@ -68,7 +68,7 @@ impl Destination {
         Ok((destination, folder, formats))
     }
 
-    fn stdout(out: &Path, format: OutputFormat, console: &mut Console) -> Result<OutputPlace> {
+    fn stdout(out: &Path, format: OutputFormat, console: &mut Console) -> Result<OutputTarget> {
         if io::stdout().is_terminal() {
             bail!(
                 "--out {}: the standard output is a terminal: redirect it to a file or a program",
@@ -81,7 +81,7 @@ impl Destination {
         Ok((Destination::Stdout { folder, extension: format.extension() }, path, Some(format)))
     }
 
-    fn file(out: PathBuf, extension: &str, formats: Option<&[OutputFormat]>) -> Result<OutputPlace> {
+    fn file(out: PathBuf, extension: &str, formats: Option<&[OutputFormat]>) -> Result<OutputTarget> {
         let name = out.display();
         let format = OutputFormat::from_extension(extension).filter(|format| !format.is_picture());
         let Some(format) = format else {

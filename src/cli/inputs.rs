@@ -24,7 +24,7 @@ use meniscus_formats::compression::read_head;
 use meniscus_formats::{Error, looks_like_particles};
 
 use crate::pipeline::{
-    FrameFile, NumberPattern, entry, files_in, frames_in, is_absent, is_level_set, is_link_loop,
+    FrameFile, NumberPattern, canonical_entry, files_in, frames_in, is_absent, is_level_set, is_link_loop,
     is_own_output, may_be_file, open_regular, promises_particles, shown, size_bytes, step_of,
 };
 
@@ -36,7 +36,7 @@ pub(super) struct MatchedInputs {
     /// Without duplicates.
     pub(super) files: Vec<FrameFile>,
     /// Files in folders that are not frames: the first by path, and their number.
-    pub(super) passed_over: Option<(PathBuf, usize)>,
+    pub(super) skipped: Option<(PathBuf, usize)>,
     /// Paths that could not be examined and may be or contain frames, each with the reason.
     pub(super) unreadable: Vec<(PathBuf, String)>,
     /// Other warnings, one sentence each.
@@ -51,7 +51,7 @@ const HEAD_BYTES: u64 = 64 << 10;
 /// # Errors
 /// If an input matches no file.
 pub(super) fn find_inputs(inputs: &[PathBuf]) -> Result<MatchedInputs> {
-    let found = look_for(inputs, false)?;
+    let found = search(inputs, false)?;
     match found.unreadable.first() {
         Some((path, why)) if found.files.is_empty() => bail!("{}: {why}", shown(path)),
         _ => Ok(found),
@@ -75,7 +75,7 @@ pub(super) fn find_with_others(
             all.add(find_inputs(one)?);
             continue;
         }
-        let mut found = look_for(one, true)?;
+        let mut found = search(one, true)?;
         add(&mut found, others, input);
         all.add(found);
     }
@@ -83,7 +83,7 @@ pub(super) fn find_with_others(
 }
 
 /// Finds the files. Folders without frames are refused unless they may be empty.
-fn look_for(inputs: &[PathBuf], may_be_empty: bool) -> Result<MatchedInputs> {
+fn search(inputs: &[PathBuf], may_be_empty: bool) -> Result<MatchedInputs> {
     let mut found = MatchedInputs::default();
     for input in inputs {
         match input.metadata() {
@@ -109,7 +109,7 @@ fn look_for(inputs: &[PathBuf], may_be_empty: bool) -> Result<MatchedInputs> {
         }
     }
     let mut seen = HashSet::new();
-    found.files.retain(|file| seen.insert(entry(&file.path)));
+    found.files.retain(|file| seen.insert(canonical_entry(&file.path)));
     Ok(found)
 }
 
@@ -133,10 +133,10 @@ fn frames_of(file: FrameFile) -> Result<Vec<FrameFile>, Error> {
 impl MatchedInputs {
     /// Merges the files of another search, without duplicates.
     pub(super) fn add(&mut self, found: MatchedInputs) {
-        let mut seen: HashSet<PathBuf> = self.files.iter().map(|file| entry(&file.path)).collect();
-        self.files.extend(found.files.into_iter().filter(|file| seen.insert(entry(&file.path))));
-        if let Some((first, count)) = found.passed_over {
-            self.pass_over(first, count);
+        let mut seen: HashSet<PathBuf> = self.files.iter().map(|file| canonical_entry(&file.path)).collect();
+        self.files.extend(found.files.into_iter().filter(|file| seen.insert(canonical_entry(&file.path))));
+        if let Some((first, count)) = found.skipped {
+            self.skip(first, count);
         }
         self.unreadable.extend(found.unreadable);
         self.warnings.extend(found.warnings);
@@ -158,9 +158,9 @@ impl MatchedInputs {
     }
 
     /// Counts files that are not frames; `first` is the first of them by path.
-    fn pass_over(&mut self, first: PathBuf, count: usize) {
-        let (before, count_before) = self.passed_over.take().unwrap_or_else(|| (first.clone(), 0));
-        self.passed_over = Some((before.min(first), count_before + count));
+    fn skip(&mut self, first: PathBuf, count: usize) {
+        let (before, count_before) = self.skipped.take().unwrap_or_else(|| (first.clone(), 0));
+        self.skipped = Some((before.min(first), count_before + count));
     }
 
     fn add_folder(&mut self, folder: &Path, may_be_empty: bool) -> Result<()> {
@@ -171,7 +171,7 @@ impl MatchedInputs {
         for path in files {
             match is_frame(&path) {
                 Ok(true) => self.files.push(FrameFile::new(path)),
-                Ok(false) => self.pass_over(path, 1),
+                Ok(false) => self.skip(path, 1),
                 // The file was removed since it was listed, or it is a dangling link whose name is not that
                 // of a frame.
                 Err(error) if error.kind() == io::ErrorKind::NotFound => {}

@@ -6,8 +6,8 @@ use crate::pipeline::{Job, is_level_set};
 use crate::surface::options::{LengthUnit, MethodOptions, OptionGroup};
 
 use super::args::{MethodArgs, OptionSet};
-use super::selecting::{InputSelection, selected_files};
-use super::wording::all_typed;
+use super::select::{InputSelection, selected_files};
+use super::wording::option_names;
 
 /// How the selected files become surfaces: all are level sets, or all are particles.
 ///
@@ -71,7 +71,7 @@ pub(super) fn refuse_options(method: &MethodArgs, reason: Use) -> Result<()> {
         let mut given = method.given();
         given.retain(|name| group_of(name, reason) == Some(group));
         if !given.is_empty() && (group != OptionGroup::Solver || reason != Use::Smoothed) {
-            bail!("{} cannot be given with a level set in .vdb: {why}", all_typed(&given));
+            bail!("{} cannot be given with a level set in .vdb: {why}", option_names(&given));
         }
     }
     Ok(())

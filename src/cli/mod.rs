@@ -23,6 +23,7 @@ mod machine;
 mod manual;
 mod out_folder;
 mod output_records;
+mod parameter_sweep;
 mod plan;
 mod print_settings;
 mod progress;
@@ -30,15 +31,14 @@ mod quantities;
 mod remedies;
 mod render;
 mod render_session;
-mod resolving;
+mod resolve;
 mod run;
-mod selecting;
+mod select;
 mod sequence;
 mod sheets;
 mod standard_input;
 mod status;
 mod suggest;
-mod vary;
 mod verify;
 mod watch;
 mod why;
@@ -91,7 +91,7 @@ impl DoneCounts {
         *if is_done { &mut self.done_count } else { &mut self.failed_count } += 1;
     }
 
-    fn verdict(self) -> CommandOutcome {
+    fn outcome(self) -> CommandOutcome {
         CommandOutcome::of(self.done_count, self.failed_count, false)
     }
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 
-use crate::pipeline::{OutFolderError, make_out_folder, recover_out_folder, write_whole};
+use crate::pipeline::{OutFolderError, make_out_folder, recover_out_folder, write_atomically};
 
 use super::console::print_error;
 
@@ -20,7 +20,8 @@ pub(super) fn folder_of(path: &Path) -> &Path {
 /// # Errors
 /// If it cannot be written.
 pub(super) fn write_file(path: &Path, content: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<()> {
-    write_whole(path, |out| Ok(content(out)?)).with_context(|| format!("{}: cannot write", path.display()))
+    write_atomically(path, |out| Ok(content(out)?))
+        .with_context(|| format!("{}: cannot write", path.display()))
 }
 
 /// An existing, writable folder. Folders that were created for it are removed again unless it is kept.

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf, absolute};
 
 use anyhow::{Context, Result, anyhow, bail};
 
-use crate::farm::{PlannedFrame, PlannedSequence, ShardPlan, deal};
+use crate::farm::{PlannedFrame, PlannedSequence, ShardPlan, partition};
 use crate::pipeline::{FrameFile, file_of, size_bytes};
 
 use super::CommandOutcome;
@@ -15,7 +15,7 @@ use super::destination::refuse_file_name;
 use super::frame_selection::gaps;
 use super::level_sets::surface_job;
 use super::machine::thread_pool;
-use super::selecting::select_frames;
+use super::select::select_frames;
 use super::wording::{counted_are, pluralize};
 
 /// Writes the plan.
@@ -24,7 +24,7 @@ use super::wording::{counted_are, pluralize};
 /// If a sequence has no settings, results would replace inputs, or the file cannot be written.
 pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<CommandOutcome> {
     refuse_file_name(&args.out)?;
-    let outputs = args.formats.outputs(whole(&args.out)?)?;
+    let outputs = args.formats.outputs(absolute_path(&args.out)?)?;
     let selection = select_frames(&args.inputs, args.frames.as_ref(), &args.method, console)?;
     let job = surface_job(&selection, args.band_slack, &args.method)?;
     if !selection.is_complete {
@@ -41,14 +41,14 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<CommandOutc
         sequences: Vec::new(),
         frames: Vec::new(),
         shards: Vec::new(),
-        obstacles: args.method.obstacle.iter().map(|path| whole(path)).collect::<Result<_>>()?,
+        obstacles: args.method.obstacle.iter().map(|path| absolute_path(path)).collect::<Result<_>>()?,
     };
     for selected in &conversion.sequences {
         let name = &selected.sequence.name;
         let resolved = conversion.resolve(selected, &pool, console)?;
         let Resolved { settings, measured, outputs } = resolved.map_err(|why| anyhow!("{name}: {why}"))?;
         let measured = measured.map(|mut measured| {
-            measured.measured_on = whole(&measured.measured_on)?;
+            measured.measured_on = absolute_path(&measured.measured_on)?;
             Ok::<_, anyhow::Error>(measured)
         });
         let sequence = plan.sequences.len();
@@ -69,12 +69,12 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<CommandOutc
             outputs,
         });
     }
-    plan.shards = deal(plan.frames.len(), args.shards);
+    plan.shards = partition(plan.frames.len(), args.shards);
     plan.write(&args.output).with_context(|| args.output.display().to_string())?;
     // The folder is kept, and shards do not create it: if a shard does not find it, a file system is not
     // mounted.
     conversion.folder.keep();
-    say(&plan, args, console);
+    print_summary(&plan, args, console);
     Ok(CommandOutcome::Done)
 }
 
@@ -89,7 +89,7 @@ fn planned(file: &FrameFile, sequence: usize) -> Result<PlannedFrame> {
         bail!("{}: the name is too long by {} bytes for its results", name(), stem.len() - STEM_BYTES);
     }
     Ok(PlannedFrame {
-        input: whole(&file.path)?,
+        input: absolute_path(&file.path)?,
         stem,
         number: file.number(),
         size_bytes: size_bytes(&file.path).with_context(name)?,
@@ -102,11 +102,11 @@ fn planned(file: &FrameFile, sequence: usize) -> Result<PlannedFrame> {
 const STEM_BYTES: usize = 200;
 
 /// The absolute path.
-fn whole(path: &Path) -> Result<PathBuf> {
+fn absolute_path(path: &Path) -> Result<PathBuf> {
     absolute(path).with_context(|| format!("`{}` is not a valid path", path.display()))
 }
 
-fn say(plan: &ShardPlan, args: &PlanArgs, console: &mut Console) {
+fn print_summary(plan: &ShardPlan, args: &PlanArgs, console: &mut Console) {
     let (frames, shards) = (pluralize(plan.frames.len(), "frame"), pluralize(plan.shards.len(), "shard"));
     let most = plan.shards.iter().map(ExactSizeIterator::len).max().unwrap_or(0);
     let empty_count = plan.shards.iter().filter(|shard| shard.is_empty()).count();

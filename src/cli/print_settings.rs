@@ -19,8 +19,8 @@ use crate::surface::options::{
 use super::args::MethodArgs;
 use super::choices::formats_changed_by;
 use super::console::Console;
-use super::resolving::{measured_spacing, settings_of};
-use super::selecting::SelectedSequence;
+use super::resolve::{measured_spacing, settings_of};
+use super::select::SelectedSequence;
 
 /// Prints the settings without any frames. Lengths are in units of the particle spacing unless the spacing or
 /// a voxel size is given.

@@ -25,7 +25,7 @@ pub(super) struct ProgressDisplay {
 #[derive(Debug, Default)]
 struct ProgressState {
     /// In order of their start.
-    under_way: Vec<UnderWay>,
+    active: Vec<ActiveFrame>,
     /// Computing seconds per GiB of a plan: the maximum over the finished frames of this run.
     measured_s_per_gib: Option<f64>,
     /// The last printed estimate: similar ones are not printed again.
@@ -33,7 +33,7 @@ struct ProgressState {
 }
 
 #[derive(Debug)]
-struct UnderWay {
+struct ActiveFrame {
     input: PathBuf,
     stage: Stage,
     /// Of the stage, from 0 to 1.
@@ -78,8 +78,8 @@ impl ProgressDisplay {
     /// Records that a frame is finished, with its report if it was converted.
     pub(super) fn finished(&self, frame: &Frame, report: Option<&FrameReport>) {
         let mut state = self.lock();
-        let Some(index) = state.under_way.iter().position(|one| one.input == frame.input) else { return };
-        let ended = state.under_way.remove(index);
+        let Some(index) = state.active.iter().position(|one| one.input == frame.input) else { return };
+        let ended = state.active.remove(index);
         if let Some(report) = report.filter(|_| ended.work_gib > 0.0) {
             let measured = report.reconstruction.seconds.total() / ended.work_gib;
             state.measured_s_per_gib =
@@ -90,7 +90,7 @@ impl ProgressDisplay {
 
     fn show(&self, state: &ProgressState) {
         if let Some(bar) = &self.bar {
-            bar.set_message(state.under_way.first().map_or_else(String::new, UnderWay::told));
+            bar.set_message(state.active.first().map_or_else(String::new, ActiveFrame::status_text));
         }
     }
 
@@ -134,7 +134,7 @@ impl Observer for ProgressDisplay {
             Some(one) => (one.stage, one.fraction) = (stage, 0.0),
             None => {
                 let input = frame.input.clone();
-                state.under_way.push(UnderWay { input, stage, fraction: 0.0, work_gib: 0.0 });
+                state.active.push(ActiveFrame { input, stage, fraction: 0.0, work_gib: 0.0 });
             }
         }
         self.show(&state);
@@ -150,13 +150,13 @@ impl Observer for ProgressDisplay {
 }
 
 impl ProgressState {
-    fn find(&mut self, frame: &Frame) -> Option<&mut UnderWay> {
-        self.under_way.iter_mut().find(|one| one.input == frame.input)
+    fn find(&mut self, frame: &Frame) -> Option<&mut ActiveFrame> {
+        self.active.iter_mut().find(|one| one.input == frame.input)
     }
 }
 
-impl UnderWay {
-    fn told(&self) -> String {
+impl ActiveFrame {
+    fn status_text(&self) -> String {
         let before: f64 = SHARES[..self.stage as usize].iter().sum();
         let percent = 100.0 * (before + SHARES[self.stage as usize] * self.fraction);
         let name = self.input.file_name().unwrap_or_default().to_string_lossy();

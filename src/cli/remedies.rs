@@ -26,7 +26,7 @@ fn remedy(warning: &Warning) -> Option<String> {
             format!("all are held by --radius-min {}", significant(3f64.sqrt() * voxel_size))
         }
         Warning::Spray { .. } | Warning::Blob { .. } => of_spacing.to_owned(),
-        Warning::Holes { .. } | Warning::Torn { .. } => {
+        Warning::Holes { .. } | Warning::Fragmented { .. } => {
             "check --spacing and --voxel-size, or leave them out; with --preset paper give --radius-min 0.87 times as much as is \
              between particles, too"
                 .to_owned()

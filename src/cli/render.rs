@@ -23,7 +23,7 @@ use super::level_sets::{Use, refuse_options};
 use super::machine::thread_pool;
 use super::out_folder::{OutFolder, write_file};
 use super::render_session::{RenderSession, RenderSource, catch_panic, find_render_sources, named_picture};
-use super::selecting::{SelectedSequence, selected_files, selected_of};
+use super::select::{SelectedSequence, selected_files, selected_of};
 use super::wording::{pluralize, with_causes};
 use super::{CommandOutcome, DoneCounts};
 
@@ -53,7 +53,7 @@ pub(super) fn render(args: &RenderArgs, console: &mut Console) -> Result<Command
     for sequence in &sequences {
         pool.install(|| shots.take(sequence, &mut tally, console));
     }
-    Ok(tally.verdict())
+    Ok(tally.outcome())
 }
 
 /// The requested pictures.

@@ -12,9 +12,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Error, Result, bail};
 
 use crate::pipeline::{
-    FrameError, FrameFile, LevelSetFile, LoadedFrame, MeasuredSpacing, NOTHING, ObstacleFiles, OutputFormat,
-    OutputOptions, PictureOptions, PictureScene, Reconstruction, Sequence, Stage, Viewpoint, Warning,
-    files_in, is_level_set, picture_provenance, sequence_bounds, up_of, velocities,
+    EMPTY_BOUNDS, FrameError, FrameFile, LevelSetFile, LoadedFrame, MeasuredSpacing, ObstacleFiles,
+    OutputFormat, OutputOptions, PictureOptions, PictureScene, Reconstruction, Sequence, Stage, Viewpoint,
+    Warning, files_in, is_level_set, picture_provenance, sequence_bounds, up_of, velocities,
 };
 use crate::render::{Picture, render_particles, side_by_side};
 use crate::surface::options::{AttributeSelection, MethodOptions, Settings};
@@ -29,7 +29,7 @@ use super::machine::memory_bytes;
 use super::out_folder::folder_of;
 use super::quantities::PictureSize;
 use super::remedies::with_remedy;
-use super::resolving::{measured_spacing, settings_of, warn_of};
+use super::resolve::{measured_spacing, settings_of, warn_of};
 use super::wording::pluralize;
 
 /// Settings and resources shared by all pictures of a command.
@@ -147,7 +147,7 @@ impl<'a> RenderSession<'a> {
             false => None,
         };
         let aspect = size[0] as f64 / size[1] as f64;
-        Ok(camera.viewpoint(bounds.unwrap_or(NOTHING), aspect, up_of(self.outputs.up)))
+        Ok(camera.viewpoint(bounds.unwrap_or(EMPTY_BOUNDS), aspect, up_of(self.outputs.up)))
     }
 
     /// Reads a level set, or converts particles, and prints warnings about the frame.

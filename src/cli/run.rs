@@ -8,8 +8,8 @@ use anyhow::Result;
 use rayon::ThreadPool;
 
 use crate::pipeline::{
-    self, Frame, FrameReport, Job, LevelSetSkinning, OnError, Outcome, OutputFormat, PipelineOptions,
-    ReportedWarnings, RunRecord, Scope, SequenceRecord, ShotSource, output_path, shown,
+    self, Frame, FrameReport, Job, LevelSetMethod, OnError, Outcome, OutputFormat, PipelineOptions,
+    ReportedWarnings, RunRecord, Scope, SequenceRecord, SequenceSource, output_path, shown,
 };
 
 use super::CommandOutcome;
@@ -103,7 +103,7 @@ struct Outcomes {
     /// Whether the hint about unused velocities was printed.
     is_velocity_hinted: bool,
     /// The .glb files of the converted frames.
-    shot_frames: Vec<ShotSource>,
+    sequence_frames: Vec<SequenceSource>,
 }
 
 impl<'a> Batch<'a> {
@@ -170,7 +170,7 @@ impl<'a> Batch<'a> {
             observer: Some(&progress),
             ..PipelineOptions::new(pool)
         };
-        pipeline::run(&LevelSetSkinning, &frames, &options, |index, outcome| {
+        pipeline::run(&LevelSetMethod, &frames, &options, |index, outcome| {
             // The record and the console follow the order of the inputs.
             let report = if let Outcome::Converted(report) = &outcome { Some(&**report) } else { None };
             progress.finished(&frames[index], report);
@@ -232,7 +232,7 @@ impl<'a> Batch<'a> {
             && frame.outputs.formats.contains(&OutputFormat::Glb)
         {
             let path = output_path(&frame.outputs.folder, &frame.stem, OutputFormat::Glb);
-            self.outcomes.shot_frames.push(ShotSource { path, number: frame.number });
+            self.outcomes.sequence_frames.push(SequenceSource { path, number: frame.number });
         }
         match outcome {
             Outcome::Converted(report) => {
@@ -303,8 +303,8 @@ impl<'a> Batch<'a> {
     }
 
     /// The .glb files of the converted frames, in the order of the inputs.
-    pub(super) fn shot_frames(&self) -> &[ShotSource] {
-        &self.outcomes.shot_frames
+    pub(super) fn sequence_frames(&self) -> &[SequenceSource] {
+        &self.outcomes.sequence_frames
     }
 
     fn fail(&mut self, failure: String) {

@@ -6,17 +6,17 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 
 use crate::pipeline::{
-    FrameFile, OutputFormat, OutputOptions, ShotFormat, ShotOptions, ShotReport, ShotSource, are_one_file,
-    files_in, is_shot, write_shot,
+    FrameFile, OutputFormat, OutputOptions, SequenceFormat, SequenceOptions, SequenceReport, SequenceSource,
+    are_same_file, files_in, is_sequence_file, write_sequence_file,
 };
 
 use super::CommandOutcome;
-use super::args::{FPS, SequenceArgs, ShotArgs};
+use super::args::{FPS, SequenceArgs, SequenceFileArgs};
 use super::console::Console;
 use super::frame_selection::gaps;
 use super::inputs::find_inputs;
 use super::machine::thread_pool;
-use super::selecting::{only_sequence, refuse_odd_place};
+use super::select::{check_output_path, only_sequence};
 use super::wording::{counted_are, pluralize};
 
 /// Combines the frames that the arguments name.
@@ -24,23 +24,23 @@ use super::wording::{counted_are, pluralize};
 /// # Errors
 /// If no shot can be made.
 pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<CommandOutcome> {
-    let format = ShotFormat::of(&args.output).with_context(|| {
+    let format = SequenceFormat::of(&args.output).with_context(|| {
         format!("{}: the name of a shot must end in .glb or .usda", args.output.display())
     })?;
-    refuse_odd_place("the shot", &args.output)?;
+    check_output_path("the shot", &args.output)?;
     let found = find_inputs(&frames_of_folders(&args.inputs)?)?;
     found.report(console);
-    let frames = without_old_shot(found.files, &args.output)?;
+    let frames = without_old_sequence_file(found.files, &args.output)?;
     let sequence = only_sequence(frames, "a shot is of one sequence")?;
-    let source = |file: &FrameFile| ShotSource { path: file.path.clone(), number: file.number() };
-    let sources: Vec<ShotSource> = sequence.frames.iter().map(source).collect();
-    if args.meters_per_unit.is_some() && format != ShotFormat::Usda {
+    let source = |file: &FrameFile| SequenceSource { path: file.path.clone(), number: file.number() };
+    let sources: Vec<SequenceSource> = sequence.frames.iter().map(source).collect();
+    if args.meters_per_unit.is_some() && format != SequenceFormat::Usda {
         console.warning("--meters-per-unit has no effect: it is for .usda");
     }
-    let options = ShotOptions { fps: args.fps, meters_per_unit: args.meters_per_unit.unwrap_or(1.0) };
-    let shot = thread_pool(None)?.install(|| write_shot(&args.output, format, &sources, options))?;
-    tell_gaps(&args.output, &sources, console);
-    told(&args.output, &shot, console);
+    let options = SequenceOptions { fps: args.fps, meters_per_unit: args.meters_per_unit.unwrap_or(1.0) };
+    let shot = thread_pool(None)?.install(|| write_sequence_file(&args.output, format, &sources, options))?;
+    warn_gaps(&args.output, &sources, console);
+    report_sequence(&args.output, &shot, console);
     Ok(if shot.left_out.is_empty() { CommandOutcome::Done } else { CommandOutcome::SomeFailed })
 }
 
@@ -52,7 +52,8 @@ fn frames_of_folders(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
             frames.push(input.clone());
             continue;
         }
-        let is_frame = |path: &PathBuf| ShotFormat::of(path) == Some(ShotFormat::Glb) && !is_shot(path);
+        let is_frame =
+            |path: &PathBuf| SequenceFormat::of(path) == Some(SequenceFormat::Glb) && !is_sequence_file(path);
         let files: Vec<PathBuf> = files_in(input)
             .with_context(|| input.display().to_string())?
             .into_iter()
@@ -68,10 +69,10 @@ fn frames_of_folders(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
 
 /// The frames among these files. A pattern may match an existing shot, which the new one replaces; if the
 /// shot would replace any other file, that is an error.
-fn without_old_shot(files: Vec<FrameFile>, output: &Path) -> Result<Vec<FrameFile>> {
+fn without_old_sequence_file(files: Vec<FrameFile>, output: &Path) -> Result<Vec<FrameFile>> {
     let (old, frames): (Vec<_>, Vec<_>) =
-        files.into_iter().partition(|file| are_one_file(&file.path, output));
-    if let Some(input) = old.iter().find(|file| !is_shot(&file.path)) {
+        files.into_iter().partition(|file| are_same_file(&file.path, output));
+    if let Some(input) = old.iter().find(|file| !is_sequence_file(&file.path)) {
         bail!(
             "{}: the shot would replace the input {}: choose another name",
             output.display(),
@@ -84,14 +85,14 @@ fn without_old_shot(files: Vec<FrameFile>, output: &Path) -> Result<Vec<FrameFil
     Ok(frames)
 }
 
-fn tell_gaps(path: &Path, frames: &[ShotSource], console: &mut Console) {
+fn warn_gaps(path: &Path, frames: &[SequenceSource], console: &mut Console) {
     if let Some((gaps, count)) = gaps(frames.iter().filter_map(|frame| frame.number)) {
         let are = counted_are(count);
         console.warning(format_args!("{}: {gaps}: {are} missing", path.display()));
     }
 }
 
-fn told(path: &Path, shot: &ShotReport, console: &mut Console) {
+fn report_sequence(path: &Path, shot: &SequenceReport, console: &mut Console) {
     for (frame, why) in &shot.left_out {
         console.error(format_args!("{}: left out of the shot: {why}", frame.display()));
     }
@@ -104,8 +105,8 @@ fn told(path: &Path, shot: &ShotReport, console: &mut Console) {
 
 /// The shots to make after a conversion.
 pub(super) struct SequenceOutputs {
-    files: Vec<(PathBuf, ShotFormat)>,
-    options: ShotOptions,
+    files: Vec<(PathBuf, SequenceFormat)>,
+    options: SequenceOptions,
     /// Whether only some of the frames were selected: then the others need not exist.
     are_picked: bool,
 }
@@ -115,21 +116,21 @@ impl SequenceOutputs {
     ///
     /// # Errors
     /// The reason.
-    pub(super) fn asked_for(
-        args: &ShotArgs,
+    pub(super) fn new(
+        args: &SequenceFileArgs,
         outputs: &OutputOptions,
         sequence_count: usize,
         are_picked: bool,
     ) -> Result<SequenceOutputs> {
-        let ShotArgs { sequence_glb, sequence_usda, fps } = args;
+        let SequenceFileArgs { sequence_glb, sequence_usda, fps } = args;
         let typed = [
-            ("--sequence-glb", sequence_glb, ShotFormat::Glb),
-            ("--sequence-usda", sequence_usda, ShotFormat::Usda),
+            ("--sequence-glb", sequence_glb, SequenceFormat::Glb),
+            ("--sequence-usda", sequence_usda, SequenceFormat::Usda),
         ];
         let mut files = Vec::new();
         for (option, path, format) in typed {
             let Some(path) = path else { continue };
-            if ShotFormat::of(path) != Some(format) {
+            if SequenceFormat::of(path) != Some(format) {
                 let extension = option.trim_start_matches("--sequence-");
                 bail!("{option} {}: the name of this file must end in .{extension}", path.display());
             }
@@ -146,7 +147,7 @@ impl SequenceOutputs {
         if files.is_empty() && fps.is_some() {
             bail!("--fps is for a shot: give --sequence-glb or --sequence-usda as well");
         }
-        let options = ShotOptions { fps: fps.unwrap_or(FPS), meters_per_unit: outputs.meters_per_unit };
+        let options = SequenceOptions { fps: fps.unwrap_or(FPS), meters_per_unit: outputs.meters_per_unit };
         Ok(SequenceOutputs { files, options, are_picked })
     }
 
@@ -159,7 +160,7 @@ impl SequenceOutputs {
     /// missing frames.
     pub(super) fn write(
         &self,
-        (frames, frame_count): (&[ShotSource], usize),
+        (frames, frame_count): (&[SequenceSource], usize),
         verdict: CommandOutcome,
         console: &mut Console,
     ) -> CommandOutcome {
@@ -173,12 +174,12 @@ impl SequenceOutputs {
                 ));
                 continue;
             }
-            match write_shot(path, *format, frames, self.options) {
+            match write_sequence_file(path, *format, frames, self.options) {
                 Ok(shot) => {
                     if !self.are_picked {
-                        tell_gaps(path, frames, console);
+                        warn_gaps(path, frames, console);
                     }
-                    told(path, &shot, console);
+                    report_sequence(path, &shot, console);
                     if !shot.left_out.is_empty() {
                         verdict = CommandOutcome::SomeFailed;
                     }

@@ -5,14 +5,16 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 
-use crate::farm::{FrameVerdict, PlannedFrame, ShardPlan, VerdictRecord, Verdicts, verify as verify_plan};
-use crate::pipeline::{InspectedState, are_one_file};
+use crate::farm::{
+    FrameCheck, PlanVerification, PlannedFrame, ShardPlan, VerificationReport, verify as verify_plan,
+};
+use crate::pipeline::{InspectedState, are_same_file};
 
 use super::CommandOutcome;
 use super::args::VerifyArgs;
 use super::console::Console;
 use super::machine::thread_pool;
-use super::selecting::refuse_report_of_plan;
+use super::select::refuse_report_of_plan;
 use super::wording::pluralize;
 
 /// Checks the outputs of a plan.
@@ -32,13 +34,13 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
         .metadata()
         .with_context(|| format!("{}: cannot read this folder", args.folder.display()))?;
     let plan = ShardPlan::read(&args.plan).with_context(|| args.plan.display().to_string())?;
-    let planned = plan.out().filter(|planned| !are_one_file(planned, &folder)).map(Path::to_owned);
+    let planned = plan.out().filter(|planned| !are_same_file(planned, &folder)).map(Path::to_owned);
     let plan = plan.with_out(&folder);
     refuse_report_of_plan(args.report.as_deref(), &plan, &args.plan)?;
     let verdicts = thread_pool(args.threads)?.install(|| verify_plan(&plan));
-    let frames: Vec<(&PlannedFrame, &FrameVerdict)> = plan.frames.iter().zip(&verdicts.frames).collect();
+    let frames: Vec<(&PlannedFrame, &FrameCheck)> = plan.frames.iter().zip(&verdicts.frames).collect();
     for shard in frames.chunk_by(|(_, one), (_, other)| one.shard == other.shard) {
-        for line in told(shard) {
+        for line in describe_shard(shard) {
             console.warn(line);
         }
     }
@@ -52,7 +54,7 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
         ));
     }
     if let Some(path) = &args.report {
-        let record = VerdictRecord::new(&plan, &verdicts, &args.plan, &folder);
+        let record = VerificationReport::new(&plan, &verdicts, &args.plan, &folder);
         // For a link, its target is replaced, and not the link.
         let path = path.canonicalize().unwrap_or_else(|_| path.clone());
         record.write(&path).with_context(|| format!("{}: cannot write the report", path.display()))?;
@@ -62,8 +64,8 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
 }
 
 /// The problems of a shard: a line for each frame, or one for all if the shard has not run.
-fn told(shard: &[(&PlannedFrame, &FrameVerdict)]) -> Vec<String> {
-    let is_missing = |(_, verdict): &(_, &FrameVerdict)| {
+fn describe_shard(shard: &[(&PlannedFrame, &FrameCheck)]) -> Vec<String> {
+    let is_missing = |(_, verdict): &(_, &FrameCheck)| {
         matches!(verdict.state, InspectedState::Missing { are_all: true, .. })
     };
     if let [(first, verdict), .., (last, _)] = shard
@@ -72,14 +74,14 @@ fn told(shard: &[(&PlannedFrame, &FrameVerdict)]) -> Vec<String> {
         let (number, count, first, last) = (verdict.shard, shard.len(), &first.stem, &last.stem);
         return vec![format!("shard {number}: missing: all of its {count} frames, {first} to {last}")];
     }
-    let line = |(planned, verdict): &(&PlannedFrame, &FrameVerdict)| {
+    let line = |(planned, verdict): &(&PlannedFrame, &FrameCheck)| {
         let why = verdict.why()?;
         Some(format!("{} (shard {}): {}: {why}", planned.stem, verdict.shard, verdict.status()))
     };
     shard.iter().filter_map(line).collect()
 }
 
-fn summarize(verdicts: &Verdicts, seconds: f64, console: &mut Console) {
+fn summarize(verdicts: &PlanVerification, seconds: f64, console: &mut Console) {
     let [(_, done), others @ ..] = verdicts.counts();
     let mut summary = format!("{}: {done} done", pluralize(verdicts.frames.len(), "frame"));
     for (status, count) in others.into_iter().filter(|&(_, count)| count > 0) {

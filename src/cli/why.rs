@@ -10,10 +10,10 @@ use crate::pipeline::{file_of, frames_in, is_missing_step, step_of};
 use crate::watch::explain::{
     Explanation, FileChange, FileFacts, FrameExplanation as Fate, Question, explain, remembered_fingerprint,
 };
-use crate::watch::journal::{JournalState, JournaledFrame, PlanRecord, Standing, now_ms};
-use crate::watch::place::{below, known_path};
+use crate::watch::journal::{JournalState, JournaledFrame, JournaledStatus, PlanRecord, now_ms};
+use crate::watch::place::{below, canonical_path};
 use crate::watch::selection::{FileFilter, SniffedContent};
-use crate::watch::{Patience, Watch, WatchConfig};
+use crate::watch::{StabilityTimeouts, Watch, WatchConfig};
 
 use super::CommandOutcome;
 use super::args::{WatchArgs, WhyArgs};
@@ -29,8 +29,8 @@ use super::watch::make_plan;
 pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<CommandOutcome> {
     let frame = known_frame(&args.file).context("the file has no name")?;
     let asked = match &args.config {
-        Some(file) => Asked::of_file(file, args)?,
-        None => Asked::of_journal(args, &frame)?,
+        Some(file) => DaemonSettings::of_file(file, args)?,
+        None => DaemonSettings::of_journal(args, &frame)?,
     };
     // A journal belongs to one folder of outputs, so no choice among several is necessary.
     let output = args.out.as_deref().filter(|_| args.config.is_some());
@@ -65,7 +65,7 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<CommandOutcom
         frame: &frame,
         watch,
         output_folders: &output_folders,
-        patience: &asked.patience,
+        timeouts: &asked.timeouts,
         record,
         settings: settings.as_deref(),
     })
@@ -75,7 +75,7 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<CommandOutcom
         console.say(UNKNOWN);
     }
     let is_to_come = matches!(explanation.verdict, Fate::Waits(_) | Fate::Converted(_));
-    if is_to_come && matches!(Holder::of(output)?, Holder::Nobody) {
+    if is_to_come && matches!(Holder::of(output)?, Holder::Unlocked) {
         console.say(format_args!("No daemon is at work in {}.", output.display()));
     }
     Ok(CommandOutcome::Done)
@@ -83,7 +83,7 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<CommandOutcom
 
 /// The path by which the daemon identifies a frame.
 fn known_frame(path: &Path) -> std::io::Result<PathBuf> {
-    let file = known_path(file_of(path))?;
+    let file = canonical_path(file_of(path))?;
     Ok(match (step_of(path), path.file_name()) {
         (Some(_), Some(step)) => file.join(step),
         _ => file,
@@ -94,9 +94,9 @@ const UNKNOWN: &str = "The journal does not say what the daemon was asked for: t
                        --config tells its file.";
 
 /// The daemon's settings.
-struct Asked {
+struct DaemonSettings {
     watches: Vec<Watch>,
-    patience: Patience,
+    timeouts: StabilityTimeouts,
     /// Its journal folder, if it is not beside the outputs.
     journal: Option<PathBuf>,
     /// The journal, if it was read to find the settings.
@@ -105,38 +105,38 @@ struct Asked {
     is_known: bool,
 }
 
-impl Asked {
+impl DaemonSettings {
     /// The settings in a configuration file; the journal is ignored.
-    fn of_file(file: &Path, args: &WhyArgs) -> Result<Asked> {
+    fn of_file(file: &Path, args: &WhyArgs) -> Result<DaemonSettings> {
         let watch_args = WatchArgs { config: Some(file.to_owned()), ..WatchArgs::default() };
-        let WatchConfig { watches, patience, journal, .. } = make_plan(&watch_args)?.config;
+        let WatchConfig { watches, timeouts, journal, .. } = make_plan(&watch_args)?.config;
         let journal = args.journal.clone().or(journal);
-        Ok(Asked { watches, patience, journal, state: None, is_known: true })
+        Ok(DaemonSettings { watches, timeouts, journal, state: None, is_known: true })
     }
 
     /// The settings in the journal, or else the daemon's defaults for the folder of the frame.
-    fn of_journal(args: &WhyArgs, frame: &Path) -> Result<Asked> {
+    fn of_journal(args: &WhyArgs, frame: &Path) -> Result<DaemonSettings> {
         let output = args.out.as_deref().context("give --out, or --config")?;
         let journal = journal_folder(output, args.journal.as_deref());
         let mut state = read_journal(&journal)?;
         let plan = state.plan.take();
         let is_known = plan.is_some();
-        let PlanRecord { watches, patience } = match plan {
+        let PlanRecord { watches, timeouts } = match plan {
             Some(plan) => plan,
             None => {
                 let inputs = vec![file_of(frame).parent().unwrap_or(frame).to_owned()];
                 let watch_args = WatchArgs { inputs, out: Some(output.to_owned()), ..WatchArgs::default() };
-                let WatchConfig { watches, patience, .. } = make_plan(&watch_args)?.config;
-                PlanRecord { watches, patience }
+                let WatchConfig { watches, timeouts, .. } = make_plan(&watch_args)?.config;
+                PlanRecord { watches, timeouts }
             }
         };
-        Ok(Asked { watches, patience, journal: Some(journal), state: Some(state), is_known })
+        Ok(DaemonSettings { watches, timeouts, journal: Some(journal), state: Some(state), is_known })
     }
 
     /// The watch that the frame belongs to: of those whose folder contains it, one whose pattern matches its
     /// name, or else the innermost. If `output` is given, only watches that write into it.
     fn watch_of(&self, frame: &Path, output: Option<&Path>) -> Result<&Watch> {
-        let output = output.map(known_path).transpose().context("--out has no name")?;
+        let output = output.map(canonical_path).transpose().context("--out has no name")?;
         let is_meant = |watch: &&Watch| {
             below(&watch.input, frame).is_some()
                 && output.as_ref().is_none_or(|out| *out == watch.outputs.folder)
@@ -161,10 +161,10 @@ fn lines(
     is_known: bool,
     now_ms: u64,
 ) -> Vec<String> {
-    let Explanation { is_taken, file, settings_hold, output_missing, verdict } = explanation;
+    let Explanation { is_selected, file, settings_hold, output_missing, verdict } = explanation;
     let mut lines = vec![frame.display().to_string()];
     let mut line = |name: &str, what: &str| lines.push(format!("  {name:<9} {what}"));
-    line("name", if *is_taken { "one of a frame" } else { "not one of a frame" });
+    line("name", if *is_selected { "one of a frame" } else { "not one of a frame" });
     if let Some(FileFacts { content, readiness, .. }) = file {
         line(
             "content",
@@ -215,13 +215,13 @@ fn recorded(record: &JournaledFrame, now_ms: u64) -> String {
         0 | 1 => String::new(),
         count => format!(", {count} attempts"),
     };
-    let standing = match record.standing {
-        Standing::Queued => "queued or in flight",
-        Standing::Done => "done",
-        Standing::Failed => "failed",
-        Standing::Retrying => "failed, will be retried",
-        Standing::Refused => "refused, on account of other files",
-        Standing::GivenUp => "failed, will be retried at the next start",
+    let status = match record.status {
+        JournaledStatus::Queued => "queued or in flight",
+        JournaledStatus::Done => "done",
+        JournaledStatus::Failed => "failed",
+        JournaledStatus::Retrying => "failed, will be retried",
+        JournaledStatus::Refused => "refused, on account of other files",
+        JournaledStatus::RetriesExhausted => "failed, will be retried at the next start",
     };
-    format!("{standing}, {}{attempts}", ago(record.at_ms, now_ms))
+    format!("{status}, {}{attempts}", ago(record.at_ms, now_ms))
 }

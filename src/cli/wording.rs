@@ -7,7 +7,7 @@ pub(in crate::cli) use crate::surface::words::{pluralize, rounded_down, signific
 pub(super) const FRAMES_IN_VIEW: usize = 20;
 
 /// An option as the user types it.
-pub(super) fn typed(name: &str) -> String {
+pub(super) fn option_name(name: &str) -> String {
     match name {
         "inputs" => "INPUT".to_owned(),
         _ => format!("--{}", name.replace('_', "-")),
@@ -15,8 +15,8 @@ pub(super) fn typed(name: &str) -> String {
 }
 
 /// Options as the user types them, separated by commas.
-pub(super) fn all_typed(names: &[&str]) -> String {
-    names.iter().map(|name| typed(name)).collect::<Vec<_>>().join(", ")
+pub(super) fn option_names(names: &[&str]) -> String {
+    names.iter().map(|name| option_name(name)).collect::<Vec<_>>().join(", ")
 }
 
 /// One line about a converted frame.

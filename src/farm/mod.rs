@@ -16,12 +16,12 @@
 //! Plans are parsed as strictly as any input: a plan names the files to read, and all outputs are in one
 //! folder.
 
-mod dealing;
+mod partition;
 mod plan;
 mod plan_file;
-mod verdict;
+mod verification;
 
-pub use dealing::{SHARDS_MAX, deal};
+pub use partition::{SHARDS_MAX, partition};
 pub use plan::{PlannedFrame, PlannedSequence, ShardPlan};
 pub use plan_file::{PlanError, parse};
-pub use verdict::{FrameVerdict, VerdictRecord, Verdicts, verify};
+pub use verification::{FrameCheck, PlanVerification, VerificationReport, verify};

@@ -7,8 +7,8 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crate::pipeline::{
-    Frame, Job, MeasuredSpacing, ObstacleFiles, OutputOptions, are_one_file, certificate_path, entry,
-    file_of, output_path,
+    Frame, Job, MeasuredSpacing, ObstacleFiles, OutputOptions, are_same_file, canonical_entry,
+    certificate_path, file_of, output_path,
 };
 use crate::surface::options::Settings;
 
@@ -75,7 +75,7 @@ impl ShardPlan {
     /// Whether a path is an input, an output or a certificate of the plan, which other files must not
     /// replace.
     pub fn names(&self, path: &Path) -> bool {
-        let path = entry(path);
+        let path = canonical_entry(path);
         let is_output = |planned: &PlannedFrame| {
             self.outputs(planned).any(|output| output.file_name() == path.file_name())
         };
@@ -83,7 +83,7 @@ impl ShardPlan {
         let is_input = |planned: &PlannedFrame| {
             let input = file_of(&planned.input);
             // A stat call for every file of a shot would load a file server.
-            input.file_name() == path.file_name() && are_one_file(input, &path)
+            input.file_name() == path.file_name() && are_same_file(input, &path)
         };
         self.frames.iter().any(is_input)
             || (folder.as_deref() == path.parent() && self.frames.iter().any(is_output))

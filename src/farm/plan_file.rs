@@ -20,12 +20,12 @@ use serde::{Deserialize, Serialize};
 use crate::pipeline::files::json::write_json;
 use crate::pipeline::{
     CameraChoice, GENERATOR_AND_VERSION, Job, METERS_PER_UNIT, MeasuredSpacing, OutputFormat, OutputOptions,
-    PictureOptions, file_of, open_regular, write_whole,
+    PictureOptions, file_of, open_regular, write_atomically,
 };
 use crate::surface::options::{MethodOptions, Settings};
 use crate::surface::reconstruction::SLACK_MAX_VOXELS;
 
-use super::dealing::SHARDS_MAX;
+use super::partition::SHARDS_MAX;
 use super::plan::{PlannedFrame, PlannedSequence, ShardPlan};
 
 /// A change of the file's format needs another number.
@@ -105,22 +105,22 @@ struct ShardEntry {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PlanError {
     /// A JSON pointer, empty for the whole file; syntax errors have their line in the message.
-    pub place: String,
+    pub pointer: String,
     /// The message.
-    pub what: String,
+    pub message: String,
 }
 
 impl PlanError {
     fn at(place: impl Into<String>, what: impl Into<String>) -> PlanError {
-        PlanError { place: place.into(), what: what.into() }
+        PlanError { pointer: place.into(), message: what.into() }
     }
 }
 
 impl fmt::Display for PlanError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.place.as_str() {
-            "" => f.write_str(&self.what),
-            place => write!(f, "{place}: {}", self.what),
+        match self.pointer.as_str() {
+            "" => f.write_str(&self.message),
+            place => write!(f, "{place}: {}", self.message),
         }
     }
 }
@@ -150,7 +150,7 @@ impl ShardPlan {
     /// When a path is not Unicode, or the system reports an error.
     pub fn write(&self, path: &Path) -> Result<(), PlanError> {
         let file = PlanFile::of(self)?;
-        let written = write_whole(path, |out| Ok(write_json(out, &file)?));
+        let written = write_atomically(path, |out| Ok(write_json(out, &file)?));
         written.map_err(|error| PlanError::at("", format!("cannot be written: {error}")))
     }
 }

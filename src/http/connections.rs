@@ -21,7 +21,7 @@ use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
 #[derive(Debug)]
 pub(super) struct Connections {
     room: Arc<Semaphore>,
-    places_max: usize,
+    connections_max: usize,
     /// When more than this many are busy, only health checks are answered.
     busy_max: usize,
     idle: Mutex<Idle>,
@@ -43,7 +43,7 @@ pub(super) struct Connection {
     all: Arc<Connections>,
     state: Mutex<ConnectionState>,
     closing: Arc<Notify>,
-    _place: OwnedSemaphorePermit,
+    _permit: OwnedSemaphorePermit,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -62,10 +62,10 @@ enum ConnectionState {
 pub(super) struct Answering(Arc<Connection>);
 
 impl Connections {
-    pub(super) fn new(places_max: usize, busy_max: usize) -> Connections {
+    pub(super) fn new(connections_max: usize, busy_max: usize) -> Connections {
         Connections {
-            room: Arc::new(Semaphore::new(places_max)),
-            places_max,
+            room: Arc::new(Semaphore::new(connections_max)),
+            connections_max,
             busy_max,
             idle: Mutex::default(),
             became_idle: Notify::new(),
@@ -94,17 +94,17 @@ impl Connections {
         let closing = Arc::new(Notify::new());
         let key = self.lock().insert(&closing);
         let state = Mutex::new(ConnectionState::Idle(key));
-        Connection { all: Arc::clone(self), state, closing, _place: place }
+        Connection { all: Arc::clone(self), state, closing, _permit: place }
     }
 
     /// Whether so few slots are free that they are reserved for health checks.
-    pub(super) fn is_crowded(&self) -> bool {
+    pub(super) fn is_busy(&self) -> bool {
         self.lock().busy_count > self.busy_max
     }
 
     /// Waits until all connections have ended.
     pub(super) async fn all_ended(&self) {
-        let _ = self.room.acquire_many(u32::try_from(self.places_max).unwrap_or(u32::MAX)).await;
+        let _ = self.room.acquire_many(u32::try_from(self.connections_max).unwrap_or(u32::MAX)).await;
     }
 
     /// Returns whether there was an idle connection.
@@ -242,15 +242,15 @@ mod tests {
     fn only_busy_connections_count_as_crowded() {
         let all = Arc::new(Connections::new(4, 2));
         let connections = [(); 4].map(|()| add(&all));
-        assert!(!all.is_crowded());
+        assert!(!all.is_busy());
         let mut answering: Vec<Answering> = connections[..3].iter().map(Connection::begin).collect();
-        assert!(all.is_crowded());
+        assert!(all.is_busy());
         answering.pop();
-        assert!(all.is_crowded(), "some of the answer may not be sent yet");
+        assert!(all.is_busy(), "some of the answer may not be sent yet");
         connections[2].flushed();
-        assert!(!all.is_crowded());
+        assert!(!all.is_busy());
         let again = connections[2].begin();
-        assert!(all.is_crowded());
+        assert!(all.is_busy());
         drop((again, answering, connections));
         assert_eq!(all.lock().busy_count, 0, "all connections have ended");
     }

@@ -83,7 +83,7 @@ async fn send_events(subscriber: Subscriber, seen: Option<String>, sender: mpsc:
         // So that a client that loses the connection at once can resume.
         None => store.version(),
         // An id of another run is not a position in this one: it counts as beyond the end.
-        Some(id) => place(id, store.run()).unwrap_or(u64::MAX),
+        Some(id) => position(id, store.run()).unwrap_or(u64::MAX),
     };
     let hello = format!("retry: 1000\nid: {}-{version}\nevent: hello\ndata: {{}}\n\n", store.run());
     if version != u64::MAX && sender.send(Ok(hello.into())).await.is_err() {
@@ -139,7 +139,7 @@ fn event(store: &StatusStore, version: u64) -> (u64, String) {
 }
 
 /// The version in an event id, if the id is of this run.
-fn place(id: &str, run: u64) -> Option<u64> {
+fn position(id: &str, run: u64) -> Option<u64> {
     let (of_run, version) = id.split_once('-')?;
     version.parse().ok().filter(|_| of_run.parse() == Ok(run))
 }
@@ -194,9 +194,9 @@ mod tests {
 
     #[test]
     fn id_of_another_run_is_not_a_position() {
-        assert_eq!(place("7-12", 7), Some(12));
+        assert_eq!(position("7-12", 7), Some(12));
         for wrong in ["8-12", "12", "7-", "7-x", "", "-"] {
-            assert_eq!(place(wrong, 7), None, "{wrong}");
+            assert_eq!(position(wrong, 7), None, "{wrong}");
         }
     }
 

@@ -50,7 +50,7 @@ pub struct Listen {
 
 /// A running server; dropping it closes it.
 #[derive(Debug)]
-pub struct Window {
+pub struct HttpServer {
     address: SocketAddr,
     closing: watch::Sender<bool>,
     thread: Option<JoinHandle<()>>,
@@ -72,12 +72,12 @@ const STACK_BYTES: usize = 512 << 10;
 /// Files are read on separate threads, so that the disk does not block the server's thread.
 const READERS_MAX: usize = 2;
 
-impl Window {
+impl HttpServer {
     /// Serves the status store at this address.
     ///
     /// # Errors
     /// When the address is in use, or the system refuses.
-    pub fn open(listen: &Listen, store: Arc<StatusStore>) -> io::Result<Window> {
+    pub fn open(listen: &Listen, store: Arc<StatusStore>) -> io::Result<HttpServer> {
         let listener = TcpListener::bind(listen.address)?;
         listener.set_nonblocking(true)?;
         let address = listener.local_addr()?;
@@ -102,7 +102,7 @@ impl Window {
             // Threads that still read a file do not delay the end.
             runtime.shutdown_background();
         })?;
-        Ok(Window { address, closing, thread: Some(thread) })
+        Ok(HttpServer { address, closing, thread: Some(thread) })
     }
 
     /// The address that the server listens on.
@@ -111,7 +111,7 @@ impl Window {
     }
 }
 
-impl Drop for Window {
+impl Drop for HttpServer {
     fn drop(&mut self) {
         // Fails if the thread has already ended.
         let _ = self.closing.send(true);

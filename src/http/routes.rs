@@ -26,7 +26,7 @@ pub(super) async fn answer_to<B: Body>(
 }
 
 /// Answers a request when few slots are free: only health checks. The connection closes afterwards.
-pub(super) async fn answer_in_a_crowd<B: Body>(
+pub(super) async fn answer_when_busy<B: Body>(
     shared: &Arc<ServerState>,
     request: &Request<B>,
     local: SocketAddr,

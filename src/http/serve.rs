@@ -24,7 +24,7 @@ use tokio::time::{Instant, Sleep, sleep, timeout};
 
 use super::ServerState;
 use super::connections::{Connection, Connections};
-use super::routes::{answer_in_a_crowd, answer_to};
+use super::routes::{answer_to, answer_when_busy};
 
 /// The limits of connections.
 #[derive(Clone, Copy, Debug)]
@@ -32,27 +32,27 @@ struct ConnectionLimits {
     /// Maximum number of connections; beyond it, idle ones are closed.
     connections_max: usize,
     /// How long a request head may take to arrive, and a connection may stay idle.
-    head_patience: Duration,
+    head_timeout: Duration,
 }
 
 const LIMITS: ConnectionLimits =
-    ConnectionLimits { connections_max: 512, head_patience: Duration::from_secs(10) };
+    ConnectionLimits { connections_max: 512, head_timeout: Duration::from_secs(10) };
 
 /// Slots reserved for health checks.
-const PLACES_FOR_HEALTH: usize = 16;
+const CONNECTIONS_FOR_HEALTH: usize = 16;
 
 /// Maximum size of a request head, in bytes, and maximum number of headers.
 const HEAD_BYTES_MAX: usize = 16 << 10;
 const HEAD_LINES_MAX: usize = 64;
 
 /// How long a client may read nothing of a response.
-const STALL_PATIENCE: Duration = Duration::from_secs(30);
+const STALL_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// The minimum rate of reading: a client that reads more slowly uses up its time budget.
-const TAKEN_BYTES_PER_S_MIN: f64 = 10e3;
+const READ_BYTES_PER_S_MIN: f64 = 10e3;
 
 /// How long responses may continue after the server is asked to close.
-const CLOSING_PATIENCE: Duration = Duration::from_millis(300);
+const CLOSING_TIMEOUT: Duration = Duration::from_millis(300);
 
 /// Pause after the system fails to accept a connection.
 const REFUSED_WAIT: Duration = Duration::from_millis(100);
@@ -72,18 +72,17 @@ async fn serve_within(
     shared: Arc<ServerState>,
 ) -> io::Result<()> {
     let listener = tokio::net::TcpListener::from_std(listener)?;
-    let ConnectionLimits { connections_max, head_patience } = limits;
-    let busy_max = connections_max.saturating_sub(PLACES_FOR_HEALTH);
+    let ConnectionLimits { connections_max, head_timeout } = limits;
+    let busy_max = connections_max.saturating_sub(CONNECTIONS_FOR_HEALTH);
     let connections = Arc::new(Connections::new(connections_max, busy_max));
     let shared_by_all = Arc::clone(&shared);
-    let accepting =
-        tokio::spawn(accept_all(listener, Arc::clone(&connections), shared_by_all, head_patience));
+    let accepting = tokio::spawn(accept_all(listener, Arc::clone(&connections), shared_by_all, head_timeout));
     let mut closing = shared.closing.clone();
     // An error means that the sender is gone: then the server closes, too.
     let _ = closing.wait_for(|&is_closing| is_closing).await;
     accepting.abort();
     // Connections that do not end in time are cut off.
-    let _ = timeout(CLOSING_PATIENCE, connections.all_ended()).await;
+    let _ = timeout(CLOSING_TIMEOUT, connections.all_ended()).await;
     Ok(())
 }
 
@@ -91,14 +90,14 @@ async fn accept_all(
     listener: tokio::net::TcpListener,
     connections: Arc<Connections>,
     shared: Arc<ServerState>,
-    head_patience: Duration,
+    head_timeout: Duration,
 ) {
     loop {
         match listener.accept().await {
             Ok((stream, _)) => {
                 let connection = Arc::new(connections.add().await);
                 let (connections, shared) = (Arc::clone(&connections), Arc::clone(&shared));
-                tokio::spawn(answer_all(stream, connection, connections, shared, head_patience));
+                tokio::spawn(answer_all(stream, connection, connections, shared, head_timeout));
             }
             // The system lacks a resource, or the client is already gone.
             Err(_) => sleep(REFUSED_WAIT).await,
@@ -112,13 +111,13 @@ async fn answer_all(
     connection: Arc<Connection>,
     connections: Arc<Connections>,
     shared: Arc<ServerState>,
-    head_patience: Duration,
+    head_timeout: Duration,
 ) {
     let Ok(local) = stream.local_addr() else { return };
     if SystemTime::now() < UNIX_EPOCH {
         // hyper cannot write the date header. A new socket is not known to be writable until this has waited
         // for it.
-        if let Ok(Ok(())) = timeout(CLOSING_PATIENCE, stream.writable()).await {
+        if let Ok(Ok(())) = timeout(CLOSING_TIMEOUT, stream.writable()).await {
             let _ = stream.try_write(CLOCK_IS_WRONG);
         }
         return;
@@ -127,10 +126,10 @@ async fn answer_all(
     let _ = stream.set_nodelay(true);
     let service = service_fn(|request| {
         let (shared, answering) = (Arc::clone(&shared), connection.begin());
-        let is_crowded = connections.is_crowded();
+        let is_busy = connections.is_busy();
         async move {
-            let answer = match is_crowded {
-                true => answer_in_a_crowd(&shared, &request, local).await,
+            let answer = match is_busy {
+                true => answer_when_busy(&shared, &request, local).await,
                 false => answer_to(&shared, &request, local).await,
             };
             Ok::<_, Infallible>(answer.map(|content| content.during(answering)))
@@ -139,7 +138,7 @@ async fn answer_all(
     let mut served = pin!(
         http1::Builder::new()
             .timer(TokioTimer::new())
-            .header_read_timeout(head_patience)
+            .header_read_timeout(head_timeout)
             .max_buf_size(HEAD_BYTES_MAX)
             .max_headers(HEAD_LINES_MAX)
             .serve_connection(TokioIo::new(StallTimeout::new(stream, Arc::clone(&connection))), service)
@@ -159,35 +158,35 @@ async fn answer_all(
 struct StallTimeout {
     stream: TcpStream,
     /// The rest of the client's time budget.
-    patience: Duration,
+    budget: Duration,
     /// Since when the client has read nothing, and a timer for the end of its budget; `None` while it reads.
-    held: Option<(Instant, Pin<Box<Sleep>>)>,
+    stalled: Option<(Instant, Pin<Box<Sleep>>)>,
     connection: Arc<Connection>,
 }
 
 impl StallTimeout {
     fn new(stream: TcpStream, connection: Arc<Connection>) -> StallTimeout {
-        StallTimeout { stream, patience: STALL_PATIENCE, held: None, connection }
+        StallTimeout { stream, budget: STALL_TIMEOUT, stalled: None, connection }
     }
 
     /// The client has read this many bytes.
-    fn taken(&mut self, count: usize) {
-        let held = self.held.take().map_or(Duration::ZERO, |(since, _)| since.elapsed());
-        self.patience = patience_after(self.patience, held, count);
+    fn on_read(&mut self, count: usize) {
+        let held = self.stalled.take().map_or(Duration::ZERO, |(since, _)| since.elapsed());
+        self.budget = budget_after(self.budget, held, count);
     }
 
     /// The client reads nothing; returns whether its time budget is used up.
     fn is_over(&mut self, context: &mut Context<'_>) -> bool {
-        let patience = self.patience;
-        let (_, end) = self.held.get_or_insert_with(|| (Instant::now(), Box::pin(sleep(patience))));
+        let patience = self.budget;
+        let (_, end) = self.stalled.get_or_insert_with(|| (Instant::now(), Box::pin(sleep(patience))));
         end.as_mut().poll(context).is_ready()
     }
 }
 
 /// The time budget after the client has read nothing for `held`, and has then read `taken_bytes`.
-fn patience_after(before: Duration, held: Duration, taken_bytes: usize) -> Duration {
-    let earned = Duration::from_secs_f64(taken_bytes as f64 / TAKEN_BYTES_PER_S_MIN);
-    (before.saturating_sub(held) + earned).min(STALL_PATIENCE)
+fn budget_after(before: Duration, held: Duration, taken_bytes: usize) -> Duration {
+    let earned = Duration::from_secs_f64(taken_bytes as f64 / READ_BYTES_PER_S_MIN);
+    (before.saturating_sub(held) + earned).min(STALL_TIMEOUT)
 }
 
 impl AsyncRead for StallTimeout {
@@ -205,7 +204,7 @@ impl AsyncWrite for StallTimeout {
         let this = self.get_mut();
         match Pin::new(&mut this.stream).poll_write(context, bytes) {
             Poll::Ready(Ok(count)) => {
-                this.taken(count);
+                this.on_read(count);
                 Poll::Ready(Ok(count))
             }
             Poll::Ready(Err(error)) => Poll::Ready(Err(error)),
@@ -244,10 +243,10 @@ mod tests {
     /// How many pieces of 20 kB a client receives that reads one every `every_s` seconds.
     fn pieces_taken(every_s: u64) -> usize {
         let every = Duration::from_secs(every_s);
-        let mut patience = STALL_PATIENCE;
+        let mut patience = STALL_TIMEOUT;
         let is_patient = |_: &usize| {
             let is_in_time = every < patience;
-            patience = patience_after(patience, every, 20_000);
+            patience = budget_after(patience, every, 20_000);
             is_in_time
         };
         (0..1000).take_while(is_patient).count()
@@ -266,7 +265,7 @@ mod tests {
     #[test]
     fn connection_that_is_idle_for_longest_is_closed_for_a_new_one() {
         // No connection times out while this test runs.
-        let limits = ConnectionLimits { connections_max: 20, head_patience: Duration::from_secs(3600) };
+        let limits = ConnectionLimits { connections_max: 20, head_timeout: Duration::from_secs(3600) };
         let (closing, is_closing) = watch::channel(false);
         let shared = Arc::new(ServerState {
             store: Arc::new(StatusStore::new()),
@@ -316,6 +315,6 @@ mod tests {
 
     #[test]
     fn time_budget_does_not_accumulate_beyond_its_limit() {
-        assert_eq!(patience_after(STALL_PATIENCE, Duration::ZERO, usize::MAX >> 16), STALL_PATIENCE);
+        assert_eq!(budget_after(STALL_TIMEOUT, Duration::ZERO, usize::MAX >> 16), STALL_TIMEOUT);
     }
 }

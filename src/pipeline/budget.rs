@@ -21,12 +21,12 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 /// A limit on shared memory, in bytes.
 pub(super) struct Budget {
     limit: u64,
-    taken: Mutex<Taken>,
-    given_back: Condvar,
+    reserved: Mutex<Reserved>,
+    released: Condvar,
 }
 
 #[derive(Default)]
-struct Taken {
+struct Reserved {
     /// Wide enough for any sum of 64-bit sizes.
     bytes: u128,
     admitted_count: usize,
@@ -44,7 +44,7 @@ pub(super) struct Reservation<'a> {
 impl Budget {
     /// A budget of `limit` bytes.
     pub(super) fn new(limit: u64) -> Budget {
-        Budget { limit, taken: Mutex::default(), given_back: Condvar::new() }
+        Budget { limit, reserved: Mutex::default(), released: Condvar::new() }
     }
 
     /// Waits until `bytes` more fit, or nothing is reserved.
@@ -57,33 +57,33 @@ impl Budget {
     /// Sets the memory that `owner` shares with all frames, while there are any. The smaller remaining budget
     /// cannot cause a deadlock: waiting frames still wait only for other frames.
     pub(super) fn set_shared(&self, owner: usize, bytes: u64) {
-        self.taken().aside.insert(owner, bytes);
-        self.given_back.notify_all();
+        self.reserved().aside.insert(owner, bytes);
+        self.released.notify_all();
     }
 
-    fn fits(&self, taken: &Taken, own_bytes: u128, bytes: u64) -> bool {
+    fn fits(&self, taken: &Reserved, own_bytes: u128, bytes: u64) -> bool {
         let aside_bytes: u128 = taken.aside.values().map(|&bytes| u128::from(bytes)).sum();
         taken.bytes - own_bytes + aside_bytes + u128::from(bytes) <= u128::from(self.limit)
     }
 
-    fn wait_while(&self, is_full: impl Fn(&Taken) -> bool) -> MutexGuard<'_, Taken> {
-        let waited = self.given_back.wait_while(self.taken(), |taken| is_full(taken));
+    fn wait_while(&self, is_full: impl Fn(&Reserved) -> bool) -> MutexGuard<'_, Reserved> {
+        let waited = self.released.wait_while(self.reserved(), |taken| is_full(taken));
         waited.unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Both numbers are consistent at any time, so a poisoned lock is, too.
-    fn taken(&self) -> MutexGuard<'_, Taken> {
-        self.taken.lock().unwrap_or_else(PoisonError::into_inner)
+    fn reserved(&self) -> MutexGuard<'_, Reserved> {
+        self.reserved.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Reservation<'_> {
     /// Records memory that is already allocated; may exceed the limit.
     pub(super) fn resize(&mut self, bytes: u64) {
-        let mut taken = self.budget.taken();
+        let mut taken = self.budget.reserved();
         taken.bytes = taken.bytes - u128::from(self.bytes) + u128::from(bytes);
         self.bytes = bytes;
-        self.budget.given_back.notify_all();
+        self.budget.released.notify_all();
     }
 
     /// Waits until `bytes` fit in place of the current reservation, or until no other frame computes.
@@ -101,10 +101,10 @@ impl Reservation<'_> {
 
 impl Drop for Reservation<'_> {
     fn drop(&mut self) {
-        let mut taken = self.budget.taken();
+        let mut taken = self.budget.reserved();
         taken.bytes -= u128::from(self.bytes);
         taken.admitted_count -= usize::from(self.is_admitted);
-        self.budget.given_back.notify_all();
+        self.budget.released.notify_all();
     }
 }
 
@@ -122,7 +122,7 @@ mod tests {
             budget.set_shared(owner, bytes);
         }
         let mut held = budget.reserve_input(4);
-        let fits = |bytes| budget.fits(&budget.taken(), 0, bytes);
+        let fits = |bytes| budget.fits(&budget.reserved(), 0, bytes);
         assert!(fits(2) && !fits(3));
         held.resize(1);
         assert!(fits(5) && !fits(6));

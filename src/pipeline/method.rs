@@ -67,19 +67,19 @@ pub trait Method: Sync {
 
 /// The method of this program.
 #[derive(Clone, Copy, Debug)]
-pub struct LevelSetSkinning;
+pub struct LevelSetMethod;
 
 /// A frame between two stages: in memory, or in tiles on disk.
 pub enum StagedSurface<T> {
     /// In one piece, with its particles if their attributes are needed later.
-    Whole(T, Option<ShapedSource<FrameInput>>),
+    InMemory(T, Option<ShapedSource<FrameInput>>),
     /// In tiles.
     Tiled(Box<TiledFrame<ShapedSource<FrameInput>>>),
     /// From a level-set file.
     OfLevelSet(Box<BoundedBand>),
 }
 
-impl Method for LevelSetSkinning {
+impl Method for LevelSetMethod {
     type Rasterized = StagedSurface<reconstruction::RasterizedFrame>;
     type Smoothed = StagedSurface<reconstruction::SmoothedFrame>;
 
@@ -137,7 +137,10 @@ impl Method for LevelSetSkinning {
             let mut rasterized = reconstruction::rasterize(&particles, settings, shape_stats, obstacles)?;
             rasterized.report_mut().seconds.rasterize = started.elapsed().as_secs_f64();
             particles.given().check_unchanged()?;
-            return Ok(StagedSurface::Whole(rasterized, settings.attributes.is_some().then_some(particles)));
+            return Ok(StagedSurface::InMemory(
+                rasterized,
+                settings.attributes.is_some().then_some(particles),
+            ));
         };
         let storages =
             (0..FIELD_STORE_FILES).map(|_| ScratchFile::storage(scratch)).collect::<io::Result<Vec<_>>>();
@@ -157,10 +160,10 @@ impl Method for LevelSetSkinning {
     ) -> Result<Self::Smoothed, Cause> {
         let started = Instant::now();
         Ok(match rasterized {
-            StagedSurface::Whole(rasterized, particles) => {
+            StagedSurface::InMemory(rasterized, particles) => {
                 let mut smoothed = reconstruction::smooth_observed(rasterized, settings, advanced);
                 smoothed.report_mut().seconds.smooth = started.elapsed().as_secs_f64();
-                StagedSurface::Whole(smoothed, particles)
+                StagedSurface::InMemory(smoothed, particles)
             }
             StagedSurface::Tiled(frame) => {
                 let mut smoothed = tiled::smooth(*frame, settings, advanced).map_err(Cause::Scratch)?;
@@ -183,7 +186,7 @@ impl Method for LevelSetSkinning {
     ) -> Result<FrameSurface, Cause> {
         let started = Instant::now();
         let (mut surface, particles) = match smoothed {
-            StagedSurface::Whole(smoothed, particles) => {
+            StagedSurface::InMemory(smoothed, particles) => {
                 (reconstruction::contour(smoothed, settings, &stored(outputs)), particles)
             }
             StagedSurface::Tiled(frame) => {

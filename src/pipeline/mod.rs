@@ -24,7 +24,7 @@
 //! ```
 //! use std::sync::Arc;
 //! use meniscus::pipeline::{
-//!     PipelineOptions, Frame, FrameFile, LevelSetSkinning, Outcome, OutputFormat, OutputOptions, measure_spacing, run,
+//!     PipelineOptions, Frame, FrameFile, LevelSetMethod, Outcome, OutputFormat, OutputOptions, measure_spacing, run,
 //! };
 //! use meniscus::surface::options::{MethodOptions, Settings};
 //!
@@ -38,7 +38,7 @@
 //! let outputs = Arc::new(OutputOptions::new(&out, &[OutputFormat::Glb, OutputFormat::Vdb]));
 //! let frames = [Frame::new(&FrameFile::new(path), &settings, &outputs)];
 //! let pool = rayon::ThreadPoolBuilder::new().build()?;
-//! run(&LevelSetSkinning, &frames, &PipelineOptions::new(&pool), |_, outcome| match outcome {
+//! run(&LevelSetMethod, &frames, &PipelineOptions::new(&pool), |_, outcome| match outcome {
 //!     Outcome::Converted(report) => assert_eq!(report.outputs, [out.join("block.glb"), out.join("block.vdb")]),
 //!     other => panic!("{other:?}"),
 //! });
@@ -63,6 +63,7 @@ mod target;
 mod warning;
 
 pub use error::{Cause, FrameError, ObstacleError, Stage};
+pub use files::atomic_write::{replace_own, stop_writing, write_atomically};
 pub use files::input_file::InputFile;
 pub(crate) use files::names::text_of_name;
 pub use files::number_pattern::{NumberPattern, files_in, is_absent, is_link_loop, may_be_file};
@@ -73,13 +74,12 @@ pub use files::out_folder::{
     OutFolderError, check_out_folder, is_disk_full, make_out_folder, recover_out_folder,
     refuse_file_for_folder,
 };
-pub use files::path_identity::{are_one_file, entry};
+pub use files::path_identity::{are_same_file, canonical_entry};
 pub use files::shown::{STANDARD_INPUT, show_as, shown};
-pub use files::sink::{replace_own, stop_writing, write_whole};
 pub use files::stamp::FileStamp;
 pub use files::sweep::{SweepError, Swept, remove_left_behind, sweep_temporaries};
-pub use input::attributes::Wanted;
-pub use input::bounds::{NOTHING, bounds_of_particles, sequence_bounds};
+pub use input::attributes::AttributeRequest;
+pub use input::bounds::{EMPTY_BOUNDS, bounds_of_particles, sequence_bounds};
 pub use input::conflicts::{Conflict, check_outputs};
 pub use input::frame::{Frame, FrameReport, Job, Outcome, ReadInput, Seconds};
 pub use input::frame_input::FrameInput;
@@ -91,15 +91,15 @@ pub use input::obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
 pub use input::reading::{ReadFrame, parse_particles, particles, read_file};
 pub(crate) use input::source::output_stem;
 pub use input::source::{
-    FrameFile, Sequence, has_particle_extension, have_fallen_apart, natural_order, order_subframes,
+    FrameFile, Sequence, are_single_frames, has_particle_extension, natural_order, order_subframes,
     promises_particles, sequences, single_frame_sequences, single_frames_note,
 };
 pub use input::steps::{
-    FileFrames, StepsFoundBy, file_of, frame_name, frames_in, frames_in_unless, is_missing_step,
+    FileFrames, IndexPolicy, file_of, frame_name, frames_in, frames_in_unless, is_missing_step,
     may_hold_several, size_bytes, step_of,
 };
 pub use memory::{default_memory_bytes, resident_memory_bytes};
-pub use method::{LevelSetSkinning, Method};
+pub use method::{LevelSetMethod, Method};
 pub use observer::Observer;
 pub use output::writing::{encode_level_set, mesh_view, vertex_attributes};
 pub use phase_timer::PhaseTimer;
@@ -113,7 +113,10 @@ pub use records::provenance::{
     picture_provenance, settings_fingerprint, sheet_provenance,
 };
 pub use records::record::{RunRecord, SequenceRecord};
-pub use records::shot::{ShotError, ShotFormat, ShotOptions, ShotReport, ShotSource, is_shot, write_shot};
+pub use records::sequence_file::{
+    SequenceError, SequenceFormat, SequenceOptions, SequenceReport, SequenceSource, is_sequence_file,
+    write_sequence_file,
+};
 pub use stages::{OnError, PipelineOptions, default_in_flight, run, stream};
 pub use target::close_up::close_up;
 pub use target::framing::{Framed, Framing};

@@ -9,11 +9,11 @@ use crate::surface::particles::{OwnedPositions, ParticleCloud};
 use crate::surface::reconstruction::FrameSurface;
 
 use crate::pipeline::error::{Cause, FrameError, Stage};
-use crate::pipeline::input::attributes::Wanted;
+use crate::pipeline::input::attributes::AttributeRequest;
 use crate::pipeline::input::frame_input::FrameInput;
 use crate::pipeline::input::obstacles::ObstacleFiles;
 use crate::pipeline::input::reading::{ReadFrame, parse_particles, read_file};
-use crate::pipeline::method::{LevelSetSkinning, Method};
+use crate::pipeline::method::{LevelSetMethod, Method};
 use crate::pipeline::output::writing::surface_warnings;
 use crate::pipeline::records::frame_warnings::left_out;
 use crate::pipeline::target::outputs::OutputOptions;
@@ -52,7 +52,8 @@ impl LoadedFrame {
         stage(path, Stage::Read, || {
             let bytes = read_file(path).map_err(|error| error.cause)?;
             let hash = XxHash3_128::oneshot(&bytes);
-            let read = parse_particles(path, &bytes, &Wanted::by(settings)).map_err(|error| error.cause)?;
+            let read = parse_particles(path, &bytes, &AttributeRequest::for_settings(settings))
+                .map_err(|error| error.cause)?;
             let ReadFrame { cloud, warnings, .. } = read;
             Ok(LoadedFrame { path: path.to_owned(), number, cloud, hash, warnings })
         })
@@ -96,7 +97,7 @@ impl LoadedFrame {
         warnings.append(&mut loaded.warnings);
         let obstacles = loaded.recorded.clone();
         let given = FrameInput::InMemory(self.cloud.clone());
-        let method = LevelSetSkinning;
+        let method = LevelSetMethod;
         let plan = stage(path, Stage::Read, || method.plan(&given, &loaded, settings, memory_bytes))?;
         let rasterize = || method.rasterize(given, loaded, settings, &plan, &outputs.folder);
         let rasterized = stage(path, Stage::Rasterize, rasterize)?;

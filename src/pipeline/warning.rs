@@ -47,13 +47,13 @@ pub enum Warning {
     /// The surface has many holes.
     Holes { particle_count: usize, hole_count: usize, voxel_size: f64 },
     /// The surface is in many pieces, and none of them has most of it.
-    Torn { particle_count: usize, piece_count: usize, voxel_size: f64 },
+    Fragmented { particle_count: usize, piece_count: usize, voxel_size: f64 },
     /// All particles are within this many voxels.
     Blob { particle_count: usize, width_voxels: f64, voxel_size: f64 },
     /// A format rounds positions; `storage` describes how it stores them.
     RoundedPositions { voxels: f64, storage: &'static str },
     /// An attribute that a .vdb cannot hold.
-    NotInVdb { name: String },
+    UnsupportedInVdb { name: String },
     /// Radii too small for the grid; r_min of the smallest one in world units.
     SmallRadii { count: usize, radius_min: f64 },
     /// Radii that are not positive numbers.
@@ -69,7 +69,7 @@ pub enum Warning {
     /// Voxels of a .vdb without a particle in range of the attribute transfer.
     VoxelsWithoutAttributes { count: usize },
     /// Particles that the surface ignores, and the approximate position of one of them.
-    LeftOut { count: usize, near: Option<DVec3> },
+    ParticlesIgnored { count: usize, near: Option<DVec3> },
     /// Particles in obstacles.
     ParticlesInObstacles { count: usize, are_most: bool },
     /// The conjugate gradients stopped before they converged.
@@ -100,11 +100,11 @@ pub enum ObstacleFinding {
     /// Its mesh is open.
     Open { edge_count: usize, encloses_nothing: bool },
     /// Triangles with reversed orientation, which were flipped.
-    Turned { triangle_count: usize },
+    Flipped { triangle_count: usize },
     /// Parts that seem to face inwards, but were not changed.
-    Unasked { part_count: usize },
+    PossiblyInverted { part_count: usize },
     /// Triangles with an invalid vertex.
-    Broken { triangle_count: usize },
+    InvalidTriangles { triangle_count: usize },
     /// No triangle has an area.
     Flat,
     /// Its level set had no distances in places.
@@ -137,7 +137,9 @@ impl ReportedWarnings {
             Warning::Sentence(text) => {
                 (None, text.chars().filter(|c| !(c.is_ascii_digit() || ".-".contains(*c))).collect())
             }
-            Warning::MissingAttribute { name, .. } | Warning::NotInVdb { name } => (None, name.clone()),
+            Warning::MissingAttribute { name, .. } | Warning::UnsupportedInVdb { name } => {
+                (None, name.clone())
+            }
             Warning::RoundedPositions { storage, .. } => (None, (*storage).to_owned()),
             Warning::Obstacle { path, finding } => {
                 (Some(std::mem::discriminant(finding)), path.to_string_lossy().into_owned())
@@ -152,7 +154,7 @@ impl Warning {
     /// The frames that the warning applies to.
     pub fn scope(&self) -> Scope {
         match self {
-            Warning::LeftOut { .. }
+            Warning::ParticlesIgnored { .. }
             | Warning::ParticlesInObstacles { .. }
             | Warning::NotConverged
             | Warning::CflExceeded { .. }
@@ -178,7 +180,7 @@ impl Warning {
     /// Whether the frame has a fault, whatever it was converted with: ignored particles, or a broken
     /// guarantee.
     pub fn is_flaw(&self) -> bool {
-        matches!(self, Warning::LeftOut { .. }) || self.breaks_guarantee()
+        matches!(self, Warning::ParticlesIgnored { .. }) || self.breaks_guarantee()
     }
 }
 
@@ -282,7 +284,7 @@ impl Warning {
                 pluralize(*hole_count, "hole"),
                 significant(*voxel_size)
             ),
-            Warning::Torn { particle_count, piece_count, voxel_size } => write!(
+            Warning::Fragmented { particle_count, piece_count, voxel_size } => write!(
                 f,
                 "{particle_count} particles became {piece_count} pieces, none with half of the volume: they are spray, or torn because \
                  voxels of {} or the radii are too small for the particle spacing",
@@ -303,11 +305,11 @@ impl Warning {
             Warning::RoundedPositions { voxels, storage } => {
                 write!(f, "vertices are moved by up to {voxels:.3} voxels in {storage}")
             }
-            Warning::NotInVdb { ref name } => write!(
+            Warning::UnsupportedInVdb { ref name } => write!(
                 f,
                 "{name} is not in the .vdb: its grids hold one or three numbers for each voxel that can be averaged"
             ),
-            Warning::LeftOut { count, near } => {
+            Warning::ParticlesIgnored { count, near } => {
                 write!(f, "{} left out: not finite, or too far away", pluralize(count, "particle"))?;
                 near.map_or(Ok(()), |near| {
                     let [x, y, z] = near.to_array().map(significant);
@@ -373,14 +375,14 @@ impl fmt::Display for ObstacleFinding {
             ObstacleFinding::Open { edge_count, encloses_nothing: false } => {
                 write!(f, "{edge_count} open edges: holes are closed where its winding number is 1/2")
             }
-            ObstacleFinding::Turned { triangle_count } => {
+            ObstacleFinding::Flipped { triangle_count } => {
                 write!(f, "{triangle_count} triangles were flipped because they faced the other way")
             }
-            ObstacleFinding::Unasked { part_count } => write!(
+            ObstacleFinding::PossiblyInverted { part_count } => write!(
                 f,
                 "{part_count} parts seem to face inwards and were not flipped: too many parts to detect cavities"
             ),
-            ObstacleFinding::Broken { triangle_count } => {
+            ObstacleFinding::InvalidTriangles { triangle_count } => {
                 write!(f, "{triangle_count} triangles ignored: a vertex is not finite, or does not exist")
             }
             ObstacleFinding::Flat => f.write_str("no triangle has an area, so the obstacle has no effect"),
@@ -417,16 +419,16 @@ mod tests {
             (Warning::SmallRadii { count: 1, radius_min: 0.1 }, true),
             (Warning::SmallRadii { count: 2, radius_min: 0.2 }, false),
             (Warning::InvalidRadii { count: 1 }, true),
-            (Warning::NotInVdb { name: "id".to_owned() }, true),
-            (Warning::NotInVdb { name: "age".to_owned() }, true),
-            (Warning::NotInVdb { name: "id".to_owned() }, false),
+            (Warning::UnsupportedInVdb { name: "id".to_owned() }, true),
+            (Warning::UnsupportedInVdb { name: "age".to_owned() }, true),
+            (Warning::UnsupportedInVdb { name: "id".to_owned() }, false),
             (sentence("3 columns are not read"), true),
             (sentence("14 columns are not read"), false),
             (sentence("3 rows are not read"), true),
             (about("a.obj", ObstacleFinding::Flat), true),
             (about("b.obj", ObstacleFinding::Flat), true),
-            (about("a.obj", ObstacleFinding::Turned { triangle_count: 1 }), true),
-            (about("a.obj", ObstacleFinding::Turned { triangle_count: 9 }), false),
+            (about("a.obj", ObstacleFinding::Flipped { triangle_count: 1 }), true),
+            (about("a.obj", ObstacleFinding::Flipped { triangle_count: 9 }), false),
         ] {
             assert_eq!(reported.is_new(&warning), is_new, "{warning}");
         }

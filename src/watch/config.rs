@@ -29,7 +29,7 @@ pub struct WatchConfig {
     /// No frame is started while the file system of its outputs has less free space than this.
     pub disk_floor_bytes: u64,
     /// How long a file must be unchanged before it is read.
-    pub patience: Patience,
+    pub timeouts: StabilityTimeouts,
     /// When to poll instead of waiting for file-system events.
     pub poll: Poll,
     /// Approximate interval between full scans, which run even without events.
@@ -98,11 +98,12 @@ pub enum Order {
 
 /// How long a file must be unchanged before it is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Patience {
+pub struct StabilityTimeouts {
     /// A file whose format says that it is complete, or whose reader detects truncation.
     pub settle: Duration,
     /// A file whose format cannot show whether it is complete.
-    pub unproven: Duration,
+    #[serde(rename = "unproven")]
+    pub unverifiable: Duration,
     /// A file whose format says that it is incomplete. It is then read, to report the error.
     pub stalled: Duration,
 }

@@ -221,7 +221,7 @@ impl<'a> EventLoop<'a> {
         loop {
             self.settle_batch()?;
             // A pipeline that still hangs after the deadline is abandoned.
-            let is_abandoned = overdue_at.is_none() && !self.core.has_frames_under_way(false);
+            let is_abandoned = overdue_at.is_none() && !self.core.has_frames_in_progress(false);
             if self.pipelines.is_empty() || is_abandoned {
                 break;
             }
@@ -320,7 +320,7 @@ mod tests {
 
     use crate::pipeline::{OutputFormat, OutputOptions};
     use crate::surface::options::MethodOptions;
-    use crate::watch::config::{Order, Patience, Poll, Watch};
+    use crate::watch::config::{Order, Poll, StabilityTimeouts, Watch};
     use crate::watch::core::events::{RootRequest, Worker};
     use crate::watch::io::worker::{Pulse, StallMonitor, Work, spawn};
 
@@ -363,9 +363,9 @@ mod tests {
             in_flight: 2,
             memory_bytes: 1 << 30,
             disk_floor_bytes: 0,
-            patience: Patience {
+            timeouts: StabilityTimeouts {
                 settle: Duration::ZERO,
-                unproven: Duration::ZERO,
+                unverifiable: Duration::ZERO,
                 stalled: Duration::from_secs(60),
             },
             poll: Poll::Every(Duration::from_millis(50)),

@@ -17,7 +17,7 @@ use twox_hash::XxHash3_128;
 
 use crate::pipeline::{FrameFile, ObstacleFiles, file_of, is_missing_step, outputs_made_from, read_file};
 
-use super::config::{Patience, Watch};
+use super::config::{StabilityTimeouts, Watch};
 use super::core::completeness::{Candidate, Readiness, Seen, WaitReason};
 use super::core::decision::{ConvertReason, Decision, SkipReason, decide};
 use super::core::sequences::{SequenceSettings, choices_fingerprint, fingerprint_with};
@@ -37,7 +37,7 @@ pub struct Question<'a> {
     /// The folders of all outputs.
     pub output_folders: &'a [PathBuf],
     /// How long it must be unchanged.
-    pub patience: &'a Patience,
+    pub timeouts: &'a StabilityTimeouts,
     /// Its record in the journal.
     pub record: Option<&'a JournaledFrame>,
     /// The [fingerprint](remembered_fingerprint) of its current settings. If it is unknown, the settings
@@ -49,7 +49,7 @@ pub struct Question<'a> {
 #[derive(Clone, Debug)]
 pub struct Explanation {
     /// Whether its path selects it as a frame.
-    pub is_taken: bool,
+    pub is_selected: bool,
     /// The file; `None` if it is missing.
     pub file: Option<FileFacts>,
     /// Whether its settings are those in the record; `None` if either is unknown.
@@ -88,13 +88,13 @@ pub enum FrameExplanation {
     /// The file, or the step in it, does not exist.
     Gone,
     /// Its path does not select it as a frame.
-    NotTaken,
+    NotSelected,
     /// The journal decides that it stays as it is.
     Skipped(SkipReason),
     /// It is incomplete.
     Waits(WaitReason),
     /// It is complete but contains no particles.
-    NoFrame(SniffedContent),
+    NotAFrame(SniffedContent),
     /// The journal has no record of it, and these outputs say that they were made from the current file.
     Found(Vec<PathBuf>),
     /// It is, or will be, converted, for this reason.
@@ -126,7 +126,7 @@ pub fn explain(question: &Question<'_>) -> io::Result<Explanation> {
     let selection =
         FileFilter::new(watch.pattern.as_deref(), watch.recursive, question.output_folders.to_vec())
             .map_err(|error| io::Error::new(io::ErrorKind::InvalidInput, error))?;
-    let is_taken = selection.takes(&watch.input, file_of(frame));
+    let is_selected = selection.takes(&watch.input, file_of(frame));
     let settings_hold = record.zip(question.settings).map(|(record, settings)| record.settings == settings);
     let output_missing = record.and_then(first_missing_output);
     let seen = look(frame, trust_clock(frame))?;
@@ -136,11 +136,11 @@ pub fn explain(question: &Question<'_>) -> io::Result<Explanation> {
         None => (None, FrameExplanation::Gone),
         Some(seen) => {
             let (file, decision) = facts(question, &seen, output_missing.as_deref())?;
-            let verdict = if is_taken { verdict(&file, decision) } else { FrameExplanation::NotTaken };
+            let verdict = if is_selected { verdict(&file, decision) } else { FrameExplanation::NotSelected };
             (Some(file), found_done(question, verdict)?)
         }
     };
-    Ok(Explanation { is_taken, file, settings_hold, output_missing, verdict })
+    Ok(Explanation { is_selected, file, settings_hold, output_missing, verdict })
 }
 
 /// The order of the loop: first the record, then whether the file is complete, then its kind.
@@ -149,7 +149,7 @@ fn verdict(file: &FileFacts, decision: Decision) -> FrameExplanation {
         (Decision::Skip(reason), _, _) => FrameExplanation::Skipped(reason),
         (_, Readiness::Waiting { why, .. }, _) => FrameExplanation::Waits(why),
         (_, _, other @ (SniffedContent::OwnOutput | SniffedContent::NotParticles)) => {
-            FrameExplanation::NoFrame(other)
+            FrameExplanation::NotAFrame(other)
         }
         (decision, _, SniffedContent::Particles) => FrameExplanation::Converted(decision),
     }
@@ -174,9 +174,9 @@ fn facts(
     seen: &Seen,
     output_missing: Option<&Path>,
 ) -> io::Result<(FileFacts, Decision)> {
-    let Question { frame, watch, patience, record, .. } = *question;
+    let Question { frame, watch, timeouts, record, .. } = *question;
     let now = Instant::now();
-    let readiness = readiness_of(file_of(frame), &Candidate::new(now, seen, false), now, watch, patience);
+    let readiness = readiness_of(file_of(frame), &Candidate::new(now, seen, false), now, watch, timeouts);
     let is_same = |record: &JournaledFrame| record.stamp.still_holds(&seen.stamp);
     // Only a file with the same size and another time must be read to compare its content.
     let is_to_read = |record: &&JournaledFrame| {
@@ -213,15 +213,15 @@ impl fmt::Display for FrameExplanation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             FrameExplanation::Gone => f.write_str("is not converted because there is no such frame"),
-            FrameExplanation::NotTaken => {
+            FrameExplanation::NotSelected => {
                 f.write_str("is not converted because its path does not select it as a frame")
             }
             FrameExplanation::Skipped(reason) => write!(f, "is not converted because {reason}"),
             FrameExplanation::Waits(why) => write!(f, "is not converted yet because {why}"),
-            FrameExplanation::NoFrame(SniffedContent::OwnOutput) => {
+            FrameExplanation::NotAFrame(SniffedContent::OwnOutput) => {
                 f.write_str("is not converted because this program made it")
             }
-            FrameExplanation::NoFrame(_) => f.write_str("is not converted because it holds no particles"),
+            FrameExplanation::NotAFrame(_) => f.write_str("is not converted because it holds no particles"),
             FrameExplanation::Found(outputs) => {
                 let names: Vec<_> =
                     outputs.iter().filter_map(|path| path.file_name()).map(OsStr::to_string_lossy).collect();
@@ -255,7 +255,7 @@ mod tests {
     use crate::pipeline::{OutputFormat, OutputOptions};
     use crate::surface::options::MethodOptions;
     use crate::watch::core::completeness::Proof;
-    use crate::watch::journal::{OutputRecord, Standing};
+    use crate::watch::journal::{JournaledStatus, OutputRecord};
 
     const FRAME: &[u8] = b"ply\nformat ascii 1.0\nelement vertex 1\n\
         property float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n";
@@ -305,10 +305,10 @@ mod tests {
             fs::write(&self.frame, bytes).expect("written");
         }
 
-        /// The record of the frame in its current state with this standing.
-        fn record(&self, standing: Standing) -> JournaledFrame {
+        /// The record of the frame in its current state with this status.
+        fn record(&self, status: JournaledStatus) -> JournaledFrame {
             JournaledFrame {
-                standing,
+                status,
                 stamp: FileStamp::of_path(&self.frame).expect("there"),
                 hash: Some(XxHash3_128::oneshot(FRAME)),
                 settings: "s".into(),
@@ -334,7 +334,7 @@ mod tests {
                 frame: &self.frame,
                 watch: &self.watch,
                 output_folders: std::slice::from_ref(&self.watch.outputs.folder),
-                patience: &Patience { settle, unproven: settle, stalled: settle },
+                timeouts: &StabilityTimeouts { settle, unverifiable: settle, stalled: settle },
                 record,
                 settings,
             })
@@ -369,7 +369,7 @@ mod tests {
     #[test]
     fn done_frame_is_skipped_while_nothing_has_changed() {
         let bench = Bench::new();
-        let record = bench.record(Standing::Done);
+        let record = bench.record(JournaledStatus::Done);
         let told = bench.explain(Some(&record), Some("s"), 3600);
         assert_eq!(told.verdict, FrameExplanation::Skipped(SkipReason::Done));
         assert_eq!((told.settings_hold, told.output_missing), (Some(true), None));
@@ -386,9 +386,9 @@ mod tests {
         fs::remove_file(&bench.output).expect("removed");
         let missing = ConvertReason::OutputMissing(bench.output.clone());
         assert_eq!(bench.verdict(Some(&record)), FrameExplanation::Converted(Decision::Convert(missing)));
-        let failed = bench.record(Standing::Failed);
+        let failed = bench.record(JournaledStatus::Failed);
         assert_eq!(bench.verdict(Some(&failed)), FrameExplanation::Skipped(SkipReason::FailedUnchanged));
-        let refused = bench.record(Standing::Refused);
+        let refused = bench.record(JournaledStatus::Refused);
         let told = bench.verdict(Some(&refused)).to_string();
         assert!(told.contains("once the files that blocked it are gone"), "{told}");
     }
@@ -396,7 +396,7 @@ mod tests {
     #[test]
     fn touched_file_is_recognized_by_its_content() {
         let bench = Bench::new();
-        let record = bench.record(Standing::Done);
+        let record = bench.record(JournaledStatus::Done);
         let touch = |bytes: &[u8], seconds| {
             bench.write(bytes);
             let time = SystemTime::UNIX_EPOCH + Duration::from_secs(seconds);
@@ -424,13 +424,17 @@ mod tests {
         let mut bench = Bench::new();
         bench.watch.pattern = Some("spray*".into());
         let told = bench.explain(None, None, 0);
-        assert_eq!((told.is_taken, told.verdict), (false, FrameExplanation::NotTaken));
+        assert_eq!((told.is_selected, told.verdict), (false, FrameExplanation::NotSelected));
         bench.watch.pattern = Some("[".into());
         let question = Question {
             frame: &bench.frame,
             watch: &bench.watch,
             output_folders: &[],
-            patience: &Patience { settle: Duration::ZERO, unproven: Duration::ZERO, stalled: Duration::ZERO },
+            timeouts: &StabilityTimeouts {
+                settle: Duration::ZERO,
+                unverifiable: Duration::ZERO,
+                stalled: Duration::ZERO,
+            },
             record: None,
             settings: None,
         };
@@ -440,6 +444,6 @@ mod tests {
         bench.frame = bench.frame.with_file_name("notes.txt");
         assert_eq!(bench.verdict(None), FrameExplanation::Gone);
         bench.write(b"Nothing to see here, just words.\n");
-        assert_eq!(bench.verdict(None), FrameExplanation::NoFrame(SniffedContent::NotParticles));
+        assert_eq!(bench.verdict(None), FrameExplanation::NotAFrame(SniffedContent::NotParticles));
     }
 }

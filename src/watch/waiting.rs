@@ -22,7 +22,7 @@ use std::time::{Duration, Instant};
 
 use crate::pipeline::{FileStamp, file_of};
 
-use super::config::{Patience, Watch};
+use super::config::{StabilityTimeouts, Watch};
 use super::core::completeness::{Candidate, Readiness, Seen, WaitReason};
 use super::explain::trust_clock;
 use super::io::evidence::readiness_of;
@@ -56,9 +56,9 @@ pub fn waiting(state: &JournalState) -> Waiting {
     let (tell, told) = channel();
     let until = Instant::now() + TIME_MAX;
     // If a folder hangs, the thread ends with the process.
-    let looking = move || look_for(&plan, &known, (FILES_MAX, &trust_clock), &tell);
+    let looking = move || search(&plan, &known, (FILES_MAX, &trust_clock), &tell);
     match thread::Builder::new().name("look".into()).spawn(looking) {
-        Ok(_) => gathered(&told, until),
+        Ok(_) => collect(&told, until),
         Err(_) => Waiting { is_cut_short: true, ..Waiting::default() },
     }
 }
@@ -67,10 +67,10 @@ pub fn waiting(state: &JournalState) -> Waiting {
 type JournaledFiles = HashSet<(PathBuf, FileStamp)>;
 
 /// A file that waits; `None` when the search is finished.
-type Told = Option<(PathBuf, WaitReason)>;
+type WaitingFile = Option<(PathBuf, WaitReason)>;
 
 /// Collects the results that arrive before `until`.
-fn gathered(told: &Receiver<Told>, until: Instant) -> Waiting {
+fn collect(told: &Receiver<WaitingFile>, until: Instant) -> Waiting {
     let mut waiting = Waiting::default();
     loop {
         match told.recv_timeout(until.saturating_duration_since(Instant::now())) {
@@ -87,11 +87,11 @@ fn gathered(told: &Receiver<Told>, until: Instant) -> Waiting {
 
 /// Inspects up to `files_left` files that are not in the journal. `trust_clock` says whether the times at a
 /// path are by the clock of this machine.
-fn look_for(
+fn search(
     plan: &PlanRecord,
     known: &JournaledFiles,
     (mut files_left, trust_clock): (usize, &dyn Fn(&Path) -> bool),
-    tell: &Sender<Told>,
+    tell: &Sender<WaitingFile>,
 ) {
     let output_folders: Vec<PathBuf> =
         plan.watches.iter().map(|watch| watch.outputs.folder.clone()).collect();
@@ -111,7 +111,7 @@ fn look_for(
             let Some(left) = files_left.checked_sub(1) else { return };
             files_left = left;
             let (path, _) = file;
-            let Some(why) = why_waiting(&path, &seen, watch, &plan.patience) else { continue };
+            let Some(why) = why_waiting(&path, &seen, watch, &plan.timeouts) else { continue };
             // The receiver is dropped once the time is up.
             if told.insert(path.clone()) && tell.send(Some((path, why))).is_err() {
                 return;
@@ -122,12 +122,12 @@ fn look_for(
     let _ = tell.send(None);
 }
 
-fn why_waiting(path: &Path, seen: &Seen, watch: &Watch, patience: &Patience) -> Option<WaitReason> {
+fn why_waiting(path: &Path, seen: &Seen, watch: &Watch, timeouts: &StabilityTimeouts) -> Option<WaitReason> {
     let now = Instant::now();
     // Without an age, the file would count as just changed at every request.
-    let settle = if seen.age.is_some() { patience.settle } else { Duration::ZERO };
-    let patience = Patience { settle, ..*patience };
-    let readiness = readiness_of(path, &Candidate::new(now, seen, false), now, watch, &patience);
+    let settle = if seen.age.is_some() { timeouts.settle } else { Duration::ZERO };
+    let timeouts = StabilityTimeouts { settle, ..*timeouts };
+    let readiness = readiness_of(path, &Candidate::new(now, seen, false), now, watch, &timeouts);
     let Readiness::Waiting { why, .. } = readiness else { return None };
     let is_told = seen.age.is_some() || matches!(why, WaitReason::Sentinel | WaitReason::Incomplete { .. });
     // A file that cannot be read may be a frame: the attempt to read it reports why it fails.
@@ -180,11 +180,11 @@ mod tests {
     /// limit.
     fn found(watches: Vec<Watch>, limits: (usize, &dyn Fn(&Path) -> bool)) -> (Vec<String>, bool) {
         let hour = Duration::from_secs(3600);
-        let patience = Patience { settle: hour, unproven: hour, stalled: hour };
+        let timeouts = StabilityTimeouts { settle: hour, unverifiable: hour, stalled: hour };
         let (tell, told) = channel();
-        look_for(&PlanRecord { watches, patience }, &JournaledFiles::new(), limits, &tell);
+        search(&PlanRecord { watches, timeouts }, &JournaledFiles::new(), limits, &tell);
         drop(tell);
-        let Waiting { files, is_cut_short } = gathered(&told, Instant::now() + hour);
+        let Waiting { files, is_cut_short } = collect(&told, Instant::now() + hour);
         let mut files: Vec<String> = files
             .into_iter()
             .map(|(path, why)| {
@@ -192,7 +192,7 @@ mod tests {
                 let why = match why {
                     WaitReason::Sentinel => "sentinel",
                     WaitReason::Changing => "changing",
-                    WaitReason::Unproven => "unproven",
+                    WaitReason::Unverifiable => "unproven",
                     WaitReason::Incomplete { .. } => "incomplete",
                 };
                 format!("{name}: {why}")
@@ -233,7 +233,7 @@ mod tests {
         // A file that was found before a folder hangs.
         let (tell, told) = channel();
         tell.send(Some(("dam.1.ply".into(), WaitReason::Changing))).expect("heard");
-        let waiting = gathered(&told, Instant::now() + Duration::from_millis(20));
+        let waiting = collect(&told, Instant::now() + Duration::from_millis(20));
         assert_eq!((waiting.files.len(), waiting.is_cut_short), (1, true));
     }
 }

@@ -7,16 +7,16 @@
 
 mod bursts; // bursts that overflow the event queue; folders that arrive with files
 mod conflicts; // outputs whose names collide with other files
+mod http; // the HTTP server: contents, access, and misbehaving clients
+mod invalid_files; // files that are not frames, and unreadable frames
 mod killed; // SIGKILL loses no frame and leaves no incomplete output
-mod links; // links and named pipes instead of files
-mod oddities; // files that are not frames, and unreadable frames
-mod remembered; // state survives a restart, also without the journal
+mod links_and_pipes; // links and named pipes instead of files
+mod log; // `status`, `why` and the log, for running and stopped daemons
+mod restart; // state survives a restart, also without the journal
 mod rewrites; // frames that change before, during or after conversion
 mod scene; // a watched folder, the daemon beside it, and its log
 mod sentinels; // sentinel files, which mark a frame as complete
 mod sequences; // one voxel size for a sequence, in any order
 mod signals; // signals: end, end at once, reload the configuration
 mod steps; // dumps to which a simulation appends steps
-mod told; // `status`, `why` and the log, for running and stopped daemons
-mod window; // the HTTP server: contents, access, and misbehaving clients
 mod writers; // the ways in which programs write frames

@@ -4,8 +4,8 @@ use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
 
+use crate::http::get;
 use crate::scene::{Line, NO_SCANS, Scene, WINDOW, Watching, block, contents, moving, names_in, ply};
-use crate::window::get;
 
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 

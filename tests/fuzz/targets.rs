@@ -14,7 +14,7 @@ use std::net::{Shutdown, SocketAddr, TcpStream};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
-use meniscus::http::{Listen, Window};
+use meniscus::http::{HttpServer, Listen};
 use meniscus::watch::journal::Journal;
 use meniscus::watch::status_store::StatusStore;
 use meniscus_formats::steps::find_steps;
@@ -254,11 +254,11 @@ fn with_checksum(line: &[u8]) -> Vec<u8> {
 
 /// Sends bytes to the HTTP server and reads the response. The next request must succeed.
 fn window(bytes: &[u8]) {
-    static WINDOW: OnceLock<(Window, Arc<StatusStore>)> = OnceLock::new();
+    static WINDOW: OnceLock<(HttpServer, Arc<StatusStore>)> = OnceLock::new();
     let (window, store) = WINDOW.get_or_init(|| {
         let address = "127.0.0.1:0".parse().expect("an address");
         let store = Arc::new(StatusStore::new());
-        (Window::open(&Listen { address, token: None }, Arc::clone(&store)).expect("a window"), store)
+        (HttpServer::open(&Listen { address, token: None }, Arc::clone(&store)).expect("a window"), store)
     });
     store.pulse();
     let mut stream = connect(window.address());

@@ -7,7 +7,6 @@ mod cli; // the command: exit statuses, messages, names, refused arguments
 mod convert; // the command on real frames: same bytes, reports, frames that are done
 #[cfg(unix)]
 mod escaping; // names and contents of files neither forge lines nor control the terminal
-mod farm; // frames divided among machines: plans, shards, verification
 mod flicker; // how much surfaces flicker: spheres that are known, in meshes of every format
 mod info; // the command that describes files
 mod invariance; // changes of the input that keep the surface bit for bit; bounds
@@ -19,18 +18,20 @@ mod names; // names of frames and results: frame numbers, single files, pipes, c
 mod obstacles; // obstacles: contact without gaps, from meshes to reports (paper, Fig. 15 and 16)
 mod offset; // surface offset: position and guarantees
 mod oracle; // the method against the paper's algorithms on a plain dense grid, in double precision
-mod own_shapes; // per-particle radii and shapes (paper, Fig. 11 and 13)
 mod particles_only; // particles from one format to another, without a surface
+mod per_particle_shapes; // per-particle radii and shapes (paper, Fig. 11 and 13)
 mod pictures; // pictures of balls with known geometry; picture files, and the command
 mod pipeline; // frames through the stages, with a quick method in place of the real one
+mod plans; // frames divided among machines: plans, shards, verification
 mod random_ball; // 50 000 random particles in a ball come out nearly spherical (paper, Fig. 12)
 mod raw_vdb; // level sets that no program writes
+mod same_bytes;
 mod scene; // small frames of particles, and a way to run the command
+mod sequence_files; // meshes in other programs' formats, and all frames of a shot in one file
 mod service; // the daemon as a service: what systemd hears, and what signals do
 mod shapes; // shapes of particles, the method with its defaults, values of level sets
 mod shared; // files of real programs are converted, or refused with the expected reason
 mod sheets; // sheets of pictures: contents, and the commands that they print
-mod shots; // meshes in other programs' formats, and all frames of a shot in one file
 mod spacings; // the measured spacing of particles, against known values
 mod sphere_flow; // a noisy sphere under both flows (paper, Fig. 5)
 mod steps; // files with several frames: LAMMPS dumps and atoms
@@ -42,4 +43,3 @@ mod unreadable; // frames without metadata fail and are not dropped
 mod vdb_file; // what small .vdb files share
 mod voxel_sizes; // voxel sizes and radii that do not fit the particles: errors and warnings
 mod watch; // the commands `watch`, `status` and `why`: arguments and output
-mod ways;

@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use glam::{DVec3, IVec3, Vec3};
 use meniscus::pipeline::{
-    Cause, FileStamp, Frame, FrameInput, FrameObstacles, Job, LevelSetSkinning, Method, OnError, Outcome,
-    OutputFormat, OutputOptions, PictureOptions, PipelineOptions, Stage, StepsFoundBy, run,
+    Cause, FileStamp, Frame, FrameInput, FrameObstacles, IndexPolicy, Job, LevelSetMethod, Method, OnError,
+    Outcome, OutputFormat, OutputOptions, PictureOptions, PipelineOptions, Stage, run,
 };
 use meniscus::surface::grid::{Field, Topology};
 use meniscus::surface::level_set::NarrowBand;
@@ -202,7 +202,7 @@ pub(crate) fn pipeline_options(pool: &ThreadPool) -> PipelineOptions<'_> {
         certificates: false,
         in_flight: 5,
         memory_bytes: 1 << 30,
-        steps_found_by: StepsFoundBy::Reader,
+        index_policy: IndexPolicy::OnRead,
         mirrors: &[],
         output_states: None,
         observer: None,
@@ -391,5 +391,5 @@ fn bytes_do_not_depend_on_threads_or_other_frames() {
 #[test]
 fn pipeline_runs_the_real_method() {
     fn is_method(_: &impl Method) {}
-    is_method(&LevelSetSkinning);
+    is_method(&LevelSetMethod);
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use meniscus::pipeline::FileStamp;
 use meniscus::watch::Watch;
-use meniscus::watch::journal::{Journal, JournaledFrame, OutputRecord, Standing};
+use meniscus::watch::journal::{Journal, JournaledFrame, JournaledStatus, OutputRecord};
 use meniscus::watch::lock::OutputLock;
 use tempfile::tempdir;
 
@@ -113,7 +113,7 @@ fn numbers_have_the_documented_ranges() {
 /// Records in the journal of `out` that a frame is done, with `output`, or failed for a reason.
 fn note(out: &Path, frame: &Path, result: Result<&Path, &str>) {
     let record = JournaledFrame {
-        standing: if result.is_ok() { Standing::Done } else { Standing::Failed },
+        status: if result.is_ok() { JournaledStatus::Done } else { JournaledStatus::Failed },
         stamp: FileStamp::of_path(frame).expect("the frame exists"),
         hash: None,
         settings: "settings".into(),

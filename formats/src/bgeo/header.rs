@@ -63,7 +63,7 @@ pub enum AttributeKind {
 ///
 /// # Errors
 ///
-/// [`Error::Unsupported`] for another version or an unsupported attribute type, [`Error::Short`] if the
+/// [`Error::Unsupported`] for another version or an unsupported attribute type, [`Error::Truncated`] if the
 /// header ends too early, [`Error::Invalid`] if it is inconsistent.
 pub fn header(bytes: &[u8]) -> Result<BgeoHeader> {
     header_within(bytes, &Limits::default())

@@ -24,7 +24,7 @@ const BLOCK_BYTES: usize = 16 << 10;
 ///
 /// # Errors
 ///
-/// Those of [`super::header`], [`Error::TooLarge`] beyond `limits`, and [`Error::Short`] if points are
+/// Those of [`super::header`], [`Error::TooLarge`] beyond `limits`, and [`Error::Truncated`] if points are
 /// missing.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let header = header_within(bytes, limits)?;

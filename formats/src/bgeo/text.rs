@@ -25,7 +25,7 @@ const FORMAT: &str = "classic Houdini GEO (text)";
 ///
 /// # Errors
 ///
-/// [`Error::Invalid`] with the line for an unexpected word, [`Error::Short`] if points are missing,
+/// [`Error::Invalid`] with the line for an unexpected word, [`Error::Truncated`] if points are missing,
 /// [`Error::Unsupported`] for another version, [`Error::TooLarge`] beyond `limits`.
 pub fn read_text(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let mut words = WordReader { bytes, at: 0 };

@@ -41,7 +41,7 @@ const FORMAT: &str = "delimited text";
 /// # Errors
 ///
 /// [`Error::Invalid`], with the line, if a row has the wrong number of cells, a numeric column contains text,
-/// or no position is found, but [`Error::Short`] if nothing follows that line, not even a line end;
+/// or no position is found, but [`Error::Truncated`] if nothing follows that line, not even a line end;
 /// [`Error::Unsupported`] for dialects that are recognised but not supported; [`Error::TooLarge`] beyond
 /// `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {

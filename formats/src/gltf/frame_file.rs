@@ -49,7 +49,7 @@ impl GlbFrame {
     ///
     /// # Errors
     ///
-    /// [`Error::Io`] if reading fails; [`Error::Short`] if the file is truncated; [`Error::Unsupported`] if
+    /// [`Error::Io`] if reading fails; [`Error::Truncated`] if the file is truncated; [`Error::Unsupported`] if
     /// another program wrote the file, or if it is already a sequence; [`Error::Invalid`] if it is damaged.
     pub fn read(file: &mut (impl Read + Seek)) -> Result<GlbFrame> {
         let file_bytes = file.seek(SeekFrom::End(0))?;

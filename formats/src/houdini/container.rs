@@ -28,7 +28,7 @@ const FRAME_BYTES_MIN: usize = 16;
 ///
 /// # Errors
 ///
-/// [`Error::Short`] if the end is missing, [`Error::Invalid`] if the index or a frame is invalid,
+/// [`Error::Truncated`] if the end is missing, [`Error::Invalid`] if the index or a frame is invalid,
 /// [`Error::TooLarge`] beyond `limits`.
 pub(super) fn decompress(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     if !bytes.ends_with(END) {

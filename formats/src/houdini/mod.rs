@@ -47,7 +47,7 @@ const FORMAT: &str = "Houdini geometry";
 ///
 /// # Errors
 ///
-/// [`crate::Error::Short`] if the document ends too early, [`crate::Error::Invalid`] if it is malformed or
+/// [`crate::Error::Truncated`] if the document ends too early, [`crate::Error::Invalid`] if it is malformed or
 /// inconsistent, [`crate::Error::Unsupported`] if the points are not particles, [`crate::Error::TooLarge`]
 /// beyond `limits`.
 pub fn read_binary(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {

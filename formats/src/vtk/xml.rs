@@ -35,7 +35,7 @@ use super::xml_arrays::{Appended, ArrayForm, DataArray};
 ///
 /// # Errors
 ///
-/// [`Error::Short`] if the last tag is missing, [`Error::Invalid`] for malformed XML and for arrays of the
+/// [`Error::Truncated`] if the last tag is missing, [`Error::Invalid`] for malformed XML and for arrays of the
 /// wrong size, [`Error::Unsupported`] for data sets that are not point sets, [`Error::TooLarge`] beyond
 /// `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {

@@ -48,7 +48,7 @@ pub(in crate::cli) struct PlanArgs {
 }
 
 #[derive(Debug, Args)]
-#[command(after_long_help = VERDICTS)]
+#[command(after_long_help = VERIFY_STATUSES)]
 pub(in crate::cli) struct VerifyArgs {
     /// The folder of the results, at its current path
     #[arg(value_name = "DIR")]
@@ -85,7 +85,7 @@ pub(in crate::cli) fn parse_shard(text: &str) -> Result<ShardChoice, String> {
     expected(text, number.map(ShardChoice::Number), "a shard: a number from 0, or slurm")
 }
 
-const VERDICTS: &str = "\
+const VERIFY_STATUSES: &str = "\
 State of a frame:
   done         all files exist and are complete, were made from the current input with the plan's settings, and have
                the certified bytes

@@ -3,13 +3,13 @@
 //! Options for numbers accept a leading minus sign, so that the range check reports `-1` as out of range, and
 //! clap does not report it as an unknown option.
 
-mod ask;
 mod farm;
 mod flicker;
 mod formats;
 mod manual;
 mod merge;
 mod method;
+mod query;
 mod render;
 mod sequence;
 mod sheets;
@@ -29,15 +29,15 @@ use super::quantities::one_of;
 
 use farm::parse_shard;
 
-pub(super) use ask::{StatusArgs, WhyArgs};
 pub(super) use farm::{PlanArgs, ShardChoice, VerifyArgs};
 pub(super) use flicker::FlickerArgs;
 pub(super) use formats::FormatArgs;
 pub(super) use manual::{CompletionsArgs, ManArgs};
 pub(super) use merge::{OptionSet, option_set};
 pub(super) use method::MethodArgs;
+pub(super) use query::{StatusArgs, WhyArgs};
 pub(super) use render::{PictureArgs, RenderArgs, RunArgs};
-pub(super) use sequence::{FPS, SequenceArgs, ShotArgs};
+pub(super) use sequence::{FPS, SequenceArgs, SequenceFileArgs};
 pub(super) use sheets::{ContactSheetArgs, TuneArgs};
 pub(super) use watch::{DaemonArgs, FrameArgs, LogChoice, WatchArgs};
 
@@ -174,7 +174,7 @@ option_set! {
         pub(super) print_settings: bool,
 
         #[command(flatten, next_help_heading = "Shot")]
-        pub(super) shot: ShotArgs,
+        pub(super) shot: SequenceFileArgs,
     }
 }
 

@@ -33,7 +33,7 @@ pub(in crate::cli) struct SequenceArgs {
 option_set! {
     /// The same options for commands that convert the frames.
     #[derive(Clone, Debug, Default, PartialEq, Args)]
-    pub(in crate::cli) struct ShotArgs {
+    pub(in crate::cli) struct SequenceFileArgs {
         /// Finally, combine the frames into one .glb that plays, as `meniscus sequence` does; for one
         /// sequence, with glb in --format
         #[arg(long, value_name = "FILE")]

@@ -6,8 +6,8 @@ use clap::Args;
 
 use super::render::PictureArgs;
 use crate::cli::frame_selection::FrameSelection;
+use crate::cli::parameter_sweep::{ParameterSweep, tuning_help};
 use crate::cli::quantities::{PictureSize, parse_picture_size};
-use crate::cli::vary::{Vary, tuning_help};
 use crate::surface::options::ranged;
 
 #[derive(Debug, Args)]
@@ -61,7 +61,7 @@ pub(in crate::cli) struct TuneArgs {
 
     /// What differs from cell to cell: one, two or three of the names below, with or without values
     #[arg(long, value_name = "LIST", default_value = "smoothing,min")]
-    pub(in crate::cli) vary: Vary,
+    pub(in crate::cli) vary: ParameterSweep,
 
     /// The frame with this number; of several, such as 100-200, the middle one
     #[arg(long, value_name = "NUMBERS")]

@@ -18,7 +18,7 @@ use toml::de::{DeTable, DeValue};
 
 use super::keys_of;
 use crate::cli::args::OptionSet;
-use crate::cli::wording::typed;
+use crate::cli::wording::option_name;
 use crate::surface::options::Length;
 use crate::watch::Poll;
 
@@ -125,7 +125,7 @@ impl<'a> ConfigTable<'a> {
 
     /// The command-line arguments that set an option to a value.
     fn words(&self, key: &str, option: &Arg, value: ConfigValue<'a>) -> Result<Vec<OsString>> {
-        let name = typed(option.get_id().as_str());
+        let name = option_name(option.get_id().as_str());
         let word = |text: OsString| {
             let mut word = OsString::from(format!("{name}="));
             word.push(text);

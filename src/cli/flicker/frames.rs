@@ -16,7 +16,7 @@ use crate::cli::args::FlickerArgs;
 use crate::cli::console::Console;
 use crate::cli::frame_selection::FrameSelection;
 use crate::cli::inputs::find_inputs;
-use crate::cli::selecting::only_sequence;
+use crate::cli::select::only_sequence;
 use crate::pipeline::{FrameFile, Sequence, shown};
 
 /// The files of a frame.

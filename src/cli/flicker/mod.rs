@@ -17,7 +17,7 @@ use std::path::Path;
 
 use anyhow::{Result, bail};
 
-use crate::pipeline::{are_one_file, shown};
+use crate::pipeline::{are_same_file, shown};
 use crate::surface::flicker::{CARRY_REACH, Carrier, Distribution, FlickerFrame, flicker};
 
 use super::CommandOutcome;
@@ -26,7 +26,7 @@ use super::console::Console;
 use super::machine::thread_pool;
 use super::out_folder::write_file;
 use super::render_session::{catch_panic, named_picture};
-use super::selecting::refuse_odd_place;
+use super::select::check_output_path;
 use super::wording::{pluralize, significant, with_causes};
 
 use frames::FlickerFrames;
@@ -59,7 +59,7 @@ pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Command
         carrier: None,
         ready: BTreeMap::new(),
         failed_count: 0,
-        is_open_told: false,
+        has_warned_of_open_mesh: false,
     };
     let mut tally = FlickerTotals::new(args.picture.is_some());
     for &number in &frames.scored {
@@ -102,7 +102,7 @@ struct Scoring<'a> {
     ready: BTreeMap<u64, Option<FlickerFrame>>,
     failed_count: usize,
     /// Whether the first open mesh was reported.
-    is_open_told: bool,
+    has_warned_of_open_mesh: bool,
 }
 
 impl Scoring<'_> {
@@ -153,7 +153,9 @@ impl Scoring<'_> {
                 return Ok(None);
             }
         };
-        if frame.surface().open_edge_count() > 0 && !std::mem::replace(&mut self.is_open_told, true) {
+        if frame.surface().open_edge_count() > 0
+            && !std::mem::replace(&mut self.has_warned_of_open_mesh, true)
+        {
             console.warning(format_args!(
                 "{}: the mesh is open at {}: a point that moves beyond its rim counts by its distance to the rim",
                 shown(&files.mesh),
@@ -210,7 +212,8 @@ impl Scoring<'_> {
 }
 
 fn line_of(frame: &ScoredFrame) -> String {
-    let ScoredFrame { name, summary, uncarried_count, left_count, .. } = frame;
+    let ScoredFrame { name, summary, untracked_count: uncarried_count, clamped_count: left_count, .. } =
+        frame;
     if summary.count == 0 {
         return format!("{name}: not scored: no point on the surface is carried by particles");
     }
@@ -262,12 +265,12 @@ fn refuse_outputs(args: &FlickerArgs, frames: &FlickerFrames) -> Result<()> {
         if option == "--picture" {
             named_picture(path, &["png"])?;
         }
-        refuse_odd_place(option, path)?;
+        check_output_path(option, path)?;
         let inputs = frames.files.values().flat_map(|files| [&files.mesh, &files.particles]);
-        if let Some(input) = inputs.into_iter().find(|input| are_one_file(input, path)) {
+        if let Some(input) = inputs.into_iter().find(|input| are_same_file(input, path)) {
             bail!("{option} {}: would replace the input {}", path.display(), input.display());
         }
-        if paths.iter().any(|other| are_one_file(other, path)) {
+        if paths.iter().any(|other| are_same_file(other, path)) {
             bail!("{option} {}: another option names the same file", path.display());
         }
         paths.push(path);

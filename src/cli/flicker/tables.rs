@@ -11,7 +11,14 @@ use super::tally::{ScoredFrame, WorstPoint};
 pub(super) fn write_frames(frames: &[ScoredFrame], out: &mut dyn Write) -> Result<()> {
     writeln!(out, "frame,points,uncarried,left,rms,median,p99,max,max_x,max_y,max_z")?;
     for frame in frames {
-        let ScoredFrame { number, summary, uncarried_count, left_count, worst, .. } = frame;
+        let ScoredFrame {
+            number,
+            summary,
+            untracked_count: uncarried_count,
+            clamped_count: left_count,
+            worst,
+            ..
+        } = frame;
         let Distribution { count, rms, median, percentile_99, max } = summary;
         write!(out, "{number},{count},{uncarried_count},{left_count}")?;
         match worst {

@@ -10,8 +10,8 @@ pub(super) struct ScoredFrame {
     pub(super) number: u64,
     pub(super) name: String,
     pub(super) summary: Distribution,
-    pub(super) uncarried_count: usize,
-    pub(super) left_count: usize,
+    pub(super) untracked_count: usize,
+    pub(super) clamped_count: usize,
     /// The point with the most flicker; `None` if no point is carried.
     pub(super) worst: Option<ScoredPoint>,
     /// All points, until they are no longer needed.
@@ -40,7 +40,15 @@ impl ScoredFrame {
         };
         let worst = points.first().map(|&first| points.iter().fold(first, worse));
         let summary = Distribution::of(points.iter().map(|point| point.value));
-        ScoredFrame { number, name, summary, uncarried_count, left_count, worst, points }
+        ScoredFrame {
+            number,
+            name,
+            summary,
+            untracked_count: uncarried_count,
+            clamped_count: left_count,
+            worst,
+            points,
+        }
     }
 
     /// Its points, if it is one of the worst frames.

@@ -4,7 +4,7 @@
 
 mod mesh;
 mod particles;
-mod shot;
+mod sequence;
 mod volume;
 
 use std::collections::BTreeMap;
@@ -34,7 +34,7 @@ use super::{CommandOutcome, DoneCounts};
 
 use mesh::MeshInfo;
 use particles::ParticlesInfo;
-use shot::ShotRecord;
+use sequence::SequenceFileRecord;
 use volume::GridRecord;
 
 /// One file.
@@ -57,7 +57,8 @@ struct FileInfo {
     #[serde(skip_serializing_if = "Option::is_none")]
     grids: Option<Vec<GridRecord>>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    shot: Option<ShotRecord>,
+    #[serde(rename = "shot")]
+    sequence: Option<SequenceFileRecord>,
     /// The contents of a .usda of meniscus that is not a shot.
     #[serde(skip_serializing_if = "Option::is_none")]
     layer: Option<LayerRecord>,
@@ -108,7 +109,7 @@ pub(super) fn info(args: &InfoArgs, console: &mut Console) -> Result<CommandOutc
     if args.json {
         console.say_as_is(&last_element.map_or("[]".to_owned(), |last| format!("{last}\n]")));
     }
-    Ok(tally.verdict())
+    Ok(tally.outcome())
 }
 
 /// The files that the arguments name. A file with several steps yields each step; one whose steps cannot be
@@ -174,7 +175,7 @@ impl FileInfo {
             ProbedKind::Format(Format::Glb | Format::Gltf) if codec.is_none() => {
                 match gltf::read_sequence_info(&bytes)? {
                     Some(gltf::SequenceInfo { frames, vertices, triangles }) => {
-                        self.set_shot(frames, [vertices, triangles]);
+                        self.set_sequence(frames, [vertices, triangles]);
                     }
                     None => {
                         let mesh = MeshInfo::of(&gltf::read_mesh(&bytes, &limits)?);
@@ -184,7 +185,7 @@ impl FileInfo {
             }
             ProbedKind::Format(Format::Usda) if codec.is_none() => match usda::read_layer_info(&bytes)? {
                 Some(usda::LayerInfo { vertices, faces, frames: Some(frames) }) => {
-                    self.set_shot(frames, [vertices, faces]);
+                    self.set_sequence(frames, [vertices, faces]);
                 }
                 Some(usda::LayerInfo { vertices, faces, frames: None }) => {
                     self.layer = Some(LayerRecord { vertices, faces });
@@ -218,9 +219,9 @@ impl FileInfo {
         Ok(())
     }
 
-    fn set_shot(&mut self, frames: u64, counts: [u64; 2]) {
+    fn set_sequence(&mut self, frames: u64, counts: [u64; 2]) {
         self.kind += ", a shot";
-        self.shot = Some(ShotRecord::new(frames, counts, self.made_by.as_ref()));
+        self.sequence = Some(SequenceFileRecord::new(frames, counts, self.made_by.as_ref()));
     }
 }
 
@@ -266,7 +267,7 @@ impl fmt::Display for FileInfo {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let packed = self.packed.map(|packed| format!(", {packed}")).unwrap_or_default();
         write!(f, "{}: {}{packed}, {} bytes", escaped(&self.file), self.kind, self.bytes)?;
-        self.shot.iter().try_for_each(|shot| write!(f, "{shot}"))?;
+        self.sequence.iter().try_for_each(|shot| write!(f, "{shot}"))?;
         self.mesh.iter().try_for_each(|mesh| write!(f, "{mesh}"))?;
         self.particles.iter().try_for_each(|particles| write!(f, "{particles}"))?;
         for grid in self.grids.iter().flatten() {

@@ -5,7 +5,7 @@ use std::path::Path;
 use meniscus_formats::UpAxis;
 
 use crate::cli::args::TuneArgs;
-use crate::cli::wording::typed;
+use crate::cli::wording::option_name;
 use crate::surface::options::MethodOptions;
 
 /// The words of a command, each quoted for the shell.
@@ -31,7 +31,7 @@ impl CommandLine {
             match name {
                 "quads" if value == "true" => line.add("--quads"),
                 // Their values are optional, so they must follow a =.
-                "quads" | "smooth_normals" => line.add(&format!("{}={value}", typed(name))),
+                "quads" | "smooth_normals" => line.add(&format!("{}={value}", option_name(name))),
                 _ => line.add_option(name, &value),
             }
         }
@@ -61,7 +61,7 @@ impl CommandLine {
     }
 
     fn add_option(&mut self, name: &str, value: &str) {
-        let option = typed(name);
+        let option = option_name(name);
         // A value that begins with a hyphen must follow a =.
         if value.starts_with('-') {
             return self.add(&format!("{option}={value}"));

@@ -46,12 +46,12 @@ pub(in crate::cli) fn contact_sheet(
     console.hide_bar();
     if tally.done_count > 0 {
         for part in &parts {
-            console.say(part.told());
+            console.say(part.title_with_time());
         }
         let made_from: Vec<SheetPart> = parts.iter().map(SequenceRows::made_from).collect();
         console.say(file.write(&contact.sheet(parts), "contact-sheet", &made_from)?);
     }
-    Ok(tally.verdict())
+    Ok(tally.outcome())
 }
 
 /// The kinds of files that the sheet may be made from: with surface options, only particles, which are still
@@ -120,7 +120,7 @@ impl SequenceRows {
     }
 
     /// The title and the rendering time. The time differs from run to run, so it is not part of the picture.
-    fn told(&self) -> String {
+    fn title_with_time(&self) -> String {
         match self.selected_strip.strip.kind {
             SourceKind::Pictures => self.title(),
             SourceKind::LevelSets | SourceKind::Particles => {

@@ -19,15 +19,15 @@ use crate::cli::choices::refuse_stray_rounds;
 use crate::cli::console::Console;
 use crate::cli::inputs::find_inputs;
 use crate::cli::machine::thread_pool;
+use crate::cli::parameter_sweep::{Parameter, SweepValue};
 use crate::cli::remedies::with_remedy;
 use crate::cli::render_session::{RenderSession, catch_panic, measured_settings, picture_of_reconstruction};
-use crate::cli::selecting::{SelectedSequence, only_sequence, selected_of};
-use crate::cli::vary::{Parameter, SweepValue};
+use crate::cli::select::{SelectedSequence, only_sequence, selected_of};
 use crate::cli::wording::{pluralize, with_causes};
 use crate::cli::{CommandOutcome, DoneCounts};
 use crate::pipeline::{
-    CameraChoice, FrameFile, LoadedFrame, NOTHING, OutputFormat, Reconstruction, ReportedWarnings, Sequence,
-    SheetPart, Viewpoint, Warning, bounds_of_particles, close_up, is_level_set, up_of,
+    CameraChoice, EMPTY_BOUNDS, FrameFile, LoadedFrame, OutputFormat, Reconstruction, ReportedWarnings,
+    Sequence, SheetPart, Viewpoint, Warning, bounds_of_particles, close_up, is_level_set, up_of,
 };
 use crate::render::{Cell, CellGroup, CellPicture, Picture, Sheet};
 use crate::surface::options::{MethodOptions, SequenceSpacing, Settings};
@@ -68,7 +68,7 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Com
         let part = tuning.made_from(&grid);
         console.say(file.write(&tuning.sheet(&grid, cells), "tune", &[part])?);
     }
-    Ok(tally.verdict())
+    Ok(tally.outcome())
 }
 
 /// The formats that the printed commands write.
@@ -155,7 +155,7 @@ impl<'a> Tuning<'a> {
         let measured = measured.as_ref().map(SequenceSpacing::from);
         let frame = LoadedFrame::read((&file.path, file.number()), &without)?;
         let picture = session.outputs.picture;
-        let bounds = bounds_of_particles(frame.particles(), without.radius_init).unwrap_or(NOTHING);
+        let bounds = bounds_of_particles(frame.particles(), without.radius_init).unwrap_or(EMPTY_BOUNDS);
         let viewpoint =
             |bounds| picture.camera.viewpoint(bounds, picture.aspect(), up_of(session.outputs.up));
         let whole = viewpoint(bounds);
@@ -178,7 +178,7 @@ impl<'a> Tuning<'a> {
             let settings = Settings::resolve(&options, self.measured);
             let label = self.label(number, values, settings.as_ref().unwrap_or(&self.without));
             let mut lines = vec![label.clone()];
-            let (content, command) = match catch_panic(self.frame.path(), || self.taken(&options)) {
+            let (content, command) = match catch_panic(self.frame.path(), || self.rendered(&options)) {
                 Ok((made, settings, picture)) => {
                     tally.add(true);
                     let of_settings = settings.warnings().into_iter().map(Warning::Sentence);
@@ -215,7 +215,7 @@ impl<'a> Tuning<'a> {
         options
     }
 
-    fn taken(&self, options: &MethodOptions) -> Result<(Reconstruction, Settings, Picture)> {
+    fn rendered(&self, options: &MethodOptions) -> Result<(Reconstruction, Settings, Picture)> {
         let settings = Settings::resolve(options, self.measured)?;
         let made = self.session.reconstruct(&self.frame, &settings)?;
         let seen = (&self.viewpoint, self.session.outputs.picture.size);

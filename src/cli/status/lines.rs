@@ -6,7 +6,7 @@ use crate::cli::wording::{pluralize, significant};
 use super::{DaemonStatus, FrameStatus, StatusCounts, StatusRecord, WaitingStatus, WatchStatus};
 
 /// Maximum number of entries printed per list; `--json` has all.
-const TOLD_MAX: usize = 20;
+const LISTED_MAX: usize = 20;
 
 impl StatusRecord {
     /// The status as lines of text; `now_ms` is in milliseconds since 1970.
@@ -26,7 +26,7 @@ impl StatusRecord {
         }
         if !self.waiting.is_empty() {
             lines.push(format!("waiting for the writers of {}:", pluralize(self.waiting.len(), "file")));
-            for WaitingStatus { input, reason } in self.waiting.iter().take(TOLD_MAX) {
+            for WaitingStatus { input, reason } in self.waiting.iter().take(LISTED_MAX) {
                 lines.push(format!("  {input}: {reason}"));
             }
             lines.extend(more(self.waiting.len()));
@@ -42,7 +42,7 @@ impl StatusRecord {
         ];
         for (title, frames) in lists.into_iter().filter(|(_, frames)| !frames.is_empty()) {
             lines.push(format!("{title}:"));
-            lines.extend(frames.iter().take(TOLD_MAX).map(|frame| format!("  {}", frame.text(now_ms))));
+            lines.extend(frames.iter().take(LISTED_MAX).map(|frame| format!("  {}", frame.text(now_ms))));
             lines.extend(more(frames.len()));
         }
         if self.damaged_lines > 0 {
@@ -57,7 +57,7 @@ impl StatusRecord {
 
 /// A line with the number of entries that are not printed.
 fn more(count: usize) -> Option<String> {
-    let more = count.checked_sub(TOLD_MAX).filter(|&more| more > 0)?;
+    let more = count.checked_sub(LISTED_MAX).filter(|&more| more > 0)?;
     Some(format!("  and {more} more: --json has them all"))
 }
 

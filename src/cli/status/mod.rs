@@ -20,7 +20,7 @@ use serde::Serialize;
 use crate::pipeline::{FileStamp, file_of, is_absent, is_missing_step, natural_order};
 use crate::watch::Watch;
 use crate::watch::journal::{
-    DaemonState, Journal, JournalState, JournaledFrame, STATE_FOLDER, Standing, now_ms,
+    DaemonState, Journal, JournalState, JournaledFrame, JournaledStatus, STATE_FOLDER, now_ms,
 };
 use crate::watch::lock::{LockError, OutputLock};
 use crate::watch::waiting::{Waiting, waiting};
@@ -159,7 +159,7 @@ pub(super) fn read_journal(folder: &Path) -> Result<JournalState> {
 #[derive(Debug)]
 pub(super) enum Holder {
     Daemon(String),
-    Nobody,
+    Unlocked,
     /// The file system has no locks.
     Unknown,
 }
@@ -172,7 +172,7 @@ impl Holder {
     pub(super) fn of(output: &Path) -> Result<Holder> {
         match OutputLock::holder(output) {
             Ok(Some(by)) => Ok(Holder::Daemon(by)),
-            Ok(None) => Ok(Holder::Nobody),
+            Ok(None) => Ok(Holder::Unlocked),
             Err(LockError::Unsupported { .. }) => Ok(Holder::Unknown),
             Err(error) => Err(error.into()),
         }
@@ -183,11 +183,11 @@ impl StatusRecord {
     fn new(output: &Path, journal: &Path, state: &JournalState, holder: Holder) -> StatusRecord {
         let has_daemon = matches!(holder, Holder::Daemon(_));
         let files = Files::new(state, has_daemon);
-        let in_standing = |standing| {
+        let with_status = |status| {
             let mut frames: Vec<_> = state
                 .frames
                 .iter()
-                .filter(|(input, frame)| frame.standing == standing && !files.are_without(input, frame))
+                .filter(|(input, frame)| frame.status == status && !files.are_without(input, frame))
                 .collect();
             frames.sort_by(|(a, _), (b, _)| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
             frames
@@ -195,14 +195,14 @@ impl StatusRecord {
         let told = |frames: &[(&Arc<Path>, &Arc<JournaledFrame>)]| {
             frames.iter().map(|(input, frame)| FrameStatus::new(input, frame)).collect()
         };
-        let retrying = in_standing(Standing::Retrying);
-        let mut failed = in_standing(Standing::Failed);
-        failed.extend(in_standing(Standing::Refused));
-        failed.extend(in_standing(Standing::GivenUp));
-        let mut done = in_standing(Standing::Done);
+        let retrying = with_status(JournaledStatus::Retrying);
+        let mut failed = with_status(JournaledStatus::Failed);
+        failed.extend(with_status(JournaledStatus::Refused));
+        failed.extend(with_status(JournaledStatus::RetriesExhausted));
+        let mut done = with_status(JournaledStatus::Done);
         let counts = StatusCounts {
             done: done.len(),
-            queued: in_standing(Standing::Queued).len(),
+            queued: with_status(JournaledStatus::Queued).len(),
             retrying: retrying.len(),
             failed: failed.len(),
         };
@@ -250,7 +250,7 @@ impl<'a> Files<'a> {
     /// Whether the frame can never be converted: its file was removed from its folder, or rewritten without
     /// this step.
     fn are_without(&self, input: &Path, frame: &JournaledFrame) -> bool {
-        if frame.standing == Standing::Done {
+        if frame.status == JournaledStatus::Done {
             return false;
         }
         let file = file_of(input);
@@ -276,7 +276,7 @@ impl DaemonStatus {
         let record = state.daemon.as_ref();
         let (running, held_by) = match holder {
             Holder::Daemon(by) => (Some(true), Some(by)),
-            Holder::Nobody => (Some(false), None),
+            Holder::Unlocked => (Some(false), None),
             Holder::Unknown => (None, None),
         };
         if record.is_none() && held_by.is_none() {
@@ -336,7 +336,10 @@ impl FrameStatus {
             seconds: frame.seconds,
             flaws: frame.flaws.clone(),
             at_ms: frame.at_ms,
-            is_for_next_start: matches!(frame.standing, Standing::Refused | Standing::GivenUp),
+            is_for_next_start: matches!(
+                frame.status,
+                JournaledStatus::Refused | JournaledStatus::RetriesExhausted
+            ),
         }
     }
 }

@@ -1,14 +1,14 @@
 use super::*;
 use crate::pipeline::{FileStamp, OutputFormat, OutputOptions};
 use crate::surface::options::MethodOptions;
-use crate::watch::Patience;
+use crate::watch::StabilityTimeouts;
 use crate::watch::journal::{DaemonRecord, OutputRecord, PlanRecord};
 
 use std::time::Duration;
 
-fn frame(standing: Standing, at_ms: u64) -> JournaledFrame {
+fn frame(status: JournaledStatus, at_ms: u64) -> JournaledFrame {
     JournaledFrame {
-        standing,
+        status,
         stamp: FileStamp::default(),
         hash: None,
         settings: String::new(),
@@ -35,18 +35,24 @@ fn state() -> JournalState {
     for number in 1..=30 {
         let outputs = vec![OutputRecord::new(format!("/out/dam.{number}.glb").into(), 1, None)];
         let (particle_count, seconds) = (Some(250_000), Some(2.25));
-        let done = frame(Standing::Done, 1000 * number);
+        let done = frame(JournaledStatus::Done, 1000 * number);
         add(format!("dam.{number}.ply"), JournaledFrame { outputs, particle_count, seconds, ..done });
     }
     for number in 1..=25 {
         let reason = Some("PLY, at 12 bytes: no end".to_owned());
-        add(format!("bad.{number}.ply"), JournaledFrame { reason, ..frame(Standing::Failed, 5000) });
+        add(format!("bad.{number}.ply"), JournaledFrame { reason, ..frame(JournaledStatus::Failed, 5000) });
     }
     let reason = Some("/sim/late.ply: cannot be read: busy".to_owned());
-    add("late.ply".into(), JournaledFrame { reason, attempt_count: 3, ..frame(Standing::Retrying, 9000) });
-    add("next.ply".into(), frame(Standing::Queued, 9000));
+    add(
+        "late.ply".into(),
+        JournaledFrame { reason, attempt_count: 3, ..frame(JournaledStatus::Retrying, 9000) },
+    );
+    add("next.ply".into(), frame(JournaledStatus::Queued, 9000));
     let reason = Some("/sim/cut.ply: PLY, at byte 9: too short".to_owned());
-    add("cut.ply".into(), JournaledFrame { reason, attempt_count: 4, ..frame(Standing::GivenUp, 9000) });
+    add(
+        "cut.ply".into(),
+        JournaledFrame { reason, attempt_count: 4, ..frame(JournaledStatus::RetriesExhausted, 9000) },
+    );
     state
 }
 
@@ -74,7 +80,7 @@ fn plan() -> PlanRecord {
     let time = Duration::ZERO;
     PlanRecord {
         watches: vec![watch, bare],
-        patience: Patience { settle: time, unproven: time, stalled: time },
+        timeouts: StabilityTimeouts { settle: time, unverifiable: time, stalled: time },
     }
 }
 
@@ -107,11 +113,11 @@ fn text_has_the_values_of_the_json() {
     assert_eq!(lines[25], "  /sim/late.ply: cannot be read: busy (3 attempts, 55s ago)");
     assert_eq!(lines[27], "  /sim/dam.30.ply: 250000 particles, 2.25 s, 34s ago");
     let planned =
-        record(&JournalState { plan: Some(plan()), ..state() }, Holder::Nobody).lines(64_000).join("\n");
+        record(&JournalState { plan: Some(plan()), ..state() }, Holder::Unlocked).lines(64_000).join("\n");
     let watched: Vec<&str> = planned.lines().skip(2).take(3).collect();
     let all = "  /sim and its sub-folders, only dam.*, each when its {name}.ok exists, as glb, vdb";
     assert_eq!(watched, ["watched:", all, "  /sim, as glb, vdb"]);
-    let given_up = record(&state(), Holder::Nobody).failed[25].text(64_000);
+    let given_up = record(&state(), Holder::Unlocked).failed[25].text(64_000);
     assert_eq!(
         given_up,
         "/sim/cut.ply: PLY, at byte 9: too short (4 attempts, tried again at the next start, 55s ago)"
@@ -119,11 +125,11 @@ fn text_has_the_values_of_the_json() {
     let mut flawed = state();
     let two = flawed.frames.get_mut(Path::new("/sim/dam.2.ply")).expect("a frame");
     Arc::make_mut(two).flaws = vec!["1 particle left out".into(), "the result breaks a guarantee".into()];
-    let text = record(&flawed, Holder::Nobody).lines(64_000).join("\n");
+    let text = record(&flawed, Holder::Unlocked).lines(64_000).join("\n");
     let marked = "done, and not as it should be:\n  /sim/dam.2.ply: 250000 particles, 2.25 s, 1m 2s ago; \
                   1 particle left out; the result breaks a guarantee";
     assert!(text.ends_with(marked), "{text}");
-    let cut_short = StatusRecord { waiting_cut_short: true, ..record(&state(), Holder::Nobody) };
+    let cut_short = StatusRecord { waiting_cut_short: true, ..record(&state(), Holder::Unlocked) };
     assert!(
         cut_short.lines(0).join("\n").contains("more may wait for their writers"),
         "{:?}",
@@ -131,7 +137,7 @@ fn text_has_the_values_of_the_json() {
     );
     let damaged = JournalState { damaged_line_count: 2, ..state() };
     assert!(
-        record(&damaged, Holder::Nobody)
+        record(&damaged, Holder::Unlocked)
             .lines(0)
             .join("\n")
             .contains("2 lines of the journal cannot be read")
@@ -144,7 +150,7 @@ fn running_state_comes_from_the_lock() {
     let paused = || DaemonState::Paused("the disk is full".into());
     for (state, holder, running, word, text) in [
         (Some(DaemonState::Running), by(), Some(true), "running", "running (pid 13 on render-05)"),
-        (Some(DaemonState::Running), Holder::Nobody, Some(false), "killed", "was killed, or its machine"),
+        (Some(DaemonState::Running), Holder::Unlocked, Some(false), "killed", "was killed, or its machine"),
         (
             Some(DaemonState::Running),
             Holder::Unknown,
@@ -153,8 +159,8 @@ fn running_state_comes_from_the_lock() {
             "the file system has no locks (pid 12 on render-04)",
         ),
         (Some(paused()), by(), Some(true), "paused", "paused, 5s ago: the disk is full (pid 13"),
-        (Some(paused()), Holder::Nobody, Some(false), "killed", "killed"),
-        (Some(DaemonState::Stopped), Holder::Nobody, Some(false), "stopped", "has ended, 5s ago (pid 12"),
+        (Some(paused()), Holder::Unlocked, Some(false), "killed", "killed"),
+        (Some(DaemonState::Stopped), Holder::Unlocked, Some(false), "stopped", "has ended, 5s ago (pid 12"),
         (Some(DaemonState::Stopped), by(), Some(true), "starting", "starting (pid 13"),
         (None, by(), Some(true), "starting", "starting (pid 13"),
     ] {
@@ -163,7 +169,7 @@ fn running_state_comes_from_the_lock() {
         assert_eq!((status.running, status.state), (running, word));
         assert!(status.text(65_000).contains(text), "{} does not say {text}", status.text(65_000));
     }
-    assert_eq!(DaemonStatus::new(&JournalState::default(), Holder::Nobody), None);
+    assert_eq!(DaemonStatus::new(&JournalState::default(), Holder::Unlocked), None);
 }
 
 #[test]

@@ -24,7 +24,7 @@ use anyhow::{Context, Result, bail};
 use crossbeam::channel::{Sender, bounded};
 use tracing::{error, info, warn};
 
-use crate::http::{Listen, Window};
+use crate::http::{HttpServer, Listen};
 use crate::pipeline::stop_writing;
 use crate::surface::simd::level_warning;
 use crate::watch::status_store::StatusStore;
@@ -55,7 +55,7 @@ pub(super) fn watch(args: &WatchArgs) -> Result<CommandOutcome> {
     signals::listen(Arc::clone(&control))?;
     let mut service = Service::new();
     let store = plan.listen.as_ref().map(|_| Arc::new(StatusStore::new()));
-    let _window = open_window(plan.listen.as_ref(), store.as_ref())?;
+    let _window = open_http_server(plan.listen.as_ref(), store.as_ref())?;
     let mut previous = None;
     loop {
         for warning in &plan.warnings {
@@ -65,8 +65,8 @@ pub(super) fn watch(args: &WatchArgs) -> Result<CommandOutcome> {
         let mut notices = |notice: Notice| match notice {
             // The loop ends only to restart: clients and the service manager see one continuous run.
             Notice::Stopping | Notice::Overdue if control.is_reloading() => {}
-            Notice::Overdue => give_up_what_is_under_way(args.once),
-            notice => service.tell(&notice),
+            Notice::Overdue => exit_immediately(args.once),
+            notice => service.notify(&notice),
         };
         let summary = match watch::run(&plan.config, store.as_ref(), &commands, &mut notices) {
             Ok(summary) => summary,
@@ -89,23 +89,23 @@ pub(super) fn watch(args: &WatchArgs) -> Result<CommandOutcome> {
             _ if summary.ended == EndReason::Reload && !control.is_finishing() => {}
             _ => {
                 let once = args.once.then_some(args.allow_violations);
-                return Ok(conclude(once, &plan.config.watches, &summary));
+                return Ok(log_summary(once, &plan.config.watches, &summary));
             }
         }
     }
 }
 
 /// Serves the status store by HTTP.
-fn open_window(listen: Option<&Listen>, store: Option<&Arc<StatusStore>>) -> Result<Option<Window>> {
+fn open_http_server(listen: Option<&Listen>, store: Option<&Arc<StatusStore>>) -> Result<Option<HttpServer>> {
     let (Some(listen), Some(store)) = (listen, store) else { return Ok(None) };
-    let window = Window::open(listen, Arc::clone(store));
+    let window = HttpServer::open(listen, Arc::clone(store));
     let window = window.with_context(|| format!("cannot listen on {}", listen.address))?;
     info!(address = %format_args!("http://{}/", window.address()), "the window is open");
     Ok(Some(window))
 }
 
 /// Exits immediately. The next run converts the unfinished frames.
-fn give_up_what_is_under_way(once: bool) {
+fn exit_immediately(once: bool) {
     stop_writing();
     // A daemon exits with 0, because it was told to stop. With `--once`, exiting early is a failure.
     std::process::exit(i32::from(once));
@@ -113,9 +113,9 @@ fn give_up_what_is_under_way(once: bool) {
 
 /// Logs how the run ended, and returns the exit status. `once` is `None` for a daemon; with `--once`, it is
 /// whether validation failures are allowed.
-fn conclude(once: Option<bool>, watches: &[Watch], summary: &WatchSummary) -> CommandOutcome {
+fn log_summary(once: Option<bool>, watches: &[Watch], summary: &WatchSummary) -> CommandOutcome {
     let WatchSummary { ended, done_count, broken_count, failed, left_count } = summary;
-    if is_out_of_sight(failed) {
+    if has_scrolled_away(failed) {
         for failure in failed {
             error!("failed: {}", failure.what);
         }
@@ -153,7 +153,7 @@ fn level_sets_left(watches: &[Watch]) -> String {
 }
 
 /// Whether some failures were last logged long ago or never. Recent ones need no repetition.
-fn is_out_of_sight(failed: &[FailedFrame]) -> bool {
+fn has_scrolled_away(failed: &[FailedFrame]) -> bool {
     failed.iter().any(|failure| failure.frames_since.is_none_or(|count| count > FRAMES_IN_VIEW))
 }
 
@@ -209,7 +209,7 @@ impl Control {
         if self.is_finishing() {
             return;
         }
-        service::tell_reloading();
+        service::notify_reloading();
         match self.plan_again() {
             Ok(plan) => {
                 info!("reloading the configuration");
@@ -221,7 +221,7 @@ impl Control {
             Err(error) => {
                 let error = with_causes(&error);
                 error!("configuration not reloaded: {error}");
-                service::tell_not_reloaded(&format!("continues with the old configuration: {error}"));
+                service::notify_reload_failed(&format!("continues with the old configuration: {error}"));
             }
         }
     }

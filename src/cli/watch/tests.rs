@@ -15,18 +15,18 @@ fn once_has_the_exit_status_of_convert() {
         (0, 1, 0, CommandOutcome::NothingDone),
         (0, 0, 0, CommandOutcome::NothingDone),
     ] {
-        assert_eq!(conclude(Some(false), &[], &summary(EndReason::Drained, done, failed, left)), expected);
+        assert_eq!(log_summary(Some(false), &[], &summary(EndReason::Drained, done, failed, left)), expected);
     }
     // A daemon that was stopped on request succeeded.
-    assert_eq!(conclude(None, &[], &summary(EndReason::Finish, 0, 3, 3)), CommandOutcome::Done);
+    assert_eq!(log_summary(None, &[], &summary(EndReason::Finish, 0, 3, 3)), CommandOutcome::Done);
 }
 
 #[test]
 fn once_with_violations_exits_with_1_unless_they_are_allowed() {
     let broken = WatchSummary { broken_count: 1, ..summary(EndReason::Drained, 3, 0, 0) };
-    assert_eq!(conclude(Some(false), &[], &broken), CommandOutcome::SomeFailed);
-    assert_eq!(conclude(Some(true), &[], &broken), CommandOutcome::Done);
-    assert_eq!(conclude(None, &[], &broken), CommandOutcome::Done);
+    assert_eq!(log_summary(Some(false), &[], &broken), CommandOutcome::SomeFailed);
+    assert_eq!(log_summary(Some(true), &[], &broken), CommandOutcome::Done);
+    assert_eq!(log_summary(None, &[], &broken), CommandOutcome::Done);
 }
 
 #[test]
@@ -41,7 +41,7 @@ fn recent_failures_are_not_logged_again() {
         (&[Some(0), Some(21)], true),
         (&[Some(0), None], true),
     ] {
-        assert_eq!(is_out_of_sight(&failed(frames_since)), expected, "{frames_since:?}");
+        assert_eq!(has_scrolled_away(&failed(frames_since)), expected, "{frames_since:?}");
     }
 }
 

@@ -10,6 +10,7 @@
 //!   json        values that JSON cannot represent
 //! ```
 
+pub(super) mod atomic_write;
 pub(super) mod file_set;
 pub(super) mod frame_number;
 pub(super) mod input_file;
@@ -20,7 +21,6 @@ pub(super) mod open;
 pub(super) mod out_folder;
 pub(super) mod path_identity;
 pub(super) mod shown;
-pub(super) mod sink;
 pub(super) mod staged_file;
 pub(super) mod stamp;
 pub(super) mod sweep;

@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Whether two paths are the same file, existing or not.
-pub fn are_one_file(one: &Path, other: &Path) -> bool {
+pub fn are_same_file(one: &Path, other: &Path) -> bool {
     let identities = identities(one);
     self::identities(other).iter().any(|identity| identities.contains(identity))
 }
@@ -23,7 +23,7 @@ pub(crate) enum Identity {
 
 /// All keys of a file, existing or not.
 pub(crate) fn identities(path: &Path) -> Vec<Identity> {
-    let mut identities = vec![Identity::Path(entry(path))];
+    let mut identities = vec![Identity::Path(canonical_entry(path))];
     if let Ok(canonical) = path.canonicalize() {
         identities.push(Identity::Path(canonical));
     }
@@ -36,7 +36,7 @@ pub(crate) fn identities(path: &Path) -> Vec<Identity> {
 }
 
 /// The canonical directory entry of a path: resolves links in the folder's path, but not the entry itself.
-pub fn entry(path: &Path) -> PathBuf {
+pub fn canonical_entry(path: &Path) -> PathBuf {
     let folder = match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),

@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 
 use super::file_set::{RecordRecovery, is_record_name, record_of_old_file, recover, remove_old_file};
 use super::temporary::{
-    is_temporary_name, leave_behind, left_behind_count, lock_abandoned, remove_if_there, take_left_behind,
+    is_temporary_name, left_behind_count, lock_abandoned, record_left_behind, remove_if_exists,
+    take_left_behind,
 };
 
 /// Retries the removal of files that could not be removed before. Returns the number of remaining files.
@@ -15,9 +16,9 @@ pub fn remove_left_behind() -> usize {
     // The list is not locked meanwhile, because the disk may be slow.
     for path in take_left_behind() {
         let is_record = is_record_name(&path.file_name().unwrap_or_default().to_string_lossy());
-        let removed = if is_record { recover(&path).map(|_| ()) } else { remove_if_there(&path) };
+        let removed = if is_record { recover(&path).map(|_| ()) } else { remove_if_exists(&path) };
         if removed.is_err() {
-            leave_behind(path);
+            record_left_behind(path);
         }
     }
     left_behind_count()
@@ -134,7 +135,7 @@ fn sweep(path: &Path) -> io::Result<bool> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pipeline::files::sink::stage;
+    use crate::pipeline::files::atomic_write::stage;
     use crate::pipeline::files::temporary::{Temporary, temporary_name};
     use std::time::Duration;
     use tempfile::tempdir;

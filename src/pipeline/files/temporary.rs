@@ -49,7 +49,7 @@ impl Temporary {
     /// When the system reports an error.
     pub(crate) fn create_named(path: &Path, mut next_name: impl FnMut() -> String) -> io::Result<Temporary> {
         // Locked until the file is registered, so that a stop misses none.
-        let mut under_way = under_way();
+        let mut under_way = active_temporaries();
         let mut attempt_count = 0;
         loop {
             let temporary = path.with_file_name(next_name());
@@ -81,9 +81,9 @@ impl Temporary {
     /// Releases the lock and leaves the file to [`remove_left_behind`](super::sweep::remove_left_behind).
     pub(crate) fn keep(mut self) {
         let path = std::mem::take(&mut self.path);
-        under_way().remove(&path);
+        active_temporaries().remove(&path);
         drop(self);
-        leave_behind(path);
+        record_left_behind(path);
     }
 }
 
@@ -93,10 +93,10 @@ impl Drop for Temporary {
             return;
         }
         // The original error is more useful than this one; after a rename the file has another name.
-        if remove_if_there(&self.path).is_err() {
-            leave_behind(self.path.clone());
+        if remove_if_exists(&self.path).is_err() {
+            record_left_behind(self.path.clone());
         }
-        under_way().remove(&self.path);
+        active_temporaries().remove(&self.path);
     }
 }
 
@@ -104,7 +104,7 @@ impl Drop for Temporary {
 ///
 /// # Errors
 /// When the system reports an error.
-pub(crate) fn remove_if_there(path: &Path) -> io::Result<()> {
+pub(crate) fn remove_if_exists(path: &Path) -> io::Result<()> {
     match fs::remove_file(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
         result => result,
@@ -129,15 +129,15 @@ pub(crate) fn left_behind_count() -> usize {
 }
 
 /// Records a file that could not be removed.
-pub(crate) fn leave_behind(path: PathBuf) {
+pub(crate) fn record_left_behind(path: PathBuf) {
     left_behind().insert(path);
 }
 
 /// The temporary files of this process.
-pub(crate) fn under_way() -> MutexGuard<'static, HashSet<PathBuf>> {
-    static UNDER_WAY: LazyLock<Mutex<HashSet<PathBuf>>> = LazyLock::new(Mutex::default);
+pub(crate) fn active_temporaries() -> MutexGuard<'static, HashSet<PathBuf>> {
+    static ACTIVE: LazyLock<Mutex<HashSet<PathBuf>>> = LazyLock::new(Mutex::default);
     // Each update is a single insertion or removal, so a set whose lock is poisoned is still consistent.
-    UNDER_WAY.lock().unwrap_or_else(PoisonError::into_inner)
+    ACTIVE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Creates a locked file; `None` if another process swept it away before it was locked.

@@ -12,16 +12,16 @@ use crate::pipeline::warning::Warning;
 
 /// The attributes that a frame needs from its file.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Wanted {
+pub struct AttributeRequest {
     /// Attributes that the reconstruction requires.
-    needed: Vec<Needed>,
+    needed: Vec<RequiredAttribute>,
     /// Attributes to transfer to the surface.
     selected: Option<AttributeSelection>,
 }
 
 /// An attribute that the reconstruction requires.
 #[derive(Clone, Debug, PartialEq)]
-struct Needed {
+struct RequiredAttribute {
     name: String,
     /// The number of components for each particle.
     arity: usize,
@@ -31,10 +31,10 @@ struct Needed {
     is_length: bool,
 }
 
-impl Needed {
+impl RequiredAttribute {
     /// The error if it is not one of these attributes.
     fn why_missing(&self, all: &[Attribute]) -> String {
-        let Needed { name, arity, option, .. } = self;
+        let RequiredAttribute { name, arity, option, .. } = self;
         let kind = if *arity == 1 { "one number" } else { "a vector of three numbers" };
         match all.iter().find(|attribute| attribute.matches(name)) {
             None => {
@@ -67,7 +67,7 @@ impl Needed {
         let numbers = attribute.values.numbers().unwrap_or_default();
         let is_useful = |number: &f32| number.is_finite() && *number > 0.0;
         let is_useless = self.is_length && !numbers.is_empty() && !numbers.iter().any(is_useful);
-        let Needed { option, .. } = self;
+        let RequiredAttribute { option, .. } = self;
         let name = &attribute.name;
         is_useless.then(|| {
             format!("the particles' attribute `{name}` has no positive number for any of them, and {option} needs a radius")
@@ -75,35 +75,40 @@ impl Needed {
     }
 }
 
-impl Wanted {
+impl AttributeRequest {
     /// The attributes that these settings require.
-    pub fn by(settings: &Settings) -> Wanted {
-        let mut needed = Wanted::radii(settings.per_particle_radius.as_ref()).needed;
+    pub fn for_settings(settings: &Settings) -> AttributeRequest {
+        let mut needed = AttributeRequest::radii(settings.per_particle_radius.as_ref()).needed;
         if matches!(settings.anisotropy, Anisotropy::Velocity { .. }) {
             let name = "velocity".to_owned();
-            needed.push(Needed { name, arity: 3, option: "--anisotropy velocity", is_length: false });
+            needed.push(RequiredAttribute {
+                name,
+                arity: 3,
+                option: "--anisotropy velocity",
+                is_length: false,
+            });
         }
-        Wanted { needed, selected: settings.attributes.clone() }
+        AttributeRequest { needed, selected: settings.attributes.clone() }
     }
 
     /// The per-particle radii only.
-    pub(crate) fn radii(own: Option<&PerParticleRadius>) -> Wanted {
-        let needed = |own: &PerParticleRadius| Needed {
+    pub(crate) fn radii(own: Option<&PerParticleRadius>) -> AttributeRequest {
+        let needed = |own: &PerParticleRadius| RequiredAttribute {
             name: own.attribute.clone(),
             arity: 1,
             option: "--radius-attribute",
             is_length: true,
         };
-        Wanted { needed: own.map(needed).into_iter().collect(), selected: None }
+        AttributeRequest { needed: own.map(needed).into_iter().collect(), selected: None }
     }
 
     /// These, and the particles' radii if there are any.
-    pub(crate) fn and_radius(self) -> Wanted {
-        Wanted { selected: Some(AttributeSelection::Named(vec!["radius".to_owned()])), ..self }
+    pub(crate) fn and_radius(self) -> AttributeRequest {
+        AttributeRequest { selected: Some(AttributeSelection::Named(vec!["radius".to_owned()])), ..self }
     }
 
     /// Whether only positions are needed.
-    pub fn is_nothing(&self) -> bool {
+    pub fn is_empty(&self) -> bool {
         self.needed.is_empty() && self.selected.is_none()
     }
 
@@ -111,11 +116,11 @@ impl Wanted {
     ///
     /// # Errors
     /// If a required attribute is missing or unusable.
-    pub(crate) fn of(
+    pub(crate) fn select(
         &self,
         attributes: Vec<FileAttribute>,
     ) -> Result<(Vec<Attribute>, Vec<Warning>), String> {
-        if self.is_nothing() {
+        if self.is_empty() {
             return Ok((Vec::new(), Vec::new()));
         }
         let all: Vec<Attribute> = attributes.into_iter().map(attribute).collect();
@@ -233,8 +238,8 @@ mod tests {
         ]
     }
 
-    fn wanted(choices: MethodOptions) -> Wanted {
-        Wanted::by(&Settings::paper(1.0, &choices).expect("sound"))
+    fn wanted(choices: MethodOptions) -> AttributeRequest {
+        AttributeRequest::for_settings(&Settings::paper(1.0, &choices).expect("sound"))
     }
 
     /// The method knows no formats, so it has a separate list of names, which must match the readers' list.
@@ -260,8 +265,8 @@ mod tests {
                 ..MethodOptions::default()
             })
         };
-        let kept = |wanted: &Wanted| -> Vec<String> {
-            let (kept, _) = wanted.of(two_particles()).expect("nothing is needed");
+        let kept = |wanted: &AttributeRequest| -> Vec<String> {
+            let (kept, _) = wanted.select(two_particles()).expect("nothing is needed");
             kept.into_iter().map(|attribute| attribute.name).collect()
         };
         assert_eq!(kept(&wanted(MethodOptions::default())), [""; 0]);
@@ -270,7 +275,7 @@ mod tests {
         let all =
             wanted(MethodOptions { attributes: Some(AttributeSelection::All), ..MethodOptions::default() });
         assert_eq!(kept(&all), ["vel", "rgb", "pscale", "Kind"]);
-        let (_, missing) = named(&["age"]).of(two_particles()).expect("nothing is needed");
+        let (_, missing) = named(&["age"]).select(two_particles()).expect("nothing is needed");
         let missing = missing[0].to_string();
         assert!(missing.contains("`age`") && missing.contains("vel, rgb, pscale, Kind"), "{missing}");
     }
@@ -280,14 +285,14 @@ mod tests {
         let by_radius = |name: &str| {
             wanted(MethodOptions { radius_attribute: Some(name.to_owned()), ..MethodOptions::default() })
         };
-        let (kept, _) = by_radius("radius").of(two_particles()).expect("there");
+        let (kept, _) = by_radius("radius").select(two_particles()).expect("there");
         assert_eq!(kept.len(), 1);
         assert_eq!(kept[0].values, AttributeValues::Numbers(vec![0.5, 1.0]));
         // An integer is a valid radius, a colour is not.
-        assert!(by_radius("Kind").of(two_particles()).is_ok());
-        let error = by_radius("rgb").of(two_particles()).expect_err("three numbers");
+        assert!(by_radius("Kind").select(two_particles()).is_ok());
+        let error = by_radius("rgb").select(two_particles()).expect_err("three numbers");
         assert!(error.contains("`rgb` has 3 numbers") && error.contains("needs one number"), "{error}");
-        let error = by_radius("kind").of(vec![file_attribute(
+        let error = by_radius("kind").select(vec![file_attribute(
             "kind",
             None,
             1,
@@ -297,13 +302,13 @@ mod tests {
         let useless = |values: &[f32]| {
             let radii =
                 file_attribute("pscale", Some(AttributeRole::Radius), 1, Values::F32(values.to_vec()));
-            by_radius("radius").of(vec![radii])
+            by_radius("radius").select(vec![radii])
         };
         let error = useless(&[0.0, -1.0, f32::NAN, f32::INFINITY]).expect_err("no radius");
         assert!(error.contains("`pscale` has no positive number") && error.contains("--radius-attribute"));
         // One positive value is enough; without particles none is needed.
         assert!(useless(&[0.0, 0.5]).is_ok() && useless(&[]).is_ok());
-        let error = by_radius("size").of(two_particles()).expect_err("not there");
+        let error = by_radius("size").select(two_particles()).expect_err("not there");
         assert!(error.contains("`size`") && error.contains("--radius-attribute"), "{error}");
     }
 
@@ -311,7 +316,7 @@ mod tests {
     fn values_are_converted_for_the_method() {
         let all =
             wanted(MethodOptions { attributes: Some(AttributeSelection::All), ..MethodOptions::default() });
-        let (kept, _) = all.of(two_particles()).expect("nothing is needed");
+        let (kept, _) = all.select(two_particles()).expect("nothing is needed");
         assert_eq!(kept[1].values, AttributeValues::Numbers(vec![1.0, 0.0, 0.2, 0.0, 0.0, 0.0]));
         assert_eq!(kept[3].values, AttributeValues::Integers(vec![7, -1]));
     }

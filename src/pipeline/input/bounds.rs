@@ -8,7 +8,7 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use super::attributes::Wanted;
+use super::attributes::AttributeRequest;
 use super::level_set_file::{LevelSetFile, is_level_set};
 use super::reading::{parse_particles, read_file};
 use crate::pipeline::error::{FrameError, Stage};
@@ -18,7 +18,7 @@ use crate::surface::particles::OwnedPositions;
 use crate::surface::space::{CoordBox, box_of, joined};
 
 /// The box that a camera shows if a frame is empty.
-pub const NOTHING: [DVec3; 2] = [DVec3::NEG_ONE, DVec3::ONE];
+pub const EMPTY_BOUNDS: [DVec3; 2] = [DVec3::NEG_ONE, DVec3::ONE];
 
 /// The bounding box of the first, the middle and the last of these files: minimum and maximum corner in world
 /// units, or `None` if they are empty. Particles are balls of this radius. Skips files that cannot be read.
@@ -57,7 +57,7 @@ fn file_bounds(path: &Path, radius: f64) -> Result<Option<[DVec3; 2]>, FrameErro
         return Ok(LevelSetFile::read(path, false)?.scene().bounds());
     }
     let bytes = read_file(path)?;
-    let read = parse_particles(path, &bytes, &Wanted::radii(None))?;
+    let read = parse_particles(path, &bytes, &AttributeRequest::radii(None))?;
     Ok(bounds_of_particles(&read.cloud.positions, radius))
 }
 

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::obstacles::ObstacleFiles;
 use super::steps::file_of;
-use crate::pipeline::files::path_identity::{Identity, entry, identities};
+use crate::pipeline::files::path_identity::{Identity, canonical_entry, identities};
 use crate::pipeline::target::outputs::{OutputOptions, output_path};
 
 /// Why a run cannot begin.
@@ -109,13 +109,13 @@ pub fn check_outputs(
     let mut maker_of: HashMap<PathBuf, &Path> = HashMap::new();
     for (output, maker) in outputs {
         refuse_loss(&output)?;
-        if let Some(other) = maker_of.insert(entry(&output), maker) {
+        if let Some(other) = maker_of.insert(canonical_entry(&output), maker) {
             return Err(Conflict::SameOutput { output, makers: [other.to_owned(), maker.to_owned()] });
         }
     }
     let Some((what, path)) = written else { return Ok(()) };
     refuse_loss(path)?;
-    match maker_of.get(&entry(path)) {
+    match maker_of.get(&canonical_entry(path)) {
         Some(&input) => {
             Err(Conflict::ReplacesOutput { output: path.to_owned(), input: input.to_owned(), what })
         }

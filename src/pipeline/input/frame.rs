@@ -96,7 +96,7 @@ impl Frame {
     }
 
     /// The same frame with this camera for its pictures.
-    pub(crate) fn taken_by(&self, camera: CameraChoice) -> Frame {
+    pub(crate) fn with_camera(&self, camera: CameraChoice) -> Frame {
         let picture = PictureOptions { camera, ..self.outputs.picture };
         Frame { outputs: Arc::new(OutputOptions { picture, ..(*self.outputs).clone() }), ..self.clone() }
     }

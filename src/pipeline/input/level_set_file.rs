@@ -221,13 +221,13 @@ fn voxel_size(transform: &Transform) -> Option<f64> {
     let [[x, a, b], [c, y, d], [e, f, z]] = transform.axes;
     let is_straight = [a, b, c, d, e, f].iter().all(|across| across.abs() <= SKEW_MAX * x);
     let is_even = (y - x).abs() <= SKEW_MAX * x && (z - x).abs() <= SKEW_MAX * x;
-    let is_placed = transform.translation.iter().all(|along| along.abs() <= PLACE_MAX);
+    let is_placed = transform.translation.iter().all(|along| along.abs() <= COORDINATE_MAX);
     (VOXEL_SIZES.contains(&x) && is_straight && is_even && is_placed).then_some(x)
 }
 
 /// World units; values outside this range are accidental.
 const VOXEL_SIZES: RangeInclusive<f64> = 1e-15..=1e15;
-const PLACE_MAX: f64 = 1e15;
+const COORDINATE_MAX: f64 = 1e15;
 
 /// A larger relative difference between the steps means that the voxels are not axis-aligned cubes.
 const SKEW_MAX: f64 = 1e-4;

@@ -26,7 +26,7 @@ use crate::surface::spacing::{
 };
 use crate::surface::words::significant;
 
-use super::attributes::Wanted;
+use super::attributes::AttributeRequest;
 use super::frame_input::{FileParticles, FrameInput};
 use super::reading::{ReadFrame, parse_particles, read_file};
 use super::steps::{frame_name, step_of};
@@ -110,7 +110,7 @@ pub fn measure_spacing<'a>(
     let mut none = NoSpacing { sparse_count: 0, unreadable_count: 0, unreadable: None };
     let note = |_: &Path, attempt: Attempt| match attempt {
         Attempt::Measured => {}
-        Attempt::Sparse => none.sparse_count += 1,
+        Attempt::TooFewParticles => none.sparse_count += 1,
         Attempt::Unreadable(error) => {
             none.unreadable_count += 1;
             none.unreadable.get_or_insert(error);
@@ -125,7 +125,7 @@ pub(crate) enum Attempt {
     /// The frame was measured.
     Measured,
     /// It has fewer than two particles in different places.
-    Sparse,
+    TooFewParticles,
     /// It cannot be read.
     Unreadable(FrameError),
 }
@@ -145,7 +145,7 @@ pub(crate) fn measure_sequence(
             }
             let (attempt, frame) = match measured(files[index], per_particle_radius) {
                 Ok(Some(frame)) => (Attempt::Measured, Some((index, frame))),
-                Ok(None) => (Attempt::Sparse, None),
+                Ok(None) => (Attempt::TooFewParticles, None),
                 Err(error) => (Attempt::Unreadable(error), None),
             };
             note(files[index], attempt);
@@ -170,7 +170,7 @@ struct FrameSpacing {
     path: PathBuf,
     estimate: SpacingEstimate,
     /// The name of a radius attribute that contradicts the positions, and twice its median.
-    doubted: Option<(String, f64)>,
+    contradicting_radius: Option<(String, f64)>,
     radius_median: Option<f64>,
 }
 
@@ -190,13 +190,13 @@ fn measured(
             let of_estimate = |estimate| FrameSpacing {
                 path: path.to_owned(),
                 estimate,
-                doubted: None,
+                contradicting_radius: None,
                 radius_median: None,
             };
             return Ok(estimate.map(of_estimate));
         }
         let bytes = read_file(path)?;
-        let read = parse_particles(path, &bytes, &Wanted::radii(per_particle_radius).and_radius())?;
+        let read = parse_particles(path, &bytes, &AttributeRequest::radii(per_particle_radius).and_radius())?;
         Ok(measured_of(path, &read, per_particle_radius))
     };
     FrameError::catch(path, Stage::Read, measure).flatten()
@@ -230,7 +230,7 @@ fn measured_of(
     };
     let by_radius = radius.and_then(|radius| Some((radius.name.clone(), 2.0 * median(positive(radius))?)));
     let of_radius = |spacing| SpacingEstimate { spacing, confidence: 1.0 };
-    let (estimate, doubted) = match (by_positions, by_radius) {
+    let (estimate, contradicting_radius) = match (by_positions, by_radius) {
         (Some(estimate), Some((name, spacing))) => {
             let ratio = spacing / estimate.spacing;
             let fits = (1.0 / RADIUS_FACTOR_MAX..=RADIUS_FACTOR_MAX).contains(&ratio);
@@ -245,7 +245,7 @@ fn measured_of(
         (None, None) => return None,
     };
     let radius_median = per_particle_radius.and_then(|own| median(own.radii_min(&read.cloud.attributes)));
-    Some(FrameSpacing { path: path.to_owned(), estimate, doubted, radius_median })
+    Some(FrameSpacing { path: path.to_owned(), estimate, contradicting_radius, radius_median })
 }
 
 /// The positive values of an attribute.
@@ -279,7 +279,7 @@ fn warnings(frames: &[FrameSpacing], estimate: &SequenceEstimate) -> Vec<String>
     let order = |a: &&FrameSpacing, b: &&FrameSpacing| a.estimate.spacing.total_cmp(&b.estimate.spacing);
     let mut warnings = Vec::new();
     if let Some((frame, (name, spacing))) =
-        frames.iter().find_map(|frame| Some((frame, frame.doubted.as_ref()?)))
+        frames.iter().find_map(|frame| Some((frame, frame.contradicting_radius.as_ref()?)))
     {
         warnings.push(format!(
             "{}: the radii in `{name}` mean a spacing of {}, but the positions, which are used, mean {}: give --spacing",

@@ -19,13 +19,13 @@ pub(crate) fn findings_of(shape: &ObstacleSdf, settings: &Settings) -> Vec<Obsta
                 found.push(ObstacleFinding::Open { edge_count: open_edge_count, encloses_nothing });
             }
             if flipped_count > 0 {
-                found.push(ObstacleFinding::Turned { triangle_count: flipped_count });
+                found.push(ObstacleFinding::Flipped { triangle_count: flipped_count });
             }
             if unchecked_part_count > 0 {
-                found.push(ObstacleFinding::Unasked { part_count: unchecked_part_count });
+                found.push(ObstacleFinding::PossiblyInverted { part_count: unchecked_part_count });
             }
             if invalid_count > 0 {
-                found.push(ObstacleFinding::Broken { triangle_count: invalid_count });
+                found.push(ObstacleFinding::InvalidTriangles { triangle_count: invalid_count });
             }
             if triangle_count == 0 {
                 found.push(ObstacleFinding::Flat);

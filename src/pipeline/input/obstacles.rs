@@ -30,7 +30,7 @@ use super::obstacle_warnings::findings_of;
 use crate::pipeline::error::ObstacleError;
 use crate::pipeline::files::input_file::{read_start_unchanged, read_unchanged};
 use crate::pipeline::files::number_pattern::{NumberPattern, may_be_file};
-use crate::pipeline::files::path_identity::{are_one_file, entry};
+use crate::pipeline::files::path_identity::{are_same_file, canonical_entry};
 use crate::pipeline::files::stamp::FileStamp;
 use crate::pipeline::warning::Warning;
 
@@ -39,9 +39,9 @@ use crate::pipeline::warning::Warning;
 pub struct ObstacleFiles {
     paths: Vec<PathBuf>,
     /// The loaded obstacles that do not move, by the index of their path.
-    known: Mutex<Vec<Option<LoadedObstacle>>>,
+    loaded: Mutex<Vec<Option<LoadedObstacle>>>,
     /// The buffer files of each `.gltf`, and the stamp of the `.gltf` that named them.
-    beside: Mutex<HashMap<PathBuf, (FileStamp, Vec<PathBuf>)>>,
+    buffers: Mutex<HashMap<PathBuf, (FileStamp, Vec<PathBuf>)>>,
 }
 
 /// The state of a frame's obstacle files at one time.
@@ -50,7 +50,7 @@ pub struct ObstacleStamps {
     /// The stamps as short text: equal texts mean that no file was written in between.
     pub text: String,
     /// Whether every file exists.
-    pub are_all_there: bool,
+    pub all_exist: bool,
 }
 
 /// An obstacle that was loaded.
@@ -118,7 +118,7 @@ impl ObstacleFiles {
         let mut seen = HashSet::new();
         paths.retain(|path| seen.insert(absolute(path).unwrap_or_else(|_| path.clone())));
         let known = Mutex::new(vec![None; paths.len()]);
-        ObstacleFiles { paths, known, beside: Mutex::default() }
+        ObstacleFiles { paths, loaded: known, buffers: Mutex::default() }
     }
 
     /// Whether there are no obstacles.
@@ -136,28 +136,28 @@ impl ObstacleFiles {
     /// obstacle, any file that matches its pattern.
     pub(crate) fn replaced_by(&self, output: &Path) -> Option<&Path> {
         let is_member = |path: &Path, pattern: NumberPattern| {
-            let (entry, of_pattern) = (entry(output), entry(path));
+            let (entry, of_pattern) = (canonical_entry(output), canonical_entry(path));
             let name = entry.file_name().and_then(|name| name.to_str()).unwrap_or_default();
             entry.parent() == of_pattern.parent() && pattern.span_in(name).is_some()
         };
         let is_in_the_way = |path: &&PathBuf| {
-            are_one_file(path, output)
+            are_same_file(path, output)
                 || !may_be_file(path) && pattern_of(path).is_some_and(|pattern| is_member(path, pattern))
-                || self.files_beside(path).iter().any(|beside| are_one_file(beside, output))
+                || self.external_files(path).iter().any(|beside| are_same_file(beside, output))
         };
         self.paths.iter().find(is_in_the_way).map(PathBuf::as_path)
     }
 
     /// Whether no obstacle moves, so that all frames share the same ones.
-    pub fn stand_still(&self) -> bool {
+    pub fn are_static(&self) -> bool {
         self.paths.iter().all(|path| may_be_file(path) || pattern_of(path).is_none())
     }
 
     /// The current state of a frame's obstacle files.
     pub fn stamps(&self, number: Option<u64>) -> ObstacleStamps {
-        let mut stamps = ObstacleStamps { text: String::new(), are_all_there: true };
+        let mut stamps = ObstacleStamps { text: String::new(), all_exist: true };
         let mut tell = |path: &Path, stamp: Option<FileStamp>| {
-            stamps.are_all_there &= stamp.is_some();
+            stamps.all_exist &= stamp.is_some();
             stamps.text += &match stamp {
                 Some(stamp) => format!("{}: {}\n", path.display(), text_of(&stamp)),
                 None => format!("{}: none\n", path.display()),
@@ -166,18 +166,18 @@ impl ObstacleFiles {
         for path in &self.paths {
             let at = file_of(path, number).ok();
             tell(path, at.as_deref().and_then(stamp_of));
-            let beside = at.map(|at| self.files_beside(&at)).unwrap_or_default();
+            let beside = at.map(|at| self.external_files(&at)).unwrap_or_default();
             beside.iter().for_each(|path| tell(path, stamp_of(path)));
         }
         stamps
     }
 
     /// The buffer files of an obstacle, as far as it can be read now.
-    fn files_beside(&self, path: &Path) -> Vec<PathBuf> {
+    fn external_files(&self, path: &Path) -> Vec<PathBuf> {
         if !is_gltf_text(path) {
             return Vec::new();
         }
-        let lock = || self.beside.lock().unwrap_or_else(PoisonError::into_inner);
+        let lock = || self.buffers.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((stamp, files)) = lock().get(path)
             && stamp_of(path) == Some(*stamp)
         {
@@ -194,11 +194,11 @@ impl ObstacleFiles {
     pub(crate) fn loading_bytes(&self, number: Option<u64>) -> u64 {
         let size = |path: &Path| path.metadata().map_or(0, |metadata| metadata.len());
         let of_one = |(index, path): (usize, &PathBuf)| {
-            if self.known_of(index).is_some_and(|known| known.is_as_it_was()) {
+            if self.loaded_of(index).is_some_and(|known| known.is_as_it_was()) {
                 return 0;
             }
             let Ok(at) = file_of(path, number) else { return 0 };
-            let beside = self.files_beside(&at);
+            let beside = self.external_files(&at);
             let bytes = beside.iter().map(|path| size(path)).fold(size(&at), u64::saturating_add);
             bytes.saturating_mul(loading_factor(&at))
         };
@@ -206,8 +206,8 @@ impl ObstacleFiles {
     }
 
     /// Whether all obstacles of the frame with this number exist.
-    pub fn are_there(&self, number: Option<u64>) -> bool {
-        self.stamps(number).are_all_there
+    pub fn exist(&self, number: Option<u64>) -> bool {
+        self.stamps(number).all_exist
     }
 
     /// Finds and hashes the obstacles of a frame.
@@ -215,7 +215,7 @@ impl ObstacleFiles {
         let found = self.paths.iter().enumerate().map(|(index, path)| {
             let at = file_of(path, number)?;
             let still = (at == *path).then_some(index);
-            match still.and_then(|index| self.known_of(index)) {
+            match still.and_then(|index| self.loaded_of(index)) {
                 Some(known) if known.is_as_it_was() => Ok(FoundObstacle {
                     path: at,
                     files: known.files,
@@ -270,7 +270,7 @@ impl ObstacleFiles {
                         obstacle: Arc::clone(&obstacle),
                     };
                     if let Some(place) =
-                        self.known.lock().unwrap_or_else(PoisonError::into_inner).get_mut(index)
+                        self.loaded.lock().unwrap_or_else(PoisonError::into_inner).get_mut(index)
                     {
                         *place = Some(known);
                     }
@@ -282,8 +282,8 @@ impl ObstacleFiles {
         Ok(all)
     }
 
-    fn known_of(&self, index: usize) -> Option<LoadedObstacle> {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner).get(index).cloned().flatten()
+    fn loaded_of(&self, index: usize) -> Option<LoadedObstacle> {
+        self.loaded.lock().unwrap_or_else(PoisonError::into_inner).get(index).cloned().flatten()
     }
 }
 
@@ -538,7 +538,7 @@ mod tests {
         ] {
             assert_eq!(files.replaced_by(&at(output)).is_some(), is_refused, "{output}");
         }
-        assert!(!files.stand_still() && ObstacleFiles::new(vec![at("still.obj")]).stand_still());
+        assert!(!files.are_static() && ObstacleFiles::new(vec![at("still.obj")]).are_static());
     }
 
     #[test]

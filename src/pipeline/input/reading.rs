@@ -10,8 +10,8 @@ use meniscus_formats::{
 
 use crate::surface::particles::{OwnedPositions, ParticleCloud, Shapes};
 
-use super::attributes::Wanted;
-use super::steps::{StepsFoundBy, by_lines_of_file, file_of, read_step, step_of};
+use super::attributes::AttributeRequest;
+use super::steps::{IndexPolicy, by_lines_of_file, file_of, read_step, step_of};
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::input_file::read_unchanged;
 use crate::pipeline::files::open::open_regular;
@@ -40,7 +40,7 @@ pub fn read_file(path: &Path) -> Result<Vec<u8>, FrameError> {
             refuse_large_foreign(path).map_err(fail)?;
             read_unchecked(path).map_err(|error| fail(error.into()))
         }
-        Some(step) => match read_step(step, StepsFoundBy::Reader).map_err(fail)? {
+        Some(step) => match read_step(step, IndexPolicy::OnRead).map_err(fail)? {
             Some((bytes, _)) => Ok(bytes),
             None => Err(FrameError { path: path.to_owned(), during: Stage::Read, cause: Cause::Changed }),
         },
@@ -54,14 +54,14 @@ pub fn read_file(path: &Path) -> Result<Vec<u8>, FrameError> {
 /// When the system reports an error, or the file has no such step.
 pub(crate) fn read_frame_unchanged(
     path: &Path,
-    steps_found_by: StepsFoundBy,
+    index_policy: IndexPolicy,
 ) -> meniscus_formats::Result<Option<(Vec<u8>, FileStamp)>> {
     match step_of(path) {
         None => {
             refuse_large_foreign(path)?;
             Ok(read_unchanged(path)?)
         }
-        Some(step) => read_step(step, steps_found_by),
+        Some(step) => read_step(step, index_policy),
     }
 }
 
@@ -92,7 +92,11 @@ fn read_unchecked(path: &Path) -> io::Result<Vec<u8>> {
 ///
 /// # Errors
 /// When the bytes are not valid particles, or lack a required attribute.
-pub fn parse_particles(path: &Path, bytes: &[u8], wanted: &Wanted) -> Result<ReadFrame, FrameError> {
+pub fn parse_particles(
+    path: &Path,
+    bytes: &[u8],
+    wanted: &AttributeRequest,
+) -> Result<ReadFrame, FrameError> {
     let name = file_of(path).file_name().unwrap_or_default().to_string_lossy();
     let frame = read_particles(bytes, &name, &Limits::default())
         .map_err(|error| FrameError::file(path, Stage::Read, by_lines_of_file(path, error)))?;
@@ -101,7 +105,7 @@ pub fn parse_particles(path: &Path, bytes: &[u8], wanted: &Wanted) -> Result<Rea
     let velocity = attributes.iter().find(|attribute| attribute.role == Some(AttributeRole::Velocity));
     let unused_velocity =
         velocity.map(|attribute| attribute.name.clone()).filter(|name| !wanted.has_velocity(name));
-    let (attributes, missing) = wanted.of(attributes).map_err(unfit)?;
+    let (attributes, missing) = wanted.select(attributes).map_err(unfit)?;
     let warnings = notes.into_iter().map(Warning::Sentence).chain(missing).collect();
     let cloud = ParticleCloud { positions: particles(positions), shapes: Shapes::Uniform, attributes };
     Ok(ReadFrame { cloud, warnings, unused_velocity })

@@ -240,12 +240,12 @@ pub fn single_frame_sequences(sequences: &[Sequence]) -> Vec<(PathBuf, usize)> {
             *single_count += usize::from(sequence.frames.len() == 1);
         }
     }
-    let fallen_apart = counts.into_iter().filter(|(_, (count, single))| have_fallen_apart(*count, *single));
+    let fallen_apart = counts.into_iter().filter(|(_, (count, single))| are_single_frames(*count, *single));
     fallen_apart.map(|((folder, _), (_, single_count))| (folder, single_count)).collect()
 }
 
 /// Whether too many of `count` sequences with names that differ only in numbers have a single frame.
-pub fn have_fallen_apart(count: usize, single_count: usize) -> bool {
+pub fn are_single_frames(count: usize, single_count: usize) -> bool {
     single_count > 1 && 2 * single_count > count
 }
 

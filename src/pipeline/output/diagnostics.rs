@@ -58,7 +58,7 @@ fn misfit(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Option
     if 2 * piece_count > particle_count {
         return Some(Warning::Spray { particle_count, piece_count, voxel_size });
     }
-    torn(mesh, report, voxel_size).or_else(|| {
+    fragmented(mesh, report, voxel_size).or_else(|| {
         let width_voxels = BLOB_VOXELS;
         is_blob(mesh, report, voxel_size).then_some(Warning::Blob {
             particle_count,
@@ -69,7 +69,7 @@ fn misfit(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Option
 }
 
 /// The fault of a surface whose spheres seem not to overlap.
-fn torn(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Option<Warning> {
+fn fragmented(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Option<Warning> {
     let (particle_count, measures) = (report.particle_count, &report.mesh);
     let few_pieces = particle_count / HOLED_ONE_IN;
     let few_holes = few_pieces.max(FEW_HOLES);
@@ -90,7 +90,7 @@ fn torn(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Option<W
     let piece_count = filled().count();
     let is_torn = piece_count > particle_count / PIECES_ONE_IN
         && 2.0 * filled().fold(0.0, f64::max) < filled().sum::<f64>();
-    is_torn.then_some(Warning::Torn { particle_count, piece_count, voxel_size })
+    is_torn.then_some(Warning::Fragmented { particle_count, piece_count, voxel_size })
 }
 
 /// Whether all particles are in one blob of the size of one particle's ball.

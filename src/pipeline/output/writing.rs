@@ -21,9 +21,9 @@ use crate::surface::space::Lattice;
 
 use super::diagnostics::diagnose;
 use crate::pipeline::error::{FrameError, Stage};
-use crate::pipeline::files::sink::{publish, stage};
+use crate::pipeline::files::atomic_write::{commit, stage};
 use crate::pipeline::files::staged_file::StagedFile;
-use crate::pipeline::input::bounds::NOTHING;
+use crate::pipeline::input::bounds::EMPTY_BOUNDS;
 use crate::pipeline::input::frame::Frame;
 use crate::pipeline::records::certificate_file::{certificate_path, write_certificate};
 use crate::pipeline::records::provenance::provenance;
@@ -69,7 +69,7 @@ pub(crate) fn write_files(
         staged.push(certificate.map_err(|error| fail(&path, error))?);
     }
     let sizes_bytes = staged.iter().map(StagedFile::size_bytes).collect();
-    let paths = publish(staged).map_err(|(path, error)| fail(&path, error.into()))?;
+    let paths = commit(staged).map_err(|(path, error)| fail(&path, error.into()))?;
     Ok(WrittenFiles { paths, sizes_bytes })
 }
 
@@ -132,7 +132,7 @@ fn write_picture<'env>(
         let velocity = if has_data { velocities(&surface) } else { None };
         let scene = PictureScene { band: &surface.band, lattice, origin, velocity: velocity.as_ref() };
         let PictureOptions { size, camera } = outputs.picture;
-        let bounds = scene.bounds().unwrap_or(NOTHING);
+        let bounds = scene.bounds().unwrap_or(EMPTY_BOUNDS);
         let viewpoint = camera.viewpoint(bounds, outputs.picture.aspect(), up_of(outputs.up));
         let picture = scene.picture(&viewpoint, size, has_data);
         encode_picture(&picture, Some(&viewpoint), format, &provenance)
@@ -154,7 +154,7 @@ fn encode_levels(
 }
 
 /// Encodes the level set of a surface as a .vdb, with the attributes that are known in its band;
-/// [write](vdb::Encoded::write) the result. The settings must be those of the reconstruction: its values are
+/// [write](vdb::EncodedVdb::write) the result. The settings must be those of the reconstruction: its values are
 /// in their voxels.
 ///
 /// # Errors
@@ -284,7 +284,7 @@ fn attribute_warnings(surface: &FrameSurface, outputs: &OutputOptions) -> Vec<Wa
         let band = &surface.attributes.band;
         let names = surface.report.transfer.iter().flat_map(|transfer| &transfer.attributes);
         let left_out = names.filter(|name| band.iter().all(|attribute| attribute.name != **name));
-        warnings.extend(left_out.map(|name| Warning::NotInVdb { name: name.clone() }));
+        warnings.extend(left_out.map(|name| Warning::UnsupportedInVdb { name: name.clone() }));
         let voxels: Vec<Voxels> = band.iter().map(Voxels).collect();
         let of_grids = vdb::grid_notes(&band_grids(&voxels), &vdb::WriteOptions::default().name);
         warnings.extend(of_grids.into_iter().map(Warning::Sentence));

@@ -25,10 +25,10 @@ use crate::surface::report::ReconstructionReport;
 
 use super::provenance::{GENERATOR_AND_VERSION, hash_text};
 use super::record::{CertificateRecord, certificate_record};
+use crate::pipeline::files::atomic_write::stage;
 use crate::pipeline::files::input_file::{InputFile, read_start_unchanged};
 use crate::pipeline::files::json::write_json;
 use crate::pipeline::files::names::name_of_text;
-use crate::pipeline::files::sink::stage;
 use crate::pipeline::files::staged_file::StagedFile;
 use crate::pipeline::input::steps::frame_name;
 
@@ -77,7 +77,7 @@ struct CertificateFile {
 
 /// The version of the file's format.
 #[derive(Deserialize)]
-struct Form {
+struct FormatVersion {
     meniscus_certificate: u32,
 }
 
@@ -122,7 +122,8 @@ fn certified((output, checked): &(&StagedFile, &'static str)) -> io::Result<Cert
 pub(crate) fn read_certificate(path: &Path) -> Result<CertifiedFrame, String> {
     let bytes = read_start_unchanged(path, SIZE_MAX_BYTES).map_err(|error| error.to_string())?;
     let (bytes, _) = bytes.ok_or("written while it was read")?;
-    let Form { meniscus_certificate } = serde_json::from_slice(&bytes).map_err(|error| error.to_string())?;
+    let FormatVersion { meniscus_certificate } =
+        serde_json::from_slice(&bytes).map_err(|error| error.to_string())?;
     if meniscus_certificate != VERSION {
         return Err(format!(
             "certificate version {meniscus_certificate} is not supported (expected {VERSION}); convert the frame again"

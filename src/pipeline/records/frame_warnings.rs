@@ -58,7 +58,7 @@ const ROUNDING_REPORTED_FROM: f64 = 1.0 / 256.0;
 /// The particles that are not in the surface, if any.
 pub(crate) fn left_out(report: &ReconstructionReport) -> Option<Warning> {
     let count = report.dropped_count;
-    (count > 0).then_some(Warning::LeftOut { count, near: report.stray_position })
+    (count > 0).then_some(Warning::ParticlesIgnored { count, near: report.stray_position })
 }
 
 /// Warnings about the shapes of particles. There is no warning about thin ellipsoids that are widened to the

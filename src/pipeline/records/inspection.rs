@@ -28,7 +28,7 @@ use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::input::frame::{Frame, Job};
 use crate::pipeline::input::level_set_file::LevelSetFile;
-use crate::pipeline::input::steps::{StepsFoundBy, read_step, step_of};
+use crate::pipeline::input::steps::{IndexPolicy, read_step, step_of};
 use crate::pipeline::target::outputs::{OutputFormat, output_path};
 
 /// The result of an inspection, with a reason if the frame is not done.
@@ -66,9 +66,9 @@ pub struct Inspection {
     /// The state of its outputs.
     pub state: InspectedState,
     /// Whether its input could be read, and so was compared.
-    pub input_is_there: bool,
+    pub input_exists: bool,
     /// Whether all its obstacles could be read.
-    pub obstacles_are_there: bool,
+    pub obstacles_exist: bool,
 }
 
 /// Inspects the outputs of a frame, and compares them with its input and obstacles if these exist.
@@ -86,7 +86,7 @@ pub fn inspect(frame: &Frame) -> Inspection {
         Err(error) if error.source.as_ref().is_some_and(is_not_found) => (None, None),
         Err(error) => (None, Some(error.to_string())),
     };
-    let (input_is_there, obstacles_are_there) = (input_hash.is_some(), obstacles.is_some());
+    let (input_exists, obstacles_exist) = (input_hash.is_some(), obstacles.is_some());
     let frame = &with_voxel_size_of_input(frame);
     let state = inspect_made_from(frame, &MadeFrom { input_hash, obstacles });
     let input_fault =
@@ -97,7 +97,7 @@ pub fn inspect(frame: &Frame) -> Inspection {
         (InspectedState::Done | InspectedState::Uncertified(_), Some(fault)) => InspectedState::Stale(fault),
         (state, _) => state,
     };
-    Inspection { state, input_is_there, obstacles_are_there }
+    Inspection { state, input_exists, obstacles_exist }
 }
 
 /// A level-set frame with the voxel size of its file, if that can be read; any other frame unchanged.
@@ -128,7 +128,7 @@ fn hash_of_input(path: &Path) -> Result<u128, Error> {
         let hash = file.hash()?;
         return if file.is_unchanged()? { Ok(hash) } else { Err(changed().into()) };
     };
-    let (bytes, _) = read_step(step, StepsFoundBy::Reader)?.ok_or_else(changed)?;
+    let (bytes, _) = read_step(step, IndexPolicy::OnRead)?.ok_or_else(changed)?;
     Ok(XxHash3_128::oneshot(&bytes))
 }
 

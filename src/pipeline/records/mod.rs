@@ -14,4 +14,4 @@ pub(super) mod output_states;
 pub(super) mod picture_file;
 pub(super) mod provenance;
 pub(super) mod record;
-pub(super) mod shot;
+pub(super) mod sequence_file;

@@ -29,10 +29,10 @@ use meniscus_formats::read_provenance;
 use serde::{Deserialize, Serialize};
 use twox_hash::XxHash3_128;
 
+use crate::pipeline::files::atomic_write::replace_own;
 use crate::pipeline::files::input_file::{InputFile, read_start_unchanged};
 use crate::pipeline::files::json::hex;
 use crate::pipeline::files::open::{open_own, open_regular};
-use crate::pipeline::files::sink::replace_own;
 use crate::pipeline::files::stamp::FileStamp;
 use crate::pipeline::target::outputs::OutputFormat;
 

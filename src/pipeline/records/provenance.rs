@@ -156,7 +156,7 @@ pub(crate) fn is_done(frame: &Frame, hash: u128, obstacles: &str) -> bool {
         Some(framing) => {
             let Framed { camera, earlier, .. } = framing.framed();
             let mut cameras = std::iter::once(camera).chain(earlier);
-            cameras.any(|camera| records_all(&frame.taken_by(camera), hash, obstacles))
+            cameras.any(|camera| records_all(&frame.with_camera(camera), hash, obstacles))
         }
     }
 }

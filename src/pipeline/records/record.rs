@@ -17,9 +17,9 @@ use crate::surface::report::{
 use crate::surface::validation::Certificate;
 
 use super::provenance::{chosen_options, level_set_pairs};
+use crate::pipeline::files::atomic_write::write_atomically;
 use crate::pipeline::files::json::write_json;
 use crate::pipeline::files::shown::shown;
-use crate::pipeline::files::sink::write_whole;
 use crate::pipeline::input::frame::{Frame, FrameReport, Job, Outcome, Seconds};
 use crate::pipeline::input::measured_spacing::MeasuredSpacing;
 use crate::pipeline::input::obstacles::ObstacleFiles;
@@ -253,7 +253,7 @@ impl RunRecord {
     /// When the system reports an error.
     pub fn write(mut self, path: &Path, seconds: f64) -> meniscus_formats::Result<()> {
         self.summary.seconds = seconds;
-        write_whole(path, |out| Ok(write_json(out, &self)?))
+        write_atomically(path, |out| Ok(write_json(out, &self)?))
     }
 }
 

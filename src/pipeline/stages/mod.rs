@@ -39,7 +39,7 @@ use crossbeam::channel::bounded;
 use rayon::ThreadPool;
 
 use crate::pipeline::input::frame::{Frame, Outcome};
-use crate::pipeline::input::steps::StepsFoundBy;
+use crate::pipeline::input::steps::IndexPolicy;
 use crate::pipeline::memory::default_memory_bytes;
 use crate::pipeline::method::Method;
 use crate::pipeline::observer::Observer;
@@ -78,7 +78,7 @@ pub struct PipelineOptions<'a> {
     pub memory_bytes: u64,
     /// Who indexes a file with several frames after it changed. If it is another thread, reading never waits
     /// for the index.
-    pub steps_found_by: StepsFoundBy,
+    pub index_policy: IndexPolicy,
     /// Output folders that mirror input folders: the pipeline does not write through links below them,
     /// because other accounts may have created those.
     pub mirrors: &'a [PathBuf],
@@ -102,7 +102,7 @@ impl<'a> PipelineOptions<'a> {
             certificates: false,
             in_flight: default_in_flight(pool.current_num_threads()),
             memory_bytes: default_memory_bytes(),
-            steps_found_by: StepsFoundBy::Reader,
+            index_policy: IndexPolicy::OnRead,
             mirrors: &[],
             output_states: None,
             observer: None,

@@ -12,7 +12,7 @@ use twox_hash::XxHash3_128;
 
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::input_file::{InputFile, read_unchanged};
-use crate::pipeline::input::attributes::Wanted;
+use crate::pipeline::input::attributes::AttributeRequest;
 use crate::pipeline::input::frame::{Frame, Job, Outcome, ReadInput};
 use crate::pipeline::input::frame_input::{FileParticles, FrameInput, LevelSetInput, read_input};
 use crate::pipeline::input::level_set_file::{level_set_limits, other_grids};
@@ -60,7 +60,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
             return Err(Outcome::NotStarted);
         }
         // A file without readable metadata cannot be read later either.
-        let file_bytes = reading_bytes(&frame.input, shared.options.steps_found_by);
+        let file_bytes = reading_bytes(&frame.input, shared.options.index_policy);
         let obstacle_bytes = frame.obstacles.loading_bytes(frame.number);
         let bytes = file_bytes.saturating_mul(reading_memory(&frame.job)).saturating_add(obstacle_bytes);
         let mut memory = shared.budget.reserve_input(bytes);
@@ -126,7 +126,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
     /// The bytes of a frame's file, or of its step.
     fn whole(&self, frame: &Frame) -> Result<(Vec<u8>, ReadInput), Outcome> {
         let failed = |error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error));
-        let unchanged = read_frame_unchanged(&frame.input, self.shared.options.steps_found_by);
+        let unchanged = read_frame_unchanged(&frame.input, self.shared.options.index_policy);
         let (bytes, stamp) = unchanged.map_err(failed)?.ok_or(Outcome::Changed)?;
         let hash = XxHash3_128::oneshot(&bytes);
         Ok((bytes, ReadInput { stamp, hash }))
@@ -140,7 +140,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         let of_obstacle = |error| frame.failed(Stage::Read, Cause::Obstacle(Box::new(error)));
         let found = frame.obstacles.find(frame.number);
         let obstacles = found.map_err(|error| Outcome::Failed(of_obstacle(error)))?;
-        let wanted = Wanted::by(&frame.settings);
+        let wanted = AttributeRequest::for_settings(&frame.settings);
         if let Some(file) = self.worth_streaming(frame).map_err(|error| failed(error.into()))? {
             let failed = |error: io::Error| failed(error.into());
             let input = ReadInput { stamp: file.stamp(), hash: file.hash().map_err(failed)? };
@@ -226,7 +226,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
 
 /// Whether a frame needs only the positions of its particles, and these in batches.
 fn needs_positions_only(settings: &Settings) -> bool {
-    Wanted::by(settings).is_nothing()
+    AttributeRequest::for_settings(settings).is_empty()
 }
 
 /// The memory for reading a file, as a multiple of its size: its bytes, and the parsed data.

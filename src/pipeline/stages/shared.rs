@@ -137,14 +137,14 @@ pub(super) fn is_failure(outcome: &Outcome) -> bool {
 /// A bounded channel between two stages, whose slots are reserved before use.
 pub(super) fn link<T>(capacity: usize) -> (Outlet<T>, Inlet<T>) {
     let (items, from) = bounded(capacity);
-    (Outlet { items, places: Semaphore::new(capacity) }, Inlet(from))
+    (Outlet { items, slots: Semaphore::new(capacity) }, Inlet(from))
 }
 
 /// The end of a link that a stage sends to.
 #[derive(Clone)]
 pub(super) struct Outlet<T> {
     items: Sender<(Permit, T)>,
-    places: Semaphore,
+    slots: Semaphore,
 }
 
 /// The end of a link that a stage receives from.
@@ -159,7 +159,7 @@ pub(super) struct LinkSlot<T> {
 impl<T> Outlet<T> {
     /// Waits for a free slot.
     pub(super) fn reserve(&self) -> LinkSlot<T> {
-        LinkSlot { items: self.items.clone(), permit: self.places.acquire() }
+        LinkSlot { items: self.items.clone(), permit: self.slots.acquire() }
     }
 }
 

@@ -92,7 +92,7 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
         let written = FrameError::catch(&asked.input, Stage::Write, || {
             self.shared.refuse_links(&asked.outputs.folder)?;
             let frame = &match asked.framing.as_ref().filter(|_| asked.has_pictures()) {
-                Some(framing) => asked.taken_by(framing.camera_for(bounds_of(&surface, asked))),
+                Some(framing) => asked.with_camera(framing.camera_for(bounds_of(&surface, asked))),
                 None => asked.clone(),
             };
             let write = |format: OutputFormat, out: &mut BufWriter<&File>| {

@@ -24,7 +24,7 @@ use super::viewpoint::CameraChoice;
 #[derive(Debug)]
 pub struct Framing {
     /// The requested camera.
-    asked: CameraChoice,
+    requested: CameraChoice,
     aspect: f64,
     up: Up,
     framed: Mutex<Framed>,
@@ -56,7 +56,7 @@ impl Framing {
     /// Continues from `framed`, with the camera that `outputs` requests.
     pub fn new(outputs: &OutputOptions, framed: Framed) -> Framing {
         Framing {
-            asked: outputs.picture.camera,
+            requested: outputs.picture.camera,
             aspect: outputs.picture.aspect(),
             up: outputs.up(),
             framed: Mutex::new(framed),
@@ -71,12 +71,12 @@ impl Framing {
     /// The camera for a frame with these bounds; refits it if the frame does not fit into the picture.
     pub(crate) fn camera_for(&self, bounds: Option<[DVec3; 2]>) -> CameraChoice {
         let mut framed = self.lock();
-        let Some(bounds) = bounds.filter(|bounds| !self.holds(&framed, *bounds)) else {
+        let Some(bounds) = bounds.filter(|bounds| !self.contains(&framed, *bounds)) else {
             return framed.camera;
         };
         let union = framed.around.map_or(bounds, |around| joined(around, bounds));
         let around = framed.around.map_or(union, |before| with_margin(union, before));
-        let camera = self.asked.viewpoint(around, self.aspect, self.up).into();
+        let camera = self.requested.viewpoint(around, self.aspect, self.up).into();
         let before = std::mem::replace(&mut framed.camera, camera);
         framed.earlier.push(before);
         framed.around = Some(around);
@@ -84,16 +84,16 @@ impl Framing {
     }
 
     /// Whether these bounds are in the picture.
-    fn holds(&self, framed: &Framed, bounds: [DVec3; 2]) -> bool {
-        if !self.asked.is_around() {
+    fn contains(&self, framed: &Framed, bounds: [DVec3; 2]) -> bool {
+        if !self.requested.is_orbit() {
             return true;
         }
         let viewpoint = match framed.around {
             // A user who zooms in wants only a part in the picture.
-            Some(around) => self.asked.not_zoomed_in().viewpoint(around, self.aspect, self.up),
+            Some(around) => self.requested.not_zoomed_in().viewpoint(around, self.aspect, self.up),
             None => framed.camera.viewpoint(bounds, self.aspect, self.up),
         };
-        viewpoint.holds(bounds, self.aspect)
+        viewpoint.contains(bounds, self.aspect)
     }
 
     /// Fields are replaced one by one by code that does not panic, so a poisoned lock is still consistent.
@@ -127,7 +127,7 @@ mod tests {
     }
 
     fn shows(framing: &Framing, camera: CameraChoice, bounds: [DVec3; 2]) -> bool {
-        camera.viewpoint(bounds, framing.aspect, framing.up).holds(bounds, framing.aspect)
+        camera.viewpoint(bounds, framing.aspect, framing.up).contains(bounds, framing.aspect)
     }
 
     #[test]

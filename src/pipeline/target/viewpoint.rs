@@ -22,7 +22,7 @@ use crate::render::{Camera, CameraPlacement, Up, View};
 /// The camera that the user requested.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CameraChoice {
-    place: CameraPosition,
+    position: CameraPosition,
     /// The vertical angle of view, in degrees.
     view_degrees: Option<f64>,
     up: Option<Up>,
@@ -78,7 +78,7 @@ impl CameraChoice {
             Some(Ground::At(height)) => Some(height),
             Some(Ground::None) => None,
         };
-        let (eye, target, top) = match self.place {
+        let (eye, target, top) = match self.position {
             CameraPosition::At { eye, target, top } => (eye, target, top.unwrap_or(up.direction())),
             CameraPosition::Around { azimuth_degrees, elevation_degrees, zoom } => {
                 let placement = CameraPlacement {
@@ -101,13 +101,13 @@ impl CameraChoice {
     }
 
     /// Whether the camera is placed around the subject.
-    pub(crate) fn is_around(&self) -> bool {
-        matches!(self.place, CameraPosition::Around { .. })
+    pub(crate) fn is_orbit(&self) -> bool {
+        matches!(self.position, CameraPosition::Around { .. })
     }
 
     /// The same camera; one that zooms in is moved back until all of the bounds are in view.
     pub(crate) fn not_zoomed_in(mut self) -> CameraChoice {
-        if let CameraPosition::Around { zoom: Some(zoom), .. } = &mut self.place {
+        if let CameraPosition::Around { zoom: Some(zoom), .. } = &mut self.position {
             *zoom = zoom.min(1.0);
         }
         self
@@ -115,7 +115,7 @@ impl CameraChoice {
 
     /// Whether the viewpoint depends on the bounds of the subject.
     pub fn needs_bounds(&self) -> bool {
-        matches!(self.place, CameraPosition::Around { .. }) || self.ground.is_none()
+        matches!(self.position, CameraPosition::Around { .. }) || self.ground.is_none()
     }
 }
 
@@ -123,7 +123,7 @@ impl From<Viewpoint> for CameraChoice {
     fn from(viewpoint: Viewpoint) -> CameraChoice {
         let Viewpoint { eye, target, top, view_degrees, up, ground } = viewpoint;
         CameraChoice {
-            place: CameraPosition::At { eye, target, top: Some(top) },
+            position: CameraPosition::At { eye, target, top: Some(top) },
             view_degrees: Some(view_degrees),
             up: Some(up),
             ground: Some(ground.map_or(Ground::None, Ground::At)),
@@ -144,7 +144,7 @@ impl Viewpoint {
     }
 
     /// Whether pictures with this aspect ratio (width over height) show all of these bounds.
-    pub(crate) fn holds(&self, [least, greatest]: [DVec3; 2], aspect: f64) -> bool {
+    pub(crate) fn contains(&self, [least, greatest]: [DVec3; 2], aspect: f64) -> bool {
         let Camera { eye, right, up, forward, tan_half_view } = self.camera();
         (0..8).all(|corner| {
             let side = |axis: usize| if corner >> axis & 1 == 0 { least[axis] } else { greatest[axis] };
@@ -201,7 +201,7 @@ impl fmt::Display for CameraChoice {
         let mut number = |name: &str, value: Option<f64>| {
             pairs.extend(value.map(|value| format!("{name}={value}")));
         };
-        match self.place {
+        match self.position {
             CameraPosition::Around { azimuth_degrees, elevation_degrees, zoom } => {
                 number("azimuth", azimuth_degrees);
                 number("elevation", elevation_degrees);
@@ -231,7 +231,7 @@ fn triple(v: DVec3) -> String {
 }
 
 /// The largest allowed coordinate, world units: beyond it, a camera could not be turned.
-const PLACE_MAX: f64 = 1e15;
+const COORDINATE_MAX: f64 = 1e15;
 
 /// The camera that fits the subject.
 const AUTO: &str = "auto";
@@ -240,7 +240,7 @@ impl FromStr for CameraChoice {
     type Err = String;
 
     fn from_str(text: &str) -> Result<CameraChoice, String> {
-        let mut typed = Typed::default();
+        let mut typed = ParsedCamera::default();
         if text.trim() != AUTO {
             for pair in text.split(',') {
                 let Some((key, value)) = pair.split_once('=') else {
@@ -255,7 +255,7 @@ impl FromStr for CameraChoice {
 
 /// The keys that have been parsed.
 #[derive(Default)]
-struct Typed {
+struct ParsedCamera {
     azimuth: Option<f64>,
     elevation: Option<f64>,
     zoom: Option<f64>,
@@ -267,14 +267,14 @@ struct Typed {
     ground: Option<Ground>,
 }
 
-impl Typed {
+impl ParsedCamera {
     fn take(&mut self, key: &str, value: &str) -> Result<(), String> {
         let wrong = |expected: &str| format!("{key}=`{value}`: expected {expected}");
         let number = || value.parse().ok().filter(|number: &f64| number.is_finite());
         let within = |least: f64, greatest: f64, expected: &str| {
             number().filter(|number| (least..=greatest).contains(number)).ok_or_else(|| wrong(expected))
         };
-        let is_near = |place: &DVec3| place.abs().max_element() <= PLACE_MAX;
+        let is_near = |place: &DVec3| place.abs().max_element() <= COORDINATE_MAX;
         let place = || {
             let expected = "three numbers separated by colons, such as 1:2:3, each at most 1e15";
             vector(value).filter(is_near).ok_or_else(|| wrong(expected))
@@ -303,7 +303,7 @@ impl Typed {
     }
 
     fn choice(self) -> Result<CameraChoice, String> {
-        let Typed { azimuth, elevation, zoom, eye, target, top, view, up, ground } = self;
+        let ParsedCamera { azimuth, elevation, zoom, eye, target, top, view, up, ground } = self;
         let is_around = azimuth.is_some() || elevation.is_some() || zoom.is_some();
         let place = match (eye, target) {
             (Some(_), Some(_)) if is_around => {
@@ -322,7 +322,7 @@ impl Typed {
                 CameraPosition::Around { azimuth_degrees: azimuth, elevation_degrees: elevation, zoom }
             }
         };
-        Ok(CameraChoice { place, view_degrees: view, up, ground })
+        Ok(CameraChoice { position: place, view_degrees: view, up, ground })
     }
 }
 

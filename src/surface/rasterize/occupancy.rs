@@ -32,7 +32,7 @@ pub struct Occupancy {
     pub(super) has_shapes: bool,
     /// A summary of each batch.
     pub(super) batches: Vec<BatchSummary>,
-    /// Number of particles [too far](strayed) from the others.
+    /// Number of particles [too far](stray_leaves) from the others.
     stray_count: usize,
     /// Approximate world position of one particle that is too far away, for the grid or from the others.
     stray_position: Option<DVec3>,

@@ -52,7 +52,7 @@ pub struct FrameSurface {
     pub band: NarrowBand,
     /// The mesh.
     pub mesh: Mesh,
-    /// Attributes of the surface; empty unless [transferred](transfer).
+    /// Attributes of the surface; empty unless [transferred](transfer_attributes).
     pub attributes: SurfaceAttributes,
     /// Measurements and validation results.
     pub report: ReconstructionReport,

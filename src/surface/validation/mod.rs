@@ -48,7 +48,7 @@ use crate::surface::rasterize::Radii;
 use crate::surface::space::Lattice;
 
 /// The checks of the finished surface. [`holds`](Self::holds) says whether all guarantees hold, and
-/// [`violations`](Self::fault) which do not. Distances are in voxels unless a field says world units, to the
+/// [`violations`](Self::violations) which do not. Distances are in voxels unless a field says world units, to the
 /// centre of the nearest particle. For particles with their own shapes, r_min and r_max mean their inner and
 /// outer ellipsoids.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

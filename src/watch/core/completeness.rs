@@ -23,7 +23,7 @@ use meniscus_formats::Completeness;
 
 use crate::pipeline::{FileStamp, FrameFile};
 
-use crate::watch::config::{Patience, Watch};
+use crate::watch::config::{StabilityTimeouts, Watch};
 
 /// The default name of a sentinel.
 pub const DEFAULT_SENTINEL: &str = "{stem}.done";
@@ -56,7 +56,7 @@ pub struct Sentinel {
     /// Whether the frame waits for it; otherwise it is one of several possible proofs.
     pub is_required: bool,
     /// Whether it exists, and [`counts`](sentinel_counts).
-    pub is_there: bool,
+    pub exists: bool,
 }
 
 /// Whether a file may be read now.
@@ -97,7 +97,7 @@ pub enum WaitReason {
     /// It changed just now.
     Changing,
     /// Its format cannot show whether it is complete.
-    Unproven,
+    Unverifiable,
     /// Its format says that it is incomplete.
     Incomplete {
         /// The minimum size that its header declares, in bytes.
@@ -140,25 +140,25 @@ impl Candidate {
     pub fn readiness(
         &self,
         now: Instant,
-        patience: &Patience,
+        timeouts: &StabilityTimeouts,
         sentinel: Sentinel,
         completeness: impl FnOnce() -> Completeness,
     ) -> Readiness {
         match sentinel {
-            Sentinel { is_there: true, .. } => return Readiness::Ready(Proof::Sentinel),
+            Sentinel { exists: true, .. } => return Readiness::Ready(Proof::Sentinel),
             Sentinel { is_required: true, .. } => {
                 return Readiness::Waiting { until: None, why: WaitReason::Sentinel };
             }
             _ if self.renamed => return Readiness::Ready(Proof::Renamed),
             _ => {}
         }
-        self.left_alone(now, patience.settle, WaitReason::Changing).unwrap_or_else(|| match completeness() {
+        self.left_alone(now, timeouts.settle, WaitReason::Changing).unwrap_or_else(|| match completeness() {
             Completeness::Complete | Completeness::NeedsReading => Readiness::Ready(Proof::Format),
             Completeness::Unknown => self
-                .left_alone(now, patience.unproven, WaitReason::Unproven)
+                .left_alone(now, timeouts.unverifiable, WaitReason::Unverifiable)
                 .unwrap_or(Readiness::Ready(Proof::Unchanged)),
             Completeness::Incomplete { expected, found } => self
-                .left_alone(now, patience.stalled, WaitReason::Incomplete { expected, found })
+                .left_alone(now, timeouts.stalled, WaitReason::Incomplete { expected, found })
                 .unwrap_or(Readiness::Ready(Proof::Stalled)),
         })
     }
@@ -200,7 +200,7 @@ impl fmt::Display for WaitReason {
         match self {
             WaitReason::Sentinel => f.write_str("its sentinel is missing, or older than the frame"),
             WaitReason::Changing => f.write_str("it changed just now"),
-            WaitReason::Unproven => f.write_str(
+            WaitReason::Unverifiable => f.write_str(
                 "its format cannot show whether it is complete, so it must be unchanged for longer",
             ),
             WaitReason::Incomplete { expected, found } => {
@@ -270,9 +270,9 @@ fn stem(frame: &Path) -> OsString {
 mod tests {
     use super::*;
 
-    const PATIENCE: Patience = Patience {
+    const PATIENCE: StabilityTimeouts = StabilityTimeouts {
         settle: Duration::from_millis(500),
-        unproven: Duration::from_millis(2000),
+        unverifiable: Duration::from_millis(2000),
         stalled: Duration::from_millis(10_000),
     };
     const HALF: Completeness = Completeness::Incomplete { expected: 100, found: 50 };
@@ -299,7 +299,7 @@ mod tests {
     use Completeness::{Complete, NeedsReading, Unknown};
     use Step::{Ask, Renamed, See};
 
-    const NONE: Sentinel = Sentinel { is_required: false, is_there: false };
+    const NONE: Sentinel = Sentinel { is_required: false, exists: false };
 
     fn stamp(size: u64, modified_ns: i64, inode: u64) -> FileStamp {
         FileStamp { size, modified_ns, inode, changed_ns: None }
@@ -352,7 +352,7 @@ mod tests {
             "format without a length",
             &[
                 (0, See(100, 1, 1, Some(0))),
-                (600, Ask(NONE, Unknown, Until(2000, WaitReason::Unproven))),
+                (600, Ask(NONE, Unknown, Until(2000, WaitReason::Unverifiable))),
                 (2000, Ask(NONE, Unknown, Ready(Proof::Unchanged))),
             ],
         );
@@ -378,7 +378,7 @@ mod tests {
             &[
                 (0, See(100, 1, 1, Some(1000))),
                 (0, Ask(NONE, Complete, Ready(Proof::Format))),
-                (0, Ask(NONE, Unknown, Until(1000, WaitReason::Unproven))),
+                (0, Ask(NONE, Unknown, Until(1000, WaitReason::Unverifiable))),
             ],
         );
         check(
@@ -508,7 +508,7 @@ mod tests {
 
     #[test]
     fn required_sentinel_is_awaited_and_optional_one_is_a_proof() {
-        let wanted = |is_there| Sentinel { is_required: true, is_there };
+        let wanted = |is_there| Sentinel { is_required: true, exists: is_there };
         check(
             "required",
             &[
@@ -523,7 +523,7 @@ mod tests {
             &[
                 (0, See(100, 1, 1, Some(0))),
                 (0, Ask(NONE, Complete, Until(500, WaitReason::Changing))),
-                (0, Ask(Sentinel { is_required: false, is_there: true }, Unknown, Ready(Proof::Sentinel))),
+                (0, Ask(Sentinel { is_required: false, exists: true }, Unknown, Ready(Proof::Sentinel))),
             ],
         );
         let (older, frame, later) = (stamp(0, 9, 7), stamp(100, 10, 1), stamp(0, 11, 7));
@@ -536,7 +536,7 @@ mod tests {
     fn completeness_is_computed_only_if_it_matters() {
         let start = Instant::now();
         let seen = Seen { stamp: stamp(1, 1, 1), age: None };
-        let missing = Sentinel { is_required: true, is_there: false };
+        let missing = Sentinel { is_required: true, exists: false };
         for (renamed, sentinel) in [(false, NONE), (true, NONE), (false, missing)] {
             let candidate = Candidate::new(start, &seen, renamed);
             candidate.readiness(start, &PATIENCE, sentinel, || panic!("computed needlessly"));

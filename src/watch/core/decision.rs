@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 
 use crate::pipeline::FileStamp;
 
-use crate::watch::journal::{JournaledFrame, Standing};
+use crate::watch::journal::{JournaledFrame, JournaledStatus};
 
 /// What to do with a frame, and why. Displays as the reason: a clause without a full stop.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -53,7 +53,7 @@ pub enum ConvertReason {
     /// This output is missing, or is not the file that was written.
     OutputMissing(PathBuf),
     /// It was queued or in progress when the daemon exited.
-    WasUnderWay,
+    WasInterrupted,
     /// It failed with an error that may be temporary.
     Retry,
     /// Other files blocked its conversion, and may not do so any more.
@@ -70,12 +70,14 @@ pub fn decide(
     hash: Option<u128>,
 ) -> Decision {
     let Some(record) = record else { return Decision::Convert(ConvertReason::New) };
-    let skip_reason = match record.standing {
-        Standing::Queued => return Decision::Convert(ConvertReason::WasUnderWay),
-        Standing::Retrying | Standing::GivenUp => return Decision::Convert(ConvertReason::Retry),
-        Standing::Refused => return Decision::Convert(ConvertReason::WasRefused),
-        Standing::Done => SkipReason::Done,
-        Standing::Failed => SkipReason::FailedUnchanged,
+    let skip_reason = match record.status {
+        JournaledStatus::Queued => return Decision::Convert(ConvertReason::WasInterrupted),
+        JournaledStatus::Retrying | JournaledStatus::RetriesExhausted => {
+            return Decision::Convert(ConvertReason::Retry);
+        }
+        JournaledStatus::Refused => return Decision::Convert(ConvertReason::WasRefused),
+        JournaledStatus::Done => SkipReason::Done,
+        JournaledStatus::Failed => SkipReason::FailedUnchanged,
     };
     if record.stamp.size != stamp.size {
         return Decision::Convert(ConvertReason::InputChanged);
@@ -131,7 +133,7 @@ impl fmt::Display for ConvertReason {
             ConvertReason::OutputMissing(path) => {
                 write!(f, "its output {} is missing or was changed", path.display())
             }
-            ConvertReason::WasUnderWay => f.write_str("the daemon exited before it was finished"),
+            ConvertReason::WasInterrupted => f.write_str("the daemon exited before it was finished"),
             ConvertReason::Retry => f.write_str("it failed with an error that may be temporary"),
             ConvertReason::WasRefused => f.write_str("other files blocked it, and may not any more"),
         }
@@ -145,9 +147,9 @@ mod tests {
     const SETTINGS: &str = "unchanged";
     const HASH: u128 = 7;
 
-    fn record(standing: Standing) -> JournaledFrame {
+    fn record(status: JournaledStatus) -> JournaledFrame {
         JournaledFrame {
-            standing,
+            status,
             stamp: stamp(),
             hash: Some(HASH),
             settings: SETTINGS.to_owned(),
@@ -176,9 +178,9 @@ mod tests {
     const ALIKE: fn() -> Now = || Now { stamp: stamp(), settings: SETTINGS, missing_output: None };
 
     #[track_caller]
-    fn check(standing: Standing, now: &Now, wanted: &Decision) {
+    fn check(status: JournaledStatus, now: &Now, wanted: &Decision) {
         let Now { stamp, settings, missing_output } = now;
-        assert_eq!(decide(Some(&record(standing)), stamp, settings, *missing_output, None), *wanted);
+        assert_eq!(decide(Some(&record(status)), stamp, settings, *missing_output, None), *wanted);
     }
 
     fn touched() -> Now {
@@ -215,51 +217,51 @@ mod tests {
     #[test]
     fn done_frame_is_skipped_while_nothing_has_changed() {
         let missing = ConvertReason::OutputMissing("/out/a.glb".into());
-        check(Standing::Done, &ALIKE(), &Decision::Skip(SkipReason::Done));
-        check(Standing::Done, &touched(), &Decision::CompareContent);
-        check(Standing::Done, &moved(), &Decision::CompareContent);
-        check(Standing::Done, &status_changed(), &Decision::CompareContent);
-        check(Standing::Done, &longer(), &Decision::Convert(ConvertReason::InputChanged));
-        check(Standing::Done, &other_settings(), &Decision::Convert(ConvertReason::SettingsChanged));
-        check(Standing::Done, &output_gone(), &Decision::Convert(missing.clone()));
+        check(JournaledStatus::Done, &ALIKE(), &Decision::Skip(SkipReason::Done));
+        check(JournaledStatus::Done, &touched(), &Decision::CompareContent);
+        check(JournaledStatus::Done, &moved(), &Decision::CompareContent);
+        check(JournaledStatus::Done, &status_changed(), &Decision::CompareContent);
+        check(JournaledStatus::Done, &longer(), &Decision::Convert(ConvertReason::InputChanged));
+        check(JournaledStatus::Done, &other_settings(), &Decision::Convert(ConvertReason::SettingsChanged));
+        check(JournaledStatus::Done, &output_gone(), &Decision::Convert(missing.clone()));
         // The content is not read if the decision is certain without it.
         let touched_and_gone = Now { stamp: touched().stamp, ..output_gone() };
-        check(Standing::Done, &touched_and_gone, &Decision::Convert(missing));
+        check(JournaledStatus::Done, &touched_and_gone, &Decision::Convert(missing));
         let touched_and_set = Now { stamp: touched().stamp, ..other_settings() };
-        check(Standing::Done, &touched_and_set, &Decision::Convert(ConvertReason::SettingsChanged));
+        check(JournaledStatus::Done, &touched_and_set, &Decision::Convert(ConvertReason::SettingsChanged));
     }
 
     #[test]
     fn failed_frame_is_skipped_until_something_changes() {
-        check(Standing::Failed, &ALIKE(), &Decision::Skip(SkipReason::FailedUnchanged));
-        check(Standing::Failed, &output_gone(), &Decision::Skip(SkipReason::FailedUnchanged));
-        check(Standing::Failed, &touched(), &Decision::CompareContent);
-        check(Standing::Failed, &longer(), &Decision::Convert(ConvertReason::InputChanged));
-        check(Standing::Failed, &other_settings(), &Decision::Convert(ConvertReason::SettingsChanged));
+        check(JournaledStatus::Failed, &ALIKE(), &Decision::Skip(SkipReason::FailedUnchanged));
+        check(JournaledStatus::Failed, &output_gone(), &Decision::Skip(SkipReason::FailedUnchanged));
+        check(JournaledStatus::Failed, &touched(), &Decision::CompareContent);
+        check(JournaledStatus::Failed, &longer(), &Decision::Convert(ConvertReason::InputChanged));
+        check(JournaledStatus::Failed, &other_settings(), &Decision::Convert(ConvertReason::SettingsChanged));
     }
 
     #[test]
     fn unfinished_frame_is_converted() {
         for now in [ALIKE(), touched(), moved(), longer(), other_settings(), output_gone()] {
-            check(Standing::Queued, &now, &Decision::Convert(ConvertReason::WasUnderWay));
-            check(Standing::Retrying, &now, &Decision::Convert(ConvertReason::Retry));
-            check(Standing::GivenUp, &now, &Decision::Convert(ConvertReason::Retry));
-            check(Standing::Refused, &now, &Decision::Convert(ConvertReason::WasRefused));
+            check(JournaledStatus::Queued, &now, &Decision::Convert(ConvertReason::WasInterrupted));
+            check(JournaledStatus::Retrying, &now, &Decision::Convert(ConvertReason::Retry));
+            check(JournaledStatus::RetriesExhausted, &now, &Decision::Convert(ConvertReason::Retry));
+            check(JournaledStatus::Refused, &now, &Decision::Convert(ConvertReason::WasRefused));
         }
     }
 
     #[test]
     fn status_change_time_missing_from_the_record_is_ignored() {
         let old = FileStamp { changed_ns: None, ..stamp() };
-        let record = JournaledFrame { stamp: old, ..record(Standing::Done) };
+        let record = JournaledFrame { stamp: old, ..record(JournaledStatus::Done) };
         let decision = decide(Some(&record), &stamp(), SETTINGS, None, None);
         assert_eq!(decision, Decision::Skip(SkipReason::Done));
     }
 
     #[test]
     fn without_a_recorded_hash_a_new_stamp_means_a_changed_input() {
-        for standing in [Standing::Done, Standing::Failed] {
-            let record = JournaledFrame { hash: None, ..record(standing) };
+        for status in [JournaledStatus::Done, JournaledStatus::Failed] {
+            let record = JournaledFrame { hash: None, ..record(status) };
             let decision = decide(Some(&record), &touched().stamp, SETTINGS, None, None);
             assert_eq!(decision, Decision::Convert(ConvertReason::InputChanged));
         }
@@ -268,18 +270,18 @@ mod tests {
     #[test]
     fn touched_frame_is_decided_by_its_hash() {
         let cases = [
-            (Standing::Done, Decision::Skip(SkipReason::Done)),
-            (Standing::Failed, Decision::Skip(SkipReason::FailedUnchanged)),
+            (JournaledStatus::Done, Decision::Skip(SkipReason::Done)),
+            (JournaledStatus::Failed, Decision::Skip(SkipReason::FailedUnchanged)),
         ];
         let decide =
-            |standing, hash| decide(Some(&record(standing)), &touched().stamp, SETTINGS, None, Some(hash));
-        for (standing, same) in cases {
-            assert_eq!(decide(standing, HASH), same);
-            assert_eq!(decide(standing, HASH + 1), Decision::Convert(ConvertReason::InputChanged));
+            |status, hash| decide(Some(&record(status)), &touched().stamp, SETTINGS, None, Some(hash));
+        for (status, same) in cases {
+            assert_eq!(decide(status, HASH), same);
+            assert_eq!(decide(status, HASH + 1), Decision::Convert(ConvertReason::InputChanged));
         }
-        assert_eq!(decide(Standing::Queued, HASH), Decision::Convert(ConvertReason::WasUnderWay));
-        assert_eq!(decide(Standing::Retrying, HASH), Decision::Convert(ConvertReason::Retry));
-        assert_eq!(decide(Standing::Refused, HASH), Decision::Convert(ConvertReason::WasRefused));
+        assert_eq!(decide(JournaledStatus::Queued, HASH), Decision::Convert(ConvertReason::WasInterrupted));
+        assert_eq!(decide(JournaledStatus::Retrying, HASH), Decision::Convert(ConvertReason::Retry));
+        assert_eq!(decide(JournaledStatus::Refused, HASH), Decision::Convert(ConvertReason::WasRefused));
     }
 
     #[test]

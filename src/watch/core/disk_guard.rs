@@ -39,7 +39,7 @@ struct Full {
 pub(crate) struct FoundSpace<'a> {
     pub(crate) folder: &'a Path,
     /// Whether the folder is mounted.
-    pub(crate) is_there: bool,
+    pub(crate) is_mounted: bool,
     /// Free bytes, if the file system reports them.
     pub(crate) free_bytes: Option<u64>,
 }
@@ -90,7 +90,7 @@ impl DiskGuard {
     /// Decides again from the current state of the folders. A folder with unknown free space does not block,
     /// because an attempt to write there reports what is wrong.
     pub(crate) fn check(&mut self, found: &[FoundSpace<'_>], now: Instant) {
-        if let Some(absent) = found.iter().find(|found| !found.is_there) {
+        if let Some(absent) = found.iter().find(|found| !found.is_mounted) {
             self.block = Some(WriteBlock::Unmounted(absent.folder.to_owned()));
             return;
         }
@@ -140,14 +140,14 @@ mod tests {
     const OUT: &str = "/out";
 
     fn found(free_bytes: u64) -> [FoundSpace<'static>; 1] {
-        [FoundSpace { folder: Path::new(OUT), is_there: true, free_bytes: Some(free_bytes) }]
+        [FoundSpace { folder: Path::new(OUT), is_mounted: true, free_bytes: Some(free_bytes) }]
     }
 
     #[test]
     fn unmounted_folder_blocks_until_it_is_back() {
         let now = Instant::now();
         let mut guard = DiskGuard::new(0);
-        guard.check(&[FoundSpace { is_there: false, ..found(0)[0].clone() }], now);
+        guard.check(&[FoundSpace { is_mounted: false, ..found(0)[0].clone() }], now);
         assert!(guard.reason().is_some_and(|why| why.ends_with("is not mounted; waiting for it")));
         guard.check(&found(0), now);
         assert_eq!(guard.reason(), None);

@@ -107,11 +107,11 @@ pub(crate) struct OutputDirState {
 /// Whether a folder of outputs is the one that was opened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Presence {
-    There,
+    Present,
     /// It was removed and has been created again; its contents are lost.
-    MadeAgain,
+    Recreated,
     /// Another file system is in its place: its own is not mounted.
-    Away,
+    Missing,
 }
 
 /// The stamps of the obstacles of frames, by frame number.

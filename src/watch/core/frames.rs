@@ -128,7 +128,7 @@ pub(crate) struct FrameState {
     pub(crate) is_sparse: bool,
     /// The fingerprint of the settings with which it was queued. For a frame with a record that may become
     /// stale while the daemon runs, the recorded fingerprint; otherwise empty.
-    pub(crate) made_with: String,
+    pub(crate) settings_fingerprint: String,
     /// Number of consecutive failures that may be temporary.
     pub(crate) attempt_count: u32,
     /// The number of the scan that last saw it.
@@ -158,7 +158,7 @@ pub(crate) enum FramePhase {
     /// Waiting for a pipeline.
     Queued,
     /// In the pipeline with this number. Until it finishes, changes of its file have no effect.
-    UnderWay(usize),
+    InProgress(usize),
     /// Failed; the retry is due at this time.
     Retrying(Instant),
     /// Its outputs exist.
@@ -184,7 +184,7 @@ pub(crate) struct FileSteps {
 impl FileSteps {
     /// Whether a step is unchanged since its file had this stamp.
     pub(crate) fn is_kept_since(&self, id: &FrameId, stamp: &FileStamp) -> bool {
-        self.index_of.get(id).is_some_and(|&index| index < self.found.kept_since(stamp))
+        self.index_of.get(id).is_some_and(|&index| index < self.found.unchanged_since(stamp))
     }
 }
 
@@ -195,7 +195,7 @@ pub(crate) struct FrameCounts {
     /// Those of them that wait for another file, so that time does not help.
     pub(crate) stuck: usize,
     pub(crate) held: usize,
-    /// [`FramePhase::Queued`] or [`FramePhase::UnderWay`].
+    /// [`FramePhase::Queued`] or [`FramePhase::InProgress`].
     pub(crate) queued: usize,
     /// Files that are being searched for steps.
     pub(crate) finding_steps: usize,
@@ -231,7 +231,7 @@ impl FrameTable {
             phase: FramePhase::Settling(candidate),
             stamp: *candidate.stamp(),
             is_sparse: false,
-            made_with: String::new(),
+            settings_fingerprint: String::new(),
             attempt_count: 0,
             scan_count,
             obstacles: None,
@@ -330,7 +330,7 @@ impl FrameTable {
                     counts.stuck += usize::from(frame.is_stuck());
                 }
                 FramePhase::Held => counts.held += 1,
-                FramePhase::Queued | FramePhase::UnderWay(_) => counts.queued += 1,
+                FramePhase::Queued | FramePhase::InProgress(_) => counts.queued += 1,
                 FramePhase::FindingSteps => counts.finding_steps += 1,
                 FramePhase::Retrying(_) => counts.retrying += 1,
                 FramePhase::Done => counts.done += 1,

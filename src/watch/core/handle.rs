@@ -18,7 +18,7 @@ impl Core {
         self.now = now;
         match event {
             Event::FileSeen { id, seen, at, renamed } => self.on_file_seen(&id, &seen, at, renamed),
-            Event::FileGone(id) => self.forget(&id),
+            Event::FileGone(id) => self.remove(&id),
             Event::FileUnreadable(id, error) => self.on_file_unreadable(&id, error),
             Event::SentinelSeen(root, path) => self.on_sentinel_seen(root, &path),
             Event::FolderScanned { root, files, at } => self.on_files_scanned(root, files, at),
@@ -83,7 +83,7 @@ impl Core {
             let Some((id, frame)) = self.queue.pop(|root| may_begin[root]) else { return };
             self.wanting.pop_front();
             if let Some(state) = self.frames.get_mut(&id) {
-                state.phase = FramePhase::UnderWay(pipeline);
+                state.phase = FramePhase::InProgress(pipeline);
             }
             let record = self.record_of(&id);
             let known_outputs = record.map_or(Vec::new(), |record| record.outputs.clone());
@@ -98,7 +98,7 @@ impl Core {
             return;
         }
         let hangs = |(id, frame): (&FrameId, &FrameState)| {
-            frame.phase == FramePhase::UnderWay(self.pipeline) && !self.may_begin(id.root)
+            frame.phase == FramePhase::InProgress(self.pipeline) && !self.may_begin(id.root)
         };
         if !self.frames.iter().any(hangs) {
             return;
@@ -132,8 +132,8 @@ impl Core {
     fn on_output_dir_checked(&mut self, found: OutputDirState) {
         let OutputDirState { output, presence, free_bytes } = found;
         let dir = &mut self.outputs[output];
-        (dir.is_there, dir.free_bytes) = (presence != Presence::Away, free_bytes);
-        if presence == Presence::MadeAgain {
+        (dir.is_mounted, dir.free_bytes) = (presence != Presence::Missing, free_bytes);
+        if presence == Presence::Recreated {
             let folder = dir.folder.clone();
             self.log_about(
                 folder,
@@ -204,9 +204,9 @@ impl Core {
     }
 
     /// Whether frames are in progress; with `with_stalled`, including those that hang.
-    pub(crate) fn has_frames_under_way(&self, with_stalled: bool) -> bool {
+    pub(crate) fn has_frames_in_progress(&self, with_stalled: bool) -> bool {
         let is_under_way = |(id, frame): (&FrameId, &FrameState)| {
-            matches!(frame.phase, FramePhase::UnderWay(_)) && (with_stalled || self.may_begin(id.root))
+            matches!(frame.phase, FramePhase::InProgress(_)) && (with_stalled || self.may_begin(id.root))
         };
         self.frames.iter().any(is_under_way)
     }

@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 
 use crate::pipeline::{Frame, Job, ObstacleStamps, OutputOptions, output_path};
 use crate::surface::options::Settings;
-use crate::watch::journal::{JournaledFrame, OutputCheck, Standing};
+use crate::watch::journal::{JournaledFrame, JournaledStatus, OutputCheck};
 
 use super::completeness::{Candidate, Seen, path_of_sentinel};
 use super::decision::{Decision, decide};
@@ -52,7 +52,7 @@ impl Core {
             FramePhase::Done if is_same => return self.check_outputs(id),
             FramePhase::Steps if is_same => return self.check_steps(id),
             // It is inspected when its conversion ends.
-            FramePhase::UnderWay(_) => return,
+            FramePhase::InProgress(_) => return,
             _ if is_same => return,
             FramePhase::Steps => {
                 self.unqueue_steps(id, seen, at);
@@ -78,7 +78,7 @@ impl Core {
         let is_first = !std::mem::replace(&mut self.roots[root].was_scanned, true);
         let Scan { files, problems, dangling, after_loss, .. } = match found {
             Ok(found) => found,
-            Err(why) => return self.lose_root(root, why),
+            Err(why) => return self.on_root_unavailable(root, why),
         };
         if after_loss && !is_first {
             self.counters.rescans += 1;
@@ -99,14 +99,15 @@ impl Core {
             id.root == root && !id.is_step() && frame.scan_count != count && !is_hidden(id)
         };
         for id in self.frames.ids_of(is_gone) {
-            self.forget(&id);
+            self.remove(&id);
         }
     }
 
     /// Processes the files that a scan found.
     pub(super) fn on_files_scanned(&mut self, root: usize, mut files: Vec<(PathBuf, Seen)>, at: Instant) {
         let records = &self.output(root).journal.frames;
-        let is_done = |path: &Path| records.get(path).is_some_and(|record| record.standing == Standing::Done);
+        let is_done =
+            |path: &Path| records.get(path).is_some_and(|record| record.status == JournaledStatus::Done);
         // Done frames come first, so that they keep their outputs if another frame would have the same.
         files.sort_unstable_by(|(a, _), (b, _)| a.cmp(b));
         let (done, others): (Vec<_>, Vec<_>) = files.into_iter().partition(|(path, _)| is_done(path));
@@ -136,7 +137,7 @@ impl Core {
     }
 
     /// A root is missing or suddenly empty: its state is kept, and the daemon waits for it.
-    fn lose_root(&mut self, root: usize, why: String) {
+    fn on_root_unavailable(&mut self, root: usize, why: String) {
         let known = self.roots[root].unavailable.replace(why.clone());
         if known.as_ref() != Some(&why) && !self.config.once {
             let path = self.root_path(root).to_owned();
@@ -175,9 +176,9 @@ impl Core {
     }
 
     /// A file was removed. If its frame is in progress, it is finished first, and its result decides.
-    pub(super) fn forget(&mut self, id: &FrameId) {
+    pub(super) fn remove(&mut self, id: &FrameId) {
         let Some(frame) = self.frames.get(id) else { return };
-        if matches!(frame.phase, FramePhase::UnderWay(_)) {
+        if matches!(frame.phase, FramePhase::InProgress(_)) {
             return;
         }
         // Frames that waited for this one to measure the settings need not wait any longer.
@@ -222,7 +223,7 @@ impl Core {
     /// Checks the outputs of a done frame.
     pub(super) fn check_outputs(&mut self, id: &FrameId) {
         let record = self.output(id.root).journal.frames.get(&*id.path);
-        if let Some(record) = record.filter(|_| self.output(id.root).is_there).map(Arc::clone) {
+        if let Some(record) = record.filter(|_| self.output(id.root).is_mounted).map(Arc::clone) {
             // The settings are current. Obstacles have an inspection of their own.
             self.inspect(id, None, Some(Recorded { record, settings: None }));
         }
@@ -286,7 +287,7 @@ impl Core {
         // Its sequence may have waited for this inspection.
         self.dirty_sequences.insert(frame.sequence);
         match found {
-            InspectionResult::Gone => self.forget(&id),
+            InspectionResult::Gone => self.remove(&id),
             InspectionResult::Unreadable(error) => self.on_file_unreadable(&id, error),
             InspectionResult::Changed(seen, at) => self.on_file_seen(&id, &seen, at, false),
             InspectionResult::AsRecorded if is_settling => self.take_record(&id),
@@ -312,10 +313,10 @@ impl Core {
     /// Restores the state of a frame from its record.
     fn take_record(&mut self, id: &FrameId) {
         let Some(record) = self.record_of(id).map(Arc::clone) else { return };
-        let phase = match record.standing {
+        let phase = match record.status {
             // It claims its outputs, so that another input cannot take them.
-            Standing::Done if self.claim_outputs(id, None) => FramePhase::Done,
-            Standing::Done => return,
+            JournaledStatus::Done if self.claim_outputs(id, None) => FramePhase::Done,
+            JournaledStatus::Done => return,
             _ => {
                 let reason = record.reason.clone().unwrap_or_default();
                 self.failed.insert(id.clone(), Failure { reason, logged_at: None, is_refusal: false });
@@ -326,7 +327,7 @@ impl Core {
         if !self.roots[id.root].obstacles.is_empty()
             && let Some(frame) = self.frames.get_mut(id)
         {
-            frame.made_with.clone_from(&record.settings);
+            frame.settings_fingerprint.clone_from(&record.settings);
         }
         self.set_phase(id, phase);
     }
@@ -387,7 +388,7 @@ impl Core {
         let Some(frame) = self.frames.get_mut(id) else { return };
         let modified_ns = frame.stamp.modified_ns;
         let sequence = self.sequences.get(frame.sequence);
-        frame.made_with = sequence.fingerprint(frame.obstacles.as_deref());
+        frame.settings_fingerprint = sequence.fingerprint(frame.obstacles.as_deref());
         let framing = sequence.framing.clone();
         let file = id.frame_file();
         let frame = Frame {
@@ -401,14 +402,14 @@ impl Core {
             framing,
         };
         self.set_phase(id, FramePhase::Queued);
-        self.note(id, Standing::Queued, None, None);
+        self.record_status(id, JournaledStatus::Queued, None, None);
         self.queue.push(id, Box::new(frame), modified_ns);
     }
 
     /// Requests the stamps of the obstacles of finished frames of a root: obstacles may have changed since.
     /// The file system sends no events for them.
     fn stamp_obstacles(&mut self, root: usize) {
-        if self.roots[root].obstacles.is_empty() || !self.output(root).is_there {
+        if self.roots[root].obstacles.is_empty() || !self.output(root).is_mounted {
             return;
         }
         let frames = self.frames.iter().filter(|(id, frame)| id.root == root && has_ended(frame));
@@ -420,7 +421,7 @@ impl Core {
     pub(super) fn on_obstacles_stamped(&mut self, root: usize, stamps: &FoundObstacleStamps) {
         let is_stale = |id: &FrameId, frame: &FrameState| {
             let is_refused = self.failed.get(id).is_some_and(|failure| failure.is_refusal);
-            let was_begun = !frame.made_with.is_empty() && !is_refused;
+            let was_begun = !frame.settings_fingerprint.is_empty() && !is_refused;
             if id.root != root || !has_ended(frame) || !was_begun {
                 return false;
             }
@@ -429,8 +430,9 @@ impl Core {
                 FoundObstacleStamps::PerNumber(stamps) => stamps.get(&id.frame_file().number()),
             };
             // The removal of an obstacle does not count: the existing result stays.
-            of_frame.filter(|stamps| stamps.are_all_there).is_some_and(|stamps| {
-                self.sequences.get(frame.sequence).fingerprint(Some(stamps.as_ref())) != frame.made_with
+            of_frame.filter(|stamps| stamps.all_exist).is_some_and(|stamps| {
+                self.sequences.get(frame.sequence).fingerprint(Some(stamps.as_ref()))
+                    != frame.settings_fingerprint
             })
         };
         let mut stale = self.frames.ids_of(is_stale);

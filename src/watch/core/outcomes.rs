@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use crate::pipeline::{FrameError, FrameReport, Outcome, ReadInput, Scope, Stage, Warning};
-use crate::watch::journal::{Entry, JournaledFrame, OutputRecord, Standing};
+use crate::watch::journal::{Entry, JournaledFrame, JournaledStatus, OutputRecord};
 use crate::watch::status_store::Figures;
 
 use super::completeness::{Candidate, Seen};
@@ -55,7 +55,7 @@ impl Core {
             flaws: report.all_warnings().iter().filter(|w| w.is_flaw()).map(Warning::to_string).collect(),
             figures: Some(Arc::clone(&figures)),
             stamp: report.input.stamp,
-            ..self.new_record(id, Standing::Done)
+            ..self.new_record(id, JournaledStatus::Done)
         };
         let (path, queue) = (Arc::clone(&id.path), self.queue.len());
         self.note_done(
@@ -101,7 +101,7 @@ impl Core {
     }
 
     fn on_already_done(&mut self, id: &FrameId, input: &ReadInput, outputs: Vec<OutputRecord>) {
-        let record = self.new_record(id, Standing::Done);
+        let record = self.new_record(id, JournaledStatus::Done);
         // Figures that were measured when these very outputs were written still apply.
         let known = self.record_of(id).filter(|known| are_the_same(&known.outputs, &outputs));
         let record = with_measurements(record, known);
@@ -128,7 +128,7 @@ impl Core {
             RetryAction::Forget => {
                 self.log_about(&*id.path, |frame| tracing::info!(%frame, "was removed"));
                 self.set_phase(id, FramePhase::Failed);
-                self.forget(id);
+                self.remove(id);
             }
             RetryAction::AwaitSpace => {
                 let folder = error.path.parent().unwrap_or(Path::new("."));
@@ -144,7 +144,7 @@ impl Core {
                 });
             }
             RetryAction::Retry => self.fail_for_now(id, reason, now),
-            RetryAction::AwaitRestart => self.fail(id, Standing::GivenUp, reason),
+            RetryAction::AwaitRestart => self.fail(id, JournaledStatus::RetriesExhausted, reason),
             RetryAction::GiveUp => self.fail_for_good(id, reason),
         }
     }
@@ -154,7 +154,7 @@ impl Core {
         frame.attempt_count += 1;
         let attempt = frame.attempt_count;
         let Some(wait) = backoff(attempt, self.config.once) else {
-            return self.fail(id, Standing::GivenUp, reason);
+            return self.fail(id, JournaledStatus::RetriesExhausted, reason);
         };
         self.retry_at(id, now + wait, &reason, move |path, why| {
             tracing::warn!(frame = %path.display(), attempt, "{why}; retry in {wait:?}");
@@ -172,35 +172,35 @@ impl Core {
         self.set_phase(id, FramePhase::Retrying(at));
         let (path, why) = (Arc::clone(&id.path), reason.to_owned());
         let log = Log::new(move || log(&path, &why));
-        self.note(id, Standing::Retrying, Some(reason.to_owned()), Some(log));
+        self.record_status(id, JournaledStatus::Retrying, Some(reason.to_owned()), Some(log));
         self.frames.set_alarm(id, at);
     }
 
     /// Marks a frame as failed until its file changes.
     pub(super) fn fail_for_good(&mut self, id: &FrameId, reason: String) {
-        self.fail(id, Standing::Failed, reason);
+        self.fail(id, JournaledStatus::Failed, reason);
         self.release_claim(id);
     }
 
     /// Refuses a frame because of other files. They may change while the frame does not, so it is checked
     /// again after a restart.
     pub(super) fn refuse(&mut self, id: &FrameId, reason: String) {
-        self.fail(id, Standing::Refused, reason);
+        self.fail(id, JournaledStatus::Refused, reason);
     }
 
-    /// Marks a frame as failed until its file changes or, depending on its standing, until a restart.
-    fn fail(&mut self, id: &FrameId, standing: Standing, reason: String) {
+    /// Marks a frame as failed until its file changes or, depending on its status, until a restart.
+    fn fail(&mut self, id: &FrameId, status: JournaledStatus, reason: String) {
         self.set_phase(id, FramePhase::Failed);
         let attempts = self.frames.get(id).map_or(0, |frame| frame.attempt_count);
         let (path, why) = (Arc::clone(&id.path), reason.clone());
-        let log = Log::new(move || match standing {
-            Standing::GivenUp if attempts > 0 => {
+        let log = Log::new(move || match status {
+            JournaledStatus::RetriesExhausted if attempts > 0 => {
                 tracing::error!(frame = %path.display(), attempt = attempts, "{why}; given up");
             }
             _ => tracing::error!(frame = %path.display(), "{why}"),
         });
-        self.note(id, standing, Some(reason.clone()), Some(log));
-        let (logged_at, is_refusal) = (Some(self.finished_count), standing == Standing::Refused);
+        self.record_status(id, status, Some(reason.clone()), Some(log));
+        let (logged_at, is_refusal) = (Some(self.finished_count), status == JournaledStatus::Refused);
         self.failed.insert(id.clone(), Failure { reason, logged_at, is_refusal });
         self.counters.failures += 1;
     }
@@ -239,20 +239,20 @@ impl Core {
         self.failed_frame(id, &FrameError::file(&id.path, Stage::Read, error), None);
     }
 
-    /// Records the standing of a frame.
-    pub(super) fn note(
+    /// Records the status of a frame.
+    pub(super) fn record_status(
         &mut self,
         id: &FrameId,
-        standing: Standing,
+        status: JournaledStatus,
         reason: Option<String>,
         log: Option<Log>,
     ) {
         // A frame that is inspected again may turn out to be done: until then its outputs and measurements
         // are kept.
-        let is_kept = matches!(standing, Standing::Queued | Standing::Retrying);
+        let is_kept = matches!(status, JournaledStatus::Queued | JournaledStatus::Retrying);
         let known = self.record_of(id).filter(|_| is_kept);
         let outputs = known.map_or(Vec::new(), |known| known.outputs.clone());
-        let record = with_measurements(self.new_record(id, standing), known);
+        let record = with_measurements(self.new_record(id, status), known);
         let record = JournaledFrame { reason, outputs, ..record };
         let entry = Entry::Frame { input: Arc::clone(&id.path), record: Arc::new(record) };
         self.record(self.output_of[id.root], entry, log);
@@ -261,20 +261,20 @@ impl Core {
 
     /// The fingerprint of the settings of a frame. For a frame in progress, the one at the time when it was
     /// queued, because an obstacle may have changed since.
-    fn made_with(&self, frame: &FrameState) -> String {
-        match frame.made_with.is_empty() {
+    fn settings_fingerprint(&self, frame: &FrameState) -> String {
+        match frame.settings_fingerprint.is_empty() {
             true => self.sequences.get(frame.sequence).fingerprint(frame.obstacles.as_deref()),
-            false => frame.made_with.clone(),
+            false => frame.settings_fingerprint.clone(),
         }
     }
 
-    fn new_record(&self, id: &FrameId, standing: Standing) -> JournaledFrame {
+    fn new_record(&self, id: &FrameId, status: JournaledStatus) -> JournaledFrame {
         let frame = self.frames.get(id);
         JournaledFrame {
-            standing,
+            status,
             stamp: frame.map(|frame| frame.stamp).unwrap_or_default(),
             hash: None,
-            settings: frame.map_or(String::new(), |frame| self.made_with(frame)),
+            settings: frame.map_or(String::new(), |frame| self.settings_fingerprint(frame)),
             outputs: Vec::new(),
             reason: None,
             attempt_count: frame.map_or(0, |frame| frame.attempt_count),

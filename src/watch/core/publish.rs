@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use crate::pipeline::{SequenceRecord, text_of_name};
 use crate::watch::config::{Order, Poll, Watch, WatchConfig};
-use crate::watch::journal::{JournaledFrame, Standing};
+use crate::watch::journal::{JournaledFrame, JournaledStatus};
 use crate::watch::status_store::{
     FrameProgress, FrameSummary, FrameView, LiveStatus, OutputView, StatusStore,
 };
@@ -163,7 +163,7 @@ const STALLED: &str = "its file system does not answer";
 fn state_of(phase: FramePhase) -> Option<FrameProgress> {
     Some(match phase {
         FramePhase::Settling(_) | FramePhase::Held | FramePhase::FindingSteps => FrameProgress::Waiting,
-        FramePhase::Queued | FramePhase::UnderWay(_) => FrameProgress::Queued,
+        FramePhase::Queued | FramePhase::InProgress(_) => FrameProgress::Queued,
         FramePhase::Retrying(_) => FrameProgress::Retrying,
         FramePhase::Done => FrameProgress::Done,
         FramePhase::Failed => FrameProgress::Failed,
@@ -179,11 +179,15 @@ fn is_inside(path: &Path, folder: &Path) -> bool {
 
 /// Whether a record applies to the frame in its current phase.
 fn is_about(record: &JournaledFrame, phase: FramePhase) -> bool {
-    match record.standing {
-        Standing::Done => phase == FramePhase::Done,
-        Standing::Queued => matches!(phase, FramePhase::Queued | FramePhase::UnderWay(_) | FramePhase::Held),
-        Standing::Retrying => matches!(phase, FramePhase::Retrying(_)),
-        Standing::Failed | Standing::Refused | Standing::GivenUp => phase == FramePhase::Failed,
+    match record.status {
+        JournaledStatus::Done => phase == FramePhase::Done,
+        JournaledStatus::Queued => {
+            matches!(phase, FramePhase::Queued | FramePhase::InProgress(_) | FramePhase::Held)
+        }
+        JournaledStatus::Retrying => matches!(phase, FramePhase::Retrying(_)),
+        JournaledStatus::Failed | JournaledStatus::Refused | JournaledStatus::RetriesExhausted => {
+            phase == FramePhase::Failed
+        }
     }
 }
 
@@ -218,9 +222,9 @@ fn plan_of(config: &WatchConfig) -> Value {
         "in_flight": config.in_flight,
         "memory_bytes": config.memory_bytes,
         "disk_floor_bytes": config.disk_floor_bytes,
-        "settle_s": config.patience.settle.as_secs_f64(),
-        "unproven_s": config.patience.unproven.as_secs_f64(),
-        "stalled_s": config.patience.stalled.as_secs_f64(),
+        "settle_s": config.timeouts.settle.as_secs_f64(),
+        "unproven_s": config.timeouts.unverifiable.as_secs_f64(),
+        "stalled_s": config.timeouts.stalled.as_secs_f64(),
         "poll_s": match config.poll {
             Poll::Auto => None,
             Poll::Every(time) => Some(time.as_secs_f64()),

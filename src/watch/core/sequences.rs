@@ -20,7 +20,7 @@ use twox_hash::XxHash3_64;
 
 use crate::pipeline::{
     FileStamp, FrameError, Framing, Job, ObstacleStamps, OutputOptions, PictureOptions, ReportedWarnings,
-    have_fallen_apart, settings_fingerprint,
+    are_single_frames, settings_fingerprint,
 };
 use crate::surface::options::{self, PerParticleRadius, Settings};
 use crate::watch::config::Watch;
@@ -140,11 +140,14 @@ impl Sequences {
     /// Folders where at least this many sequences, and most of those whose names differ only in their
     /// numbers, have one frame. Each folder is returned once: its root, its path, and the number of
     /// sequences.
-    pub(crate) fn newly_fallen_apart(&mut self, count_min: usize) -> Vec<(usize, PathBuf, usize)> {
+    pub(crate) fn folders_of_single_frame_sequences(
+        &mut self,
+        count_min: usize,
+    ) -> Vec<(usize, PathBuf, usize)> {
         let mut folders = Vec::new();
         for ((root, folder, _), kin) in &mut self.kin {
             let has_fallen =
-                kin.single_count >= count_min && have_fallen_apart(kin.sequence_count, kin.single_count);
+                kin.single_count >= count_min && are_single_frames(kin.sequence_count, kin.single_count);
             if has_fallen && !kin.was_named {
                 kin.was_named = true;
                 folders.push((*root, folder.clone(), kin.single_count));
@@ -198,13 +201,13 @@ impl SequenceSettings {
 
 /// The remembered camera of a sequence, if it was fitted for the current options.
 pub(crate) fn framing_of(watch: &Watch, remembered: Option<&JournaledSequence>) -> Option<Arc<Framing>> {
-    let SequenceCamera { asked, framed } = remembered?.camera.as_ref()?;
-    let is_asked = watch.outputs.needs_camera() && *asked == asked_camera(&watch.outputs);
+    let SequenceCamera { requested: asked, framed } = remembered?.camera.as_ref()?;
+    let is_asked = watch.outputs.needs_camera() && *asked == requested_camera(&watch.outputs);
     is_asked.then(|| Arc::new(Framing::new(&watch.outputs, framed.clone())))
 }
 
 /// The options that the camera depends on.
-pub(crate) fn asked_camera(outputs: &OutputOptions) -> String {
+pub(crate) fn requested_camera(outputs: &OutputOptions) -> String {
     let PictureOptions { size: [width, height], camera } = outputs.picture;
     format!("{width}x{height} {camera} {:?}", outputs.up())
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::pipeline::{FileStamp, Job, natural_order, order_subframes, single_frames_note};
 use crate::watch::config::Watch;
-use crate::watch::journal::{Entry, JournaledSequence, Standing};
+use crate::watch::journal::{Entry, JournaledSequence, JournaledStatus};
 
 use super::events::{Effect, Log, SlowRequest};
 use super::frames::{FrameId, FramePhase, FrameState};
@@ -29,7 +29,7 @@ impl Core {
     pub(super) fn warn_of_single_frames(&mut self) {
         // When two sequences start, their second frames may not exist yet.
         let count_min = if self.config.once { 2 } else { 3 };
-        for (root, folder, count) in self.sequences.newly_fallen_apart(count_min) {
+        for (root, folder, count) in self.sequences.folders_of_single_frame_sequences(count_min) {
             if self.config.watches[root].needs_spacing() {
                 let note = single_frames_note(count);
                 self.log(move || tracing::warn!(folder = %folder.display(), "{note}"));
@@ -46,7 +46,7 @@ impl Core {
                 self.dirty_sequences.insert(index);
                 continue;
             }
-            if let Some(order) = self.what_to_measure(index) {
+            if let Some(order) = self.measure_order(index) {
                 self.sequences.get_mut(index).settings = SequenceSettings::BeingMeasured;
                 self.measuring_count += 1;
                 let root = self.sequences.get(index).root;
@@ -68,7 +68,7 @@ impl Core {
 
     /// The complete frames of a sequence that precede all incomplete ones, in natural order; `None` if there
     /// are none, or nothing must be measured.
-    fn what_to_measure(&self, index: usize) -> Option<MeasureOrder> {
+    fn measure_order(&self, index: usize) -> Option<MeasureOrder> {
         let sequence = self.sequences.get(index);
         let SequenceSettings::Unknown(per_particle_radius) = &sequence.settings else { return None };
         let mut members: Vec<(&FrameId, Option<FileStamp>)> = self
@@ -169,7 +169,7 @@ impl Core {
             self.log_about(path, move |sequence| tracing::warn!(%sequence, "{why}"));
         }
         for id in sparse {
-            self.note(id, Standing::Queued, Some(why.to_owned()), None);
+            self.record_status(id, JournaledStatus::Queued, Some(why.to_owned()), None);
         }
     }
 

@@ -79,7 +79,7 @@ pub(crate) struct OutputFolder {
     /// The absolute path.
     pub(super) folder: PathBuf,
     pub(super) journal: JournalState,
-    pub(super) is_there: bool,
+    pub(super) is_mounted: bool,
     pub(super) free_bytes: Option<u64>,
     pub(super) stalled_since: Option<Instant>,
 }
@@ -120,7 +120,7 @@ impl Core {
         let new_output = |(folder, journal)| OutputFolder {
             folder,
             journal,
-            is_there: true,
+            is_mounted: true,
             free_bytes: None,
             stalled_since: None,
         };
@@ -163,8 +163,8 @@ impl Core {
         for output in 0..self.outputs.len() {
             let of_output = watches.iter().zip(&self.output_of).filter(|(_, of)| **of == output);
             let watches = of_output.map(|(watch, _)| watch.clone()).collect();
-            let patience = self.config.patience;
-            self.record(output, Entry::Plan(PlanRecord { watches, patience }), None);
+            let timeouts = self.config.timeouts;
+            self.record(output, Entry::Plan(PlanRecord { watches, timeouts }), None);
             // Before frames are queued: no frame starts while free space is below the floor.
             self.effects.push(Effect::Output(output, OutputRequest::Check));
         }
@@ -254,7 +254,11 @@ impl Core {
         let found: Vec<FoundSpace<'_>> = self
             .outputs
             .iter()
-            .map(|dir| FoundSpace { folder: &dir.folder, is_there: dir.is_there, free_bytes: dir.free_bytes })
+            .map(|dir| FoundSpace {
+                folder: &dir.folder,
+                is_mounted: dir.is_mounted,
+                free_bytes: dir.free_bytes,
+            })
             .collect();
         self.guard.check(&found, self.now.at);
         match self.guard.reason() {

@@ -65,7 +65,7 @@ impl Core {
         let gone: Vec<FrameId> = gone.collect();
         self.steps_of.insert(id.clone(), of_file);
         for step in gone {
-            self.forget(&step);
+            self.remove(&step);
         }
         self.release_claim(id);
         self.set_phase(id, FramePhase::Steps);
@@ -91,7 +91,7 @@ impl Core {
             }
             FramePhase::Settling(_) => {}
             // It is inspected when its conversion ends.
-            FramePhase::UnderWay(_) => return,
+            FramePhase::InProgress(_) => return,
             _ if is_same => return,
             _ => {}
         }
@@ -109,7 +109,7 @@ impl Core {
                     self.on_file_seen(file, seen, at, false)
                 }
                 // The file no longer contains this step.
-                _ => self.forget(id),
+                _ => self.remove(id),
             },
             _ => self.on_file_seen(file, seen, at, false),
         }
@@ -139,7 +139,7 @@ impl Core {
         let steps = self.known_steps(file);
         self.steps_of.remove(file);
         for step in steps {
-            self.forget(&step);
+            self.remove(&step);
         }
     }
 

@@ -14,10 +14,10 @@ use crate::pipeline::{
 };
 use crate::surface::options::MethodOptions;
 use crate::watch::api::EndReason;
-use crate::watch::config::{Order, Patience, Poll, Watch, WatchConfig};
+use crate::watch::config::{Order, Poll, StabilityTimeouts, Watch, WatchConfig};
 use crate::watch::journal::{
-    DaemonRecord, DaemonState, Entry, JournalState, JournaledFrame, JournaledSequence, OutputCheck,
-    OutputRecord, Standing,
+    DaemonRecord, DaemonState, Entry, JournalState, JournaledFrame, JournaledSequence, JournaledStatus,
+    OutputCheck, OutputRecord,
 };
 
 use super::completeness::{Proof, Seen, WaitReason};
@@ -69,9 +69,9 @@ fn config(root_count: usize, choices: &MethodOptions) -> WatchConfig {
         in_flight: 2,
         memory_bytes: GIB,
         disk_floor_bytes: GIB,
-        patience: Patience {
+        timeouts: StabilityTimeouts {
             settle: Duration::from_millis(500),
-            unproven: Duration::from_secs(2),
+            unverifiable: Duration::from_secs(2),
             stalled: Duration::from_secs(10),
         },
         poll: Poll::Auto,
@@ -263,9 +263,9 @@ impl Rig {
     }
 
     /// The recorded standings of a frame, in order.
-    fn standings(&self, path: &str) -> Vec<Standing> {
+    fn statuses(&self, path: &str) -> Vec<JournaledStatus> {
         let of_frame = |entry: &Entry| match entry {
-            Entry::Frame { input, record } if **input == *Path::new(path) => Some(record.standing),
+            Entry::Frame { input, record } if **input == *Path::new(path) => Some(record.status),
             _ => None,
         };
         self.records.iter().filter_map(of_frame).collect()
@@ -308,7 +308,7 @@ fn complete_frame_goes_to_the_pipeline_that_asked_for_one() {
     assert_eq!(rig.started(), ["a.1.ply", "a.2.ply"]);
     rig.convert("/in0/a.1.ply");
     assert_eq!(rig.status(), "1 done, 2 queued");
-    assert_eq!(rig.standings("/in0/a.1.ply"), [Standing::Queued, Standing::Done]);
+    assert_eq!(rig.statuses("/in0/a.1.ply"), [JournaledStatus::Queued, JournaledStatus::Done]);
 }
 
 #[test]
@@ -400,7 +400,7 @@ fn failures_are_retried_with_growing_waits_up_to_a_limit() {
         rig.fail("/in0/a.1.ply", Stage::Read, io::ErrorKind::PermissionDenied);
     }
     assert_eq!(waits[..6], [0.0, 0.5, 1.0, 2.0, 4.0, 8.0]);
-    assert_eq!(rig.standings("/in0/a.1.ply").last(), Some(&Standing::GivenUp));
+    assert_eq!(rig.statuses("/in0/a.1.ply").last(), Some(&JournaledStatus::RetriesExhausted));
     rig.want(0);
     rig.pass(Duration::from_secs(3600));
     assert!(rig.started().is_empty());
@@ -416,22 +416,22 @@ fn failures_are_retried_with_growing_waits_up_to_a_limit() {
 #[test]
 fn low_disk_space_pauses_until_there_is_more() {
     let mut rig = Rig::new(1);
-    rig.output_dir(0, Presence::There, GIB - 1);
+    rig.output_dir(0, Presence::Present, GIB - 1);
     rig.put("/in0/a.1.ply", 1);
     rig.want(0);
     assert!(rig.started().is_empty());
     assert!(rig.status().contains("paused: /out0 has"), "{}", rig.status());
-    rig.output_dir(0, Presence::There, GIB);
+    rig.output_dir(0, Presence::Present, GIB);
     assert_eq!(rig.started(), ["a.1.ply"]);
 
     // A disk that was full is tried again when space was freed, or after a while.
     rig.fail("/in0/a.1.ply", Stage::Write, io::ErrorKind::StorageFull);
     rig.want(0);
-    rig.output_dir(0, Presence::There, GIB - 1);
+    rig.output_dir(0, Presence::Present, GIB - 1);
     rig.pass(4 * SECOND);
     assert!(rig.started().is_empty());
-    assert_eq!(rig.standings("/in0/a.1.ply").last(), Some(&Standing::Queued));
-    rig.output_dir(0, Presence::There, 2 * GIB);
+    assert_eq!(rig.statuses("/in0/a.1.ply").last(), Some(&JournaledStatus::Queued));
+    rig.output_dir(0, Presence::Present, 2 * GIB);
     assert_eq!(rig.started(), ["a.1.ply"]);
 }
 
@@ -441,12 +441,12 @@ fn frame_that_cannot_begin_is_queued_again() {
     rig.want(0);
     rig.put("/in0/a.1.ply", 1);
     let (_, id, frame) = rig.started.pop().expect("started");
-    let found = OutputDirState { output: 0, presence: Presence::Away, free_bytes: None };
+    let found = OutputDirState { output: 0, presence: Presence::Missing, free_bytes: None };
     rig.event(Event::FrameReturned { id, frame, found });
     rig.want(0);
     assert!(rig.started().is_empty());
     assert!(rig.status().contains("/out0 is not mounted"), "{}", rig.status());
-    rig.output_dir(0, Presence::There, 2 * GIB);
+    rig.output_dir(0, Presence::Present, 2 * GIB);
     assert_eq!(rig.started(), ["a.1.ply"]);
 }
 
@@ -458,18 +458,18 @@ fn unmounted_outputs_are_awaited_and_removed_outputs_are_made_again() {
     rig.convert("/in0/a.1.ply");
     rig.started();
     let outputs = std::mem::take(&mut rig.outputs);
-    rig.output_dir(0, Presence::Away, 0);
+    rig.output_dir(0, Presence::Missing, 0);
     rig.want(0);
     rig.scan(0);
     assert!(rig.started().is_empty(), "unmounted outputs are not missing");
     assert_eq!(rig.core.summary(EndReason::Finish).done_count, 1);
     rig.outputs = outputs;
-    rig.output_dir(0, Presence::There, 2 * GIB);
+    rig.output_dir(0, Presence::Present, 2 * GIB);
     rig.scan(0);
     assert!(rig.started().is_empty());
 
     rig.outputs.clear();
-    rig.output_dir(0, Presence::MadeAgain, 2 * GIB);
+    rig.output_dir(0, Presence::Recreated, 2 * GIB);
     rig.scan(0);
     assert_eq!(rig.started(), ["a.1.ply"]);
 }
@@ -514,7 +514,7 @@ fn outputs_claimed_twice_belong_to_the_first_frame_until_it_is_removed() {
     rig.put("/in0/a.1.ply", 1);
     rig.put("/in0/a.1.csv", 1);
     assert_eq!(rig.started(), ["a.1.ply"]);
-    assert_eq!(rig.standings("/in0/a.1.csv"), [Standing::Refused]);
+    assert_eq!(rig.statuses("/in0/a.1.csv"), [JournaledStatus::Refused]);
     rig.convert("/in0/a.1.ply");
     rig.files.remove(Path::new("/in0/a.1.ply"));
     rig.tell("/in0/a.1.ply");
@@ -530,37 +530,35 @@ fn frame_whose_output_would_replace_a_users_file_is_refused() {
     rig.conflicts.insert("/out0/a.1.glb".into(), "its output would replace a particle file".to_owned());
     rig.put("/in0/a.1.ply", 1);
     assert!(rig.started().is_empty());
-    assert_eq!(rig.standings("/in0/a.1.ply"), [Standing::Refused]);
+    assert_eq!(rig.statuses("/in0/a.1.ply"), [JournaledStatus::Refused]);
 }
 
-/// A journal with a record of one frame in this standing.
-fn journal(standing: Standing) -> JournalState {
+/// A journal with a record of one frame with this status.
+fn journal(status: JournaledStatus) -> JournalState {
     let mut rig = Rig::new(1);
     rig.want(0);
     rig.put("/in0/a.1.ply", 1);
     rig.convert("/in0/a.1.ply");
     let Some(Entry::Frame { input: path, record }) = rig.records.pop() else { panic!("no record") };
     let mut journal = JournalState::default();
-    journal.take(Entry::Frame {
-        input: path,
-        record: Arc::new(JournaledFrame { standing, ..(*record).clone() }),
-    });
+    journal
+        .take(Entry::Frame { input: path, record: Arc::new(JournaledFrame { status, ..(*record).clone() }) });
     journal
 }
 
 #[test]
 fn after_a_reload_only_unfinished_frames_are_converted() {
     let choices = MethodOptions { spacing: Some(0.1), ..MethodOptions::default() };
-    for (standing, has_output, expected) in [
-        (Standing::Done, true, 0),
-        (Standing::Done, false, 1),
-        (Standing::Failed, true, 0),
-        (Standing::Queued, true, 1),
-        (Standing::Retrying, true, 1),
-        (Standing::GivenUp, true, 1),
-        (Standing::Refused, true, 1),
+    for (status, has_output, expected) in [
+        (JournaledStatus::Done, true, 0),
+        (JournaledStatus::Done, false, 1),
+        (JournaledStatus::Failed, true, 0),
+        (JournaledStatus::Queued, true, 1),
+        (JournaledStatus::Retrying, true, 1),
+        (JournaledStatus::RetriesExhausted, true, 1),
+        (JournaledStatus::Refused, true, 1),
     ] {
-        let mut rig = Rig::with(config(1, &choices), journal(standing));
+        let mut rig = Rig::with(config(1, &choices), journal(status));
         rig.want(0);
         rig.files.insert("/in0/a.1.ply".into(), (stamp(1), None));
         if has_output {
@@ -568,11 +566,11 @@ fn after_a_reload_only_unfinished_frames_are_converted() {
         }
         rig.scan(0);
         assert!(rig.core.is_ready());
-        assert_eq!(rig.started().len(), expected, "{standing:?}");
+        assert_eq!(rig.started().len(), expected, "{status:?}");
     }
     // With other settings, the frame is converted again.
     let other = MethodOptions { spacing: Some(0.2), ..MethodOptions::default() };
-    let mut rig = Rig::with(config(1, &other), journal(Standing::Done));
+    let mut rig = Rig::with(config(1, &other), journal(JournaledStatus::Done));
     rig.outputs.insert("/out0/a.1.glb".into());
     rig.want(0);
     rig.put("/in0/a.1.ply", 1);
@@ -607,9 +605,9 @@ fn stop_starts_no_further_frame() {
     rig.core.stop();
     rig.want(0);
     assert_eq!(rig.ended_pipelines, [0]);
-    assert!(rig.core.has_frames_under_way(true));
+    assert!(rig.core.has_frames_in_progress(true));
     rig.convert("/in0/a.1.ply");
-    assert!(!rig.core.has_frames_under_way(true) && rig.started().is_empty());
+    assert!(!rig.core.has_frames_in_progress(true) && rig.started().is_empty());
     let tally = rig.core.summary(EndReason::Finish);
     assert_eq!((tally.done_count, tally.left_count), (1, 1));
 }
@@ -630,7 +628,7 @@ fn hanging_folder_delays_only_its_own_frames() {
     rig.want(1);
     assert_eq!(rig.started(), ["b.1.ply"]);
     rig.convert("/in1/b.1.ply");
-    assert!(!rig.core.has_frames_under_way(false) && rig.core.has_frames_under_way(true));
+    assert!(!rig.core.has_frames_in_progress(false) && rig.core.has_frames_in_progress(true));
     // It responds again: it finishes its frames and ends. The remaining frames continue in the other
     // pipeline.
     rig.event(Event::WorkerAnswered(Worker::Root(0)));

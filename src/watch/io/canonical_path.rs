@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 ///
 /// # Errors
 /// When the path is empty, or there is no current folder.
-pub fn known_path(path: &Path) -> io::Result<PathBuf> {
+pub fn canonical_path(path: &Path) -> io::Result<PathBuf> {
     let path = std::path::absolute(path)?;
     Ok(match (path.parent(), path.file_name()) {
         (Some(folder), Some(name)) => resolved(folder).join(name),
@@ -64,9 +64,9 @@ mod tests {
             ("missing/x/../c.ply", "missing/c.ply"),
             ("link/missing/c.ply", "a/missing/c.ply"),
         ] {
-            assert_eq!(known_path(&top.join(typed)).expect(typed), top.join(expected), "{typed}");
+            assert_eq!(canonical_path(&top.join(typed)).expect(typed), top.join(expected), "{typed}");
         }
-        assert!(known_path(Path::new("")).is_err());
+        assert!(canonical_path(Path::new("")).is_err());
     }
 
     #[test]

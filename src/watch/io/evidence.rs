@@ -6,7 +6,7 @@ use std::time::Instant;
 use meniscus_formats::{Completeness, completeness};
 
 use crate::pipeline::{FileStamp, open_regular};
-use crate::watch::config::{Patience, Watch};
+use crate::watch::config::{StabilityTimeouts, Watch};
 use crate::watch::core::completeness::{Candidate, Readiness, Sentinel, path_of_sentinel, sentinel_counts};
 
 /// Whether this file may be read now.
@@ -15,15 +15,15 @@ pub(crate) fn readiness_of(
     candidate: &Candidate,
     now: Instant,
     watch: &Watch,
-    patience: &Patience,
+    timeouts: &StabilityTimeouts,
 ) -> Readiness {
     let sentinel = FileStamp::of_path(&path_of_sentinel(watch, file));
     let sentinel = Sentinel {
         is_required: watch.sentinel.is_some(),
         // A sentinel of an earlier version of the frame proves nothing.
-        is_there: sentinel.is_ok_and(|sentinel| sentinel_counts(&sentinel, candidate.stamp())),
+        exists: sentinel.is_ok_and(|sentinel| sentinel_counts(&sentinel, candidate.stamp())),
     };
-    candidate.readiness(now, patience, sentinel, || completeness_of(file))
+    candidate.readiness(now, timeouts, sentinel, || completeness_of(file))
 }
 
 /// What the format says. If the file cannot be read, reading the frame reports why.

@@ -90,7 +90,7 @@ impl Watcher {
         let (queue, hints) = bounded(capacity);
         let folders = Arc::new(Mutex::new(Folders::default()));
         let mut handler = EventHandler { queue, capacity, last: None, folders: folders.clone() };
-        let notify = notify::recommended_watcher(move |event| handler.hear(event)).map_err(watch_error)?;
+        let notify = notify::recommended_watcher(move |event| handler.receive(event)).map_err(watch_error)?;
         Ok((Watcher { notify, folders }, hints))
     }
 
@@ -105,7 +105,7 @@ impl Watcher {
             _ => WatchError::Other(error.to_string()),
         })?;
         // The folder that had this path may still exist elsewhere, and its events would carry its old path.
-        if lock(&self.folders).place_of.get(folder).is_some_and(|known| *known != place) {
+        if lock(&self.folders).folder_of.get(folder).is_some_and(|known| *known != place) {
             self.unwatch(folder);
         }
         let path = place.path.clone();
@@ -131,7 +131,7 @@ impl Watcher {
 #[derive(Debug, Default)]
 struct Folders {
     /// The folder to which each path leads.
-    place_of: HashMap<PathBuf, WatchedFolder>,
+    folder_of: HashMap<PathBuf, WatchedFolder>,
     /// The paths that lead to each canonical path.
     paths_to: HashMap<PathBuf, Vec<PathBuf>>,
 }
@@ -162,12 +162,12 @@ impl Folders {
         if !paths.iter().any(|path| path == folder) {
             paths.push(folder.to_owned());
         }
-        self.place_of.insert(folder.to_owned(), place);
+        self.folder_of.insert(folder.to_owned(), place);
     }
 
     /// Removes a path; returns the canonical path if no other path leads there.
     fn remove(&mut self, folder: &Path) -> Option<PathBuf> {
-        let WatchedFolder { path, .. } = self.place_of.remove(folder)?;
+        let WatchedFolder { path, .. } = self.folder_of.remove(folder)?;
         let paths = self.paths_to.get_mut(&path)?;
         paths.retain(|path| path != folder);
         if !paths.is_empty() {
@@ -179,7 +179,7 @@ impl Folders {
 
     /// Converts a canonical path of an event into the paths under which it was requested: as a watched
     /// folder, and as an entry of watched folders.
-    fn asked_for(&self, path: &Path) -> Vec<PathBuf> {
+    fn requested_paths(&self, path: &Path) -> Vec<PathBuf> {
         let itself = self.paths_to.get(path).into_iter().flatten().cloned();
         let within = path.parent().zip(path.file_name()).and_then(|(folder, name)| {
             Some(self.paths_to.get(folder)?.iter().map(move |folder| folder.join(name)))
@@ -205,13 +205,13 @@ struct EventHandler {
 }
 
 impl EventHandler {
-    fn hear(&mut self, event: notify::Result<Event>) {
+    fn receive(&mut self, event: notify::Result<Event>) {
         match event {
-            Ok(event) if event.need_rescan() => self.tell(FsEvent::Rescan),
+            Ok(event) if event.need_rescan() => self.send(FsEvent::Rescan),
             Ok(event) => self.on_event(event),
             Err(error) => {
                 tracing::warn!(%error, "a file-system event was lost");
-                self.tell(FsEvent::Rescan);
+                self.send(FsEvent::Rescan);
             }
         }
     }
@@ -219,28 +219,28 @@ impl EventHandler {
     fn on_event(&mut self, event: Event) {
         let Some(change) = change_of(event.kind) else { return };
         if event.paths.is_empty() {
-            self.tell(FsEvent::Rescan);
+            self.send(FsEvent::Rescan);
         }
         for path in event.paths {
             // Links are followed, because a link to a folder counts as one. A removed path was a folder if it
             // was watched.
-            let is_there = change != ChangeKind::Went && path.is_dir();
+            let is_there = change != ChangeKind::Removed && path.is_dir();
             let hints: Vec<FsEvent> = {
                 let folders = lock(&self.folders);
                 let hint = |path: PathBuf| match change {
-                    _ if is_there || folders.place_of.contains_key(&path) => FsEvent::Folder(path),
+                    _ if is_there || folders.folder_of.contains_key(&path) => FsEvent::Folder(path),
                     ChangeKind::FolderChanged => FsEvent::Folder(path),
                     ChangeKind::Renamed => FsEvent::Renamed(path),
-                    ChangeKind::Changed | ChangeKind::Went => FsEvent::Changed(path),
+                    ChangeKind::Changed | ChangeKind::Removed => FsEvent::Changed(path),
                 };
-                folders.asked_for(&path).into_iter().map(hint).collect()
+                folders.requested_paths(&path).into_iter().map(hint).collect()
             };
-            hints.into_iter().for_each(|hint| self.tell(hint));
+            hints.into_iter().for_each(|hint| self.send(hint));
         }
     }
 
     /// Sends an event or, if only one slot is left, `Rescan`.
-    fn tell(&mut self, hint: FsEvent) {
+    fn send(&mut self, hint: FsEvent) {
         // The same event is still in the queue.
         if !self.queue.is_empty() && self.last.as_ref() == Some(&hint) {
             return;
@@ -258,7 +258,7 @@ impl EventHandler {
 enum ChangeKind {
     Changed,
     Renamed,
-    Went,
+    Removed,
     FolderChanged,
 }
 
@@ -271,7 +271,7 @@ fn change_of(kind: EventKind) -> Option<ChangeKind> {
         EventKind::Create(CreateKind::Folder) | EventKind::Remove(RemoveKind::Folder) => {
             ChangeKind::FolderChanged
         }
-        EventKind::Remove(_) | EventKind::Modify(ModifyKind::Name(RenameMode::From)) => ChangeKind::Went,
+        EventKind::Remove(_) | EventKind::Modify(ModifyKind::Name(RenameMode::From)) => ChangeKind::Removed,
         EventKind::Modify(ModifyKind::Name(RenameMode::To)) => ChangeKind::Renamed,
         // Both sides were reported before, as separate events.
         EventKind::Modify(ModifyKind::Name(RenameMode::Both)) => return None,
@@ -524,7 +524,7 @@ mod tests {
         }
 
         fn hear(&mut self, kind: EventKind, name: &str) {
-            self.handler.hear(Ok(Event::new(kind).add_path(Path::new("/true").join(name))));
+            self.handler.receive(Ok(Event::new(kind).add_path(Path::new("/true").join(name))));
         }
 
         fn heard(&self) -> Vec<FsEvent> {
@@ -568,11 +568,11 @@ mod tests {
     #[test]
     fn loss_reported_by_the_system_sends_rescan() {
         let mut rig = Rig::new(8);
-        rig.handler.hear(Ok(Event::new(EventKind::Other).set_flag(notify::event::Flag::Rescan)));
+        rig.handler.receive(Ok(Event::new(EventKind::Other).set_flag(notify::event::Flag::Rescan)));
         assert_eq!(rig.heard(), [FsEvent::Rescan]);
-        rig.handler.hear(Err(notify::Error::generic("lost")));
+        rig.handler.receive(Err(notify::Error::generic("lost")));
         assert_eq!(rig.heard(), [FsEvent::Rescan]);
-        rig.handler.hear(Ok(Event::new(EventKind::Any)));
+        rig.handler.receive(Ok(Event::new(EventKind::Any)));
         assert_eq!(rig.heard(), [FsEvent::Rescan], "an event without a path means anywhere");
     }
 

@@ -54,7 +54,7 @@ impl Root {
         let mut proof = None;
         if let Some(mut candidate) = request.candidate {
             candidate.see(at, &seen, false);
-            match readiness_of(file, &candidate, at, &self.watch, &self.patience()) {
+            match readiness_of(file, &candidate, at, &self.watch, &self.timeouts()) {
                 Readiness::Ready(found) => proof = Some(found),
                 Readiness::Waiting { until, why } => return InspectionResult::Waiting { until, why },
             }

@@ -7,7 +7,7 @@ use glam::DVec3;
 use crate::pipeline::{Attempt, FileStamp, Framed, measure_sequence, sequence_bounds};
 use crate::surface::options::{self, Settings};
 use crate::watch::core::frames::FrameId;
-use crate::watch::core::sequences::{MeasureOrder, SpacingResult, asked_camera};
+use crate::watch::core::sequences::{MeasureOrder, SpacingResult, requested_camera};
 use crate::watch::journal::{JournaledSequence, SequenceCamera};
 
 /// Measures the particle spacing, unless the voxel size is known, and fits the camera of pictures.
@@ -50,7 +50,7 @@ fn note(measured: &mut SpacingResult, path: &Path, attempt: Attempt, order: &Mea
     }
     match attempt {
         Attempt::Measured => {}
-        Attempt::Sparse => measured.sparse.push((id.clone(), *stamp)),
+        Attempt::TooFewParticles => measured.sparse.push((id.clone(), *stamp)),
         Attempt::Unreadable(error) => measured.unreadable.push((id.clone(), *stamp, error)),
     }
 }
@@ -73,13 +73,13 @@ fn with_camera(
     for (id, _) in order.files.iter().skip_while(|(id, _)| is_before(id)) {
         let (attempt, bounds) = match sequence_bounds(&[&*id.path], radius) {
             Ok(Some(bounds)) => (Attempt::Measured, Some(bounds)),
-            Ok(None) => (Attempt::Sparse, None),
+            Ok(None) => (Attempt::TooFewParticles, None),
             Err(error) => (Attempt::Unreadable(error), None),
         };
         note(measured, &id.path, attempt, order);
         if let Some(bounds) = bounds {
             let framed = Framed::around(widened(bounds, outputs.up().direction()), outputs);
-            let camera = Some(SequenceCamera { asked: asked_camera(outputs), framed });
+            let camera = Some(SequenceCamera { requested: requested_camera(outputs), framed });
             return Some(JournaledSequence { camera, ..record });
         }
         if measured.changed.is_some() {

@@ -26,7 +26,7 @@ pub(super) struct OutputDir {
     /// When the last attempt to write the journal failed; `None` if it succeeded.
     journal_failed_at: Option<Instant>,
     /// Whether the folder is in place. If another one has replaced it, nothing is written there.
-    is_there: bool,
+    is_mounted: bool,
     next_check: Instant,
     /// The lock of a journal that lies in another folder: it, too, has only one writer.
     _journal_lock: Option<OutputLock>,
@@ -104,7 +104,7 @@ impl OutputDir {
             guard: Arc::new(OutputGuard { folder, floor_bytes: config.disk_floor_bytes, held }),
             journal,
             journal_failed_at: None,
-            is_there: true,
+            is_mounted: true,
             next_check: Instant::now(),
             _journal_lock: journal_lock,
         })
@@ -121,7 +121,7 @@ impl OutputDir {
     fn check(&mut self, report: &dyn Fn(Event)) {
         self.next_check = Instant::now() + CHECK_EVERY;
         let found = self.guard.check(self.index);
-        self.is_there = found.presence != Presence::Away;
+        self.is_mounted = found.presence != Presence::Missing;
         report(Event::OutputDirChecked(found));
     }
 
@@ -129,7 +129,7 @@ impl OutputDir {
     /// restart. The failure is logged once, not for every record, and so is the recovery.
     fn write(&mut self, write: impl FnOnce(&mut Journal) -> io::Result<()>) {
         let is_too_soon = self.journal_failed_at.is_some_and(|at| at.elapsed() < JOURNAL_RETRY);
-        let is_held = !self.is_there || is_too_soon;
+        let is_held = !self.is_mounted || is_too_soon;
         self.journal.hold(is_held);
         let written = write(&mut self.journal);
         if is_held {
@@ -159,7 +159,7 @@ impl Work for OutputDir {
         match request {
             OutputRequest::Record(entry, log) => {
                 // Nothing is written if another folder may be in its place.
-                self.is_there &= self.guard.is_in_place();
+                self.is_mounted &= self.guard.is_in_place();
                 self.write(|journal| journal.note(entry));
                 if let Some(log) = log {
                     log.write();
@@ -204,7 +204,7 @@ impl OutputGuard {
     fn find(&self) -> Presence {
         let mut held = self.held();
         if held.lock.is_in_place(&self.folder) {
-            return Presence::There;
+            return Presence::Present;
         }
         let nearest = self.folder.ancestors().find_map(|folder| RootIdentity::of(folder).ok());
         // `convert --skip-done` also creates a folder with this name; these files belong to the daemon alone.
@@ -212,13 +212,13 @@ impl OutputGuard {
         let is_back = [LOCK_FILE_NAME, JOURNAL_FILE_NAME].iter().any(|name| state.join(name).is_file());
         // Files in a folder whose file system was unmounted will come back with it; removed files are lost.
         if nearest != Some(held.identity) && !is_back {
-            return Presence::Away;
+            return Presence::Missing;
         }
         // If this fails, the daemon waits for the folder, and logs once why no frame starts.
-        let Ok(lock) = OutputLock::take(&self.folder) else { return Presence::Away };
+        let Ok(lock) = OutputLock::take(&self.folder) else { return Presence::Missing };
         let identity = RootIdentity::of(&self.folder).unwrap_or(held.identity);
         *held = Held { lock, identity };
-        Presence::MadeAgain
+        Presence::Recreated
     }
 
     fn held(&self) -> MutexGuard<'_, Held> {

@@ -12,8 +12,8 @@ use crossbeam::channel::{Receiver, Sender, bounded};
 use rayon::ThreadPoolBuilder;
 
 use crate::pipeline::{
-    Frame, FrameError, LevelSetSkinning, Observer, OnError, Outcome, OutputStates, PipelineOptions, Stage,
-    StepsFoundBy, stream,
+    Frame, FrameError, IndexPolicy, LevelSetMethod, Observer, OnError, Outcome, OutputStates,
+    PipelineOptions, Stage, stream,
 };
 use crate::watch::config::WatchConfig;
 use crate::watch::core::events::{Event, FrameFinished, Start};
@@ -79,7 +79,7 @@ fn run(
         in_flight: config.in_flight,
         memory_bytes: config.memory_bytes,
         // A separate thread finds steps.
-        steps_found_by: StepsFoundBy::Another,
+        index_policy: IndexPolicy::External,
         mirrors: &mirrors,
         output_states: Some(&output_states),
         observer: store.as_ref().map(|store| &**store as &dyn Observer),
@@ -104,7 +104,7 @@ fn run(
             return Some((id, *frame));
         }
     };
-    stream(&LevelSetSkinning, next, &options, |id, frame, outcome| {
+    stream(&LevelSetMethod, next, &options, |id, frame, outcome| {
         let finished = finished(id, &frame, outcome, &output_states);
         // Fails only if the daemon has already ended.
         let _ = events.send(Event::FrameFinished(Box::new(finished)));

@@ -14,7 +14,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::pipeline::ObstacleFiles;
-use crate::watch::config::{Patience, Poll, Watch, WatchConfig};
+use crate::watch::config::{Poll, StabilityTimeouts, Watch, WatchConfig};
 use crate::watch::core::completeness::may_be_sentinel;
 use crate::watch::core::events::{Event, FoundObstacleStamps, RootRequest, Scan};
 use crate::watch::core::frames::FrameId;
@@ -31,7 +31,7 @@ use super::worker::{Pulse, Work};
 pub(super) struct Root {
     pub(super) index: usize,
     once: bool,
-    patience: Patience,
+    timeouts: StabilityTimeouts,
     pub(super) watch: Watch,
     /// The absolute path.
     path: PathBuf,
@@ -48,7 +48,7 @@ pub(super) struct Root {
     poll: Option<Duration>,
     rescan_every: Duration,
     /// Folders whose events are received.
-    heard: HashSet<PathBuf>,
+    watched_folders: HashSet<PathBuf>,
     next_scan: Instant,
     /// The time spent on inspections since the last scan.
     inspected_for: Duration,
@@ -99,7 +99,7 @@ impl Root {
         let mut root = Root {
             index,
             once: config.once,
-            patience: config.patience,
+            timeouts: config.timeouts,
             watch: config.watches[index].clone(),
             path,
             selection,
@@ -111,7 +111,7 @@ impl Root {
             network: None,
             poll,
             rescan_every: config.rescan_every,
-            heard: HashSet::new(),
+            watched_folders: HashSet::new(),
             // The core requests the first scan.
             next_scan: Instant::now() + NEVER,
             inspected_for: Duration::ZERO,
@@ -133,13 +133,13 @@ impl Root {
     }
 
     /// How long its files must be unchanged before they are read.
-    pub(super) fn patience(&self) -> Patience {
-        let Patience { settle, unproven, stalled } = self.patience;
+    pub(super) fn timeouts(&self) -> StabilityTimeouts {
+        let StabilityTimeouts { settle, unverifiable, stalled } = self.timeouts;
         match self.network {
-            None => self.patience,
-            Some(_) => Patience {
+            None => self.timeouts,
+            Some(_) => StabilityTimeouts {
                 settle: settle.max(NETWORK_SETTLE_MIN),
-                unproven: unproven.max(2 * NETWORK_SETTLE_MIN),
+                unverifiable: unverifiable.max(2 * NETWORK_SETTLE_MIN),
                 stalled: stalled.max(2 * NETWORK_SETTLE_MIN),
             },
         }
@@ -181,7 +181,7 @@ impl Root {
         } else if folder.starts_with(&self.path) && self.selection.enters(&self.path, folder) {
             // Earlier events came from another folder with that name.
             self.forget_folder(folder);
-            match self.hear_and_scan(folder) {
+            match self.watch_and_scan(folder) {
                 Ok(Scan { files, .. }) => {
                     report(Event::FolderScanned { root: self.index, files, at: Instant::now() });
                 }
@@ -200,10 +200,10 @@ impl Root {
         if self.identity != identity {
             // Events of the earlier folder say nothing about this one, and those of an unmounted one just
             // stop.
-            self.stop_hearing();
+            self.stop_watching();
             self.identity = identity;
         }
-        let found = self.hear_and_scan(&self.path.clone());
+        let found = self.watch_and_scan(&self.path.clone());
         let found = found.map_err(|error| error.to_string()).and_then(|found| {
             if self.had_frames && found.files.is_empty() {
                 // An empty mount point looks like a folder whose files were all deleted. In both cases there
@@ -216,7 +216,7 @@ impl Root {
             Ok(found) => self.had_frames |= !found.files.is_empty(),
             Err(_) => {
                 // The events came from a folder that is gone.
-                self.stop_hearing();
+                self.stop_watching();
                 self.next_scan = Instant::now() + UNAVAILABLE_RETRY;
             }
         }
@@ -227,9 +227,9 @@ impl Root {
     ///
     /// # Errors
     /// When the folder cannot be read.
-    fn hear_and_scan(&mut self, folder: &Path) -> io::Result<Scan> {
-        if self.heard.is_empty() {
-            self.find_out_how_to_watch(folder)?;
+    fn watch_and_scan(&mut self, folder: &Path) -> io::Result<Scan> {
+        if self.watched_folders.is_empty() {
+            self.choose_watch_method(folder)?;
         }
         if self.poll.is_some() {
             return self.scan_folder(folder);
@@ -239,7 +239,7 @@ impl Root {
             let found = self.scan_folder(folder)?;
             // Files that appeared in a folder before its events were received are found by the next scan.
             let unheard: Vec<PathBuf> =
-                found.folders.iter().filter(|f| !self.heard.contains(*f)).cloned().collect();
+                found.folders.iter().filter(|f| !self.watched_folders.contains(*f)).cloned().collect();
             if unheard.is_empty() || self.poll.is_some() || self.watcher.is_none() {
                 return Ok(found);
             }
@@ -259,20 +259,20 @@ impl Root {
     /// Stops listening to a folder that is gone or was replaced.
     fn forget_folder(&mut self, folder: &Path) {
         let gone: Vec<PathBuf> =
-            self.heard.iter().filter(|heard| heard.starts_with(folder)).cloned().collect();
+            self.watched_folders.iter().filter(|heard| heard.starts_with(folder)).cloned().collect();
         for folder in gone {
-            self.heard.remove(&folder);
+            self.watched_folders.remove(&folder);
             if let Some(watcher) = &mut self.watcher {
                 watcher.unwatch(&folder);
             }
         }
     }
 
-    fn stop_hearing(&mut self) {
+    fn stop_watching(&mut self) {
         self.forget_folder(&self.path.clone());
     }
 
-    fn find_out_how_to_watch(&mut self, folder: &Path) -> io::Result<()> {
+    fn choose_watch_method(&mut self, folder: &Path) -> io::Result<()> {
         let network = network_file_system(folder)?;
         if let Some(name) = network
             && self.poll.is_none()
@@ -292,7 +292,7 @@ impl Root {
         match watcher.watch(folder) {
             // If the folder is gone again, the next scan reports it.
             Ok(()) | Err(WatchError::Gone) => {
-                self.heard.insert(folder.to_owned());
+                self.watched_folders.insert(folder.to_owned());
             }
             Err(error) => self.poll_instead(&error),
         }
@@ -334,7 +334,7 @@ impl Work for Root {
             }
             RootRequest::StampObstacles(numbers) => {
                 let obstacles = &self.obstacles[self.index];
-                let stamps = match obstacles.stand_still() {
+                let stamps = match obstacles.are_static() {
                     true => FoundObstacleStamps::Same(Arc::new(obstacles.stamps(None))),
                     false => {
                         let stamps = |number| (number, Arc::new(obstacles.stamps(number)));
@@ -360,7 +360,7 @@ impl Work for Root {
         if self.rescans.is_due(now) {
             tracing::info!("events were lost: scanning everything");
             // The lost events may have said that a folder was replaced, so all folders are watched anew.
-            self.heard.clear();
+            self.watched_folders.clear();
             self.is_after_loss = true;
             self.next_scan = now;
         }

@@ -134,20 +134,20 @@ impl FolderScan<'_> {
         if kind.is_dir() {
             return Ok(is_recursive);
         }
-        let is_taken = path.strip_prefix(self.root).is_ok_and(|within| self.selection.takes_name(within));
+        let is_selected = path.strip_prefix(self.root).is_ok_and(|within| self.selection.takes_name(within));
         let metadata = match kind.is_symlink() {
-            true if is_taken || is_recursive => match fs::metadata(path) {
-                Err(error) if !is_taken && is_link_loop(&error) => return Ok(false),
-                Err(error) if is_taken && is_gone(&error) && path.is_symlink() => {
+            true if is_selected || is_recursive => match fs::metadata(path) {
+                Err(error) if !is_selected && is_link_loop(&error) => return Ok(false),
+                Err(error) if is_selected && is_gone(&error) && path.is_symlink() => {
                     self.scan.dangling.push(path.to_owned());
                     return Ok(false);
                 }
                 metadata => metadata?,
             },
-            false if is_taken => entry.metadata()?,
+            false if is_selected => entry.metadata()?,
             _ => return Ok(false),
         };
-        if let Some(seen) = seen(&metadata, self.trust_clock).filter(|_| is_taken) {
+        if let Some(seen) = seen(&metadata, self.trust_clock).filter(|_| is_selected) {
             self.scan.files.push((path.to_owned(), seen));
         }
         Ok(is_recursive && metadata.is_dir())

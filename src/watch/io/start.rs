@@ -13,7 +13,7 @@ use crate::watch::core::state::Core;
 use crate::watch::journal::{DaemonRecord, DaemonState, now_ms};
 use crate::watch::status_store::StatusStore;
 
-use super::canonical_path::known_path;
+use super::canonical_path::canonical_path;
 use super::error::DaemonError;
 use super::fs_events::Watcher;
 use super::lock::host_name;
@@ -59,7 +59,7 @@ pub(crate) fn start(
     let obstacles: Vec<Arc<ObstacleFiles>> = obstacles.map(Arc::new).collect();
     let mut paths = Vec::new();
     for watch in &config.watches {
-        let path = known_path(&watch.input).unwrap_or_else(|_| watch.input.clone());
+        let path = canonical_path(&watch.input).unwrap_or_else(|_| watch.input.clone());
         let selection = FileFilter::new(watch.pattern.as_deref(), watch.recursive, folders.clone());
         paths.push((path, selection.map_err(DaemonError::Pattern)?));
     }

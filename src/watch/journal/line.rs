@@ -50,8 +50,8 @@ mod tests {
     use glam::DVec3;
 
     use super::super::state::{
-        DaemonRecord, DaemonState, JournaledFrame, JournaledSequence, OutputRecord, SequenceCamera,
-        SequenceKey, Standing,
+        DaemonRecord, DaemonState, JournaledFrame, JournaledSequence, JournaledStatus, OutputRecord,
+        SequenceCamera, SequenceKey,
     };
     use super::*;
     use crate::pipeline::{FileStamp, Framed, MeasuredSpacing, OutputState};
@@ -66,9 +66,9 @@ mod tests {
         assert_eq!(parse_line(&line[..end]).as_ref(), Some(entry));
     }
 
-    fn frame(input: impl Into<PathBuf>, standing: Standing) -> Entry {
+    fn frame(input: impl Into<PathBuf>, status: JournaledStatus) -> Entry {
         let record = JournaledFrame {
-            standing,
+            status,
             stamp: FileStamp {
                 size: u64::MAX,
                 modified_ns: i64::MIN,
@@ -106,18 +106,18 @@ mod tests {
 
     #[test]
     fn frame_records_survive_a_round_trip() {
-        let standings = [
-            Standing::Queued,
-            Standing::Done,
-            Standing::Failed,
-            Standing::Retrying,
-            Standing::Refused,
-            Standing::GivenUp,
+        let statuses = [
+            JournaledStatus::Queued,
+            JournaledStatus::Done,
+            JournaledStatus::Failed,
+            JournaledStatus::Retrying,
+            JournaledStatus::Refused,
+            JournaledStatus::RetriesExhausted,
         ];
-        for standing in standings {
-            comes_back(&frame("/sim/dam.0001.bgeo", standing));
+        for status in statuses {
+            comes_back(&frame("/sim/dam.0001.bgeo", status));
         }
-        let Entry::Frame { input, record } = frame("a b\n", Standing::Queued) else { unreachable!() };
+        let Entry::Frame { input, record } = frame("a b\n", JournaledStatus::Queued) else { unreachable!() };
         let bare = JournaledFrame {
             hash: None,
             outputs: Vec::new(),
@@ -133,7 +133,7 @@ mod tests {
 
     #[test]
     fn frame_record_without_newer_fields_is_read() {
-        let record = r#"{"frame":{"input":"/in/a.ply","standing":"done","size_bytes":5,"modified_ns":6,"inode":7,"hash":"00000000000000000000000000000008","settings":"s","outputs":[{"path":"/out/a.glb","size_bytes":9}],"attempts":0,"at_ms":1}}"#;
+        let record = r#"{"frame":{"input":"/in/a.ply","status":"done","size_bytes":5,"modified_ns":6,"inode":7,"hash":"00000000000000000000000000000008","settings":"s","outputs":[{"path":"/out/a.glb","size_bytes":9}],"attempts":0,"at_ms":1}}"#;
         let line = format!("{:016x} {record}", XxHash3_64::oneshot(record.as_bytes()));
         let Some(Entry::Frame { record, .. }) = parse_line(line.as_bytes()) else { panic!("not a frame") };
         assert_eq!(record.stamp, FileStamp { size: 5, modified_ns: 6, inode: 7, changed_ns: None });
@@ -145,7 +145,7 @@ mod tests {
     fn paths_that_are_not_utf8_survive_a_round_trip() {
         use std::os::unix::ffi::OsStringExt;
         let path = PathBuf::from(std::ffi::OsString::from_vec((1..=255).collect()));
-        let Entry::Frame { record, .. } = frame("", Standing::Done) else { unreachable!() };
+        let Entry::Frame { record, .. } = frame("", JournaledStatus::Done) else { unreachable!() };
         let mut record = (*record).clone();
         record.outputs[0].path.clone_from(&path);
         comes_back(&Entry::Frame { input: path.into(), record: Arc::new(record) });
@@ -168,7 +168,7 @@ mod tests {
                     warnings: Vec::new(),
                 }),
                 camera: Some(SequenceCamera {
-                    asked: "1280x720 auto".to_owned(),
+                    requested: "1280x720 auto".to_owned(),
                     framed: Framed {
                         camera: "eye=0.1:2:3,target=0:0:0,view=30,up=y,ground=none"
                             .parse()

@@ -46,8 +46,8 @@ pub(in crate::watch) use state::Entry;
 use state::RecordKey;
 
 pub use state::{
-    DaemonRecord, DaemonState, JournalState, JournaledFrame, JournaledSequence, OutputCheck, OutputRecord,
-    PlanRecord, SequenceCamera, SequenceKey, Standing,
+    DaemonRecord, DaemonState, JournalState, JournaledFrame, JournaledSequence, JournaledStatus, OutputCheck,
+    OutputRecord, PlanRecord, SequenceCamera, SequenceKey,
 };
 
 /// The folder for the daemon's own files, in the folder of outputs.
@@ -174,7 +174,7 @@ impl Journal {
         Ok(())
     }
 
-    /// Records the standing of a frame.
+    /// Records the status of a frame.
     ///
     /// # Errors
     /// When it is not on disk.

@@ -15,7 +15,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::pipeline::files::json::{hex, path, text};
 use crate::pipeline::{CameraChoice, FileStamp, Framed, MeasuredSpacing, OutputState};
-use crate::watch::config::{Patience, Watch};
+use crate::watch::config::{StabilityTimeouts, Watch};
 use crate::watch::status_store::Figures;
 
 /// The content of a journal.
@@ -36,8 +36,9 @@ pub struct JournalState {
 /// The record of a frame.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct JournaledFrame {
-    /// Its standing.
-    pub standing: Standing,
+    /// Its status.
+    #[serde(rename = "standing")]
+    pub status: JournaledStatus,
     /// The stamp of its input when this was recorded.
     #[serde(flatten)]
     pub stamp: FileStamp,
@@ -71,10 +72,10 @@ pub struct JournaledFrame {
     pub figures: Option<Arc<Figures>>,
 }
 
-/// The standing of a frame.
+/// The status of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Standing {
+pub enum JournaledStatus {
     /// It is queued or in progress.
     Queued,
     /// All its outputs exist.
@@ -88,7 +89,8 @@ pub enum Standing {
     Refused,
     /// It failed with an error that may be temporary, and all retries failed: it is retried when the daemon
     /// starts.
-    GivenUp,
+    #[serde(rename = "given_up")]
+    RetriesExhausted,
 }
 
 /// An output of a frame.
@@ -155,7 +157,7 @@ impl OutputRecord {
 struct FrameForm {
     #[serde(with = "path")]
     input: Arc<Path>,
-    standing: Standing,
+    standing: JournaledStatus,
     size_bytes: u64,
     #[serde(default)]
     modified_ns: i64,
@@ -209,7 +211,7 @@ struct OutputForm {
 fn read_frame<'de, D: Deserializer<'de>>(from: D) -> Result<(Arc<Path>, Arc<JournaledFrame>), D::Error> {
     let form = FrameForm::deserialize(from)?;
     let record = JournaledFrame {
-        standing: form.standing,
+        status: form.standing,
         stamp: FileStamp {
             size: form.size_bytes,
             modified_ns: form.modified_ns,
@@ -269,7 +271,7 @@ pub struct JournaledSequence {
 #[serde(try_from = "CameraForm", into = "CameraForm")]
 pub struct SequenceCamera {
     /// The camera options; if they change, the camera is fitted again.
-    pub asked: String,
+    pub requested: String,
     /// The fitted camera.
     pub framed: Framed,
 }
@@ -289,7 +291,7 @@ struct CameraForm {
 
 impl From<SequenceCamera> for CameraForm {
     fn from(
-        SequenceCamera { asked, framed: Framed { camera, around, earlier } }: SequenceCamera,
+        SequenceCamera { requested: asked, framed: Framed { camera, around, earlier } }: SequenceCamera,
     ) -> CameraForm {
         let corners = around.into_iter().flatten();
         CameraForm {
@@ -312,7 +314,7 @@ impl TryFrom<CameraForm> for SequenceCamera {
             _ => return Err("camera_around is not six numbers".to_owned()),
         };
         Ok(SequenceCamera {
-            asked,
+            requested: asked,
             framed: Framed { camera: camera.parse()?, around, earlier: earlier_cameras },
         })
     }
@@ -341,7 +343,7 @@ pub struct PlanRecord {
     pub watches: Vec<Watch>,
     /// How long files must be unchanged.
     #[serde(flatten)]
-    pub patience: Patience,
+    pub timeouts: StabilityTimeouts,
 }
 
 /// The state of a daemon.
@@ -356,15 +358,15 @@ pub enum DaemonState {
     Stopped,
 }
 
-impl fmt::Display for Standing {
+impl fmt::Display for JournaledStatus {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Standing::Queued => "queued",
-            Standing::Done => "done",
-            Standing::Failed => "failed",
-            Standing::Retrying => "retrying",
-            Standing::Refused => "refused",
-            Standing::GivenUp => "given up",
+            JournaledStatus::Queued => "queued",
+            JournaledStatus::Done => "done",
+            JournaledStatus::Failed => "failed",
+            JournaledStatus::Retrying => "retrying",
+            JournaledStatus::Refused => "refused",
+            JournaledStatus::RetriesExhausted => "given up",
         })
     }
 }

@@ -4,7 +4,7 @@ use crate::pipeline::MeasuredSpacing;
 use std::io::{Seek, SeekFrom};
 use std::time::Duration;
 
-use crate::watch::config::Patience;
+use crate::watch::config::StabilityTimeouts;
 
 use super::*;
 
@@ -30,9 +30,9 @@ fn open(folder: &Path) -> Journal {
     Journal::open(folder).expect("a journal")
 }
 
-fn frame_record(standing: Standing, attempt_count: u32) -> JournaledFrame {
+fn frame_record(status: JournaledStatus, attempt_count: u32) -> JournaledFrame {
     JournaledFrame {
-        standing,
+        status,
         stamp: FileStamp {
             size: 12_345,
             modified_ns: 1_760_000_000_123_456_789,
@@ -77,9 +77,12 @@ fn daemon_record(state: DaemonState) -> DaemonRecord {
 }
 
 fn plan_record() -> PlanRecord {
-    let patience =
-        Patience { settle: Duration::from_millis(500), unproven: Duration::ZERO, stalled: Duration::MAX };
-    PlanRecord { watches: Vec::new(), patience }
+    let timeouts = StabilityTimeouts {
+        settle: Duration::from_millis(500),
+        unverifiable: Duration::ZERO,
+        stalled: Duration::MAX,
+    };
+    PlanRecord { watches: Vec::new(), timeouts }
 }
 
 /// Writes records of all kinds; returns the states in between, starting with the empty one.
@@ -95,8 +98,8 @@ fn write_some(folder: &Path) -> Vec<JournalState> {
     journal.note_sequence(&key, record).expect("noted");
     remember(&journal);
     for number in 0..3 {
-        for standing in [Standing::Queued, Standing::Done] {
-            journal.note_frame(&input(number), frame_record(standing, 1)).expect("noted");
+        for status in [JournaledStatus::Queued, JournaledStatus::Done] {
+            journal.note_frame(&input(number), frame_record(status, 1)).expect("noted");
             remember(&journal);
         }
     }
@@ -128,7 +131,7 @@ fn reader_sees_every_record_of_a_running_daemon() {
     let folder = folder();
     let mut journal = open(folder.path());
     for number in 0..4 {
-        journal.note_frame(&input(number), frame_record(Standing::Done, 1)).expect("noted");
+        journal.note_frame(&input(number), frame_record(JournaledStatus::Done, 1)).expect("noted");
         assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
     }
 }
@@ -140,7 +143,7 @@ fn truncated_journal_equals_an_earlier_state() {
     let bytes = bytes(whole.path());
     let cut = folder();
     let path = cut.path().join(FILE_NAME);
-    let record = frame_record(Standing::Failed, 9);
+    let record = frame_record(JournaledStatus::Failed, 9);
     for size in 0..=bytes.len() {
         // A new file each time, because some file systems sync when a truncated file is written again.
         let _ = fs::remove_file(&path);
@@ -239,16 +242,16 @@ fn fail_next_write(journal: &mut Journal) {
 fn failed_write_is_repeated_with_the_next_record() {
     let folder = folder();
     let mut journal = open(folder.path());
-    journal.note_frame(&input(0), frame_record(Standing::Done, 1)).expect("noted");
+    journal.note_frame(&input(0), frame_record(JournaledStatus::Done, 1)).expect("noted");
     let before = journal.state().clone();
 
     fail_next_write(&mut journal);
-    journal.note_frame(&input(1), frame_record(Standing::Queued, 1)).expect_err("a full disk");
+    journal.note_frame(&input(1), frame_record(JournaledStatus::Queued, 1)).expect_err("a full disk");
     assert!(journal.state().frames.contains_key(&*input(1)));
     assert_eq!(Journal::read(folder.path()).expect("a journal"), before);
     fail_next_write(&mut journal);
-    journal.note_frame(&input(1), frame_record(Standing::Done, 1)).expect_err("a full disk");
-    journal.note_frame(&input(2), frame_record(Standing::Done, 1)).expect("there is free space again");
+    journal.note_frame(&input(1), frame_record(JournaledStatus::Done, 1)).expect_err("a full disk");
+    journal.note_frame(&input(2), frame_record(JournaledStatus::Done, 1)).expect("there is free space again");
 
     assert_eq!(journal.state().frames.len(), 3);
     assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
@@ -259,7 +262,7 @@ fn failed_write_is_repeated_with_the_next_record() {
 fn sync_writes_pending_records() {
     let folder = folder();
     let mut journal = open(folder.path());
-    journal.note_frame(&input(0), frame_record(Standing::Done, 1)).expect("noted");
+    journal.note_frame(&input(0), frame_record(JournaledStatus::Done, 1)).expect("noted");
     fail_next_write(&mut journal);
     journal.note_daemon(daemon_record(DaemonState::Stopped)).expect_err("a full disk");
     journal.sync().expect("there is free space again");
@@ -271,10 +274,11 @@ fn sync_writes_pending_records() {
 fn write_to_a_full_disk_returns_an_error() {
     let folder = folder();
     let mut journal = open(folder.path());
-    journal.note_frame(&input(0), frame_record(Standing::Done, 1)).expect("noted");
+    journal.note_frame(&input(0), frame_record(JournaledStatus::Done, 1)).expect("noted");
     // The journal keeps its name, but data is written elsewhere.
     journal.file = Some(OpenOptions::new().write(true).open("/dev/full").expect("the full device"));
-    let error = journal.note_frame(&input(1), frame_record(Standing::Done, 1)).expect_err("a full disk");
+    let error =
+        journal.note_frame(&input(1), frame_record(JournaledStatus::Done, 1)).expect_err("a full disk");
     assert!(is_disk_full(&error), "{error}");
 }
 
@@ -284,17 +288,17 @@ fn removed_journal_is_written_again_completely() {
     let parent = folder();
     let folder = parent.path().join(STATE_FOLDER);
     let mut journal = open(&folder);
-    journal.note_frame(&input(0), frame_record(Standing::Done, 1)).expect("noted");
+    journal.note_frame(&input(0), frame_record(JournaledStatus::Done, 1)).expect("noted");
     fs::remove_dir_all(&folder).expect("removed");
-    journal.note_frame(&input(1), frame_record(Standing::Done, 1)).expect("noted");
+    journal.note_frame(&input(1), frame_record(JournaledStatus::Done, 1)).expect("noted");
     assert_eq!(Journal::read(&folder).expect("a journal"), *journal.state());
 
     // The same if it was truncated while it was closed.
     for rest in ["", "meniscus journal 1\n", "something else"] {
         fail_next_write(&mut journal);
-        journal.note_frame(&input(2), frame_record(Standing::Done, 1)).expect_err("a full disk");
+        journal.note_frame(&input(2), frame_record(JournaledStatus::Done, 1)).expect_err("a full disk");
         fs::write(folder.join(FILE_NAME), rest).expect("cut short");
-        journal.note_frame(&input(3), frame_record(Standing::Done, 1)).expect("noted");
+        journal.note_frame(&input(3), frame_record(JournaledStatus::Done, 1)).expect("noted");
         assert_eq!(Journal::read(&folder).expect("a journal"), *journal.state());
     }
 }
@@ -307,7 +311,9 @@ fn superseded_lines_are_compacted() {
     journal.note_sequence(&key, record).expect("noted");
     for attempt_count in 0..5 * COMPACTED_LINES_MIN as u32 {
         let number = attempt_count as usize % 10;
-        journal.note_frame(&input(number), frame_record(Standing::Retrying, attempt_count)).expect("noted");
+        journal
+            .note_frame(&input(number), frame_record(JournaledStatus::Retrying, attempt_count))
+            .expect("noted");
         assert!(journal.line_count <= COMPACTED_LINES_MIN);
     }
     assert!(line_count(folder.path()) <= COMPACTED_LINES_MIN);
@@ -323,7 +329,7 @@ fn mostly_superseded_journal_is_compacted_on_open() {
     let mut file = OpenOptions::new().append(true).open(folder.path().join(FILE_NAME)).expect("a journal");
     let mut lines = Vec::new();
     for attempt_count in 0..COMPACTED_LINES_MIN as u32 {
-        let record = frame_record(Standing::Done, attempt_count);
+        let record = frame_record(JournaledStatus::Done, attempt_count);
         push_line(&mut lines, &frame_entry(&input(0), record.clone())).expect("a line");
     }
     file.write_all(&lines).expect("written");
@@ -331,7 +337,7 @@ fn mostly_superseded_journal_is_compacted_on_open() {
 
     let mut journal = open(folder.path());
     assert_eq!(line_count(folder.path()), before.entry_count());
-    journal.note_frame(&input(7), frame_record(Standing::Done, 1)).expect("noted");
+    journal.note_frame(&input(7), frame_record(JournaledStatus::Done, 1)).expect("noted");
     assert_eq!(line_count(folder.path()), before.entry_count() + 1);
     assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
 }
@@ -359,7 +365,7 @@ fn journal_that_is_a_link_is_refused_and_replaced_under_a_running_daemon() {
     assert_eq!(error, "not a regular file: a symbolic link");
     assert!(Journal::read(folder.path()).is_err());
     // A running daemon knows the content.
-    journal.note_frame(&input(7), frame_record(Standing::Done, 1)).expect("noted");
+    journal.note_frame(&input(7), frame_record(JournaledStatus::Done, 1)).expect("noted");
     assert!(!path.is_symlink());
     assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
     assert!(fs::read(&precious).expect("there") == bytes);
@@ -369,7 +375,7 @@ fn journal_that_is_a_link_is_refused_and_replaced_under_a_running_daemon() {
     fs::hard_link(&path, folder.path().join("kept")).expect("a second name");
     let kept = fs::read(&path).expect("there");
     let mut journal = open(folder.path());
-    journal.note_frame(&input(8), frame_record(Standing::Done, 1)).expect("noted");
+    journal.note_frame(&input(8), frame_record(JournaledStatus::Done, 1)).expect("noted");
     assert!(fs::read(folder.path().join("kept")).expect("there") == kept);
     assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
 }
@@ -381,14 +387,14 @@ fn failed_compaction_keeps_the_journal_usable() {
     REWRITE_FAILS.set(true);
     let count = 3 * COMPACTED_LINES_MIN;
     for attempt_count in 0..count as u32 {
-        journal.note_frame(&input(0), frame_record(Standing::Retrying, attempt_count)).expect("noted");
+        journal.note_frame(&input(0), frame_record(JournaledStatus::Retrying, attempt_count)).expect("noted");
     }
     assert_eq!(line_count(folder.path()), count);
     assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
 
     REWRITE_FAILS.set(false);
     for attempt_count in 0..count as u32 {
-        journal.note_frame(&input(0), frame_record(Standing::Retrying, attempt_count)).expect("noted");
+        journal.note_frame(&input(0), frame_record(JournaledStatus::Retrying, attempt_count)).expect("noted");
     }
     assert!(line_count(folder.path()) <= 2 * COMPACTED_LINES_MIN);
 }

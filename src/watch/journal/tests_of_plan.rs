@@ -9,16 +9,16 @@ use super::line::{parse_line, push_line};
 use super::state::{Entry, PlanRecord};
 use crate::pipeline::{OutputFormat, OutputOptions, PictureOptions};
 use crate::surface::options::MethodOptions;
-use crate::watch::config::{Patience, Watch};
+use crate::watch::config::{StabilityTimeouts, Watch};
 
 #[track_caller]
 fn comes_back(watch: Watch) {
-    let patience = Patience {
+    let timeouts = StabilityTimeouts {
         settle: Duration::ZERO,
-        unproven: Duration::from_nanos(2_000_000_001),
+        unverifiable: Duration::from_nanos(2_000_000_001),
         stalled: Duration::MAX,
     };
-    let plan = PlanRecord { watches: vec![watch], patience };
+    let plan = PlanRecord { watches: vec![watch], timeouts };
     let mut line = Vec::new();
     push_line(&mut line, &Entry::Plan(plan.clone())).expect("a line");
     assert_eq!(parse_line(line.strip_suffix(b"\n").expect("an end")), Some(Entry::Plan(plan)));
@@ -89,8 +89,9 @@ fn every_option_value_survives_a_round_trip() {
 fn plan_with_a_number_that_is_invalid_is_not_read() {
     let voxel_size = Some(0.1.into());
     let watch = Watch { choices: MethodOptions { voxel_size, ..MethodOptions::default() }, ..bare() };
-    let patience = Patience { settle: Duration::ZERO, unproven: Duration::ZERO, stalled: Duration::ZERO };
-    let plan = Entry::Plan(PlanRecord { watches: vec![watch], patience });
+    let timeouts =
+        StabilityTimeouts { settle: Duration::ZERO, unverifiable: Duration::ZERO, stalled: Duration::ZERO };
+    let plan = Entry::Plan(PlanRecord { watches: vec![watch], timeouts });
     let text = serde_json::to_string(&plan).expect("written");
     assert_eq!(serde_json::from_str::<Entry>(&text).expect("read"), plan);
     let wrong = text.replace(r#""voxel_size":"0.1""#, r#""voxel_size":"wide""#);

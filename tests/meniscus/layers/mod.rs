@@ -24,7 +24,7 @@ const KNOWN_CYCLES: &[&str] = &[
     "src/surface/options: definition, length, pairs, presets, values",
     "src/surface/rasterize: distances, signed_distance",
     "src/surface/smooth: explicit, schedule",
-    "src/surface/validation: containment, distances, particle_checks, rays, strays, surfaces",
+    "src/surface/validation: bound_violations, containment, distances, particle_checks, rays, surfaces",
 ];
 
 fn root(folder: &str) -> PathBuf {

@@ -13,12 +13,12 @@
 //! without it the soak does not run. `MENISCUS_SOAK_SEED` sets the seed of the random numbers, and
 //! `MENISCUS_SOAK_LOG` names a file that receives a line for each calm.
 
-mod calm; // waits until every possible conversion is done
+mod faults; // faults of the daemon's surroundings
+mod idle; // waits until every possible conversion is done
 mod observer; // every visible output is complete
 mod producer; // writes and damages frames
 mod random; // numbers that look random
-mod troubles; // faults of the daemon's surroundings
-mod vitals; // the daemon's memory, handles and threads
+mod resources; // the daemon's memory, handles and threads
 
 use std::collections::BTreeSet;
 use std::env;
@@ -35,10 +35,10 @@ use tempfile::{TempDir, tempdir};
 use crate::mounts::{mount_tmpfs, with_own_mounts};
 use crate::scene::{Daemon, assert_same_output, meniscus, message, names_in, status, tell};
 
+use faults::{Trouble, write_config};
 use producer::Producer;
 use random::Random;
-use troubles::{Trouble, write_config};
-use vitals::{Vitals, assert_flat, hourly_growth};
+use resources::{Vitals, assert_flat, hourly_growth};
 
 /// Space for all outputs, and little more.
 const DISK_BYTES: u64 = 64 << 20;
@@ -225,7 +225,7 @@ impl Soak {
 
     /// Waits until every possible conversion is done, and measures the daemon's resources.
     fn calm_down(&mut self) {
-        calm::await_calm(self.folder.path(), &mut self.daemon);
+        idle::await_calm(self.folder.path(), &mut self.daemon);
         self.count_log();
         let minute = self.start.elapsed().as_secs_f64() / 60.0;
         let vitals = Vitals::of(self.daemon.pid(), self.folder.path(), minute, self.life_count);

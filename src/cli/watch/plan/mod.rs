@@ -25,9 +25,9 @@ use crate::cli::machine::{memory_bytes, thread_count};
 use crate::http::{AccessToken, Listen};
 use crate::pipeline::{default_in_flight, read_regular_text, refuse_file_for_folder};
 use crate::surface::options::Settings;
-use crate::watch::place::known_path;
+use crate::watch::place::canonical_path;
 use crate::watch::selection::FileFilter;
-use crate::watch::{Order, Patience, Poll, Watch, WatchConfig, names_level_sets};
+use crate::watch::{Order, Poll, StabilityTimeouts, Watch, WatchConfig, names_level_sets};
 
 /// The daemon's configuration, and warnings to log before it starts.
 #[derive(Clone, Debug)]
@@ -216,7 +216,7 @@ fn config(watches: Vec<Watch>, once: bool, daemon: &DaemonArgs) -> Result<WatchC
         in_flight: daemon.in_flight.map_or_else(|| default_in_flight(threads), usize::from),
         memory_bytes: memory_bytes(daemon.run.memory)?,
         disk_floor_bytes: daemon.disk_floor.unwrap_or(DISK_FLOOR_BYTES),
-        patience: patience(once, daemon)?,
+        timeouts: timeouts(once, daemon)?,
         poll: daemon.poll.unwrap_or(Poll::Auto),
         rescan_every: daemon.rescan.unwrap_or(RESCAN_EVERY),
         journal: daemon.journal.as_deref().map(absolute).transpose()?,
@@ -224,7 +224,7 @@ fn config(watches: Vec<Watch>, once: bool, daemon: &DaemonArgs) -> Result<WatchC
     })
 }
 
-fn patience(once: bool, daemon: &DaemonArgs) -> Result<Patience> {
+fn timeouts(once: bool, daemon: &DaemonArgs) -> Result<StabilityTimeouts> {
     let settle = daemon.settle.unwrap_or(SETTLE);
     let long = UNPROVEN_MIN.max(4 * settle);
     let unproven = daemon.unproven.unwrap_or(long);
@@ -239,7 +239,7 @@ fn patience(once: bool, daemon: &DaemonArgs) -> Result<Patience> {
             );
         }
     }
-    Ok(Patience { settle, unproven, stalled })
+    Ok(StabilityTimeouts { settle, unverifiable: unproven, stalled })
 }
 
 /// The address and the access token of the HTTP server.
@@ -272,7 +272,7 @@ fn token_in(path: &Path) -> Result<AccessToken> {
 
 /// An absolute path: the journal must identify frames by the same paths wherever the daemon is started.
 fn absolute(path: &Path) -> Result<PathBuf> {
-    known_path(path).with_context(|| format!("`{}` is not a valid path", path.display()))
+    canonical_path(path).with_context(|| format!("`{}` is not a valid path", path.display()))
 }
 
 const SETTLE: Duration = Duration::from_millis(500);

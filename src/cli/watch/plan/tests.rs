@@ -52,8 +52,8 @@ fn defaults_are_filled_in() {
     assert_eq!((config.order, config.poll), (Order::Natural, Poll::Auto));
     assert_eq!(config.disk_floor_bytes, 1 << 30);
     assert_eq!((config.rescan_every.as_secs(), config.stop_deadline.as_secs()), (60, 30));
-    let Patience { settle, unproven, stalled } = config.patience;
-    assert_eq!([settle, unproven, stalled].map(|time| time.as_millis()), [500, 2000, 30_000]);
+    let StabilityTimeouts { settle, unverifiable, stalled } = config.timeouts;
+    assert_eq!([settle, unverifiable, stalled].map(|time| time.as_millis()), [500, 2000, 30_000]);
     assert!(config.threads > 0 && config.in_flight > 0 && config.memory_bytes > 0);
     let [watch] = &config.watches[..] else { panic!("one folder") };
     assert!(watch.input.is_absolute() && watch.input.ends_with("in") && watch.outputs.folder.is_absolute());
@@ -91,8 +91,8 @@ fn timeouts_follow_settle() {
         (&["--settle", "0"], [0, 2000, 30_000]),
     ] {
         let config = plan(&[&["in", "--out", "out"], options].concat()).expect("a plan").config;
-        let Patience { settle, unproven, stalled } = config.patience;
-        assert_eq!([settle, unproven, stalled].map(|time| time.as_millis()), expected, "{options:?}");
+        let StabilityTimeouts { settle, unverifiable, stalled } = config.timeouts;
+        assert_eq!([settle, unverifiable, stalled].map(|time| time.as_millis()), expected, "{options:?}");
     }
 }
 
@@ -104,13 +104,13 @@ fn options_override_every_block() {
          [[watch]]\ninput = \"b\"\noutput = \"o\"\nvoxel_size = 0.25\npattern = \"*.ply\"\n",
     );
     let config = bench.plan(&[]).expect("a plan").config;
-    assert_eq!((config.order, config.patience.settle.as_secs()), (Order::Latest, 3));
+    assert_eq!((config.order, config.timeouts.settle.as_secs()), (Order::Latest, 3));
     assert_eq!(config.watches[0].input, bench.folder.path().join("a"));
     assert_eq!(config.watches[0].choices.steps, Some(7));
 
     let options = ["--voxel-size", "1", "--order", "natural", "--format", "ply", "--recursive", "--out", "x"];
     let config = bench.plan(&options).expect("a plan").config;
-    assert_eq!((config.order, config.patience.settle.as_secs()), (Order::Natural, 3));
+    assert_eq!((config.order, config.timeouts.settle.as_secs()), (Order::Natural, 3));
     assert_eq!(config.watches[1].pattern.as_deref(), Some("*.ply"));
     for watch in &config.watches {
         assert_eq!((watch.choices.voxel_size, watch.recursive), (Some(1.0.into()), true));
@@ -126,7 +126,7 @@ fn folders_on_the_command_line_replace_blocks() {
     let bench =
         Bench::new("[daemon]\nsettle = \"3s\"\n[[watch]]\ninput = \"a\"\noutput = \"o\"\nvoxel_size = 0.5\n");
     let config = bench.plan(&["c", "d", "c", "--out", "x"]).expect("a plan").config;
-    assert_eq!((config.watches.len(), config.patience.settle.as_secs()), (2, 3));
+    assert_eq!((config.watches.len(), config.timeouts.settle.as_secs()), (2, 3));
     assert!(config.watches.iter().all(|watch| watch.choices.voxel_size.is_none()));
     bench.refused(&["c"], &["replaces the [[watch]] blocks", "needs --out"]);
 }

@@ -9,9 +9,9 @@ impl Service {
         Service
     }
 
-    pub(in crate::cli::watch) fn tell(&mut self, _notice: &Notice) {}
+    pub(in crate::cli::watch) fn notify(&mut self, _notice: &Notice) {}
 }
 
-pub(in crate::cli::watch) fn tell_reloading() {}
+pub(in crate::cli::watch) fn notify_reloading() {}
 
-pub(in crate::cli::watch) fn tell_not_reloaded(_why: &str) {}
+pub(in crate::cli::watch) fn notify_reload_failed(_why: &str) {}

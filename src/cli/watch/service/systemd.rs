@@ -29,7 +29,7 @@ impl Service {
         Service { watchdog: sd_notify::watchdog_enabled(), last_sign: None }
     }
 
-    pub(in crate::cli::watch) fn tell(&mut self, notice: &Notice) {
+    pub(in crate::cli::watch) fn notify(&mut self, notice: &Notice) {
         // A line break, for example in a folder's name, would start another message.
         let escaped_status = match notice {
             Notice::Status(status) => Some(Notice::Status(escaped(status).to_string())),
@@ -59,7 +59,7 @@ impl Service {
 }
 
 /// Reports the start of a reload.
-pub(in crate::cli::watch) fn tell_reloading() {
+pub(in crate::cli::watch) fn notify_reloading() {
     match NotifyState::monotonic_usec_now() {
         Ok(now) => send(&[NotifyState::Reloading, now]),
         Err(error) => warn!("cannot notify the service manager of the reload: {error}"),
@@ -67,7 +67,7 @@ pub(in crate::cli::watch) fn tell_reloading() {
 }
 
 /// Reports a failed reload: the service continues with its old configuration.
-pub(in crate::cli::watch) fn tell_not_reloaded(why: &str) {
+pub(in crate::cli::watch) fn notify_reload_failed(why: &str) {
     send(&[NotifyState::Ready, NotifyState::Status(&escaped(why).to_string())]);
 }
 
@@ -100,13 +100,13 @@ mod tests {
     /// Sends every kind of message.
     fn say_everything() {
         let mut service = Service::new();
-        service.tell(&Notice::Ready);
-        service.tell(&Notice::Alive);
-        service.tell(&Notice::Alive);
-        service.tell(&Notice::Status("3 frames wait\nMAINPID=1".into()));
-        tell_reloading();
-        tell_not_reloaded("two\nlines");
-        service.tell(&Notice::Stopping);
+        service.notify(&Notice::Ready);
+        service.notify(&Notice::Alive);
+        service.notify(&Notice::Alive);
+        service.notify(&Notice::Status("3 frames wait\nMAINPID=1".into()));
+        notify_reloading();
+        notify_reload_failed("two\nlines");
+        service.notify(&Notice::Stopping);
     }
 
     /// Set in the child process of the test below.

@@ -42,7 +42,8 @@ use std::sync::MutexGuard;
 use super::staged_file::{StagedFile, sync_folder};
 use super::stamp::FileStamp;
 use super::temporary::{
-    Temporary, is_temporary_name, leave_behind, lock_abandoned, random_number, remove_if_there, under_way,
+    Temporary, active_temporaries, is_temporary_name, lock_abandoned, random_number, record_left_behind,
+    remove_if_exists,
 };
 
 /// The prefix of a record's name; 16 hexadecimal digits follow.
@@ -86,7 +87,7 @@ pub(crate) fn replace_together(files: &[StagedFile]) -> Result<(), (PathBuf, io:
     let set = FileSet { record_path: record.path().to_owned(), members };
 
     // Locked during all renames, so that a stop comes before the first or after the last.
-    let locked = under_way();
+    let locked = active_temporaries();
     let error = match set.replace(files) {
         Ok(()) => {
             drop(locked);
@@ -102,7 +103,7 @@ pub(crate) fn replace_together(files: &[StagedFile]) -> Result<(), (PathBuf, io:
         // Still locked: if a stop removed the record now, the old files could not be restored.
         Err(error) => return Err(set.undo_after(error, record, locked)),
     };
-    Err(set.undo_after(error, record, under_way()))
+    Err(set.undo_after(error, record, active_temporaries()))
 }
 
 /// The stamps of a new file and of the file it will replace.
@@ -152,7 +153,7 @@ fn record_bytes(members: &[Member]) -> Vec<u8> {
 #[derive(Debug, PartialEq, Eq)]
 enum Parsed {
     /// A complete list of files to replace.
-    Whole(Vec<Member>),
+    Complete(Vec<Member>),
     /// Empty or truncated: either no file was replaced, or all were.
     CutOff,
     /// Another version of this program wrote the record, or it is damaged.
@@ -161,7 +162,7 @@ enum Parsed {
 
 fn parse_record(bytes: &[u8]) -> Parsed {
     if let Some(members) = parse_members(bytes) {
-        return Parsed::Whole(members);
+        return Parsed::Complete(members);
     }
     let is_begun = RECORD_HEAD.starts_with(bytes) || bytes.starts_with(RECORD_HEAD);
     let is_too_long = bytes.len() as u64 >= RECORD_BYTES_MAX;
@@ -268,8 +269,8 @@ impl FileSet {
     fn remove_old_files(&self) {
         for (index, member) in self.members.iter().enumerate() {
             let old = self.old_path(index);
-            if member.old.is_some() && remove_if_there(&old).is_err() {
-                leave_behind(old);
+            if member.old.is_some() && remove_if_exists(&old).is_err() {
+                record_left_behind(old);
             }
         }
     }
@@ -297,7 +298,7 @@ impl FileSet {
         };
         for member in &self.members {
             // Otherwise a sweep could complete the set whose replacement failed.
-            let _ = remove_if_there(&self.temporary_path(member));
+            let _ = remove_if_exists(&self.temporary_path(member));
         }
         locked.remove(&self.record_path);
         drop(locked);
@@ -460,7 +461,7 @@ pub(crate) fn recover(record_path: &Path) -> io::Result<RecordRecovery> {
     let mut bytes = Vec::new();
     (&mut file).take(RECORD_BYTES_MAX).read_to_end(&mut bytes)?;
     let members = match parse_record(&bytes) {
-        Parsed::Whole(members) => members,
+        Parsed::Complete(members) => members,
         Parsed::CutOff => Vec::new(),
         Parsed::Unknown => {
             return Ok(left(
@@ -504,7 +505,7 @@ pub(crate) fn remove_old_file(old: &Path, record_path: &Path) -> io::Result<bool
     if exists(record_path)? {
         return Ok(false);
     }
-    remove_if_there(old)?;
+    remove_if_exists(old)?;
     Ok(true)
 }
 
@@ -527,7 +528,7 @@ mod change {
     pub(crate) fn remove(path: &Path) -> io::Result<()> {
         #[cfg(test)]
         super::tests::before_change(false)?;
-        remove_if_there(path)
+        remove_if_exists(path)
     }
 
     pub(crate) fn empty(file: &File) -> io::Result<()> {

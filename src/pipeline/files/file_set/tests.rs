@@ -6,8 +6,8 @@ use std::process::Command;
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
+use crate::pipeline::files::atomic_write::{commit, stage};
 use crate::pipeline::files::out_folder::recover_out_folder;
-use crate::pipeline::files::sink::{publish, stage};
 use crate::pipeline::files::sweep::sweep_temporaries;
 
 /// The injected faults of this thread.
@@ -59,7 +59,7 @@ fn publish_new(folder: &Path) -> Result<(), (PathBuf, io::Error)> {
         let write = |out: &mut io::BufWriter<&File>| Ok(write!(out, "the new {name}")?);
         stage(&folder.join(name), write).expect("written")
     });
-    publish(unseen.into()).map(|_| ())
+    commit(unseen.into()).map(|_| ())
 }
 
 /// Recovers like another process would; any thread of this process may be recovering as well.
@@ -291,7 +291,7 @@ fn record_round_trips_and_only_a_truncated_one_is_ignored() {
     #[cfg(unix)]
     members.push(example(std::os::unix::ffi::OsStrExt::from_bytes(b"gr\xfc.vdb"), OLD));
     let bytes = record_bytes(&members);
-    assert_eq!(parse_record(&bytes), Parsed::Whole(members));
+    assert_eq!(parse_record(&bytes), Parsed::Complete(members));
     for length in 0..bytes.len() {
         assert_eq!(parse_record(&bytes[..length]), Parsed::CutOff, "{length}");
     }

@@ -14,11 +14,11 @@
 //! step.
 //!
 //! ```text
-//!   contents   the step index of a file, also of one that grew       known   the cache of these indices
+//!   index   the step index of a file, also of one that grew       cache   the cache of these indices
 //! ```
 
-mod contents;
-mod known;
+mod cache;
+mod index;
 
 use std::io;
 use std::ops::Range;
@@ -36,8 +36,8 @@ use crate::pipeline::files::names::text_of_name;
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::files::stamp::FileStamp;
 
-use contents::{StepContents, UNNUMBERED, probe_head};
-use known::{contents_known, contents_unless, contents_unless_changed};
+use cache::{cached_index, index_unless, index_unless_changed};
+use index::{StepIndex, UNNUMBERED, probe_head};
 
 /// The prefix of the last part of a step's path; the name of the step follows.
 pub(crate) const STEP: &str = "step=";
@@ -95,18 +95,18 @@ pub fn frames_in(file: &Path) -> Result<Vec<PathBuf>> {
 #[derive(Clone, Debug)]
 pub struct FileFrames {
     file: PathBuf,
-    contents: Arc<StepContents>,
+    index: Arc<StepIndex>,
 }
 
 impl FileFrames {
     /// Whether the file has several steps, and so is not itself a frame.
     pub fn has_several(&self) -> bool {
-        self.contents.steps.len() > 1
+        self.index.steps.len() > 1
     }
 
     /// The file, or its steps. An iterator, because a file may have a million steps.
     pub fn paths(&self) -> impl Iterator<Item = PathBuf> + use<> {
-        let FileFrames { file, contents } = self.clone();
+        let FileFrames { file, index: contents } = self.clone();
         let count = contents.steps.len().max(1);
         (0..count).map(move |index| match &contents.steps[..] {
             [] | [_] => file.clone(),
@@ -116,8 +116,8 @@ impl FileFrames {
 
     /// The number of leading frames that are unchanged since the file had this stamp, because data was only
     /// appended.
-    pub fn kept_since(&self, stamp: &FileStamp) -> usize {
-        self.contents.kept_since(stamp)
+    pub fn unchanged_since(&self, stamp: &FileStamp) -> usize {
+        self.index.unchanged_since(stamp)
     }
 }
 
@@ -126,7 +126,7 @@ impl FileFrames {
 /// # Errors
 /// When the file cannot be indexed, or the pass was cancelled.
 pub fn frames_in_unless(file: &Path, is_over: &AtomicBool) -> Result<FileFrames> {
-    Ok(FileFrames { file: file.to_owned(), contents: contents_unless(file, is_over)? })
+    Ok(FileFrames { file: file.to_owned(), index: index_unless(file, is_over)? })
 }
 
 /// Whether a file has a format that can hold several frames, judged by its first bytes.
@@ -146,7 +146,7 @@ pub fn is_missing_step(frame: &Path) -> Result<bool> {
     match step_of(frame) {
         None => Ok(false),
         Some((file, step)) => {
-            let contents = contents(file)?;
+            let contents = step_index(file)?;
             Ok(contents.steps.len() < 2 || contents.step(step).is_err())
         }
     }
@@ -160,7 +160,7 @@ pub fn size_bytes(frame: &Path) -> Result<u64> {
     match step_of(frame) {
         None => Ok(frame.metadata()?.len()),
         Some((file, step)) => {
-            let contents = contents(file)?;
+            let contents = step_index(file)?;
             let range = &contents.step(step)?.range;
             Ok(range.end - range.start)
         }
@@ -169,26 +169,26 @@ pub fn size_bytes(frame: &Path) -> Result<u64> {
 
 /// Who indexes a file again after a change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum StepsFoundBy {
+pub enum IndexPolicy {
     /// The reader of a step.
-    Reader,
+    OnRead,
     /// Another thread: the reader treats the steps as changed.
-    Another,
+    External,
 }
 
-impl StepsFoundBy {
-    fn contents(self, file: &Path) -> Result<Option<Arc<StepContents>>> {
+impl IndexPolicy {
+    fn index(self, file: &Path) -> Result<Option<Arc<StepIndex>>> {
         match self {
-            StepsFoundBy::Reader => contents(file).map(Some),
-            StepsFoundBy::Another => contents_unless_changed(file),
+            IndexPolicy::OnRead => step_index(file).map(Some),
+            IndexPolicy::External => index_unless_changed(file),
         }
     }
 }
 
 /// The memory for reading the bytes of a frame, in bytes; 0 if they cannot be read.
-pub(crate) fn reading_bytes(frame: &Path, by: StepsFoundBy) -> u64 {
+pub(crate) fn reading_bytes(frame: &Path, by: IndexPolicy) -> u64 {
     let of_step = |(file, step): (&Path, &str)| {
-        let contents = by.contents(file).ok()??;
+        let contents = by.index(file).ok()??;
         let range = &contents.step(step).ok()?.range;
         Some(contents.unpacking_bytes.unwrap_or(range.end - range.start))
     };
@@ -205,9 +205,9 @@ pub(crate) fn reading_bytes(frame: &Path, by: StepsFoundBy) -> u64 {
 /// When the system reports an error, the file has no such step, or the step cannot be decompressed.
 pub(crate) fn read_step(
     (file, step): (&Path, &str),
-    by: StepsFoundBy,
+    by: IndexPolicy,
 ) -> Result<Option<(Vec<u8>, FileStamp)>> {
-    let Some(contents) = by.contents(file)? else { return Ok(None) };
+    let Some(contents) = by.index(file)? else { return Ok(None) };
     let range = contents.step(step)?.range.clone();
     let input = InputFile::open(file)?;
     if input.stamp() != contents.stamp {
@@ -242,14 +242,13 @@ pub(crate) fn read_step(
 
 /// The error of a frame; for a step, with line numbers of the whole file, where a user looks for the line.
 pub(crate) fn by_lines_of_file(frame: &Path, error: Error) -> Error {
-    let lines_before =
-        |(file, step): (&Path, &str)| Some(contents_known(file)?.step(step).ok()?.lines_before);
+    let lines_before = |(file, step): (&Path, &str)| Some(cached_index(file)?.step(step).ok()?.lines_before);
     error.with_line_offset(step_of(frame).and_then(lines_before).unwrap_or(0))
 }
 
 /// The index of a file in its current state.
-fn contents(file: &Path) -> Result<Arc<StepContents>> {
-    contents_unless(file, &AtomicBool::new(false))
+fn step_index(file: &Path) -> Result<Arc<StepIndex>> {
+    index_unless(file, &AtomicBool::new(false))
 }
 
 #[cfg(test)]
@@ -258,7 +257,7 @@ mod tests {
     use ruzstd::encoding::{CompressionLevel, compress_to_vec};
     use std::fs;
 
-    const BY: StepsFoundBy = StepsFoundBy::Reader;
+    const BY: IndexPolicy = IndexPolicy::OnRead;
 
     /// Rows that hardly compress, so that the first step is longer than the head that is probed.
     fn step(number: &str, x: f64) -> String {
@@ -326,7 +325,7 @@ mod tests {
             write(&steps[..1]);
             assert_eq!(frames_in(&file).expect("a frame"), [&*file]);
             assert!(is_missing_step(&frames[0]).expect("gone through"), "the file is the frame");
-            let [first, again] = [(); 2].map(|()| contents(&file).expect("a step"));
+            let [first, again] = [(); 2].map(|()| step_index(&file).expect("a step"));
             assert!(Arc::ptr_eq(&first, &again), "one pass indexes it");
         }
     }
@@ -338,12 +337,12 @@ mod tests {
         fs::write(&file, step("1", 1.0) + &step("2", 1.0)).expect("written");
         let frame = file.join("step=1");
         let read = |by| read_step(step_of(&frame).expect("a step"), by).expect("read");
-        assert!(read(StepsFoundBy::Another).is_some(), "no thread has indexed it again");
+        assert!(read(IndexPolicy::External).is_some(), "no thread has indexed it again");
         fs::write(&file, step("1", 1.0) + &step("2", 1.0) + &step("3", 1.0)).expect("written");
-        assert!(read(StepsFoundBy::Another).is_none());
-        assert_eq!(reading_bytes(&frame, StepsFoundBy::Another), 0);
-        assert!(read(StepsFoundBy::Reader).is_some());
-        assert!(read(StepsFoundBy::Another).is_some(), "it is known now");
+        assert!(read(IndexPolicy::External).is_none());
+        assert_eq!(reading_bytes(&frame, IndexPolicy::External), 0);
+        assert!(read(IndexPolicy::OnRead).is_some());
+        assert!(read(IndexPolicy::External).is_some(), "it is known now");
         let over = frames_in_unless(&file, &AtomicBool::new(true));
         assert_eq!(over.expect("it is known").paths().count(), 3);
     }

@@ -7,7 +7,7 @@ use anyhow::{Result, anyhow, bail};
 
 use crate::farm::ShardPlan;
 use crate::pipeline::{
-    self, FrameFile, OutFolderError, Sequence, are_one_file, check_out_folder, file_of, is_level_set,
+    self, FrameFile, OutFolderError, Sequence, are_same_file, check_out_folder, file_of, is_level_set,
     single_frame_sequences, single_frames_note,
 };
 
@@ -49,7 +49,7 @@ pub(super) fn select_frames(
     refuse_stray_rounds(method, inputs)?;
     let found = find_inputs(inputs)?;
     found.report(console);
-    if let Some((first, count)) = &found.passed_over {
+    if let Some((first, count)) = &found.skipped {
         let is_one_folder = inputs.iter().filter(|input| input.is_dir()).count() < 2;
         let name =
             Path::new(first.file_name().filter(|_| is_one_folder).unwrap_or(first.as_os_str())).display();
@@ -185,8 +185,8 @@ pub(super) fn refuse_level_sets(selection: &InputSelection, command: &str) -> Re
 /// The reason.
 pub(super) fn refuse_report_of_plan(report: Option<&Path>, plan: &ShardPlan, plan_path: &Path) -> Result<()> {
     let Some(report) = report else { return Ok(()) };
-    refuse_odd_place("the report", report)?;
-    if are_one_file(report, plan_path) {
+    check_output_path("the report", report)?;
+    if are_same_file(report, plan_path) {
         bail!("{}: the report would replace the plan", report.display());
     }
     if plan.names(report) {
@@ -200,7 +200,7 @@ pub(super) fn refuse_report_of_plan(report: Option<&Path>, plan: &ShardPlan, pla
 ///
 /// # Errors
 /// The reason.
-pub(super) fn refuse_odd_place(what: &str, path: &Path) -> Result<()> {
+pub(super) fn check_output_path(what: &str, path: &Path) -> Result<()> {
     if let Some(folder) = path.parent()
         && !folder.as_os_str().is_empty()
         && !folder.is_dir()
@@ -212,7 +212,7 @@ pub(super) fn refuse_odd_place(what: &str, path: &Path) -> Result<()> {
     {
         bail!("{}: not a regular file, so {what} cannot replace it", path.display());
     }
-    refuse_shut_folder(what, path)
+    check_writable(what, path)
 }
 
 /// Refuses a path where no file can be created. For a link this shows only on writing, because some outputs
@@ -220,7 +220,7 @@ pub(super) fn refuse_odd_place(what: &str, path: &Path) -> Result<()> {
 ///
 /// # Errors
 /// The reason.
-fn refuse_shut_folder(what: &str, path: &Path) -> Result<()> {
+fn check_writable(what: &str, path: &Path) -> Result<()> {
     if path.is_symlink() {
         return Ok(());
     }

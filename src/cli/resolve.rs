@@ -6,8 +6,8 @@ use std::path::Path;
 use anyhow::{Context, Result};
 
 use crate::pipeline::{
-    self, FrameError, FrameFile, MeasuredSpacing, NOTHING, NoSpacing, OutputOptions, Sequence, frame_name,
-    frames_in, is_own_output, measure_spacing, sequence_bounds, step_of,
+    self, EMPTY_BOUNDS, FrameError, FrameFile, MeasuredSpacing, NoSpacing, OutputOptions, Sequence,
+    frame_name, frames_in, is_own_output, measure_spacing, sequence_bounds, step_of,
 };
 use crate::surface::options::{Length, MethodOptions, SequenceSpacing, Settings};
 
@@ -83,7 +83,7 @@ pub(super) fn outputs_of(
     }
     let paths: Vec<&Path> = sequence.frames.iter().map(|file| &*file.path).collect();
     let bounds = sequence_bounds(&paths, settings.resting_height())?;
-    Ok(outputs.with_camera_around(bounds.unwrap_or(NOTHING)))
+    Ok(outputs.with_camera_around(bounds.unwrap_or(EMPTY_BOUNDS)))
 }
 
 /// Warns about a single frame of a sequence: its spacing is measured on this frame only, so frames converted

@@ -11,20 +11,20 @@ use std::str::FromStr;
 
 use crate::surface::options::{MethodOptions, Settings, ValueKind};
 
-use super::wording::{significant, typed};
+use super::wording::{option_name, significant};
 
 /// The parameters that differ from cell to cell.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Vary {
+pub(super) struct ParameterSweep {
     /// One to three different parameters.
-    varied: Vec<Varied>,
+    axes: Vec<SweepAxis>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
-struct Varied {
+struct SweepAxis {
     parameter: &'static Parameter,
     /// `None` for the parameter's default values.
-    amounts: Option<Vec<Amount>>,
+    amounts: Option<Vec<AxisValue>>,
 }
 
 /// An option that can be varied.
@@ -41,7 +41,7 @@ pub(super) struct Parameter {
 }
 
 /// A number and its unit.
-type Amount = (SweepUnit, f64);
+type AxisValue = (SweepUnit, f64);
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum SweepUnit {
@@ -101,7 +101,7 @@ pub(super) fn tuning_help() -> String {
         let numbers: Vec<String> = numbers.iter().map(|number| format!("{number}{x}")).collect();
         let numbers = if numbers.is_empty() { "give values".to_owned() } else { numbers.join(",") };
         // Writing into a string cannot fail.
-        let _ = writeln!(text, "  {name:<11} {:<21} {meaning}: {numbers}", typed(option));
+        let _ = writeln!(text, "  {name:<11} {:<21} {meaning}: {numbers}", option_name(option));
     }
     text + TUNING
 }
@@ -125,7 +125,7 @@ Exit status:
   1    some settings were refused or failed: their cells have the reasons, and the others are shown
   2    the command is invalid, or no cell has a picture: no sheet was written";
 
-impl Vary {
+impl ParameterSweep {
     /// The parameters with at least one value each. `settings` are the base settings.
     ///
     /// # Errors
@@ -134,11 +134,11 @@ impl Vary {
         &self,
         settings: &Settings,
     ) -> Result<Vec<(&'static Parameter, Vec<SweepValue>)>, String> {
-        self.varied.iter().map(|varied| Ok((varied.parameter, varied.values(settings)?))).collect()
+        self.axes.iter().map(|varied| Ok((varied.parameter, varied.values(settings)?))).collect()
     }
 }
 
-impl Varied {
+impl SweepAxis {
     fn values(&self, settings: &Settings) -> Result<Vec<SweepValue>, String> {
         let &Parameter { name, amounts: (unit, numbers), .. } = self.parameter;
         if self.parameter.value_in(settings).is_none() {
@@ -146,7 +146,7 @@ impl Varied {
                 "--vary {name} changes nothing where neighbours do not shape particles: add --anisotropy neighbors"
             ));
         }
-        let value = |amount: Amount| self.parameter.value(amount, settings);
+        let value = |amount: AxisValue| self.parameter.value(amount, settings);
         if let Some(amounts) = &self.amounts {
             return Ok(amounts.iter().copied().map(value).collect());
         }
@@ -188,7 +188,7 @@ impl Parameter {
         self.value_in(settings).unwrap_or(f64::NAN)
     }
 
-    fn value(&'static self, amount: Amount, settings: &Settings) -> SweepValue {
+    fn value(&'static self, amount: AxisValue, settings: &Settings) -> SweepValue {
         let without = self.without(settings);
         let number = match amount {
             (Times, 1.0) => None,
@@ -202,13 +202,13 @@ impl Parameter {
     }
 
     /// Parses an amount.
-    fn amount(&self, text: &str) -> Result<Amount, String> {
+    fn amount(&self, text: &str) -> Result<AxisValue, String> {
         let parsed = match text.strip_suffix('x') {
             Some(factor) => factor.parse().ok().filter(|factor| *factor >= 0.0).map(|factor| (Times, factor)),
             None => text.parse().ok().map(|number| (Plain, number)),
         };
         let is_counted = self.is_counted();
-        let is_sound = |amount: &Amount| match *amount {
+        let is_sound = |amount: &AxisValue| match *amount {
             (Plain, steps) if is_counted => steps.fract() == 0.0 && (0.0..=STEPS_TYPED_MAX).contains(&steps),
             (_, number) => number.is_finite(),
         };
@@ -268,11 +268,11 @@ const PARAMETERS_MAX: usize = 3;
 /// Larger floating-point numbers may not represent whole numbers of steps.
 const STEPS_TYPED_MAX: f64 = u32::MAX as f64;
 
-impl FromStr for Vary {
+impl FromStr for ParameterSweep {
     type Err = String;
 
-    fn from_str(text: &str) -> Result<Vary, String> {
-        let mut varied: Vec<Varied> = Vec::new();
+    fn from_str(text: &str) -> Result<ParameterSweep, String> {
+        let mut varied: Vec<SweepAxis> = Vec::new();
         for item in text.split(',').map(str::trim) {
             let (name, value) = match item.split_once('=') {
                 Some((name, value)) => (Some(name.trim()), Some(value.trim())),
@@ -289,10 +289,10 @@ impl FromStr for Vary {
                         "{name} is one parameter too many: a sheet has rows, columns and blocks"
                     ));
                 }
-                varied.push(Varied { parameter, amounts: None });
+                varied.push(SweepAxis { parameter, amounts: None });
             }
             let Some(value) = value else { continue };
-            let Some(Varied { parameter, amounts }) = varied.last_mut() else {
+            let Some(SweepAxis { parameter, amounts }) = varied.last_mut() else {
                 return Err(format!(
                     "value `{value}` has no parameter: write NAME={value}, with one of {}",
                     names()
@@ -303,7 +303,7 @@ impl FromStr for Vary {
             }
             amounts.get_or_insert_default().push(parameter.amount(value)?);
         }
-        Ok(Vary { varied })
+        Ok(ParameterSweep { axes: varied })
     }
 }
 
@@ -322,7 +322,7 @@ mod tests {
     }
 
     fn values(text: &str, settings: &Settings) -> Vec<Vec<Option<f64>>> {
-        let vary: Vary = text.parse().expect(text);
+        let vary: ParameterSweep = text.parse().expect(text);
         let numbers = |values: Vec<SweepValue>| values.into_iter().map(|value| value.number).collect();
         vary.values(settings).expect(text).into_iter().map(|(_, values)| numbers(values)).collect()
     }
@@ -354,7 +354,7 @@ mod tests {
     #[test]
     fn axes_without_effect_or_values_are_refused() {
         let refused = |text: &str| {
-            let vary: Vary = text.parse().expect(text);
+            let vary: ParameterSweep = text.parse().expect(text);
             vary.values(&settings()).err().unwrap_or_default()
         };
         for name in ["thin", "alone", "stretch", "neighbors=1,2"] {
@@ -436,7 +436,7 @@ mod tests {
             ("h=-1x", "h=`-1x`"),
             ("h=infx", "h=`infx`"),
         ] {
-            let error = text.parse::<Vary>().expect_err(text);
+            let error = text.parse::<ParameterSweep>().expect_err(text);
             assert!(error.contains(told), "{text}: {error}");
         }
     }

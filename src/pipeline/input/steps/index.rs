@@ -27,7 +27,7 @@ use crate::pipeline::files::stamp::FileStamp;
 
 /// The index of a file.
 #[derive(Debug)]
-pub(super) struct StepContents {
+pub(super) struct StepIndex {
     /// The stamp of the indexed file.
     pub(super) stamp: FileStamp,
     /// Memory for decompression, in bytes; `None` if the file is not compressed.
@@ -80,18 +80,18 @@ fn key_of(name: &str) -> Option<(Option<i64>, u32)> {
 /// The number of earlier states that are stored. A caller with an older state must read all steps again.
 const BEFORE_MAX: usize = 16;
 
-impl StepContents {
-    fn new(stamp: FileStamp, kind: ProbedKind, steps: Vec<FoundStep>) -> StepContents {
+impl StepIndex {
+    fn new(stamp: FileStamp, kind: ProbedKind, steps: Vec<FoundStep>) -> StepIndex {
         let steps = counted(steps);
         // Limits keep the number of steps far below 2³².
         let mut by_name: Vec<u32> = (0..steps.len() as u32).collect();
         by_name.sort_by_key(|&index| steps[index as usize].key());
-        StepContents { stamp, unpacking_bytes: None, steps, by_name, kind, edges: None, before: Vec::new() }
+        StepIndex { stamp, unpacking_bytes: None, steps, by_name, kind, edges: None, before: Vec::new() }
     }
 
     /// The index of a file without steps.
-    pub(super) fn none(stamp: FileStamp) -> StepContents {
-        StepContents::new(stamp, ProbedKind::Unknown, Vec::new())
+    pub(super) fn none(stamp: FileStamp) -> StepIndex {
+        StepIndex::new(stamp, ProbedKind::Unknown, Vec::new())
     }
 
     /// The step with this name.
@@ -108,7 +108,7 @@ impl StepContents {
     }
 
     /// The number of leading steps that are unchanged since the file had this stamp.
-    pub(super) fn kept_since(&self, stamp: &FileStamp) -> usize {
+    pub(super) fn unchanged_since(&self, stamp: &FileStamp) -> usize {
         match *stamp == self.stamp {
             true => self.steps.len(),
             false => self.before.iter().rfind(|(before, _)| before == stamp).map_or(0, |(_, count)| *count),
@@ -128,16 +128,16 @@ impl StepContents {
 ///
 /// # Errors
 /// When the system reports an error, the file has too many steps, or `is_over` is set.
-pub(super) fn look_through(
+pub(super) fn index_steps(
     path: &Path,
-    before: Option<&StepContents>,
+    before: Option<&StepIndex>,
     is_over: &AtomicBool,
-) -> Result<StepContents> {
+) -> Result<StepIndex> {
     let mut file = open_regular(path)?;
     let stamp = FileStamp::of(&file.metadata()?);
     let Probe { kind, codec } = probe_head(&mut file, path)?;
     if !may_have_steps(kind) {
-        return Ok(StepContents::none(stamp));
+        return Ok(StepIndex::none(stamp));
     }
     let before = before.filter(|before| before.has_become(&mut file, &stamp, kind));
     let mut known: Vec<FoundStep> =
@@ -147,7 +147,7 @@ pub(super) fn look_through(
     // The next pass reads what is appended during this one.
     let mut source = Watched::new((&file).take(stamp.size.saturating_sub(start)), is_over);
     if codec.is_some() {
-        return look_through_packed(source, stamp, kind);
+        return index_compressed(source, stamp, kind);
     }
     find_more_steps(
         kind,
@@ -155,7 +155,7 @@ pub(super) fn look_through(
         &mut known,
         &Limits::default(),
     )?;
-    let mut contents = StepContents::new(stamp, kind, known);
+    let mut contents = StepIndex::new(stamp, kind, known);
     let head = before.and_then(|before| before.edges.as_ref()).map(|edges| edges.head);
     contents.edges = source.edges(start, head).filter(|edges| edges.tail.end == stamp.size);
     if let Some(before) = before {
@@ -168,13 +168,13 @@ pub(super) fn look_through(
     Ok(contents)
 }
 
-fn look_through_packed(mut source: impl Read, stamp: FileStamp, kind: ProbedKind) -> Result<StepContents> {
+fn index_compressed(mut source: impl Read, stamp: FileStamp, kind: ProbedKind) -> Result<StepIndex> {
     let mut bytes = Vec::new();
     source.read_to_end(&mut bytes)?;
     let decompressed = decompressed(&bytes, &Limits::default())?;
     let found = find_steps(kind, &*decompressed, &Limits::default())?;
     let unpacking_bytes = Some((bytes.len() + decompressed.len()) as u64);
-    Ok(StepContents { unpacking_bytes, ..StepContents::new(stamp, kind, found) })
+    Ok(StepIndex { unpacking_bytes, ..StepIndex::new(stamp, kind, found) })
 }
 
 /// Probes the first bytes of a file.
@@ -290,11 +290,11 @@ pub(super) const UNNUMBERED: &str = "unnumbered";
 
 /// The index of some file with `n` steps.
 #[cfg(test)]
-pub(super) fn of_count(stamp: FileStamp, count: usize) -> StepContents {
+pub(super) fn of_count(stamp: FileStamp, count: usize) -> StepIndex {
     let found =
         |number: usize| FoundStep { number: i64::try_from(number).ok(), range: 0..1, lines_before: 0 };
     let kind = ProbedKind::Format(meniscus_formats::Format::LammpsDump);
-    StepContents::new(stamp, kind, (0..count).map(found).collect())
+    StepIndex::new(stamp, kind, (0..count).map(found).collect())
 }
 
 #[cfg(test)]
@@ -342,12 +342,12 @@ mod tests {
             file.and_then(|mut file| file.write_all(text.as_bytes())).expect("appended");
         }
 
-        fn look(&self, before: Option<&StepContents>) -> StepContents {
-            look_through(&self.path, before, &GOES_ON).expect("steps")
+        fn look(&self, before: Option<&StepIndex>) -> StepIndex {
+            index_steps(&self.path, before, &GOES_ON).expect("steps")
         }
     }
 
-    fn found(contents: &StepContents) -> Vec<(String, &FoundStep)> {
+    fn found(contents: &StepIndex) -> Vec<(String, &FoundStep)> {
         contents.steps.iter().map(|step| (step.name(), &step.found)).collect()
     }
 
@@ -364,16 +364,16 @@ mod tests {
             file.append(&step(kind, 1, 2000));
             file.append(start);
             let first = file.look(None);
-            assert_eq!((first.steps.len(), first.kept_since(&first.stamp)), (3, 3));
+            assert_eq!((first.steps.len(), first.unchanged_since(&first.stamp)), (3, 3));
             file.append(rest);
             file.append(&step(kind, 3, 5));
             let second = file.look(Some(&first));
             assert_eq!(found(&second), found(&file.look(None)), "{name}");
-            assert_eq!((second.steps.len(), second.kept_since(&first.stamp)), (4, 2), "{name}");
+            assert_eq!((second.steps.len(), second.unchanged_since(&first.stamp)), (4, 2), "{name}");
             file.append(&step(kind, 1, 1));
             let third = file.look(Some(&second));
             assert_eq!(found(&third), found(&file.look(None)), "{name}");
-            let kept = [&first, &second, &third].map(|before| third.kept_since(&before.stamp));
+            let kept = [&first, &second, &third].map(|before| third.unchanged_since(&before.stamp));
             assert_eq!(kept, [2, 3, 5], "{name}");
             // The bytes before the last step are not read again: a step that begins there now is not found.
             let mut bytes = fs::read(&file.path).expect("there");
@@ -381,7 +381,7 @@ mod tests {
             bytes[at..at + 10].fill(b'\n');
             bytes.extend(b"0\n\n");
             fs::write(&file.path, bytes).expect("written");
-            assert!(file.look(Some(&third)).kept_since(&third.stamp) > 0, "{name}");
+            assert!(file.look(Some(&third)).unchanged_since(&third.stamp) > 0, "{name}");
         }
     }
 
@@ -410,7 +410,7 @@ mod tests {
                 .expect("set");
             let second = file.look(Some(&first));
             assert_eq!(found(&second), found(&file.look(None)), "{what}");
-            assert_eq!(second.kept_since(&first.stamp), 0, "{what}");
+            assert_eq!(second.unchanged_since(&first.stamp), 0, "{what}");
         }
     }
 
@@ -436,12 +436,12 @@ mod tests {
                 &Limits::default(),
             )
             .expect("steps");
-            let mut first = StepContents::new(stamp, ProbedKind::Format(Format::LammpsDump), known);
+            let mut first = StepIndex::new(stamp, ProbedKind::Format(Format::LammpsDump), known);
             first.edges = source.edges(0, None);
             fs::write(&file.path, &new).expect("written");
             let second = file.look(Some(&first));
             assert_eq!(found(&second), found(&file.look(None)), "{cut}");
-            assert_eq!(second.kept_since(&first.stamp), 0, "{cut}");
+            assert_eq!(second.unchanged_since(&first.stamp), 0, "{cut}");
             fs::write(&file.path, "").expect("emptied");
         }
     }
@@ -478,7 +478,7 @@ mod tests {
             all.push(next);
         }
         let last = all.last().expect("some");
-        let kept: Vec<usize> = all.iter().map(|before| last.kept_since(&before.stamp)).collect();
+        let kept: Vec<usize> = all.iter().map(|before| last.unchanged_since(&before.stamp)).collect();
         let expected: Vec<usize> = (0..all.len())
             .map(|index| if index < 3 { 0 } else { index + usize::from(index + 1 == all.len()) })
             .collect();
@@ -496,6 +496,6 @@ mod tests {
         assert!(over.contains("was cancelled"), "{over}");
         let file = Growing::new("d.dump");
         file.append(&step(ProbedKind::Format(Format::LammpsDump), 0, 1));
-        look_through(&file.path, None, &is_over).expect_err("over");
+        index_steps(&file.path, None, &is_over).expect_err("over");
     }
 }

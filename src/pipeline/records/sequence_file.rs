@@ -23,27 +23,27 @@ use meniscus_formats::usda;
 use meniscus_formats::{OutputFormat, read_provenance};
 
 use super::provenance::{GENERATOR_AND_VERSION, HEAD_BYTES};
+use crate::pipeline::files::atomic_write::write_atomically;
 use crate::pipeline::files::open::open_regular;
-use crate::pipeline::files::path_identity::are_one_file;
-use crate::pipeline::files::sink::write_whole;
+use crate::pipeline::files::path_identity::are_same_file;
 use crate::pipeline::files::stamp::FileStamp;
 
 /// A format that holds a shot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ShotFormat {
+pub enum SequenceFormat {
     /// Binary glTF with an animation.
     Glb,
     /// USD as text, with time samples.
     Usda,
 }
 
-impl ShotFormat {
+impl SequenceFormat {
     /// The format for the extension of a path.
-    pub fn of(path: &Path) -> Option<ShotFormat> {
+    pub fn of(path: &Path) -> Option<SequenceFormat> {
         let extension = path.extension()?.to_string_lossy().to_ascii_lowercase();
         match extension.as_str() {
-            "glb" => Some(ShotFormat::Glb),
-            "usda" => Some(ShotFormat::Usda),
+            "glb" => Some(SequenceFormat::Glb),
+            "usda" => Some(SequenceFormat::Usda),
             _ => None,
         }
     }
@@ -51,7 +51,7 @@ impl ShotFormat {
 
 /// The `.glb` of a frame, and its number.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ShotSource {
+pub struct SequenceSource {
     /// Its path.
     pub path: PathBuf,
     /// The frame's number, if it has one.
@@ -60,7 +60,7 @@ pub struct ShotSource {
 
 /// The timing and units of a shot in other programs.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ShotOptions {
+pub struct SequenceOptions {
     /// Frames per second.
     pub fps: f64,
     /// The length of a world unit in metres, recorded in a .usda.
@@ -69,7 +69,7 @@ pub struct ShotOptions {
 
 /// The result of writing a shot.
 #[derive(Debug, Default)]
-pub struct ShotReport {
+pub struct SequenceReport {
     /// The number of frames in the file.
     pub frame_count: usize,
     /// The size of the file.
@@ -82,45 +82,45 @@ pub struct ShotReport {
 
 /// Why no shot could be written.
 #[derive(Debug)]
-pub struct ShotError {
+pub struct SequenceError {
     path: PathBuf,
     what: String,
 }
 
-impl fmt::Display for ShotError {
+impl fmt::Display for SequenceError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}: {}", self.path.display(), self.what)
     }
 }
 
-impl std::error::Error for ShotError {}
+impl std::error::Error for SequenceError {}
 
 /// Combines the frames, in this order, into the file at `path`, which is written atomically. Frames that
 /// cannot be read are skipped and reported.
 ///
 /// When no frame can be read, the format cannot hold all frames, a frame is written meanwhile, or the file
 /// cannot be written.
-pub fn write_shot(
+pub fn write_sequence_file(
     path: &Path,
-    format: ShotFormat,
-    sources: &[ShotSource],
-    options: ShotOptions,
-) -> Result<ShotReport, ShotError> {
-    let ShotOptions { fps, meters_per_unit } = options;
-    let fail = |what: String| ShotError { path: path.to_owned(), what };
-    if sources.iter().any(|source| are_one_file(&source.path, path)) {
+    format: SequenceFormat,
+    sources: &[SequenceSource],
+    options: SequenceOptions,
+) -> Result<SequenceReport, SequenceError> {
+    let SequenceOptions { fps, meters_per_unit } = options;
+    let fail = |what: String| SequenceError { path: path.to_owned(), what };
+    if sources.iter().any(|source| are_same_file(&source.path, path)) {
         return Err(fail("the shot would replace a frame of it".to_owned()));
     }
     let (there, left_out) = read_frames(sources);
     if there.is_empty() {
         return Err(no_frame(&left_out, path));
     }
-    let mut report = ShotReport { left_out, ..ShotReport::default() };
+    let mut report = SequenceReport { left_out, ..SequenceReport::default() };
     let numbers: Vec<Option<u64>> = there.iter().map(|frame| frame.source.number).collect();
     let numbers = increasing(&numbers);
     let codes = match format {
-        ShotFormat::Glb => in_steps(&numbers),
-        ShotFormat::Usda => numbers.clone(),
+        SequenceFormat::Glb => in_steps(&numbers),
+        SequenceFormat::Usda => numbers.clone(),
     };
     let provenance = provenance(&numbers, fps);
     let (mut frames, mut opened) = (Vec::new(), Vec::new());
@@ -130,10 +130,10 @@ pub fn write_shot(
         opened.push((&source.path, stamp));
     }
     let open = |index: usize| -> io::Result<_> { Ok(BufReader::new(open_regular(opened[index].0)?)) };
-    let written = write_whole(path, |out| {
+    let written = write_atomically(path, |out| {
         match format {
-            ShotFormat::Glb => gltf::write_sequence(&frames, fps, &provenance, open, out)?,
-            ShotFormat::Usda => {
+            SequenceFormat::Glb => gltf::write_sequence(&frames, fps, &provenance, open, out)?,
+            SequenceFormat::Usda => {
                 report.notes = usda::write_sequence(&frames, (fps, meters_per_unit), &provenance, open, out)?
             }
         }
@@ -147,13 +147,13 @@ pub fn write_shot(
 
 /// A frame, and the stamp of its file when it was opened.
 struct SourceFrame<'a> {
-    source: &'a ShotSource,
+    source: &'a SequenceSource,
     stamp: FileStamp,
     file: GlbFrame,
 }
 
 /// Opens the frames; returns those that cannot be read with the reason.
-fn read_frames(sources: &[ShotSource]) -> (Vec<SourceFrame<'_>>, Vec<(PathBuf, String)>) {
+fn read_frames(sources: &[SequenceSource]) -> (Vec<SourceFrame<'_>>, Vec<(PathBuf, String)>) {
     let read = |path: &Path| -> Result<(FileStamp, GlbFrame), meniscus_formats::Error> {
         let file = open_regular(path)?;
         let stamp = FileStamp::of(&file.metadata()?);
@@ -180,20 +180,20 @@ fn refuse_written(opened: &[(&PathBuf, FileStamp)]) -> io::Result<()> {
 }
 
 /// The error if no frame can be read, with the reason for the first.
-fn no_frame(left_out: &[(PathBuf, String)], shot: &Path) -> ShotError {
+fn no_frame(left_out: &[(PathBuf, String)], shot: &Path) -> SequenceError {
     let nothing = "there are no frames for the shot";
     match left_out {
-        [] => ShotError { path: shot.to_owned(), what: nothing.to_owned() },
-        [(path, why)] => ShotError { path: path.clone(), what: format!("{why}; {nothing}") },
+        [] => SequenceError { path: shot.to_owned(), what: nothing.to_owned() },
+        [(path, why)] => SequenceError { path: path.clone(), what: format!("{why}; {nothing}") },
         [(path, why), others @ ..] => {
             let what = format!("{why}; {} others cannot be read either: {nothing}", others.len());
-            ShotError { path: path.clone(), what }
+            SequenceError { path: path.clone(), what }
         }
     }
 }
 
 /// Whether a file is a shot of this program, according to its provenance.
-pub fn is_shot(path: &Path) -> bool {
+pub fn is_sequence_file(path: &Path) -> bool {
     let recorded = open_regular(path)
         .ok()
         .and_then(|file| read_provenance(OutputFormat::Glb, file.take(HEAD_BYTES)).ok());

@@ -24,19 +24,19 @@ use super::file_set::replace_together;
 use super::open::require_own_folder;
 use super::staged_file::{StagedFile, sync_folder, write_temporary};
 use super::sweep::remove_left_behind;
-use super::temporary::under_way;
+use super::temporary::active_temporaries;
 
 /// Writes the file at `path` atomically: it replaces an existing file once `write` has written everything.
 ///
 /// # Errors
 /// The error of `write`, or of the system. Then nothing is left behind, and an existing file at `path` is
 /// unchanged.
-pub fn write_whole(path: &Path, write: impl FnOnce(&mut BufWriter<&File>) -> Result<()>) -> Result<()> {
-    publish(vec![stage(path, write)?]).map_err(|(_, error)| error)?;
+pub fn write_atomically(path: &Path, write: impl FnOnce(&mut BufWriter<&File>) -> Result<()>) -> Result<()> {
+    commit(vec![stage(path, write)?]).map_err(|(_, error)| error)?;
     Ok(())
 }
 
-/// Writes a file of this program that has a well-known name: like [`write_whole`], but never into a folder
+/// Writes a file of this program that has a well-known name: like [`write_atomically`], but never into a folder
 /// that a link has replaced. Returns the result of `write`.
 ///
 /// # Errors
@@ -54,7 +54,7 @@ pub fn replace_own<T>(
     Ok(written)
 }
 
-/// Stages a file, which appears at `path` when it is [published](publish).
+/// Stages a file, which appears at `path` when it is [published](commit).
 ///
 /// # Errors
 /// The error of `write`, or of the system. Then nothing is left behind.
@@ -68,7 +68,7 @@ pub(crate) fn stage(
 
 /// Holds the lock, so that a stop comes before or after the rename.
 fn rename_locked(from: &Path, to: &Path) -> io::Result<()> {
-    let under_way = under_way();
+    let under_way = active_temporaries();
     let renamed = fs::rename(from, to);
     drop(under_way);
     renamed
@@ -79,7 +79,7 @@ fn rename_locked(from: &Path, to: &Path) -> io::Result<()> {
 ///
 /// # Errors
 /// The path that cannot be replaced, and why; then no new file appears, and all existing files are as before.
-pub(crate) fn publish(files: Vec<StagedFile>) -> std::result::Result<Vec<PathBuf>, (PathBuf, io::Error)> {
+pub(crate) fn commit(files: Vec<StagedFile>) -> std::result::Result<Vec<PathBuf>, (PathBuf, io::Error)> {
     // Failures that can be predicted are found before anything is replaced.
     if let Some(file) = files.iter().find(|file| file.path().symlink_metadata().is_ok_and(|m| m.is_dir())) {
         return Err((file.path().to_owned(), io::ErrorKind::IsADirectory.into()));
@@ -99,7 +99,7 @@ pub(crate) fn publish(files: Vec<StagedFile>) -> std::result::Result<Vec<PathBuf
 pub fn stop_writing() {
     let (done, is_done) = channel();
     let stop = move || {
-        let under_way = under_way();
+        let under_way = active_temporaries();
         for path in under_way.iter() {
             // An error cannot be reported any more.
             let _ = fs::remove_file(path);
@@ -130,7 +130,7 @@ mod tests {
     }
 
     fn write(path: &Path, text: &str) -> Result<()> {
-        write_whole(path, |out| Ok(out.write_all(text.as_bytes())?))
+        write_atomically(path, |out| Ok(out.write_all(text.as_bytes())?))
     }
 
     #[test]
@@ -153,8 +153,9 @@ mod tests {
             out.write_all(&vec![0; 2 * BUFFER_BYTES])?;
             Err(io::Error::from(io::ErrorKind::StorageFull).into())
         };
-        assert!(write_whole(&path, disk_full).is_err());
-        let panicked = catch_unwind(AssertUnwindSafe(|| write_whole(&path, |_| panic!("a broken writer"))));
+        assert!(write_atomically(&path, disk_full).is_err());
+        let panicked =
+            catch_unwind(AssertUnwindSafe(|| write_atomically(&path, |_| panic!("a broken writer"))));
         assert!(panicked.is_err());
         assert_eq!(fs::read_to_string(&path).expect("readable"), "old");
         assert_eq!(names_in(folder.path()), ["a.glb"]);
@@ -180,21 +181,21 @@ mod tests {
         let files: Vec<StagedFile> = names.map(unseen).into();
         assert!(names.iter().all(|name| !path(name).exists()));
         assert_eq!(files[1].size_bytes(), 5);
-        assert_eq!(publish(files).expect("published"), names.map(path));
+        assert_eq!(commit(files).expect("published"), names.map(path));
         assert_eq!(names_in(folder.path()).len(), 3);
         // A folder at the path of an output is found before anything is replaced; a failure that only the
         // rename shows leaves the other files as they were.
         fs::write(path("a.glb"), "old").expect("written");
         fs::remove_file(path("a.vdb")).expect("removed");
         fs::create_dir(path("a.vdb")).expect("made");
-        let (culprit, _) = publish(names.map(unseen).into()).expect_err("the path is a folder");
+        let (culprit, _) = commit(names.map(unseen).into()).expect_err("the path is a folder");
         assert_eq!(culprit, path("a.vdb"));
         assert_eq!(fs::read_to_string(path("a.glb")).expect("readable"), "old");
         fs::remove_dir(path("a.vdb")).expect("removed");
         let files: Vec<StagedFile> = names.map(unseen).into();
         fs::remove_file(files[2].written_path()).expect("removed");
         fs::write(path("a.obj"), "old").expect("written");
-        assert_eq!(publish(files).expect_err("the last is gone").0, path("a.obj"));
+        assert_eq!(commit(files).expect_err("the last is gone").0, path("a.obj"));
         let mut names = names_in(folder.path());
         names.sort();
         assert_eq!(names, ["a.glb", "a.obj"]);
@@ -212,7 +213,7 @@ mod tests {
         let unseen = |name: &str| stage(&path(name), |out| Ok(out.write_all(b"new")?)).expect("written");
         let files: Vec<StagedFile> = names.map(unseen).into();
         fs::remove_file(files[1].written_path()).expect("removed");
-        assert_eq!(publish(files).expect_err("the second is gone").0, path("a.vdb"));
+        assert_eq!(commit(files).expect_err("the second is gone").0, path("a.vdb"));
         assert_eq!(names_in(folder.path()).len(), 3);
         for name in names {
             assert_eq!(fs::read_to_string(path(name)).expect("readable"), "old");
@@ -227,7 +228,7 @@ mod tests {
         let name = "stop_does_not_wait_for_a_writer_that_hangs";
         if std::env::var_os(CHILD).is_some() {
             // Like a writer in a rename on a file system that hangs.
-            let _held = under_way();
+            let _held = active_temporaries();
             thread::spawn(|| {
                 stop_writing();
                 std::process::exit(3);

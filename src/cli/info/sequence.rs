@@ -10,7 +10,7 @@ use super::row;
 
 /// All frames in one file, as meniscus combines them.
 #[derive(Debug, Serialize)]
-pub(super) struct ShotRecord {
+pub(super) struct SequenceFileRecord {
     pub(super) frames: u64,
     /// The number of the first frame, and of the last.
     first: Option<u64>,
@@ -23,21 +23,21 @@ pub(super) struct ShotRecord {
     triangles: u64,
 }
 
-impl ShotRecord {
+impl SequenceFileRecord {
     /// A shot with this number of frames, and these totals of vertices and triangles over all frames; the
     /// rest comes from its recorded metadata.
     pub(super) fn new(
         frames: u64,
         [vertices, triangles]: [u64; 2],
         made_by: Option<&BTreeMap<String, String>>,
-    ) -> ShotRecord {
+    ) -> SequenceFileRecord {
         let number = |name: &str| made_by?.get(name)?.parse().ok();
         let fps = made_by.and_then(|made_by| made_by.get("fps")?.parse().ok());
-        ShotRecord { frames, first: number("first"), last: number("last"), fps, vertices, triangles }
+        SequenceFileRecord { frames, first: number("first"), last: number("last"), fps, vertices, triangles }
     }
 }
 
-impl fmt::Display for ShotRecord {
+impl fmt::Display for SequenceFileRecord {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         row(f, "frames", self.frames)?;
         for (label, number) in [("first frame", self.first), ("last frame", self.last)] {

@@ -11,36 +11,36 @@ use meniscus_formats::Result;
 
 use crate::pipeline::files::stamp::FileStamp;
 
-use super::contents::{StepContents, look_through};
+use super::index::{StepIndex, index_steps};
 
 /// The most recently used files.
-static KNOWN: LazyLock<Mutex<StepIndex>> = LazyLock::new(Mutex::default);
+static CACHE: LazyLock<Mutex<StepIndexCache>> = LazyLock::new(Mutex::default);
 
 /// The cache is limited to this number of steps, not counting the steps of the file in use: about 40 MB.
-const KNOWN_STEPS_MAX: usize = 1 << 18;
+const CACHED_STEPS_MAX: usize = 1 << 18;
 
 /// The cache is limited to this number of files.
-const KNOWN_FILES_MAX: usize = 1 << 10;
+const CACHED_FILES_MAX: usize = 1 << 10;
 
 /// The index of a file in its current state.
 ///
 /// # Errors
 /// When the file cannot be indexed, or `is_over` is set.
-pub(super) fn contents_unless(file: &Path, is_over: &AtomicBool) -> Result<Arc<StepContents>> {
+pub(super) fn index_unless(file: &Path, is_over: &AtomicBool) -> Result<Arc<StepIndex>> {
     let metadata = file.metadata()?;
     let stamp = FileStamp::of(&metadata);
     // A pipe can be read only once, so it cannot be probed.
     if !metadata.is_file() {
-        return Ok(Arc::new(StepContents::none(stamp)));
+        return Ok(Arc::new(StepIndex::none(stamp)));
     }
-    let (pass, before) = with_known(|known| known.pass(file, stamp));
+    let (pass, before) = with_cache(|known| known.pass(file, stamp));
     // A panic leaves no partial change under these locks.
     let mut found = pass.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(contents) = &*found {
         return Ok(Arc::clone(contents));
     }
-    let looked = look_through(file, before.as_deref(), is_over).map(Arc::new);
-    with_known(|known| known.note(file, stamp, looked.as_ref().ok()));
+    let looked = index_steps(file, before.as_deref(), is_over).map(Arc::new);
+    with_cache(|known| known.note(file, stamp, looked.as_ref().ok()));
     // The file may have changed since the request: readers compare the stamp.
     let contents = looked?;
     *found = Some(Arc::clone(&contents));
@@ -51,75 +51,75 @@ pub(super) fn contents_unless(file: &Path, is_over: &AtomicBool) -> Result<Arc<S
 ///
 /// # Errors
 /// When the file cannot be indexed.
-pub(super) fn contents_unless_changed(file: &Path) -> Result<Option<Arc<StepContents>>> {
+pub(super) fn index_unless_changed(file: &Path) -> Result<Option<Arc<StepIndex>>> {
     let stamp = FileStamp::of_path(file)?;
-    match with_known(|known| known.contents_of(file)) {
+    match with_cache(|known| known.contents_of(file)) {
         Some(contents) if contents.stamp == stamp => Ok(Some(contents)),
         Some(_) => Ok(None),
-        None => contents_unless(file, &AtomicBool::new(false)).map(Some),
+        None => index_unless(file, &AtomicBool::new(false)).map(Some),
     }
 }
 
 /// The result of the last pass over a file.
-pub(super) fn contents_known(file: &Path) -> Option<Arc<StepContents>> {
-    with_known(|known| known.contents_of(file))
+pub(super) fn cached_index(file: &Path) -> Option<Arc<StepIndex>> {
+    with_cache(|known| known.contents_of(file))
 }
 
-fn with_known<T>(work: impl FnOnce(&mut StepIndex) -> T) -> T {
-    work(&mut KNOWN.lock().unwrap_or_else(PoisonError::into_inner))
+fn with_cache<T>(work: impl FnOnce(&mut StepIndexCache) -> T) -> T {
+    work(&mut CACHE.lock().unwrap_or_else(PoisonError::into_inner))
 }
 
 /// The cached indices.
 #[derive(Debug, Default)]
-struct StepIndex {
-    files: HashMap<PathBuf, KnownFile>,
+struct StepIndexCache {
+    files: HashMap<PathBuf, CachedFile>,
     /// The number of requests so far.
     asked_count: u64,
 }
 
 /// A file that is indexed, or being indexed.
 #[derive(Debug)]
-struct KnownFile {
+struct CachedFile {
     stamp: FileStamp,
     pass: Pass,
     /// The result of the last pass over it.
-    contents: Option<Arc<StepContents>>,
+    index: Option<Arc<StepIndex>>,
     /// The value of the request counter at the last request for this file.
     asked_at: u64,
 }
 
 /// The index of a file with one stamp; the thread that indexes the file holds the lock.
-type Pass = Arc<Mutex<Option<Arc<StepContents>>>>;
+type Pass = Arc<Mutex<Option<Arc<StepIndex>>>>;
 
-impl StepIndex {
+impl StepIndexCache {
     /// The slot for the index of the file with this stamp, and the earlier index.
-    fn pass(&mut self, file: &Path, stamp: FileStamp) -> (Pass, Option<Arc<StepContents>>) {
+    fn pass(&mut self, file: &Path, stamp: FileStamp) -> (Pass, Option<Arc<StepIndex>>) {
         self.asked_count += 1;
-        let new = || KnownFile { stamp, pass: Arc::default(), contents: None, asked_at: 0 };
+        let new = || CachedFile { stamp, pass: Arc::default(), index: None, asked_at: 0 };
         let known = self.files.entry(file.to_owned()).or_insert_with(new);
         known.asked_at = self.asked_count;
         if known.stamp != stamp {
             (known.stamp, known.pass) = (stamp, Arc::default());
         }
-        (Arc::clone(&known.pass), known.contents.clone())
+        (Arc::clone(&known.pass), known.index.clone())
     }
 
-    fn contents_of(&mut self, file: &Path) -> Option<Arc<StepContents>> {
+    fn contents_of(&mut self, file: &Path) -> Option<Arc<StepIndex>> {
         self.asked_count += 1;
         let known = self.files.get_mut(file)?;
         known.asked_at = self.asked_count;
-        known.contents.clone()
+        known.index.clone()
     }
 
     /// Stores the result of a pass, with the file's stamp if the pass succeeded. Files without steps are not
     /// stored: their head alone identifies them.
-    fn note(&mut self, file: &Path, asked: FileStamp, found: Option<&Arc<StepContents>>) {
+    fn note(&mut self, file: &Path, asked: FileStamp, found: Option<&Arc<StepIndex>>) {
         let Some(known) = self.files.get_mut(file).filter(|known| known.stamp == asked) else { return };
         match found.filter(|contents| !contents.steps.is_empty()) {
             None => drop(self.files.remove(file)),
             Some(contents) => {
                 known.stamp = contents.stamp;
-                known.contents = Some(Arc::clone(contents));
+                known.index = Some(Arc::clone(contents));
                 self.make_room(file);
             }
         }
@@ -128,14 +128,13 @@ impl StepIndex {
     /// Evicts the least recently used files, but not this one. Files with one step are evicted before those
     /// with several, which are requested repeatedly, so single steps cannot displace them.
     fn make_room(&mut self, kept: &Path) {
-        let step_count =
-            |known: &KnownFile| known.contents.as_ref().map_or(0, |contents| contents.steps.len());
-        let has_several = |known: &KnownFile| step_count(known) > 1;
+        let step_count = |known: &CachedFile| known.index.as_ref().map_or(0, |contents| contents.steps.len());
+        let has_several = |known: &CachedFile| step_count(known) > 1;
         let is_for_several = self.files.get(kept).is_some_and(has_several);
         let mut total: usize = self.files.values().map(step_count).sum();
-        while self.files.len() > KNOWN_FILES_MAX || (is_for_several && total > KNOWN_STEPS_MAX) {
-            let others = self.files.iter().filter(|(path, known)| *path != kept && known.contents.is_some());
-            let key = |known: &KnownFile| (has_several(known), known.asked_at);
+        while self.files.len() > CACHED_FILES_MAX || (is_for_several && total > CACHED_STEPS_MAX) {
+            let others = self.files.iter().filter(|(path, known)| *path != kept && known.index.is_some());
+            let key = |known: &CachedFile| (has_several(known), known.asked_at);
             let Some(oldest) = others.min_by_key(|(_, known)| key(known)) else { return };
             let oldest = oldest.0.clone();
             total -= self.files.remove(&oldest).map_or(0, |known| step_count(&known));
@@ -146,7 +145,7 @@ impl StepIndex {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pipeline::input::steps::contents::of_count;
+    use crate::pipeline::input::steps::index::of_count;
     use std::fs;
     use std::thread;
 
@@ -157,8 +156,8 @@ mod tests {
         let step =
             |number| format!("ITEM: TIMESTEP\n{number}\nITEM: NUMBER OF ATOMS\n0\nITEM: ATOMS x y z\n");
         fs::write(&file, (0..2000).map(step).collect::<String>()).expect("written");
-        let ask = || contents_unless(&file, &AtomicBool::new(false)).expect("steps");
-        let all: Vec<Arc<StepContents>> = thread::scope(|scope| {
+        let ask = || index_unless(&file, &AtomicBool::new(false)).expect("steps");
+        let all: Vec<Arc<StepIndex>> = thread::scope(|scope| {
             let asking: Vec<_> = (0..8).map(|_| scope.spawn(ask)).collect();
             asking.into_iter().map(|asked| asked.join().expect("no panic")).collect()
         });
@@ -168,14 +167,14 @@ mod tests {
 
     #[test]
     fn least_recently_used_file_is_evicted() {
-        let mut known = StepIndex::default();
+        let mut known = StepIndexCache::default();
         let stamp = FileStamp::default();
-        let ask = |known: &mut StepIndex, name: &str, count: usize| {
+        let ask = |known: &mut StepIndexCache, name: &str, count: usize| {
             known.pass(Path::new(name), stamp);
             known.note(Path::new(name), stamp, Some(&Arc::new(of_count(stamp, count))));
         };
-        let has = |known: &StepIndex, name: &str| known.files.contains_key(Path::new(name));
-        let some = KNOWN_STEPS_MAX / 4;
+        let has = |known: &StepIndexCache, name: &str| known.files.contains_key(Path::new(name));
+        let some = CACHED_STEPS_MAX / 4;
         for name in ["a", "b", "c", "d"] {
             ask(&mut known, name, some);
         }
@@ -183,17 +182,17 @@ mod tests {
         ask(&mut known, "e", some);
         assert!(has(&known, "a") && !has(&known, "b") && has(&known, "c") && has(&known, "e"));
         // The requested file stays, whatever its size.
-        ask(&mut known, "large", KNOWN_STEPS_MAX + 1);
+        ask(&mut known, "large", CACHED_STEPS_MAX + 1);
         assert_eq!(known.files.len(), 1);
         ask(&mut known, "none", 0);
         assert!(has(&known, "large") && !has(&known, "none"));
         // Many files with one step do not evict it either: some of them stay in the cache beside it.
-        (0..2 * KNOWN_FILES_MAX).for_each(|number| ask(&mut known, &format!("single {number}"), 1));
-        let last = format!("single {}", 2 * KNOWN_FILES_MAX - 1);
+        (0..2 * CACHED_FILES_MAX).for_each(|number| ask(&mut known, &format!("single {number}"), 1));
+        let last = format!("single {}", 2 * CACHED_FILES_MAX - 1);
         assert!(has(&known, "large") && has(&known, &last) && !has(&known, "single 0"));
-        assert_eq!(known.files.len(), KNOWN_FILES_MAX);
-        (0..2 * KNOWN_FILES_MAX).for_each(|number| ask(&mut known, &number.to_string(), 2));
+        assert_eq!(known.files.len(), CACHED_FILES_MAX);
+        (0..2 * CACHED_FILES_MAX).for_each(|number| ask(&mut known, &number.to_string(), 2));
         assert!(!has(&known, "large") && !has(&known, &last));
-        assert_eq!(known.files.len(), KNOWN_FILES_MAX);
+        assert_eq!(known.files.len(), CACHED_FILES_MAX);
     }
 }

@@ -7,46 +7,46 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::pipeline::files::json::write_json;
-use crate::pipeline::{InspectedState, Inspection, ObstacleFiles, inspect, write_whole};
+use crate::pipeline::{InspectedState, Inspection, ObstacleFiles, inspect, write_atomically};
 
 use super::plan::ShardPlan;
 
 /// The verdict on each frame of a plan.
 #[derive(Clone, Debug)]
-pub struct Verdicts {
+pub struct PlanVerification {
     /// In the order of the plan.
-    pub frames: Vec<FrameVerdict>,
+    pub frames: Vec<FrameCheck>,
 }
 
 /// The verdict on a frame.
 #[derive(Clone, Debug)]
-pub struct FrameVerdict {
+pub struct FrameCheck {
     /// The shard of the frame.
     pub shard: usize,
     /// The state of its outputs.
     pub state: InspectedState,
     /// Whether its input exists, and so was compared with the provenance of the outputs.
-    pub input_is_there: bool,
+    pub input_exists: bool,
     /// Whether all its obstacles exist.
-    pub obstacles_are_there: bool,
+    pub obstacles_exist: bool,
 }
 
 /// Checks all bytes of every output of a plan, and the inputs that exist. Writes nothing.
-pub fn verify(plan: &ShardPlan) -> Verdicts {
+pub fn verify(plan: &ShardPlan) -> PlanVerification {
     let obstacles = Arc::new(ObstacleFiles::new(plan.obstacles.clone()));
     let shards = plan.shards.par_iter().enumerate();
     let verdicts = shards.flat_map(|(shard, frames)| {
         let obstacles = Arc::clone(&obstacles);
         plan.frames[frames.clone()].par_iter().map(move |planned| {
-            let Inspection { state, input_is_there, obstacles_are_there } =
+            let Inspection { state, input_exists, obstacles_exist } =
                 inspect(&plan.frame(planned, &obstacles));
-            FrameVerdict { shard, state, input_is_there, obstacles_are_there }
+            FrameCheck { shard, state, input_exists, obstacles_exist }
         })
     });
-    Verdicts { frames: verdicts.collect() }
+    PlanVerification { frames: verdicts.collect() }
 }
 
-impl FrameVerdict {
+impl FrameCheck {
     /// The state in one word.
     pub fn status(&self) -> &'static str {
         match self.state {
@@ -70,15 +70,15 @@ impl FrameVerdict {
     }
 
     /// Whether its shard would convert it again.
-    pub fn is_to_be_made(&self) -> bool {
+    pub fn needs_conversion(&self) -> bool {
         !matches!(self.state, InspectedState::Done | InspectedState::Uncertified(_))
     }
 }
 
-/// All values of [`FrameVerdict::status`].
+/// All values of [`FrameCheck::status`].
 const STATUSES: [&str; 5] = ["done", "missing", "damaged", "stale", "uncertified"];
 
-impl Verdicts {
+impl PlanVerification {
     /// The number of frames with each status, in a fixed order.
     pub fn counts(&self) -> [(&'static str, usize); 5] {
         let count = |status| self.frames.iter().filter(|frame| frame.status() == status).count();
@@ -92,7 +92,7 @@ impl Verdicts {
 
     /// The shards that have frames to convert, in order.
     pub fn shards_to_run(&self) -> Vec<usize> {
-        let open = self.frames.iter().filter(|frame| frame.is_to_be_made());
+        let open = self.frames.iter().filter(|frame| frame.needs_conversion());
         let mut shards: Vec<usize> = open.map(|frame| frame.shard).collect();
         shards.dedup();
         shards
@@ -100,18 +100,18 @@ impl Verdicts {
 
     /// The number of frames whose input is missing.
     pub fn input_missing_count(&self) -> usize {
-        self.frames.iter().filter(|frame| !frame.input_is_there).count()
+        self.frames.iter().filter(|frame| !frame.input_exists).count()
     }
 
     /// The number of frames with a missing obstacle.
     pub fn obstacle_missing_count(&self) -> usize {
-        self.frames.iter().filter(|frame| !frame.obstacles_are_there).count()
+        self.frames.iter().filter(|frame| !frame.obstacles_exist).count()
     }
 }
 
 /// The verdicts as a JSON file.
 #[derive(Debug, Serialize)]
-pub struct VerdictRecord<'a> {
+pub struct VerificationReport<'a> {
     version: &'static str,
     plan: String,
     folder: String,
@@ -139,13 +139,20 @@ struct VerifiedFrame<'a> {
     shard: usize,
     status: &'static str,
     why: Option<&'a str>,
-    input_is_there: bool,
-    obstacles_are_there: bool,
+    #[serde(rename = "input_is_there")]
+    input_exists: bool,
+    #[serde(rename = "obstacles_are_there")]
+    obstacles_exist: bool,
 }
 
-impl<'a> VerdictRecord<'a> {
+impl<'a> VerificationReport<'a> {
     /// The verdicts on the plan in the file at `path`, for the outputs in `folder`.
-    pub fn new(plan: &'a ShardPlan, verdicts: &'a Verdicts, path: &Path, folder: &Path) -> VerdictRecord<'a> {
+    pub fn new(
+        plan: &'a ShardPlan,
+        verdicts: &'a PlanVerification,
+        path: &Path,
+        folder: &Path,
+    ) -> VerificationReport<'a> {
         let [done, missing, damaged, stale, uncertified] = verdicts.counts().map(|(_, count)| count);
         let frames = plan.frames.iter().zip(&verdicts.frames).map(|(planned, verdict)| VerifiedFrame {
             input: planned.input.to_string_lossy().into_owned(),
@@ -153,10 +160,10 @@ impl<'a> VerdictRecord<'a> {
             shard: verdict.shard,
             status: verdict.status(),
             why: verdict.why(),
-            input_is_there: verdict.input_is_there,
-            obstacles_are_there: verdict.obstacles_are_there,
+            input_exists: verdict.input_exists,
+            obstacles_exist: verdict.obstacles_exist,
         });
-        VerdictRecord {
+        VerificationReport {
             version: env!("CARGO_PKG_VERSION"),
             plan: path.to_string_lossy().into_owned(),
             folder: folder.to_string_lossy().into_owned(),
@@ -180,6 +187,6 @@ impl<'a> VerdictRecord<'a> {
     /// # Errors
     /// When the system reports an error.
     pub fn write(&self, path: &Path) -> meniscus_formats::Result<()> {
-        write_whole(path, |out| Ok(write_json(out, self)?))
+        write_atomically(path, |out| Ok(write_json(out, self)?))
     }
 }
