@@ -244,7 +244,7 @@ fn why_recognizes_outputs_of_convert() {
         fs::write(path.join(name), &whole[..whole.len() / 2]).expect("written");
     };
     cut("out/dam.1.glb");
-    assert!(settled("in/dam.1.ply").contains("but dam.1.ply was made from it as it is"));
+    assert!(settled("in/dam.1.ply").contains("but dam.1.ply was made from its current content"));
     cut("out/dam.1.ply");
     assert!(settled("in/dam.1.ply").contains("It will be converted because"));
     // Outputs of an earlier file at this path do not count.
