@@ -141,14 +141,24 @@ pub(crate) struct Inspect {
     pub(crate) number: u64,
     /// The stamp of the file at the time of the request.
     pub(crate) stamp: FileStamp,
-    /// Whether to check only that the file is unchanged.
-    pub(crate) only_stamp: bool,
+    pub(crate) extent: InspectionExtent,
     /// The journal's record, if the frame stays as it is while the record is valid.
     pub(crate) recorded: Option<Recorded>,
     /// The file's candidate state, if it may still be written.
     pub(crate) candidate: Option<Candidate>,
     /// The output files of the frame.
     pub(crate) outputs: Vec<PathBuf>,
+}
+
+/// What an inspection looks at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum InspectionExtent {
+    /// Whether the file is unchanged, and nothing else.
+    Stamp,
+    /// Whether the file is unchanged, then everything else.
+    All,
+    /// The same for a file that was seen just now: if it is as recorded, it is not looked at again.
+    AllOfJustSeen,
 }
 
 /// A frame that stays as it is while its outputs and obstacles are unchanged.

@@ -133,6 +133,8 @@ pub(crate) struct FrameState {
     pub(crate) attempt_count: u32,
     /// The number of the scan that last saw it.
     pub(crate) scan_count: u64,
+    /// Whether it was inspected at least once.
+    pub(crate) was_inspected: bool,
     /// The stamps of its obstacles at the last inspection; `None` without obstacles.
     pub(crate) obstacles: Option<Arc<ObstacleStamps>>,
     /// When to inspect it again.
@@ -234,6 +236,7 @@ impl FrameTable {
             settings_fingerprint: String::new(),
             attempt_count: 0,
             scan_count,
+            was_inspected: false,
             obstacles: None,
             alarm_at: None,
             inspection: None,

@@ -11,19 +11,20 @@
 //! ```
 
 use std::collections::BTreeSet;
+use std::collections::hash_map::Entry;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::pipeline::{Frame, Job, ObstacleStamps, OutputOptions, output_path};
+use crate::pipeline::{FileStamp, Frame, Job, ObstacleStamps, OutputOptions, output_path};
 use crate::surface::options::Settings;
 use crate::watch::journal::{JournaledFrame, JournaledStatus, OutputCheck};
 
 use super::completeness::{Candidate, Seen, path_of_sentinel};
 use super::decision::{Decision, decide};
 use super::events::{
-    Complete, FileContents, FoundObstacleStamps, Inspect, Inspected, InspectionResult, Recorded, RootRequest,
-    Scan,
+    Complete, FileContents, FoundObstacleStamps, Inspect, Inspected, InspectionExtent, InspectionResult,
+    Recorded, RootRequest, Scan,
 };
 use super::frames::{FrameId, FramePhase, FrameState};
 use super::sequences::SequenceSettings;
@@ -60,15 +61,16 @@ impl Core {
             }
             _ => self.settle(id, candidate),
         }
-        self.inspect_candidate(id);
+        self.inspect_settling(id, InspectionExtent::AllOfJustSeen);
     }
 
     /// Adds a file, or a step of one, that was seen for the first time.
     pub(super) fn add_frame(&mut self, id: &FrameId, candidate: Candidate) {
         let sequence = self.sequence_of(id);
         self.frames.insert(id, sequence, candidate, self.scan_count);
-        // Clients see it when it has been inspected: at the start, nearly all frames are done already.
-        self.inspect_candidate(id);
+        // Clients see it once it was inspected: at the start, most frames turn out to be done.
+        let extent = if id.is_step() { InspectionExtent::All } else { InspectionExtent::AllOfJustSeen };
+        self.inspect_settling(id, extent);
     }
 
     /// A root was scanned, or could not be.
@@ -209,14 +211,19 @@ impl Core {
 
     /// Inspects a file that may be incomplete.
     pub(super) fn inspect_candidate(&mut self, id: &FrameId) {
+        self.inspect_settling(id, InspectionExtent::All);
+    }
+
+    fn inspect_settling(&mut self, id: &FrameId, extent: InspectionExtent) {
         if let Some(frame) = self.frames.get(id)
             && let FramePhase::Settling(candidate) = frame.phase
         {
+            let (stamp, sequence) = (frame.stamp, frame.sequence);
             // The completeness of a step is that of its file.
             let candidate = (!id.is_step()).then_some(candidate);
             let outputs = self.output_paths(id);
-            let recorded = self.recorded(id, &outputs);
-            self.request_inspection(id, false, outputs, candidate, recorded);
+            let recorded = self.recorded(id, &stamp, sequence, &outputs);
+            self.request_inspection(id, extent, outputs, candidate, recorded);
         }
     }
 
@@ -231,37 +238,42 @@ impl Core {
 
     /// Checks whether a file is unchanged.
     pub(super) fn check_stamp(&mut self, id: &FrameId) {
-        self.request_inspection(id, true, Vec::new(), None, None);
+        self.request_inspection(id, InspectionExtent::Stamp, Vec::new(), None, None);
     }
 
     /// Inspects a file: first its record and outputs, then whether it is complete, then its kind.
     pub(super) fn inspect(&mut self, id: &FrameId, candidate: Option<Candidate>, recorded: Option<Recorded>) {
         let outputs = self.output_paths(id);
-        self.request_inspection(id, false, outputs, candidate, recorded);
+        self.request_inspection(id, InspectionExtent::All, outputs, candidate, recorded);
     }
 
     fn request_inspection(
         &mut self,
         id: &FrameId,
-        only_stamp: bool,
+        extent: InspectionExtent,
         outputs: Vec<PathBuf>,
         candidate: Option<Candidate>,
         recorded: Option<Recorded>,
     ) {
         let Some((number, stamp)) = self.frames.begin_inspection(id) else { return };
-        let inspect = Inspect { id: id.clone(), number, stamp, only_stamp, recorded, candidate, outputs };
+        let inspect = Inspect { id: id.clone(), number, stamp, extent, recorded, candidate, outputs };
         self.request(id.root, RootRequest::Inspect(Box::new(inspect)));
     }
 
     /// The record of exactly this file, if the frame stays as it is while its outputs and obstacles are
     /// unchanged.
-    fn recorded(&self, id: &FrameId, wanted: &[PathBuf]) -> Option<Recorded> {
-        let record = Arc::clone(self.output(id.root).journal.frames.get(&*id.path)?);
-        let frame = self.frames.get(id)?;
+    fn recorded(
+        &self,
+        id: &FrameId,
+        stamp: &FileStamp,
+        sequence: usize,
+        wanted: &[PathBuf],
+    ) -> Option<Recorded> {
+        let record = Arc::clone(self.record_of(id)?);
         // The record may be of the same file in another root, with outputs in another folder.
         let is_recorded = |path: &PathBuf| record.outputs.iter().any(|output| output.path == *path);
         let unrecorded = wanted.iter().find(|path| !is_recorded(path));
-        let sequence = self.sequences.get(frame.sequence);
+        let sequence = self.sequences.get(sequence);
         let settings = match &sequence.settings {
             SequenceSettings::Fixed(settings, fingerprint) if !self.roots[id.root].obstacles.is_empty() => {
                 Some((Arc::clone(settings), Arc::clone(fingerprint)))
@@ -273,7 +285,7 @@ impl Core {
             None => sequence.fingerprint(None),
         };
         let unrecorded = unrecorded.map(PathBuf::as_path);
-        let decision = decide(Some(&*record), &frame.stamp, &fingerprint, unrecorded, None);
+        let decision = decide(Some(&*record), stamp, &fingerprint, unrecorded, None);
         matches!(decision, Decision::Skip(_)).then_some(Recorded { record, settings })
     }
 
@@ -284,20 +296,22 @@ impl Core {
         let is_settling = matches!(frame.phase, FramePhase::Settling(_));
         let bytes = frame.stamp.size;
         frame.obstacles = obstacles;
+        let was_inspected = std::mem::replace(&mut frame.was_inspected, true);
         // Its sequence may have waited for this inspection.
         self.dirty_sequences.insert(frame.sequence);
+        if !was_inspected {
+            self.mark_changed(&id);
+        }
         match found {
             InspectionResult::Gone => self.remove(&id),
             InspectionResult::Unreadable(error) => self.on_file_unreadable(&id, error),
             InspectionResult::Changed(seen, at) => self.on_file_seen(&id, &seen, at, false),
             InspectionResult::AsRecorded if is_settling => self.take_record(&id),
             InspectionResult::OutputsAway if is_settling => {
-                self.mark_changed(&id);
-                self.frames.set_alarm(&id, self.now.at + AWAY_RETRY);
+                self.frames.set_alarm(&id, self.now.at + AWAY_RETRY)
             }
             InspectionResult::Same | InspectionResult::AsRecorded | InspectionResult::OutputsAway => {}
             InspectionResult::Waiting { until, why } => {
-                self.mark_changed(&id);
                 self.log_about(
                     &*id.path,
                     move |frame| tracing::debug!(%frame, bytes, "waiting because {why}"),
@@ -470,20 +484,26 @@ impl Core {
     /// refuses the frame and returns false.
     fn claim_outputs(&mut self, id: &FrameId, conflict: Option<String>) -> bool {
         let claimed = self.claimed_stem(id);
-        let is_another = |owner: &&FrameId| *owner != id && self.frames.get(owner).is_some();
-        let owned = self.claims.get(&claimed).filter(is_another).map(|owner| {
-            format!(
-                "{} and {} would both become {}.*; the first of them keeps it",
-                owner.path.display(),
-                id.path.display(),
-                claimed.display(),
-            )
-        });
+        let owned = match self.claims.entry(claimed) {
+            Entry::Occupied(claim) if claim.get() != id && self.frames.get(claim.get()).is_some() => {
+                Some(format!(
+                    "{} and {} would both become {}.*; the first of them keeps it",
+                    claim.get().path.display(),
+                    id.path.display(),
+                    claim.key().display(),
+                ))
+            }
+            claim => {
+                if conflict.is_none() {
+                    claim.insert_entry(id.clone());
+                }
+                None
+            }
+        };
         let conflict = owned.or(conflict);
         let is_free = conflict.is_none();
-        match conflict {
-            Some(conflict) => self.refuse(id, conflict),
-            None => drop(self.claims.insert(claimed, id.clone())),
+        if let Some(conflict) = conflict {
+            self.refuse(id, conflict);
         }
         is_free
     }

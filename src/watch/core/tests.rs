@@ -22,8 +22,9 @@ use crate::watch::journal::{
 
 use super::completeness::{Proof, Seen, WaitReason};
 use super::events::{
-    Complete, Effect, Event, FileContents, FrameFinished, Inspect, Inspected, InspectionResult, Now,
-    OutputDirState, OutputRequest, Presence, RootRequest, Scan, SlowRequest, Start, Worker,
+    Complete, Effect, Event, FileContents, FrameFinished, Inspect, Inspected, InspectionExtent,
+    InspectionResult, Now, OutputDirState, OutputRequest, Presence, RootRequest, Scan, SlowRequest, Start,
+    Worker,
 };
 use super::frames::FrameId;
 use super::sequences::{MeasureOrder, SpacingResult};
@@ -162,7 +163,7 @@ impl Rig {
             Some((stamp, _)) if *stamp != inspect.stamp => {
                 InspectionResult::Changed(seen(*stamp), self.now.at)
             }
-            Some(_) if inspect.only_stamp => InspectionResult::Same,
+            Some(_) if inspect.extent == InspectionExtent::Stamp => InspectionResult::Same,
             Some((_, waits)) => self.found(inspect, *waits),
         };
         let (id, number) = (inspect.id.clone(), inspect.number);

@@ -6,7 +6,9 @@ use std::time::Instant;
 
 use crate::pipeline::{ObstacleStamps, may_hold_several};
 use crate::watch::core::completeness::Readiness;
-use crate::watch::core::events::{Complete, FileContents, Inspect, Inspected, InspectionResult, Recorded};
+use crate::watch::core::events::{
+    Complete, FileContents, Inspect, Inspected, InspectionExtent, InspectionResult, Recorded,
+};
 use crate::watch::core::frames::FrameId;
 use crate::watch::core::sequences::fingerprint_with;
 use crate::watch::journal::OutputCheck;
@@ -28,6 +30,13 @@ impl Root {
 
     fn find(&self, request: &Inspect, obstacles: Option<&ObstacleStamps>) -> InspectionResult {
         let Inspect { id, stamp, outputs, .. } = request;
+        let is_as_recorded = |recorded: &Recorded| {
+            changed_output_of(recorded).is_none() && has_recorded_settings(recorded, obstacles)
+        };
+        let was_just_seen = request.extent == InspectionExtent::AllOfJustSeen;
+        if was_just_seen && request.recorded.as_ref().is_some_and(is_as_recorded) {
+            return InspectionResult::AsRecorded;
+        }
         let file = id.file_path();
         let seen = match look(file, self.trust_clock()) {
             Ok(Some(seen)) => seen,
@@ -38,7 +47,7 @@ impl Root {
         if seen.stamp != *stamp {
             return InspectionResult::Changed(seen, at);
         }
-        if request.only_stamp {
+        if request.extent == InspectionExtent::Stamp {
             return InspectionResult::Same;
         }
         let mut changed_output = None;

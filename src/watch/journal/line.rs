@@ -11,6 +11,7 @@
 
 use std::io;
 
+use serde_json::Value;
 use twox_hash::XxHash3_64;
 
 use super::state::Entry;
@@ -39,7 +40,17 @@ pub(super) fn parse_line(line: &[u8]) -> Option<Entry> {
     if checksum != XxHash3_64::oneshot(record) {
         return None;
     }
-    serde_json::from_slice(record).ok()
+    serde_json::from_slice(record).or_else(|_| without_figures(record)).ok()
+}
+
+/// The record without the figures of its frame. They are informative only, so a record is also read if its
+/// figures are of another version.
+fn without_figures(record: &[u8]) -> serde_json::Result<Entry> {
+    let mut record: Value = serde_json::from_slice(record)?;
+    if let Some(frame) = record.get_mut("frame").and_then(Value::as_object_mut) {
+        frame.remove("figures");
+    }
+    serde_json::from_value(record)
 }
 
 #[cfg(test)]
@@ -138,6 +149,20 @@ mod tests {
         let Some(Entry::Frame { record, .. }) = parse_line(line.as_bytes()) else { panic!("not a frame") };
         assert_eq!(record.stamp, FileStamp { size: 5, modified_ns: 6, inode: 7, changed_ns: None });
         assert_eq!(record.outputs, [OutputRecord::new("/out/a.glb".into(), 9, None)]);
+    }
+
+    #[test]
+    fn figures_of_another_version_are_dropped() {
+        let Entry::Frame { input, record } = frame("/in/a.ply", Standing::Done) else { unreachable!() };
+        let mut line = Vec::new();
+        push_line(&mut line, &Entry::Frame { input, record: Arc::clone(&record) }).expect("a line");
+        let text = String::from_utf8(line).expect("text").trim_end()[CHECKSUM_DIGITS + 1..].to_owned();
+        let text = text.replace("\"vertices\":3", "\"vertices\":\"three\"");
+        let line = format!("{:016x} {text}", XxHash3_64::oneshot(text.as_bytes()));
+        let Some(Entry::Frame { record: read, .. }) = parse_line(line.as_bytes()) else {
+            panic!("not a frame")
+        };
+        assert_eq!(*read, JournaledFrame { figures: None, ..(*record).clone() });
     }
 
     #[cfg(unix)]

@@ -10,7 +10,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::DVec3;
-use serde::de::IgnoredAny;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::pipeline::files::json::{hex, path, text};
@@ -181,15 +180,7 @@ struct FrameForm {
     #[serde(default)]
     flaws: Vec<String>,
     #[serde(default)]
-    figures: Option<FiguresForm>,
-}
-
-/// The form of figures for reading. They are informative only, so values that cannot be parsed are dropped.
-#[derive(Deserialize)]
-#[serde(untagged)]
-enum FiguresForm {
-    Known(Arc<Figures>),
-    Unknown(IgnoredAny),
+    figures: Option<Arc<Figures>>,
 }
 
 /// The form of an output's record for reading.
@@ -227,10 +218,7 @@ fn read_frame<'de, D: Deserializer<'de>>(from: D) -> Result<(Arc<Path>, Arc<Jour
         particle_count: form.particles,
         seconds: form.seconds,
         flaws: form.flaws,
-        figures: match form.figures {
-            Some(FiguresForm::Known(figures)) => Some(figures),
-            Some(FiguresForm::Unknown(_)) | None => None,
-        },
+        figures: form.figures,
     };
     Ok((form.input, Arc::new(record)))
 }
