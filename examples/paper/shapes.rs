@@ -20,12 +20,12 @@ use crate::submerged;
 const CROWN: &str = "\
 ## Anisotropy
 
-A crown, as a falling drop throws it up: a thin sheet that opens and ends in threads, with one layer of particles that move along it.
+A crown, as a falling drop throws it up: a thin sheet that opens and ends in ligaments, with one layer of particles that move along it.
 From left to right: the particles, and the surfaces of balls, of particles stretched by their neighbours, and of particles stretched by their velocities.
 All have the same voxels.";
 
 const SIZES: &str = "\
-## Radii of the particles' own
+## Per-particle radii
 
 A heap of particles of four sizes.
 From left to right: the particles, the surface with the smallest radius for all, and with the radius of each particle.
