@@ -65,7 +65,7 @@ impl Default for GatherBlock {
 
 impl Vicinity {
     /// Finds the cells near voxels without a particle that is certainly within `cover_radius`. `depth_of`
-    /// maps the longest half axis of a leaf's particles, in units of the radii, to the depth of the vicinity
+    /// maps the longest semi-axis of a leaf's particles, in units of the radii, to the depth of the vicinity
     /// there. Particles within `margin` of the vicinity, per axis, are [gathered](Self::gather) with it. All
     /// lengths are in voxels.
     ///
@@ -116,7 +116,7 @@ impl Vicinity {
         Ok(Vicinity { occupancy, cells, around, margin })
     }
 
-    /// Longest half axis of all particles, in units of the radii.
+    /// Longest semi-axis of all particles, in units of the radii.
     pub fn longest(&self) -> f32 {
         self.occupancy.longest()
     }

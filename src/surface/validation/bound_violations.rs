@@ -103,7 +103,7 @@ mod tests {
             let cloud = ParticleCloud { positions, shapes, attributes: Vec::new() };
             let Ok(RasterFields { bins, band, .. }) = rasterize(&cloud, &RasterParams::open(lattice, radii));
             let mut mesh = contour(&band, &lattice, Contouring::Dual);
-            // The bounds are at 1.5 and 0.5 voxels for half axes of 1; the half axis along y is 0.7.
+            // The bounds are at 1.5 and 0.5 voxels for semi-axes of 1; the semi-axis along y is 0.7.
             let by_height =
                 |one: &usize, other: &usize| mesh.positions[*one].y.total_cmp(&mesh.positions[*other].y);
             let highest = (0..mesh.positions.len()).max_by(by_height).expect("a vertex");
