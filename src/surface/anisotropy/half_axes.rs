@@ -85,7 +85,8 @@ pub(super) fn means<V: Lanes>(moments: &[[f32; 8]]) -> [[f32; 8]; 3] {
 /// The mean (Yu and Turk, Eq. 10), and the factor that turns a sum into a mean.
 #[inline(always)]
 fn mean_and_weight<V: Lanes>(moments: &[[f32; 8]]) -> ([V; 3], V) {
-    // Each particle itself contributes a weight of 1, unless the sample of a crowded cell left it out.
+    // Each particle itself contributes a weight of 1, unless its cell has so many particles that only a
+    // sample is used, without it.
     let by_weight = V::splat(1.0).div(V::load(&moments[0]).max(V::splat(1.0)));
     let mut means = [V::splat(0.0); 3];
     for (mean, moment) in means.iter_mut().zip(&moments[1..4]) {
@@ -147,7 +148,7 @@ fn with_unit_volume<V: Lanes>(half_axes: [V; 3]) -> [V; 3] {
 }
 
 /// Multiplies semi-axes by the scale and raises those below the floor; also returns which particles had one
-/// raised. With fewer neighbours, scale and floor approach those of lone particles.
+/// raised. With fewer neighbours, scale and floor approach those of isolated particles.
 #[inline(always)]
 fn scaled<V: Lanes>(half_axes: [V; 3], part: V, scale: V, limits: Stretch) -> ([V; 3], V::Mask) {
     let is_ball = V::not(V::splat(0.0).lt(part));

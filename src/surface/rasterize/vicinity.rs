@@ -157,8 +157,8 @@ impl Vicinity {
         blocks
     }
 
-    /// Approximate number of a leaf's particles that are gathered: all of a crowd, which may be in any of its
-    /// cells.
+    /// Approximate number of a leaf's particles that are gathered: all of a dense cluster, which may be in
+    /// any of its cells.
     fn gathered_count(&self, origin: IVec3) -> usize {
         let (count, _) = self.occupancy.count_of(origin).unwrap_or((0, 0));
         let leaf = self.occupancy.topology.find(origin);

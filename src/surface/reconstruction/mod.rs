@@ -146,8 +146,8 @@ pub fn reconstruct_frame_observed(
     contour(smoothed, settings, &[PositionFormat::Exact])
 }
 
-/// Surfaces one frame of particles with attributes, among obstacles, and transfers the selected attributes to
-/// the vertices.
+/// Reconstructs the surface of one frame of particles with attributes and obstacles, and transfers the
+/// selected attributes to the vertices.
 pub fn reconstruct_cloud(cloud: ParticleCloud, settings: &Settings, obstacles: &Obstacles) -> FrameSurface {
     let (shaped, shape_stats) = shape_particles(cloud, settings);
     let Ok(rasterized) = rasterize(&shaped, settings, shape_stats, obstacles.clone());

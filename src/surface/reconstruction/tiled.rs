@@ -438,7 +438,8 @@ mod tests {
         }
     }
 
-    /// Drops stretched to needles: here and there, their tips hide more than half a voxel within a cell.
+    /// Drops stretched to needles: at some of their tips the interpolation error within a cell is more than
+    /// half a voxel.
     #[test]
     #[ignore = "slow: `.ci/run` runs it"]
     fn clamped_vertices_are_equal_in_tiles() {

@@ -1,9 +1,9 @@
-//! Moves vertices back that are out of bounds by more than a cell may hide.
+//! Moves vertices back that are out of bounds by more than the tolerance of half a voxel.
 //!
 //! ```text
-//!        voxel  ∙───────∙     Bounds hold at voxels. Between them a gap of less than a voxel between two
-//!     S_max ▒▒▒▒│ v     │▒▒▒▒  spheres, or the tip of a long ellipsoid, may hide a little more than half a
-//!           ▒▒▒▒∙───────∙▒▒▒▒  voxel: then the vertex is moved the rest of the way.
+//!        voxel  ∙───────∙     Bounds hold at voxels. In a gap between two spheres that is narrower
+//!     S_max ▒▒▒▒│ v     │▒▒▒▒  than a voxel, or at the tip of a long ellipsoid, the interpolation error between
+//!           ▒▒▒▒∙───────∙▒▒▒▒  voxels may be a little larger than the tolerance: then the vertex is moved.
 //! ```
 
 use glam::Vec3;
