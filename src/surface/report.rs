@@ -104,7 +104,8 @@ pub struct ShapeStats {
     /// stretched by neighbours.
     #[cfg_attr(feature = "serde", serde(rename = "near"))]
     pub near_count: usize,
-    /// Stretched particles with a semi-axis too short for the grid; it was raised to √3·h.
+    /// Stretched particles with a semi-axis below its lower limit, which was raised to that limit: √3·h, or
+    /// the thin radius for particles flattened by their neighbours.
     #[cfg_attr(feature = "serde", serde(rename = "raised"))]
     pub raised_count: usize,
     /// Particles that stayed balls although stretching is on: too few neighbours, or no finite velocity.
