@@ -76,7 +76,8 @@ impl KnownVoxels {
         self.distances.push(distance);
     }
 
-    /// The minimum over all of them of distance plus way; infinite if the set is empty.
+    /// The minimum, over all these voxels, of their distance to the surface plus the distance from `from` to
+    /// them; infinite if there are none.
     fn nearest(&self, from: IVec3) -> f32 {
         let from = from.as_vec3();
         let voxels = self.x.iter().zip(&self.y).zip(&self.z).zip(&self.distances);
