@@ -41,7 +41,7 @@ The distance of the outer side from the walls is measured at its vertices.";
 
 /// Pictures, with tables below them.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
-    let mut page = Page::new(folder, "shapes", "Particles of their own shapes and sizes, and an obstacle");
+    let mut page = Page::new(folder, "shapes", "Anisotropic particles, per-particle radii, and obstacles");
     page.say(CROWN);
     crown(&mut page)?;
     page.say(SIZES);
