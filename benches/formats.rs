@@ -75,9 +75,13 @@ fn main() -> ExitCode {
     let core_count = thread::available_parallelism().map_or(1, usize::from);
     let pools = [1, core_count]
         .map(|threads| ThreadPoolBuilder::new().num_threads(threads).build().expect("threads"));
-    println!("{core_count} cores, {ROUND_COUNT} rounds; MB a second, and in parts of a copy by one core");
+    println!(
+        "{core_count} cores, {ROUND_COUNT} rounds; MB/s, and as a fraction of the speed of a copy by one core"
+    );
     println!("                                  one core:                 all cores:");
-    println!("                              MB  median    best  of copy   median    best  of copy  target");
+    println!(
+        "                              MB  median    best  of copy   median    best  of copy  target, MB/s"
+    );
     let reading = reading_rows(&pools);
     let writing = writing_rows(&pools);
     if reading && writing {
@@ -198,7 +202,7 @@ fn measure(mut row: Row, pools: &[ThreadPool; 2]) -> bool {
     }
     let meets_target = row.target.is_none_or(|(least, cores)| least <= cores.of(&one, &all).median);
     if let Some((least, cores)) = row.target {
-        let _ = write!(line, "{least:5.0} {}", cores.of("a core", "in all"));
+        let _ = write!(line, "{least:5.0} {}", cores.of("on one core", "on all cores"));
         line += if meets_target { "" } else { ", BELOW TARGET" };
     }
     println!("{line}");

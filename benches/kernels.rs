@@ -72,14 +72,17 @@ fn main() -> ExitCode {
         return ExitCode::SUCCESS;
     }
     let pools = [1, 2].map(pool);
-    println!("vectors: {}; the best of at least {MEASURE_COUNT}", SimdLevel::current().name());
+    println!(
+        "SIMD level: {}; the best of at least {MEASURE_COUNT} measurements",
+        SimdLevel::current().name()
+    );
     let meets_target = print_passes(&pools);
     print_sweeps(&pools);
     print_levels();
     if meets_target {
         return ExitCode::SUCCESS;
     }
-    println!("the largest shell is below {:.0} % of the roof", 100.0 * ROOF_FLOOR);
+    println!("the largest shell is below {:.0} % of the roofline of its triad", 100.0 * ROOF_FLOOR);
     ExitCode::FAILURE
 }
 
@@ -91,7 +94,7 @@ fn pool(threads: usize) -> ThreadPool {
 fn print_passes(pools: &[ThreadPool; 2]) -> bool {
     let shells = SHELL_RADII.map(Shell::new);
     println!(
-        "\nsmoothing passes               streamed  of rows     triad   update  mul, add    passes x free         of the roof, %: by"
+        "\nsmoothing passes               streamed     rows     triad   update  mul, add    passes x free         % of the roofline of"
     );
     println!(
         "threads  free voxels  leaves         MB       MB      GB/s     GB/s   Gflop/s  voxels, M/s     GB/s   triad  update  memory"
@@ -123,7 +126,11 @@ fn print_passes(pools: &[ThreadPool; 2]) -> bool {
             meets_target &= !std::ptr::eq(ceilings, of_memory) || part(ceilings.triad) >= ROOF_FLOOR;
         }
     }
-    println!("largest shell: target {:.0} %, minimum {:.0} %", 100.0 * ROOF_TARGET, 100.0 * ROOF_FLOOR);
+    println!(
+        "largest shell, compared with the triad: target {:.0} %, floor {:.0} %",
+        100.0 * ROOF_TARGET,
+        100.0 * ROOF_FLOOR
+    );
     meets_target
 }
 
@@ -143,7 +150,9 @@ fn print_sweeps(pools: &[ThreadPool; 2]) {
 
 /// Runs this program at each SIMD level, because a process selects its level once.
 fn print_levels() {
-    println!("\nlevels of vectors, 1 thread    passes x free voxels, M/s   gain    sweeps: rows, M/s   gain");
+    println!(
+        "\nSIMD level, 1 thread           passes x free voxels, M/s  speedup    sweeps: rows, M/s  speedup"
+    );
     let mut plain = None;
     for level in SimdLevel::ALL.into_iter().filter(|level| level.is_available()) {
         let program = std::env::current_exe().expect("this program");
@@ -154,7 +163,7 @@ fn print_levels() {
         let [passes, sweeps] = figures[..] else { panic!("two figures from {}: {said}", level.name()) };
         let [passes_plain, sweeps_plain] = *plain.get_or_insert([passes, sweeps]);
         println!(
-            "{:26}{:30.1}{:7.2}{:21.2}{:7.2}",
+            "{:26}{:30.1}{:9.2}{:21.2}{:9.2}",
             level.name(),
             passes / 1e6,
             passes / passes_plain,

@@ -174,24 +174,24 @@ fn row(reports: &[ReconstructionReport]) -> Row {
 
 /// Prints the speedups of two threads. Returns whether smoothing reaches the minimum.
 fn print_speedups(rows: &[[Row; 2]]) -> bool {
-    println!("\ntwo threads against one: free voxels, rasterize, smooth, contour");
+    println!("\nspeedup of two threads over one\n  free voxels  rasterize   smooth  contour");
     let mut is_kept = true;
     for [one, two] in rows {
         let [rasterize, smooth, contour] = [0, 1, 2].map(|stage| one.seconds[stage] / two.seconds[stage]);
         let target_label = target_label(smooth >= SPEEDUP_TARGET, smooth >= SPEEDUP_FLOOR);
-        println!("{:13}{rasterize:8.2}{smooth:8.2}{contour:8.2}   {target_label}", one.free_count);
+        println!("{:13}{rasterize:11.2}{smooth:9.2}{contour:9.2}   {target_label}", one.free_count);
         is_kept &= smooth >= SPEEDUP_FLOOR;
     }
-    println!("smoothing: target {SPEEDUP_TARGET}, minimum {SPEEDUP_FLOOR}");
+    println!("smoothing: target {SPEEDUP_TARGET}, floor {SPEEDUP_FLOOR}");
     is_kept
 }
 
 /// Prints how the times per unit change from the smallest frame. Returns whether they stay within the limit
 /// on two threads.
 fn print_growth(rows: &[[Row; 2]]) -> bool {
-    println!(
-        "\ngrowth from the smallest, on one thread and on two: rasterization of a particle, smoothing of a free voxel"
-    );
+    println!("\nchange of the times from those of the smallest frame");
+    println!("              rasterize / particle    smooth / free voxel");
+    println!("  free voxels  1 thread  2 threads    1 thread  2 threads");
     let mut is_kept = true;
     for row in &rows[1..] {
         let off = |threads: usize, ns: fn(&Row) -> f64| ns(&row[threads]) / ns(&rows[0][threads]) - 1.0;
@@ -199,7 +199,7 @@ fn print_growth(rows: &[[Row; 2]]) -> bool {
         let smooth = [0, 1].map(|threads| off(threads, Row::smooth_ns));
         let most = rasterize[1].abs().max(smooth[1].abs());
         println!(
-            "{:13}{:+8.0} %{:+6.0} %{:+10.0} %{:+6.0} %   {}",
+            "{:13}{:+8.0} %{:+9.0} %{:+10.0} %{:+9.0} %   {}",
             row[0].free_count,
             100.0 * rasterize[0],
             100.0 * rasterize[1],
@@ -209,7 +209,7 @@ fn print_growth(rows: &[[Row; 2]]) -> bool {
         );
         is_kept &= most <= GROWTH_FLOOR;
     }
-    println!("target: ± {:.0} %, limit: ± {:.0} %", 100.0 * GROWTH_TARGET, 100.0 * GROWTH_FLOOR);
+    println!("target: ± {:.0} %, floor: ± {:.0} %", 100.0 * GROWTH_TARGET, 100.0 * GROWTH_FLOOR);
     is_kept
 }
 

@@ -1,9 +1,9 @@
 //! Particles in, smooth surfaces out.
 //!
 //! meniscus reconstructs surfaces from the particles of a simulation by the level-set method of Bhattacharya, Gao and Bargteil
-//! ("A Level-set Method for Skinning Animated Particle Data"): the smoothest surface, in the sense of least thin-plate
-//! energy, that stays between two unions of spheres around the particles. A certificate lists the checks that it passed, and
-//! it is the same to the bit on any number of threads.
+//! ("A Level-set Method for Skinning Animated Particle Data"): thin-plate flow smooths the surface, which is kept between two
+//! unions of spheres around the particles. A certificate lists the checks that the surface passed. The surface is the same to
+//! the bit on any number of threads.
 //!
 //! ```
 //! use meniscus::surface::{Options, reconstruct};

@@ -29,7 +29,7 @@ The table may lack some of them, because `--frames` selects frames.
   Its `explicit` integrator works on the same sparse leaves as the others, so the paper's gain over a dense grid cannot be measured here.
   The authors' program in the tables is their published sparse one, not a dense one.
 - The paper's explicit runs take 10 000 steps.
-  Ours take 500 by default, a twentieth of the time that implicit ones integrate.
+  Ours take 500 with the preset `paper`, and integrate a twentieth of the time of the implicit ones.
   The tables have both, the 10 000 from one run each.
 - `smooth` is what the paper lists as operator, slope, vectors of CG, voxels on and off, constraints, and sweeping between steps.
   `rasterize` includes the sweeping of the bounds.

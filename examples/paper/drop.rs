@@ -65,7 +65,7 @@ pub(crate) fn run(folder: &Path) -> Outcome<()> {
 
 const IMPLICIT: &str = "\
 The implicit integrator solves for all voxels of a frame together, with conjugate gradients that stop when the whole frame is near enough to the solution.
-So a drop changes all of the frame a little.
+So a drop changes the whole frame a little.
 Fast and explicit steps, and splashsurf without its smoothing, have a limited reach.";
 
 /// Changes of the vertices of the pool.

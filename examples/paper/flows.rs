@@ -228,7 +228,7 @@ Time steps are in units of h, so smoothing reaches less far here than on the usu
 const ON_USUAL: &str = "\
 ## On the usual grid
 
-h is half the spacing, and all other settings are the defaults of meniscus.
+h is half the spacing, and all other settings are those of the preset `paper`.
 splashsurf's cells have the same size, which is twice what it recommends.";
 
 /// The results of a sequence.

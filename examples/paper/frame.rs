@@ -48,7 +48,7 @@ const ENERGY: &str = "\
 
 The same frame after increasing fictitious times, in units of h⁴, after the 15 Laplacian steps.
 Implicit and fast steps are 20 h⁴ long, except a shorter last one; explicit steps are 0.01 h⁴ long.
-By default a frame gets 100 h⁴ with implicit and fast steps, and 5 h⁴ with explicit ones.
+With the preset `paper` a frame gets 100 h⁴ with implicit and fast steps, and 5 h⁴ with explicit ones.
 Seconds are those of the smoothing alone, the minimum of three runs.";
 
 /// Ratios, voxel sizes, and energies over time.

@@ -20,12 +20,12 @@ use crate::submerged;
 const CROWN: &str = "\
 ## Anisotropy
 
-A crown, as a falling drop throws it up: a thin sheet that opens and ends in threads, with one layer of particles that move along it.
+A crown, as a falling drop throws it up: a thin sheet that opens and ends in ligaments, with one layer of particles that move along it.
 From left to right: the particles, and the surfaces of balls, of particles stretched by their neighbours, and of particles stretched by their velocities.
 All have the same voxels.";
 
 const SIZES: &str = "\
-## Radii of the particles' own
+## Per-particle radii
 
 A heap of particles of four sizes.
 From left to right: the particles, the surface with the smallest radius for all, and with the radius of each particle.
@@ -41,7 +41,7 @@ The distance of the outer side from the walls is measured at its vertices.";
 
 /// Pictures, with tables below them.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
-    let mut page = Page::new(folder, "shapes", "Particles of their own shapes and sizes, and an obstacle");
+    let mut page = Page::new(folder, "shapes", "Anisotropic particles, per-particle radii, and obstacles");
     page.say(CROWN);
     crown(&mut page)?;
     page.say(SIZES);

@@ -20,7 +20,7 @@ const INTRODUCTION: &str = "\
 ## An obstacle in water
 
 The same frame of a dam break as in [the first of these pages](frame.md), `examples/frames/dam.0006.bgeo`, with a ball where the water is deep; no particle is in the ball, as after a simulation.
-The picture is cut open at the centre of the ball, and the ball is invisible: the hole is its place.
+The picture is cut open at the centre of the ball, and the ball itself is not drawn: the hole is where it is.
 From left to right: without the ball, so that the water extends into it; without the part of the surface inside the ball; and with gaps below h filled as well, which is the default. \
 The distance of the water from the ball is measured at the vertices within 2 h of it and below its centre, where water surrounds it.";
 

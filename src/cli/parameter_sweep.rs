@@ -71,7 +71,7 @@ static PARAMETERS: [Parameter; 14] = [
     parameter("smoothing", "position_smoothing", "position smoothing", Plain, &[0.0, 0.5, 0.7, 0.9]),
     parameter("min", "radius_min", "r_min", Times, &[0.75, 0.875, 1.25]),
     parameter("init", "radius_init", "r_init", Times, &[0.9, 1.1, 1.2]),
-    parameter("thin", "thin_radius", "least half axis of flattened particles", Times, &[1.5, 2.0, 3.0]),
+    parameter("thin", "thin_radius", "least semi-axis of flattened particles", Times, &[1.5, 2.0, 3.0]),
     parameter("alone", "lone_radius", "r_min of particles without neighbours", Times, &[1.2, 1.4, 1.6]),
     parameter("stretch", "max_stretch", "greatest stretch of particles", Plain, &[1.0, 2.0, 4.0, 8.0]),
     parameter("neighbors", "neighbor_radius", "how far neighbours count", Times, &[0.75, 1.25, 1.5]),

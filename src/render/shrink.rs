@@ -1,7 +1,7 @@
 //! Scales a picture down.
 //!
 //! Each pixel is the mean of the pixels that it covers, weighted by the covered area. Nothing is skipped, so
-//! threads and drops stay visible.
+//! filaments and drops stay visible.
 
 use super::Picture;
 

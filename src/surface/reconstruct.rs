@@ -23,8 +23,8 @@ use crate::surface::report::{Phase, ShapeStats};
 use crate::surface::spacing::{estimate_spacing, median, rounded};
 use crate::surface::{Options, Report};
 
-/// Reconstructs the surface of one frame of particles: the surface of least bending energy that stays between
-/// two unions of spheres around the particles.
+/// Reconstructs the surface of one frame of particles: smoothed by thin-plate flow, and kept between two
+/// unions of spheres around the particles.
 ///
 /// `positions` are in world units: `&[[f32; 3]]` or `&[[f64; 3]]`, which are borrowed and not copied. The
 /// same particles and options give the same bits on any number of threads. The function computes in rayon's
@@ -102,12 +102,14 @@ pub struct Progress {
     pub fraction: f64,
 }
 
-/// Reconstructs the frames of a sequence, with everything that [`reconstruct`] leaves out.
+/// Reconstructs the frames of a sequence. Unlike [`reconstruct`], it also supports attributes, obstacles, a
+/// memory limit, progress and cancellation.
 ///
 /// The first frame resolves the options. All later frames use the same [`settings`](Self::settings): a
-/// particle spacing estimated for each frame would make the surface flicker. Obstacles keep their distances
-/// from frame to frame. All other memory is freed after each frame: keeping it would save 3 to 5 % of the
-/// processor time (400 000 particles), and hold the peak of a frame between frames.
+/// particle spacing estimated for each frame would make the surface flicker. The distance fields of obstacles
+/// are cached across frames. All other memory is freed after each frame: keeping it would save 3 to 5 % of
+/// the processor time (400 000 particles), but the peak memory of a frame would stay allocated until the next
+/// frame.
 ///
 /// ```
 /// use meniscus::surface::{CancelToken, Options, Phase, Reconstructor};
@@ -156,9 +158,9 @@ impl<'a> Reconstructor<'a> {
         }
     }
 
-    /// Limits the memory that a frame may take in addition to its particles, in bytes. The need is estimated
-    /// from above before anything is allocated: frames take about two thirds of the estimate. A frame that
-    /// needs more fails with an [error](Error::MemoryLimit), or uses [scratch storage](Self::scratch).
+    /// Limits the memory that a frame may take in addition to its particles, in bytes. An upper bound of the
+    /// need is computed before anything is allocated; frames take about two thirds of it. A frame that needs
+    /// more fails with an [error](Error::MemoryLimit), or uses [scratch storage](Self::scratch).
     pub fn memory_limit(&mut self, bytes: u64) -> &mut Self {
         self.memory_limit = bytes;
         self
@@ -210,8 +212,8 @@ impl<'a> Reconstructor<'a> {
     /// [`Options::radius_attribute`] and stretching by velocity.
     ///
     /// # Errors
-    /// See [`Error`]. Each attribute must have arity × particles values. An attribute that only
-    /// [`Options::attributes`] names may be missing.
+    /// See [`Error`]. Each attribute must have arity × particles values. An attribute that is listed in
+    /// [`Options::attributes`] and not used otherwise may be missing.
     pub fn reconstruct_with<'p>(
         &mut self,
         positions: impl Into<Positions<'p>>,

@@ -104,13 +104,14 @@ pub struct ShapeStats {
     /// stretched by neighbours.
     #[cfg_attr(feature = "serde", serde(rename = "near"))]
     pub near_count: usize,
-    /// Stretched particles with a half axis too short for the grid; it was raised to √3·h.
+    /// Stretched particles with a semi-axis below its lower limit, which was raised to that limit: √3·h, or
+    /// the thin radius for particles flattened by their neighbours.
     #[cfg_attr(feature = "serde", serde(rename = "raised"))]
     pub raised_count: usize,
     /// Particles that stayed balls although stretching is on: too few neighbours, or no finite velocity.
     #[cfg_attr(feature = "serde", serde(rename = "balls"))]
     pub ball_count: usize,
-    /// The longest half axis, in units of the settings' radii.
+    /// The longest semi-axis, in units of the settings' radii.
     #[cfg_attr(feature = "serde", serde(serialize_with = "as_f64"))]
     pub longest: f32,
     /// Seconds that it took, if the caller measured them; the seconds of rasterization include them.

@@ -222,7 +222,7 @@ fn position_smoothing_moves_a_pair_of_spheres_together() {
     assert!((given - smoothed - 0.874).abs() < 0.25, "{given} {smoothed}");
 }
 
-/// Fig. 11, on the right, and Eq. 16: half axes (1 + s)² along the velocity and 1/(1 + s) across.
+/// Fig. 11, on the right, and Eq. 16: semi-axes (1 + s)² along the velocity and 1/(1 + s) across.
 #[test]
 fn moving_drops_are_stretched_as_in_the_paper() {
     let choices = |kind| MethodOptions {

@@ -443,7 +443,7 @@ const CASES: [Case; 12] = [
     (
         "damaged",
         |f| in_certificate(f, "\"closed_manifold\": true", "\"closed_manifold\": false"),
-        "dam.1.certificate.json: it contradicts itself: holds is true, but: the mesh is not closed",
+        "dam.1.certificate.json: it contradicts itself: holds is true, but: the mesh is not a closed 2-manifold",
     ),
     (
         "damaged",

@@ -4,10 +4,10 @@
 //!   moments ──▶ covariance ──▶ eigenvalues λ ──▶ √λ ──▶ limit ──▶ volume ──▶ blend ──▶ scale ──▶ floor ──▶ ellipsoid
 //! ```
 //!
-//! - **√λ**: half axes are proportional to the square roots of the eigenvalues, that is, to the spread of the
+//! - **√λ**: semi-axes are proportional to the square roots of the eigenvalues, that is, to the spread of the
 //!   neighbours along each direction: a particle gets the shape of its neighbourhood. (Yu and Turk, Eq. 16,
 //!   use the eigenvalues themselves, which is twice the stretch on a logarithmic scale.)
-//! - **Limit**: no half axis is shorter than the longest divided by `max_stretch` (their k_r, Eq. 15).
+//! - **Limit**: no semi-axis is shorter than the longest divided by `max_stretch` (their k_r, Eq. 15).
 //! - **Volume**: all are divided by the cube root of their product (instead of their k_s).
 //! - **Blend**: with few neighbours, measured by the sum of their weights, the ellipsoid blends into a ball.
 //!   (Instead of their N_ε, a number of neighbours at which shapes would jump from one frame to the next.)
@@ -35,13 +35,13 @@ const WEIGHT_NONE: f32 = 1.0;
 const WEIGHT_FULL: f32 = 4.0;
 
 /// Added to each eigenvalue, in units of the squared radius. Many particles at one point therefore give a
-/// ball, and not the shape of rounding errors. No half axis is then more than about 50 times another.
+/// ball, and not the shape of rounding errors. No semi-axis is then more than about 50 times another.
 const SPREAD_MIN: f32 = 1e-4;
 
 /// The shapes of eight particles.
 pub(super) struct Shapes8 {
     pub(super) shapes: [Ellipsoid; 8],
-    /// Mask of the particles with a raised half axis.
+    /// Mask of the particles with a raised semi-axis.
     pub(super) raised: u8,
     /// Mask of the particles that are balls because they have too few neighbours.
     pub(super) balls: u8,
@@ -85,7 +85,8 @@ pub(super) fn means<V: Lanes>(moments: &[[f32; 8]]) -> [[f32; 8]; 3] {
 /// The mean (Yu and Turk, Eq. 10), and the factor that turns a sum into a mean.
 #[inline(always)]
 fn mean_and_weight<V: Lanes>(moments: &[[f32; 8]]) -> ([V; 3], V) {
-    // Each particle itself contributes a weight of 1, unless the sample of a crowded cell left it out.
+    // Each particle itself contributes a weight of 1, unless its cell has so many particles that only a
+    // sample is used, without it.
     let by_weight = V::splat(1.0).div(V::load(&moments[0]).max(V::splat(1.0)));
     let mut means = [V::splat(0.0); 3];
     for (mean, moment) in means.iter_mut().zip(&moments[1..4]) {
@@ -109,7 +110,7 @@ fn covariance<V: Lanes>(moments: &[[f32; 8]; MOMENT_COUNT]) -> [V; 6] {
     covariance
 }
 
-/// Scales half axes to a product of 1, and limits their ratio to `max_stretch`.
+/// Scales semi-axes to a product of 1, and limits their ratio to `max_stretch`.
 #[inline(always)]
 fn limited<V: Lanes>(eigenvalues: [V; 3], max_stretch: f32) -> [V; 3] {
     let mut half_axes = eigenvalues;
@@ -121,7 +122,7 @@ fn limited<V: Lanes>(eigenvalues: [V; 3], max_stretch: f32) -> [V; 3] {
     with_unit_volume([a.max(least), b.max(least), c.max(least)])
 }
 
-/// Blends half axes of product 1 with those of a ball; the product stays 1, and the stretch is between 1 and
+/// Blends semi-axes of product 1 with those of a ball; the product stays 1, and the stretch is between 1 and
 /// theirs.
 #[inline(always)]
 fn blended<V: Lanes>(half_axes: [V; 3], part: V) -> [V; 3] {
@@ -146,8 +147,8 @@ fn with_unit_volume<V: Lanes>(half_axes: [V; 3]) -> [V; 3] {
     [a.div(root), b.div(root), c.div(root)]
 }
 
-/// Multiplies half axes by the scale and raises those below the floor; also returns which particles had one
-/// raised. With fewer neighbours, scale and floor approach those of lone particles.
+/// Multiplies semi-axes by the scale and raises those below the floor; also returns which particles had one
+/// raised. With fewer neighbours, scale and floor approach those of isolated particles.
 #[inline(always)]
 fn scaled<V: Lanes>(half_axes: [V; 3], part: V, scale: V, limits: Stretch) -> ([V; 3], V::Mask) {
     let is_ball = V::not(V::splat(0.0).lt(part));

@@ -1,4 +1,5 @@
-//! Anisotropy: stretches particles along the sheet or thread that they are part of, or along their velocity.
+//! Anisotropy: stretches particles along the sheet or filament that they are part of, or along their
+//! velocity.
 //!
 //! ```text
 //!   ∙ ∙ ∙ ∙ ∙        neighbours   ⬭⬭⬭⬭⬭   a sheet becomes flat; balls would make bumps
@@ -6,12 +7,14 @@
 //!   ∙→  ∙⟶  ∙⟶⟶     velocity     ●  ⬬  ⬬    a drop is longer, the faster it is
 //! ```
 //!
-//! The two methods are independent of each other, and both accept a scale per particle. Both compute half
-//! axes in units of the settings' radii, whose product is the cube of the scale. At the end, half axes too
-//! short for the grid are raised to a floor, and the affected particles are counted.
+//! The two methods are independent of each other, and both accept a scale per particle. Both compute
+//! semi-axes in units of the settings' radii. The product of a particle's three semi-axes is the cube of its
+//! scale. At the end, semi-axes too short for the grid are raised to a floor, and the affected particles are
+//! counted.
 //!
-//! A shape depends only on particles within a radius, or only on its own particle: to the bit, on any number
-//! of threads and with any SIMD width.
+//! By neighbours, a shape depends only on the particles within the neighbor radius (where particles are very
+//! dense, within the cells that this radius touches); by velocity, only on its own particle. Shapes are
+//! bit-identical on any number of threads and with any SIMD width.
 //!
 //! This work is based on:
 //! Jihun Yu and Greg Turk. Reconstructing surfaces of particle-based fluids using anisotropic kernels. 2010
@@ -34,16 +37,17 @@ pub use velocity::{VelocityConfig, from_velocities};
 pub struct AnisotropicShapes {
     /// The shape of each particle, in order.
     pub shapes: Vec<Ellipsoid>,
-    /// Number of particles with a half axis that was raised to the floor.
+    /// Number of particles with a semi-axis that was raised to the floor.
     pub raised_count: usize,
     /// Number of particles that are balls because there is not enough information: too few neighbours, or a
     /// velocity or position that is not finite.
     pub ball_count: usize,
 }
 
-/// Upper bound of all half axes of a particle of scale 1. With half axes a ≥ b ≥ c, a·b·c = 1 and a ≤ m·c,
-/// the longest is that of a cigar, m^⅔, or the floor. Both methods keep this bound, because (1 + s)² is ((1 +
-/// s)³)^⅔. `max_stretch` is finite.
+/// Upper bound of all semi-axes of a particle of scale 1. Let m be `max_stretch`, which is finite, and a ≥ b
+/// ≥ c the semi-axes, with a·b·c = 1 and a ≤ m·c. The longest possible a is that of a cigar (b = c): m^⅔, or
+/// the floor if that is larger. Velocities (paper, Eq. 16) keep this bound, too: the longest semi-axis (1 +
+/// s)² is the ratio (1 + s)³ to the power ⅔.
 #[cfg(test)]
 fn longest_bound(max_stretch: f32, floor: f32) -> f32 {
     let root = half_axes::cube_root(max_stretch.max(1.0));
@@ -65,6 +69,6 @@ fn ball(scale: f32, floor: f32) -> (Ellipsoid, bool) {
     (Ellipsoid::ball(scale.max(floor)), scale < RAISED_BELOW * floor)
 }
 
-/// A half axis counts as raised if it was below this fraction of the floor. Rounding alone makes one half
-/// axis of every ellipsoid shorter than its ball's radius; such invisible changes are not reported.
+/// A semi-axis counts as raised if it was below this fraction of the floor. Rounding alone makes one
+/// semi-axis of every ellipsoid shorter than its ball's radius; such invisible changes are not reported.
 const RAISED_BELOW: f32 = 0.999;

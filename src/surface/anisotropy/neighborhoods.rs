@@ -1,4 +1,4 @@
-//! Shapes from the neighbours of each particle: flat in a sheet, long in a thread, balls inside a body.
+//! Shapes from the neighbours of each particle: flat in a sheet, long in a filament, balls inside a body.
 //!
 //! ```text
 //!        ∙ ∙ ∙           w(d) = 1 − (d/R)³, 0 from R on
@@ -38,12 +38,12 @@ pub struct NeighborConfig {
     pub stretch: Option<Stretch>,
 }
 
-/// Limits of the half axes.
+/// Limits of the semi-axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stretch {
-    /// Upper limit of the ratio of two half axes, before they are raised to the floor: 1 or more.
+    /// Upper limit of the ratio of two semi-axes, before they are raised to the floor: 1 or more.
     pub max_stretch: f32,
-    /// Lower limit of half axes of particles with many neighbours, in units of the settings' radii. Positive.
+    /// Lower limit of semi-axes of particles with many neighbours, in units of the settings' radii. Positive.
     pub floor: f32,
     /// The scale of particles without neighbours, relative to that of others: they are balls.
     pub lone: f32,
@@ -61,7 +61,7 @@ pub struct NeighborShapes {
     pub means: Vec<[f32; 3]>,
     /// The shape of each; empty if shapes are not needed.
     pub shapes: Vec<Ellipsoid>,
-    /// Number of particles with a half axis that was raised to the floor.
+    /// Number of particles with a semi-axis that was raised to the floor.
     pub raised_count: usize,
     /// Number of particles that are balls because they have too few neighbours.
     pub ball_count: usize,

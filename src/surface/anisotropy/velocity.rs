@@ -1,7 +1,7 @@
 //! Shapes from velocities: faster particles are longer along their velocity (paper, Eq. 16, Fig. 11).
 //!
 //! ```text
-//!              ⎡ 1/(1+s)²            ⎤             half axes (1 + s)² along v
+//!              ⎡ 1/(1+s)²            ⎤             semi-axes (1 + s)² along v
 //!   T = [v t t]⎢          1+s        ⎥[v t t]ᵀ               1/(1 + s) across
 //!              ⎣               1 + s ⎦             so volume 1, stretched by (1 + s)³
 //! ```
@@ -20,10 +20,10 @@ use crate::surface::particles::Ellipsoid;
 pub struct VelocityConfig {
     /// s at a speed of one world unit per second: a gain in seconds, divided by r_min. Not negative.
     pub gain_per_speed: f32,
-    /// Upper limit of the half axis along the velocity, relative to those across, before they are raised to
+    /// Upper limit of the semi-axis along the velocity, relative to those across, before they are raised to
     /// the floor: 1 or more.
     pub max_stretch: f32,
-    /// Lower limit of half axes, in units of the settings' radii. Positive.
+    /// Lower limit of semi-axes, in units of the settings' radii. Positive.
     pub floor: f32,
 }
 
@@ -54,7 +54,7 @@ fn is_finite(velocity: &[f32; 3]) -> bool {
     velocity.iter().all(|along| along.is_finite())
 }
 
-/// The shape for a velocity with s limited to `most`, and whether a half axis was raised.
+/// The shape for a velocity with s limited to `most`, and whether a semi-axis was raised.
 fn stretched(velocity: DVec3, scale: f32, most: f64, config: &VelocityConfig) -> (Ellipsoid, bool) {
     // In 64 bits, the squares of 32-bit numbers do not overflow.
     let speed = velocity.length();

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!            ● vertex                 numbers      the mean of the particles within the radius R, with weights
-//!          ╱ │ ╲                                   (1 − d²/R²)³: smooth, and zero from R on
+//!          ╱ │ ╲                                   (1 − r²/R²)³ at the distance r: smooth, and zero from R on
 //!      ∙ ∙ ∙ ∙ ∙ ∙  particles         others       the value of the nearest particle; on ties, the first
 //!      ∙ ∙ ∙ ∙ ∙ ∙
 //!      └──R──┘
@@ -12,12 +12,13 @@
 //! constant attribute stays constant.
 //!
 //! **Radius.** A vertex lies between r_min and r_max from the nearest particle, usually near r_init. R is
-//! 2·r_init, half as much again as r_max: on a regular lattice of particles, a vertex then has about 20
-//! particles within R, and at least 12. The weights fall to one half at 0.45 R, about 1.2 particle spacings.
-//! So the noise of single particles is smoothed, and a shear across a few particles is preserved. Particles
-//! may be larger than r_max (per-particle radii, ellipsoids). If no particle is within R, the nearest
-//! particle is used whose own surface can be that far away. If that is missing, too, numbers are 0, integers
-//! −1, strings missing, and the point is counted.
+//! 2·r_init; with the preset `paper` that is 1.5 r_max, or 2.6 particle spacings. On a regular lattice of
+//! particles, a vertex then has about 20 particles within R, and at least 12. The weights fall to one half at
+//! 0.45 R, about 1.2 spacings. So the noise of single particles is smoothed, and a shear across a few
+//! particles is preserved. Particles may be larger than r_max (per-particle radii, ellipsoids). If no
+//! particle is within R, the point gets the values of the nearest particle whose own r_max, plus a margin,
+//! reaches the point. If no particle reaches it, numbers are 0, integers −1, strings missing, and the point
+//! is counted.
 //!
 //! **In the band** around the surface, renderers of volumes need values several voxels wide. Outside, they
 //! are those of the nearest point on the surface, because points far from all particles have no values of
@@ -25,8 +26,8 @@
 //! and the voxels in between are interpolated.
 //!
 //! Invariants: values depend only on the particles within the radius, or on those that reach the point.
-//! Changes farther away do not change a bit, however large the other particles are. Nor does the number of
-//! threads.
+//! Changes farther away, and the number of threads, do not change a bit, however large the other particles
+//! are.
 
 mod band;
 mod interpolate;

@@ -5,7 +5,7 @@
 //!   │∙ ∙    ∙ │    ∙ │     a box contains few. A search visits the nearer box first, and skips boxes that are farther than
 //!   │  ∙   ∙  ├──────┤     the best particle so far or than all their particles reach. So it visits a small part of the
 //!   │     ∙   │ ∙  ∙ │     particles, however far away they are. Cells of a fixed size cannot do that: they are too large
-//!   └─────────┴──────┘     for crowds or too small for isolated particles.
+//!   └─────────┴──────┘     for dense clusters or too small for isolated particles.
 //! ```
 //!
 //! Invariant: the result is the minimum of (distance², index) over the particles that reach the point, in 64

@@ -1,8 +1,9 @@
 //! Computes the bending energy from φ.
 //!
-//! Smoothing minimizes the energy of a thin plate, the integral of H² over the surface, where H is the mean
-//! curvature. (For a sphere of radius R, H = 1/R, and the integral is 4π for any radius.) On a mesh,
-//! curvature is visible only in the angles, which are rough; φ determines it at each voxel:
+//! The bending energy is the integral of H² over the surface, where H is the mean curvature; smoothing
+//! reduces a linearized form of it, the thin-plate energy. (For a sphere of radius R, H = 1/R, and the
+//! integral is 4π for any radius.) On a mesh, curvature is visible only in the angles, which are rough; φ
+//! determines it at each voxel:
 //!
 //! ```text
 //!   H = ½ div (∇φ / |∇φ|) = ½ (|∇φ|² Δφ − ∇φᵀ ∇∇φ ∇φ) / |∇φ|³       central differences, 3 × 3 × 3 voxels

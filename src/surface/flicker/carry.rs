@@ -3,7 +3,7 @@
 //! ```text
 //!     ∙   ∙   ∙
 //!      ∙  ●──────▶ ○      the mean displacement of the particles around the point, weighted by (1 − r²/R²)³:
-//!     ∙   ∙   ∙           R is the distance of the nearest one and a spacing
+//!     ∙   ∙   ∙           R is the distance of the nearest one plus one spacing
 //! ```
 //!
 //! With ids, the displacement of a particle is known. With velocities, it comes from the trapezoidal rule

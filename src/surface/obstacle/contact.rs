@@ -4,8 +4,8 @@
 //!          fluid                    fluid                 φ_0    signed distance of the start
 //!       ╭───╮  ╭──╮              ·        ·               φ_o    signed distance to the obstacle
 //!     ──╯   ╰──╯  ╰──          ──╮        ╭──
-//!      void     ▲                ╰────────╯               φ_0 + φ_o < ε: the void is filled, and what is
-//!   ───────────────────       ───────────────────         filled touches the obstacle all along
+//!      void     ▲                ╰────────╯               φ_0 + φ_o < ε: the void is filled, and the
+//!   ───────────────────       ───────────────────         fluid touches the obstacle without a gap
 //!        obstacle                  obstacle
 //! ```
 //!

@@ -1,9 +1,10 @@
-//! Measures how deep vertices are inside obstacles, and moves vertices out that sharp edges cut.
+//! Measures how deep vertices are inside obstacles, and moves vertices out where contouring cut off a sharp
+//! edge.
 //!
 //! ```text
-//!    · ────── ·         an edge that is sharper than the grid resolves lies between voxels, none of
-//!    │   ╱╲   │         which is inside. The contouring misses it and cuts it off: by a third of
-//!  ──┼──●──●──┼──       a voxel at the corner of a tetrahedron.
+//!    · ────── ·         a sharp edge of the obstacle lies between voxels, none of which is inside
+//!    │   ╱╲   │         it. Contouring misses the edge and cuts it off: by a third of a voxel at
+//!  ──┼──●──●──┼──       the corner of a tetrahedron.
 //!    · ╱ ── ╲ ·
 //! ```
 
@@ -28,7 +29,7 @@ pub struct DepthStats {
 /// Vertices deeper inside an obstacle than this, in voxels, are moved to its surface.
 const DEPTH_MAX: f64 = 0.125;
 
-/// Vertices deeper than this, in voxels, stay: a missed edge is not the cause.
+/// Vertices deeper than this, in voxels, are not moved: an edge that contouring missed is not the cause.
 const MOVE_MAX: f64 = 1.0;
 
 /// A vertex is outside if the nearest voxel is farther from the obstacle than this, in voxels: more than
@@ -36,9 +37,9 @@ const MOVE_MAX: f64 = 1.0;
 const NEAR: f32 = 1.0;
 
 impl Obstacles {
-    /// Moves vertices out of obstacles that are sharper than the grid. The normal of a moved vertex faces the
-    /// obstacle. Returns the depth of the deepest vertex afterwards. `half_width` is that of the cached
-    /// leaves.
+    /// Moves vertices out of edges of obstacles that the grid cannot resolve. The normal of a moved vertex
+    /// points into the obstacle. Returns the depth of the deepest vertex afterwards. `half_width` is that of
+    /// the cached leaves.
     pub fn move_vertices_out(&self, mesh: &mut Mesh, lattice: &Lattice, half_width: f32) -> DepthStats {
         let origin = mesh.origin;
         let of_vertex = |(position, normal): (&mut Vec3, &mut Vec3)| {

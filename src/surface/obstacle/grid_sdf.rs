@@ -76,7 +76,8 @@ impl KnownVoxels {
         self.distances.push(distance);
     }
 
-    /// The minimum over all of them of distance plus way; infinite if the set is empty.
+    /// The minimum, over all these voxels, of their distance to the surface plus the distance from `from` to
+    /// them; infinite if there are none.
     fn nearest(&self, from: IVec3) -> f32 {
         let from = from.as_vec3();
         let voxels = self.x.iter().zip(&self.y).zip(&self.z).zip(&self.distances);
@@ -90,7 +91,7 @@ impl KnownVoxels {
 /// How far around a leaf known values are searched, in voxels.
 const EXTENSION_MAX: i32 = 12;
 
-/// Thickness of the layer, in voxels, in which the outermost known values are searched: every way out passes
+/// Thickness of the layer, in voxels, in which the outermost known values are searched: every path out passes
 /// through one of its voxels.
 const OUTERMOST: f32 = 1.8;
 
@@ -128,7 +129,7 @@ impl GridSdf {
     /// addition.
     ///
     /// # Errors
-    /// A sentence without subject with the reason: voxels that are not cubes, a background that is not
+    /// The reason, as a sentence without a subject: voxels that are not cubes, a background that is not
     /// positive, or distances that cannot be rebuilt in that memory.
     pub fn new(mut source: SourceLevelSet, memory_bytes: u64) -> Result<GridSdf, String> {
         let [x, y, z] = source.axes;

@@ -19,8 +19,8 @@ use glam::DVec3;
 use super::surface::{open_edge_count, valid_triangles};
 use super::tree::TriangleTree;
 
-/// A mesh that gives signed distances. Unlike in a [`MeshSdf`](super::MeshSdf), triangles keep their orientation,
-/// which defines the outside.
+/// A mesh that gives signed distances. Unlike in a [`MeshSdf`](super::MeshSdf), triangles keep their
+/// orientation, which defines the outside.
 pub struct MeshDistance {
     tree: TriangleTree,
     /// A point closer than this, world units, is on an edge or at a corner.

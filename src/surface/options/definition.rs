@@ -102,12 +102,12 @@ method_options! {
             #[arg(value_name = "BY", ignore_case = true)]
             anisotropy: AnisotropyKind,
 
-            /// Maximum ratio of a particle's longest half axis to its shortest, 1 to 8 [default: 4]
+            /// Maximum ratio of a particle's longest semi-axis to its shortest, 1 to 8 [default: 4]
             #[arg(value_name = "K")]
             max_stretch: f64 in 1.0..=MAX_STRETCH_MAX
                 => "--anisotropy", |options, _| options.anisotropy_kind() != AnisotropyKind::None,
 
-            /// Smallest half axis of flattened particles, positive, from 0.9h to r_min, for --anisotropy
+            /// Smallest semi-axis of flattened particles, positive, from 0.9h to r_min, for --anisotropy
             /// neighbors; smaller makes thinner sheets [default: 0.36d]
             #[arg(value_name = "LENGTH")]
             thin_radius: Length => "--anisotropy neighbors", stretches_by_neighbors,

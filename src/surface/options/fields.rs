@@ -63,7 +63,7 @@ pub struct OptionInfo<Options: 'static> {
     pub group: OptionGroup,
     /// How its value is written.
     pub kind: ValueKind,
-    /// What it needs; `None` of one that has an effect by itself.
+    /// What else must be set for it to have an effect; `None` if nothing.
     pub need: Option<Need<Options>>,
 }
 
@@ -110,7 +110,8 @@ pub(super) fn range_text<T: Display + LowerExp>(range: &RangeInclusive<T>) -> St
     format!("{} to {}", bound(range.start()), bound(range.end()))
 }
 
-/// A value of an option, or why its text is none: every option says it in this form.
+/// The value of an option, or the error message for a text that is not a value of it, in the form that all
+/// options use.
 #[cfg(feature = "cli")]
 pub(crate) fn expected<T>(text: &str, value: Option<T>, what: impl Display) -> Result<T, String> {
     value.ok_or_else(|| format!("`{text}` is not {what}"))

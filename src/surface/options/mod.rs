@@ -115,9 +115,9 @@ pub enum Anisotropy {
     None,
     /// By the positions of the neighbours.
     Neighbors {
-        /// Upper limit of the longest half axis, in units of the shortest.
+        /// Upper limit of the longest semi-axis, in units of the shortest.
         max_stretch: f64,
-        /// Lower limit of the half axes of the inner ellipsoids, world units.
+        /// Lower limit of the semi-axes of the inner ellipsoids, world units.
         thin_radius: f64,
         /// r_min of a particle without neighbours, world units; at most `radius_min`.
         lone_radius: f64,
@@ -126,7 +126,7 @@ pub enum Anisotropy {
     Velocity {
         /// A particle is stretched by its movement in this time, seconds.
         gain: f64,
-        /// Upper limit of the longest half axis, in units of the shortest.
+        /// Upper limit of the longest semi-axis, in units of the shortest.
         max_stretch: f64,
     },
 }
@@ -140,7 +140,7 @@ const VOXEL_SIZE_MIN: f64 = 1e-36;
 /// The largest voxel size, world units.
 const VOXEL_SIZE_MAX: f64 = 1e30;
 
-/// The smallest r_min in voxels. Half axes are measured in units of r_min, and the voxel in these units must
+/// The smallest r_min in voxels. Semi-axes are measured in units of r_min, and the voxel in these units must
 /// fit into 32 bits.
 const RADIUS_MIN_VOXELS: f64 = 1e-6;
 
@@ -156,7 +156,7 @@ const VOID_THRESHOLD: f64 = 1.0;
 /// Default limit of stretching, as in Yu and Turk.
 const MAX_STRETCH: f64 = 4.0;
 
-/// The smallest half axis of a flattened particle, in units of h. The two sides of a sheet are then 1.8
+/// The smallest semi-axis of a flattened particle, in units of h. The two sides of a sheet are then 1.8
 /// voxels apart.
 const THIN_MIN_VOXELS: f64 = 0.9;
 
@@ -558,7 +558,7 @@ fn is_too_coarse_to_flatten(options: &MethodOptions, radius_min: f64, scale: &Sc
     !is_chosen && radius_min <= 3f64.sqrt() * scale.voxel_size * (1.0 + 1e-9)
 }
 
-/// The smallest half axis of flattened particles, and r_min of particles without neighbours.
+/// The smallest semi-axis of flattened particles, and r_min of particles without neighbours.
 fn flattened_radii(
     options: &MethodOptions,
     radius_min: f64,
@@ -569,14 +569,14 @@ fn flattened_radii(
     let [least, most] = [THIN_MIN_VOXELS * h, radius_min.max(held)];
     let thin = recipe.thin_radius.map_or(held, |radius| length(radius).max(tidy(least)).min(most));
     let thin = positive(
-        "smallest half axis of flattened particles",
+        "smallest semi-axis of flattened particles",
         scale.length(options.thin_radius).unwrap_or(thin),
     )?;
     // Typed numbers may differ from computed ones by a rounding error.
     let slack = 1e-9 * most;
     require((least - slack..=most + slack).contains(&thin), || {
         format!(
-            "the smallest half axis of flattened particles is {thin}; it must be from {THIN_MIN_VOXELS} h = {} to r_min = {}",
+            "the smallest semi-axis of flattened particles is {thin}; it must be from {THIN_MIN_VOXELS} h = {} to r_min = {}",
             significant(least),
             significant(most)
         )

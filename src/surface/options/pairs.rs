@@ -78,7 +78,7 @@ impl Settings {
 
     /// The options that results depend on, with their values, as files record them. Options that change
     /// nothing are omitted, so that files keep their bytes when an option is added. `is_relevant` selects the
-    /// options that matter to a file.
+    /// options that affect a file.
     pub fn pairs(&self, is_relevant: impl Fn(&str) -> bool) -> Pairs {
         let changes_something = |(name, value): &(&str, String)| {
             let is_off = OFF.contains(&(*name, value)) || IMPLIED.contains(name);

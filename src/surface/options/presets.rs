@@ -18,7 +18,7 @@ word_enum! {
         Fluid = "fluid",
         /// Irregularly spaced particles, such as those of FLIP and MPM: smoother than fluid
         Noisy = "noisy",
-        /// Sheets, threads and drops: finer and thinner than fluid
+        /// Sheets, filaments and drops: finer and thinner than fluid
         Splash = "splash",
         /// Sand, snow, grain: close to the particles, with little smoothing
         Granular = "granular",
@@ -68,7 +68,7 @@ pub(super) struct Recipe {
     pub(super) radius_init: InitialRadius,
     /// How particles are stretched.
     pub(super) anisotropy: AnisotropyKind,
-    /// Smallest half axis of flattened particles, in units; `None` for √3 h.
+    /// Smallest semi-axis of flattened particles, in units; `None` for √3 h.
     pub(super) thin_radius: Option<f64>,
     /// r_min of particles without neighbours, in units; `None` for r_min.
     pub(super) lone_radius: Option<f64>,

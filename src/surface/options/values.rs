@@ -16,7 +16,7 @@ word_enum! {
     pub enum AnisotropyKind {
         /// Not at all: spheres
         None = "none",
-        /// By the positions of the neighbours, as in Yu and Turk: flat in sheets, long in threads
+        /// By the positions of the neighbours, as in Yu and Turk: flat in sheets, long in filaments
         Neighbors = "neighbors",
         /// By the velocity (paper, Eq. 16): long along it
         Velocity = "velocity",

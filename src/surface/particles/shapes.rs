@@ -73,26 +73,26 @@ impl Shapes {
     }
 }
 
-/// The half axes and directions of an ellipsoid, in units of the settings' radii.
+/// The semi-axes and directions of an ellipsoid, in units of the settings' radii.
 ///
 /// It is stored as the symmetric matrix T that maps it to the unit ball: its eigenvalues are 1/a, 1/b, 1/c
-/// for half axes a, b and c.
+/// for semi-axes a, b and c.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ellipsoid {
     /// T: xx, yy, zz, xy, xz, yz.
     pub to_unit_ball: [f32; 6],
-    /// The longest half axis: no point of the ellipsoid is farther from its centre.
+    /// The longest semi-axis: no point of the ellipsoid is farther from its centre.
     pub longest: f32,
 }
 
 impl Ellipsoid {
-    /// The ball whose half axes are all `scale`.
+    /// The ball whose semi-axes are all `scale`.
     pub fn ball(scale: f32) -> Ellipsoid {
         let inverse = 1.0 / scale;
         Ellipsoid { to_unit_ball: [inverse, inverse, inverse, 0.0, 0.0, 0.0], longest: scale }
     }
 
-    /// The ellipsoid with these half axes along these directions, which must be orthonormal.
+    /// The ellipsoid with these semi-axes along these directions, which must be orthonormal.
     pub fn new(half_axes: [f32; 3], directions: [Vec3; 3]) -> Ellipsoid {
         let mut to_unit_ball = [0.0f32; 6];
         for (half_axis, direction) in half_axes.into_iter().zip(directions) {
@@ -104,7 +104,7 @@ impl Ellipsoid {
         Ellipsoid { to_unit_ball, longest: half_axes.into_iter().fold(0.0, f32::max) }
     }
 
-    /// The shortest half axis, or a little less, in units of its radius. The largest eigenvalue of T is at
+    /// The shortest semi-axis, or a little less, in units of its radius. The largest eigenvalue of T is at
     /// most m + √2 s, with the mean m and the standard deviation s of the eigenvalues (Wolkowicz and Styan
     /// 1980, Theorem 2.1).
     pub fn inner_radius(&self) -> f32 {

@@ -1,4 +1,5 @@
-//! Particles sorted by leaf. This is the second of two passes; it keeps only the particles that matter.
+//! Particles sorted by leaf. This is the second of two passes; it keeps only the particles that can affect
+//! the surface.
 //!
 //! ```text
 //!   topology    leaf 0      leaf 1   leaf 2          leaves that contain particles
@@ -28,7 +29,7 @@ use crate::surface::grid::{LeafMask, Topology, offset_in_leaf};
 use crate::surface::particles::{Ellipsoid, ParticleSource, Shapes};
 use crate::surface::space::Lattice;
 
-/// The particles that matter to a surface, sorted by leaf.
+/// The particles that can affect the surface, sorted by leaf.
 ///
 /// All other particles are certainly inside the surface. None of them is the nearest particle to a vertex, or
 /// to a voxel whose distance is used.

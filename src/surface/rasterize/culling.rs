@@ -1,4 +1,5 @@
-//! Determines from the occupancy alone what can matter to a frame's surface; the rest is never stored.
+//! Determines from the occupancy alone which leaves, voxels and particles can affect the surface of a frame;
+//! nothing else is stored.
 //!
 //! ```text
 //!   · · · · · · · · ·      ·  no particle within r_init
@@ -61,7 +62,7 @@ use crate::surface::grid::{LEAF_EDGE, LeafMask, NO_LEAF, Topology, leaf_steps_wi
 use crate::surface::simd::{self, Kernel, Lanes};
 use crate::surface::space::CoordBox;
 
-/// The leaves, voxels and cells that can matter.
+/// The leaves, voxels and cells that can affect the surface.
 pub(super) struct Culling<'a> {
     /// Leaves that the surface may pass through.
     pub(super) near: Topology,
@@ -95,7 +96,7 @@ const COVERING_RADIUS: f32 = 1.75;
 const ROUNDING: f32 = 1e-2;
 
 impl<'a> Culling<'a> {
-    /// What can matter to the leaves of a window.
+    /// Determines what can affect the surface in the leaves of a window.
     pub(super) fn new(occupancy: &'a Occupancy, scene: &RasterParams, regions: &Regions) -> Culling<'a> {
         let radii = scene.radii;
         let occupied = populated(&occupancy.topology, &regions.populated);

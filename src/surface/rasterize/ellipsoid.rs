@@ -41,16 +41,16 @@ const DEEP: f32 = 1.25;
 /// Evaluation margin outside an ellipsoid, in voxels: covers the voxels next to its surface.
 const ELLIPSOID_MARGIN: f32 = 1.125;
 
-/// Upper limit of the longest half axis in the first size class, in units of the radii. Each further class
+/// Upper limit of the longest semi-axis in the first size class, in units of the radii. Each further class
 /// doubles it. Each class has its own lookup.
 const CLASS_LONGEST: f32 = 1.5;
 
 /// The shape of one particle.
 pub(super) trait ParticleShape: Copy + Sync + Send {
-    /// The longest half axis, in units of the radii.
+    /// The longest semi-axis, in units of the radii.
     fn longest(&self) -> f32;
 
-    /// A lower bound of the shortest half axis, in units of the radii.
+    /// A lower bound of the shortest semi-axis, in units of the radii.
     fn shortest(&self) -> f32;
 
     /// For S_max, S_0 and S_min: the distance up to which the union's values take every particle into
@@ -70,12 +70,12 @@ pub(super) trait ParticleShape: Copy + Sync + Send {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BallShape(pub(super) f32);
 
-/// An ellipsoid: half axes in units of the settings' radii.
+/// An ellipsoid: semi-axes in units of the settings' radii.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EllipsoidShape {
     ellipsoid: Ellipsoid,
     row_form: RowForm,
-    /// At most the shortest half axis; replaces the 0 / 0 at the exact center.
+    /// At most the shortest semi-axis; replaces the 0 / 0 at the exact center.
     ratio_min: f32,
 }
 
@@ -105,7 +105,7 @@ struct SizeClass<F> {
     boxes: Vec<BoxPacket>,
     /// Eight for each packet of boxes.
     primitives: Vec<Primitive<F>>,
-    /// Range of the half axes of each leaf's particles.
+    /// Range of the semi-axes of each leaf's particles.
     axes: Vec<HalfAxisRange>,
     /// Maximum distance at which one of them can lower a value, in voxels.
     reach: f32,
@@ -124,7 +124,7 @@ struct Primitive<F> {
     shape: F,
 }
 
-/// Bounds of the half axes of some particles, in units of the radii.
+/// Bounds of the semi-axes of some particles, in units of the radii.
 #[derive(Clone, Copy)]
 struct HalfAxisRange {
     shortest: f32,
@@ -329,7 +329,7 @@ impl<F: ParticleShape> Kernel for Signed<'_, F> {
 /// them.
 ///
 /// A particle lowers a value v of the union of radius r only if q < r + v/c for positive v, or q < r + v/a
-/// for negative v. Here c and a bound its half axes from below and above, and so q/|T²(x − p)| too. Values
+/// for negative v. Here c and a bound its semi-axes from below and above, and so q/|T²(x − p)| too. Values
 /// below −[`DEEP`] are deep enough, and voxels farther outside than [`ELLIPSOID_MARGIN`] have no inside
 /// neighbor.
 pub(super) struct EllipsoidDistances {

@@ -8,15 +8,16 @@
 //! ```
 //!
 //! Outside a union of equal spheres, the distance to the nearest center minus the radius is the exact signed
-//! distance and is kept unchanged. Inside it is not exact: it saturates at about half the particle spacing.
-//! So inside, only the voxels next to the surface keep that value, and fast sweeping computes the others from
-//! them. The zero sets of the bounds are therefore those of the spheres themselves.
+//! distance and is kept unchanged. Inside it is not a distance: however deep a voxel lies, there is a center
+//! near it. So inside, only the voxels next to the surface keep that value, and fast sweeping computes the
+//! others from them. The zero sets of the bounds are therefore those of the spheres themselves.
 //!
-//! Most of a frame is far inside, and none of that is stored:
+//! Most of a frame is deep inside. `Culling` determines which particles and leaves can affect the surface;
+//! nothing else is stored:
 //!
 //! ```text
-//!   particles ──pass 1──▶ Occupancy ──▶ what can matter ──┐
-//!       └───────────────pass 2───────────────────────────┴─▶ ParticleBins ──▶ distances ──▶ φ_0, bounds
+//!   particles ──pass 1──▶ Occupancy ──▶ Culling ──┐
+//!       └───pass 2────────────────────────────────┴─▶ ParticleBins ──▶ distances ──▶ φ_0, bounds
 //! ```
 //!
 //! A frame that is still too large is rasterized window by window; the results equal those of the whole
@@ -63,8 +64,8 @@ use distances::{DistanceSolver, SphereDistances, SphereUnion};
 use region::Regions;
 use signed_distance::signed_distance;
 
-/// The radii of the three unions of spheres, in voxels: `min` ≤ `init` ≤ `max`. For anisotropic particles
-/// these are the units of their half axes.
+/// The radii of the three unions of spheres, in voxels: `min` ≤ `init` ≤ `max`. The semi-axes of anisotropic
+/// particles are given as multiples of these radii.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Radii {
     /// r_min: the surface stays outside these spheres.
@@ -73,13 +74,14 @@ pub struct Radii {
     pub init: f32,
     /// r_max: the surface stays inside these spheres.
     pub max: f32,
-    /// Lower bound of all half axes, in units of the radii: 1 for uniform balls.
+    /// Lower bound of all semi-axes, in units of the radii: 1 for uniform balls.
     pub min_scale: f32,
-    /// Half axis that the band is sized for, in units of the radii: 1 for uniform balls. Particles may have
-    /// longer half axes; then the surface cannot move quite as far as their bounds would allow.
+    /// The semi-axis for which the width of the band is computed, in units of the radii: 1 for uniform balls.
+    /// Particles may have longer semi-axes; then the surface cannot move quite as far as their bounds would
+    /// allow.
     pub band_scale: f32,
-    /// Offset of the finished surface, in voxels: positive outward, negative inward. The band is sized for
-    /// it.
+    /// Offset of the finished surface, in voxels: positive outward, negative inward. The band is wide enough
+    /// for it.
     pub offset: f32,
 }
 
@@ -92,23 +94,24 @@ impl Radii {
         Radii { min, init, max, min_scale: 1.0, band_scale: 1.0, offset: 0.0 }
     }
 
-    /// Half width of the band during smoothing, in voxels. After the surface is moved by the offset, the part
-    /// left around it has the half width of the result.
+    /// Half width of the band during smoothing, in voxels. The offset uses up a part of this width: around
+    /// the moved surface [`result_half_width`](Self::result_half_width) is left.
     pub fn half_width(&self) -> f32 {
         self.result_half_width() + self.offset.abs().ceil()
     }
 
-    /// Half width that smoothing may need (Eq. 7), in voxels: it reads values up to 5 voxels from the surface,
-    /// and the surface may move to either bound. The resulting band has this half width, too.
+    /// Half width that smoothing needs at most (Eq. 7), in voxels: it reads values up to 5 voxels from the
+    /// surface, and the surface may move to either bound. The band of the result has this half width, too.
     pub fn result_half_width(&self) -> f32 {
         let gap = (self.max - self.init).max(self.init - self.min) * self.band_scale;
         // Tolerates rounding: radii that differ by whole voxels need no extra voxel.
         5.0 + (gap - 1e-4).max(0.0).ceil()
     }
 
-    /// Maximum distance, in voxels, at which a particle can change φ_0 and the bounds: its exact distances;
-    /// φ_0 swept from them, two voxels per sweep; the leaves that appear or disappear with φ_0; and the
-    /// bounds swept on those. `longest` is the longest half axis of any particle, in units of the radii.
+    /// Maximum distance, in voxels, at which a particle can change φ_0 and the bounds. It is the sum of four
+    /// terms: the reach of exact distances; that of the sweeps of φ_0, which read values up to two voxels
+    /// away; two leaves, which may appear or disappear with φ_0; and that of the sweeps of the bounds on
+    /// these leaves. `longest` is the longest semi-axis of any particle, in units of the radii.
     pub fn reach_voxels(&self, longest: f32) -> u32 {
         let swept = 2 * sweep_count(self.half_width());
         self.exact_reach(longest).ceil() as u32 + swept + 2 * LEAF_EDGE as u32 + swept
@@ -121,7 +124,7 @@ impl Radii {
     }
 
     /// Distance from a particle's center up to which exact distances are kept, in voxels. `longest` is the
-    /// longest half axis, in units of the radii.
+    /// longest semi-axis, in units of the radii.
     fn exact_reach(&self, longest: f32) -> f32 {
         // Validation looks up the nearest particles of vertices that were moved outward.
         self.max * longest + self.outward() + EXACT_MARGIN
@@ -150,12 +153,12 @@ pub struct RasterParams<'a> {
     pub obstacles: &'a Obstacles,
     /// Gaps between fluid and obstacles narrower than this, in voxels, are filled.
     pub void_threshold: f32,
-    /// Keeps all particles, for callers that count them; otherwise those deep inside are dropped.
+    /// Whether to keep all particles, for callers that count them. Otherwise those deep inside are dropped.
     pub keeps_all_particles: bool,
 }
 
 impl RasterParams<'_> {
-    /// A scene without obstacles.
+    /// Parameters without obstacles.
     pub fn open(lattice: Lattice, radii: Radii) -> RasterParams<'static> {
         static NO_OBSTACLES: Obstacles = Obstacles { members: Vec::new() };
         RasterParams {
@@ -178,8 +181,8 @@ impl RasterParams<'_> {
         self.radii.half_width() + self.radii.offset.abs()
     }
 
-    /// Signed distances to obstacles moved by the negative offset: a surface that touches these touches the
-    /// real obstacles after it is moved. Known within the half width of the band.
+    /// Signed distances to obstacles that are grown by the offset (shrunk if it is negative): a surface that
+    /// touches these touches the real obstacles after it is moved. Known within the half width of the band.
     pub fn obstacle_before_offset(&self, origin: IVec3) -> ObstacleLeaf {
         self.obstacle(origin).shifted(-self.radii.offset, self.radii.half_width())
     }
@@ -190,13 +193,14 @@ impl RasterParams<'_> {
     }
 }
 
-/// A surface nearer to a leaf than this, in voxels, may pass between two of its voxels or their neighbors.
+/// An obstacle's surface nearer to a leaf than this, in voxels, may pass between two of its voxels or their
+/// neighbors.
 const OBSTACLE_MARGIN: f32 = 1.5;
 
 /// Result of rasterization.
 #[derive(Clone, Debug)]
 pub struct RasterFields {
-    /// The particles that matter.
+    /// The particles that can affect φ_0 or the bounds.
     pub bins: ParticleBins,
     /// The band around the initial surface, with φ_0.
     pub band: NarrowBand,
@@ -273,9 +277,10 @@ fn measure<S: ParticleSource>(
 
 /// Origins of the leaves with a voxel within the band's margin, per axis, of a voxel inside S_0 that has a
 /// face neighbor outside. With obstacles there are two surfaces, and a void may be filled next to either, so
-/// the same applies to S_0 minus the obstacles. The obstacles are placed where the surface meets them after
-/// the offset. Their unmoved surface lies within the margin, which allows for the offset, so a plate thinner
-/// than the offset is not lost.
+/// the same applies to S_0 minus the obstacles. Here the obstacles have their real surfaces, which φ meets
+/// after the offset. During smoothing they are grown or shrunk by the offset; those surfaces lie within the
+/// margin, which includes the offset. So a plate that is thinner than the offset, and vanishes when it is
+/// shrunk, is not lost.
 fn leaves_near_surface(
     culling: &Culling,
     distances: &SphereDistances,
@@ -294,7 +299,8 @@ fn leaves_near_surface(
     leaves_of_boxes(&surfaces, |origin| regions.swept.contains(origin))
 }
 
-/// The boxes of the voxels of each leaf that are inside and next to an outside voxel, with a margin.
+/// For each leaf, the bounding box of its voxels that are inside and next to an outside voxel, expanded by a
+/// margin.
 fn crossings(
     culling: &Culling,
     inside: &[LeafMask],
@@ -338,7 +344,8 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
     let is_banded = |leaf: usize| {
         let origin = topology.origins()[leaf];
         let is_within = |obstacle: &ObstacleLeaf| has_value_within(&phi.leaves[leaf], half_width, obstacle);
-        // A part of an obstacle that the offset removes for now reappears when the surface is moved.
+        // A thin part of an obstacle that vanishes when it is shrunk by the offset is needed again after the
+        // surface is moved.
         regions.banded.contains(origin)
             && (is_within(&scene.obstacle_before_offset(origin))
                 || radii.offset != 0.0 && is_within(&scene.obstacle(origin)))
@@ -357,10 +364,11 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
     let topology = Arc::new(subset(topology, &own));
     let mut band = NarrowBand { topology, phi, half_width };
     let mut bounds = Bounds { lower, upper };
-    // Values that are not stored are at least the half width away, and adjacent voxels almost as far. Outer
-    // bounds beyond the band must not let the surface leave it; those of uniform balls never do. The surface
-    // moves far inward only where it is sharply convex, as around small balls, and their own S_min is near.
-    // The room for the offset is not included.
+    // Voxels that are not stored are at least the half width from the surface, and stored voxels next to them
+    // almost as far. There, the lower bounds of particles that are not uniform balls would let the surface
+    // leave the band, so they are raised until φ is positive. Inward no such limit is needed: the surface
+    // moves far inward only where it is sharply convex, as around small balls, and there S_min is near.
+    // `inner_from` does not include the extra width for the offset.
     let inner_from = if bins.shapes.is_uniform() { f32::INFINITY } else { radii.result_half_width() - 2.0 };
     finish(&mut band, &mut bounds, (inner_from, POSITIVE_MARGIN + radii.outward()));
     let contact = match scene.obstacles.is_empty() {
@@ -414,7 +422,8 @@ fn sweep_count(half_width: f32) -> u32 {
 }
 
 /// Clamps all values to ± half width, ensures `lower` ≤ `upper` at every voxel (independent sweeps do not
-/// guarantee it), and clamps φ between them. X.
+/// guarantee it), and clamps φ between them. Where φ_0 is above `inner_from`, φ stays at or above
+/// `inner_value`.
 fn finish(band: &mut NarrowBand, bounds: &mut Bounds, (inner_from, inner_value): (f32, f32)) {
     let half_width = band.half_width;
     let bounds = bounds.lower.leaves.par_iter_mut().zip(&mut bounds.upper.leaves);

@@ -43,7 +43,7 @@ struct OccupiedLeaf {
     octants: Octants,
     /// The octants of its [round](ROUND) particles, if particles are anisotropic or differ in size.
     round: Option<Box<Octants>>,
-    /// Longest half axis of its particles, in units of the radii.
+    /// Longest semi-axis of its particles, in units of the radii.
     longest: f32,
     /// Number of particles.
     count: usize,
@@ -174,7 +174,7 @@ impl Occupancy {
         self.occupied.get(origin)?.round.as_deref()
     }
 
-    /// Longest half axis of the particles in the leaf with this origin, in units of the radii.
+    /// Longest semi-axis of the particles in the leaf with this origin, in units of the radii.
     pub(super) fn longest_of(&self, origin: IVec3) -> f32 {
         self.occupied.get(origin).map_or(0.0, |leaf| leaf.longest)
     }
@@ -184,7 +184,7 @@ impl Occupancy {
         self.occupied.get(origin).map(|leaf| (leaf.count, leaf.first_batch))
     }
 
-    /// Longest half axis of all particles, in units of the radii.
+    /// Longest semi-axis of all particles, in units of the radii.
     pub fn longest(&self) -> f32 {
         self.occupied.iter().map(|(_, leaf)| leaf.longest).fold(0.0, f32::max)
     }

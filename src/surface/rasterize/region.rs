@@ -35,7 +35,7 @@ pub(super) struct Regions {
 }
 
 impl Regions {
-    /// The regions for the leaves that a window touches. `longest` bounds the half axes of all particles, in
+    /// The regions for the leaves that a window touches. `longest` bounds the semi-axes of all particles, in
     /// units of the radii.
     pub(super) fn new(window: CoordBox, radii: Radii, longest: f32) -> Regions {
         let swept_voxels = 2 * sweep_count(radii.half_width()) as i32 + 1;

@@ -19,7 +19,7 @@ fn random(index: usize, salt: u32) -> f32 {
     ((mixed ^ mixed >> 12) >> 8) as f32 / (1 << 24) as f32
 }
 
-/// Ellipsoids of all kinds, with half axes of at least `shortest`.
+/// Ellipsoids of all kinds, with semi-axes of at least `shortest`.
 fn ellipsoids(count: usize, shortest: f32, longest: f32) -> Shapes {
     let one = |index: usize| {
         let angles = [0, 1].map(|salt| random(index, salt) * 6.3);
@@ -36,7 +36,7 @@ fn scales(count: usize, most: f32) -> Shapes {
     Shapes::Scaled((0..count).map(|index| 1.0 + (most - 1.0) * random(index, 9).powi(6)).collect())
 }
 
-/// One ellipsoid in four is flat, with a shortest half axis of `thickness`; the others are nearly balls.
+/// One ellipsoid in four is flat, with a shortest semi-axis of `thickness`; the others are nearly balls.
 fn flat_among_round(count: usize, thickness: f32) -> Shapes {
     let Shapes::Ellipsoids(mut shapes) = ellipsoids(count, 0.93, 1.1) else {
         unreachable!("by construction")

@@ -65,7 +65,7 @@ impl Default for GatherBlock {
 
 impl Vicinity {
     /// Finds the cells near voxels without a particle that is certainly within `cover_radius`. `depth_of`
-    /// maps the longest half axis of a leaf's particles, in units of the radii, to the depth of the vicinity
+    /// maps the longest semi-axis of a leaf's particles, in units of the radii, to the depth of the vicinity
     /// there. Particles within `margin` of the vicinity, per axis, are [gathered](Self::gather) with it. All
     /// lengths are in voxels.
     ///
@@ -116,7 +116,7 @@ impl Vicinity {
         Ok(Vicinity { occupancy, cells, around, margin })
     }
 
-    /// Longest half axis of all particles, in units of the radii.
+    /// Longest semi-axis of all particles, in units of the radii.
     pub fn longest(&self) -> f32 {
         self.occupancy.longest()
     }
@@ -157,8 +157,8 @@ impl Vicinity {
         blocks
     }
 
-    /// Approximate number of a leaf's particles that are gathered: all of a crowd, which may be in any of its
-    /// cells.
+    /// Approximate number of a leaf's particles that are gathered: all of a dense cluster, which may be in
+    /// any of its cells.
     fn gathered_count(&self, origin: IVec3) -> usize {
         let (count, _) = self.occupancy.count_of(origin).unwrap_or((0, 0));
         let leaf = self.occupancy.topology.find(origin);

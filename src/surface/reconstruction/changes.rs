@@ -74,8 +74,8 @@ pub(super) fn changed_bytes(is_moved: bool, is_stretched: bool) -> [f64; 2] {
 pub(super) struct NeighborChanges {
     /// How far a mean at distance R moves a particle, in world units: λR.
     step_world: f64,
-    /// Scale given to particles without one that are not stretched; `None` if particles keep their
-    /// shapes.
+    /// Scale of the particles for which the input gives none and that are not stretched; `None` if all
+    /// particles keep their given shapes.
     ball: Option<f32>,
     /// For each batch, the start of its words in `changed` and of its particles in `means` and `shapes`; one
     /// entry more than there are batches. Empty if nothing is changed.

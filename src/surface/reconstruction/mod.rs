@@ -106,10 +106,11 @@ impl SmoothedFrame {
     }
 }
 
-/// Surfaces one frame: applies anisotropy, rasterizes, smooths, contours. Runs in the caller's rayon pool;
-/// the same particles and settings give bit-identical results on any number of threads. Particles that are
-/// not finite, or too far away for the grid, are dropped and counted in the report, and so are a few that are
-/// more than 2²⁰ voxels from all others. [`plan_memory()`] detects voxels that are too small for a frame.
+/// Reconstructs the surface of one frame: applies anisotropy, rasterizes, smooths, contours. Runs in the
+/// caller's rayon pool; the same particles and settings give bit-identical results on any number of threads.
+/// Particles are dropped, and counted in the report, if their position is not finite or outside the grid, or
+/// if they are stray: more than 2²⁰ voxels from the median particle along an axis, and few (at most 8 or 1 %
+/// of all, and fewer than half). [`plan_memory()`] detects voxels that are too small for a frame.
 ///
 /// Positions are in world units, like the voxel size and the radii in the settings. `docs/method.md` explains
 /// the method, after Bhattacharya, Gao and Bargteil.
@@ -145,8 +146,8 @@ pub fn reconstruct_frame_observed(
     contour(smoothed, settings, &[PositionFormat::Exact])
 }
 
-/// Surfaces one frame of particles with attributes, among obstacles, and transfers the selected attributes to
-/// the vertices.
+/// Reconstructs the surface of one frame of particles with attributes and obstacles, and transfers the
+/// selected attributes to the vertices.
 pub fn reconstruct_cloud(cloud: ParticleCloud, settings: &Settings, obstacles: &Obstacles) -> FrameSurface {
     let (shaped, shape_stats) = shape_particles(cloud, settings);
     let Ok(rasterized) = rasterize(&shaped, settings, shape_stats, obstacles.clone());
@@ -319,7 +320,7 @@ fn radii(settings: &Settings) -> Radii {
     let offset = voxels(settings.offset);
     match settings.has_per_particle_shapes() {
         false => Radii { offset, ..Radii::uniform(min, init, max) },
-        // The decomposition returns half axes slightly shorter than they were.
+        // The semi-axes of an ellipsoid are recovered from its matrix, which may round them slightly down.
         true => Radii {
             min,
             init,
@@ -331,7 +332,7 @@ fn radii(settings: &Settings) -> Radii {
     }
 }
 
-/// Longest half axis of all particles, in units of the radii.
+/// Longest semi-axis of all particles, in units of the radii.
 fn longest_of(shape_stats: &ShapeStats) -> f32 {
     if *shape_stats == ShapeStats::default() { 1.0 } else { shape_stats.longest }
 }
@@ -350,12 +351,12 @@ fn smooth_config(settings: &Settings) -> smooth::SmoothConfig {
     }
 }
 
-/// Maximum shrinking of an isolated sphere's radius in implicit steps, in voxels.
+/// Maximum acceptable shrinking of an isolated sphere's radius in implicit steps, in voxels.
 const SHRINKING_MAX: f64 = 0.15;
 
-/// True if implicit steps could shrink an isolated sphere by more than that before it reaches its lower
-/// bound. With the radii derived from the voxel size, they cannot, after 15 Laplacian steps; with
-/// per-particle radii they always can.
+/// True if implicit steps could shrink an isolated sphere by more than [`SHRINKING_MAX`] before its radius
+/// reaches r_min. They cannot if the radii are derived from the voxel size and there are 15 Laplacian steps,
+/// which shrink it to r_min; with per-particle radii they always can.
 fn can_spheres_shrink(settings: &Settings) -> bool {
     let [least, init] = [settings.radius_min, settings.radius_init].map(|world| world / settings.voxel_size);
     let left = smooth::radius_after_laplacian(init, settings.laplacian_steps);

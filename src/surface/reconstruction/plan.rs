@@ -290,7 +290,7 @@ fn tiled_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64,
     let most = |halo_leaves| most_in_a_tile(&footprint.surface, tile_leaves, halo_leaves) as f64;
     let rasterized = most(radii(settings).window_halo_leaves());
     let smoothed = most(HALO_LEAVES);
-    // The particles that matter in a tile are near its surface.
+    // The particles that can affect the surface in a tile are near it.
     let part = (2.0 * rasterized / surface).min(1.0);
     let particles = SORTED_PARTICLE_BYTES * particles * part;
     let kept = occupied_leaf_bytes(settings) * occupied + TOPOLOGY_LEAF_BYTES as f64 * 2.0 * surface;

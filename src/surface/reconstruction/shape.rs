@@ -7,12 +7,14 @@
 //! ```
 //!
 //! Particles deep inside do not affect the surface, so they stay where they are and remain balls. The
-//! required depth is part of the method and does not depend on tiles or memory: a particle is deep if it is
-//! farther than R plus its own r_max from every voxel that is not certainly within r_init of a given
-//! particle. R ensures that the neighborhood of an unmoved particle is complete: there the mean is
-//! approximately the particle itself, and its shape approximately a ball. r_max ensures that the unmoved
-//! particles are covered by those that are moved. Voids that smoothing would open deep inside, where the
-//! particle density changes within R, stay closed.
+//! required depth is part of the method and does not depend on tiles or memory.
+//!
+//! Let R be the neighbor radius, and call a voxel covered if it is certainly within r_init of a given
+//! particle. A particle is deep if every voxel within R plus its own r_max is covered. Within R, the
+//! neighborhood of a deep particle is then complete, so its mean is approximately the particle itself, and
+//! its shape approximately a ball. The additional r_max puts a layer of moved particles between the deep ones
+//! and the surface. Voids that smoothing would open deep inside, where the particle density changes within R,
+//! stay closed.
 //!
 //! Displacements are computed in blocks, so the result is the same for frames larger than memory.
 
@@ -33,8 +35,9 @@ use crate::surface::particles::{
 use crate::surface::rasterize::{NearSurface, Vicinity};
 use crate::surface::report::ShapeStats;
 
-/// Applies the shapes and positions that the settings request. Attributes that the settings name must exist,
-/// with a number or a vector per particle; otherwise particles are balls.
+/// Applies the shapes and positions that the settings request. If an attribute that the settings require is
+/// missing, or does not have a number or a vector per particle, the particles are balls; callers check this
+/// before.
 pub fn shape_particles(
     cloud: ParticleCloud,
     settings: &Settings,
@@ -115,7 +118,8 @@ fn in_blocks<S: ParticleSource>(
     let stretch = stretch(settings);
     let lattice = lattice(settings);
     let depth = Depth::new(settings, given.has_shapes());
-    // In crowds, the search uses whole cells: those around the particle's own.
+    // Where particles are very dense, neighbors are sampled from whole cells: the particle's own cell and
+    // those around it.
     let margin = (2.0 * settings.neighbor_radius / settings.voxel_size).ceil() as i32 + 1;
     let depth_of = |longest| depth.voxels(longest);
     let vicinity = Vicinity::new(&given, &lattice, depth.cover_voxels, depth_of, margin)?;
@@ -149,9 +153,9 @@ const GATHERED_MAX: usize = 1 << 22;
 
 /// The depth below which particles are neither moved nor stretched by neighbors.
 struct Depth {
-    /// Radius that a particle certainly covers, in voxels.
+    /// Radius of the ball that each particle certainly contains when scaled to r_init, in voxels.
     cover_voxels: f32,
-    /// Scale given to balls without one, in units of the settings' radii.
+    /// Scale of the particles for which the input gives none, in units of the settings' radii.
     ball: f32,
     neighbor_voxels: f64,
     radius_max_voxels: f64,
@@ -162,7 +166,8 @@ impl Depth {
         let voxels = |world: f64| world / settings.voxel_size;
         let ball = if settings.has_per_particle_shapes() { resolved_radius(settings).max(1.0) } else { 1.0 };
         let surely = match given_have_shapes {
-            // The decomposition returns half axes slightly shorter than they were.
+            // The semi-axes of an ellipsoid are recovered from its matrix, which may round them slightly
+            // down.
             true => 0.9999 * resolved_radius(settings),
             false => ball,
         };
@@ -174,14 +179,15 @@ impl Depth {
         }
     }
 
-    /// The depth for the particles of a leaf whose longest half axis is `longest`.
+    /// The depth for the particles of a leaf whose longest semi-axis is `longest`.
     fn voxels(&self, longest: f32) -> f32 {
         (self.neighbor_voxels + self.radius_max_voxels * f64::from(longest.max(self.ball))) as f32
     }
 
     /// Maximum distance from a particle, in voxels, at which others affect whether it is moved.
     fn reach_voxels(&self, longest: f32) -> f64 {
-        // Accounts for size classes of powers of two, and one voxel per erosion step.
+        // `Vicinity` groups leaves by powers of two of their longest semi-axis, and may lose one voxel per
+        // erosion step.
         let depth = f64::from(self.voxels(2.0 * longest));
         let steps = (depth / 7.0).ceil() + f64::from(longest.max(1.0).log2().ceil()) + 1.0;
         // A leaf that contains a long particle is treated as a whole.
@@ -189,13 +195,14 @@ impl Depth {
     }
 }
 
-/// Which particles neighbors may move or stretch; `None` if the settings have no such step.
+/// Which particles may be moved or stretched according to their neighbors; `None` if the settings do neither.
 pub(super) fn near_surface(settings: &Settings) -> Option<NearSurface> {
     let depth = Depth::new(settings, settings.per_particle_radius.is_some());
     settings.uses_neighbors().then(|| NearSurface { depth: depth.voxels(1.0), cover: depth.cover_voxels })
 }
 
-/// Memory per particle whose neighborhood is evaluated, in bytes: while all are collected, and afterwards.
+/// Memory per particle that may be moved or stretched by its neighbors, in bytes: while the results are
+/// collected, and afterwards.
 pub(super) fn changes_bytes(settings: &Settings) -> [f64; 2] {
     let is_stretched = matches!(settings.anisotropy, Anisotropy::Neighbors { .. });
     changed_bytes(settings.position_smoothing > 0.0, is_stretched)
@@ -211,7 +218,7 @@ pub(super) fn gathered_bytes(particle_count: usize) -> f64 {
 const GATHERED_BYTES: f64 = 110.0;
 
 /// Maximum distance, in voxels, at which other particles affect a particle's position and shape, plus its
-/// displacement. `longest` bounds the half axes, in units of the radii.
+/// displacement. `longest` bounds the semi-axes, in units of the radii.
 pub(super) fn shape_reach(settings: &Settings, longest: f32) -> u32 {
     if !settings.uses_neighbors() {
         return 0;
@@ -219,7 +226,7 @@ pub(super) fn shape_reach(settings: &Settings, longest: f32) -> u32 {
     let radius = settings.neighbor_radius / settings.voxel_size;
     let depth = Depth::new(settings, settings.per_particle_radius.is_some());
     let moved = settings.position_smoothing * radius;
-    // In crowds, sampling depends on the whole cells around.
+    // Where particles are very dense, neighbors are sampled from whole cells.
     (moved + depth.reach_voxels(longest).max(2.0 * radius)).ceil() as u32
 }
 
@@ -359,25 +366,25 @@ fn stretch(settings: &Settings) -> Option<Stretch> {
 }
 
 /// Radius of the smallest ball that the grid resolves wherever it is, √3 voxels, in units of the settings'
-/// radii. No half axis of a ball, or of a particle stretched by velocity, is shorter.
+/// radii. No semi-axis of a ball, or of a particle stretched by velocity, is shorter.
 fn resolved_radius(settings: &Settings) -> f32 {
     (3f64.sqrt() * settings.voxel_size / settings.radius_min) as f32
 }
 
-/// Lower bound of all half axes, in units of the settings' radii.
+/// Lower bound of all semi-axes, in units of the settings' radii.
 pub(super) fn min_scale(settings: &Settings) -> f32 {
     stretch(settings)
         .map_or(resolved_radius(settings), |stretch| resolved_radius(settings).min(stretch.floor))
 }
 
-/// Half axis that the band is sized for, in units of the settings' radii. It is the same for all frames of a
-/// sequence, whatever particles they contain. Stretched particles are thin where a surface may move: at the
-/// sides of sheets and threads.
+/// The semi-axis for which the width of the band is computed, in units of the settings' radii. It is the same
+/// for all frames of a sequence, whatever particles they contain. Stretched particles need no wider band:
+/// where the surface may move, at the faces of sheets and the sides of filaments, they are thin.
 pub(super) fn band_scale(settings: &Settings) -> f32 {
     if settings.per_particle_radius.is_some() { SCALE_ROOM } else { 1.0 }
 }
 
-/// Particles of three times the smallest radius have gaps of three voxels between their bounds: more than
+/// The bounds of particles with three times the smallest radius are three voxels apart: farther than
 /// smoothing moves a surface.
 const SCALE_ROOM: f32 = 3.0;
 
@@ -436,7 +443,8 @@ mod tests {
         f64::from(*state >> 8) / f64::from(1 << 24) - 0.5
     }
 
-    /// A block with a deep interior, a crowd in it, a thread, and isolated particles: spacing 1, shuffled.
+    /// A block with a deep interior and a very dense spot, a filament, and isolated particles: spacing 1,
+    /// shuffled.
     fn cloud(edge: usize) -> ParticleCloud {
         let mut state = 5;
         let mut jitter = || random(&mut state) * 0.5;

@@ -115,7 +115,8 @@ pub fn rasterize<S: ParticleSource>(
 
 /// The tiles that contain leaves within `voxels` of a leaf with particles.
 fn tiles_near(occupancy: &Occupancy, tile_leaves: i32, voxels: i32) -> BTreeSet<[i32; 3]> {
-    // A particle is up to one voxel from its recorded position, and the surface up to one from its voxels.
+    // A particle is up to one voxel from its recorded position, and the surface up to one voxel from the
+    // voxels next to it.
     let margin_leaves = (voxels + 2) / LEAF_EDGE + 1;
     let origins = occupancy.topology.origins().iter();
     let tiles = origins.flat_map(|&origin| tiles_around(origin, margin_leaves, tile_leaves));
@@ -437,7 +438,8 @@ mod tests {
         }
     }
 
-    /// Drops stretched to needles: here and there, their tips hide more than half a voxel within a cell.
+    /// Drops stretched to needles: at some of their tips the interpolation error within a cell is more than
+    /// half a voxel.
     #[test]
     #[ignore = "slow: `.ci/run` runs it"]
     fn clamped_vertices_are_equal_in_tiles() {
@@ -508,7 +510,8 @@ mod tests {
         MeshSdf::new(&positions, &faces)
     }
 
-    /// Shows that the test above can fail: a tile with too narrow a halo gives a wrong result.
+    /// Shows that the comparison of tiled and whole frames can fail: a tile with too narrow a halo gives a
+    /// wrong result.
     #[test]
     fn too_narrow_halo_changes_the_result() {
         let settings = Settings::paper(0.5, &MethodOptions::default()).expect("sound");

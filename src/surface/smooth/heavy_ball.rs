@@ -10,19 +10,20 @@
 //!
 //! The eigenvalues of its operator lie in [1, L] with L = 1 + 144 Δt for every frame, so α and β are
 //! constants: no dot product, line search or restart is needed. In each pass a voxel depends only on voxels
-//! up to two away. That makes the result independent of the number of threads and of distant parts of the
-//! frame; the paper's conjugate gradients are neither.
+//! up to two away. So the result does not depend on distant parts of the frame, nor on the number of threads.
+//! The dot products of conjugate gradients couple all voxels, and are independent of the number of threads
+//! only because `implicit` sums them in a fixed order.
 //!
 //! ```text
 //!   α = 4 / (√L + 1)²      β = ((√L − 1) / (√L + 1))²       error factor per pass: 1 − 2/√L
 //! ```
 //!
-//! Eigenvalues near one belong to modes wider than the layer of free voxels along a surface. Only where
-//! layers merge ([`thickness`](super::thickness)) do they fit. Elsewhere the minimum is l = 1 +
+//! A mode with an eigenvalue near one is wider than the layer of free voxels along a surface. It exists only
+//! where two layers merge (see [`thickness`](super::thickness)). Elsewhere the smallest eigenvalue is l = 1 +
 //! 0.1 Δt, so √l times fewer passes are enough.
 //!
 //! ```text
-//!                 passes per step       last step          at the default Δt of 20 h⁴
+//!                 passes per step       last step          at Δt = 20 h⁴ (preset paper)
 //!   thin            √(L/l)                 1.5 √(L/l)           31, 47
 //!   thick           √L                     1.5 √L               54, 81
 //! ```
@@ -52,8 +53,9 @@ use crate::surface::grid::{Field, Leaf, LeafMask, Neighborhood, ROW_COUNT, Topol
 use crate::surface::level_set::{Bounds, NarrowBand};
 use crate::surface::simd::{self, Kernel, Lanes};
 
-/// Added to the minimum eigenvalue by a step of 1 h⁴ where the region is thin: (4.73/8.4)⁴, as for a plate
-/// 8.4 voxels wide that is clamped on both sides.
+/// What a step of 1 h⁴ adds to the smallest eigenvalue where the region is thin. A plate of width w that is
+/// clamped on both sides adds (4.73/w)⁴; this is w = 8.4 voxels, about the widest layer without a deep voxel
+/// (see `thickness`). Most layers are narrower, which adds more.
 const STIFFNESS_THIN: f32 = 0.1;
 
 /// Passes per step and in the last step, in units of the root of the condition number. Each pass multiplies
@@ -66,8 +68,8 @@ const PREDICTED_REPETITION: f32 = 0.6;
 /// Upper limit of the predicted change, in voxels.
 const PREDICTED_CHANGE_MAX: f32 = 1.0;
 
-/// Coefficients and pass counts of a step, derived from the spectral bounds alone, so the same for all
-/// frames.
+/// Coefficients and pass counts of a step. They follow from the bounds of the eigenvalues alone, so they are
+/// the same for all frames.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct StepParams {
     step_size: f32,
@@ -88,7 +90,7 @@ impl StepParams {
         let per_root = PASSES_PER_ROOT[usize::from(is_last)];
         StepParams {
             step_size,
-            // The smaller of the two serves both regions, because they are adjacent.
+            // The regions are adjacent, so both use the smaller of the two values.
             alpha: 4.0 / (root + least[0].sqrt()).powi(2),
             beta,
             passes: least.map(|least| (per_root * (greatest / least).sqrt()).ceil() as u32),
@@ -105,7 +107,7 @@ impl StepParams {
 pub(super) struct HeavyBall<'a> {
     pub(super) band: &'a mut NarrowBand,
     pub(super) bounds: &'a Bounds,
-    /// φ at the start of the step; until then, at the start of the previous step.
+    /// φ at the start of the step. Before `predict` it still is φ at the start of the previous step.
     pub(super) start: &'a mut Field,
     /// x⁻.
     pub(super) previous: &'a mut Field,

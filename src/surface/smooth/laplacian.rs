@@ -1,7 +1,7 @@
 //! Laplacian smoothing: φ ← φ + Δt ∇²φ |∇φ|, clamped to the bounds (paper, §3.1 and Alg. 1).
 //!
-//! A few steps smooth the union of spheres before the optimization begins. Alone, this flow shrinks
-//! everything it smooths (paper, Fig. 5).
+//! A few steps smooth the union of spheres before the biharmonic steps. Alone, this flow shrinks everything
+//! it smooths (paper, Fig. 5).
 
 use rayon::prelude::*;
 

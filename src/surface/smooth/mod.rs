@@ -1,5 +1,4 @@
-//! The constrained optimization: the smoothest surface that stays between its bounds (paper, §3.2
-//! to §3.5).
+//! Smooths the surface by thin-plate flow, and keeps it between its bounds (paper, §3.2 to §3.5).
 //!
 //! ```text
 //!   φ_0 ──15 Laplacian steps──▶ φ ──step──▶ redistance ──▶ clamp ──▶ … ──▶ φ
@@ -39,14 +38,14 @@ word_enum! {
     /// How the constrained smoothing is integrated in fictitious time.
     #[derive(Default)]
     pub enum Integrator {
-        /// Implicit steps without reductions: the quickest, and the same bytes on any number of threads
+        /// Implicit steps by projected gradients with momentum: the fastest
         #[default]
         Fast = "fast",
         /// The paper's Algorithm 2, implicit steps: conjugate gradients with a growing active set
         Implicit = "implicit",
-        /// The paper's Algorithm 1, explicit steps: many small ones
+        /// The paper's Algorithm 1, explicit steps: many small steps
         Explicit = "explicit",
-        /// The same, each as large as is stable (paper, §3.5): for stills, a sequence flickers
+        /// Explicit steps as large as is stable (paper, §3.5): for stills only, because sequences flicker
         Adaptive = "adaptive",
     }
 }
@@ -74,11 +73,11 @@ pub struct SmoothConfig {
     /// Relative tolerance of the conjugate gradients (`Implicit` only).
     pub cg_tolerance: f64,
     /// Pins the radius of isolated spheres in implicit steps, so that they keep the radius left by the
-    /// Laplacian steps. Explicit steps always do. Threads of the smallest particles then end slightly thicker
-    /// and rougher.
+    /// Laplacian steps. Explicit steps keep it without pinning. With pinning, thin filaments of the smallest
+    /// particles become slightly thicker and rougher.
     pub pin_isolated_spheres: bool,
-    /// Half width within which the result holds exact distances, in voxels. With 0 they are as exact as the
-    /// integrator needs.
+    /// The result has exact distances within this distance of the surface, in voxels. With 0, distances are
+    /// only as exact as the integrator needs.
     pub distances_voxels: f32,
 }
 
@@ -89,7 +88,8 @@ pub struct SmoothReport {
     pub free_voxel_count: usize,
     /// Maximum number of applications of the biharmonic operator to a voxel.
     pub pass_count: usize,
-    /// Number of voxel updates: free voxels times passes, if all have the same number of passes.
+    /// Number of voxel updates. If all free voxels have the same number of passes, this is free voxels times
+    /// passes.
     pub voxel_update_count: u64,
     /// How far a change of φ_0 or the bounds can propagate, in voxels. `None` for `Implicit`, whose dot
     /// products couple all voxels, and for `Adaptive`, whose step size depends on the fastest voxel.

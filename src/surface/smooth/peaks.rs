@@ -17,7 +17,7 @@
 //! free throughout, between values fixed 3 h outside, tends to the radius √(R² − 9 h²), or vanishes. Explicit
 //! steps redistance before this has an effect; an implicit step relaxes all at once.
 //!
-//! Sheets and threads have creases along which φ is constant. These are not pinned, because that would pin
+//! Sheets and filaments have creases along which φ is constant. These are not pinned, because that would pin
 //! the surface, too. A peak is distinguished by φ falling off in all directions.
 //!
 //! Maximum difference between the radius of isolated balls and the radius that the Laplacian steps leave, in
@@ -37,9 +37,9 @@ use super::thickness::with_neighbors;
 use crate::surface::grid::{Field, LeafMask, Neighborhood, Topology, offset_in_leaf, voxel_in_leaf};
 use crate::surface::simd::{self, Kernel, Lanes};
 
-/// Minimum fall of |φ| from a peak to every point of the [shell], in voxels. For a ball, at least 1.31 from
-/// some voxel, wherever its center lies between voxels; for a thread, less than 0.76 toward some point; for a
-/// sheet, less than 0.18.
+/// Minimum fall of |φ| from a peak to every point of the [shell], in voxels. For a ball it is at least 1.31
+/// from some voxel, wherever its center lies between voxels; for a filament it is less than 0.76 toward some
+/// point, and for a sheet less than 0.18.
 const FALL_MIN: f32 = 1.0;
 
 /// Minimum curvature along each axis; for a ball, 0.79. A quick test that rejects most voxels.

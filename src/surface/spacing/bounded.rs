@@ -5,7 +5,7 @@
 //! ```
 //!
 //! The particles of a sample are farther apart than all particles, and how much farther depends on whether
-//! they are in a body, a sheet or a thread. The boxes around some of them contain all particles.
+//! they are in a body, a sheet or a filament. The boxes around some of them contain all particles.
 
 use glam::DVec3;
 

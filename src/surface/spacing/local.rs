@@ -7,8 +7,8 @@
 //!      └───┘               in a sheet or at a surface, where the cell is open: the square root of the cell's
 //!    .   .   .   .         section by the plane of the near particles
 //!
-//!    ●───●───●             in a thread or among few particles, if the section is open, too: the length of the edges
-//!                          to the neighbours with no particle in between
+//!    ●───●───●             in a filament or among few particles, if the section is open, too: the
+//!                          length of the edges to the neighbours with no particle in between
 //! ```
 //!
 //! Particles of a fluid under pressure have smaller cells than at rest, at nearly the same distances. In a
@@ -33,7 +33,7 @@ const BODY_EDGE_WEIGHT: f64 = 0.25;
 /// of a disturbed lattice for 1.7: this value is in between.
 const BETA: f64 = 1.35;
 
-/// Edges longer than this many times the second shortest, which continues a thread, are gaps.
+/// Edges longer than this many times the second shortest, which continues a filament, are gaps.
 const GAP: f64 = 2.5;
 
 /// Neighbours this many times farther than the nearest are left out, to keep precision.
@@ -60,7 +60,7 @@ impl Local {
         let far = neighbors.last()?.length();
 
         let mut edges = edges(neighbors);
-        // The next turn of a thread is not a neighbour.
+        // The next turn of a filament is not a neighbour.
         let farthest = GAP * edges.get(1).map_or(f64::INFINITY, |second| second.length());
         edges.retain(|edge| edge.length() <= farthest);
         let edge = edges.iter().map(|edge| edge.length()).sum::<f64>() / edges.len() as f64;

@@ -1,9 +1,9 @@
-//! Moves vertices back that are out of bounds by more than a cell may hide.
+//! Moves vertices back that are out of bounds by more than the tolerance of half a voxel.
 //!
 //! ```text
-//!        voxel  ∙───────∙     Bounds hold at voxels. Between them a gap of less than a voxel between two
-//!     S_max ▒▒▒▒│ v     │▒▒▒▒  spheres, or the tip of a long ellipsoid, may hide a little more than half a
-//!           ▒▒▒▒∙───────∙▒▒▒▒  voxel: then the vertex is moved the rest of the way.
+//!        voxel  ∙───────∙     Bounds hold at voxels. In a gap between two spheres that is narrower
+//!     S_max ▒▒▒▒│ v     │▒▒▒▒  than a voxel, or at the tip of a long ellipsoid, the interpolation error between
+//!           ▒▒▒▒∙───────∙▒▒▒▒  voxels may be a little larger than the tolerance: then the vertex is moved.
 //! ```
 
 use glam::Vec3;
@@ -103,7 +103,7 @@ mod tests {
             let cloud = ParticleCloud { positions, shapes, attributes: Vec::new() };
             let Ok(RasterFields { bins, band, .. }) = rasterize(&cloud, &RasterParams::open(lattice, radii));
             let mut mesh = contour(&band, &lattice, Contouring::Dual);
-            // The bounds are at 1.5 and 0.5 voxels for half axes of 1; the half axis along y is 0.7.
+            // The bounds are at 1.5 and 0.5 voxels for semi-axes of 1; the semi-axis along y is 0.7.
             let by_height =
                 |one: &usize, other: &usize| mesh.positions[*one].y.total_cmp(&mesh.positions[*other].y);
             let highest = (0..mesh.positions.len()).max_by(by_height).expect("a vertex");

@@ -1,15 +1,14 @@
-//! Checks every result before it is written: the certificate that ships with the frame.
+//! Checks every result before it is written. The certificate of a frame has the results.
 //!
 //! ```text
 //!   φ within its bounds at every voxel                    (Eq. 6), before the surface is moved by an offset
-//!   no vertex deeper inside S_min than h/2                the surface stays outside of it
-//!   none farther outside of S_max than h/2                and inside S_max, except for what a cell hides
+//!   no vertex deeper inside S_min than h/2                the surface stays outside S_min and inside S_max,
+//!   no vertex farther outside S_max than h/2              except for the interpolation error within a cell
 //!   every particle inside
 //!   the mesh closed and 2-manifold
 //! ```
 //!
-//! Vertices, particles and the mesh are checked as a file has them: with the remaining triangles, at the
-//! positions that a reader gets.
+//! The mesh is checked as it is written: after decimation, and with the rounded positions that a reader gets.
 //!
 //! A surface with an outward offset is that much farther from S_min, and at most that much farther from
 //! S_max. A surface with an inward offset is that much closer to S_min, but may be as close to
@@ -21,8 +20,8 @@
 //!    moved ──×── inward by b
 //! ```
 //!
-//! The tolerance of half a voxel is what interpolation inside a cell may hide: the bounds hold at voxels, and
-//! a sphere is curved between them.
+//! The tolerance of half a voxel is the interpolation error within a cell: the bounds hold at voxels, and a
+//! sphere is curved between them.
 
 mod bound_violations;
 mod containment;
@@ -48,15 +47,15 @@ use crate::surface::rasterize::Radii;
 use crate::surface::space::Lattice;
 
 /// The checks of the finished surface. [`holds`](Self::holds) says whether all guarantees hold, and
-/// [`violations`](Self::violations) which do not. Distances are in voxels unless a field says world units, to the
-/// centre of the nearest particle. For particles with their own shapes, r_min and r_max mean their inner and
-/// outer ellipsoids.
+/// [`violations`](Self::violations) which do not. Distances are measured to the centre of the nearest
+/// particle. In this struct they are in voxels, unless a field says world units. For particles with their own
+/// shapes, r_min and r_max mean their inner and outer ellipsoids.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Certificate {
     /// Voxels where φ violates its bounds (Eq. 6), before the surface is offset. Always 0.
     pub bound_violation_count: usize,
-    /// Particles that are not part of the surface: not finite, or too far from the others.
+    /// Number of dropped particles, as in `Report::dropped_count`: not finite, or too far from the others.
     pub particles_left_out: usize,
     /// Smallest distance from a mesh vertex to a particle; infinite for an empty mesh.
     pub vertex_distance_min: f64,
@@ -117,7 +116,7 @@ impl Certificate {
         let counts = counts.into_iter().filter(|&(count, _)| count > 0);
         let mut faults: Vec<String> = counts.map(|(count, what)| format!("{count} {what}")).collect();
         if !self.mesh_is_closed_manifold {
-            faults.push("the mesh is not closed".to_owned());
+            faults.push("the mesh is not a closed 2-manifold".to_owned());
         }
         faults.join(", ")
     }
@@ -130,8 +129,8 @@ impl Certificate {
 pub struct ParticlesOutside {
     /// Number of particles.
     pub count: usize,
-    /// Distance of the farthest one from the surface, world units; 0 if all are inside. It comes from φ,
-    /// which is limited to the half width of its band: five voxels and more.
+    /// Distance of the one that is farthest outside from the surface, world units; 0 if all are inside. It
+    /// comes from φ, which is limited to the half width of its band: five voxels and more.
     pub deepest: f64,
 }
 
@@ -204,14 +203,14 @@ fn may_leave_particles_outside(radii: &Radii) -> bool {
     radii.offset < 0.0 && radii.min * radii.min_scale + radii.offset <= SURE_DEPTH
 }
 
-/// A ball of this radius, in voxels, contains all corners of the cell around its centre: √3. Inside smaller
-/// balls φ is not known well enough.
+/// A ball of this radius, in voxels, contains all corners of the cell around its centre: √3. In a smaller
+/// ball a corner of the cell may be outside.
 const SURE_DEPTH: f32 = 1.732_051;
 
-/// The limits of a vertex's distance from particles.
+/// The limits of the distance between a vertex and the particles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct DistanceLimits {
-    /// The radii of the inner and the outer spheres, in voxels: the units of half axes.
+    /// The radii of the inner and the outer spheres, in voxels: the units of semi-axes.
     radii: [f32; 2],
     /// The smallest offset from the inner spheres and the largest from the outer ones, outward, in voxels.
     from_spheres: [f32; 2],
@@ -222,7 +221,7 @@ impl DistanceLimits {
         DistanceLimits { radii: [radii.min, radii.max], from_spheres: [radii.offset, radii.outward()] }
     }
 
-    /// The distance limits from particle centres, if all half axes are 1.
+    /// The distance limits from particle centres, if all semi-axes are 1.
     fn limits(&self) -> [f32; 2] {
         let [min, max] = self.radii;
         let [from_min, from_max] = self.from_spheres;

@@ -13,7 +13,7 @@ use crate::surface::rasterize::ParticleBins;
 /// Particles with their own shapes, and their extents.
 pub(super) struct ShapedParticles<'a> {
     bins: &'a ParticleBins,
-    /// The longest half axis in each leaf, in units of the radii.
+    /// The longest semi-axis in each leaf, in units of the radii.
     longest: Vec<f32>,
 }
 
@@ -28,7 +28,7 @@ impl<'a> ShapedParticles<'a> {
         Some(ShapedParticles { bins, longest: (0..bins.topology.len()).map(longest).collect() })
     }
 
-    /// The longest half axis of all particles, in units of the radii.
+    /// The longest semi-axis of all particles, in units of the radii.
     pub(super) fn longest(&self) -> f32 {
         self.longest.iter().copied().fold(0.0, f32::max)
     }
@@ -117,7 +117,7 @@ fn distance_to_ellipsoid(ellipsoid: &Ellipsoid, radius: f64, x: DVec3) -> f64 {
         return 0.0;
     }
     let longest = f64::from(ellipsoid.longest);
-    // Along the longest half axis T² is smallest, which gives the upper bound of λ.
+    // Along the longest semi-axis T² is smallest, which gives the upper bound of λ.
     let (mut low, mut high) = (0.0, longest * x.length() / radius * longest);
     for _ in 0..BISECTIONS {
         let middle = 0.5 * (low + high);

@@ -107,7 +107,7 @@ fn matrix(shape: &Ellipsoid) -> DMat3 {
     DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz])
 }
 
-/// Half axes in ascending order, and the direction of the shortest.
+/// Semi-axes in ascending order, and the direction of the shortest.
 fn half_axes(shape: &Ellipsoid) -> ([f64; 3], DVec3) {
     let matrix = matrix(shape);
     let greatest = |matrix: DMat3, mut vector: DVec3| {
@@ -225,7 +225,7 @@ fn rotated_particles_have_rotated_shapes() {
 #[test]
 fn stretch_volume_and_length_stay_in_bounds() {
     let mut random = Random(9);
-    // All kinds of clusters: clumps, sheets, threads and mixtures.
+    // All kinds of clusters: clumps, sheets, filaments and mixtures.
     let points: Vec<DVec3> = (0..4000)
         .map(|index| {
             let heap = DVec3::new(f64::from(index % 50) * 9.0, 0.0, 0.0);
