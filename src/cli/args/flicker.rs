@@ -45,7 +45,7 @@ pub(in crate::cli) struct FlickerArgs {
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) csv: Option<PathBuf>,
 
-    /// Write the 1000 points that flicker most to this file: frame, place, value
+    /// Write the 1000 points that flicker most to this file: frame, position, flicker
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) points: Option<PathBuf>,
 

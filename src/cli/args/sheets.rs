@@ -25,12 +25,12 @@ pub(in crate::cli) struct ContactSheetArgs {
     #[arg(short, long, value_name = "FILE")]
     pub(in crate::cli) output: PathBuf,
 
-    /// Only frames with these numbers, such as 1-240x2 (every second) or 1-10,20,30-40x5
+    /// Only frames with these numbers, such as 1-240x2 (every other frame) or 1-10,20,30-40x5
     #[arg(long, value_name = "NUMBERS")]
     pub(in crate::cli) frames: Option<FrameSelection>,
 
-    /// Maximum number of cells for each sequence, 2 to 1000: of a longer one, evenly spaced frames are shown,
-    /// with the first and the last
+    /// Maximum number of cells for each sequence, 2 to 1000; if a sequence has more frames, evenly spaced
+    /// ones are shown, including the first and the last
     #[arg(long, value_name = "N", value_parser = ranged::<u16>(2..=1000), default_value_t = 60)]
     pub(in crate::cli) count: u16,
 

@@ -40,20 +40,16 @@ impl RequiredAttribute {
             None => {
                 let names: Vec<&str> = all.iter().map(|attribute| &*attribute.name).collect();
                 let there = if all.is_empty() { "none".to_owned() } else { names.join(", ") };
-                format!("the particles have no attribute `{name}`, which {option} needs: it has {there}")
+                format!("the particles have no attribute `{name}`, which {option} needs; available: {there}")
             }
             Some(Attribute { name, values: AttributeValues::Strings { .. }, .. }) => {
-                format!("the particles' attribute `{name}` is text, and {option} needs {kind} for each")
+                format!("the attribute `{name}` is text, but {option} needs {kind} per particle")
             }
             Some(Attribute { name, arity: 1, .. }) => {
-                format!(
-                    "the particles' attribute `{name}` has one number for each, and {option} needs {kind}"
-                )
+                format!("the attribute `{name}` is a scalar, but {option} needs {kind} per particle")
             }
             Some(Attribute { name, arity, .. }) => {
-                format!(
-                    "the particles' attribute `{name}` has {arity} numbers for each, and {option} needs {kind}"
-                )
+                format!("the attribute `{name}` has {arity} numbers per particle, but {option} needs {kind}")
             }
         }
     }

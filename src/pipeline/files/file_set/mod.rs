@@ -455,7 +455,7 @@ pub(crate) fn recover(record_path: &Path) -> io::Result<RecordRecovery> {
     // from elsewhere.
     if !is_own_file(&file.metadata()?) {
         return Ok(left(
-            "this record of an interrupted conversion belongs to another user or has a second name",
+            "this record of an interrupted conversion belongs to another user or has a second hard link",
         ));
     }
     let mut bytes = Vec::new();
