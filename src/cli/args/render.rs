@@ -65,12 +65,12 @@ pub(in crate::cli) struct PictureArgs {
     #[arg(long, value_name = "SPEC", conflicts_with = "camera_from")]
     pub(in crate::cli) camera: Option<CameraChoice>,
 
-    /// Use the camera of this file: a .glb or .gltf with one, or a picture that meniscus made
+    /// Use the camera of this file: a .glb or .gltf with a camera, or a picture that meniscus wrote
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) camera_from: Option<PathBuf>,
 
-    /// Which axis points up, if --camera does not say it; a camera of a .glb or .gltf is rotated to it
-    /// [default: y]
+    /// Axis of the world that points up, unless --camera sets it; a camera of a .glb or .gltf is rotated to
+    /// it [default: y]
     #[arg(long, value_name = "AXIS", ignore_case = true, value_parser = up_axis())]
     pub(in crate::cli) up: Option<UpAxis>,
 

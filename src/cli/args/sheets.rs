@@ -51,7 +51,7 @@ pub(in crate::cli) struct ContactSheetArgs {
 pub(in crate::cli) struct TuneArgs {
     /// Particles, as convert takes them: a file, or a folder, glob or numbered pattern with one sequence
     ///
-    /// Of a sequence the middle frame is shown; --frames selects another.
+    /// Of a sequence, the middle frame is shown, unless --frames selects another.
     #[arg(required = true, value_name = "INPUT")]
     pub(in crate::cli) inputs: Vec<PathBuf>,
 
@@ -63,7 +63,7 @@ pub(in crate::cli) struct TuneArgs {
     #[arg(long, value_name = "LIST", default_value = "smoothing,min")]
     pub(in crate::cli) vary: ParameterSweep,
 
-    /// The frame with this number; of several, such as 100-200, the middle one
+    /// Show the frame with this number; of several, such as 100-200, the middle one is shown
     #[arg(long, value_name = "NUMBERS")]
     pub(in crate::cli) frames: Option<FrameSelection>,
 

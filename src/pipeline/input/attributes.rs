@@ -66,7 +66,9 @@ impl RequiredAttribute {
         let RequiredAttribute { option, .. } = self;
         let name = &attribute.name;
         is_useless.then(|| {
-            format!("the particles' attribute `{name}` has no positive number for any of them, and {option} needs a radius")
+            format!(
+                "the attribute `{name}` has no positive number for any particle, but {option} needs a radius"
+            )
         })
     }
 }
