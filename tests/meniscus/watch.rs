@@ -179,7 +179,7 @@ fn why_lists_everything_that_decides() {
     };
     let typed = ["--out", "out"];
     // The file is new: whether it counts as stable depends on half a second.
-    let unknown = "The journal does not say what the daemon was asked for";
+    let unknown = "The journal does not record the daemon's settings";
     tells("in/dam.1.ply", &typed, &["journal   nothing", "content   particles", "It ", unknown]);
     tells("in/notes.md", &typed, &["not selected as a frame", "It is not converted because its path"]);
 
