@@ -271,7 +271,7 @@ fn why_reads_the_arguments_of_the_daemon_from_the_journal() {
         for word in words {
             assert!(ran.out.contains(word), "{} does not say {word}", ran.out);
         }
-        assert!(!ran.out.contains("does not say what the daemon was asked for"), "{}", ran.out);
+        assert!(!ran.out.contains("does not record the daemon's settings"), "{}", ran.out);
     };
     tells("in/dam.1.ply", &["name      selected as a frame", "settings  as recorded", "because it is done"]);
     tells("in/spray.1.ply", &["name      not selected as a frame", "It is not converted because its path"]);
