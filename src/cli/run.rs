@@ -32,7 +32,7 @@ struct BatchItem {
 /// What to do with a frame.
 enum ItemState {
     Convert(Frame),
-    /// Skip it: its outputs are done, and its inputs are gone. If it failed validation, the reason.
+    /// Skip it: its outputs are done, and its inputs are gone. The reason if it failed validation.
     Done(Frame, Option<String>),
     /// Report a failure: its sequence has no settings, for this reason.
     Impossible(String),

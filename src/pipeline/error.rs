@@ -149,7 +149,7 @@ impl fmt::Display for FrameError {
                 )
             }
             Cause::Panic(what) => {
-                write!(f, "{}: internal error in the {during} stage: {what}; please report this bug", path)
+                write!(f, "{}: internal error in the {during} stage: {what}; please report it", path)
             }
         }
     }

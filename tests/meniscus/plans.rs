@@ -427,12 +427,12 @@ const CASES: [Case; 12] = [
     (
         "damaged",
         |f| edit(f.join("out/dam.1.glb"), |bytes| bytes.truncate(bytes.len() - 9)),
-        "the file is truncated",
+        "the file is truncated or has trailing data",
     ),
     (
         "damaged",
         |f| edit(f.join("out/dam.1.vdb"), |bytes| *bytes.last_mut().expect("bytes") ^= 1),
-        "dam.1.vdb differs from the file that was written",
+        "dam.1.vdb was modified: its hash differs from that in the certificate",
     ),
     ("damaged", |f| edit(f.join("out/dam.1.glb"), Vec::clear), "dam.1.glb: "),
     (

@@ -34,13 +34,13 @@ option_set! {
         #[arg(long, help_heading = FORMATS, value_name = "M", value_parser = ranged::<f64>(METERS_PER_UNIT))]
         pub(in crate::cli) meters_per_unit: Option<f64>,
 
-        /// Quantize .glb to 16-bit integers: a quarter to a third smaller, with positions rounded to 1/65535
-        /// of the longest side of the mesh's bounding box
+        /// Quantize .glb to 16-bit integers: files are 25 to 33 % smaller, and positions are rounded to
+        /// 1/65535 of the longest side of the mesh's bounding box
         ///
         /// Uses the extension KHR_mesh_quantization, which Blender and browsers support. Other formats keep
         /// their positions, and attributes of vertices are not quantized. Triangles that have no area in 16
         /// bits are removed from the meshes of all formats. A warning appears if a frame is so wide that
-        /// quantization moves a vertex by more than a 50th of a voxel.
+        /// quantization moves a vertex by more than 0.02 voxels.
         #[arg(long, help_heading = FORMATS)]
         pub(in crate::cli) quantize: bool,
 

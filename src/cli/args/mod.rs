@@ -217,8 +217,8 @@ Choosing the spacing, the voxel size and the radii:
   surface, and takes about four times the time and the memory. On a coarse grid radii are raised to
   √3·h, the diagonal of a voxel, so that no particle falls between the voxels.
 
-  The surface is the smoothest one that encloses a sphere of radius r_min around every particle, and
-  has no point that is farther than r_max from all particles. Particles in sheets and threads are
+  Smoothing keeps a sphere of radius r_min around every particle inside the surface, and no point of
+  the surface is farther than r_max from all particles. Particles in sheets and filaments are
   flattened instead (--thin-radius), and particles without neighbours are smaller (--lone-radius).
 
   --radius-ratio  r_max / r_min: how far smoothing may move the surface. More is smoother, less

@@ -66,9 +66,7 @@ impl RequiredAttribute {
         let RequiredAttribute { option, .. } = self;
         let name = &attribute.name;
         is_useless.then(|| {
-            format!(
-                "the attribute `{name}` has no positive number for any particle, but {option} needs a radius"
-            )
+            format!("the particles' attribute `{name}` has no positive value, but {option} needs radii")
         })
     }
 }
@@ -303,7 +301,7 @@ mod tests {
             by_radius("radius").select(vec![radii])
         };
         let error = useless(&[0.0, -1.0, f32::NAN, f32::INFINITY]).expect_err("no radius");
-        assert!(error.contains("`pscale` has no positive number") && error.contains("--radius-attribute"));
+        assert!(error.contains("`pscale` has no positive value") && error.contains("--radius-attribute"));
         // One positive value is enough; without particles none is needed.
         assert!(useless(&[0.0, 0.5]).is_ok() && useless(&[]).is_ok());
         let error = by_radius("size").select(two_particles()).expect_err("not there");

@@ -98,12 +98,12 @@ pub(crate) fn fault(report: &ReconstructionReport) -> Option<String> {
     (!report.certificate.holds()).then(|| does_not_hold(&report.certificate.violations()))
 }
 
-/// The message for a frame that failed validation.
+/// The message for a frame with these failed checks.
 pub(crate) fn does_not_hold(fault: &str) -> String {
     format!("failed validation: {fault}")
 }
 
-/// A warning for each check of the validation that failed.
+/// A warning for each failed check.
 fn broken_guarantees(report: &ReconstructionReport) -> Vec<Warning> {
     let certificate = &report.certificate;
     let mut broken = Vec::new();

@@ -180,7 +180,7 @@ fn look_at(
     let mut file = open_regular(path).map_err(|error| damaged(error.to_string()))?;
     let recorded = read_provenance(format, &file).map_err(unreadable)?;
     if !is_complete(format, &mut file).map_err(unreadable)? {
-        return Err(damaged("the file is truncated, or has extra bytes after its end".to_owned()));
+        return Err(damaged("the file is truncated or has trailing data".to_owned()));
     }
     let hash = made_from.input_hash.unwrap_or_default();
     let obstacles = made_from.obstacles.as_deref().unwrap_or_default();
@@ -223,7 +223,9 @@ fn difference(
 /// Whether a certificate describes these files and this input, and holds.
 fn agrees(certified: &CertifiedFrame, made_from: &MadeFrom, paths: &[PathBuf]) -> Result<(), InspectedState> {
     if !certified.is_about(paths) {
-        return Err(InspectedState::Stale("the certificate lists other files than these outputs".to_owned()));
+        return Err(InspectedState::Stale(
+            "the certificate lists other files than the outputs of the frame".to_owned(),
+        ));
     }
     certified.check_bytes(paths).map_err(InspectedState::Damaged)?;
     if made_from.input_hash.is_some_and(|hash| hash_text(hash) != certified.input_hash) {

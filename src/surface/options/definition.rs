@@ -70,8 +70,8 @@ method_options! {
         }
         Surface {
             /// Radius r_min of the sphere around each particle that the surface encloses, positive; particles
-            /// in sheets and threads get a flattened ellipsoid instead (--anisotropy) [default: 1.15d, but no
-            /// less than √3·h]
+            /// in sheets and filaments get a flattened ellipsoid instead (--anisotropy) [default: 1.15d, but
+            /// no less than √3·h]
             #[arg(value_name = "LENGTH")]
             radius_min: Length,
 

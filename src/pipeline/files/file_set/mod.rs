@@ -381,7 +381,7 @@ impl FileSet {
 fn said_of_kept(kept: &[PathBuf]) -> String {
     let kept: Vec<_> = kept.iter().map(|path| path.display().to_string()).collect();
     format!(
-        "another program replaced outputs during the conversion; the files that had these names before are {}",
+        "another program has replaced some outputs; the previous versions are kept as {}",
         kept.join(", ")
     )
 }
