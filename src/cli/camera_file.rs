@@ -20,7 +20,7 @@ pub(super) fn camera_of_file(path: &Path, up: Option<UpAxis>) -> Result<CameraCh
         "exr" => camera_of_picture(path, OutputFormat::Exr),
         "png" => camera_of_picture(path, OutputFormat::Png),
         _ => bail!(
-            "{}: expected a .glb or .gltf with a camera, or a .exr or .png of this program",
+            "{}: expected a .glb or .gltf with a camera, or a .exr or .png that meniscus wrote",
             path.display()
         ),
     };

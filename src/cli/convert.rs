@@ -103,7 +103,7 @@ fn refuse_surface_formats(outputs: &OutputOptions) -> Result<()> {
     Ok(())
 }
 
-/// Converts the frames, and combines them into shots.
+/// Converts the frames, and combines them into sequence files.
 fn convert_all(
     args: &ConvertArgs,
     conversion: Conversion,
@@ -115,9 +115,9 @@ fn convert_all(
     let report = args.report.as_deref();
     conversion.refuse_conflicts(report.map(|path| ("the report", path)))?;
     for path in shots.paths() {
-        conversion.refuse_conflicts(Some(("the shot", path)))?;
+        conversion.refuse_conflicts(Some(("the sequence file", path)))?;
         if report.is_some_and(|report| absolute(report).ok() == absolute(path).ok()) {
-            bail!("the report and the shot would both become {}", path.display());
+            bail!("the report and the sequence file would both become {}", path.display());
         }
     }
     let options = RunOptions::new(args, start)?;
@@ -176,7 +176,7 @@ fn convert_shard(
 ) -> Result<CommandOutcome> {
     refuse_beside(&args.given(), &BESIDE_PLAN, PLAN)?;
     let plan = ShardPlan::read(path).with_context(|| path.display().to_string())?;
-    let shard = args.shard.context("--shard is missing: which of the plan's shards to convert")?;
+    let shard = args.shard.context("--plan requires --shard K: the index of the shard to convert")?;
     let (shard, frames) = shard_of(&plan, shard)?;
     warn_of_level(console);
     let obstacles = Arc::new(ObstacleFiles::new(plan.obstacles.clone()));
@@ -218,7 +218,9 @@ fn add_planned(batch: &mut Batch, planned: &PlannedFrame, frame: Frame, console:
         && there != planned.size_bytes
     {
         let (name, was) = (planned.input.display(), planned.size_bytes);
-        console.warning(format_args!("{name}: it has {there} bytes, and had {was} when the plan was made"));
+        console.warning(format_args!(
+            "{name}: changed since the plan was made ({was} bytes then, {there} now): using the current file"
+        ));
     }
     match done_without_inputs(&frame) {
         Some(fault) => {
@@ -230,7 +232,7 @@ fn add_planned(batch: &mut Batch, planned: &PlannedFrame, frame: Frame, console:
 }
 
 /// For a frame whose input or obstacle is gone and whose outputs are done, as `verify` judges it: `Some` with
-/// the reason if its certificate does not hold. `None` for any other frame.
+/// the reason if it failed validation. `None` for any other frame.
 fn done_without_inputs(frame: &Frame) -> Option<Option<String>> {
     let is_absent = matches!(file_of(&frame.input).try_exists(), Ok(false));
     let is_gone = is_absent || !frame.obstacles.exist(frame.number);
@@ -251,7 +253,7 @@ fn shard_of(plan: &ShardPlan, choice: ShardChoice) -> Result<(usize, &[PlannedFr
     let frames = usize::try_from(shard).ok().and_then(|shard| Some((shard, plan.shards.get(shard)?.clone())));
     let Some((shard, frames)) = frames else {
         bail!(
-            "{named} is {shard}, and the plan's shards are 0 to {last}: use --array=0-{last} for the job array"
+            "{named} is {shard}, but the plan has shards 0 to {last} (for a job array of Slurm: --array=0-{last})"
         );
     };
     Ok((shard, plan.frames.get(frames).unwrap_or_default()))

@@ -89,7 +89,7 @@ impl Destination {
         };
         if out.extension().is_some_and(|there| there != extension) {
             let lower = out.with_extension(extension);
-            bail!("{name}: results have extensions in lower case: name {}", lower.display());
+            bail!("{name}: the extension of an output must be lower case: use {}", lower.display());
         }
         if formats.is_some_and(|formats| formats.iter().any(|other| *other != format)) {
             bail!(

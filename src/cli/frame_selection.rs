@@ -96,7 +96,7 @@ impl FromStr for FrameSelection {
 }
 
 fn parse_range(text: &str) -> Result<StepRange, String> {
-    let what = "a selection of frames: give a number such as 12, a range such as 1-240, every second of a range as 1-240x2, \
+    let what = "a selection of frames: give a number such as 12, a range such as 1-240, every other frame of a range as in 1-240x2, \
                 or several of these with commas between";
     let range = expected(text, StepRange::parse(text), what)?;
     if range.last < range.first {

@@ -191,7 +191,7 @@ impl MatchedInputs {
     fn add_pattern(&mut self, input: &Path) -> Result<()> {
         let pattern = input
             .to_str()
-            .ok_or_else(|| anyhow!("{}: no such file, and no pattern in UTF-8", input.display()))?;
+            .ok_or_else(|| anyhow!("{}: no such file, and a pattern must be valid UTF-8", input.display()))?;
         let count_before = self.count();
         let name = input.file_name().and_then(|name| name.to_str()).unwrap_or_default();
         if let Some(number) = NumberPattern::find(name) {

@@ -23,7 +23,7 @@ pub(super) fn surface_job(
     match files.find(|file| is_level_set(&file.path) != is_one) {
         Some(other) if is_one => {
             bail!(
-                "{}: level sets and particles are converted one after the other, not together",
+                "{}: one command cannot convert both level sets and particles: run a command for each",
                 other.path.display()
             )
         }
@@ -62,7 +62,7 @@ pub(super) fn refuse_options(method: &MethodArgs, reason: Use) -> Result<()> {
         bail!("--offset must be in world units for a level set in .vdb, such as --offset 0.01");
     }
     for (group, why) in [
-        (OptionGroup::General, "the file has its voxels"),
+        (OptionGroup::General, "the voxel size is that of the file, and presets are for particles"),
         (OptionGroup::Surface, "this option is for particles, and a level set has none"),
         (OptionGroup::Particles, "this option is for particles, and a level set has none"),
         (OptionGroup::Obstacles, "obstacles are for particles"),

@@ -31,7 +31,9 @@ pub(super) fn thread_pool(given: Option<u16>) -> Result<ThreadPool> {
 pub(super) fn memory_bytes(given: Option<u64>) -> Result<u64> {
     match given {
         Some(bytes) if bytes < MEMORY_MIN_BYTES => {
-            bail!("{bytes} bytes of memory are too little for any frame: give 1MiB at least, or such as 8GiB")
+            bail!(
+                "a memory limit of {bytes} bytes is too small for any frame: give at least 1MiB, for example 8GiB"
+            )
         }
         Some(bytes) => Ok(bytes),
         None => Ok(default_memory_bytes()),

@@ -38,7 +38,9 @@ pub(super) fn print_settings_of_any(
     let needs_spacing = options.needs_spacing() && !has_voxel_size;
     let has_length = options.has_length_in(LengthUnit::World) || options.clip.is_some();
     if needs_spacing && has_length {
-        bail!("lengths need a spacing for comparison: give --spacing, or an INPUT to measure it on");
+        bail!(
+            "lengths in world units cannot be compared with the particle spacing, which is unknown: give --spacing, or an INPUT to measure it on"
+        );
     }
     if needs_spacing {
         console.say("# these follow the particle spacing, here 1:");

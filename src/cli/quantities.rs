@@ -87,7 +87,11 @@ pub(super) fn parse_listen(text: &str) -> Result<SocketAddr, String> {
 /// Parses a number of bytes.
 pub(super) fn parse_bytes(text: &str) -> Result<u64, String> {
     let size = text.trim().parse().ok().map(|size: ByteSize| size.as_u64());
-    expected(text, size, "a size: a number of bytes, or such as 512MiB, 8GiB")
+    expected(
+        text,
+        size,
+        "a size: expected a number of bytes, or a number with a unit, such as 512MiB or 8GiB",
+    )
 }
 
 /// Parses a positive number.

@@ -17,18 +17,17 @@ pub(super) fn with_remedy(warning: &Warning) -> impl fmt::Display {
 fn remedy(warning: &Warning) -> Option<String> {
     let of_spacing = "check --spacing and --voxel-size, or leave them out: then the spacing is measured";
     Some(match warning {
-        Warning::Tiled { .. } => "--memory allows more".to_owned(),
+        Warning::Tiled { .. } => "raise the limit with --memory".to_owned(),
         Warning::CflExceeded { .. } => "choose a smaller --step-size".to_owned(),
         Warning::SmallRadii { radius_min, .. } => {
-            format!("--voxel-size {} would hold them all", rounded_down(radius_min / 3f64.sqrt()))
+            format!("--voxel-size {} or less resolves all of them", rounded_down(radius_min / 3f64.sqrt()))
         }
         Warning::BetweenVoxels { voxel_size, .. } => {
-            format!("all are held by --radius-min {}", significant(3f64.sqrt() * voxel_size))
+            format!("use --radius-min {} or more", significant(3f64.sqrt() * voxel_size))
         }
         Warning::Spray { .. } | Warning::Blob { .. } => of_spacing.to_owned(),
         Warning::Holes { .. } | Warning::Fragmented { .. } => {
-            "check --spacing and --voxel-size, or leave them out; with --preset paper give --radius-min 0.87 times as much as is \
-             between particles, too"
+            "check --spacing and --voxel-size, or leave them out; with --preset paper also give --radius-min 0.87d"
                 .to_owned()
         }
         _ => return None,

@@ -74,7 +74,9 @@ impl<'a> RequestedPictures<'a> {
                 (folder, Some(stem), format)
             }
             (None, Some(folder)) => (folder.clone(), None, args.format.unwrap_or(OutputFormat::Png)),
-            (None, None) => bail!("--output or --out is missing: where the picture goes"),
+            (None, None) => {
+                bail!("give -o FILE for one picture, or --out DIR for the pictures of several frames")
+            }
         };
         let session = RenderSession::new(&args.pictures, (folder, format, args.size))?;
         let shots = RequestedPictures { args, session, format, stem };

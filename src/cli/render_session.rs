@@ -163,7 +163,12 @@ impl<'a> RenderSession<'a> {
         let source = if is_level_set(&file.path) {
             RenderSource::LevelSet(Box::new(LevelSetFile::read(&file.path, self.has_velocities())?))
         } else {
-            let settings = settings.context("particles among level sets have no settings")?;
+            let settings = settings.with_context(|| {
+                format!(
+                    "{}: particles and level sets must be rendered by separate commands",
+                    file.path.display()
+                )
+            })?;
             let frame = LoadedFrame::read((&file.path, file.number()), settings)?;
             let made = self.reconstruct(&frame, settings)?;
             RenderSource::Reconstructed(Box::new(RenderedFrame { frame, made, settings: settings.clone() }))
@@ -278,7 +283,7 @@ fn add_level_sets(found: &mut MatchedInputs, level_sets: Vec<FrameFile>, folder:
     let (known, new): (Vec<_>, Vec<_>) = level_sets.into_iter().partition(is_known);
     if !known.is_empty() {
         found.warnings.push(format!(
-            "{}: skipped {} of {}: their frames have particle files",
+            "{}: skipped {} of {}: the particles of the same frames are used instead",
             folder.display(),
             known.len(),
             pluralize(count, "level set")

@@ -100,7 +100,7 @@ pub(super) fn warn_of_siblings(sequence: &Sequence, console: &Console) {
     if count > 1 {
         console.warning(format_args!(
             "{}: its sequence has {count} frames, and its spacing was measured on this one alone; \
-             name the whole sequence and pick with --frames, or give --spacing",
+             name the whole sequence and select frames with --frames, or give --spacing",
             frame.name()
         ));
     }
@@ -137,7 +137,7 @@ pub(super) fn say_settings(
     let [radius_min, radius_init, radius_max] =
         [settings.radius_min, settings.radius_init, settings.radius_max].map(significant);
     console.say(format_args!(
-        "{}: {frames}, {spacing}voxel size {voxel_size}, radii {radius_min} / {radius_init} / {radius_max}, {}",
+        "{}: {frames}, {spacing}voxel size {voxel_size}, r_min {radius_min}, r_init {radius_init}, r_max {radius_max}, {}",
         sequence.name,
         pluralize(settings.steps as usize, "step")
     ));

@@ -1,5 +1,5 @@
-//! `meniscus sequence`, and the same at the end of `meniscus convert`: combines the frames of a shot into one
-//! file.
+//! `meniscus sequence`, and the same at the end of `meniscus convert`: combines the frames of a sequence into
+//! one file.
 
 use std::path::{Path, PathBuf};
 
@@ -22,16 +22,16 @@ use super::wording::{counted_are, pluralize};
 /// Combines the frames that the arguments name.
 ///
 /// # Errors
-/// If no shot can be made.
+/// If no sequence file can be made.
 pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<CommandOutcome> {
     let format = SequenceFormat::of(&args.output).with_context(|| {
-        format!("{}: the name of a shot must end in .glb or .usda", args.output.display())
+        format!("{}: the name of a sequence file must end in .glb or .usda", args.output.display())
     })?;
-    check_output_path("the shot", &args.output)?;
+    check_output_path("the sequence file", &args.output)?;
     let found = find_inputs(&frames_of_folders(&args.inputs)?)?;
     found.report(console);
     let frames = without_old_sequence_file(found.files, &args.output)?;
-    let sequence = only_sequence(frames, "a shot is of one sequence")?;
+    let sequence = only_sequence(frames, "a sequence file holds one sequence")?;
     let source = |file: &FrameFile| SequenceSource { path: file.path.clone(), number: file.number() };
     let sources: Vec<SequenceSource> = sequence.frames.iter().map(source).collect();
     if args.meters_per_unit.is_some() && format != SequenceFormat::Usda {
@@ -44,7 +44,7 @@ pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<Com
     Ok(if shot.left_out.is_empty() { CommandOutcome::Done } else { CommandOutcome::SomeFailed })
 }
 
-/// The inputs, with folders replaced by their .glb files. Existing shots are not frames.
+/// The inputs, with folders replaced by their .glb files. Existing sequence files are not frames.
 fn frames_of_folders(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
     let mut frames = Vec::new();
     for input in inputs {
@@ -60,27 +60,30 @@ fn frames_of_folders(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
             .filter(is_frame)
             .collect();
         if files.is_empty() {
-            bail!("{}: this folder contains no .glb of a frame", input.display());
+            bail!("{}: this folder contains no .glb files of frames", input.display());
         }
         frames.extend(files);
     }
     Ok(frames)
 }
 
-/// The frames among these files. A pattern may match an existing shot, which the new one replaces; if the
-/// shot would replace any other file, that is an error.
+/// The frames among these files. A pattern may match an existing sequence file, which the new one replaces;
+/// if the new one would replace any other file, that is an error.
 fn without_old_sequence_file(files: Vec<FrameFile>, output: &Path) -> Result<Vec<FrameFile>> {
     let (old, frames): (Vec<_>, Vec<_>) =
         files.into_iter().partition(|file| are_same_file(&file.path, output));
     if let Some(input) = old.iter().find(|file| !is_sequence_file(&file.path)) {
         bail!(
-            "{}: the shot would replace the input {}: choose another name",
+            "{}: the sequence file would replace the input {}: choose another name",
             output.display(),
             input.path.display()
         );
     }
     if frames.is_empty() {
-        bail!("{}: this is a shot already, not a frame of one", output.display());
+        bail!(
+            "{}: this is a sequence file, and there is no frame to combine: give the .glb files of the frames",
+            output.display()
+        );
     }
     Ok(frames)
 }
@@ -94,16 +97,16 @@ fn warn_gaps(path: &Path, frames: &[SequenceSource], console: &mut Console) {
 
 fn report_sequence(path: &Path, shot: &SequenceReport, console: &mut Console) {
     for (frame, why) in &shot.left_out {
-        console.error(format_args!("{}: left out of the shot: {why}", frame.display()));
+        console.error(format_args!("{}: left out of the sequence file: {why}", frame.display()));
     }
     for note in &shot.notes {
         console.warning(format_args!("{}: {note}", path.display()));
     }
     let frames = pluralize(shot.frame_count, "frame");
-    console.say(format_args!("{}: a shot of {frames}, {} bytes", path.display(), shot.size_bytes));
+    console.say(format_args!("{}: a sequence file of {frames}, {} bytes", path.display(), shot.size_bytes));
 }
 
-/// The shots to make after a conversion.
+/// The sequence files to make after a conversion.
 pub(super) struct SequenceOutputs {
     files: Vec<(PathBuf, SequenceFormat)>,
     options: SequenceOptions,
@@ -112,7 +115,7 @@ pub(super) struct SequenceOutputs {
 }
 
 impl SequenceOutputs {
-    /// The requested shots, which may be none; refused if they cannot be made.
+    /// The requested sequence files, which may be none; refused if they cannot be made.
     ///
     /// # Errors
     /// The reason.
@@ -135,17 +138,19 @@ impl SequenceOutputs {
                 bail!("{option} {}: the name of this file must end in .{extension}", path.display());
             }
             if !outputs.formats.contains(&OutputFormat::Glb) {
-                bail!("{option}: a shot is gathered from the .glb of its frames: add glb to --format");
+                bail!(
+                    "{option}: a sequence file is made from the .glb files of its frames: add glb to --format"
+                );
             }
             if sequence_count > 1 {
                 bail!(
-                    "{option}: a shot is of one sequence, and these are {sequence_count}: convert them one by one"
+                    "{option}: a sequence file holds one sequence, and these are {sequence_count}: convert them separately"
                 );
             }
             files.push((path.clone(), format));
         }
         if files.is_empty() && fps.is_some() {
-            bail!("--fps is for a shot: give --sequence-glb or --sequence-usda as well");
+            bail!("--fps is for a sequence file: give --sequence-glb or --sequence-usda as well");
         }
         let options = SequenceOptions { fps: fps.unwrap_or(FPS), meters_per_unit: outputs.meters_per_unit };
         Ok(SequenceOutputs { files, options, are_picked })
@@ -156,8 +161,8 @@ impl SequenceOutputs {
         self.files.iter().map(|(path, _)| &**path)
     }
 
-    /// Combines the finished frames, out of `frame_count`. An existing shot is not replaced by one with
-    /// missing frames.
+    /// Combines the finished frames, out of `frame_count`. An existing sequence file is not replaced by
+    /// one with missing frames.
     pub(super) fn write(
         &self,
         (frames, frame_count): (&[SequenceSource], usize),
@@ -169,8 +174,8 @@ impl SequenceOutputs {
             if frames.len() < frame_count && path.exists() {
                 let (path, done_count) = (path.display(), frames.len());
                 console.warning(format_args!(
-                    "{path}: not replaced, because only {done_count} of {frame_count} frames are done; remove it \
-                     to get a shot of these"
+                    "{path}: not replaced, because only {done_count} of {frame_count} frames are done; delete it \
+                     to write a sequence file of the finished frames"
                 ));
                 continue;
             }

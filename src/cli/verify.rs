@@ -47,10 +47,9 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
     summarize(&verdicts, start.elapsed().as_secs_f64(), console);
     if let Some(planned) = planned.filter(|_| !verdicts.shards_to_run().is_empty()) {
         console.warning(format_args!(
-            "the plan's results go to {}, but this command checked {}: shards that run again write there, \
-             and not here",
-            planned.display(),
-            args.folder.display()
+            "checked {}, but the plan writes to {planned}: shards that run again will write to {planned}",
+            args.folder.display(),
+            planned = planned.display()
         ));
     }
     if let Some(path) = &args.report {
@@ -76,7 +75,12 @@ fn describe_shard(shard: &[(&PlannedFrame, &FrameCheck)]) -> Vec<String> {
     }
     let line = |(planned, verdict): &(&PlannedFrame, &FrameCheck)| {
         let why = verdict.why()?;
-        Some(format!("{} (shard {}): {}: {why}", planned.stem, verdict.shard, verdict.status()))
+        let state = match verdict.state {
+            // This reason begins with the state.
+            InspectedState::Uncertified(_) => String::new(),
+            _ => format!("{}: ", verdict.status()),
+        };
+        Some(format!("{} (shard {}): {state}{why}", planned.stem, verdict.shard))
     };
     shard.iter().filter_map(line).collect()
 }
@@ -85,17 +89,18 @@ fn summarize(verdicts: &PlanVerification, seconds: f64, console: &mut Console) {
     let [(_, done), others @ ..] = verdicts.counts();
     let mut summary = format!("{}: {done} done", pluralize(verdicts.frames.len(), "frame"));
     for (status, count) in others.into_iter().filter(|&(_, count)| count > 0) {
-        summary += &format!(", {count} {status}");
+        // `uncertified` is the name in JSON.
+        let state = if status == "uncertified" { "failed validation" } else { status };
+        summary += &format!(", {count} {state}");
     }
     console.say(format_args!("{summary}, in {seconds:.2} s"));
-    for (gone, what) in
-        [(verdicts.input_missing_count(), "input"), (verdicts.obstacle_missing_count(), "frame's obstacle")]
-    {
+    for (gone, what) in [
+        (verdicts.input_missing_count(), "a missing input"),
+        (verdicts.obstacle_missing_count(), "a missing obstacle"),
+    ] {
         if gone > 0 {
-            let gone = pluralize(gone, what);
-            console.warning(format_args!(
-                "{gone} missing: cannot check whether the results are up to date with them"
-            ));
+            let frames = pluralize(gone, "frame");
+            console.warning(format_args!("{frames} with {what}: cannot check whether they are up to date"));
         }
     }
     let shards = verdicts.shards_to_run();

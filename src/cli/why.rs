@@ -90,8 +90,8 @@ fn known_frame(path: &Path) -> std::io::Result<PathBuf> {
     })
 }
 
-const UNKNOWN: &str = "The journal does not say what the daemon was asked for: this is by its defaults. \
-                       --config tells its file.";
+const UNKNOWN: &str = "The journal does not record the daemon's settings, so this answer assumes the defaults. \
+                       To use the daemon's settings, give its file with --config.";
 
 /// The daemon's settings.
 struct DaemonSettings {
@@ -164,7 +164,7 @@ fn lines(
     let Explanation { is_selected, file, settings_hold, output_missing, verdict } = explanation;
     let mut lines = vec![frame.display().to_string()];
     let mut line = |name: &str, what: &str| lines.push(format!("  {name:<9} {what}"));
-    line("name", if *is_selected { "one of a frame" } else { "not one of a frame" });
+    line("name", if *is_selected { "selected as a frame" } else { "not selected as a frame" });
     if let Some(FileFacts { content, readiness, .. }) = file {
         line(
             "content",
@@ -220,7 +220,7 @@ fn recorded(record: &JournaledFrame, now_ms: u64) -> String {
         JournaledStatus::Done => "done",
         JournaledStatus::Failed => "failed",
         JournaledStatus::Retrying => "failed, will be retried",
-        JournaledStatus::Refused => "refused, on account of other files",
+        JournaledStatus::Refused => "refused because of other files",
         JournaledStatus::RetriesExhausted => "failed, will be retried at the next start",
     };
     format!("{status}, {}{attempts}", ago(record.at_ms, now_ms))

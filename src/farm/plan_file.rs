@@ -180,7 +180,9 @@ pub fn parse(bytes: &[u8]) -> Result<ShardPlan, PlanError> {
     if generator != GENERATOR_AND_VERSION {
         return Err(PlanError::at(
             "/generator",
-            format!("this is a plan of `{generator}`, and this is {GENERATOR_AND_VERSION}: plan again"),
+            format!(
+                "the plan was made by `{generator}`, but this program is {GENERATOR_AND_VERSION}: install the same version, or run `meniscus plan` again"
+            ),
         ));
     }
     serde_json::from_slice::<PlanFile>(bytes).map_err(of_form)?.into_plan()

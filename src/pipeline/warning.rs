@@ -80,15 +80,15 @@ pub enum Warning {
     CoarsePositions { voxels: f64 },
     /// Particles outside the surface, which an offset or smoothed positions allow.
     ParticlesOutside { count: usize, particle_count: usize },
-    /// Breaks a guarantee: φ leaves its bounds.
+    /// Failed validation: φ leaves its bounds.
     OutOfBounds { voxel_count: usize },
-    /// Breaks a guarantee: vertices nearer to particles than r_min.
+    /// Failed validation: vertices nearer to particles than r_min.
     VerticesTooNear { count: usize, nearest_voxels: f64 },
-    /// Breaks a guarantee: vertices farther from particles than r_max.
+    /// Failed validation: vertices farther from particles than r_max.
     VerticesTooFar { count: usize, farthest_voxels: f64 },
-    /// Breaks a guarantee: particles that the surface does not enclose.
+    /// Failed validation: particles that the surface does not enclose.
     NotEnclosed { count: usize },
-    /// Breaks a guarantee: the mesh has these faults.
+    /// Failed validation: the mesh has these faults.
     NotClosed(Box<MeshMeasures>),
 }
 
@@ -165,7 +165,7 @@ impl Warning {
         }
     }
 
-    /// Whether the result breaks a guarantee of the program.
+    /// Whether the result failed validation.
     pub fn breaks_guarantee(&self) -> bool {
         matches!(
             self,
@@ -177,8 +177,8 @@ impl Warning {
         )
     }
 
-    /// Whether the frame has a fault, whatever it was converted with: ignored particles, or a broken
-    /// guarantee.
+    /// Whether the frame has a fault that does not depend on the settings: ignored particles, or failed
+    /// validation.
     pub fn is_flaw(&self) -> bool {
         matches!(self, Warning::ParticlesIgnored { .. }) || self.breaks_guarantee()
     }
@@ -187,7 +187,7 @@ impl Warning {
 impl fmt::Display for Warning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.breaks_guarantee() {
-            f.write_str("the result breaks a guarantee: ")?;
+            f.write_str("failed validation: ")?;
         }
         if let Some((count, noun, what)) = self.counted() {
             return write!(f, "{} {what}", pluralize(count, noun));
@@ -195,19 +195,19 @@ impl fmt::Display for Warning {
         match self {
             Warning::Sentence(text) => f.write_str(text),
             Warning::MissingAttribute { name, available } => {
-                write!(f, "no attribute `{name}` for the surface: it has ")?;
+                write!(f, "the particles have no attribute `{name}` for the surface; available: ")?;
                 f.write_str(&if available.is_empty() { "none".to_owned() } else { available.join(", ") })
             }
             Warning::OtherGrids { count: 1 } => f.write_str("1 more grid in the file is ignored"),
             Warning::OtherGrids { count } => write!(f, "{count} more grids in the file are ignored"),
             Warning::Rebuilt(reason) => reason.fmt(f),
-            Warning::VelocitiesNotShown(why) => write!(f, "its velocities are not shown: {why}"),
+            Warning::VelocitiesNotShown(why) => write!(f, "velocities are ignored: {why}"),
             Warning::PositionsNotFinite { count, particle_count } => {
                 write!(f, "{count} of {particle_count} positions are not finite")
             }
             Warning::Tiled { whole_bytes } => {
                 let mebibytes = whole_bytes.div_ceil(1 << 20);
-                write!(f, "skinned in tiles, which takes longer: without tiles it needs {mebibytes} MiB")
+                write!(f, "processed in tiles, which takes longer: without tiles it needs {mebibytes} MiB")
             }
             Warning::Obstacle { path, finding } => write!(f, "obstacle {}: {finding}", path.display()),
             _ => self.fmt_surface(f),
@@ -236,10 +236,10 @@ impl Warning {
                 (count, "vertex", "without a particle in range: attributes are 0 or missing")
             }
             Warning::VoxelsWithoutAttributes { count } => {
-                (count, "place", "in the .vdb without a particle in range: attributes are 0")
+                (count, "sampled voxel", "of the .vdb without a particle in range: attributes are 0 there")
             }
             Warning::CflExceeded { step_count } => {
-                (step_count, "explicit step", "went beyond the CFL bound (Eq. 8)")
+                (step_count, "explicit step", "exceeded the CFL bound (Eq. 8)")
             }
             Warning::NotEnclosed { count } => (count, "particle", "outside the surface"),
             _ => return None,
@@ -273,26 +273,26 @@ impl Warning {
             }
             Warning::Spray { particle_count, piece_count, voxel_size } => write!(
                 f,
-                "{particle_count} particles became {piece_count} pieces, most of one particle each: they are spray, or voxels of {} \
-                 are too small for the particle spacing",
+                "{particle_count} particles became {piece_count} pieces, most of one particle each: unless they really are spray, \
+                 the voxel size {} is too small for the particle spacing",
                 significant(*voxel_size)
             ),
             Warning::Holes { particle_count, hole_count, voxel_size } => write!(
                 f,
-                "the surface of {particle_count} particles has {}: it is a net, or it is torn because voxels of {} \
+                "the surface of {particle_count} particles has {}: unless the fluid really has them, the voxel size {} \
                  or the radii are too small for the particle spacing",
                 pluralize(*hole_count, "hole"),
                 significant(*voxel_size)
             ),
             Warning::Fragmented { particle_count, piece_count, voxel_size } => write!(
                 f,
-                "{particle_count} particles became {piece_count} pieces, none with half of the volume: they are spray, or torn because \
-                 voxels of {} or the radii are too small for the particle spacing",
+                "{particle_count} particles became {piece_count} pieces, none with half of the volume: unless they really are spray, \
+                 the voxel size {} or the radii are too small for the particle spacing",
                 significant(*voxel_size)
             ),
             Warning::Blob { particle_count, width_voxels, voxel_size } => write!(
                 f,
-                "all of the {particle_count} particles are within {width_voxels} voxels: voxels of {} are too large for them",
+                "all of the {particle_count} particles are within {width_voxels} voxels: the voxel size {} is too large for them",
                 significant(*voxel_size)
             ),
             _ => self.fmt_frame(f),
@@ -307,7 +307,7 @@ impl Warning {
             }
             Warning::UnsupportedInVdb { ref name } => write!(
                 f,
-                "{name} is not in the .vdb: its grids hold one or three numbers for each voxel that can be averaged"
+                "{name} is not in the .vdb, which can store only attributes of one or three floating-point numbers"
             ),
             Warning::ParticlesIgnored { count, near } => {
                 write!(f, "{} left out: not finite, or too far away", pluralize(count, "particle"))?;
@@ -318,9 +318,14 @@ impl Warning {
             }
             Warning::ParticlesInObstacles { count, are_most } => {
                 let particles = pluralize(count, "particle");
-                write!(f, "{particles} inside obstacles: the surface avoids the obstacle nevertheless")?;
+                write!(f, "{particles} inside obstacles: the surface does not follow them there")?;
                 // The mesh of a container may be only its inner side.
-                f.write_str(if are_most { "; a container needs walls, or it counts as full" } else { "" })
+                match are_most {
+                    true => f.write_str(
+                        "; if the obstacle is a container, give its walls a thickness: otherwise all of it is solid",
+                    ),
+                    false => Ok(()),
+                }
             }
             Warning::NotConverged => f.write_str("the conjugate gradients did not reach their tolerance"),
             Warning::CoarsePositions { voxels } => write!(
@@ -338,13 +343,13 @@ impl Warning {
             }
             Warning::VerticesTooNear { count, nearest_voxels } => write!(
                 f,
-                "{} of the mesh nearer than r_min to a particle by more than half a voxel, the nearest at {} voxels",
+                "{} of the mesh too near to a particle (nearer than r_min by more than half a voxel); the smallest distance is {} voxels",
                 pluralize(count, "vertex"),
                 significant(nearest_voxels)
             ),
             Warning::VerticesTooFar { count, farthest_voxels } => write!(
                 f,
-                "{} of the mesh farther than r_max from all particles by more than half a voxel, the farthest at {} voxels",
+                "{} of the mesh too far from all particles (farther than r_max by more than half a voxel); the largest distance is {} voxels",
                 pluralize(count, "vertex"),
                 significant(farthest_voxels)
             ),
@@ -368,12 +373,15 @@ impl Warning {
 impl fmt::Display for ObstacleFinding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            ObstacleFinding::Open { edge_count, encloses_nothing: true } => write!(
-                f,
-                "{edge_count} open edges, and it encloses nothing: an obstacle is what a mesh encloses, so give it a thickness"
-            ),
+            ObstacleFinding::Open { edge_count, encloses_nothing: true } => {
+                write!(f, "the mesh has {edge_count} open edges and encloses no volume: give it a thickness")
+            }
             ObstacleFinding::Open { edge_count, encloses_nothing: false } => {
-                write!(f, "{edge_count} open edges: holes are closed where its winding number is 1/2")
+                write!(
+                    f,
+                    "the mesh has {edge_count} open edges: its holes were closed approximately (where the winding number is 1/2); \
+                     close them in the model for an exact obstacle"
+                )
             }
             ObstacleFinding::Flipped { triangle_count } => {
                 write!(f, "{triangle_count} triangles were flipped because they faced the other way")
@@ -389,7 +397,7 @@ impl fmt::Display for ObstacleFinding {
             ObstacleFinding::Rebuilt(reason) => reason.fmt(f),
             ObstacleFinding::NarrowBand { known_voxels } => write!(
                 f,
-                "its band is only {known_voxels:.2} h wide, and its surface may be off by that much: use a wider band"
+                "its narrow band is only {known_voxels:.2} h wide, and its surface may be off by that much: write it with a wider band"
             ),
             ObstacleFinding::OutOfReach { obstacle, particles } => {
                 let [obstacle, particles] = [*obstacle, *particles].map(box_text);

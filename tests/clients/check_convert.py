@@ -142,7 +142,7 @@ def flowing(check):
 
 
 def moving(check):
-    """A shot of a block that grows, for programs that take meshes in other formats; and as one file that plays."""
+    """A sequence of a block that grows, for programs that take meshes in other formats; and as one animated file."""
     folder = WORK / "awkward" / "moving"
     folder.mkdir(parents=True, exist_ok=True)
     for frame in MOVING:

@@ -137,8 +137,8 @@ fn attributes_are_selected_by_column_name_or_by_meaning() {
         let ran = convert(folder, "out", &["--attributes", typed]);
         assert_eq!(ran.status, 0, "{}", ran.err);
         assert_eq!(told(folder)["names"], Value::from(expected.to_vec()), "{typed}");
-        let is_told =
-            ran.err.contains("no attribute `nothing`") && ran.err.contains("it has v, Cd, id, age, fluid");
+        let is_told = ran.err.contains("no attribute `nothing`")
+            && ran.err.contains("available: v, Cd, id, age, fluid");
         assert_eq!(is_told, typed.contains("nothing"), "{}", ran.err);
     }
 }
@@ -236,7 +236,7 @@ fn voxel_size_is_small_enough_for_radii_from_a_column() {
     assert_eq!(settings["radius_median"].as_f64(), Some(f64::from(0.05f32)));
     assert_eq!(report["frames"][0]["shapes"]["small_radii"], 20);
     assert!(ran.err.contains("20 particles too small for the grid"), "{}", ran.err);
-    assert!(ran.err.contains("--voxel-size 0.0173 would hold them all"), "{}", ran.err);
+    assert!(ran.err.contains("--voxel-size 0.0173 or less resolves all of them"), "{}", ran.err);
     // The voxel size that the warning names is small enough; the daemon measures the same.
     let ran = meniscus(folder, &[&typed[..], &["--voxel-size", "0.0173"]].concat());
     assert_eq!(ran.status, 0);
@@ -269,8 +269,7 @@ fn frame_without_any_radius_fails() {
     for more in [&[][..], &["--voxel-size", "0.05"]] {
         let ran = meniscus(folder, &[&typed[..], more].concat());
         assert_eq!(ran.status, 1, "{}", ran.err);
-        let told = "f.1.bgeo: the particles' attribute `pscale` has no positive number for any of them, and \
-                    --radius-attribute needs a radius";
+        let told = "f.1.bgeo: the particles' attribute `pscale` has no positive value, but --radius-attribute needs radii";
         assert!(ran.err.contains(told), "{}", ran.err);
         assert!(ran.err.contains("215 particles without a radius that is a positive number"), "{}", ran.err);
         assert_eq!(names_in(&folder.join("o")), ["f.2.obj"]);

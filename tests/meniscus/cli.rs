@@ -119,9 +119,9 @@ fn unwritable_folder_for_a_report_plan_or_sequence_file_is_refused() {
         ("the report", &["convert", "dam.#.ply", "--out", "o", "--report", "/proc/r.json"][..]),
         ("the report", &["convert", "--plan", "plan.json", "--shard", "0", "--report", "/proc/r.json"]),
         ("the report", &["verify", "planned", "--plan", "plan.json", "--report", "/proc/r.json"]),
-        ("the shot", &["convert", "dam.#.ply", "--out", "o", "--sequence-glb", "/proc/s.glb"]),
-        ("the shot", &["convert", "dam.#.ply", "--out", "o", "--sequence-usda", "/proc/s.usda"]),
-        ("the shot", &["sequence", "dam.#.glb", "-o", "/proc/x.glb"]),
+        ("the sequence file", &["convert", "dam.#.ply", "--out", "o", "--sequence-glb", "/proc/s.glb"]),
+        ("the sequence file", &["convert", "dam.#.ply", "--out", "o", "--sequence-usda", "/proc/s.usda"]),
+        ("the sequence file", &["sequence", "dam.#.glb", "-o", "/proc/x.glb"]),
         ("the plan", &["plan", "dam.#.ply", "--shards", "2", "--out", "o", "-o", "/proc/p.json"]),
     ] {
         let ran = meniscus(path, command);
@@ -383,9 +383,9 @@ fn voxel_size_that_does_not_fit_the_particles_causes_a_warning() {
     for (voxel_size, words) in [
         (
             "0.01",
-            "125 particles became 125 pieces, most of one particle each: they are spray, or voxels of 0.01 are too small",
+            "125 particles became 125 pieces, most of one particle each: unless they really are spray, the voxel size 0.01 is too small",
         ),
-        ("10", "all of the 125 particles are within 4 voxels: voxels of 10 are too large"),
+        ("10", "all of the 125 particles are within 4 voxels: the voxel size 10 is too large"),
     ] {
         let (err, report) = of_size(voxel_size);
         assert!(err.contains(words) && report.contains(words), "{voxel_size}: {err}");

@@ -27,7 +27,7 @@ mod random_ball; // 50 000 random particles in a ball come out nearly spherical 
 mod raw_vdb; // level sets that no program writes
 mod same_bytes;
 mod scene; // small frames of particles, and a way to run the command
-mod sequence_files; // meshes in other programs' formats, and all frames of a shot in one file
+mod sequence_files; // meshes in other programs' formats, and all frames of a sequence in one file
 mod service; // the daemon as a service: what systemd hears, and what signals do
 mod shapes; // shapes of particles, the method with its defaults, values of level sets
 mod shared; // files of real programs are converted, or refused with the expected reason

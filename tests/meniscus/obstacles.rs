@@ -428,7 +428,7 @@ fn moving_obstacle_has_a_file_for_each_frame() {
     // The error appears once, with the frame and the expected file.
     let missing: Vec<&str> = all.err.lines().filter(|line| line.contains("frame 3")).collect();
     let expected =
-        "error: dam.3.ply: obstacle body.0003.obj: no such file, and frame 3 needs its own of body.####.obj";
+        "error: dam.3.ply: obstacle body.0003.obj: no such file: body.####.obj has no file for frame 3";
     assert_eq!(missing, [expected], "{}", all.err);
     let vdb = |number: u32| fs::read(path.join(format!("o/dam.{number}.vdb"))).expect("readable");
     assert!(vdb(1) != vdb(2) && !path.join("o/dam.3.vdb").exists());
@@ -514,7 +514,7 @@ fn obstacle_out_of_reach_causes_a_warning() {
     let mut plane = at(0.3);
     plane.triangles.truncate(2);
     let (_, err) = told("plane.obj", &plane);
-    assert!(err.contains("encloses nothing"), "{err}");
+    assert!(err.contains("encloses no volume"), "{err}");
 }
 
 /// A surface can vanish in an obstacle, beyond a box, or as islands. Then the output is written, with a

@@ -214,7 +214,7 @@ fn failed_shard_repeats_no_finished_frame() {
     fs::write(&broken, "ply\nformat nonsense 1.0\n").expect("written");
     let ran = shard(folder, 0);
     assert_eq!(ran.status, 1, "{}", ran.err);
-    assert!(ran.err.contains("dam.2.ply: it has 24 bytes, and had "), "{}", ran.err);
+    assert!(ran.err.contains("dam.2.ply: changed since the plan was made ("), "{}", ran.err);
     succeeded(&shard(folder, 1));
     let verified = verify(folder);
     assert_eq!(verified.status, 1);
@@ -340,7 +340,7 @@ fn shards_without_frames_succeed() {
     succeeded(&verify(folder));
     let ran = shard(folder, 5);
     assert_eq!(ran.status, 2);
-    assert!(ran.err.contains("--shard is 5, and the plan's shards are 0 to 4"), "{}", ran.err);
+    assert!(ran.err.contains("--shard is 5, but the plan has shards 0 to 4"), "{}", ran.err);
 }
 
 /// Slurm sets the number of the shard; if it does not, the error says so.
@@ -361,7 +361,7 @@ fn slurm_task_id_selects_the_shard() {
     assert!(names_in(&folder.join("out")).iter().all(|name| name.starts_with("dam.2.")));
     for (task, why) in [
         (None, "SLURM_ARRAY_TASK_ID is not set"),
-        (Some("2"), "SLURM_ARRAY_TASK_ID is 2, and the plan's shards are 0 to 1"),
+        (Some("2"), "SLURM_ARRAY_TASK_ID is 2, but the plan has shards 0 to 1"),
         (Some("-1"), "SLURM_ARRAY_TASK_ID is `-1`"),
         (Some(""), "SLURM_ARRAY_TASK_ID is ``"),
     ] {
@@ -427,12 +427,12 @@ const CASES: [Case; 12] = [
     (
         "damaged",
         |f| edit(f.join("out/dam.1.glb"), |bytes| bytes.truncate(bytes.len() - 9)),
-        "its end is missing",
+        "the file is truncated or has trailing data",
     ),
     (
         "damaged",
         |f| edit(f.join("out/dam.1.vdb"), |bytes| *bytes.last_mut().expect("bytes") ^= 1),
-        "dam.1.vdb has other bytes than were written",
+        "dam.1.vdb was modified: its hash differs from that in the certificate",
     ),
     ("damaged", |f| edit(f.join("out/dam.1.glb"), Vec::clear), "dam.1.glb: "),
     (
@@ -463,7 +463,11 @@ const CASES: [Case; 12] = [
         },
         "dam.1.glb: voxel_size is 0.07, expected 0.04",
     ),
-    ("stale", |f| write_ply(&f.join("in/dam.1.ply"), &block(5, 0.0)), "made from another state of the input"),
+    (
+        "stale",
+        |f| write_ply(&f.join("in/dam.1.ply"), &block(5, 0.0)),
+        "the input has changed since it was made",
+    ),
     (
         "uncertified",
         |f| {
@@ -473,7 +477,7 @@ const CASES: [Case; 12] = [
                 *bytes = text.replace("\"count\": 0", "\"count\": 3").into_bytes();
             });
         },
-        "the certificate does not hold: 3 particles outside",
+        "failed validation: 3 particles outside",
     ),
 ];
 
@@ -487,7 +491,8 @@ fn verify_reports_every_kind_of_damage() {
         meddle(folder);
         let ran = meniscus(folder, &["verify", "out", "--plan=plan.json", "--report=v.json"]);
         assert_eq!(ran.status, 1, "{status}: {}", ran.out);
-        assert!(ran.err.starts_with(&format!("dam.1 (shard 0): {status}: ")), "{}", ran.err);
+        let state = if status == "uncertified" { "failed validation" } else { status };
+        assert!(ran.err.starts_with(&format!("dam.1 (shard 0): {state}: ")), "{}", ran.err);
         assert!(ran.err.contains(why), "{}", ran.err);
         let report: Value =
             serde_json::from_slice(&fs::read(folder.join("v.json")).expect("there")).expect("JSON");
@@ -549,13 +554,13 @@ fn outputs_are_verified_in_another_folder() {
     fs::remove_dir_all(folder.join("in")).expect("removed");
     let ran = meniscus(folder, &["verify", "elsewhere", "--plan=plan.json"]);
     succeeded(&ran);
-    assert!(ran.err.contains("2 inputs missing"), "{}", ran.err);
-    let elsewhere = "but this command checked elsewhere: shards that run again write there";
+    assert!(ran.err.contains("2 frames with a missing input"), "{}", ran.err);
+    let elsewhere = "checked elsewhere, but the plan writes to ";
     assert!(!ran.err.contains(elsewhere), "{}", ran.err);
     fs::create_dir(folder.join("out")).expect("made");
     let nothing = verify(folder);
     assert_eq!(nothing.status, 2, "the folder is empty");
-    assert!(!nothing.err.contains("this command checked"), "{}", nothing.err);
+    assert!(!nothing.err.contains("but the plan writes to"), "{}", nothing.err);
     fs::remove_file(folder.join("elsewhere/dam.2.glb")).expect("removed");
     let ran = meniscus(folder, &["verify", "elsewhere", "--plan=plan.json"]);
     assert_eq!(ran.status, 1, "{}", ran.err);
@@ -566,7 +571,7 @@ fn outputs_are_verified_in_another_folder() {
         std::os::unix::fs::symlink("out", folder.join("link")).expect("linked");
         let ran = meniscus(folder, &["verify", "link", "--plan=plan.json"]);
         assert_eq!(ran.status, 2, "{}", ran.err);
-        assert!(!ran.err.contains("this command checked"), "{}", ran.err);
+        assert!(!ran.err.contains("but the plan writes to"), "{}", ran.err);
     }
     assert_eq!(meniscus(folder, &["verify", "nowhere", "--plan=plan.json"]).status, 2);
 }
@@ -576,7 +581,7 @@ fn edits() -> Vec<(&'static str, Value, &'static str)> {
     vec![
         ("/meniscus_plan", json!(2), "/meniscus_plan: plan version 2 is not supported"),
         ("/meniscus_plan", json!("1"), "invalid type: string"),
-        ("/generator", json!("meniscus 0.0.1"), "/generator: this is a plan of `meniscus 0.0.1`"),
+        ("/generator", json!("meniscus 0.0.1"), "/generator: the plan was made by `meniscus 0.0.1`"),
         ("/out", json!("out"), "/out: `out` is not an absolute path"),
         ("/out", Value::Null, "invalid type: null"),
         ("/outputs/formats", json!(["glb", "exe"]), "unknown format `exe`"),

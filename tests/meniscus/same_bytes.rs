@@ -101,7 +101,7 @@ fn smallest_stated_memory_gives_the_same_bytes() {
 
     let tiled = convert(path, "tiled", &["--memory", &format!("{least}MiB")]);
     assert_eq!(tiled.status, 0, "{}", tiled.err);
-    assert!(tiled.err.contains("rod.ply: skinned in tiles"), "{}", tiled.err);
+    assert!(tiled.err.contains("rod.ply: processed in tiles"), "{}", tiled.err);
     assert_same(path, ["whole", "tiled"]);
 }
 

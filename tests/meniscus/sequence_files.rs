@@ -200,7 +200,12 @@ fn shot_that_lacks_frames_does_not_replace_a_whole_one() {
     assert!(read() == whole);
     fs::remove_file(path.join("shot.glb")).expect("removed");
     let ran = meniscus(path, &[&convert[..], &SHOTS].concat());
-    assert!(ran.status == 1 && ran.out.contains("shot.glb: a shot of 2 frames"), "{}{}", ran.out, ran.err);
+    assert!(
+        ran.status == 1 && ran.out.contains("shot.glb: a sequence file of 2 frames"),
+        "{}{}",
+        ran.out,
+        ran.err
+    );
 }
 
 #[test]
@@ -214,7 +219,7 @@ fn sequence_file_shows_each_frame_at_its_time() {
     let convert = ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb", "--quantize"];
     let ran = meniscus(path, &[&convert[..], &SHOTS].concat());
     assert_eq!(ran.status, 1, "{}{}", ran.out, ran.err);
-    assert!(ran.out.contains("shot.glb: a shot of 3 frames"), "{}", ran.out);
+    assert!(ran.out.contains("shot.glb: a sequence file of 3 frames"), "{}", ran.out);
     assert!(ran.err.contains("warning: shot.glb: 3: 1 frame is missing"), "{}", ran.err);
 
     let shot = document(&path.join("shot.glb"));
@@ -293,7 +298,7 @@ fn info_describes_a_sequence_file_and_convert_refuses_it() {
         }
         assert!(!text.contains("edges") && !text.contains("area"), "{text}");
         let info = &json(&[name])[0];
-        assert!(info["kind"].as_str().is_some_and(|kind| kind.ends_with(", a shot")), "{info}");
+        assert!(info["kind"].as_str().is_some_and(|kind| kind.ends_with(", a sequence file")), "{info}");
         let expected = serde_json::json!({
             "frames": 3, "first": 1, "last": 3, "fps": 25.0, "vertices": counts[0], "triangles": counts[1],
         });
@@ -322,7 +327,11 @@ fn invalid_sequence_files_are_refused_before_conversion() {
     refused(
         path,
         &convert(&["--sequence-glb", "o/dam.1.glb"]),
-        &["the shot and the result of", "would both become", "dam.1.glb: choose another name for the shot"],
+        &[
+            "the sequence file and the result",
+            "would both become",
+            "dam.1.glb: choose another name for the sequence file",
+        ],
     );
     refused(path, &convert(&["--fps", "25"]), &["--fps"]);
     refused(path, &convert(&["--sequence-glb", "s.glb", "--fps", "0"]), &["--fps"]);
@@ -360,7 +369,7 @@ fn damaged_frame_is_left_out_with_a_warning() {
             let ran = meniscus(path, &["sequence", "out", "-o", output]);
             assert_eq!(ran.status, 1, "{}{}", ran.out, ran.err);
             assert!(
-                ran.err.contains("dam.2.glb: left out") && ran.out.contains("a shot of 2 frames"),
+                ran.err.contains("dam.2.glb: left out") && ran.out.contains("a sequence file of 2 frames"),
                 "{}",
                 ran.err
             );
@@ -372,7 +381,12 @@ fn damaged_frame_is_left_out_with_a_warning() {
     let ran = meniscus(path, &[&["sequence", "-o", "t.glb"][..], &frames].concat());
     assert!(ran.err.contains("already a sequence"), "{}", ran.err);
     let ran = meniscus(path, &["sequence", "out", "-o", "t.glb"]);
-    assert!(ran.out.contains("a shot of 2 frames"), "in a folder it is skipped: {}{}", ran.out, ran.err);
+    assert!(
+        ran.out.contains("a sequence file of 2 frames"),
+        "in a folder it is skipped: {}{}",
+        ran.out,
+        ran.err
+    );
 }
 
 #[test]
@@ -394,7 +408,7 @@ fn sequence_file_replaces_only_an_earlier_one() {
     for inputs in ["out", "out/*.glb", "out/dam.#.glb", "out"] {
         let ran = meniscus(path, &["sequence", inputs, "-o", "out/dam.4.glb"]);
         succeeded(&ran);
-        assert!(ran.out.contains("a shot of 3 frames"), "{inputs}: {}", ran.out);
+        assert!(ran.out.contains("a sequence file of 3 frames"), "{inputs}: {}", ran.out);
         made.push(fs::read(path.join("out/dam.4.glb")).expect("readable"));
     }
     assert!(made.iter().all(|shot| *shot == made[0]));

@@ -220,7 +220,7 @@ fn steps_are_divided_into_shards_and_verified() {
     assert_eq!(again.out.matches("done already").count(), 2, "{}", again.out);
     write_dump(folder, &[0, 5]);
     let ran = meniscus(folder, &["verify", "out", "--plan=plan.json"]);
-    assert!(ran.err.contains("1 input missing"), "{}", ran.err);
+    assert!(ran.err.contains("1 frame with a missing input"), "{}", ran.err);
     let text: String = [step(0), step(5).replace("0.1 ", "0.125 "), step(20)].concat();
     fs::write(folder.join("d.lammpstrj"), text).expect("written");
     let ran = meniscus(folder, &["verify", "out", "--plan=plan.json"]);

@@ -179,9 +179,9 @@ fn why_lists_everything_that_decides() {
     };
     let typed = ["--out", "out"];
     // The file is new: whether it counts as stable depends on half a second.
-    let unknown = "The journal does not say what the daemon was asked for";
+    let unknown = "The journal does not record the daemon's settings";
     tells("in/dam.1.ply", &typed, &["journal   nothing", "content   particles", "It ", unknown]);
-    tells("in/notes.md", &typed, &["not one of a frame", "It is not converted because its path"]);
+    tells("in/notes.md", &typed, &["not selected as a frame", "It is not converted because its path"]);
 
     fs::create_dir(&out).expect("made");
     fs::write(out.join("dam.1.glb"), "").expect("written");
@@ -205,7 +205,7 @@ fn why_lists_everything_that_decides() {
         &["settings  not as recorded", "because its settings or obstacles have changed"],
     );
     fs::write(path.join("meniscus.toml"), format!("{config}pattern = \"spray*\"\n")).expect("written");
-    tells("in/dam.1.ply", &configured, &["name      not one of a frame"]);
+    tells("in/dam.1.ply", &configured, &["name      not selected as a frame"]);
     for (frame, options, words) in [
         ("in/gone.ply", &typed[..], "no such file, and nothing is recorded of it"),
         ("meniscus.toml", &configured, "not in a folder that is watched"),
@@ -271,10 +271,10 @@ fn why_reads_the_arguments_of_the_daemon_from_the_journal() {
         for word in words {
             assert!(ran.out.contains(word), "{} does not say {word}", ran.out);
         }
-        assert!(!ran.out.contains("does not say what the daemon was asked for"), "{}", ran.out);
+        assert!(!ran.out.contains("does not record the daemon's settings"), "{}", ran.out);
     };
-    tells("in/dam.1.ply", &["name      one of a frame", "settings  as recorded", "because it is done"]);
-    tells("in/spray.1.ply", &["name      not one of a frame", "It is not converted because its path"]);
+    tells("in/dam.1.ply", &["name      selected as a frame", "settings  as recorded", "because it is done"]);
+    tells("in/spray.1.ply", &["name      not selected as a frame", "It is not converted because its path"]);
     write_sequence(&path.join("in"), 2, 2);
     tells("in/dam.2.ply", &["It is not converted yet because its sentinel", "No daemon is at work"]);
     let elsewhere = meniscus(path, &["why", "out/dam.1.glb", "--out", "out"]);
@@ -297,7 +297,7 @@ fn why_reads_the_arguments_of_the_daemon_from_the_journal() {
     // The configuration file takes precedence.
     fs::write(path.join("meniscus.toml"), "[[watch]]\ninput = \"in\"\noutput = \"out\"\n").expect("written");
     let spray = meniscus(path, &["why", "in/spray.1.ply", "--config", "meniscus.toml"]);
-    assert!(spray.out.contains("name      one of a frame"), "{}", spray.out);
+    assert!(spray.out.contains("name      selected as a frame"), "{}", spray.out);
 }
 
 #[test]
@@ -421,7 +421,7 @@ fn lengths_in_files_have_units() {
         ("radius_min = \"5x\"", "meniscus.toml:5: `radius_min`: `5x` is not a length"),
         ("voxel_size = \"2h\"", "meniscus.toml:5: `voxel_size`: `2h` is not a voxel size"),
         ("spacing_ = 1", "meniscus.toml:5: unknown key `spacing_`"),
-        ("decimate = \"0.1h\"", "meniscus.toml:5: `decimate` is text: it wants a number"),
+        ("decimate = \"0.1h\"", "meniscus.toml:5: `decimate` is text: expected a number"),
     ] {
         let ran = watched("wrong", keys);
         assert!(ran.status == 2 && ran.err.contains(why), "{}", ran.err);

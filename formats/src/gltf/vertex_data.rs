@@ -42,7 +42,7 @@ pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
     if arities.any(|arity| Some(arity) != first) {
         notes.push(
             "the glTF file has both vector and scalar attributes, on which Blender's importer fails before 5.1: select \
-             attributes of one kind, or use .ply"
+             only vector or only scalar attributes, or use .ply"
                 .into(),
         );
     }

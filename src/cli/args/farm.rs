@@ -31,15 +31,16 @@ pub(in crate::cli) struct PlanArgs {
     #[command(flatten)]
     pub(in crate::cli) formats: FormatArgs,
 
-    /// Convert only frames with these numbers, such as 1-240x2 (every second) or 1-10,20,30-40x5
+    /// Convert only frames with these numbers, such as 1-240x2 (every other frame) or 1-10,20,30-40x5
     #[arg(long, value_name = "NUMBERS")]
     pub(in crate::cli) frames: Option<FrameSelection>,
 
     /// Maximum distance by which smoothing may move the surface of a .vdb level set, in voxels, 0 to 3
     /// [default: 0]
     ///
-    /// A level set already has its voxels: it is contoured as it is or, with a slack, replaced by the
-    /// smoothest surface within that distance of it. Options for particles are refused.
+    /// By default a level set is converted to a mesh unchanged. With a value above 0 it is first replaced by
+    /// the smoothest surface within that distance. The voxel size is that of the file. Options for particles
+    /// are refused.
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = slack())]
     pub(in crate::cli) band_slack: Option<f64>,
 
@@ -50,7 +51,7 @@ pub(in crate::cli) struct PlanArgs {
 #[derive(Debug, Args)]
 #[command(after_long_help = VERIFY_STATUSES)]
 pub(in crate::cli) struct VerifyArgs {
-    /// The folder of the results, at its current path
+    /// Folder with the results; it may differ from the folder in the plan
     #[arg(value_name = "DIR")]
     pub(in crate::cli) folder: PathBuf,
 
@@ -87,12 +88,13 @@ pub(in crate::cli) fn parse_shard(text: &str) -> Result<ShardChoice, String> {
 
 const VERIFY_STATUSES: &str = "\
 State of a frame:
-  done         all files exist and are complete, were made from the current input with the plan's settings, and have
-               the certified bytes
-  missing      a file is missing
-  damaged      a file is truncated, or has other bytes than were written
-  stale        made from another version of the input, with other settings or by another version of meniscus
-  uncertified  all files exist, but a check of the surface failed: converting again would give the same result
+  done     all files exist and are complete, were made from the current input with the plan's settings, match the
+           hashes in their certificate (the file beside them with the results of validation), and passed validation
+  missing  a file is missing
+  damaged  a file is truncated, or was modified after it was written
+  stale    made from another version of the input, with other settings or by another version of meniscus
+  failed validation
+           all files exist, but a check of the surface failed: converting again would give the same result
 
 Shards with missing, damaged or stale frames are listed: run them again, and they convert only those frames.
 

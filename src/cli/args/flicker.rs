@@ -21,11 +21,11 @@ pub(in crate::cli) struct FlickerArgs {
     #[arg(long, required = true, value_name = "PARTICLES")]
     pub(in crate::cli) particles: Vec<PathBuf>,
 
-    /// Frames of particles per second; needed where particles have velocities and no ids
+    /// Frames of particles per second; needed if the particles have velocities but no ids
     #[arg(long, value_name = "N", value_parser = parse_fps, conflicts_with = "dt")]
     pub(in crate::cli) fps: Option<f64>,
 
-    /// Time from a frame of particles to the next, in the seconds of the velocities, instead of --fps
+    /// Time between consecutive frames of particles, in the unit of time of the velocities, instead of --fps
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = parse_positive)]
     pub(in crate::cli) dt: Option<f64>,
 
@@ -37,7 +37,7 @@ pub(in crate::cli) struct FlickerArgs {
     #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = ranged::<u32>(100..=1_000_000))]
     pub(in crate::cli) samples: u32,
 
-    /// Score only frames with these numbers, such as 1-240 or 1-10,20; their neighbours are read all the same
+    /// Score only frames with these numbers, such as 1-240 or 1-10,20; their neighbours are read as well
     #[arg(long, value_name = "NUMBERS")]
     pub(in crate::cli) frames: Option<FrameSelection>,
 
@@ -45,7 +45,7 @@ pub(in crate::cli) struct FlickerArgs {
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) csv: Option<PathBuf>,
 
-    /// Write the 1000 points that flicker most to this file: frame, place, value
+    /// Write the 1000 points that flicker most to this file: frame, position, flicker
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) points: Option<PathBuf>,
 

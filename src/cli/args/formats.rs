@@ -24,8 +24,8 @@ option_set! {
         )]
         pub(in crate::cli) format: Option<Vec<OutputFormat>>,
 
-        /// Which axis of the particles points up: glTF needs y, so z is rotated; USD records the axis
-        /// [default: y]
+        /// Axis of the particles that points up; with z, .glb is rotated, because glTF has Y up, and .usda
+        /// records the axis [default: y]
         #[arg(long, help_heading = FORMATS, value_name = "AXIS", ignore_case = true, value_parser = up_axis())]
         pub(in crate::cli) up: Option<UpAxis>,
 
@@ -34,17 +34,17 @@ option_set! {
         #[arg(long, help_heading = FORMATS, value_name = "M", value_parser = ranged::<f64>(METERS_PER_UNIT))]
         pub(in crate::cli) meters_per_unit: Option<f64>,
 
-        /// Write .glb in small integers: a quarter to a third smaller, positions to a 65535th of the frame's
-        /// width
+        /// Quantize .glb to 16-bit integers: files are 25 to 33 % smaller, and positions are rounded to
+        /// 1/65535 of the longest side of the mesh's bounding box
         ///
         /// Uses the extension KHR_mesh_quantization, which Blender and browsers support. Other formats keep
         /// their positions, and attributes of vertices are not quantized. Triangles that have no area in 16
-        /// bits are removed from the meshes of all formats. Warns if a frame is so wide that quantization
-        /// moves a vertex by more than a 50th of a voxel.
+        /// bits are removed from the meshes of all formats. A warning appears if a frame is so wide that
+        /// quantization moves a vertex by more than 0.02 voxels.
         #[arg(long, help_heading = FORMATS)]
         pub(in crate::cli) quantize: bool,
 
-        /// Store 16-bit values in .vdb: smaller, with three decimal digits
+        /// Store 16-bit floats (half) in .vdb: smaller files, with about three significant digits
         #[arg(long, help_heading = FORMATS)]
         pub(in crate::cli) vdb_half: bool,
 

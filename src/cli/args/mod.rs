@@ -55,9 +55,9 @@ pub(super) enum Command {
     Convert(Box<ConvertArgs>),
     /// Split a sequence among many machines: write a plan whose shards `convert --plan` converts.
     Plan(Box<PlanArgs>),
-    /// Verify the results of a plan: every frame complete, up to date and certified.
+    /// Verify the results of a plan: whether every frame is complete and up to date, and passed validation.
     Verify(VerifyArgs),
-    /// Combine the frames of a shot into one file that plays.
+    /// Combine the frames of a sequence into one animated file.
     Sequence(SequenceArgs),
     /// Render pictures of frames: particles, which are converted first, or level sets.
     Render(Box<RenderArgs>),
@@ -88,9 +88,10 @@ option_set! {
         /// Files, folders, globs, or numbered patterns such as dam.####.bgeo, dam.%04d.bgeo, dam.{}.bgeo
         ///
         /// PLY, BGEO of any version, VTK, NumPy arrays, LAMMPS dumps, atoms in .xyz, raw XYZ and delimited
-        /// text, optionally compressed by gzip or zstd; the content decides, not the name. Level sets in .vdb
-        /// are contoured. Frames are in natural order; files whose names differ only in the frame number form
-        /// one sequence, and share their settings. `-` reads one file from the standard input.
+        /// text, optionally compressed by gzip or zstd; the format is detected from the content, not from the
+        /// name. Level sets in .vdb are converted to meshes. Frames are in natural order (9 before 10); files
+        /// whose names differ only in the frame number form one sequence, and share their settings. `-` reads
+        /// one file from the standard input.
         #[arg(required_unless_present_any = ["print_settings", "plan"], value_name = "INPUT")]
         pub(super) inputs: Vec<PathBuf>,
 
@@ -101,16 +102,16 @@ option_set! {
         /// Folder for the results; for a single frame also a file such as dam.glb, or - for the standard
         /// output
         ///
-        /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on; a missing folder is created. The extension of a
-        /// file is its format. A file appears under its name only when it is complete. A result that would
-        /// replace an input is refused.
+        /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on; a missing folder is created. If PATH is a file,
+        /// its extension selects the format. Files are written under temporary names, and renamed when they
+        /// are complete. A result that would replace an input is refused.
         #[arg(short, long, value_name = "PATH", required_unless_present_any = ["print_settings", "plan"])]
         pub(super) out: Option<PathBuf>,
 
         #[command(flatten)]
         pub(super) formats: FormatArgs,
 
-        /// Convert only frames with these numbers, such as 1-240x2 (every second) or 1-10,20,30-40x5
+        /// Convert only frames with these numbers, such as 1-240x2 (every other frame) or 1-10,20,30-40x5
         #[arg(long, value_name = "NUMBERS")]
         pub(super) frames: Option<FrameSelection>,
 
@@ -125,8 +126,9 @@ option_set! {
         /// Maximum distance by which smoothing may move the surface of a .vdb level set, in voxels, 0 to 3
         /// [default: 0]
         ///
-        /// A level set already has its voxels: it is contoured as it is or, with a slack, replaced by the
-        /// smoothest surface within that distance of it. Options for particles are refused.
+        /// By default a level set is converted to a mesh unchanged. With a value above 0 it is first replaced
+        /// by the smoothest surface within that distance. The voxel size is that of the file. Options for
+        /// particles are refused.
         #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = slack())]
         pub(super) band_slack: Option<f64>,
 
@@ -139,12 +141,12 @@ option_set! {
 
         /// Convert a shard of this plan, which `meniscus plan` wrote, and skip finished frames
         ///
-        /// The plan has the frames and their settings, so only --shard, --report and the options under Run
-        /// may be combined with it.
+        /// The plan has the frames and their settings, so it cannot be combined with options that select
+        /// frames or change the results.
         #[arg(long, value_name = "FILE", requires = "shard", help_heading = "Farm")]
         pub(super) plan: Option<PathBuf>,
 
-        /// Which shard of the plan, from 0; or slurm: the index of this task of a job array
+        /// Index of the shard to convert, from 0; or slurm, for the value of SLURM_ARRAY_TASK_ID
         #[arg(long, value_name = "K", requires = "plan", value_parser = parse_shard, help_heading = "Farm")]
         pub(super) shard: Option<ShardChoice>,
 
@@ -161,19 +163,20 @@ option_set! {
         /// Exit with status 0 even if some results fail validation
         ///
         /// Each result is validated as it was written: every particle is inside, the surface is between its
-        /// bounds, the mesh is closed. A result that fails is kept and named, and without this option the
-        /// exit status is 1.
+        /// bounds, the mesh is closed. A result that fails validation is kept, and the frame is named.
+        /// Without this option the exit status is then 1.
         #[arg(long, help_heading = "Run")]
         pub(super) allow_violations: bool,
 
-        /// Print the settings that these options and a --preset result in, as keys of a configuration file,
-        /// and convert nothing
+        /// Print the resolved settings (those of the preset, overridden by the given options) as keys of a
+        /// configuration file, and convert nothing
         ///
-        /// Without INPUT, --spacing and --voxel-size, lengths are in units of the particle spacing.
+        /// If none of INPUT, --spacing and --voxel-size is given, lengths are in units of the particle
+        /// spacing.
         #[arg(long, help_heading = "Run")]
         pub(super) print_settings: bool,
 
-        #[command(flatten, next_help_heading = "Shot")]
+        #[command(flatten, next_help_heading = "Sequence file")]
         pub(super) shot: SequenceFileArgs,
     }
 }
@@ -212,23 +215,22 @@ Choosing the spacing, the voxel size and the radii:
 
   Lengths and times follow d. The voxel size h is 0.4 d: half of it shows more detail of the same
   surface, and takes about four times the time and the memory. On a coarse grid radii are raised to
-  √3·h, the diagonal of a voxel, so that the grid catches every particle, wherever it lies.
+  √3·h, the diagonal of a voxel, so that no particle falls between the voxels.
 
-  The surface is the smoothest one that keeps a sphere of radius r_min around every particle inside,
-  and leaves everything outside that is farther than r_max from all of them. Particles that lie in
-  a sheet or a thread are flattened (--thin-radius), and those that fly alone are smaller
-  (--lone-radius).
+  Smoothing keeps a sphere of radius r_min around every particle inside the surface, and no point of
+  the surface is farther than r_max from all particles. Particles in sheets and filaments are
+  flattened instead (--thin-radius), and particles without neighbours are smaller (--lone-radius).
 
   --radius-ratio  r_max / r_min: how far smoothing may move the surface. More is smoother, less
                   follows the particles more closely.
   --radius-init   where smoothing starts. The spheres of neighbouring particles must overlap, or the
                   surface begins with holes that smoothing cannot close: about 0.9 spacings or more.
   --position-smoothing
-                  how far particles are first moved towards the mean of their neighbours: more is calmer,
-                  0 keeps every particle inside the surface where it was given.
+                  how far particles are first moved towards the mean of their neighbours. More makes the
+                  surface smoother and steadier; 0 keeps every original position inside the surface.
 
-  With --preset paper the radii follow h, as in the paper: for an h smaller than half the spacing
-  fix them, or the spheres come apart:
+  With --preset paper the radii follow h, as in the paper. If h is smaller than half the spacing,
+  also give the radii, in spacings; otherwise neighbouring spheres do not overlap:
   --voxel-size 0.25d --radius-min 0.866d --radius-init 1.3d.
 
 Exit status:

@@ -37,7 +37,7 @@ pub(in crate::cli) struct RenderArgs {
     #[arg(long, value_name = "FORMAT", value_parser = picture_format())]
     pub(in crate::cli) format: Option<OutputFormat>,
 
-    /// Only frames with these numbers, such as 1-240x2 (every second) or 1-10,20,30-40x5
+    /// Only frames with these numbers, such as 1-240x2 (every other frame) or 1-10,20,30-40x5
     #[arg(long, value_name = "NUMBERS")]
     pub(in crate::cli) frames: Option<FrameSelection>,
 
@@ -65,12 +65,12 @@ pub(in crate::cli) struct PictureArgs {
     #[arg(long, value_name = "SPEC", conflicts_with = "camera_from")]
     pub(in crate::cli) camera: Option<CameraChoice>,
 
-    /// Use the camera of this file: a .glb or .gltf with one, or a picture that meniscus made
+    /// Use the camera of this file: a .glb or .gltf with a camera, or a picture that meniscus wrote
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) camera_from: Option<PathBuf>,
 
-    /// Which axis points up, if --camera does not say it; a camera of a .glb or .gltf is rotated to it
-    /// [default: y]
+    /// Axis of the world that points up, unless --camera sets it; a camera of a .glb or .gltf is rotated to
+    /// it [default: y]
     #[arg(long, value_name = "AXIS", ignore_case = true, value_parser = up_axis())]
     pub(in crate::cli) up: Option<UpAxis>,
 
@@ -104,16 +104,16 @@ const CAMERAS: &str = "\
 Cameras:
   By default a fixed camera shows the whole sequence, according to the bounds of its first, middle
   and last frame. Keys are separated by commas:
-    azimuth, elevation  degrees to the right around it, and above the horizon; 32 and 22
-    zoom                1 fits the bounds, 2 shows them twice as large
-    view                the vertical angle of view, in degrees; 30
-    up                  y or z
-    ground              the height of the ground, or none; the lowest of the bounds
+    azimuth, elevation  degrees from the front to the right, and above the horizon [default: 32 and 22]
+    zoom                1 fits the bounds, 2 shows them twice as large [default: 1]
+    view                vertical angle of view, in degrees [default: 30]
+    up                  axis of the world that points up, y or z [default: that of --up]
+    ground              height of the ground, or none [default: the lowest point of the bounds]
   or, instead of the first three:
-    eye, target         its position, and the point that it looks at, such as 1:2:3
-    top                 the direction that points up in the picture
+    eye, target         position of the camera, and the point that it looks at, such as 1:2:3
+    top                 direction that points up in the picture, such as 0:1:0 [default: that of up]
 
-Layers of .exr, a part of the file each:
+Layers of a multi-part .exr, one part each:
   beauty     R G B A      linear, 16 bits; A is 1, because the ground is in the picture
   coverage   Y            the part of the pixel that the surface covers, 16 bits
   depth      Z            along the camera's axis, world units; 1e10 where no surface is visible

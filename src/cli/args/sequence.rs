@@ -1,4 +1,4 @@
-//! The options that combine a shot into one file.
+//! The options of a sequence file: one animated file with all frames of a sequence.
 
 use std::path::PathBuf;
 
@@ -17,11 +17,11 @@ pub(in crate::cli) struct SequenceArgs {
     #[arg(required = true, value_name = "INPUT")]
     pub(in crate::cli) inputs: Vec<PathBuf>,
 
-    /// The shot: a .glb that plays, or a .usda with time samples
+    /// The sequence file to write: a .glb with an animation, or a .usda with time samples
     #[arg(short, long, value_name = "FILE")]
     pub(in crate::cli) output: PathBuf,
 
-    /// Frames per second, more than 0 and at most 1000: those of the scene that the shot is for
+    /// Frame rate of the sequence file, per second, more than 0 and at most 1000; use that of your scene
     #[arg(long, value_name = "N", default_value_t = FPS, value_parser = parse_fps)]
     pub(in crate::cli) fps: f64,
 
@@ -34,17 +34,18 @@ option_set! {
     /// The same options for commands that convert the frames.
     #[derive(Clone, Debug, Default, PartialEq, Args)]
     pub(in crate::cli) struct SequenceFileArgs {
-        /// Finally, combine the frames into one .glb that plays, as `meniscus sequence` does; for one
-        /// sequence, with glb in --format
+        /// After the conversion, combine the frames into one animated .glb, as `meniscus sequence` does;
+        /// requires a single sequence, and glb in --format
         #[arg(long, value_name = "FILE")]
         pub(in crate::cli) sequence_glb: Option<PathBuf>,
 
-        /// Finally, combine the frames into one .usda with time samples; for one sequence, with glb in
-        /// --format
+        /// After the conversion, combine the frames into one .usda with time samples; requires a single
+        /// sequence, and glb in --format
         #[arg(long, value_name = "FILE")]
         pub(in crate::cli) sequence_usda: Option<PathBuf>,
 
-        /// Frames per second of the shot, more than 0 and at most 1000: those of the scene that it is for [default: 24]
+        /// Frame rate of the sequence file, per second, more than 0 and at most 1000; use that of your scene
+        /// [default: 24]
         #[arg(long, value_name = "N", value_parser = parse_fps)]
         pub(in crate::cli) fps: Option<f64>,
     }
@@ -54,12 +55,11 @@ option_set! {
 pub(in crate::cli) const FPS: f64 = 24.0;
 
 const PLAYING: &str = "\
-The number of a frame determines when it is shown; if a frame is missing, the one before it is shown for longer. In a .usda
-the numbers are the time codes. In a .glb one frame of the shot is the greatest common divisor of the differences of the
-numbers: 0, 100 and 300 are shown like 0, 1 and 3. If some names have no number, or the numbers do not increase, frames are
-counted from 1.
+The number of a frame determines when it is shown; if a frame is missing, the previous frame is held. In a .usda the numbers
+are the time codes. In a .glb the differences between the numbers are divided by their greatest common divisor: frames 0, 100
+and 300 play at frames 0, 1 and 3. If some names have no number, or the numbers do not increase, frames are counted from 1.
 
-The shot may replace an older shot, but not a frame.
+The file may replace an older sequence file, but not the .glb of a frame.
 
 Frame n of a scene shows frame n of the .glb if the scene has the same frames per second as --fps: in Blender set the frame
 rate (24 by default) before importing. At a lower rate the scene skips frames.
@@ -68,6 +68,6 @@ A .glb has a node for each frame, and shows one after the other by animating the
 4 GiB. A .usda has no such limit: it is one mesh with time samples, which should not be blended between frames.
 
 Exit status:
-  0    all frames are in the shot
+  0    all frames are in the sequence file
   1    some frames could not be read, and are left out; each is named, with the reason
-  2    no shot was written";
+  2    no sequence file was written";

@@ -25,12 +25,12 @@ pub(in crate::cli) struct ContactSheetArgs {
     #[arg(short, long, value_name = "FILE")]
     pub(in crate::cli) output: PathBuf,
 
-    /// Only frames with these numbers, such as 1-240x2 (every second) or 1-10,20,30-40x5
+    /// Only frames with these numbers, such as 1-240x2 (every other frame) or 1-10,20,30-40x5
     #[arg(long, value_name = "NUMBERS")]
     pub(in crate::cli) frames: Option<FrameSelection>,
 
-    /// Maximum number of cells for each sequence, 2 to 1000: of a longer one, evenly spaced frames are shown,
-    /// with the first and the last
+    /// Maximum number of cells for each sequence, 2 to 1000; if a sequence has more frames, evenly spaced
+    /// ones are shown, including the first and the last
     #[arg(long, value_name = "N", value_parser = ranged::<u16>(2..=1000), default_value_t = 60)]
     pub(in crate::cli) count: u16,
 
@@ -51,7 +51,7 @@ pub(in crate::cli) struct ContactSheetArgs {
 pub(in crate::cli) struct TuneArgs {
     /// Particles, as convert takes them: a file, or a folder, glob or numbered pattern with one sequence
     ///
-    /// Of a sequence the middle frame is shown; --frames selects another.
+    /// Of a sequence, the middle frame is shown, unless --frames selects another.
     #[arg(required = true, value_name = "INPUT")]
     pub(in crate::cli) inputs: Vec<PathBuf>,
 
@@ -63,7 +63,7 @@ pub(in crate::cli) struct TuneArgs {
     #[arg(long, value_name = "LIST", default_value = "smoothing,min")]
     pub(in crate::cli) vary: ParameterSweep,
 
-    /// The frame with this number; of several, such as 100-200, the middle one
+    /// Show the frame with this number; of several, such as 100-200, the middle one is shown
     #[arg(long, value_name = "NUMBERS")]
     pub(in crate::cli) frames: Option<FrameSelection>,
 

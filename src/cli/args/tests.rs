@@ -74,7 +74,9 @@ fn generated(page: &str) -> String {
         let begins_table = line.starts_with("| option |");
         is_table = begins_table || (is_table && line.starts_with('|'));
         match heading {
-            Some(name) if begins_table => written += &table(Some(name).filter(|name| *name != "First")),
+            Some(name) if begins_table => {
+                written += &table(Some(name).filter(|name| *name != "Input, output and scale"))
+            }
             _ if is_table => {}
             _ => written += &format!("{line}\n"),
         }

@@ -152,7 +152,7 @@ option_set! {
         #[arg(long, value_name = "FILE")]
         pub(in crate::cli) token_file: Option<PathBuf>,
 
-        /// Time limit for in-flight frames when the daemon is told to stop [default: 30s]
+        /// Time limit for in-flight frames after a request to stop the daemon [default: 30s]
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(in crate::cli) stop_deadline: Option<Duration>,
     }
@@ -194,6 +194,7 @@ Signals:
 
 Exit status:
   0    with --once: every frame is converted. Without: the daemon stopped on request
-  1    with --once: some frames failed, were left, or failed validation; each is named, with the reason
+  1    with --once: some frames failed, were not converted (for example because their sentinel is
+       missing), or failed validation; each is named, with the reason
   2    the command is invalid; with --once also: no frame was converted
   130  stopped at once by a second SIGINT; 143 by a second SIGTERM";

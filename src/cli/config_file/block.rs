@@ -136,7 +136,7 @@ impl<'a> ConfigTable<'a> {
             let wanted = format!("a list in brackets, each {wanted}");
             let array = value.get_ref().as_array().ok_or_else(|| self.wrong(key, &wanted, value))?;
             if array.is_empty() && !is_path(option) {
-                let what = format_args!("`{key}` is empty: it wants {wanted}");
+                let what = format_args!("`{key}` is empty: expected {wanted}");
                 return Err(self.source.error(value.span().start, what));
             }
             return array.iter().map(|item| self.text(key, option, item, &wanted).map(word)).collect();
@@ -168,7 +168,7 @@ impl<'a> ConfigTable<'a> {
             return Ok(text.into());
         }
         if text.is_empty() {
-            let what = format_args!("`{key}` is empty: it wants a path");
+            let what = format_args!("`{key}` is empty: expected a path");
             return Err(self.source.error(value.span().start, what));
         }
         // Relative paths are relative to the file's folder.
@@ -185,7 +185,7 @@ impl<'a> ConfigTable<'a> {
             DeValue::Table(_) => "one block".to_owned(),
             DeValue::Datetime(_) => "a date".to_owned(),
         };
-        self.source.error(value.span().start, format_args!("`{key}` is {is}: it wants {wanted}"))
+        self.source.error(value.span().start, format_args!("`{key}` is {is}: expected {wanted}"))
     }
 }
 
@@ -243,7 +243,7 @@ fn reason(error: &clap::Error, option: &Arg) -> String {
     match (error.source(), error.get(ContextKind::InvalidValue)) {
         (Some(source), _) => source.to_string(),
         (None, Some(ContextValue::String(word))) => {
-            format!("`{word}` is not known: it wants {}", wanted(option))
+            format!("`{word}` is not known: expected {}", wanted(option))
         }
         (None, _) => error.to_string(),
     }

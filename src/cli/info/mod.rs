@@ -59,7 +59,7 @@ struct FileInfo {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[serde(rename = "shot")]
     sequence: Option<SequenceFileRecord>,
-    /// The contents of a .usda of meniscus that is not a shot.
+    /// The contents of a .usda of meniscus that is not a sequence file.
     #[serde(skip_serializing_if = "Option::is_none")]
     layer: Option<LayerRecord>,
     /// What meniscus recorded in the file about how it was made.
@@ -139,7 +139,7 @@ fn file_info(path: &Path) -> FileInfo {
     let mut info = FileInfo { file: path.to_string_lossy().into_owned(), ..FileInfo::default() };
     // A panic in a reader affects this file only.
     let result = catch_unwind(AssertUnwindSafe(|| info.fill(path)))
-        .unwrap_or_else(|_| Err(anyhow!("a fault in this program")));
+        .unwrap_or_else(|_| Err(anyhow!("internal error; please report it, with the file")));
     info.error = result.err().map(|error| with_causes(&error));
     info
 }
@@ -220,7 +220,7 @@ impl FileInfo {
     }
 
     fn set_sequence(&mut self, frames: u64, counts: [u64; 2]) {
-        self.kind += ", a shot";
+        self.kind += ", a sequence file";
         self.sequence = Some(SequenceFileRecord::new(frames, counts, self.made_by.as_ref()));
     }
 }

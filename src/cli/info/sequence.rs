@@ -1,5 +1,5 @@
-//! The description of a shot for `meniscus info`. Areas and volumes are omitted: their sums over all frames
-//! would be meaningless.
+//! The description of a sequence file for `meniscus info`. Areas and volumes are omitted: their sums over all
+//! frames would be meaningless.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -24,8 +24,8 @@ pub(super) struct SequenceFileRecord {
 }
 
 impl SequenceFileRecord {
-    /// A shot with this number of frames, and these totals of vertices and triangles over all frames; the
-    /// rest comes from its recorded metadata.
+    /// A sequence file with this number of frames, and these totals of vertices and triangles over all
+    /// frames; the rest comes from its recorded metadata.
     pub(super) fn new(
         frames: u64,
         [vertices, triangles]: [u64; 2],

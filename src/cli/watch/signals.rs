@@ -49,7 +49,7 @@ pub(super) fn listen(control: Arc<Control>) -> Result<()> {
                     tracing::info!("asked to end; a second signal ends at once");
                     if let Err(error) = is_deadline_kept {
                         tracing::warn!(
-                            "no watchdog for a daemon that hangs, which only a second signal ends: {error}"
+                            "cannot exit after --stop-deadline if a file system hangs (then send a second signal): {error}"
                         );
                     }
                 });

@@ -40,20 +40,16 @@ impl RequiredAttribute {
             None => {
                 let names: Vec<&str> = all.iter().map(|attribute| &*attribute.name).collect();
                 let there = if all.is_empty() { "none".to_owned() } else { names.join(", ") };
-                format!("the particles have no attribute `{name}`, which {option} needs: it has {there}")
+                format!("the particles have no attribute `{name}`, which {option} needs; available: {there}")
             }
             Some(Attribute { name, values: AttributeValues::Strings { .. }, .. }) => {
-                format!("the particles' attribute `{name}` is text, and {option} needs {kind} for each")
+                format!("the attribute `{name}` is text, but {option} needs {kind} per particle")
             }
             Some(Attribute { name, arity: 1, .. }) => {
-                format!(
-                    "the particles' attribute `{name}` has one number for each, and {option} needs {kind}"
-                )
+                format!("the attribute `{name}` is a scalar, but {option} needs {kind} per particle")
             }
             Some(Attribute { name, arity, .. }) => {
-                format!(
-                    "the particles' attribute `{name}` has {arity} numbers for each, and {option} needs {kind}"
-                )
+                format!("the attribute `{name}` has {arity} numbers per particle, but {option} needs {kind}")
             }
         }
     }
@@ -70,7 +66,7 @@ impl RequiredAttribute {
         let RequiredAttribute { option, .. } = self;
         let name = &attribute.name;
         is_useless.then(|| {
-            format!("the particles' attribute `{name}` has no positive number for any of them, and {option} needs a radius")
+            format!("the particles' attribute `{name}` has no positive value, but {option} needs radii")
         })
     }
 }
@@ -305,7 +301,7 @@ mod tests {
             by_radius("radius").select(vec![radii])
         };
         let error = useless(&[0.0, -1.0, f32::NAN, f32::INFINITY]).expect_err("no radius");
-        assert!(error.contains("`pscale` has no positive number") && error.contains("--radius-attribute"));
+        assert!(error.contains("`pscale` has no positive value") && error.contains("--radius-attribute"));
         // One positive value is enough; without particles none is needed.
         assert!(useless(&[0.0, 0.5]).is_ok() && useless(&[]).is_ok());
         let error = by_radius("size").select(two_particles()).expect_err("not there");

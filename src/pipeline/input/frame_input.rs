@@ -75,7 +75,7 @@ pub(crate) fn read_input(
     if frame.outputs.formats.contains(&OutputFormat::Vdb) && file.origin() != DVec3::ZERO {
         let [x, y, z] = file.origin().to_array();
         return Err(refused(format!(
-            "its voxels are moved by ({x}, {y}, {z}) from the world's lattice, on which a .vdb is written: leave vdb out of --format"
+            "its grid transform has the translation ({x}, {y}, {z}), which meniscus cannot write to .vdb: leave vdb out of --format"
         )));
     }
     let job = Job::LevelSet { slack_voxels: frame.job.slack_voxels(), origin: file.origin() };

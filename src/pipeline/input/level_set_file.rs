@@ -94,7 +94,10 @@ impl LevelSetFile {
     pub(crate) fn require_level_set(&self) -> Result<(), String> {
         match &*self.class {
             "level set" => Ok(()),
-            _ => Err(format!("the class of the grid \"{}\" is not \"level set\": save it as one", self.name)),
+            _ => Err(format!(
+                "the class of the grid \"{}\" is not \"level set\": save it as a level set",
+                self.name
+            )),
         }
     }
 
@@ -197,13 +200,17 @@ fn velocities(
     band: &NarrowBand,
 ) -> Result<[Field; 3], String> {
     if vectors.class == "staggered" {
-        return Err("they are on the faces of voxels".to_owned());
+        return Err(
+            "their grid is staggered: resample it to a collocated grid (values at voxel centres)".to_owned()
+        );
     }
     if vectors.transform != *transform {
-        return Err("their voxels are not those of the level set".to_owned());
+        return Err(
+            "their grid has another transform than the level set: resample it to the same voxels".to_owned()
+        );
     }
     if !vectors.leaves.iter().flatten().flatten().all(|number| number.is_finite()) {
-        return Err("some are not finite".to_owned());
+        return Err("some of them are not finite".to_owned());
     }
     let mut fields = vectors.background.map(|number| Field::splat(band.topology.len(), number));
     for (&origin, values) in vectors.origins.iter().zip(&vectors.leaves) {

@@ -282,7 +282,7 @@ fn warnings(frames: &[FrameSpacing], estimate: &SequenceEstimate) -> Vec<String>
         frames.iter().find_map(|frame| Some((frame, frame.contradicting_radius.as_ref()?)))
     {
         warnings.push(format!(
-            "{}: the radii in `{name}` mean a spacing of {}, but the positions, which are used, mean {}: give --spacing",
+            "{}: the radii in `{name}` imply a spacing of {}, but the positions imply {}, which is used: give --spacing if that is wrong",
             frame_name(&frame.path),
             significant(rounded(*spacing)),
             significant(rounded(frame.estimate.spacing))

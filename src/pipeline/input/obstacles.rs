@@ -324,7 +324,7 @@ fn file_of(path: &Path, number: Option<u64>) -> Result<PathBuf, ObstacleError> {
         Some(file) => Ok(file),
         None => {
             let expected = folder_of(path).join(pattern.name_of(number));
-            missing(&expected, format!("no such file, and frame {number} needs its own of {}", name_of(path)))
+            missing(&expected, format!("no such file: {} has no file for frame {number}", name_of(path)))
         }
     }
 }
@@ -388,7 +388,8 @@ fn parse(
     let take = |relative: &str| {
         let bytes = beside.lock().unwrap_or_else(PoisonError::into_inner).remove(relative);
         bytes.ok_or_else(|| {
-            io::Error::new(io::ErrorKind::Unsupported, "only a .gltf may have files beside it; use .glb")
+            let what = "it refers to another file for its data, which only a .gltf may do: save it as .glb with all data inside";
+            io::Error::new(io::ErrorKind::Unsupported, what)
         })
     };
     read_obstacle(bytes, &name_of(path), &level_set_limits(memory_bytes), &take)

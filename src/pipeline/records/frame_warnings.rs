@@ -32,7 +32,7 @@ impl FrameReport {
         warnings
     }
 
-    /// Whether all guarantees for the frame's result hold.
+    /// Whether the frame's result passed validation.
     pub fn keeps_guarantees(&self) -> bool {
         self.reconstruction.certificate.holds()
     }
@@ -98,12 +98,12 @@ pub(crate) fn fault(report: &ReconstructionReport) -> Option<String> {
     (!report.certificate.holds()).then(|| does_not_hold(&report.certificate.violations()))
 }
 
-/// The message for a certificate that does not hold.
+/// The message for a frame with these failed checks.
 pub(crate) fn does_not_hold(fault: &str) -> String {
-    format!("the certificate does not hold: {fault}")
+    format!("failed validation: {fault}")
 }
 
-/// A warning for each guarantee that does not hold.
+/// A warning for each failed check.
 fn broken_guarantees(report: &ReconstructionReport) -> Vec<Warning> {
     let certificate = &report.certificate;
     let mut broken = Vec::new();
@@ -142,7 +142,8 @@ mod tests {
         let notes: Vec<String> = report.all_warnings().iter().map(ToString::to_string).collect();
         assert_eq!(notes.len(), 3, "{notes:?}");
         assert!(
-            notes[0].contains("1 vertex of the mesh farther than r_max") && notes[0].contains("7.25 voxels")
+            notes[0].contains("1 vertex of the mesh too far from all particles")
+                && notes[0].contains("7.25 voxels")
         );
         assert!(notes[1].ends_with("2 particles outside the surface"));
         assert!(notes[2].ends_with("not closed and manifold: 3 boundary edges"));

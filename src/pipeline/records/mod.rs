@@ -4,7 +4,7 @@
 //!   provenance        the origin of an output, in it     certificate_file  the checks of a frame, beside it
 //!   inspection        the state of a frame's outputs     output_states     finds outputs with damaged bytes
 //!   record            the report of a run                frame_warnings    warnings from measurements
-//!   shot              all frames in one file             picture_file      pictures from .png
+//!   sequence_file     all frames in one file             picture_file      pictures from .png
 //! ```
 
 pub(super) mod certificate_file;

@@ -5,14 +5,14 @@
 //!                                           ──▶  dam.usda    one mesh with time samples
 //! ```
 //!
-//! Frames are read only from their files. So a shot is the same whether one process converted its frames,
-//! many machines did, or they were converted on different days; and its memory does not depend on the number
-//! of frames.
+//! Frames are read only from their files. So a sequence file is the same whether one process converted its
+//! frames, many machines did, or they were converted on different days; and its memory does not depend on the
+//! number of frames.
 //!
 //! The number of a frame determines when it is shown. In a `.usda` it is the time code, because other
 //! programs use it too. In a `.glb`, which has seconds and no numbers, the greatest common divisor of the
-//! differences between numbers is one frame of the shot: a simulation that writes every hundredth step plays
-//! like one that writes every step. The frame before a missing frame is shown in its place.
+//! differences between numbers is one frame of the animation: a simulation that writes every hundredth step
+//! plays like one that writes every step. The frame before a missing frame is shown in its place.
 
 use std::fmt;
 use std::io::{self, BufReader, Read};
@@ -28,7 +28,7 @@ use crate::pipeline::files::open::open_regular;
 use crate::pipeline::files::path_identity::are_same_file;
 use crate::pipeline::files::stamp::FileStamp;
 
-/// A format that holds a shot.
+/// A format of sequence files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SequenceFormat {
     /// Binary glTF with an animation.
@@ -58,7 +58,7 @@ pub struct SequenceSource {
     pub number: Option<u64>,
 }
 
-/// The timing and units of a shot in other programs.
+/// The timing and units of a sequence file in other programs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SequenceOptions {
     /// Frames per second.
@@ -67,7 +67,7 @@ pub struct SequenceOptions {
     pub meters_per_unit: f64,
 }
 
-/// The result of writing a shot.
+/// The result of writing a sequence file.
 #[derive(Debug, Default)]
 pub struct SequenceReport {
     /// The number of frames in the file.
@@ -76,11 +76,11 @@ pub struct SequenceReport {
     pub size_bytes: u64,
     /// Frames that could not be read, and why.
     pub left_out: Vec<(PathBuf, String)>,
-    /// Warnings about a shot that was written.
+    /// Warnings about a sequence file that was written.
     pub notes: Vec<String>,
 }
 
-/// Why no shot could be written.
+/// Why no sequence file could be written.
 #[derive(Debug)]
 pub struct SequenceError {
     path: PathBuf,
@@ -109,7 +109,7 @@ pub fn write_sequence_file(
     let SequenceOptions { fps, meters_per_unit } = options;
     let fail = |what: String| SequenceError { path: path.to_owned(), what };
     if sources.iter().any(|source| are_same_file(&source.path, path)) {
-        return Err(fail("the shot would replace a frame of it".to_owned()));
+        return Err(fail("the sequence file would replace one of its frames".to_owned()));
     }
     let (there, left_out) = read_frames(sources);
     if there.is_empty() {
@@ -181,7 +181,7 @@ fn refuse_written(opened: &[(&PathBuf, FileStamp)]) -> io::Result<()> {
 
 /// The error if no frame can be read, with the reason for the first.
 fn no_frame(left_out: &[(PathBuf, String)], shot: &Path) -> SequenceError {
-    let nothing = "there are no frames for the shot";
+    let nothing = "there are no frames for the sequence file";
     match left_out {
         [] => SequenceError { path: shot.to_owned(), what: nothing.to_owned() },
         [(path, why)] => SequenceError { path: path.clone(), what: format!("{why}; {nothing}") },
@@ -192,7 +192,7 @@ fn no_frame(left_out: &[(PathBuf, String)], shot: &Path) -> SequenceError {
     }
 }
 
-/// Whether a file is a shot of this program, according to its provenance.
+/// Whether a file is a sequence file of this program, according to its provenance.
 pub fn is_sequence_file(path: &Path) -> bool {
     let recorded = open_regular(path)
         .ok()
@@ -200,7 +200,7 @@ pub fn is_sequence_file(path: &Path) -> bool {
     recorded.is_some_and(|pairs| pairs.iter().any(|(name, _)| name == SEQUENCE_FRAMES))
 }
 
-/// The provenance of the shot; the meshes have the provenance of their frames.
+/// The provenance of the sequence file; the meshes have the provenance of their frames.
 fn provenance(numbers: &[u64], fps: f64) -> Vec<(String, String)> {
     let pair = |name: &str, value: String| (name.to_owned(), value);
     let number = |number: Option<&u64>| number.copied().unwrap_or_default().to_string();
@@ -220,7 +220,7 @@ fn increasing(numbers: &[Option<u64>]) -> Vec<u64> {
     increasing.unwrap_or_else(|| (1..=numbers.len() as u64).collect())
 }
 
-/// The positions in the shot of frames with these increasing numbers: the numbers themselves if any two
+/// The positions in the animation of frames with these increasing numbers: the numbers themselves if any two
 /// neighbours differ by one, and otherwise the numbers divided by the greatest common divisor of their
 /// differences.
 fn in_steps(numbers: &[u64]) -> Vec<u64> {

@@ -80,7 +80,7 @@ impl fmt::Display for RebuildReason {
             "{clipped_voxel_count} of {surface_voxel_count} voxels next to the surface have no distance, only a sign"
         );
         let tiles = format!(
-            "tiles, which have only a sign, lie at the surface (cubes of 8³ voxels added there: {tile_cube_count})"
+            "the surface touches tiles, which store only a sign ({tile_cube_count} leaf nodes were added there)"
         );
         let what = match (clipped_voxel_count, tile_cube_count) {
             (_, 0) => voxels,

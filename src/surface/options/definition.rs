@@ -55,7 +55,7 @@ method_options! {
     /// spacings or voxels: see [`Length`].
     pub struct MethodOptions {
         General {
-            /// Defaults for a kind of particles; the options below override them [default: fluid]
+            /// A set of defaults for a kind of particles; other options override it [default: fluid]
             #[arg(value_name = "NAME", ignore_case = true)]
             preset: Preset,
 
@@ -69,13 +69,14 @@ method_options! {
             voxel_size: Length,
         }
         Surface {
-            /// Radius r_min around each particle that is always inside the surface, positive; neighbours may
-            /// flatten it [default: 1.15d, but no less than √3·h]
+            /// Radius r_min of the sphere around each particle that the surface encloses, positive; particles
+            /// in sheets and filaments get a flattened ellipsoid instead (--anisotropy) [default: 1.15d, but
+            /// no less than √3·h]
             #[arg(value_name = "LENGTH")]
             radius_min: Length,
 
-            /// Ratio r_max / r_min, at least 1; nothing farther than r_max from all particles is inside, and
-            /// r_max is limited to 64 h [default: 2]
+            /// Ratio r_max / r_min, at least 1; no point of the surface is farther than r_max from all
+            /// particles, and r_max is at most 64h [default: 2]
             #[arg(value_name = "RATIO")]
             radius_ratio: f64,
 
@@ -94,7 +95,7 @@ method_options! {
             #[arg(value_name = "NAME")]
             radius_attribute: String,
 
-            /// A particle's r_min divided by its own radius, positive [default: 1]
+            /// Factor from a particle's own radius to its r_min, positive [default: 1]
             #[arg(value_name = "S")]
             radius_scale: f64 => "--radius-attribute", |options, _| options.radius_attribute.is_some(),
 
@@ -112,8 +113,8 @@ method_options! {
             #[arg(value_name = "LENGTH")]
             thin_radius: Length => "--anisotropy neighbors", stretches_by_neighbors,
 
-            /// r_min of particles without neighbours (the radius of drops), positive and at most r_min, for
-            /// --anisotropy neighbors [default: 0.7d]
+            /// Radius of particles without neighbours (drops), which replaces their r_min, positive and at
+            /// most --radius-min, for --anisotropy neighbors [default: 0.7d]
             #[arg(value_name = "LENGTH")]
             lone_radius: Length => "--anisotropy neighbors", stretches_by_neighbors,
 
@@ -135,8 +136,7 @@ method_options! {
                 => "--anisotropy velocity", |options, _| options.anisotropy_kind() == AnisotropyKind::Velocity,
         }
         Obstacles {
-            /// Fill gaps between the surface and obstacles that are narrower than this, in units of h, 0 to 4
-            /// [default: 1]
+            /// Fill gaps narrower than this between the surface and obstacles, in voxels, 0 to 4 [default: 1]
             #[arg(value_name = "VOXELS")]
             void_threshold: f64 in 0.0..=VOID_THRESHOLD_MAX => "--obstacle", |_, has_obstacles| has_obstacles,
         }
@@ -144,8 +144,9 @@ method_options! {
             /// Attributes to interpolate to the surface: a list of names, such as velocity,Cd,id, or the word
             /// all
             ///
-            /// Numbers are averaged over nearby particles; integers and strings are those of the nearest
-            /// particle. The results are vertex attributes in meshes, and additional grids in .vdb.
+            /// Floating-point values are averaged over nearby particles; integers and strings are taken from
+            /// the nearest particle. The results are vertex attributes in meshes, and additional grids in
+            /// .vdb.
             #[arg(value_name = "LIST")]
             attributes: AttributeSelection,
         }
@@ -169,15 +170,18 @@ method_options! {
             #[arg(value_name = "HOW", ignore_case = true)]
             contour: Contouring,
 
-            /// Remove triangles where the mesh moves by no more than this, in units of h, 0 to 1 [default: 0]
+            /// Decimate the mesh: remove triangles where that moves the mesh by no more than this, in voxels,
+            /// 0 to 1 [default: 0]
             #[arg(value_name = "VOXELS")]
             decimate: f64 in 0.0..=DECIMATE_MAX,
 
-            /// Average normals with their neighbours this many times, 0 to 1000; 10 without =N [default: 0]
+            /// Average normals with their neighbours this many times, 0 to 1000; --smooth-normals without a
+            /// value means 10 [default: 0]
             #[arg(value_name = "N", num_args = 0..=1, require_equals = true, default_missing_value = "10")]
             smooth_normals: u32 in 0..=ROUNDS_MAX,
 
-            /// Write the quads of dual contouring to .obj, .vtp and .usda; =false overrides a settings file
+            /// Write the quads of dual contouring to .obj, .vtp and .usda; --quads=false overrides quads =
+            /// true in a configuration file
             #[arg(
                 value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true",
                 hide_possible_values = true
@@ -194,13 +198,13 @@ method_options! {
             #[arg(value_name = "N")]
             laplacian_steps: u32 in 0..=STEPS_MAX,
 
-            /// Number of biharmonic steps, 0 to 1000000 [default: 2; explicit, adaptive: as many as take the
-            /// same time]
+            /// Number of biharmonic steps, 0 to 1000000 [default: 2; explicit, adaptive: as many as give the
+            /// same total pseudo-time]
             #[arg(value_name = "N")]
             steps: u32 in 0..=STEPS_MAX,
 
-            /// Size of a biharmonic step, in units of h⁴, 1e-6 to 10000 [default: 0.25 d⁴; explicit,
-            /// adaptive: 0.01 h⁴]
+            /// Size of a biharmonic step in pseudo-time, in units of h⁴, 1e-6 to 10000 [default: 0.25 d⁴;
+            /// explicit, adaptive: 0.01 h⁴]
             #[arg(value_name = "S")]
             step_size: f64 in STEP_SIZE_MIN..=STEP_SIZE_MAX,
 

@@ -13,10 +13,10 @@ word_enum! {
     /// A set of defaults.
     #[derive(Default)]
     pub enum Preset {
-        /// Water and other liquids: the default
+        /// Water and other liquids of evenly spaced particles, such as those of SPH: the default
         #[default]
         Fluid = "fluid",
-        /// Irregularly spaced particles, such as those of FLIP and MPM: smoother than fluid
+        /// As fluid, but smoother, for irregularly spaced particles, such as those of FLIP and MPM
         Noisy = "noisy",
         /// Sheets, filaments and drops: finer and thinner than fluid
         Splash = "splash",

@@ -18,7 +18,7 @@ word_enum! {
         None = "none",
         /// By the positions of the neighbours, as in Yu and Turk: flat in sheets, long in filaments
         Neighbors = "neighbors",
-        /// By the velocity (paper, Eq. 16): long along it
+        /// By the velocity: long in its direction (paper, Eq. 16)
         Velocity = "velocity",
     }
 }

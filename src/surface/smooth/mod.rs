@@ -45,7 +45,7 @@ word_enum! {
         Implicit = "implicit",
         /// The paper's Algorithm 1, explicit steps: many small steps
         Explicit = "explicit",
-        /// Explicit steps as large as is stable (paper, §3.5): for stills only, because sequences flicker
+        /// Explicit steps as large as is stable (paper, §3.5), for single frames: sequences flicker
         Adaptive = "adaptive",
     }
 }

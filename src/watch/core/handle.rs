@@ -252,7 +252,7 @@ impl Core {
         }
     }
 
-    /// The number of done frames that break a guarantee, according to the journal.
+    /// The number of done frames that failed validation, according to the journal.
     fn broken_count(&self) -> usize {
         let is_broken = |(id, frame): &(&FrameId, &FrameState)| {
             let figures = self.record_of(id).and_then(|record| record.figures.as_ref());

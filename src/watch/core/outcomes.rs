@@ -140,7 +140,7 @@ impl Core {
                     false => self.guard.on_refusal(reason.clone(), now),
                 }
                 self.retry_at(id, now, &reason, |path, why| {
-                    tracing::warn!(frame = %path.display(), "{why}: paused until that has changed");
+                    tracing::warn!(frame = %path.display(), "{why}; paused until writing succeeds again");
                 });
             }
             RetryAction::Retry => self.fail_for_now(id, reason, now),

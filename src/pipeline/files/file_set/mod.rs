@@ -381,7 +381,7 @@ impl FileSet {
 fn said_of_kept(kept: &[PathBuf]) -> String {
     let kept: Vec<_> = kept.iter().map(|path| path.display().to_string()).collect();
     format!(
-        "another program has replaced outputs meanwhile; the files that had their names are {}",
+        "another program has replaced some outputs; the previous versions are kept as {}",
         kept.join(", ")
     )
 }
@@ -455,7 +455,7 @@ pub(crate) fn recover(record_path: &Path) -> io::Result<RecordRecovery> {
     // from elsewhere.
     if !is_own_file(&file.metadata()?) {
         return Ok(left(
-            "this record of an interrupted conversion belongs to another user or has a second name",
+            "this record of an interrupted conversion belongs to another user or has a second hard link",
         ));
     }
     let mut bytes = Vec::new();
