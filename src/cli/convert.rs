@@ -230,7 +230,7 @@ fn add_planned(batch: &mut Batch, planned: &PlannedFrame, frame: Frame, console:
 }
 
 /// For a frame whose input or obstacle is gone and whose outputs are done, as `verify` judges it: `Some` with
-/// the reason if its certificate does not hold. `None` for any other frame.
+/// the reason if it failed validation. `None` for any other frame.
 fn done_without_inputs(frame: &Frame) -> Option<Option<String>> {
     let is_absent = matches!(file_of(&frame.input).try_exists(), Ok(false));
     let is_gone = is_absent || !frame.obstacles.exist(frame.number);

@@ -32,7 +32,7 @@ struct BatchItem {
 /// What to do with a frame.
 enum ItemState {
     Convert(Frame),
-    /// Skip it: its outputs are done, and its inputs are gone. If its certificate does not hold, the reason.
+    /// Skip it: its outputs are done, and its inputs are gone. The reason if it failed validation.
     Done(Frame, Option<String>),
     /// Report a failure: its sequence has no settings, for this reason.
     Impossible(String),
@@ -130,7 +130,7 @@ impl<'a> Batch<'a> {
         self.items.push(BatchItem { input: input.to_owned(), sequence_index, state });
     }
 
-    /// Adds a finished frame whose inputs are gone. `fault` is the reason if its certificate does not hold.
+    /// Adds a finished frame whose inputs are gone. `fault` is the reason if it failed validation.
     pub(super) fn add_done(&mut self, frame: Frame, sequence_index: usize, fault: Option<String>) {
         let input = frame.input.clone();
         self.items.push(BatchItem { input, sequence_index, state: ItemState::Done(frame, fault) });

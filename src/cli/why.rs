@@ -220,7 +220,7 @@ fn recorded(record: &JournaledFrame, now_ms: u64) -> String {
         JournaledStatus::Done => "done",
         JournaledStatus::Failed => "failed",
         JournaledStatus::Retrying => "failed, will be retried",
-        JournaledStatus::Refused => "refused, on account of other files",
+        JournaledStatus::Refused => "refused because of other files",
         JournaledStatus::RetriesExhausted => "failed, will be retried at the next start",
     };
     format!("{status}, {}{attempts}", ago(record.at_ms, now_ms))

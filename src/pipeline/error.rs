@@ -142,10 +142,14 @@ impl fmt::Display for FrameError {
             Cause::TooLarge(too_large) => write!(f, "{}: {too_large}", path),
             Cause::VoxelTooSmall(too_small) => write!(f, "{}: {too_small}", path),
             Cause::Scratch(source) => {
-                write!(f, "{}: cannot keep what does not fit into memory here: {source}", path)
+                write!(
+                    f,
+                    "{}: cannot use scratch files here, for a frame that needs more than --memory: {source}",
+                    path
+                )
             }
             Cause::Panic(what) => {
-                write!(f, "{}: a fault in this program, in the {during} stage: {what}", path)
+                write!(f, "{}: internal error in the {during} stage: {what}; please report it", path)
             }
         }
     }

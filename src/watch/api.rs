@@ -31,7 +31,7 @@ pub struct WatchSummary {
     pub ended: EndReason,
     /// Frames whose outputs exist: converted in this run, or found done.
     pub done_count: usize,
-    /// The number of done frames whose results break a guarantee.
+    /// The number of done frames whose results failed validation.
     pub broken_count: usize,
     /// All failed frames, in natural order.
     pub failed: Vec<FailedFrame>,

@@ -115,7 +115,10 @@ fn log_has_the_warnings_about_a_frame() {
     let left_out = "1 particle left out: not finite";
     await_that("it is recorded", || status(&scene)["flawed"][0]["flaws"][0].as_str().is_some());
     let text = scene.run(&["status", "--out", "out"]).out;
-    assert!(text.contains("not as it should be") && text.contains(left_out), "{text}");
+    assert!(
+        text.contains("done, but failed validation or left out particles") && text.contains(left_out),
+        "{text}"
+    );
     assert!(why(&scene, "in/dam.1.ply").contains(left_out), "{}", why(&scene, "in/dam.1.ply"));
     daemon.finish();
     assert_eq!(status(&scene)["flawed"].as_array().map(Vec::len), Some(1));

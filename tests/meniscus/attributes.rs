@@ -269,8 +269,7 @@ fn frame_without_any_radius_fails() {
     for more in [&[][..], &["--voxel-size", "0.05"]] {
         let ran = meniscus(folder, &[&typed[..], more].concat());
         assert_eq!(ran.status, 1, "{}", ran.err);
-        let told = "f.1.bgeo: the particles' attribute `pscale` has no positive number for any of them, and \
-                    --radius-attribute needs a radius";
+        let told = "f.1.bgeo: the particles' attribute `pscale` has no positive value, but --radius-attribute needs radii";
         assert!(ran.err.contains(told), "{}", ran.err);
         assert!(ran.err.contains("215 particles without a radius that is a positive number"), "{}", ran.err);
         assert_eq!(names_in(&folder.join("o")), ["f.2.obj"]);

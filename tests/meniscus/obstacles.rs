@@ -427,8 +427,7 @@ fn moving_obstacle_has_a_file_for_each_frame() {
     assert_eq!(all.status, 1, "{}", all.err);
     // The error appears once, with the frame and the expected file.
     let missing: Vec<&str> = all.err.lines().filter(|line| line.contains("frame 3")).collect();
-    let expected =
-        "error: dam.3.ply: obstacle body.0003.obj: no such file, and frame 3 needs its own of body.####.obj";
+    let expected = "error: dam.3.ply: obstacle body.0003.obj: no such file: frame 3 needs it, because body.####.obj means one file for each frame";
     assert_eq!(missing, [expected], "{}", all.err);
     let vdb = |number: u32| fs::read(path.join(format!("o/dam.{number}.vdb"))).expect("readable");
     assert!(vdb(1) != vdb(2) && !path.join("o/dam.3.vdb").exists());

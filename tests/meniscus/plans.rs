@@ -427,12 +427,12 @@ const CASES: [Case; 12] = [
     (
         "damaged",
         |f| edit(f.join("out/dam.1.glb"), |bytes| bytes.truncate(bytes.len() - 9)),
-        "its end is missing",
+        "the file is truncated or has trailing data",
     ),
     (
         "damaged",
         |f| edit(f.join("out/dam.1.vdb"), |bytes| *bytes.last_mut().expect("bytes") ^= 1),
-        "dam.1.vdb has other bytes than were written",
+        "dam.1.vdb was modified: its hash differs from that in the certificate",
     ),
     ("damaged", |f| edit(f.join("out/dam.1.glb"), Vec::clear), "dam.1.glb: "),
     (
@@ -463,7 +463,11 @@ const CASES: [Case; 12] = [
         },
         "dam.1.glb: voxel_size is 0.07, expected 0.04",
     ),
-    ("stale", |f| write_ply(&f.join("in/dam.1.ply"), &block(5, 0.0)), "made from another state of the input"),
+    (
+        "stale",
+        |f| write_ply(&f.join("in/dam.1.ply"), &block(5, 0.0)),
+        "the input has changed since it was made",
+    ),
     (
         "uncertified",
         |f| {
@@ -473,7 +477,7 @@ const CASES: [Case; 12] = [
                 *bytes = text.replace("\"count\": 0", "\"count\": 3").into_bytes();
             });
         },
-        "the certificate does not hold: 3 particles outside",
+        "failed validation: 3 particles outside",
     ),
 ];
 

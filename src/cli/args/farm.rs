@@ -90,7 +90,7 @@ State of a frame:
   done         all files exist and are complete, were made from the current input with the plan's settings, and have
                the certified bytes
   missing      a file is missing
-  damaged      a file is truncated, or has other bytes than were written
+  damaged      a file is truncated, or was modified after it was written
   stale        made from another version of the input, with other settings or by another version of meniscus
   uncertified  all files exist, but a check of the surface failed: converting again would give the same result
 

@@ -24,8 +24,8 @@ option_set! {
         )]
         pub(in crate::cli) format: Option<Vec<OutputFormat>>,
 
-        /// Which axis of the particles points up: glTF needs y, so z is rotated; USD records the axis
-        /// [default: y]
+        /// Up axis of the particles [default: y]. With z, .glb meshes are rotated, because glTF requires y;
+        /// .usda files record the axis
         #[arg(long, help_heading = FORMATS, value_name = "AXIS", ignore_case = true, value_parser = up_axis())]
         pub(in crate::cli) up: Option<UpAxis>,
 
@@ -34,13 +34,13 @@ option_set! {
         #[arg(long, help_heading = FORMATS, value_name = "M", value_parser = ranged::<f64>(METERS_PER_UNIT))]
         pub(in crate::cli) meters_per_unit: Option<f64>,
 
-        /// Write .glb in small integers: a quarter to a third smaller, positions to a 65535th of the frame's
-        /// width
+        /// Quantize .glb to small integers: files are 25 to 33 % smaller, and positions are rounded to 1/65535
+        /// of the frame's width
         ///
         /// Uses the extension KHR_mesh_quantization, which Blender and browsers support. Other formats keep
         /// their positions, and attributes of vertices are not quantized. Triangles that have no area in 16
         /// bits are removed from the meshes of all formats. Warns if a frame is so wide that quantization
-        /// moves a vertex by more than a 50th of a voxel.
+        /// moves a vertex by more than 0.02 voxels.
         #[arg(long, help_heading = FORMATS)]
         pub(in crate::cli) quantize: bool,
 

@@ -14,7 +14,7 @@ option_set! {
     /// The reconstruction options, and those that exist only on the command line.
     #[derive(Clone, Debug, Default, PartialEq, Args)]
     pub(in crate::cli) struct MethodArgs {
-        /// The spacing, as the radius of a particle in the simulation, positive: half the spacing
+        /// Particle radius of the simulation, positive; sets --spacing to twice this value
         #[arg(long, value_name = "R", allow_negative_numbers = true, conflicts_with = "spacing", value_parser = Length::parse_world)]
         pub(in crate::cli) particle_radius: Option<f64>,
 

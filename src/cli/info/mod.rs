@@ -139,7 +139,7 @@ fn file_info(path: &Path) -> FileInfo {
     let mut info = FileInfo { file: path.to_string_lossy().into_owned(), ..FileInfo::default() };
     // A panic in a reader affects this file only.
     let result = catch_unwind(AssertUnwindSafe(|| info.fill(path)))
-        .unwrap_or_else(|_| Err(anyhow!("a fault in this program")));
+        .unwrap_or_else(|_| Err(anyhow!("internal error; please report it, with the file")));
     info.error = result.err().map(|error| with_causes(&error));
     info
 }

@@ -38,7 +38,7 @@ impl StatusRecord {
             ("failed", &self.failed),
             ("to retry", &self.retrying),
             ("done last", &self.last_done),
-            ("done, and not as it should be", &self.flawed),
+            ("done, but failed validation or left out particles", &self.flawed),
         ];
         for (title, frames) in lists.into_iter().filter(|(_, frames)| !frames.is_empty()) {
             lines.push(format!("{title}:"));

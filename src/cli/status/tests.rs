@@ -126,7 +126,7 @@ fn text_has_the_values_of_the_json() {
     let two = flawed.frames.get_mut(Path::new("/sim/dam.2.ply")).expect("a frame");
     Arc::make_mut(two).flaws = vec!["1 particle left out".into(), "the result breaks a guarantee".into()];
     let text = record(&flawed, Holder::Unlocked).lines(64_000).join("\n");
-    let marked = "done, and not as it should be:\n  /sim/dam.2.ply: 250000 particles, 2.25 s, 1m 2s ago; \
+    let marked = "done, but failed validation or left out particles:\n  /sim/dam.2.ply: 250000 particles, 2.25 s, 1m 2s ago; \
                   1 particle left out; the result breaks a guarantee";
     assert!(text.ends_with(marked), "{text}");
     let cut_short = StatusRecord { waiting_cut_short: true, ..record(&state(), Holder::Unlocked) };

@@ -40,19 +40,23 @@ impl RequiredAttribute {
             None => {
                 let names: Vec<&str> = all.iter().map(|attribute| &*attribute.name).collect();
                 let there = if all.is_empty() { "none".to_owned() } else { names.join(", ") };
-                format!("the particles have no attribute `{name}`, which {option} needs: it has {there}")
+                format!(
+                    "the particles have no attribute `{name}`, which {option} needs; their attributes: {there}"
+                )
             }
             Some(Attribute { name, values: AttributeValues::Strings { .. }, .. }) => {
-                format!("the particles' attribute `{name}` is text, and {option} needs {kind} for each")
+                format!(
+                    "the particles' attribute `{name}` is text, but {option} needs {kind} for each particle"
+                )
             }
             Some(Attribute { name, arity: 1, .. }) => {
                 format!(
-                    "the particles' attribute `{name}` has one number for each, and {option} needs {kind}"
+                    "the particles' attribute `{name}` has one number for each particle, but {option} needs {kind}"
                 )
             }
             Some(Attribute { name, arity, .. }) => {
                 format!(
-                    "the particles' attribute `{name}` has {arity} numbers for each, and {option} needs {kind}"
+                    "the particles' attribute `{name}` has {arity} numbers for each particle, but {option} needs {kind}"
                 )
             }
         }
@@ -70,7 +74,7 @@ impl RequiredAttribute {
         let RequiredAttribute { option, .. } = self;
         let name = &attribute.name;
         is_useless.then(|| {
-            format!("the particles' attribute `{name}` has no positive number for any of them, and {option} needs a radius")
+            format!("the particles' attribute `{name}` has no positive value, but {option} needs radii")
         })
     }
 }

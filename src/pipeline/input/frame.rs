@@ -232,7 +232,11 @@ mod tests {
         let error = frame.failed(Stage::Smooth, full);
         assert_eq!(error.path, Path::new("out").join("dam.1"));
         assert!(error.is_disk_full());
-        assert!(error.to_string().contains("dam.1: cannot keep what does not fit into memory here: "));
+        assert!(
+            error.to_string().contains(
+                "dam.1: cannot use scratch files here, for a frame that needs more than --memory: "
+            )
+        );
         let changed = frame.failed(Stage::Smooth, Cause::Changed);
         assert_eq!(changed.path, frame.input);
     }

@@ -75,7 +75,7 @@ pub(crate) fn read_input(
     if frame.outputs.formats.contains(&OutputFormat::Vdb) && file.origin() != DVec3::ZERO {
         let [x, y, z] = file.origin().to_array();
         return Err(refused(format!(
-            "its voxels are moved by ({x}, {y}, {z}) from the world's lattice, on which a .vdb is written: leave vdb out of --format"
+            "its grid is offset by ({x}, {y}, {z}) from the world's lattice, and a .vdb is written without an offset: leave vdb out of --format"
         )));
     }
     let job = Job::LevelSet { slack_voxels: frame.job.slack_voxels(), origin: file.origin() };

@@ -78,18 +78,18 @@ impl fmt::Display for NoSpacing {
         let NoSpacing { sparse_count, unreadable_count, unreadable } = self;
         match unreadable {
             None => f.write_str(
-                "no frame has two particles in different places to measure their spacing on: \
+                "cannot measure the particle spacing, because no frame has two particles in different places: \
                  give --spacing",
             ),
-            // A voxel size would not help, because the files are at fault.
+            // A voxel size would not help, because the files are unreadable.
             Some(error) if *sparse_count == 0 => match unreadable_count {
                 ..=1 => write!(f, "{error}"),
                 _ => write!(f, "{error}; none of the {unreadable_count} frames can be read"),
             },
             Some(error) => write!(
                 f,
-                "no frame that can be read has two particles in different places to measure their spacing on: \
-                 give --spacing; {unreadable_count} cannot be read: {error}"
+                "cannot measure the particle spacing, because no readable frame has two particles in different \
+                 places: give --spacing; {unreadable_count} cannot be read: {error}"
             ),
         }
     }
@@ -282,7 +282,7 @@ fn warnings(frames: &[FrameSpacing], estimate: &SequenceEstimate) -> Vec<String>
         frames.iter().find_map(|frame| Some((frame, frame.contradicting_radius.as_ref()?)))
     {
         warnings.push(format!(
-            "{}: the radii in `{name}` mean a spacing of {}, but the positions, which are used, mean {}: give --spacing",
+            "{}: the radii in `{name}` imply a spacing of {}, but the positions imply {}, which is used: give --spacing if that is wrong",
             frame_name(&frame.path),
             significant(rounded(*spacing)),
             significant(rounded(frame.estimate.spacing))

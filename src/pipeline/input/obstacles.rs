@@ -324,7 +324,13 @@ fn file_of(path: &Path, number: Option<u64>) -> Result<PathBuf, ObstacleError> {
         Some(file) => Ok(file),
         None => {
             let expected = folder_of(path).join(pattern.name_of(number));
-            missing(&expected, format!("no such file, and frame {number} needs its own of {}", name_of(path)))
+            missing(
+                &expected,
+                format!(
+                    "no such file: frame {number} needs it, because {} means one file for each frame",
+                    name_of(path)
+                ),
+            )
         }
     }
 }

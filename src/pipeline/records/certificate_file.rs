@@ -163,7 +163,7 @@ impl CertifiedFrame {
             }
             let hash = InputFile::open(path).and_then(|file| file.hash());
             if hash_text(hash.map_err(|error| format!("{name}: {error}"))?) != output.hash {
-                return Err(format!("{name} has other bytes than were written"));
+                return Err(format!("{name} was modified: its hash differs from that in the certificate"));
             }
         }
         Ok(())

@@ -32,7 +32,7 @@ impl FrameReport {
         warnings
     }
 
-    /// Whether all guarantees for the frame's result hold.
+    /// Whether the frame's result passed validation.
     pub fn keeps_guarantees(&self) -> bool {
         self.reconstruction.certificate.holds()
     }
@@ -93,17 +93,17 @@ fn transfer_warnings(
     warnings.into_iter().filter(Warning::is_about_any)
 }
 
-/// A description of the failed checks of a frame; `None` if all hold.
+/// A description of the failed checks of a frame; `None` if it passed validation.
 pub(crate) fn fault(report: &ReconstructionReport) -> Option<String> {
     (!report.certificate.holds()).then(|| does_not_hold(&report.certificate.violations()))
 }
 
-/// The message for a certificate that does not hold.
+/// The message for a frame with these failed checks.
 pub(crate) fn does_not_hold(fault: &str) -> String {
-    format!("the certificate does not hold: {fault}")
+    format!("failed validation: {fault}")
 }
 
-/// A warning for each guarantee that does not hold.
+/// A warning for each failed check.
 fn broken_guarantees(report: &ReconstructionReport) -> Vec<Warning> {
     let certificate = &report.certificate;
     let mut broken = Vec::new();

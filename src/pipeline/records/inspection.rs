@@ -45,7 +45,8 @@ pub enum InspectedState {
     },
     /// A file was truncated or changed.
     Damaged(String),
-    /// A file was made from another state of the input, by other settings, or by another version.
+    /// A file was made from another version of the input, with other settings, or by another version of the
+    /// program.
     Stale(String),
     /// All outputs are complete and up to date, but a check failed.
     Uncertified(String),
@@ -180,7 +181,7 @@ fn look_at(
     let mut file = open_regular(path).map_err(|error| damaged(error.to_string()))?;
     let recorded = read_provenance(format, &file).map_err(unreadable)?;
     if !is_complete(format, &mut file).map_err(unreadable)? {
-        return Err(damaged("its end is missing, or more bytes follow it".to_owned()));
+        return Err(damaged("the file is truncated or has trailing data".to_owned()));
     }
     let hash = made_from.input_hash.unwrap_or_default();
     let obstacles = made_from.obstacles.as_deref().unwrap_or_default();
@@ -212,8 +213,8 @@ fn difference(
     let differs = |name: &&str| value_in(recorded, name) != value_in(wanted, name);
     let name = all.filter(|name| is_compared(name)).find(differs)?;
     Some(match (name, value_in(recorded, name), value_in(wanted, name)) {
-        ("input_hash", Some(_), Some(_)) => "made from another state of the input".to_owned(),
-        ("obstacles", Some(_), Some(_)) => "made among another state of the obstacles".to_owned(),
+        ("input_hash", Some(_), Some(_)) => "the input has changed since it was made".to_owned(),
+        ("obstacles", Some(_), Some(_)) => "the obstacles have changed since it was made".to_owned(),
         (_, Some(was), Some(wanted)) => format!("{name} is {was}, expected {wanted}"),
         (_, None, Some(wanted)) => format!("{name} is not recorded, expected {wanted}"),
         (_, was, _) => format!("{name} is {}, but is not set now", was.unwrap_or_default()),
@@ -223,11 +224,15 @@ fn difference(
 /// Whether a certificate describes these files and this input, and holds.
 fn agrees(certified: &CertifiedFrame, made_from: &MadeFrom, paths: &[PathBuf]) -> Result<(), InspectedState> {
     if !certified.is_about(paths) {
-        return Err(InspectedState::Stale("the certificate is of other files".to_owned()));
+        return Err(InspectedState::Stale(
+            "the certificate lists other files than the outputs of the frame".to_owned(),
+        ));
     }
     certified.check_bytes(paths).map_err(InspectedState::Damaged)?;
     if made_from.input_hash.is_some_and(|hash| hash_text(hash) != certified.input_hash) {
-        return Err(InspectedState::Stale("the certificate is of another state of the input".to_owned()));
+        return Err(InspectedState::Stale(
+            "the input has changed since the certificate was written".to_owned(),
+        ));
     }
     match &certified.fault {
         None => Ok(()),

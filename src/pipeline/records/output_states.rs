@@ -301,7 +301,7 @@ mod tests {
     use super::*;
     use std::fs;
 
-    const FAULT: &str = "the certificate does not hold";
+    const FAULT: &str = "failed validation";
 
     fn fault_of(states: &OutputStates, path: &Path) -> Option<Option<String>> {
         states.recorded_fault(&[path.to_owned()])

@@ -109,7 +109,7 @@ pub fn write_sequence_file(
     let SequenceOptions { fps, meters_per_unit } = options;
     let fail = |what: String| SequenceError { path: path.to_owned(), what };
     if sources.iter().any(|source| are_same_file(&source.path, path)) {
-        return Err(fail("the shot would replace a frame of it".to_owned()));
+        return Err(fail("the output is one of the frames: choose another name".to_owned()));
     }
     let (there, left_out) = read_frames(sources);
     if there.is_empty() {

@@ -1,9 +1,9 @@
 //! Obstacles: meshes and level sets as signed distances φ_o, leaf by leaf (paper, §3.6).
 //!
 //! ```text
-//!   mesh ────────▶ Solid ───┐ winding number: side;  tree: distance
+//!   mesh ────────▶ MeshSdf ─┐ winding number: side;  tree: distance
 //!                           ├──▶ φ_o of a leaf, in voxels of our lattice, negative inside the obstacle
-//!   level set ───▶ Sampled ─┘ interpolated
+//!   level set ───▶ GridSdf ─┘ interpolated
 //! ```
 //!
 //! Each leaf is computed alone, relative to its own centre and in 64 bits where precision matters. So every

@@ -69,8 +69,8 @@ method_options! {
             voxel_size: Length,
         }
         Surface {
-            /// Radius r_min around each particle that is always inside the surface, positive; neighbours may
-            /// flatten it [default: 1.15d, but no less than √3·h]
+            /// Radius r_min of the sphere around each particle that is always inside the surface, positive;
+            /// neighbours may flatten the sphere [default: 1.15d, but no less than √3·h]
             #[arg(value_name = "LENGTH")]
             radius_min: Length,
 
@@ -169,7 +169,7 @@ method_options! {
             #[arg(value_name = "HOW", ignore_case = true)]
             contour: Contouring,
 
-            /// Remove triangles where the mesh moves by no more than this, in units of h, 0 to 1 [default: 0]
+            /// Simplify the mesh with at most this error, in units of h, 0 to 1 [default: 0]
             #[arg(value_name = "VOXELS")]
             decimate: f64 in 0.0..=DECIMATE_MAX,
 
@@ -177,7 +177,8 @@ method_options! {
             #[arg(value_name = "N", num_args = 0..=1, require_equals = true, default_missing_value = "10")]
             smooth_normals: u32 in 0..=ROUNDS_MAX,
 
-            /// Write the quads of dual contouring to .obj, .vtp and .usda; =false overrides a settings file
+            /// Write the quads of dual contouring to .obj, .vtp and .usda; =false overrides a configuration
+            /// file
             #[arg(
                 value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true",
                 hide_possible_values = true
@@ -194,8 +195,8 @@ method_options! {
             #[arg(value_name = "N")]
             laplacian_steps: u32 in 0..=STEPS_MAX,
 
-            /// Number of biharmonic steps, 0 to 1000000 [default: 2; explicit, adaptive: as many as take the
-            /// same time]
+            /// Number of biharmonic steps, 0 to 1000000 [default: 2; explicit, adaptive: as many as cover
+            /// the same integration time]
             #[arg(value_name = "N")]
             steps: u32 in 0..=STEPS_MAX,
 

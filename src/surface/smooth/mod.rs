@@ -39,14 +39,14 @@ word_enum! {
     /// How the constrained smoothing is integrated in fictitious time.
     #[derive(Default)]
     pub enum Integrator {
-        /// Implicit steps without reductions: the quickest, and the same bytes on any number of threads
+        /// Implicit steps without global reductions: the fastest
         #[default]
         Fast = "fast",
         /// The paper's Algorithm 2, implicit steps: conjugate gradients with a growing active set
         Implicit = "implicit",
         /// The paper's Algorithm 1, explicit steps: many small ones
         Explicit = "explicit",
-        /// The same, each as large as is stable (paper, §3.5): for stills, a sequence flickers
+        /// Explicit steps, each as large as is stable (paper, §3.5); only for stills: sequences flicker
         Adaptive = "adaptive",
     }
 }

@@ -349,7 +349,7 @@ fn record_with_two_names_is_left_in_place() {
     let folder = tempfile::tempdir().expect("a folder");
     let record_path = plant_record(folder.path());
     fs::hard_link(&record_path, folder.path().join("second")).expect("linked");
-    assert_left_in_place(folder.path(), "belongs to another user or has a second name");
+    assert_left_in_place(folder.path(), "belongs to another user or has a second hard link");
 }
 
 #[cfg(target_os = "linux")]
@@ -359,7 +359,7 @@ fn record_of_another_user_is_left_in_place() {
     let record_path = plant_record(folder.path());
     // Only root can give a file away.
     if std::os::unix::fs::chown(&record_path, Some(12345), None).is_ok() {
-        assert_left_in_place(folder.path(), "belongs to another user or has a second name");
+        assert_left_in_place(folder.path(), "belongs to another user or has a second hard link");
     }
 }
 
