@@ -140,7 +140,7 @@ impl Daemon {
 
     /// Where its status page is.
     fn address(&mut self) -> String {
-        let opened = |line: &Value| line["message"] == "the window is open";
+        let opened = |line: &Value| line["message"] == "serving the status page";
         let line = std::iter::from_fn(|| next_line(&mut self.log)).find(opened).expect("a status page");
         let address = line["address"].as_str().expect("an address");
         address.trim_start_matches("http://").trim_end_matches('/').to_owned()

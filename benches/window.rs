@@ -128,7 +128,7 @@ impl Daemon {
             .expect("the daemon starts");
         let log = BufReader::new(child.stderr.take().expect("a pipe"));
         let mut daemon = Daemon { child, log, address: SocketAddr::from(([127, 0, 0, 1], 0)) };
-        let opened = daemon.await_line("the window is open");
+        let opened = daemon.await_line("serving the status page");
         let address =
             opened["address"].as_str().or(opened["fields"]["address"].as_str()).expect("an address");
         daemon.address =

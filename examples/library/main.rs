@@ -65,7 +65,7 @@ pub(crate) fn reconstruct_file(from: &Path, to: &Path) -> Result<(), Box<dyn Err
     };
     let certificate = &surface.report.certificate;
     if !certificate.holds() {
-        return Err(format!("the surface is not valid: {}", certificate.violations()).into());
+        return Err(format!("the surface failed validation: {}", certificate.violations()).into());
     }
 
     // Positions are absolute, in 64 bits. Files store 32 bits relative to an origin that you choose.

@@ -40,8 +40,9 @@ pub(crate) type MeshReader = fn(&[u8], &Limits, &ReadExternal) -> Result<MeshDat
 /// Reads provenance, as names and values, from the first bytes of a file.
 pub(crate) type ProvenanceReader = fn(&[u8]) -> Result<Vec<(String, String)>>;
 
-/// Locates the records of a file from its first bytes and its size. An outer error concerns the header and
-/// can mean that more bytes are needed.
+/// Locates the records of a file from its first bytes and its size. An outer error concerns the header, and
+/// can mean that more bytes are needed; an inner error concerns the rest of the file. `None`: the file cannot
+/// be read in batches, only as a whole.
 pub(crate) type FindRecords = fn(&[u8], u64, &dyn ReadAt, &Limits) -> Result<Result<Option<Records>>>;
 
 /// How particles are read from a format.
@@ -163,7 +164,7 @@ pub struct PositionRounding {
     pub error: fn(&[[f32; 3]], [f64; 3]) -> f64,
     /// What a certificate of such a file describes.
     pub certificate_subject: &'static str,
-    /// Which files are rounded, and why: the end of a sentence.
+    /// Which files are rounded, and why. Completes the warning "vertices are moved by up to 0.1 voxels in …".
     pub reason: &'static str,
 }
 
@@ -236,7 +237,7 @@ pub enum Completeness {
 /// The result of checking a file's head.
 pub(crate) enum HeadCheck {
     Known(Completeness),
-    /// The header is longer than the head.
+    /// The header does not end within the bytes that were read so far.
     NeedsMoreHead,
     /// Depends on whether the last number of a text is complete.
     NeedsLastByte,

@@ -166,7 +166,7 @@ pub(super) fn refuse_file_name(out: &Path) -> Result<()> {
     }
     match file_extension(out) {
         Some(extension) => bail!(
-            "{}: expected a folder for the results, and .{extension} names a file: name a folder, such as {}",
+            "{}: expected a folder for the results, but .{extension} names a file: name a folder, such as {}",
             out.display(),
             out.with_extension("").display()
         ),

@@ -105,7 +105,8 @@ pub fn check_config(text: &str) -> anyhow::Result<()> {
     config_file::check(text)
 }
 
-/// The same error for arguments with escaped control characters: shell globs may have inserted any file name.
+/// Parses the arguments again, with escaped control characters, so that the message of the error is safe to
+/// print: shell globs may have inserted any file name.
 fn printable(error: clap::Error, arguments: &[OsString]) -> clap::Error {
     let escaped = arguments.iter().map(|argument| escaped(argument.to_string_lossy()).to_string());
     // The escaped arguments may parse: then the original error was about bytes that are not UTF-8. Its message

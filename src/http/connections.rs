@@ -116,7 +116,8 @@ impl Connections {
         oldest.is_some()
     }
 
-    /// Each update is complete before the lock is released, so a poisoned one is still consistent.
+    /// Each update is complete before the lock is released, so the data is consistent even if the lock is
+    /// poisoned.
     fn lock(&self) -> MutexGuard<'_, Idle> {
         self.idle.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -204,7 +205,7 @@ mod tests {
     fn new_connection_closes_the_longest_idle_one_when_all_slots_are_taken() {
         let all = Arc::new(Connections::new(3, 2));
         let [first, second, third] = [(); 3].map(|()| add(&all));
-        // The first connection is busy, and the most recently idle one when its response is sent.
+        // The first connection is busy; when its response is sent, it becomes the most recent idle one.
         let answering = first.begin();
         let mut fourth = Box::pin(all.add());
         assert!(now(fourth.as_mut()).is_none(), "no slot is free until another connection has ended");

@@ -44,7 +44,8 @@ pub(super) async fn file<B>(store: &StatusStore, request: &Request<B>, name: &st
     let range = header(RANGE).filter(|_| is_same).and_then(|range| parse_range(range, opened.size_bytes));
     match range {
         Some(Range::Beyond) => {
-            let beyond = text(StatusCode::RANGE_NOT_SATISFIABLE, "the file is shorter");
+            let beyond =
+                text(StatusCode::RANGE_NOT_SATISFIABLE, "the requested range is beyond the end of the file");
             with(beyond, CONTENT_RANGE, &format!("bytes */{}", opened.size_bytes))
         }
         Some(Range::Part { first, last }) => {

@@ -19,18 +19,22 @@ fn exposition(store: &StatusStore) -> String {
     let (status, counts) = store.status();
     let counters = store.counters();
     let mut text = MetricsText(String::new());
-    text.head("meniscus_build_info", "gauge", "The version of the program; always 1.");
+    text.head(
+        "meniscus_build_info",
+        "gauge",
+        "Build information: the version is a label, the value is always 1.",
+    );
     text.value("meniscus_build_info", &format!("version=\"{}\"", env!("CARGO_PKG_VERSION")), 1);
     text.frames(&counts);
     text.gauge("meniscus_queue_depth", "Frames in the queue.", counts.queued);
     text.gauge(
         "meniscus_paused",
-        "1 while no frame is started because disk space is low.",
+        "1 while the daemon is paused: an output disk is full, not mounted, or refuses writes.",
         u8::from(status.paused.is_some()),
     );
     text.gauge(
         "meniscus_unavailable_folders",
-        "Watched folders that are unavailable.",
+        "Number of watched and output folders that are unavailable.",
         status.unavailable.len(),
     );
     if let Some(bytes) = status.disk_free_bytes {

@@ -97,7 +97,7 @@ impl HttpServer {
         let thread = thread::Builder::new().name("window".to_owned()).stack_size(STACK_BYTES);
         let thread = thread.spawn(move || {
             if let Err(error) = runtime.block_on(serve::serve(listener, shared)) {
-                tracing::error!("the status page is closed: {error}");
+                tracing::error!("the status page and the API have stopped: {error}; the daemon continues");
             }
             // Threads that still read a file do not delay the end.
             runtime.shutdown_background();

@@ -71,7 +71,7 @@ impl Budget {
         waited.unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Both numbers are consistent at any time, so a poisoned lock is, too.
+    /// Both numbers are consistent at any time, even if the lock is poisoned.
     fn reserved(&self) -> MutexGuard<'_, Reserved> {
         self.reserved.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -4,7 +4,7 @@
 //!   files        names and stamps of files; atomic writes of files and sets of files
 //!   target       the outputs of a frame: formats, pictures, and their camera
 //!   input        the inputs of frames: files and their steps, particles, level sets, obstacles
-//!   records      records in outputs, beside them, and of a run
+//!   records      provenance in outputs, certificates beside them, states of outputs, the report of a run
 //!   output       encodes surfaces and particles
 //!   error        why a frame was not converted          warning    likely mistakes in a converted frame
 //!
@@ -15,8 +15,8 @@
 //!   reconstruct  one frame in memory, without files
 //! ```
 //!
-//! Conversion of a single file, of a sequence, and by the daemon all run this pipeline; they differ only in
-//! the source of frames. The pipeline knows nothing of flags, terminals or how the method works.
+//! `convert`, for one file or a sequence, and the daemon use the same pipeline; they differ only in the source
+//! of frames. The pipeline knows nothing of flags, terminals or how the method works.
 //!
 //! To convert files, pass them to [`sequences`], resolve the settings of each sequence, create a [`Frame`]
 //! for each file, and call [`run`]; [`stream`] takes frames one at a time, as they arrive.

@@ -10,11 +10,10 @@
 //!   threads      7 smooth   6 contour   6 ┄┄     running; the third helps the second
 //! ```
 //!
-//! `ThreadPool::install` for each stage would not do. A thread that waits for a part of its frame's loop,
+//! `ThreadPool::install` for each stage would not be enough. A thread that waits for a part of its frame's loop,
 //! taken by another thread, steals other work meanwhile, and would start another frame's stage on top of its
 //! own; within that, yet another. That way, the first of 10 frames on 2 threads sometimes finished last.
 //! Here, a thread within a task takes no second one.
-//! finished last, now and then. Here a thread that is within a task takes no second one.
 
 use std::cell::Cell;
 use std::cmp::Reverse;

@@ -90,7 +90,7 @@ pub fn names_level_sets(pattern: Option<&str>) -> bool {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum Order {
-    /// By name, numbers as numbers
+    /// By name, in natural order: frame.2 before frame.10
     Natural,
     /// The one written last
     Latest,
@@ -134,6 +134,6 @@ mod by_name {
     pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<MethodOptions, D::Error> {
         let pairs = BTreeMap::<String, String>::deserialize(from)?;
         let options = MethodOptions::from_pairs(pairs.iter().map(|(name, value)| (&**name, &**value)));
-        options.ok_or_else(|| D::Error::custom("an option is unknown or has an invalid value"))
+        options.ok_or_else(|| D::Error::custom("an option of the method is unknown or has an invalid value"))
     }
 }

@@ -129,7 +129,7 @@ impl<'a> EventLoop<'a> {
                 Event::PipelineEnded { pipeline } => {
                     let is_wanted = self.pipelines.remove(pipeline).flatten().is_some();
                     if is_wanted && !self.core.is_stopping() {
-                        return Err(DaemonError::Threads("the pipeline has ended".to_owned()));
+                        return Err(DaemonError::Threads("the pipeline has ended unexpectedly".to_owned()));
                     }
                 }
                 Event::JournalSynced => self.unsynced_count = self.unsynced_count.saturating_sub(1),
@@ -242,7 +242,9 @@ impl<'a> EventLoop<'a> {
             }
             if overdue_at.is_some_and(|at| at <= Instant::now()) {
                 overdue_at = None;
-                tracing::warn!("frames in progress are not finished within {stop_deadline:?}");
+                tracing::warn!(
+                    "frames in progress did not finish within {stop_deadline:?} (--stop-deadline)"
+                );
                 self.core.record_daemon(DaemonState::Stopped);
                 self.sync_journals()?;
                 (self.notices)(Notice::Overdue);

@@ -87,7 +87,7 @@ pub enum FileChange {
 pub enum FrameExplanation {
     /// The file, or the step in it, does not exist.
     Gone,
-    /// Its path does not select it as a frame.
+    /// Its path is not selected as a frame.
     NotSelected,
     /// The journal decides that it stays as it is.
     Skipped(SkipReason),
@@ -193,7 +193,7 @@ fn facts(
     Ok((FileFacts { content: content(file_of(frame))?, readiness, change }, decision))
 }
 
-/// Whether the file's times are by the clock of this machine.
+/// Whether this machine's clock sets the file's times; not on a network file system.
 pub(super) fn trust_clock(path: &Path) -> bool {
     let folder = file_of(path).parent().unwrap_or(path);
     network_file_system(folder).is_ok_and(|network| network.is_none())
@@ -214,7 +214,7 @@ impl fmt::Display for FrameExplanation {
         match self {
             FrameExplanation::Gone => f.write_str("is not converted because there is no such frame"),
             FrameExplanation::NotSelected => {
-                f.write_str("is not converted because its path does not select it as a frame")
+                f.write_str("is not converted because its path is not selected: a frame must be in a watched folder, must not be hidden, and must match --pattern (by default: be a particle file)")
             }
             FrameExplanation::Skipped(reason) => write!(f, "is not converted because {reason}"),
             FrameExplanation::Waits(why) => write!(f, "is not converted yet because {why}"),
@@ -235,7 +235,7 @@ impl fmt::Display for FrameExplanation {
             }
             // The record says that the files existed; whether they still do is not checked here.
             FrameExplanation::Converted(Decision::Convert(ConvertReason::WasRefused)) => {
-                f.write_str("will be converted once the files that blocked it are gone, or now if they are")
+                f.write_str("will be converted as soon as the files that blocked it are gone")
             }
             FrameExplanation::Converted(decision) => write!(f, "will be converted because {decision}"),
         }
@@ -390,7 +390,7 @@ mod tests {
         assert_eq!(bench.verdict(Some(&failed)), FrameExplanation::Skipped(SkipReason::FailedUnchanged));
         let refused = bench.record(JournaledStatus::Refused);
         let told = bench.verdict(Some(&refused)).to_string();
-        assert!(told.contains("once the files that blocked it are gone"), "{told}");
+        assert!(told.contains("as soon as the files that blocked it are gone"), "{told}");
     }
 
     #[test]

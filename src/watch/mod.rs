@@ -3,7 +3,7 @@
 //!
 //! ```text
 //!   core         decides: state and events in, effects out; no files, clocks or threads
-//!   event_loop   one thread: hands events to the core, carries out its effects, gives signs of life
+//!   event_loop   one thread: passes events to the core, carries out its effects, sends heartbeats
 //!   io           threads that may block: one for each watched folder and each folder of outputs, and the pipelines
 //!   journal      the memory that survives a restart
 //!   status_store what users see: frames, status, counters

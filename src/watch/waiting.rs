@@ -85,8 +85,8 @@ fn collect(told: &Receiver<WaitingFile>, until: Instant) -> Waiting {
     waiting
 }
 
-/// Inspects up to `files_left` files that are not in the journal. `trust_clock` says whether the times at a
-/// path are by the clock of this machine.
+/// Inspects up to `files_left` files that are not in the journal. `trust_clock` says whether this
+/// machine's clock sets the times of the file at a path.
 fn search(
     plan: &PlanRecord,
     known: &JournaledFiles,

@@ -289,14 +289,14 @@ async function figuresAreRight(watching, page) {
   const voxelSize = settings.sequences[0].voxel_size;
   line(
     "figures",
-    `${shown.figures.particles} particles, ${shown.figures.voxels} voxels, ${shown.key.join(", ")}, certificate ${shown.figures.certificate}`,
+    `${shown.figures.particles} particles, ${shown.figures.voxels} voxels, ${shown.key.join(", ")}, validation ${shown.figures.validation}`,
     wrong({
       "it is of another frame": shown.title === name,
       "particles": shown.figures.particles === count(figures.particles) && figures.particles > 0,
       "voxels": shown.figures.voxels === count(figures.voxels) && figures.voxels > 0,
       "triangles": shown.figures.triangles === count(figures.triangles) && figures.triangles > 0,
       "memory": /^[\d.]+ MiB$/.test(shown.figures["peak memory"]),
-      "certificate": figures.certificate.holds && shown.figures.certificate === "holds",
+      "validation": figures.certificate.holds && shown.figures.validation === "passed",
       "the stages are others": shown.parts.map(([stage]) => stage).join() === Object.keys(figures.seconds).join(),
       "the bar has other parts": shown.parts.every(isPart),
       "seconds": Object.entries(figures.seconds).every(([stage, seconds]) => shown.key.includes(`${stage} ${seconds.toFixed(seconds < 10 ? 2 : 0)} s`)),

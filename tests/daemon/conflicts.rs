@@ -67,7 +67,7 @@ fn output_folder_that_is_not_writable_is_refused() {
         let ran = scene.run(&["watch", "in", "--out", out, "--once"]);
         assert_eq!(ran.status, Some(2), "{out}: {}", ran.err);
         assert!(
-            ran.err.contains(&format!("{out}: expected a folder for the results, and "))
+            ran.err.contains(&format!("{out}: expected a folder for the results, but "))
                 && ran.err.contains(why),
             "{out}: {}",
             ran.err

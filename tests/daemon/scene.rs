@@ -475,7 +475,8 @@ impl Watching {
     /// The address of the daemon's HTTP server, as `host:port`.
     #[track_caller]
     pub(crate) fn window_address(&self) -> String {
-        let line = self.await_line("the window is open", |line| line.message == "the window is open");
+        let line =
+            self.await_line("serving the status page", |line| line.message == "serving the status page");
         let address = line.fields["address"].as_str().expect("an address");
         address.trim_start_matches("http://").trim_end_matches('/').to_owned()
     }

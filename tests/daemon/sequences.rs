@@ -79,7 +79,7 @@ fn single_particle_frames_wait_for_one_with_a_spacing() {
     }
     scene.put("in/dam.3.ply", ply(&block(6, 0.12, 0.0)));
     daemon.await_lines(3, "all are converted", Line::is_converted);
-    let is_told = |line: &Line| line.message.contains("two particles in different places yet");
+    let is_told = |line: &Line| line.message.contains("cannot measure the particle spacing yet");
     let complaints = daemon.lines(Line::is_complaint);
     assert!(complaints.len() <= 1 && complaints.iter().all(is_told), "{}", daemon.told());
     daemon.finish();

@@ -71,7 +71,7 @@ fn second_signal_ends_the_daemon_at_once() {
         let mut daemon = scene.watch(&[&["--settle", "10ms"], &WINDOW[..], &FORMATS, &ENDLESS].concat());
         await_under_way(&daemon);
         daemon.signal(first);
-        daemon.await_line("it is winding up", |line| line.message.contains("asked to end"));
+        daemon.await_line("it is stopping", |line| line.message.contains("stopping on request"));
         assert!(daemon.is_alive());
         daemon.signal(second);
         // The frame would take minutes, so it is not finished.
@@ -101,7 +101,7 @@ fn frame_beyond_the_deadline_is_given_up() {
     let elapsed = start.elapsed();
     assert_eq!(status.code(), Some(0), "{}", daemon.told());
     assert!(elapsed >= Duration::from_millis(300), "{elapsed:?}");
-    let overdue = "frames in progress are not finished within 300ms";
+    let overdue = "frames in progress did not finish within 300ms (--stop-deadline)";
     assert_eq!(daemon.lines(|line| line.message == overdue).len(), 1, "{}", daemon.told());
     assert!(daemon.lines(Line::is_converted).is_empty(), "{}", daemon.told());
     assert!(contents(&scene.path("out")).is_empty());

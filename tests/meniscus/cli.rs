@@ -72,16 +72,16 @@ fn unwritable_output_folder_is_refused() {
     let path = folder.path();
     write_sequence(path, 1, 2);
     fs::write(path.join("taken"), "a file").expect("written");
-    let expected = "expected a folder for the results, and ";
+    let expected = "expected a folder for the results, but ";
     let mut places = vec![
         ("taken", "taken: ".to_owned() + expected + "this is a file"),
-        ("taken/deep", "taken/deep: ".to_owned() + expected + "it cannot be made: taken is a file"),
+        ("taken/deep", "taken/deep: ".to_owned() + expected + "it cannot be created: taken is a file"),
     ];
     #[cfg(target_os = "linux")]
     places.extend([
         // No user may write there, not even root.
         ("/proc", "/proc: ".to_owned() + expected + "nothing can be written into it: "),
-        ("/proc/a/b", "/proc/a/b: ".to_owned() + expected + "it cannot be made: "),
+        ("/proc/a/b", "/proc/a/b: ".to_owned() + expected + "it cannot be created: "),
     ]);
     for (out, told) in places {
         let sheet = format!("{out}/sheet.png");

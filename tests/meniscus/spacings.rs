@@ -386,7 +386,7 @@ fn one_particle_alone_has_no_spacing() {
     write_ply(&path.join("one.ply"), &[[0.5; 3]]);
     let ran = meniscus(path, &["convert", "one.ply", "--out", "out"]);
     assert_ne!(ran.status, 0);
-    assert!(ran.err.contains("one.ply: no frame has two particles in different places"), "{}", ran.err);
+    assert!(ran.err.contains("one.ply: cannot measure the particle spacing, because no frame has two particles in different places"), "{}", ran.err);
     assert!(ran.err.contains("--spacing"), "{}", ran.err);
     // Two particles are enough, with a stated confidence.
     write_ply(&path.join("two.ply"), &[[0.5; 3], [0.5, 0.6, 0.5]]);

@@ -148,8 +148,8 @@ impl Daemon {
 
     /// The address of the status page, as `host:port`.
     pub(crate) fn window_address(&mut self) -> String {
-        self.until("the window is open", |daemon| daemon.count_logged("the window is open") > 0);
-        let line = self.log.iter().find(|line| message(line) == "the window is open").expect("logged");
+        self.until("serving the status page", |daemon| daemon.count_logged("serving the status page") > 0);
+        let line = self.log.iter().find(|line| message(line) == "serving the status page").expect("logged");
         let address = line["address"].as_str().expect("an address");
         address.trim_start_matches("http://").trim_end_matches('/').to_owned()
     }

@@ -53,7 +53,7 @@ pub(in crate::cli) struct WatchArgs {
     #[command(flatten, next_help_heading = "Daemon")]
     pub(in crate::cli) daemon: DaemonArgs,
 
-    /// The same token on the command line, where other users of this machine may see it
+    /// Require this token, instead of --token-file; other users can see it in the process list
     #[arg(long, value_name = "TOKEN", conflicts_with = "token_file", help_heading = "Daemon")]
     pub(in crate::cli) token: Option<String>,
 }
@@ -62,8 +62,8 @@ option_set! {
     /// Which files are frames, and how they are converted: the keys of a `[[watch]]` block.
     #[derive(Clone, Debug, Default, PartialEq, Args)]
     pub(in crate::cli) struct FrameArgs {
-        /// Only files whose name matches, such as 'dam.*.bgeo'; or, with a / in the pattern and --recursive,
-        /// whose path within DIR matches, such as '*/fluid*.ply'
+        /// Convert only files whose names match this pattern, such as 'dam.*.bgeo'. With --recursive, a
+        /// pattern that contains / is compared with the path within DIR, such as '*/fluid*.ply'
         ///
         /// By default all files with an extension of a particle format, and text files that hold particles.
         /// Hidden files and results of meniscus are never taken.
@@ -113,23 +113,23 @@ option_set! {
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(in crate::cli) settle: Option<Duration>,
 
-        /// The same, for a format that cannot tell whether a file is complete [default: 4 times --settle, at
-        /// least 2s]
+        /// How long a file must be unchanged before it is read, if its format cannot show whether it is
+        /// complete [default: 4 times --settle, at least 2s]
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(in crate::cli) unproven: Option<Duration>,
 
-        /// The same, for a file that its format shows to be incomplete: then the frame fails [default: 30s;
-        /// with --once as --unproven]
+        /// How long an incomplete file must be unchanged before it is read anyway, so that its frame fails
+        /// [default: 30s; with --once: the value of --unproven]
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(in crate::cli) stalled: Option<Duration>,
 
-        /// Interval between scans of the folders; auto scans them if the system does not report changes, as
-        /// on network file systems [default: auto]
+        /// Find changes by scanning the folders at this interval; auto does so only where the system reports
+        /// no changes, as on network file systems [default: auto]
         #[arg(long, value_name = "TIME", value_parser = parse_poll)]
         pub(in crate::cli) poll: Option<Poll>,
 
-        /// Approximate interval between full scans, which find changes that the system did not report
-        /// [default: 60s]
+        /// Where the system reports changes: approximate interval between full scans, which find changes that
+        /// it did not report [default: 60s]
         #[arg(long, value_name = "TIME", value_parser = parse_rescan)]
         pub(in crate::cli) rescan: Option<Duration>,
 
@@ -148,7 +148,8 @@ option_set! {
         #[arg(long, value_name = "ADDRESS", value_parser = parse_listen)]
         pub(in crate::cli) listen: Option<SocketAddr>,
 
-        /// Require the token in the first line of this file: 16 or more letters or digits
+        /// Require clients to send the token in the first line of this file: 16 to 256 characters, letters,
+        /// digits or - _ . ~
         #[arg(long, value_name = "FILE")]
         pub(in crate::cli) token_file: Option<PathBuf>,
 
@@ -179,11 +180,14 @@ impl FrameArgs {
 
 const WATCHING: &str = "\
 When a frame is read:
-  A file is read when it is complete, by the first of: it was renamed into place; its sentinel
-  exists; its format says so and it was unchanged for --settle; it was unchanged for --unproven. A
-  file that is written again later is converted again. Inputs are never moved, changed or removed.
+  A file is read as soon as one of these is true:
+    it was renamed into place
+    its sentinel exists
+    its format shows that it is complete, and it has not changed for --settle
+    it has not changed for --unproven
+  A file that is written again later is converted again. Inputs are never moved, changed or removed.
 
-  A journal records the finished frames, so a restarted daemon continues where it was.
+  A journal records the finished frames, so a restarted daemon resumes where it left off.
   `meniscus status --out DIR` prints them, and `meniscus why FILE --out DIR` explains why a frame was
   or was not converted.
 

@@ -100,7 +100,7 @@ fn open_http_server(listen: Option<&Listen>, store: Option<&Arc<StatusStore>>) -
     let (Some(listen), Some(store)) = (listen, store) else { return Ok(None) };
     let window = HttpServer::open(listen, Arc::clone(store));
     let window = window.with_context(|| format!("cannot listen on {}", listen.address))?;
-    info!(address = %format_args!("http://{}/", window.address()), "the window is open");
+    info!(address = %format_args!("http://{}/", window.address()), "serving the status page");
     Ok(Some(window))
 }
 
@@ -123,7 +123,7 @@ fn log_summary(once: Option<bool>, watches: &[Watch], summary: &WatchSummary) ->
     if *ended == EndReason::Drained && done_count + failed.len() + left_count == 0 {
         warn!("there are no frames to convert{}", level_sets_left(watches));
     }
-    let why = if *ended == EndReason::Drained { "all frames are done" } else { "asked to end" };
+    let why = if *ended == EndReason::Drained { "all frames are done" } else { "stopped on request" };
     info!(done = done_count, failed = failed.len(), left = left_count, "ended: {why}");
     let Some(allow_violations) = once else { return CommandOutcome::Done };
     if *broken_count > 0 {

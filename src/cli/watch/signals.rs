@@ -46,7 +46,7 @@ pub(super) fn listen(control: Arc<Control>) -> Result<()> {
             } else {
                 let is_deadline_kept = end_when_overdue(&control);
                 log_detached(move || {
-                    tracing::info!("asked to end; a second signal ends at once");
+                    tracing::info!("stopping on request; a second signal exits at once");
                     if let Err(error) = is_deadline_kept {
                         tracing::warn!(
                             "cannot exit after --stop-deadline if a file system hangs (then send a second signal): {error}"

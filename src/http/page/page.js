@@ -332,13 +332,13 @@ async function showFrame() {
     ['triangles', number(figures?.triangles)],
     ['pieces', number(figures?.components)],
     ['peak memory', bytes(figures?.peak_memory_bytes)],
-    ['certificate', figures && (figures.certificate.holds ? 'holds' : 'does not hold')],
+    ['validation', figures && (figures.certificate.holds ? 'passed' : 'failed')],
     ['file', bytes(frame.input_bytes)],
     ['failed attempts', frame.attempts || null],
     ['total time', seconds(frame.seconds)],
   ]));
   if (figures) parts.push(...stageBar(figures.seconds));
-  else if (frame.state === 'done') parts.push(make('p', 'note', 'No figures: the frame was converted before the journal kept them.'));
+  else if (frame.state === 'done') parts.push(make('p', 'note', 'No statistics: the version that converted this frame did not record them.'));
   for (const note of figures?.notes ?? []) parts.push(make('p', 'note', note));
   const links = (frame.outputs ?? []).map(output => {
     const link = make('a', '', `${output.name} (${bytes(output.size_bytes)})`);

@@ -48,8 +48,8 @@ pub(crate) fn frame_number(stem: &str) -> Option<Range<usize>> {
     Some(with_subframe(stem, &numbers, &found).unwrap_or(found))
 }
 
-/// The frame's number with the subframe behind it, if the stem ends in both and `found` is one of them; the
-/// former is the frame if a word such as `frame` precedes it.
+/// The frame's number and the subframe after it, if the stem ends in both and `found` is one of them. The
+/// first of the two is the frame if a word such as `frame` precedes it.
 fn with_subframe(stem: &str, numbers: &[Range<usize>], found: &Range<usize>) -> Option<Range<usize>> {
     let [.., frame, last] = numbers else { return None };
     let follows_separator = stem[..frame.start].chars().next_back().is_none_or(|c| !c.is_alphanumeric());

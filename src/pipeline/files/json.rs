@@ -131,8 +131,8 @@ pub(crate) mod path {
             match self {
                 PathForm::Text(text) => Ok(text.into()),
                 PathForm::Units(units) => {
-                    let path =
-                        from_units(&units).ok_or_else(|| E::custom("a unit of a path is too large"))?;
+                    let path = from_units(&units)
+                        .ok_or_else(|| E::custom("invalid path: a code unit is out of range"))?;
                     Ok(path.into())
                 }
             }

@@ -175,7 +175,7 @@ fn name_of_special(kind: FileType) -> &'static str {
 
 #[cfg(not(unix))]
 fn name_of_special(_kind: FileType) -> &'static str {
-    "something else"
+    "a file of unknown type"
 }
 
 #[cfg(unix)]

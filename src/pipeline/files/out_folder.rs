@@ -127,11 +127,13 @@ impl fmt::Display for OutFolderError {
             OutFolderError::Recover { source, .. } => return source.fmt(f),
             _ => {}
         }
-        write!(f, "{}: expected a folder for the results, and ", folder.display())?;
+        write!(f, "{}: expected a folder for the results, but ", folder.display())?;
         match self {
             OutFolderError::File { folder, file } if folder == file => f.write_str("this is a file"),
-            OutFolderError::File { file, .. } => write!(f, "it cannot be made: {} is a file", file.display()),
-            OutFolderError::Make { source, .. } => write!(f, "it cannot be made: {source}"),
+            OutFolderError::File { file, .. } => {
+                write!(f, "it cannot be created: {} is a file", file.display())
+            }
+            OutFolderError::Make { source, .. } => write!(f, "it cannot be created: {source}"),
             OutFolderError::Write { source, .. } => write!(f, "nothing can be written into it: {source}"),
             OutFolderError::Recover { source, .. } => source.fmt(f),
         }
@@ -160,8 +162,8 @@ mod tests {
         make_out_folder(&folder.path().join("a/b")).expect("made");
         check_out_folder(&folder.path().join("a/b")).expect("there");
         for (place, words) in [
-            (file.clone(), "file: expected a folder for the results, and this is a file"),
-            (file.join("deep"), "deep: expected a folder for the results, and it cannot be made: "),
+            (file.clone(), "file: expected a folder for the results, but this is a file"),
+            (file.join("deep"), "deep: expected a folder for the results, but it cannot be created: "),
         ] {
             let error = make_out_folder(&place).expect_err("the path is a file");
             assert!(matches!(&error, OutFolderError::File { file: named, .. } if *named == file), "{error}");

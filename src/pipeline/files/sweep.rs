@@ -53,8 +53,8 @@ impl fmt::Display for SweepError {
             SweepError::Folder(source) => source.fmt(f),
             SweepError::Recover { record, source } => write!(
                 f,
-                "{}: an interrupted conversion replaced only some of the files in this record, and the others cannot be \
-                 put back: {source}; remove the cause and start again, or remove the record to keep the files as they are",
+                "{}: an interrupted conversion replaced only some of the files in this record, and the old ones cannot be \
+                 restored: {source}; remove the cause and start again, or remove the record to keep the files as they are",
                 record.display()
             ),
         }

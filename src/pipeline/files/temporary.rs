@@ -48,7 +48,7 @@ impl Temporary {
     /// # Errors
     /// When the system reports an error.
     pub(crate) fn create_named(path: &Path, mut next_name: impl FnMut() -> String) -> io::Result<Temporary> {
-        // Locked until the file is registered, so that a stop misses none.
+        // Locked until the file is registered, so that `stop_writing` misses none.
         let mut under_way = active_temporaries();
         let mut attempt_count = 0;
         loop {
@@ -92,7 +92,8 @@ impl Drop for Temporary {
         if self.path.as_os_str().is_empty() {
             return;
         }
-        // The original error is more useful than this one; after a rename the file has another name.
+        // After a rename there is nothing to remove. An error here is not reported: the error that made the
+        // caller drop the file is more useful.
         if remove_if_exists(&self.path).is_err() {
             record_left_behind(self.path.clone());
         }
@@ -147,7 +148,7 @@ fn create_locked(path: &Path) -> io::Result<Option<File>> {
     match file.try_lock() {
         Err(TryLockError::WouldBlock) => return Ok(None),
         Ok(()) => {}
-        // The file system has no locks; sweeping processes see that as well.
+        // The file system has no locks; then sweeps go by the age of the file.
         Err(TryLockError::Error(_)) => {}
     }
     Ok(is_still_at(path, &file).then_some(file))

@@ -175,8 +175,8 @@ fn level_set(data: LevelSetData, rebuilt_leaf_count_max: usize) -> Result<InVoxe
         }
         Err(TooManyLeaves) => {
             return Err(format!(
-                "the grid \"{name}\" has signs without distances over a surface of more than \
-                 {rebuilt_leaf_count_max} leaves: allow more memory (--memory), or save it with a narrow band"
+                "the grid \"{name}\" stores only inside and outside, and its distances would need more than \
+                 {rebuilt_leaf_count_max} blocks of 8³ voxels: raise --memory, or save it as a narrow-band level set"
             ));
         }
     }

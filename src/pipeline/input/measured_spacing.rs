@@ -78,18 +78,18 @@ impl fmt::Display for NoSpacing {
         let NoSpacing { sparse_count, unreadable_count, unreadable } = self;
         match unreadable {
             None => f.write_str(
-                "no frame has two particles in different places to measure their spacing on: \
+                "cannot measure the particle spacing, because no frame has two particles in different places: \
                  give --spacing",
             ),
-            // A voxel size would not help, because the files are at fault.
+            // A voxel size would not help, because the files are unreadable.
             Some(error) if *sparse_count == 0 => match unreadable_count {
                 ..=1 => write!(f, "{error}"),
                 _ => write!(f, "{error}; none of the {unreadable_count} frames can be read"),
             },
             Some(error) => write!(
                 f,
-                "no frame that can be read has two particles in different places to measure their spacing on: \
-                 give --spacing; {unreadable_count} cannot be read: {error}"
+                "cannot measure the particle spacing, because no readable frame has two particles in different \
+                 places: give --spacing; {unreadable_count} cannot be read: {error}"
             ),
         }
     }

@@ -93,7 +93,7 @@ fn transfer_warnings(
     warnings.into_iter().filter(Warning::is_about_any)
 }
 
-/// A description of the failed checks of a frame; `None` if all hold.
+/// A description of the failed checks of a frame; `None` if it passed validation.
 pub(crate) fn fault(report: &ReconstructionReport) -> Option<String> {
     (!report.certificate.holds()).then(|| does_not_hold(&report.certificate.violations()))
 }

@@ -45,7 +45,8 @@ pub enum InspectedState {
     },
     /// A file was truncated or changed.
     Damaged(String),
-    /// A file was made from another state of the input, by other settings, or by another version.
+    /// A file was made from another version of the input, with other settings, or by another version of the
+    /// program.
     Stale(String),
     /// All outputs are complete and up to date, but a check failed.
     Uncertified(String),

@@ -407,7 +407,7 @@ impl CertificateRecord {
         };
         let fault = certificate.violations();
         if (self.positions == CheckedPositions::Smoothed) != self.given_outside.is_some() {
-            return Err("given_outside is for smoothed positions, and for these only".to_owned());
+            return Err("given_outside must be present exactly if positions is \"smoothed\"".to_owned());
         }
         let range = self.vertex_distance_min_voxels.zip(self.vertex_distance_max_voxels);
         if range.is_some_and(|(least, largest)| least > largest) {
@@ -420,7 +420,7 @@ impl CertificateRecord {
             (true, true) => Ok(None),
             (false, false) => Ok(Some(fault)),
             (true, false) => Err(format!("holds is true, but: {fault}")),
-            (false, true) => Err("holds is false, but nothing is violated".to_owned()),
+            (false, true) => Err("holds is false, but every check passed".to_owned()),
         }
     }
 }

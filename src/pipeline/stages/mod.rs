@@ -7,9 +7,9 @@
 //! ```
 //!
 //! Several frames are in flight at once, in different stages or in the same one. A stage starts a frame only
-//! when the channel behind it has a free slot. So a slow stage blocks the stages before it, and in the end
-//! the caller, which is asked for the next frame only when there is room for it and so can choose that frame
-//! late.
+//! when the channel after it has a free slot, so a slow stage blocks the stages before it. This backpressure
+//! reaches the caller: it is asked for the next frame only when there is room for one, so it can choose that
+//! frame at the last moment.
 //!
 //! Reading has one thread and writing has several, which wait for the disk. Rasterizing, smoothing and
 //! contouring have one thread each, which only decides when a frame may start. All computing happens in the
@@ -68,8 +68,8 @@ pub struct PipelineOptions<'a> {
     /// Skip frames whose outputs exist, from the same input with the same settings and the same version of
     /// this program.
     pub skip_done: bool,
-    /// Write a certificate with hashes of the outputs beside them. Then a frame without it, or with other
-    /// bytes than those it was written for, is not done.
+    /// Write a certificate with hashes of the outputs beside them. Then a frame is done only if it has a
+    /// certificate whose hashes match its outputs.
     pub certificates: bool,
     /// The maximum number of frames that were requested and are not finished; at least one.
     pub in_flight: usize,
@@ -83,8 +83,8 @@ pub struct PipelineOptions<'a> {
     /// because other accounts may have created those.
     pub mirrors: &'a [PathBuf],
     /// The recorded states of outputs: a frame is not done if the bytes of an output differ from its record.
-    /// New outputs are recorded; without `skip_done`, only if a frame fails validation or its outputs have
-    /// records already. `None`: bytes are neither recorded nor compared.
+    /// With `skip_done`, all new outputs are recorded. Without it, only those of frames that fail validation,
+    /// and those that have a record already. `None`: bytes are neither recorded nor compared.
     pub output_states: Option<&'a OutputStates>,
     /// Receives the progress of frames.
     pub observer: Option<&'a dyn Observer>,
@@ -109,8 +109,8 @@ impl<'a> PipelineOptions<'a> {
         }
     }
 
-    /// Compares the outputs of a frame with their records, if records are kept: `None` if the bytes of one
-    /// differ, or else the failed checks of the frame.
+    /// Compares the outputs of a frame with their records. `None`: the bytes of an output differ from its
+    /// record. `Some`: they match, or no records are kept; it contains the failed checks of the frame, if any.
     pub(super) fn recorded_fault(&self, outputs: &[PathBuf]) -> Option<Option<String>> {
         self.output_states.map_or(Some(None), |states| states.recorded_fault(outputs))
     }
@@ -197,7 +197,7 @@ fn drive<'scope, 'env: 'scope, M: Method, K: Send + 'env>(
 ) {
     let options = stages.shared.options;
     let in_flight = options.in_flight.max(1);
-    // The maximum number of frames in each stage and in the channel behind it.
+    // The maximum number of frames in each stage and in the channel after it.
     let width = match options.on_error {
         OnError::Stop => 1,
         OnError::Continue => options.pool.current_num_threads().min(in_flight),

@@ -77,9 +77,9 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
             let (needed_bytes, obstacles) = (bytes, <(String, usize)>::default());
             return Ok((read, InputInfo { input, read_seconds, noted, obstacles, needed_bytes, memory }));
         };
-        // Obstacles that do not move are shared with the following frames. Their address identifies them, and
-        // does not change while this pipeline has frames; no other reservation can take their memory in
-        // between.
+        // Static obstacles are shared with later frames. The address of the `Arc` identifies them; it does not
+        // change while this pipeline has frames. Until `resize` below, this frame's reservation still includes
+        // their memory, so no other frame can reserve it in between.
         let standing_bytes = obstacles.all_bytes - obstacles.own_bytes;
         shared.budget.set_shared(Arc::as_ptr(&frame.obstacles).addr(), standing_bytes);
         let given_bytes = given.size_bytes().saturating_add(obstacles.own_bytes);
@@ -224,7 +224,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
     }
 }
 
-/// Whether a frame needs only the positions of its particles, and these in batches.
+/// Whether a frame needs only the positions of its particles, so that they can be read in batches.
 fn needs_positions_only(settings: &Settings) -> bool {
     AttributeRequest::for_settings(settings).is_empty()
 }

@@ -64,7 +64,7 @@ pub(super) struct InputInfo<'env> {
 #[derive(Default)]
 pub(super) struct Noted {
     pub(super) warnings: Vec<Warning>,
-    /// The name of velocities that were not requested.
+    /// The name of the velocity attribute, if the file has one and no option requests it.
     pub(super) unused_velocity: Option<String>,
 }
 

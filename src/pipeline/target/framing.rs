@@ -96,7 +96,8 @@ impl Framing {
         viewpoint.contains(bounds, self.aspect)
     }
 
-    /// Fields are replaced one by one by code that does not panic, so a poisoned lock is still consistent.
+    /// Fields are replaced one by one by code that does not panic, so they are consistent even if the lock is
+    /// poisoned.
     fn lock(&self) -> MutexGuard<'_, Framed> {
         self.framed.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -118,7 +118,7 @@ impl OutputOptions {
         self.picture.camera.up_or(up_of(self.up))
     }
 
-    /// The same, with a camera that shows these bounds (minimum and maximum corner in world units).
+    /// These options with a camera that shows the bounds (minimum and maximum corner in world units).
     pub fn with_camera_around(&self, bounds: [DVec3; 2]) -> OutputOptions {
         let PictureOptions { size, camera } = self.picture;
         let viewpoint = camera.viewpoint(bounds, self.picture.aspect(), up_of(self.up));

@@ -33,7 +33,7 @@ impl<T> ConcurrentLeafMap<T> {
 
     /// Updates the value of a leaf with `add`; creates it with `first` if it does not exist.
     pub(super) fn add(&self, origin: IVec3, first: impl FnOnce() -> T, add: impl FnOnce(&mut T)) {
-        // Each update is applied under the lock, so a poisoned shard is still consistent.
+        // Each update is applied under the lock, so a shard is consistent even if its lock is poisoned.
         let mut shard = self.0[shard_of(origin)].lock().unwrap_or_else(PoisonError::into_inner);
         let Shard { slots, values } = &mut *shard;
         let slot = *slots.entry(origin).or_insert_with(|| {

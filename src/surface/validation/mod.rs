@@ -46,10 +46,10 @@ use crate::surface::mesh::{Mesh, MeshMeasures};
 use crate::surface::rasterize::Radii;
 use crate::surface::space::Lattice;
 
-/// The checks of the finished surface. [`holds`](Self::holds) says whether all guarantees hold, and
-/// [`violations`](Self::violations) which do not. Distances are measured to the centre of the nearest
-/// particle. In this struct they are in voxels, unless a field says world units. For particles with their own
-/// shapes, r_min and r_max mean their inner and outer ellipsoids.
+/// The results of the checks of the finished surface. [`holds`](Self::holds) says whether it passed all of
+/// them, and [`violations`](Self::violations) which ones failed. Distances are to the centre of the nearest
+/// particle, in voxels unless a field says world units. For particles with their own shapes, r_min and r_max
+/// mean their inner and outer ellipsoids.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Certificate {
@@ -74,10 +74,10 @@ pub struct Certificate {
     /// Particles outside the mesh, except exempt ones.
     pub particles_outside: ParticlesOutside,
     /// Whether the inward offset is so large that particles may end up outside: these are counted, but
-    /// violate no guarantee.
+    /// fail no check.
     pub may_leave_particles_outside: bool,
     /// If position smoothing moved the particles before they were checked: the particles whose input position
-    /// is outside the surface. They violate no guarantee. `None` if particles were not moved.
+    /// is outside the surface. They fail no check. `None` if particles were not moved.
     pub input_positions_outside: Option<ParticlesOutside>,
     /// Exempt particles: in a dropped island, outside a clip box or next to its faces, inside an obstacle or
     /// next to it. Only those near a surface are counted.
@@ -91,7 +91,7 @@ pub struct Certificate {
 }
 
 impl Certificate {
-    /// Whether all guarantees hold.
+    /// Whether the surface passed all checks.
     pub fn holds(&self) -> bool {
         self.bound_violation_count == 0
             && self.vertices_inside_min == 0
@@ -100,12 +100,12 @@ impl Certificate {
             && self.mesh_is_closed_manifold
     }
 
-    /// Particles outside that violate a guarantee.
+    /// Number of particles outside that fail the check.
     pub fn particle_violation_count(&self) -> usize {
         if self.may_leave_particles_outside { 0 } else { self.particles_outside.count }
     }
 
-    /// The violated guarantees as text; empty if all hold.
+    /// The failed checks as text; empty if the surface passed all.
     pub fn violations(&self) -> String {
         let counts = [
             (self.bound_violation_count, "voxels out of bounds"),

@@ -188,9 +188,13 @@ impl fmt::Display for Proof {
         f.write_str(match self {
             Proof::Renamed => "it was renamed into place",
             Proof::Sentinel => "its sentinel exists",
-            Proof::Format => "it is unchanged for --settle, and its format shows whether it is complete",
-            Proof::Unchanged => "it is unchanged for --unproven, so it counts as complete",
-            Proof::Stalled => "it is incomplete, but unchanged for --stalled",
+            Proof::Format => {
+                "it has not changed for --settle, and its format, or reading it, shows if it is incomplete"
+            }
+            Proof::Unchanged => "it has not changed for --unproven, so it counts as complete",
+            Proof::Stalled => {
+                "it is incomplete and has not changed for --stalled, so it is read to report the error"
+            }
         })
     }
 }

@@ -1,18 +1,20 @@
 //! Decides whether to convert a frame, from its record in the journal and its current state on disk.
 //!
 //! ```text
-//!   the record says │ nothing   waiting or     failed for   failed          done
-//!                   │           in work        now          for good
-//!   ────────────────┼──────────────────────────────────────────────────────────────────────────
-//!   same input,     │ convert   convert        convert      skip            skip, if its outputs
-//!   same settings   │                                                       exist
-//!   same size, else │ convert   convert        convert      the content     the content decides
-//!   a new stamp     │                                       decides
-//!   anything else   │ convert   convert        convert      convert         convert
+//!   its record        │ none      queued or     failed,       failed          done
+//!                     │           in progress   may succeed   permanently
+//!   ──────────────────┼─────────────────────────────────────────────────────────────────────────
+//!   same stamp and    │ convert   convert       convert       skip            skip, if its outputs
+//!   settings          │                                                       exist
+//!   same size and     │ convert   convert       convert       compare the     compare the
+//!   settings, new     │                                       content         content
+//!   stamp             │
+//!   anything else     │ convert   convert       convert       convert         convert
 //! ```
 //!
 //! The decision is a pure function: the caller has inspected the disk. A file that was copied or touched has
-//! another time or inode, but may have the same content. Only then is the content read and hashed.
+//! another time or inode, but may have the same content. Only then is the content read, and its hash compared
+//! with the recorded one.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -56,7 +58,7 @@ pub enum ConvertReason {
     WasInterrupted,
     /// It failed with an error that may be temporary.
     Retry,
-    /// Other files blocked its conversion, and may not do so any more.
+    /// Other files blocked its conversion; they may be gone now.
     WasRefused,
 }
 
@@ -102,7 +104,7 @@ impl fmt::Display for Decision {
         match self {
             Decision::Skip(reason) => reason.fmt(f),
             Decision::CompareContent => {
-                f.write_str("it was touched, moved or rewritten with the same size, so its content decides")
+                f.write_str("its time or inode has changed but not its size, so its content must be compared with the recorded hash")
             }
             Decision::Convert(reason) => reason.fmt(f),
         }
@@ -135,7 +137,7 @@ impl fmt::Display for ConvertReason {
             }
             ConvertReason::WasInterrupted => f.write_str("the daemon exited before it was finished"),
             ConvertReason::Retry => f.write_str("it failed with an error that may be temporary"),
-            ConvertReason::WasRefused => f.write_str("other files blocked it, and may not any more"),
+            ConvertReason::WasRefused => f.write_str("other files blocked it, and they may be gone now"),
         }
     }
 }

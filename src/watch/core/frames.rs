@@ -24,7 +24,7 @@ use super::completeness::Candidate;
 /// A file in a watched folder, or a step of a file. A file in two watched folders is two frames, because
 /// their outputs differ.
 ///
-/// Its path is the normal path of its root with names behind it, so equal paths have equal bytes. Comparing
+/// Its path is the canonical path of its root followed by names, so equal paths have equal bytes. Comparing
 /// the bytes is several times faster than comparing the components, as [`Path`] does, and frames are looked
 /// up many times.
 #[derive(Clone, Debug, Eq, PartialOrd, Ord)]
@@ -199,7 +199,7 @@ pub(crate) struct FrameCounts {
     pub(crate) held: usize,
     /// [`FramePhase::Queued`] or [`FramePhase::InProgress`].
     pub(crate) queued: usize,
-    /// Files that are being searched for steps.
+    /// Files whose steps are being indexed.
     pub(crate) finding_steps: usize,
     pub(crate) retrying: usize,
     pub(crate) done: usize,

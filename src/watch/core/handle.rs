@@ -91,7 +91,8 @@ impl Core {
         }
     }
 
-    /// Replaces a pipeline whose frames hang with their folder, so that other frames can continue.
+    /// Starts a second pipeline if frames of this one wait for a file system that does not answer, so that
+    /// frames of other folders are converted meanwhile.
     fn replace_stalled_pipeline(&mut self) {
         let may_others_begin = (0..self.roots.len()).any(|root| self.may_begin(root));
         if self.is_stopping || !may_others_begin || !self.has_stalled() {
@@ -104,7 +105,7 @@ impl Core {
             return;
         }
         self.pipeline += 1;
-        self.log(|| tracing::warn!("frames in progress hang with their folder: a new pipeline continues"));
+        self.log(|| tracing::warn!("frames in progress wait for a file system that does not answer: a second pipeline converts the frames of other folders"));
         self.effects.push(Effect::StartPipeline(self.pipeline));
     }
 
@@ -269,5 +270,5 @@ fn about(path: &Path, reason: &str) -> String {
 }
 
 /// Why a frame has no settings at the end of a run; `convert` prints the same text.
-const TOO_SPARSE: &str = "no frame of its sequence has two particles in different places to measure \
-                          their spacing on: give --spacing";
+const TOO_SPARSE: &str = "cannot measure the particle spacing, because no frame of the sequence has two \
+                          particles in different places: give --spacing";

@@ -487,7 +487,7 @@ impl Core {
         let owned = match self.claims.entry(claimed) {
             Entry::Occupied(claim) if claim.get() != id && self.frames.get(claim.get()).is_some() => {
                 Some(format!(
-                    "{} and {} would both become {}.*; the first of them keeps it",
+                    "{} and {} would both become {}.*: converting only the first; rename the second, or convert it into another folder",
                     claim.get().path.display(),
                     id.path.display(),
                     claim.key().display(),

@@ -4,7 +4,7 @@
 //!   Event ──▶ handle ─▶ intake ─▶ steps, settle ─▶ queue ──▶ Effect
 //!                       outcomes ─▶ retry
 //!   frames         the phase of each frame       completeness   when a file is complete
-//!   sequences      settings, fixed once each     decision       why a frame is, or is not, converted
+//!   sequences      settings, resolved once       decision       why a frame is, or is not, converted
 //!   disk_guard     free space and mounts         publish        views for clients
 //! ```
 //!

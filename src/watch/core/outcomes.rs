@@ -95,7 +95,7 @@ impl Core {
                 tracing::warn!(frame = %path.display(), "{warning}");
             }
             if let Some(name) = unused_velocity {
-                tracing::info!(frame = %path.display(), "frames have the attribute \"{name}\" (velocity), which the outputs lack");
+                tracing::info!(frame = %path.display(), "frames have the attribute \"{name}\" (velocity); --attributes {name} adds it to the outputs for motion blur");
             }
         });
     }
@@ -195,7 +195,7 @@ impl Core {
         let (path, why) = (Arc::clone(&id.path), reason.clone());
         let log = Log::new(move || match status {
             JournaledStatus::RetriesExhausted if attempts > 0 => {
-                tracing::error!(frame = %path.display(), attempt = attempts, "{why}; given up");
+                tracing::error!(frame = %path.display(), attempt = attempts, "{why}; gave up: will retry when the file changes or the daemon restarts");
             }
             _ => tracing::error!(frame = %path.display(), "{why}"),
         });

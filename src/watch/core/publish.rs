@@ -137,8 +137,8 @@ impl Core {
         let mut status = format!("{done} done, {queued} queued");
         for (count, what) in [
             (settling, "being written"),
-            (finding_steps, "being searched for steps"),
-            (held, "without settings yet"),
+            (finding_steps, "being indexed"),
+            (held, "waiting for a measured spacing or camera"),
             (retrying, "to retry"),
             (failed, "failed"),
         ] {

@@ -153,7 +153,8 @@ impl Core {
         camera.framed = framed;
         let path = key.folder.join(&key.name);
         let log = Log::new(move || {
-            let what = "a frame leaves the picture: the camera is refitted for it and for later ones";
+            let what =
+                "a frame exceeds the camera's view: the camera is refitted for this frame and later ones";
             tracing::info!(sequence = %path.display(), "{what}");
         });
         self.record(self.output_of[root], Entry::Sequence { key, record: Box::new(record) }, Some(log));
@@ -212,12 +213,12 @@ fn why_held(watch: &Watch) -> &'static str {
 }
 
 /// Why frames wait although their particle spacing is known.
-const EMPTY_YET: &str = "no frame of its sequence has had a particle yet by which the camera of its pictures could be \
-                         placed: waiting for one; --camera with eye, target and ground would do instead";
+const EMPTY_YET: &str = "cannot place the camera of the pictures yet, because no frame of the sequence has particles: \
+                         waiting for one that has; or give eye, target and ground in --camera";
 
 /// Why frames wait.
-const TOO_SPARSE_YET: &str = "no frame of its sequence has had two particles in different places yet to measure \
-                              their spacing on: waiting for one; --spacing would do instead";
+const TOO_SPARSE_YET: &str = "cannot measure the particle spacing yet, because no frame of the sequence has two \
+                              particles in different places: waiting for one that has; or give --spacing";
 
 /// Rounds to six significant digits, which is enough for people.
 fn six_digits(value: f64) -> f64 {

@@ -40,7 +40,7 @@ pub(crate) struct Core {
     pub(super) queue: Queue,
     /// Pipelines that have asked for a frame.
     pub(super) wanting: VecDeque<usize>,
-    /// The pipeline that gets frames. Earlier ones hang, and end when they respond again.
+    /// The pipeline that gets new frames. Earlier ones wait for a file system, and end when it answers.
     pub(super) pipeline: usize,
     pub(super) guard: DiskGuard,
     pub(super) scan_count: u64,
@@ -264,7 +264,7 @@ impl Core {
         match self.guard.reason() {
             Some(why) if !was_blocked => self.log(move || tracing::warn!("paused: {why}")),
             None if was_blocked => {
-                self.log(|| tracing::info!("there is enough disk space again: continuing"))
+                self.log(|| tracing::info!("no longer paused: the outputs can be written again"))
             }
             _ => {}
         }

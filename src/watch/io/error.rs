@@ -43,7 +43,7 @@ impl fmt::Display for DaemonError {
             DaemonError::Locked(error) => write!(f, "{error}"),
             DaemonError::Pattern(error) => write!(f, "{error}"),
             DaemonError::Unavailable { folder, why } => write!(f, "{}: {why}", folder.display()),
-            DaemonError::Threads(why) => write!(f, "the threads: {why}"),
+            DaemonError::Threads(why) => write!(f, "cannot run the daemon's threads: {why}"),
         }
     }
 }

@@ -190,7 +190,8 @@ impl Folders {
     }
 }
 
-/// Each update of the map is complete, so a poisoned one is still consistent.
+/// Each update of the map is complete before the lock is released, so the map is consistent even if the
+/// lock is poisoned.
 fn lock(folders: &Mutex<Folders>) -> MutexGuard<'_, Folders> {
     folders.lock().unwrap_or_else(PoisonError::into_inner)
 }

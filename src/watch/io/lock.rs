@@ -74,7 +74,7 @@ impl OutputLock {
         if let Err(source) = fs::create_dir_all(&state_folder) {
             let source = match source.kind() {
                 io::ErrorKind::AlreadyExists => {
-                    io::Error::new(source.kind(), "a file with this name exists: remove it")
+                    io::Error::new(source.kind(), "this must be a folder, but it is a file: remove the file")
                 }
                 _ => source,
             };
@@ -218,7 +218,7 @@ impl fmt::Display for LockError {
             LockError::Unsupported { folder } => write!(
                 f,
                 "{} is on a file system without locks, so a second daemon could write there, too: choose a \
-                 folder on another one, or have it mounted with locks",
+                 folder on another file system, or mount this one with locks",
                 folder.display()
             ),
             LockError::Io { path, source } => write!(f, "cannot lock {}: {source}", path.display()),

@@ -222,7 +222,7 @@ impl OutputGuard {
     }
 
     fn held(&self) -> MutexGuard<'_, Held> {
-        // The value is replaced as a whole, so a poisoned one is consistent.
+        // The value is replaced as a whole, so it is consistent even if the lock is poisoned.
         self.held.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -243,7 +243,7 @@ fn sweep(folder: &Path) -> usize {
     count
 }
 
-/// The same, without sub-folders.
+/// Like [`sweep`], without sub-folders.
 fn sweep_one(folder: &Path) -> usize {
     let cannot = |error| {
         tracing::warn!(folder = %folder.display(), "cannot look for half-written files: {error}");

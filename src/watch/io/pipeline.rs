@@ -1,7 +1,7 @@
 //! Pipelines: threads that convert the frames that the core gives them.
 //!
-//! One runs at a time. If it hangs with its frames, another one takes over the rest. So each has its own
-//! threads, and nothing waits for them to end.
+//! Usually there is one. If its frames wait for a file system that does not answer, a second one converts the
+//! frames of the other folders. So each has its own threads, and nothing waits for them to end.
 
 use std::io;
 use std::path::PathBuf;

@@ -127,7 +127,7 @@ impl Root {
         root
     }
 
-    /// Whether the times of its files are by the clock of this machine.
+    /// Whether this machine's clock sets the times of its files; not on a network file system.
     pub(super) fn trust_clock(&self) -> bool {
         self.network.is_none()
     }
@@ -384,5 +384,5 @@ impl Work for Root {
     }
 }
 
-/// A run with `once` scans only at the start.
+/// Longer than any run: the next scan of a run with `once`, which scans only at the start, never comes.
 const NEVER: Duration = Duration::from_secs(1 << 32);

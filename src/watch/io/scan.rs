@@ -24,7 +24,7 @@ use super::selection::{FileFilter, is_hidden};
 
 /// Inspects one file; links are followed. `None` if it is gone, or is not a regular file.
 ///
-/// With `trust_clock`, the times of the file are by the clock of this machine.
+/// `trust_clock` says whether this machine's clock sets the file's times.
 ///
 /// # Errors
 /// When the system refuses.
@@ -50,7 +50,7 @@ pub(crate) fn scan(
     scan_with(folder, root, selection, trust_clock, &|| {})
 }
 
-/// The same; calls `progress` for every file that was inspected.
+/// Like [`scan`], and calls `progress` for every file that was inspected.
 pub(super) fn scan_with(
     folder: &Path,
     root: &Path,

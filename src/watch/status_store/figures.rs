@@ -34,7 +34,7 @@ pub struct Figures {
 /// The results of the checks of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct CertificateView {
-    /// Whether all guarantees hold.
+    /// Whether the surface passed all checks.
     pub holds: bool,
     /// Voxels out of their bounds.
     pub bound_violations: usize,

@@ -240,7 +240,7 @@ impl Soak {
         self.daemon.listen_for(Duration::ZERO);
         self.converted_count += self.daemon.converted().len();
         for line in self.daemon.log.drain(..) {
-            if message(&line) == "the window is open" {
+            if message(&line) == "serving the status page" {
                 self.window = line["address"].as_str().map(|url| url.replace("http://", "").replace('/', ""));
             }
             assert!(line.is_object() && !line.to_string().contains("panic"), "{line}");

@@ -6,13 +6,13 @@
 //!
 //! ```text
 //!   .meniscus-set-9f3c…       the record: the names and their new files; locked, and synced to disk
-//!   .meniscus-set-9f3c….0     another name of the old dam.0012.glb      hard links
-//!   .meniscus-set-9f3c….1     another name of the old dam.0012.vdb
+//!   .meniscus-set-9f3c….0     backup of the old dam.0012.glb            hard links
+//!   .meniscus-set-9f3c….1     backup of the old dam.0012.vdb
 //!            │
 //!            │ rename each new file, then sync the folder
 //!            ▼
 //!   remove the record         from here on the new files stay
-//!   remove the old files
+//!   remove the backups
 //! ```
 //!
 //! If a rename fails, the old files are restored; a name that was free becomes free again. A killed process
@@ -23,12 +23,12 @@
 //! hashes in a certificate reveal that.
 //!
 //! A record is used only if this user created it, it has no second hard link, and this version can read it.
-//! Any other record is left in place with its old files, and the sweep returns a warning.
+//! Any other record is left in place with its backups, and the sweep returns a warning.
 //!
 //! The record has the size, modification time and inode of each new and old file. A file that is neither was
-//! written later, and stays. If all names have later files, the set is superseded, and its record and old
-//! files are removed: that happens if a run could not read the record and converted the frame again. If only
-//! some names have later files, the old files of these names and the record stay.
+//! written later, and stays. If all names have later files, the set is superseded, and its record and backups
+//! are removed: that happens if a run could not read the record and converted the frame again. If only some
+//! names have later files, the backups of these names and the record stay.
 //!
 //! On a file system without hard links, the old file is renamed instead, so its name is missing for a moment.
 
@@ -86,7 +86,7 @@ pub(crate) fn replace_together(files: &[StagedFile]) -> Result<(), (PathBuf, io:
     let record = write_record(folder, &members).map_err(at_first)?;
     let set = FileSet { record_path: record.path().to_owned(), members };
 
-    // Locked during all renames, so that a stop comes before the first or after the last.
+    // Held during all renames, so that `stop_writing` runs before the first or after the last.
     let locked = active_temporaries();
     let error = match set.replace(files) {
         Ok(()) => {
@@ -100,7 +100,7 @@ pub(crate) fn replace_together(files: &[StagedFile]) -> Result<(), (PathBuf, io:
                 Err(error) => at_first(error),
             }
         }
-        // Still locked: if a stop removed the record now, the old files could not be restored.
+        // Still locked: if `stop_writing` removed the record now, the old files could not be restored.
         Err(error) => return Err(set.undo_after(error, record, locked)),
     };
     Err(set.undo_after(error, record, active_temporaries()))
@@ -289,7 +289,7 @@ impl FileSet {
         }
         let of_undo = match undone {
             Ok(kept) if kept.is_empty() => {
-                // Removing the record needs the lock.
+                // Dropping the record takes this lock, so release it first.
                 drop(locked);
                 return (path, error);
             }
@@ -303,7 +303,8 @@ impl FileSet {
         locked.remove(&self.record_path);
         drop(locked);
         record.keep();
-        let what = format!("{error}; the files that were replaced are not put back yet: {of_undo}");
+        let what =
+            format!("{error}; could not restore the replaced files: {of_undo}; the next run tries again");
         (path, io::Error::new(error.kind(), what))
     }
 
@@ -347,7 +348,7 @@ impl FileSet {
     }
 
     /// Restores the old files where no other program has replaced the new ones. Can be repeated, also after
-    /// an interruption. Returns the old files whose names another program's files have: the old files may be
+    /// an interruption. Returns the backups of files that another program has replaced meanwhile: they may be
     /// the only copies, so they and the record must stay.
     fn undo(&self) -> io::Result<Vec<PathBuf>> {
         let mut kept = Vec::new();
@@ -377,7 +378,7 @@ impl FileSet {
     }
 }
 
-/// The warning about these old files.
+/// The warning about these backups.
 fn said_of_kept(kept: &[PathBuf]) -> String {
     let kept: Vec<_> = kept.iter().map(|path| path.display().to_string()).collect();
     format!(
@@ -496,12 +497,12 @@ pub(crate) fn recover(record_path: &Path) -> io::Result<RecordRecovery> {
     Ok(RecordRecovery::Done)
 }
 
-/// Removes an old file if its set is complete; returns whether it did.
+/// Removes a backup if its set is complete; returns whether it did.
 ///
 /// # Errors
 /// When the system reports an error.
 pub(crate) fn remove_old_file(old: &Path, record_path: &Path) -> io::Result<bool> {
-    // The record exists before the old files do, and until they are not needed.
+    // A record is created before its backups, and removed when they are no longer needed.
     if exists(record_path)? {
         return Ok(false);
     }

@@ -47,7 +47,8 @@ pub(super) fn index_unless(file: &Path, is_over: &AtomicBool) -> Result<Arc<Step
     Ok(contents)
 }
 
-/// The same, but returns `None` without waiting for a file that was indexed and has changed since.
+/// Like [`contents_unless`], but returns `None` without waiting for a file that was indexed and has changed
+/// since.
 ///
 /// # Errors
 /// When the file cannot be indexed.
