@@ -93,8 +93,8 @@ option_set! {
         /// memory]
         ///
         /// A frame that needs more is converted in tiles, which are stored in temporary files beside the
-        /// results; the result is the same. If even that does not fit, the frame fails with an error that states the
-        /// memory it needs.
+        /// results; the result is the same. If even that does not fit, the frame fails with an error that
+        /// states the memory it needs.
         #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
         pub(in crate::cli) memory: Option<u64>,
     }
