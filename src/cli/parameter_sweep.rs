@@ -95,7 +95,8 @@ const fn parameter(
 /// The section that `meniscus tune --help` prints below the options.
 pub(super) fn tuning_help() -> String {
     let mut text =
-        "What to vary, with the default values, which are shown beside the base value:\n".to_owned();
+        "Parameters for --vary, with the values that are shown, beside the base value, if you give none:\n"
+            .to_owned();
     for Parameter { name, option, meaning, amounts: (unit, numbers) } in &PARAMETERS {
         let x = if *unit == Times { "x" } else { "" };
         let numbers: Vec<String> = numbers.iter().map(|number| format!("{number}{x}")).collect();
@@ -107,18 +108,18 @@ pub(super) fn tuning_help() -> String {
 }
 
 const TUNING: &str = "\
-  Values follow a = and are separated by commas: values of the option, or, with an x behind them,
-  multiples of the base value, the one without --vary: --vary ratio=1.5,2,3,h=0.5x,1x.
-  The first differs from row to row, the second from column to column, the third from block to block.
-  With --preset paper and an h below its base value, r_min keeps its base value, because the spheres
-  would come apart.
+  Give values after a =, separated by commas, as in --vary ratio=1.5,2,3,h=0.5x,1x. A plain number is a
+  value of the option. A number with an x is a multiple of the base value: the value without --vary.
+  The first parameter differs from row to row, the second from column to column, the third from block
+  to block. With --preset paper and an h below its base value, r_min keeps its base value, because
+  otherwise the spheres of neighbouring particles would not overlap.
 
 What is shown:
-  Without --camera or --camera-from, the part of the frame with the most surface, 16 particle spacings
-  wide; with --camera zoom=1 the whole frame.
+  A close-up of the part of the frame with the most surface, 16 particle spacings wide; with --camera
+  zoom=1 the whole frame. --camera and --camera-from select any other view.
 
-  All other options apply to every cell. The command of each cell is printed, with the time that the
-  cell took, and is on the sheet: it converts INPUT as the cell shows it.
+  All other options apply to every cell. For each cell, the command that converts INPUT with its
+  settings is on the sheet, and is printed with the time that the cell took.
 
 Exit status:
   0    every cell has its picture
@@ -143,7 +144,7 @@ impl SweepAxis {
         let &Parameter { name, amounts: (unit, numbers), .. } = self.parameter;
         if self.parameter.value_in(settings).is_none() {
             return Err(format!(
-                "--vary {name} changes nothing where neighbours do not shape particles: add --anisotropy neighbors"
+                "--vary {name} has no effect, because particles do not depend on their neighbours: add --anisotropy neighbors"
             ));
         }
         let value = |amount: AxisValue| self.parameter.value(amount, settings);
@@ -286,7 +287,7 @@ impl FromStr for ParameterSweep {
                 }
                 if varied.len() == PARAMETERS_MAX {
                     return Err(format!(
-                        "{name} is one parameter too many: a sheet has rows, columns and blocks"
+                        "{name} is the fourth parameter, and a sheet shows at most three: in rows, columns and blocks"
                     ));
                 }
                 varied.push(SweepAxis { parameter, amounts: None });
@@ -358,7 +359,7 @@ mod tests {
             vary.values(&settings()).err().unwrap_or_default()
         };
         for name in ["thin", "alone", "stretch", "neighbors=1,2"] {
-            assert!(refused(name).contains("changes nothing"), "{name}: {}", refused(name));
+            assert!(refused(name).contains("has no effect"), "{name}: {}", refused(name));
         }
         assert_eq!(refused("offset"), "--vary offset has no values: write offset=VALUE,VALUE");
         assert_eq!(refused("offset=0,0.1"), "");
@@ -428,7 +429,7 @@ mod tests {
             ("size", "no `size` to vary: expected ratio, time, h"),
             ("ratio,2", "such as ratio=2"),
             ("ratio,time,ratio", "parameter ratio is given twice"),
-            ("ratio,time,h,min", "min is one parameter too many"),
+            ("ratio,time,h,min", "min is the fourth parameter"),
             ("ratio=", "ratio=``: expected a number"),
             ("ratio=wide", "ratio=`wide`: expected a number"),
             ("time=2.5", "time=`2.5`: expected a whole number"),
