@@ -128,7 +128,7 @@ fn shards_make_the_same_bytes_as_one_process() {
     fs::remove_file(folder.join("body.3.obj")).expect("removed");
     let verified = verify(folder);
     succeeded(&verified);
-    assert!(verified.err.contains("2 frame's obstacles missing"), "{}", verified.err);
+    assert!(verified.err.contains("2 frames with a missing obstacle"), "{}", verified.err);
 }
 
 /// If the output folder is not mounted, a shard does not create it on another disk.
