@@ -141,7 +141,10 @@ fn options_that_need_particles_are_refused_by_name() {
             &["watch", "in", "--out=watched", "--once", "--pattern=*.vdb", "--voxel-size=1"],
             "error: in: --voxel-size cannot be given",
         ),
-        (&["convert", "--particles-only", "in/block.vdb", "--out=out"], "block.vdb: --particles-only needs particles"),
+        (
+            &["convert", "--particles-only", "in/block.vdb", "--out=out"],
+            "block.vdb: --particles-only needs particles",
+        ),
         (&["watch", "in", "--out=watched", "--once"], "no frames to convert: 1 level set left alone"),
     ] {
         let ran = meniscus(folder, arguments);
