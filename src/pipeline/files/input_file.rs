@@ -111,8 +111,8 @@ impl InputFile {
     }
 
     /// Like [`is_unchanged`](InputFile::is_unchanged), but `has_same_bytes` compares the bytes: it reads the
-    /// open file again, and is called if only the status change time differs. `chmod` and new hard links change
-    /// that time, and so does a write whose modification time was set back.
+    /// open file again, and is called if only the status change time differs. `chmod` and new hard links
+    /// change that time, and so does a write whose modification time was set back.
     ///
     /// # Errors
     /// When the system reports an error.

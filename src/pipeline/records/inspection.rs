@@ -134,8 +134,8 @@ fn hash_of_input(path: &Path) -> Result<u128, Error> {
     Ok(XxHash3_128::oneshot(&bytes))
 }
 
-/// Like [`inspect`], for a frame whose inputs are all known. `None`: it must be converted again. `Some`: it is
-/// done; contains the failed checks in its certificate, if any.
+/// Like [`inspect`], for a frame whose inputs are all known. `None`: it must be converted again. `Some`: it
+/// is done; contains the failed checks in its certificate, if any.
 pub(crate) fn certified_fault(frame: &Frame, input_hash: u128, obstacles: &str) -> Option<Option<String>> {
     let made_from = MadeFrom { input_hash: Some(input_hash), obstacles: Some(obstacles.to_owned()) };
     match inspect_made_from(frame, &made_from) {
