@@ -9,8 +9,8 @@ use strsim::jaro;
 
 use super::args::Cli;
 
-/// The same error. If the argument resembles `--output` and the command only has `--out`, the error suggests
-/// `--out`: clap's own measure finds other options closer, as `--up` for `--ouput`.
+/// Returns the error. If the argument resembles `--output` and the command only has `--out`, the error
+/// suggests `--out`: clap's own measure finds other options closer, as `--up` for `--ouput`.
 pub(super) fn with_suggestion(mut error: Error, arguments: &[OsString]) -> Error {
     let Some(ContextValue::String(typed)) = error.get(ContextKind::InvalidArg) else { return error };
     let nearness = |option: &str| jaro(typed, option);

@@ -28,7 +28,7 @@ use crate::surface::reconstruction::SLACK_MAX_VOXELS;
 use super::partition::SHARDS_MAX;
 use super::plan::{PlannedFrame, PlannedSequence, ShardPlan};
 
-/// A change of the file's format needs another number.
+/// Increase it when the file's format changes.
 const VERSION: u64 = 1;
 
 /// A larger file is not a plan: a million frames take a third of it.

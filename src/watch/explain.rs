@@ -155,8 +155,8 @@ fn verdict(file: &FileFacts, decision: Decision) -> FrameExplanation {
     }
 }
 
-/// The same verdict, unless the frame would be converted and its outputs were already made by `convert`, or
-/// by a daemon whose journal was lost.
+/// Returns the verdict unchanged, unless the frame would be converted although its outputs were already made
+/// by `convert`, or by a daemon whose journal was lost.
 fn found_done(question: &Question<'_>, verdict: FrameExplanation) -> io::Result<FrameExplanation> {
     let Question { frame, watch, .. } = *question;
     if verdict != FrameExplanation::Converted(Decision::Convert(ConvertReason::New)) {

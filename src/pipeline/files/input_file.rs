@@ -47,7 +47,7 @@ fn read_between_stamps(
     read_start_between_stamps(path, u64::MAX, read)
 }
 
-/// The same with a limit on the number of bytes.
+/// Like [`read_between_stamps`], with a limit on the number of bytes.
 fn read_start_between_stamps(
     path: &Path,
     most: u64,
@@ -110,9 +110,9 @@ impl InputFile {
         })
     }
 
-    /// The same. `has_same_bytes` reads the open file again and compares; it is called if only the status
-    /// change time differs. `chmod` and new hard links change that time, and so does a write whose
-    /// modification time was set back.
+    /// Like [`is_unchanged`](InputFile::is_unchanged), but `has_same_bytes` compares the bytes: it reads the
+    /// open file again, and is called if only the status change time differs. `chmod` and new hard links
+    /// change that time, and so does a write whose modification time was set back.
     ///
     /// # Errors
     /// When the system reports an error.

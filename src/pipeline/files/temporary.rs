@@ -115,7 +115,7 @@ pub(crate) fn remove_if_exists(path: &Path) -> io::Result<()> {
 /// Files of this process that could not be removed.
 fn left_behind() -> MutexGuard<'static, HashSet<PathBuf>> {
     static LEFT_BEHIND: LazyLock<Mutex<HashSet<PathBuf>>> = LazyLock::new(Mutex::default);
-    // As in `under_way`.
+    // As in `active_temporaries`.
     LEFT_BEHIND.lock().unwrap_or_else(PoisonError::into_inner)
 }
 

@@ -46,7 +46,7 @@ impl LevelSetFile {
         LevelSetFile::of_bytes(path, &read_file(path)?, wants_velocity, default_memory_bytes())
     }
 
-    /// The same from the bytes of the file, with a memory limit.
+    /// Parses the bytes of a .vdb as [`read`](LevelSetFile::read) does, with a memory limit.
     ///
     /// # Errors
     /// When the file has no readable level set, or it needs more memory.

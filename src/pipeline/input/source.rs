@@ -47,7 +47,8 @@ impl FrameFile {
         FrameFile::known(path, is_step)
     }
 
-    /// The same if the caller knows whether the path is the path of a step: makes no file-system call.
+    /// Like [`new`](FrameFile::new), if the caller knows whether the path is that of a step: makes no
+    /// file-system call.
     pub fn known(path: PathBuf, is_step: bool) -> FrameFile {
         let name = name_of(&path, is_step);
         let number_span = match step_in(&path, is_step) {

@@ -7,8 +7,8 @@
 //!   dam.0012.certificate.json    records what was checked of them, and the hash of each
 //! ```
 //!
-//! An output would need other bytes to record whether its checks passed, and the log of a run may be lost or
-//! belong to another run. The hashes bind the certificate to the exact bytes that were checked, so later
+//! An output cannot record the checks of its own final bytes, and the log of a run may be lost or belong to
+//! another run. The hashes bind the certificate to the exact bytes that were checked, so later
 //! readers need neither the run nor its machine to trust them. The certificate appears after the outputs: if
 //! it exists, they do.
 //!
@@ -32,7 +32,7 @@ use crate::pipeline::files::names::name_of_text;
 use crate::pipeline::files::staged_file::StagedFile;
 use crate::pipeline::input::steps::frame_name;
 
-/// A change of the file's format needs another number.
+/// Increase it when the file's format changes.
 const VERSION: u32 = 3;
 
 /// A larger file is not a certificate.
@@ -148,10 +148,10 @@ impl CertifiedFrame {
         self.outputs.len() == paths.len() && paths.iter().all(is_named)
     }
 
-    /// Whether these files have exactly the certified bytes.
+    /// Checks that these files have exactly the certified bytes.
     ///
     /// # Errors
-    /// A description of the first that has not.
+    /// A description of the first file that has not.
     pub(crate) fn check_bytes(&self, paths: &[PathBuf]) -> Result<(), String> {
         for path in paths {
             let name = name_of(path);

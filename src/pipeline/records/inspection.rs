@@ -12,7 +12,7 @@
 //! ```
 //!
 //! A shard inspects a frame before it converts it, and `verify` runs the same inspection for all shards. So a
-//! shard that runs again converts exactly those frames that `verify` reports.
+//! shard that runs again converts exactly the frames that `verify` reports as missing, damaged or stale.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -75,7 +75,8 @@ pub struct Inspection {
 /// Inspects the outputs of a frame, and compares them with its input and obstacles if these exist.
 ///
 /// Only an input or obstacle that does not exist is left out of the comparison: the user may have removed it.
-/// If it exists and cannot be read, the outputs may be of another state of it, so the frame is not done.
+/// If it exists and cannot be read, the outputs may be made from another version of it, so the frame is
+/// not done.
 pub fn inspect(frame: &Frame) -> Inspection {
     let (input_hash, input_fault) = match hash_of_input(&frame.input) {
         Ok(hash) => (Some(hash), None),
@@ -133,8 +134,8 @@ fn hash_of_input(path: &Path) -> Result<u128, Error> {
     Ok(XxHash3_128::oneshot(&bytes))
 }
 
-/// The same for a frame whose inputs are all known: `None` if it must be converted again, or else the failed
-/// checks in its certificate.
+/// Like [`inspect`], for a frame whose inputs are all known. `None`: it must be converted again. `Some`: it
+/// is done; contains the failed checks in its certificate, if any.
 pub(crate) fn certified_fault(frame: &Frame, input_hash: u128, obstacles: &str) -> Option<Option<String>> {
     let made_from = MadeFrom { input_hash: Some(input_hash), obstacles: Some(obstacles.to_owned()) };
     match inspect_made_from(frame, &made_from) {
@@ -221,7 +222,7 @@ fn difference(
     })
 }
 
-/// Whether a certificate describes these files and this input, and holds.
+/// Checks that a certificate describes these files and this input, and that all its checks passed.
 fn agrees(certified: &CertifiedFrame, made_from: &MadeFrom, paths: &[PathBuf]) -> Result<(), InspectedState> {
     if !certified.is_about(paths) {
         return Err(InspectedState::Stale(

@@ -1,4 +1,4 @@
-//! Records: in outputs, beside them, and of a run.
+//! Records: provenance in outputs, certificates beside them, states of outputs, and the report of a run.
 //!
 //! ```text
 //!   provenance        the origin of an output, in it     certificate_file  the checks of a frame, beside it

@@ -137,9 +137,9 @@ impl OutputStates {
         }
     }
 
-    /// Compares the outputs of a frame with their records: `None` if the bytes of one differ, or else the
-    /// failed checks of the frame. If an output has no record, or one of a file with other provenance,
-    /// records the current state.
+    /// Compares the outputs of a frame with their records. `None`: the bytes of an output differ from its
+    /// record. `Some`: they match; contains the failed checks of the frame, if any. If an output has no
+    /// record, or one of a file with other provenance, records its current state.
     pub(crate) fn recorded_fault(&self, paths: &[PathBuf]) -> Option<Option<String>> {
         let mut faults = Vec::new();
         for path in paths {
@@ -289,7 +289,7 @@ fn read_records(folder: &Path) -> BTreeMap<String, Record> {
 /// A larger file is not written by this program.
 const SIZE_MAX_BYTES: u64 = 1 << 30;
 
-/// A change of the file's format needs another number.
+/// Increase it when the file's format changes.
 const VERSION: u32 = 2;
 
 fn records_path(folder: &Path) -> PathBuf {

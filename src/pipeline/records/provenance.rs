@@ -57,7 +57,7 @@ pub(crate) fn provenance(
     owned(if format == OutputFormat::Stl { condensed(pairs) } else { pairs })
 }
 
-/// The same in 80 characters: hashes stand for the input, the obstacles, and everything else together.
+/// Shortens provenance to 80 characters: hashes replace the input, the obstacles, and everything else.
 fn condensed(pairs: Pairs) -> Pairs {
     const OF_OBSTACLES: [&str; 2] = ["void_threshold", "obstacles"];
     let hash = |pairs: &[&(&str, String)], digits: usize| {

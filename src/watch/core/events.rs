@@ -157,7 +157,7 @@ pub(crate) enum InspectionExtent {
     Stamp,
     /// Whether the file is unchanged, then everything else.
     All,
-    /// The same for a file that was seen just now: if it is as recorded, it is not looked at again.
+    /// Like `All`, for a file that was seen just now: if it is as recorded, it is not inspected again.
     AllOfJustSeen,
 }
 

@@ -47,7 +47,7 @@ pub(super) fn index_unless(file: &Path, is_over: &AtomicBool) -> Result<Arc<Step
     Ok(contents)
 }
 
-/// Like [`contents_unless`], but returns `None` without waiting for a file that was indexed and has changed
+/// Like [`index_unless`], but returns `None` without waiting for a file that was indexed and has changed
 /// since.
 ///
 /// # Errors

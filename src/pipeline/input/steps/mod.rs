@@ -53,7 +53,7 @@ pub fn step_of(frame: &Path) -> Option<(&Path, &str)> {
     step_in(frame, true).filter(|(file, _)| !file.is_dir())
 }
 
-/// The same from the path alone, if the caller knows whether it is the path of a step.
+/// Like [`step_of`], from the path alone, if the caller knows whether it is that of a step.
 pub(crate) fn step_in(frame: &Path, is_step: bool) -> Option<(&Path, &str)> {
     let step =
         frame.file_name()?.to_str()?.strip_prefix(STEP).filter(|step| is_step && may_be_named(step))?;
@@ -74,7 +74,7 @@ pub fn frame_name(frame: &Path) -> String {
     name_of(frame, step_of(frame).is_some())
 }
 
-/// The same if the caller knows whether the path is the path of a step.
+/// Like [`frame_name`], if the caller knows whether the path is that of a step.
 pub(crate) fn name_of(frame: &Path, is_step: bool) -> String {
     let name = |file: &Path| text_of_name(file.file_name().unwrap_or_default());
     match step_in(frame, is_step) {
@@ -121,7 +121,8 @@ impl FileFrames {
     }
 }
 
-/// The same for a caller that cannot wait for the end of a large file: fails as soon as `is_over` is set.
+/// Finds the frames in a file, for a caller that cannot wait for the end of a large one: fails as soon as
+/// `is_over` is set.
 ///
 /// # Errors
 /// When the file cannot be indexed, or the pass was cancelled.
