@@ -88,7 +88,7 @@ pub(super) struct Batch<'a> {
 /// The outcomes of frames.
 #[derive(Default)]
 struct Outcomes {
-    /// How many frames at the beginning of the batch have an outcome.
+    /// The number of frames with an outcome so far: the first ones of the batch.
     noted_count: usize,
     done_count: usize,
     /// Frames that were converted but failed validation.
@@ -156,7 +156,8 @@ impl<'a> Batch<'a> {
                 ItemState::Done(..) | ItemState::Impossible(_) => None,
             })
             .unzip();
-        // A certificate contains the hashes of the outputs, and lists what failed.
+        // With certificates no output records are needed: a certificate contains the hashes of the outputs,
+        // and lists what failed.
         let records = (!certificates)
             .then(|| OutputRecords::load(frames.iter().map(|frame| frame.outputs.folder.clone())));
         let has_bar = console.show_bar(frames.len());

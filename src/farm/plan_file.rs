@@ -231,7 +231,7 @@ impl PlanFile {
     }
 }
 
-/// The index of a frame whose input an output of the plan would replace.
+/// The index of a frame whose input would be overwritten by an output of the plan.
 fn replaced_input(plan: &ShardPlan) -> Option<usize> {
     let outputs: HashSet<PathBuf> = plan.frames.iter().flat_map(|planned| plan.outputs(planned)).collect();
     plan.frames.iter().position(|planned| outputs.contains(file_of(&planned.input)))
@@ -409,7 +409,7 @@ fn shards(entries: &[ShardEntry], frame_count: usize) -> Result<Vec<Range<usize>
             PlanError::at(
                 format!("/shards/{index}"),
                 format!(
-                    "{count} frames from {first}: it must begin at {next} and end within {frame_count} frames"
+                    "{count} frames from {first}: it must begin at {next} and end within the plan's {frame_count} frames"
                 ),
             )
         })?;

@@ -91,7 +91,8 @@ async fn route<B>(shared: &Arc<ServerState>, request: &Request<B>) -> Answer {
     }
 }
 
-/// Closes the connection after this response, because anything else that it sends would be ignored.
+/// Closes the connection after this response, because anything else that the client sends on it would be
+/// ignored.
 fn closing(answer: Answer) -> Answer {
     with(answer, CONNECTION, "close")
 }

@@ -10,10 +10,10 @@
 //!   threads      7 smooth   6 contour   6 ┄┄     running; the third helps the second
 //! ```
 //!
-//! `ThreadPool::install` for each stage would not be enough. A thread that waits for a part of its frame's loop,
-//! taken by another thread, steals other work meanwhile, and would start another frame's stage on top of its
-//! own; within that, yet another. That way, the first of 10 frames on 2 threads sometimes finished last.
-//! Here, a thread within a task takes no second one.
+//! `ThreadPool::install` for each stage would not be enough. While a thread waits for a part of its loop that
+//! another thread has stolen, rayon makes it run other jobs. It would start another frame's stage, nested on
+//! the stack of its own, and within that yet another. That way, the first of 10 frames on 2 threads sometimes
+//! finished last. Here, a thread within a task takes no second task.
 
 use std::cell::Cell;
 use std::cmp::Reverse;
@@ -43,7 +43,7 @@ struct Task<'env> {
 }
 
 impl<'a, 'scope, 'env: 'scope> Scheduler<'a, 'scope, 'env> {
-    /// The threads of the scope's pool.
+    /// A scheduler that runs the tasks of this queue on the threads of the scope's pool.
     pub(super) fn new(
         scope: &'a Scope<'scope>,
         tasks: &'scope TaskQueue<'env>,
@@ -95,7 +95,8 @@ fn run_next<'scope, 'env: 'scope>(scope: &Scope<'scope>, tasks: &'scope TaskQueu
     (task.work)();
     WITHIN.set(outer);
     // Threads that were woken within a task did not check the queue. This thread must not run a second task
-    // here: it may only be helping a frame that waits for it.
+    // here: it may have interrupted a part of another frame's loop for this task, and that frame waits for
+    // the part.
     if !tasks.waiting().is_empty() {
         call(scope, tasks);
     }

@@ -604,7 +604,7 @@ fn edits() -> Vec<(&'static str, Value, &'static str)> {
         ("/shards/1/count", json!(u64::MAX), "/shards/1: "),
         ("/shards/1/count", json!(0), "/shards: no shard has the frames from 2 on"),
         ("/shards/1/count", json!(-1), "invalid value"),
-        ("/frames", json!([]), "end within 0 frames"),
+        ("/frames", json!([]), "end within the plan's 0 frames"),
         ("/frames/0/stem", json!("../dam"), "/frames/0/stem: `../dam` is not a plain file name"),
         ("/frames/0/stem", json!("/tmp/dam"), "/frames/0/stem: `/tmp/dam` is not a plain file name"),
         ("/frames/1/stem", json!("dam.1"), "/frames/1/stem: `dam.1` is already the stem of frame 0"),

@@ -118,8 +118,8 @@ option_set! {
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(in crate::cli) unproven: Option<Duration>,
 
-        /// How long an incomplete file must be unchanged before it is read anyway, so that its frame fails
-        /// [default: 30s; with --once: the value of --unproven]
+        /// How long an incomplete file may stay unchanged before the daemon reads it to report its frame as
+        /// failed [default: 30s; with --once: the value of --unproven]
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(in crate::cli) stalled: Option<Duration>,
 
@@ -168,7 +168,8 @@ pub(in crate::cli) enum LogChoice {
 }
 
 impl FrameArgs {
-    /// These options, completed by those of a file; a spacing replaces the other way to give it.
+    /// These options, completed by those of a file. If `self` determines the spacing (by `--spacing` or
+    /// `--particle-radius`), both of these options in the file are ignored.
     pub(in crate::cli) fn over_file(&self, file: &FrameArgs) -> FrameArgs {
         let mut file = file.clone();
         if self.method.to_options().spacing.is_some() {

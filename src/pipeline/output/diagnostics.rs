@@ -28,7 +28,8 @@ fn why_empty(report: &ReconstructionReport, settings: &Settings) -> Option<Warni
     if report.particle_count == 0 || report.mesh.vertex_count > 0 {
         return None;
     }
-    // The last edit had a surface to remove.
+    // Obstacles act first, then islands are removed, then the box clips. The last of them that removed
+    // something is the cause, because it still had a surface to remove; so it is checked first.
     Some(if edits.clipped_voxel_count > 0 {
         Warning::ClippedAway
     } else if edits.island_count > 0 {
@@ -36,7 +37,8 @@ fn why_empty(report: &ReconstructionReport, settings: &Settings) -> Option<Warni
     } else if contact.particle_count > 0 || contact.displaced_voxel_count > 0 {
         Warning::SurfaceInsideObstacles
     } else {
-        // Balls of √3 voxels or more always contain voxels, so these are smaller.
+        // A ball with a radius of √3 voxels or more always has voxels inside, so the balls of this frame are
+        // smaller.
         let Settings { voxel_size, radius_min, radius_max, .. } = *settings;
         Warning::BetweenVoxels { voxel_size, radius_min, radius_max }
     })
@@ -104,17 +106,18 @@ fn is_blob(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> bool 
     width - 2.0 * report.certificate.vertex_distance_min <= BLOB_VOXELS
 }
 
-/// Fewer particles may be drops, or a single one.
+/// Frames with fewer particles get none of these warnings: they may well be separate drops, or a single drop.
 const CROWD: usize = 33;
 
-/// A surface with one hole for this number of particles is torn. At half the spacing of random particles,
-/// there are no holes.
+/// A surface with one hole for this number of particles is torn. If the voxel size is half the spacing, even
+/// random particles have a surface without holes.
 const HOLED_ONE_IN: usize = 50;
 
 /// Rings, shells and jugs have a few holes by design.
 const FEW_HOLES: usize = 8;
 
-/// A surface with one piece for this number of particles may be torn: it is if no piece has most of it.
+/// A surface with more than one piece per this number of particles is torn if no piece has half of the
+/// volume.
 const PIECES_ONE_IN: usize = 8;
 
 /// The largest width of a blob in voxels, without the balls around its particles, and its largest number of

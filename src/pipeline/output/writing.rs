@@ -42,9 +42,9 @@ pub(crate) struct WrittenFiles {
     pub(crate) sizes_bytes: Vec<u64>,
 }
 
-/// Writes a frame in every format with `write`: either all files appear, complete, or none. With `certify`,
-/// the certificate of the frame from an input with this hash appears with them. Creates their folder if it is
-/// missing.
+/// Writes a frame in every format with `write`: either all files appear, complete, or none. If `certify` is
+/// given (the hash of the input, and the report), the frame's certificate appears together with them. Creates
+/// their folder if it is missing.
 ///
 /// # Errors
 /// The first file that cannot be written.
@@ -154,8 +154,8 @@ fn encode_levels(
 }
 
 /// Encodes the level set of a surface as a .vdb, with the attributes that are known in its band;
-/// [write](vdb::EncodedVdb::write) the result. The settings must be those of the reconstruction: its values are
-/// in their voxels.
+/// [write](vdb::EncodedVdb::write) the result. `settings` must be those of the reconstruction, because the
+/// values of the level set are in units of their voxel size.
 ///
 /// # Errors
 /// When the format cannot hold this amount of data.
@@ -265,7 +265,7 @@ fn written(outputs: &OutputOptions) -> impl Iterator<Item = OutputFormat> {
     OutputFormat::ALL.into_iter().filter(|format| outputs.formats.contains(format))
 }
 
-/// A file that moves vertices by more than this gives a warning, in voxels.
+/// If the rounding of a format moves a vertex by more than this, in voxels, there is a warning.
 const REPORTED_FROM_VOXELS: f64 = 0.02;
 
 /// Warnings about attributes that the files cannot hold exactly.

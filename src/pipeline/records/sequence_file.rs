@@ -98,6 +98,7 @@ impl std::error::Error for SequenceError {}
 /// Combines the frames, in this order, into the file at `path`, which is written atomically. Frames that
 /// cannot be read are skipped and reported.
 ///
+/// # Errors
 /// When no frame can be read, the format cannot hold all frames, a frame is written meanwhile, or the file
 /// cannot be written.
 pub fn write_sequence_file(

@@ -17,7 +17,8 @@ pub(crate) enum RetryAction {
     AwaitSpace,
     /// The error may be temporary: retry.
     Retry,
-    /// Only a changed file or a restart can help: the restart may allow what this run does not.
+    /// Only a changed file or a restart can help: a restart may have a higher memory limit, and reads the
+    /// obstacles again.
     AwaitRestart,
     /// Only a changed file can help.
     GiveUp,
@@ -62,7 +63,7 @@ fn recovery_of_file(during: Stage, source: &Error) -> RetryAction {
     }
 }
 
-/// Whether a write error that one frame met would meet every other frame.
+/// Whether a write error that occurred for one frame would occur for all frames.
 fn concerns_all(kind: io::ErrorKind) -> bool {
     matches!(
         kind,

@@ -79,7 +79,8 @@ fn open_folder(folder: &Path) -> Result<PathBuf, DaemonError> {
 impl OutputDir {
     fn open(index: usize, folder: PathBuf, config: &WatchConfig) -> Result<OutputDir, DaemonError> {
         let lock = OutputLock::take(&folder).map_err(DaemonError::Locked)?;
-        // The folder in the configuration may be a link; the folder that the daemon names itself may not.
+        // The journal folder in the configuration may be a link; the default one (`.meniscus`), whose name
+        // the daemon chooses, may not.
         let asked = config.journal.as_deref();
         let asked = asked.map(|asked| asked.canonicalize().unwrap_or_else(|_| asked.to_owned()));
         let journal_folder = asked.unwrap_or_else(|| folder.join(STATE_FOLDER));
@@ -210,7 +211,10 @@ impl OutputGuard {
         // `convert --skip-done` also creates a folder with this name; these files belong to the daemon alone.
         let state = self.folder.join(STATE_FOLDER);
         let is_back = [LOCK_FILE_NAME, JOURNAL_FILE_NAME].iter().any(|name| state.join(name).is_file());
-        // Files in a folder whose file system was unmounted will come back with it; removed files are lost.
+        // If the nearest existing folder is on another file system, that of the outputs was unmounted: its
+        // files come back when it is mounted, so the daemon waits. If it is on the same one, the folder was
+        // removed and its files are lost, so it is created again. Files of the daemon show that the folder is
+        // back; then it is only locked again.
         if nearest != Some(held.identity) && !is_back {
             return Presence::Missing;
         }
