@@ -409,7 +409,8 @@ fn shards(entries: &[ShardEntry], frame_count: usize) -> Result<Vec<Range<usize>
             PlanError::at(
                 format!("/shards/{index}"),
                 format!(
-                    "{count} frames from {first}: it must begin at {next} and end within the plan's {frame_count} frames"
+                    "{count} frames from {first}: it must begin at {next} and end within the plan's {frame_count} \
+                     frames"
                 ),
             )
         })?;

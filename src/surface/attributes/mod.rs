@@ -20,14 +20,14 @@
 //! reaches the point. If no particle reaches it, numbers are 0, integers −1, strings missing, and the point
 //! is counted.
 //!
-//! **In the band** around the surface, renderers of volumes need values several voxels wide. Outside, they
-//! are those of the nearest point on the surface, because points far from all particles have no values of
-//! their own. The mean has no voxel-sized detail, so it is computed for every second voxel along each axis,
-//! and the voxels in between are interpolated.
+//! **Band.** Volume renderers need values in a band around the surface that is several voxels wide. Away from
+//! the surface, they are those of the nearest point on the surface, because points far from all particles
+//! have no values of their own. The mean has no voxel-sized detail, so it is computed for every second voxel
+//! along each axis, and the voxels in between are interpolated.
 //!
 //! Invariants: values depend only on the particles within the radius, or on those that reach the point.
-//! Changes farther away, and the number of threads, do not change a bit, however large the other particles
-//! are.
+//! Changes farther away, and the number of threads, leave the values bit-identical, however large the other
+//! particles are.
 
 mod band;
 mod interpolate;
@@ -53,7 +53,8 @@ use source::TransferSource;
 pub struct Support<'a> {
     /// Radius of the weighted mean; weights are zero from here on.
     pub radius_world: f64,
-    /// r_max of the settings: the maximum distance of a ball's surface from its center.
+    /// r_max of the settings: the maximum distance of the reconstructed surface from the center of a particle
+    /// that is a ball of scale 1.
     pub radius_max_world: f64,
     /// Margin by which a point may be farther from a particle than its surface can be.
     pub margin_world: f64,

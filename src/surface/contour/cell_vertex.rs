@@ -1,9 +1,10 @@
 //! Places the vertices of the dual mesh within their cells.
 //!
-//! Each crossing of a cycle gives a point on the surface and, with ∇φ, its tangent plane. The vertex
-//! minimizes the squared distances to all these planes (the quadratic error function of dual contouring) plus
-//! a weak spring to the mean of the crossings. The spring alone decides in directions that the planes leave
-//! undetermined:
+//! A cycle (see [`super::cell_cycles`]) is a closed line of segments on the faces of the cell, where they cut
+//! one sheet of the surface. On each grid edge that it crosses, the zero of φ is a point on the surface, and
+//! ∇φ there gives its tangent plane. The vertex minimizes the squared distances to all these planes (the
+//! quadratic error function of dual contouring) plus a weak spring to the mean of the crossings. The spring
+//! alone decides in directions that the planes leave undetermined:
 //!
 //! ```text
 //!   minimize  Σ (∇φᵢ·(x − pᵢ))² + w·n·|x − mean p|²
@@ -350,7 +351,8 @@ const CORNER_OFFSETS: [usize; 8] = {
     offsets
 };
 
-/// Offset in a block of the stencil's first voxel before the cell's first corner.
+/// By how much the index, in a block, of the stencil's first voxel is smaller than that of the cell's first
+/// corner.
 const STENCIL_START: usize = BLOCK_STEP[0];
 
 /// Offsets of the stencil's voxels from its first one, in a block.

@@ -35,8 +35,8 @@
 //!
 //! Seen along its grid edge, a quad has one vertex strictly inside each quadrant around the edge
 //! ([`CELL_MARGIN`](super::cell_vertex::CELL_MARGIN)). So it is star-shaped about the edge and has at most
-//! one reflex corner; the diagonal from this corner, or any diagonal without such a corner, splits it into two
-//! triangles that are not flipped. The center of a fan is on the edge itself, and its other additional
+//! one reflex corner. The diagonal from this corner (or, if there is none, either diagonal) splits it into
+//! two triangles that are not flipped. The center of a fan is on the edge itself, and its other additional
 //! vertices lie on the half-axes between the quadrants. Rounding preserves this order as long as it is finer
 //! than the margin. Where it might matter, the split is decided on the rounded positions, so the guarantee
 //! holds for the positions in the file, up to at least 16 384 voxels from the mesh's origin. Everywhere else,
@@ -200,8 +200,9 @@ impl MeshLayout {
         &self.patches[self.patch_of_leaf[leaf as usize] as usize]
     }
 
-    /// Counts what quads with joined sides add: one vertex on the edge, and at least two triangles. There are
-    /// few, and only next to leaves that have vertices on faces.
+    /// Counts what quads with additional vertices on faces (`Ring::joined_sides`) add: one vertex on the
+    /// edge, and two triangles plus one for each such side. There are few of these quads, and only next to
+    /// leaves that have vertices on faces.
     fn count_vertices_on_edges(&mut self) {
         if self.patches.iter().all(|patch| patch.on_faces_count == 0) {
             return;

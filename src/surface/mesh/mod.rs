@@ -47,8 +47,8 @@ pub struct Mesh {
     /// Three vertex indices per triangle, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
     /// World position that `positions` are relative to. Zero unless the frame is so far from the world origin
-    /// that 32-bit positions would be too imprecise. Always a whole number of voxels, except for a given
-    /// level set on another lattice.
+    /// that 32-bit positions would be too imprecise. Always a whole number of voxels from the world origin,
+    /// except if the input is a level set whose grid is not aligned with the world origin.
     pub origin: DVec3,
 }
 

@@ -20,12 +20,13 @@
 //!
 //! This is the paper's value except within ε/k of the end. (Around a drop on a floor the edge then has three
 //! quarters of the bending energy, and vertices are half as deep in the floor.) The same formula applies
-//! inside the wall. If only the voxels outside the obstacle had this value, the surface would lie between
-//! them and a value that is too far away.
+//! inside the wall. If only the voxels outside the obstacle had this value, the zero crossing would be
+//! interpolated between them and the φ_0 inside the wall, which is too large there.
 //!
 //! The voids are found once, from φ_0. If they were searched again after smoothing, the fluid would climb the
-//! walls. The result is then kept as an upper bound where a void was filled, and where fluid is closer to the
-//! wall than to its own surface. So the surface does not detach from the wall where it was wet.
+//! walls. Instead, the φ of the formula above is kept as an upper bound where a void was filled, and where
+//! fluid is closer to the wall than to its own surface. So the surface does not detach from the wall where it
+//! was wet.
 //!
 //! Each voxel is computed alone, so tiles give the same result.
 

@@ -12,8 +12,8 @@
 //! **Leaves.** The band consists of leaves around crossings: voxels inside S_0 with a face neighbor outside.
 //! A deep leaf has no crossing, and neither has a leaf without a particle within r_init of one of its voxels.
 //! The remaining leaves are called *near* and contain all crossings. Distances are needed only in leaves
-//! within the band's margin of near leaves. Particles farther from all of these than the reach of distances
-//! change nothing.
+//! within the band's margin of near leaves. Particles change nothing if they are farther from all of these
+//! leaves than the distance up to which exact distances are computed (`Radii::exact_reach`).
 //!
 //! **Values.** Inside S_min, the value of the distance d to the nearest particle is used only next to a voxel
 //! outside S_min. Elsewhere only the test `d < r` is made, and r_min is the smallest radius. So voxels that
@@ -26,27 +26,29 @@
 //!   particle is nearer to x. Let w be the point on the line from p to x at distance ρ + √3/2 from p: the ball
 //!   around w with that radius contains no particle. The voxel nearest to w, at most √3/2 away, is then ρ or
 //!   more from every particle; but it is within ρ + √3 of p, a contradiction.
-//! - So the voxels that it is nearest to are among those around it, nearer to it than ρ, and their face
-//!   neighbors are also among those around it: these voxels are settled.
-//! - A mesh vertex that it is nearest to is nearer than ρ + √3/2, so the corners of the vertex's cell are within
-//!   ρ + 3/2·√3. All of them are in S_min, where φ is negative, and such a cell has no vertex.
-//! - The corners of the particle's cell are within √3 of it, so it is inside any surface that is found.
+//! - So every voxel that p is nearest to is within ρ + √3/2 of p. Hence it is within ρ of some particle, and
+//!   nearer to p than ρ. Its face neighbors are within ρ + 3/2·√3 of p, and therefore also within ρ of some
+//!   particle: the voxel is settled.
+//! - A mesh vertex that p is nearest to is nearer to p than ρ + √3/2, so the corners of the vertex's cell are
+//!   within ρ + 3/2·√3. All of them are in S_min, where φ is negative, and such a cell has no vertex.
+//! - The corners of the cell that contains p are within √3 of p, so p is inside any surface that is found.
 //!
 //! If the smoothed surface is moved inward by b, a vertex x may lie within S_min. Then some point of the
 //! surface before the move is at distance b from x. The argument holds for that point if all voxels within
 //! ρ + b + 3/2·√3 of p are checked.
 //!
 //! For anisotropic particles, the argument uses balls that each particle certainly contains. [Round](ROUND)
-//! particles contain larger balls than flat ones, so regions that are deep with the balls of the round ones
-//! alone are deep. In this case, all particles are kept that reach a leaf where distances may be needed: a long
-//! particle may be the nearest to a distant point.
+//! particles contain larger balls than flat ones. So there is a second test, with these larger balls of the
+//! round particles alone: voxels that it finds inside are inside, too. With anisotropic particles, all
+//! particles are kept that reach a leaf where distances may be needed: a long particle may be the nearest to
+//! a distant point.
 //!
 //! Where an obstacle's surface passes through a deep region, the fluid has a surface, too, so these leaves
 //! are near.
 //!
-//! Validation uses the kept particles to find the inside where φ is not stored. If r_init is above √3,
-//! a single particle suffices for that; below, no particle is dropped. For anisotropic particles, the set of
-//! deep leaves is kept for this purpose.
+//! Validation uses the kept particles to find the inside where φ is not stored. If r_init is above √3, each
+//! kept particle alone shows that the voxels around it are inside; below, that does not hold, and no particle
+//! is dropped. For anisotropic particles, the set of deep leaves is kept for this purpose.
 
 use std::borrow::Cow;
 
@@ -207,9 +209,9 @@ fn populated<'a>(topology: &'a Topology, region: &CoordBox) -> Cow<'a, Topology>
     Cow::Owned(Topology::new(topology.origins().par_iter().filter(is_in).copied().collect()))
 }
 
-/// The voxels of each leaf that are certainly in a particle. `balls` maps the radius of a ball that particles
-/// contain, in units of the radii, to the octants within each radius. Every particle contains a ball; round
-/// ones contain a larger one.
+/// The voxels of each leaf that are certainly in a particle. Every particle contains a ball; round ones
+/// contain a larger one. `balls` takes the size of that ball, relative to the settings' radii, and returns
+/// the octants within this fraction of r_init, and those within the ρ that belongs to it.
 fn covers(
     occupancy: &Occupancy,
     leaves: &Topology,

@@ -1,6 +1,8 @@
 //! Signed distances to unions of balls of different radii, and of ellipsoids (paper, Eq. 1, Fig. 11 and 13).
 //!
-//! A particle's value at a voxel x, for each of the three radii r, is
+//! This is a particle's value at a voxel x, for each of the three radii r. p is the particle's center, s its
+//! size relative to the settings' radii, and T the symmetric matrix that maps its ellipsoid of radius 1 to
+//! the unit ball.
 //!
 //! ```text
 //!   ball        |x − p| − s·r                             exact
@@ -13,8 +15,8 @@
 //!
 //! ```text
 //!   ┌──────────┐        The bounding box of the ellipsoid plus a margin; T⁻¹ gives it exactly.
-//!   │   ╭────╮ │        Of the rows it touches, nine in ten are skipped: at that distance no particle can
-//!   │ ╭─╯ ╭──╯ │        lower any of their values.
+//!   │   ╭────╮ │        Of the rows it touches, nine in ten are skipped: everywhere on them, q is too large
+//!   │ ╭─╯ ╭──╯ │        for the particle to lower a value.
 //!   │ ╰───╯    │
 //!   └──────────┘
 //! ```
@@ -35,7 +37,7 @@ use crate::surface::grid::{
 use crate::surface::particles::Ellipsoid;
 use crate::surface::simd::{self, Kernel, Lanes};
 
-/// Voxels next to the surface are less deep than this, in voxels (usually by 1).
+/// Voxels next to the surface are less deep than this, in voxels (usually their depth is at most 1).
 const DEEP: f32 = 1.25;
 
 /// Evaluation margin outside an ellipsoid, in voxels: covers the voxels next to its surface.
@@ -433,7 +435,8 @@ impl ParticleShape for BallShape {
         self.0
     }
 
-    /// A larger ball stops contributing farther from its S_0, so the smallest ball gives the bound.
+    /// Every ball contributes up to a fixed margin beyond its r_max. The larger the ball, the farther that is
+    /// from its two other surfaces, so the smallest ball gives the bound.
     fn complete_to(radii: &Radii) -> [f32; 3] {
         [radii.max, radii.init, radii.min].map(|radius| EXACT_MARGIN + radii.min_scale * (radii.max - radius))
     }

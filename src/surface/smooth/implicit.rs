@@ -75,7 +75,8 @@ pub(super) fn step(
                 residual = restart;
             }
         }
-        // Squared norms, relative to the residual of the step and of the restart (Alg. 2, line 26).
+        // Squared norms, relative to the larger of two initial residuals: that of the step, and that of its
+        // last restart (Alg. 2, line 26).
         convergence.reached = residual <= tolerance * tolerance * first.max(restart);
     }
     convergence.residual = if first > 0.0 { (residual / first).sqrt() } else { 0.0 };

@@ -1,13 +1,14 @@
 //! Estimates the particle spacing.
 //!
-//! A sample of the particles is measured, each among its neighbours, by the structure around it: a body, a
-//! sheet, or neither. Spray is left out, and the rest is averaged by structure:
+//! For each particle of a sample, the spacing to its neighbours is measured, in a way that depends on the
+//! structure around it: a body, a sheet, or neither. Spray is left out, and the rest is averaged by
+//! structure:
 //!
 //! ```text
 //!   particles ──▶ sample ──▶ spacing around each ──▶ without spray ──▶ mean of the middle three quarters
-//!                 ≤ 2000     cell, section, edges    ≤ 2.5 × the       bodies, where at least a tenth are in one;
-//!                                                    mean of those     else sheets; else edges
-//!                                                    before
+//!                 ≤ 2000     Voronoi cell, its       ≤ 2.5 × the       in bodies, if a tenth of the particles
+//!                            section, or edges to    mean of the       or more are in bodies; else in sheets;
+//!                            neighbours              smaller ones      else of the edges
 //! ```
 //!
 //! For a lattice the result is the lattice constant, for random particles (volume / count)^(1/3), and for a
@@ -49,7 +50,8 @@ const BODY_SHARE: f64 = 0.1;
 /// The same for sheets, among the particles that are not in bodies.
 const SHEET_SHARE: f64 = 0.5;
 
-/// This many measured particles count fully.
+/// From this many measured particles on, the mean of a structure can have full weight; with fewer, its weight
+/// is proportionally smaller.
 const ENOUGH: f64 = 8.0;
 
 /// A particle agrees with the estimate if its own spacing differs by no more than this share.
@@ -158,7 +160,8 @@ fn combine(locals: &[Local]) -> Option<f64> {
     let squares = |lengths: &[f64]| lengths.iter().map(|length| length * length).collect::<Vec<_>>();
     let open = middle(open);
     let open = mean(&squares(&open)).zip(mean(&open)).map(|(square, length)| square / length);
-    // Sheets average areas, bodies volumes: these are what particles share.
+    // Areas are averaged in sheets, and volumes in bodies, because the particles divide a sheet's area or a
+    // body's volume among them.
     let sheets = mean(&middle(squares(&sheets))).map(f64::sqrt);
     let flat = weighted_mean(sheets, open, weight(sheet_count, flat_count, SHEET_SHARE));
     let volumes = bodies.into_iter().map(|length| length * length * length);
