@@ -20,10 +20,10 @@
 //! reaches the point. If no particle reaches it, numbers are 0, integers −1, strings missing, and the point
 //! is counted.
 //!
-//! **Band.** Volume renderers need values in a band around the surface that is several voxels wide. Away from
-//! the surface, they are those of the nearest point on the surface, because points far from all particles
-//! have no values of their own. The mean has no voxel-sized detail, so it is computed for every second voxel
-//! along each axis, and the voxels in between are interpolated.
+//! **Band.** Volume renderers need values in a band around the surface that is several voxels wide. Outside
+//! the fluid, a voxel gets the values at the nearest point on the surface, because points far from all
+//! particles have none of their own. The mean has no voxel-sized detail, so it is computed for every second
+//! voxel along each axis, and the voxels in between are interpolated.
 //!
 //! Invariants: values depend only on the particles within the radius, or on those that reach the point.
 //! Changes farther away, and the number of threads, leave the values bit-identical, however large the other

@@ -6,8 +6,8 @@
 //!
 //! ```text
 //!   particles ──▶ sample ──▶ spacing around each ──▶ without spray ──▶ mean of the middle three quarters
-//!                 ≤ 2000     Voronoi cell, its       ≤ 2.5 × the       in bodies, if a tenth of the particles
-//!                            section, or edges to    mean of the       or more are in bodies; else in sheets;
+//!                 ≤ 2000     Voronoi cell, its       ≤ 2.5 × the       in bodies, if a tenth of the sample
+//!                            section, or edges to    mean of the       or more is in bodies; else in sheets;
 //!                            neighbours              smaller ones      else of the edges
 //! ```
 //!
