@@ -94,7 +94,7 @@ fn keys(
         keys.push(format!("pattern = {}", quoted("*.vdb")));
         if slack_voxels > 0.0 {
             keys.push(format!(
-                "# a file has no key for --band-slack {slack_voxels}: the daemon does not smooth"
+                "# a configuration file has no key for --band-slack {slack_voxels}: the daemon does not smooth level sets"
             ));
         }
     }

@@ -44,7 +44,7 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Com
     let found = find_inputs(&args.inputs)?;
     found.report(console);
     let paths: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
-    let sequence = only_sequence(found.files, "a sheet has one frame")?;
+    let sequence = only_sequence(found.files, "`meniscus tune` shows one frame of one sequence")?;
     if let Some(file) = sequence.frames.iter().find(|file| is_level_set(&file.path)) {
         bail!("{}: this is a level set, and tune needs particles", file.path.display());
     }

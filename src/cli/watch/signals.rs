@@ -49,7 +49,8 @@ pub(super) fn listen(control: Arc<Control>) -> Result<()> {
                     tracing::info!("stopping on request; a second signal exits at once");
                     if let Err(error) = is_deadline_kept {
                         tracing::warn!(
-                            "cannot exit after --stop-deadline if a file system hangs (then send a second signal): {error}"
+                            "if a file system hangs, the daemon will not exit by itself after --stop-deadline: \
+                             send a second signal then (cannot start a thread: {error})"
                         );
                     }
                 });

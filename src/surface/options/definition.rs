@@ -156,7 +156,7 @@ method_options! {
             drop_islands: u32 in 0..=ISLAND_MAX,
 
             /// Fill enclosed cavities with less volume than this, in units of h³, 0 to 1000000 [default: 25
-            /// d³]
+            /// (d/h)³, a volume of 25 d³]
             #[arg(value_name = "VOLUME")]
             fill_cavities: f64 in 0.0..=CAVITY_VOXELS_MAX,
 
@@ -203,8 +203,8 @@ method_options! {
             #[arg(value_name = "N")]
             steps: u32 in 0..=STEPS_MAX,
 
-            /// Size of a biharmonic step in pseudo-time, in units of h⁴, 1e-6 to 10000 [default: 0.25 d⁴;
-            /// explicit, adaptive: 0.01 h⁴]
+            /// Size of a biharmonic step in pseudo-time, in units of h⁴, 1e-6 to 10000 [default: 0.25
+            /// (d/h)⁴; explicit, adaptive: 0.01]
             #[arg(value_name = "S")]
             step_size: f64 in STEP_SIZE_MIN..=STEP_SIZE_MAX,
 

@@ -191,8 +191,8 @@ fn refuse_shared_journal(watches: &[Watch], journal: Option<&Path>) -> Result<()
         && let Some(other) = outputs.find(|other| !same_folder(first, other))
     {
         bail!(
-            "the journal {} is for one folder of outputs, and there are {} and {}: run a daemon for each, or \
-             leave it out, and each folder has its own",
+            "the journal {} can serve only one output folder, but there are several, such as {} and {}: run a \
+             daemon for each, or leave out --journal, so that each folder has its own journal",
             journal.display(),
             first.display(),
             other.display()

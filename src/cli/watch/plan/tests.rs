@@ -149,7 +149,7 @@ fn journal_for_two_output_folders_is_refused() {
     let block =
         |input: &str, output: &str| format!("[[watch]]\ninput = \"{input}\"\noutput = \"{output}\"\n");
     let bench = Bench::new(&(block("a", "o") + &block("b", "p")));
-    bench.refused(&["--journal", "j"], &["the journal", "one folder of outputs", "run a daemon for each"]);
+    bench.refused(&["--journal", "j"], &["the journal", "only one output folder", "run a daemon for each"]);
     assert!(bench.plan(&["--journal", "j", "c", "--out", "o"]).is_ok());
     assert!(Bench::new(&(block("a", "o") + &block("b", "./o"))).plan(&["--journal", "j"]).is_ok());
 }
