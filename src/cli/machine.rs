@@ -46,7 +46,7 @@ mod tests {
 
     #[test]
     fn memory_of_5_bytes_is_refused() {
-        assert!(memory_bytes(Some(5)).is_err_and(|why| why.to_string().contains("5 bytes of memory")));
+        assert!(memory_bytes(Some(5)).is_err_and(|why| why.to_string().contains("memory limit of 5 bytes")));
         assert_eq!(memory_bytes(Some(1 << 20)).ok(), Some(1 << 20));
     }
 }

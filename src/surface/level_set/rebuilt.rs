@@ -489,7 +489,7 @@ mod tests {
             assert!(
                 reason
                     .to_string()
-                    .contains(&format!("cubes of 8³ voxels added there: {}", reason.tile_cube_count)),
+                    .contains(&format!("({} leaf nodes were added there)", reason.tile_cube_count)),
                 "{reason}"
             );
             // A face of the cube lies midway between its voxels and those around it.

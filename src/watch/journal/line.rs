@@ -144,7 +144,7 @@ mod tests {
 
     #[test]
     fn frame_record_without_newer_fields_is_read() {
-        let record = r#"{"frame":{"input":"/in/a.ply","status":"done","size_bytes":5,"modified_ns":6,"inode":7,"hash":"00000000000000000000000000000008","settings":"s","outputs":[{"path":"/out/a.glb","size_bytes":9}],"attempts":0,"at_ms":1}}"#;
+        let record = r#"{"frame":{"input":"/in/a.ply","standing":"done","size_bytes":5,"modified_ns":6,"inode":7,"hash":"00000000000000000000000000000008","settings":"s","outputs":[{"path":"/out/a.glb","size_bytes":9}],"attempts":0,"at_ms":1}}"#;
         let line = format!("{:016x} {record}", XxHash3_64::oneshot(record.as_bytes()));
         let Some(Entry::Frame { record, .. }) = parse_line(line.as_bytes()) else { panic!("not a frame") };
         assert_eq!(record.stamp, FileStamp { size: 5, modified_ns: 6, inode: 7, changed_ns: None });
