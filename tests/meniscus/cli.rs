@@ -449,7 +449,7 @@ fn invalid_option_is_an_error_and_not_ignored() {
         ran.err
     );
     let ran = meniscus(folder.path(), &["convert", "dam.1.ply", "--out", "o", "--memory", "5"]);
-    assert!(ran.status == 2 && ran.err.contains("5 bytes of memory"), "{}", ran.err);
+    assert!(ran.status == 2 && ran.err.contains("memory limit of 5 bytes"), "{}", ran.err);
 }
 
 /// Options for output formats that are not selected. No warning appears when the format is selected.

@@ -143,7 +143,7 @@ fn file_name_that_cannot_be_written_is_refused_with_a_remedy() {
         ),
         (&["plan", "dam.#.ply", "--out", "-", "--output", "p.json", "--shards", "1"], &["name a folder"]),
         (&["watch", ".", "--once", "--out", "x.glb"], &["x.glb", "folder"]),
-        (&["convert", "dam.1.ply", "-o", "X.PLY"], &["X.PLY", "name X.ply"]),
+        (&["convert", "dam.1.ply", "-o", "X.PLY"], &["X.PLY", "use X.ply"]),
         (&["convert", "dam.1.ply", "-o", "x.Png"], &["x.Png", "meniscus render"]),
         (&["watch", ".", "--once", "--out", "dam.GLB"], &["dam.GLB", "folder"]),
     ] {
