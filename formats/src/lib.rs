@@ -48,6 +48,7 @@ pub mod steps;
 pub mod stl;
 mod table;
 mod text;
+mod usd;
 pub mod usda;
 pub mod vdb;
 mod vertex_attributes;
