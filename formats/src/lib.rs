@@ -50,6 +50,7 @@ mod table;
 mod text;
 mod usd;
 pub mod usda;
+pub mod usdc;
 pub mod vdb;
 mod vertex_attributes;
 pub mod vtk;

@@ -153,7 +153,9 @@ mod tests {
 
     #[test]
     fn figures_of_another_version_are_dropped() {
-        let Entry::Frame { input, record } = frame("/in/a.ply", JournaledStatus::Done) else { unreachable!() };
+        let Entry::Frame { input, record } = frame("/in/a.ply", JournaledStatus::Done) else {
+            unreachable!()
+        };
         let mut line = Vec::new();
         push_line(&mut line, &Entry::Frame { input, record: Arc::clone(&record) }).expect("a line");
         let text = String::from_utf8(line).expect("text").trim_end()[CHECKSUM_DIGITS + 1..].to_owned();
