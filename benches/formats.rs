@@ -19,13 +19,14 @@
 
 use std::fmt::Write;
 use std::hint::black_box;
+use std::io::{self, Cursor, Seek, SeekFrom};
 use std::process::ExitCode;
 use std::thread;
 use std::time::Instant;
 
 use meniscus_formats::{
     AttributeRole, FileAttribute, FilePositions, LevelSetView, Limits, MeshOptions, MeshView, OutputFormat,
-    ParticleBatch, ParticleBatches, ParticleFrame, Values, bgeo, gltf, ply, read_particles, vdb,
+    ParticleBatch, ParticleBatches, ParticleFrame, Values, bgeo, gltf, ply, read_particles, usdc, vdb,
 };
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -39,6 +40,15 @@ const TEXT_PARTICLE_COUNT: usize = 300_000;
 
 /// Number of vertices along an edge of the height field that is written as a mesh.
 const MESH_EDGE: usize = 700;
+
+/// Number of vertices along an edge of the height field in each frame of the shot: 500,000 triangles.
+const SHOT_EDGE: usize = 501;
+
+/// Number of frames in the shot.
+const SHOT_FRAME_COUNT: u64 = 240;
+
+/// Target for the speed of a shot in .usdc, as a fraction of that of its frames in .ply.
+const SHOT_SPEED_MIN: f64 = 0.4;
 
 /// Radius of the ball that is written as a level set, in voxels.
 const BALL_RADIUS: f32 = 220.0;
@@ -84,7 +94,7 @@ fn main() -> ExitCode {
     );
     let reading = reading_rows(&pools);
     let writing = writing_rows(&pools);
-    if reading && writing {
+    if reading && writing && shot_rows(&pools[1]) {
         return ExitCode::SUCCESS;
     }
     println!("a figure is below its target");
@@ -137,7 +147,7 @@ fn writing_rows(pools: &[ThreadPool; 2]) -> bool {
     let mesh = mesh.view();
     let mut meets_target = true;
     type WriteMesh<'a> = &'a (dyn Fn(&mut Vec<u8>) + Sync);
-    let writers: [(&str, Target, WriteMesh); 4] = [
+    let writers: [(&str, Target, WriteMesh); 5] = [
         ("write .glb", Some((500.0, Cores::All)), &|out| {
             gltf::write_glb(&mesh, &MeshOptions::default(), &[], out).expect("written");
         }),
@@ -147,6 +157,9 @@ fn writing_rows(pools: &[ThreadPool; 2]) -> bool {
         ("write .ply", None, &|out| ply::write::write_mesh(&mesh, &[], out).expect("written")),
         ("write .obj", Some((150.0, Cores::All)), &|out| {
             OutputFormat::Obj.write_mesh(&mesh, &MeshOptions::default(), &[], out).expect("written");
+        }),
+        ("write .usdc", None, &|out| {
+            OutputFormat::Usdc.write_mesh(&mesh, &MeshOptions::default(), &[], out).expect("written");
         }),
     ];
     for (name, target, write) in writers {
@@ -177,11 +190,83 @@ fn writing_rows(pools: &[ThreadPool; 2]) -> bool {
     meets_target
 }
 
-/// Measures an operation alternating with a copy and prints its row. Returns whether it reaches its target.
-fn measure(mut row: Row, pools: &[ThreadPool; 2]) -> bool {
+/// Measures a shot that is written in one pass from the .glb of its frames, and the same frames as .ply. The
+/// bytes are counted and discarded. Returns whether the shot reaches its target.
+fn shot_rows(pool: &ThreadPool) -> bool {
+    const NAMES: [&str; 2] = ["write .ply, 240 frames", "write .usdc, 240 frames"];
+    if !NAMES.iter().any(|name| is_wanted(name)) {
+        return true;
+    }
+    let field = HeightField::new(SHOT_EDGE);
+    let (mesh, mut glb) = (field.view(), Vec::new());
+    gltf::write_glb(&mesh, &MeshOptions::default(), &[], &mut glb).expect("written");
+    let frame = |code: u64| gltf::SequenceFrame {
+        name: code.to_string(),
+        code,
+        file: gltf::GlbFrame::read(&mut Cursor::new(&glb)).expect("our own file"),
+    };
+    let frames: Vec<gltf::SequenceFrame> = (1..=SHOT_FRAME_COUNT).map(frame).collect();
+    let speeds = NAMES.map(|name| {
+        let mut out = Counted::default();
+        let seconds = timed(|| {
+            pool.install(|| match name.contains("usdc") {
+                true => {
+                    let open = |_: usize| -> io::Result<_> { Ok(Cursor::new(&glb)) };
+                    usdc::write_sequence(&frames, (24.0, 1.0), &[], open, &mut out).map(drop)
+                }
+                false => frames.iter().try_for_each(|_| ply::write::write_mesh(&mesh, &[], &mut out)),
+            })
+            .expect("written");
+        });
+        let size_mb = out.end as f64 / 1e6;
+        println!("{name:26}{size_mb:6.0}{:>34.0}", size_mb / seconds);
+        size_mb / seconds
+    });
+    let meets_target = speeds[1] >= SHOT_SPEED_MIN * speeds[0];
+    println!("a shot in .usdc: {:.2} of the speed of .ply, target {SHOT_SPEED_MIN}", speeds[1] / speeds[0]);
+    meets_target
+}
+
+/// A file that keeps only its size.
+#[derive(Default)]
+struct Counted {
+    at: u64,
+    end: u64,
+}
+
+impl io::Write for Counted {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.at += black_box(bytes).len() as u64;
+        self.end = self.end.max(self.at);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Seek for Counted {
+    fn seek(&mut self, place: SeekFrom) -> io::Result<u64> {
+        self.at = match place {
+            SeekFrom::Start(at) => at,
+            SeekFrom::End(_) => self.end,
+            SeekFrom::Current(_) => self.at,
+        };
+        Ok(self.at)
+    }
+}
+
+/// Whether the arguments select a row: it contains one of them, or there are none.
+fn is_wanted(name: &str) -> bool {
     let wanted: Vec<String> =
         std::env::args().skip(1).filter(|argument| !argument.starts_with('-')).collect();
-    if !wanted.is_empty() && !wanted.iter().any(|part| row.name.contains(part.as_str())) {
+    wanted.is_empty() || wanted.iter().any(|part| name.contains(part.as_str()))
+}
+
+/// Measures an operation alternating with a copy and prints its row. Returns whether it reaches its target.
+fn measure(mut row: Row, pools: &[ThreadPool; 2]) -> bool {
+    if !is_wanted(row.name) {
         return true;
     }
     let source = vec![1_u8; row.size_bytes];

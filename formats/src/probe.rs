@@ -260,7 +260,6 @@ const OBJ_KEYWORDS: &[&[u8]] =
 const FOREIGN_SIGNATURES: &[(&[u8], &str)] = &[
     (b"\x89HDF\r\n\x1a\n", "HDF5"),
     (b"Ogawa", "Alembic"),
-    (b"PXR-USDC", "USD"),
     (b"NanoVDB", "NanoVDB"),
     (b"\xc0PRT\r\n\x1a\n", "Krakatoa PRT"),
     (b"\xfd7zXZ\0", "XZ archive"),

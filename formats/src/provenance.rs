@@ -10,6 +10,7 @@
 //!   .vtp          a string of the field data  meniscus_radius: 48 46 48 50 53 0
 //!   .stl          title                i=9f3c…, and further entries up to 80 bytes
 //!   .usda         customLayerData      dictionary meniscus = { string radius = "0.025" }
+//!   .usdc         the same, and a text     # meniscus_radius: 0.025
 //!   .png          text                     meniscus_radius\0 0.025
 //!   .exr          attribute of the file    meniscus = "meniscus_radius: 0.025 …"
 //! ```

@@ -90,6 +90,8 @@ formats! {
         Vtp => crate::vtk::ROW,
         /// USD as text.
         Usda => crate::usda::ROW,
+        /// Binary USD.
+        Usdc => crate::usdc::ROW,
         /// Binary STL.
         Stl => crate::stl::ROW,
         /// A picture: colours only.

@@ -9,7 +9,7 @@
 //!   .ply     vx vy vz    red green blue    name, name_x ..    int, or double         index, table in comments
 //!   .obj     –           v x y z r g b     –                  –                      –
 //!   .vtp     its name    its name          its name           32 or 64 bits          index, table in field data
-//!   .usda    velocities  displayColor      primvars:name, up to 4 int, or int64          indexed primvars
+//!   .usda/c  velocities  displayColor      primvars:name, up to 4 int, or int64          indexed primvars
 //!   .stl     –           –                 –                      –                      –
 //!   .vdb     velocity    a vector grid     1 or 3 a voxel     –                      –
 //! ```

@@ -9,7 +9,7 @@ mod delimited; // text tables
 mod fixtures; // small valid files, built byte by byte
 mod houdini; // Houdini geometry
 mod lammps; // LAMMPS dumps
-mod mesh_formats; // .vtp, .stl, .usda and quantized .glb
+mod mesh_formats; // .vtp, .stl and quantized .glb
 mod mesh_read; // meshes written by other programs
 mod mesh_write; // .glb, .gltf, .obj and .ply
 mod npy; // NumPy arrays
@@ -20,6 +20,7 @@ mod sequences; // sequences assembled from the .glb files of frames
 mod shared; // files of other programs, if found next to the repository
 mod solids; // narrow-band level sets of solids
 mod truncated; // truncated files
+mod usd; // meshes as .usda and .usdc
 mod vdb_read; // .vdb files written by other programs
 mod vdb_write; // level sets written as .vdb
 mod vertex_attributes; // vertex attributes

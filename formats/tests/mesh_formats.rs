@@ -1,4 +1,4 @@
-//! Meshes written as .vtp, .stl, .usda and quantized .glb, read by our own and other readers: exact to the
+//! Meshes written as .vtp, .stl and quantized .glb, read by our own and other readers: exact to the
 //! last bit where the format allows it.
 
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
@@ -7,12 +7,12 @@ use std::io::Cursor;
 
 use meniscus_formats::{
     AttributeRole, Error, Limits, MeshData, MeshOptions, MeshView, OutputFormat, Values, VertexAttribute,
-    VertexValues, gltf, is_complete, read_particles, read_provenance, stl, usda, vtk,
+    VertexValues, gltf, is_complete, read_particles, read_provenance, stl, vtk,
 };
 
-const FAR: [f64; 3] = [1e6 + 0.1, -2e6, 0.3];
+pub(crate) const FAR: [f64; 3] = [1e6 + 0.1, -2e6, 0.3];
 
-fn provenance() -> Vec<(String, String)> {
+pub(crate) fn provenance() -> Vec<(String, String)> {
     [
         ("generator", "meniscus 0.1.0"),
         ("radius", "0.025"),
@@ -25,21 +25,21 @@ fn provenance() -> Vec<(String, String)> {
 
 /// A torus of quads, each written as two triangles, where the first vertex of one is the last of the other;
 /// followed by a single triangle.
-struct Mesh {
-    positions: Vec<[f32; 3]>,
-    normals: Vec<[f32; 3]>,
-    triangles: Vec<[u32; 3]>,
-    quads: Vec<bool>,
-    origin: [f64; 3],
-    heat: Vec<f32>,
-    velocity: Vec<f32>,
-    color: Vec<f32>,
-    ids: Vec<i64>,
-    table: Vec<String>,
-    names: Vec<i32>,
+pub(crate) struct Mesh {
+    pub(crate) positions: Vec<[f32; 3]>,
+    pub(crate) normals: Vec<[f32; 3]>,
+    pub(crate) triangles: Vec<[u32; 3]>,
+    pub(crate) quads: Vec<bool>,
+    pub(crate) origin: [f64; 3],
+    pub(crate) heat: Vec<f32>,
+    pub(crate) velocity: Vec<f32>,
+    pub(crate) color: Vec<f32>,
+    pub(crate) ids: Vec<i64>,
+    pub(crate) table: Vec<String>,
+    pub(crate) names: Vec<i32>,
 }
 
-fn torus(around: u32, across: u32, origin: [f64; 3]) -> Mesh {
+pub(crate) fn torus(around: u32, across: u32, origin: [f64; 3]) -> Mesh {
     let (mut positions, mut normals, mut triangles) = (Vec::new(), Vec::new(), Vec::new());
     for i in 0..around {
         for j in 0..across {
@@ -73,7 +73,7 @@ fn torus(around: u32, across: u32, origin: [f64; 3]) -> Mesh {
     }
 }
 
-fn nothing() -> Mesh {
+pub(crate) fn nothing() -> Mesh {
     let mesh = torus(3, 3, FAR);
     let (positions, normals, triangles, quads) = Default::default();
     let [heat, velocity, color] = Default::default();
@@ -82,7 +82,7 @@ fn nothing() -> Mesh {
 }
 
 impl Mesh {
-    fn attributes(&self) -> Vec<VertexAttribute<'_>> {
+    pub(crate) fn attributes(&self) -> Vec<VertexAttribute<'_>> {
         let numbers = |name, role, arity, values| VertexAttribute {
             name,
             role,
@@ -108,7 +108,7 @@ impl Mesh {
         ]
     }
 
-    fn view<'a>(&'a self, attributes: &'a [VertexAttribute<'a>]) -> MeshView<'a> {
+    pub(crate) fn view<'a>(&'a self, attributes: &'a [VertexAttribute<'a>]) -> MeshView<'a> {
         MeshView {
             positions: &self.positions,
             normals: &self.normals,
@@ -118,7 +118,7 @@ impl Mesh {
         }
     }
 
-    fn world(&self) -> Vec<[f64; 3]> {
+    pub(crate) fn world(&self) -> Vec<[f64; 3]> {
         let world = |p: &[f32; 3]| std::array::from_fn(|axis| self.origin[axis] + f64::from(p[axis]));
         self.positions.iter().map(world).collect()
     }
@@ -141,7 +141,7 @@ fn stl_bytes(mesh: &Mesh) -> Vec<u8> {
     bytes
 }
 
-fn usda_text(mesh: &Mesh, has_quads: bool, up: gltf::UpAxis) -> String {
+pub(crate) fn usda_text(mesh: &Mesh, has_quads: bool, up: gltf::UpAxis) -> String {
     let mut bytes = Vec::new();
     let quads = if has_quads { mesh.quads.clone().into() } else { [].into() };
     let options = MeshOptions { up, quads, ..MeshOptions::default() };
@@ -149,6 +149,16 @@ fn usda_text(mesh: &Mesh, has_quads: bool, up: gltf::UpAxis) -> String {
         .write_mesh(&mesh.view(&mesh.attributes()), &options, &provenance(), &mut bytes)
         .expect("writing to memory");
     String::from_utf8(bytes).expect("UTF-8")
+}
+
+pub(crate) fn usdc_bytes(mesh: &Mesh, has_quads: bool, up: gltf::UpAxis) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let quads = if has_quads { mesh.quads.clone().into() } else { [].into() };
+    let options = MeshOptions { up, quads, ..MeshOptions::default() };
+    OutputFormat::Usdc
+        .write_mesh(&mesh.view(&mesh.attributes()), &options, &provenance(), &mut bytes)
+        .expect("writing to memory");
+    bytes
 }
 
 fn quantized_glb(mesh: &Mesh, up: gltf::UpAxis) -> Vec<u8> {
@@ -160,7 +170,7 @@ fn quantized_glb(mesh: &Mesh, up: gltf::UpAxis) -> Vec<u8> {
 }
 
 /// The triangle fans of the faces.
-fn fans(mesh: &Mesh) -> Vec<[u32; 3]> {
+pub(crate) fn fans(mesh: &Mesh) -> Vec<[u32; 3]> {
     let quads = mesh.triangles[..mesh.triangles.len().saturating_sub(1)].as_chunks::<2>().0;
     // A quad starts at the first corner of its diagonal: (a b d) (b c d) is the quad b c d a.
     let fan = |&[[a, b, d], [_, c, _]]: &[[u32; 3]; 2]| [[b, c, d], [b, d, a]];
@@ -250,76 +260,6 @@ fn degenerate_triangle_has_zero_normal_in_stl() {
     assert_eq!(bytes[84..96], [0; 12]);
 }
 
-/// The text of an array property between its brackets.
-fn array<'a>(text: &'a str, name: &str) -> &'a str {
-    let start =
-        text.find(&format!(" {name} = [")).unwrap_or_else(|| panic!("{name} is missing")) + name.len() + 5;
-    &text[start..start + text[start..].find(']').expect("an end")]
-}
-
-fn numbers<T: std::str::FromStr>(text: &str) -> Vec<T> {
-    let words = text.split([',', ' ', '(', ')']).filter(|word| !word.is_empty());
-    words.map(|word| word.parse().ok().unwrap_or_else(|| panic!("{word} is not a number"))).collect()
-}
-
-#[test]
-fn usda_contains_the_mesh() {
-    for mesh in [torus(20, 12, [0.0; 3]), torus(20, 12, FAR), torus(130, 70, [0.0; 3]), nothing()] {
-        for has_quads in [false, true] {
-            let text = usda_text(&mesh, has_quads, gltf::UpAxis::Z);
-            assert!(text.starts_with("#usda 1.0\n(\n") && text.contains("    upAxis = \"Z\"\n"));
-            assert_eq!(numbers::<f32>(array(&text, "points")), mesh.positions.as_flattened());
-            assert_eq!(numbers::<f32>(array(&text, "normals")), mesh.normals.as_flattened());
-            assert_eq!(numbers::<f32>(array(&text, "velocities")), mesh.velocity);
-            assert_eq!(numbers::<f32>(array(&text, "primvars:heat__2")), mesh.heat);
-            assert_eq!(numbers::<i64>(array(&text, "primvars:id")), mesh.ids);
-            let [mut colors, mut opacities] = [Vec::new(), Vec::new()];
-            for [rgb @ .., alpha] in mesh.color.as_chunks::<4>().0 {
-                colors.extend(rgb);
-                opacities.push(*alpha);
-            }
-            assert_eq!(numbers::<f32>(array(&text, "primvars:displayColor")), colors);
-            assert_eq!(numbers::<f32>(array(&text, "primvars:displayOpacity")), opacities);
-            assert_eq!(array(&text, "primvars:_2nd"), "\"a \\\"b\\\" <c>\", \"d\", \"\"");
-            let indices =
-                mesh.names.iter().map(|&index| if index < 0 { 2 } else { index }).collect::<Vec<_>>();
-            assert_eq!(numbers::<i32>(array(&text, "primvars:_2nd:indices")), indices);
-
-            let counts = numbers::<usize>(array(&text, "faceVertexCounts"));
-            let mut corners = numbers::<u32>(array(&text, "faceVertexIndices")).into_iter();
-            let mut found = Vec::new();
-            for &count in &counts {
-                let face: Vec<u32> = corners.by_ref().take(count).collect();
-                found.extend((2..count).map(|last| [face[0], face[last - 1], face[last]]));
-            }
-            assert_eq!(found, if has_quads { fans(&mesh) } else { mesh.triangles.clone() });
-            assert!(
-                corners.next().is_none() && counts.iter().all(|&count| count == 3 || has_quads && count == 4)
-            );
-            let far = format!("double3 xformOp:translate = ({}, {}, {})", FAR[0], FAR[1], FAR[2]);
-            assert_eq!(text.contains(&far), mesh.origin == FAR);
-            let info = usda::read_layer_info(text.as_bytes()).expect("our own file").expect("figures");
-            assert_eq!((info.vertices, info.faces), (mesh.positions.len() as u64, counts.len() as u64));
-            if !mesh.positions.is_empty() {
-                let extent = numbers::<f32>(array(&text, "extent"));
-                assert!((0..3).all(|axis| {
-                    mesh.positions.iter().all(|p| (extent[axis]..=extent[axis + 3]).contains(&p[axis]))
-                }));
-            }
-        }
-    }
-}
-
-#[test]
-fn usda_does_not_depend_on_threads() {
-    let mesh = torus(300, 200, FAR);
-    let on = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-        pool.install(|| usda_text(&mesh, true, gltf::UpAxis::Y))
-    };
-    assert!(on(1) == on(4));
-}
-
 #[test]
 fn quantization_error_is_at_most_half_a_step() {
     for mesh in [torus(20, 12, [0.0; 3]), torus(20, 12, FAR), torus(300, 250, [0.0; 3])] {
@@ -399,12 +339,13 @@ fn the_gltf_crate_reads_quantized_meshes() {
     assert!(other.accessors().filter(|a| a.data_type() == ::gltf::accessor::DataType::F32).count() > 2);
 }
 
-fn files() -> [(OutputFormat, Vec<u8>); 3] {
+fn files() -> [(OutputFormat, Vec<u8>); 4] {
     let mesh = torus(9, 7, FAR);
     [
         (OutputFormat::Vtp, vtp(&mesh, true)),
         (OutputFormat::Stl, stl_bytes(&mesh)),
         (OutputFormat::Usda, usda_text(&mesh, true, gltf::UpAxis::Y).into_bytes()),
+        (OutputFormat::Usdc, usdc_bytes(&mesh, true, gltf::UpAxis::Y)),
     ]
 }
 
@@ -452,8 +393,10 @@ fn invalid_meshes_are_an_error() {
         let options = MeshOptions { quads: quads(), ..MeshOptions::default() };
         let vtp = vtk::write_mesh(&view, &options, &[], &mut Vec::new());
         assert!(matches!(vtp, Err(Error::Invalid { .. })), "{vtp:?}");
-        let usda = OutputFormat::Usda.write_mesh(&view, &options, &[], &mut Vec::new());
-        assert!(matches!(usda, Err(Error::Invalid { .. })), "{usda:?}");
+        for format in [OutputFormat::Usda, OutputFormat::Usdc] {
+            let usd = format.write_mesh(&view, &options, &[], &mut Vec::new());
+            assert!(matches!(usd, Err(Error::Invalid { .. })), "{format}: {usd:?}");
+        }
         stl::write(&view, &[], &mut Vec::new())
     };
     let mut mesh = torus(5, 4, [0.0; 3]);

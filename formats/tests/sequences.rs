@@ -5,7 +5,9 @@
 use std::io::{self, Cursor};
 
 use meniscus_formats::gltf::{self, GlbFrame, SequenceFrame, UpAxis};
-use meniscus_formats::{AttributeRole, Error, MeshOptions, MeshView, VertexAttribute, VertexValues, usda};
+use meniscus_formats::{
+    AttributeRole, Error, Limits, MeshOptions, MeshView, Values, VertexAttribute, VertexValues, usda, usdc,
+};
 
 /// A pyramid over a polygon, and the options for writing it.
 struct Frame {
@@ -101,6 +103,14 @@ fn usda_shot(up: UpAxis) -> (String, Vec<String>) {
     let open = |index: usize| Ok(Cursor::new(&files[index]));
     let notes = usda::write_sequence(&shot, (25.0, 0.01), &provenance(), open, &mut bytes).expect("written");
     (String::from_utf8(bytes).expect("UTF-8"), notes)
+}
+
+fn usdc_shot(up: UpAxis) -> (Vec<u8>, Vec<String>) {
+    let (shot, files) = gathered(up);
+    let mut bytes = Cursor::new(Vec::new());
+    let open = |index: usize| Ok(Cursor::new(&files[index]));
+    let notes = usdc::write_sequence(&shot, (25.0, 0.01), &provenance(), open, &mut bytes).expect("written");
+    (bytes.into_inner(), notes)
 }
 
 #[test]
@@ -227,6 +237,39 @@ fn usda_sequence_has_a_sample_per_frame() {
 }
 
 #[test]
+fn usdc_sequence_has_a_sample_per_frame() {
+    for up in [UpAxis::Y, UpAxis::Z] {
+        let (bytes, notes) = usdc_shot(up);
+        assert_eq!(notes, usda_shot(up).1);
+        let layer = usdc::UsdcLayer::read(&bytes, &Limits::default()).expect("our own file");
+        assert_eq!(layer.codes(), Some(&[5.0, 6.0, 9.0, 10.0][..]));
+        assert_eq!((layer.info().frames, layer.info().faces), (Some(4), 70_008));
+        for (index, frame) in frames().iter().enumerate() {
+            let (positions, normals, triangles) = frame.mesh();
+            let usdc::UsdcFrame { mesh, attributes } = layer.frame(index).expect("our own file");
+            assert_eq!(mesh.triangles, triangles);
+            assert_eq!(mesh.positions.len(), positions.len());
+            let rounding = if frame.quantize { 1e-4 } else { 0.0 };
+            for (found, position) in mesh.positions.iter().zip(&positions) {
+                let is_near = |axis: usize| {
+                    (found[axis] - frame.origin[axis] - f64::from(position[axis])).abs() <= rounding + 1e-9
+                };
+                assert!((0..3).all(is_near), "{found:?} is not {position:?}");
+            }
+            assert_eq!(mesh.normals.len(), normals.len());
+            let [velocity] = &attributes[..] else { panic!("{attributes:?}") };
+            let expected: Vec<f32> = positions.iter().flat_map(|p| [p[0], 2.0, 0.0]).collect();
+            assert_eq!((&*velocity.name, velocity.arity), ("velocities", 3));
+            assert_eq!(velocity.values, Values::F32(expected));
+        }
+        assert!(layer.frame(4).is_err());
+        for length in (0..bytes.len()).rev().step_by(997).chain(0..3000) {
+            assert!(usdc::UsdcLayer::read(&bytes[..length], &Limits::default()).is_err(), "{length}");
+        }
+    }
+}
+
+#[test]
 fn invalid_sequences_are_errors() {
     let (mut shot, files) = gathered(UpAxis::Y);
     let open = |index: usize| -> io::Result<_> { Ok(Cursor::new(&files[index])) };
@@ -247,6 +290,7 @@ fn invalid_sequences_are_errors() {
     let open = |index: usize| -> io::Result<_> { Ok(Cursor::new(&files[index])) };
     assert!(gltf::write_sequence(&shot, 24.0, &[], open, &mut Vec::new()).is_err());
     assert!(usda::write_sequence(&shot, (24.0, 1.0), &[], open, &mut Vec::new()).is_err());
+    assert!(usdc::write_sequence(&shot, (24.0, 1.0), &[], open, &mut Cursor::new(Vec::new())).is_err());
     // A sequence with only empty frames is an empty scene.
     let (shot, files) = gathered(UpAxis::Y);
     let open = |_: usize| -> io::Result<_> { Ok(Cursor::new(&files[2])) };
@@ -282,6 +326,7 @@ fn other_and_damaged_files_are_not_frames() {
             let open = |_: usize| -> io::Result<_> { Ok(Cursor::new(&broken)) };
             let _ = gltf::write_sequence(&shot, 24.0, &[], open, &mut Vec::new());
             let _ = usda::write_sequence(&shot, (24.0, 1.0), &[], open, &mut Vec::new());
+            let _ = usdc::write_sequence(&shot, (24.0, 1.0), &[], open, &mut Cursor::new(Vec::new()));
         }
     }
 }

@@ -61,8 +61,9 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
         Job::Particles
     } else {
         let job = surface_job(&selection, args.band_slack, &args.method)?;
-        // The .usda of the whole sequence uses the unit, too.
-        let meters_per_unit = formats.meters_per_unit.filter(|_| args.shot.sequence_usda.is_none());
+        // USD of the whole sequence uses the unit, too.
+        let has_usd = args.shot.sequence_usda.is_some() || args.shot.sequence_usdc.is_some();
+        let meters_per_unit = formats.meters_per_unit.filter(|_| !has_usd);
         warn_before(&args.method, &FormatArgs { meters_per_unit, ..formats }, console);
         job
     };

@@ -1,15 +1,17 @@
-"""VTK, which is what ParaView reads with, reads the .vtp and .stl of a shot; OpenUSD reads its .usda, and the shot.
+"""VTK, which is what ParaView reads with, reads the .vtp and .stl of a shot; OpenUSD reads its .usda, its .usdc, and
+the shot.
 
     .vtp          as many points and polygons, the points of the .ply to the last bit, normals that point outward, the
                   attributes, the generator of the file; quads if requested
     .stl          as many triangles, the bounds and the volume of the .ply
     .usda         the same points; axis, unit, extent, normals and velocities as USD knows them
-    shot.usda     a sample for each frame, with its mesh
+    .usdc         the same; every value is that of the .usda, and the file is at most a tenth larger than OpenUSD makes it
+    shot.usda     a sample for each frame, with its mesh; shot.usdc likewise
 """
 
 import numpy as np
 import vtk
-from pxr import Usd, UsdGeom
+from pxr import Sdf, Usd, UsdGeom, UsdValidation
 from vtk.util.numpy_support import vtk_to_numpy
 
 from mesh_files import read_ply
@@ -21,10 +23,11 @@ def main():
     for label in ("moving", "moving-quantized"):
         for ply in sorted((OUT / label).glob("moving.*.ply")):
             frame, (points, triangles) = frame_of(ply), read_ply(ply)
-            for examine, suffix in ((vtp, ".vtp"), (stl, ".stl"), (usda, ".usda")):
+            for examine, suffix in ((vtp, ".vtp"), (stl, ".stl"), (usda, ".usda"), (usdc, ".usdc")):
                 path = ply.with_suffix(suffix)
                 check.line(f"{label}/{path.name}", *attempted(examine, path, frame, points, triangles))
-        check.line(f"{label}/shot.usda", *attempted(shot, OUT / label))
+        for name in ("shot.usda", "shot.usdc"):
+            check.line(f"{label}/{name}", *attempted(shot, OUT / label, name))
     check.end()
 
 
@@ -104,6 +107,53 @@ def usda(path, frame, points, triangles):
     return f"{len(points)} points, {len(mesh.GetFaceVertexCountsAttr().Get())} faces", faults
 
 
+def usdc(path, frame, points, triangles):
+    said, faults = usda(path, frame, points, triangles)
+    return said, faults + layer_faults(path)
+
+
+def layer_faults(path):
+    """What a binary layer has that its text does not have, what OpenUSD's checker says, and how large it is."""
+    layer, text = Sdf.Layer.FindOrOpen(str(path)), Sdf.Layer.FindOrOpen(str(path.with_suffix(".usda")))
+    found, expected = values_of(layer), values_of(text)
+    faults = [f"{name} is not that of the .usda" for name in sorted(found.keys() | expected.keys())
+              if name not in found or name not in expected or not is_same(found[name], expected[name])]
+    # What the command usdchecker does, which the package does not have.
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    errors = UsdValidation.ValidationContext(validators).Validate(Usd.Stage.Open(layer))
+    faults += [error.GetErrorAsString() for error in errors]
+    exported = path.with_name(f"exported.{path.name}")
+    layer.Export(str(exported))
+    size, usual = path.stat().st_size, exported.stat().st_size
+    exported.unlink()
+    # A small file has mostly names, and the provenance twice.
+    return faults if size < 1.1 * usual + 4096 else [*faults, f"it has {size} bytes, and OpenUSD writes {usual}"]
+
+
+def values_of(layer):
+    """Every field of a layer, and every time sample."""
+    found = {}
+
+    def add(path):
+        spec = layer.GetObjectAtPath(path)
+        for key in spec.ListInfoKeys():
+            if key not in ("default", "timeSamples"):
+                found[f"{path} {key}"] = spec.GetInfo(key)
+        if isinstance(spec, Sdf.AttributeSpec):
+            found[f"{path} default"] = spec.default
+            for time in layer.ListTimeSamplesForPath(path):
+                found[f"{path} at {time}"] = layer.QueryTimeSample(path, time)
+
+    layer.Traverse("/", add)
+    # The provenance of each file names its own format.
+    found["/ customLayerData"] = found["/ customLayerData"]["meniscus_mesh"]
+    return found
+
+
+def is_same(one, other):
+    return type(one) is type(other) and np.array_equal(np.array(one), np.array(other))
+
+
 def mesh_under_root(stage):
     """The mesh, which a stage that references the layer gets with the Xform above it."""
     root = stage.GetDefaultPrim()
@@ -135,12 +185,14 @@ def mesh_faults(mesh, time, points, triangles, rounding=0.0):
     return faults
 
 
-def shot(folder):
-    stage = Usd.Stage.Open(str(folder / "shot.usda"))
+def shot(folder, name):
+    stage = Usd.Stage.Open(str(folder / name))
     mesh = mesh_under_root(stage)
     frames = sorted(folder.glob("moving.*.ply"))
     codes = [int(path.stem.split(".")[1]) for path in frames]
-    faults = []
+    faults = layer_faults(folder / name) if name.endswith("c") else []
+    if mesh.GetVelocitiesAttr().GetTimeSamples() != codes:
+        faults.append("its velocities have other time codes than the frames")
     if mesh.GetPointsAttr().GetTimeSamples() != codes:
         faults.append(f"its time codes are {mesh.GetPointsAttr().GetTimeSamples()}, the frames are {codes}")
     if [stage.GetStartTimeCode(), stage.GetEndTimeCode()] != [codes[0], codes[-1]] or stage.GetTimeCodesPerSecond() != 24:

@@ -21,7 +21,7 @@ use meniscus_formats::steps::find_steps;
 use meniscus_formats::{
     Format, Limits, OutputFormat, ParticleBatch, ParticleBatches, ParticleFrame, ProbedKind, Result, Values,
     bgeo, completeness, compression, csv, gltf, houdini, is_complete, lammps, looks_like_particles, npy, obj,
-    ply, png, probe, read_obstacle, read_particles, read_provenance, stl, usda, vdb, vtk, xyz, xyz_ext,
+    ply, png, probe, read_obstacle, read_particles, read_provenance, stl, usda, usdc, vdb, vtk, xyz, xyz_ext,
 };
 use twox_hash::XxHash3_64;
 
@@ -47,7 +47,7 @@ pub(crate) enum Content {
 }
 
 /// All targets.
-pub(crate) const TARGETS: [Target; 33] = [
+pub(crate) const TARGETS: [Target; 34] = [
     plain("ply", |bytes| checked(ply::read(bytes, &limits()))),
     plain("ply_mesh", |bytes| drop(ply::read_mesh_and_vertices(bytes, &limits()))),
     packed("bgeo", |bytes| checked(bgeo::read(bytes, &limits()))),
@@ -69,6 +69,7 @@ pub(crate) const TARGETS: [Target; 33] = [
     plain("gltf", gltf_parts),
     plain("gltf_frame", gltf_frame),
     plain("usda_head", |bytes| drop(usda::read_layer_info(bytes))),
+    packed("usdc", usdc_frames),
     plain("stl", |bytes| drop(stl::read_mesh(bytes, &limits()))),
     plain("obj", |bytes| drop(obj::read_mesh(bytes))),
     Target { name: "png", content: Content::Picture, run: |bytes| drop(png::read(bytes)) },
@@ -194,12 +195,21 @@ fn gltf_frame(bytes: &[u8]) {
     let frame = |code| gltf::SequenceFrame { name: "f".into(), code, file: file.clone() };
     let (shot, open) = ([frame(1), frame(3)], |_: usize| Ok(Cursor::new(bytes)));
     let _ = usda::write_sequence(&shot, (24.0, 1.0), &[], open, &mut std::io::sink());
+    let _ = usdc::write_sequence(&shot, (24.0, 1.0), &[], open, &mut Cursor::new(Vec::new()));
     let _ = gltf::write_sequence(&shot, 24.0, &[], open, &mut std::io::sink());
+}
+
+/// The first frames of a file.
+fn usdc_frames(bytes: &[u8]) {
+    let Ok(layer) = usdc::UsdcLayer::read(bytes, &limits()) else { return };
+    for index in 0..layer.codes().map_or(1, <[f64]>::len).min(4) {
+        let _ = layer.frame(index);
+    }
 }
 
 /// Checks that do not read the whole file. The first byte selects the format.
 fn ends(bytes: &[u8]) {
-    const FORMATS: [OutputFormat; 10] = [
+    const FORMATS: [OutputFormat; 11] = [
         OutputFormat::Glb,
         OutputFormat::Gltf,
         OutputFormat::Obj,
@@ -210,6 +220,7 @@ fn ends(bytes: &[u8]) {
         OutputFormat::Vtp,
         OutputFormat::Stl,
         OutputFormat::Usda,
+        OutputFormat::Usdc,
     ];
     let [choice, bytes @ ..] = bytes else { return };
     let format = FORMATS[usize::from(*choice) % FORMATS.len()];

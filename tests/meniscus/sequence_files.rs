@@ -38,7 +38,7 @@ fn document(path: &Path) -> Value {
 }
 
 const EVERY_MESH: [&str; 8] =
-    ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb,vtp,stl,usda"];
+    ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb,vtp,stl,usda,usdc"];
 
 #[test]
 fn outputs_for_other_programs_record_the_generator() {
@@ -59,7 +59,7 @@ fn outputs_for_other_programs_record_the_generator() {
         assert!(ran.status == 0 && !ran.out.contains("done already"), "{option}: {}{}", ran.out, ran.err);
         assert!(meniscus(path, &with(option)).out.contains("done already"), "{option}");
     }
-    let names = ["dam.1.glb", "dam.1.stl", "dam.1.usda", "dam.1.vtp"];
+    let names = ["dam.1.glb", "dam.1.stl", "dam.1.usda", "dam.1.usdc", "dam.1.vtp"];
     // `.meniscus` has the hashes of the outputs, for --skip-done.
     assert_eq!(names_in(&path.join("out"))[1..], names);
     for name in &names[1..] {
@@ -106,7 +106,7 @@ fn quantizing_changes_only_glb() {
     succeeded(&meniscus(path, &quantized));
     let [plain, small] = ["out", "small"].map(|folder| path.join(folder));
     // All files of a frame have one mesh, without the triangles that 16 bits would flatten: each records this.
-    for name in ["dam.1.usda", "dam.1.vtp"] {
+    for name in ["dam.1.usda", "dam.1.usdc", "dam.1.vtp"] {
         let is_recorded = |folder: &Path| {
             let bytes = fs::read(folder.join(name)).expect("readable");
             bytes.windows(b"quantize".len()).any(|window| window == b"quantize")
@@ -135,7 +135,16 @@ fn quantizing_a_wide_frame_causes_a_warning() {
     assert_eq!(meniscus(path, &arguments).err, "");
 }
 
-const SHOTS: [&str; 6] = ["--sequence-glb", "shot.glb", "--sequence-usda", "shot.usda", "--fps", "25"];
+const SHOTS: [&str; 8] = [
+    "--sequence-glb",
+    "shot.glb",
+    "--sequence-usda",
+    "shot.usda",
+    "--sequence-usdc",
+    "shot.usdc",
+    "--fps",
+    "25",
+];
 
 #[test]
 fn sequence_file_is_the_same_from_every_command() {
@@ -144,7 +153,7 @@ fn sequence_file_is_the_same_from_every_command() {
     let convert = ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb", "--up", "z"];
     succeeded(&meniscus(path, &[&convert[..], &SHOTS].concat()));
     let read = |name: &str| fs::read(path.join(name)).expect("readable");
-    let [glb, usda] = ["shot.glb", "shot.usda"].map(read);
+    let [glb, usda, usdc] = ["shot.glb", "shot.usda", "shot.usdc"].map(read);
 
     let plan = ["--shards", "3", "-o", "plan.json"];
     let planned: Vec<&str> = convert
@@ -159,7 +168,7 @@ fn sequence_file_is_the_same_from_every_command() {
     for shard in ["2", "0", "1"] {
         succeeded(&meniscus(path, &["convert", "--plan", "plan.json", "--shard", shard, "--threads", "1"]));
     }
-    for (name, expected) in [("again.glb", &glb), ("again.usda", &usda)] {
+    for (name, expected) in [("again.glb", &glb), ("again.usda", &usda), ("again.usdc", &usdc)] {
         succeeded(&meniscus(path, &["sequence", "farm", "-o", name, "--fps", "25"]));
         assert!(read(name) == *expected, "{name}");
         succeeded(&meniscus(path, &["sequence", "farm/dam.#.glb", "-o", name, "--fps", "25"]));
@@ -187,7 +196,8 @@ fn shot_that_lacks_frames_does_not_replace_a_whole_one() {
     let path = folder.path();
     let convert = ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb"];
     succeeded(&meniscus(path, &[&convert[..], &SHOTS].concat()));
-    let read = || ["shot.glb", "shot.usda"].map(|name| fs::read(path.join(name)).expect("readable"));
+    let read =
+        || ["shot.glb", "shot.usda", "shot.usdc"].map(|name| fs::read(path.join(name)).expect("readable"));
     let whole = read();
     fs::write(path.join("in/dam.2.ply"), "ply\nformat ascii 1.0\n").expect("written");
     let ran = meniscus(path, &[&convert[..], &SHOTS].concat());
@@ -283,7 +293,7 @@ fn info_describes_a_sequence_file_and_convert_refuses_it() {
         counts.map(|info| info["mesh"][name].as_u64().expect("a number")).sum()
     };
     let counts = ["vertices", "triangles"].map(total);
-    for name in ["shot.glb", "shot.usda"] {
+    for name in ["shot.glb", "shot.usda", "shot.usdc"] {
         let text = meniscus(path, &["info", name]).out;
         let rows = [
             ("frames", "3".to_owned()),
@@ -350,7 +360,7 @@ fn invalid_sequence_files_are_refused_before_conversion() {
         &["sequence", "in/dam.1.ply", "in/other.1.ply", "-o", "s.glb"],
         &["2 sequences", "dam.1.ply, other.1.ply"],
     );
-    refused(path, &["sequence", "in/dam.1.ply", "-o", "s.ply"], &[".glb or .usda"]);
+    refused(path, &["sequence", "in/dam.1.ply", "-o", "s.ply"], &[".glb, .usda or .usdc"]);
     assert!(!path.join("s.glb").exists());
 }
 
@@ -365,7 +375,7 @@ fn damaged_frame_is_left_out_with_a_warning() {
     foreign[20..60].fill(b' ');
     for damaged in [&whole[..whole.len() - 4], &whole[..30], b"", &foreign] {
         fs::write(&frame, damaged).expect("written");
-        for output in ["s.glb", "s.usda"] {
+        for output in ["s.glb", "s.usda", "s.usdc"] {
             let ran = meniscus(path, &["sequence", "out", "-o", output]);
             assert_eq!(ran.status, 1, "{}{}", ran.out, ran.err);
             assert!(

@@ -5,6 +5,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::quads::faces;
+use crate::usd::Elements;
 use crate::vertex_attributes::string_index;
 
 use super::numbers::NumberWriter;
@@ -12,47 +13,12 @@ use super::numbers::NumberWriter;
 /// Number of elements formatted per task.
 const ELEMENTS_PER_TASK: usize = 1 << 13;
 
-/// The elements of an array.
-#[derive(Clone, Copy)]
-pub(super) enum Elements<'a> {
-    /// `arity` numbers starting at `first` in each group of `stride`.
-    Reals {
-        values: &'a [f32],
-        stride: usize,
-        first: usize,
-        arity: usize,
-    },
-    Integers {
-        values: &'a [i64],
-        arity: usize,
-    },
-    /// Indices into a table of strings; a missing string gets the index after the last one.
-    Strings {
-        table: &'a [String],
-        indices: &'a [i32],
-    },
-    /// The number of corners of each face, and the vertices of the corners.
-    FaceCounts {
-        triangles: &'a [[u32; 3]],
-        quads: &'a [bool],
-    },
-    FaceCorners {
-        triangles: &'a [[u32; 3]],
-        quads: &'a [bool],
-    },
-}
-
-impl<'a> Elements<'a> {
-    /// Vectors of `arity` numbers each.
-    pub(super) fn reals(values: &'a [f32], arity: usize) -> Elements<'a> {
-        Elements::Reals { values, stride: arity, first: 0, arity }
-    }
-
+impl Elements<'_> {
     /// The number of elements; for faces, of triangles.
     fn count(&self) -> usize {
         match self {
             Elements::Reals { values, stride, .. } => values.len() / stride,
-            Elements::Integers { values, arity } => values.len() / arity,
+            Elements::Integers { values, arity, .. } => values.len() / arity,
             Elements::Strings { indices, .. } => indices.len(),
             Elements::FaceCounts { triangles, .. } | Elements::FaceCorners { triangles, .. } => {
                 triangles.len()
@@ -92,7 +58,7 @@ impl<'a> Elements<'a> {
                     numbers.tuple(&element[first..first + arity], NumberWriter::real);
                 }
             }
-            Elements::Integers { values, arity } => {
+            Elements::Integers { values, arity, .. } => {
                 for element in values[range.start * arity..range.end * arity].chunks_exact(arity) {
                     numbers.separate();
                     numbers.tuple(element, NumberWriter::integer);

@@ -3,25 +3,10 @@
 use crate::data::Provenance;
 use crate::error::{Error, Position, Result};
 use crate::mesh_options::UpAxis;
-
-use super::FORMAT;
-
-/// The root prim: a stage that references the layer gets this prim.
-pub(super) const ROOT: &str = "root";
+use crate::usd::{FORMAT, LayerInfo, ROOT};
 
 /// The beginning of the last line of a file.
 pub(super) const LAST_LINE: &str = "# end: ";
-
-/// The summary of the content in a file of this crate.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct LayerInfo {
-    /// Number of vertices, in all frames.
-    pub vertices: u64,
-    /// Number of faces, in all frames.
-    pub faces: u64,
-    /// Number of frames in a sequence; `None` without time samples.
-    pub frames: Option<u64>,
-}
 
 /// The text before the mesh, including the start of the prim that contains the mesh. `times` are the lines
 /// with the time codes of a sequence.

@@ -16,8 +16,8 @@
 //!   # end: 642 vertices, 1280 faces
 //! ```
 //!
-//! Every program that reads USD reads its text form. The binary form, a third of the size, is defined only by
-//! its implementation; `usdcat` converts to it. A sequence is a single mesh whose attributes all have a
+//! Every program that reads USD reads its text form; the [binary form](crate::usdc) takes a third of the size.
+//! A sequence is a single mesh whose attributes all have a
 //! sample per frame, rather than a file per frame and another that lists them: a single file can be moved,
 //! and can be replaced atomically.
 //!
@@ -26,6 +26,7 @@
 use crate::mesh_options::WriteOption;
 use crate::row::Integrity;
 use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow};
+use crate::usd::renamed;
 
 mod arrays;
 mod head;
@@ -33,22 +34,19 @@ mod numbers;
 mod sequence;
 mod write;
 
-pub use head::{LayerInfo, read_layer_info};
+pub use crate::usd::LayerInfo;
+pub use head::read_layer_info;
 pub use sequence::write_sequence;
-pub use write::attribute_notes;
 
 use head::{ends_as_written, read_provenance};
 use write::{batch_count, encode_batch};
-
-/// The format's name in errors.
-const FORMAT: &str = "USD";
 
 /// The row in the table of formats.
 pub(crate) static ROW: OutputRow = OutputRow {
     format: FormatRow { signatures: &[b"#usda"], ..FormatRow::new("USD text", &["usda"]) },
     help: "USD as text",
     content: Content::Mesh(MeshWriter {
-        attribute_notes,
+        attribute_notes: |attributes| renamed(attributes, "usda"),
         ..MeshWriter::new(MeshEncoder::Batches { count: batch_count, encode: encode_batch })
     }),
     write_particles: None,

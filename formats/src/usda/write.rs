@@ -8,31 +8,21 @@
 //! As in other text formats, each batch can be encoded independently, so the writer need not hold the whole
 //! text. A 64-bit translation stores the mesh's origin, and the layer stores the up axis; vertices are
 //! written unchanged.
-//!
-//! ```text
-//!   velocity   velocities, for motion blur     colour     primvars:displayColor, displayOpacity
-//!   others     primvars:name, vectors of up to four           integers   int, or int64 if a value needs it
-//!   strings    primvars:name, the distinct strings, and primvars:name:indices
-//! ```
 
 use rayon::prelude::*;
 
-use crate::data::{MeshView, Provenance, VertexAttribute, VertexValues};
+use crate::data::{MeshView, Provenance};
 use crate::error::Result;
 use crate::mesh_options::MeshOptions;
 use crate::quads::{check_quads, quad_count};
-use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes};
+use crate::usd::{Elements, FORMAT, LayerInfo, Property, PropertyValue, properties};
+use crate::vertex_attributes::plain_name;
 
-use super::FORMAT;
-use super::arrays::Elements;
-use super::head::{LAST_LINE, LayerInfo, head, quoted};
+use super::head::{LAST_LINE, head, quoted};
 use super::numbers::triple;
 
 /// Number of tasks whose text is held at a time.
 const TASKS_AT_ONCE: usize = 64;
-
-/// The widest vector type.
-const TUPLE_MAX: usize = 4;
 
 /// The number of batches for a layer with one mesh.
 pub(super) fn batch_count(mesh: &MeshView, options: &MeshOptions) -> usize {
@@ -72,7 +62,7 @@ pub(super) fn encode_batch(
     Ok(texts)
 }
 
-/// A property of the prim.
+/// The text of a property.
 struct PropertyText<'a> {
     open: String,
     elements: Option<Elements<'a>>,
@@ -80,20 +70,54 @@ struct PropertyText<'a> {
 }
 
 impl<'a> PropertyText<'a> {
+    fn of(property: &Property<'a>) -> PropertyText<'a> {
+        let Property { kind, name, value, is_per_vertex, element_size } = property;
+        let about = about(*is_per_vertex, *element_size);
+        let (declaration, value) = (format!("{kind} {name}"), value);
+        match value {
+            PropertyValue::Array(elements) => PropertyText {
+                open: format!("        {declaration} = ["),
+                elements: Some(*elements),
+                close: format!("]{about}\n"),
+            },
+            PropertyValue::Extent([low, high]) => {
+                PropertyText::line(format!("{declaration} = [{}, {}]", triple(*low), triple(*high)))
+            }
+            PropertyValue::Double3(values) => {
+                PropertyText::line(format!("{declaration} = {}", triple(*values)))
+            }
+            PropertyValue::Token(word) => PropertyText::line(format!("uniform {declaration} = \"{word}\"")),
+            PropertyValue::TokenList(word) => {
+                PropertyText::line(format!("uniform {declaration} = [\"{word}\"]"))
+            }
+            PropertyValue::Strings(table) => {
+                let distinct: Vec<String> =
+                    table.iter().map(|text| quoted(text)).chain([quoted("")]).collect();
+                PropertyText::line(format!("{declaration} = [{}]{about}", distinct.join(", ")))
+            }
+        }
+    }
+
     /// A single-line property.
     fn line(text: String) -> PropertyText<'a> {
         PropertyText { open: format!("        {text}\n"), elements: None, close: String::new() }
     }
+}
 
-    /// A property with a value per vertex or face.
-    fn array(name: &str, elements: Elements<'a>, about: &str) -> PropertyText<'a> {
-        let about = if about.is_empty() { String::new() } else { format!(" (\n{about}        )") };
-        PropertyText {
-            open: format!("        {name} = ["),
-            elements: Some(elements),
-            close: format!("]{about}\n"),
-        }
+/// The metadata of a property in parentheses, preceded by a space; empty if it has none.
+pub(super) fn about(is_per_vertex: bool, element_size: usize) -> String {
+    if !is_per_vertex {
+        return String::new();
     }
+    let size = match element_size {
+        1 => String::new(),
+        size => format!("            elementSize = {size}\n"),
+    };
+    format!(" (\n{size}            interpolation = \"vertex\"\n        )")
+}
+
+fn sections<'a>(mesh: &MeshView<'a>, options: &'a MeshOptions) -> Vec<PropertyText<'a>> {
+    properties(mesh, &options.quads).iter().map(PropertyText::of).collect()
 }
 
 /// A range of elements of a section.
@@ -123,154 +147,4 @@ fn tasks(sections: &[PropertyText]) -> Vec<TextTask> {
         (0..count).map(move |run| TextTask { section, run, is_last: run + 1 == count })
     };
     sections.iter().enumerate().flat_map(runs_of).collect()
-}
-
-const OF_VERTICES: &str = "            interpolation = \"vertex\"\n";
-
-fn sections<'a>(mesh: &MeshView<'a>, options: &'a MeshOptions) -> Vec<PropertyText<'a>> {
-    let (triangles, quads) = (mesh.triangles, &*options.quads);
-    let mut sections = Vec::new();
-    if let Some([low, high]) = extent(mesh) {
-        sections.push(PropertyText::line(format!("float3[] extent = [{}, {}]", triple(low), triple(high))));
-    }
-    sections.extend([
-        PropertyText::array("int[] faceVertexCounts", Elements::FaceCounts { triangles, quads }, ""),
-        PropertyText::array("int[] faceVertexIndices", Elements::FaceCorners { triangles, quads }, ""),
-        PropertyText::array(
-            "normal3f[] normals",
-            Elements::reals(mesh.normals.as_flattened(), 3),
-            OF_VERTICES,
-        ),
-        PropertyText::line("uniform token orientation = \"rightHanded\"".to_owned()),
-        PropertyText::array("point3f[] points", Elements::reals(mesh.positions.as_flattened(), 3), ""),
-    ]);
-    for (attribute, place) in mesh.attributes.iter().zip(properties(mesh.attributes)) {
-        sections.extend(of_attribute(attribute, &place));
-    }
-    sections.push(PropertyText::line("uniform token subdivisionScheme = \"none\"".to_owned()));
-    if mesh.origin != [0.0; 3] {
-        sections.push(PropertyText::line(format!("double3 xformOp:translate = {}", triple(mesh.origin))));
-        sections
-            .push(PropertyText::line("uniform token[] xformOpOrder = [\"xformOp:translate\"]".to_owned()));
-    }
-    sections
-}
-
-/// The minimum and maximum corner; `None` without vertices.
-fn extent(mesh: &MeshView) -> Option<[[f32; 3]; 2]> {
-    let first = *mesh.positions.first()?;
-    Some(mesh.positions.iter().fold([first, first], |[low, high], position| {
-        [
-            std::array::from_fn(|axis| low[axis].min(position[axis])),
-            std::array::from_fn(|axis| high[axis].max(position[axis])),
-        ]
-    }))
-}
-
-/// The property that an attribute is written to.
-enum UsdProperty {
-    Velocities,
-    Color,
-    Primvar(String),
-}
-
-/// Names with a meaning for renderers.
-pub(super) const RESERVED: [&str; 3] = ["displayColor", "displayOpacity", "normals"];
-
-/// The property of each attribute.
-fn properties(attributes: &[VertexAttribute]) -> Vec<UsdProperty> {
-    let mut taken = UsedNames::new(&RESERVED);
-    let place = |(attribute, purpose): (&VertexAttribute, Purpose)| match purpose {
-        Purpose::Velocity => UsdProperty::Velocities,
-        Purpose::Color(_) => UsdProperty::Color,
-        Purpose::Other => UsdProperty::Primvar(
-            taken.take(&identifier(attribute.name), |stem| vec![stem.to_owned()]).concat(),
-        ),
-    };
-    attributes.iter().zip(purposes(attributes)).map(place).collect()
-}
-
-/// A valid USD identifier for a name.
-pub(super) fn identifier(name: &str) -> String {
-    let plain = plain_name(name);
-    if plain.starts_with(|c: char| c.is_ascii_digit()) { format!("_{plain}") } else { plain }
-}
-
-/// Notes on vertex attributes that are renamed in a .usda file.
-pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
-    let renamed =
-        attributes.iter().zip(properties(attributes)).filter_map(|(attribute, place)| match place {
-            UsdProperty::Primvar(name) if name != attribute.name => {
-                Some(format!("{} is named primvars:{name} in the .usda", attribute.name))
-            }
-            _ => None,
-        });
-    renamed.collect()
-}
-
-fn of_attribute<'a>(attribute: &VertexAttribute<'a>, place: &UsdProperty) -> Vec<PropertyText<'a>> {
-    let arity = attribute.arity;
-    match (place, attribute.values) {
-        (UsdProperty::Velocities, VertexValues::Numbers(values)) => {
-            vec![PropertyText::array("vector3f[] velocities", Elements::reals(values, 3), "")]
-        }
-        (UsdProperty::Color, VertexValues::Numbers(values)) => {
-            let part = |first, arity| Elements::Reals { values, stride: attribute.arity, first, arity };
-            let mut sections =
-                vec![PropertyText::array("color3f[] primvars:displayColor", part(0, 3), OF_VERTICES)];
-            if arity == 4 {
-                sections.push(PropertyText::array(
-                    "float[] primvars:displayOpacity",
-                    part(3, 1),
-                    OF_VERTICES,
-                ));
-            }
-            sections
-        }
-        (UsdProperty::Primvar(name), VertexValues::Strings { table, indices }) => {
-            strings(name, arity, table, indices)
-        }
-        (UsdProperty::Primvar(name), VertexValues::Integers(values)) => {
-            let is_narrow = values.iter().all(|&value| i32::try_from(value).is_ok());
-            let width = if is_narrow && arity <= TUPLE_MAX { arity } else { 1 };
-            let kind = if is_narrow { vector("int", width) } else { "int64".to_owned() };
-            vec![primvar(&kind, name, Elements::Integers { values, arity: width }, arity / width)]
-        }
-        (UsdProperty::Primvar(name), VertexValues::Numbers(values)) => {
-            let width = if arity <= TUPLE_MAX { arity } else { 1 };
-            vec![primvar(&vector("float", width), name, Elements::reals(values, width), arity / width)]
-        }
-        // Velocities and colours are always numbers, so strings never get here.
-        (UsdProperty::Velocities | UsdProperty::Color, _) => Vec::new(),
-    }
-}
-
-fn vector(kind: &str, width: usize) -> String {
-    if width == 1 { kind.to_owned() } else { format!("{kind}{width}") }
-}
-
-/// A primvar; each vertex has `element_size` values of the array.
-fn primvar<'a>(kind: &str, name: &str, elements: Elements<'a>, element_size: usize) -> PropertyText<'a> {
-    PropertyText::array(&format!("{kind}[] primvars:{name}"), elements, &about(element_size))
-}
-
-fn about(element_size: usize) -> String {
-    match element_size {
-        1 => OF_VERTICES.to_owned(),
-        size => format!("            elementSize = {size}\n{OF_VERTICES}"),
-    }
-}
-
-/// The distinct strings, with an empty one at the end for missing strings, and the index of each value.
-fn strings<'a>(name: &str, arity: usize, table: &'a [String], indices: &'a [i32]) -> Vec<PropertyText<'a>> {
-    let distinct: Vec<String> = table.iter().map(|text| quoted(text)).chain([quoted("")]).collect();
-    let (values, about) = (distinct.join(", "), about(arity));
-    vec![
-        PropertyText::line(format!("string[] primvars:{name} = [{values}] (\n{about}        )")),
-        PropertyText::array(
-            &format!("int[] primvars:{name}:indices"),
-            Elements::Strings { table, indices },
-            "",
-        ),
-    ]
 }

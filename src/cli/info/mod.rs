@@ -18,7 +18,7 @@ use std::{io, iter};
 use anyhow::{Result, anyhow, bail};
 use meniscus_formats::{
     Codec, Format, Limits, OutputFormat, Probe, ProbedKind, escaped, gltf, ply, probe, read_mesh,
-    read_particles, read_provenance, usda, vdb, vtk,
+    read_particles, read_provenance, usda, usdc, vdb, vtk,
 };
 use serde::Serialize;
 
@@ -192,6 +192,18 @@ impl FileInfo {
                 }
                 None => self.notes.push("USD files of other programs are not read".to_owned()),
             },
+            ProbedKind::Format(Format::Usdc) if codec.is_none() => {
+                let layer = usdc::UsdcLayer::read(&bytes, &limits)?;
+                match layer.info() {
+                    usdc::LayerInfo { vertices, faces, frames: Some(frames) } => {
+                        self.set_sequence(frames, [vertices, faces]);
+                    }
+                    usdc::LayerInfo { frames: None, .. } => {
+                        let frame = layer.frame(0)?;
+                        self.mesh = Some(MeshInfo::of(&frame.mesh).with_attributes(&frame.attributes));
+                    }
+                }
+            }
             ProbedKind::Format(Format::Vtp) if codec.is_none() && holds_polys(&bytes) => {
                 let mesh = vtk::read_mesh(&bytes, &limits)?;
                 let vertices = read_particles(&bytes, &name, &limits)?;

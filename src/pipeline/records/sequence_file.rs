@@ -3,13 +3,14 @@
 //! ```text
 //!   out/dam.0012.glb  out/dam.0013.glb  ..  ──▶  dam.glb     plays in a browser, and in Blender
 //!                                           ──▶  dam.usda    one mesh with time samples
+//!                                           ──▶  dam.usdc    the same in binary
 //! ```
 //!
 //! Frames are read only from their files. So a sequence file is the same whether one process converted its
 //! frames, many machines did, or they were converted on different days; and its memory does not depend on the
 //! number of frames.
 //!
-//! The number of a frame determines when it is shown. In a `.usda` it is the time code, because other
+//! The number of a frame determines when it is shown. In USD it is the time code, because other
 //! programs use it too. In a `.glb`, which has seconds and no numbers, the greatest common divisor of the
 //! differences between numbers is one frame of the animation: a simulation that writes every hundredth step
 //! plays like one that writes every step. The frame before a missing frame is shown in its place.
@@ -19,8 +20,7 @@ use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use meniscus_formats::gltf::{self, GlbFrame, SEQUENCE_FRAMES, SequenceFrame};
-use meniscus_formats::usda;
-use meniscus_formats::{OutputFormat, read_provenance};
+use meniscus_formats::{OutputFormat, read_provenance, usda, usdc};
 
 use super::provenance::{GENERATOR_AND_VERSION, HEAD_BYTES};
 use crate::pipeline::files::atomic_write::write_atomically;
@@ -35,6 +35,8 @@ pub enum SequenceFormat {
     Glb,
     /// USD as text, with time samples.
     Usda,
+    /// Binary USD, with time samples.
+    Usdc,
 }
 
 impl SequenceFormat {
@@ -44,6 +46,7 @@ impl SequenceFormat {
         match extension.as_str() {
             "glb" => Some(SequenceFormat::Glb),
             "usda" => Some(SequenceFormat::Usda),
+            "usdc" => Some(SequenceFormat::Usdc),
             _ => None,
         }
     }
@@ -63,7 +66,7 @@ pub struct SequenceSource {
 pub struct SequenceOptions {
     /// Frames per second.
     pub fps: f64,
-    /// The length of a world unit in metres, recorded in a .usda.
+    /// The length of a world unit in metres, recorded in USD.
     pub meters_per_unit: f64,
 }
 
@@ -121,7 +124,7 @@ pub fn write_sequence_file(
     let numbers = increasing(&numbers);
     let codes = match format {
         SequenceFormat::Glb => in_steps(&numbers),
-        SequenceFormat::Usda => numbers.clone(),
+        SequenceFormat::Usda | SequenceFormat::Usdc => numbers.clone(),
     };
     let provenance = provenance(&numbers, fps);
     let (mut frames, mut opened) = (Vec::new(), Vec::new());
@@ -136,6 +139,9 @@ pub fn write_sequence_file(
             SequenceFormat::Glb => gltf::write_sequence(&frames, fps, &provenance, open, out)?,
             SequenceFormat::Usda => {
                 report.notes = usda::write_sequence(&frames, (fps, meters_per_unit), &provenance, open, out)?
+            }
+            SequenceFormat::Usdc => {
+                report.notes = usdc::write_sequence(&frames, (fps, meters_per_unit), &provenance, open, out)?
             }
         }
         Ok(refuse_written(&opened)?)

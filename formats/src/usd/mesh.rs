@@ -1,0 +1,240 @@
+//! The properties of the mesh of one frame.
+//!
+//! ```text
+//!   velocity   velocities, for motion blur     colour     primvars:displayColor, displayOpacity
+//!   others     primvars:name, vectors of up to four           integers   int, or int64 if a value needs it
+//!   strings    primvars:name, the distinct strings, and primvars:name:indices
+//! ```
+
+use crate::data::{MeshView, VertexAttribute, VertexValues};
+use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes};
+
+/// The root prim: a stage that references the layer gets this prim.
+pub(crate) const ROOT: &str = "root";
+
+/// The summary of the content in a file of this crate.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LayerInfo {
+    /// Number of vertices, in all frames.
+    pub vertices: u64,
+    /// Number of faces, in all frames.
+    pub faces: u64,
+    /// Number of frames in a sequence; `None` without time samples.
+    pub frames: Option<u64>,
+}
+
+/// The elements of an array.
+#[derive(Clone, Copy)]
+pub(crate) enum Elements<'a> {
+    /// `arity` numbers starting at `first` in each group of `stride`.
+    Reals {
+        values: &'a [f32],
+        stride: usize,
+        first: usize,
+        arity: usize,
+    },
+    Integers {
+        values: &'a [i64],
+        arity: usize,
+        /// Whether all values fit into 32 bits; otherwise the array has 64.
+        is_narrow: bool,
+    },
+    /// Indices into a table of strings; a missing string gets the index after the last one.
+    Strings {
+        table: &'a [String],
+        indices: &'a [i32],
+    },
+    /// The number of corners of each face, and the vertices of the corners.
+    FaceCounts {
+        triangles: &'a [[u32; 3]],
+        quads: &'a [bool],
+    },
+    FaceCorners {
+        triangles: &'a [[u32; 3]],
+        quads: &'a [bool],
+    },
+}
+
+impl<'a> Elements<'a> {
+    /// Vectors of `arity` numbers each.
+    pub(crate) fn reals(values: &'a [f32], arity: usize) -> Elements<'a> {
+        Elements::Reals { values, stride: arity, first: 0, arity }
+    }
+}
+
+/// A property of the prim.
+pub(crate) struct Property<'a> {
+    /// Its type in USD, such as `point3f[]`.
+    pub(crate) kind: String,
+    pub(crate) name: String,
+    pub(crate) value: PropertyValue<'a>,
+    /// Whether its interpolation is `vertex`.
+    pub(crate) is_per_vertex: bool,
+    /// Values of the array for each vertex.
+    pub(crate) element_size: usize,
+}
+
+/// The value of a property.
+pub(crate) enum PropertyValue<'a> {
+    Array(Elements<'a>),
+    /// The minimum and maximum corner.
+    Extent([[f32; 3]; 2]),
+    Double3([f64; 3]),
+    /// A uniform word.
+    Token(&'static str),
+    /// A uniform list of one word.
+    TokenList(&'static str),
+    /// The table of an indexed primvar, to which the writer adds an empty string for missing values.
+    Strings(&'a [String]),
+}
+
+impl<'a> Property<'a> {
+    fn new(kind: &str, name: &str, value: PropertyValue<'a>) -> Property<'a> {
+        Property {
+            kind: kind.to_owned(),
+            name: name.to_owned(),
+            value,
+            is_per_vertex: false,
+            element_size: 1,
+        }
+    }
+
+    fn array(kind: &str, name: &str, elements: Elements<'a>) -> Property<'a> {
+        Property::new(kind, name, PropertyValue::Array(elements))
+    }
+
+    fn per_vertex(self) -> Property<'a> {
+        Property { is_per_vertex: true, ..self }
+    }
+}
+
+/// The properties of a mesh, in the order of the file.
+pub(crate) fn properties<'a>(mesh: &MeshView<'a>, quads: &'a [bool]) -> Vec<Property<'a>> {
+    let triangles = mesh.triangles;
+    let mut found = Vec::new();
+    if let Some(extent) = extent(mesh) {
+        found.push(Property::new("float3[]", "extent", PropertyValue::Extent(extent)));
+    }
+    found.extend([
+        Property::array("int[]", "faceVertexCounts", Elements::FaceCounts { triangles, quads }),
+        Property::array("int[]", "faceVertexIndices", Elements::FaceCorners { triangles, quads }),
+        Property::array("normal3f[]", "normals", Elements::reals(mesh.normals.as_flattened(), 3))
+            .per_vertex(),
+        Property::new("token", "orientation", PropertyValue::Token("rightHanded")),
+        Property::array("point3f[]", "points", Elements::reals(mesh.positions.as_flattened(), 3)),
+    ]);
+    for (attribute, place) in mesh.attributes.iter().zip(places(mesh.attributes)) {
+        found.extend(of_attribute(attribute, &place));
+    }
+    found.push(Property::new("token", "subdivisionScheme", PropertyValue::Token("none")));
+    if mesh.origin != [0.0; 3] {
+        found.extend([
+            Property::new("double3", "xformOp:translate", PropertyValue::Double3(mesh.origin)),
+            Property::new("token[]", "xformOpOrder", PropertyValue::TokenList("xformOp:translate")),
+        ]);
+    }
+    found
+}
+
+/// The minimum and maximum corner; `None` without vertices.
+fn extent(mesh: &MeshView) -> Option<[[f32; 3]; 2]> {
+    let first = *mesh.positions.first()?;
+    Some(mesh.positions.iter().fold([first, first], |[low, high], position| {
+        [
+            std::array::from_fn(|axis| low[axis].min(position[axis])),
+            std::array::from_fn(|axis| high[axis].max(position[axis])),
+        ]
+    }))
+}
+
+/// The property that an attribute is written to.
+enum UsdProperty {
+    Velocities,
+    Color,
+    Primvar(String),
+}
+
+/// Names with a meaning for renderers.
+pub(super) const RESERVED: [&str; 3] = ["displayColor", "displayOpacity", "normals"];
+
+/// The widest vector type.
+const TUPLE_MAX: usize = 4;
+
+/// The property of each attribute.
+fn places(attributes: &[VertexAttribute]) -> Vec<UsdProperty> {
+    let mut taken = UsedNames::new(&RESERVED);
+    let place = |(attribute, purpose): (&VertexAttribute, Purpose)| match purpose {
+        Purpose::Velocity => UsdProperty::Velocities,
+        Purpose::Color(_) => UsdProperty::Color,
+        Purpose::Other => UsdProperty::Primvar(
+            taken.take(&identifier(attribute.name), |stem| vec![stem.to_owned()]).concat(),
+        ),
+    };
+    attributes.iter().zip(purposes(attributes)).map(place).collect()
+}
+
+/// A valid USD identifier for a name.
+pub(super) fn identifier(name: &str) -> String {
+    let plain = plain_name(name);
+    if plain.starts_with(|c: char| c.is_ascii_digit()) { format!("_{plain}") } else { plain }
+}
+
+/// Notes on vertex attributes that are renamed in a file with this extension.
+pub(crate) fn renamed(attributes: &[VertexAttribute], extension: &str) -> Vec<String> {
+    let renamed = attributes.iter().zip(places(attributes)).filter_map(|(attribute, place)| match place {
+        UsdProperty::Primvar(name) if name != attribute.name => {
+            Some(format!("{} is named primvars:{name} in the .{extension}", attribute.name))
+        }
+        _ => None,
+    });
+    renamed.collect()
+}
+
+fn of_attribute<'a>(attribute: &VertexAttribute<'a>, place: &UsdProperty) -> Vec<Property<'a>> {
+    let arity = attribute.arity;
+    match (place, attribute.values) {
+        (UsdProperty::Velocities, VertexValues::Numbers(values)) => {
+            vec![Property::array("vector3f[]", "velocities", Elements::reals(values, 3))]
+        }
+        (UsdProperty::Color, VertexValues::Numbers(values)) => {
+            let part = |kind, name, first, arity| {
+                let elements = Elements::Reals { values, stride: attribute.arity, first, arity };
+                Property::array(kind, name, elements).per_vertex()
+            };
+            let mut found = vec![part("color3f[]", "primvars:displayColor", 0, 3)];
+            found.extend((arity == 4).then(|| part("float[]", "primvars:displayOpacity", 3, 1)));
+            found
+        }
+        (UsdProperty::Primvar(name), VertexValues::Strings { table, indices }) => {
+            let name = format!("primvars:{name}");
+            let indexed = Property::new("string[]", &name, PropertyValue::Strings(table)).per_vertex();
+            let indices = Elements::Strings { table, indices };
+            vec![
+                Property { element_size: arity, ..indexed },
+                Property::array("int[]", &format!("{name}:indices"), indices),
+            ]
+        }
+        (UsdProperty::Primvar(name), VertexValues::Integers(values)) => {
+            let is_narrow = values.iter().all(|&value| i32::try_from(value).is_ok());
+            let width = if is_narrow && arity <= TUPLE_MAX { arity } else { 1 };
+            let kind = if is_narrow { vector("int", width) } else { "int64".to_owned() };
+            vec![primvar(&kind, name, Elements::Integers { values, arity: width, is_narrow }, arity / width)]
+        }
+        (UsdProperty::Primvar(name), VertexValues::Numbers(values)) => {
+            let width = if arity <= TUPLE_MAX { arity } else { 1 };
+            vec![primvar(&vector("float", width), name, Elements::reals(values, width), arity / width)]
+        }
+        // Velocities and colours are always numbers, so strings never get here.
+        (UsdProperty::Velocities | UsdProperty::Color, _) => Vec::new(),
+    }
+}
+
+pub(super) fn vector(kind: &str, width: usize) -> String {
+    if width == 1 { kind.to_owned() } else { format!("{kind}{width}") }
+}
+
+/// A primvar; each vertex has `element_size` values of the array.
+fn primvar<'a>(kind: &str, name: &str, elements: Elements<'a>, element_size: usize) -> Property<'a> {
+    let primvar = Property::array(&format!("{kind}[]"), &format!("primvars:{name}"), elements).per_vertex();
+    Property { element_size, ..primvar }
+}

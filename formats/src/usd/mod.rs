@@ -1,0 +1,18 @@
+//! What a mesh and a sequence consist of in USD: the properties that the text and the binary writer encode.
+//!
+//! ```text
+//!   def Xform "root"
+//!       def Mesh "surface"
+//!           extent, faceVertexCounts, faceVertexIndices, normals, orientation, points,
+//!           velocities, primvars:NAME .., subdivisionScheme, xformOp:translate
+//! ```
+
+mod mesh;
+mod sequence;
+
+pub use mesh::LayerInfo;
+pub(crate) use mesh::{Elements, Property, PropertyValue, ROOT, properties, renamed};
+pub(crate) use sequence::{POSITION, PRIM, SequenceAttribute, UsdSequence};
+
+/// The format's name in errors.
+pub(crate) const FORMAT: &str = "USD";

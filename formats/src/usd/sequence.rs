@@ -1,0 +1,180 @@
+//! The frames of a sequence, and the attributes that all of them have.
+
+use crate::error::{Error, Position, Result};
+use crate::gltf::{FramePlacement, SequenceFrame, VertexColumn};
+use crate::mesh_options::UpAxis;
+use crate::vertex_attributes::UsedNames;
+
+use super::FORMAT;
+use super::mesh::{LayerInfo, RESERVED, identifier, vector};
+
+/// The name of the mesh.
+pub(crate) const PRIM: &str = "surface";
+
+/// The name of positions in the frames.
+pub(crate) const POSITION: &str = "POSITION";
+
+/// Time codes are 64-bit floats, which cannot distinguish integers beyond this.
+const CODE_MAX: u64 = 1 << 53;
+
+/// The frames and their placements, `None` for frames without a mesh.
+pub(crate) struct UsdSequence<'a> {
+    pub(crate) frames: &'a [SequenceFrame],
+    pub(crate) places: Vec<Option<FramePlacement>>,
+    pub(crate) up: UpAxis,
+}
+
+/// A vertex attribute to write.
+pub(crate) struct SequenceAttribute {
+    /// Its name in the frames.
+    pub(crate) semantic: String,
+    /// Its type and name in USD.
+    pub(crate) kind: String,
+    pub(crate) name: String,
+    /// The range of its components to write: the first, and their number.
+    pub(crate) first: usize,
+    pub(crate) arity: usize,
+    /// Whether its interpolation is `vertex`.
+    pub(crate) is_per_vertex: bool,
+}
+
+impl SequenceAttribute {
+    fn new(semantic: &str, (kind, name): (&str, &str), first: usize, arity: usize) -> SequenceAttribute {
+        let is_per_vertex = !matches!(name, "points" | "velocities");
+        let [semantic, kind, name] = [semantic, kind, name].map(str::to_owned);
+        SequenceAttribute { semantic, kind, name, first, arity, is_per_vertex }
+    }
+}
+
+impl<'a> UsdSequence<'a> {
+    /// Checks the frames, whose numbers must increase.
+    pub(crate) fn of(frames: &'a [SequenceFrame]) -> Result<UsdSequence<'a>> {
+        let invalid = |what: String| Error::invalid(FORMAT, Position::File, what);
+        if let Some(pair) = frames.windows(2).find(|pair| pair[1].code <= pair[0].code) {
+            let [a, b] = [0, 1].map(|index| (&pair[index].name, pair[index].code));
+            return Err(invalid(format!("{} and {} have the time codes {} and {}", a.0, b.0, a.1, b.1)));
+        }
+        if let Some(SequenceFrame { name, code, .. }) = frames.last().filter(|frame| frame.code > CODE_MAX) {
+            let what =
+                format!("the frame number {code} of {name} exceeds the limit for time codes, {CODE_MAX}");
+            return Err(Error::unsupported(FORMAT, what));
+        }
+        let place = |frame: &SequenceFrame| frame.file.has_mesh().then(|| frame.file.placement()).transpose();
+        let places: Vec<Option<FramePlacement>> = frames.iter().map(place).collect::<Result<_>>()?;
+        let mut ups = places.iter().flatten().map(|place| place.up);
+        let up = ups.next().unwrap_or_default();
+        match ups.all(|other| other == up) {
+            true => Ok(UsdSequence { frames, places, up }),
+            false => Err(invalid("some frames have y up and others z up".to_owned())),
+        }
+    }
+
+    /// The first and the last time code, or zeros without frames.
+    pub(crate) fn code_range(&self) -> [u64; 2] {
+        [self.frames.first(), self.frames.last()].map(|frame| frame.map_or(0, |frame| frame.code))
+    }
+
+    /// The summary of all frames.
+    pub(crate) fn layer_info(&self) -> Result<LayerInfo> {
+        let mut info = LayerInfo { frames: Some(self.frames.len() as u64), ..LayerInfo::default() };
+        for frame in self.frames {
+            info.vertices += frame.file.vertex_count() as u64;
+            info.faces += frame.file.triangle_count()? as u64;
+        }
+        Ok(info)
+    }
+
+    /// The attributes that all frames with a mesh have, and notes on the others.
+    pub(crate) fn attributes(&self) -> Result<(Vec<SequenceAttribute>, Vec<String>)> {
+        let mut found = vec![
+            SequenceAttribute::new("NORMAL", ("normal3f[]", "normals"), 0, 3),
+            SequenceAttribute::new(POSITION, ("point3f[]", "points"), 0, 3),
+        ];
+        let (mut notes, mut taken) = (Vec::new(), UsedNames::new(&RESERVED));
+        for name in self.other_names()? {
+            let arity = match self.arity(&name)? {
+                Ok(arity) => arity,
+                Err(why) => {
+                    notes.push(format!("{name} is missing in the sequence: {why}"));
+                    continue;
+                }
+            };
+            let attribute = |about, first, arity| SequenceAttribute::new(&name, about, first, arity);
+            match (name.as_str(), arity) {
+                ("_VELOCITY", 3) => found.push(attribute(("vector3f[]", "velocities"), 0, 3)),
+                ("COLOR_0", 3 | 4) => {
+                    found.push(attribute(("color3f[]", "primvars:displayColor"), 0, 3));
+                    let opacity = attribute(("float[]", "primvars:displayOpacity"), 3, 1);
+                    found.extend((arity == 4).then_some(opacity));
+                }
+                _ => {
+                    let kind = format!("{}[]", vector("float", arity));
+                    // In the frames, names start with an underscore and are in upper case.
+                    let wanted = identifier(name.strip_prefix('_').unwrap_or(&name)).to_ascii_lowercase();
+                    let plain = taken.take(&wanted, |stem| vec![stem.to_owned()]).concat();
+                    if plain != wanted {
+                        notes.push(format!("{name} is named primvars:{plain} in the sequence"));
+                    }
+                    found.push(attribute((&kind, &format!("primvars:{plain}")), 0, arity));
+                }
+            }
+        }
+        Ok((found, notes))
+    }
+
+    /// The names of the attributes of any frame, except positions and normals, in order.
+    fn other_names(&self) -> Result<Vec<String>> {
+        let mut names: Vec<&String> = Vec::new();
+        for frame in self.frames.iter().filter(|frame| frame.file.has_mesh()) {
+            names.extend(frame.file.attributes()?.keys());
+        }
+        names.sort();
+        names.dedup();
+        names.retain(|name| !["NORMAL", POSITION].contains(&name.as_str()));
+        Ok(names.into_iter().cloned().collect())
+    }
+
+    /// The number of values per vertex of an attribute, or why the sequence cannot have it.
+    fn arity(&self, name: &str) -> Result<std::result::Result<usize, &'static str>> {
+        let files = || self.frames.iter().map(|frame| &frame.file).filter(|file| file.has_mesh());
+        if files().any(|file| file.has_string_indices(name)) {
+            return Ok(Err("its values are strings, and each frame has its own table"));
+        }
+        let columns: Vec<Option<VertexColumn>> =
+            files().map(|file| file.column(name)).collect::<Result<_>>()?;
+        let arities: Option<Vec<usize>> = columns.iter().map(|column| Some((*column)?.arity)).collect();
+        let arity =
+            arities.and_then(|arities| arities.iter().all(|a| *a == arities[0]).then_some(arities[0]));
+        Ok(arity.ok_or("not all frames have it with the same number of values per vertex"))
+    }
+
+    /// The minimum and maximum corner of a frame, relative to its origin.
+    pub(crate) fn extent(&self, index: usize) -> Result<[[f32; 3]; 2]> {
+        let scale = self.places[index].map_or(0.0, |place| place.scale);
+        Ok(self.frames[index].file.bounds()?.map(|corner| {
+            #[expect(clippy::cast_possible_truncation, reason = "positions have 32 bits")]
+            corner.map(|x| (x * scale) as f32)
+        }))
+    }
+
+    /// The origin of each frame, or `None` if all are zero. A frame without a mesh keeps that of the previous
+    /// one.
+    pub(crate) fn origins(&self) -> Option<Vec<[f64; 3]>> {
+        let mut last = [0.0; 3];
+        let origin = |place: &Option<FramePlacement>| {
+            last = place.map_or(last, |place| place.origin);
+            last
+        };
+        let origins: Vec<[f64; 3]> = self.places.iter().map(origin).collect();
+        origins.iter().any(|origin| *origin != [0.0; 3]).then_some(origins)
+    }
+
+    /// The time codes at which a frame needs a sample of a value that is the same for all vertices: its own,
+    /// and the one before the next frame if frames are missing in between, because USD interpolates between
+    /// samples of the same shape.
+    pub(crate) fn held_codes(&self, index: usize) -> impl Iterator<Item = u64> {
+        let code = self.frames[index].code;
+        let next = self.frames.get(index + 1).map(|next| next.code - 1);
+        [code].into_iter().chain(next.filter(|&held| held > code))
+    }
+}

@@ -1,0 +1,216 @@
+//! Encodes arrays.
+//!
+//! ```text
+//!   u64 count │ elements                         vectors, and fewer than 16 numbers
+//!   u64 count │ u64 size, compressed integers    integers
+//!   u64 count │ i or t, the same                 single floats, if that is shorter
+//! ```
+
+use std::borrow::Cow;
+use std::io::Write;
+
+use crate::error::{Error, Result};
+use crate::le_bytes::write_f32s;
+use crate::quads::{faces, quad_count};
+use crate::usd::{Elements, FORMAT};
+use crate::vertex_attributes::string_index;
+
+use super::floats::{AS_INTEGERS, AS_TABLE, as_integers, as_table};
+use super::integers::{Integer, encode};
+use super::lz4::compressed;
+use super::value::{ValueRep, ValueType};
+
+/// Arrays with fewer numbers are not compressed.
+pub(super) const COMPRESSED_MIN: usize = 16;
+
+/// All arrays start at a multiple of this, so that programs can map them.
+pub(super) const ALIGNMENT: u64 = 8;
+
+/// The bytes of an array.
+pub(super) struct EncodedArray<'a> {
+    kind: ValueType,
+    is_compressed: bool,
+    count: u64,
+    body: Body<'a>,
+}
+
+/// What follows the number of elements.
+enum Body<'a> {
+    Bytes(Vec<u8>),
+    /// Floats that are copied when the file is written.
+    Floats(Cow<'a, [f32]>),
+}
+
+impl<'a> EncodedArray<'a> {
+    /// Encodes the elements of a property.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::TooLarge`] if a mesh has more than 2³¹ vertices, or the array exceeds the format's limits.
+    pub(super) fn of(elements: Elements<'a>) -> Result<EncodedArray<'a>> {
+        match elements {
+            Elements::Reals { values, stride, first, arity } => {
+                let values = if (first, arity) == (0, stride) {
+                    Cow::Borrowed(values)
+                } else {
+                    let part = |element: &'a [f32]| &element[first..first + arity];
+                    Cow::Owned(values.chunks_exact(stride).flat_map(part).copied().collect())
+                };
+                if arity == 1 { Self::floats(values) } else { Ok(Self::vectors(values, arity)) }
+            }
+            Elements::Integers { values, arity: 1, is_narrow: false } => {
+                Self::integers(ValueType::Int64, values.iter().copied())
+            }
+            Elements::Integers { values, arity, .. } => Self::narrow(values, arity),
+            Elements::Strings { table, indices } => {
+                let missing = index(table.len())?;
+                let place = |&index: &i32| if string_index(index, table) < 0 { missing } else { index };
+                Self::integers(ValueType::Int, indices.iter().map(place))
+            }
+            Elements::FaceCounts { triangles, quads } if quad_count(quads) == 0 => {
+                Self::integers(ValueType::Int, triangles.iter().map(|_| 3))
+            }
+            Elements::FaceCounts { triangles, quads } => {
+                let counts = faces(triangles, quads, 0..triangles.len());
+                let counts: Result<Vec<i32>> = counts.map(|face| index(face.corners().len())).collect();
+                Self::integers(ValueType::Int, counts?.into_iter())
+            }
+            Elements::FaceCorners { triangles, quads } => {
+                let most = triangles.as_flattened().iter().copied().max().unwrap_or_default();
+                index(most as usize)?;
+                if quad_count(quads) == 0 {
+                    let corners = triangles.as_flattened().iter();
+                    return Self::integers(ValueType::Int, corners.map(|corner| corner.cast_signed()));
+                }
+                let faces: Vec<_> = faces(triangles, quads, 0..triangles.len()).collect();
+                let corners = faces.iter().flat_map(|face| face.corners());
+                let corners: Vec<i32> = corners.map(|corner| corner.cast_signed()).collect();
+                Self::integers(ValueType::Int, corners.into_iter())
+            }
+        }
+    }
+
+    /// Vectors of two to four floats.
+    fn vectors(values: Cow<'a, [f32]>, arity: usize) -> EncodedArray<'a> {
+        let kind = match arity {
+            2 => ValueType::Vec2f,
+            3 => ValueType::Vec3f,
+            _ => ValueType::Vec4f,
+        };
+        let count = (values.len() / arity) as u64;
+        EncodedArray { kind, is_compressed: false, count, body: Body::Floats(values) }
+    }
+
+    fn floats(values: Cow<'a, [f32]>) -> Result<EncodedArray<'a>> {
+        let (kind, count) = (ValueType::Float, values.len() as u64);
+        let bytes = |bytes| EncodedArray { kind, is_compressed: true, count, body: Body::Bytes(bytes) };
+        if values.len() >= COMPRESSED_MIN {
+            if let Some(integers) = as_integers(&values) {
+                let mut body = vec![AS_INTEGERS];
+                append_compressed(integers.into_iter(), &mut body)?;
+                return Ok(bytes(body));
+            }
+            if let Some((table, indices)) = as_table(&values) {
+                let mut body = vec![AS_TABLE];
+                body.extend_from_slice(&index(table.len())?.to_le_bytes());
+                table.iter().for_each(|value| body.extend_from_slice(&value.to_le_bytes()));
+                append_compressed(indices.into_iter(), &mut body)?;
+                return Ok(bytes(body));
+            }
+        }
+        Ok(EncodedArray { kind, is_compressed: false, count, body: Body::Floats(values) })
+    }
+
+    fn integers<T: Integer>(
+        kind: ValueType,
+        values: impl ExactSizeIterator<Item = T> + Clone,
+    ) -> Result<EncodedArray<'a>> {
+        let (mut bytes, count) = (Vec::new(), values.len());
+        let is_compressed = count >= COMPRESSED_MIN;
+        if is_compressed {
+            append_compressed(values, &mut bytes)?;
+        } else {
+            let width = T::CODE_BYTES[2];
+            values.for_each(|value| bytes.extend_from_slice(&value.widened().to_le_bytes()[..width]));
+        }
+        Ok(EncodedArray { kind, is_compressed, count: count as u64, body: Body::Bytes(bytes) })
+    }
+
+    /// Integers that all fit into 32 bits, or vectors of them.
+    fn narrow(values: &[i64], arity: usize) -> Result<EncodedArray<'a>> {
+        let kind = match arity {
+            1 => return Self::integers(ValueType::Int, values.iter().map(|&value| i32::lowest(value))),
+            2 => ValueType::Vec2i,
+            3 => ValueType::Vec3i,
+            _ => ValueType::Vec4i,
+        };
+        let bytes = values.iter().flat_map(|&value| i32::lowest(value).to_le_bytes()).collect();
+        let count = (values.len() / arity) as u64;
+        Ok(EncodedArray { kind, is_compressed: false, count, body: Body::Bytes(bytes) })
+    }
+
+    /// Vectors of three floats.
+    pub(super) fn of_vectors(values: &'a [f32]) -> EncodedArray<'a> {
+        Self::vectors(Cow::Borrowed(values), 3)
+    }
+
+    /// Indices into the table of strings or tokens.
+    pub(super) fn of_indices(kind: ValueType, indices: &[u32]) -> EncodedArray<'a> {
+        let bytes = indices.iter().flat_map(|index| index.to_le_bytes()).collect();
+        EncodedArray { kind, is_compressed: false, count: indices.len() as u64, body: Body::Bytes(bytes) }
+    }
+
+    /// The number of bytes in the file; an empty array has none.
+    pub(super) fn byte_count(&self) -> u64 {
+        let body = match &self.body {
+            Body::Bytes(bytes) => bytes.len(),
+            Body::Floats(values) => size_of_val::<[f32]>(values),
+        };
+        if self.count == 0 { 0 } else { 8 + body as u64 }
+    }
+
+    /// Its representation, if it is written at this offset.
+    pub(super) fn rep(&self, offset: u64) -> ValueRep {
+        match self.count {
+            0 => ValueRep::array(self.kind, 0, false),
+            _ => ValueRep::array(self.kind, offset, self.is_compressed),
+        }
+    }
+
+    /// Writes its bytes.
+    pub(super) fn write(&self, out: &mut impl Write) -> Result<()> {
+        if self.count == 0 {
+            return Ok(());
+        }
+        out.write_all(&self.count.to_le_bytes())?;
+        match &self.body {
+            Body::Bytes(bytes) => Ok(out.write_all(bytes)?),
+            Body::Floats(values) => write_f32s(values, out),
+        }
+    }
+}
+
+/// Appends the size of compressed integers, and the integers.
+pub(super) fn append_compressed<T: Integer>(
+    values: impl ExactSizeIterator<Item = T> + Clone,
+    out: &mut Vec<u8>,
+) -> Result<()> {
+    append_lz4(&if values.len() == 0 { Vec::new() } else { encode(values) }, out)
+}
+
+/// Appends the size of compressed bytes, and the bytes.
+pub(super) fn append_lz4(bytes: &[u8], out: &mut Vec<u8>) -> Result<()> {
+    let packed = compressed(bytes).ok_or_else(too_large)?;
+    out.extend_from_slice(&(packed.len() as u64).to_le_bytes());
+    out.extend_from_slice(&packed);
+    Ok(())
+}
+
+/// An index that must fit into 31 bits.
+pub(super) fn index(index: usize) -> Result<i32> {
+    i32::try_from(index).map_err(|_| too_large())
+}
+
+fn too_large() -> Error {
+    Error::too_large(FORMAT, "the mesh exceeds the limit of 2147483647 vertices, faces or strings")
+}

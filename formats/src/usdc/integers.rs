@@ -1,0 +1,185 @@
+//! The coding of integers, before LZ4: differences, the most common of which takes two bits.
+//!
+//! ```text
+//!   values        123, 124, 125, 100125, 100125
+//!   differences   123, 1, 1, 100000, 0                         the first one from 0
+//!   encoded       1 │ 01 00 00 11 01 │ 123, 100000, 0          common, 2-bit codes, the others
+//!
+//!   code          0 common    1 narrow     2 medium     3 wide
+//!   32 bits                   8 bits       16 bits      32 bits
+//!   64 bits                   16 bits      32 bits      64 bits
+//! ```
+//!
+//! Four codes share a byte, the first one in its lowest bits.
+
+use std::ops::Range;
+
+/// An integer type, by the size of its codes. All arithmetic is modulo its size.
+pub(super) trait Integer: Copy {
+    /// The bytes of a narrow, a medium and a wide number.
+    const CODE_BYTES: [usize; 3];
+    fn widened(self) -> i64;
+    /// The lowest bits.
+    fn lowest(value: i64) -> Self;
+}
+
+impl Integer for i32 {
+    const CODE_BYTES: [usize; 3] = [1, 2, 4];
+    fn widened(self) -> i64 {
+        i64::from(self)
+    }
+    #[expect(clippy::cast_possible_truncation, reason = "the coding wraps")]
+    fn lowest(value: i64) -> i32 {
+        value as i32
+    }
+}
+
+impl Integer for i64 {
+    const CODE_BYTES: [usize; 3] = [2, 4, 8];
+    fn widened(self) -> i64 {
+        self
+    }
+    fn lowest(value: i64) -> i64 {
+        value
+    }
+}
+
+/// The most bytes that `count` encoded integers take; `None` if that is too large a number.
+pub(super) fn encoded_bytes_max<T: Integer>(count: usize) -> Option<usize> {
+    let wide = T::CODE_BYTES[2];
+    count.checked_mul(wide)?.checked_add(wide)?.checked_add(count.div_ceil(4))
+}
+
+/// The bytes of a difference in memory.
+const WHOLE_BYTES: usize = size_of::<i64>();
+
+/// The differences that are counted to find the most common one: those of 16 bits.
+const COUNTED: Range<i64> = -(1 << 15)..1 << 15;
+
+/// Encodes integers.
+pub(super) fn encode<T: Integer>(values: impl ExactSizeIterator<Item = T> + Clone) -> Vec<u8> {
+    let [narrow, medium, wide] = T::CODE_BYTES;
+    let count = values.len();
+    let mut last = T::lowest(0);
+    let differences = values.map(move |value| {
+        let difference = T::lowest(value.widened().wrapping_sub(last.widened())).widened();
+        last = value;
+        difference
+    });
+    let common = most_common(differences.clone());
+    let codes_end = wide + count.div_ceil(4);
+    let mut out = vec![0; codes_end + count * wide + WHOLE_BYTES];
+    out[..wide].copy_from_slice(&common.to_le_bytes()[..wide]);
+    let mut end = codes_end;
+    for (index, difference) in differences.enumerate() {
+        let (code, length) = if difference == common {
+            (0, 0)
+        } else if fits(difference, narrow) {
+            (1, narrow)
+        } else if fits(difference, medium) {
+            (2, medium)
+        } else {
+            (3, wide)
+        };
+        out[wide + index / 4] |= code << (2 * (index % 4));
+        // The next number overwrites what is too much: copying a constant number of bytes is faster.
+        out[end..end + WHOLE_BYTES].copy_from_slice(&difference.to_le_bytes());
+        end += length;
+    }
+    out.truncate(end);
+    out
+}
+
+/// Whether a number fits into a signed integer of this many bytes.
+fn fits(value: i64, bytes: usize) -> bool {
+    let unused = 64 - 8 * bytes;
+    (value << unused) >> unused == value
+}
+
+/// The most common difference; of several the largest, which saves most.
+fn most_common(differences: impl Iterator<Item = i64>) -> i64 {
+    let mut counts = vec![0_u32; 1 << 16];
+    for difference in differences.filter(|difference| COUNTED.contains(difference)) {
+        let count = &mut counts[place(difference)];
+        *count = count.saturating_add(1);
+    }
+    COUNTED.max_by_key(|&difference| counts[place(difference)]).unwrap_or_default()
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "counted differences have 16 bits"
+)]
+fn place(difference: i64) -> usize {
+    (difference - COUNTED.start) as usize
+}
+
+/// Decodes `count` integers; `None` if the bytes are too few or too many.
+pub(super) fn decode<T: Integer>(bytes: &[u8], count: usize) -> Option<Vec<T>> {
+    if count == 0 {
+        return bytes.is_empty().then(Vec::new);
+    }
+    let (common, rest) = bytes.split_at_checked(T::CODE_BYTES[2])?;
+    let (codes, mut rest) = rest.split_at_checked(count.div_ceil(4))?;
+    let common = signed(common);
+    let mut values = Vec::with_capacity(count);
+    let mut last = 0_i64;
+    for index in 0..count {
+        let difference = match (codes[index / 4] >> (2 * (index % 4))) & 3 {
+            0 => common,
+            code => {
+                let number;
+                (number, rest) = rest.split_at_checked(T::CODE_BYTES[usize::from(code) - 1])?;
+                signed(number)
+            }
+        };
+        let value = T::lowest(last.wrapping_add(difference));
+        last = value.widened();
+        values.push(value);
+    }
+    rest.is_empty().then_some(values)
+}
+
+/// A signed little-endian number of up to eight bytes.
+fn signed(bytes: &[u8]) -> i64 {
+    let mut all = [0; 8];
+    all[..bytes.len()].copy_from_slice(bytes);
+    let unused = 64 - 8 * bytes.len();
+    (i64::from_le_bytes(all) << unused) >> unused
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn encoding_is_the_documented_one() {
+        let encoded = encode([123_i32, 124, 125, 100_125, 100_125, 100_126, 100_126].into_iter());
+        // Codes 1 0 0 3, then 1 0 1; 1 occurs three times and 0 twice.
+        let expected =
+            [&1_i32.to_le_bytes()[..], &[0b1100_0001, 0b0001_0001, 123], &100_000_i32.to_le_bytes(), &[0, 0]];
+        assert_eq!(encoded, expected.concat());
+    }
+
+    #[test]
+    fn integers_round_trip_and_damage_is_noticed() {
+        let edges = [0, 1, -1, 127, -128, 128, 32_767, -32_768, 32_768, 65_536, i64::from(i32::MAX)];
+        let more = [i64::from(i32::MIN), i64::MAX, i64::MIN, 3, 3, 3, 3];
+        let long: Vec<i64> = edges.iter().chain(&more).copied().cycle().take(1000).collect();
+        for count in [0, 1, 2, 3, 4, 5, 17, 1000] {
+            let wide = &long[..count];
+            let bytes = if count == 0 { Vec::new() } else { encode(wide.iter().copied()) };
+            assert!(bytes.len() <= encoded_bytes_max::<i64>(count).expect("small"));
+            assert_eq!(decode::<i64>(&bytes, count).expect("intact"), wide);
+            let narrow: Vec<i32> = wide.iter().map(|&value| i32::lowest(value)).collect();
+            let bytes = if count == 0 { Vec::new() } else { encode(narrow.iter().copied()) };
+            assert_eq!(decode::<i32>(&bytes, count).expect("intact"), narrow);
+            if count > 0 {
+                assert!(decode::<i32>(&bytes[..bytes.len() - 1], count).is_none());
+                assert!(decode::<i32>(&[&bytes[..], &[0]].concat(), count).is_none());
+            }
+        }
+        assert_eq!(encoded_bytes_max::<i32>(usize::MAX), None);
+    }
+}

@@ -1,0 +1,71 @@
+//! Binary USD, `.usdc`, the crate format of the AOUSD Core Specification 1.0, §16.3: writes meshes, of one
+//! frame or of a sequence as time samples, and reads the files that it wrote.
+//!
+//! ```text
+//!   0    bootstrap     PXR-USDC, version 0.8.0, offset of the table of contents
+//!   88   comment       the provenance, in the same form as in .ply
+//!        arrays        points, normals, indices .., each at a multiple of 8
+//!        values        lists of names, dictionaries, time samples: refer to arrays by their offsets
+//!        TOKENS STRINGS FIELDS FIELDSETS PATHS SPECS     what the layer contains: refer to values
+//!        table of contents
+//! ```
+//!
+//! No part of the format refers to the comment. It is there because the provenance in `customLayerData` is in
+//! compressed tables at the end of the file, which may have gigabytes, and `--skip-done` reads only heads.
+//!
+//! The tables are at the end because OpenUSD, when it saves a file that it opened, overwrites everything from
+//! the first of them on. So a sequence can be written with one attribute of one frame in memory.
+//!
+//! Integers are compressed, as OpenUSD compresses them; vectors are not, so that programs can map them.
+
+use crate::mesh_options::WriteOption;
+use crate::provenance::from_comments;
+use crate::row::Integrity;
+use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow};
+use crate::usd::renamed;
+
+mod array;
+mod contents;
+mod floats;
+mod integers;
+mod layer;
+mod lz4;
+mod read;
+mod read_array;
+mod read_tables;
+mod sequence;
+mod tables;
+mod value;
+mod write;
+
+pub use crate::usd::LayerInfo;
+pub use read::{UsdcFrame, UsdcLayer, read_layer_info};
+pub use sequence::write_sequence;
+
+use contents::{MAGIC, claimed_bytes};
+use layer::COMMENT_AT;
+use read::read_mesh;
+
+/// The row in the table of formats.
+pub(crate) static ROW: OutputRow = OutputRow {
+    format: FormatRow {
+        signatures: &[MAGIC],
+        read_mesh: Some(|bytes, limits, _| read_mesh(bytes, limits)),
+        ..FormatRow::new("binary USD", &["usdc"])
+    },
+    help: "binary USD",
+    content: Content::Mesh(MeshWriter {
+        attribute_notes: |attributes| renamed(attributes, "usdc"),
+        ..MeshWriter::new(MeshEncoder::Stream(|mesh, options, provenance, mut out| {
+            write::write(mesh, options, provenance, &mut out)
+        }))
+    }),
+    write_particles: None,
+    has_attributes: true,
+    options: &[WriteOption::Quads, WriteOption::Up, WriteOption::MetersPerUnit],
+    read_provenance: |head| {
+        contents::check_magic(head)?;
+        Ok(from_comments(head.get(COMMENT_AT..).unwrap_or_default(), "# "))
+    },
+    integrity: Integrity::Length(claimed_bytes),
+};

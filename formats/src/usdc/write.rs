@@ -1,0 +1,112 @@
+//! Writes the mesh of one frame.
+//!
+//! The file starts with the offset of its last part. So all integers are compressed before the first byte is
+//! written; they are small compared with the vectors, which are copied from the mesh.
+
+use std::io::Write;
+
+use rayon::prelude::*;
+
+use crate::data::{MeshView, Provenance};
+use crate::error::Result;
+use crate::mesh_options::MeshOptions;
+use crate::quads::{check_quads, quad_count};
+use crate::usd::{FORMAT, LayerInfo, Property, PropertyValue, properties};
+use crate::vertex_attributes::plain_name;
+
+use super::array::EncodedArray;
+use super::layer::{LayerEnd, LayerHead, PropertySpec, SpecValue, head, padding};
+use super::value::{ValueRep, ValueType};
+
+/// Writes a mesh.
+///
+/// # Errors
+///
+/// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if the mesh is inconsistent or not finite,
+/// or if two triangles marked as a quad do not form one; [`crate::Error::TooLarge`] beyond 2³¹ vertices.
+pub(super) fn write(
+    mesh: &MeshView,
+    options: &MeshOptions,
+    provenance: &Provenance,
+    out: &mut impl Write,
+) -> Result<()> {
+    mesh.check(FORMAT)?;
+    check_quads(FORMAT, mesh.triangles, &options.quads)?;
+    let found = properties(mesh, &options.quads);
+    let arrays: Vec<Option<EncodedArray>> = found.par_iter().map(array_of).collect::<Result<_>>()?;
+
+    let mut at = head(provenance, 0).len() as u64;
+    let mut places = Vec::new();
+    for array in &arrays {
+        let padding = padding(at);
+        at += padding.len() as u64;
+        places.push((padding, at));
+        at += array.as_ref().map_or(0, EncodedArray::byte_count);
+    }
+    let mut end = LayerEnd::at(at);
+    let mut specs = Vec::new();
+    for ((property, array), (_, offset)) in found.iter().zip(&arrays).zip(&places) {
+        let value = match array {
+            Some(array) => array.rep(*offset),
+            None => value_of(property, &mut end)?,
+        };
+        specs.push(spec(property, value));
+    }
+    let layer = LayerHead {
+        provenance,
+        info: LayerInfo {
+            vertices: mesh.positions.len() as u64,
+            faces: (mesh.triangles.len() - quad_count(&options.quads)) as u64,
+            frames: None,
+        },
+        up: options.up,
+        meters_per_unit: options.meters_per_unit,
+        times: None,
+        prim: &plain_name(&options.name),
+    };
+    let (end, contents_at) = end.finish(&layer, &specs)?;
+    out.write_all(&head(provenance, contents_at))?;
+    for (array, (padding, _)) in arrays.iter().zip(places) {
+        out.write_all(padding)?;
+        array.iter().try_for_each(|array| array.write(out))?;
+    }
+    Ok(out.write_all(&end)?)
+}
+
+/// The array of a property, if it has one that is written before the tables.
+fn array_of<'a>(property: &Property<'a>) -> Result<Option<EncodedArray<'a>>> {
+    match property.value {
+        PropertyValue::Array(elements) => EncodedArray::of(elements).map(Some),
+        _ => Ok(None),
+    }
+}
+
+/// The value of a property that refers to words, or has only a few numbers.
+fn value_of(property: &Property, end: &mut LayerEnd) -> Result<ValueRep> {
+    match &property.value {
+        PropertyValue::Array(elements) => end.array(&EncodedArray::of(*elements)?),
+        PropertyValue::Extent(corners) => end.array(&EncodedArray::of_vectors(corners.as_flattened())),
+        PropertyValue::Double3(values) => Ok(end.double3(*values)),
+        PropertyValue::Token(word) => Ok(end.tables.token_value(word)),
+        PropertyValue::TokenList(word) => {
+            let words = [end.tables.token(word)];
+            end.array(&EncodedArray::of_indices(ValueType::Token, &words))
+        }
+        PropertyValue::Strings(table) => {
+            let texts = table.iter().map(String::as_str).chain([""]);
+            let indices: Vec<u32> = texts.map(|text| end.tables.string(text)).collect();
+            end.array(&EncodedArray::of_indices(ValueType::String, &indices))
+        }
+    }
+}
+
+fn spec(property: &Property, value: ValueRep) -> PropertySpec {
+    PropertySpec {
+        kind: property.kind.clone(),
+        name: property.name.clone(),
+        value: SpecValue::Always(value),
+        is_uniform: matches!(property.value, PropertyValue::Token(_) | PropertyValue::TokenList(_)),
+        is_per_vertex: property.is_per_vertex,
+        element_size: property.element_size,
+    }
+}

@@ -1,0 +1,187 @@
+//! Meshes written as .usda and .usdc: exact to the last bit.
+
+#![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
+
+use meniscus_formats::{
+    Limits, MeshOptions, OutputFormat, Values, VertexAttribute, VertexValues, gltf, read_mesh, usda, usdc,
+};
+
+use crate::mesh_formats::{FAR, fans, nothing, torus, usda_text, usdc_bytes};
+
+/// The text of an array property between its brackets.
+fn array<'a>(text: &'a str, name: &str) -> &'a str {
+    let start =
+        text.find(&format!(" {name} = [")).unwrap_or_else(|| panic!("{name} is missing")) + name.len() + 5;
+    &text[start..start + text[start..].find(']').expect("an end")]
+}
+
+fn numbers<T: std::str::FromStr>(text: &str) -> Vec<T> {
+    let words = text.split([',', ' ', '(', ')']).filter(|word| !word.is_empty());
+    words.map(|word| word.parse().ok().unwrap_or_else(|| panic!("{word} is not a number"))).collect()
+}
+
+#[test]
+fn usda_contains_the_mesh() {
+    for mesh in [torus(20, 12, [0.0; 3]), torus(20, 12, FAR), torus(130, 70, [0.0; 3]), nothing()] {
+        for has_quads in [false, true] {
+            let text = usda_text(&mesh, has_quads, gltf::UpAxis::Z);
+            assert!(text.starts_with("#usda 1.0\n(\n") && text.contains("    upAxis = \"Z\"\n"));
+            assert_eq!(numbers::<f32>(array(&text, "points")), mesh.positions.as_flattened());
+            assert_eq!(numbers::<f32>(array(&text, "normals")), mesh.normals.as_flattened());
+            assert_eq!(numbers::<f32>(array(&text, "velocities")), mesh.velocity);
+            assert_eq!(numbers::<f32>(array(&text, "primvars:heat__2")), mesh.heat);
+            assert_eq!(numbers::<i64>(array(&text, "primvars:id")), mesh.ids);
+            let [mut colors, mut opacities] = [Vec::new(), Vec::new()];
+            for [rgb @ .., alpha] in mesh.color.as_chunks::<4>().0 {
+                colors.extend(rgb);
+                opacities.push(*alpha);
+            }
+            assert_eq!(numbers::<f32>(array(&text, "primvars:displayColor")), colors);
+            assert_eq!(numbers::<f32>(array(&text, "primvars:displayOpacity")), opacities);
+            assert_eq!(array(&text, "primvars:_2nd"), "\"a \\\"b\\\" <c>\", \"d\", \"\"");
+            let indices =
+                mesh.names.iter().map(|&index| if index < 0 { 2 } else { index }).collect::<Vec<_>>();
+            assert_eq!(numbers::<i32>(array(&text, "primvars:_2nd:indices")), indices);
+
+            let counts = numbers::<usize>(array(&text, "faceVertexCounts"));
+            let mut corners = numbers::<u32>(array(&text, "faceVertexIndices")).into_iter();
+            let mut found = Vec::new();
+            for &count in &counts {
+                let face: Vec<u32> = corners.by_ref().take(count).collect();
+                found.extend((2..count).map(|last| [face[0], face[last - 1], face[last]]));
+            }
+            assert_eq!(found, if has_quads { fans(&mesh) } else { mesh.triangles.clone() });
+            assert!(
+                corners.next().is_none() && counts.iter().all(|&count| count == 3 || has_quads && count == 4)
+            );
+            let far = format!("double3 xformOp:translate = ({}, {}, {})", FAR[0], FAR[1], FAR[2]);
+            assert_eq!(text.contains(&far), mesh.origin == FAR);
+            let info = usda::read_layer_info(text.as_bytes()).expect("our own file").expect("figures");
+            assert_eq!((info.vertices, info.faces), (mesh.positions.len() as u64, counts.len() as u64));
+            if !mesh.positions.is_empty() {
+                let extent = numbers::<f32>(array(&text, "extent"));
+                assert!((0..3).all(|axis| {
+                    mesh.positions.iter().all(|p| (extent[axis]..=extent[axis + 3]).contains(&p[axis]))
+                }));
+            }
+        }
+    }
+}
+
+#[test]
+fn usda_does_not_depend_on_threads() {
+    let mesh = torus(300, 200, FAR);
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        pool.install(|| usda_text(&mesh, true, gltf::UpAxis::Y))
+    };
+    assert!(on(1) == on(4));
+}
+
+#[test]
+fn usdc_round_trips_exactly() {
+    let limits = Limits::default();
+    let small = torus(2, 3, FAR); // fewer than 16 triangles: no array is compressed
+    for mesh in [torus(20, 12, [0.0; 3]), torus(20, 12, FAR), torus(130, 70, [0.0; 3]), small, nothing()] {
+        for has_quads in [false, true] {
+            let bytes = usdc_bytes(&mesh, has_quads, gltf::UpAxis::Z);
+            let layer = usdc::UsdcLayer::read(&bytes, &limits).expect("our own file");
+            let faces = mesh.triangles.len() - if has_quads { mesh.triangles.len() / 2 } else { 0 };
+            let info =
+                usdc::LayerInfo { vertices: mesh.positions.len() as u64, faces: faces as u64, frames: None };
+            assert_eq!((layer.info(), layer.codes()), (info, None));
+            let usdc::UsdcFrame { mesh: found, attributes } = layer.frame(0).expect("our own file");
+            assert_eq!((&found.positions, &found.normals), (&mesh.world(), &mesh.normals));
+            assert_eq!(found.triangles, if has_quads { fans(&mesh) } else { mesh.triangles.clone() });
+            let beside = |_: &str| Err(std::io::ErrorKind::NotFound.into());
+            assert_eq!(read_mesh(&bytes, "a.usdc", &limits, &beside).expect("our own file"), found);
+            assert!(layer.frame(1).is_err());
+
+            let values = |name: &str, arity: usize| {
+                let found = attributes.iter().find(|attribute| attribute.name == name).expect(name);
+                assert_eq!(found.arity, arity, "{name}");
+                found.values.clone()
+            };
+            assert_eq!(attributes.len(), 6);
+            assert_eq!(values("heat__2", 1), Values::F32(mesh.heat.clone()));
+            assert_eq!(values("velocities", 3), Values::F32(mesh.velocity.clone()));
+            let [mut colors, mut opacities] = [Vec::new(), Vec::new()];
+            for [rgb @ .., alpha] in mesh.color.as_chunks::<4>().0 {
+                colors.extend(rgb);
+                opacities.push(*alpha);
+            }
+            assert_eq!(values("displayColor", 3), Values::F32(colors));
+            assert_eq!(values("displayOpacity", 1), Values::F32(opacities));
+            // No value needs 64 bits if there are no values.
+            let ids =
+                if mesh.ids.is_empty() { Values::I32(Vec::new()) } else { Values::I64(mesh.ids.clone()) };
+            assert_eq!(values("id", 1), ids);
+            let indices = mesh.names.iter().map(|&index| if index < 0 { 2 } else { index }).collect();
+            let table = mesh.table.iter().cloned().chain([String::new()]).collect();
+            assert_eq!(values("_2nd", 1), Values::Strings { table, indices });
+        }
+    }
+}
+
+#[test]
+fn usdc_attributes_of_every_width_round_trip() {
+    let mesh = torus(20, 12, [0.0; 3]);
+    let count = mesh.positions.len();
+    let numbers = |arity: usize| (0..count * arity).map(|i| (i % 1000) as f32 * 0.37).collect::<Vec<f32>>();
+    let integers = |arity: usize| (0..(count * arity) as i64).map(|i| i * i - 7).collect::<Vec<i64>>();
+    let (reals, whole) = ([1, 2, 3, 4, 6].map(numbers), [1, 2, 3, 4, 6].map(integers));
+    let counted: Vec<f32> = (0..count).map(|i| i as f32).collect();
+    let few: Vec<f32> = (0..count).map(|i| [0.5, -0.0, 1e30][i % 3]).collect();
+    let attribute = |name, arity, values| VertexAttribute { name, role: None, arity, values };
+    let mut attributes = vec![
+        attribute("counted", 1, VertexValues::Numbers(&counted)),
+        attribute("few", 1, VertexValues::Numbers(&few)),
+    ];
+    let names = ["a1", "a2", "a3", "a4", "a6", "b1", "b2", "b3", "b4", "b6"];
+    for (place, arity) in [1, 2, 3, 4, 6].into_iter().enumerate() {
+        attributes.push(attribute(names[place], arity, VertexValues::Numbers(&reals[place])));
+        attributes.push(attribute(names[place + 5], arity, VertexValues::Integers(&whole[place])));
+    }
+    let mut bytes = Vec::new();
+    let (format, options) = (OutputFormat::Usdc, MeshOptions::default());
+    format.write_mesh(&mesh.view(&attributes), &options, &[], &mut bytes).expect("writing to memory");
+    let layer = usdc::UsdcLayer::read(&bytes, &Limits::default()).expect("our own file");
+    let found = layer.frame(0).expect("our own file").attributes;
+    for (found, expected) in found.iter().zip(&attributes) {
+        assert_eq!((&*found.name, found.arity), (expected.name, expected.arity));
+        match (&found.values, expected.values) {
+            (Values::F32(found), VertexValues::Numbers(expected)) => {
+                assert!(found.iter().zip(expected).all(|(a, b)| a.to_bits() == b.to_bits()));
+            }
+            (Values::I32(found), VertexValues::Integers(expected)) => {
+                assert!(found.iter().zip(expected).all(|(a, b)| i64::from(*a) == *b));
+            }
+            other => panic!("{}: {other:?}", expected.name),
+        }
+    }
+    assert_eq!(found.len(), attributes.len());
+}
+
+#[test]
+fn truncated_and_damaged_usdc_is_an_error() {
+    let mesh = torus(9, 7, FAR);
+    let (bytes, limits) = (usdc_bytes(&mesh, true, gltf::UpAxis::Y), Limits::default());
+    let read = |bytes: &[u8]| usdc::UsdcLayer::read(bytes, &limits)?.frame(0);
+    for length in 0..bytes.len() {
+        let error = read(&bytes[..length]).expect_err("truncated");
+        assert!(length < 8 || error.is_truncated(), "{length}: {error}");
+        assert!(error.to_string().starts_with("USD, at byte "), "{length}: {error}");
+    }
+    // Any result will do, as long as nothing panics.
+    for at in 0..bytes.len() {
+        for damage in [0x01, 0x10, 0x80, 0xff] {
+            let mut damaged = bytes.clone();
+            damaged[at] ^= damage;
+            let _ = read(&damaged);
+        }
+    }
+    let mut newer = bytes.clone();
+    newer[9] = 13;
+    let error = read(&newer).expect_err("another version").to_string();
+    assert!(error.contains("version 0.13.0"), "{error}");
+}
