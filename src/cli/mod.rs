@@ -117,6 +117,12 @@ fn printable(error: clap::Error, arguments: &[OsString]) -> clap::Error {
 /// Runs the command in `arguments`, which begin with the program's name. The exit status is 0 if everything
 /// succeeded, 1 if some of it failed, 2 if nothing was done or the command is invalid.
 pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> ExitCode {
+    ExitCode::from(status_of(arguments))
+}
+
+/// The same for programs that end otherwise than by an [`ExitCode`].
+#[doc(hidden)]
+pub fn status_of(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> u8 {
     let arguments: Vec<OsString> = arguments.into_iter().map(Into::into).collect();
     let typed = match Cli::try_parse_from(&arguments) {
         Ok(typed) => typed,
@@ -124,7 +130,7 @@ pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> ExitCode
             let help_or_error = suggest::with_suggestion(printable(help_or_error, &arguments), &arguments);
             // A closed output is not an error, and other write errors cannot be reported anywhere.
             let _ = help_or_error.print();
-            return ExitCode::from(u8::try_from(help_or_error.exit_code()).unwrap_or(2));
+            return u8::try_from(help_or_error.exit_code()).unwrap_or(2);
         }
     };
     let mut console = Console::new();
@@ -159,11 +165,11 @@ pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> ExitCode
     }
     if let Err(error) = console.finish() {
         Console::new().warn(format_args!("error: cannot write to the standard output: {error}"));
-        return ExitCode::from(2);
+        return 2;
     }
     match verdict {
-        CommandOutcome::Done => ExitCode::SUCCESS,
-        CommandOutcome::SomeFailed => ExitCode::from(1),
-        CommandOutcome::NothingDone => ExitCode::from(2),
+        CommandOutcome::Done => 0,
+        CommandOutcome::SomeFailed => 1,
+        CommandOutcome::NothingDone => 2,
     }
 }

@@ -13,6 +13,7 @@
 //!   semaphore    slots in the channels between stages   memory     the memory of the machine and the process
 //!   method       the three compute stages               observer   receives progress
 //!   reconstruct  one frame in memory, without files
+//!   in_memory    files and reports for surfaces that another program reconstructs in memory
 //! ```
 //!
 //! `convert`, for one file or a sequence, and the daemon use the same pipeline; they differ only in the source
@@ -48,6 +49,7 @@
 mod budget;
 mod error;
 pub(crate) mod files;
+mod in_memory;
 mod input;
 mod memory;
 mod method;
@@ -78,6 +80,7 @@ pub use files::path_identity::{are_same_file, canonical_entry};
 pub use files::shown::{STANDARD_INPUT, show_as, shown};
 pub use files::stamp::FileStamp;
 pub use files::sweep::{SweepError, Swept, remove_left_behind, sweep_temporaries};
+pub use in_memory::{EmbeddedSurface, in_memory_attributes, in_memory_obstacle, in_memory_parts};
 pub use input::attributes::AttributeRequest;
 pub use input::bounds::{EMPTY_BOUNDS, bounds_of_particles, sequence_bounds};
 pub use input::conflicts::{Conflict, check_outputs};

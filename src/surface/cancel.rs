@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use glam::DVec3;
 
 use crate::surface::error::Error;
+use crate::surface::interrupt;
 use crate::surface::particles::{ParticleSource, Positions, Shapes};
 use crate::surface::reconstruction::Storage;
 
@@ -17,7 +18,7 @@ use crate::surface::reconstruction::Storage;
 ///
 /// The reconstruction checks the token between batches of particles while it rasterizes, between steps while
 /// it smooths, and between making and checking the mesh while it contours. It does not interrupt any of these
-/// parts.
+/// parts, unless the threads that compute [belong to the token](Self::interrupt_this_thread).
 #[derive(Clone, Debug, Default)]
 pub struct CancelToken(Arc<AtomicBool>);
 
@@ -36,6 +37,32 @@ impl CancelToken {
     /// Whether [`cancel`](Self::cancel) was called.
     pub fn is_cancelled(&self) -> bool {
         self.0.load(Ordering::Relaxed)
+    }
+
+    /// Lets the token also interrupt the parts that this thread computes, within milliseconds, for the rest
+    /// of the thread's life. Call it in the start handler of a rayon pool that computes only for this token.
+    ///
+    /// Everything that the pool computes for this crate unwinds once the token is cancelled.
+    /// [`Reconstructor`](crate::surface::Reconstructor) returns [`Error::Cancelled`] for it; other functions
+    /// pass it to their caller like a panic.
+    ///
+    /// ```
+    /// use meniscus::surface::{CancelToken, Error, Options, Reconstructor};
+    ///
+    /// let token = CancelToken::new();
+    /// let of_pool = token.clone();
+    /// let pool = rayon::ThreadPoolBuilder::new()
+    ///     .start_handler(move |_| of_pool.interrupt_this_thread())
+    ///     .build()?;
+    /// let mut reconstructor = Reconstructor::new(Options { spacing: Some(1.0), ..Options::default() });
+    /// assert!(pool.install(|| reconstructor.reconstruct(&[[0.0f32; 3]])).is_ok());
+    /// token.cancel();
+    /// let cancelled = pool.install(|| reconstructor.reconstruct(&[[0.0f32; 3]]));
+    /// assert!(matches!(cancelled, Err(Error::Cancelled)));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn interrupt_this_thread(&self) {
+        interrupt::watch_on_this_thread(Arc::clone(&self.0));
     }
 
     /// [`Error::Cancelled`] if the token is cancelled.

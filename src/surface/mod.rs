@@ -14,6 +14,8 @@ mod reconstruct;
 
 pub use cancel::CancelToken;
 pub use error::Error;
+#[doc(hidden)]
+pub use reconstruct::PartsWanted;
 pub use reconstruct::{MEMORY_LIMIT, Progress, Reconstructor, Surface, reconstruct};
 
 #[doc(inline)]
@@ -35,6 +37,8 @@ pub use self::{
     spacing::{SequenceEstimate, SpacingEstimate, combine_estimates, estimate_spacing},
     validation::{Certificate, ParticlesOutside},
 };
+
+mod interrupt;
 
 // The modules below are public for the tests, benchmarks and experiments of this repository, and for the
 // other parts of this crate. They are not part of the API: anything in them may change in any version.

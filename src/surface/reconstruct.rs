@@ -9,6 +9,7 @@ use rayon::prelude::*;
 
 use crate::surface::cancel::{CancelToken, CancellableParticles, CancellableStorage};
 use crate::surface::error::Error;
+use crate::surface::interrupt;
 use crate::surface::level_set::NarrowBand;
 use crate::surface::mesh::Mesh;
 use crate::surface::obstacle::{Obstacle, Obstacles};
@@ -140,6 +141,17 @@ pub struct Reconstructor<'a> {
     on_progress: Option<Box<dyn FnMut(Progress) + Send + 'a>>,
 }
 
+/// What [`Reconstructor::reconstruct_parts`] prepares for files.
+#[doc(hidden)]
+#[derive(Clone, Copy, Debug)]
+pub struct PartsWanted<'a> {
+    /// The formats of positions in the files: the mesh is checked in each of them.
+    pub stored: &'a [PositionFormat],
+    /// Attributes are also interpolated at voxels where |φ| is less than this, in voxels. `None`: only at
+    /// vertices.
+    pub band_half_width_voxels: Option<f32>,
+}
+
 /// Creates one scratch file.
 type MakeStorage<'a> = dyn FnMut() -> io::Result<Box<dyn Storage>> + Send + 'a;
 
@@ -219,17 +231,41 @@ impl<'a> Reconstructor<'a> {
         positions: impl Into<Positions<'p>>,
         attributes: &[Attribute],
     ) -> Result<Surface, Error> {
+        let parts = PartsWanted { stored: &[PositionFormat::Exact], band_half_width_voxels: None };
+        let (surface, settings) = self.reconstruct_parts(positions, attributes, parts)?;
+        Ok(with_absolute_positions(surface, settings))
+    }
+
+    /// The same, with the mesh in 32 bits relative to its origin, for programs that write the same files as
+    /// the command.
+    ///
+    /// # Errors
+    /// Those of [`reconstruct_with`](Self::reconstruct_with).
+    #[doc(hidden)]
+    pub fn reconstruct_parts<'p>(
+        &mut self,
+        positions: impl Into<Positions<'p>>,
+        attributes: &[Attribute],
+        wanted: PartsWanted<'_>,
+    ) -> Result<(reconstruction::FrameSurface, Settings), Error> {
         let positions = positions.into();
+        // An interruption leaves the settings unchanged or unknown; all else belongs to the frame.
+        interrupt::catch(|| self.reconstruct_frame(positions, attributes, wanted))
+            .unwrap_or(Err(Error::Cancelled))
+    }
+
+    fn reconstruct_frame(
+        &mut self,
+        positions: Positions<'_>,
+        attributes: &[Attribute],
+        PartsWanted { stored, band_half_width_voxels }: PartsWanted<'_>,
+    ) -> Result<(reconstruction::FrameSurface, Settings), Error> {
         self.begin(Phase::Prepare)?;
         if positions.is_empty() {
             return Err(Error::NoParticles { input_count: 0 });
         }
         check_lengths(&positions, attributes)?;
-        let settings = match &self.settings {
-            Some(settings) => settings.clone(),
-            None => resolve(&self.options, &positions, attributes)?,
-        };
-        self.settings = Some(settings.clone());
+        let settings = self.resolve_on(positions.borrowed(), attributes)?.clone();
         check_required_attributes(&settings, attributes)?;
         let token = self.token.clone();
         let given = CancellableParticles { positions, shapes: Shapes::Uniform, token };
@@ -241,13 +277,13 @@ impl<'a> Reconstructor<'a> {
         let (shaped, shape_stats) = reconstruction::shape_by_neighbors(given, shape_stats, &settings)?;
         let work = ShapedFrame { settings: &settings, shaped, shape_stats };
         let (mut surface, shaped) = match plan.tile_leaves {
-            None => self.reconstruct_in_memory(work)?,
-            Some(tile_leaves) => self.reconstruct_tiled(work, tile_leaves)?,
+            None => self.reconstruct_in_memory(work, stored)?,
+            Some(tile_leaves) => self.reconstruct_tiled(work, tile_leaves, stored)?,
         };
         if settings.attributes.is_some() {
             self.begin(Phase::Interpolate)?;
             let (positions, shapes) = shaped.into_positions(|given| (given.positions, given.shapes));
-            let targets = Targets { vertices: true, band_half_width_voxels: None };
+            let targets = Targets { vertices: true, band_half_width_voxels };
             reconstruction::transfer_attributes_from(
                 (positions, &shapes, attributes),
                 &mut surface,
@@ -255,7 +291,26 @@ impl<'a> Reconstructor<'a> {
                 targets,
             );
         }
-        Ok(with_absolute_positions(surface, settings))
+        Ok((surface, settings))
+    }
+
+    /// The settings of the sequence. Before the first frame, what the options leave open is measured on these
+    /// particles.
+    ///
+    /// # Errors
+    /// Those of [`reconstruct_with`](Self::reconstruct_with) that are about options.
+    #[doc(hidden)]
+    pub fn resolve_on<'p>(
+        &mut self,
+        positions: impl Into<Positions<'p>>,
+        attributes: &[Attribute],
+    ) -> Result<&Settings, Error> {
+        let settings = match self.settings.take() {
+            Some(settings) => settings,
+            None => interrupt::catch(|| resolve(&self.options, &positions.into(), attributes))
+                .unwrap_or(Err(Error::Cancelled))?,
+        };
+        Ok(self.settings.insert(settings))
     }
 
     /// Reports the beginning of a phase. Fails if the token is cancelled.
@@ -308,6 +363,7 @@ impl<'a> Reconstructor<'a> {
     fn reconstruct_in_memory<'p>(
         &mut self,
         work: ShapedFrame<'_, 'p>,
+        stored: &[PositionFormat],
     ) -> Result<(reconstruction::FrameSurface, PreparedSource<'p>), Error> {
         let ShapedFrame { settings, shaped, shape_stats } = work;
         let mut rasterized =
@@ -321,8 +377,7 @@ impl<'a> Reconstructor<'a> {
         });
         let smoothed = flow_result(smoothed)?;
         self.begin(Phase::Contour)?;
-        let surface =
-            reconstruction::contour_while(smoothed, settings, &[PositionFormat::Exact], &|| token.flow());
+        let surface = reconstruction::contour_while(smoothed, settings, stored, &|| token.flow());
         Ok((flow_result(surface)?, shaped))
     }
 
@@ -331,6 +386,7 @@ impl<'a> Reconstructor<'a> {
         &mut self,
         work: ShapedFrame<'_, 'p>,
         tile_leaves: i32,
+        stored: &[PositionFormat],
     ) -> Result<(reconstruction::FrameSurface, PreparedSource<'p>), Error> {
         let ShapedFrame { settings, shaped, shape_stats } = work;
         let mut storages: Vec<Box<dyn Storage>> = Vec::new();
@@ -350,7 +406,7 @@ impl<'a> Reconstructor<'a> {
             tiled::smooth(frame, settings, &mut |fraction| self.report_progress(Phase::Smooth, fraction));
         let frame = frame.map_err(storage_error)?;
         self.begin(Phase::Contour)?;
-        tiled::contour(frame, settings, &[PositionFormat::Exact]).map_err(tiled_error)
+        tiled::contour(frame, settings, stored).map_err(tiled_error)
     }
 }
 

@@ -348,6 +348,12 @@ fn settings_of_level_sets(settings: &Settings, slack_voxels: f64, outputs: &Outp
     Object(vec![("band_slack", json!(slack_voxels)), ("more", json!(more))])
 }
 
+/// The measurements of a frame, as in an entry of the report.
+pub(crate) fn measured_json(report: &FrameReport) -> serde_json::Value {
+    // Plain structs of numbers and text can always be serialized.
+    serde_json::to_value(measured(report)).unwrap_or_default()
+}
+
 fn measured(report: &FrameReport) -> MeasuredRecord {
     let ReconstructionReport { mesh, convergence, .. } = &report.reconstruction;
     MeasuredRecord {

@@ -12,6 +12,7 @@ use super::interpolate::Interpolated;
 use super::source::TransferSource;
 use super::tree::{Tree, TreeParticle};
 use super::{NO_PARTICLE, TransferCounts};
+use crate::surface::interrupt::checkpoint;
 
 /// Assigns the values of the nearest particle to isolated points. Returns the number of isolated points, and
 /// how many are left.
@@ -31,8 +32,11 @@ pub(super) fn assign_nearest(
         limit_world: source.support.limit_world(particle),
     };
     let tree = Tree::new(reaching(source, &particle_at), &particle_at);
-    let nearest: Vec<u32> =
-        isolated.par_iter().map(|&point| tree.nearest(point_of(point), particle_at)).collect();
+    let nearest = |&point: &usize| {
+        checkpoint();
+        tree.nearest(point_of(point), particle_at)
+    };
+    let nearest: Vec<u32> = isolated.par_iter().map(nearest).collect();
     for (point, particle) in isolated.into_iter().zip(nearest) {
         if particle == NO_PARTICLE {
             continue;

@@ -40,6 +40,7 @@ mod tree;
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::surface::interrupt::checkpoint;
 use crate::surface::mesh::Mesh;
 use crate::surface::particles::{Attribute, AttributeValues, Positions, Shapes};
 
@@ -159,6 +160,7 @@ fn interpolate_at(
     let chunks: Vec<Interpolated> = (0..count.div_ceil(CHUNK))
         .into_par_iter()
         .map_init(Scratch::default, |scratch, chunk| {
+            checkpoint();
             let vertices = chunk * CHUNK..count.min((chunk + 1) * CHUNK);
             let points: Vec<DVec3> = vertices.map(point_of).collect();
             interpolate(source, &points, scratch)

@@ -13,6 +13,8 @@
 
 use glam::DVec3;
 
+use crate::surface::interrupt::checkpoint;
+
 use super::NO_PARTICLE;
 
 /// A particle as seen by the tree.
@@ -73,6 +75,7 @@ fn halve(
     particles: &mut [u32],
     particle_at: &(impl Fn(u32) -> TreeParticle + Sync),
 ) {
+    checkpoint();
     let Some((bounds, rest)) = boxes.split_first_mut() else { return };
     *bounds = NodeBounds::of(particles, particle_at);
     if rest.is_empty() {

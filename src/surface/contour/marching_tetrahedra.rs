@@ -34,6 +34,7 @@ use super::neighborhood::{BLOCK_STEP, LeafNeighborhood, PhiBlock, SignRows};
 use super::normals::unit_or_zero;
 use super::{MeshFrame, split};
 use crate::surface::grid::{LEAF_VOXELS, LeafMask, ROW_COUNT, negative_masks, offset_in_leaf, voxel_in_leaf};
+use crate::surface::interrupt::checkpoint;
 use crate::surface::level_set::NarrowBand;
 use crate::surface::mesh::Mesh;
 
@@ -48,7 +49,10 @@ pub(super) fn march_tetrahedra(band: &NarrowBand, placement: &MeshFrame) -> Mesh
     let cases = tetrahedron_cases();
     let mut patches: Vec<TetPatch> = (0..band.topology.len())
         .into_par_iter()
-        .filter_map(|leaf| TetPatch::new(band, &masks, &cases, leaf))
+        .filter_map(|leaf| {
+            checkpoint();
+            TetPatch::new(band, &masks, &cases, leaf)
+        })
         .collect();
     let mut patch_of_leaf = vec![NO_PATCH; band.topology.len()];
     let (mut vertex_count, mut triangle_count) = (0, 0);
@@ -65,6 +69,7 @@ pub(super) fn march_tetrahedra(band: &NarrowBand, placement: &MeshFrame) -> Mesh
     let slices = split(&mut positions, patches.iter().map(TetPatch::vertex_count)).into_par_iter();
     let slices = slices.zip(split(&mut normals, patches.iter().map(TetPatch::vertex_count)));
     slices.zip(&patches).for_each(|((positions, normals), patch)| {
+        checkpoint();
         patch.find_vertices(band, placement, positions, normals);
     });
     let mesh_writer = TetMesh { masks: &masks, cases, patches: &patches, patch_of_leaf };

@@ -17,6 +17,7 @@ use rayon::prelude::*;
 
 use super::corners::{Corners, TouchingTriangles};
 use super::{CHUNK, Mesh};
+use crate::surface::interrupt::checkpoint;
 
 impl Mesh {
     /// Averages each normal with its neighbors, `rounds` times. Normals stay unit vectors; a normal whose
@@ -29,6 +30,7 @@ impl Mesh {
         }
         let touching = TouchingTriangles::new(self);
         for _ in 0..rounds {
+            checkpoint();
             let mut smoothed = self.normals.clone();
             let chunks = smoothed.par_chunks_mut(CHUNK).enumerate();
             chunks.for_each_init(Corners::default, |corners, (chunk, smoothed)| {

@@ -24,6 +24,7 @@ use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
+use crate::surface::interrupt::checkpoint;
 use crate::surface::particles::OwnedPositions;
 use crate::surface::space::{INDEX_LIMIT, Lattice};
 
@@ -71,6 +72,7 @@ impl Neighbors {
         let axes = x.par_chunks_mut(PIECE).zip(y.par_chunks_mut(PIECE)).zip(z.par_chunks_mut(PIECE));
         axes.zip(indices.par_chunks_mut(PIECE)).zip(keys.par_chunks(PIECE)).for_each(
             |((((x, y), z), indices), keys)| {
+                checkpoint();
                 for (slot, &key) in keys.iter().enumerate() {
                     let index = index_of(key);
                     // The particle was located when it was sorted, so this succeeds again.

@@ -26,6 +26,7 @@ use super::culling::Culling;
 use super::occupancy::Occupancy;
 use super::region::{Regions, meet};
 use crate::surface::grid::{LeafMask, Topology, offset_in_leaf};
+use crate::surface::interrupt::checkpoint;
 use crate::surface::particles::{Ellipsoid, ParticleSource, Shapes};
 use crate::surface::space::Lattice;
 
@@ -266,6 +267,7 @@ fn gather<'a, T: Copy + Send + Sync + 'a>(
         let (Some(&first), Some(&last)) = (leaves.first(), leaves.last()) else { return };
         let mut cursors: Vec<usize> = starts[range].iter().map(|leaf_start| leaf_start - start).collect();
         for batch in batches {
+            checkpoint();
             let mut leaf_index = 0;
             for (leaf, from) in batch.leaves_from(first).take_while(|&(leaf, _)| leaf <= last) {
                 leaf_index += leaves[leaf_index..].partition_point(|&other| other < leaf);

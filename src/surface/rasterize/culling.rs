@@ -61,6 +61,7 @@ use super::occupancy::{Occupancy, Octants, ROUND};
 use super::region::Regions;
 use super::{Radii, RasterParams};
 use crate::surface::grid::{LEAF_EDGE, LeafMask, NO_LEAF, Topology, leaf_steps_within};
+use crate::surface::interrupt::checkpoint;
 use crate::surface::simd::{self, Kernel, Lanes};
 use crate::surface::space::CoordBox;
 
@@ -317,6 +318,7 @@ pub(super) fn leaves_of_boxes(
 ) -> Vec<IVec3> {
     let edge = IVec3::splat(LEAF_EDGE);
     let touched = |boxes: &[(IVec3, CoordBox)]| {
+        checkpoint();
         let mut origins = FxHashSet::default();
         for (origin, voxels) in boxes.iter().filter(|(_, voxels)| !voxels.is_empty()) {
             let (first, last) = (voxels.min.div_euclid(edge), voxels.max.div_euclid(edge));

@@ -34,6 +34,7 @@ use super::{EXACT_MARGIN, Radii};
 use crate::surface::grid::{
     Field, LEAF_EDGE, Leaf, LeafMask, ROW_COUNT, SetBits, Topology, leaf_steps_within,
 };
+use crate::surface::interrupt::checkpoint;
 use crate::surface::particles::Ellipsoid;
 use crate::surface::simd::{self, Kernel, Lanes};
 
@@ -208,6 +209,7 @@ impl<F: ParticleShape> SizeClass<F> {
     /// Collects the particles of a class: those for which `shape` returns a shape.
     fn new(bins: &ParticleBins, outermost: f32, shape: impl Fn(usize) -> Option<F> + Sync) -> SizeClass<F> {
         let of_leaf = |leaf: usize| {
+            checkpoint();
             let (range, positions) = (bins.range(leaf), bins.in_leaf(leaf));
             let primitives = range.zip(positions).filter_map(|(particle, &center)| {
                 let shape = shape(particle)?;
@@ -223,6 +225,7 @@ impl<F: ParticleShape> SizeClass<F> {
         let (mut starts, mut boxes, mut primitives, mut axes) = (vec![0], Vec::new(), Vec::new(), Vec::new());
         let mut reach = 0f32;
         for (_, of_leaf) in &leaves {
+            checkpoint();
             for eight in of_leaf.chunks(8) {
                 boxes.push(boxes_of(eight));
                 primitives.extend((0..8).map(|lane| eight[lane.min(eight.len() - 1)]));

@@ -23,6 +23,8 @@ use std::sync::OnceLock;
 pub use lanes::Lanes;
 use lanes::Portable;
 
+use crate::surface::interrupt::checkpoint;
+
 /// The instructions that kernels may use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum SimdLevel {
@@ -132,15 +134,18 @@ pub trait Kernel {
     fn run<V: Lanes>(self) -> Self::Output;
 }
 
-/// Runs a kernel at [`SimdLevel::current`].
+/// Runs a kernel at [`SimdLevel::current`]. A cancelled frame ends here.
 #[inline]
 pub fn dispatch<K: Kernel>(kernel: K) -> K::Output {
+    checkpoint();
     run_available(SimdLevel::current(), kernel)
 }
 
-/// Runs a kernel at this level, or at the baseline if the processor does not support it.
+/// Runs a kernel at this level, or at the baseline if the processor does not support it. A
+/// cancelled frame ends here.
 #[inline]
 pub fn dispatch_at<K: Kernel>(level: SimdLevel, kernel: K) -> K::Output {
+    checkpoint();
     run_available(if level.is_available() { level } else { SimdLevel::Baseline }, kernel)
 }
 

@@ -5,6 +5,8 @@
 
 use glam::DVec3;
 
+use crate::surface::interrupt::checkpoint;
+
 /// Number of points in a leaf: scanning them is cheaper than testing another box.
 const LEAF_COUNT: usize = 16;
 
@@ -23,6 +25,7 @@ pub(super) struct KdNode<'a> {
 impl<'a> KdNode<'a> {
     /// Builds the tree by sorting the points in place. Halving by count bounds the depth for any data.
     pub(super) fn build(points: &'a mut [DVec3]) -> KdNode<'a> {
+        checkpoint();
         let lower = points.iter().copied().fold(DVec3::INFINITY, DVec3::min);
         let upper = points.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
         if points.len() <= LEAF_COUNT || lower == upper {

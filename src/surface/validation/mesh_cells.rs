@@ -23,6 +23,7 @@ use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
 use crate::surface::grid::{LEAF_EDGE, LeafMask, Topology, negative_masks, offset_in_leaf, voxel_in_leaf};
+use crate::surface::interrupt::checkpoint;
 use crate::surface::level_set::NarrowBand;
 use crate::surface::mesh::Mesh;
 use crate::surface::space::Lattice;
@@ -54,6 +55,7 @@ impl MeshCells {
         let topology = &*band.topology;
         let masks: Vec<[AtomicU64; 8]> = (0..topology.len()).map(|_| Default::default()).collect();
         mesh.triangles.par_chunks(CHUNK).for_each(|triangles| {
+            checkpoint();
             let mut marker = Marker { topology, masks: &masks, found: None };
             for &triangle in triangles {
                 passed_cells(&corners(mesh, triangle, lattice), |cell| marker.mark(cell));

@@ -19,6 +19,7 @@ use super::mesh_cells::{cells_of_box, corner, corners};
 use super::particle_checks::CheckedRegion;
 use super::surfaces::ShapedParticles;
 use crate::surface::grid::LEAF_EDGE;
+use crate::surface::interrupt::checkpoint;
 
 /// Maximum length of a ray in cells; if it finds no clear cell, the particle counts as outside.
 const REACH: i32 = 32;
@@ -49,7 +50,10 @@ pub(super) fn not_enclosed(
     leaves.par_sort_unstable_by_key(|leaf| leaf.to_array());
     leaves.dedup();
     let triangles = TrianglesByLeaf::new(part, &leaves);
-    let is_inside = |ray: &Option<AxisRay>| ray.is_some_and(|ray| ray.is_inside(part, &triangles));
+    let is_inside = |ray: &Option<AxisRay>| {
+        checkpoint();
+        ray.is_some_and(|ray| ray.is_inside(part, &triangles))
+    };
     let outside = rays.par_iter().zip(particles).filter(|(ray, _)| !is_inside(ray));
     outside.map(|(_, particle)| *particle).collect()
 }

@@ -40,6 +40,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::Mesh;
+use crate::surface::interrupt::checkpoint;
 use collapse::{Collapse, VertexStar};
 use rings::Rings;
 
@@ -126,6 +127,7 @@ impl<'a> Decimation<'a> {
 
     /// Collapses vertices whose bound is within a limit.
     fn round(&mut self, limit: f32) {
+        checkpoint();
         self.evaluate_dirty(limit);
         let chosen: Vec<Vec<u32>> = (0..self.best.len().div_ceil(CHUNK))
             .into_par_iter()
@@ -161,6 +163,7 @@ impl<'a> Decimation<'a> {
     fn evaluate_dirty(&mut self, limit: f32) {
         let dirty = std::mem::take(&mut self.dirty);
         let look = |&vertex: &u32| {
+            checkpoint();
             let ring = self.rings.of(vertex);
             let Some(patch) = VertexStar::new(self.positions, vertex, ring, &self.bounds) else {
                 return Some(Collapse { bound: NEVER, target: 0 });

@@ -1,0 +1,196 @@
+//! Files and reports for surfaces that another program reconstructs in memory, such as the Python package.
+//!
+//! The files have the same bytes as those of `meniscus convert` if both have the same options, particles, and
+//! file that the particles came from.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use glam::DVec3;
+use meniscus_formats::{Content, FileAttribute, OutputFormat};
+
+use crate::surface::PartsWanted;
+use crate::surface::obstacle::Obstacle;
+use crate::surface::options::{MethodOptions, Settings};
+use crate::surface::particles::Attribute;
+use crate::surface::reconstruction::{FrameSurface, PositionFormat};
+use crate::surface::space::Lattice;
+
+use super::error::ObstacleError;
+use super::files::atomic_write::write_atomically;
+use super::input::attributes::AttributeRequest;
+use super::input::bounds::EMPTY_BOUNDS;
+use super::input::frame::{Frame, FrameReport, Job};
+use super::input::obstacles::ObstacleFiles;
+use super::input::source::FrameFile;
+use super::output::writing::{
+    VDB_HALF_WIDTH_VOXELS, encode_level_set, mesh_view, surface_warnings, vertex_attributes,
+};
+use super::records::frame_warnings::left_out;
+use super::records::provenance::provenance;
+use super::records::record::measured_json;
+use super::target::outputs::OutputOptions;
+use super::target::picture::{PictureScene, encode_picture, up_of, velocities};
+use super::target::stored::stored;
+use super::target::viewpoint::Viewpoint;
+
+/// A surface in memory, with what its files record.
+#[derive(Clone, Copy, Debug)]
+pub struct EmbeddedSurface<'a> {
+    /// The surface.
+    pub surface: &'a FrameSurface,
+    /// The settings that it was reconstructed with.
+    pub settings: &'a Arc<Settings>,
+    /// The names and hashes of its obstacles, as [`in_memory_obstacle`] returns them, joined by commas.
+    pub obstacles: &'a str,
+}
+
+impl EmbeddedSurface<'_> {
+    /// Writes the file at `path` atomically. `source` is the file of the particles with its XXH3 hash;
+    /// without it, the output does not name its input.
+    ///
+    /// # Errors
+    /// If the format cannot hold this amount of data, or the file cannot be written.
+    pub fn write(
+        &self,
+        path: &Path,
+        format: OutputFormat,
+        outputs: &Arc<OutputOptions>,
+        source: Option<(PathBuf, u128)>,
+    ) -> meniscus_formats::Result<()> {
+        let (surface, settings) = (self.surface, self.settings);
+        let is_known = source.is_some();
+        let (input, hash) = source.unwrap_or_default();
+        let frame = Frame { job: Job::Surface, ..Frame::new(&FrameFile::new(input), settings, outputs) };
+        let mut provenance = provenance(&frame, (hash, self.obstacles), format);
+        provenance.retain(|(name, _)| is_known || !["input", "input_hash"].contains(&&**name));
+        write_atomically(path, |out| match format.content() {
+            Content::Mesh(writer) => {
+                let quads = if settings.quads { surface.mesh.quads().into() } else { Arc::default() };
+                let attributes = vertex_attributes(&surface.attributes.vertices);
+                writer.write(&mesh_view(&surface.mesh, &attributes), &outputs.mesh(quads), &provenance, out)
+            }
+            Content::LevelSet => {
+                let options = meniscus_formats::vdb::WriteOptions {
+                    half: outputs.vdb_half,
+                    compression: outputs.vdb_compression,
+                    ..meniscus_formats::vdb::WriteOptions::default()
+                };
+                encode_level_set(surface, settings, &options, &provenance)?.write(out)
+            }
+            Content::Picture(_) => {
+                Ok(std::io::Write::write_all(out, &self.picture(format, outputs, &provenance)?)?)
+            }
+        })
+    }
+
+    /// Renders a picture with the size and the camera of `outputs`, and encodes it.
+    ///
+    /// # Errors
+    /// If the format is not a picture format.
+    pub fn picture(
+        &self,
+        format: OutputFormat,
+        outputs: &OutputOptions,
+        provenance: &[(String, String)],
+    ) -> meniscus_formats::Result<Vec<u8>> {
+        let has_data = format.has_attributes();
+        let velocity = if has_data { velocities(self.surface) } else { None };
+        let lattice = Lattice { voxel_size: self.settings.voxel_size };
+        let origin = DVec3::ZERO;
+        let scene = PictureScene { band: &self.surface.band, lattice, origin, velocity: velocity.as_ref() };
+        let options = outputs.picture;
+        let bounds = scene.bounds().unwrap_or(EMPTY_BOUNDS);
+        let viewpoint: Viewpoint = options.camera.viewpoint(bounds, options.aspect(), up_of(outputs.up));
+        let picture = scene.picture(&viewpoint, options.size, has_data);
+        encode_picture(&picture, Some(&viewpoint), format, provenance)
+    }
+
+    /// The lower and upper corner of a box around the surface, world units; `None` if the surface is empty.
+    pub fn bounds(&self) -> Option<[DVec3; 2]> {
+        let lattice = Lattice { voxel_size: self.settings.voxel_size };
+        PictureScene { band: &self.surface.band, lattice, origin: DVec3::ZERO, velocity: None }.bounds()
+    }
+
+    /// The measurements as JSON: an entry of `frames` in a report, without files, times and memory.
+    pub fn report_json(&self) -> String {
+        let report = FrameReport {
+            reconstruction: self.surface.report.clone(),
+            obstacles: self.obstacles.to_owned(),
+            ..FrameReport::default()
+        };
+        let mut measured = measured_json(&report);
+        if let Some(entries) = measured.as_object_mut() {
+            for about_files in ["outputs", "notes", "seconds", "peak_memory_bytes"] {
+                entries.remove(about_files);
+            }
+        }
+        measured.to_string()
+    }
+
+    /// The warnings about the surface, one sentence each.
+    pub fn warnings(&self) -> Vec<String> {
+        let outputs = OutputOptions::new("", &[]);
+        let about_surface = surface_warnings(self.surface, &outputs, self.settings);
+        let warnings = about_surface.into_iter().chain(left_out(&self.surface.report));
+        warnings.map(|warning| warning.to_string()).collect()
+    }
+}
+
+/// What a reconstruction has to prepare for these outputs: the formats of positions that the mesh is checked
+/// in, and the half width of the band with attributes, in voxels.
+pub fn in_memory_parts(outputs: &OutputOptions) -> (Vec<PositionFormat>, Option<f32>) {
+    let has_voxels = |format: &OutputFormat| !format.is_mesh() && format.has_attributes();
+    (stored(outputs), outputs.formats.iter().any(has_voxels).then_some(VDB_HALF_WIDTH_VOXELS))
+}
+
+/// The same, as [`Reconstructor::reconstruct_parts`](crate::surface::Reconstructor::reconstruct_parts) takes
+/// it.
+impl<'a> From<&'a (Vec<PositionFormat>, Option<f32>)> for PartsWanted<'a> {
+    fn from((stored, band_half_width_voxels): &'a (Vec<PositionFormat>, Option<f32>)) -> PartsWanted<'a> {
+        PartsWanted { stored, band_half_width_voxels: *band_half_width_voxels }
+    }
+}
+
+/// The attributes that these options need, with warnings.
+///
+/// # Errors
+/// If a required attribute is missing or unusable.
+pub fn in_memory_attributes(
+    of_file: Vec<FileAttribute>,
+    options: &MethodOptions,
+) -> Result<(Vec<Attribute>, Vec<String>), String> {
+    // Which attributes are needed depends on these options only: the spacing may not be known yet.
+    let options = MethodOptions {
+        spacing: Some(1.0),
+        radius_attribute: options.radius_attribute.clone(),
+        radius_scale: options.radius_scale,
+        anisotropy: Some(options.anisotropy_kind()),
+        attributes: options.attributes.clone(),
+        ..MethodOptions::default()
+    };
+    let settings = Settings::resolve(&options, None).map_err(|error| error.to_string())?;
+    let (attributes, warnings) = AttributeRequest::for_settings(&settings).select(of_file)?;
+    Ok((attributes, warnings.iter().map(ToString::to_string).collect()))
+}
+
+/// Loads a static obstacle from a file, with the text that outputs record: its name and hash. Loading a level
+/// set may take `memory_bytes`.
+///
+/// # Errors
+/// If the file cannot be read, or contains no obstacle.
+pub fn in_memory_obstacle(
+    path: &Path,
+    memory_bytes: u64,
+) -> Result<(Option<Arc<Obstacle>>, String), ObstacleError> {
+    let files = ObstacleFiles::new(vec![path.to_owned()]);
+    let found = files.find(None)?;
+    let recorded = found.recorded();
+    // Only warnings about thin walls depend on the settings, and this function returns no warnings.
+    let settings = Settings::resolve(&MethodOptions { spacing: Some(1.0), ..MethodOptions::default() }, None);
+    let mut members = match settings {
+        Ok(settings) => files.load(found, &settings, memory_bytes)?.obstacles.members,
+        Err(_) => Vec::new(),
+    };
+    Ok((members.pop(), recorded))
+}
