@@ -61,7 +61,7 @@ def examples():
     """Returns the available frames."""
     frames = sorted((ROOT / "examples" / "frames").glob("dam.*.bgeo"))
     yield Example(f"dam of `examples/frames`, mean of {len(frames)}", frames, DAM_VOXEL_SIZE)
-    for frame in processes.script("peers").all_frames():
+    for frame in processes.script("peers").frames_named(""):
         if frame.name in figures.PROGRAM_EXPLICIT:
             explicit = figures.PROGRAM_EXPLICIT[frame.name]
             yield Example(frame.name, [frame.ours], frame.voxel_size, frame.author_seconds, explicit)

@@ -1,0 +1,129 @@
+"""Arrays of any library as NumPy arrays, without a copy where the layout allows it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: The device type of DLPack that is main memory.
+_CPU = 1
+
+
+def as_array(values: Any, name: str) -> NDArray[Any]:
+    """The values as a NumPy array.
+
+    Parameters
+    ----------
+    values : array_like
+        A NumPy array, or anything with ``__dlpack__``, ``__array_interface__``, ``__array__`` or the buffer
+        protocol, or a nested sequence of numbers.
+    name : str
+        What the values are, for error messages.
+
+    Returns
+    -------
+    numpy.ndarray
+        A view of the same memory, unless the values are a sequence.
+
+    Raises
+    ------
+    TypeError
+        If the values are in the memory of a device, or are no array.
+    """
+    if isinstance(values, np.ndarray):
+        return values
+    if hasattr(values, "__dlpack__") and hasattr(values, "__dlpack_device__"):
+        device_type, device = values.__dlpack_device__()
+        if int(device_type) != _CPU:
+            raise TypeError(
+                f"{name} is in the memory of a device (DLPack type {int(device_type)}, number {device}): "
+                "copy it to the main memory first"
+            )
+        try:
+            return np.from_dlpack(values)
+        except (BufferError, RuntimeError, TypeError):
+            # Read-only memory has no form in older versions of DLPack, and some libraries refuse tensors that record gradients.
+            pass
+    try:
+        array = np.asarray(values)
+    except ValueError as error:
+        raise TypeError(f"{name} is not an array: {error}") from error
+    if array.dtype == object:
+        raise TypeError(f"{name} is not an array of numbers but {type(values).__name__}")
+    return array
+
+
+def as_points(values: Any, name: str = "points") -> NDArray[Any]:
+    """Points (N, 3) as a C-contiguous array of float32 or float64 in the machine's byte order.
+
+    float32 and float64 keep their precision, float16 becomes float32, and integers become float64.
+
+    Raises
+    ------
+    TypeError
+        If the values are not real numbers.
+    ValueError
+        If the shape is not (N, 3).
+    """
+    if isinstance(values, str):
+        raise TypeError(f"{name} must be an array; read a file by pymeniscus.read({values!r})")
+    array = as_array(values, name)
+    if array.ndim != 2 or array.shape[1] != 3:
+        if array.size != 0 or array.ndim > 2:
+            raise ValueError(f"{name} must have the shape (N, 3), not {array.shape}")
+        array = array.reshape(0, 3)
+    kind, size = array.dtype.kind, array.dtype.itemsize
+    if kind == "f":
+        dtype = np.dtype(np.float32 if size <= 4 else np.float64)
+    elif kind in "iub":
+        dtype = np.dtype(np.float64)
+    else:
+        raise TypeError(f"{name} must be real numbers, not {array.dtype}")
+    return np.require(array, dtype, ["C_CONTIGUOUS", "ALIGNED"])
+
+
+def as_attribute(
+    values: Any, count: int, name: str
+) -> tuple[int, NDArray[Any], list[str] | None]:
+    """An attribute of `count` particles: its values per particle, the values, flat, and of text the distinct
+    words.
+
+    Raises
+    ------
+    TypeError
+        If the values are neither numbers nor text.
+    ValueError
+        If there are not `count` of them, or integers do not fit into 64 bits with a sign.
+    """
+    array = as_array(values, f"the attribute `{name}`") if not _is_text(values) else np.asarray(values)
+    if array.ndim not in (1, 2) or array.shape[0] != count:
+        raise ValueError(
+            f"the attribute `{name}` must have the shape ({count},) or ({count}, K), not {array.shape}"
+        )
+    arity = 1 if array.ndim == 1 else int(array.shape[1])
+    if arity == 0:
+        raise ValueError(f"the attribute `{name}` has no values")
+    kind, size = array.dtype.kind, array.dtype.itemsize
+    if kind in "US":
+        words, indices = np.unique(array.astype(str), return_inverse=True)
+        return arity, np.ascontiguousarray(indices.reshape(-1), np.int32), [str(word) for word in words]
+    dtype: Any
+    if kind == "f":
+        dtype = np.float32 if size <= 4 else np.float64
+    elif kind == "b" or (kind == "u" and size == 1):
+        dtype = np.uint8
+    elif (kind == "i" and size <= 4) or (kind == "u" and size == 2):
+        dtype = np.int32
+    elif kind in "iu":
+        dtype = np.int64
+        if kind == "u" and size == 8 and array.size and int(array.max()) > np.iinfo(np.int64).max:
+            raise ValueError(f"the attribute `{name}` has integers above 2**63 - 1")
+    else:
+        raise TypeError(f"the attribute `{name}` must be numbers or text, not {array.dtype}")
+    return arity, np.require(array, dtype, ["C_CONTIGUOUS", "ALIGNED"]).reshape(-1), None
+
+
+def _is_text(values: Any) -> bool:
+    return isinstance(values, (list, tuple)) and bool(values) and isinstance(values[0], str)

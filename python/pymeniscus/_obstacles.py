@@ -1,0 +1,112 @@
+"""Bodies that the surface does not enter."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from typing import Any, TypeAlias, Union
+
+import numpy as np
+
+from . import _native
+from ._arrays import as_array, as_points
+
+#: A file, a mesh as vertices and triangles, an object with ``vertices`` and ``faces`` such as ``trimesh.Trimesh``, or an `Obstacle`.
+ObstacleLike: TypeAlias = Union["Obstacle", "str", "os.PathLike[str]", tuple[Any, Any], Any]
+
+
+class Obstacle:
+    """A body that the surface does not enter, such as a ship or a vessel.
+
+    Keep the obstacle of a static body for all frames of a sequence: it caches its distances.
+
+    Parameters
+    ----------
+    vertices : array_like, shape (V, 3)
+        Vertex positions in world units.
+    triangles : array_like, shape (T, 3)
+        Vertex indices, integers. The mesh may have holes, repeated vertices and triangles that face the wrong
+        way.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the arrays have other shapes or types, or a triangle names a vertex that does not exist.
+    """
+
+    __slots__ = ("_native",)
+
+    def __init__(self, vertices: Any, triangles: Any) -> None:
+        positions = as_points(vertices, "vertices").astype(np.float64, copy=False)
+        indices = as_array(triangles, "triangles")
+        if indices.ndim != 2 or indices.shape[1] != 3:
+            raise ValueError(f"triangles must have the shape (T, 3), not {indices.shape}")
+        if indices.dtype.kind not in "iu":
+            raise TypeError(f"triangles must be integers, not {indices.dtype}")
+        if indices.size and (int(indices.min()) < 0 or int(indices.max()) >= len(positions)):
+            raise ValueError("a triangle of the obstacle names a vertex that does not exist")
+        self._native = _native.Obstacle.from_mesh(
+            np.ascontiguousarray(positions), np.ascontiguousarray(indices, np.uint32)
+        )
+
+    @classmethod
+    def from_file(cls, path: str | os.PathLike[str], *, memory: int | None = None) -> Obstacle:
+        """The obstacle in a file: a mesh of any format that meniscus reads, or a level set in .vdb.
+
+        Parameters
+        ----------
+        path : path-like
+            The file.
+        memory : int, optional
+            Bytes that reading a level set may take; half of the machine's memory by default.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be opened.
+        FormatError
+            If it holds neither a mesh nor a level set.
+        """
+        obstacle = cls.__new__(cls)
+        obstacle._native = _native.Obstacle.from_file(path, memory or _native.default_memory())
+        return obstacle
+
+
+def as_obstacles(obstacles: ObstacleLike | Iterable[ObstacleLike] | None) -> list[_native.Obstacle]:
+    """The obstacles of a call."""
+    if obstacles is None:
+        return []
+    several: Any = [obstacles] if _is_one(obstacles) else obstacles
+    if not isinstance(several, Iterable):
+        raise _not_one(several)
+    return [_as_obstacle(obstacle)._native for obstacle in several]
+
+
+def _is_one(value: Any) -> bool:
+    """Whether this is an obstacle, and not several. A pair is a mesh unless it is a pair of obstacles."""
+    if isinstance(value, tuple) and len(value) == 2:
+        return not any(isinstance(part, tuple) or _is_one(part) for part in value)
+    return isinstance(value, (Obstacle, str, os.PathLike)) or _is_mesh(value)
+
+
+def _is_mesh(value: Any) -> bool:
+    return hasattr(value, "vertices") and hasattr(value, "faces")
+
+
+def _as_obstacle(value: Any) -> Obstacle:
+    if isinstance(value, Obstacle):
+        return value
+    if isinstance(value, (str, os.PathLike)):
+        return Obstacle.from_file(value)
+    if isinstance(value, (tuple, list)) and len(value) == 2:
+        return Obstacle(value[0], value[1])
+    if _is_mesh(value):
+        return Obstacle(value.vertices, value.faces)
+    raise _not_one(value)
+
+
+def _not_one(value: Any) -> TypeError:
+    return TypeError(
+        "an obstacle is a file, a pair (vertices, triangles), an object with vertices and faces, or an Obstacle; "
+        f"not {type(value).__name__}"
+    )

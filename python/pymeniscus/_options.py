@@ -1,0 +1,170 @@
+"""The options of the method.
+
+The core defines them, and this module asks it for them: a new option needs no code here. `OptionValues`,
+which type checkers read, is in `_option_values.py`; ``python -m pymeniscus._generate`` writes that file, and
+a test compares it with the core.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from . import _native
+from ._option_values import OptionValues
+
+__all__ = ["OptionInfo", "OptionValues", "Options", "as_pairs", "option_table"]
+
+#: The functions have keywords of their own for these.
+RESERVED = frozenset({"attributes"})
+
+
+@dataclass(frozen=True)
+class OptionInfo:
+    """An option of the method.
+
+    Attributes
+    ----------
+    name : str
+        Its keyword.
+    group : str
+        The heading that it is under in the help of the command line.
+    kind : str
+        What its value is: ``"number"``, ``"count"``, ``"switch"``, ``"length"`` or ``"text"``.
+    range : str or None
+        The allowed values, such as ``"0 to 4"``, where they do not depend on other options.
+    choices : tuple of str
+        The allowed words; empty for other values.
+    help : str
+        What it does, with its unit and its default.
+    """
+
+    name: str
+    group: str
+    kind: str
+    range: str | None
+    choices: tuple[str, ...]
+    help: str
+
+
+@lru_cache(maxsize=None)
+def option_table() -> tuple[OptionInfo, ...]:
+    """Every option of the method, in the order of the command line's help.
+
+    Returns
+    -------
+    tuple of OptionInfo
+    """
+    rows = _native.option_table()
+    return tuple(
+        OptionInfo(row["name"], row["group"], row["kind"], row["range"], tuple(row["choices"]), row["help"])
+        for row in rows
+        if row["name"] not in RESERVED
+    )
+
+
+def as_pairs(options: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Options as text by name, for the core. Those that are None are left out.
+
+    Raises
+    ------
+    TypeError
+        For a name that is not one of an option, and for a value of the wrong type.
+    """
+    known = {info.name: info for info in option_table()}
+    pairs = []
+    for name, value in options.items():
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"; did you mean `{near[0]}`?" if near else ""
+            raise TypeError(f"unknown option `{name}`{hint}")
+        if value is not None:
+            pairs.append((name, _text(name, value)))
+    return pairs
+
+
+def _text(name: str, value: Any) -> str:
+    """A value as the command line has it. Numbers have the shortest digits that read back as the same
+    number."""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, (bool, np.bool_)):
+        return "true" if value else "false"
+    if isinstance(value, (int, np.integer)):
+        return str(int(value))
+    if isinstance(value, (float, np.floating)):
+        return repr(float(value))
+    try:
+        numbers = np.asarray(value, dtype=np.float64).reshape(-1)
+    except (TypeError, ValueError):
+        raise TypeError(f"option `{name}` cannot be {type(value).__name__}") from None
+    return ",".join(repr(float(number)) for number in numbers)
+
+
+class Options(Mapping[str, Any]):
+    """Options of the method, checked: to be given to several calls, compared, or pickled.
+
+    Parameters
+    ----------
+    **options
+        See `OptionValues`. None means the default of the preset.
+
+    Raises
+    ------
+    TypeError
+        For a name that is not one of an option.
+    OptionError
+        For text that is not a value of its option. Ranges are checked by the call that uses the options.
+
+    Examples
+    --------
+    >>> fine = Options(preset="splash", voxel_size="0.3d")
+    >>> fine["preset"]
+    'splash'
+    >>> surface = reconstruct(points, **fine)                  # doctest: +SKIP
+    """
+
+    __slots__ = ("_values",)
+
+    def __init__(self, **options: Any) -> None:
+        _native.check_options(as_pairs(options))
+        self._values = {name: value for name, value in options.items() if value is not None}
+
+    def replace(self, **options: Any) -> Options:
+        """The same options with these in addition or instead; None removes one."""
+        return Options(**{**self._values, **options})
+
+    def __getitem__(self, name: str) -> Any:
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def _canonical(self) -> tuple[tuple[str, str], ...]:
+        return tuple(_native.check_options(as_pairs(self._values)))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Options) and self._canonical() == other._canonical()
+
+    def __hash__(self) -> int:
+        return hash(self._canonical())
+
+    def __repr__(self) -> str:
+        return f"Options({', '.join(f'{name}={value!r}' for name, value in self._values.items())})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _unpickled, (self._values,)
+
+
+def _unpickled(values: dict[str, Any]) -> Options:
+    return Options(**values)
+
+

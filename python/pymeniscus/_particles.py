@@ -1,0 +1,100 @@
+"""Particles of files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _native
+
+
+class Particles(Mapping[str, NDArray[Any]]):
+    """A frame of particles: positions, and other attributes by name.
+
+    It is a mapping from the names of attributes to arrays (N,) or (N, K). The arrays belong to the caller and
+    may be changed.
+
+    Attributes
+    ----------
+    positions : ndarray, shape (N, 3), float32 or float64
+        Positions in the unit of the file, in its precision.
+    roles : dict of str to str
+        The recognised roles of attributes: ``"velocity"``, ``"radius"``, ``"color"``, ``"id"``, ``"normal"``,
+        ``"density"``, ``"mass"`` or ``"kind"``.
+    notes : tuple of str
+        Remarks about the file, such as skipped rows.
+    path : str or None
+        The file.
+    """
+
+    def __init__(
+        self,
+        positions: NDArray[Any],
+        attributes: Mapping[str, NDArray[Any]] | None = None,
+        *,
+        roles: Mapping[str, str] | None = None,
+        notes: tuple[str, ...] = (),
+        path: str | None = None,
+        file_hash: str | None = None,
+    ) -> None:
+        self.positions = positions
+        self._attributes = dict(attributes or {})
+        self.roles = dict(roles or {})
+        self.notes = notes
+        self.path = path
+        self._hash = file_hash
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self._attributes[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._attributes)
+
+    def __len__(self) -> int:
+        """The number of attributes; ``len(particles.positions)`` is that of particles."""
+        return len(self._attributes)
+
+    def __repr__(self) -> str:
+        names = ", ".join(self._attributes) or "none"
+        return f"<Particles: {len(self.positions)}, attributes: {names}>"
+
+
+def read(path: str | os.PathLike[str]) -> Particles:
+    """Read particles from a file of any format that meniscus reads: PLY, BGEO, VTK, NumPy, LAMMPS, XYZ,
+    delimited text and more.
+
+    The content determines the format, and the file may be compressed with gzip or zstd.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+
+    Returns
+    -------
+    Particles
+        Positions in the precision of the file, and all attributes with the types that they have there.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be opened.
+    FormatError
+        If the file contains no readable particles. The message has the position in the file.
+    """
+    positions, attributes, notes, file_hash = _native.read(path)
+    arrays: dict[str, NDArray[Any]] = {}
+    roles = {}
+    for name, role, arity, values, table in attributes:
+        if table is not None:
+            values = np.asarray([*table, ""])[np.where((values < 0) | (values >= len(table)), len(table), values)]
+        arrays[name] = values if arity == 1 else values.reshape(-1, arity)
+        if role is not None:
+            roles[name] = role
+    return Particles(
+        positions, arrays, roles=roles, notes=tuple(notes), path=os.fspath(path), file_hash=file_hash
+    )

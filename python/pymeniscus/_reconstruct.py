@@ -1,0 +1,339 @@
+"""Particles to surfaces."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import warnings
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+if sys.version_info >= (3, 12):
+    from typing import Unpack
+else:
+    from typing_extensions import Unpack
+
+from . import _native
+from ._arrays import as_array, as_attribute, as_points
+from ._obstacles import ObstacleLike, as_obstacles
+from ._options import OptionValues, as_pairs
+from ._particles import Particles
+from ._surface import Surface
+
+#: Attributes of the particles: arrays by name; of `Particles` also their names, or all.
+Attributes = Mapping[str, Any] | Iterable[str] | str | None
+
+#: Is called with the name of the phase and the fraction of it that is done.
+Progress = Callable[[str, float], object]
+
+_UNITS = {"": 1, "b": 1, "kb": 10**3, "mb": 10**6, "gb": 10**9, "tb": 10**12}
+_UNITS |= {"k": 2**10, "m": 2**20, "g": 2**30, "t": 2**40, "kib": 2**10, "mib": 2**20, "gib": 2**30, "tib": 2**40}
+
+
+def reconstruct(
+    points: Any,
+    *,
+    radii: Any = None,
+    velocity: Any = None,
+    attributes: Attributes = None,
+    obstacles: ObstacleLike | Iterable[ObstacleLike] | None = None,
+    formats: Iterable[str] = (),
+    quantize: bool = False,
+    threads: int | None = None,
+    memory: int | str | None = None,
+    scratch: str | os.PathLike[str] | None = None,
+    progress: Progress | None = None,
+    **options: Unpack[OptionValues],
+) -> Surface:
+    """The surface of one frame of particles.
+
+    It is the smoothest surface that stays between two unions of spheres around the particles. The same
+    particles and options give the same bytes on any number of threads. The call releases the interpreter's
+    lock while it computes, and Ctrl-C interrupts it. Do not change the arrays during the call.
+
+    Parameters
+    ----------
+    points : array_like, shape (N, 3), or Particles
+        Positions. float32 and float64 keep their precision. NumPy arrays and everything with ``__dlpack__``,
+        ``__array_interface__``, ``__array__`` or the buffer protocol are used without a copy if they are
+        C-contiguous. Positions that are not finite are left out and counted in the report.
+    radii : array_like, shape (N,), optional
+        Each particle's own radius, in the unit of the positions. It sets the option `radius_attribute` to
+        ``"radius"``.
+    velocity : array_like, shape (N, 3), optional
+        Velocities in units of length per second. The surface gets them too; ``anisotropy="velocity"``
+        stretches particles by them.
+    attributes : mapping of str to array_like, iterable of str, or "all", optional
+        Attributes that the surface gets: arrays (N,) or (N, K) of numbers or text, by name. Real numbers are
+        averaged over the particles around a vertex; integers and text are those of the nearest particle. Of
+        `Particles`: names, or ``"all"``.
+    obstacles : Obstacle, path-like, (vertices, triangles), or an iterable of these, optional
+        Bodies that the surface does not enter.
+    formats : iterable of str, optional
+        Extensions of the files to write with `Surface.write`. They matter in two cases: ``"vdb"`` and
+        ``"exr"`` get attributes at voxels, and the mesh is checked at the positions that ``"stl"`` and a
+        quantized ``"glb"`` round to.
+    quantize : bool, optional
+        Whether the .glb of `formats` will be quantized.
+    threads : int, optional
+        Number of threads, 1 to 1024; one for each core by default. Concurrent calls use separate threads.
+    memory : int or str, optional
+        Memory that the frame may take, in bytes or as text such as ``"8GiB"``; half of the machine's by
+        default.
+    scratch : path-like, optional
+        A folder for temporary files of frames that need more memory. Without it such a frame raises
+        `MemoryLimitError`.
+    progress : callable, optional
+        Called as ``progress(phase, fraction)`` on the thread of the caller. Phases are ``"prepare"``,
+        ``"rasterize"``, ``"smooth"``, ``"contour"`` and ``"interpolate"``. An exception ends the computation
+        and is raised.
+    **options
+        Every option of the method: see `OptionValues`, or `option_table` for their ranges and defaults.
+
+    Returns
+    -------
+    Surface
+
+    Raises
+    ------
+    TypeError
+        For an unknown option, and for arrays of a wrong type or in the memory of a device.
+    ValueError
+        For arrays of a wrong shape.
+    OptionError
+        If an option is out of its range, or the particle spacing cannot be measured. It is a `ValueError`.
+    ParticleError
+        If there is no particle, a needed attribute is missing, or the voxels are too small for the frame. It
+        is a `ValueError`.
+    MemoryLimitError
+        If the frame needs more memory than the limit. It is a `MemoryError`.
+    OSError
+        If scratch files cannot be written.
+    KeyboardInterrupt
+        On Ctrl-C, within 0.2 s unless the frame has millions of particles.
+
+    Warns
+    -----
+    UserWarning
+        About options without effect, a likely wrong resolution, and particles that were left out.
+
+    Examples
+    --------
+    >>> surface = reconstruct(points, preset="splash", voxel_size="0.3d", velocity=v)      # doctest: +SKIP
+    >>> surface.write("frame.glb")                                                         # doctest: +SKIP
+    """
+    given = _Given(points, radii, velocity, attributes)
+    bodies = as_obstacles(obstacles)
+    _warn_of_ignored(given.pairs(options), bodies)
+    native = _native.Reconstructor(
+        given.pairs(options), given.selects_all, given.selected, _bytes_of(memory), _folder_of(scratch)
+    )
+    return _run(native, given, bodies, formats, quantize, threads, progress)
+
+
+class Sequence:
+    """Reconstructs the frames of a sequence with the settings of the first one.
+
+    A particle spacing that is measured anew for each frame makes the surface flicker. A sequence measures it
+    once, and uses the same voxel size and the same radii for all frames.
+
+    Parameters
+    ----------
+    first_frame : array_like, shape (N, 3), or Particles, optional
+        The frame to measure the spacing on; by default the first one that is reconstructed. Its surface is
+        not reconstructed here.
+    memory, scratch, **options
+        As for `reconstruct`. With `spacing` the settings do not depend on any frame.
+
+    Notes
+    -----
+    Several threads may use one sequence; one frame is computed at a time. Use a sequence for each thread,
+    with the same ``spacing``, to compute several frames at once. ``meniscus convert`` measures the spacing on
+    the first, middle and last frame: pass its result as `spacing` to get the same bytes.
+
+    Examples
+    --------
+    >>> sequence = Sequence(preset="noisy", spacing=0.02)                   # doctest: +SKIP
+    >>> for frame in simulation:                                            # doctest: +SKIP
+    ...     sequence.reconstruct(frame.x, velocity=frame.v).write(f"{frame.number:04}.glb")
+    """
+
+    def __init__(
+        self,
+        first_frame: Any = None,
+        *,
+        radii: Any = None,
+        memory: int | str | None = None,
+        scratch: str | os.PathLike[str] | None = None,
+        **options: Unpack[OptionValues],
+    ) -> None:
+        self._options: dict[str, Any] = dict(options)
+        as_pairs(self._options)
+        self._memory, self._scratch = _bytes_of(memory), _folder_of(scratch)
+        self._natives: dict[tuple[Any, ...], _native.Reconstructor] = {}
+        self._resolved: dict[str, str] | None = None
+        self._has_frame = False
+        if first_frame is not None:
+            self._measure(first_frame, radii)
+
+    def _measure(self, first_frame: Any, radii: Any) -> None:
+        """Resolve the settings: every option in numbers."""
+        given = _Given(first_frame, radii, None, None)
+        resolved = dict(_native.resolve(given.pairs(self._options), given.points, given.attributes))
+        self._resolved = resolved
+
+    @property
+    def settings(self) -> dict[str, str] | None:
+        """The settings of the sequence as text by name, lengths in world units; None before the first
+        frame."""
+        return None if self._resolved is None else dict(self._resolved)
+
+    def reconstruct(
+        self,
+        points: Any,
+        *,
+        radii: Any = None,
+        velocity: Any = None,
+        attributes: Attributes = None,
+        obstacles: ObstacleLike | Iterable[ObstacleLike] | None = None,
+        formats: Iterable[str] = (),
+        quantize: bool = False,
+        threads: int | None = None,
+        progress: Progress | None = None,
+    ) -> Surface:
+        """The surface of the next frame. Parameters, result and exceptions are those of `reconstruct`."""
+        given = _Given(points, radii, velocity, attributes)
+        bodies = as_obstacles(obstacles)
+        if not self._has_frame:
+            self._has_frame = True
+            _warn_of_ignored(given.pairs(self._options), bodies)
+        options: Mapping[str, Any] = self._options if self._resolved is None else self._resolved
+        pairs = given.pairs(options)
+        # The method keeps the settings and the distances to obstacles in its reconstructor. One with other attributes is another one.
+        key = (tuple(pairs), given.selects_all, tuple(given.selected))
+        native = self._natives.get(key)
+        if native is None:
+            self._natives.clear()
+            native = _native.Reconstructor(pairs, given.selects_all, given.selected, self._memory, self._scratch)
+            self._natives[key] = native
+        surface = _run(native, given, bodies, formats, quantize, threads, progress)
+        if self._resolved is None:
+            self._resolved = dict(surface.settings)
+            self._resolved.pop("attributes", None)
+        return surface
+
+
+class _Given:
+    """The particles of a frame, in the form that the native module takes."""
+
+    def __init__(self, points: Any, radii: Any, velocity: Any, attributes: Attributes) -> None:
+        self.source: tuple[str, str] | None = None
+        self.attributes: list[tuple[str, str | None, int, Any, list[str] | None]] = []
+        self.selected: list[str] = []
+        self.selects_all = False
+        self.has_radii = radii is not None
+        particles = points if isinstance(points, Particles) else None
+        self.points = as_points(points if particles is None else particles.positions)
+        count = len(self.points)
+        if particles is not None:
+            if particles.path is not None and particles._hash is not None:
+                self.source = (particles.path, particles._hash)
+            for name, values in particles.items():
+                self._add(name, particles.roles.get(name), values, count)
+        if radii is not None:
+            radii = as_array(radii, "radii")
+            if radii.ndim == 2 and radii.shape[1] == 1:
+                radii = radii[:, 0]
+            if radii.shape != (count,):
+                raise ValueError(f"radii must have the shape ({count},), not {radii.shape}")
+            self._add("radius", "radius", radii, count)
+        if velocity is not None:
+            velocity = as_array(velocity, "velocity")
+            if velocity.shape != (count, 3):
+                raise ValueError(f"velocity must have the shape ({count}, 3), not {velocity.shape}")
+            self._add("velocity", "velocity", velocity, count)
+            self.selected.append("velocity")
+        if attributes is None:
+            return
+        if isinstance(attributes, Mapping):
+            for name, values in attributes.items():
+                self._add(name, None, values, count)
+                self.selected.append(name)
+        elif isinstance(attributes, str):
+            self.selects_all = attributes == "all"
+            self.selected += [] if self.selects_all else [name.strip() for name in attributes.split(",")]
+        else:
+            self.selected += list(attributes)
+        has = {name.lower() for name, *_ in self.attributes}
+        if not has and self.selected:
+            raise TypeError("attributes must be arrays by name: only Particles have attributes of their own")
+
+    def _add(self, name: str, role: str | None, values: Any, count: int) -> None:
+        # Keywords replace attributes of the particles.
+        self.attributes = [attribute for attribute in self.attributes if attribute[0] != name]
+        arity, flat, table = as_attribute(values, count, name)
+        self.attributes.append((name, role, arity, flat, table))
+
+    def pairs(self, options: Mapping[str, Any]) -> list[tuple[str, str]]:
+        """The options as text, with those that follow from what is given."""
+        if self.has_radii and options.get("radius_attribute") is None:
+            options = {**options, "radius_attribute": "radius"}
+        return as_pairs(options)
+
+
+def _warn_of_ignored(pairs: list[tuple[str, str]], obstacles: list[_native.Obstacle]) -> None:
+    """Warn about options that have no effect, at the caller of the public function."""
+    for warning in _native.option_warnings(pairs, bool(obstacles)):
+        text = re.sub(r"--([a-z][a-z-]*)", lambda flag: f"`{flag[1].replace('-', '_')}`", warning)
+        warnings.warn(text, stacklevel=3)
+
+
+def _run(
+    native: _native.Reconstructor,
+    given: _Given,
+    obstacles: list[_native.Obstacle],
+    formats: Iterable[str],
+    quantize: bool,
+    threads: int | None,
+    progress: Progress | None,
+) -> Surface:
+    if isinstance(formats, str):
+        formats = formats.split(",")
+    extensions = [extension.strip().lstrip(".").lower() for extension in formats]
+    made = native.reconstruct(
+        given.points, given.attributes, obstacles, extensions, quantize, threads, progress
+    )
+    surface = Surface(made, given.source)
+    for warning in surface.warnings:
+        warnings.warn(warning, stacklevel=3)
+    return surface
+
+
+def _bytes_of(memory: int | str | None) -> int:
+    """A number of bytes.
+
+    Raises
+    ------
+    ValueError
+        If it is not a positive number, or has an unknown unit.
+    """
+    if memory is None:
+        return _native.default_memory()
+    if isinstance(memory, str):
+        parts = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]+)?)\s*([a-zA-Z]*)\s*", memory)
+        if parts is None or parts[2].lower() not in _UNITS:
+            raise ValueError(f"memory is `{memory}`; it must be a number of bytes such as 8GiB")
+        memory = int(float(parts[1]) * _UNITS[parts[2].lower()])
+    if memory <= 0:
+        raise ValueError("memory must be positive")
+    return int(memory)
+
+
+def _folder_of(scratch: str | os.PathLike[str] | None) -> str | None:
+    if scratch is None:
+        return None
+    folder = os.fspath(scratch)
+    if not os.path.isdir(folder):
+        raise NotADirectoryError(f"scratch is not a folder: {folder}")
+    return folder

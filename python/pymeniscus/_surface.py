@@ -1,0 +1,495 @@
+"""Surfaces: their arrays, their level sets, their files, and other libraries' meshes."""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import _native
+from ._arrays import as_points
+from ._particles import Particles
+
+
+class Certificate(Mapping[str, Any]):
+    """What was checked of a surface.
+
+    It is a mapping with the entries of ``certificate`` in a report, which docs/report.md explains.
+
+    Attributes
+    ----------
+    holds : bool
+        Whether everything that was checked holds: every particle is inside, the surface is within its bounds
+        at every voxel, and the mesh is closed and 2-manifold.
+    fault : str
+        What does not hold; empty where all does.
+    """
+
+    def __init__(self, entries: dict[str, Any], fault: str) -> None:
+        self._entries = entries
+        self.fault = fault
+
+    @property
+    def holds(self) -> bool:
+        return bool(self._entries["holds"])
+
+    def __getitem__(self, name: str) -> Any:
+        return self._entries[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def __repr__(self) -> str:
+        return "<Certificate: holds>" if self.holds else f"<Certificate: {self.fault}>"
+
+
+class LevelSet:
+    """The level set that was meshed: signed distances near the surface, in voxels, negative inside.
+
+    Voxel (x, y, z) is centred at (x, y, z) times the voxel size in world space. Multiply distances by the
+    voxel size for world units.
+    """
+
+    __slots__ = ("_native",)
+
+    def __init__(self, native: _native.Surface) -> None:
+        self._native = native
+
+    @property
+    def voxel_size(self) -> float:
+        """Edge length of a voxel, world units."""
+        return self._native.voxel_size
+
+    @property
+    def half_width(self) -> float:
+        """The largest distance that is stored, in voxels. Beyond the stored leaves a point is farther from
+        the surface."""
+        return self._native.half_width
+
+    @property
+    def origins(self) -> NDArray[np.int32]:
+        """The least voxel of each stored leaf of 8 × 8 × 8 voxels: (L, 3) int32, read-only, not copied."""
+        return self._native.leaf_origins()
+
+    @property
+    def values(self) -> NDArray[np.float32]:
+        """Signed distances of the leaves in voxels: (L, 8, 8, 8) float32 by x, y and z; read-only, not
+        copied."""
+        return self._native.leaf_values()
+
+    def dense(
+        self, box: tuple[ArrayLike, ArrayLike] | None = None
+    ) -> tuple[NDArray[np.float32], tuple[int, int, int]]:
+        """Signed distances at all voxels of a box, also where no leaf is stored.
+
+        Parameters
+        ----------
+        box : pair of array_like, shape (3,), optional
+            Least and greatest corner in world units; the voxels whose centres are inside or on its faces are
+            returned. All stored leaves by default.
+
+        Returns
+        -------
+        values : ndarray, shape (X, Y, Z), float32
+            Signed distances in voxels, within ± `half_width`.
+        least : tuple of int
+            The index of the first voxel: ``values[i, j, k]`` is at ``(least + (i, j, k)) * voxel_size``.
+
+        Raises
+        ------
+        ValueError
+            If a corner is not finite, or the box is too large.
+        """
+        if box is None:
+            origins = self.origins
+            if len(origins) == 0:
+                return np.empty((0, 0, 0), np.float32), (0, 0, 0)
+            least, greatest = origins.min(axis=0).astype(np.int64), origins.max(axis=0).astype(np.int64) + 7
+        else:
+            corners = np.asarray([box[0], box[1]], np.float64)
+            if corners.shape != (2, 3) or not np.isfinite(corners).all():
+                raise ValueError("a box is two corners of three finite numbers")
+            # Corners that are meant to be voxels may miss them by a rounding.
+            indices = corners / self.voxel_size
+            if np.abs(indices).max() >= 2**30:
+                raise ValueError("the box is too large")
+            least = np.ceil(indices[0] - 1e-9).astype(np.int64)
+            greatest = np.floor(indices[1] + 1e-9).astype(np.int64)
+        x, y, z = (int(edge) for edge in np.maximum(greatest - least + 1, 0))
+        first = (int(least[0]), int(least[1]), int(least[2]))
+        return self._native.dense(first, (x, y, z)), first
+
+    def sample(self, points: Any) -> NDArray[np.float32]:
+        """Signed distances at points, by trilinear interpolation.
+
+        Parameters
+        ----------
+        points : array_like, shape (N, 3)
+            World units.
+
+        Returns
+        -------
+        ndarray, shape (N,), float32
+            Signed distances in voxels, within ± `half_width`; NaN for points that are not finite.
+        """
+        return self._native.sample(as_points(points).astype(np.float64, copy=False))
+
+    def __len__(self) -> int:
+        """The number of stored leaves."""
+        return len(self.origins)
+
+    def __repr__(self) -> str:
+        return f"<LevelSet: {len(self)} leaves, voxel size {self.voxel_size}>"
+
+
+class Surface:
+    """The surface of a frame: a mesh, its level set, a report and a certificate.
+
+    Arrays borrow the memory of the surface and keep it alive. They are read-only: copy one to change it.
+    """
+
+    def __init__(self, native: _native.Surface, source: tuple[str, str] | None = None) -> None:
+        self._native = native
+        self._source = source
+
+    @property
+    def vertices(self) -> NDArray[np.float32]:
+        """Vertex positions: (V, 3) float32, world units relative to `origin`, which is zero for nearly all
+        frames."""
+        return self._native.vertices()
+
+    @property
+    def origin(self) -> tuple[float, float, float]:
+        """The world position that `vertices` are relative to.
+
+        It is (0, 0, 0) unless the frame is more than 16384 voxels from the world's origin: 32-bit world
+        positions would be too coarse.
+        """
+        x, y, z = self._native.origin()
+        return x, y, z
+
+    @property
+    def triangles(self) -> NDArray[np.uint32]:
+        """Three vertex indices for each triangle, counter-clockwise seen from outside: (T, 3) uint32."""
+        return self._native.triangles()
+
+    @property
+    def normals(self) -> NDArray[np.float32]:
+        """Unit normals, outward, one for each vertex: (V, 3) float32."""
+        return self._native.normals()
+
+    @cached_property
+    def _quads(self) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+        return self._native.quads()
+
+    @property
+    def quads(self) -> NDArray[np.uint32]:
+        """Pairs of triangles that dual contouring made of one quad: (Q, 4) uint32. See `loose_triangles` for
+        the others."""
+        return self._quads[0]
+
+    @property
+    def loose_triangles(self) -> NDArray[np.uint32]:
+        """The triangles that are not part of a quad: (L, 3) uint32. Together with `quads` they form the
+        mesh."""
+        return self._quads[1]
+
+    @cached_property
+    def attributes(self) -> dict[str, NDArray[Any]]:
+        """Attributes of the vertices by name: (V,) or (V, K) of float32 or int64, or text.
+
+        Real numbers are means over the particles around the vertex; integers and text are those of the
+        nearest particle. Values of colours are from 0 to 1.
+        """
+        attributes: dict[str, NDArray[Any]] = {}
+        for index, (name, _, arity, table) in enumerate(self._native.attributes()):
+            values = self._native.attribute(index)
+            if table is not None:
+                places = np.where((values < 0) | (values >= len(table)), len(table), values)
+                values = np.asarray([*table, ""])[places]
+            attributes[name] = values[:, 0] if arity == 1 else values
+        return attributes
+
+    @property
+    def velocities(self) -> NDArray[np.float32] | None:
+        """Velocities of the vertices: (V, 3) float32, world units per second; None without them."""
+        for index, (_, meaning, arity, _) in enumerate(self._native.attributes()):
+            if meaning == "velocity" and arity == 3:
+                return self._native.attribute(index)
+        return None
+
+    @property
+    def level_set(self) -> LevelSet:
+        """The level set that was meshed."""
+        return LevelSet(self._native)
+
+    @cached_property
+    def report(self) -> dict[str, Any]:
+        """What was measured, as an entry of ``frames`` in the command's report, without files and times: see
+        docs/report.md."""
+        report: dict[str, Any] = json.loads(self._native.report_json())
+        return report
+
+    @property
+    def certificate(self) -> Certificate:
+        """What was checked."""
+        return Certificate(self.report["certificate"], self._native.fault())
+
+    @cached_property
+    def settings(self) -> dict[str, str]:
+        """The options in numbers, as text by name. Lengths are in world units."""
+        return dict(self._native.settings())
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """What to know of the surface though it was made, a sentence each. `reconstruct` also issues them as
+        `UserWarning`."""
+        return tuple(self._native.warnings())
+
+    def write(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        format: str | None = None,
+        source: str | os.PathLike[str] | Particles | None = None,
+        up: str = "y",
+        meters_per_unit: float = 1.0,
+        quantize: bool = False,
+        vdb_half: bool = False,
+        vdb_compression: str = "blosc",
+        size: tuple[int, int] = (1280, 720),
+        camera: str = "auto",
+    ) -> None:
+        """Write the surface to a file. The file appears when it is complete, and replaces an existing one.
+
+            The file has the same bytes as that of ``meniscus convert`` with the same options, if it names the
+            same `source`. For formats that round
+        positions (``stl``, a quantized ``glb``) and attributes at voxels (``vdb``, ``exr``), `reconstruct`
+        must be given the same `formats`.
+
+        Parameters
+        ----------
+        path : path-like
+            The file. Its folder must exist.
+        format : str, optional
+            The format; by default the extension of `path`: ``glb``, ``gltf``, ``vdb``, ``obj``, ``ply``,
+            ``vtp``, ``stl``, ``usda``, ``usdc``, ``png`` or ``exr``.
+        source : path-like or Particles, optional
+            The file that the particles came from: its name and hash are recorded. Known for surfaces of
+            `Particles` from `read`.
+        up : {"y", "z"}
+            The axis of the particles that points up, for glTF, USD and pictures.
+        meters_per_unit : float
+            Metres in a unit of length, 1e-9 to 1e9, for USD.
+        quantize : bool
+            Whether positions in .glb are small integers.
+        vdb_half : bool
+            Whether .vdb has 16-bit values.
+        vdb_compression : {"none", "active", "blosc"}
+            How values are packed in .vdb.
+        size : tuple of int
+            Width and height of a picture in pixels, 16 to 8192.
+        camera : str
+            Where a picture is taken from, as ``meniscus render --camera`` has it.
+
+        Raises
+        ------
+        ValueError
+            For an unknown format or choice.
+        FormatError
+            If the format has no place for the mesh.
+        OSError
+            If the file cannot be written.
+        """
+        extension = format or os.path.splitext(os.fspath(path))[1]
+        extension = extension.lstrip(".").lower()
+        if not extension:
+            raise ValueError(f"{os.fspath(path)} has no extension: give format=")
+        if extension in ("vdb", "exr") and self._native.attributes() and not self._native.has_voxel_attributes:
+            warnings.warn(
+                f"the .{extension} has no attributes: give formats=['{extension}'] to reconstruct", stacklevel=2
+            )
+        options = _write_options(up, meters_per_unit, quantize, vdb_half, vdb_compression, size, camera)
+        self._native.write(os.fspath(path), extension, options, self._source_of(source))
+
+    def _source_of(self, source: str | os.PathLike[str] | Particles | None) -> tuple[str, str] | None:
+        if source is None:
+            return self._source
+        if isinstance(source, Particles):
+            if source.path is None or source._hash is None:
+                raise ValueError("these particles were not read from a file")
+            return source.path, source._hash
+        return os.fspath(source), _native.file_hash(source)
+
+    def render(
+        self, *, size: tuple[int, int] = (1280, 720), camera: str = "auto", up: str = "y", format: str = "png"
+    ) -> bytes:
+        """A picture of the level set.
+
+        Parameters
+        ----------
+        size : tuple of int
+            Width and height in pixels, 16 to 8192.
+        camera : str
+            Where it is taken from, as ``meniscus render --camera`` has it, such as ``"azimuth=60,zoom=2"``.
+        up : {"y", "z"}
+            The axis that points up, unless the camera says it.
+        format : {"png", "exr"}
+            The format; .exr also has depth, normals, positions and curvature.
+
+        Returns
+        -------
+        bytes
+            The content of the file.
+
+        Raises
+        ------
+        ValueError
+            For an unknown format, camera or size.
+        """
+        return bytes(self._native.picture(format, _write_options(up, 1.0, False, False, "blosc", size, camera)))
+
+    def to_trimesh(self) -> Any:
+        """A ``trimesh.Trimesh`` in world coordinates, with the attributes of the vertices. Needs the package
+        trimesh.
+
+        Returns
+        -------
+        trimesh.Trimesh
+            Positions are float64 copies; ``process=False`` keeps vertices and their order.
+        """
+        import trimesh
+
+        mesh = trimesh.Trimesh(
+            self._world_vertices(), self.triangles.astype(np.int64), vertex_normals=self.normals, process=False
+        )
+        mesh.vertex_attributes.update(self.attributes)
+        return mesh
+
+    def to_pyvista(self) -> Any:
+        """A ``pyvista.PolyData`` in world coordinates, with normals and attributes as point data. Needs the
+        package pyvista."""
+        import pyvista
+
+        faces = np.empty((len(self.triangles), 4), np.int64)
+        faces[:, 0], faces[:, 1:] = 3, self.triangles
+        mesh = pyvista.PolyData(self._world_vertices(), faces.reshape(-1))
+        mesh.point_data["Normals"] = self.normals
+        for name, values in self.attributes.items():
+            mesh.point_data[name] = values
+        return mesh
+
+    def to_open3d(self) -> Any:
+        """An ``open3d.geometry.TriangleMesh`` in world coordinates, with normals. Needs the package
+        open3d."""
+        import open3d
+
+        mesh = open3d.geometry.TriangleMesh(
+            open3d.utility.Vector3dVector(self._world_vertices().astype(np.float64)),
+            open3d.utility.Vector3iVector(self.triangles.astype(np.int32)),
+        )
+        mesh.vertex_normals = open3d.utility.Vector3dVector(self.normals.astype(np.float64))
+        return mesh
+
+    def to_blender(self, name: str = "surface") -> Any:
+        """A Blender mesh data-block of this name; an existing one is replaced in place. Needs Blender's
+        ``bpy``.
+
+        Velocities become the attribute ``velocity``, which Cycles reads for motion blur; other numbers become
+        point attributes.
+
+        Returns
+        -------
+        bpy.types.Mesh
+        """
+        import bpy
+
+        mesh = bpy.data.meshes.get(name) or bpy.data.meshes.new(name)
+        mesh.clear_geometry()
+        count, triangles = len(self.vertices), self.triangles
+        mesh.vertices.add(count)
+        mesh.vertices.foreach_set("co", self._world_vertices().astype(np.float32).reshape(-1))
+        mesh.loops.add(triangles.size)
+        mesh.loops.foreach_set("vertex_index", triangles.reshape(-1).astype(np.int32))
+        mesh.polygons.add(len(triangles))
+        mesh.polygons.foreach_set("loop_start", np.arange(0, triangles.size, 3, dtype=np.int32))
+        mesh.polygons.foreach_set("use_smooth", np.ones(len(triangles), bool))
+        mesh.update(calc_edges=True)
+        if hasattr(mesh, "normals_split_custom_set_from_vertices") and count:
+            mesh.normals_split_custom_set_from_vertices(self.normals)
+        kinds = {(1, "f"): ("FLOAT", "value"), (3, "f"): ("FLOAT_VECTOR", "vector"), (1, "i"): ("INT", "value")}
+        velocity_name = next((entry[0] for entry in self._native.attributes() if entry[1] == "velocity"), None)
+        for attribute, values in self.attributes.items():
+            kind = kinds.get((1 if values.ndim == 1 else values.shape[1], values.dtype.kind))
+            if kind is None:
+                continue
+            if kind[0] == "INT" and len(values) and np.abs(values).max() > np.iinfo(np.int32).max:
+                warnings.warn(f"Blender has no 64-bit integers: left out the attribute `{attribute}`", stacklevel=2)
+                continue
+            target = mesh.attributes.new("velocity" if attribute == velocity_name else attribute, kind[0], "POINT")
+            dtype = np.float32 if values.dtype.kind == "f" else np.int32
+            target.data.foreach_set(kind[1], values.reshape(-1).astype(dtype))
+        return mesh
+
+    def _world_vertices(self) -> NDArray[Any]:
+        """Positions in the world: float32 and not copied where the origin is zero, else float64."""
+        if self.origin == (0.0, 0.0, 0.0):
+            return self.vertices
+        world: NDArray[np.float64] = self.vertices.astype(np.float64) + np.asarray(self.origin)
+        return world
+
+    def __repr__(self) -> str:
+        state = "" if self.certificate.holds else f", not valid: {self.certificate.fault}"
+        return f"<Surface: {len(self.vertices)} vertices, {len(self.triangles)} triangles{state}>"
+
+    def _repr_png_(self) -> bytes | None:
+        """The picture that a notebook shows."""
+        return self.render(size=(640, 360)) if len(self.triangles) else None
+
+    def _repr_html_(self) -> str:
+        """The table that a notebook shows, with the picture."""
+        import base64
+        import html
+
+        rows = {
+            "vertices": f"{len(self.vertices):,}",
+            "triangles": f"{len(self.triangles):,}",
+            "voxel size": f"{self.level_set.voxel_size:g}",
+            "certificate": "holds" if self.certificate.holds else self.certificate.fault,
+        }
+        picture = self._repr_png_()
+        image = "" if picture is None else (
+            f'<img alt="surface" src="data:image/png;base64,{base64.b64encode(picture).decode()}"/>'
+        )
+        cells = "".join(f"<tr><th>{name}</th><td>{html.escape(value)}</td></tr>" for name, value in rows.items())
+        return f"<div>{image}<table>{cells}</table></div>"
+
+
+def _write_options(
+    up: str,
+    meters_per_unit: float,
+    quantize: bool,
+    vdb_half: bool,
+    vdb_compression: str,
+    size: tuple[int, int],
+    camera: str,
+) -> _native._WriteOptions:
+    width, height = size
+    return {
+        "up": up.lower(),
+        "meters_per_unit": float(meters_per_unit),
+        "quantize": bool(quantize),
+        "vdb_half": bool(vdb_half),
+        "vdb_compression": vdb_compression,
+        "size": (int(width), int(height)),
+        "camera": camera,
+    }

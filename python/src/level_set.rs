@@ -1,0 +1,77 @@
+//! Values of a level set between and beyond its stored voxels.
+//!
+//! ```text
+//!   a row of leaves along x      ·  ·  [+ + −]  ·  ·  [− − +]  ·        · is not stored: it has the sign of the voxel
+//!                                +  +           −  −           +          before it in the row, and the half width
+//! ```
+//!
+//! A surface is always within stored leaves, so the sign cannot change between them.
+
+use meniscus::glam::{DVec3, IVec3};
+use meniscus::surface::{LEAF_EDGE, LEAF_VOXELS, NarrowBand};
+use rayon::prelude::*;
+use rustc_hash::FxHashMap;
+
+/// The leaves of a level set by rows along x.
+pub(crate) struct Rows {
+    /// For y and z of a leaf: x and index of each leaf of the row, in order.
+    rows: FxHashMap<(i32, i32), Vec<(i32, u32)>>,
+}
+
+impl Rows {
+    pub(crate) fn new(band: &NarrowBand) -> Rows {
+        let mut rows: FxHashMap<(i32, i32), Vec<(i32, u32)>> = FxHashMap::default();
+        for (index, origin) in (0..).zip(band.topology.origins()) {
+            rows.entry((origin.y, origin.z)).or_default().push((origin.x, index));
+        }
+        rows.values_mut().for_each(|row| row.sort_unstable());
+        Rows { rows }
+    }
+
+    /// φ at a voxel, in voxels: within ± the half width.
+    fn at(&self, band: &NarrowBand, voxel: IVec3) -> f32 {
+        let origin = voxel & IVec3::splat(!(LEAF_EDGE - 1));
+        let local = voxel - origin;
+        let row = self.rows.get(&(origin.y, origin.z)).map_or(&[][..], Vec::as_slice);
+        let end = row.partition_point(|(x, _)| *x <= origin.x);
+        let Some((x, leaf)) = end.checked_sub(1).map(|index| row[index]) else { return band.half_width };
+        let values: &[f32; LEAF_VOXELS] = &band.phi.leaves[leaf as usize].values;
+        let value = |x: i32| values[(x as usize) << 6 | (local.y as usize) << 3 | local.z as usize];
+        if x == origin.x { value(local.x) } else { band.half_width.copysign(value(LEAF_EDGE - 1)) }
+    }
+
+    /// φ at points given in voxels, by trilinear interpolation. NaN for points that are not finite or beyond
+    /// 2³⁰ voxels.
+    pub(crate) fn sample(&self, band: &NarrowBand, points: &[[f64; 3]], voxel_size: f64) -> Vec<f32> {
+        let one = |point: &[f64; 3]| {
+            let point = DVec3::from(*point) / voxel_size;
+            // Also false for what is not a number.
+            if !(point.abs().max_element() < f64::from(1 << 30)) || !point.is_finite() {
+                return f32::NAN;
+            }
+            let (least, part) = (point.floor().as_ivec3(), (point - point.floor()).as_vec3());
+            (0..8).fold(0.0, |sum, corner| {
+                let step = IVec3::new(corner >> 2 & 1, corner >> 1 & 1, corner & 1);
+                let weight = |part: f32, step: i32| if step == 1 { part } else { 1.0 - part };
+                let weight = weight(part.x, step.x) * weight(part.y, step.y) * weight(part.z, step.z);
+                // A point on a voxel has exactly its value.
+                if weight == 0.0 { sum } else { sum + weight * self.at(band, least + step) }
+            })
+        };
+        points.par_iter().map(one).collect()
+    }
+
+    /// φ at all voxels of a box, z fastest.
+    pub(crate) fn dense(&self, band: &NarrowBand, least: IVec3, size: [usize; 3]) -> Vec<f32> {
+        let [_, height, depth] = size;
+        let mut values = vec![0.0; size.iter().product()];
+        values.par_chunks_mut((height * depth).max(1)).enumerate().for_each(|(x, slab)| {
+            for (y, row) in slab.chunks_mut(depth.max(1)).enumerate() {
+                for (z, value) in row.iter_mut().enumerate() {
+                    *value = self.at(band, least + IVec3::new(x as i32, y as i32, z as i32));
+                }
+            }
+        });
+        values
+    }
+}

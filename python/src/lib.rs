@@ -1,0 +1,38 @@
+//! The native module of the Python package `pymeniscus`. Only the package itself imports it: its names may
+//! change in any version.
+//!
+//! ```text
+//!   pymeniscus (Python)     names, types, conversions of arrays, documentation
+//!        │
+//!   _native (this crate)    reconstructor ─▶ compute (threads, Ctrl-C)    options    errors
+//!        │                  surface ─▶ views (unsafe)       level_set
+//!        │                  program: everything that needs the pipeline or the command line
+//!        ▼
+//!   meniscus::surface, meniscus_formats, meniscus::pipeline, meniscus::cli
+//! ```
+
+mod arrays;
+mod compute;
+mod errors;
+mod float_mode;
+mod level_set;
+mod options;
+mod program;
+mod reconstructor;
+mod surface;
+mod views;
+
+use pyo3::prelude::*;
+
+/// The native module.
+#[pymodule(gil_used = true)]
+mod _native {
+    #[pymodule_export]
+    use crate::options::{check_options, option_table, option_warnings};
+    #[pymodule_export]
+    use crate::program::{Obstacle, default_memory, file_hash, format_table, read, run_command, version};
+    #[pymodule_export]
+    use crate::reconstructor::{Reconstructor, resolve};
+    #[pymodule_export]
+    use crate::surface::Surface;
+}

@@ -1,0 +1,332 @@
+//! Everything that needs more of meniscus than the method: files, pictures and the command line.
+//!
+//! Only this file imports `meniscus::pipeline` and `meniscus::cli`.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use meniscus::cli::{give_memory_back, status_of};
+use meniscus::pipeline::{
+    self, EmbeddedSurface, OutputFormat, OutputOptions, PictureOptions, default_memory_bytes,
+    in_memory_attributes, in_memory_obstacle, in_memory_parts,
+};
+use meniscus::surface::reconstruction::{FrameSurface, PositionFormat};
+use meniscus::surface::{Options, Settings};
+use meniscus_formats::{FileAttribute, FilePositions, Limits, UpAxis, Values, read_particles, vdb};
+use numpy::ndarray::Array2;
+use numpy::{IntoPyArray, PyReadonlyArray2};
+use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
+use twox_hash::XxHash3_128;
+
+use crate::arrays::word_of_role;
+use crate::compute::run;
+use crate::errors::{Class, error, of_format, of_io};
+
+/// The version of meniscus.
+#[pyfunction]
+pub(crate) fn version() -> &'static str {
+    pipeline::GENERATOR_AND_VERSION.split(' ').next_back().unwrap_or_default()
+}
+
+/// Half of the machine's memory, in bytes: what a frame may take by default.
+#[pyfunction]
+pub(crate) fn default_memory() -> u64 {
+    default_memory_bytes()
+}
+
+/// Runs the command line with these arguments, the program's name first, and returns its exit status. It
+/// takes over Ctrl-C and writes to the standard streams of the process, so the process should do nothing
+/// else.
+#[pyfunction]
+pub(crate) fn run_command(py: Python<'_>, arguments: Vec<std::ffi::OsString>) -> u8 {
+    py.detach(|| {
+        give_memory_back();
+        status_of(arguments)
+    })
+}
+
+/// Every format that is written: its extension, what it is, and whether it is a mesh, a picture, or has
+/// attributes.
+#[pyfunction]
+pub(crate) fn format_table() -> Vec<(&'static str, &'static str, bool, bool, bool)> {
+    let row = |format: OutputFormat| {
+        (format.extension(), format.help(), format.is_mesh(), format.is_picture(), format.has_attributes())
+    };
+    OutputFormat::ALL.into_iter().map(row).collect()
+}
+
+/// Why a file was not written.
+pub(crate) enum WriteError {
+    /// A choice is not valid.
+    Choice(String),
+    /// The format or the system refused.
+    Format(meniscus_formats::Error),
+}
+
+impl WriteError {
+    pub(crate) fn raised(self, path: &Path) -> PyErr {
+        match self {
+            WriteError::Choice(what) => PyValueError::new_err(what),
+            WriteError::Format(failure) => of_format(path, failure),
+        }
+    }
+}
+
+impl From<meniscus_formats::Error> for WriteError {
+    fn from(failure: meniscus_formats::Error) -> WriteError {
+        WriteError::Format(failure)
+    }
+}
+
+fn format_of(extension: &str) -> Result<OutputFormat, WriteError> {
+    OutputFormat::from_extension(extension).ok_or_else(|| {
+        let known: Vec<&str> = OutputFormat::ALL.iter().map(|format| format.extension()).collect();
+        WriteError::Choice(format!("unknown format `{extension}`: expected one of {}", known.join(", ")))
+    })
+}
+
+/// How files are written.
+#[derive(Clone, Debug, FromPyObject)]
+#[pyo3(from_item_all)]
+pub(crate) struct WriteOptions {
+    up: String,
+    meters_per_unit: f64,
+    quantize: bool,
+    vdb_half: bool,
+    vdb_compression: String,
+    size: [usize; 2],
+    camera: String,
+}
+
+impl WriteOptions {
+    fn outputs(&self, format: OutputFormat) -> Result<OutputOptions, WriteError> {
+        let choice = |what: String| Err(WriteError::Choice(what));
+        let Some(up) = UpAxis::ALL.into_iter().find(|axis| axis.name() == self.up) else {
+            return choice(format!("up is `{}`; it must be y or z", self.up));
+        };
+        if !pipeline::METERS_PER_UNIT.contains(&self.meters_per_unit) {
+            return choice(format!(
+                "meters_per_unit is {}; it must be from 1e-9 to 1e9",
+                self.meters_per_unit
+            ));
+        }
+        let mut compressions = vdb::Compression::ALL.into_iter();
+        let Some(vdb_compression) = compressions.find(|known| known.name() == self.vdb_compression) else {
+            let known = vdb::Compression::ALL.map(vdb::Compression::name).join(", ");
+            return choice(format!(
+                "vdb_compression is `{}`; it must be one of {known}",
+                self.vdb_compression
+            ));
+        };
+        if self.size.iter().any(|edge| !(16..=8192).contains(edge)) {
+            return choice(format!("size is {:?}; both must be from 16 to 8192", self.size));
+        }
+        let camera = match self.camera.parse() {
+            Ok(camera) => camera,
+            Err(why) => return choice(format!("camera: {why}")),
+        };
+        Ok(OutputOptions {
+            up,
+            meters_per_unit: self.meters_per_unit,
+            quantize: self.quantize,
+            vdb_half: self.vdb_half,
+            vdb_compression,
+            picture: PictureOptions { size: self.size, camera },
+            ..OutputOptions::new("", &[format])
+        })
+    }
+}
+
+/// A surface, and what its files say of their making.
+pub(crate) struct Embedded<'a> {
+    pub(crate) surface: &'a FrameSurface,
+    pub(crate) settings: &'a Arc<Settings>,
+    pub(crate) obstacles: &'a str,
+}
+
+impl Embedded<'_> {
+    fn inner(&self) -> EmbeddedSurface<'_> {
+        EmbeddedSurface { surface: self.surface, settings: self.settings, obstacles: self.obstacles }
+    }
+
+    pub(crate) fn write(
+        &self,
+        path: &Path,
+        format: &str,
+        options: &WriteOptions,
+        source: Option<(PathBuf, String)>,
+    ) -> Result<(), WriteError> {
+        let format = format_of(format)?;
+        let mut outputs = options.outputs(format)?;
+        if format.is_picture() {
+            // Pictures record the camera in numbers.
+            outputs = self.with_camera(outputs);
+        }
+        let hash = |(path, hash): (PathBuf, String)| match u128::from_str_radix(&hash, 16) {
+            Ok(hash) => Ok((path, hash)),
+            Err(_) => Err(WriteError::Choice(format!("`{hash}` is not a hash"))),
+        };
+        let source = source.map(hash).transpose()?;
+        Ok(self.inner().write(path, format, &Arc::new(outputs), source)?)
+    }
+
+    pub(crate) fn picture(&self, format: &str, options: &WriteOptions) -> Result<Vec<u8>, WriteError> {
+        let format = format_of(format)?;
+        let outputs = self.with_camera(options.outputs(format)?);
+        Ok(self.inner().picture(format, &outputs, &[])?)
+    }
+
+    fn with_camera(&self, outputs: OutputOptions) -> OutputOptions {
+        match self.inner().bounds() {
+            Some(bounds) if outputs.needs_camera() => outputs.with_camera_around(bounds),
+            _ => outputs,
+        }
+    }
+
+    pub(crate) fn report_json(&self) -> String {
+        self.inner().report_json()
+    }
+
+    pub(crate) fn warnings(&self) -> Vec<String> {
+        self.inner().warnings()
+    }
+}
+
+/// What a reconstruction prepares for files in these formats.
+pub(crate) fn prepared(formats: &[String], quantize: bool) -> PyResult<(Vec<PositionFormat>, Option<f32>)> {
+    let formats: Result<Vec<OutputFormat>, WriteError> =
+        formats.iter().map(|format| format_of(format)).collect();
+    let formats = formats.map_err(|error| error.raised(Path::new("")))?;
+    Ok(in_memory_parts(&OutputOptions { quantize, ..OutputOptions::new("", &formats) }))
+}
+
+/// Those attributes that the options need, and warnings about missing ones.
+pub(crate) fn needed_attributes(
+    attributes: Vec<FileAttribute>,
+    options: &Options,
+) -> PyResult<(Vec<meniscus::surface::Attribute>, Vec<String>)> {
+    in_memory_attributes(attributes, options).map_err(|what| error(Class::Particles, what))
+}
+
+/// An obstacle; its distances are cached in it.
+#[pyclass(frozen, module = "pymeniscus._native")]
+pub(crate) struct Obstacle {
+    shared: Arc<meniscus::surface::Obstacle>,
+    recorded: String,
+}
+
+impl Obstacle {
+    pub(crate) fn shared(&self) -> Arc<meniscus::surface::Obstacle> {
+        Arc::clone(&self.shared)
+    }
+
+    /// Its name and hash, as files record it.
+    pub(crate) fn recorded(&self) -> &str {
+        &self.recorded
+    }
+}
+
+#[pymethods]
+impl Obstacle {
+    /// What a mesh encloses: vertices (V, 3) float64 in world units, triangles (T, 3) uint32.
+    #[staticmethod]
+    fn from_mesh(
+        py: Python<'_>,
+        vertices: PyReadonlyArray2<'_, f64>,
+        triangles: PyReadonlyArray2<'_, u32>,
+    ) -> PyResult<Obstacle> {
+        let vertices: &[[f64; 3]] = bytemuck::try_cast_slice(vertices.as_slice()?)
+            .map_err(|_| PyValueError::new_err("vertices must have 3 columns"))?;
+        let triangles: &[[u32; 3]] = bytemuck::try_cast_slice(triangles.as_slice()?)
+            .map_err(|_| PyValueError::new_err("triangles must have 3 columns"))?;
+        if triangles.is_empty() {
+            return Err(PyValueError::new_err("the obstacle has no triangles"));
+        }
+        if let Some(index) = triangles.as_flattened().iter().find(|index| **index as usize >= vertices.len())
+        {
+            let what = format!("a triangle of the obstacle has vertex {index} of {}", vertices.len());
+            return Err(PyValueError::new_err(what));
+        }
+        run(py, || {
+            let hash = |bytes: &[u8]| XxHash3_128::oneshot(bytes);
+            let hash =
+                hash(bytemuck::cast_slice(vertices)) ^ hash(bytemuck::cast_slice(triangles)).rotate_left(64);
+            let shared = Arc::new(meniscus::surface::Obstacle::from_mesh(vertices, triangles));
+            Obstacle { shared, recorded: format!("mesh xxh3-128:{hash:032x}") }
+        })
+    }
+
+    /// The mesh or the level set in a file.
+    #[staticmethod]
+    fn from_file(py: Python<'_>, path: PathBuf, memory: u64) -> PyResult<Obstacle> {
+        if let Err(failure) = std::fs::metadata(&path) {
+            return Err(of_io(&path, &failure));
+        }
+        let read = run(py, || in_memory_obstacle(&path, memory))?;
+        let (obstacle, recorded) = read.map_err(|failure| error(Class::Format, failure.to_string()))?;
+        let shared =
+            obstacle.ok_or_else(|| PyRuntimeError::new_err("internal error: no obstacle was loaded"))?;
+        Ok(Obstacle { shared, recorded })
+    }
+
+    /// Edges at which its mesh is open, and triangles that were left out or turned; `None` for a level set.
+    fn findings(&self) -> Option<String> {
+        self.shared.mesh_findings().map(|findings| format!("{findings:?}"))
+    }
+}
+
+/// An attribute of a file: name, role, values per particle, the values, and of text the distinct words.
+type ReadAttribute<'py> = (String, Option<&'static str>, usize, Bound<'py, PyAny>, Option<Vec<String>>);
+
+/// Reads particles: positions (N, 3), attributes, notes, and the hash of the file.
+#[pyfunction]
+pub(crate) fn read(
+    py: Python<'_>,
+    path: PathBuf,
+) -> PyResult<(Bound<'_, PyAny>, Vec<ReadAttribute<'_>>, Vec<String>, String)> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let read = run(py, || {
+        let bytes = pipeline::read_regular(&path)?;
+        let frame = read_particles(&bytes, &name, &Limits::default())?;
+        Ok((XxHash3_128::oneshot(&bytes), frame))
+    })?;
+    let (hash, frame) = read.map_err(|failure: meniscus_formats::Error| of_format(&path, failure))?;
+    let rows = |error: numpy::ndarray::ShapeError| PyRuntimeError::new_err(error.to_string());
+    let positions = match frame.positions {
+        FilePositions::F32(positions) => {
+            let shape = (positions.len(), 3);
+            Array2::from_shape_vec(shape, positions.into_flattened())
+                .map_err(rows)?
+                .into_pyarray(py)
+                .into_any()
+        }
+        FilePositions::F64(positions) => {
+            let shape = (positions.len(), 3);
+            Array2::from_shape_vec(shape, positions.into_flattened())
+                .map_err(rows)?
+                .into_pyarray(py)
+                .into_any()
+        }
+    };
+    let attributes = frame.attributes.into_iter().map(|attribute| {
+        let role = attribute.role.and_then(word_of_role);
+        let (values, table) = match attribute.values {
+            Values::F32(values) => (values.into_pyarray(py).into_any(), None),
+            Values::F64(values) => (values.into_pyarray(py).into_any(), None),
+            Values::U8(values) => (values.into_pyarray(py).into_any(), None),
+            Values::I32(values) => (values.into_pyarray(py).into_any(), None),
+            Values::I64(values) => (values.into_pyarray(py).into_any(), None),
+            Values::Strings { table, indices } => (indices.into_pyarray(py).into_any(), Some(table)),
+        };
+        (attribute.name, role, attribute.arity, values, table)
+    });
+    Ok((positions, attributes.collect(), frame.notes, format!("{hash:032x}")))
+}
+
+/// The XXH3 hash of a file, as outputs record it.
+#[pyfunction]
+pub(crate) fn file_hash(py: Python<'_>, path: PathBuf) -> PyResult<String> {
+    let bytes = py.detach(|| pipeline::read_regular(&path)).map_err(|failure| of_io(&path, &failure))?;
+    Ok(format!("{:032x}", py.detach(|| XxHash3_128::oneshot(&bytes))))
+}

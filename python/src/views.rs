@@ -1,0 +1,35 @@
+//! NumPy arrays that borrow the memory of a surface.
+//!
+//! An array keeps the surface that it borrows from alive, and cannot be written to. Nothing else can write to
+//! that memory either: a surface is a frozen class, so that Python code only ever gets shared references to
+//! it, and its vectors have no interior mutability. So the memory is neither moved, freed nor changed while
+//! the array exists.
+#![expect(unsafe_code, reason = "rust-numpy has no safe way to borrow memory from a Python object")]
+
+use numpy::ndarray::{ArrayView, IntoDimension};
+use numpy::{Element, PyArray, PyArrayMethods};
+use pyo3::exceptions::PyRuntimeError;
+use pyo3::prelude::*;
+
+use crate::surface::Surface;
+
+/// A read-only array of this shape over what `data` borrows from the surface.
+///
+/// # Errors
+/// When the shape has another number of elements than the data.
+pub(crate) fn view<'py, T: Element, I: IntoDimension>(
+    owner: &Bound<'py, Surface>,
+    shape: I,
+    data: impl for<'a> FnOnce(&'a Surface) -> &'a [T],
+) -> PyResult<Bound<'py, PyArray<T, I::Dim>>> {
+    let values = ArrayView::from_shape(shape.into_dimension(), data(owner.get()))
+        .map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
+    // SAFETY: `data` is given a reference of any lifetime, so what it returns lives in the surface (or in a
+    // static) and is valid for as long as the surface exists. The array holds a reference to `owner`, which
+    // therefore outlives it. `Surface` is frozen and its vectors have no interior mutability, so they are not
+    // reallocated or changed before the surface is dropped.
+    let array = unsafe { PyArray::borrow_from_array(&values, owner.clone().into_any()) };
+    // Python code cannot undo this: the array does not own its memory, and its base offers none to write to.
+    drop(array.readwrite().make_nonwriteable());
+    Ok(array)
+}

@@ -1,0 +1,35 @@
+"""Particles that tests share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+ROOT = Path(__file__).resolve().parents[2]
+FRAMES = ROOT / "examples" / "frames"
+
+
+def lattice(edge: int, spacing: float = 0.1, dtype: type = np.float32) -> NDArray:
+    """A cube of particles on a lattice."""
+    axis = np.arange(edge) * spacing
+    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3).astype(dtype)
+
+
+@pytest.fixture(scope="session")
+def block() -> NDArray:
+    return lattice(10)
+
+
+@pytest.fixture(scope="session")
+def surface(block: NDArray):
+    import pymeniscus
+
+    return pymeniscus.reconstruct(block, spacing=0.1)
+
+
+@pytest.fixture(scope="session")
+def frame() -> Path:
+    return sorted(path for path in FRAMES.iterdir() if path.is_file())[0]

@@ -1,0 +1,64 @@
+"""Particles of files."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pymeniscus as pm
+
+
+def test_every_example_is_read():
+    from conftest import FRAMES
+
+    for path in FRAMES.iterdir():
+        if path.is_file():
+            particles = pm.read(path)
+            assert particles.positions.shape[1] == 3 and len(particles.positions) > 10, path
+            assert all(len(values) == len(particles.positions) for values in particles.values())
+            assert repr(particles) and particles.path == str(path)
+
+
+def test_types_and_roles_are_those_of_the_file(tmp_path):
+    points = np.arange(12, dtype=np.float64).reshape(4, 3)
+    path = tmp_path / "frame.npz"
+    np.savez(path, position=points, velocity=points.astype(np.float32), id=np.arange(4), density=np.ones(4))
+    particles = pm.read(path)
+    assert particles.positions.dtype == np.float64 and np.array_equal(particles.positions, points)
+    assert particles["velocity"].dtype == np.float32 and particles.roles["velocity"] == "velocity"
+    assert particles["id"].dtype.kind == "i" and particles.roles["id"] == "id"
+    assert set(particles) == {"velocity", "id", "density"} and len(particles) == 3
+    particles["velocity"][:] = 0
+    with pytest.raises(KeyError):
+        particles["mass"]
+
+
+def test_words_of_files(tmp_path):
+    path = tmp_path / "frame.csv"
+    path.write_text("x,y,z,phase\n0,0,0,water\n1,0,0,oil\n0,1,0,water\n")
+    particles = pm.read(path)
+    assert particles["phase"].tolist() == ["water", "oil", "water"]
+
+
+def test_errors_of_files(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        pm.read(tmp_path / "none.ply")
+    (tmp_path / "cut.ply").write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 9\nproperty float x\n")
+    with pytest.raises(pm.FormatError, match="cut.ply"):
+        pm.read(tmp_path / "cut.ply")
+    (tmp_path / "text.docx").write_bytes(b"PK\x03\x04 and more")
+    with pytest.raises(pm.FormatError):
+        pm.read(tmp_path / "text.docx")
+
+
+def test_attributes_of_particles_are_selected_by_name(frame, tmp_path):
+    points = np.random.default_rng(0).random((500, 3)).astype(np.float32)
+    path = tmp_path / "frame.npz"
+    np.savez(path, position=points, velocity=points, age=points[:, 0])
+    particles = pm.read(path)
+    named = pm.reconstruct(particles, attributes=["age"])
+    assert set(named.attributes) == {"age"}
+    assert set(pm.reconstruct(particles, attributes="all").attributes) == {"velocity", "age"}
+    assert not pm.reconstruct(particles).attributes
+    with pytest.warns(UserWarning, match="heat"):
+        pm.reconstruct(particles, attributes=["age", "heat"])

@@ -1,0 +1,380 @@
+"""Reconstruction: inputs of every kind, options, errors, threads and progress."""
+
+from __future__ import annotations
+
+import ctypes
+import platform
+import threading
+
+import numpy as np
+import pytest
+from conftest import lattice
+
+import pymeniscus as pm
+
+
+def same(one: pm.Surface, other: pm.Surface) -> bool:
+    return (
+        one.vertices.tobytes() == other.vertices.tobytes()
+        and one.triangles.tobytes() == other.triangles.tobytes()
+        and one.level_set.values.tobytes() == other.level_set.values.tobytes()
+    )
+
+
+def test_block_has_a_valid_surface(surface):
+    assert surface.certificate.holds and surface.certificate.fault == ""
+    assert surface.vertices.dtype == np.float32 and surface.vertices.shape[1] == 3
+    assert surface.triangles.dtype == np.uint32 and surface.triangles.max() == len(surface.vertices) - 1
+    assert surface.normals.shape == surface.vertices.shape
+    assert np.allclose(np.linalg.norm(surface.normals, axis=1), 1, atol=1e-4)
+    assert surface.report["particles"] == 1000 and surface.report["triangles"] == len(surface.triangles)
+    assert 0.9 < surface.vertices.max() < 1.15
+    assert surface.origin == (0, 0, 0)
+
+
+@pytest.mark.parametrize("layout", ["fortran", "every second", "reversed", "columns of a wider array", "read-only"])
+def test_strides_do_not_matter(block, surface, layout):
+    if layout == "fortran":
+        points = np.asfortranarray(block)
+    elif layout == "every second":
+        points = np.repeat(block, 2, axis=0)[::2]
+    elif layout == "reversed":
+        points = block[::-1].copy()[::-1]
+    elif layout == "columns of a wider array":
+        points = np.concatenate([block, block], axis=1)[:, :3]
+    else:
+        points = block.copy()
+        points.flags.writeable = False
+    assert same(pm.reconstruct(points, spacing=0.1), surface)
+
+
+@pytest.mark.parametrize("dtype", ["<f4", ">f4", "<f8", ">f8", np.float16, np.int32, np.uint8])
+def test_number_types(dtype):
+    points = lattice(5, 1.0).astype(dtype)
+    native = np.float32 if np.dtype(dtype).kind == "f" and np.dtype(dtype).itemsize <= 4 else np.float64
+    assert same(pm.reconstruct(points, spacing=1.0), pm.reconstruct(lattice(5, 1.0, native), spacing=1.0))
+
+
+def test_float64_keeps_its_precision():
+    points = lattice(5, 0.1, np.float64)
+    assert not np.array_equal(points, points.astype(np.float32))
+    far = points + 1e6
+    made = pm.reconstruct(far, spacing=0.1)
+    assert made.certificate.holds
+    assert np.allclose(np.asarray(made.origin) + made.vertices.astype(float).mean(axis=0), far.mean(axis=0), atol=0.05)
+
+
+def test_lists_and_buffers(block, surface):
+    assert same(pm.reconstruct(block.tolist(), spacing=0.1), pm.reconstruct(block.astype(float), spacing=0.1))
+    assert same(pm.reconstruct(memoryview(block), spacing=0.1), surface)
+
+
+class OnlyDlpack:
+    def __init__(self, array, device=None):
+        self.array, self.device = array, device
+
+    def __dlpack__(self, **keywords):
+        return self.array.__dlpack__(**keywords)
+
+    def __dlpack_device__(self):
+        return self.device or self.array.__dlpack_device__()
+
+
+class OnlyInterface:
+    def __init__(self, array):
+        self.array = array
+        self.__array_interface__ = array.__array_interface__
+
+
+class OnlyArray:
+    def __init__(self, array):
+        self.array = array
+
+    def __array__(self, dtype=None, copy=None):
+        return self.array
+
+
+@pytest.mark.parametrize("wrap", [OnlyDlpack, OnlyInterface, OnlyArray])
+def test_protocols_share_memory(block, surface, wrap):
+    from pymeniscus._arrays import as_points
+
+    wrapped = wrap(block)
+    assert np.shares_memory(as_points(wrapped), block)
+    assert same(pm.reconstruct(wrapped, spacing=0.1), surface)
+
+
+def test_torch_tensor_is_not_copied(block, surface):
+    torch = pytest.importorskip("torch")
+    from pymeniscus._arrays import as_points
+
+    tensor = torch.from_numpy(block)
+    assert as_points(tensor).ctypes.data == tensor.data_ptr()
+    assert same(pm.reconstruct(tensor, spacing=0.1), surface)
+
+
+def test_warp_array_is_not_copied(block, surface):
+    warp = pytest.importorskip("warp")
+    from pymeniscus._arrays import as_points
+
+    array = warp.array(block, dtype=warp.vec3, device="cpu")
+    assert as_points(array).ctypes.data == array.ptr
+    assert same(pm.reconstruct(array, spacing=0.1), surface)
+
+
+def test_device_arrays_are_refused(block):
+    with pytest.raises(TypeError, match="memory of a device"):
+        pm.reconstruct(OnlyDlpack(block, (2, 0)))
+
+
+@pytest.mark.parametrize(
+    ("points", "error", "text"),
+    [
+        (np.zeros((4, 2)), ValueError, r"shape \(N, 3\), not \(4, 2\)"),
+        (np.zeros(6), ValueError, r"shape \(N, 3\)"),
+        (np.zeros((2, 3), complex), TypeError, "real numbers, not complex128"),
+        (np.array([["a", "b", "c"]]), TypeError, "real numbers"),
+        ("particles.ply", TypeError, "points"),
+        (None, TypeError, "points"),
+        (np.zeros((0, 3)), pm.ParticleError, "no particles"),
+        ([], pm.ParticleError, "no particles"),
+        (np.full((4, 3), np.nan), pm.MeniscusError, "."),
+    ],
+)
+def test_points_that_are_none(points, error, text):
+    with pytest.raises(error, match=text):
+        pm.reconstruct(points)
+
+
+def test_positions_that_are_not_finite_are_left_out(block):
+    points = np.concatenate([block, [[np.nan, 0, 0], [np.inf, 0, 0]]]).astype(np.float32)
+    with pytest.warns(UserWarning):
+        made = pm.reconstruct(points, spacing=0.1)
+    assert made.report["dropped"] == 2 and made.warnings
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "text"),
+    [
+        ({"voxelsize": 1}, TypeError, "did you mean `voxel_size`"),
+        ({"voxel_size": "wide"}, pm.OptionError, "voxel_size.*not a length"),
+        ({"decimate": 3}, pm.OptionError, "decimate is 3; it must be from 0 to 1"),
+        ({"preset": "foam"}, pm.OptionError, "expected one of fluid"),
+        ({"steps": -1}, pm.OptionError, "steps.*whole number"),
+        ({"quads": "maybe"}, pm.OptionError, "quads"),
+        ({"clip": [1, 2, 3]}, pm.OptionError, "clip"),
+        ({"radius_ratio": float("nan")}, pm.OptionError, "."),
+        ({"threads": 0}, ValueError, "1 to 1024"),
+        ({"memory": "lots"}, ValueError, "8GiB"),
+        ({"memory": "1KiB"}, pm.MemoryLimitError, "limit"),
+        ({"formats": ["docx"]}, ValueError, "unknown format `docx`"),
+        ({"radius_attribute": "pscale"}, pm.ParticleError, "pscale"),
+        ({"anisotropy": "velocity"}, pm.ParticleError, "velocity"),
+    ],
+)
+def test_errors(block, options, error, text):
+    with pytest.raises(error, match=text):
+        pm.reconstruct(block, **{"spacing": 0.1, **options})
+
+
+def test_errors_have_the_usual_classes():
+    assert issubclass(pm.OptionError, ValueError) and issubclass(pm.MemoryLimitError, MemoryError)
+    for error in (pm.OptionError, pm.ParticleError, pm.MemoryLimitError, pm.FormatError, pm.CommandError):
+        assert issubclass(error, pm.MeniscusError)
+
+
+def test_every_option_changes_something_or_is_refused(block):
+    """No option is ignored: each of them is in the settings of the surface."""
+    values = {"number": 0.5, "count": 3, "switch": True, "length": "2h"}
+    special = {"preset": "splash", "radius_min": "1.2d", "radius_ratio": 2.5, "radius_init": "1.5d", "spacing": 0.1,
+               "voxel_size": "0.5d", "clip": (0, 0, 0, 0.5, 0.5, 0.5), "radius_attribute": "r", "max_stretch": 3.0,
+               "thin_radius": "0.5d", "lone_radius": "0.8d", "neighbor_radius": "3d", "offset": "0.1h",
+               "step_size": 1.0, "fill_cavities": 4.0}  # fmt: skip
+    needs = {"radius_attribute": {}, "radius_scale": {"radius_attribute": "r"}, "cg_tolerance": {"integrator": "implicit"},
+             "velocity_gain": {"anisotropy": "velocity"}}  # fmt: skip
+    attributes = {"r": np.full(1000, 0.07, np.float32)}
+    velocity = np.ones((1000, 3), np.float32)
+    far = pm.Obstacle([[9, 9, 9], [9, 10, 9], [10, 9, 9], [9, 9, 10]], [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+    for info in pm.option_table():
+        value = special.get(info.name, info.choices[-1] if info.choices else values.get(info.kind))
+        assert value is not None, info.name
+        options = {"spacing": 0.1, **needs.get(info.name, {}), info.name: value}
+        if info.name == "void_threshold":
+            options["obstacles"] = far
+        made = pm.reconstruct(block, attributes=attributes, velocity=velocity, **options)
+        if info.name == "preset":
+            assert made.settings != pm.reconstruct(block, spacing=0.1).settings
+        else:
+            assert info.name in made.settings, info.name
+
+
+def test_radii_make_drops_of_different_sizes():
+    points = np.array([[0, 0, 0], [10, 0, 0]], np.float32)
+    made = pm.reconstruct(points, radii=[0.5, 1.0], spacing=1.0, voxel_size=0.2, anisotropy="none", position_smoothing=0)
+    right = made.vertices[:, 0] > 5
+    small, large = (np.ptp(made.vertices[side], axis=0) for side in (~right, right))
+    assert (large > 1.5 * small).all()
+    assert made.settings["radius_attribute"] == "radius"
+    with pytest.raises(ValueError, match="radii must have the shape"):
+        pm.reconstruct(points, radii=[1.0])
+
+
+def test_attributes_reach_the_vertices(block):
+    velocity = np.tile([1.0, 2.0, 3.0], (1000, 1))
+    ids = np.arange(1000, dtype=np.int64)
+    words = np.where(block[:, 0] < 0.5, "water", "oil")
+    made = pm.reconstruct(
+        block, velocity=velocity, attributes={"height": block[:, 2], "id": ids, "phase": words}, spacing=0.1
+    )
+    assert set(made.attributes) == {"velocity", "height", "id", "phase"}
+    assert np.allclose(made.velocities, [1, 2, 3], atol=1e-5)
+    assert made.attributes["height"].dtype == np.float32 and made.attributes["height"].shape == (len(made.vertices),)
+    assert np.abs(made.attributes["height"] - made.vertices[:, 2]).max() < 0.3
+    assert made.attributes["id"].dtype == np.int64 and set(made.attributes["id"]) <= set(ids.tolist())
+    assert set(made.attributes["phase"]) <= {"water", "oil"} and len(set(made.attributes["phase"])) == 2
+    left = made.vertices[:, 0] < 0.3
+    assert set(made.attributes["phase"][left]) == {"water"}
+
+
+@pytest.mark.parametrize(
+    ("keywords", "error"),
+    [
+        ({"velocity": np.zeros((3, 3))}, ValueError),
+        ({"attributes": {"a": np.zeros(3)}}, ValueError),
+        ({"attributes": {"a": np.zeros((1000, 0))}}, ValueError),
+        ({"attributes": {"a": np.zeros(1000, complex)}}, TypeError),
+        ({"attributes": {"a": np.full(1000, 2**64 - 1, np.uint64)}}, ValueError),
+        ({"attributes": ["a"]}, TypeError),
+    ],
+)
+def test_attributes_that_do_not_fit(block, keywords, error):
+    with pytest.raises(error):
+        pm.reconstruct(block, spacing=0.1, **keywords)
+
+
+def test_threads_do_not_change_bytes(block, surface):
+    assert same(pm.reconstruct(block, spacing=0.1, threads=1), surface)
+    assert same(pm.reconstruct(block, spacing=0.1, threads=3), surface)
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64" or platform.libc_ver()[0] != "glibc", reason="knows one fenv_t")
+def test_floating_point_mode_of_the_caller_does_not_change_bytes(block, surface):
+    # Taichi and programs linked with -ffast-math flush denormals to zero, and new threads inherit the mode.
+    libm, saved = ctypes.CDLL("libm.so.6"), (ctypes.c_uint32 * 8)()
+    libm.fegetenv(saved)
+    flushing = type(saved)(*saved)
+    flushing[7] |= 0x8040
+    try:
+        libm.fesetenv(flushing)
+        assert np.float32(1e-40) * np.float32(0.5) == 0
+        made = [pm.reconstruct(block, spacing=0.1, threads=threads) for threads in (5, None)]
+    finally:
+        libm.fesetenv(saved)
+    assert all(same(one, surface) for one in made)
+
+
+def test_several_threads_at_once(block, surface):
+    made = [None] * 4
+    ticks = []
+
+    def work(index):
+        made[index] = pm.reconstruct(block, spacing=0.1)
+
+    workers = [threading.Thread(target=work, args=(index,)) for index in range(4)]
+    [worker.start() for worker in workers]
+    while any(worker.is_alive() for worker in workers):
+        ticks.append(None)
+        threading.Event().wait(0.001)
+    assert all(same(one, surface) for one in made)
+    # This thread ran meanwhile: the lock was released.
+    assert len(ticks) > 3
+
+
+def test_one_sequence_from_several_threads(block, surface):
+    sequence = pm.Sequence(spacing=0.1)
+    made = []
+    workers = [threading.Thread(target=lambda: made.append(sequence.reconstruct(block))) for _ in range(4)]
+    [worker.start() for worker in workers]
+    [worker.join() for worker in workers]
+    assert len(made) == 4 and all(same(one, surface) for one in made)
+
+
+def test_progress_is_reported_in_order_on_the_thread_of_the_caller(block):
+    calls = []
+    pm.reconstruct(block, spacing=0.1, progress=lambda phase, part: calls.append((phase, part, threading.get_ident())))
+    phases = [phase for phase, _, _ in calls]
+    assert list(dict.fromkeys(phases)) == ["prepare", "rasterize", "smooth", "contour"]
+    assert all(0 <= part <= 1 for _, part, _ in calls)
+    assert {ident for _, _, ident in calls} == {threading.get_ident()}
+
+
+def test_an_exception_of_progress_is_raised(block):
+    class Stop(Exception):
+        pass
+
+    def stop(phase, part):
+        raise Stop(phase)
+
+    with pytest.raises(Stop):
+        pm.reconstruct(block, spacing=0.1, progress=stop)
+    assert pm.reconstruct(block, spacing=0.1).certificate.holds
+
+
+def test_obstacles_are_not_entered(block, tmp_path):
+    box = np.array([[x, y, z] for x in (0.3, 0.6) for y in (0.3, 0.6) for z in (0.3, 2.0)])
+    faces = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6],
+                      [0, 6, 4], [1, 5, 7], [1, 7, 3]])  # fmt: skip
+    keep = ~((block > 0.25) & (block < [0.65, 0.65, 2.0])).all(axis=1)
+    obstacle = pm.Obstacle(box, faces)
+    made = pm.reconstruct(block[keep], obstacles=obstacle, spacing=0.1)
+    inside = ((made.vertices > 0.32) & (made.vertices < [0.58, 0.58, 1.9])).all(axis=1)
+    assert not inside.any() and made.report["obstacles"] is not None
+    assert same(pm.reconstruct(block[keep], obstacles=[(box, faces)], spacing=0.1), made)
+    path = tmp_path / "box.obj"
+    path.write_text(
+        "".join(f"v {x} {y} {z}\n" for x, y, z in box) + "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in faces)
+    )
+    of_file = pm.reconstruct(block[keep], obstacles=path, spacing=0.1)
+    assert np.allclose(of_file.vertices, made.vertices) and "box.obj" in of_file.report["obstacles"]["files"]
+    with pytest.raises(OSError):
+        pm.Obstacle.from_file(tmp_path / "none.obj")
+    with pytest.raises(ValueError, match="does not exist"):
+        pm.Obstacle(box, faces + 5)
+    with pytest.raises(TypeError, match="obstacle"):
+        pm.reconstruct(block, obstacles=[3])
+
+
+def test_scratch_files_make_the_same_surface(tmp_path):
+    points = lattice(40, 0.1)
+    whole = pm.reconstruct(points, spacing=0.1)
+    small = next(
+        megabytes for megabytes in (8, 16, 24, 32, 48, 64, 96, 128)
+        if not _fails(lambda: pm.reconstruct(points, spacing=0.1, memory=megabytes << 20, scratch=tmp_path))
+    )  # fmt: skip
+    assert same(pm.reconstruct(points, spacing=0.1, memory=small << 20, scratch=tmp_path), whole)
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(NotADirectoryError):
+        pm.reconstruct(points, scratch=tmp_path / "none")
+
+
+def _fails(call):
+    try:
+        call()
+    except pm.MemoryLimitError:
+        return True
+    return False
+
+
+def test_sequences_keep_their_settings(block):
+    coarse = block * 2
+    sequence = pm.Sequence(block)
+    voxel_size = float(sequence.settings["voxel_size"])
+    made = sequence.reconstruct(coarse[:200])
+    assert made.level_set.voxel_size == voxel_size
+    assert pm.reconstruct(coarse[:200]).level_set.voxel_size != voxel_size
+    later = pm.Sequence()
+    assert later.settings is None
+    first = later.reconstruct(block)
+    assert later.reconstruct(coarse[:200], velocity=coarse[:200]).level_set.voxel_size == first.level_set.voxel_size
+    assert same(first, pm.reconstruct(block))
+    with pytest.raises(TypeError, match="unknown option"):
+        pm.Sequence(foo=1)

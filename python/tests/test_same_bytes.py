@@ -1,0 +1,78 @@
+"""Files of surfaces have the bytes of the command."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pymeniscus as pm
+
+
+def spacing_of(report: dict) -> float:
+    return report["settings"][0]["spacing"]
+
+
+@pytest.mark.parametrize("options", [{}, {"preset": "splash", "quads": True}, {"preset": "paper", "decimate": 0.05}])
+def test_a_file_and_its_arrays(frame, tmp_path, options):
+    formats = ["glb", "vdb", "obj", "ply", "vtp", "usda", "usdc"]
+    report = pm.convert(frame, tmp_path / "command", format=formats, **options)
+    surface = pm.reconstruct(pm.read(frame), **{"spacing": spacing_of(report), **options}, formats=formats)
+    for path in sorted((tmp_path / "command").iterdir()):
+        if path.is_file():
+            mine = tmp_path / path.name
+            surface.write(mine)
+            assert mine.read_bytes() == path.read_bytes(), path.name
+
+
+@pytest.mark.parametrize("formats", [["stl"], ["glb"]])
+def test_formats_that_round_positions(frame, tmp_path, formats):
+    quantize = formats == ["glb"]
+    report = pm.convert(frame, tmp_path / "command", format=formats, quantize=quantize)
+    surface = pm.reconstruct(pm.read(frame), spacing=spacing_of(report), formats=formats, quantize=quantize)
+    (path,) = [path for path in (tmp_path / "command").iterdir() if path.is_file()]
+    surface.write(tmp_path / path.name, quantize=quantize)
+    assert (tmp_path / path.name).read_bytes() == path.read_bytes()
+
+
+def test_exported_arrays_with_attributes_and_radii(block, tmp_path):
+    generator = np.random.default_rng(1)
+    velocity = generator.normal(size=(1000, 3)).astype(np.float32)
+    radii = generator.uniform(0.04, 0.08, 1000).astype(np.float32)
+    exported = tmp_path / "frame.npz"
+    np.savez(exported, position=block, velocity=velocity, radius=radii)
+    options = {"spacing": 0.1, "anisotropy": "velocity"}
+    pm.convert(
+        exported, tmp_path / "command", format=["glb", "vdb"], attributes="velocity", radius_attribute="radius", **options
+    )
+    surface = pm.reconstruct(block, velocity=velocity, radii=radii, formats=["glb", "vdb"], **options)
+    for name in ("frame.glb", "frame.vdb"):
+        surface.write(tmp_path / name, source=exported)
+        assert (tmp_path / name).read_bytes() == (tmp_path / "command" / name).read_bytes(), name
+    again = pm.reconstruct(pm.read(exported), attributes="velocity", radius_attribute="radius", formats=["vdb"], **options)
+    again.write(tmp_path / "again.vdb")
+    assert (tmp_path / "again.vdb").read_bytes() == (tmp_path / "command" / "frame.vdb").read_bytes()
+
+
+def test_obstacle_files(block, tmp_path):
+    path = tmp_path / "wall.obj"
+    path.write_text("v 0.5 -1 -1\nv 0.5 2 -1\nv 0.5 2 2\nv 0.5 -1 2\nv 3 0.5 0.5\n"
+                    "f 1 3 2\nf 1 4 3\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\n")  # fmt: skip
+    exported = tmp_path / "frame.npy"
+    np.save(exported, block)
+    pm.convert(exported, tmp_path / "command", format="glb", obstacle=path, spacing=0.1)
+    surface = pm.reconstruct(pm.read(exported), obstacles=path, spacing=0.1)
+    surface.write(tmp_path / "frame.glb")
+    assert (tmp_path / "frame.glb").read_bytes() == (tmp_path / "command" / "frame.glb").read_bytes()
+
+
+def test_without_a_source_a_file_does_not_name_one(surface, tmp_path):
+    surface.write(tmp_path / "surface.glb")
+    content = (tmp_path / "surface.glb").read_bytes()
+    assert b"generator" in content and b"input_hash" not in content
+    with pytest.raises(ValueError, match="not read from a file"):
+        surface.write(tmp_path / "surface.glb", source=pm.Particles(np.zeros((1, 3))))
+
+
+def test_spacing_of_one_frame_is_that_of_the_command(frame, tmp_path):
+    report = pm.convert(frame, tmp_path, format="glb")
+    assert float(pm.reconstruct(pm.read(frame)).settings["spacing"]) == spacing_of(report)
