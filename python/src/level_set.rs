@@ -45,8 +45,8 @@ impl Rows {
     pub(crate) fn sample(&self, band: &NarrowBand, points: &[[f64; 3]], voxel_size: f64) -> Vec<f32> {
         let one = |point: &[f64; 3]| {
             let point = DVec3::from(*point) / voxel_size;
-            // Also false for what is not a number.
-            if !(point.abs().max_element() < f64::from(1 << 30)) || !point.is_finite() {
+            let has_index = point.is_finite() && point.abs().max_element() < f64::from(1 << 30);
+            if !has_index {
                 return f32::NAN;
             }
             let (least, part) = (point.floor().as_ivec3(), (point - point.floor()).as_vec3());

@@ -279,12 +279,12 @@ impl Obstacle {
 /// An attribute of a file: name, role, values per particle, the values, and of text the distinct words.
 type ReadAttribute<'py> = (String, Option<&'static str>, usize, Bound<'py, PyAny>, Option<Vec<String>>);
 
-/// Reads particles: positions (N, 3), attributes, notes, and the hash of the file.
+/// Positions (N, 3), attributes, notes, and the hash of the file.
+type ReadFrame<'py> = (Bound<'py, PyAny>, Vec<ReadAttribute<'py>>, Vec<String>, String);
+
+/// Reads particles.
 #[pyfunction]
-pub(crate) fn read(
-    py: Python<'_>,
-    path: PathBuf,
-) -> PyResult<(Bound<'_, PyAny>, Vec<ReadAttribute<'_>>, Vec<String>, String)> {
+pub(crate) fn read(py: Python<'_>, path: PathBuf) -> PyResult<ReadFrame<'_>> {
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let read = run(py, || {
         let bytes = pipeline::read_regular(&path)?;

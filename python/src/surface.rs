@@ -27,6 +27,9 @@ pub(crate) struct Surface {
     rows: OnceLock<Rows>,
 }
 
+/// Faces as rows of vertex indices.
+type Faces<'py> = Bound<'py, PyArray2<u32>>;
+
 /// Name, role, values per vertex, and the distinct words of text.
 type AttributeInfo = (String, Option<&'static str>, usize, Option<Vec<String>>);
 
@@ -81,10 +84,7 @@ impl Surface {
     }
 
     /// Quads (Q, 4) and the triangles (L, 3) that are not halves of one, uint32.
-    fn quads<'py>(
-        &self,
-        py: Python<'py>,
-    ) -> PyResult<(Bound<'py, PyArray2<u32>>, Bound<'py, PyArray2<u32>>)> {
+    fn quads<'py>(&self, py: Python<'py>) -> PyResult<(Faces<'py>, Faces<'py>)> {
         let (quads, loose) = run(py, || {
             let is_first = self.surface.mesh.quads();
             let triangles = &self.surface.mesh.triangles;
