@@ -26,7 +26,7 @@ pub(super) struct ProgressDisplay {
 struct ProgressState {
     /// In order of their start.
     active: Vec<ActiveFrame>,
-    /// Computing seconds per GiB of a plan: the maximum over the finished frames of this run.
+    /// Seconds of computing per GiB of [`work_gib`]: the maximum over the finished frames of this run.
     measured_s_per_gib: Option<f64>,
     /// The last printed estimate: similar ones are not printed again.
     announced: Option<FrameEstimate>,
@@ -38,7 +38,7 @@ struct ActiveFrame {
     stage: Stage,
     /// Of the stage, from 0 to 1.
     fraction: f64,
-    /// The amount of computation, in GiB of a plan.
+    /// The amount of computation, as by [`work_gib`].
     work_gib: f64,
 }
 
@@ -57,8 +57,8 @@ const ANNOUNCED_AGAIN: f64 = 1.5;
 
 const GIB: f64 = (1_u64 << 30) as f64;
 
-/// Computing seconds per GiB of a plan on one thread with the default integrator: a third more than for the
-/// large frames of docs/performance.md. Frames finished in the same run replace it.
+/// Seconds of computing per GiB of [`work_gib`] on one thread with the default integrator: a third more than
+/// for the large frames of docs/performance.md. Frames finished in the same run replace it.
 const S_PER_GIB: f64 = 45.0;
 
 /// The slowdown in tiles: some parts are computed twice, and data goes through files.
@@ -185,7 +185,8 @@ impl FrameEstimate {
     }
 }
 
-/// The amount of computation, in GiB of a plan in memory.
+/// The amount of computation, measured by the memory in GiB that the [`MemoryPlan`] gives for a frame without
+/// tiles, times [`TILED`] if the frame is computed in tiles.
 fn work_gib(plan: &MemoryPlan) -> f64 {
     let tiled = if plan.tile_leaves.is_some() { TILED } else { 1.0 };
     plan.in_core_bytes as f64 / GIB * tiled

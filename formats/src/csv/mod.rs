@@ -54,7 +54,8 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     Ok(frame::frame(layout, table))
 }
 
-/// A note for rows with a declared count if neither a line end nor a blank follows the last number.
+/// The note on rows whose number a header states (LAMMPS, XYZ) if neither a line end nor a blank follows the
+/// last number.
 pub(crate) fn open_end_note(rows: &[u8]) -> Option<String> {
     let is_open = !rows.last().is_some_and(u8::is_ascii_whitespace);
     is_open.then(|| {
@@ -63,7 +64,7 @@ pub(crate) fn open_end_note(rows: &[u8]) -> Option<String> {
     })
 }
 
-/// The rows of a table whose header belongs to another format; separated by blanks.
+/// The rows of a table whose header belongs to another format. Their cells are separated by blanks.
 pub(crate) struct CountedRows {
     /// One name per column.
     pub(crate) names: Vec<String>,
@@ -98,7 +99,7 @@ pub(crate) fn read_rows(bytes: &[u8], rows: CountedRows, limits: &Limits) -> Res
     let table = parts::read_rows(bytes, &layout, limits)?;
     let found = table.row_count as u64 + table.dropped_row_count;
     if found != count {
-        let what = format!("expected {count} rows, found {found} and other lines");
+        let what = format!("expected {count} rows, found {found}: blank lines and comments are not rows");
         return Err(Error::invalid(FORMAT, Position::Line(line), what));
     }
     Ok(Some(frame::frame(layout, table)))

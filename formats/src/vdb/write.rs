@@ -114,8 +114,8 @@ pub fn write(
 /// # Errors
 ///
 /// [`Error::Invalid`] if the level set is invalid: origins that are not distinct multiples of 8, NaN values,
-/// or a background that is not positive and finite in the precision of the file; or if a grid has a value
-/// that is not finite, or a number of components other than one or three.
+/// a background that is not positive and finite in the precision of the file, or an origin that is not
+/// finite; or if a grid has a value that is not finite, or a number of components other than one or three.
 pub fn encode(levels: &LevelSetView, options: &WriteOptions, provenance: &Provenance) -> Result<EncodedVdb> {
     let order = tree_order(levels)?;
     let encoding = encoding(levels, options)?;
@@ -280,9 +280,10 @@ fn encoding(levels: &LevelSetView, options: &WriteOptions) -> Result<LeafEncodin
     if !(valid(scale) && valid(f64::from(background)) && options.origin.iter().all(|c| c.is_finite())) {
         let what = format!(
             "a band of {} voxels of {scale} world units gives the background {background}; \
-             it must be positive and finite in {} bits",
+             it must be positive and finite in {} bits, and the origin {:?} must be finite",
             levels.half_width_voxels,
-            if options.half { 16 } else { 32 }
+            if options.half { 16 } else { 32 },
+            options.origin
         );
         return Err(Error::invalid(FORMAT, Position::File, what));
     }

@@ -49,7 +49,7 @@ pub(in crate::cli) struct FlickerArgs {
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) points: Option<PathBuf>,
 
-    /// Draw the scores over the frames, and where the worst frames flicker: a name that ends with .png
+    /// Plot the score of each frame, and show where the worst frames flicker: a name that ends with .png
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) picture: Option<PathBuf>,
 
@@ -60,10 +60,10 @@ pub(in crate::cli) struct FlickerArgs {
 
 const DEFINITION: &str = "\
 What is scored:
-  Points on the surface of a frame, evenly by area, are carried to the frames before and after it by the
-  particles around them: by ids if all frames have them, else by velocities. A point's flicker is the
-  second difference of its signed distances to the three surfaces, in particle spacings. The score is
-  the root of its mean square: 0 for a surface that moves as its particles do.
+  Points on the surface of a frame, evenly by area, are advected to the frames before and after it with the
+  particles around them, which are followed by their ids if all frames have them, else by their velocities.
+  A point's flicker is the second difference of its signed distances to the three surfaces, in particle
+  spacings. The score is the root of its mean square: 0 for a surface that moves as its particles do.
 
   A distance of more than 2 spacings counts as 2. Points with no particle within 3 spacings are
   counted and left out. A frame is scored if the frames before and after it have a mesh and particles.

@@ -26,7 +26,8 @@ pub(in crate::cli) struct ManArgs {
 const WHERE_COMPLETIONS_GO: &str = "\
 Where it goes, for one user:
   bash  meniscus completions bash > ~/.local/share/bash-completion/completions/meniscus
-  zsh   meniscus completions zsh > ~/.zfunc/_meniscus    with fpath+=~/.zfunc before compinit
+  zsh   meniscus completions zsh > ~/.zfunc/_meniscus
+        and in ~/.zshrc, before compinit: fpath+=~/.zfunc
   fish  meniscus completions fish > ~/.config/fish/completions/meniscus.fish
 The Debian package has these three in place.";
 

@@ -81,7 +81,7 @@ impl fmt::Display for NoSpacing {
                 "cannot measure the particle spacing, because no frame has two particles in different places: \
                  give --spacing",
             ),
-            // A voxel size would not help, because the files are unreadable.
+            // No hint to give --spacing: it would not help, because the files are unreadable.
             Some(error) if *sparse_count == 0 => match unreadable_count {
                 ..=1 => write!(f, "{error}"),
                 _ => write!(f, "{error}; none of the {unreadable_count} frames can be read"),
@@ -256,8 +256,8 @@ fn positive(attribute: &Attribute) -> Vec<f64> {
 }
 
 /// Twice the radius is the spacing if it differs from the estimate by this factor at most: simulations derive
-/// the particle radius from the spacing, but some files have radii for another purpose. Positions with a low
-/// confidence are ignored.
+/// the particle radius from the spacing, but some files have radii for another purpose. If the estimate from
+/// the positions has a low confidence, the radius decides whatever the factor.
 const RADIUS_FACTOR_MAX: f64 = 1.5;
 
 /// Combines the measurements of these frames; `None` without frames.

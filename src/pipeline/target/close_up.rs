@@ -7,7 +7,8 @@
 //!   ▒▒▒▒▒└──────┘▒▒▒▒▒▒
 //! ```
 //!
-//! A cell counts its free faces minus one, because calm water has one.
+//! The count of a box is the sum over its visible cells of their free faces minus one: a cell at the surface
+//! of calm water has one free face, and so adds nothing.
 
 use std::collections::BTreeMap;
 
@@ -69,7 +70,7 @@ pub fn close_up(particles: &OwnedPositions, spacing: f64, to_eye: DVec3) -> Opti
             *counts.entry(last.saturating_sub(back).to_array()).or_default() += count;
         }
     }
-    // The first of several maxima: backward, the last that is not less.
+    // Of several maxima the first is taken: `max_by_key` returns the last, so the order is reversed.
     let (most, _) = counts.iter().rev().max_by_key(|(_, count)| **count)?;
     let least = IVec3::from(*most).as_dvec3() * f64::from(half) * edge;
     Some([least, least + f64::from(BOX_CELLS) * edge])

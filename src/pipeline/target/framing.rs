@@ -6,8 +6,8 @@
 //!   frame would be cropped    ─▶ refit around the previous bounds and the frame, with a margin where it grew
 //! ```
 //!
-//! The margin makes refits rare: a splash that keeps growing at the same pace causes one refit for each
-//! quarter that it grows. Earlier pictures stay as they are. The camera of a frame depends on the frames
+//! The margin makes refits rare: a splash that keeps growing causes a refit only each time it has grown by
+//! about a quarter (`GROWTH`). Earlier pictures stay as they are. The camera of a frame depends on the frames
 //! written before it, so it may differ between runs if several frames are in flight.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -53,7 +53,7 @@ impl Framed {
 }
 
 impl Framing {
-    /// Continues from `framed`, with the camera that `outputs` requests.
+    /// Starts with the camera in `framed`; refits use the camera that `outputs` requests.
     pub fn new(outputs: &OutputOptions, framed: Framed) -> Framing {
         Framing {
             requested: outputs.picture.camera,

@@ -24,7 +24,7 @@ word_enum! {
         Granular = "granular",
         /// A quick preview: voxels as large as the spacing
         Preview = "preview",
-        /// The parameters of the paper: lengths follow the voxel size
+        /// The parameters of Bhattacharya, Gao and Bargteil (2015): lengths follow the voxel size
         Paper = "paper",
         /// Deprecated: paper, with small cavities filled
         Water = "water",

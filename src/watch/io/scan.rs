@@ -168,7 +168,8 @@ impl ScanLimits {
         Ok(ScanLimits { excluded: excluded.collect(), root })
     }
 
-    /// Whether the innermost of the root and the excluded folders around this folder is an excluded one.
+    /// Whether this folder is excluded: of the root and the excluded folders, the innermost that contains
+    /// this folder decides.
     fn excludes(&self, folder: &Path) -> io::Result<bool> {
         if self.excluded.is_empty() {
             return Ok(false);

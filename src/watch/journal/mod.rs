@@ -14,7 +14,8 @@
 //! provenance of their inputs. Without a journal, frames are read again and found done. This keeps the
 //! journal simple: a record is one write at the end of the file, and nothing waits for the disk. A line that
 //! was torn by a crash is truncated, a damaged line is skipped, and a journal of another version is renamed.
-//! The one thing that must not happen is a record that was never made, so each line has a checksum.
+//! The one thing that must not happen is that a record is read that was never written, so each line has a
+//! checksum.
 //!
 //! **The disk may fill up.** [`JournalState`] in memory is always correct. A record that cannot be written
 //! stays pending, and is written with the next one; a partial write is truncated first. If the file is
@@ -153,8 +154,9 @@ impl Journal {
         &self.state
     }
 
-    /// Suspends writing while it would fail or go to the wrong folder. Records stay pending, and are written
-    /// with the first record afterwards.
+    /// Suspends writing if `is_held`, otherwise resumes it. It is suspended while a write would fail, or
+    /// while the output disk is not mounted and a write would go to the folder below its mount point. Records
+    /// stay pending, and are written with the first record afterwards.
     pub fn hold(&mut self, is_held: bool) {
         self.is_held = is_held;
     }
