@@ -63,7 +63,7 @@ impl<'a> Elements<'a> {
 }
 
 /// A property of the prim.
-pub(crate) struct Property<'a> {
+pub(crate) struct MeshProperty<'a> {
     /// Its type in USD, such as `point3f[]`.
     pub(crate) kind: String,
     pub(crate) name: String,
@@ -88,9 +88,9 @@ pub(crate) enum PropertyValue<'a> {
     Strings(&'a [String]),
 }
 
-impl<'a> Property<'a> {
-    fn new(kind: &str, name: &str, value: PropertyValue<'a>) -> Property<'a> {
-        Property {
+impl<'a> MeshProperty<'a> {
+    fn new(kind: &str, name: &str, value: PropertyValue<'a>) -> MeshProperty<'a> {
+        MeshProperty {
             kind: kind.to_owned(),
             name: name.to_owned(),
             value,
@@ -99,38 +99,38 @@ impl<'a> Property<'a> {
         }
     }
 
-    fn array(kind: &str, name: &str, elements: Elements<'a>) -> Property<'a> {
-        Property::new(kind, name, PropertyValue::Array(elements))
+    fn array(kind: &str, name: &str, elements: Elements<'a>) -> MeshProperty<'a> {
+        MeshProperty::new(kind, name, PropertyValue::Array(elements))
     }
 
-    fn per_vertex(self) -> Property<'a> {
-        Property { is_per_vertex: true, ..self }
+    fn per_vertex(self) -> MeshProperty<'a> {
+        MeshProperty { is_per_vertex: true, ..self }
     }
 }
 
 /// The properties of a mesh, in the order of the file.
-pub(crate) fn properties<'a>(mesh: &MeshView<'a>, quads: &'a [bool]) -> Vec<Property<'a>> {
+pub(crate) fn properties<'a>(mesh: &MeshView<'a>, quads: &'a [bool]) -> Vec<MeshProperty<'a>> {
     let triangles = mesh.triangles;
     let mut found = Vec::new();
     if let Some(extent) = extent(mesh) {
-        found.push(Property::new("float3[]", "extent", PropertyValue::Extent(extent)));
+        found.push(MeshProperty::new("float3[]", "extent", PropertyValue::Extent(extent)));
     }
     found.extend([
-        Property::array("int[]", "faceVertexCounts", Elements::FaceCounts { triangles, quads }),
-        Property::array("int[]", "faceVertexIndices", Elements::FaceCorners { triangles, quads }),
-        Property::array("normal3f[]", "normals", Elements::reals(mesh.normals.as_flattened(), 3))
+        MeshProperty::array("int[]", "faceVertexCounts", Elements::FaceCounts { triangles, quads }),
+        MeshProperty::array("int[]", "faceVertexIndices", Elements::FaceCorners { triangles, quads }),
+        MeshProperty::array("normal3f[]", "normals", Elements::reals(mesh.normals.as_flattened(), 3))
             .per_vertex(),
-        Property::new("token", "orientation", PropertyValue::Token("rightHanded")),
-        Property::array("point3f[]", "points", Elements::reals(mesh.positions.as_flattened(), 3)),
+        MeshProperty::new("token", "orientation", PropertyValue::Token("rightHanded")),
+        MeshProperty::array("point3f[]", "points", Elements::reals(mesh.positions.as_flattened(), 3)),
     ]);
     for (attribute, place) in mesh.attributes.iter().zip(places(mesh.attributes)) {
         found.extend(of_attribute(attribute, &place));
     }
-    found.push(Property::new("token", "subdivisionScheme", PropertyValue::Token("none")));
+    found.push(MeshProperty::new("token", "subdivisionScheme", PropertyValue::Token("none")));
     if mesh.origin != [0.0; 3] {
         found.extend([
-            Property::new("double3", "xformOp:translate", PropertyValue::Double3(mesh.origin)),
-            Property::new("token[]", "xformOpOrder", PropertyValue::TokenList("xformOp:translate")),
+            MeshProperty::new("double3", "xformOp:translate", PropertyValue::Double3(mesh.origin)),
+            MeshProperty::new("token[]", "xformOpOrder", PropertyValue::TokenList("xformOp:translate")),
         ]);
     }
     found
@@ -190,16 +190,16 @@ pub(crate) fn renamed(attributes: &[VertexAttribute], extension: &str) -> Vec<St
     renamed.collect()
 }
 
-fn of_attribute<'a>(attribute: &VertexAttribute<'a>, place: &UsdProperty) -> Vec<Property<'a>> {
+fn of_attribute<'a>(attribute: &VertexAttribute<'a>, place: &UsdProperty) -> Vec<MeshProperty<'a>> {
     let arity = attribute.arity;
     match (place, attribute.values) {
         (UsdProperty::Velocities, VertexValues::Numbers(values)) => {
-            vec![Property::array("vector3f[]", "velocities", Elements::reals(values, 3))]
+            vec![MeshProperty::array("vector3f[]", "velocities", Elements::reals(values, 3))]
         }
         (UsdProperty::Color, VertexValues::Numbers(values)) => {
             let part = |kind, name, first, arity| {
                 let elements = Elements::Reals { values, stride: attribute.arity, first, arity };
-                Property::array(kind, name, elements).per_vertex()
+                MeshProperty::array(kind, name, elements).per_vertex()
             };
             let mut found = vec![part("color3f[]", "primvars:displayColor", 0, 3)];
             found.extend((arity == 4).then(|| part("float[]", "primvars:displayOpacity", 3, 1)));
@@ -207,11 +207,11 @@ fn of_attribute<'a>(attribute: &VertexAttribute<'a>, place: &UsdProperty) -> Vec
         }
         (UsdProperty::Primvar(name), VertexValues::Strings { table, indices }) => {
             let name = format!("primvars:{name}");
-            let indexed = Property::new("string[]", &name, PropertyValue::Strings(table)).per_vertex();
+            let indexed = MeshProperty::new("string[]", &name, PropertyValue::Strings(table)).per_vertex();
             let indices = Elements::Strings { table, indices };
             vec![
-                Property { element_size: arity, ..indexed },
-                Property::array("int[]", &format!("{name}:indices"), indices),
+                MeshProperty { element_size: arity, ..indexed },
+                MeshProperty::array("int[]", &format!("{name}:indices"), indices),
             ]
         }
         (UsdProperty::Primvar(name), VertexValues::Integers(values)) => {
@@ -234,7 +234,7 @@ pub(super) fn vector(kind: &str, width: usize) -> String {
 }
 
 /// A primvar; each vertex has `element_size` values of the array.
-fn primvar<'a>(kind: &str, name: &str, elements: Elements<'a>, element_size: usize) -> Property<'a> {
-    let primvar = Property::array(&format!("{kind}[]"), &format!("primvars:{name}"), elements).per_vertex();
-    Property { element_size, ..primvar }
+fn primvar<'a>(kind: &str, name: &str, elements: Elements<'a>, element_size: usize) -> MeshProperty<'a> {
+    let primvar = MeshProperty::array(&format!("{kind}[]"), &format!("primvars:{name}"), elements).per_vertex();
+    MeshProperty { element_size, ..primvar }
 }

@@ -11,7 +11,7 @@ mod mesh;
 mod sequence;
 
 pub use mesh::LayerInfo;
-pub(crate) use mesh::{Elements, Property, PropertyValue, ROOT, properties, renamed};
+pub(crate) use mesh::{Elements, MeshProperty, PropertyValue, ROOT, properties, renamed};
 pub(crate) use sequence::{POSITION, PRIM, SequenceAttribute, UsdSequence};
 
 /// The format's name in errors.

@@ -15,7 +15,7 @@ use crate::data::{MeshView, Provenance};
 use crate::error::Result;
 use crate::mesh_options::MeshOptions;
 use crate::quads::{check_quads, quad_count};
-use crate::usd::{Elements, FORMAT, LayerInfo, Property, PropertyValue, properties};
+use crate::usd::{Elements, FORMAT, LayerInfo, MeshProperty, PropertyValue, properties};
 use crate::vertex_attributes::plain_name;
 
 use super::head::{LAST_LINE, head, quoted};
@@ -70,8 +70,8 @@ struct PropertyText<'a> {
 }
 
 impl<'a> PropertyText<'a> {
-    fn of(property: &Property<'a>) -> PropertyText<'a> {
-        let Property { kind, name, value, is_per_vertex, element_size } = property;
+    fn of(property: &MeshProperty<'a>) -> PropertyText<'a> {
+        let MeshProperty { kind, name, value, is_per_vertex, element_size } = property;
         let about = about(*is_per_vertex, *element_size);
         let (declaration, value) = (format!("{kind} {name}"), value);
         match value {

@@ -27,7 +27,7 @@ pub(super) const COMPRESSED_MIN: usize = 16;
 pub(super) const ALIGNMENT: u64 = 8;
 
 /// The bytes of an array.
-pub(super) struct EncodedArray<'a> {
+pub(super) struct CrateArray<'a> {
     kind: ValueType,
     is_compressed: bool,
     count: u64,
@@ -41,13 +41,13 @@ enum Body<'a> {
     Floats(Cow<'a, [f32]>),
 }
 
-impl<'a> EncodedArray<'a> {
+impl<'a> CrateArray<'a> {
     /// Encodes the elements of a property.
     ///
     /// # Errors
     ///
     /// [`Error::TooLarge`] if a mesh has more than 2³¹ vertices, or the array exceeds the format's limits.
-    pub(super) fn of(elements: Elements<'a>) -> Result<EncodedArray<'a>> {
+    pub(super) fn of(elements: Elements<'a>) -> Result<CrateArray<'a>> {
         match elements {
             Elements::Reals { values, stride, first, arity } => {
                 let values = if (first, arity) == (0, stride) {
@@ -91,19 +91,19 @@ impl<'a> EncodedArray<'a> {
     }
 
     /// Vectors of two to four floats.
-    fn vectors(values: Cow<'a, [f32]>, arity: usize) -> EncodedArray<'a> {
+    fn vectors(values: Cow<'a, [f32]>, arity: usize) -> CrateArray<'a> {
         let kind = match arity {
             2 => ValueType::Vec2f,
             3 => ValueType::Vec3f,
             _ => ValueType::Vec4f,
         };
         let count = (values.len() / arity) as u64;
-        EncodedArray { kind, is_compressed: false, count, body: Body::Floats(values) }
+        CrateArray { kind, is_compressed: false, count, body: Body::Floats(values) }
     }
 
-    fn floats(values: Cow<'a, [f32]>) -> Result<EncodedArray<'a>> {
+    fn floats(values: Cow<'a, [f32]>) -> Result<CrateArray<'a>> {
         let (kind, count) = (ValueType::Float, values.len() as u64);
-        let bytes = |bytes| EncodedArray { kind, is_compressed: true, count, body: Body::Bytes(bytes) };
+        let bytes = |bytes| CrateArray { kind, is_compressed: true, count, body: Body::Bytes(bytes) };
         if values.len() >= COMPRESSED_MIN {
             if let Some(integers) = as_integers(&values) {
                 let mut body = vec![AS_INTEGERS];
@@ -118,13 +118,13 @@ impl<'a> EncodedArray<'a> {
                 return Ok(bytes(body));
             }
         }
-        Ok(EncodedArray { kind, is_compressed: false, count, body: Body::Floats(values) })
+        Ok(CrateArray { kind, is_compressed: false, count, body: Body::Floats(values) })
     }
 
     fn integers<T: Integer>(
         kind: ValueType,
         values: impl ExactSizeIterator<Item = T> + Clone,
-    ) -> Result<EncodedArray<'a>> {
+    ) -> Result<CrateArray<'a>> {
         let (mut bytes, count) = (Vec::new(), values.len());
         let is_compressed = count >= COMPRESSED_MIN;
         if is_compressed {
@@ -133,11 +133,11 @@ impl<'a> EncodedArray<'a> {
             let width = T::CODE_BYTES[2];
             values.for_each(|value| bytes.extend_from_slice(&value.widened().to_le_bytes()[..width]));
         }
-        Ok(EncodedArray { kind, is_compressed, count: count as u64, body: Body::Bytes(bytes) })
+        Ok(CrateArray { kind, is_compressed, count: count as u64, body: Body::Bytes(bytes) })
     }
 
     /// Integers that all fit into 32 bits, or vectors of them.
-    fn narrow(values: &[i64], arity: usize) -> Result<EncodedArray<'a>> {
+    fn narrow(values: &[i64], arity: usize) -> Result<CrateArray<'a>> {
         let kind = match arity {
             1 => return Self::integers(ValueType::Int, values.iter().map(|&value| i32::lowest(value))),
             2 => ValueType::Vec2i,
@@ -146,18 +146,18 @@ impl<'a> EncodedArray<'a> {
         };
         let bytes = values.iter().flat_map(|&value| i32::lowest(value).to_le_bytes()).collect();
         let count = (values.len() / arity) as u64;
-        Ok(EncodedArray { kind, is_compressed: false, count, body: Body::Bytes(bytes) })
+        Ok(CrateArray { kind, is_compressed: false, count, body: Body::Bytes(bytes) })
     }
 
     /// Vectors of three floats.
-    pub(super) fn of_vectors(values: &'a [f32]) -> EncodedArray<'a> {
+    pub(super) fn of_vectors(values: &'a [f32]) -> CrateArray<'a> {
         Self::vectors(Cow::Borrowed(values), 3)
     }
 
     /// Indices into the table of strings or tokens.
-    pub(super) fn of_indices(kind: ValueType, indices: &[u32]) -> EncodedArray<'a> {
+    pub(super) fn of_indices(kind: ValueType, indices: &[u32]) -> CrateArray<'a> {
         let bytes = indices.iter().flat_map(|index| index.to_le_bytes()).collect();
-        EncodedArray { kind, is_compressed: false, count: indices.len() as u64, body: Body::Bytes(bytes) }
+        CrateArray { kind, is_compressed: false, count: indices.len() as u64, body: Body::Bytes(bytes) }
     }
 
     /// The number of bytes in the file; an empty array has none.

@@ -6,7 +6,7 @@ use crate::mesh_options::UpAxis;
 use crate::provenance::comments;
 use crate::usd::{LayerInfo, ROOT};
 
-use super::array::{ALIGNMENT, EncodedArray};
+use super::array::{ALIGNMENT, CrateArray};
 use super::contents::{BOOTSTRAP_BYTES, bootstrap};
 use super::tables::{SpecType, Tables, append_count};
 use super::value::{ValueRep, ValueType};
@@ -103,7 +103,7 @@ impl LayerEnd {
     }
 
     /// An array, written among the values.
-    pub(super) fn array(&mut self, array: &EncodedArray) -> Result<ValueRep> {
+    pub(super) fn array(&mut self, array: &CrateArray) -> Result<ValueRep> {
         self.values.extend_from_slice(padding(self.offset()));
         let rep = array.rep(self.offset());
         array.write(&mut self.values)?;

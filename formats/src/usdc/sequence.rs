@@ -13,7 +13,7 @@ use crate::error::Result;
 use crate::gltf::SequenceFrame;
 use crate::usd::{Elements, POSITION, PRIM, SequenceAttribute, UsdSequence};
 
-use super::array::EncodedArray;
+use super::array::CrateArray;
 use super::contents::CONTENTS_AT;
 use super::layer::{LayerEnd, LayerHead, PropertySpec, SpecValue, head, padding};
 use super::value::{ValueRep, ValueType};
@@ -101,7 +101,7 @@ struct ArrayWriter<'a, W> {
 
 impl<W: Write> ArrayWriter<'_, W> {
     fn write(&mut self, elements: Elements) -> Result<ValueRep> {
-        let array = EncodedArray::of(elements)?;
+        let array = CrateArray::of(elements)?;
         let padding = padding(self.at);
         self.out.write_all(padding)?;
         array.write(self.out)?;
@@ -147,7 +147,7 @@ fn extents(shot: &UsdSequence, end: &mut LayerEnd) -> Result<PropertySpec> {
     let mut samples = Vec::new();
     for index in 0..shot.frames.len() {
         let corners = shot.extent(index)?;
-        let value = end.array(&EncodedArray::of_vectors(corners.as_flattened()))?;
+        let value = end.array(&CrateArray::of_vectors(corners.as_flattened()))?;
         samples.extend(shot.held_codes(index).map(|code| (code as f64, value)));
     }
     Ok(sampled("float3[]", "extent", samples))
@@ -163,7 +163,7 @@ fn origins(shot: &UsdSequence, end: &mut LayerEnd) -> Result<Vec<PropertySpec>> 
     }
     let name = "xformOp:translate";
     let words = [end.tables.token(name)];
-    let order = end.array(&EncodedArray::of_indices(ValueType::Token, &words))?;
+    let order = end.array(&CrateArray::of_indices(ValueType::Token, &words))?;
     let order = PropertySpec {
         is_uniform: true,
         value: SpecValue::Always(order),

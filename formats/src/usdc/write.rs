@@ -11,10 +11,10 @@ use crate::data::{MeshView, Provenance};
 use crate::error::Result;
 use crate::mesh_options::MeshOptions;
 use crate::quads::{check_quads, quad_count};
-use crate::usd::{FORMAT, LayerInfo, Property, PropertyValue, properties};
+use crate::usd::{FORMAT, LayerInfo, MeshProperty, PropertyValue, properties};
 use crate::vertex_attributes::plain_name;
 
-use super::array::EncodedArray;
+use super::array::CrateArray;
 use super::layer::{LayerEnd, LayerHead, PropertySpec, SpecValue, head, padding};
 use super::value::{ValueRep, ValueType};
 
@@ -33,7 +33,7 @@ pub(super) fn write(
     mesh.check(FORMAT)?;
     check_quads(FORMAT, mesh.triangles, &options.quads)?;
     let found = properties(mesh, &options.quads);
-    let arrays: Vec<Option<EncodedArray>> = found.par_iter().map(array_of).collect::<Result<_>>()?;
+    let arrays: Vec<Option<CrateArray>> = found.par_iter().map(array_of).collect::<Result<_>>()?;
 
     let mut at = head(provenance, 0).len() as u64;
     let mut places = Vec::new();
@@ -41,7 +41,7 @@ pub(super) fn write(
         let padding = padding(at);
         at += padding.len() as u64;
         places.push((padding, at));
-        at += array.as_ref().map_or(0, EncodedArray::byte_count);
+        at += array.as_ref().map_or(0, CrateArray::byte_count);
     }
     let mut end = LayerEnd::at(at);
     let mut specs = Vec::new();
@@ -74,33 +74,33 @@ pub(super) fn write(
 }
 
 /// The array of a property, if it has one that is written before the tables.
-fn array_of<'a>(property: &Property<'a>) -> Result<Option<EncodedArray<'a>>> {
+fn array_of<'a>(property: &MeshProperty<'a>) -> Result<Option<CrateArray<'a>>> {
     match property.value {
-        PropertyValue::Array(elements) => EncodedArray::of(elements).map(Some),
+        PropertyValue::Array(elements) => CrateArray::of(elements).map(Some),
         _ => Ok(None),
     }
 }
 
 /// The value of a property that refers to words, or has only a few numbers.
-fn value_of(property: &Property, end: &mut LayerEnd) -> Result<ValueRep> {
+fn value_of(property: &MeshProperty, end: &mut LayerEnd) -> Result<ValueRep> {
     match &property.value {
-        PropertyValue::Array(elements) => end.array(&EncodedArray::of(*elements)?),
-        PropertyValue::Extent(corners) => end.array(&EncodedArray::of_vectors(corners.as_flattened())),
+        PropertyValue::Array(elements) => end.array(&CrateArray::of(*elements)?),
+        PropertyValue::Extent(corners) => end.array(&CrateArray::of_vectors(corners.as_flattened())),
         PropertyValue::Double3(values) => Ok(end.double3(*values)),
         PropertyValue::Token(word) => Ok(end.tables.token_value(word)),
         PropertyValue::TokenList(word) => {
             let words = [end.tables.token(word)];
-            end.array(&EncodedArray::of_indices(ValueType::Token, &words))
+            end.array(&CrateArray::of_indices(ValueType::Token, &words))
         }
         PropertyValue::Strings(table) => {
             let texts = table.iter().map(String::as_str).chain([""]);
             let indices: Vec<u32> = texts.map(|text| end.tables.string(text)).collect();
-            end.array(&EncodedArray::of_indices(ValueType::String, &indices))
+            end.array(&CrateArray::of_indices(ValueType::String, &indices))
         }
     }
 }
 
-fn spec(property: &Property, value: ValueRep) -> PropertySpec {
+fn spec(property: &MeshProperty, value: ValueRep) -> PropertySpec {
     PropertySpec {
         kind: property.kind.clone(),
         name: property.name.clone(),

@@ -145,7 +145,10 @@ fn mention(key: &str) -> Option<String> {
     let command = WatchKeys::augment_args(clap::Command::new("watch"));
     let option = command.get_arguments().find(|option| option.get_id() == key)?;
     let value = match kind {
-        ValueKind::Length | ValueKind::Number | ValueKind::Count => "1".to_owned(),
+        // A range such as `0 to 4` begins with a value that is allowed.
+        ValueKind::Length | ValueKind::Number | ValueKind::Count => MethodOptions::range(key)
+            .and_then(|range| Some(range.split_once(" to ")?.0.to_owned()))
+            .unwrap_or_else(|| "1".to_owned()),
         ValueKind::Switch => "true".to_owned(),
         ValueKind::Text => format!("\"{}\"", option.get_possible_values().first()?.get_name()),
     };
