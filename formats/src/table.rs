@@ -90,6 +90,8 @@ formats! {
         Vtp => crate::vtk::ROW,
         /// USD as text.
         Usda => crate::usda::ROW,
+        /// Alembic.
+        Abc => crate::abc::ROW,
         /// Binary STL.
         Stl => crate::stl::ROW,
         /// A picture: colours only.

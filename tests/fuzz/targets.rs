@@ -20,8 +20,8 @@ use meniscus::watch::status_store::StatusStore;
 use meniscus_formats::steps::find_steps;
 use meniscus_formats::{
     Format, Limits, OutputFormat, ParticleBatch, ParticleBatches, ParticleFrame, ProbedKind, Result, Values,
-    bgeo, completeness, compression, csv, gltf, houdini, is_complete, lammps, looks_like_particles, npy, obj,
-    ply, png, probe, read_obstacle, read_particles, read_provenance, stl, usda, vdb, vtk, xyz, xyz_ext,
+    abc, bgeo, completeness, compression, csv, gltf, houdini, is_complete, lammps, looks_like_particles, npy,
+    obj, ply, png, probe, read_obstacle, read_particles, read_provenance, stl, usda, vdb, vtk, xyz, xyz_ext,
 };
 use twox_hash::XxHash3_64;
 
@@ -47,7 +47,7 @@ pub(crate) enum Content {
 }
 
 /// All targets.
-pub(crate) const TARGETS: [Target; 33] = [
+pub(crate) const TARGETS: [Target; 34] = [
     plain("ply", |bytes| checked(ply::read(bytes, &limits()))),
     plain("ply_mesh", |bytes| drop(ply::read_mesh_and_vertices(bytes, &limits()))),
     packed("bgeo", |bytes| checked(bgeo::read(bytes, &limits()))),
@@ -68,6 +68,7 @@ pub(crate) const TARGETS: [Target; 33] = [
     packed("vdb_grids", vdb_grids),
     plain("gltf", gltf_parts),
     plain("gltf_frame", gltf_frame),
+    plain("abc", alembic),
     plain("usda_head", |bytes| drop(usda::read_layer_info(bytes))),
     plain("stl", |bytes| drop(stl::read_mesh(bytes, &limits()))),
     plain("obj", |bytes| drop(obj::read_mesh(bytes))),
@@ -187,19 +188,26 @@ fn gltf_parts(bytes: &[u8]) {
     let _ = gltf::read_camera(bytes);
 }
 
-/// A frame of a sequence file, used twice: its columns and triangles are read for the .usda, its data is
+/// The first two meshes of an archive, and what is known without them.
+fn alembic(bytes: &[u8]) {
+    let _ = (abc::read_mesh(bytes, &limits()), abc::read_sequence_info(bytes), abc::read_times(bytes));
+    let _ = (abc::read_sample(bytes, 0, &limits()), abc::read_sample(bytes, 1, &limits()));
+}
+
+/// A frame of a sequence file: its columns and triangles are read for the .usda and the .abc, its data is
 /// copied for the .glb.
 fn gltf_frame(bytes: &[u8]) {
     let Ok(file) = gltf::GlbFrame::read(&mut Cursor::new(bytes)) else { return };
     let frame = |code| gltf::SequenceFrame { name: "f".into(), code, file: file.clone() };
     let (shot, open) = ([frame(1), frame(3)], |_: usize| Ok(Cursor::new(bytes)));
     let _ = usda::write_sequence(&shot, (24.0, 1.0), &[], open, &mut std::io::sink());
+    let _ = abc::write_sequence(&shot, 24.0, &[], open, &mut std::io::sink());
     let _ = gltf::write_sequence(&shot, 24.0, &[], open, &mut std::io::sink());
 }
 
 /// Checks that do not read the whole file. The first byte selects the format.
 fn ends(bytes: &[u8]) {
-    const FORMATS: [OutputFormat; 10] = [
+    const FORMATS: [OutputFormat; 11] = [
         OutputFormat::Glb,
         OutputFormat::Gltf,
         OutputFormat::Obj,
@@ -210,6 +218,7 @@ fn ends(bytes: &[u8]) {
         OutputFormat::Vtp,
         OutputFormat::Stl,
         OutputFormat::Usda,
+        OutputFormat::Abc,
     ];
     let [choice, bytes @ ..] = bytes else { return };
     let format = FORMATS[usize::from(*choice) % FORMATS.len()];
