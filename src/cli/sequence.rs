@@ -25,7 +25,7 @@ use super::wording::{counted_are, pluralize};
 /// If no sequence file can be made.
 pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<CommandOutcome> {
     let format = SequenceFormat::of(&args.output).with_context(|| {
-        format!("{}: the name of a sequence file must end in .glb or .usda", args.output.display())
+        format!("{}: the name of a sequence file must end in .glb, .usda or .abc", args.output.display())
     })?;
     check_output_path("the sequence file", &args.output)?;
     let found = find_inputs(&frames_of_folders(&args.inputs)?)?;
@@ -125,10 +125,11 @@ impl SequenceOutputs {
         sequence_count: usize,
         are_picked: bool,
     ) -> Result<SequenceOutputs> {
-        let SequenceFileArgs { sequence_glb, sequence_usda, fps } = args;
+        let SequenceFileArgs { sequence_glb, sequence_usda, sequence_abc, fps } = args;
         let typed = [
             ("--sequence-glb", sequence_glb, SequenceFormat::Glb),
             ("--sequence-usda", sequence_usda, SequenceFormat::Usda),
+            ("--sequence-abc", sequence_abc, SequenceFormat::Abc),
         ];
         let mut files = Vec::new();
         for (option, path, format) in typed {
@@ -150,7 +151,7 @@ impl SequenceOutputs {
             files.push((path.clone(), format));
         }
         if files.is_empty() && fps.is_some() {
-            bail!("--fps is for a sequence file: give --sequence-glb or --sequence-usda as well");
+            bail!("--fps is for a sequence file: give --sequence-glb, --sequence-usda or --sequence-abc as well");
         }
         let options = SequenceOptions { fps: fps.unwrap_or(FPS), meters_per_unit: outputs.meters_per_unit };
         Ok(SequenceOutputs { files, options, are_picked })

@@ -121,6 +121,7 @@ fn unwritable_folder_for_a_report_plan_or_sequence_file_is_refused() {
         ("the report", &["verify", "planned", "--plan", "plan.json", "--report", "/proc/r.json"]),
         ("the sequence file", &["convert", "dam.#.ply", "--out", "o", "--sequence-glb", "/proc/s.glb"]),
         ("the sequence file", &["convert", "dam.#.ply", "--out", "o", "--sequence-usda", "/proc/s.usda"]),
+        ("the sequence file", &["convert", "dam.#.ply", "--out", "o", "--sequence-abc", "/proc/s.abc"]),
         ("the sequence file", &["sequence", "dam.#.glb", "-o", "/proc/x.glb"]),
         ("the plan", &["plan", "dam.#.ply", "--shards", "2", "--out", "o", "-o", "/proc/p.json"]),
     ] {

@@ -3,6 +3,7 @@
 //! ```text
 //!   out/dam.0012.glb  out/dam.0013.glb  ..  ──▶  dam.glb     plays in a browser, and in Blender
 //!                                           ──▶  dam.usda    one mesh with time samples
+//!                                           ──▶  dam.abc     the same
 //! ```
 //!
 //! Frames are read only from their files. So a sequence file is the same whether one process converted its
@@ -10,17 +11,17 @@
 //! number of frames.
 //!
 //! The number of a frame determines when it is shown. In a `.usda` it is the time code, because other
-//! programs use it too. In a `.glb`, which has seconds and no numbers, the greatest common divisor of the
-//! differences between numbers is one frame of the animation: a simulation that writes every hundredth step
-//! plays like one that writes every step. The frame before a missing frame is shown in its place.
+//! programs use it too, and in an `.abc` its time is that of the frame in a scene. In a `.glb`, which has
+//! seconds and no numbers, the greatest common divisor of the differences between numbers is one frame of the
+//! animation: a simulation that writes every hundredth step plays like one that writes every step. The frame
+//! before a missing frame is shown in its place.
 
 use std::fmt;
 use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use meniscus_formats::gltf::{self, GlbFrame, SEQUENCE_FRAMES, SequenceFrame};
-use meniscus_formats::usda;
-use meniscus_formats::{OutputFormat, read_provenance};
+use meniscus_formats::{OutputFormat, abc, read_provenance, usda};
 
 use super::provenance::{GENERATOR_AND_VERSION, HEAD_BYTES};
 use crate::pipeline::files::atomic_write::write_atomically;
@@ -35,6 +36,8 @@ pub enum SequenceFormat {
     Glb,
     /// USD as text, with time samples.
     Usda,
+    /// Alembic.
+    Abc,
 }
 
 impl SequenceFormat {
@@ -44,6 +47,7 @@ impl SequenceFormat {
         match extension.as_str() {
             "glb" => Some(SequenceFormat::Glb),
             "usda" => Some(SequenceFormat::Usda),
+            "abc" => Some(SequenceFormat::Abc),
             _ => None,
         }
     }
@@ -121,7 +125,7 @@ pub fn write_sequence_file(
     let numbers = increasing(&numbers);
     let codes = match format {
         SequenceFormat::Glb => in_steps(&numbers),
-        SequenceFormat::Usda => numbers.clone(),
+        SequenceFormat::Usda | SequenceFormat::Abc => numbers.clone(),
     };
     let provenance = provenance(&numbers, fps);
     let (mut frames, mut opened) = (Vec::new(), Vec::new());
@@ -137,6 +141,7 @@ pub fn write_sequence_file(
             SequenceFormat::Usda => {
                 report.notes = usda::write_sequence(&frames, (fps, meters_per_unit), &provenance, open, out)?
             }
+            SequenceFormat::Abc => report.notes = abc::write_sequence(&frames, fps, &provenance, open, out)?,
         }
         Ok(refuse_written(&opened)?)
     });
