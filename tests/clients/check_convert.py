@@ -151,11 +151,12 @@ def moving(check):
         (folder / f"moving.{frame:03}.csv").write_text("\n".join(rows) + "\n")
     for label, more in (("moving", []), ("moving-quantized", ["--quantize", "--quads"])):
         out = OUT / label
-        shots = ["--sequence-glb", out / "shot.glb", "--sequence-usda", out / "shot.usda"]
+        names = {kind: out / f"shot.{kind}" for kind in ("glb", "usda", "abc")}
+        shots = [word for kind, path in names.items() for word in (f"--sequence-{kind}", path)]
         options = ["--voxel-size", "0.05", "--attributes", "velocity", "--up", "z", *shots, *more]
         out.mkdir(parents=True, exist_ok=True)
-        reads(check, label, folder, options, ["glb", "obj", "ply", "vtp", "stl", "usda"])
-        faults = [f"no {shot.name}" for shot in (out / "shot.glb", out / "shot.usda") if not shot.is_file()]
+        reads(check, label, folder, options, ["glb", "obj", "ply", "vtp", "stl", "usda", "abc"])
+        faults = [f"no {shot.name}" for shot in names.values() if not shot.is_file()]
         check.line(f"{label} shots", f"{len(MOVING)} frames", faults)
 
 
