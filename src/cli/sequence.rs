@@ -44,7 +44,8 @@ pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<Com
     Ok(if shot.left_out.is_empty() { CommandOutcome::Done } else { CommandOutcome::SomeFailed })
 }
 
-/// The inputs, with folders replaced by their .glb files. Existing sequence files are not frames.
+/// The inputs, with folders replaced by their .glb files, or by their .abc files if there is no .glb. Existing
+/// sequence files are not frames.
 fn frames_of_folders(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
     let mut frames = Vec::new();
     for input in inputs {
@@ -52,17 +53,16 @@ fn frames_of_folders(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
             frames.push(input.clone());
             continue;
         }
-        let is_frame =
-            |path: &PathBuf| SequenceFormat::of(path) == Some(SequenceFormat::Glb) && !is_sequence_file(path);
-        let files: Vec<PathBuf> = files_in(input)
-            .with_context(|| input.display().to_string())?
-            .into_iter()
-            .filter(is_frame)
-            .collect();
-        if files.is_empty() {
-            bail!("{}: this folder contains no .glb files of frames", input.display());
-        }
-        frames.extend(files);
+        let files = files_in(input).with_context(|| input.display().to_string())?;
+        let frames_in = |format| {
+            let of_format = files.iter().filter(|path| SequenceFormat::of(path) == Some(format));
+            of_format.filter(|path| !is_sequence_file(path)).cloned().collect::<Vec<PathBuf>>()
+        };
+        let found = [SequenceFormat::Glb, SequenceFormat::Abc].map(frames_in);
+        let Some(found) = found.into_iter().find(|found| !found.is_empty()) else {
+            bail!("{}: this folder contains no .glb or .abc files of frames", input.display());
+        };
+        frames.extend(found);
     }
     Ok(frames)
 }

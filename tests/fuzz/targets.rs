@@ -192,6 +192,7 @@ fn gltf_parts(bytes: &[u8]) {
 fn alembic(bytes: &[u8]) {
     let _ = (abc::read_mesh(bytes, &limits()), abc::read_sequence_info(bytes), abc::read_times(bytes));
     let _ = (abc::read_sample(bytes, 0, &limits()), abc::read_sample(bytes, 1, &limits()));
+    let _ = abc::to_glb(bytes, &limits());
 }
 
 /// A frame of a sequence file: its columns and triangles are read for the .usda and the .abc, its data is

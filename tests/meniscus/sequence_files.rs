@@ -151,7 +151,7 @@ const SHOTS: [&str; 8] = [
 fn sequence_file_is_the_same_from_every_command() {
     let folder = frames(4);
     let path = folder.path();
-    let convert = ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb", "--up", "z"];
+    let convert = ["convert", "in", "--out", "out", "--voxel-size=0.05", "--format=glb,abc", "--up", "z"];
     succeeded(&meniscus(path, &[&convert[..], &SHOTS].concat()));
     let read = |name: &str| fs::read(path.join(name)).expect("readable");
     let [glb, usda, abc] = ["shot.glb", "shot.usda", "shot.abc"].map(read);
@@ -175,6 +175,9 @@ fn sequence_file_is_the_same_from_every_command() {
         succeeded(&meniscus(path, &["sequence", "farm/dam.#.glb", "-o", name, "--fps", "25"]));
         assert!(read(name) == *expected, "{name}");
     }
+    // The .abc of the frames hold as much as their .glb.
+    succeeded(&meniscus(path, &["sequence", "farm/dam.#.abc", "-o", "again.abc", "--fps", "25"]));
+    assert!(read("again.abc") == abc);
     // In the folder of the frames, the command does not take the sequence file for a frame.
     for _ in 0..2 {
         succeeded(&meniscus(path, &["sequence", "farm", "-o", "farm/shot.glb", "--fps", "25"]));
@@ -360,7 +363,7 @@ fn invalid_sequence_files_are_refused_before_conversion() {
     write_ply(&path.join("in/other.2.ply"), &block(3, 0.0));
     refused(path, &convert(&["--sequence-glb", "s.glb"]), &["one sequence"]);
     assert!(!path.join("o").exists() && !path.join("s.glb").exists());
-    refused(path, &["sequence", "in", "-o", "s.glb"], &["no .glb"]);
+    refused(path, &["sequence", "in", "-o", "s.glb"], &["no .glb or .abc"]);
     refused(
         path,
         &["sequence", "in/dam.1.ply", "-o", "s.glb"],

@@ -7,6 +7,9 @@ use super::digest::DIGEST_BYTES;
 use super::document::{OBJECT_HASH_BYTES, Pod, bits};
 use super::ogawa::{DATA, EMPTY_GROUP, Reference};
 
+/// More than the attributes of any mesh that this program writes.
+const PROPERTY_COUNT_MAX: usize = 1 << 16;
+
 /// The bytes of a file.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Container<'a> {
@@ -19,10 +22,16 @@ pub(super) struct PropertyHeader {
     pub(super) name: String,
     /// The index of its time sampling.
     pub(super) sampling: u32,
+    pub(super) metadata: String,
     word: u32,
 }
 
 impl PropertyHeader {
+    /// The type of its numbers; `None` for a compound.
+    pub(super) fn pod(&self) -> Option<u32> {
+        (self.word & bits::KIND != 0).then_some(self.word >> bits::POD_SHIFT & 0xf)
+    }
+
     /// Fails unless the values have this type and extent.
     pub(super) fn check_type(&self, (pod, extent): (Pod, u8)) -> Result<()> {
         let kind = (self.word >> bits::POD_SHIFT & 0xf, self.word >> bits::EXTENT_SHIFT & 0xff);
@@ -133,9 +142,14 @@ impl<'a> Container<'a> {
     }
 
     /// The properties of a compound.
-    fn properties(&self, compound: Reference) -> Result<Vec<(PropertyHeader, Reference)>> {
+    pub(super) fn properties(&self, compound: Reference) -> Result<Vec<(PropertyHeader, Reference)>> {
         let children = self.group(compound, "a compound property")?;
         let Some((headers, references)) = children.split_last() else { return Ok(Vec::new()) };
+        if references.len() > PROPERTY_COUNT_MAX {
+            let what =
+                format!("an object has {} properties; the limit is {PROPERTY_COUNT_MAX}", references.len());
+            return Err(Error::too_large(FORMAT, what));
+        }
         let bytes = self.data(*headers, "the headers of properties")?;
         let mut rest = Words { bytes, at: headers & !DATA };
         references.iter().map(|reference| Ok((rest.header()?, *reference))).collect()
@@ -195,10 +209,11 @@ impl<'a> Words<'a> {
         }
         let length = self.number(width)?;
         let name = self.text(length)?;
+        let mut metadata = String::new();
         if word >> bits::METADATA_SHIFT & bits::METADATA_FOLLOW == bits::METADATA_FOLLOW {
             let length = self.number(width)?;
-            self.text(length)?;
+            metadata = self.text(length)?;
         }
-        Ok(PropertyHeader { name, sampling, word })
+        Ok(PropertyHeader { name, sampling, metadata, word })
     }
 }

@@ -46,6 +46,8 @@ pub(super) mod names {
     pub(crate) const CORNERS: &str = ".faceIndices";
     pub(crate) const COUNTS: &str = ".faceCounts";
     pub(crate) const NORMALS: &str = "N";
+    pub(crate) const VELOCITIES: &str = ".velocities";
+    pub(crate) const PARAMS: &str = ".arbGeomParams";
     pub(crate) const TRANSFORM: &str = ".xform";
     pub(crate) const MATRIX: &str = ".vals";
 }
@@ -161,10 +163,15 @@ impl MeshSamples {
             ParamType::NORMAL.property(names::NORMALS, self.normals),
         ];
         if !self.velocities.is_empty() {
-            geometry.push(AbcProperty::array(".velocities", "interpretation=vector", real, self.velocities));
+            geometry.push(AbcProperty::array(
+                names::VELOCITIES,
+                "interpretation=vector",
+                real,
+                self.velocities,
+            ));
         }
         if !params.is_empty() {
-            geometry.push(AbcProperty::compound(".arbGeomParams", "", params));
+            geometry.push(AbcProperty::compound(names::PARAMS, "", params));
         }
         let schema = "schema=AbcGeom_PolyMesh_v1;schemaBaseType=AbcGeom_GeomBase_v1";
         let mesh = AbcObject {

@@ -15,12 +15,14 @@ use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputR
 mod container;
 mod digest;
 mod document;
+mod frame;
 mod mesh;
 mod ogawa;
 mod read;
 mod sequence;
 mod write;
 
+pub use frame::{is_archive, to_glb};
 pub use read::{read_mesh, read_sample, read_sequence_info, read_times};
 pub use sequence::write_sequence;
 pub use write::{attribute_notes, write};

@@ -22,25 +22,27 @@ const SAMPLINGS: usize = 4;
 /// Reads the provenance from the first bytes of a file: the metadata come first.
 pub(super) fn read_provenance(head: &[u8]) -> Result<Vec<(String, String)>> {
     check_start(head)?;
-    Ok(own_metadata(head)?.unwrap_or_default())
+    Ok(own_metadata(first_data(head).unwrap_or_default()).unwrap_or_default())
+}
+
+/// The first data of a file, which are its metadata if it is ours.
+fn first_data(bytes: &[u8]) -> Result<&[u8]> {
+    Container { bytes }.data(DATA | HEADER_BYTES, "the metadata")
 }
 
 /// The provenance in an archive of this crate; `None` in others.
-fn own_metadata(bytes: &[u8]) -> Result<Option<Vec<(String, String)>>> {
-    let metadata = Container { bytes }.data(DATA | HEADER_BYTES, "the metadata");
-    let Ok(text) = std::str::from_utf8(metadata.unwrap_or_default()) else { return Ok(None) };
+fn own_metadata(metadata: &[u8]) -> Option<Vec<(String, String)>> {
+    let text = std::str::from_utf8(metadata).ok()?;
     let mut entries = text.split(';').filter_map(|entry| entry.split_once('='));
-    if !entries.next().is_some_and(|(key, value)| key == APPLICATION && value.starts_with("meniscus ")) {
-        return Ok(None);
-    }
+    entries.next().filter(|(key, value)| *key == APPLICATION && value.starts_with("meniscus "))?;
     let pair = |(key, value): (&str, &str)| Some((unescape(from_prefixed(key)?)?, unescape(value)?));
-    Ok(Some(entries.filter_map(pair).collect()))
+    Some(entries.filter_map(pair).collect())
 }
 
 /// The size of a file with this head. The root group comes last.
 pub(super) fn bytes_declared(head: &[u8]) -> Result<Option<u64>> {
     check_start(head)?;
-    if own_metadata(head)?.is_none() {
+    if own_metadata(first_data(head).unwrap_or_default()).is_none() {
         return Ok(None);
     }
     let root = Container { bytes: head }.number(8, "the root group")?;
@@ -48,20 +50,22 @@ pub(super) fn bytes_declared(head: &[u8]) -> Result<Option<u64>> {
 }
 
 fn check_start(bytes: &[u8]) -> Result<()> {
-    let known = bytes.len().min(START.len());
-    if bytes.len() < MAGIC.len() || bytes[..MAGIC.len()] != MAGIC {
+    let magic = bytes.len().min(MAGIC.len());
+    if bytes[..magic] != MAGIC[..magic] {
         return Err(Error::invalid(FORMAT, Position::Offset(0), "expected Ogawa"));
     }
-    if bytes.len() < START.len() || bytes[MAGIC.len()] == 0 {
-        let what = "the program that writes this file did not complete it";
-        return Err(Error::truncated(FORMAT, Position::Offset(MAGIC.len() as u64), what));
+    let position = Position::Offset(magic as u64);
+    match bytes.get(magic..START.len()) {
+        None | Some([0, ..]) => {
+            let what = "the program that writes this file did not complete it";
+            Err(Error::truncated(FORMAT, position, what))
+        }
+        Some(version) if version != &START[MAGIC.len()..] => {
+            let what = format!("expected version 1 of Ogawa, found the bytes {version:02x?}");
+            Err(Error::invalid(FORMAT, position, what))
+        }
+        Some(_) => Ok(()),
     }
-    if bytes[..known] != START {
-        let what =
-            format!("expected version 1 of Ogawa, found the bytes {:02x?}", &bytes[MAGIC.len()..known]);
-        return Err(Error::invalid(FORMAT, Position::Offset(MAGIC.len() as u64), what));
-    }
-    Ok(())
 }
 
 /// Reads the mesh of an archive with one frame.
@@ -73,12 +77,7 @@ fn check_start(bytes: &[u8]) -> Result<()> {
 /// `limits`.
 pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     let archive = MeshArchive::open(bytes)?;
-    if let Some(frames) = archive.frames {
-        let what = format!(
-            "this file is a sequence of {frames} frames, and a single mesh is needed: use the file of one frame, or of each frame, as in body.####.abc"
-        );
-        return Err(Error::unsupported(FORMAT, what));
-    }
+    archive.check_single_frame()?;
     archive.mesh(0, limits)
 }
 
@@ -126,8 +125,9 @@ pub fn read_sample(bytes: &[u8], index: usize, limits: &Limits) -> Result<MeshDa
 }
 
 /// An archive of this crate.
-struct MeshArchive<'a> {
-    container: Container<'a>,
+pub(super) struct MeshArchive<'a> {
+    pub(super) container: Container<'a>,
+    pub(super) provenance: Vec<(String, String)>,
     root: Vec<Reference>,
     /// The number of frames in a sequence; `None` with one frame.
     frames: Option<u64>,
@@ -137,9 +137,9 @@ struct MeshArchive<'a> {
 }
 
 impl<'a> MeshArchive<'a> {
-    fn open(bytes: &'a [u8]) -> Result<MeshArchive<'a>> {
+    pub(super) fn open(bytes: &'a [u8]) -> Result<MeshArchive<'a>> {
         check_start(bytes)?;
-        let Some(provenance) = own_metadata(bytes)? else {
+        let Some(provenance) = own_metadata(first_data(bytes)?) else {
             let what = "Alembic files of other programs are not supported: save the mesh as PLY, OBJ or glTF";
             return Err(Error::unsupported(FORMAT, what));
         };
@@ -158,11 +158,34 @@ impl<'a> MeshArchive<'a> {
         let mesh = container.child_object(transform, MESH)?;
         Ok(MeshArchive {
             frames: frames.transpose()?,
+            provenance,
             geometry: container.schema(mesh, names::GEOMETRY)?,
             transform: container.schema(transform, names::TRANSFORM)?,
             container,
             root,
         })
+    }
+
+    /// Fails for a sequence: which of its meshes to use is unknown.
+    pub(super) fn check_single_frame(&self) -> Result<()> {
+        let Some(frames) = self.frames else { return Ok(()) };
+        let what = format!(
+            "this file is a sequence of {frames} frames, and a single mesh is needed: use the file of one frame, or of each frame, as in body.####.abc"
+        );
+        Err(Error::unsupported(FORMAT, what))
+    }
+
+    /// Whether the mesh has this property.
+    pub(super) fn has(&self, name: &str) -> bool {
+        self.geometry.iter().any(|(header, _)| header.name == name)
+    }
+
+    /// The attributes without a property of their own.
+    pub(super) fn params(&self) -> Result<Vec<(PropertyHeader, Reference)>> {
+        match self.has(names::PARAMS) {
+            true => self.container.properties(self.property(names::PARAMS)?.1),
+            false => Ok(Vec::new()),
+        }
     }
 
     fn property(&self, name: &str) -> Result<&(PropertyHeader, Reference)> {
@@ -180,7 +203,12 @@ impl<'a> MeshArchive<'a> {
     }
 
     /// The numbers of a sample of an array, each of `N` bytes.
-    fn array<const N: usize>(&self, name: &str, pod: (Pod, u8), index: usize) -> Result<&'a [[u8; N]]> {
+    pub(super) fn array<const N: usize>(
+        &self,
+        name: &str,
+        pod: (Pod, u8),
+        index: usize,
+    ) -> Result<&'a [[u8; N]]> {
         let (header, _) = self.property(name)?;
         header.check_type(pod)?;
         let references = self.references(name)?;
@@ -198,7 +226,8 @@ impl<'a> MeshArchive<'a> {
         }
     }
 
-    fn mesh(&self, index: usize, limits: &Limits) -> Result<MeshData> {
+    /// The positions and normals of a sample, before its transform.
+    pub(super) fn vertices(&self, index: usize, limits: &Limits) -> Result<[Vec<[f32; 3]>; 2]> {
         let positions = self.array::<12>(names::POSITIONS, (Pod::F32, 3), index)?;
         let normals = self.array::<12>(names::NORMALS, (Pod::F32, 3), index)?;
         let vertex_count = positions.len();
@@ -211,24 +240,27 @@ impl<'a> MeshArchive<'a> {
             let what = format!("the mesh has {} normals for {vertex_count} vertices", normals.len());
             return Err(Error::invalid(FORMAT, Position::File, what));
         }
+        Ok([positions, normals].map(|vectors| vectors.iter().map(vector).collect()))
+    }
+
+    fn mesh(&self, index: usize, limits: &Limits) -> Result<MeshData> {
+        let [positions, normals] = self.vertices(index, limits)?;
         let matrix = self.matrix(index)?;
-        let normal = |bytes: &[u8; 12]| {
-            let turned = transformed(vector(bytes).map(f64::from), &matrix, 0.0);
+        let normal = |normal: [f32; 3]| {
+            let turned = transformed(normal.map(f64::from), &matrix, 0.0);
             #[expect(clippy::cast_possible_truncation, reason = "a rotation by a right angle is exact")]
             turned.map(|x| x as f32)
         };
+        let position = |position: &[f32; 3]| transformed(position.map(f64::from), &matrix, 1.0);
         Ok(MeshData {
-            positions: positions
-                .iter()
-                .map(|bytes| transformed(vector(bytes).map(f64::from), &matrix, 1.0))
-                .collect(),
-            normals: normals.iter().map(normal).collect(),
-            triangles: self.triangles(index, vertex_count)?,
+            triangles: self.triangles(index, positions.len())?,
+            positions: positions.iter().map(position).collect(),
+            normals: normals.into_iter().map(normal).collect(),
         })
     }
 
     /// The triangles of a sample. Faces are clockwise in the file; larger ones become fans.
-    fn triangles(&self, index: usize, vertex_count: usize) -> Result<Vec<[u32; 3]>> {
+    pub(super) fn triangles(&self, index: usize, vertex_count: usize) -> Result<Vec<[u32; 3]>> {
         let invalid = |what: String| Error::invalid(FORMAT, Position::File, what);
         let corners = self.array::<4>(names::CORNERS, (Pod::I32, 1), index)?;
         let corners: Vec<u32> = corners.iter().map(|bytes| u32::from_le_bytes(*bytes)).collect();
@@ -254,7 +286,7 @@ impl<'a> MeshArchive<'a> {
     }
 
     /// The transform of a sample.
-    fn matrix(&self, index: usize) -> Result<Matrix> {
+    pub(super) fn matrix(&self, index: usize) -> Result<Matrix> {
         let property = self.transform.iter().find(|(header, _)| header.name == names::MATRIX);
         let Some((header, reference)) = property else { return Ok(IDENTITY) };
         header.check_type((Pod::F64, 16))?;
