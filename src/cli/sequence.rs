@@ -151,7 +151,9 @@ impl SequenceOutputs {
             files.push((path.clone(), format));
         }
         if files.is_empty() && fps.is_some() {
-            bail!("--fps is for a sequence file: give --sequence-glb, --sequence-usda or --sequence-abc as well");
+            bail!(
+                "--fps is for a sequence file: give --sequence-glb, --sequence-usda or --sequence-abc as well"
+            );
         }
         let options = SequenceOptions { fps: fps.unwrap_or(FPS), meters_per_unit: outputs.meters_per_unit };
         Ok(SequenceOutputs { files, options, are_picked })
