@@ -197,8 +197,8 @@ fn alembic(bytes: &[u8]) {
     let _ = abc::to_glb(bytes, &limits());
 }
 
-/// A frame of a sequence file: its columns and triangles are read for the .usda, the .usdc and the .abc, its data is
-/// copied for the .glb.
+/// A frame of a sequence file: its columns and triangles are read for the .usda, the .usdc and the .abc, its
+/// data is copied for the .glb.
 fn gltf_frame(bytes: &[u8]) {
     let Ok(file) = gltf::GlbFrame::read(&mut Cursor::new(bytes)) else { return };
     let frame = |code| gltf::SequenceFrame { name: "f".into(), code, file: file.clone() };
