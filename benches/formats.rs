@@ -147,7 +147,7 @@ fn writing_rows(pools: &[ThreadPool; 2]) -> bool {
     let mesh = mesh.view();
     let mut meets_target = true;
     type WriteMesh<'a> = &'a (dyn Fn(&mut Vec<u8>) + Sync);
-    let writers: [(&str, Target, WriteMesh); 5] = [
+    let writers: [(&str, Target, WriteMesh); 6] = [
         ("write .glb", Some((500.0, Cores::All)), &|out| {
             gltf::write_glb(&mesh, &MeshOptions::default(), &[], out).expect("written");
         }),
@@ -155,6 +155,9 @@ fn writing_rows(pools: &[ThreadPool; 2]) -> bool {
             gltf::write_gltf(&mesh, &MeshOptions::default(), &[], out).expect("written");
         }),
         ("write .ply", None, &|out| ply::write::write_mesh(&mesh, &[], out).expect("written")),
+        ("write .abc", None, &|out| {
+            OutputFormat::Abc.write_mesh(&mesh, &MeshOptions::default(), &[], out).expect("written");
+        }),
         ("write .obj", Some((150.0, Cores::All)), &|out| {
             OutputFormat::Obj.write_mesh(&mesh, &MeshOptions::default(), &[], out).expect("written");
         }),

@@ -7,6 +7,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod abc;
 pub mod batches;
 pub mod bgeo;
 mod blosc;

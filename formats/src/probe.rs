@@ -259,7 +259,6 @@ const OBJ_KEYWORDS: &[&[u8]] =
 /// Signatures of formats that are recognised only for error messages.
 const FOREIGN_SIGNATURES: &[(&[u8], &str)] = &[
     (b"\x89HDF\r\n\x1a\n", "HDF5"),
-    (b"Ogawa", "Alembic"),
     (b"NanoVDB", "NanoVDB"),
     (b"\xc0PRT\r\n\x1a\n", "Krakatoa PRT"),
     (b"\xfd7zXZ\0", "XZ archive"),

@@ -11,6 +11,7 @@
 //!   .stl          title                i=9f3c…, and further entries up to 80 bytes
 //!   .usda         customLayerData      dictionary meniscus = { string radius = "0.025" }
 //!   .usdc         the same, and a text     # meniscus_radius: 0.025
+//!   .abc          metadata             meniscus_radius=0.025;
 //!   .png          text                     meniscus_radius\0 0.025
 //!   .exr          attribute of the file    meniscus = "meniscus_radius: 0.025 …"
 //! ```
@@ -32,6 +33,11 @@ pub(crate) const HEAD_BYTES_MAX: u64 = 1 << 20;
 /// A key with the prefix, as stored next to the entries of other programs.
 pub(crate) fn prefixed(key: &str) -> String {
     format!("{PREFIX}{key}")
+}
+
+/// The key of an entry of ours, without the prefix; `None` for those of other programs.
+pub(crate) fn from_prefixed(key: &str) -> Option<&str> {
+    key.strip_prefix(PREFIX)
 }
 
 /// Formats one line per entry, each starting with `lead`. [`from_comments`] reads them back.
@@ -85,7 +91,8 @@ pub(crate) fn escape(text: &str) -> String {
     if inner == escaped.len() { escaped } else { escaped.replace(' ', "\\u{20}") }
 }
 
-fn unescape(text: &str) -> Option<String> {
+/// Reverses [`escape`].
+pub(crate) fn unescape(text: &str) -> Option<String> {
     let mut plain = String::with_capacity(text.len());
     let mut rest = text;
     while let Some((before, escaped)) = rest.split_once('\\') {

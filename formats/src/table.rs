@@ -92,6 +92,8 @@ formats! {
         Usda => crate::usda::ROW,
         /// Binary USD.
         Usdc => crate::usdc::ROW,
+        /// Alembic.
+        Abc => crate::abc::ROW,
         /// Binary STL.
         Stl => crate::stl::ROW,
         /// A picture: colours only.

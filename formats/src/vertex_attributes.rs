@@ -10,6 +10,7 @@
 //!   .obj     –           v x y z r g b     –                  –                      –
 //!   .vtp     its name    its name          its name           32 or 64 bits          index, table in field data
 //!   .usda/c  velocities  displayColor      primvars:name, up to 4 int, or int64          indexed primvars
+//!   .abc     .velocities its name          its name               32 or 64 bits          indexed
 //!   .stl     –           –                 –                      –                      –
 //!   .vdb     velocity    a vector grid     1 or 3 a voxel     –                      –
 //! ```

@@ -15,7 +15,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use meniscus_formats::{
     AttributeRole, BandGrid, FileAttribute, LeafValues, LevelSetView, Limits, MeshOptions, MeshView,
-    OutputFormat, ParticleBatch, ParticleBatches, Result, Values, bgeo, csv, gltf, lammps, obj, ply,
+    OutputFormat, ParticleBatch, ParticleBatches, Result, Values, abc, bgeo, csv, gltf, lammps, obj, ply,
     read_obstacle, read_particles, vdb,
 };
 use peak_alloc::PeakAlloc;
@@ -300,6 +300,10 @@ fn damaged_meshes_do_not_panic() {
     bytes.clear();
     OutputFormat::Obj.write_mesh(&mesh, &MeshOptions::default(), &[], &mut bytes).unwrap();
     sweep("written.obj", &bytes, obj::read_mesh);
+    bytes.clear();
+    OutputFormat::Abc.write_mesh(&mesh, &MeshOptions::default(), &[], &mut bytes).unwrap();
+    sweep("written.abc", &bytes, |bytes| abc::read_mesh(bytes, &Limits::default()));
+    sweep("written.abc", &bytes, |bytes| abc::to_glb(bytes, &Limits::default()));
     bytes.clear();
     ply::write::write_mesh(&mesh, &[], &mut bytes).unwrap();
     sweep("written.ply", &bytes, |bytes| ply::read_mesh(bytes, &Limits::default()));

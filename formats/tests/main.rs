@@ -1,6 +1,7 @@
 //! The tests of the file formats as a single program: separate ones would each link everything again. Only
 //! `hostile` is separate, because it measures the memory of the whole process.
 
+mod alembic; // .abc
 mod band_grids; // additional grids in .vdb files
 mod batches; // reading in batches matches reading whole files
 mod bgeo; // classic BGEO

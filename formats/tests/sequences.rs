@@ -6,7 +6,8 @@ use std::io::{self, Cursor};
 
 use meniscus_formats::gltf::{self, GlbFrame, SequenceFrame, UpAxis};
 use meniscus_formats::{
-    AttributeRole, Error, Limits, MeshOptions, MeshView, Values, VertexAttribute, VertexValues, usda, usdc,
+    AttributeRole, Error, Limits, MeshData, MeshOptions, MeshView, Values, VertexAttribute, VertexValues,
+    abc, usda, usdc,
 };
 
 /// A pyramid over a polygon, and the options for writing it.
@@ -173,6 +174,56 @@ fn glb_sequence_contains_the_data_of_every_frame() {
         assert_eq!(at_rest, [1.0, 0.0, 0.0]);
         assert_eq!(shot.extensions_required().collect::<Vec<_>>(), ["KHR_mesh_quantization"]);
     }
+}
+
+/// The numbers of the samples: a frame before missing ones has two.
+const ABC_SAMPLES: [(u64, usize); 5] = [(5, 0), (6, 1), (8, 1), (9, 2), (10, 3)];
+
+#[test]
+fn abc_sequence_has_a_sample_per_frame() {
+    for up in [UpAxis::Y, UpAxis::Z] {
+        let (shot, files) = gathered(up);
+        let mut bytes = Vec::new();
+        let open = |index: usize| Ok(Cursor::new(&files[index]));
+        let notes = abc::write_sequence(&shot, 25.0, &provenance(), open, &mut bytes).expect("written");
+        assert!(notes.len() == 1 && notes[0].starts_with("_HEAT is missing"), "{notes:?}");
+        let limits = Limits::default();
+        let times = abc::read_times(&bytes).expect("times");
+        assert_eq!(times, ABC_SAMPLES.map(|(number, _)| number as f64 / 25.0));
+        for (index, (number, frame)) in ABC_SAMPLES.into_iter().enumerate() {
+            let mesh = abc::read_sample(&bytes, index, &limits).expect("a mesh");
+            let expected = if frames()[frame].sides == 0 {
+                MeshData::default()
+            } else {
+                gltf::read_mesh(&files[frame], &limits).expect("a mesh")
+            };
+            assert_eq!(mesh.triangles, expected.triangles, "{number}");
+            assert_eq!(mesh.positions.len(), expected.positions.len(), "{number}");
+            let apart = mesh.positions.as_flattened().iter().zip(expected.positions.as_flattened());
+            assert!(apart.into_iter().all(|(a, b)| (a - b).abs() < 1e-6), "{number}");
+        }
+        assert!(matches!(abc::read_sample(&bytes, 5, &limits), Err(Error::Invalid { .. })));
+        let info = abc::read_sequence_info(&bytes).expect("read").expect("a sequence");
+        let counts = frames().iter().map(|frame| u64::from(frame.sides)).sum::<u64>();
+        assert_eq!((info.frames, info.vertices, info.triangles), (4, counts + 3, counts));
+        let error = abc::read_mesh(&bytes, &limits).expect_err("several frames");
+        assert!(matches!(error, Error::Unsupported { .. }), "{error}");
+    }
+}
+
+#[test]
+fn abc_sequence_without_missing_frames_has_uniform_times() {
+    let (mut shot, files) = gathered(UpAxis::Y);
+    shot.iter_mut().zip(7..).for_each(|(frame, code)| frame.code = code);
+    let mut bytes = Vec::new();
+    let open = |index: usize| Ok(Cursor::new(&files[index]));
+    abc::write_sequence(&shot, 24.0, &provenance(), open, &mut bytes).expect("written");
+    let times = abc::read_times(&bytes).expect("times");
+    assert!(times.len() == 4 && times[0] == 7.0 / 24.0 && (times[3] - 10.0 / 24.0).abs() < 1e-12);
+    shot[1].code = 7;
+    let error = abc::write_sequence(&shot, 24.0, &[], open, &mut Vec::new()).expect_err("out of order");
+    assert!(matches!(error, Error::Invalid { .. }), "{error}");
+    assert!(abc::write_sequence(&[], 24.0, &[], open, &mut Vec::new()).is_err());
 }
 
 fn samples<'a>(text: &'a str, name: &str) -> Vec<(&'a str, &'a str)> {

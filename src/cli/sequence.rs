@@ -25,7 +25,10 @@ use super::wording::{counted_are, pluralize};
 /// If no sequence file can be made.
 pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<CommandOutcome> {
     let format = SequenceFormat::of(&args.output).with_context(|| {
-        format!("{}: the name of a sequence file must end in .glb, .usda or .usdc", args.output.display())
+        format!(
+            "{}: the name of a sequence file must end in .glb, .usda, .usdc or .abc",
+            args.output.display()
+        )
     })?;
     check_output_path("the sequence file", &args.output)?;
     let found = find_inputs(&frames_of_folders(&args.inputs)?)?;
@@ -34,7 +37,7 @@ pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<Com
     let sequence = only_sequence(frames, "a sequence file holds one sequence")?;
     let source = |file: &FrameFile| SequenceSource { path: file.path.clone(), number: file.number() };
     let sources: Vec<SequenceSource> = sequence.frames.iter().map(source).collect();
-    if args.meters_per_unit.is_some() && format == SequenceFormat::Glb {
+    if args.meters_per_unit.is_some() && matches!(format, SequenceFormat::Glb | SequenceFormat::Abc) {
         console.warning("--meters-per-unit has no effect: it is for .usda and .usdc");
     }
     let options = SequenceOptions { fps: args.fps, meters_per_unit: args.meters_per_unit.unwrap_or(1.0) };
@@ -44,7 +47,8 @@ pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<Com
     Ok(if shot.left_out.is_empty() { CommandOutcome::Done } else { CommandOutcome::SomeFailed })
 }
 
-/// The inputs, with folders replaced by their .glb files. Existing sequence files are not frames.
+/// The inputs, with folders replaced by their .glb files, or by their .abc files if there is no .glb. Existing
+/// sequence files are not frames.
 fn frames_of_folders(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
     let mut frames = Vec::new();
     for input in inputs {
@@ -52,17 +56,16 @@ fn frames_of_folders(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
             frames.push(input.clone());
             continue;
         }
-        let is_frame =
-            |path: &PathBuf| SequenceFormat::of(path) == Some(SequenceFormat::Glb) && !is_sequence_file(path);
-        let files: Vec<PathBuf> = files_in(input)
-            .with_context(|| input.display().to_string())?
-            .into_iter()
-            .filter(is_frame)
-            .collect();
-        if files.is_empty() {
-            bail!("{}: this folder contains no .glb files of frames", input.display());
-        }
-        frames.extend(files);
+        let files = files_in(input).with_context(|| input.display().to_string())?;
+        let frames_in = |format| {
+            let of_format = files.iter().filter(|path| SequenceFormat::of(path) == Some(format));
+            of_format.filter(|path| !is_sequence_file(path)).cloned().collect::<Vec<PathBuf>>()
+        };
+        let found = [SequenceFormat::Glb, SequenceFormat::Abc].map(frames_in);
+        let Some(found) = found.into_iter().find(|found| !found.is_empty()) else {
+            bail!("{}: this folder contains no .glb or .abc files of frames", input.display());
+        };
+        frames.extend(found);
     }
     Ok(frames)
 }
@@ -125,11 +128,12 @@ impl SequenceOutputs {
         sequence_count: usize,
         are_picked: bool,
     ) -> Result<SequenceOutputs> {
-        let SequenceFileArgs { sequence_glb, sequence_usda, sequence_usdc, fps } = args;
+        let SequenceFileArgs { sequence_glb, sequence_usda, sequence_usdc, sequence_abc, fps } = args;
         let typed = [
             ("--sequence-glb", sequence_glb, SequenceFormat::Glb),
             ("--sequence-usda", sequence_usda, SequenceFormat::Usda),
             ("--sequence-usdc", sequence_usdc, SequenceFormat::Usdc),
+            ("--sequence-abc", sequence_abc, SequenceFormat::Abc),
         ];
         let mut files = Vec::new();
         for (option, path, format) in typed {
@@ -152,7 +156,8 @@ impl SequenceOutputs {
         }
         if files.is_empty() && fps.is_some() {
             bail!(
-                "--fps is for a sequence file: give --sequence-glb, --sequence-usda or --sequence-usdc as well"
+                "--fps is for a sequence file: give --sequence-glb, --sequence-usda, --sequence-usdc or \
+                 --sequence-abc as well"
             );
         }
         let options = SequenceOptions { fps: fps.unwrap_or(FPS), meters_per_unit: outputs.meters_per_unit };

@@ -151,11 +151,11 @@ def moving(check):
         (folder / f"moving.{frame:03}.csv").write_text("\n".join(rows) + "\n")
     for label, more in (("moving", []), ("moving-quantized", ["--quantize", "--quads"])):
         out = OUT / label
-        names = ("shot.glb", "shot.usda", "shot.usdc")
+        names = ("shot.glb", "shot.usda", "shot.usdc", "shot.abc")
         shots = [word for name in names for word in (f"--sequence-{name[5:]}", out / name)]
         options = ["--voxel-size", "0.05", "--attributes", "velocity", "--up", "z", *shots, *more]
         out.mkdir(parents=True, exist_ok=True)
-        reads(check, label, folder, options, ["glb", "obj", "ply", "vtp", "stl", "usda", "usdc"])
+        reads(check, label, folder, options, ["glb", "obj", "ply", "vtp", "stl", "usda", "usdc", "abc"])
         faults = [f"no {name}" for name in names if not (out / name).is_file()]
         check.line(f"{label} shots", f"{len(MOVING)} frames", faults)
 

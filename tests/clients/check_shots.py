@@ -1,9 +1,10 @@
 """Blender imports meshes in the formats of other programs, and plays whole sequences in one file.
 
-    frame         the quantized .glb, the .stl and the .usda of one frame: its vertices or triangles, bounds and volume
+    frame         the quantized .glb, the .stl, the .usda and the .abc of one frame: its vertices or triangles, bounds and volume
     shot.glb      one object for each frame, of which one has a size at a time, the one that belongs there
     shot.usda     one object, whose mesh is that of the frame
-    rendered      shots_glb.png, shots_usda.png: the last frame of each shot; both show something, and the same
+    shot.abc      the same, with velocities
+    rendered      shots_glb.png, shots_usda.png, shots_abc.png: the last frame of each shot; all show the same
 
 Runs in a separate Python, with Blender as a module.
 """
@@ -25,11 +26,12 @@ def main():
     for label in ("moving", "moving-quantized"):
         folder = OUT / label
         last = sorted(folder.glob("moving.*.ply"))[-1]
-        for kind in ("glb", "stl", "usda"):
+        for kind in ("glb", "stl", "usda", "abc"):
             path = last.with_suffix(f".{kind}")
             check.line(f"{label}/{path.name}", *attempted(frame, path, last))
         check.line(f"{label}/shot.glb", *attempted(shot, folder, "glb"))
         check.line(f"{label}/shot.usda", *attempted(shot, folder, "usda"))
+        check.line(f"{label}/shot.abc", *attempted(shot, folder, "abc"))
     check.line("pictures", *attempted(pictures, OUT / "moving"))
     check.end()
 
@@ -49,6 +51,7 @@ def imported(path):
         ".glb": lambda: bpy.ops.import_scene.gltf(filepath=str(path)),
         ".stl": lambda: bpy.ops.wm.stl_import(filepath=str(path)),
         ".usda": lambda: bpy.ops.wm.usd_import(filepath=str(path)),
+        ".abc": lambda: bpy.ops.wm.alembic_import(filepath=str(path)),
     }[path.suffix]()
     bpy.context.view_layer.update()
     found = [obj for obj in bpy.data.objects if obj.type == "MESH"]
@@ -102,7 +105,7 @@ def frame(path, ply):
     if len(objects) != 1:
         faults.append(f"{len(objects)} objects")
     mesh = objects[0].data
-    if path.suffix == ".usda" and "quantized" in str(path) and len(mesh.polygons) == len(mesh.loops) // 3:
+    if path.suffix in (".usda", ".abc") and "quantized" in str(path) and len(mesh.polygons) == len(mesh.loops) // 3:
         faults.append("it has no quads")
     return f"{len(mesh.vertices)} vertices, {len(mesh.polygons)} faces", faults
 
@@ -113,33 +116,39 @@ def shot(folder, kind):
     codes = [int(ply.stem.split(".")[1]) for ply in plys]
     faults, seen = [], []
     for code, ply in zip(codes, plys):
-        # Frame 1 of the scene is the first frame of a .glb; the time codes of USD are frames.
+        # Frame 1 of the scene is the first frame of a .glb; in USD and Alembic frames have their numbers.
         bpy.context.scene.frame_set(code - codes[0] + 1 if kind == "glb" else code)
         faults += [f"frame {code}: {fault}" for fault in faults_of(objects, ply)]
         seen.append(len(shown(objects)[0]))
-    if kind == "glb":
+    if kind != "usda":
         # The frame before a missing one stays visible for its time.
-        bpy.context.scene.frame_set(3 - codes[0] + 1)
+        bpy.context.scene.frame_set(3 - codes[0] + 1 if kind == "glb" else 3)
         faults += [f"frame 3: {fault}" for fault in faults_of(objects, plys[1])]
+    if kind == "abc" and "velocity" not in evaluated_attributes(objects[0]):
+        faults.append("it has no velocities, so its motion is not blurred")
     if len(set(seen)) != len(seen):
         faults.append("frames that should differ are the same")
     return f"{len(objects)} objects, {' '.join(map(str, seen))} vertices at {' '.join(map(str, codes))}", faults
+
+
+def evaluated_attributes(obj):
+    return obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.attributes.keys()
 
 
 def pictures(folder):
     """The last frame of each shot, taken from one place."""
     points, _ = read_ply(sorted(folder.glob("moving.*.ply"))[-1])
     images = {}
-    for kind, time in (("glb", 4), ("usda", 4)):
+    for kind, time in (("glb", 4), ("usda", 4), ("abc", 4)):
         imported(folder / f"shot.{kind}")
         bpy.context.scene.frame_set(time)
         stage(Matrix(), points.min(axis=0), points.max(axis=0))
         images[kind] = render(WORK / f"shots_{kind}.png")
     faults = [f"shots_{kind}.png shows nothing" for kind, image in images.items() if image.std() < 0.05]
-    difference = abs(images["glb"] - images["usda"]).mean()
+    difference = max(abs(images["glb"] - images[kind]).mean() for kind in ("usda", "abc"))
     if difference > PICTURE_DIFFERENCE_MAX:
         faults.append(f"the pictures differ by {difference:.4f} in the mean")
-    return f"mean difference {difference:.4f}: {WORK.name}/shots_glb.png, {WORK.name}/shots_usda.png", faults
+    return f"difference {difference:.4f} in the mean: {WORK.name}/shots_{{glb,usda,abc}}.png", faults
 
 
 if __name__ == "__main__":

@@ -11,6 +11,18 @@ import numpy as np
 
 def read_ply(path):
     """Positions and triangles of a binary little-endian PLY whose faces are all triangles."""
+    vertices, faces = tables_of(path)
+    positions = np.stack([vertices[axis].astype(float) for axis in "xyz"], axis=1)
+    return positions, faces[faces.dtype.names[-1]].astype(np.int64).reshape(-1, 3)
+
+
+def read_vertices(path):
+    """All properties of the vertices of such a PLY, by name."""
+    return tables_of(path)[0]
+
+
+def tables_of(path):
+    """The vertices and faces of such a PLY, as structured arrays."""
     data = path.read_bytes()
     end = data.index(b"end_header\n") + len(b"end_header\n")
     rows, counts, element = {"vertex": [], "face": []}, {}, None
@@ -31,8 +43,7 @@ def read_ply(path):
         raise ValueError(f"{path}: {len(data)} bytes, but its header says otherwise")
     if len(faces) and (faces["count"] != 3).any():
         raise ValueError(f"{path}: not all faces are triangles")
-    positions = np.stack([vertices[axis].astype(float) for axis in "xyz"], axis=1)
-    return positions, faces[faces.dtype.names[-1]].astype(np.int64).reshape(-1, 3)
+    return vertices, faces
 
 
 PLY_TYPES = {

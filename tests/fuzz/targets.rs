@@ -20,8 +20,9 @@ use meniscus::watch::status_store::StatusStore;
 use meniscus_formats::steps::find_steps;
 use meniscus_formats::{
     Format, Limits, OutputFormat, ParticleBatch, ParticleBatches, ParticleFrame, ProbedKind, Result, Values,
-    bgeo, completeness, compression, csv, gltf, houdini, is_complete, lammps, looks_like_particles, npy, obj,
-    ply, png, probe, read_obstacle, read_particles, read_provenance, stl, usda, usdc, vdb, vtk, xyz, xyz_ext,
+    abc, bgeo, completeness, compression, csv, gltf, houdini, is_complete, lammps, looks_like_particles, npy,
+    obj, ply, png, probe, read_obstacle, read_particles, read_provenance, stl, usda, usdc, vdb, vtk, xyz,
+    xyz_ext,
 };
 use twox_hash::XxHash3_64;
 
@@ -47,7 +48,7 @@ pub(crate) enum Content {
 }
 
 /// All targets.
-pub(crate) const TARGETS: [Target; 34] = [
+pub(crate) const TARGETS: [Target; 35] = [
     plain("ply", |bytes| checked(ply::read(bytes, &limits()))),
     plain("ply_mesh", |bytes| drop(ply::read_mesh_and_vertices(bytes, &limits()))),
     packed("bgeo", |bytes| checked(bgeo::read(bytes, &limits()))),
@@ -70,6 +71,7 @@ pub(crate) const TARGETS: [Target; 34] = [
     plain("gltf_frame", gltf_frame),
     plain("usda_head", |bytes| drop(usda::read_layer_info(bytes))),
     packed("usdc", usdc_frames),
+    plain("abc", alembic),
     plain("stl", |bytes| drop(stl::read_mesh(bytes, &limits()))),
     plain("obj", |bytes| drop(obj::read_mesh(bytes))),
     Target { name: "png", content: Content::Picture, run: |bytes| drop(png::read(bytes)) },
@@ -188,14 +190,22 @@ fn gltf_parts(bytes: &[u8]) {
     let _ = gltf::read_camera(bytes);
 }
 
-/// A frame of a sequence file, used twice: its columns and triangles are read for the .usda, its data is
-/// copied for the .glb.
+/// The first two meshes of an archive, and what is known without them.
+fn alembic(bytes: &[u8]) {
+    let _ = (abc::read_mesh(bytes, &limits()), abc::read_sequence_info(bytes), abc::read_times(bytes));
+    let _ = (abc::read_sample(bytes, 0, &limits()), abc::read_sample(bytes, 1, &limits()));
+    let _ = abc::to_glb(bytes, &limits());
+}
+
+/// A frame of a sequence file: its columns and triangles are read for the .usda, the .usdc and the .abc, its
+/// data is copied for the .glb.
 fn gltf_frame(bytes: &[u8]) {
     let Ok(file) = gltf::GlbFrame::read(&mut Cursor::new(bytes)) else { return };
     let frame = |code| gltf::SequenceFrame { name: "f".into(), code, file: file.clone() };
     let (shot, open) = ([frame(1), frame(3)], |_: usize| Ok(Cursor::new(bytes)));
     let _ = usda::write_sequence(&shot, (24.0, 1.0), &[], open, &mut std::io::sink());
     let _ = usdc::write_sequence(&shot, (24.0, 1.0), &[], open, &mut Cursor::new(Vec::new()));
+    let _ = abc::write_sequence(&shot, 24.0, &[], open, &mut std::io::sink());
     let _ = gltf::write_sequence(&shot, 24.0, &[], open, &mut std::io::sink());
 }
 
@@ -209,7 +219,7 @@ fn usdc_frames(bytes: &[u8]) {
 
 /// Checks that do not read the whole file. The first byte selects the format.
 fn ends(bytes: &[u8]) {
-    const FORMATS: [OutputFormat; 11] = [
+    const FORMATS: [OutputFormat; 12] = [
         OutputFormat::Glb,
         OutputFormat::Gltf,
         OutputFormat::Obj,
@@ -221,6 +231,7 @@ fn ends(bytes: &[u8]) {
         OutputFormat::Stl,
         OutputFormat::Usda,
         OutputFormat::Usdc,
+        OutputFormat::Abc,
     ];
     let [choice, bytes @ ..] = bytes else { return };
     let format = FORMATS[usize::from(*choice) % FORMATS.len()];

@@ -122,6 +122,7 @@ fn unwritable_folder_for_a_report_plan_or_sequence_file_is_refused() {
         ("the sequence file", &["convert", "dam.#.ply", "--out", "o", "--sequence-glb", "/proc/s.glb"]),
         ("the sequence file", &["convert", "dam.#.ply", "--out", "o", "--sequence-usda", "/proc/s.usda"]),
         ("the sequence file", &["convert", "dam.#.ply", "--out", "o", "--sequence-usdc", "/proc/s.usdc"]),
+        ("the sequence file", &["convert", "dam.#.ply", "--out", "o", "--sequence-abc", "/proc/s.abc"]),
         ("the sequence file", &["sequence", "dam.#.glb", "-o", "/proc/x.glb"]),
         ("the plan", &["plan", "dam.#.ply", "--shards", "2", "--out", "o", "-o", "/proc/p.json"]),
     ] {

@@ -97,7 +97,7 @@ fn folder_of_single_frames_is_warned_about() {
 fn single_frame_is_written_to_the_named_file() {
     let folder = folder_with(&["dam.7.ply"]);
     let path = folder.path();
-    for format in ["glb", "gltf", "obj", "ply", "vtp", "stl", "usda", "usdc", "vdb"] {
+    for format in ["glb", "gltf", "obj", "ply", "vtp", "stl", "usda", "usdc", "abc", "vdb"] {
         let file = format!("new/x.{format}");
         let short = convert(path, &["in/dam.7.ply", "-o", &file]);
         assert_eq!((short.status, &*short.err), (0, ""), "{format}: {}", short.out);

@@ -4,6 +4,7 @@
 use std::fs;
 use std::path::Path;
 
+use meniscus_formats::{Limits, abc};
 use serde_json::Value;
 use tempfile::{TempDir, tempdir};
 
@@ -38,7 +39,7 @@ fn document(path: &Path) -> Value {
 }
 
 const EVERY_MESH: [&str; 8] =
-    ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb,vtp,stl,usda,usdc"];
+    ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb,vtp,stl,usda,usdc,abc"];
 
 #[test]
 fn outputs_for_other_programs_record_the_generator() {
@@ -59,10 +60,10 @@ fn outputs_for_other_programs_record_the_generator() {
         assert!(ran.status == 0 && !ran.out.contains("done already"), "{option}: {}{}", ran.out, ran.err);
         assert!(meniscus(path, &with(option)).out.contains("done already"), "{option}");
     }
-    let names = ["dam.1.glb", "dam.1.stl", "dam.1.usda", "dam.1.usdc", "dam.1.vtp"];
+    let names = ["dam.1.abc", "dam.1.glb", "dam.1.stl", "dam.1.usda", "dam.1.usdc", "dam.1.vtp"];
     // `.meniscus` has the hashes of the outputs, for --skip-done.
     assert_eq!(names_in(&path.join("out"))[1..], names);
-    for name in &names[1..] {
+    for name in names.iter().filter(|name| **name != "dam.1.glb") {
         let info: Value =
             serde_json::from_str(&meniscus(&path.join("out"), &["info", "--json", name]).out).expect("JSON");
         assert_eq!(
@@ -106,7 +107,7 @@ fn quantizing_changes_only_glb() {
     succeeded(&meniscus(path, &quantized));
     let [plain, small] = ["out", "small"].map(|folder| path.join(folder));
     // All files of a frame have one mesh, without the triangles that 16 bits would flatten: each records this.
-    for name in ["dam.1.usda", "dam.1.usdc", "dam.1.vtp"] {
+    for name in ["dam.1.abc", "dam.1.usda", "dam.1.usdc", "dam.1.vtp"] {
         let is_recorded = |folder: &Path| {
             let bytes = fs::read(folder.join(name)).expect("readable");
             bytes.windows(b"quantize".len()).any(|window| window == b"quantize")
@@ -135,13 +136,15 @@ fn quantizing_a_wide_frame_causes_a_warning() {
     assert_eq!(meniscus(path, &arguments).err, "");
 }
 
-const SHOTS: [&str; 8] = [
+const SHOTS: [&str; 10] = [
     "--sequence-glb",
     "shot.glb",
     "--sequence-usda",
     "shot.usda",
     "--sequence-usdc",
     "shot.usdc",
+    "--sequence-abc",
+    "shot.abc",
     "--fps",
     "25",
 ];
@@ -150,10 +153,10 @@ const SHOTS: [&str; 8] = [
 fn sequence_file_is_the_same_from_every_command() {
     let folder = frames(4);
     let path = folder.path();
-    let convert = ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb", "--up", "z"];
+    let convert = ["convert", "in", "--out", "out", "--voxel-size=0.05", "--format=glb,abc", "--up", "z"];
     succeeded(&meniscus(path, &[&convert[..], &SHOTS].concat()));
     let read = |name: &str| fs::read(path.join(name)).expect("readable");
-    let [glb, usda, usdc] = ["shot.glb", "shot.usda", "shot.usdc"].map(read);
+    let [glb, usda, usdc, abc] = ["shot.glb", "shot.usda", "shot.usdc", "shot.abc"].map(read);
 
     let plan = ["--shards", "3", "-o", "plan.json"];
     let planned: Vec<&str> = convert
@@ -168,12 +171,17 @@ fn sequence_file_is_the_same_from_every_command() {
     for shard in ["2", "0", "1"] {
         succeeded(&meniscus(path, &["convert", "--plan", "plan.json", "--shard", shard, "--threads", "1"]));
     }
-    for (name, expected) in [("again.glb", &glb), ("again.usda", &usda), ("again.usdc", &usdc)] {
+    for (name, expected) in
+        [("again.glb", &glb), ("again.usda", &usda), ("again.usdc", &usdc), ("again.abc", &abc)]
+    {
         succeeded(&meniscus(path, &["sequence", "farm", "-o", name, "--fps", "25"]));
         assert!(read(name) == *expected, "{name}");
         succeeded(&meniscus(path, &["sequence", "farm/dam.#.glb", "-o", name, "--fps", "25"]));
         assert!(read(name) == *expected, "{name}");
     }
+    // The .abc of the frames hold as much as their .glb.
+    succeeded(&meniscus(path, &["sequence", "farm/dam.#.abc", "-o", "again.abc", "--fps", "25"]));
+    assert!(read("again.abc") == abc);
     // In the folder of the frames, the command does not take the sequence file for a frame.
     for _ in 0..2 {
         succeeded(&meniscus(path, &["sequence", "farm", "-o", "farm/shot.glb", "--fps", "25"]));
@@ -196,8 +204,10 @@ fn shot_that_lacks_frames_does_not_replace_a_whole_one() {
     let path = folder.path();
     let convert = ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb"];
     succeeded(&meniscus(path, &[&convert[..], &SHOTS].concat()));
-    let read =
-        || ["shot.glb", "shot.usda", "shot.usdc"].map(|name| fs::read(path.join(name)).expect("readable"));
+    let read = || {
+        ["shot.glb", "shot.usda", "shot.usdc", "shot.abc"]
+            .map(|name| fs::read(path.join(name)).expect("readable"))
+    };
     let whole = read();
     fs::write(path.join("in/dam.2.ply"), "ply\nformat ascii 1.0\n").expect("written");
     let ran = meniscus(path, &[&convert[..], &SHOTS].concat());
@@ -275,6 +285,14 @@ fn sequence_file_shows_each_frame_at_its_time() {
     let codes: Vec<&str> = points.lines().take(3).filter_map(|line| line.trim().split(':').next()).collect();
     assert_eq!(codes, ["1", "2", "4"]);
     assert!(points.lines().nth(1) == Some("            2: [],"));
+
+    // Without particles frame 2 is empty, and it has a second sample instead of the missing frame 3.
+    let archive = fs::read(path.join("shot.abc")).expect("readable");
+    let times = abc::read_times(&archive).expect("times");
+    assert_eq!(times, [1.0, 2.0, 3.0, 4.0].map(|number| number / 25.0));
+    let count =
+        |index| abc::read_sample(&archive, index, &Limits::default()).expect("a mesh").positions.len();
+    assert!([1, 2].map(count) == [0, 0] && [0, 3].map(count).iter().all(|count| *count > 0));
 }
 
 #[test]
@@ -293,7 +311,7 @@ fn info_describes_a_sequence_file_and_convert_refuses_it() {
         counts.map(|info| info["mesh"][name].as_u64().expect("a number")).sum()
     };
     let counts = ["vertices", "triangles"].map(total);
-    for name in ["shot.glb", "shot.usda", "shot.usdc"] {
+    for name in ["shot.glb", "shot.usda", "shot.usdc", "shot.abc"] {
         let text = meniscus(path, &["info", name]).out;
         let rows = [
             ("frames", "3".to_owned()),
@@ -315,9 +333,10 @@ fn info_describes_a_sequence_file_and_convert_refuses_it() {
         assert_eq!(info["shot"], expected);
         assert!(info.get("mesh").is_none() && info.get("layer").is_none(), "{info}");
     }
-    let in_the_way = [&convert[..], &["--obstacle", "shot.glb"]].concat();
-    let ran = meniscus(path, &in_the_way);
-    assert!(ran.status == 2 && ran.err.contains("this file is a sequence of 3 frames"), "{}", ran.err);
+    for name in ["shot.glb", "shot.abc"] {
+        let ran = meniscus(path, &[&convert[..], &["--obstacle", name]].concat());
+        assert!(ran.status == 2 && ran.err.contains("this file is a sequence of 3 frames"), "{}", ran.err);
+    }
     fs::copy(path.join("out/dam.1.glb"), path.join("rock.glb")).expect("copied");
     succeeded(&meniscus(path, &[&convert[..], &["--obstacle", "rock.glb"]].concat()));
     // A sequence file contains no particles either; the error names it once.
@@ -332,6 +351,7 @@ fn invalid_sequence_files_are_refused_before_conversion() {
     let convert = |more: &[&'static str]| [&["convert", "in", "--out", "o"][..], more].concat();
     refused(path, &convert(&["--format", "ply", "--sequence-glb", "s.glb"]), &["--sequence-glb", "add glb"]);
     refused(path, &convert(&["--sequence-usda", "s.glb"]), &["--sequence-usda s.glb", "must end in .usda"]);
+    refused(path, &convert(&["--sequence-abc", "s.usd"]), &["--sequence-abc s.usd", "must end in .abc"]);
     refused(path, &convert(&["--sequence-glb", "s.mov"]), &["--sequence-glb s.mov", "must end in .glb"]);
     refused(path, &convert(&["--sequence-glb", "no/s.glb"]), &["does not exist"]);
     refused(
@@ -349,7 +369,7 @@ fn invalid_sequence_files_are_refused_before_conversion() {
     write_ply(&path.join("in/other.2.ply"), &block(3, 0.0));
     refused(path, &convert(&["--sequence-glb", "s.glb"]), &["one sequence"]);
     assert!(!path.join("o").exists() && !path.join("s.glb").exists());
-    refused(path, &["sequence", "in", "-o", "s.glb"], &["no .glb"]);
+    refused(path, &["sequence", "in", "-o", "s.glb"], &["no .glb or .abc"]);
     refused(
         path,
         &["sequence", "in/dam.1.ply", "-o", "s.glb"],
@@ -360,7 +380,7 @@ fn invalid_sequence_files_are_refused_before_conversion() {
         &["sequence", "in/dam.1.ply", "in/other.1.ply", "-o", "s.glb"],
         &["2 sequences", "dam.1.ply, other.1.ply"],
     );
-    refused(path, &["sequence", "in/dam.1.ply", "-o", "s.ply"], &[".glb, .usda or .usdc"]);
+    refused(path, &["sequence", "in/dam.1.ply", "-o", "s.ply"], &[".glb, .usda, .usdc or .abc"]);
     assert!(!path.join("s.glb").exists());
 }
 
@@ -375,7 +395,7 @@ fn damaged_frame_is_left_out_with_a_warning() {
     foreign[20..60].fill(b' ');
     for damaged in [&whole[..whole.len() - 4], &whole[..30], b"", &foreign] {
         fs::write(&frame, damaged).expect("written");
-        for output in ["s.glb", "s.usda", "s.usdc"] {
+        for output in ["s.glb", "s.usda", "s.usdc", "s.abc"] {
             let ran = meniscus(path, &["sequence", "out", "-o", output]);
             assert_eq!(ran.status, 1, "{}{}", ran.out, ran.err);
             assert!(
@@ -423,7 +443,11 @@ fn sequence_file_replaces_only_an_earlier_one() {
     }
     assert!(made.iter().all(|shot| *shot == made[0]));
     for output in ["t.glb", "out/dam.4.glb"] {
-        refused(path, &["sequence", "out/dam.4.glb", "-o", output], &["dam.4.glb: ", "this is a sequence file"]);
+        refused(
+            path,
+            &["sequence", "out/dam.4.glb", "-o", output],
+            &["dam.4.glb: ", "this is a sequence file"],
+        );
     }
 }
 

@@ -24,8 +24,8 @@ option_set! {
         )]
         pub(in crate::cli) format: Option<Vec<OutputFormat>>,
 
-        /// Axis of the particles that points up; with z, .glb is rotated, because glTF has Y up, and .usda
-        /// records the axis [default: y]
+        /// Axis of the particles that points up; with z, .glb and .abc are rotated, because they have Y up,
+        /// and USD records the axis [default: y]
         #[arg(long, help_heading = FORMATS, value_name = "AXIS", ignore_case = true, value_parser = up_axis())]
         pub(in crate::cli) up: Option<UpAxis>,
 

@@ -12,12 +12,12 @@ use crate::surface::options::ranged;
 #[derive(Debug, Args)]
 #[command(after_long_help = PLAYING)]
 pub(in crate::cli) struct SequenceArgs {
-    /// The .glb files of the frames, as convert wrote them: files, a folder, globs, or numbered patterns such
-    /// as dam.####.glb
+    /// The .glb or .abc files of the frames, as convert wrote them: files, a folder, globs, or numbered
+    /// patterns such as dam.####.glb
     #[arg(required = true, value_name = "INPUT")]
     pub(in crate::cli) inputs: Vec<PathBuf>,
 
-    /// The sequence file to write: a .glb with an animation, or a .usda or .usdc with time samples
+    /// The sequence file to write: a .glb with an animation, or a .usda, .usdc or .abc with time samples
     #[arg(short, long, value_name = "FILE")]
     pub(in crate::cli) output: PathBuf,
 
@@ -49,6 +49,11 @@ option_set! {
         #[arg(long, value_name = "FILE")]
         pub(in crate::cli) sequence_usdc: Option<PathBuf>,
 
+        /// After the conversion, combine the frames into one .abc with time samples; requires a single
+        /// sequence, and glb in --format
+        #[arg(long, value_name = "FILE")]
+        pub(in crate::cli) sequence_abc: Option<PathBuf>,
+
         /// Frame rate of the sequence file, per second, more than 0 and at most 1000; use that of your scene
         /// [default: 24]
         #[arg(long, value_name = "N", value_parser = parse_fps)]
@@ -61,8 +66,9 @@ pub(in crate::cli) const FPS: f64 = 24.0;
 
 const PLAYING: &str = "\
 The number of a frame determines when it is shown; if a frame is missing, the previous frame is held. In USD the numbers
-are the time codes. In a .glb the differences between the numbers are divided by their greatest common divisor: frames 0, 100
-and 300 play at frames 0, 1 and 3. If some names have no number, or the numbers do not increase, frames are counted from 1.
+are the time codes, and in an .abc frame n is at n / --fps seconds. In a .glb the differences between the numbers are divided
+by their greatest common divisor: frames 0, 100 and 300 play at frames 0, 1 and 3. If some names have no number, or the
+numbers do not increase, frames are counted from 1.
 
 The file may replace an older sequence file, but not the .glb of a frame.
 
@@ -70,7 +76,7 @@ Frame n of a scene shows frame n of the .glb if the scene has the same frames pe
 rate (24 by default) before importing. At a lower rate the scene skips frames.
 
 A .glb has a node for each frame, and shows one after the other by animating their scales in steps; it must stay below
-4 GiB. USD has no such limit: it is one mesh with time samples, which should not be blended between frames.
+4 GiB. USD and .abc have no such limit: each is one mesh with time samples, which should not be blended between frames.
 
 Exit status:
   0    all frames are in the sequence file

@@ -17,7 +17,7 @@ use std::{io, iter};
 
 use anyhow::{Result, anyhow, bail};
 use meniscus_formats::{
-    Codec, Format, Limits, OutputFormat, Probe, ProbedKind, escaped, gltf, ply, probe, read_mesh,
+    Codec, Format, Limits, OutputFormat, Probe, ProbedKind, abc, escaped, gltf, ply, probe, read_mesh,
     read_particles, read_provenance, usda, usdc, vdb, vtk,
 };
 use serde::Serialize;
@@ -204,6 +204,12 @@ impl FileInfo {
                     }
                 }
             }
+            ProbedKind::Format(Format::Abc) if codec.is_none() => match abc::read_sequence_info(&bytes)? {
+                Some(gltf::SequenceInfo { frames, vertices, triangles }) => {
+                    self.set_sequence(frames, [vertices, triangles]);
+                }
+                None => self.mesh = Some(MeshInfo::of(&abc::read_mesh(&bytes, &limits)?)),
+            },
             ProbedKind::Format(Format::Vtp) if codec.is_none() && holds_polys(&bytes) => {
                 let mesh = vtk::read_mesh(&bytes, &limits)?;
                 let vertices = read_particles(&bytes, &name, &limits)?;

@@ -1,9 +1,10 @@
-//! Combines the `.glb` files of all frames into one file.
+//! Combines the `.glb` or `.abc` files of all frames into one file.
 //!
 //! ```text
 //!   out/dam.0012.glb  out/dam.0013.glb  ..  ──▶  dam.glb     plays in a browser, and in Blender
 //!                                           ──▶  dam.usda    one mesh with time samples
 //!                                           ──▶  dam.usdc    the same in binary
+//!                                           ──▶  dam.abc     one mesh with time samples
 //! ```
 //!
 //! Frames are read only from their files. So a sequence file is the same whether one process converted its
@@ -11,16 +12,20 @@
 //! number of frames.
 //!
 //! The number of a frame determines when it is shown. In USD it is the time code, because other
-//! programs use it too. In a `.glb`, which has seconds and no numbers, the greatest common divisor of the
-//! differences between numbers is one frame of the animation: a simulation that writes every hundredth step
-//! plays like one that writes every step. The frame before a missing frame is shown in its place.
+//! programs use it too, and in an `.abc` its time is that of the frame in a scene. In a `.glb`, which has
+//! seconds and no numbers, the greatest common divisor of the differences between numbers is one frame of the
+//! animation: a simulation that writes every hundredth step plays like one that writes every step. The frame
+//! before a missing frame is shown in its place.
 
+use std::cell::RefCell;
 use std::fmt;
-use std::io::{self, BufReader, Read};
+use std::fs::File;
+use std::io::{self, BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 
 use meniscus_formats::gltf::{self, GlbFrame, SEQUENCE_FRAMES, SequenceFrame};
-use meniscus_formats::{OutputFormat, read_provenance, usda, usdc};
+use meniscus_formats::{Limits, OutputFormat, abc, read_provenance, usda, usdc};
 
 use super::provenance::{GENERATOR_AND_VERSION, HEAD_BYTES};
 use crate::pipeline::files::atomic_write::write_atomically;
@@ -37,6 +42,8 @@ pub enum SequenceFormat {
     Usda,
     /// Binary USD, with time samples.
     Usdc,
+    /// Alembic.
+    Abc,
 }
 
 impl SequenceFormat {
@@ -47,12 +54,13 @@ impl SequenceFormat {
             "glb" => Some(SequenceFormat::Glb),
             "usda" => Some(SequenceFormat::Usda),
             "usdc" => Some(SequenceFormat::Usdc),
+            "abc" => Some(SequenceFormat::Abc),
             _ => None,
         }
     }
 }
 
-/// The `.glb` of a frame, and its number.
+/// The `.glb` or `.abc` of a frame, and its number.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SequenceSource {
     /// Its path.
@@ -124,24 +132,31 @@ pub fn write_sequence_file(
     let numbers = increasing(&numbers);
     let codes = match format {
         SequenceFormat::Glb => in_steps(&numbers),
-        SequenceFormat::Usda | SequenceFormat::Usdc => numbers.clone(),
+        SequenceFormat::Usda | SequenceFormat::Usdc | SequenceFormat::Abc => numbers.clone(),
     };
     let provenance = provenance(&numbers, fps);
     let (mut frames, mut opened) = (Vec::new(), Vec::new());
-    for (SourceFrame { source, stamp, file }, code) in there.into_iter().zip(codes) {
+    for (SourceFrame { source, stamp, file, notes }, code) in there.into_iter().zip(codes) {
+        let new = notes.into_iter().filter(|note| !report.notes.contains(note)).collect::<Vec<_>>();
+        report.notes.extend(new);
         let name = source.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         frames.push(SequenceFrame { name, code, file });
         opened.push((&source.path, stamp));
     }
-    let open = |index: usize| -> io::Result<_> { Ok(BufReader::new(open_regular(opened[index].0)?)) };
+    let last = RefCell::new(None);
+    let open = |index: usize| FrameReader::open(opened[index].0, index, &last);
+    let units = (fps, meters_per_unit);
     let written = write_atomically(path, |out| {
         match format {
             SequenceFormat::Glb => gltf::write_sequence(&frames, fps, &provenance, open, out)?,
             SequenceFormat::Usda => {
-                report.notes = usda::write_sequence(&frames, (fps, meters_per_unit), &provenance, open, out)?
+                report.notes.extend(usda::write_sequence(&frames, units, &provenance, open, out)?);
             }
             SequenceFormat::Usdc => {
-                report.notes = usdc::write_sequence(&frames, (fps, meters_per_unit), &provenance, open, out)?
+                report.notes.extend(usdc::write_sequence(&frames, units, &provenance, open, out)?);
+            }
+            SequenceFormat::Abc => {
+                report.notes.extend(abc::write_sequence(&frames, fps, &provenance, open, out)?);
             }
         }
         Ok(refuse_written(&opened)?)
@@ -157,19 +172,85 @@ struct SourceFrame<'a> {
     source: &'a SequenceSource,
     stamp: FileStamp,
     file: GlbFrame,
+    /// Notes on attributes that are lost.
+    notes: Vec<String>,
+}
+
+/// An `.abc` of a frame as `.glb`.
+struct ConvertedFrame {
+    /// The index of the frame.
+    index: usize,
+    glb: Rc<[u8]>,
+    /// Notes on attributes that are lost.
+    notes: Vec<String>,
+}
+
+/// Reads a frame as `.glb`.
+enum FrameReader {
+    File(BufReader<File>),
+    Converted(Cursor<Rc<[u8]>>),
+}
+
+impl FrameReader {
+    /// Opens the file of a frame. One that is converted is kept in `last`, because each of its arrays is read
+    /// by itself.
+    fn open(path: &Path, index: usize, last: &RefCell<Option<ConvertedFrame>>) -> io::Result<FrameReader> {
+        if let Some(frame) = &*last.borrow()
+            && frame.index == index
+        {
+            return Ok(FrameReader::Converted(Cursor::new(Rc::clone(&frame.glb))));
+        }
+        let mut file = open_regular(path)?;
+        let mut bytes = Vec::new();
+        Read::by_ref(&mut file).take(MAGIC_BYTES).read_to_end(&mut bytes)?;
+        if !abc::is_archive(&bytes) {
+            file.rewind()?;
+            return Ok(FrameReader::File(BufReader::new(file)));
+        }
+        last.take();
+        file.read_to_end(&mut bytes)?;
+        let (glb, notes) = abc::to_glb(&bytes, &Limits::default()).map_err(io::Error::other)?;
+        let glb: Rc<[u8]> = glb.into();
+        last.replace(Some(ConvertedFrame { index, glb: Rc::clone(&glb), notes }));
+        Ok(FrameReader::Converted(Cursor::new(glb)))
+    }
+}
+
+/// Enough bytes to recognise an archive.
+const MAGIC_BYTES: u64 = 8;
+
+impl Read for FrameReader {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        match self {
+            FrameReader::File(file) => file.read(bytes),
+            FrameReader::Converted(glb) => glb.read(bytes),
+        }
+    }
+}
+
+impl Seek for FrameReader {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        match self {
+            FrameReader::File(file) => file.seek(to),
+            FrameReader::Converted(glb) => glb.seek(to),
+        }
+    }
+}
+
+fn read_frame(source: &SequenceSource) -> Result<SourceFrame<'_>, meniscus_formats::Error> {
+    let stamp = FileStamp::of(&open_regular(&source.path)?.metadata()?);
+    let converted = RefCell::new(None);
+    let file = GlbFrame::read(&mut FrameReader::open(&source.path, 0, &converted)?)?;
+    let notes = converted.into_inner().map(|frame: ConvertedFrame| frame.notes).unwrap_or_default();
+    Ok(SourceFrame { source, stamp, file, notes })
 }
 
 /// Opens the frames; returns those that cannot be read with the reason.
 fn read_frames(sources: &[SequenceSource]) -> (Vec<SourceFrame<'_>>, Vec<(PathBuf, String)>) {
-    let read = |path: &Path| -> Result<(FileStamp, GlbFrame), meniscus_formats::Error> {
-        let file = open_regular(path)?;
-        let stamp = FileStamp::of(&file.metadata()?);
-        Ok((stamp, GlbFrame::read(&mut BufReader::new(file))?))
-    };
     let (mut there, mut left_out) = (Vec::new(), Vec::new());
     for source in sources {
-        match read(&source.path) {
-            Ok((stamp, file)) => there.push(SourceFrame { source, stamp, file }),
+        match read_frame(source) {
+            Ok(frame) => there.push(frame),
             Err(error) => left_out.push((source.path.clone(), error.to_string())),
         }
     }
@@ -201,9 +282,12 @@ fn no_frame(left_out: &[(PathBuf, String)], shot: &Path) -> SequenceError {
 
 /// Whether a file is a sequence file of this program, according to its provenance.
 pub fn is_sequence_file(path: &Path) -> bool {
-    let recorded = open_regular(path)
-        .ok()
-        .and_then(|file| read_provenance(OutputFormat::Glb, file.take(HEAD_BYTES)).ok());
+    let format = match SequenceFormat::of(path) {
+        Some(SequenceFormat::Abc) => OutputFormat::Abc,
+        _ => OutputFormat::Glb,
+    };
+    let recorded =
+        open_regular(path).ok().and_then(|file| read_provenance(format, file.take(HEAD_BYTES)).ok());
     recorded.is_some_and(|pairs| pairs.iter().any(|(name, _)| name == SEQUENCE_FRAMES))
 }
 

@@ -180,7 +180,7 @@ method_options! {
             #[arg(value_name = "N", num_args = 0..=1, require_equals = true, default_missing_value = "10")]
             smooth_normals: u32 in 0..=ROUNDS_MAX,
 
-            /// Write the quads of dual contouring to .obj, .vtp, .usda and .usdc; --quads=false overrides
+            /// Write the quads of dual contouring to .obj, .vtp, .usda, .usdc and .abc; --quads=false overrides
             /// quads = true in a configuration file
             #[arg(
                 value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true",

@@ -1,0 +1,321 @@
+//! Writes what Alembic stores in the container: an archive of objects with properties.
+//!
+//! ```text
+//!   archive    file version │ library version │ top object │ metadata │ times │ shared metadata, none here
+//!   object     compound property │ a group for each child object │ their names, and two hashes
+//!   compound   a group for each property │ their headers
+//!   array      a sample and its dimensions, for each time
+//!   scalar     a sample for each time
+//! ```
+//!
+//! A property that never changes has one stored sample, whatever the number of times.
+
+use std::io::Write;
+
+use crate::data::Provenance;
+use crate::error::Result;
+use crate::provenance::{GENERATOR, escape, prefixed};
+
+use super::digest::{Hasher, SampleKey};
+use super::ogawa::{Ogawa, Reference, Sample};
+
+/// The version of the storage of properties.
+const FILE_VERSION: i32 = 0;
+
+/// The version of the library whose files these are like, 1.8.0.
+const LIBRARY_VERSION: i32 = 10_800;
+
+/// The metadata key of the program that wrote an archive.
+pub(super) const APPLICATION: &str = "_ai_Application";
+
+const FPS: &str = "_ai_DCC_FPS";
+
+/// The time per cycle of samples at listed times.
+pub(super) const ACYCLIC: f64 = f64::MAX / 32.0;
+
+/// The type of a number, as numbered by Alembic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub(super) enum Pod {
+    Bool = 0,
+    U8 = 1,
+    U32 = 5,
+    I32 = 6,
+    I64 = 8,
+    F32 = 10,
+    F64 = 11,
+    String = 12,
+}
+
+/// Bits of a property header.
+pub(super) mod bits {
+    pub(crate) const SCALAR: u32 = 1;
+    pub(crate) const ARRAY: u32 = 2;
+    pub(crate) const KIND: u32 = 3;
+    /// The width of the numbers that follow: 8 bits, 16, or 32.
+    pub(crate) const WIDTH_SHIFT: u32 = 2;
+    pub(crate) const POD_SHIFT: u32 = 4;
+    pub(crate) const HAS_TIMES: u32 = 0x100;
+    pub(crate) const HAS_CHANGES: u32 = 0x200;
+    pub(crate) const IS_HOMOGENEOUS: u32 = 0x400;
+    pub(crate) const IS_CONSTANT: u32 = 0x800;
+    pub(crate) const EXTENT_SHIFT: u32 = 12;
+    pub(crate) const METADATA_SHIFT: u32 = 20;
+    /// The metadata follow the name.
+    pub(crate) const METADATA_FOLLOW: u32 = 0xff;
+}
+
+/// The times of the samples.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Times {
+    /// One sample for all times.
+    Static,
+    /// A sample per number, at number / fps seconds. Numbers increase, and there is at least one.
+    Frames { numbers: Vec<u64>, fps: f64 },
+}
+
+impl Times {
+    /// The number of samples of a property.
+    fn count(&self) -> usize {
+        match self {
+            Times::Static => 1,
+            Times::Frames { numbers, .. } => numbers.len(),
+        }
+    }
+
+    /// The index of the time sampling: the first one is always that of static properties.
+    fn index(&self) -> u32 {
+        match self {
+            Times::Static => 0,
+            Times::Frames { .. } => 1,
+        }
+    }
+
+    /// The time samplings as stored: number of samples, time per cycle, the times of a cycle.
+    #[expect(clippy::cast_possible_truncation, reason = "there are fewer than 2³² frames")]
+    #[expect(clippy::cast_precision_loss, reason = "the caller refuses numbers beyond 2⁵³")]
+    fn stored(&self) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let mut put = |count: usize, per_cycle: f64, times: &[f64]| {
+            bytes.extend((count as u32).to_le_bytes());
+            bytes.extend(per_cycle.to_le_bytes());
+            bytes.extend((times.len() as u32).to_le_bytes());
+            times.iter().for_each(|time| bytes.extend(time.to_le_bytes()));
+        };
+        put(1, 1.0, &[0.0]);
+        if let Times::Frames { numbers, fps } = self {
+            let times: Vec<f64> = numbers.iter().map(|&number| number as f64 / fps).collect();
+            if numbers.windows(2).all(|pair| pair[1] - pair[0] == 1) {
+                put(numbers.len(), 1.0 / fps, &times[..1]);
+            } else {
+                put(numbers.len(), ACYCLIC, &times);
+            }
+        }
+        bytes
+    }
+}
+
+/// An object of the archive.
+pub(super) struct AbcObject {
+    pub(super) name: String,
+    pub(super) metadata: String,
+    pub(super) properties: Vec<AbcProperty>,
+    pub(super) children: Vec<AbcObject>,
+}
+
+/// A property of an object. Its samples are written already.
+pub(super) struct AbcProperty {
+    name: String,
+    metadata: String,
+    content: PropertyContent,
+}
+
+enum PropertyContent {
+    Compound(Vec<AbcProperty>),
+    /// The samples are either one for all times, or one per time.
+    Values {
+        is_array: bool,
+        pod: Pod,
+        extent: u8,
+        samples: Vec<Sample>,
+    },
+}
+
+impl AbcProperty {
+    pub(super) fn compound(name: &str, metadata: &str, properties: Vec<AbcProperty>) -> AbcProperty {
+        let content = PropertyContent::Compound(properties);
+        AbcProperty { name: name.to_owned(), metadata: metadata.to_owned(), content }
+    }
+
+    pub(super) fn scalar(
+        name: &str,
+        metadata: &str,
+        (pod, extent): (Pod, u8),
+        samples: Vec<Sample>,
+    ) -> AbcProperty {
+        let content = PropertyContent::Values { is_array: false, pod, extent, samples };
+        AbcProperty { name: name.to_owned(), metadata: metadata.to_owned(), content }
+    }
+
+    pub(super) fn array(
+        name: &str,
+        metadata: &str,
+        (pod, extent): (Pod, u8),
+        samples: Vec<Sample>,
+    ) -> AbcProperty {
+        let content = PropertyContent::Values { is_array: true, pod, extent, samples };
+        AbcProperty { name: name.to_owned(), metadata: metadata.to_owned(), content }
+    }
+
+    /// Writes the groups of the property. Returns a reference to it, and a hash of its content.
+    fn write(&self, times: &Times, ogawa: &mut Ogawa) -> Result<(Reference, SampleKey)> {
+        let mut hasher = Hasher::default();
+        hasher.update(self.name.as_bytes());
+        hasher.update(self.metadata.as_bytes());
+        let group = match &self.content {
+            PropertyContent::Compound(properties) => {
+                let (group, hash) = write_compound(properties, times, ogawa)?;
+                hasher.update(&hash);
+                group
+            }
+            PropertyContent::Values { is_array, pod, extent, samples } => {
+                hasher.update(&[u8::from(*is_array), *pod as u8, *extent]);
+                let mut children = Vec::new();
+                for sample in samples {
+                    hasher.update(&sample.digest);
+                    hasher.update(&sample.elements.to_le_bytes());
+                    children.push(sample.data);
+                    children.extend(is_array.then_some(sample.dimensions));
+                }
+                ogawa.group(&children)?
+            }
+        };
+        Ok((group, hasher.finish()))
+    }
+
+    /// The header of the property: a word of bits, numbers, name and metadata.
+    #[expect(clippy::cast_possible_truncation, reason = "there are fewer than 2³² frames; names are short")]
+    fn header(&self, times: &Times) -> Vec<u8> {
+        let count = times.count();
+        let mut numbers = Vec::new();
+        let mut word = bits::METADATA_FOLLOW << bits::METADATA_SHIFT;
+        if let PropertyContent::Values { is_array, pod, extent, samples } = &self.content {
+            let is_scalar_like = !is_array || samples.iter().all(|sample| sample.elements == 1);
+            word |= if *is_array { bits::ARRAY } else { 0 } | if is_scalar_like { bits::SCALAR } else { 0 };
+            word |= u32::from(*pod as u8) << bits::POD_SHIFT | u32::from(*extent) << bits::EXTENT_SHIFT;
+            if samples.windows(2).all(|pair| pair[0].elements == pair[1].elements) {
+                word |= bits::IS_HOMOGENEOUS;
+            }
+            if samples.len() == 1 {
+                word |= bits::IS_CONSTANT;
+            }
+            numbers.push(count as u32);
+            if times.index() > 0 {
+                word |= bits::HAS_TIMES;
+                numbers.push(times.index());
+            }
+        }
+        let widest = [self.name.len(), self.metadata.len(), count].into_iter().max().unwrap_or_default();
+        let width = match widest {
+            0..=0xff => 0,
+            0x100..=0xffff => 1,
+            _ => 2,
+        };
+        let put = |bytes: &mut Vec<u8>, number: u32| bytes.extend(&number.to_le_bytes()[..1 << width]);
+        let mut bytes = (word | width << bits::WIDTH_SHIFT).to_le_bytes().to_vec();
+        numbers.into_iter().for_each(|number| put(&mut bytes, number));
+        for text in [&self.name, &self.metadata] {
+            put(&mut bytes, text.len() as u32);
+            bytes.extend(text.as_bytes());
+        }
+        bytes
+    }
+}
+
+fn write_compound(
+    properties: &[AbcProperty],
+    times: &Times,
+    ogawa: &mut Ogawa,
+) -> Result<(Reference, SampleKey)> {
+    let (mut children, mut hasher, mut headers) = (Vec::new(), Hasher::default(), Vec::new());
+    for property in properties {
+        let (group, hash) = property.write(times, ogawa)?;
+        hasher.update(&hash);
+        children.push(group);
+        headers.extend(property.header(times));
+    }
+    if !properties.is_empty() {
+        children.push(ogawa.data(&headers)?);
+    }
+    Ok((ogawa.group(&children)?, hasher.finish()))
+}
+
+/// The number of bytes of the hashes after the names of child objects.
+pub(super) const OBJECT_HASH_BYTES: usize = 32;
+
+/// Writes an object. Returns a reference to it, and the hash of everything in it.
+#[expect(clippy::cast_possible_truncation, reason = "names and metadata are short")]
+fn write_object(object: &AbcObject, times: &Times, ogawa: &mut Ogawa) -> Result<(Reference, SampleKey)> {
+    let (properties, own_hash) = write_compound(&object.properties, times, ogawa)?;
+    let mut children = vec![properties];
+    let (mut headers, mut hasher) = (Vec::new(), Hasher::default());
+    for child in &object.children {
+        let (group, hash) = write_object(child, times, ogawa)?;
+        children.push(group);
+        hasher.update(&hash);
+        headers.extend((child.name.len() as u32).to_le_bytes());
+        headers.extend(child.name.as_bytes());
+        headers.extend(bits::METADATA_FOLLOW.to_le_bytes().first());
+        headers.extend((child.metadata.len() as u32).to_le_bytes());
+        headers.extend(child.metadata.as_bytes());
+    }
+    let child_hash = if object.children.is_empty() { SampleKey::default() } else { hasher.finish() };
+    headers.extend(own_hash);
+    headers.extend(child_hash);
+    children.push(ogawa.data(&headers)?);
+    Ok((ogawa.group(&children)?, Hasher::digest(&[own_hash, child_hash].concat())))
+}
+
+/// The number of children of the root group.
+pub(super) const ROOT_CHILDREN: u64 = 6;
+
+/// Writes an archive with one object at the top. The metadata come first, where they are found in the head of
+/// a file.
+///
+/// # Errors
+/// Those of `object` and `out`.
+pub(super) fn write_archive(
+    provenance: &Provenance,
+    times: &Times,
+    object: impl Fn(&mut Ogawa) -> Result<AbcObject>,
+    out: &mut dyn Write,
+) -> Result<()> {
+    let metadata = metadata(provenance, times);
+    let build = |ogawa: &mut Ogawa| {
+        let metadata = ogawa.data(metadata.as_bytes())?;
+        let file_version = ogawa.data(&FILE_VERSION.to_le_bytes())?;
+        let library_version = ogawa.data(&LIBRARY_VERSION.to_le_bytes())?;
+        let samplings = ogawa.data(&times.stored())?;
+        let (properties, children) = (Vec::new(), vec![object(ogawa)?]);
+        let top = AbcObject { name: "ABC".to_owned(), metadata: String::new(), properties, children };
+        let (top, _) = write_object(&top, times, ogawa)?;
+        Ok(vec![file_version, library_version, top, metadata, samplings, ogawa.data(&[])?])
+    };
+    Ogawa::write(build, out)
+}
+
+/// The metadata of the archive: `key=value;key=value`.
+fn metadata(provenance: &Provenance, times: &Times) -> String {
+    let mut entries = vec![format!("{APPLICATION}={GENERATOR}")];
+    if let Times::Frames { fps, .. } = times {
+        entries.push(format!("{FPS}={fps}"));
+    }
+    entries
+        .extend(provenance.iter().map(|(key, value)| format!("{}={}", prefixed(&entry(key)), entry(value))));
+    entries.join(";")
+}
+
+/// A key or value without the characters that separate them.
+fn entry(text: &str) -> String {
+    escape(text).replace(';', "\\u{3b}").replace('=', "\\u{3d}")
+}

@@ -1,0 +1,175 @@
+//! Turns an archive with one frame into the `.glb` that the same mesh has, from which sequences are made.
+
+use crate::data::{AttributeRole, MeshView, VertexAttribute, VertexValues};
+use crate::error::{Error, Position, Result};
+use crate::gltf::{attribute_notes, write_glb};
+use crate::limits::Limits;
+use crate::mesh_options::{MeshOptions, UpAxis};
+
+use super::FORMAT;
+use super::document::Pod;
+use super::mesh::{Matrix, names, to_world};
+use super::ogawa::{DATA, MAGIC, Reference};
+use super::read::MeshArchive;
+
+/// Whether a file that starts with these bytes is an archive.
+pub fn is_archive(head: &[u8]) -> bool {
+    head.starts_with(&MAGIC)
+}
+
+/// An attribute of the vertices.
+struct FrameAttribute {
+    name: String,
+    role: Option<AttributeRole>,
+    values: FrameValues,
+}
+
+enum FrameValues {
+    Numbers(Vec<f32>),
+    Integers(Vec<i64>),
+    Strings { table: Vec<String>, indices: Vec<i32> },
+}
+
+impl FrameValues {
+    fn len(&self) -> usize {
+        match self {
+            FrameValues::Numbers(values) => values.len(),
+            FrameValues::Integers(values) => values.len(),
+            FrameValues::Strings { indices, .. } => indices.len(),
+        }
+    }
+
+    /// The size of the values in the file, at least.
+    fn byte_count(&self) -> usize {
+        match self {
+            FrameValues::Strings { table, .. } => 4 * self.len() + table.len(),
+            _ => 4 * self.len(),
+        }
+    }
+
+    fn view(&self) -> VertexValues<'_> {
+        match self {
+            FrameValues::Numbers(values) => VertexValues::Numbers(values),
+            FrameValues::Integers(values) => VertexValues::Integers(values),
+            FrameValues::Strings { table, indices } => VertexValues::Strings { table, indices },
+        }
+    }
+}
+
+/// Converts an archive with one frame to a `.glb`. Also returns notes on attributes that a `.glb` does not
+/// hold exactly.
+///
+/// # Errors
+///
+/// Those of [`super::read_mesh`] and of [`write_glb`].
+pub fn to_glb(bytes: &[u8], limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
+    let archive = MeshArchive::open(bytes)?;
+    archive.check_single_frame()?;
+    let [positions, normals] = archive.vertices(0, limits)?;
+    let triangles = archive.triangles(0, positions.len())?;
+    let (up, origin) = placement(&archive.matrix(0)?)?;
+    let attributes = attributes(&archive)?;
+    let count = positions.len().max(1);
+    let views: Vec<VertexAttribute> = attributes
+        .iter()
+        .map(|FrameAttribute { name, role, values }| {
+            // The writer refuses lengths that do not match.
+            let arity = values.len().div_ceil(count).max(1);
+            VertexAttribute { name, role: *role, arity, values: values.view() }
+        })
+        .collect();
+    let mesh = MeshView {
+        positions: &positions,
+        normals: &normals,
+        triangles: &triangles,
+        origin,
+        attributes: if positions.is_empty() { &[] } else { &views },
+    };
+    let mut glb = Vec::new();
+    write_glb(&mesh, &MeshOptions { up, ..MeshOptions::default() }, &archive.provenance, &mut glb)?;
+    Ok((glb, attribute_notes(mesh.attributes)))
+}
+
+/// The axes and the origin of a transform.
+fn placement(matrix: &Matrix) -> Result<(UpAxis, [f64; 3])> {
+    let [x, y, z, _] = matrix[3];
+    for (up, origin) in [(UpAxis::Y, [x, y, z]), (UpAxis::Z, [x, 0.0 - z, y])] {
+        if to_world(up, origin) == *matrix {
+            return Ok((up, origin));
+        }
+    }
+    Err(Error::invalid(FORMAT, Position::File, "the transform is not one that this program writes"))
+}
+
+fn attributes(archive: &MeshArchive) -> Result<Vec<FrameAttribute>> {
+    let mut attributes = Vec::new();
+    if archive.has(names::VELOCITIES) {
+        let values = archive.array::<4>(names::VELOCITIES, (Pod::F32, 3), 0)?;
+        attributes.push(FrameAttribute {
+            name: "velocity".to_owned(),
+            role: Some(AttributeRole::Velocity),
+            values: FrameValues::Numbers(values.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()),
+        });
+    }
+    let mut byte_count = 0;
+    for (header, reference) in &archive.params()? {
+        let values = match header.pod() {
+            None => strings(archive, *reference)?,
+            Some(pod) => numbers(archive, &header.name, pod, *reference)?,
+        };
+        byte_count += values.byte_count();
+        if byte_count > archive.container.bytes.len() {
+            let what = "attributes share their data, which this program does not write";
+            return Err(Error::invalid(FORMAT, Position::Offset(*reference), what));
+        }
+        let is_color = header.metadata.contains(";interpretation=rgb");
+        let role = is_color.then_some(AttributeRole::Color);
+        attributes.push(FrameAttribute { name: header.name.clone(), role, values });
+    }
+    Ok(attributes)
+}
+
+fn numbers(archive: &MeshArchive, name: &str, pod: u32, reference: Reference) -> Result<FrameValues> {
+    let samples = archive.container.group(reference, name)?;
+    let sample = samples.first().copied().unwrap_or(DATA);
+    let (bytes, at) = archive.container.sample(sample, name)?;
+    let (words, wide) = (bytes.as_chunks::<4>().0.iter(), bytes.as_chunks::<8>().0.iter());
+    match pod {
+        pod if pod == Pod::F32 as u32 => {
+            Ok(FrameValues::Numbers(words.map(|bytes| f32::from_le_bytes(*bytes)).collect()))
+        }
+        pod if pod == Pod::I32 as u32 => {
+            Ok(FrameValues::Integers(words.map(|bytes| i32::from_le_bytes(*bytes).into()).collect()))
+        }
+        pod if pod == Pod::I64 as u32 => {
+            Ok(FrameValues::Integers(wide.map(|bytes| i64::from_le_bytes(*bytes)).collect()))
+        }
+        pod => {
+            let what = format!("{name} has values of the type {pod}, which this program does not write");
+            Err(Error::invalid(FORMAT, Position::Offset(at), what))
+        }
+    }
+}
+
+/// Strings and their indices; the last string is for values without one.
+fn strings(archive: &MeshArchive, compound: Reference) -> Result<FrameValues> {
+    let properties = archive.container.properties(compound)?;
+    let bytes = |name: &str| -> Result<&[u8]> {
+        let found = properties.iter().find(|(header, _)| header.name == name);
+        let (_, reference) = found.ok_or_else(|| {
+            Error::invalid(FORMAT, Position::Offset(compound), format!("an attribute has no {name}"))
+        })?;
+        let samples = archive.container.group(*reference, name)?;
+        let sample = samples.first().copied().unwrap_or(DATA);
+        Ok(archive.container.sample(sample, name)?.0)
+    };
+    let text = String::from_utf8_lossy(bytes(".vals")?);
+    let mut table: Vec<String> = text.split_terminator('\0').map(str::to_owned).collect();
+    table.pop();
+    let index = |bytes: &[u8; 4]| {
+        let index = u32::from_le_bytes(*bytes);
+        i32::try_from(index).ok().filter(|index| (*index as usize) < table.len()).unwrap_or(-1)
+    };
+    let indices = bytes(".indices")?.as_chunks::<4>().0.iter().map(index).collect();
+    Ok(FrameValues::Strings { table, indices })
+}

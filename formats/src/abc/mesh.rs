@@ -1,0 +1,282 @@
+//! The objects of an archive, in the schemas of AbcGeom: a mesh under a transform.
+//!
+//! ```text
+//!   /surface                Xform      .inherits .ops .vals: a matrix, if positions are not in world space
+//!   /surface/surfaceShape   PolyMesh   .geom
+//!                                        .selfBnds .faceIndices .faceCounts P N .velocities
+//!                                        .arbGeomParams: the other attributes, each under its name
+//! ```
+//!
+//! Alembic has Y up, and faces that are clockwise seen from outside.
+
+use std::io::Write;
+
+use crate::error::Result;
+use crate::le_bytes::{write_f32s, write_pieces};
+use crate::mesh_options::UpAxis;
+
+use super::document::{AbcObject, AbcProperty, Pod};
+use super::ogawa::{Ogawa, Sample};
+
+/// The names of the objects. They are the same in all files, because programs that play a file per frame look
+/// for the same object in each.
+pub(super) const TRANSFORM: &str = "surface";
+pub(super) const MESH: &str = "surfaceShape";
+
+/// A matrix that transforms row vectors: the translation is the last row.
+pub(super) type Matrix = [[f64; 4]; 4];
+
+pub(super) const IDENTITY: Matrix =
+    [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+
+/// The transform of positions relative to `origin`, with this axis up, into a world with Y up.
+pub(super) fn to_world(up: UpAxis, [x, y, z]: [f64; 3]) -> Matrix {
+    match up {
+        UpAxis::Y => [IDENTITY[0], IDENTITY[1], IDENTITY[2], [x, y, z, 1.0]],
+        UpAxis::Z => {
+            [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [x, z, 0.0 - y, 1.0]]
+        }
+    }
+}
+
+/// The names of the properties of the mesh that the reader needs, too.
+pub(super) mod names {
+    pub(crate) const GEOMETRY: &str = ".geom";
+    pub(crate) const POSITIONS: &str = "P";
+    pub(crate) const CORNERS: &str = ".faceIndices";
+    pub(crate) const COUNTS: &str = ".faceCounts";
+    pub(crate) const NORMALS: &str = "N";
+    pub(crate) const VELOCITIES: &str = ".velocities";
+    pub(crate) const PARAMS: &str = ".arbGeomParams";
+    pub(crate) const TRANSFORM: &str = ".xform";
+    pub(crate) const MATRIX: &str = ".vals";
+}
+
+/// The type of the values of an attribute.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct ParamType {
+    pub(super) pod: Pod,
+    /// Numbers per element.
+    pub(super) extent: u8,
+    /// Elements per vertex.
+    pub(super) elements: usize,
+    pub(super) interpretation: &'static str,
+}
+
+impl ParamType {
+    /// Single numbers, or a vector of two or three; wider values are several numbers per vertex.
+    pub(super) fn numbers(arity: usize) -> ParamType {
+        let vector = |extent| ParamType { extent, interpretation: "vector", ..ParamType::many(Pod::F32, 1) };
+        match arity {
+            2 => vector(2),
+            3 => vector(3),
+            arity => ParamType::many(Pod::F32, arity),
+        }
+    }
+
+    /// A colour with three numbers, or four.
+    pub(super) fn color(arity: usize) -> ParamType {
+        let (extent, interpretation) = if arity == 4 { (4, "rgba") } else { (3, "rgb") };
+        ParamType { extent, interpretation, ..ParamType::many(Pod::F32, 1) }
+    }
+
+    /// Values without a meaning as a vector.
+    pub(super) fn many(pod: Pod, elements: usize) -> ParamType {
+        ParamType { pod, extent: 1, elements, interpretation: "" }
+    }
+
+    const NORMAL: ParamType = ParamType { pod: Pod::F32, extent: 3, elements: 1, interpretation: "normal" };
+
+    /// The metadata of an attribute with a value per vertex. The keys are sorted.
+    pub(super) fn metadata(&self) -> String {
+        let ParamType { pod, extent, elements, interpretation } = self;
+        let meaning = match *interpretation {
+            "" => String::new(),
+            interpretation => format!("interpretation={interpretation};"),
+        };
+        let pod = match pod {
+            Pod::F32 => "float32_t",
+            Pod::F64 => "float64_t",
+            Pod::I32 => "int32_t",
+            Pod::I64 => "int64_t",
+            Pod::U32 => "uint32_t",
+            Pod::U8 => "uint8_t",
+            Pod::Bool => "bool_t",
+            Pod::String => "string",
+        };
+        format!(
+            "arrayExtent={elements};geoScope=vtx;{meaning}isGeomParam=true;podExtent={extent};podName={pod}"
+        )
+    }
+
+    /// An attribute with these samples.
+    pub(super) fn property(&self, name: &str, samples: Vec<Sample>) -> AbcProperty {
+        AbcProperty::array(name, &self.metadata(), (self.pod, self.extent), samples)
+    }
+}
+
+/// The samples of a mesh at one time.
+#[derive(Clone, Copy)]
+pub(super) struct FrameSamples {
+    pub(super) matrix: Matrix,
+    pub(super) bounds: Sample,
+    pub(super) positions: Sample,
+    /// The corners of the faces, and their numbers of corners.
+    pub(super) faces: [Sample; 2],
+    pub(super) normals: Sample,
+    pub(super) velocities: Option<Sample>,
+}
+
+/// The samples of a mesh, one for each time.
+#[derive(Default)]
+pub(super) struct MeshSamples {
+    matrices: MatrixSamples,
+    bounds: Vec<Sample>,
+    positions: Vec<Sample>,
+    corners: Vec<Sample>,
+    counts: Vec<Sample>,
+    normals: Vec<Sample>,
+    /// Empty without velocities.
+    velocities: Vec<Sample>,
+}
+
+impl MeshSamples {
+    pub(super) fn push(&mut self, frame: FrameSamples) {
+        let [corners, counts] = frame.faces;
+        self.matrices.matrices.push(frame.matrix);
+        self.bounds.push(frame.bounds);
+        self.positions.push(frame.positions);
+        self.corners.push(corners);
+        self.counts.push(counts);
+        self.normals.push(frame.normals);
+        self.velocities.extend(frame.velocities);
+    }
+
+    /// The objects, whose other attributes are `params`.
+    pub(super) fn object(self, params: Vec<AbcProperty>, ogawa: &mut Ogawa) -> Result<AbcObject> {
+        let real = (Pod::F32, 3);
+        let mut geometry = vec![
+            AbcProperty::scalar(".selfBnds", "interpretation=box", (Pod::F64, 6), self.bounds),
+            AbcProperty::array(names::POSITIONS, "geoScope=vtx;interpretation=point", real, self.positions),
+            AbcProperty::array(names::CORNERS, "", (Pod::I32, 1), self.corners),
+            AbcProperty::array(names::COUNTS, "", (Pod::I32, 1), self.counts),
+            ParamType::NORMAL.property(names::NORMALS, self.normals),
+        ];
+        if !self.velocities.is_empty() {
+            geometry.push(AbcProperty::array(
+                names::VELOCITIES,
+                "interpretation=vector",
+                real,
+                self.velocities,
+            ));
+        }
+        if !params.is_empty() {
+            geometry.push(AbcProperty::compound(names::PARAMS, "", params));
+        }
+        let schema = "schema=AbcGeom_PolyMesh_v1;schemaBaseType=AbcGeom_GeomBase_v1";
+        let mesh = AbcObject {
+            name: MESH.to_owned(),
+            metadata: format!("{schema};schemaObjTitle=AbcGeom_PolyMesh_v1:.geom"),
+            properties: vec![AbcProperty::compound(names::GEOMETRY, schema, geometry)],
+            children: Vec::new(),
+        };
+        let schema = "schema=AbcGeom_Xform_v3";
+        Ok(AbcObject {
+            name: TRANSFORM.to_owned(),
+            metadata: format!("{schema};schemaObjTitle=AbcGeom_Xform_v3:.xform"),
+            properties: vec![AbcProperty::compound(
+                names::TRANSFORM,
+                schema,
+                self.matrices.properties(ogawa)?,
+            )],
+            children: vec![mesh],
+        })
+    }
+}
+
+/// The code of a transform that is a matrix.
+const MATRIX_OPERATION: u8 = 0x30;
+
+/// The transforms of a mesh.
+#[derive(Default)]
+struct MatrixSamples {
+    matrices: Vec<Matrix>,
+}
+
+impl MatrixSamples {
+    /// The properties of the transform; one that never changes has one sample, and none if it changes nothing.
+    fn properties(mut self, ogawa: &mut Ogawa) -> Result<Vec<AbcProperty>> {
+        let yes = ogawa.small_sample(1, &[1])?;
+        let mut properties = vec![AbcProperty::scalar(".inherits", "", (Pod::Bool, 1), vec![yes])];
+        if self.matrices.iter().all(|matrix| *matrix == IDENTITY) {
+            return Ok(properties);
+        }
+        let operation = ogawa.small_sample(1, &[MATRIX_OPERATION])?;
+        properties.push(AbcProperty::scalar(".ops", "", (Pod::U8, 1), vec![operation]));
+        let is_animated = self.matrices.windows(2).any(|pair| pair[0] != pair[1]);
+        self.matrices.truncate(if is_animated { usize::MAX } else { 1 });
+        let sample = |matrix: &Matrix| ogawa.small_sample(1, &real_bytes(matrix.as_flattened()));
+        let samples: Vec<Sample> = self.matrices.iter().map(sample).collect::<Result<_>>()?;
+        properties.push(AbcProperty::scalar(names::MATRIX, "", (Pod::F64, 16), samples));
+        properties.push(AbcProperty::scalar("isNotConstantIdentity", "", (Pod::Bool, 1), vec![yes]));
+        if is_animated {
+            let channels: Vec<u8> = (12u32..15).flat_map(u32::to_le_bytes).collect();
+            let channels = ogawa.small_sample(3, &channels)?;
+            properties.push(AbcProperty::array(".animChans", "", (Pod::U32, 1), vec![channels]));
+        }
+        Ok(properties)
+    }
+}
+
+/// The smallest and largest corner; zeros without vertices.
+pub(super) fn bounds(positions: &[[f32; 3]]) -> [[f64; 3]; 2] {
+    let first = positions.first().copied().unwrap_or_default();
+    let [low, high] = positions.iter().fold([first, first], |[low, high], position| {
+        let axes = |pick: fn(f32, f32) -> f32, corner: [f32; 3]| {
+            std::array::from_fn(|axis| pick(corner[axis], position[axis]))
+        };
+        [axes(f32::min, low), axes(f32::max, high)]
+    });
+    [low, high].map(|corner| corner.map(f64::from))
+}
+
+/// Writes the sample of a bounding box.
+pub(super) fn bounds_sample(bounds: [[f64; 3]; 2], ogawa: &mut Ogawa) -> Result<Sample> {
+    ogawa.small_sample(1, &real_bytes(bounds.as_flattened()))
+}
+
+fn real_bytes(numbers: &[f64]) -> Vec<u8> {
+    numbers.iter().flat_map(|number| number.to_le_bytes()).collect()
+}
+
+/// Writes vectors, or single numbers, as a sample of `count` elements of `extent` numbers.
+pub(super) fn real_sample(values: &[f32], (count, extent): (u64, u64), ogawa: &mut Ogawa) -> Result<Sample> {
+    let byte_count = 4 * count * extent;
+    ogawa.sample(count, byte_count, &mut |mut out| write_f32s(values, &mut out))
+}
+
+/// Writes the corners of triangles in Alembic's order, and their numbers of corners.
+pub(super) fn triangle_samples(triangles: &[[u32; 3]], count: u64, ogawa: &mut Ogawa) -> Result<[Sample; 2]> {
+    let corners = ogawa.sample(3 * count, 12 * count, &mut |mut out| {
+        let reversed = |[a, b, c]: [u32; 3]| {
+            let mut bytes = [0; 12];
+            bytes.copy_from_slice([c, b, a].map(u32::to_le_bytes).as_flattened());
+            bytes
+        };
+        write_pieces(triangles, reversed, &mut out)
+    })?;
+    let counts = ogawa.sample(count, 4 * count, &mut |out| three_each(count, out))?;
+    Ok([corners, counts])
+}
+
+/// Writes the number of corners of each triangle.
+fn three_each(mut count: u64, out: &mut dyn Write) -> Result<()> {
+    const PIECE: usize = 4096;
+    let piece = [3i32.to_le_bytes(); PIECE];
+    while count > 0 {
+        let part = usize::try_from(count).map_or(PIECE, |count| count.min(PIECE));
+        out.write_all(piece[..part].as_flattened())?;
+        count -= part as u64;
+    }
+    Ok(())
+}

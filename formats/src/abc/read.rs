@@ -1,0 +1,356 @@
+//! Reads archives of this crate: their provenance, the times of their samples, and the mesh at each.
+//!
+//! Every reference is an offset, so the reader checks that what it refers to is in the file. It follows a
+//! fixed path, and so terminates whatever the references are.
+
+use crate::data::MeshData;
+use crate::error::{Error, Position, Result};
+use crate::gltf::{SEQUENCE_FRAMES, SequenceInfo};
+use crate::limits::Limits;
+use crate::provenance::{from_prefixed, unescape};
+
+use super::FORMAT;
+use super::container::{Container, PropertyHeader};
+use super::document::{ACYCLIC, APPLICATION, Pod, ROOT_CHILDREN};
+use super::mesh::{IDENTITY, MESH, Matrix, TRANSFORM, names};
+use super::ogawa::{DATA, HEADER_BYTES, MAGIC, Reference, START};
+
+/// The children of the root group.
+const TOP_OBJECT: usize = 2;
+const SAMPLINGS: usize = 4;
+
+/// Reads the provenance from the first bytes of a file: the metadata come first.
+pub(super) fn read_provenance(head: &[u8]) -> Result<Vec<(String, String)>> {
+    check_start(head)?;
+    Ok(own_metadata(first_data(head).unwrap_or_default()).unwrap_or_default())
+}
+
+/// The first data of a file, which are its metadata if it is ours.
+fn first_data(bytes: &[u8]) -> Result<&[u8]> {
+    Container { bytes }.data(DATA | HEADER_BYTES, "the metadata")
+}
+
+/// The provenance in an archive of this crate; `None` in others.
+fn own_metadata(metadata: &[u8]) -> Option<Vec<(String, String)>> {
+    let text = std::str::from_utf8(metadata).ok()?;
+    let mut entries = text.split(';').filter_map(|entry| entry.split_once('='));
+    entries.next().filter(|(key, value)| *key == APPLICATION && value.starts_with("meniscus "))?;
+    let pair = |(key, value): (&str, &str)| Some((unescape(from_prefixed(key)?)?, unescape(value)?));
+    Some(entries.filter_map(pair).collect())
+}
+
+/// The size of a file with this head. The root group comes last.
+pub(super) fn bytes_declared(head: &[u8]) -> Result<Option<u64>> {
+    check_start(head)?;
+    if own_metadata(first_data(head).unwrap_or_default()).is_none() {
+        return Ok(None);
+    }
+    let root = Container { bytes: head }.number(8, "the root group")?;
+    Ok(root.checked_add(8 * (1 + ROOT_CHILDREN)))
+}
+
+fn check_start(bytes: &[u8]) -> Result<()> {
+    let magic = bytes.len().min(MAGIC.len());
+    if bytes[..magic] != MAGIC[..magic] {
+        return Err(Error::invalid(FORMAT, Position::Offset(0), "expected Ogawa"));
+    }
+    let position = Position::Offset(magic as u64);
+    match bytes.get(magic..START.len()) {
+        None | Some([0, ..]) => {
+            let what = "the program that writes this file did not complete it";
+            Err(Error::truncated(FORMAT, position, what))
+        }
+        Some(version) if version != &START[MAGIC.len()..] => {
+            let what = format!("expected version 1 of Ogawa, found the bytes {version:02x?}");
+            Err(Error::invalid(FORMAT, position, what))
+        }
+        Some(_) => Ok(()),
+    }
+}
+
+/// Reads the mesh of an archive with one frame.
+///
+/// # Errors
+///
+/// [`Error::Unsupported`] for archives of other programs and for sequences; [`Error::Truncated`] or
+/// [`Error::Invalid`], with the position, if the file is truncated or damaged; [`Error::TooLarge`] beyond
+/// `limits`.
+pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
+    let archive = MeshArchive::open(bytes)?;
+    archive.check_single_frame()?;
+    archive.mesh(0, limits)
+}
+
+/// The content of a sequence of this crate; `None` for an archive with one frame.
+///
+/// # Errors
+///
+/// Those of [`read_mesh`].
+pub fn read_sequence_info(bytes: &[u8]) -> Result<Option<SequenceInfo>> {
+    let archive = MeshArchive::open(bytes)?;
+    let Some(frames) = archive.frames else { return Ok(None) };
+    let mut info = SequenceInfo { frames, ..SequenceInfo::default() };
+    let (positions, counts) = (archive.references(names::POSITIONS)?, archive.references(names::COUNTS)?);
+    let pairs: Vec<[Reference; 2]> = positions.into_iter().zip(counts).map(Into::into).collect();
+    for (index, [positions, counts]) in pairs.iter().enumerate() {
+        // A frame that is shown for longer has two samples with the same data.
+        if index > 0 && pairs[index - 1] == [*positions, *counts] {
+            continue;
+        }
+        let count = |reference: Reference, what: &str, bytes: u64| -> Result<u64> {
+            Ok(archive.container.sample(reference, what)?.0.len() as u64 / bytes)
+        };
+        info.vertices = info.vertices.saturating_add(count(*positions, names::POSITIONS, 12)?);
+        info.triangles = info.triangles.saturating_add(count(*counts, names::COUNTS, 4)?);
+    }
+    Ok(Some(info))
+}
+
+/// The times of the samples of an archive, in seconds. A frame before missing ones has two samples.
+///
+/// # Errors
+///
+/// Those of [`read_mesh`].
+pub fn read_times(bytes: &[u8]) -> Result<Vec<f64>> {
+    MeshArchive::open(bytes)?.times()
+}
+
+/// Reads the mesh of one sample of an archive, by its index among [`read_times`].
+///
+/// # Errors
+///
+/// Those of [`read_mesh`]; [`Error::Invalid`] if there are fewer samples.
+pub fn read_sample(bytes: &[u8], index: usize, limits: &Limits) -> Result<MeshData> {
+    MeshArchive::open(bytes)?.mesh(index, limits)
+}
+
+/// An archive of this crate.
+pub(super) struct MeshArchive<'a> {
+    pub(super) container: Container<'a>,
+    pub(super) provenance: Vec<(String, String)>,
+    root: Vec<Reference>,
+    /// The number of frames in a sequence; `None` with one frame.
+    frames: Option<u64>,
+    /// The properties of the mesh, and of its transform.
+    geometry: Vec<(PropertyHeader, Reference)>,
+    transform: Vec<(PropertyHeader, Reference)>,
+}
+
+impl<'a> MeshArchive<'a> {
+    pub(super) fn open(bytes: &'a [u8]) -> Result<MeshArchive<'a>> {
+        check_start(bytes)?;
+        let Some(provenance) = own_metadata(first_data(bytes)?) else {
+            let what = "Alembic files of other programs are not supported: save the mesh as PLY, OBJ or glTF";
+            return Err(Error::unsupported(FORMAT, what));
+        };
+        let frames = provenance.iter().find(|(name, _)| name == SEQUENCE_FRAMES);
+        let frames = frames.map(|(_, frames)| {
+            let what = format!("the sequence has an invalid number of frames `{frames}`");
+            frames.parse().map_err(|_| Error::invalid(FORMAT, Position::Offset(HEADER_BYTES), what))
+        });
+        let container = Container { bytes };
+        let root = container.group(container.number(8, "the offset of the root group")?, "the root group")?;
+        if root.len() as u64 != ROOT_CHILDREN {
+            let what = format!("the root group has {} children; expected {ROOT_CHILDREN}", root.len());
+            return Err(Error::invalid(FORMAT, Position::Offset(8), what));
+        }
+        let transform = container.child_object(root[TOP_OBJECT], TRANSFORM)?;
+        let mesh = container.child_object(transform, MESH)?;
+        Ok(MeshArchive {
+            frames: frames.transpose()?,
+            provenance,
+            geometry: container.schema(mesh, names::GEOMETRY)?,
+            transform: container.schema(transform, names::TRANSFORM)?,
+            container,
+            root,
+        })
+    }
+
+    /// Fails for a sequence: which of its meshes to use is unknown.
+    pub(super) fn check_single_frame(&self) -> Result<()> {
+        let Some(frames) = self.frames else { return Ok(()) };
+        let what = format!(
+            "this file is a sequence of {frames} frames, and a single mesh is needed: use the file of one frame, or of each frame, as in body.####.abc"
+        );
+        Err(Error::unsupported(FORMAT, what))
+    }
+
+    /// Whether the mesh has this property.
+    pub(super) fn has(&self, name: &str) -> bool {
+        self.geometry.iter().any(|(header, _)| header.name == name)
+    }
+
+    /// The attributes without a property of their own.
+    pub(super) fn params(&self) -> Result<Vec<(PropertyHeader, Reference)>> {
+        match self.has(names::PARAMS) {
+            true => self.container.properties(self.property(names::PARAMS)?.1),
+            false => Ok(Vec::new()),
+        }
+    }
+
+    fn property(&self, name: &str) -> Result<&(PropertyHeader, Reference)> {
+        self.geometry
+            .iter()
+            .find(|(header, _)| header.name == name)
+            .ok_or_else(|| Error::invalid(FORMAT, Position::File, format!("the mesh has no property {name}")))
+    }
+
+    /// The data of the samples of an array.
+    fn references(&self, name: &str) -> Result<Vec<Reference>> {
+        let (_, reference) = self.property(name)?;
+        let children = self.container.group(*reference, name)?;
+        Ok(children.chunks(2).map(|sample| sample[0]).collect())
+    }
+
+    /// The numbers of a sample of an array, each of `N` bytes.
+    pub(super) fn array<const N: usize>(
+        &self,
+        name: &str,
+        pod: (Pod, u8),
+        index: usize,
+    ) -> Result<&'a [[u8; N]]> {
+        let (header, _) = self.property(name)?;
+        header.check_type(pod)?;
+        let references = self.references(name)?;
+        let Some(reference) = references.get(index) else {
+            let what = format!("{name} has {} samples; expected {}", references.len(), index + 1);
+            return Err(Error::invalid(FORMAT, Position::File, what));
+        };
+        let (bytes, at) = self.container.sample(*reference, name)?;
+        match bytes.as_chunks() {
+            (numbers, []) => Ok(numbers),
+            _ => {
+                let what = format!("{name} has {} bytes, not a multiple of {N}", bytes.len());
+                Err(Error::invalid(FORMAT, Position::Offset(at), what))
+            }
+        }
+    }
+
+    /// The positions and normals of a sample, before its transform.
+    pub(super) fn vertices(&self, index: usize, limits: &Limits) -> Result<[Vec<[f32; 3]>; 2]> {
+        let positions = self.array::<12>(names::POSITIONS, (Pod::F32, 3), index)?;
+        let normals = self.array::<12>(names::NORMALS, (Pod::F32, 3), index)?;
+        let vertex_count = positions.len();
+        if vertex_count as u64 > limits.particle_count {
+            let what =
+                format!("the mesh has {vertex_count} vertices; the limit is {}", limits.particle_count);
+            return Err(Error::too_large(FORMAT, what));
+        }
+        if normals.len() != vertex_count {
+            let what = format!("the mesh has {} normals for {vertex_count} vertices", normals.len());
+            return Err(Error::invalid(FORMAT, Position::File, what));
+        }
+        Ok([positions, normals].map(|vectors| vectors.iter().map(vector).collect()))
+    }
+
+    fn mesh(&self, index: usize, limits: &Limits) -> Result<MeshData> {
+        let [positions, normals] = self.vertices(index, limits)?;
+        let matrix = self.matrix(index)?;
+        let normal = |normal: [f32; 3]| {
+            let turned = transformed(normal.map(f64::from), &matrix, 0.0);
+            #[expect(clippy::cast_possible_truncation, reason = "a rotation by a right angle is exact")]
+            turned.map(|x| x as f32)
+        };
+        let position = |position: &[f32; 3]| transformed(position.map(f64::from), &matrix, 1.0);
+        Ok(MeshData {
+            triangles: self.triangles(index, positions.len())?,
+            positions: positions.iter().map(position).collect(),
+            normals: normals.into_iter().map(normal).collect(),
+        })
+    }
+
+    /// The triangles of a sample. Faces are clockwise in the file; larger ones become fans.
+    pub(super) fn triangles(&self, index: usize, vertex_count: usize) -> Result<Vec<[u32; 3]>> {
+        let invalid = |what: String| Error::invalid(FORMAT, Position::File, what);
+        let corners = self.array::<4>(names::CORNERS, (Pod::I32, 1), index)?;
+        let corners: Vec<u32> = corners.iter().map(|bytes| u32::from_le_bytes(*bytes)).collect();
+        if let Some(corner) = corners.iter().find(|corner| **corner as usize >= vertex_count) {
+            let what = format!("a face has vertex index {corner}, but the mesh has {vertex_count} vertices");
+            return Err(invalid(what));
+        }
+        let (mut rest, mut triangles) = (&*corners, Vec::new());
+        for bytes in self.array::<4>(names::COUNTS, (Pod::I32, 1), index)? {
+            let count = u32::from_le_bytes(*bytes) as usize;
+            let Some((face, others)) = rest.split_at_checked(count).filter(|_| count >= 3) else {
+                let what = format!("a face has {count} corners, and the faces {} in all", corners.len());
+                return Err(invalid(what));
+            };
+            let last = face[count - 1];
+            triangles.extend(face[..count - 1].windows(2).rev().map(|pair| [last, pair[1], pair[0]]));
+            rest = others;
+        }
+        match rest {
+            [] => Ok(triangles),
+            _ => Err(invalid(format!("{} corners belong to no face", rest.len()))),
+        }
+    }
+
+    /// The transform of a sample.
+    pub(super) fn matrix(&self, index: usize) -> Result<Matrix> {
+        let property = self.transform.iter().find(|(header, _)| header.name == names::MATRIX);
+        let Some((header, reference)) = property else { return Ok(IDENTITY) };
+        header.check_type((Pod::F64, 16))?;
+        let samples = self.container.group(*reference, names::MATRIX)?;
+        // One that never changes has one sample.
+        let sample = samples.get(index).or_else(|| samples.first()).copied().unwrap_or(DATA);
+        let (bytes, at) = self.container.sample(sample, names::MATRIX)?;
+        let (numbers, _) = bytes.as_chunks::<8>();
+        let mut matrix = IDENTITY;
+        if numbers.len() != 16 {
+            let what = format!("a matrix has {} numbers; expected 16", numbers.len());
+            return Err(Error::invalid(FORMAT, Position::Offset(at), what));
+        }
+        for (element, bytes) in matrix.as_flattened_mut().iter_mut().zip(numbers) {
+            *element = f64::from_le_bytes(*bytes);
+        }
+        Ok(matrix)
+    }
+
+    fn times(&self) -> Result<Vec<f64>> {
+        let (header, _) = self.property(names::POSITIONS)?;
+        let count = self.references(names::POSITIONS)?.len();
+        let samplings = self.container.data(self.root[SAMPLINGS], "the time samplings")?;
+        let mut rest = samplings;
+        let mut next = |index: u32| -> Option<(f64, &[[u8; 8]])> {
+            let mut sampling = None;
+            for _ in 0..=index {
+                let (head, after) = rest.split_first_chunk::<16>()?;
+                let [_, _, _, _, per_cycle @ .., a, b, c, d] = *head;
+                let times = u32::from_le_bytes([a, b, c, d]) as usize;
+                let (times, after) = after.split_at_checked(times.checked_mul(8)?)?;
+                sampling = Some((f64::from_le_bytes(per_cycle), times.as_chunks().0));
+                rest = after;
+            }
+            sampling
+        };
+        // Each sampling has at least 16 bytes, so a wrong index ends the search soon.
+        let Some((per_cycle, times)) = next(header.sampling) else {
+            let what = format!("the time sampling {} is missing or incomplete", header.sampling);
+            return Err(Error::invalid(FORMAT, Position::File, what));
+        };
+        let times = || times.iter().map(|bytes| f64::from_le_bytes(*bytes));
+        if per_cycle == ACYCLIC {
+            return Ok(times().take(count).collect());
+        }
+        let first = times().next().unwrap_or_default();
+        #[expect(clippy::cast_precision_loss, reason = "a file has fewer samples than 2⁵³")]
+        Ok((0..count).map(|index| first + index as f64 * per_cycle).collect())
+    }
+}
+
+fn vector(bytes: &[u8; 12]) -> [f32; 3] {
+    let [a, b, c, d, e, f, g, h, rest @ ..] = *bytes;
+    [[a, b, c, d], [e, f, g, h], rest].map(f32::from_le_bytes)
+}
+
+/// A row vector times a matrix. The fourth component is 1 for a point and 0 for a direction.
+fn transformed(vector: [f64; 3], matrix: &Matrix, fourth: f64) -> [f64; 3] {
+    if *matrix == IDENTITY {
+        return vector;
+    }
+    let [x, y, z] = vector;
+    std::array::from_fn(|axis| {
+        let column = [0, 1, 2, 3].map(|row| matrix[row][axis]);
+        x * column[0] + y * column[1] + z * column[2] + fourth * column[3]
+    })
+}

@@ -1,0 +1,245 @@
+//! Writes a sequence as one mesh with samples per frame.
+//!
+//! ```text
+//!   frames    5    6    9    10          6 is shown until 9
+//!   samples   5    6  8 9    10          8 refers to the data of 6
+//! ```
+//!
+//! Programs take the mesh of the sample before a time between samples, and some blend transforms, which the
+//! additional sample prevents. Frame n is at n / fps seconds.
+//!
+//! The data of a frame are read from its file, a `.glb` of this crate, when they are written, so that at any
+//! time one array of one frame is in memory.
+
+use std::io::{self, Read, Seek, Write};
+
+use crate::data::Provenance;
+use crate::error::{Error, Position, Result};
+use crate::gltf::{FramePlacement, SequenceFrame, VertexColumn};
+use crate::vertex_attributes::{UsedNames, plain_name};
+
+use super::FORMAT;
+use super::document::{AbcObject, AbcProperty, Times, write_archive};
+use super::mesh::{
+    FrameSamples, IDENTITY, Matrix, MeshSamples, ParamType, bounds_sample, real_sample, to_world,
+    triangle_samples,
+};
+use super::ogawa::{Ogawa, Sample};
+use super::write::check_vertex_count;
+
+/// Numbers beyond this have no exact time.
+const NUMBER_MAX: u64 = 1 << 53;
+
+const POSITION: &str = "POSITION";
+const NORMAL: &str = "NORMAL";
+const VELOCITY: &str = "_VELOCITY";
+const COLOR: &str = "COLOR_0";
+
+/// Writes a sequence of frames, whose numbers must increase. `open` opens the file of a frame, by its index.
+/// Returns notes on attributes that are omitted because the frames differ in them.
+///
+/// # Errors
+///
+/// [`Error::Io`] if a file cannot be read or `out` fails; [`Error::Invalid`] if a document is damaged, a file
+/// changed, numbers do not increase, or there are no frames; [`Error::Unsupported`] for numbers beyond 2⁵³;
+/// [`Error::TooLarge`] for a frame with 2³¹ vertices or more.
+pub fn write_sequence<R: Read + Seek>(
+    frames: &[SequenceFrame],
+    fps: f64,
+    provenance: &Provenance,
+    open: impl Fn(usize) -> io::Result<R>,
+    out: &mut impl Write,
+) -> Result<Vec<String>> {
+    let (attributes, notes) = attributes(frames)?;
+    let sequence = AbcSequence { frames, matrices: matrices(frames)?, attributes };
+    let times = Times::Frames { numbers: sequence.numbers()?, fps };
+    write_archive(provenance, &times, |ogawa| sequence.object(&open, ogawa), out)?;
+    Ok(notes)
+}
+
+/// A vertex attribute to write.
+struct AbcAttribute {
+    /// Its name in the frames.
+    semantic: String,
+    name: String,
+    kind: ParamType,
+}
+
+struct AbcSequence<'a> {
+    frames: &'a [SequenceFrame],
+    /// The transform of each frame.
+    matrices: Vec<Matrix>,
+    /// Including the velocities.
+    attributes: Vec<AbcAttribute>,
+}
+
+impl AbcSequence<'_> {
+    /// The numbers of the samples.
+    fn numbers(&self) -> Result<Vec<u64>> {
+        if let Some(pair) = self.frames.windows(2).find(|pair| pair[1].code <= pair[0].code) {
+            let [a, b] = [0, 1].map(|index| (&pair[index].name, pair[index].code));
+            let what = format!("{} and {} have the frame numbers {} and {}", a.0, b.0, a.1, b.1);
+            return Err(Error::invalid(FORMAT, Position::File, what));
+        }
+        let Some(last) = self.frames.last() else {
+            return Err(Error::invalid(FORMAT, Position::File, "the sequence has no frames"));
+        };
+        if last.code > NUMBER_MAX {
+            let what =
+                format!("the frame number {} of {} exceeds the limit, {NUMBER_MAX}", last.code, last.name);
+            return Err(Error::unsupported(FORMAT, what));
+        }
+        for frame in self.frames {
+            check_vertex_count(frame.file.vertex_count() as u64)?;
+        }
+        let numbers = (0..self.frames.len())
+            .flat_map(|index| [Some(self.frames[index].code), self.held_number(index)])
+            .flatten();
+        Ok(numbers.collect())
+    }
+
+    /// The number of the additional sample of a frame, if frames are missing after it.
+    fn held_number(&self, index: usize) -> Option<u64> {
+        let next = self.frames.get(index + 1)?.code - 1;
+        (next > self.frames[index].code).then_some(next)
+    }
+
+    fn object<R: Read + Seek>(
+        &self,
+        open: &impl Fn(usize) -> io::Result<R>,
+        ogawa: &mut Ogawa,
+    ) -> Result<AbcObject> {
+        let mut samples = MeshSamples::default();
+        let mut params: Vec<Vec<Sample>> = vec![Vec::new(); self.attributes.len()];
+        for index in 0..self.frames.len() {
+            let (frame, values) = self.frame(index, open, ogawa)?;
+            for _ in 0..1 + usize::from(self.held_number(index).is_some()) {
+                samples.push(frame);
+                params.iter_mut().zip(&values).for_each(|(samples, sample)| samples.push(*sample));
+            }
+        }
+        let others = self.attributes.iter().zip(params).filter(|(attribute, _)| !attribute.is_velocity());
+        let params: Vec<AbcProperty> =
+            others.map(|(attribute, samples)| attribute.kind.property(&attribute.name, samples)).collect();
+        samples.object(params, ogawa)
+    }
+
+    /// Writes the arrays of a frame, and returns its samples and those of the attributes.
+    fn frame<R: Read + Seek>(
+        &self,
+        index: usize,
+        open: &impl Fn(usize) -> io::Result<R>,
+        ogawa: &mut Ogawa,
+    ) -> Result<(FrameSamples, Vec<Sample>)> {
+        let file = &self.frames[index].file;
+        let scale = place(&self.frames[index])?.map_or(0.0, |place| place.scale);
+        let (vertices, triangles) = (file.vertex_count() as u64, file.triangle_count()? as u64);
+        let reals = |semantic: &str, extent: u64, per_vertex: u64, ogawa: &mut Ogawa| {
+            let column = file.column(semantic)?.filter(|_| !ogawa.is_measuring());
+            let scale = if semantic == POSITION { scale } else { 1.0 };
+            let values =
+                column.map(|column| file.read_column(&column, scale, &mut open(index)?)).transpose()?;
+            real_sample(&values.unwrap_or_default(), (vertices * per_vertex, extent), ogawa)
+        };
+        let positions = reals(POSITION, 3, 1, ogawa)?;
+        let corners = if file.has_mesh() && !ogawa.is_measuring() {
+            file.read_triangles(&mut open(index)?)?
+        } else {
+            Vec::new()
+        };
+        let faces = triangle_samples(&corners, triangles, ogawa)?;
+        drop(corners);
+        #[expect(clippy::cast_possible_truncation, reason = "positions have 32 bits")]
+        let bounds = file.bounds()?.map(|corner| corner.map(|x| f64::from((x * scale) as f32)));
+        let mut frame = FrameSamples {
+            matrix: self.matrices[index],
+            bounds: bounds_sample(bounds, ogawa)?,
+            positions,
+            faces,
+            normals: reals(NORMAL, 3, 1, ogawa)?,
+            velocities: None,
+        };
+        let mut values = Vec::new();
+        for attribute in &self.attributes {
+            let ParamType { extent, elements, .. } = attribute.kind;
+            let sample = reals(&attribute.semantic, extent.into(), elements as u64, ogawa)?;
+            if attribute.is_velocity() {
+                frame.velocities = Some(sample);
+            }
+            values.push(sample);
+        }
+        Ok((frame, values))
+    }
+}
+
+impl AbcAttribute {
+    fn is_velocity(&self) -> bool {
+        self.semantic == VELOCITY && self.kind == ParamType::numbers(3)
+    }
+}
+
+/// The placement of a frame; `None` for one without a mesh.
+fn place(frame: &SequenceFrame) -> Result<Option<FramePlacement>> {
+    frame.file.has_mesh().then(|| frame.file.placement()).transpose()
+}
+
+/// The transforms of the frames. One without a mesh keeps that of the frame before it.
+fn matrices(frames: &[SequenceFrame]) -> Result<Vec<Matrix>> {
+    let places: Vec<Option<FramePlacement>> = frames.iter().map(place).collect::<Result<_>>()?;
+    let matrix = |place: &FramePlacement| to_world(place.up, place.origin);
+    let mut current = places.iter().flatten().next().map_or(IDENTITY, matrix);
+    let kept = places.iter().map(|place| {
+        current = place.as_ref().map_or(current, matrix);
+        current
+    });
+    Ok(kept.collect())
+}
+
+/// The attributes that all frames with a mesh have, and notes on the others.
+fn attributes(frames: &[SequenceFrame]) -> Result<(Vec<AbcAttribute>, Vec<String>)> {
+    let files = || frames.iter().map(|frame| &frame.file).filter(|file| file.has_mesh());
+    let mut semantics: Vec<&String> = Vec::new();
+    for file in files() {
+        semantics.extend(file.attributes()?.keys());
+    }
+    semantics.sort();
+    semantics.dedup();
+    semantics.retain(|semantic| ![NORMAL, POSITION].contains(&semantic.as_str()));
+    let (mut found, mut notes, mut taken) = (Vec::new(), Vec::new(), UsedNames::new(&[]));
+    for semantic in semantics {
+        if files().any(|file| file.has_string_indices(semantic)) {
+            notes.push(format!(
+                "{semantic} is missing in the sequence: its values are strings, and each frame has its own table"
+            ));
+            continue;
+        }
+        let columns: Vec<Option<VertexColumn>> =
+            files().map(|file| file.column(semantic)).collect::<Result<_>>()?;
+        let arities: Option<Vec<usize>> = columns.iter().map(|column| Some((*column)?.arity)).collect();
+        let arity =
+            arities.and_then(|arities| arities.iter().all(|a| *a == arities[0]).then_some(arities[0]));
+        let Some(arity) = arity else {
+            notes.push(format!(
+                "{semantic} is missing in the sequence: not all frames have it with the same number of values per vertex"
+            ));
+            continue;
+        };
+        let (kind, wanted) = match (semantic.as_str(), arity) {
+            (COLOR, 3 | 4) => (ParamType::color(arity), "Cd".to_owned()),
+            // In the frames, names start with an underscore and are in upper case.
+            _ => {
+                let name = plain_name(semantic.strip_prefix('_').unwrap_or(semantic)).to_ascii_lowercase();
+                (ParamType::numbers(arity), name)
+            }
+        };
+        let mut attribute = AbcAttribute { semantic: semantic.clone(), name: String::new(), kind };
+        if !attribute.is_velocity() {
+            attribute.name = taken.take(&wanted, |stem| vec![stem.to_owned()]).concat();
+            if attribute.name != wanted {
+                notes.push(format!("{semantic} is named {} in the sequence", attribute.name));
+            }
+        }
+        found.push(attribute);
+    }
+    Ok((found, notes))
+}

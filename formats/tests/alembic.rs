@@ -1,0 +1,197 @@
+//! Meshes written as .abc and read back: exact to the last bit. tests/clients reads them with the Alembic
+//! library.
+
+#![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
+
+use std::io::Cursor;
+
+use meniscus_formats::{
+    AttributeRole, Error, Limits, MeshOptions, MeshView, OutputFormat, UpAxis, VertexAttribute, VertexValues,
+    abc, gltf, is_complete, read_mesh, read_provenance,
+};
+
+const FAR: [f64; 3] = [1e6 + 0.5, -2e6, 0.25];
+
+const POSITIONS: [[f32; 3]; 5] =
+    [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.5, 0.5, 2.0]];
+
+const NORMALS: [[f32; 3]; 5] = [[0.0, 0.0, -1.0]; 5];
+
+/// The first two triangles form a quad.
+const TRIANGLES: [[u32; 3]; 6] = [[0, 3, 1], [3, 2, 1], [0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]];
+
+const QUADS: [bool; 6] = [true, false, false, false, false, false];
+
+fn written(origin: [f64; 3], options: &MeshOptions, attributes: &[VertexAttribute]) -> Vec<u8> {
+    let (positions, normals, triangles) = (&POSITIONS, &NORMALS, &TRIANGLES);
+    let mesh = MeshView { positions, normals, triangles, origin, attributes };
+    let mut bytes = Vec::new();
+    OutputFormat::Abc.write_mesh(&mesh, options, &provenance(), &mut bytes).expect("written");
+    bytes
+}
+
+fn provenance() -> Vec<(String, String)> {
+    let pair = |key: &str, value: &str| (key.to_owned(), value.to_owned());
+    vec![pair("generator", "meniscus 0.1.0"), pair("a=b;c", "größe = 3; \"x\"\n"), pair("empty", "")]
+}
+
+fn pyramid() -> Vec<u8> {
+    let numbers: Vec<f32> = (0..15u8).map(f32::from).collect();
+    let wide: Vec<f32> = (0..25u8).map(f32::from).collect();
+    let (small, large) = ([1, 2, 3, 4, -5], [1, 2, 3, 4, i64::MAX]);
+    let table = ["a\0b".to_owned(), "ü".to_owned()];
+    let (named, reals) = (VertexValues::Strings { table: &table, indices: &[0, 1, 2, -1, 0] }, &*numbers);
+    let attribute = |name, role, arity, values| VertexAttribute { name, role, arity, values };
+    let attributes = [
+        attribute("v", Some(AttributeRole::Velocity), 3, VertexValues::Numbers(reals)),
+        attribute("Cd", Some(AttributeRole::Color), 3, VertexValues::Numbers(reals)),
+        attribute("a b", None, 5, VertexValues::Numbers(&wide)),
+        attribute("small", None, 1, VertexValues::Integers(&small)),
+        attribute("large", None, 1, VertexValues::Integers(&large)),
+        attribute("name", None, 1, named),
+    ];
+    let notes = abc::attribute_notes(&attributes);
+    assert_eq!(notes, ["a b is named a_b in the .abc", "name: the .abc has spaces for null characters"]);
+    written(FAR, &MeshOptions { up: UpAxis::Z, ..MeshOptions::default() }, &attributes)
+}
+
+#[test]
+fn abc_round_trips_exactly() {
+    let world = |origin: [f64; 3]| POSITIONS.map(|p| [0, 1, 2].map(|axis| origin[axis] + f64::from(p[axis])));
+    for origin in [[0.0; 3], FAR] {
+        for up in [UpAxis::Y, UpAxis::Z] {
+            let options = MeshOptions { up, ..MeshOptions::default() };
+            let bytes = written(origin, &options, &[]);
+            let mesh =
+                read_mesh(&bytes, "a.abc", &Limits::default(), &|_| unreachable!("one file")).expect("read");
+            // Alembic has Y up.
+            let turned = |[x, y, z]: [f64; 3]| if up == UpAxis::Z { [x, z, -y] } else { [x, y, z] };
+            assert_eq!(mesh.positions, world(origin).map(turned));
+            assert_eq!(mesh.normals, NORMALS.map(|n| turned(n.map(f64::from)).map(|x| x as f32)));
+            assert_eq!(mesh.triangles, TRIANGLES);
+            assert_eq!(abc::read_times(&bytes).expect("one time"), [0.0]);
+            assert_eq!(abc::read_sequence_info(&bytes).expect("one frame"), None);
+        }
+    }
+    let options = MeshOptions { quads: QUADS.into(), ..MeshOptions::default() };
+    let mesh = abc::read_mesh(&written([0.0; 3], &options, &[]), &Limits::default()).expect("read");
+    // The quad is cut along the other diagonal, or from another corner.
+    assert_eq!(mesh.triangles[2..], TRIANGLES[2..]);
+    let mut corners = mesh.triangles[..2].concat();
+    corners.sort_unstable();
+    corners.dedup();
+    assert_eq!(corners, [0, 1, 2, 3]);
+}
+
+#[test]
+fn abc_becomes_the_glb_of_the_same_mesh() {
+    let bytes = pyramid();
+    let (glb, notes) = abc::to_glb(&bytes, &Limits::default()).expect("converted");
+    assert!(notes.iter().any(|note| note.starts_with("large ")), "{notes:?}");
+    let [mesh, expected] = [
+        gltf::read_mesh(&glb, &Limits::default()).expect("our own file"),
+        abc::read_mesh(&bytes, &Limits::default()).expect("our own file"),
+    ];
+    assert_eq!(mesh.triangles, expected.triangles);
+    // glTF has a quaternion for the axes, which is not exact.
+    let pairs = mesh.positions.as_flattened().iter().zip(expected.positions.as_flattened());
+    assert!(mesh.positions.len() == 5 && pairs.into_iter().all(|(a, b)| (a - b).abs() < 1e-9));
+    assert_eq!(read_provenance(OutputFormat::Glb, &glb[..]).expect("our own file"), provenance());
+    let attributes = gltf::read_attributes(&glb, &Limits::default()).expect("attributes");
+    let found: Vec<(&str, usize)> =
+        attributes.iter().map(|attribute| (attribute.name.as_str(), attribute.arity)).collect();
+    assert!(found.contains(&("_VELOCITY", 3)) && found.contains(&("COLOR_0", 3)), "{found:?}");
+    assert!(found.contains(&("_SMALL", 1)) && found.contains(&("_NAME", 1)), "{found:?}");
+    for at in 0..bytes.len() {
+        let mut damaged = bytes.clone();
+        damaged[at] ^= 0x81;
+        let _ = abc::to_glb(&damaged, &Limits::default());
+    }
+}
+
+#[test]
+fn abc_stores_attributes_by_name_and_type() {
+    let bytes = pyramid();
+    let holds = |part: &[u8]| bytes.windows(part.len()).any(|window| window == part);
+    for part in [
+        &b"\x0b.velocities\x15interpretation=vector"[..],
+        b"\x02Cd\x5carrayExtent=1;geoScope=vtx;interpretation=rgb;isGeomParam=true;podExtent=3;podName=float32_t",
+        b"\x03a_b\x49arrayExtent=5;geoScope=vtx;isGeomParam=true;podExtent=1;podName=float32_t",
+        b"small\x47arrayExtent=1;geoScope=vtx;isGeomParam=true;podExtent=1;podName=int32_t",
+        b"large\x47arrayExtent=1;geoScope=vtx;isGeomParam=true;podExtent=1;podName=int64_t",
+        b"a b\0\xc3\xbc\0\0",
+        &[[2, 0, 0, 0], [2, 0, 0, 0]].concat(),
+    ] {
+        assert!(holds(part), "{}", part.escape_ascii());
+    }
+}
+
+#[test]
+fn abc_provenance_is_read_from_the_head() {
+    let bytes = pyramid();
+    assert_eq!(read_provenance(OutputFormat::Abc, &bytes[..]).expect("our own file"), provenance());
+    assert_eq!(read_provenance(OutputFormat::Abc, &bytes[..500]).expect("a head"), provenance());
+    assert!(read_provenance(OutputFormat::Abc, &b"glTF"[..]).is_err());
+}
+
+#[test]
+fn truncated_or_extended_abc_is_rejected() {
+    let bytes = pyramid();
+    let is_whole = |bytes: &[u8]| is_complete(OutputFormat::Abc, &mut Cursor::new(bytes)).unwrap_or(false);
+    assert!(is_whole(&bytes) && !is_whole(&[&bytes[..], b"\n"].concat()));
+    for length in 0..bytes.len() {
+        let part = &bytes[..length];
+        assert!(!is_whole(part), "{length} of {}", bytes.len());
+        let error = abc::read_mesh(part, &Limits::default()).expect_err("the root group is missing");
+        assert!(error.is_truncated(), "{length} of {}: {error}", bytes.len());
+        let _ = read_provenance(OutputFormat::Abc, part);
+    }
+}
+
+#[test]
+fn damaged_abc_is_read_or_rejected() {
+    let bytes = pyramid();
+    for at in 0..bytes.len() {
+        for damage in [0x01, 0x80, 0xff] {
+            let mut damaged = bytes.clone();
+            damaged[at] ^= damage;
+            if let Ok(mesh) = abc::read_mesh(&damaged, &Limits::default()) {
+                assert!(
+                    mesh.triangles
+                        .as_flattened()
+                        .iter()
+                        .all(|&corner| (corner as usize) < mesh.positions.len())
+                );
+                assert_eq!(mesh.normals.len(), mesh.positions.len());
+            }
+            let _ = (abc::read_times(&damaged), abc::read_sequence_info(&damaged));
+        }
+    }
+}
+
+#[test]
+fn abc_of_other_programs_is_unsupported() {
+    let bytes = pyramid();
+    let name = bytes.windows(9).position(|part| part == b"meniscus ").expect("its name");
+    let mut foreign = bytes;
+    foreign[name..name + 8].copy_from_slice(b"someone_");
+    let error = abc::read_mesh(&foreign, &Limits::default()).expect_err("another program's");
+    assert!(matches!(error, Error::Unsupported { .. }) && error.to_string().contains("as PLY"), "{error}");
+    assert_eq!(read_provenance(OutputFormat::Abc, &foreign[..]).expect("an archive"), []);
+}
+
+#[test]
+fn invalid_meshes_are_refused_as_abc() {
+    let mesh = MeshView {
+        positions: &POSITIONS,
+        normals: &NORMALS,
+        triangles: &[[0, 1, 9]],
+        origin: [0.0; 3],
+        attributes: &[],
+    };
+    let refused = abc::write(&mesh, &MeshOptions::default(), &[], &mut Vec::new());
+    assert!(matches!(refused, Err(Error::Invalid { .. })), "{refused:?}");
+    let quads = MeshOptions { quads: vec![true; 6].into(), ..MeshOptions::default() };
+    let refused = abc::write(&MeshView { triangles: &TRIANGLES, ..mesh }, &quads, &[], &mut Vec::new());
+    assert!(matches!(refused, Err(Error::Invalid { .. })), "{refused:?}");
+}
