@@ -146,7 +146,12 @@ fn sequence_without_settings_does_not_stop_others() {
         let arguments = ["a.ply", "b.1.ply", "b.2.ply", "c.ply", "--out", on_error, "--on-error", on_error];
         let ran = convert(path, &[&arguments[..], &["--report", "report.json", "--format", "ply"]].concat());
         assert_eq!(ran.status, 1, "{}", ran.err);
-        assert_eq!(ran.err.matches("error: b.{}.ply: cannot measure the particle spacing").count(), 1, "{}", ran.err);
+        assert_eq!(
+            ran.err.matches("error: b.{}.ply: cannot measure the particle spacing").count(),
+            1,
+            "{}",
+            ran.err
+        );
         let report = report(&path.join("report.json"));
         let expected = [("a.ply", "converted"), ("b.1.ply", b[0]), ("b.2.ply", b[1]), ("c.ply", c)];
         assert_eq!(statuses(&report), expected);

@@ -423,7 +423,11 @@ fn sequence_file_replaces_only_an_earlier_one() {
     }
     assert!(made.iter().all(|shot| *shot == made[0]));
     for output in ["t.glb", "out/dam.4.glb"] {
-        refused(path, &["sequence", "out/dam.4.glb", "-o", output], &["dam.4.glb: ", "this is a sequence file"]);
+        refused(
+            path,
+            &["sequence", "out/dam.4.glb", "-o", output],
+            &["dam.4.glb: ", "this is a sequence file"],
+        );
     }
 }
 
