@@ -235,6 +235,7 @@ pub(super) fn vector(kind: &str, width: usize) -> String {
 
 /// A primvar; each vertex has `element_size` values of the array.
 fn primvar<'a>(kind: &str, name: &str, elements: Elements<'a>, element_size: usize) -> MeshProperty<'a> {
-    let primvar = MeshProperty::array(&format!("{kind}[]"), &format!("primvars:{name}"), elements).per_vertex();
+    let primvar =
+        MeshProperty::array(&format!("{kind}[]"), &format!("primvars:{name}"), elements).per_vertex();
     MeshProperty { element_size, ..primvar }
 }
