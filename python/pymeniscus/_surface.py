@@ -282,7 +282,7 @@ class Surface:
             The file. Its folder must exist.
         format : str, optional
             The format; by default the extension of `path`: ``glb``, ``gltf``, ``vdb``, ``obj``, ``ply``,
-            ``vtp``, ``stl``, ``usda``, ``usdc``, ``png`` or ``exr``.
+            ``vtp``, ``stl``, ``usda``, ``usdc``, ``abc``, ``png`` or ``exr``.
         source : path-like or Particles, optional
             The file that the particles came from: its name and hash are recorded. Known for surfaces of
             `Particles` from `read`.

@@ -14,7 +14,7 @@ def spacing_of(report: dict) -> float:
 
 @pytest.mark.parametrize("options", [{}, {"preset": "splash", "quads": True}, {"preset": "paper", "decimate": 0.05}])
 def test_a_file_and_its_arrays(frame, tmp_path, options):
-    formats = ["glb", "vdb", "obj", "ply", "vtp", "usda", "usdc"]
+    formats = ["glb", "vdb", "obj", "ply", "vtp", "usda", "usdc", "abc"]
     report = pm.convert(frame, tmp_path / "command", format=formats, **options)
     surface = pm.reconstruct(pm.read(frame), **{"spacing": spacing_of(report), **options}, formats=formats)
     for path in sorted((tmp_path / "command").iterdir()):

@@ -120,7 +120,7 @@ def test_an_empty_surface_has_empty_arrays():
     assert made._repr_png_() is None and "0" in made._repr_html_()
 
 
-@pytest.mark.parametrize("extension", ["glb", "gltf", "vdb", "obj", "ply", "vtp", "stl", "usda", "usdc", "png", "exr"])
+@pytest.mark.parametrize("extension", ["glb", "gltf", "vdb", "obj", "ply", "vtp", "stl", "usda", "usdc", "abc", "png", "exr"])
 def test_every_format_is_written(surface, tmp_path, extension):
     path = tmp_path / f"surface.{extension}"
     surface.write(path, size=(64, 36))
