@@ -181,6 +181,6 @@ mod tests {
         }
         assert_eq!(outcome(&usual.join("\n"), Some(50)).expect("read").1[59], 59 * 59);
         let error = outcome(&usual[..50].join("\n"), Some(50)).expect_err("too few");
-        assert!(error.starts_with("Short"), "{error}");
+        assert!(error.starts_with("Truncated"), "{error}");
     }
 }
