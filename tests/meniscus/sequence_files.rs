@@ -446,7 +446,7 @@ fn sequence_file_replaces_only_an_earlier_one() {
         refused(
             path,
             &["sequence", "out/dam.4.glb", "-o", output],
-            &["dam.4.glb: ", "this is a sequence file"],
+            &["dam.4.glb: ", "already a sequence"],
         );
     }
 }
