@@ -31,8 +31,9 @@ use super::write::about;
 ///
 /// # Errors
 ///
-/// [`Error::Io`] if a file cannot be read or `out` fails; [`Error::Invalid`] if a document is damaged,
-/// numbers do not increase, or frames differ in their up axis; [`Error::Unsupported`] for numbers beyond 2⁵³.
+/// [`Error::Io`](crate::Error::Io) if a file cannot be read or `out` fails;
+/// [`Error::Invalid`](crate::Error::Invalid) if a document is damaged, numbers do not increase, or frames differ
+/// in their up axis; [`Error::Unsupported`](crate::Error::Unsupported) for numbers beyond 2⁵³.
 pub fn write_sequence<R: Read + Seek>(
     frames: &[SequenceFrame],
     (fps, meters_per_unit): (f64, f64),
