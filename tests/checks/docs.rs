@@ -117,7 +117,8 @@ fn is_run(file: &Path) -> bool {
     name.is_none_or(|name| name == "convert" || all.split_whitespace().any(|check| check == name))
 }
 
-/// Whether the source has this test in Rust (`fn name`), or this function in Python, called by the rest of its file (`def name`).
+/// Whether the source has this test in Rust (`fn name`), or this function in Python (`def name`): a test of pytest,
+/// or one that the rest of its file calls.
 fn has_test(source: &str, title: &str) -> bool {
     let lines: Vec<&str> = source.lines().map(str::trim_start).collect();
     let begins = format!("{title}(");
@@ -126,7 +127,7 @@ fn has_test(source: &str, title: &str) -> bool {
     let is_test = above.take_while(|line| line.starts_with("#[")).any(|line| *line == "#[test]");
     match title.split_once(' ') {
         Some(("fn", _)) => is_test,
-        Some(("def", name)) => source.matches(name).count() > 1,
+        Some(("def", name)) => name.starts_with("test_") || source.matches(name).count() > 1,
         _ => false,
     }
 }

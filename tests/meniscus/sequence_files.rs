@@ -443,11 +443,7 @@ fn sequence_file_replaces_only_an_earlier_one() {
     }
     assert!(made.iter().all(|shot| *shot == made[0]));
     for output in ["t.glb", "out/dam.4.glb"] {
-        refused(
-            path,
-            &["sequence", "out/dam.4.glb", "-o", output],
-            &["dam.4.glb: ", "already a sequence"],
-        );
+        refused(path, &["sequence", "out/dam.4.glb", "-o", output], &["dam.4.glb: ", "already a sequence"]);
     }
 }
 
