@@ -442,8 +442,8 @@ fn sequence_file_replaces_only_an_earlier_one() {
         made.push(fs::read(path.join("out/dam.4.glb")).expect("readable"));
     }
     assert!(made.iter().all(|shot| *shot == made[0]));
-    for output in ["t.glb", "out/dam.4.glb"] {
-        refused(path, &["sequence", "out/dam.4.glb", "-o", output], &["dam.4.glb: ", "already a sequence"]);
+    for (output, why) in [("t.glb", "already a sequence"), ("out/dam.4.glb", "this is a sequence file")] {
+        refused(path, &["sequence", "out/dam.4.glb", "-o", output], &["dam.4.glb: ", why]);
     }
 }
 
