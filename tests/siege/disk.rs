@@ -14,8 +14,8 @@ use tempfile::{TempDir, tempdir};
 
 use crate::mounts::{mount_tmpfs, with_own_mounts};
 use crate::scene::{
-    Daemon, assert_same_output, assert_same_outputs, convert, counts, frame_names, is_long, land_sequence,
-    names_in, status,
+    Daemon, assert_counts, assert_same_output, assert_same_outputs, assert_state, convert, frame_names,
+    is_long, land_sequence, names_in, status,
 };
 
 /// A folder with frames, and a small disk for their outputs.
@@ -81,12 +81,12 @@ impl Siege {
     fn is_whole(&self) {
         let count = self.frames.len() as u64;
         assert_same_outputs(&self.out(), &self.path().join("wanted"));
-        assert_eq!(counts(self.path()), [count, 0, 0, 0]);
+        assert_counts(self.path(), [count, 0, 0, 0]);
         assert_eq!(status(self.path())["failed"].as_array().map(Vec::len), Some(0));
         let mut again = Daemon::start(self.path(), &["in", "--out", "out", "--once", "--disk-floor", "0"]);
         again.until_drained();
         assert_eq!(again.converted(), [""; 0]);
-        assert_eq!(counts(self.path()), [count, 0, 0, 0]);
+        assert_counts(self.path(), [count, 0, 0, 0]);
     }
 }
 
@@ -103,8 +103,8 @@ fn daemon_waits_while_the_disk_is_full() {
         let mut daemon = Daemon::start(siege.path(), &["in", "--out", "out", "--disk-floor", "0"]);
         daemon.until("it says that it is paused", is_paused);
         assert!(siege.outputs().len() < 2 * siege.frames.len());
-        assert_eq!(counts(siege.path())[3], 0);
-        assert_eq!(status(siege.path())["daemon"]["state"], "paused");
+        assert_eq!(status(siege.path())["counts"]["failed"], 0);
+        assert_state(siege.path(), "paused");
         if is_long() {
             // The daemon retries from time to time, and does not count this as a failure of the frame.
             daemon.until("it tries again", |daemon| daemon.count_logged("paused") > 8);
@@ -149,8 +149,8 @@ fn journal_on_a_full_disk_continues_later() {
         assert_eq!(daemon.converted().len(), siege.frames.len());
         assert_eq!(daemon.count_logged("the journal is writable again"), 1);
         daemon.until("all is written down", |daemon| daemon.has_status("24 done, 0 queued"));
-        assert_eq!(counts(siege.path()), [24, 0, 0, 0]);
-        assert_eq!(status(siege.path())["daemon"]["state"], "running");
+        assert_counts(siege.path(), [24, 0, 0, 0]);
+        assert_state(siege.path(), "running");
         daemon.stop();
         siege.is_whole();
     });
@@ -188,11 +188,11 @@ fn no_frame_starts_below_the_minimum_of_free_space() {
             daemon.log.iter().find(|line| line["message"].as_str().is_some_and(|m| m.contains("paused")));
         let why = why.expect("it said so")["message"].as_str().unwrap_or_default().to_owned();
         assert!(why.contains("out has 3.0 MiB free") && why.contains("waiting for 4.0 MiB"), "{why}");
-        let told = status(siege.path())["daemon"].clone();
-        assert_eq!(told["state"], "paused");
+        assert_state(siege.path(), "paused");
+        let daemon_status = status(siege.path())["daemon"].clone();
         assert!(
-            told["paused_because"].as_str().is_some_and(|why| why.contains("waiting for 4.0 MiB")),
-            "{told}"
+            daemon_status["paused_because"].as_str().is_some_and(|why| why.contains("waiting for 4.0 MiB")),
+            "{daemon_status}"
         );
         assert!(siege.outputs().is_empty() && daemon.converted().is_empty());
         siege.make_room();

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::env;
+use std::fmt::Debug;
 use std::fs;
 use std::io::{self, BufRead, BufReader, Write};
 use std::os::unix::net::UnixDatagram;
@@ -160,6 +161,18 @@ impl Daemon {
         self.child.wait().expect("it ended");
     }
 
+    /// Waits until the daemon has ended, or is a zombie: a process that has exited stays one while the kernel
+    /// waits for a file server in one of its threads, which no signal can end.
+    pub(crate) fn until_exited(&mut self, within: Duration) {
+        let deadline = Instant::now() + within;
+        let stat = format!("/proc/{}/stat", self.pid());
+        let is_zombie = || fs::read_to_string(&stat).is_ok_and(|stat| stat.contains(") Z "));
+        while !self.has_ended && !is_zombie() {
+            assert!(Instant::now() < deadline, "it has not exited:\n{}", self.everything());
+            self.hear_until(Instant::now() + Duration::from_millis(50));
+        }
+    }
+
     pub(crate) fn pid(&self) -> u32 {
         self.child.id()
     }
@@ -272,10 +285,29 @@ pub(crate) fn status(folder: &Path) -> Value {
         .unwrap_or_else(|_| panic!("no JSON: {}", String::from_utf8_lossy(&output.stderr)))
 }
 
-/// The numbers of done, queued, retried and failed frames according to `meniscus status`.
-pub(crate) fn counts(folder: &Path) -> [u64; 4] {
-    let status = status(folder);
-    ["done", "queued", "retrying", "failed"].map(|count| status["counts"][count].as_u64().expect("a count"))
+/// Waits until `meniscus status` gives `expected` for what `read` takes from it. The daemon appends to its
+/// journal, which the command reads, a moment after it logs.
+pub(crate) fn assert_status<T: PartialEq + Debug>(folder: &Path, expected: &T, read: impl Fn(&Value) -> T) {
+    let deadline = Instant::now() + Duration::from_secs(10);
+    while read(&status(folder)) != *expected && Instant::now() < deadline {
+        thread::sleep(Duration::from_millis(50));
+    }
+    assert_eq!(read(&status(folder)), *expected);
+}
+
+/// Asserts the state of the daemon according to `meniscus status`.
+pub(crate) fn assert_state(folder: &Path, expected: &str) {
+    assert_status(folder, &Some(expected.to_owned()), |status| {
+        status["daemon"]["state"].as_str().map(str::to_owned)
+    });
+}
+
+/// Asserts the numbers of done, queued, retried and failed frames according to `meniscus status`.
+pub(crate) fn assert_counts(folder: &Path, expected: [u64; 4]) {
+    assert_status(folder, &expected, |status| {
+        ["done", "queued", "retrying", "failed"]
+            .map(|count| status["counts"][count].as_u64().expect("a count"))
+    });
 }
 
 /// Converts `in` into `folder`/`to` by the one-shot command.
