@@ -28,9 +28,11 @@ use tempfile::{TempDir, tempdir};
 use crate::scene::{block, meniscus, write_ply};
 
 /// The pages whose commands run here, each in a separate folder, from top to bottom.
-const PAGES: [(&str, &str); 7] = [
+const PAGES: [(&str, &str); 9] = [
     ("README.md", include_str!("../../README.md")),
     ("docs/commands.md", include_str!("../../docs/commands.md")),
+    ("docs/howto-blender.md", include_str!("../../docs/howto-blender.md")),
+    ("docs/howto-houdini.md", include_str!("../../docs/howto-houdini.md")),
     ("docs/library.md", include_str!("../../docs/library.md")),
     ("docs/tutorial-first-surface.md", include_str!("../../docs/tutorial-first-surface.md")),
     ("docs/tutorial-live.md", include_str!("../../docs/tutorial-live.md")),
@@ -199,7 +201,7 @@ fn made_by<'a>(words: &[&'a str]) -> Vec<&'a str> {
         [_, "status" | "why", ..] => &[],
         // Its `--out` is where shards will write.
         [_, "plan", ..] => &["-o"],
-        _ => &["--out", "-o", "--report", "--sequence-glb"],
+        _ => &["--out", "-o", "--report", "--sequence-glb", "--sequence-usdc", "--sequence-abc"],
     };
     words.windows(2).filter(|pair| options.contains(&pair[0])).map(|pair| pair[1]).collect()
 }
