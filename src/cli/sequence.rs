@@ -84,7 +84,7 @@ fn without_old_sequence_file(files: Vec<FrameFile>, output: &Path) -> Result<Vec
     }
     if frames.is_empty() {
         bail!(
-            "{}: this is a sequence file, and there is no frame to combine: give the .glb files of the frames",
+            "{}: this is a sequence file, and there is no frame to combine: give the .glb or .abc files of the frames",
             output.display()
         );
     }

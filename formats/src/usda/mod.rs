@@ -16,12 +16,11 @@
 //!   # end: 642 vertices, 1280 faces
 //! ```
 //!
-//! Every program that reads USD reads its text form; the [binary form](crate::usdc) takes a third of the size.
-//! A sequence is a single mesh whose attributes all have a
-//! sample per frame, rather than a file per frame and another that lists them: a single file can be moved,
-//! and can be replaced atomically.
+//! Every program that reads USD reads its text form; the [binary form](crate::usdc) takes a quarter to a
+//! third of the size. A sequence is a single mesh whose attributes all have a sample per frame, rather than a
+//! file per frame and another that lists them: a single file can be moved, and can be replaced atomically.
 //!
-//! This crate reads nothing from USD files except the head that it wrote itself.
+//! Of a `.usda`, this crate reads only the head that it wrote itself.
 
 use crate::mesh_options::WriteOption;
 use crate::row::Integrity;

@@ -51,7 +51,7 @@ const UPPER: usize = 7;
 impl FieldStore {
     /// Creates an empty store.
     pub(super) fn new(storages: Vec<Box<dyn Storage>>) -> FieldStore {
-        assert_eq!(storages.len(), FIELD_STORE_FILES, "one storage per field");
+        assert_eq!(storages.len(), FIELD_STORE_FILES, "one storage per file");
         FieldStore { storages, current: [0; 3] }
     }
 
