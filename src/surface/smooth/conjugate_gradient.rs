@@ -47,7 +47,7 @@ impl Solver {
         let residual = |(leaf, (r, d)): (usize, (&mut Leaf, &mut Leaf))| {
             *r = Leaf::splat(0.0);
             for offset in region.free[leaf].iter() {
-                // At fixed voxels, b − x is their displacement in this step.
+                // A x = x + q, so r = (b − x) − q. b is φ at the start of the step.
                 r.values[offset] = (b.leaves[leaf].values[offset] - x.leaves[leaf].values[offset])
                     - q.leaves[leaf].values[offset];
             }

@@ -82,14 +82,14 @@ impl<'a> ShapedParticles<'a> {
     }
 }
 
-/// The sides of the surfaces on which points are.
+/// For each point, on which side of the inner and outer surfaces it is.
 pub(super) struct Sides {
     pub(super) is_inside_min: [bool; LANES],
     pub(super) is_within_max: [bool; LANES],
 }
 
 /// Whether a point outside of a particle's inner surface, relative to its centre, is closer to that surface
-/// than a distance. The test is exact: the first-order distance to an ellipsoid is too small.
+/// than `distance`. The test is exact, because the first-order distance to an ellipsoid is too small.
 #[cold]
 fn is_nearer(shapes: &Shapes, index: usize, apart: Vec3, (radius, distance): (f32, f32)) -> bool {
     match shapes {
@@ -144,7 +144,7 @@ fn distances(shapes: &Shapes, index: usize, apart: Vec3, radii: [f32; 2]) -> [f3
             let ellipsoid = &ellipsoids[index];
             let on_ball = ellipsoid.apply(apart);
             let (q, slope) = (on_ball.length(), ellipsoid.apply(on_ball).length());
-            // At the centre any direction will do.
+            // At the centre the direction is undefined: any direction will do.
             let scale = if slope > 0.0 { q / slope } else { ellipsoid.longest };
             radii.map(|radius| (q - radius) * scale)
         }

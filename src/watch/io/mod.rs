@@ -4,7 +4,7 @@
 //!   root         a watched folder: scans, events, inspections     slow         measuring, finding steps
 //!   output_dir   a folder of outputs: journal, lock, free space   pipeline     converts frames
 //!   worker       the thread of either, and its stall detection
-//!   inspect, evidence, scan, selection, fs_events, mounts, lock, canonical_path   their operations
+//!   inspect, evidence, scan, selection, fs_events, mounts, lock, canonical_path   what the workers call
 //! ```
 
 pub mod canonical_path;

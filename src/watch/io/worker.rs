@@ -97,7 +97,8 @@ impl StallMonitor {
 /// How many changes are handled at once; equal ones are inspected once.
 const FS_EVENTS_PER_TURN: usize = 4096;
 
-/// Starts a worker. It ends when the returned sender is dropped, or as soon as it no longer hangs.
+/// Starts a worker. It ends when the returned sender is dropped. If it hangs at that time, it ends as soon as
+/// its file system responds.
 ///
 /// # Errors
 /// When the system refuses to start a thread.
@@ -136,7 +137,7 @@ pub(crate) fn spawn<W: Work + 'static>(
                             }
                         }
                     }
-                    // Without events, scans suffice.
+                    // The source of events has ended: scans find the changes without it.
                     Err(_) => fs_events = never(),
                 },
                 default(wait) => {}
