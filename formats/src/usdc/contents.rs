@@ -7,13 +7,13 @@ use crate::usd::FORMAT;
 /// The first bytes of every file in the crate format.
 pub(super) const MAGIC: &[u8] = b"PXR-USDC";
 
-/// The version that this crate writes, which OpenUSD has read since 2019 (v19.11).
+/// The version of the format that this crate writes. OpenUSD reads it since v19.11 (2019).
 const VERSION: [u8; 3] = [0, 8, 0];
 
 /// The size of the bootstrap.
 pub(super) const BOOTSTRAP_BYTES: usize = 88;
 
-/// Where the bootstrap has the offset of the table of contents.
+/// The position in the bootstrap of the number that is the offset of the table of contents.
 pub(super) const CONTENTS_AT: usize = 16;
 
 /// The sections, in the order of the file.
@@ -106,7 +106,8 @@ pub(super) fn read_contents(table: &[u8], at: u64) -> Result<[(u64, u64); SECTIO
     Ok(found)
 }
 
-/// The size of a file of this crate, which ends with its table of contents; `None` if the table is missing.
+/// The size of a complete file of this crate, which ends with its table of contents; `None` if the table is
+/// missing.
 pub(super) fn claimed_bytes(head: &[u8], read: &mut ReadPiece) -> Result<Option<u64>> {
     let Some(head) = head.first_chunk::<BOOTSTRAP_BYTES>() else { return Ok(None) };
     let at = contents_at(head)?;

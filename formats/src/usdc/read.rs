@@ -133,7 +133,7 @@ impl<'a> UsdcLayer<'a> {
         found.map(|(place, values)| (&self.tables.specs[*place], values))
     }
 
-    /// The value of a property that has a sample for each frame.
+    /// The value of a property in a frame. In a sequence, the property must have a sample for each frame.
     fn value(&self, name: &str, index: usize) -> Result<ValueRep> {
         match (self.values(name), &self.codes) {
             (Some((_, PropertyValues::Always(value))), None) if index == 0 => Ok(*value),
@@ -162,7 +162,7 @@ impl<'a> UsdcLayer<'a> {
         Ok(origin)
     }
 
-    /// The attribute in a property, if there is one.
+    /// The vertex attribute that is stored in a property; `None` for other properties.
     fn attribute(&self, spec: &Spec, index: usize, vertex_count: usize) -> Result<Option<FileAttribute>> {
         let name = &*spec.name;
         let (plain, role) = match (name, name.strip_prefix("primvars:")) {
@@ -194,7 +194,7 @@ impl<'a> UsdcLayer<'a> {
         Ok(Some(FileAttribute { name: plain.to_owned(), arity, role, values }))
     }
 
-    /// The numbers of an element, and all of them.
+    /// The number of values per element of the array, and all values.
     fn attribute_values(
         &self,
         name: &str,
@@ -232,7 +232,7 @@ impl<'a> UsdcLayer<'a> {
     }
 }
 
-/// The end of the name of an indexed primvar's indices.
+/// The suffix in the name of the property that has the indices of an indexed primvar.
 const INDICES: &str = ":indices";
 
 fn layer_info(source: &Source, tables: &LayerTables) -> Result<LayerInfo> {
@@ -288,13 +288,13 @@ fn values_of(source: &Source, spec: &Spec) -> Result<PropertyValues> {
     }
 }
 
-/// The sample at a time.
+/// The sample at exactly this time code.
 fn sample(samples: &[(f64, ValueRep)], code: f64) -> Option<ValueRep> {
     let place = samples.binary_search_by(|(time, _)| time.total_cmp(&code)).ok()?;
     Some(samples[place].1)
 }
 
-/// The triangle fans of faces.
+/// Splits faces into triangle fans.
 fn fans(counts: &[i32], corners: &[i32], vertex_count: usize) -> Result<Vec<[u32; 3]>> {
     let mut triangles = Vec::new();
     let mut rest = corners;

@@ -1,4 +1,4 @@
-//! Reads arrays, and counts what they need.
+//! Reads arrays, and limits the memory that they need.
 
 use std::cell::Cell;
 
@@ -13,8 +13,8 @@ use super::integers::{Integer, decode, encoded_bytes_max};
 use super::lz4::decompress;
 use super::value::{ValueRep, ValueType};
 
-/// The bytes of a file. Several values can refer to the same bytes, so everything that is read counts as
-/// decompressed, until [`Source::start_anew`].
+/// The bytes of a file, and the number of bytes that were read since [`Source::start_anew`]. Several values
+/// can refer to the same bytes, so all that is read counts towards the limit of decompressed bytes.
 pub(super) struct Source<'a> {
     pub(super) bytes: &'a [u8],
     limits: Limits,
@@ -26,7 +26,7 @@ impl<'a> Source<'a> {
         Source { bytes, limits: *limits, unpacked: Cell::new(0) }
     }
 
-    /// Forgets what was read so far.
+    /// Sets the count of decompressed bytes to 0.
     pub(super) fn start_anew(&self) {
         self.unpacked.set(0);
     }
@@ -41,14 +41,14 @@ impl<'a> Source<'a> {
         Ok(Cursor::new(FORMAT, Endian::Little, self.bytes, place))
     }
 
-    /// Counts bytes that are about to be allocated.
+    /// Counts bytes that are about to be allocated; fails if the sum exceeds the limit.
     pub(super) fn claim(&self, count: usize, bytes_each: usize) -> Result<()> {
         let bytes = (count as u64).saturating_mul(bytes_each as u64);
         self.unpacked.set(self.unpacked.get().saturating_add(bytes));
         self.limits.check_decompressed(FORMAT, self.unpacked.get(), self.bytes.len() as u64)
     }
 
-    /// Reads a size and as many compressed bytes, which have at most `bytes_max` bytes.
+    /// Reads a size and as many compressed bytes, and decompresses them to at most `bytes_max` bytes.
     pub(super) fn lz4(&self, cursor: &mut Cursor, bytes_max: usize, what: &str) -> Result<Vec<u8>> {
         let size = count(cursor, what)?;
         let at = cursor.clone();
@@ -61,7 +61,7 @@ impl<'a> Source<'a> {
         Ok(out)
     }
 
-    /// Reads a size and compressed integers.
+    /// Reads a size and `count` compressed integers.
     pub(super) fn integers<T: Integer>(
         &self,
         cursor: &mut Cursor,
@@ -151,14 +151,14 @@ impl<'a> Source<'a> {
         Ok(bytes)
     }
 
-    /// The indices of an array of words or strings.
+    /// The indices of an array of tokens or strings.
     pub(super) fn read_indices(&self, rep: ValueRep, kind: ValueType, what: &str) -> Result<Vec<u32>> {
         let indices: Vec<i32> = self.read_integers(rep, (kind, 1), what)?;
         Ok(indices.into_iter().map(i32::cast_unsigned).collect())
     }
 }
 
-/// A count of 64 bits.
+/// Reads a 64-bit count.
 pub(super) fn count(cursor: &mut Cursor, what: &str) -> Result<usize> {
     let at = cursor.clone();
     let count = u64::from_le_bytes(cursor.array(what)?);
@@ -169,7 +169,7 @@ fn floats(bytes: &[u8]) -> Vec<f32> {
     bytes.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
 }
 
-/// The error for a value of another type.
+/// The error for a value that is missing or has another type.
 pub(super) fn unexpected(what: &str) -> Error {
     Error::invalid(FORMAT, Position::File, format!("the value of {what} is missing, or has another type"))
 }

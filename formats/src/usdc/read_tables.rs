@@ -9,7 +9,7 @@ use super::read_array::{Source, count, unexpected};
 use super::tables::{JUMP_CHILD, JUMP_END, JUMP_SIBLING, SET_END, SpecType};
 use super::value::{ValueRep, ValueType};
 
-/// The words, prims and properties of a layer.
+/// The tokens, strings, prims and properties of a layer.
 pub(super) struct LayerTables {
     tokens: Vec<String>,
     strings: Vec<u32>,
@@ -35,7 +35,7 @@ impl LayerTables {
     ///
     /// # Errors
     ///
-    /// [`Error::Truncated`] if the file is truncated; [`Error::Unsupported`] if another program arranged it;
+    /// [`Error::Truncated`] if the file is truncated; [`Error::Unsupported`] if another program wrote it;
     /// [`Error::Invalid`] if it is damaged; [`Error::TooLarge`] if it exceeds the limits.
     pub(super) fn read(source: &Source) -> Result<LayerTables> {
         let at = contents_at(source.bytes)?;
@@ -56,17 +56,17 @@ impl LayerTables {
         Ok(LayerTables { tokens, strings, specs })
     }
 
-    /// A word.
+    /// The token with this index.
     pub(super) fn token(&self, index: u32) -> Option<&str> {
         self.tokens.get(index as usize).map(String::as_str)
     }
 
-    /// A string.
+    /// The string with this index.
     pub(super) fn string(&self, index: u32) -> Option<&str> {
         self.token(*self.strings.get(index as usize)?)
     }
 
-    /// The word that a value is.
+    /// The token in a value of this type.
     pub(super) fn word(&self, value: Option<ValueRep>, what: &str) -> Result<&str> {
         value.and_then(|value| self.token(value.value(ValueType::Token)?)).ok_or_else(|| unexpected(what))
     }
@@ -88,13 +88,13 @@ impl LayerTables {
     }
 }
 
-/// A value behind its own offset, with nothing in between.
+/// Reads an offset, which must lead to the bytes just after it, and the value there.
 pub(super) fn value_here(cursor: &mut Cursor, what: &str) -> Result<ValueRep> {
     no_gap(cursor, what)?;
     Ok(ValueRep(u64::from_le_bytes(cursor.array(what)?)))
 }
 
-/// Skips an offset that leads to the bytes behind it.
+/// Skips an offset, which must lead to the bytes just after it.
 pub(super) fn no_gap(cursor: &mut Cursor, what: &str) -> Result<()> {
     match i64::from_le_bytes(cursor.array(what)?) {
         8 => Ok(()),
@@ -153,7 +153,8 @@ fn read_field_sets(source: &Source, mut cursor: Cursor) -> Result<Vec<u32>> {
     Ok(sets.into_iter().map(i32::cast_unsigned).collect())
 }
 
-/// The names of the paths: the layer, prims that are each a child of the one before, and properties.
+/// The last name of each path: of the layer, of the prims, each a child of the one before, and of the
+/// properties.
 fn read_paths(source: &Source, mut cursor: Cursor, tokens: &[String]) -> Result<Vec<String>> {
     let at = cursor.clone();
     let path_count = count(&mut cursor, "paths")?;
@@ -182,7 +183,7 @@ fn read_paths(source: &Source, mut cursor: Cursor, tokens: &[String]) -> Result<
     Ok(found)
 }
 
-/// The fields of each path.
+/// The name, the type and the fields of each path.
 fn read_specs(
     source: &Source,
     mut cursor: Cursor,

@@ -22,7 +22,7 @@ pub(super) const COMPRESS_BLOSC: u32 = 4;
 
 /// The first byte of a block of values: it encodes the values of inactive slots.
 pub(super) mod inactive {
-    /// All are + background, or there are none.
+    /// All are + background, or there are no inactive slots.
     pub(in crate::vdb) const PLUS_BACKGROUND: u8 = 0;
     /// All are − background.
     pub(in crate::vdb) const MINUS_BACKGROUND: u8 = 1;
