@@ -26,7 +26,7 @@ pub(crate) fn is_gzip(bytes: &[u8]) -> bool {
 /// Decompresses all members of the file and concatenates them.
 ///
 /// # Errors
-/// `Short` if the file ends too early and `Invalid` if it is damaged, with the offset in the compressed file;
+/// `Truncated` if the file ends too early and `Invalid` if it is damaged, with the offset in the compressed file;
 /// `TooLarge` beyond `decompressed_bytes` or `decompression_ratio`.
 pub(crate) fn inflate(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     let mut inflated = Vec::new();
@@ -83,7 +83,7 @@ fn damage(source: &std::io::Error, consumed: usize) -> Error {
 /// file could look like any format.
 ///
 /// # Errors
-/// `Short` and `Invalid`, as from [`inflate`].
+/// `Truncated` and `Invalid`, as from [`inflate`].
 pub(crate) fn check_start(bytes: &[u8]) -> Result<()> {
     let mut start = GzDecoder::new(bytes).take(RATIO_FREE_BYTES);
     let outcome = std::io::copy(&mut start, &mut std::io::sink());

@@ -45,7 +45,7 @@ fn is_skippable(bytes: &[u8]) -> bool {
 /// Decompresses all frames of the file and concatenates them.
 ///
 /// # Errors
-/// `Short` if the file ends too early and `Invalid` if it is damaged, with the offset in the compressed file;
+/// `Truncated` if the file ends too early and `Invalid` if it is damaged, with the offset in the compressed file;
 /// `TooLarge` beyond `decompressed_bytes` or `decompression_ratio`, or if the window is too large.
 pub(crate) fn decompress(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     let mut decompressed = Vec::new();
@@ -152,7 +152,7 @@ fn is_end(error: &std::io::Error) -> bool {
 /// Checks the first bytes for damage without keeping the decompressed data.
 ///
 /// # Errors
-/// `Short`, `Invalid` and `TooLarge`, as from [`decompress`].
+/// `Truncated`, `Invalid` and `TooLarge`, as from [`decompress`].
 pub(crate) fn check_start(bytes: &[u8]) -> Result<()> {
     let at = frame_start(bytes)?;
     let mut start = decoder_of(bytes, at)?.take(crate::limits::RATIO_FREE_BYTES);

@@ -82,8 +82,8 @@ fn values_of(array: &Bound<'_, PyAny>, table: Option<Vec<String>>) -> PyResult<V
         Some(array.as_slice().map(<[T]>::to_vec).map_err(PyErr::from))
     }
     if let Some(table) = table {
-        let indices =
-            vector::<i32>(array).ok_or_else(|| PyTypeError::new_err("indices of words must be int32"))??;
+        let indices = vector::<i32>(array)
+            .ok_or_else(|| PyTypeError::new_err("the indices of strings must be int32"))??;
         return Ok(Values::Strings { table, indices });
     }
     let values = vector(array).map(|values| values.map(Values::F32));

@@ -38,7 +38,7 @@ fn why_not(name: &str, kind: ValueKind, text: &str) -> String {
             text.parse::<Length>().err().unwrap_or_else(|| format!("`{text}` is not a length"))
         }
         ValueKind::Number => format!("`{text}` is not a number"),
-        ValueKind::Count => format!("`{text}` is not a whole number from 0"),
+        ValueKind::Count => format!("`{text}` is not a whole number of at least 0"),
         ValueKind::Switch => format!("`{text}` is not True or False"),
         ValueKind::Text => format!("`{text}` is not a value of this option"),
     }

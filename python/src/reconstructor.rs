@@ -89,7 +89,7 @@ impl Reconstructor {
         })?;
         let (surface, settings) = made.map_err(of_method)?;
         if surface.report.particle_count == 0 {
-            warnings.push("no particle was left".to_owned());
+            warnings.push("no particles are left, so the surface is empty".to_owned());
         }
         Ok(Surface::new(surface, Arc::new(settings), recorded, prepared.1.is_some(), warnings))
     }

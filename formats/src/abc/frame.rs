@@ -120,7 +120,7 @@ fn attributes(archive: &MeshArchive) -> Result<Vec<FrameAttribute>> {
         };
         byte_count += values.byte_count();
         if byte_count > archive.container.bytes.len() {
-            let what = "attributes share their data, which this program does not write";
+            let what = "several attributes share their data; files of this program never do";
             return Err(Error::invalid(FORMAT, Position::Offset(*reference), what));
         }
         let is_color = header.metadata.contains(";interpretation=rgb");

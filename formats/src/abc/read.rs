@@ -273,7 +273,8 @@ impl<'a> MeshArchive<'a> {
         for bytes in self.array::<4>(names::COUNTS, (Pod::I32, 1), index)? {
             let count = u32::from_le_bytes(*bytes) as usize;
             let Some((face, others)) = rest.split_at_checked(count).filter(|_| count >= 3) else {
-                let what = format!("a face has {count} corners, and the faces {} in all", corners.len());
+                let what =
+                    format!("a face has {count} corners, but all faces together have {}", corners.len());
                 return Err(invalid(what));
             };
             let last = face[count - 1];

@@ -106,7 +106,7 @@ fn end_of_directory(bytes: &[u8]) -> Result<usize> {
     })
 }
 
-/// Turns `Short` into `Invalid`: the archive's end is present, so nothing more will be appended.
+/// Turns `Truncated` into `Invalid`: the archive's end is present, so nothing more will be appended.
 fn as_invalid(error: Error) -> Error {
     match error {
         Error::Truncated { format, place, what } => Error::Invalid { format, place, what },

@@ -150,7 +150,7 @@ impl PlyHeader {
 /// Reads only the header.
 ///
 /// # Errors
-/// `Short` if the file ends before `end_header`; `Invalid` if the header is malformed; `TooLarge` beyond
+/// `Truncated` if the file ends before `end_header`; `Invalid` if the header is malformed; `TooLarge` beyond
 /// `header_bytes` or
 /// `attribute_count`.
 pub fn read_header(bytes: &[u8], limits: &Limits) -> Result<PlyHeader> {

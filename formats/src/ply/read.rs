@@ -15,7 +15,7 @@ use super::{FORMAT, ascii, binary};
 /// Reads the vertices of a PLY file as particles, with all their scalar properties.
 ///
 /// # Errors
-/// `Short` if the file ends too early; `Invalid` if it is malformed or has no positions; `TooLarge` beyond
+/// `Truncated` if the file ends too early; `Invalid` if it is malformed or has no positions; `TooLarge` beyond
 /// the limits.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let header = read_header(bytes, limits)?;

@@ -28,12 +28,7 @@ pub struct LayerInfo {
 #[derive(Clone, Copy)]
 pub(crate) enum Elements<'a> {
     /// `arity` numbers starting at `first` in each group of `stride`.
-    Reals {
-        values: &'a [f32],
-        stride: usize,
-        first: usize,
-        arity: usize,
-    },
+    Reals { values: &'a [f32], stride: usize, first: usize, arity: usize },
     Integers {
         values: &'a [i64],
         arity: usize,
@@ -41,20 +36,11 @@ pub(crate) enum Elements<'a> {
         is_narrow: bool,
     },
     /// Indices into a table of strings; a missing string gets the index after the last one.
-    Strings {
-        table: &'a [String],
-        indices: &'a [i32],
-    },
+    Strings { table: &'a [String], indices: &'a [i32] },
     /// The number of corners of each face.
-    FaceCounts {
-        triangles: &'a [[u32; 3]],
-        quads: &'a [bool],
-    },
+    FaceCounts { triangles: &'a [[u32; 3]], quads: &'a [bool] },
     /// The vertex indices of the faces' corners.
-    FaceCorners {
-        triangles: &'a [[u32; 3]],
-        quads: &'a [bool],
-    },
+    FaceCorners { triangles: &'a [[u32; 3]], quads: &'a [bool] },
 }
 
 impl<'a> Elements<'a> {

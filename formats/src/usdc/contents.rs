@@ -82,14 +82,14 @@ pub(super) fn read_contents(table: &[u8], at: u64) -> Result<[(u64, u64); SECTIO
     };
     let (count, entries) = table.split_at(8);
     if count != (SECTIONS.len() as u64).to_le_bytes() {
-        return Err(Error::unsupported(FORMAT, format!("unknown sections: {NOT_OURS}")));
+        return Err(Error::unsupported(FORMAT, format!("this file has unknown sections: {NOT_OURS}")));
     }
     let mut found = [(0, 0); SECTIONS.len()];
     for (index, entry) in entries.as_chunks::<ENTRY_BYTES>().0.iter().enumerate() {
         let (name, place) = entry.split_at(NAME_BYTES);
         let name = String::from_utf8_lossy(name);
         if name.trim_end_matches('\0') != SECTIONS[index] {
-            return Err(Error::unsupported(FORMAT, format!("unknown sections: {NOT_OURS}")));
+            return Err(Error::unsupported(FORMAT, format!("this file has unknown sections: {NOT_OURS}")));
         }
         let [start, size] = [0, 8].map(|at| {
             let mut number = [0; 8];
@@ -97,8 +97,10 @@ pub(super) fn read_contents(table: &[u8], at: u64) -> Result<[(u64, u64); SECTIO
             u64::from_le_bytes(number)
         });
         if start < BOOTSTRAP_BYTES as u64 || start.checked_add(size).is_none_or(|end| end > at) {
-            let what =
-                format!("section {} with {size} bytes at {start} is not before this table", SECTIONS[index]);
+            let what = format!(
+                "section {} has {size} bytes from {start}, so it does not end before this table",
+                SECTIONS[index]
+            );
             return Err(Error::invalid(FORMAT, position, what));
         }
         found[index] = (start, size);

@@ -66,12 +66,15 @@ impl<'a> UsdcLayer<'a> {
         let tables = LayerTables::read(&source)?;
         let info = layer_info(&source, &tables)?;
         if tables.word(tables.specs[2].field("typeName"), "the prim's type")? != "Mesh" {
-            return Err(Error::unsupported(FORMAT, format!("other prims than one mesh: {NOT_OURS}")));
+            return Err(Error::unsupported(
+                FORMAT,
+                format!("this file has prims other than one mesh: {NOT_OURS}"),
+            ));
         }
         let mut properties = Vec::new();
         for (index, spec) in tables.specs.iter().enumerate().skip(3) {
             if spec.kind != SpecType::Attribute as i32 {
-                return Err(Error::unsupported(FORMAT, format!("relationships: {NOT_OURS}")));
+                return Err(Error::unsupported(FORMAT, format!("this file has relationships: {NOT_OURS}")));
             }
             properties.push((index, values_of(&source, spec)?));
         }
@@ -188,7 +191,7 @@ impl<'a> UsdcLayer<'a> {
         let arity = width.saturating_mul(size);
         if arity == 0 || vertex_count.checked_mul(arity) != Some(found) {
             return Err(invalid(format!(
-                "{found} values of {name} for {vertex_count} points with {arity} each"
+                "{name} has {found} values, but the mesh has {vertex_count} points with {arity} values each"
             )));
         }
         Ok(Some(FileAttribute { name: plain.to_owned(), arity, role, values }))
@@ -274,7 +277,7 @@ fn values_of(source: &Source, spec: &Spec) -> Result<PropertyValues> {
     let times = times.offset(ValueType::DoubleVector).ok_or_else(|| unexpected(name))?;
     let mut cursor = source.at(times)?;
     if count(&mut cursor, "times")? != sample_count {
-        return Err(at.invalid(format!("{name} has {sample_count} samples, and another number of times")));
+        return Err(at.invalid(format!("{name} has {sample_count} samples, but not as many times")));
     }
     let times = cursor.take(sample_count.saturating_mul(8), "times")?.as_chunks().0;
     source.claim(sample_count, size_of::<(f64, ValueRep)>())?;
@@ -301,7 +304,7 @@ fn fans(counts: &[i32], corners: &[i32], vertex_count: usize) -> Result<Vec<[u32
     for &count in counts {
         let face = usize::try_from(count).ok().filter(|&count| count >= 3);
         let Some((face, others)) = face.and_then(|count| rest.split_at_checked(count)) else {
-            return Err(invalid(format!("a face has {count} corners, and {} are left", rest.len())));
+            return Err(invalid(format!("a face has {count} corners, but only {} are left", rest.len())));
         };
         rest = others;
         let is_vertex = |index: i32| usize::try_from(index).is_ok_and(|index| index < vertex_count);

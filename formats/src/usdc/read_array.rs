@@ -35,7 +35,7 @@ impl<'a> Source<'a> {
     pub(super) fn at(&self, offset: u64) -> Result<Cursor<'a>> {
         let place = usize::try_from(offset).ok().filter(|&place| place <= self.bytes.len());
         let place = place.ok_or_else(|| {
-            let what = format!("a value at {offset} is behind the end, at {}", self.bytes.len());
+            let what = format!("a value would be at {offset}, but the file ends at {}", self.bytes.len());
             Error::invalid(FORMAT, Position::Offset(offset), what)
         })?;
         Ok(Cursor::new(FORMAT, Endian::Little, self.bytes, place))
@@ -70,10 +70,10 @@ impl<'a> Source<'a> {
     ) -> Result<Vec<T>> {
         let at = cursor.clone();
         let bytes_max = encoded_bytes_max::<T>(count)
-            .ok_or_else(|| at.invalid(format!("{count} {what} are more than any file has")))?;
+            .ok_or_else(|| at.invalid(format!("{count} {what} are more than a file can hold")))?;
         self.claim(count, T::CODE_BYTES[2])?;
         let encoded = self.lz4(cursor, bytes_max, what)?;
-        decode(&encoded, count).ok_or_else(|| at.invalid(format!("the compressed {what} are not {count}")))
+        decode(&encoded, count).ok_or_else(|| at.invalid(format!("expected {count} compressed {what}")))
     }
 
     /// The start of an array of this type, and whether it is compressed; `None` if it is empty.
@@ -132,7 +132,7 @@ impl<'a> Source<'a> {
                 let indices: Vec<i32> = self.integers(&mut cursor, count, what)?;
                 let value = |index: i32| table.get(usize::try_from(index).ok()?).copied();
                 let values: Option<Vec<f32>> = indices.into_iter().map(value).collect();
-                values.ok_or_else(|| at.invalid(format!("an index of {what} is behind its table")))
+                values.ok_or_else(|| at.invalid(format!("an index of {what} is beyond the end of its table")))
             }
             [code] => Err(at.invalid(format!("unknown compression {code} of {what}"))),
         }
@@ -162,7 +162,7 @@ impl<'a> Source<'a> {
 pub(super) fn count(cursor: &mut Cursor, what: &str) -> Result<usize> {
     let at = cursor.clone();
     let count = u64::from_le_bytes(cursor.array(what)?);
-    usize::try_from(count).map_err(|_| at.invalid(format!("{count} {what} are more than any file has")))
+    usize::try_from(count).map_err(|_| at.invalid(format!("{count} {what} are more than a file can hold")))
 }
 
 fn floats(bytes: &[u8]) -> Vec<f32> {

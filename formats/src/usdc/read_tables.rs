@@ -98,21 +98,21 @@ pub(super) fn value_here(cursor: &mut Cursor, what: &str) -> Result<ValueRep> {
 pub(super) fn no_gap(cursor: &mut Cursor, what: &str) -> Result<()> {
     match i64::from_le_bytes(cursor.array(what)?) {
         8 => Ok(()),
-        _ => Err(Error::unsupported(FORMAT, format!("nested {what}: {NOT_OURS}"))),
+        _ => Err(Error::unsupported(FORMAT, format!("this file has nested {what}: {NOT_OURS}"))),
     }
 }
 
 fn read_tokens(source: &Source, mut cursor: Cursor) -> Result<Vec<String>> {
     let at = cursor.clone();
-    let token_count = count(&mut cursor, "words")?;
-    let byte_count = count(&mut cursor, "bytes of words")?;
-    let text = source.lz4(&mut cursor, byte_count, "words")?;
-    let text = String::from_utf8(text).map_err(|_| at.invalid("the words are not UTF-8"))?;
+    let token_count = count(&mut cursor, "tokens")?;
+    let byte_count = count(&mut cursor, "bytes of tokens")?;
+    let text = source.lz4(&mut cursor, byte_count, "tokens")?;
+    let text = String::from_utf8(text).map_err(|_| at.invalid("the tokens are not UTF-8"))?;
     source.claim(text.bytes().filter(|&byte| byte == 0).count(), size_of::<String>())?;
     let words = text.strip_suffix('\0').map(|text| text.split('\0').map(str::to_owned).collect::<Vec<_>>());
     words
         .filter(|words| words.len() == token_count)
-        .ok_or_else(|| at.invalid(format!("expected {token_count} words")))
+        .ok_or_else(|| at.invalid(format!("expected {token_count} tokens")))
 }
 
 fn read_strings(source: &Source, mut cursor: Cursor) -> Result<Vec<u32>> {
@@ -144,7 +144,7 @@ fn read_fields(source: &Source, mut cursor: Cursor, tokens: &[String]) -> Result
 
 fn word<'a>(tokens: &'a [String], index: u32, at: &Cursor) -> Result<&'a str> {
     let word = tokens.get(index as usize);
-    word.map(String::as_str).ok_or_else(|| at.invalid(format!("there is no word {index}")))
+    word.map(String::as_str).ok_or_else(|| at.invalid(format!("there is no token {index}")))
 }
 
 fn read_field_sets(source: &Source, mut cursor: Cursor) -> Result<Vec<u32>> {
@@ -172,7 +172,10 @@ fn read_paths(source: &Source, mut cursor: Cursor, tokens: &[String]) -> Result<
         i32::try_from(index) == Ok(indices[index]) && jumps[index] == jump
     };
     if encoded_count != path_count || !(0..path_count).all(is_ours) {
-        return Err(Error::unsupported(FORMAT, format!("other prims than one mesh: {NOT_OURS}")));
+        return Err(Error::unsupported(
+            FORMAT,
+            format!("this file has prims other than one mesh: {NOT_OURS}"),
+        ));
     }
     let mut found = Vec::new();
     for name in names {
@@ -218,6 +221,8 @@ fn read_specs(
     let kinds = specs.iter().take(3).map(|spec| spec.kind);
     match kinds.eq(expected) {
         true => Ok(specs),
-        false => Err(Error::unsupported(FORMAT, format!("other prims than one mesh: {NOT_OURS}"))),
+        false => {
+            Err(Error::unsupported(FORMAT, format!("this file has prims other than one mesh: {NOT_OURS}")))
+        }
     }
 }
