@@ -27,15 +27,15 @@ pub struct OutputOptions {
     pub folder: PathBuf,
     /// One file in each of these formats.
     pub formats: Vec<OutputFormat>,
-    /// The up axis of the particles: glTF requires y, and USD records it.
+    /// The up axis of the particles. glTF requires y, and USD records the axis.
     pub up: UpAxis,
-    /// The length of a world unit in metres, positive and finite: USD records it.
+    /// The length of a world unit in metres, positive and finite. USD records it.
     #[serde(with = "text", default = "meter", skip_serializing_if = "is_meter")]
     pub meters_per_unit: f64,
-    /// Quantized integers in .glb.
+    /// Whether .glb files have quantized integers.
     #[serde(default, skip_serializing_if = "Not::not")]
     pub quantize: bool,
-    /// 16-bit values in .vdb.
+    /// Whether .vdb files have 16-bit values.
     pub vdb_half: bool,
     /// The compression of values in .vdb.
     pub vdb_compression: vdb::Compression,
@@ -54,8 +54,8 @@ fn is_meter(meters: &f64) -> bool {
 }
 
 impl OutputOptions {
-    /// These formats in this folder, with the defaults of `meniscus convert`: y is up, nothing is rounded,
-    /// and .vdb uses Blosc.
+    /// These formats in this folder, with the defaults of `meniscus convert`: y is up, values are neither
+    /// quantized nor rounded to 16 bits, and .vdb uses Blosc.
     pub fn new(folder: impl Into<PathBuf>, formats: &[OutputFormat]) -> OutputOptions {
         OutputOptions {
             folder: folder.into(),
@@ -74,7 +74,7 @@ impl OutputOptions {
         self.formats.iter().any(|format| format.is_picture())
     }
 
-    /// Whether there are pictures whose camera is not fixed yet.
+    /// Whether there are pictures whose camera still depends on the bounds of the sequence.
     pub fn needs_camera(&self) -> bool {
         self.has_pictures() && self.picture.camera.needs_bounds()
     }
@@ -84,8 +84,8 @@ impl OutputOptions {
         self.formats.iter().any(|format| format.has_option(option))
     }
 
-    /// The value of an option as text, as on the command line and in records. Quads are a setting of the
-    /// method.
+    /// The value of an option as text, as on the command line and in records. For quads, which are a setting
+    /// of the method, always `true`.
     pub fn value(&self, option: WriteOption) -> String {
         match option {
             WriteOption::Quads => true.to_string(),
@@ -107,13 +107,13 @@ impl OutputOptions {
         self.value(option) == OutputOptions::new("", &[]).value(option)
     }
 
-    /// The options for writing meshes, with these triangles as halves of quads.
+    /// The options for writing meshes. `quads` marks the triangles that form a quad with the next triangle.
     pub(crate) fn mesh(&self, quads: Arc<[bool]>) -> MeshOptions {
         let OutputOptions { up, meters_per_unit, quantize, .. } = *self;
         MeshOptions { up, meters_per_unit, quantize, quads, ..MeshOptions::default() }
     }
 
-    /// The up axis.
+    /// The up axis of pictures: that of the camera, or else that of the particles.
     pub fn up(&self) -> Up {
         self.picture.camera.up_or(up_of(self.up))
     }
