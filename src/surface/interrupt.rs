@@ -23,7 +23,7 @@ thread_local! {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Interrupted;
 
-/// Lets the flag interrupt computations on this thread, for the rest of its life.
+/// Lets the flag interrupt computations on this thread, for the rest of the thread's life.
 pub(super) fn watch_on_this_thread(flag: Arc<AtomicBool>) {
     FLAG.with(|watched| watched.replace(Some(flag)));
 }
@@ -40,7 +40,7 @@ pub(super) fn checkpoint() {
 
 #[cold]
 fn interrupt() {
-    // A second unwinding would abort the process. Unlike a panic, this calls no panic hook.
+    // A second unwinding would abort the process. Unlike a panic, `resume_unwind` calls no panic hook.
     if !thread::panicking() {
         resume_unwind(Box::new(Interrupted));
     }

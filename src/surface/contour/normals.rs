@@ -1,14 +1,14 @@
 //! Vertex normals from φ.
 //!
-//! φ grows outward, so its gradient is the normal, smoother and more accurate than normals computed from
-//! triangles. Where the gradient vanishes (midway between two sheets) it has no direction, and the triangles
-//! are used instead.
+//! φ grows outward, so its gradient points along the normal, and is smoother and more accurate than normals
+//! computed from triangles. Midway between two sheets, the gradient vanishes and has no direction. There, the
+//! normal comes from the triangles.
 
 use glam::{DVec3, Vec3};
 
 use crate::surface::mesh::Mesh;
 
-/// A shorter gradient is mostly rounding error. (The gradient of a distance has length one.)
+/// Gradients shorter than this are mostly rounding error. (The gradient of a distance has length one.)
 const LEAST_SLOPE: f32 = 1e-3;
 
 /// The direction of a gradient, or zero if it is too short.

@@ -8,7 +8,7 @@
 //!
 //!   one leaf            value index = x·64 + y·8 + z        (z fastest)
 //!                       a row is the 8 values along z: one vector register
-//!                       mask word x, byte y of it, bit z
+//!                       mask bit of a voxel = bit z of byte y of word x
 //! ```
 //!
 //! All fields of a frame share one [`Topology`]. A field is a single flat, aligned allocation of leaves in the

@@ -7,10 +7,10 @@
 //!    a ─── b
 //! ```
 //!
-//! So triangles 2i and 2i + 1 would be the halves of one quad, except for the few quads with additional
-//! vertices on their sides, where sheets almost touch: these become fans of five to eight triangles around a
-//! vertex in the middle. Two consecutive triangles never look like halves if one of them is in a fan, or if
-//! they belong to different quads, because no two quads share a diagonal.
+//! So triangles 2i and 2i + 1 would be the halves of one quad, but a few quads are not split into halves:
+//! where sheets almost touch, quads with additional vertices on their sides become fans of five to eight
+//! triangles around a vertex in the middle. Two consecutive triangles never look like halves if one of them
+//! is in a fan, or if they belong to different quads, because no two quads share a diagonal.
 
 use rayon::prelude::*;
 
