@@ -2,11 +2,11 @@
 //!
 //! A program that wants a frame to stop within milliseconds computes it in a rayon pool whose threads
 //! [watch](watch_on_this_thread) a flag. [`checkpoint`] runs before every kernel and in the other long loops.
-//! Once the flag is set, it unwinds its thread, rayon unwinds the other threads of the computation, and
-//! [`catch`] ends the unwinding.
+//! Once the flag is set, the next checkpoint unwinds its thread, rayon unwinds the other threads of the
+//! computation, and [`catch`] ends the unwinding.
 //!
-//! The alternative is that every loop of every stage returns a `Result`. Unwinding keeps the stages free of
-//! that, and costs one load per kernel. rust-analyzer cancels its queries in the same way.
+//! Alternatively, every loop of every stage could return a `Result`. Unwinding keeps the stages free of
+//! results, and costs one load per kernel. rust-analyzer cancels its queries in the same way.
 
 use std::cell::RefCell;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};

@@ -43,7 +43,7 @@ use crate::surface::mesh::Mesh;
 /// voxel.
 const EDGE_MARGIN: f32 = 1.0 / 128.0;
 
-/// The surface φ = 0 in the tetrahedra. A normal is zero where φ does not define one.
+/// Triangulates φ = 0 in the tetrahedra. A vertex normal is zero where φ defines no normal.
 pub(super) fn march_tetrahedra(band: &NarrowBand, placement: &MeshFrame) -> Mesh {
     let masks = negative_masks(&band.phi);
     let cases = tetrahedron_cases();
@@ -97,7 +97,7 @@ struct TetPatch {
 }
 
 impl TetPatch {
-    /// The patch of a leaf, if it contains anything.
+    /// The patch of a leaf; `None` if no crossed edge starts in the leaf.
     fn new(band: &NarrowBand, inside_masks: &[LeafMask], cases: &Cases, leaf: usize) -> Option<TetPatch> {
         let neighborhood = LeafNeighborhood::new(&band.topology, leaf);
         if !neighborhood.may_have_surface(inside_masks) {
@@ -186,7 +186,7 @@ fn crossing(block: &PhiBlock, index: usize, end: usize) -> (f32, Vec3) {
     (t, block.gradient(index).lerp(block.gradient(index + step), t))
 }
 
-/// Number of steps from the linear to the cubic crossing. Each gains about two digits.
+/// Number of steps from the linear to the cubic crossing. Each step gains about two digits of accuracy.
 const CROSSING_STEPS: usize = 2;
 
 /// Maximum length of these steps, in edge lengths.
@@ -271,7 +271,7 @@ fn triangles_of(path: [usize; 4], is_mirrored: bool, signs: usize) -> Triangles 
     triangles
 }
 
-/// Even permutations of four corners: every single corner, and every pair, comes first in one of them.
+/// Even permutations of four corners: each corner, and each pair of corners, comes first in one of them.
 const EVEN_ORDERS: [[usize; 4]; 12] = [
     [0, 1, 2, 3],
     [0, 2, 3, 1],

@@ -8,7 +8,7 @@
 //!      ○──┼──●
 //! ```
 //!
-//! Only thin sheets and noise have such faces. Everything here depends on signs alone.
+//! Only thin sheets and noise have such faces. All functions here depend on signs alone.
 
 use glam::IVec3;
 

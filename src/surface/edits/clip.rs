@@ -102,7 +102,7 @@ pub fn clip(band: &mut NarrowBand, lattice: &Lattice, clip_box: &VoxelClip) -> C
     clipped
 }
 
-/// Number of inside voxels of the old leaves that are not inside in the new ones, or whose leaf was removed.
+/// Number of inside voxels of the old leaves that are outside in the new leaves, or whose leaf was removed.
 fn stored_difference(old: &Topology, inside: &[LeafMask], new: &Topology, left: &[LeafMask]) -> u64 {
     let flipped = |(&origin, inside): (&IVec3, &LeafMask)| {
         let mut flipped = *inside;

@@ -73,7 +73,7 @@ impl Components {
         self.of_leaf(leaf).find(|(_, mask)| mask.contains(offset)).map(|(component, _)| component)
     }
 
-    /// The components in a leaf, with their voxels. A component may occur more than once.
+    /// The components in a leaf, with their voxels there. A component may occur more than once.
     pub(super) fn of_leaf(&self, leaf: usize) -> impl Iterator<Item = (u32, &LeafMask)> {
         let parts = self.starts[leaf] as usize..self.starts[leaf + 1] as usize;
         self.parts[parts].iter().map(|part| (part.component, &part.mask))

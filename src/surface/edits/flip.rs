@@ -76,7 +76,7 @@ fn near(band: &NarrowBand, flipped: &[(usize, LeafMask)]) -> BTreeMap<usize, Lea
     near
 }
 
-/// The voxels of a leaf that are in a box. Both are given in the same coordinates.
+/// The voxels of a leaf that are in a box. The box and the leaf's origin have the same coordinate system.
 fn box_mask(voxels: &CoordBox, leaf: IVec3) -> LeafMask {
     LeafMask::from_fn(|offset| voxels.contains(leaf + voxel_in_leaf(offset)))
 }

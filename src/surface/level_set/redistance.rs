@@ -30,7 +30,8 @@
 //!
 //! The sweeps determine the curvature that the smoother sees. The smoother differentiates φ four times, and
 //! treats an error in a distance as a bend to be straightened. So upwind differences can be second-order up
-//! to a distance from the surface, see [`Sweeps`]. Effect of that distance (lengths in voxels):
+//! to a distance from the surface, see [`Sweeps`]. Effect of that distance (lengths in voxels; fast: the
+//! default integrator):
 //!
 //! ```text
 //!   second order                                             nowhere   within 1.2   everywhere
@@ -38,7 +39,7 @@
 //!   growth of a sphere of radius 20 in 10 000 explicit steps    0.85                    0.005
 //!   volume of a noisy sphere (paper, Fig. 5), fast              0.983     0.993         0.995
 //!   Hilbert curve, fast: ∫H² with OpenVDB's mesher              500       504           510
-//!   Hilbert curve, fast: voxels to the published program's      0.018     0.071         0.095
+//!   Hilbert curve, fast: distance to the published program      0.018     0.071         0.095
 //! ```
 //!
 //! This work is based on:
@@ -191,7 +192,7 @@ fn dependent_rows(changed: &[u64], neighbors: &[u32; 6], leaf: usize) -> u64 {
     let own = changed[leaf];
     let [xm, xp, ym, yp, zm, zp] =
         neighbors.map(|neighbor| if neighbor == NO_LEAF { 0 } else { changed[neighbor as usize] });
-    // Row offsets of one and two: in x they shift by 8 and 16, in y by 1 and 2 within each byte.
+    // Bit shifts for row offsets of one and two: 8 and 16 in x; 1 and 2 within each byte in y.
     let along_x = own << 8 | own >> 8 | own << 16 | own >> 16;
     let along_y = own << 1 & !Y_LOW
         | own >> 1 & !Y_HIGH

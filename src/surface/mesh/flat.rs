@@ -18,7 +18,7 @@
 //!
 //! Both operations keep the mesh closed and manifold: a vertex is collapsed into a neighbor only if they have
 //! exactly two common neighbors, and an edge is flipped only if its new ends are not yet connected. An
-//! isolated tetrahedron without volume at the positions of one of the files is removed as a whole. The rest
+//! isolated tetrahedron without volume at the rounded positions of a file is removed as a whole. The rest
 //! of the mesh does not change, and no vertex moves. Flat triangles that cannot be removed stay, and
 //! [`Mesh::measure`] counts them.
 
@@ -43,7 +43,7 @@ const ROUNDS_MAX: usize = 64;
 /// left unchanged.
 const FLAT_PART_MAX: f64 = 0.05;
 
-/// This many flat triangles are processed whatever their fraction, because it is cheap.
+/// Up to this many flat triangles are processed even if they are a larger fraction, because it is cheap.
 const SMALL_MESH_TRIANGLES: usize = 10_000;
 
 /// The shortest edge of a needle is at most this fraction of its longest edge; otherwise the triangle is a

@@ -1,9 +1,9 @@
 //! Detects pairs of triangles that are halves of a quad.
 //!
 //! ```text
-//!    d ─── c        Dual contouring makes a quad around each crossed grid edge, splits it along one of its diagonals,
-//!    │ ╲   │        and writes the halves consecutively: (a b d) (b c d), where the second starts at either end of
-//!    │   ╲ │        the diagonal.
+//!    d ─── c        Dual contouring makes a quad around each crossed grid edge and splits the quad along a
+//!    │ ╲   │        diagonal. It writes the halves consecutively: (a b d) (b c d). The second half starts at
+//!    │   ╲ │        either end of the diagonal.
 //!    a ─── b
 //! ```
 //!

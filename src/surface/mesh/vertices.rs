@@ -111,7 +111,7 @@ fn vertex_energy(parts: &[CornerPart]) -> f64 {
     if area > 0.0 { curvature_vector.length_squared() / (4.0 * area) } else { 0.0 }
 }
 
-/// Counts the edges of a vertex, and checks whether its corners form one fan.
+/// Counts the edges of a vertex, and checks whether its triangles form one fan.
 #[inline(always)]
 fn count_edges(vertex: usize, corners: &[[u32; 2]], sums: &mut Sums) {
     sums.used_vertex_count += 1;

@@ -5,7 +5,7 @@
 //!   │ ∙ │∙ ∙│   │     the radius of a point in the middle cell are in one of these nine cells (27 in 3D).
 //!   ├───┼───┼───┤
 //!   │∙  │ ● │∙∙ │     x  y  z  index      sorted by cell, then in file order. x, y and z are relative
-//!   ├───┼───┼───┤     x  y  z  index      to the cell's lower corner, in units of the edge: 0 to 1. So 32 bits
+//!   ├───┼───┼───┤     x  y  z  index      to the cell's lower corner, in edge lengths: 0 to 1, so 32 bits
 //!   │  ∙│∙  │  ∙│     …                   are precise enough, however far from the origin the cell is
 //!   └───┴───┴───┘
 //! ```
@@ -37,7 +37,7 @@ pub struct Neighbors {
     cells: Lattice,
     /// Cells with particles, sorted.
     coords: Vec<IVec3>,
-    /// Where each cell's particles start; one more entry than cells.
+    /// Index of each cell's first particle; the last entry is the number of particles.
     starts: Vec<usize>,
     /// For each column (x, y), the range of its cells in `coords`.
     columns: FxHashMap<[i32; 2], Range<usize>>,
@@ -154,7 +154,7 @@ const INDEX_BITS: u32 = 35;
 const COORD_BITS: u32 = 31;
 
 fn key_of(cell: IVec3, index: u32) -> CellKey {
-    // Positions are in range, so no coordinate is negative after this.
+    // Positions are in range, so no coordinate is negative after adding the limit.
     let [x, y, z] = cell.to_array().map(|along| CellKey::from(along.wrapping_add(INDEX_LIMIT) as u32));
     ((x << COORD_BITS | y) << COORD_BITS | z) << INDEX_BITS | CellKey::from(index)
 }
@@ -185,7 +185,7 @@ fn cell_and_offset(world: DVec3, cells: &Lattice) -> Option<(IVec3, Vec3)> {
     Some((corner.as_ivec3(), (index - corner).as_vec3()))
 }
 
-/// The cells, and the position where each one's keys start.
+/// The cells, and for each cell the index of its first key; the last entry is the number of keys.
 fn cells_of(keys: &[CellKey]) -> (Vec<IVec3>, Vec<usize>) {
     let (mut coords, mut starts) = (Vec::new(), Vec::new());
     for (slot, &key) in keys.iter().enumerate() {

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!   mesh ────────▶ MeshSdf ─┐ sign by the winding number, distance by a tree of triangles
-//!                           ├──▶ φ_o of a leaf, in voxels of the frame's lattice, negative inside the obstacle
+//!                           ├──▶ φ_o of a leaf, in voxels of the frame, negative inside the obstacle
 //!   level set ───▶ GridSdf ─┘ interpolated
 //! ```
 //!

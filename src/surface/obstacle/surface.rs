@@ -56,7 +56,7 @@ pub(super) struct RepairedMesh {
     pub(super) findings: MeshFindings,
 }
 
-/// Positions beyond this are invalid: squares of their squares would overflow.
+/// Positions with a larger coordinate are invalid: the squares of their squares would overflow.
 const FARTHEST: f64 = 1e60;
 
 /// A triangle is flat if its height is below this fraction of its longest edge.
@@ -200,7 +200,7 @@ impl EdgeTriangles {
         EdgeTriangles { uses }
     }
 
-    /// The edges, each with its uses.
+    /// The edges, each with the triangles at it.
     fn iter(&self) -> impl Iterator<Item = &[([u32; 2], u32, bool)]> {
         self.uses.chunk_by(|one, other| one.0 == other.0)
     }

@@ -81,7 +81,8 @@ impl TriangleTree {
         size_of_val(&*self.nodes) + size_of_val(&*self.triangles)
     }
 
-    /// The squared distance from a point to the nearest triangle, if it is less than `limit`.
+    /// The squared distance from a point to the nearest triangle, if this squared distance is less than
+    /// `limit`.
     pub(super) fn nearest_squared(&self, point: DVec3, limit: f64) -> Option<f64> {
         self.nearest(point, limit).map(|nearest| nearest.distance_squared(point))
     }

@@ -20,7 +20,7 @@
 //! ```text
 //!   8³ ──▶ eight blocks of 4³ ──▶ eight of 2³ each ──▶ eight voxels: a row of values
 //!
-//!   kept:   d(centre, triangle) ≤ d(centre, nearest) + 2 · (from the centre to the farthest voxel of the block)
+//!   kept if d(centre, triangle) ≤ d(centre, nearest) + 2 · (from the block's centre to its farthest voxel)
 //! ```
 
 use glam::DVec3;

@@ -83,7 +83,7 @@ fn visit(tree: &TriangleTree, point: DVec3, mut see: impl FnMut(Item)) {
     }
 }
 
-/// The solid angle of a triangle, positive if the point is behind it.
+/// The solid angle of a triangle as seen from the origin, positive if the origin is behind the triangle.
 ///
 /// Adriaan van Oosterom, Jan Strackee. The Solid Angle of a Plane Triangle. 1983
 fn solid_angle([a, b, c]: [DVec3; 3]) -> f64 {

@@ -153,7 +153,7 @@ pub enum Positions<'a> {
     F64(Cow<'a, [[f64; 3]]>),
 }
 
-/// Conversions into [`Positions`] from everything that holds positions of one precision.
+/// Conversions into [`Positions`] from slices, vectors and arrays of positions of one precision.
 macro_rules! positions_from {
     ($number:ty, $variant:ident) => {
         impl<'a> From<&'a [[$number; 3]]> for Positions<'a> {

@@ -37,7 +37,8 @@ pub struct Footprint {
     pub particle_count: usize,
     /// Number of particles in leaves that are not deep inside: approximately the number that is kept.
     pub near_particle_count: usize,
-    /// Approximate number of particles whose neighborhoods are evaluated; 0 without such a step.
+    /// Approximate number of particles whose neighborhoods are evaluated before rasterization; 0 if
+    /// none are.
     pub shaped_particle_count: usize,
     /// Number of dropped particles: not finite, or too far away for the grid.
     pub dropped_count: usize,

@@ -6,8 +6,9 @@
 //!        c ─── b              c ─── b          old edges  v–a, v–b, …            heights h above the plane
 //!       ╱ ╲   ╱ ╲            ╱  ╲    ╲         new edges  w–c, w–b
 //!      d ── v ── a          d  ·  × ╌ ×  a
-//!       ╲   │   ╱            ╲    ╲  ╱         the difference of the heights is linear between · (where v was) and
-//!        e ─ w               e ──── w          × (where an old and a new edge cross), so it is maximal at one of these
+//!       ╲   │   ╱            ╲    ╲  ╱         the difference of the heights is linear between
+//!        e ─ w               e ──── w          · (where v was) and × (where an old and a new edge cross),
+//!                                              so it is maximal at one of these points
 //! ```
 
 use glam::{Vec2, Vec3};

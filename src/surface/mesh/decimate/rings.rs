@@ -5,9 +5,9 @@
 //!       ╱ ╲   ╱ ╲        ring of v: a b c d e, counter-clockwise;
 //!      d ── v ── a       its triangles are v a b, v b c, …, v e a
 //!       ╲   │   ╱
-//!        ── e ──         v collapsed into a:   a's ring     … b v e …      becomes … b c d e …
-//!                                              b's and e's                 lose v
-//!                                              c's and d's                 have a instead of v
+//!        ── e ──         v collapsed into a:   ring of a         … b v e …  becomes  … b c d e …
+//!                                              rings of b and e  lose v
+//!                                              rings of c and d  have a instead of v
 //! ```
 //!
 //! A vertex has a ring only if its triangles form one closed ring of at most [`DEGREE_MAX`] triangles. All
