@@ -58,7 +58,9 @@ fn failed(error: ExrError) -> Error {
 
 fn text(plain: &str) -> Result<Text> {
     let refused = || {
-        Error::invalid(FORMAT, Position::File, format!("the name \"{plain}\" cannot be stored in OpenEXR"))
+        let what =
+            format!("\"{plain}\" cannot be stored in OpenEXR, because it has characters outside Latin-1");
+        Error::invalid(FORMAT, Position::File, what)
     };
     Text::new_or_none(plain).ok_or_else(refused)
 }

@@ -20,9 +20,9 @@ class OptionValues(TypedDict, total=False):
     voxel_size : float | str
         Voxel edge length h, positive, in world units or particle spacings [default: 0.4d; depends on the preset]
     radius_min : float | str
-        Radius r_min of the sphere around each particle that the surface encloses, positive; particles in sheets and filaments get a flattened ellipsoid instead (`anisotropy`) [default: 1.15d, but no less than √3·h]
+        Radius r_min of the sphere around each particle, positive; the surface encloses these spheres, but particles in sheets and filaments get a flattened ellipsoid instead (`anisotropy`) [default: 1.15d, but no less than √3·h]
     radius_ratio : float
-        Ratio r_max / r_min, at least 1; no point of the surface is farther than r_max from all particles, and r_max is at most 64h [default: 2]
+        Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle, and r_max is at most 64h [default: 2]
     radius_init : float | str
         Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.26 r_min]
     offset : float | str

@@ -95,7 +95,7 @@ const fn parameter(
 /// The section that `meniscus tune --help` prints below the options.
 pub(super) fn tuning_help() -> String {
     let mut text =
-        "Parameters for --vary, with the values that are shown, beside the base value, if you give none:\n"
+        "Parameters for --vary. If you give no values for one, the sheet shows its base value and these:\n"
             .to_owned();
     for Parameter { name, option, meaning, amounts: (unit, numbers) } in &PARAMETERS {
         let x = if *unit == Times { "x" } else { "" };

@@ -387,7 +387,8 @@ fn with_camera(
     };
     let camera: CameraChoice = camera.parse().map_err(|why: String| PlanError::at(&*place, why))?;
     if camera.needs_bounds() {
-        return Err(PlanError::at(place, "it must be fixed: this camera depends on the frame"));
+        let what = "expected eye, target and ground: without them the camera depends on the frame's bounds";
+        return Err(PlanError::at(place, what));
     }
     let picture = PictureOptions { camera, ..outputs.picture };
     Ok(OutputOptions { picture, ..outputs.clone() })

@@ -111,7 +111,7 @@ pub struct StabilityTimeouts {
 /// When to poll folders.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Poll {
-    /// Where the system reports no changes, that is, on network file systems.
+    /// Where the operating system sends no file-system events, as on network file systems.
     Auto,
     /// Everywhere, at this interval.
     Every(Duration),

@@ -67,7 +67,8 @@ impl<'a> Container<'a> {
     /// The bytes of the data at a reference.
     pub(super) fn data(&self, reference: Reference, what: &str) -> Result<&'a [u8]> {
         if reference & DATA == 0 {
-            return Err(Error::invalid(FORMAT, Position::Offset(reference), format!("{what} must be data")));
+            let found = format!("expected a data block for {what}, found a group");
+            return Err(Error::invalid(FORMAT, Position::Offset(reference), found));
         }
         let at = reference & !DATA;
         if at == 0 {
@@ -82,8 +83,8 @@ impl<'a> Container<'a> {
     /// The children of a group.
     pub(super) fn group(&self, reference: Reference, what: &str) -> Result<Vec<Reference>> {
         if reference & DATA != 0 {
-            let at = Position::Offset(reference & !DATA);
-            return Err(Error::invalid(FORMAT, at, format!("{what} must be a group")));
+            let found = format!("expected a group for {what}, found a data block");
+            return Err(Error::invalid(FORMAT, Position::Offset(reference & !DATA), found));
         }
         if reference == EMPTY_GROUP {
             return Ok(Vec::new());

@@ -4,16 +4,16 @@ use crate::error::{Error, Position, Result};
 use crate::row::ReadPiece;
 use crate::usd::FORMAT;
 
-/// The first bytes of every file in the crate format.
+/// The first bytes of every file in Crate, the binary format of USD.
 pub(super) const MAGIC: &[u8] = b"PXR-USDC";
 
-/// The version of the format that this crate writes. OpenUSD reads it since v19.11 (2019).
+/// The version of the format that the writer uses. OpenUSD reads it since v19.11 (2019).
 const VERSION: [u8; 3] = [0, 8, 0];
 
 /// The size of the bootstrap.
 pub(super) const BOOTSTRAP_BYTES: usize = 88;
 
-/// The position in the bootstrap of the number that is the offset of the table of contents.
+/// The offset, within the bootstrap, of the field that holds the offset of the table of contents.
 pub(super) const CONTENTS_AT: usize = 16;
 
 /// The sections, in the order of the file.
@@ -98,7 +98,7 @@ pub(super) fn read_contents(table: &[u8], at: u64) -> Result<[(u64, u64); SECTIO
         });
         if start < BOOTSTRAP_BYTES as u64 || start.checked_add(size).is_none_or(|end| end > at) {
             let what = format!(
-                "section {} has {size} bytes from {start}, so it does not end before this table",
+                "section {} has {size} bytes from {start}; expected it between the bootstrap and this table",
                 SECTIONS[index]
             );
             return Err(Error::invalid(FORMAT, position, what));
@@ -108,8 +108,8 @@ pub(super) fn read_contents(table: &[u8], at: u64) -> Result<[(u64, u64); SECTIO
     Ok(found)
 }
 
-/// The size of a complete file of this crate, which ends with its table of contents; `None` if the table is
-/// missing.
+/// The size that a file of our writer has when it is complete: it ends with its table of contents. `None` if
+/// the bootstrap is incomplete, or the table is missing, incomplete or invalid.
 pub(super) fn claimed_bytes(head: &[u8], read: &mut ReadPiece) -> Result<Option<u64>> {
     let Some(head) = head.first_chunk::<BOOTSTRAP_BYTES>() else { return Ok(None) };
     let at = contents_at(head)?;

@@ -218,9 +218,9 @@ Choosing the spacing, the voxel size and the radii:
   coarse grid radii are raised to √3·h, the diagonal of a voxel, so that no particle falls between the
   voxels.
 
-  Smoothing keeps a sphere of radius r_min around every particle inside the surface, and no point of
-  the surface is farther than r_max from all particles. Particles in sheets and filaments are
-  flattened instead (--thin-radius), and particles without neighbours are smaller (--lone-radius).
+  The smoothed surface encloses a sphere of radius r_min around every particle, and each of its points
+  is within r_max of some particle. Particles in sheets and filaments are flattened instead
+  (--thin-radius), and particles without neighbours are smaller (--lone-radius).
 
   --radius-ratio  r_max / r_min: how far smoothing may move the surface. More is smoother, less
                   follows the particles more closely.

@@ -17,8 +17,8 @@ pub(super) struct CommandLine {
 }
 
 impl CommandLine {
-    /// The command that converts the inputs of `tune` with these options. The rest follows from the arguments
-    /// of `tune`.
+    /// The command that converts the inputs of `tune` with these options. The output folder, the obstacles
+    /// and the up axis are those given to `tune`.
     pub(super) fn convert(
         TuneArgs { inputs, out, pictures, .. }: &TuneArgs,
         options: &MethodOptions,

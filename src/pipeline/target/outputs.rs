@@ -27,12 +27,13 @@ pub struct OutputOptions {
     pub folder: PathBuf,
     /// One file in each of these formats.
     pub formats: Vec<OutputFormat>,
-    /// The up axis of the particles. glTF requires y, and USD records the axis.
+    /// The up axis of the particles. USD records it. In glTF and Alembic y is up: with z, a transform in the
+    /// file rotates the mesh.
     pub up: UpAxis,
-    /// The length of a world unit in metres, positive and finite. USD records it.
+    /// The length of a world unit in metres, within [`METERS_PER_UNIT`]: 1e-9 to 1e9. USD records it.
     #[serde(with = "text", default = "meter", skip_serializing_if = "is_meter")]
     pub meters_per_unit: f64,
-    /// Whether .glb files have quantized integers.
+    /// Whether .glb files store positions and normals as small integers (KHR_mesh_quantization).
     #[serde(default, skip_serializing_if = "Not::not")]
     pub quantize: bool,
     /// Whether .vdb files have 16-bit values.
@@ -84,8 +85,8 @@ impl OutputOptions {
         self.formats.iter().any(|format| format.has_option(option))
     }
 
-    /// The value of an option as text, as on the command line and in records. For quads, which are a setting
-    /// of the method, always `true`.
+    /// The value of an option as text, as on the command line and in records. Quads are a setting of the
+    /// method, and not known here: their value is always `true`, so ask for it only if they are on.
     pub fn value(&self, option: WriteOption) -> String {
         match option {
             WriteOption::Quads => true.to_string(),
@@ -126,7 +127,7 @@ impl OutputOptions {
     }
 }
 
-/// The path of the output in `format` of the frame with this stem.
+/// The path of a frame's output: the frame has this stem, and the output this format.
 pub fn output_path(folder: &Path, stem: &str, format: OutputFormat) -> PathBuf {
     folder.join(name_of_text(&format!("{stem}.{}", format.extension())))
 }

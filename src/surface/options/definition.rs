@@ -69,14 +69,14 @@ method_options! {
             voxel_size: Length,
         }
         Surface {
-            /// Radius r_min of the sphere around each particle that the surface encloses, positive; particles
-            /// in sheets and filaments get a flattened ellipsoid instead (--anisotropy) [default: 1.15d, but
-            /// no less than √3·h]
+            /// Radius r_min of the sphere around each particle, positive; the surface encloses these spheres,
+            /// but particles in sheets and filaments get a flattened ellipsoid instead (--anisotropy)
+            /// [default: 1.15d, but no less than √3·h]
             #[arg(value_name = "LENGTH")]
             radius_min: Length,
 
-            /// Ratio r_max / r_min, at least 1; no point of the surface is farther than r_max from all
-            /// particles, and r_max is at most 64h [default: 2]
+            /// Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle,
+            /// and r_max is at most 64h [default: 2]
             #[arg(value_name = "RATIO")]
             radius_ratio: f64,
 

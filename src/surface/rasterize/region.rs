@@ -3,7 +3,7 @@
 //! ```text
 //!   own        the window's leaves: φ_0, the bounds, which leaves are stored
 //!   banded     φ_0, which leaves are stored; the bounds are swept on these    ⎫ each: 2 voxels per sweep,
-//!   swept      distances; φ_0 is swept on these                               ⎭ plus 1 next to the surface
+//!   swept      distances; φ_0 is swept on these                               ⎭ plus 1 for their start
 //!   crossed    surface crossings: leaves within the margin of one are stored    the band's margin
 //!   measured   distances: where a crossing is depends on neighbors              1 voxel
 //!   populated  particles                                                        reach of distances
@@ -12,7 +12,8 @@
 //! Read bottom-up, the lines are the steps of rasterization. Read top-down, each line depends on the next
 //! one, whose region is wider by the amount on the right of that next line. Leaves count as a whole, since a
 //! leaf is stored if any of its voxels is. A smaller region cannot be proved sufficient: a sweep reads values
-//! two voxels away along an axis, and each sweep reads those of the previous one.
+//! two voxels away along an axis, and each sweep reads those of the previous one. Sweeps start from the
+//! voxels whose distance is known, and whether it is known depends on the face neighbours: hence the 1.
 
 use glam::IVec3;
 

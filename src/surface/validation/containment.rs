@@ -45,8 +45,8 @@ pub(super) fn particles_outside(part: &CheckedRegion) -> (Vec<(IVec3, Vec3)>, us
     (outside, exempt_count)
 }
 
-/// How far outside the surface a position is according to φ, in voxels; 0 if it is inside. The position is
-/// relative to the origin of its leaf, and φ is interpolated between voxels.
+/// How far outside the surface a particle is according to φ, in voxels; 0 if it is inside. φ is interpolated
+/// between voxels. The particle must be outside the mesh; its position is relative to the origin of its leaf.
 pub(super) fn depth_outside(band: &NarrowBand, origin: IVec3, local: Vec3) -> f32 {
     let cell = local.floor().as_ivec3();
     let part = local - cell.as_vec3();
@@ -56,8 +56,8 @@ pub(super) fn depth_outside(band: &NarrowBand, origin: IVec3, local: Vec3) -> f3
             let weights = Vec3::select(step.cmpeq(IVec3::ONE), part, 1.0 - part);
             let phi = match band.topology.find_voxel(origin + cell + step) {
                 Some((leaf, local)) => band.phi.leaves[leaf].values[offset_in_leaf(local)],
-                // No surface is near an unstored voxel. The particle is outside, so the voxel counts as
-                // outside, too.
+                // No surface is near an unstored voxel. The particle is outside the mesh, so the voxel counts
+                // as outside, too.
                 None => band.half_width,
             };
             weights.element_product() * phi
@@ -66,7 +66,7 @@ pub(super) fn depth_outside(band: &NarrowBand, origin: IVec3, local: Vec3) -> f3
     depth.max(0.0)
 }
 
-/// The particles of a leaf that the masks of its cells do not show to be inside.
+/// The particles of a leaf for which the cell masks do not prove that they are inside.
 struct Undecided {
     origin: IVec3,
     particles: Vec<Vec3>,
@@ -113,7 +113,7 @@ impl Kernel for LeafParticles<'_> {
 }
 
 /// An unstored voxel is inside if it lies in a particle. A ball with a radius above √3 voxels, the diagonal
-/// of a cell, contains all corners of the cell around its centre.
+/// of a cell, contains all corners of the cell that its centre lies in, wherever in the cell that is.
 const SURE_RADIUS: f32 = 1.75;
 
 impl LeafParticles<'_> {
@@ -141,7 +141,8 @@ impl LeafParticles<'_> {
 }
 
 /// Whether a voxel is inside. Where φ is stored, its sign decides. Elsewhere no surface is near, so the sign
-/// of φ_0 decides: unstored voxels around spheres so small that they fall between voxels are outside.
+/// of φ_0 decides. For example, a sphere may be so small that it contains no voxel: φ_0 is then positive at
+/// all voxels around it, so none of them is stored for it, and they are outside.
 pub(super) fn is_voxel_inside(part: &CheckedRegion, shaped: Option<&ShapedParticles>, voxel: IVec3) -> bool {
     if let Some((leaf, local)) = part.band.topology.find_voxel(voxel) {
         return part.cells.signs[leaf].contains(offset_in_leaf(local));

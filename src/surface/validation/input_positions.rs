@@ -1,8 +1,8 @@
 //! Checks the input positions of particles that position smoothing moved.
 //!
 //! ```text
-//!   ● input               φ > 0: outside, by φ. The depth is at most the displacement, because the moved
-//!    ╲      surface         particle is inside
+//!   ● input               φ > 0: outside, at a distance of φ. It is at most the displacement, because the
+//!    ╲      surface         moved particle is inside
 //!   ──╲──────────
 //!      ○ moved
 //! ```
@@ -52,8 +52,8 @@ fn moved_particles<S: ParticleSource>(
     Ok(source.moved_pairs(batch)?.into_iter().filter_map(place))
 }
 
-/// The moved particles whose input position may be outside the surface, batch by batch. Smoothing keeps φ
-/// below `upper`, a field on this topology; an offset, in voxels, is then subtracted from φ.
+/// The moved particles whose input position may be outside the surface, batch by batch. The smoothing of the
+/// level set keeps φ ≤ `upper`, a field on `topology`; `offset`, in voxels, is subtracted from φ afterwards.
 ///
 /// # Errors
 /// Those of the source.
@@ -145,8 +145,9 @@ impl MovedParticle {
             },
         };
         if phi > 0.0 && (exempt.is_empty() || !exempt.particle(self.origin, self.local)) {
-            // The moved particle was inside before the offset, and a negative offset moves the surface inward
-            // by as much.
+            // Before the offset the moved particle was inside, so the input position was outside by at most
+            // the displacement. A negative offset moves the surface inward by its absolute value, which is
+            // added to this limit.
             return OutsideCount { count: 1, deepest: phi.min(self.moved.length() - offset.min(0.0)) };
         }
         OutsideCount::default()
@@ -183,7 +184,8 @@ impl MovedParticle {
     }
 }
 
-/// Upper limit of the steps: neighbours are within 200 voxels, so no particle moves farther.
+/// Upper limit of the number of steps, each at most one voxel long. It is never reached: a particle moves
+/// toward neighbours within 200 voxels, so it moves no farther than that.
 const STEPS_MAX: f32 = 1024.0;
 
 fn value_at(topology: &Topology, field: &Field, voxel: IVec3) -> Option<f32> {

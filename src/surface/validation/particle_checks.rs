@@ -102,8 +102,8 @@ impl ParticleChecks {
     }
 }
 
-/// Checks a part of a frame. Returns the checks, and corrected positions for vertices that are out of bounds,
-/// if one exists within a voxel.
+/// Checks a part of a frame. Returns the checks, and a corrected position for each vertex that is out of
+/// bounds, if the correction steps reach one within one voxel of the vertex.
 pub fn check(part: &CheckedRegion) -> (ParticleChecks, Vec<BoundViolation>) {
     let (vertices, strays) = distances::check_vertices(part);
     let (outside, particles_exempt) = containment::particles_outside(part);

@@ -2,8 +2,8 @@
 //! its own thread, so a file system that hangs delays only its own folder.
 //!
 //! Events are hints; only scans are authoritative. A root is scanned at the start, after events were lost,
-//! when it becomes available again, and at regular intervals. On a network file system, which reports no
-//! changes, the interval is short. A folder that vanishes, or had files and is suddenly empty, is
+//! when it becomes available again, and at regular intervals. On a network file system, which sends no
+//! events, the interval is short. A folder that vanishes, or had files and is suddenly empty, is
 //! *unavailable*: its state is kept, because its disk may only be unmounted.
 
 use std::collections::HashSet;
@@ -279,7 +279,7 @@ impl Root {
         {
             tracing::info!(
                 folder = %self.path.display(),
-                "is on {name}, which reports no changes: it is scanned every {POLL_DEFAULT:?}"
+                "is on {name}, which sends no file-system events: it is scanned every {POLL_DEFAULT:?}"
             );
             self.poll = Some(POLL_DEFAULT);
         }

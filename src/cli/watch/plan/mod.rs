@@ -233,7 +233,7 @@ fn timeouts(once: bool, daemon: &DaemonArgs) -> Result<StabilityTimeouts> {
     for (name, time) in [("unproven", unproven), ("stalled", stalled)] {
         if time < settle {
             bail!(
-                "{name} is {}, less than settle, {}: files would fail before they have settled",
+                "`{name}` is {}, but must be at least `settle` ({}): otherwise files would be read too early",
                 humantime::format_duration(time),
                 humantime::format_duration(settle)
             );
