@@ -1,8 +1,9 @@
 //! The table of formats: one row per format, and the only list of formats in the code.
 //!
 //! Each format describes itself in its own module, in a static row; this file lists the rows. The rest of the
-//! program derives from them which files it recognises and reads, `--format` and its help, which options have
-//! an effect, what an output records, how an output is checked for completeness, and which notes users get.
+//! program derives from the rows which files it recognises and reads, `--format` and its help, which options
+//! have an effect, what an output records, how an output is checked for completeness, and which notes users
+//! get.
 //!
 //! ```text
 //!   FormatRow    name, extensions, signatures │ reads particles? │ reads a mesh?
@@ -255,8 +256,8 @@ impl<'de> Deserialize<'de> for OutputFormat {
     }
 }
 
-/// Reads the provenance that a writer of this crate stored in a file, from the first mebibyte. Returns an
-/// empty list for files of other programs.
+/// Reads the first mebibyte of a file, and returns the provenance that a writer of this crate stored there.
+/// Returns an empty list for files of other programs.
 ///
 /// # Errors
 ///
