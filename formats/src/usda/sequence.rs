@@ -28,7 +28,8 @@ use super::numbers::triple;
 use super::write::about;
 
 /// Writes a sequence of frames, whose numbers become the time codes and must increase. `open` opens the file
-/// of a frame, by its index. Returns notes on attributes that are omitted because the frames differ in them.
+/// of the frame with the given index. Returns notes on attributes that are omitted because the frames differ
+/// in them.
 ///
 /// # Errors
 ///

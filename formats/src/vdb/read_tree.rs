@@ -84,7 +84,7 @@ pub struct ConstantTile<V> {
     pub size: i32,
     /// The value of all its voxels.
     pub value: V,
-    /// Whether they are active.
+    /// Whether its voxels are active.
     pub active: bool,
 }
 

@@ -97,7 +97,8 @@ impl EncodedVdb {
     }
 }
 
-/// Writes `levels` as a file: a float grid of class "level set", followed by its other grids.
+/// Writes `levels` as a file: a float grid of class "level set", followed by the additional grids of
+/// `levels`.
 ///
 /// # Errors
 ///
@@ -112,8 +113,8 @@ pub fn write(
 }
 
 /// Encodes `levels` as a file, in the caller's thread pool: a float grid of class "level set", followed by
-/// its other grids with the same active voxels. With 16-bit floats, a grid with values beyond ± 65504 keeps
-/// 32 bits.
+/// the additional grids of `levels`, which have the same active voxels. With 16-bit floats, a grid with
+/// values beyond ± 65504 keeps 32 bits.
 ///
 /// # Errors
 ///

@@ -140,7 +140,7 @@ struct DocumentParts<N> {
 
 struct XmlSection {
     name: &'static str,
-    /// Further attributes of its tag.
+    /// XML attributes of the section's tag, as text.
     about: String,
     array_count: usize,
 }
