@@ -23,14 +23,14 @@ const MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 /// The first bytes of skippable frames, after a byte from 0x50 to 0x5f.
 const SKIPPABLE: [u8; 3] = [0x2a, 0x4d, 0x18];
 
-/// A decoder yields nothing before the end of a block. The first block ends within this many bytes: the
-/// headers of its frame and its own, 128 KiB of data, and space for a skippable frame.
+/// The first block ends within this many bytes: a skippable frame of up to about 4 KiB, the headers of the
+/// frame and of the block, and at most 128 KiB of data. A decoder yields nothing before the end of a block.
 pub(crate) const FIRST_BLOCK_BYTES_MAX: u64 = 132 << 10;
 
 /// Bytes decompressed between checks of the limits.
 const PIECE_BYTES: usize = 256 << 10;
 
-/// The largest window of a small file: more than compression levels up to 19 need.
+/// The largest window that is accepted for a small file. Compression levels up to 19 need less.
 const WINDOW_BYTES: u64 = 16 << 20;
 
 /// Whether the file is compressed with Zstandard.
@@ -160,7 +160,7 @@ pub(crate) fn check_start(bytes: &[u8]) -> Result<()> {
     outcome.map(drop).map_err(|source| damage(&source, bytes.len() - start.get_ref().get_ref().len()))
 }
 
-/// The offset of the first frame with content, or of the last one if all are empty.
+/// The offset of the first frame with content, or of the last frame if all frames are empty.
 fn frame_start(bytes: &[u8]) -> Result<usize> {
     let mut rest = bytes;
     loop {

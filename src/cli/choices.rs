@@ -54,7 +54,7 @@ pub(super) fn ignored(method: &MethodArgs, formats: &FormatArgs, written: &[Outp
     let ignored =
         ignored.map(|(name, need)| format!("{} is ignored: it is for {need} only", option_name(name)));
     let idle = method.given().into_iter().chain(formats.given()).filter_map(|name| {
-        // --quantize without effect is an error, and reported elsewhere.
+        // --quantize without effect is an error, which `FormatArgs::outputs` reports.
         let changed = formats_changed_by(name).filter(|_| name != WriteOption::Quantize.key())?;
         let is_idle = !written.iter().any(|format| changed.contains(format));
         is_idle.then(|| format!("{} changes no file: it is for {} only", option_name(name), kinds(&changed)))
@@ -93,7 +93,7 @@ fn kinds(formats: &[OutputFormat]) -> String {
 /// an input.
 ///
 /// # Errors
-/// The correct spelling.
+/// If there is such a number. The message states the correct spelling.
 pub(super) fn refuse_stray_rounds(args: &MethodArgs, inputs: &[PathBuf]) -> Result<()> {
     let is_stray = |input: &&PathBuf| {
         input.to_str().is_some_and(|text| text.parse::<u32>().is_ok()) && input.symlink_metadata().is_err()

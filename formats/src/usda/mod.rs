@@ -17,10 +17,11 @@
 //! ```
 //!
 //! Every program that reads USD reads its text form; the [binary form](crate::usdc) takes a quarter to a
-//! third of the size. A sequence is a single mesh whose attributes all have a sample per frame, rather than a
-//! file per frame and another that lists them: a single file can be moved, and can be replaced atomically.
+//! third of the size. A sequence is one file with a single mesh, whose attributes all have a sample per
+//! frame. USD also allows a file per frame and another file that lists them, but only a single file is easy
+//! to move and can be replaced atomically.
 //!
-//! Of a `.usda`, this crate reads only the head that it wrote itself.
+//! This crate does not read meshes from `.usda`: it reads only the heads of the files that it wrote.
 
 use crate::mesh_options::WriteOption;
 use crate::row::Integrity;

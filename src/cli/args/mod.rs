@@ -199,7 +199,7 @@ fn on_error() -> impl TypedValueParser<Value = OnError> {
     ])
 }
 
-/// A slack in voxels, limited by the width of the narrow band.
+/// Parses the value of `--band-slack` in voxels. The width of the narrow band limits it.
 fn slack() -> impl TypedValueParser<Value = f64> {
     ranged::<f64>(0.0..=SLACK_MAX_VOXELS.into())
 }

@@ -1,7 +1,7 @@
 //! The options of the daemon.
 //!
-//! All options but the folders are also keys of `meniscus.toml`, with underscores in their names. So none has
-//! a default here, and options on the command line override the file.
+//! All options but the folders are also keys of `meniscus.toml`, with underscores in their names. None has a
+//! default here: a default on the command line would look like a given option, and override the file.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -168,8 +168,8 @@ pub(in crate::cli) enum LogChoice {
 }
 
 impl FrameArgs {
-    /// These options, completed by those of a file. If `self` determines the spacing (by `--spacing` or
-    /// `--particle-radius`), both of these options in the file are ignored.
+    /// These options, and those of a file where `self` has none. If `self` determines the spacing (by
+    /// `--spacing` or `--particle-radius`), both of these options in the file are ignored.
     pub(in crate::cli) fn over_file(&self, file: &FrameArgs) -> FrameArgs {
         let mut file = file.clone();
         if self.method.to_options().spacing.is_some() {
