@@ -87,7 +87,7 @@ impl<'de> Deserialize<'de> for ReadEntries {
     }
 }
 
-/// Deserializes a document up to its `asset`, and stores that in the option.
+/// Deserializes a document up to its `asset`, and stores the asset in the option.
 struct AssetOf<'a>(&'a mut Option<ReadAsset>);
 
 impl<'de> DeserializeSeed<'de> for AssetOf<'_> {
