@@ -87,7 +87,7 @@ pub struct FileAttribute {
     pub name: String,
     /// Number of values per particle.
     pub arity: usize,
-    /// Its recognised meaning.
+    /// Its meaning; `None` if it is not recognised.
     pub role: Option<AttributeRole>,
     /// `arity` values per particle.
     pub values: Values,
@@ -179,7 +179,7 @@ impl MeshView<'_> {
 pub struct VertexAttribute<'a> {
     /// Its name, as in the particle file.
     pub name: &'a str,
-    /// Its recognised meaning.
+    /// Its meaning; `None` if it is not recognised.
     pub role: Option<AttributeRole>,
     /// Number of values per vertex, at least 1.
     pub arity: usize,
@@ -269,7 +269,7 @@ pub struct LevelSetView<'a> {
 pub struct BandGrid<'a> {
     /// Its name, as in the particle file. The grid of a velocity is always called `velocity`.
     pub name: &'a str,
-    /// Its recognised meaning.
+    /// Its meaning; `None` if it is not recognised.
     pub role: Option<AttributeRole>,
     /// Number of values per voxel: 1, or 3 for a vector.
     pub arity: usize,

@@ -204,7 +204,7 @@ const MAGIC: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
 /// The bit of the version field for files with several parts.
 const MULTIPLE_PARTS: u32 = 0x1000;
 
-/// The header of a block: its part, its first line, the size of its data.
+/// Size in bytes of the header of a block: its part, its first line, the size of its data.
 pub(crate) const BLOCK_HEAD_BYTES: u64 = 12;
 
 /// The row in the table of formats.

@@ -3,8 +3,8 @@
 //! This crate does not depend on the grids, the reconstruction or the pipeline of the main crate. A reader
 //! turns the bytes of one file into plain vectors ([`data`]); a writer turns borrowed slices into bytes.
 //! Every reader treats its input as hostile: before it allocates memory, it compares each count with the
-//! bytes that remain. Every failure is an [`Error`] that says where in the file it happened and what was
-//! expected there.
+//! bytes that remain. Every failure is an [`Error`] that says what is wrong and, if the file is truncated
+//! or invalid, where in the file, and what was expected there.
 
 #![forbid(unsafe_code)]
 

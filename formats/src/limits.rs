@@ -20,8 +20,8 @@ pub struct Limits {
     pub decompressed_bytes: u64,
     /// Maximum number of decompressed bytes per compressed byte, ignoring the first 16 MiB.
     pub decompression_ratio: u64,
-    /// Memory for a level set, in bytes: its file, the data read from it, and the tables that locate its
-    /// leaves and tiles.
+    /// Maximum memory for a level set, in bytes: its file, the data read from it, and the tables that locate
+    /// its leaves and tiles.
     pub level_set_bytes: u64,
 }
 

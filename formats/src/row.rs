@@ -163,7 +163,7 @@ pub struct PositionRounding {
     pub positions: RoundPositions,
     /// The largest rounding error along an axis.
     pub error: fn(&[[f32; 3]], [f64; 3]) -> f64,
-    /// What a certificate of such a file describes.
+    /// What the certificate of a rounded file names as its subject.
     pub certificate_subject: &'static str,
     /// Which files are rounded, and why. Completes the warning "vertices are moved by up to 0.1 voxels in …".
     pub reason: &'static str,

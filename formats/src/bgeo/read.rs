@@ -44,7 +44,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 ///
 /// # Errors
 ///
-/// Those of [`read`], after the header.
+/// Those of [`read`] that do not concern the header.
 pub(super) fn records(header: &BgeoHeader, file_bytes: u64, rest: &[u8]) -> Result<Records> {
     checked_points_bytes(header, file_bytes)?;
     Ok(Records {

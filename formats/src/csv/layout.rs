@@ -352,7 +352,7 @@ struct HeadLines<'a> {
     bytes: &'a [u8],
     at: usize,
     number: u64,
-    /// Lines must end before this offset.
+    /// The limit of the header: a line must end before this offset, unless it ends with the file.
     end: usize,
 }
 

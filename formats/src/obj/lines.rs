@@ -166,7 +166,7 @@ fn await_element(awaited: &mut Vec<(u64, u64)>, line: u64, number: u64, count: u
 }
 
 /// Converts an index to one that counts from 1. A negative index counts backwards from the last element
-/// before the line. Whether the element exists is known only at the end of the file: see [`MeshLines::place`].
+/// before the line. Only the end of the file shows whether the element exists: see [`MeshLines::place`].
 fn index(text: &[u8], count: u64, corner: &[u8]) -> Result<u64, String> {
     let wrong = || format!("a face has an invalid corner `{}`", excerpt(corner));
     let number: i64 = std::str::from_utf8(text).ok().and_then(|text| text.parse().ok()).ok_or_else(wrong)?;

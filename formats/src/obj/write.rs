@@ -8,7 +8,7 @@
 //!
 //! ```text
 //!   batch 0: header │ batch 1: v v ‥ v vn ‥ vn │ batch 2: vn ‥ vn f ‥ f │ f ‥ f, last line
-//!                              └┴ one task each
+//!                              └┴ one task each, up to 8192 lines
 //! ```
 //!
 //! Each batch can be encoded independently, so the writer need not hold the whole text.
