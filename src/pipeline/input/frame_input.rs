@@ -55,8 +55,8 @@ impl LevelSetInput {
     }
 }
 
-/// Reads the level set in the bytes of a frame's file, within a memory limit. Returns it with the frame,
-/// which gets the voxel size and the origin of the file.
+/// Reads the level set in the bytes of a frame's file, within a memory limit. Returns the level set, and the
+/// frame with the voxel size and the origin of the file.
 ///
 /// # Errors
 /// When the file has no readable level set, or its surface cannot be made with the settings or written in a
@@ -139,7 +139,7 @@ impl FrameInput {
         }
     }
 
-    /// The size of the selected attributes of a particle, in bytes.
+    /// The size of the selected attributes, in bytes per particle.
     pub(crate) fn attribute_bytes(&self, settings: &Settings) -> f64 {
         let (FrameInput::InMemory(cloud), Some(selection)) = (self, &settings.attributes) else {
             return 0.0;
@@ -169,7 +169,7 @@ impl FrameInput {
                 let (cloud, shape_stats) = reconstruction::shape_by_attributes(cloud, settings);
                 (FrameInput::InMemory(cloud), shape_stats)
             }
-            // What needs attributes is never read in batches.
+            // A file is read in batches only if the settings need no attributes.
             FrameInput::OnDisk(_) | FrameInput::LevelSet(_) => (self, ShapeStats::default()),
         }
     }
@@ -243,7 +243,8 @@ impl ParticleSource for FrameInput {
 }
 
 impl FileParticles {
-    /// A file that was complete when it was opened and cannot be read now has usually changed.
+    /// The cause of a read error. A file that was complete when it was opened and cannot be read now has
+    /// usually changed.
     fn cause(&self, error: meniscus_formats::Error) -> Cause {
         let is_changed = |unchanged: io::Result<bool>| unchanged.is_ok_and(|unchanged| !unchanged);
         if is_changed(self.file.is_unchanged()) { Cause::Changed } else { Cause::File(error) }

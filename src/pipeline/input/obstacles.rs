@@ -74,14 +74,14 @@ pub(crate) struct FoundObstacles {
     found: Vec<FoundObstacle>,
 }
 
-/// One of these files.
+/// An obstacle of a frame, found and hashed.
 struct FoundObstacle {
     path: PathBuf,
     /// The file and its buffer files, with their stamps.
     files: Vec<(PathBuf, FileStamp)>,
     hash: u128,
     content: ObstacleShape,
-    /// The index of its path, if the obstacle does not move.
+    /// The index of the obstacle's path; `None` if the obstacle moves.
     still: Option<usize>,
 }
 
@@ -172,7 +172,7 @@ impl ObstacleFiles {
         stamps
     }
 
-    /// The buffer files of an obstacle, as far as it can be read now.
+    /// The buffer files of an obstacle; empty if the obstacle cannot be read at present.
     fn external_files(&self, path: &Path) -> Vec<PathBuf> {
         if !is_gltf_text(path) {
             return Vec::new();
@@ -288,7 +288,7 @@ impl ObstacleFiles {
 }
 
 impl LoadedObstacle {
-    /// Whether none of its files has changed since.
+    /// Whether none of its files has changed since it was loaded.
     fn is_as_it_was(&self) -> bool {
         self.files.iter().all(|(path, stamp)| stamp_of(path) == Some(*stamp))
     }
