@@ -76,8 +76,8 @@ pub struct PipelineOptions<'a> {
     /// The approximate limit on the memory of all frames in flight, in bytes. A frame that alone needs more
     /// is reconstructed in tiles on disk; if that is impossible, it fails with the amount that it needs.
     pub memory_bytes: u64,
-    /// Who indexes a file with several frames after it changed. If it is another thread, reading never waits
-    /// for the index.
+    /// Which thread indexes a file with several frames after the file has changed. If it is not the reading
+    /// thread, reading never waits for the index.
     pub index_policy: IndexPolicy,
     /// Output folders that mirror input folders: the pipeline does not write through links below them,
     /// because other accounts may have created those.
@@ -138,7 +138,8 @@ pub fn default_in_flight(threads: usize) -> usize {
     threads + writer_count(threads) + 1
 }
 
-/// Encoding takes little time compared to computing; more threads would only wait for the disk.
+/// The number of threads that write. Encoding takes little time compared to computing, so more threads would
+/// only wait for the disk.
 fn writer_count(thread_count: usize) -> usize {
     thread_count / 2 + 1
 }
@@ -162,7 +163,8 @@ pub fn run<M: Method>(
         |index, _, outcome| {
             early.insert(index, outcome);
             while let Some(outcome) = early.remove(&finished_count) {
-                // A frame after the failed one may have failed first.
+                // A frame after the failed one may have failed before it in time. It is reported as not
+                // started.
                 let outcome = if is_stopped { Outcome::NotStarted } else { outcome };
                 is_stopped |= options.on_error == OnError::Stop && is_failure(&outcome);
                 finished(finished_count, outcome);
@@ -203,7 +205,8 @@ fn drive<'scope, 'env: 'scope, M: Method, K: Send + 'env>(
         OnError::Continue => options.pool.current_num_threads().min(in_flight),
     };
     let (room, no_room) = bounded(in_flight);
-    // A thread of the pool never waits to report an outcome.
+    // The channel has room for all frames in flight, so that a thread of the pool never waits to report an
+    // outcome.
     let (done, outcomes) = bounded(in_flight);
     let (to_rasterize, to_rasterize_from) = bounded(0);
     let (to_smooth, to_smooth_from) = link(width);

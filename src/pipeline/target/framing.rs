@@ -89,7 +89,7 @@ impl Framing {
             return true;
         }
         let viewpoint = match framed.around {
-            // A user who zooms in wants only a part in the picture.
+            // A user who zooms in wants only a part in the picture, so the check ignores the zoom.
             Some(around) => self.requested.not_zoomed_in().viewpoint(around, self.aspect, self.up),
             None => framed.camera.viewpoint(bounds, self.aspect, self.up),
         };
