@@ -124,7 +124,7 @@ impl SequenceOutputs {
     /// The requested sequence files, possibly none.
     ///
     /// # Errors
-    /// If these options do not allow to make them.
+    /// If the files cannot be made with these options.
     pub(super) fn new(
         args: &SequenceFileArgs,
         outputs: &OutputOptions,

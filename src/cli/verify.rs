@@ -28,8 +28,8 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
     if !folder.is_dir() {
         bail!("{}: folder not found", args.folder.display());
     }
-    // `folder/.` can be resolved only with the permission to search the folder, and reading files in it
-    // requires no other.
+    // `folder/.` can be resolved only with the permission to search the folder, and reading the files in it
+    // requires no other permission of the folder.
     folder
         .join(".")
         .metadata()

@@ -33,7 +33,7 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<CommandOutcom
         None => DaemonSettings::of_journal(args, &frame)?,
     };
     // Only a configuration file may name several output folders, among which `--out` selects. A journal
-    // belongs to one.
+    // belongs to one output folder.
     let output = args.out.as_deref().filter(|_| args.config.is_some());
     let watch = asked.watch_of(&frame, output)?;
     let frame = below(&watch.input, &frame).unwrap_or(frame);
@@ -135,8 +135,8 @@ impl DaemonSettings {
     }
 
     /// The watch that the frame belongs to. Candidates are the watches whose folder contains the frame and,
-    /// if `output` is given, that write into `output`. Those that select the frame by its name come first; of
-    /// several, the innermost folder wins.
+    /// if `output` is given, that write into `output`. A watch that selects the frame by its name comes
+    /// before one that does not; otherwise the watch with the innermost folder comes first.
     fn watch_of(&self, frame: &Path, output: Option<&Path>) -> Result<&Watch> {
         let output = output.map(canonical_path).transpose().context("--out has no name")?;
         let is_meant = |watch: &&Watch| {

@@ -35,7 +35,7 @@ const VERSION: u64 = 1;
 /// Maximum size of a plan; a plan of a million frames takes a third of it.
 const SIZE_MAX_BYTES: u64 = 1 << 30;
 
-/// The allowed edges of pictures, pixels.
+/// The allowed width and height of pictures, in pixels.
 const PICTURE_EDGES: std::ops::RangeInclusive<usize> = 16..=8192;
 
 #[derive(Serialize, Deserialize)]
@@ -177,8 +177,8 @@ pub fn parse(bytes: &[u8]) -> Result<ShardPlan, PlanError> {
             ));
         }
     }
-    // Another version of the program may write other bytes, but all shards of a plan must use the same
-    // version.
+    // Another version of the program may write other bytes for the same frame, but all shards of a plan must
+    // write the same ones.
     let generator = head.generator.unwrap_or_default();
     if generator != GENERATOR_AND_VERSION {
         return Err(PlanError::at(

@@ -37,7 +37,7 @@ pub(super) struct Subscribers {
 /// The event that was serialized last.
 #[derive(Clone, Debug)]
 struct LastEvent {
-    /// It holds the changes after this version.
+    /// The event holds the changes after this version.
     after: u64,
     /// The version of the store when the event was serialized.
     store_version: u64,

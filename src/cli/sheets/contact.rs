@@ -154,7 +154,7 @@ impl SequenceRows {
     }
 }
 
-/// The resources for making sheets.
+/// What all sequences of a sheet share.
 struct Contact<'a> {
     args: &'a ContactSheetArgs,
     session: RenderSession<'a>,

@@ -1,8 +1,8 @@
 //! Chooses which file represents each frame on a contact sheet.
 //!
 //! ```text
-//!   dam.0001.png   dam.0001.vdb   dam.0001.bgeo      the same frame: a picture is cheapest, then a level set,
-//!   dam.0002.png   dam.0002.vdb   dam.0002.bgeo      then particles, which must be converted
+//!   dam.0001.png   dam.0001.vdb   dam.0001.bgeo     the same frame: a picture is cheapest, then a level set,
+//!   dam.0002.png   dam.0002.vdb   dam.0002.bgeo     then particles, which must be converted
 //!                  dam.0003.vdb   dam.0003.bgeo
 //!                       ▲
 //!                       one kind for the whole sequence: the one with the most frames, then the cheapest

@@ -75,8 +75,8 @@ fn end_when_overdue(control: &Arc<Control>) -> io::Result<()> {
 }
 
 /// Logs from another thread. The returned receiver gets a message when the line is written, and is
-/// disconnected if the thread cannot be started. Neither may ever happen: a standard error that is a full
-/// pipe blocks its writer.
+/// disconnected if the thread cannot be started. If the standard error is a full pipe, which blocks its
+/// writer, neither happens.
 #[cfg(unix)]
 fn log_detached(log: impl FnOnce() + Send + 'static) -> Receiver<()> {
     let (done, is_done) = channel();

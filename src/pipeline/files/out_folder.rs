@@ -56,7 +56,7 @@ pub fn make_out_folder(folder: &Path) -> Result<(), OutFolderError> {
 /// Interprets the result of an attempt to create a folder.
 fn made(folder: &Path, result: io::Result<()>) -> Result<(), OutFolderError> {
     match result {
-        // For a folder that exists, some systems report another error than that it exists. So only a missing
+        // Some systems report an existing folder by another error than `AlreadyExists`. So only a missing
         // folder is an error.
         Err(source) if !folder.is_dir() => Err(OutFolderError::Make { folder: folder.to_owned(), source }),
         _ => check_out_folder(folder),

@@ -127,8 +127,8 @@ pub fn sweep_temporaries(folder: &Path) -> Result<Swept, SweepError> {
 /// Removes an abandoned temporary file.
 fn sweep(path: &Path) -> io::Result<bool> {
     let Some(_locked) = lock_abandoned(path)? else { return Ok(false) };
-    // The lock is held until the file is removed, so that a process that has just created it cannot lock it,
-    // and uses another name.
+    // The lock is held until the file is removed, so that a process that has just created the file cannot
+    // lock it, and uses another name.
     fs::remove_file(path)?;
     Ok(true)
 }

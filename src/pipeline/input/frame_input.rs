@@ -27,7 +27,7 @@ use crate::pipeline::warning::Warning;
 /// The input of a frame.
 #[derive(Debug)]
 pub enum FrameInput {
-    /// All of its particles.
+    /// All particles of the frame.
     InMemory(ParticleCloud),
     /// The particles in a file whose records can be read one by one.
     OnDisk(Box<FileParticles>),
@@ -93,7 +93,7 @@ pub struct FileParticles {
 const BATCH_BYTES: usize = 512 << 10;
 
 impl FileParticles {
-    /// The particles in an open file; `None` if it has to be read whole.
+    /// The particles in an open file; `None` if the file has to be read whole.
     ///
     /// # Errors
     /// Those of the format's reader.
@@ -130,7 +130,7 @@ impl FrameInput {
         self.len() == 0
     }
 
-    /// The memory of the input while it waits, in bytes.
+    /// The memory that the input takes while the frame waits for its next stage, in bytes.
     pub(crate) fn size_bytes(&self) -> u64 {
         match self {
             FrameInput::InMemory(cloud) => cloud.size_bytes() as u64,

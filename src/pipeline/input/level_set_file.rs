@@ -214,7 +214,7 @@ fn velocities(
     }
     let mut fields = vectors.background.map(|number| Field::splat(band.topology.len(), number));
     for (&origin, values) in vectors.origins.iter().zip(&vectors.leaves) {
-        // No code reads velocities far from the surface.
+        // Velocities outside the band are skipped: no code reads those far from the surface.
         let Some(leaf) = band.topology.find(IVec3::from(origin)) else { continue };
         for (axis, field) in fields.iter_mut().enumerate() {
             field.leaves[leaf] = Leaf { values: values.map(|value| value[axis]) };

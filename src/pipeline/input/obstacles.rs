@@ -105,7 +105,7 @@ pub struct FrameObstacles {
     pub(crate) recorded: String,
     /// The number of boundary edges of the meshes.
     pub(crate) open_edge_count: usize,
-    /// The memory of the obstacles that only this frame has, and of all of them, in bytes.
+    /// The memory of the obstacles that only this frame has, and of all its obstacles, in bytes.
     pub(crate) own_bytes: u64,
     pub(crate) all_bytes: u64,
 }
@@ -307,7 +307,7 @@ fn pattern_of(path: &Path) -> Option<NumberPattern<'_>> {
     NumberPattern::find(path.file_name()?.to_str()?)
 }
 
-/// The file of a path for the frame with this number.
+/// The obstacle file for the frame with this number: `path` itself, or the file of its pattern.
 fn file_of(path: &Path, number: Option<u64>) -> Result<PathBuf, ObstacleError> {
     let missing =
         |path: &Path, what: String| Err(failed(path, io::Error::new(io::ErrorKind::NotFound, what).into()));

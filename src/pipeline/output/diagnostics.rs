@@ -116,7 +116,7 @@ const CROWD: usize = 33;
 /// size is half the spacing, even randomly placed particles have a surface without holes.
 const HOLED_ONE_IN: usize = 50;
 
-/// Up to this number of holes is never too many: rings, shells and jugs have a few by design.
+/// A surface with up to this number of holes never has too many: rings, shells and jugs have a few by design.
 const FEW_HOLES: usize = 8;
 
 /// A surface with more than one piece per this number of particles is fragmented if no piece has half of the

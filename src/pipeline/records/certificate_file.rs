@@ -8,9 +8,9 @@
 //! ```
 //!
 //! An output cannot record the checks of its own final bytes, and the log of a run may be lost or belong to
-//! another run. The hashes bind the certificate to the exact bytes that were checked, so later
-//! readers need neither the run nor its machine to trust them. The certificate appears after the outputs: if
-//! it exists, they do.
+//! another run. The hashes bind the certificate to the exact bytes that were checked, so later readers need
+//! neither the run nor its machine to trust them. The certificate appears after the outputs: if it exists,
+//! they do.
 //!
 //! Like all outputs, it depends only on the input, the settings and the version of this program.
 

@@ -242,7 +242,7 @@ const LOCK_ATTEMPTS_MAX: usize = 100;
 const LOCK_PAUSE: Duration = Duration::from_millis(20);
 
 /// Locks the records of a folder against other processes, until the returned file is dropped. On a file
-/// system without locks, the file is returned without one.
+/// system without locks, returns the file unlocked.
 ///
 /// # Errors
 /// When the system reports an error; [`io::ErrorKind::WouldBlock`] if another process has held the lock for

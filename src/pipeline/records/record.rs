@@ -129,7 +129,7 @@ struct ObstaclesRecord {
 #[serde(deny_unknown_fields)]
 pub(crate) struct CertificateRecord {
     holds: bool,
-    /// How far the surface was moved outward after the check of its bounds, a length; negative inward.
+    /// How far the surface was moved outward after the check of its bounds, a length; negative if inward.
     offset: f64,
     /// The required minimum and maximum distance from a vertex to the nearest particle, lengths. Null for
     /// surfaces of level sets.
@@ -310,7 +310,7 @@ impl Serialize for Object {
     }
 }
 
-/// The settings for particles: some as numbers, and those of the others that were given as text, by name.
+/// The settings for particles: some as numbers, and the others, if they were given, as text by name.
 fn settings_of_particles(
     settings: &Settings,
     (outputs, obstacles): (&OutputOptions, &ObstacleFiles),

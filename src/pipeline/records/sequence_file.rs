@@ -12,7 +12,7 @@
 //! not depend on the number of frames.
 //!
 //! The number of a frame determines when it is shown. In USD the number is the time code, as other programs
-//! write it. In an `.abc`, as in the scene of a program, frame n is at n / fps seconds. In a `.glb`, which
+//! write it. In an `.abc`, as in the scenes of 3D programs, frame n is at n / fps seconds. In a `.glb`, which
 //! has seconds and no numbers, the greatest common divisor of the differences between numbers is one frame of
 //! the animation: a simulation that writes every hundredth step plays like one that writes every step. In
 //! place of a missing frame, the frame before it is shown.

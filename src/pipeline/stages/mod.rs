@@ -110,7 +110,8 @@ impl<'a> PipelineOptions<'a> {
     }
 
     /// Compares the outputs of a frame with their records. `None`: the bytes of an output differ from its
-    /// record. `Some`: they match, or no records are kept; it contains the failed checks of the frame, if any.
+    /// record. `Some`: they match, or no records are kept; it contains the failed checks of the frame, if
+    /// any.
     pub(super) fn recorded_fault(&self, outputs: &[PathBuf]) -> Option<Option<String>> {
         self.output_states.map_or(Some(None), |states| states.recorded_fault(outputs))
     }
@@ -163,8 +164,7 @@ pub fn run<M: Method>(
         |index, _, outcome| {
             early.insert(index, outcome);
             while let Some(outcome) = early.remove(&finished_count) {
-                // A frame after the failed one may have failed before it in time. It is reported as not
-                // started.
+                // Frames after the failed one may have failed even earlier. They are reported as not started.
                 let outcome = if is_stopped { Outcome::NotStarted } else { outcome };
                 is_stopped |= options.on_error == OnError::Stop && is_failure(&outcome);
                 finished(finished_count, outcome);

@@ -77,9 +77,9 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
             let (needed_bytes, obstacles) = (bytes, <(String, usize)>::default());
             return Ok((read, InputInfo { input, read_seconds, noted, obstacles, needed_bytes, memory }));
         };
-        // Static obstacles are shared with later frames. The address of the `Arc` identifies them; it does not
-        // change while this pipeline has frames. Until `resize` below, this frame's reservation still includes
-        // their memory, so no other frame can reserve it in between.
+        // Static obstacles are shared with later frames. The address of the `Arc` identifies them; it does
+        // not change while this pipeline has frames. Until `resize` below, this frame's reservation still
+        // includes their memory, so no other frame can reserve it in between.
         let standing_bytes = obstacles.all_bytes - obstacles.own_bytes;
         shared.budget.set_shared(Arc::as_ptr(&frame.obstacles).addr(), standing_bytes);
         let given_bytes = given.size_bytes().saturating_add(obstacles.own_bytes);

@@ -48,7 +48,7 @@ pub(super) struct WorkItem<'env, K, T> {
     pub(super) content: T,
 }
 
-/// Facts about a frame that are known since it was read.
+/// What reading a frame determines, for the later stages.
 pub(super) struct InputInfo<'env> {
     pub(super) input: ReadInput,
     pub(super) read_seconds: f64,

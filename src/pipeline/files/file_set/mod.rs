@@ -57,7 +57,7 @@ const RECORD_END: &[u8] = b"end\0";
 /// Maximum size of a record. All records are smaller: a frame has about a dozen files.
 const RECORD_BYTES_MAX: u64 = 1 << 20;
 
-/// How often to try to restore the old files. If all attempts fail, the next sweep restores them.
+/// The number of attempts to restore the old files. If all fail, the next sweep restores them.
 const UNDO_ATTEMPTS: usize = 3;
 
 /// A name, and the new file for it. The stamps distinguish the new and the old file from later files with the
@@ -300,8 +300,8 @@ impl FileSet {
             Err(of_undo) => of_undo,
         };
         for member in &self.members {
-            // Without the new files, a sweep cannot complete this set, whose replacement is reported as
-            // failed.
+            // Removes the new files, so that a sweep cannot complete this set, whose replacement is reported
+            // as failed.
             let _ = remove_if_exists(&self.temporary_path(member));
         }
         locked.remove(&self.record_path);
