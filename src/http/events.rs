@@ -55,7 +55,7 @@ const SUBSCRIBERS_MAX: usize = 256;
 /// The interval of ticks: the maximum delay of a change.
 const EVERY: Duration = Duration::from_millis(100);
 
-/// How often a comment is sent to detect clients that are gone.
+/// The interval at which a comment is sent to detect clients that have disconnected.
 const PULSE: Duration = Duration::from_secs(15);
 
 /// Maximum number of changes in one event.

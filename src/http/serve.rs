@@ -286,7 +286,7 @@ mod tests {
             stream.set_read_timeout(Some(Duration::from_secs(600))).expect("set");
             stream
         };
-        // Half of them send nothing, the others half a request.
+        // Half of the clients send nothing; the others send half a request.
         let idle: Vec<Client> = (0..limits.connections_max)
             .map(|number| {
                 let mut stream = connect();

@@ -22,7 +22,7 @@ use super::{SheetFile, even_columns, fixed, reason, refuse_large};
 /// Puts the selected frames on a sheet.
 ///
 /// # Errors
-/// If nothing can be done at all. A frame that fails is reported and counted.
+/// If no frame can be attempted. A frame that fails is reported and counted.
 pub(in crate::cli) fn contact_sheet(
     args: &ContactSheetArgs,
     console: &mut Console,

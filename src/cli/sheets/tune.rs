@@ -38,7 +38,7 @@ use super::{SheetFile, even_columns, fixed, reason, refuse_large};
 /// Shows one frame under the requested settings.
 ///
 /// # Errors
-/// If nothing can be done at all. A cell that fails is reported and counted.
+/// If no cell can be attempted. A cell that fails is reported and counted.
 pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<CommandOutcome> {
     refuse_stray_rounds(&args.pictures.method, &args.inputs)?;
     let found = find_inputs(&args.inputs)?;

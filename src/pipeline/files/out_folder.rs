@@ -13,7 +13,7 @@ use super::temporary::Temporary;
 /// Why a folder cannot take results.
 #[derive(Debug)]
 pub enum OutFolderError {
-    /// A file has its path, or the path of one of its parent folders.
+    /// A file has the path of the folder, or of one of its parent folders.
     File {
         /// The folder.
         folder: PathBuf,

@@ -174,7 +174,7 @@ impl FrameInput {
         }
     }
 
-    /// Fails if the file was written meanwhile. Call it after the last batch.
+    /// Fails if the file was written since it was opened. Call it after the last batch.
     ///
     /// # Errors
     /// [`Cause::Changed`], or an error of the system.

@@ -170,7 +170,7 @@ fn inspect_made_from(frame: &Frame, made_from: &MadeFrom) -> InspectedState {
     state.err().unwrap_or(InspectedState::Done)
 }
 
-/// Inspects one file: its end, and its provenance.
+/// Inspects one file: whether it is complete, and its provenance.
 fn look_at(
     frame: &Frame,
     made_from: &MadeFrom,

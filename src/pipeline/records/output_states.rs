@@ -142,7 +142,7 @@ impl OutputStates {
 
     /// Compares the outputs of a frame with their records. `None`: the bytes of an output differ from its
     /// record. `Some`: they match; contains the failed checks of the frame, if any. If an output has no
-    /// record, or one of a file with other provenance, records its current state.
+    /// record, or a record with another provenance, records its current state.
     pub(crate) fn recorded_fault(&self, paths: &[PathBuf]) -> Option<Option<String>> {
         let mut faults = Vec::new();
         for path in paths {

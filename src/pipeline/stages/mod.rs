@@ -8,8 +8,8 @@
 //!
 //! Several frames are in flight at once, in different stages or in the same one. A stage starts a frame only
 //! when the channel after it has a free slot, so a slow stage blocks the stages before it. This backpressure
-//! reaches the caller: it is asked for the next frame only when there is room for one, so it can choose that
-//! frame at the last moment.
+//! reaches the caller: the pipeline asks for the next frame only when there is room for one, so the caller
+//! can choose that frame at the last moment.
 //!
 //! Reading has one thread and writing has several, which wait for the disk. Rasterizing, smoothing and
 //! contouring have one thread each, which only decides when a frame may start. All computing happens in the
@@ -63,7 +63,7 @@ pub struct PipelineOptions<'a> {
     /// The thread pool for all computing.
     pub pool: &'a ThreadPool,
     /// What to do when a frame fails, or changes while it is read. With `Stop`, frames keep their order: each
-    /// stage has one at a time.
+    /// stage handles one frame at a time.
     pub on_error: OnError,
     /// Skip frames whose outputs exist, from the same input with the same settings and the same version of
     /// this program.

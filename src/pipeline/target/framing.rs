@@ -37,7 +37,7 @@ pub struct Framed {
     pub camera: CameraChoice,
     /// The bounds that the camera was placed around, world units; `None` in journals of older versions.
     pub around: Option<[DVec3; 2]>,
-    /// The cameras before this one: pictures taken by them are still valid.
+    /// The cameras before this one: pictures rendered with them are still valid.
     pub earlier: Vec<CameraChoice>,
 }
 

@@ -105,7 +105,7 @@ impl CameraChoice {
         matches!(self.position, CameraPosition::Around { .. })
     }
 
-    /// The same camera; one that zooms in is moved back until all of the bounds are in view.
+    /// The same camera; a camera that zooms in is moved back until all of the bounds are in view.
     pub(crate) fn not_zoomed_in(mut self) -> CameraChoice {
         if let CameraPosition::Around { zoom: Some(zoom), .. } = &mut self.position {
             *zoom = zoom.min(1.0);

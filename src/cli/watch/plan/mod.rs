@@ -183,7 +183,7 @@ fn refuse_twins(watches: &[Watch]) -> Result<()> {
     Ok(())
 }
 
-/// Refuses one journal for several folders of outputs.
+/// Refuses a journal that several output folders would share.
 fn refuse_shared_journal(watches: &[Watch], journal: Option<&Path>) -> Result<()> {
     let mut outputs = watches.iter().map(|watch| &watch.outputs.folder);
     let first = outputs.next();
