@@ -52,7 +52,7 @@ pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<WatchPlan> {
         watches.push(watch.with_context(|| place)?);
     }
     refuse_twins(&watches)?;
-    // An invalid command-line option is invalid in every block, so it is reported once.
+    // A command-line option causes the same warning in every block: log it once.
     let mut told = HashSet::new();
     warnings.retain(|warning: &String| told.insert(warning.clone()));
     let daemon = args.daemon.clone().over(file.map(|file| file.daemon).unwrap_or_default());
@@ -67,7 +67,7 @@ struct Folder {
     input: PathBuf,
     output: PathBuf,
     frames: FrameArgs,
-    /// Where the user named it.
+    /// Where the user named it, for error messages: a line of the configuration file, or the path.
     place: String,
 }
 
@@ -159,7 +159,7 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
     })
 }
 
-/// Refuses a sentinel whose name is a path, or is always the frame itself.
+/// Refuses a sentinel whose name is a path, or always that of the frame's own file.
 fn check_sentinel(name: &str) -> Result<()> {
     let is_name = !name.is_empty() && !name.contains(['/', '\\']) && !["{name}", ".", ".."].contains(&name);
     if !is_name {
@@ -183,7 +183,7 @@ fn refuse_twins(watches: &[Watch]) -> Result<()> {
     Ok(())
 }
 
-/// Refuses one journal for several folders of outputs.
+/// Refuses a journal that several output folders would share.
 fn refuse_shared_journal(watches: &[Watch], journal: Option<&Path>) -> Result<()> {
     let mut outputs = watches.iter().map(|watch| &watch.outputs.folder);
     let first = outputs.next();
@@ -228,7 +228,7 @@ fn timeouts(once: bool, daemon: &DaemonArgs) -> Result<StabilityTimeouts> {
     let settle = daemon.settle.unwrap_or(SETTLE);
     let long = UNPROVEN_MIN.max(4 * settle);
     let unproven = daemon.unproven.unwrap_or(long);
-    // With `--once` the daemon does not wait for writers that are gone.
+    // With `--once` the daemon gives up incomplete files earlier, because their writers may be gone.
     let stalled = daemon.stalled.unwrap_or(if once { long } else { STALLED.max(long) });
     for (name, time) in [("unproven", unproven), ("stalled", stalled)] {
         if time < settle {
