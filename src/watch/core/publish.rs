@@ -81,7 +81,7 @@ impl Core {
     }
 
     /// The name of a file in the status store: its path within the folder; with several watched folders,
-    /// prefixed with the number of its own.
+    /// prefixed with the number of its watched folder.
     fn shown_name(&self, root: usize, folder: &Path, path: &Path) -> String {
         let name = text_of_name(within(path, folder).unwrap_or(path).as_os_str());
         match self.roots.len() {
