@@ -48,7 +48,7 @@ pub enum Warning {
     Holes { particle_count: usize, hole_count: usize, voxel_size: f64 },
     /// The surface is in many pieces, none of which has half of the volume.
     Fragmented { particle_count: usize, piece_count: usize, voxel_size: f64 },
-    /// All particles fit into a few voxels: the voxels are too large.
+    /// All particles are within `width_voxels` voxels: the voxels are too large.
     Blob { particle_count: usize, width_voxels: f64, voxel_size: f64 },
     /// A format moves vertices by up to `voxels` voxels; `storage` describes how it stores positions.
     RoundedPositions { voxels: f64, storage: &'static str },

@@ -58,7 +58,7 @@ pub struct Watch {
     pub sentinel: Option<String>,
     /// What to write, and where.
     pub outputs: OutputOptions,
-    /// All other options of the method.
+    /// The options of the method.
     #[serde(with = "by_name")]
     pub choices: MethodOptions,
     /// Absolute paths of obstacles. A path with a placeholder for the frame number, such as `body.####.obj`,

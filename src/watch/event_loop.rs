@@ -54,7 +54,7 @@ struct EventLoop<'a> {
 /// The interval of heartbeats.
 const TICK: Duration = Duration::from_secs(1);
 
-/// Maximum number of events to handle before their consequences are decided.
+/// Maximum number of events in a batch. After each batch, the core decides what follows from it.
 const BATCH: usize = 4096;
 
 /// How long shutdown waits for a worker that hangs.

@@ -57,7 +57,8 @@ pub struct Support<'a> {
     /// r_max of the settings: the maximum distance of the reconstructed surface from the center of a particle
     /// that is a ball of scale 1.
     pub radius_max_world: f64,
-    /// Added to a particle's own r_max: up to this distance, a point can get the particle's values.
+    /// Margin that is added to a particle's own r_max. Points up to the sum away from the particle can get
+    /// its values.
     pub margin_world: f64,
     /// The shapes of the particles: one per particle, unless they are balls.
     pub shapes: &'a Shapes,

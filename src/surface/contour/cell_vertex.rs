@@ -11,9 +11,9 @@
 //! ```
 //!
 //! The tangent planes of a curved surface meet slightly outside it. By how much varies from cell to cell, so
-//! the vertices alone would bring back roughness that smoothing has just removed. Therefore the vertex is
-//! moved along ∇φ onto the zero set of an interpolant that includes curvature. This interpolant is the
-//! trilinear one minus the error that it has for a quadratic function:
+//! the vertices would bring back the roughness that smoothing has just removed. Therefore the vertex is moved
+//! along ∇φ onto the zero set of an interpolant that includes curvature. This interpolant is the trilinear
+//! one minus the error that it has for a quadratic function:
 //!
 //! ```text
 //!   φ(x) = lerp³ φ − Σₐ ½·xₐ(1 − xₐ)·lerp³ ∂ₐₐφ

@@ -1,9 +1,9 @@
 //! Rebuilds the distances of a level set whose file has only signs, without distances, next to the surface.
 //!
 //! ```text
-//!   a sign function    +3 +3 +3 | −3 −3 −3        the surface is placed midway between the voxels
-//!   half a band        +2.4 +1.4 +0.4 | −3 −3     the surface is placed by the value on the other side
-//!   tiles only         outside tile | inside tile the surface is placed on their common face
+//!   a sign function    +3 +3 +3 | −3 −3 −3          the surface is placed midway between the voxels
+//!   half a band        +2.4 +1.4 +0.4 | −3 −3       the surface is placed by the value on the other side
+//!   tiles only         outside tile | inside tile   the surface is placed on their common face
 //!   rebuilt            +2.5 +1.5 +0.5 | −0.5 −1.5 −2.5
 //! ```
 //!

@@ -14,9 +14,8 @@
 //!   2 H n·A = ½ Σ (cot α + cot β)(v − w)      so   ∫H² ≈ Σ |½ Σ (cot α + cot β)(v − w)|² / 4A
 //! ```
 //!
-//! The area and the energy are from:
-//! Mark Meyer, Mathieu Desbrun, Peter Schröder, Alan Barr. Discrete Differential-Geometry Operators
-//! for Triangulated 2-Manifolds. 2003
+//! The mixed Voronoi areas and the energy are from: Mark Meyer, Mathieu Desbrun, Peter Schröder, Alan Barr.
+//! Discrete Differential-Geometry Operators for Triangulated 2-Manifolds. 2003
 
 mod components;
 mod corners;

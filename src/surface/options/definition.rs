@@ -22,8 +22,8 @@ use super::presets::{Preset, Recipe};
 use super::values::{AnisotropyKind, AttributeSelection, ClipBox};
 use super::{PerParticleRadius, SettingsError, positive};
 
-/// Upper limit of `drop_islands`. A larger piece is not an island to drop; it may also be so thick that its
-/// inside is not stored.
+/// Upper limit of `drop_islands`. A larger piece is not an island to drop. It may also be so thick that its
+/// deep leaves are not stored, and its particles cannot be counted.
 const ISLAND_MAX: u32 = 1000;
 
 /// Upper limit of `fill_cavities`, in voxels.

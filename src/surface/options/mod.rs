@@ -53,7 +53,7 @@ pub struct Settings {
     pub anisotropy: Anisotropy,
     /// How far particles are moved toward the mean of their neighbours: 0 (not at all) to 1.
     pub position_smoothing: f64,
-    /// R: particles farther apart are not neighbours, world units. 0 if neighbours are not
+    /// Neighbour radius R, world units: particles farther apart are not neighbours. 0 if neighbours are not
     /// [used](Settings::uses_neighbors).
     pub neighbor_radius: f64,
     /// Gaps between the surface and obstacles narrower than this are filled, in units of h.
@@ -165,8 +165,8 @@ const THIN_MIN_VOXELS: f64 = 0.9;
 /// Default search radius for neighbours, in units of r_min.
 const NEIGHBOR_RADIUS: f64 = 3.0;
 
-/// Default of `velocity_gain`, the time in which a particle moves by as much as it is stretched, in seconds:
-/// a quarter of a film frame.
+/// Default of `velocity_gain`, seconds: particles are stretched by their movement in a quarter of a film
+/// frame.
 const VELOCITY_GAIN: f64 = 0.01;
 
 /// Upper limit of the neighbour radius in voxels: more would cover a large part of a frame.

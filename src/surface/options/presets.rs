@@ -78,8 +78,8 @@ pub(super) struct Recipe {
     pub(super) position_smoothing: f64,
     /// Cavities with a smaller volume than this are filled, in units³.
     pub(super) fill_cavities: f64,
-    /// Number of Laplacian steps if a voxel is as large as the unit; it grows with the square of unit /
-    /// voxel.
+    /// Number of Laplacian steps if a voxel is as large as the unit; the number grows with the square of unit
+    /// / voxel size.
     pub(super) laplacian_steps: f64,
     /// Number of implicit steps.
     pub(super) steps: u32,

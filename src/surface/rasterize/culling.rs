@@ -1,5 +1,5 @@
 //! Determines which leaves, voxels and particles can affect the surface of a frame; nothing else is stored.
-//! This needs only the occupancy, which tells where particles are to half a voxel.
+//! The only input is the occupancy, which records where particles are to half a voxel.
 //!
 //! ```text
 //!   · · · · · · · · ·      ·  no particle within r_init
@@ -281,7 +281,7 @@ fn near_leaves(
     let is_deep = |leaf: usize| inside[leaf] == LeafMask::FULL;
     let reach_of = |longest: f32| (radius * longest + ROUNDING) as i32;
     let reach = reach_of(occupancy.longest());
-    // A leaf is buried if all leaves within reach of its particles, itself included, are deep. Three passes
+    // A leaf is buried if it is deep and all leaves within reach of its particles are deep, too. Three passes
     // over the faces reach all 26 neighbors.
     let mut is_buried: Vec<bool> = (0..occupied.len()).map(is_deep).collect();
     for _ in 0..3 * (reach as u32 + 1).div_ceil(LEAF_EDGE as u32) {

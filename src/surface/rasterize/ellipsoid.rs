@@ -107,7 +107,7 @@ struct SizeClass<F> {
     /// Start of each leaf's packets of eight; one entry more than there are leaves.
     starts: Vec<usize>,
     boxes: Vec<BoxPacket>,
-    /// Eight for each packet of boxes.
+    /// Eight primitives for each packet of boxes.
     primitives: Vec<Primitive<F>>,
     /// Range of the semi-axes of each leaf's particles.
     axes: Vec<HalfAxisRange>,
@@ -286,7 +286,7 @@ struct NearbyLeaf<'a, F> {
     /// From the other leaf to this one, in voxels.
     step: Vec3,
     boxes: &'a [BoxPacket],
-    /// Eight for each packet of boxes.
+    /// Eight primitives for each packet of boxes.
     primitives: &'a [Primitive<F>],
     axes: HalfAxisRange,
 }

@@ -418,7 +418,7 @@ fn subset(topology: Topology, kept: &[usize]) -> Topology {
 }
 
 /// Number of sweeps after which every voxel within the half width has its distance: a sweep advances one
-/// voxel along the axes, and the diagonal is √3 times as long.
+/// voxel along the axes, so a distance along the diagonal needs √3 times as many sweeps.
 fn sweep_count(half_width: f32) -> u32 {
     (3f32.sqrt() * half_width).ceil() as u32
 }

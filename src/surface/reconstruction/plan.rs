@@ -1,4 +1,5 @@
 //! Estimates the memory of a frame, and plans how to reconstruct it within a limit: in one piece or in tiles.
+//! All memory sizes are in bytes.
 
 use std::fmt;
 
@@ -222,9 +223,9 @@ fn neighbors_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
 /// neighbors.
 const VICINITY_LEAF_BYTES: f64 = 300.0;
 
-/// Memory while attributes are transferred and written, beside the mesh and two level sets: near particles,
-/// sorted and packed; values at vertices and in the band, scattered and then contiguous, then compressed for
-/// six voxels each.
+/// Memory while attributes are transferred and written, in addition to the mesh and two level sets. It holds
+/// near particles, sorted and packed, and values at vertices and in the band: scattered, then contiguous,
+/// then compressed for six voxels each.
 fn transfer_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64) -> f64 {
     if attribute_bytes == 0.0 {
         return 0.0;
@@ -238,7 +239,7 @@ fn transfer_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f
     moved + particles * (80.0 + 2.0 * attribute_bytes) + area * (48.0 + 8.0 * attribute_bytes)
 }
 
-/// Memory per ellipsoid, once per batch and once for all.
+/// Memory per ellipsoid for two copies: in its batch, and in the list of all.
 const SHAPES_BYTES: f64 = 56.0;
 
 /// Memory during edits: φ, the field of the clip box, components, and, for a tiled frame, the particles that

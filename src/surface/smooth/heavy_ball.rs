@@ -75,7 +75,7 @@ const PREDICTED_CHANGE_MAX: f32 = 1.0;
 pub(super) struct StepParams {
     step_size: f32,
     alpha: f32,
-    /// In the thin and in the thick region.
+    /// β in the thin and in the thick region.
     beta: [f32; 2],
     /// Number of passes in the thin and in the thick region.
     passes: [u32; 2],

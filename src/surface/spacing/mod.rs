@@ -12,8 +12,8 @@
 //! ```
 //!
 //! For a lattice the result is the lattice constant, for random particles (volume / count)^(1/3), and for a
-//! sheet of random particles (area / count)^(1/2). For fluids it is within a few percent of the distance at
-//! rest.
+//! sheet of random particles (area / count)^(1/2). For fluids it is within a few percent of the particles'
+//! distance at rest.
 //!
 //! Invariants: the result does not depend on the order of the particles; repeated positions count as one
 //! particle; multiplying all positions by a power of two multiplies the result exactly.
@@ -34,15 +34,14 @@ use local::Local;
 use sample::sample;
 use tree::KdNode;
 
-/// Sample size. The median spacing of so many particles is within about one percent of the median of all,
+/// Sample size. The median spacing of a sample of this size is within about one percent of the median of all,
 /// whatever their number.
 const SAMPLE_COUNT: usize = 2000;
 
 /// Number of neighbours: more than enough to bound the cell of a particle in a body.
 const NEIGHBOR_COUNT: usize = 64;
 
-/// Particles are spray if they are farther apart than this many times the mean of those that are closer
-/// together.
+/// A particle is spray if its spacing is larger than this many times the mean of the smaller spacings.
 const SPRAY: f64 = 2.5;
 
 /// If at least this share of the particles, and [`ENOUGH`] of them, are in bodies, only these count.

@@ -160,9 +160,9 @@ impl Core {
         self.roots.iter().enumerate().find_map(why)
     }
 
-    /// Whether nothing is left to do. If so, frames that wait for a missing sentinel are left unconverted.
-    /// Held frames fail, because their settings cannot be measured; but they are left, too, if a frame of
-    /// their sequence waits for its sentinel.
+    /// Whether nothing is left to do. If so, frames that wait for a missing sentinel, and held frames of the
+    /// same sequences, are left unconverted. Other held frames fail, because their settings cannot be
+    /// measured.
     pub(crate) fn is_drained(&mut self) -> bool {
         let is_busy = self.frames.is_inspecting(None) || !self.dirty_sequences.is_empty();
         if !self.is_ready() || self.queue.len() > 0 || self.measuring_count > 0 || is_busy {

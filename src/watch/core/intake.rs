@@ -30,7 +30,7 @@ use super::frames::{FrameId, FramePhase, FrameState};
 use super::sequences::SequenceSettings;
 use super::state::{Core, Failure};
 
-/// How soon to inspect a frame again whose outputs are on an unmounted disk.
+/// How soon to inspect again a frame whose outputs are on an unmounted disk.
 const AWAY_RETRY: Duration = Duration::from_secs(1);
 
 impl Core {
@@ -52,7 +52,7 @@ impl Core {
             }
             FramePhase::Done if is_same => return self.check_outputs(id),
             FramePhase::Steps if is_same => return self.check_steps(id),
-            // It is inspected when its conversion ends.
+            // The file is inspected when the conversion ends.
             FramePhase::InProgress(_) => return,
             _ if is_same => return,
             FramePhase::Steps => {
@@ -433,7 +433,7 @@ impl Core {
         self.request(root, RootRequest::StampObstacles(numbers));
     }
 
-    /// Converts frames again whose obstacles have changed.
+    /// Converts again the frames whose obstacles have changed.
     pub(super) fn on_obstacles_stamped(&mut self, root: usize, stamps: &FoundObstacleStamps) {
         let is_stale = |id: &FrameId, frame: &FrameState| {
             let is_refused = self.failed.get(id).is_some_and(|failure| failure.is_refusal);

@@ -8,9 +8,9 @@
 //! ```
 //!
 //! Until the settings are known, complete frames are held. They also wait for frames that precede them by
-//! name and are still being written, because the first frame must not depend on which file was finished
-//! first, or on the order of conversion. With `--once` they wait for all frames, so that the result of
-//! measuring is that of `convert`.
+//! name and are still being written, because the first of the measured frames must not depend on which file
+//! was finished first, or on the order of conversion. With `--once` they wait for all frames, so that the
+//! result of measuring is that of `convert`.
 
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -139,7 +139,7 @@ impl Sequences {
 
     /// Folders whose files look like one sequence but form several: of the sequences whose names differ only
     /// in their numbers, most, and at least `count_min`, have only one frame. Each folder is returned once:
-    /// its root, its path, and the number of sequences.
+    /// its root, its path, and the number of these sequences.
     pub(crate) fn folders_of_single_frame_sequences(
         &mut self,
         count_min: usize,

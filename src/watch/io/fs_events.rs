@@ -36,7 +36,7 @@ use crate::pipeline::FileStamp;
 pub enum FsEvent {
     /// A file appeared, grew, or was removed.
     Changed(PathBuf),
-    /// A file was renamed to this path, with its content complete under the earlier name.
+    /// A file was renamed to this path. Its content was already complete under the earlier name.
     Renamed(PathBuf),
     /// A folder appeared, was removed, or was replaced. If it exists, it must be watched, even if it was
     /// watched before.
@@ -404,7 +404,7 @@ mod tests {
         assert!(bench.so_far().contains(&FsEvent::Changed(path)));
     }
 
-    /// Otherwise every inspection would cause the next one.
+    /// If reading sent events, every inspection would cause the next one.
     #[test]
     fn reading_a_file_sends_no_event() {
         let mut bench = Bench::new(CAPACITY);

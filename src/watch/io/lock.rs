@@ -32,7 +32,8 @@ const ATTEMPT_PAUSE: Duration = Duration::from_millis(10);
 /// Upper limit of the bytes that are read from the lock file. The text written there is shorter.
 const HOLDER_BYTES_MAX: u64 = 1024;
 
-/// The exclusive right to write into a folder of outputs, until it is dropped or the process ends.
+/// The exclusive right to write into a folder of outputs. It ends when this value is dropped or the process
+/// ends.
 #[derive(Debug)]
 pub struct OutputLock {
     /// Closing the file releases the lock.

@@ -236,8 +236,8 @@ impl OutputGuard {
 /// How soon writing the journal is retried.
 const JOURNAL_RETRY: Duration = Duration::from_secs(1);
 
-/// Removes all temporary files without a writer from a folder and its sub-folders, and returns their number.
-/// Folders that cannot be read are skipped.
+/// Removes all temporary files that no process is writing from a folder and its sub-folders. Returns their
+/// number. Folders that cannot be read are skipped.
 fn sweep(folder: &Path) -> usize {
     let mut count = sweep_one(folder);
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();

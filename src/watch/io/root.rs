@@ -361,7 +361,7 @@ impl Work for Root {
         let now = Instant::now();
         if self.rescans.is_due(now) {
             tracing::info!("events were lost: scanning everything");
-            // The lost events may have said that a folder was replaced, so all folders are watched anew.
+            // The lost events may have reported that a folder was replaced, so all folders are watched again.
             self.watched_folders.clear();
             self.is_after_loss = true;
             self.next_scan = now;

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!   root ─┬─ dam.0001.bgeo          taken, if the selection takes its name
-//!         ├─ take2 ─┬─ dam.ply      where the selection is recursive
+//!         ├─ take2 ─┬─ dam.ply      taken only if the selection is recursive
 //!         │         └─ up ──▶ root  a folder within itself: not entered
 //!         └─ surfaces               an excluded folder: not entered
 //! ```

@@ -1,7 +1,7 @@
 //! Decides which files are frames: by name, and if names are ambiguous, by the first bytes.
 //!
 //! ```text
-//!   frames ─┬─ dam.0001.bgeo         taken: an extension of particles, or a match of the pattern
+//!   frames ─┬─ dam.0001.bgeo         taken: has a particle extension, or matches the pattern
 //!           ├─ notes.txt             taken by name; then its content decides
 //!           ├─ .dam.0002.bgeo.tmp    hidden: never
 //!           └─ surfaces ── dam.ply   in an excluded folder: never

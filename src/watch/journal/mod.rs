@@ -24,8 +24,8 @@
 //! When most lines are superseded by later ones, a compacted file is written and renamed over the old one.
 //! Readers that have the old file open keep reading it.
 //!
-//! Only one daemon writes a journal, which the lock of the outputs ensures. Any process may read it at the
-//! same time.
+//! The lock on the folder of outputs ensures that only one daemon writes a journal. Any process may read it
+//! at the same time.
 
 mod line;
 mod state;
