@@ -125,11 +125,16 @@ pub(crate) fn decode_frame(frame: &[u8], out: &mut [u8]) -> Result<(), BloscErro
             "the Blosc frame has version {version}; only version 2 is supported"
         )));
     }
-    if byte_count != out.len() || frame_bytes > frame.len() {
+    if byte_count != out.len() {
         return invalid(format!(
-            "the Blosc frame declares {frame_bytes} bytes that decompress to {byte_count}; expected {} and {}",
-            frame.len(),
+            "the Blosc frame declares {byte_count} decompressed bytes; expected {} bytes",
             out.len()
+        ));
+    }
+    if frame_bytes > frame.len() {
+        return invalid(format!(
+            "the Blosc frame declares {frame_bytes} compressed bytes, but has {} bytes",
+            frame.len()
         ));
     }
     if flags & STORED != 0 {

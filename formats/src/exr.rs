@@ -23,6 +23,7 @@ use half::f16;
 
 use crate::bytes::{self, Endian};
 use crate::error::{Error, Position, Result};
+use crate::excerpt::excerpt;
 use crate::mesh_options::WriteOption;
 use crate::picture::{PictureView, PixelSamples};
 use crate::provenance::{GENERATOR, comments, from_comments};
@@ -59,8 +60,11 @@ fn failed(error: ExrError) -> Error {
 
 fn text(plain: &str) -> Result<Text> {
     let refused = || {
-        let what =
-            format!("\"{plain}\" cannot be stored in OpenEXR, because it has characters outside Latin-1");
+        let outside = plain.chars().find(|&char| char > '\u{ff}').unwrap_or_default();
+        let what = format!(
+            "the text \"{}\" cannot be stored in OpenEXR: the character {outside:?} is outside Latin-1",
+            excerpt(plain)
+        );
         Error::invalid(FORMAT, Position::File, what)
     };
     Text::new_or_none(plain).ok_or_else(refused)

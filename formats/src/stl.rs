@@ -209,10 +209,11 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
         let what = format!("expected {claimed} bytes, found {}", bytes.len());
         return Err(Error::truncated(FORMAT, Position::Offset(bytes.len() as u64), what));
     }
-    let corner_count = 3 * u64::from(triangle_count);
-    if corner_count > limits.particle_count.min(u64::from(u32::MAX)) {
+    let vertex_count = 3 * u64::from(triangle_count);
+    let limit = limits.particle_count.min(u64::from(u32::MAX));
+    if vertex_count > limit {
         let what =
-            format!("the file has {corner_count} corners, more than the limit of {}", limits.particle_count);
+            format!("the file has {vertex_count} vertices (3 per triangle), more than the limit of {limit}");
         return Err(Error::too_large(FORMAT, what));
     }
     let mut mesh = MeshData::default();

@@ -53,7 +53,9 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let positions = number::positions(NumberType::F32.decode(bytes, endian)).unwrap_or_default();
     let notes = match endian {
         Endian::Little => Vec::new(),
-        Endian::Big => vec!["the numbers are absurd as little-endian: read as big-endian".into()],
+        Endian::Big => {
+            vec!["read as big-endian, because more of the numbers are plausible in this byte order".into()]
+        }
     };
     Ok(ParticleFrame { positions, attributes: Vec::new(), notes })
 }

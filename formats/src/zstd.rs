@@ -107,8 +107,8 @@ fn decoder_of(bytes: &[u8], at: usize) -> Result<StreamingDecoder<&[u8], FrameDe
         WindowSizeTooBig { requested, max } => Error::too_large(
             FORMAT,
             format!(
-                "the window of {requested} bytes exceeds the limit of {max} for a file of {}: \
-                 compress it at level 19 or lower",
+                "the window of {requested} bytes exceeds the limit of {max} bytes for a file of {} bytes: \
+                 compress the file at level 19 or lower",
                 bytes.len()
             ),
         ),

@@ -168,7 +168,11 @@ fn invalid_files_are_errors_that_say_what_was_expected() {
         ("nothing", Vec::new(), "expected 5 bytes of the signature, found 0"),
         ("another file", b"\x7fNSJb.....".to_vec(), "expected the signature BgeoV"),
         ("version", version_6, "version 6; only version 5 is supported"),
-        ("negative count", Layout::new(-1, 0).end(), "at byte 9: expected the number of points, found -1"),
+        (
+            "negative count",
+            Layout::new(-1, 0).end(),
+            "at byte 9: expected the number of points to be at least 0, found -1",
+        ),
         (
             "points missing",
             Layout::new(1000, 0).end(),

@@ -102,7 +102,7 @@ fn invalid_xml_is_an_error() {
         (good.replace("<Points>", "<Pts>"), "a piece has no array of points"),
         (
             good.replace("\"Points\" NumberOfComponents=\"3\"", "\"Points\" NumberOfComponents=\"2\""),
-            "the points are not three numbers",
+            "the array of points has 2 components per point; expected 3",
         ),
         (
             good.replace("format=\"binary\"", "format=\"appended\" offset=\"7\""),

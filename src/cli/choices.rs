@@ -57,7 +57,7 @@ pub(super) fn ignored(method: &MethodArgs, formats: &FormatArgs, written: &[Outp
         // --quantize without effect is an error, which `FormatArgs::outputs` reports.
         let changed = formats_changed_by(name).filter(|_| name != WriteOption::Quantize.key())?;
         let is_idle = !written.iter().any(|format| changed.contains(format));
-        is_idle.then(|| format!("{} changes no file: it is for {} only", option_name(name), kinds(&changed)))
+        is_idle.then(|| format!("{} is ignored: it affects {} only", option_name(name), kinds(&changed)))
     });
     deprecated.into_iter().chain(ignored).chain(idle).collect()
 }

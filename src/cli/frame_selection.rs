@@ -100,11 +100,12 @@ fn parse_range(text: &str) -> Result<StepRange, String> {
     let what = "a selection of frames: give a number such as 12, a range such as 1-240, every other frame of a range as in 1-240x2, \
                 or several of these with commas between";
     let range = expected(text, StepRange::parse(text), what)?;
-    if range.last < range.first {
-        return Err(format!("`{text}` runs backwards"));
-    }
     if range.step == 0 {
         return Err(format!("`{text}` has a step of 0; at least 1 is needed"));
+    }
+    if range.last < range.first {
+        let ascending = StepRange { first: range.last, last: range.first, ..range };
+        return Err(format!("`{text}` ends before it starts: use {ascending}"));
     }
     Ok(range)
 }

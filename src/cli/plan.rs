@@ -87,7 +87,12 @@ fn planned(file: &FrameFile, sequence: usize) -> Result<PlannedFrame> {
     }
     let stem = file.stem();
     if stem.len() > STEM_BYTES {
-        bail!("{}: the name is too long by {} bytes for its results", name(), stem.len() - STEM_BYTES);
+        bail!(
+            "{}: the name has {} bytes without its extension, more than the limit of {STEM_BYTES} bytes, \
+             because the names of the results are longer: rename the file",
+            name(),
+            stem.len()
+        );
     }
     Ok(PlannedFrame {
         input: absolute_path(&file.path)?,

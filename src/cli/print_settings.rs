@@ -43,7 +43,7 @@ pub(super) fn print_settings_of_any(
         );
     }
     if needs_spacing {
-        console.say("# these follow the particle spacing, here 1:");
+        console.say("# the particle spacing is unknown; the lengths in comments are for a spacing of 1:");
     } else if options.needs_spacing() {
         console.say("# the particle spacing is derived from the voxel size, because no INPUT was given to measure it on:");
     }

@@ -168,7 +168,7 @@ fn moving_ball_scores_zero_in_every_format_by_ids_and_by_velocities() {
             meniscus(folder.path(), &["flicker", &format!("dam.#.{extension}"), "--particles", "p.#.csv"]);
         assert_eq!((ran.status, &*ran.err), (0, ""), "{extension}: {}", ran.out);
         assert!(
-            ran.out.contains("dam.2: flicker 0.0000 (") && ran.out.contains("carried by ids"),
+            ran.out.contains("dam.2: flicker 0.0000 (") && ran.out.contains("tracked by ids"),
             "{}",
             ran.out
         );
@@ -350,7 +350,7 @@ fn sequences_of_simulators_have_plausible_scores() {
         assert_eq!(made.status, 0, "{}", made.err);
         let ran = meniscus(folder.path(), &["flicker", "s/*.ply", "--particles", &particles]);
         assert_eq!(ran.status, 0, "{}{}", ran.out, ran.err);
-        assert!(ran.out.contains("carried by ids"), "{}", ran.out);
+        assert!(ran.out.contains("tracked by ids"), "{}", ran.out);
         let line = ran.out.lines().find(|line| line.ends_with("spacings, 2 frames")).expect("a summary");
         let score = line.split("flicker ").nth(1).and_then(|rest| rest.split(' ').next()).expect("a score");
         let score: f64 = score.parse().expect("a number");

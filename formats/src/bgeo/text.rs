@@ -50,13 +50,17 @@ pub fn read_text(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
             _ => {}
         }
     }
-    if point_count as u64 > limits.particle_count || attribute_count > limits.attribute_count {
-        return Err(Error::too_large(
-            FORMAT,
-            format!(
-                "the file has {point_count} points with {attribute_count} attributes, more than the limit"
-            ),
-        ));
+    if point_count as u64 > limits.particle_count {
+        let what =
+            format!("the file has {point_count} points, more than the limit of {}", limits.particle_count);
+        return Err(Error::too_large(FORMAT, what));
+    }
+    if attribute_count > limits.attribute_count {
+        let what = format!(
+            "the file has {attribute_count} point attributes, more than the limit of {}",
+            limits.attribute_count
+        );
+        return Err(Error::too_large(FORMAT, what));
     }
     let mut columns = dictionary(&mut words, attribute_count, limits)?;
     let positions = points(&mut words, point_count, &mut columns)?;

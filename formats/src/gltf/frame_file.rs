@@ -210,12 +210,18 @@ impl GlbFrame {
         let up = match vector("rotation").as_deref() {
             None => UpAxis::Y,
             Some([x, y, z, w]) if *y == 0.0 && *z == 0.0 && *w > 0.0 && (x + w).abs() < 1e-9 => UpAxis::Z,
-            Some(_) => return Err(invalid("the node has a rotation that does not belong to its up axis")),
+            Some(_) => {
+                return Err(invalid(
+                    "expected the node to have no `rotation`, or one of -90 degrees about the x axis",
+                ));
+            }
         };
         let translation = vector("translation").unwrap_or_else(|| vec![0.0; 3]);
         let scale = vector("scale").unwrap_or_else(|| vec![1.0; 3]);
         let (&[x, y, z], &[scale, ..]) = (&*translation, &*scale) else {
-            return Err(invalid("the node is not one that this program writes"));
+            return Err(invalid(
+                "expected the `translation` and the `scale` of the node to have three numbers each",
+            ));
         };
         let origin = match up {
             UpAxis::Y => [x, y, z],

@@ -77,7 +77,8 @@ pub fn read_sequence_info(bytes: &[u8]) -> Result<Option<SequenceInfo>> {
     for mesh in document["meshes"].as_array().into_iter().flatten() {
         let primitive = &mesh["primitives"][0];
         let counts = count(&primitive["attributes"]["POSITION"]).zip(count(&primitive["indices"]));
-        let (vertices, corners) = counts.ok_or_else(|| invalid("a frame has no counts"))?;
+        let (vertices, corners) =
+            counts.ok_or_else(|| invalid("a mesh lacks its number of vertices or of indices"))?;
         info.vertices = info.vertices.saturating_add(vertices);
         info.triangles = info.triangles.saturating_add(corners / 3);
     }
@@ -264,18 +265,18 @@ impl SequenceDocument {
             self.buffer_views.push(view);
         }
         for mut accessor in list("accessors") {
-            shift(accessor.get_mut("bufferView"), first_view)?;
+            shift(accessor.get_mut("bufferView"), first_view, "`bufferView` of an accessor")?;
             self.accessors.push(accessor);
         }
         let mut mesh =
             list("meshes").into_iter().next().ok_or_else(|| invalid("the document has no mesh"))?;
         let primitive =
             mesh.pointer_mut("/primitives/0").ok_or_else(|| invalid("the mesh has no primitive"))?;
-        shift(primitive.get_mut("indices"), first_accessor)?;
+        shift(primitive.get_mut("indices"), first_accessor, "`indices` of a mesh")?;
         for index in
             primitive.get_mut("attributes").map(object).transpose()?.into_iter().flat_map(Map::values_mut)
         {
-            shift(Some(index), first_accessor)?;
+            shift(Some(index), first_accessor, "an attribute of a mesh")?;
         }
         object(&mut mesh)?.insert("name".into(), frame.name.as_str().into());
         let mut node = list("nodes").into_iter().next().ok_or_else(|| invalid("the document has no node"))?;
@@ -321,10 +322,11 @@ fn object(value: &mut Value) -> Result<&mut Map<String, Value>> {
     value.as_object_mut().ok_or_else(|| invalid("a part of the document is not an object"))
 }
 
-/// Increases an index by the number of items that precede it in the combined document.
-fn shift(index: Option<&mut Value>, by: usize) -> Result<()> {
-    let index = index.ok_or_else(|| invalid("a part of the document has no index"))?;
-    let number = index.as_u64().ok_or_else(|| invalid("an index is not a number"))?;
+/// Increases an index by the number of items that precede it in the combined document. `property` names it in
+/// errors.
+fn shift(index: Option<&mut Value>, by: usize, property: &str) -> Result<()> {
+    let index = index.ok_or_else(|| invalid(format!("{property} is missing")))?;
+    let number = index.as_u64().ok_or_else(|| invalid(format!("{property} is not an index")))?;
     *index = (number + by as u64).into();
     Ok(())
 }

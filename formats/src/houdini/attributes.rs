@@ -54,9 +54,10 @@ fn short_text(walk: &mut TokenWalk) -> Result<String> {
     let text = walk.text()?;
     match text.len() <= NAME_BYTES_MAX {
         true => Ok(text.into_owned()),
-        false => {
-            Err(Error::too_large(FORMAT, format!("a name has {} bytes, more than the limit", text.len())))
-        }
+        false => Err(Error::too_large(
+            FORMAT,
+            format!("a name has {} bytes, more than the limit of {NAME_BYTES_MAX} bytes", text.len()),
+        )),
     }
 }
 
@@ -110,10 +111,11 @@ fn texts(walk: &mut TokenWalk) -> Result<Vec<String>> {
         return Err(walk.unexpected("a list of strings", &token));
     }
     loop {
-        if texts.len() > text_count_max(walk.file_bytes()) {
+        let most = text_count_max(walk.file_bytes());
+        if texts.len() > most {
             return Err(Error::too_large(
                 FORMAT,
-                format!("a list has {} or more strings, more than the limit", texts.len()),
+                format!("a list has {} or more strings, more than the limit of {most}", texts.len()),
             ));
         }
         match walk.next()? {

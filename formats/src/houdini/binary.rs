@@ -175,6 +175,7 @@ impl<'a> Binary<'a> {
                 check_kept(text_count_max(self.file_bytes), "strings")?;
                 let mut texts = Vec::new();
                 let mut text_bytes = 0;
+                let most = widened_bytes_max(self.file_bytes);
                 for _ in 0..length {
                     let text = match code {
                         0x26 => self.word()?,
@@ -182,11 +183,12 @@ impl<'a> Binary<'a> {
                     };
                     // Counts each use of a word: the array can contain the same word any number of times.
                     text_bytes += text.len();
-                    if text_bytes > widened_bytes_max(self.file_bytes) {
+                    if text_bytes > most {
                         return Err(Error::too_large(
                             FORMAT,
                             format!(
-                                "the strings of an array have {text_bytes} bytes or more, more than the limit"
+                                "the strings of an array have {text_bytes} bytes or more, \
+                                 more than the limit of {most} bytes"
                             ),
                         ));
                     }

@@ -271,7 +271,11 @@ fn read_header(cursor: &mut VdbCursor) -> Result<FileHeader> {
     read_metadata(cursor)?;
     let grid_count = cursor.u32("the number of grids")? as usize;
     if grid_count > cursor.remaining() / DESCRIPTOR_BYTES_MIN {
-        return Err(cursor.error(format!("the file declares {grid_count} grids, more than fit into it")));
+        return Err(cursor.error(format!(
+            "the file declares {grid_count} grids of at least {DESCRIPTOR_BYTES_MIN} bytes each, \
+             but only {} bytes follow",
+            cursor.remaining()
+        )));
     }
     if grid_count > GRID_COUNT_MAX {
         return Err(Error::too_large(

@@ -422,7 +422,10 @@ pub(super) fn points_of(described: &Described, decoder: &mut Decoder) -> Result<
     let points = described.points.as_ref().ok_or_else(no_points)?;
     let number = points
         .number
-        .filter(|_| points.arity == 3)
-        .ok_or_else(|| malformed(points.offset, "the points are not three numbers each"))?;
+        .ok_or_else(|| malformed(points.offset, "the array of points has a type that is not numeric"))?;
+    if points.arity != 3 {
+        let what = format!("the array of points has {} components per point; expected 3", points.arity);
+        return Err(malformed(points.offset, &what));
+    }
     positions_of(XML, decoder.values(points, number, described.point_count)?)
 }

@@ -161,7 +161,7 @@ impl Scoring<'_> {
             && !std::mem::replace(&mut self.has_warned_of_open_mesh, true)
         {
             console.warning(format_args!(
-                "{}: the mesh is open at {}: a point that moves beyond its rim counts by its distance to the rim",
+                "{}: the mesh is open at {}: beyond the boundary of the mesh, the distance to the boundary is used",
                 shown(&files.mesh),
                 pluralize(frame.surface().open_edge_count(), "edge")
             ));
@@ -179,12 +179,12 @@ impl Scoring<'_> {
             return Ok(Some(frame));
         }
         self.failed_count += 1;
-        let lacking = match carrier {
-            Carrier::Ids => "no ids, or share most of them",
-            Carrier::Velocities { .. } => "no velocities",
+        let (lacking, attribute) = match carrier {
+            Carrier::Ids => ("most particles lack a unique id", "id"),
+            Carrier::Velocities { .. } => ("the particles have no velocities", "velocity"),
         };
         console.error(format_args!(
-            "{}: the particles have {lacking}, unlike those of the first frame",
+            "{}: {lacking}, unlike those of the first frame: write `{attribute}` with the particles of every frame",
             shown(&files.particles)
         ));
         Ok(None)
@@ -219,7 +219,9 @@ fn line_of(frame: &ScoredFrame) -> String {
     let ScoredFrame { name, summary, untracked_count: uncarried_count, clamped_count: left_count, .. } =
         frame;
     if summary.count == 0 {
-        return format!("{name}: not scored: no point on the surface is carried by particles");
+        return format!(
+            "{name}: not scored: no point on the surface can be tracked to both neighbouring frames"
+        );
     }
     let mut line = format!("{name}: {}", numbers_of(summary));
     if *left_count > 0 {
@@ -249,7 +251,7 @@ fn report(
         Carrier::Ids => "ids".to_owned(),
         Carrier::Velocities { seconds } => format!("velocities, {} s between frames", significant(seconds)),
     };
-    console.say(format_args!("spacing {}; points are carried by {carrier}", significant(spacing)));
+    console.say(format_args!("spacing {}; points are tracked by {carrier}", significant(spacing)));
     if let Some(worst) = tally.worst_points.first() {
         let [x, y, z] = worst.position.map(significant);
         let value = worst.value;

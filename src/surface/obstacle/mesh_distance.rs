@@ -143,7 +143,7 @@ mod tests {
                         [index % 17, index / 17 % 13, index / 221].map(|along| 0.25 * f64::from(along));
                     let point = DVec3::from(place) + DVec3::new(-2.0, -1.0, 1.0) + shift;
                     let (found, exact) =
-                        (mesh.distance(point).expect("a box"), exact(point, least, greatest));
+                        (mesh.distance(point).expect("the box has triangles"), exact(point, least, greatest));
                     assert!((found - exact).abs() < tolerance, "{point}: {found} instead of {exact}");
                 }
             }
