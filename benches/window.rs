@@ -173,7 +173,7 @@ impl Daemon {
     /// CPU time of the HTTP thread so far.
     fn http_cpu_s(&self) -> f64 {
         let tasks = fs::read_dir(format!("/proc/{}/task", self.child.id())).into_iter().flatten().flatten();
-        tasks.filter_map(|task| cpu_s(&task.path().join("stat"), "window")).sum()
+        tasks.filter_map(|task| cpu_s(&task.path().join("stat"), "http")).sum()
     }
 }
 

@@ -336,8 +336,9 @@ impl<'a> Batch<'a> {
         }
         if self.outcomes.suppressed_count > 0 {
             let more = pluralize(self.outcomes.suppressed_count, "more warning");
-            console
-                .warn(format_args!("{more} like those of earlier frames suppressed: --report has them all"));
+            console.warn(format_args!(
+                "{more} not shown, because earlier frames had similar ones: --report FILE has all warnings"
+            ));
         }
         if let Some(path) = report
             // If the path is a symbolic link, the report replaces the link's target, not the link.

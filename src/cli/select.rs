@@ -140,16 +140,20 @@ fn without_rivals(sequences: Vec<SelectedSequence>, console: &mut Console) -> Ve
             !is_rival
         });
         if let Some((owner, rival)) = rivals.first() {
-            let others = match rivals.len() - 1 {
-                0 => String::new(),
-                count => format!(" and {} of {}", pluralize(count, "more frame"), selected.sequence.name),
+            let left_out = match rivals.len() - 1 {
+                0 => "is left out: convert it".to_owned(),
+                count => format!(
+                    "and {} of {} are left out: convert them",
+                    pluralize(count, "more frame"),
+                    selected.sequence.name
+                ),
             };
             console.fail(format_args!(
-                "{} and {} would both become {}.*: converting only the first; convert the second{others} into another \
-                 folder",
+                "{} and {rival} would both become {}.*: \
+                 {rival} {left_out} with a separate command and another --out",
                 owner.display(),
-                rival.display(),
-                FrameFile::new(rival.clone()).stem()
+                FrameFile::new(rival.clone()).stem(),
+                rival = rival.display()
             ));
         }
         kept.extend((!selected.selected.is_empty()).then_some(selected));

@@ -152,7 +152,8 @@ impl SequenceOutputs {
             }
             if sequence_count > 1 {
                 bail!(
-                    "{option}: a sequence file holds one sequence, and these are {sequence_count}: convert them separately"
+                    "{option}: a sequence file holds one sequence, but the inputs form \
+                     {sequence_count} sequences: convert each of them with its own command"
                 );
             }
             files.push((path.clone(), format));

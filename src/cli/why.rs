@@ -77,7 +77,10 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<CommandOutcom
     }
     let is_to_come = matches!(explanation.verdict, Fate::Waits(_) | Fate::Converted(_));
     if is_to_come && matches!(Holder::of(output)?, Holder::Unlocked) {
-        console.say(format_args!("No daemon is at work in {}.", output.display()));
+        console.say(format_args!(
+            "No daemon is running for {}: start one to convert the frame.",
+            output.display()
+        ));
     }
     Ok(CommandOutcome::Done)
 }
@@ -173,7 +176,7 @@ fn lines(
             match content {
                 SniffedContent::Particles => "particles",
                 SniffedContent::OwnOutput => "made by this program",
-                SniffedContent::NotParticles => "no particles",
+                SniffedContent::NotParticles => "not particles",
             },
         );
         line("complete", &readiness.to_string());
@@ -195,8 +198,8 @@ fn lines(
             line(
                 "settings",
                 match settings_hold {
-                    None if is_known => "not compared: that needs a particle spacing that is known",
-                    None => "not compared: that needs --config, and a particle spacing that is known",
+                    None if is_known => "not compared, because the particle spacing is not known yet",
+                    None => "not compared, because the daemon's settings are unknown: give --config",
                     Some(true) => "as recorded",
                     Some(false) => "not as recorded",
                 },

@@ -228,7 +228,10 @@ impl PlanFile {
             obstacles: obstacles.collect::<Result<_, _>>()?,
         };
         match replaced_input(&plan) {
-            Some(index) => Err(PlanError::at(format!("/frames/{index}/input"), "it is also an output")),
+            Some(index) => Err(PlanError::at(
+                format!("/frames/{index}/input"),
+                "an output of the plan would overwrite this input",
+            )),
             None => Ok(plan),
         }
     }
@@ -338,14 +341,17 @@ impl SequenceEntry {
         }
         let settings = Settings::resolve(&options, None)
             .map_err(|error| PlanError::at(format!("{place}/settings"), error.to_string()))?;
-        // The default of a missing setting may be different for another shard.
+        // A missing setting is not replaced by its default, which may differ from the value that was planned.
         let needed = settings.to_options().to_pairs();
         let place = |name: &str| format!("{place}/settings/{}", escaped(name));
         if let Some((name, _)) = needed.iter().find(|(name, _)| !self.settings.contains_key(*name)) {
             return Err(PlanError::at(place(name), "missing: a plan has every setting"));
         }
         match self.settings.keys().find(|key| needed.iter().all(|(name, _)| name != key)) {
-            Some(name) => Err(PlanError::at(place(name), "it has no effect with the other settings")),
+            Some(name) => Err(PlanError::at(
+                place(name),
+                "not allowed, because it has no effect with the other settings of the sequence: remove it",
+            )),
             None => Ok(settings),
         }
     }
@@ -413,8 +419,8 @@ fn shards(entries: &[ShardEntry], frame_count: usize) -> Result<Vec<Range<usize>
             PlanError::at(
                 format!("/shards/{index}"),
                 format!(
-                    "{count} frames from {first}: it must begin at {next} and end within the plan's {frame_count} \
-                     frames"
+                    "`first` is {first} and `count` is {count}: `first` must be {next}, so that no frame is \
+                     skipped or repeated, and `first` + `count` at most {frame_count}, the number of frames"
                 ),
             )
         })?;
@@ -423,7 +429,9 @@ fn shards(entries: &[ShardEntry], frame_count: usize) -> Result<Vec<Range<usize>
     }
     match next == frame_count {
         true => Ok(shards),
-        false => Err(PlanError::at("/shards", format!("no shard has the frames from {next} on"))),
+        false => {
+            Err(PlanError::at("/shards", format!("the shards cover only {next} of the {frame_count} frames")))
+        }
     }
 }
 

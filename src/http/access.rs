@@ -71,7 +71,7 @@ fn cookie_name(port: u16) -> String {
 
 impl fmt::Debug for AccessToken {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("Token")
+        f.write_str("AccessToken")
     }
 }
 
@@ -148,7 +148,7 @@ mod tests {
         for text in ["short", "0123456789abcde;", "0123456789abcde f", &"x".repeat(257)] {
             assert_eq!(AccessToken::new(text), Err(TokenError), "{text}");
         }
-        assert_eq!(format!("{token:?}"), "Token");
+        assert_eq!(format!("{token:?}"), "AccessToken");
     }
 
     #[test]

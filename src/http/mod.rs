@@ -95,7 +95,7 @@ impl HttpServer {
             .max_blocking_threads(READERS_MAX)
             .thread_stack_size(STACK_BYTES)
             .build()?;
-        let thread = thread::Builder::new().name("window".to_owned()).stack_size(STACK_BYTES);
+        let thread = thread::Builder::new().name("http".to_owned()).stack_size(STACK_BYTES);
         let thread = thread.spawn(move || {
             if let Err(error) = runtime.block_on(serve::serve(listener, shared)) {
                 tracing::error!("the status page and the API have stopped: {error}; the daemon continues");

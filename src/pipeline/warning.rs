@@ -111,8 +111,8 @@ pub enum ObstacleFinding {
     Rebuilt(RebuildReason),
     /// The narrow band of its level set is too narrow: distances are known up to `known_voxels` voxels.
     NarrowBand { known_voxels: f64 },
-    /// It does not touch the frame. The fields are the bounding boxes of both: minimum and maximum corners,
-    /// world units.
+    /// It is out of reach of all particles. The fields are the bounding boxes of both: minimum and maximum
+    /// corners, world units.
     OutOfReach { obstacle: [DVec3; 2], particles: [DVec3; 2] },
 }
 
@@ -231,7 +231,7 @@ impl Warning {
             }
             Warning::NotStretched { count } => (count, "particle", "not stretched: no finite velocity"),
             Warning::ValuesNotFinite { count } => {
-                (count, "value", "of particle attributes ignored: not finite")
+                (count, "value", "of particle attributes ignored: infinite or NaN")
             }
             Warning::VerticesWithoutAttributes { count } => {
                 (count, "vertex", "without a particle in range: attributes are 0 or missing")
@@ -256,7 +256,7 @@ impl Warning {
     fn fmt_surface(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Warning::ClippedAway => {
-                f.write_str("the clip box holds nothing of the surface: the mesh is empty")
+                f.write_str("the clip box contains no part of the surface: the mesh is empty")
             }
             Warning::IslandsDropped => f.write_str(
                 "every piece of the surface was dropped because all have too few particles: the mesh is empty",
@@ -385,9 +385,11 @@ impl fmt::Display for ObstacleFinding {
                      close them in the model for an exact obstacle"
                 )
             }
-            ObstacleFinding::Flipped { triangle_count } => {
-                write!(f, "{triangle_count} triangles were flipped because they faced the other way")
-            }
+            ObstacleFinding::Flipped { triangle_count } => write!(
+                f,
+                "{} flipped: facing inwards, or oriented opposite to adjacent triangles",
+                pluralize(*triangle_count, "triangle")
+            ),
             ObstacleFinding::PossiblyInverted { part_count } => write!(
                 f,
                 "{part_count} parts seem to face inwards and were not flipped: too many parts to detect cavities"
@@ -403,7 +405,11 @@ impl fmt::Display for ObstacleFinding {
             ),
             ObstacleFinding::OutOfReach { obstacle, particles } => {
                 let [obstacle, particles] = [*obstacle, *particles].map(box_text);
-                write!(f, "touches nothing of the frame: it spans {obstacle}, and the particles {particles}")
+                write!(
+                    f,
+                    "too far from the particles to have an effect: it spans {obstacle}, and the particles span \
+                     {particles}; check its position, unit of length and up axis"
+                )
             }
         }
     }

@@ -92,7 +92,7 @@ pub fn names_level_sets(pattern: Option<&str>) -> bool {
 pub enum Order {
     /// By name, in natural order: frame.2 before frame.10
     Natural,
-    /// The one written last
+    /// By modification time: the most recently written frame first
     Latest,
 }
 

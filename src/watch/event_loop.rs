@@ -129,7 +129,9 @@ impl<'a> EventLoop<'a> {
                 Event::PipelineEnded { pipeline } => {
                     let is_wanted = self.pipelines.remove(pipeline).flatten().is_some();
                     if is_wanted && !self.core.is_stopping() {
-                        return Err(DaemonError::Threads("the pipeline has ended unexpectedly".to_owned()));
+                        let what = "a pipeline ended unexpectedly, which is a bug: restart the daemon, and \
+                                    report the bug with the log";
+                        return Err(DaemonError::Threads(what.to_owned()));
                     }
                 }
                 Event::JournalSynced => self.unsynced_count = self.unsynced_count.saturating_sub(1),

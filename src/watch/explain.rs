@@ -221,9 +221,11 @@ impl fmt::Display for FrameExplanation {
             FrameExplanation::Skipped(reason) => write!(f, "is not converted because {reason}"),
             FrameExplanation::Waits(why) => write!(f, "is not converted yet because {why}"),
             FrameExplanation::NotAFrame(SniffedContent::OwnOutput) => {
-                f.write_str("is not converted because this program made it")
+                f.write_str("is not converted because it is an output of this program")
             }
-            FrameExplanation::NotAFrame(_) => f.write_str("is not converted because it holds no particles"),
+            FrameExplanation::NotAFrame(_) => {
+                f.write_str("is not converted because it is not a particle file")
+            }
             FrameExplanation::Found(outputs) => {
                 let names: Vec<_> =
                     outputs.iter().filter_map(|path| path.file_name()).map(OsStr::to_string_lossy).collect();

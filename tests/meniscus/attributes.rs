@@ -67,7 +67,7 @@ fn every_format_has_the_attributes_that_it_supports() {
     let ran = convert(folder, "out", &["--attributes", "all", "--position-smoothing", "0"]);
     assert_eq!(ran.status, 0, "{}", ran.err);
     for note in [
-        "1 value of particle attributes ignored: not finite",
+        "1 value of particle attributes ignored: infinite or NaN",
         "id is not in the .vdb",
         "fluid is not in the .vdb",
         "v is missing in the .obj",

@@ -496,10 +496,10 @@ fn obstacle_out_of_reach_causes_a_warning() {
         let ran = convert(path, &[&arguments[..], &["--preset", "paper", "--obstacle", name]].concat());
         assert_eq!(ran.status, 0, "{}", ran.err);
         let notes = |frame: usize| {
-            report(&path.join("r.json"))["frames"][frame]["notes"].to_string().contains("touches nothing")
+            report(&path.join("r.json"))["frames"][frame]["notes"].to_string().contains("too far from")
         };
         assert_eq!(notes(0), notes(1), "each frame has it in the report");
-        (ran.err.matches("touches nothing of the frame").count(), ran.err)
+        (ran.err.matches("too far from the particles to have an effect").count(), ran.err)
     };
     // Just in reach, and just beyond it: r_max is 2√3 voxels.
     let at = |x: f64| cuboid(DVec3::new(x, -1.0, -1.0), DVec3::new(x + 1.0, 1.0, 1.0));
@@ -507,8 +507,8 @@ fn obstacle_out_of_reach_causes_a_warning() {
     let (count, err) = told("far.obj", &at(0.4 + 0.05 * (12f64.sqrt() + 4.1)));
     assert_eq!(count, 1, "once for a sequence: {err}");
     assert!(
-        err.contains("dam.1.ply: obstacle far.obj: touches")
-            && err.contains("the particles (0.1, 0, 0) to (0.4,"),
+        err.contains("dam.1.ply: obstacle far.obj: too far")
+            && err.contains("the particles span (0.1, 0, 0) to (0.4,"),
         "{err}"
     );
     let mut plane = at(0.3);
@@ -530,11 +530,11 @@ fn empty_surface_causes_a_warning_with_the_reason() {
     let box_beyond = ["--clip", "5,5,5,6,6,6"];
     let ball = ["--obstacle", "ball.obj"];
     for (more, word) in [
-        (&box_beyond[..], "the clip box holds nothing of the surface"),
+        (&box_beyond[..], "the clip box contains no part of the surface"),
         (&["--drop-islands", "100"], "every piece of the surface was dropped"),
         (&ball, "all of the surface is inside obstacles"),
         (&[ball, box_beyond].concat(), "all of the surface is inside obstacles"),
-        (&["--memory", "2MiB", "--clip", "5,5,5,6,6,6"], "the clip box holds nothing"),
+        (&["--memory", "2MiB", "--clip", "5,5,5,6,6,6"], "the clip box contains no part"),
     ] {
         let ran = convert(path, &[&arguments, more].concat());
         assert_eq!(ran.status, 0, "{}", ran.err);
@@ -547,7 +547,7 @@ fn empty_surface_causes_a_warning_with_the_reason() {
         assert!(path.join("o/dam.1.obj").exists());
     }
     let all = convert(path, &[&arguments[..], &["--clip", "-5,-5,-5,0.1,5,5"]].concat());
-    assert!(!all.err.contains("nothing of the surface"), "{}", all.err);
+    assert!(!all.err.contains("no part of the surface"), "{}", all.err);
 }
 
 /// A second run of `watch --once` converts nothing until the obstacle changes.

@@ -137,7 +137,7 @@ fn status_reads_the_journal_and_the_lock() {
     let status = |more: &[&str]| -> Ran { meniscus(path, &[&["status", "--out", "out"], more].concat()) };
     let nothing = status(&[]);
     assert_eq!(nothing.status, 2);
-    assert!(nothing.err.contains("out: no daemon has worked here"), "{}", nothing.err);
+    assert!(nothing.err.contains("out: no record of a daemon"), "{}", nothing.err);
     assert!(!path.join("out").exists());
 
     write_sequence(path, 1, 2);
@@ -158,7 +158,7 @@ fn status_reads_the_journal_and_the_lock() {
     assert_eq!(json["last_done"][0]["particles"], 216);
     drop(lock);
     let elsewhere = status(&["--journal", "nowhere"]);
-    assert!(elsewhere.err.contains("as far as nowhere says"), "{}", elsewhere.err);
+    assert!(elsewhere.err.contains("the journal in nowhere is missing"), "{}", elsewhere.err);
 }
 
 #[test]
@@ -276,7 +276,7 @@ fn why_reads_the_arguments_of_the_daemon_from_the_journal() {
     tells("in/dam.1.ply", &["name      selected as a frame", "settings  as recorded", "because it is done"]);
     tells("in/spray.1.ply", &["name      not selected as a frame", "It is not converted because its path"]);
     write_sequence(&path.join("in"), 2, 2);
-    tells("in/dam.2.ply", &["It is not converted yet because its sentinel", "No daemon is at work"]);
+    tells("in/dam.2.ply", &["It is not converted yet because its sentinel", "No daemon is running"]);
     let elsewhere = meniscus(path, &["why", "out/dam.1.glb", "--out", "out"]);
     assert!(elsewhere.err.contains("not in a folder that is watched"), "{}", elsewhere.err);
     let status = meniscus(path, &["status", "--out", "out"]);
@@ -291,7 +291,7 @@ fn why_reads_the_arguments_of_the_daemon_from_the_journal() {
         journal.note_plan(plan).expect("noted");
     };
     ask(&|watch| watch.choices.radius_ratio = Some(1.25));
-    tells("in/dam.1.ply", &["settings  not compared: that needs a particle spacing that is known"]);
+    tells("in/dam.1.ply", &["settings  not compared, because the particle spacing"]);
     ask(&|watch| watch.choices.spacing = Some(0.05));
     tells("in/dam.1.ply", &["settings  not as recorded", "because its settings or obstacles have changed"]);
     // The configuration file takes precedence.

@@ -238,7 +238,7 @@ impl Contact<'_> {
             sequences.into_iter().map(|part| block(part.title(), part.cells)).collect();
         let of_singles = match &singles[..] {
             [part] => part.title(),
-            parts => format!("{}, each by itself", pluralize(parts.len(), "file")),
+            parts => pluralize(parts.len(), "single file"),
         };
         let cells: Vec<Cell> = singles.into_iter().flat_map(|part| part.cells).collect();
         if !cells.is_empty() {

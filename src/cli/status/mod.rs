@@ -129,7 +129,12 @@ pub(super) fn status(args: &StatusArgs, console: &mut Console) -> Result<Command
     let state = read_journal(&journal)?;
     let holder = Holder::of(&args.out)?;
     if state == JournalState::default() && !matches!(holder, Holder::Daemon(_)) {
-        bail!("{}: no daemon has worked here, as far as {} says", args.out.display(), journal.display());
+        bail!(
+            "{}: no record of a daemon, because the journal in {} is missing or empty: \
+             check --out and --journal",
+            args.out.display(),
+            journal.display()
+        );
     }
     let record = StatusRecord::new(&args.out, &journal, &state, holder);
     if args.json {

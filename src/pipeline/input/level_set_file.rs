@@ -201,16 +201,18 @@ fn velocities(
 ) -> Result<[Field; 3], String> {
     if vectors.class == "staggered" {
         return Err(
-            "their grid is staggered: resample it to a collocated grid (values at voxel centres)".to_owned()
+            "the velocity grid is staggered: resample it to a collocated grid (values at voxel centres)"
+                .to_owned(),
         );
     }
     if vectors.transform != *transform {
         return Err(
-            "their grid has another transform than the level set: resample it to the same voxels".to_owned()
+            "the velocity grid has another transform than the level set: resample it to the same voxels"
+                .to_owned(),
         );
     }
     if !vectors.leaves.iter().flatten().flatten().all(|number| number.is_finite()) {
-        return Err("some of them are not finite".to_owned());
+        return Err("some velocities are infinite or NaN".to_owned());
     }
     let mut fields = vectors.background.map(|number| Field::splat(band.topology.len(), number));
     for (&origin, values) in vectors.origins.iter().zip(&vectors.leaves) {

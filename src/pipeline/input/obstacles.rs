@@ -64,7 +64,7 @@ struct LoadedObstacle {
 
 impl fmt::Debug for LoadedObstacle {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Known").field("hash", &self.hash).finish_non_exhaustive()
+        f.debug_struct("LoadedObstacle").field("hash", &self.hash).finish_non_exhaustive()
     }
 }
 

@@ -44,7 +44,7 @@ word_enum! {
         /// Dual contouring: fewer and better shaped triangles
         #[default]
         Dual = "dual",
-        /// Marching tetrahedra: as the paper does, about four times as many triangles
+        /// Marching tetrahedra, as in the paper: about four times as many triangles
         Tetrahedra = "tetrahedra",
     }
 }

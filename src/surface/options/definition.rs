@@ -129,8 +129,8 @@ method_options! {
             #[arg(value_name = "L")]
             position_smoothing: f64 in 0.0..=1.0,
 
-            /// Stretch particles by their movement in this time, positive, for --anisotropy velocity
-            /// [default: 0.01]
+            /// Stretch particles along their velocity: the farther they move in this time, the more;
+            /// positive, for --anisotropy velocity [default: 0.01]
             #[arg(value_name = "SECONDS")]
             velocity_gain: f64
                 => "--anisotropy velocity", |options, _| options.anisotropy_kind() == AnisotropyKind::Velocity,
@@ -198,8 +198,8 @@ method_options! {
             #[arg(value_name = "N")]
             laplacian_steps: u32 in 0..=STEPS_MAX,
 
-            /// Number of biharmonic steps, 0 to 1000000 [default: 2; explicit, adaptive: as many as give the
-            /// same total pseudo-time]
+            /// Number of biharmonic steps, 0 to 1000000 [default: 2; explicit, adaptive: a larger number of
+            /// smaller steps with the same total pseudo-time]
             #[arg(value_name = "N")]
             steps: u32 in 0..=STEPS_MAX,
 

@@ -124,7 +124,7 @@ pub enum Anisotropy {
     },
     /// By the velocity.
     Velocity {
-        /// A particle is stretched by its movement in this time, seconds.
+        /// Time in seconds. The distance that a particle moves in this time determines its stretch.
         gain: f64,
         /// Upper limit of the longest semi-axis, in units of the shortest.
         max_stretch: f64,
@@ -165,8 +165,7 @@ const THIN_MIN_VOXELS: f64 = 0.9;
 /// Default search radius for neighbours, in units of r_min.
 const NEIGHBOR_RADIUS: f64 = 3.0;
 
-/// Default of `velocity_gain`, seconds: particles are stretched by their movement in a quarter of a film
-/// frame.
+/// Default of `velocity_gain`, seconds: about a quarter of the time between two frames of a film.
 const VELOCITY_GAIN: f64 = 0.01;
 
 /// Upper limit of the neighbour radius in voxels: more would cover a large part of a frame.
@@ -370,7 +369,7 @@ impl Settings {
         let inward = options.offset.and_then(Length::world).filter(|offset| offset.is_finite());
         if let (Some(radius_min), Some(offset)) = (radius_min.filter(sound), inward) {
             require(-offset <= (1.0 + 1e-9) * radius_min, || {
-                format!("the offset is {offset}; it must be from -r_min = {} on", -radius_min)
+                format!("the offset is {offset}; it must be at least -r_min = {}", -radius_min)
             })?;
         }
         // Lengths in spacings and in voxels can be compared with each other, but not with lengths in world

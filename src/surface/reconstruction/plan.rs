@@ -224,8 +224,9 @@ fn neighbors_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
 const VICINITY_LEAF_BYTES: f64 = 300.0;
 
 /// Memory while attributes are transferred and written, in addition to the mesh and two level sets. It holds
-/// near particles, sorted and packed, and values at vertices and in the band: scattered, then contiguous,
-/// then compressed for six voxels each.
+/// near particles, sorted and packed. For each voxel face of the surface's area, it also holds eight values
+/// of each attribute: two for a vertex or a node of the band (in chunks, then contiguous), and six in the
+/// encoded .vdb, whose band is six voxels wide.
 fn transfer_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64) -> f64 {
     if attribute_bytes == 0.0 {
         return 0.0;

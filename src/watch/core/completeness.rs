@@ -189,7 +189,8 @@ impl fmt::Display for Proof {
             Proof::Renamed => "it was renamed into place",
             Proof::Sentinel => "its sentinel exists",
             Proof::Format => {
-                "it has not changed for --settle, and its format, or reading it, shows if it is incomplete"
+                "it has not changed for --settle, and its format shows, at the latest when it is read, \
+                 whether it is complete"
             }
             Proof::Unchanged => "it has not changed for --unproven, so it counts as complete",
             Proof::Stalled => {

@@ -98,7 +98,11 @@ impl OutputLock {
         }
         if let Err(error) = write_holder(&file) {
             // The lock is held all the same; only the text about the holder is missing.
-            tracing::warn!(lock = %path.display(), %error, "cannot write the name of the holder into the lock file");
+            tracing::warn!(
+                lock = %path.display(),
+                %error,
+                "the folder is locked, but the lock file does not say by whom: cannot write to it"
+            );
         }
         Ok(OutputLock { file })
     }
@@ -215,7 +219,7 @@ impl fmt::Display for LockError {
         match self {
             LockError::Held { folder, by } => write!(
                 f,
-                "another daemon writes into {}: {by}. Stop it first, or choose another folder",
+                "another daemon writes into {} ({by}): stop that daemon, or choose another folder",
                 folder.display()
             ),
             LockError::Unsupported { folder } => write!(
