@@ -237,7 +237,7 @@ fn voxel_size_is_small_enough_for_radii_from_a_column() {
     assert_eq!(report["frames"][0]["shapes"]["small_radii"], 20);
     assert!(ran.err.contains("20 particles too small for the grid"), "{}", ran.err);
     assert!(ran.err.contains("--voxel-size 0.0173 or less resolves all of them"), "{}", ran.err);
-    // The voxel size in the warning is small enough.
+    // The voxel size in the warning is small enough. The daemon (below) measures the same.
     let ran = meniscus(folder, &[&typed[..], &["--voxel-size", "0.0173"]].concat());
     assert_eq!(ran.status, 0);
     // Position smoothing would move the particles by more than the radius of such small balls.

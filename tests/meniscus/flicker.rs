@@ -178,8 +178,8 @@ fn moving_ball_scores_zero_in_every_format_by_ids_and_by_velocities() {
 
 #[test]
 fn breathing_ball_scores_its_change_of_radius_with_place_and_time() {
-    // The radii of frames 2 to 4 differ from those of their neighbours by 0.02. Frames 5 and 6 are steady,
-    // but frame 5 follows the last change.
+    // The radii of frames 2 to 4 differ from those of both neighbours by 0.02, that of frame 5 differs from
+    // one neighbour, and that of frame 6 from none.
     let folder = scene(&[1.05, 1.07, 1.05, 1.07, 1.05, 1.05, 1.05], ",id");
     let outputs = ["--csv", "s.csv", "--points", "p.csv", "--picture", "p.png", "--spacing", "0.1"];
     let ran = run(&folder, &outputs);

