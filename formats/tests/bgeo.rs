@@ -271,7 +271,7 @@ fn shared(path: &str) -> Option<PathBuf> {
     path.exists().then_some(path)
 }
 
-/// Decompresses a file if it is gzipped, as most programs write them.
+/// The contents of a file, decompressed if it is gzipped: most programs write .bgeo files with gzip.
 fn inflated(path: &PathBuf) -> Vec<u8> {
     let bytes = std::fs::read(path).unwrap();
     if !bytes.starts_with(&[0x1f, 0x8b]) {

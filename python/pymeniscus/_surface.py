@@ -273,9 +273,9 @@ class Surface:
     ) -> None:
         """Write the surface to a file. The file appears when it is complete, and replaces an existing file.
 
-        The file has the same bytes as that of ``meniscus convert`` with the same options and the same `source`.
-        If the format rounds positions (``stl``, a quantized ``glb``) or has attributes at voxels (``vdb``,
-        ``exr``), you must also pass it to `reconstruct`, in the argument `formats`.
+        The file has the same bytes as that of ``meniscus convert`` with the same options and the same
+        `source`. If the format rounds positions (``stl``, a quantized ``glb``) or has attributes at voxels
+        (``vdb``, ``exr``), you must also pass it to `reconstruct`, in the argument `formats`.
 
         Parameters
         ----------

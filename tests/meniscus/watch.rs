@@ -45,7 +45,8 @@ fn contradictory_arguments_are_refused_before_any_output() {
     assert!(!path.join("out").exists());
 }
 
-/// The docs and the help give the same range for every number. The error for a value outside has that range.
+/// The docs and the help state the same range for every number, and so does the error for a value outside of
+/// the range.
 #[test]
 fn numbers_have_the_documented_ranges() {
     let folder = tempdir().expect("a folder");
@@ -84,7 +85,8 @@ fn numbers_have_the_documented_ranges() {
             Some((least, most)) => {
                 let [low, high]: [f64; 2] = [least, most].map(|bound| bound.parse().expect(range));
                 let below = if low > 0.0 && low < 1.0 { 0.5 * low } else { low - 1.0 };
-                // The upper limit is more threads than a test should start.
+                // For threads, only the lower limit: the upper limit is more threads than a test should
+                // start.
                 let good = if option == "--threads" { vec![least] } else { vec![least, most] };
                 let bad = vec![below.to_string(), (2.0 * high).to_string()];
                 (bad, good.into_iter().map(str::to_owned).collect())
@@ -178,7 +180,7 @@ fn why_lists_everything_that_decides() {
         }
     };
     let typed = ["--out", "out"];
-    // The file is new: whether it counts as stable depends on half a second.
+    // The file is new: it counts as stable only after half a second.
     let unknown = "The journal does not record the daemon's settings";
     tells("in/dam.1.ply", &typed, &["journal   nothing", "content   particles", "It ", unknown]);
     tells("in/notes.md", &typed, &["not selected as a frame", "It is not converted because its path"]);
@@ -238,7 +240,7 @@ fn why_recognizes_outputs_of_convert() {
     assert!(done.contains("dam.1.glb, dam.1.ply were made from its current content"), "{done}");
     assert!(!done.contains("will be") && !done.contains("No daemon"), "{done}");
     assert!(settled("in/dam.2.ply").contains("It will be converted because"));
-    // `why` does not list damaged outputs as made from the frame.
+    // `why` does not list a damaged output as made from the frame.
     let cut = |name: &str| {
         let whole = fs::read(path.join(name)).expect("there");
         fs::write(path.join(name), &whole[..whole.len() / 2]).expect("written");
@@ -283,7 +285,7 @@ fn why_reads_the_arguments_of_the_daemon_from_the_journal() {
     let watched = format!("{}, only dam.*.ply, each when its {{stem}}.ok exists", path.join("in").display());
     assert!(status.out.contains(&watched), "{}", status.out);
 
-    // As after a restart of the daemon with other settings.
+    // Imitate a restart of the daemon with other settings.
     let ask = |change: &dyn Fn(&mut Watch)| {
         let mut journal = Journal::open(&path.join("out/.meniscus")).expect("a journal");
         let mut plan = journal.state().plan.clone().expect("a plan");
@@ -371,7 +373,7 @@ fn printed_settings_are_keys_of_a_file() {
             assert!(printed.out.contains(key), "{options:?}: no {key} in {}", printed.out);
         }
         let (watched, converted) = (format!("watched{index}"), format!("converted{index}"));
-        // The folder of the file does not matter.
+        // The folder of the configuration file does not affect the result.
         let config = path.join(format!("etc{index}/meniscus.toml"));
         fs::create_dir(config.parent().expect("a folder")).expect("made");
         let blocks = format!("[[watch]]\ninput = \"../in\"\noutput = \"../{watched}\"\n{}", printed.out);

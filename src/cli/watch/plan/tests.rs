@@ -5,7 +5,7 @@ use clap::Parser;
 use std::fs;
 use tempfile::TempDir;
 
-/// A folder with a `meniscus.toml`, and plans made from it.
+/// A folder with a `meniscus.toml`, for tests that make plans from this file.
 struct Bench {
     folder: TempDir,
 }
