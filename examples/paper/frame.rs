@@ -25,8 +25,8 @@ const SPACING: f64 = 0.05;
 
 const RATIOS: [f64; 5] = [1.0, 1.25, 1.5, 2.0, 4.0];
 
-/// Pseudo-times of the smoothing, in units of h⁴. The default time is 100 in five implicit steps of 20, or 5
-/// in 500 explicit steps of 0.01.
+/// Pseudo-times of the smoothing, in units of h⁴. With the preset `paper`, the time is 100 in five implicit
+/// steps of 20, or 5 in 500 explicit steps of 0.01.
 const TIMES: [f64; 7] = [0.0, 5.0, 20.0, 40.0, 60.0, 80.0, 100.0];
 
 const INTRODUCTION: &str = "\

@@ -222,7 +222,8 @@ fn looks_like_obj(text: &[u8], name: &str) -> bool {
     vertex_seen || (name.ends_with(".obj") && line_count > 0)
 }
 
-/// Whether a line consists of delimited numbers, or the first line has a delimiter and can thus be a header.
+/// Whether at least half of the cells of a line are numbers, or the first line has a delimiter and can thus
+/// be a header.
 fn looks_like_table(text: &[u8]) -> bool {
     let mut lines = content_lines(text);
     let Some(header) = lines.next() else { return false };

@@ -45,8 +45,8 @@ fn is_skippable(bytes: &[u8]) -> bool {
 /// Decompresses all frames of the file and concatenates them.
 ///
 /// # Errors
-/// `Truncated` if the file ends too early and `Invalid` if it is damaged, with the offset in the compressed file;
-/// `TooLarge` beyond `decompressed_bytes` or `decompression_ratio`, or if the window is too large.
+/// `Truncated` if the file ends too early and `Invalid` if it is damaged, with the offset in the compressed
+/// file; `TooLarge` beyond `decompressed_bytes` or `decompression_ratio`, or if the window is too large.
 pub(crate) fn decompress(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     let mut decompressed = Vec::new();
     let mut rest = bytes;

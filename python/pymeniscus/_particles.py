@@ -29,7 +29,7 @@ class Particles(Mapping[str, NDArray[Any]]):
         Remarks about the file, such as skipped rows.
     path : str or None
         The file that the particles were read from.
-        """
+    """
 
     def __init__(
         self,

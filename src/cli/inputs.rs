@@ -3,7 +3,7 @@
 //! ```text
 //!   dam.0012.bgeo      an existing file           that file
 //!   frames             an existing folder         the frames in it
-//!   dam.####.bgeo      a number, 4 digits or more  dam.0012.bgeo, dam.10000.bgeo
+//!   dam.####.bgeo      a number of ≥ 4 digits     dam.0012.bgeo, dam.10000.bgeo
 //!   dam.%04d.bgeo      the same
 //!   dam.{}.bgeo        a number of any width       dam.7.bgeo
 //!   shots/*/dam*.ply   anything else with * ? []   the matching files

@@ -120,7 +120,7 @@ pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> ExitCode
     ExitCode::from(status_of(arguments))
 }
 
-/// Like [`run`], but returns the exit status as a number, for programs that do not end with an [`ExitCode`].
+/// Like [`run()`], but returns the exit status as a number, for programs that do not end with an [`ExitCode`].
 #[doc(hidden)]
 pub fn status_of(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> u8 {
     let arguments: Vec<OsString> = arguments.into_iter().map(Into::into).collect();

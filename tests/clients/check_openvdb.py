@@ -284,7 +284,7 @@ def compared(path, grid, phi, first, ours, h):
 def near_origin(grid, phi, first):
     """The grid, and the world position of its origin. A grid far from the origin is moved there: the vertices
     of its mesh are single-precision world positions, whose rounding would otherwise be a visible part of a
-    voxel. """
+    voxel."""
     if np.abs(first).max() < 1 << 16:
         return grid, np.zeros(3)
     moved = vdb.FloatGrid(grid.background)

@@ -64,7 +64,7 @@ def write_particles(path):
 def faults_of(what, points, found, field, rounding=0.0, reach=REACH):
     """Finds faults of the values of a linear or constant field at some points. The values must be within the
     range of the particles, and differ from the field by no more than it changes within `reach`, plus
-    `rounding`. """
+    `rounding`."""
     found, expected = np.asarray(found, float), field(points)
     particles = field(positions().astype(float))
     faults = []

@@ -420,7 +420,7 @@ fn wrong_pictures_differ_from_the_reference() {
     };
     let right = picture(&ball(1.0), AWAY);
     let mut holed = ball(1.0);
-    // Flip the sign of a few voxels in front.
+    // Make a hole: a few voxels in front are outside.
     let topology = holed.topology.clone();
     for (leaf, origin) in holed.phi.leaves.iter_mut().zip(topology.origins()) {
         for (offset, value) in leaf.values.iter_mut().enumerate() {

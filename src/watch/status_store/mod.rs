@@ -184,8 +184,8 @@ impl StatusStore {
         self.alive_ms.store(now_ms(), Ordering::Relaxed);
     }
 
-    /// Replaces the view of a frame. If the new view has no figures, but the same state and outputs as the old
-    /// one, the old figures are kept.
+    /// Replaces the view of a frame. If the new view has no figures, but the same state and outputs as the
+    /// old one, the old figures are kept.
     pub fn update(&self, mut view: FrameView) {
         let mut state = self.lock();
         let rank = NameOrder(view.summary.name.clone());
