@@ -2,6 +2,7 @@
 //! are outside afterwards.
 
 use std::fs;
+use std::path::Path;
 
 use glam::{DVec3, Vec3};
 use meniscus::surface::obstacle::Obstacles;
@@ -256,4 +257,20 @@ fn command_moves_the_surface_and_reports_it() {
     assert!(!ran.out.contains("done already"), "{}", ran.out);
     let ran = convert("plain/block.vdb", &["--format=obj", "--offset=-0.2"]);
     assert!(ran.status != 0 && ran.err.contains("the offset is -0.2"), "{} {}", ran.status, ran.err);
+}
+
+/// With the default settings, particles are flattened. Near the centre of such a particle, a first-order
+/// distance to its surface is far too large.
+#[test]
+fn inward_offsets_of_flattened_particles_pass_validation() {
+    let folder = tempdir().expect("a folder");
+    let frames = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/frames");
+    let frames = frames.to_str().expect("text");
+    for offset in ["-0.75d", "-1d"] {
+        let ran = meniscus(
+            folder.path(),
+            &["convert", frames, "--out=out", "--frames=3-8", "--offset", offset, "--overwrite"],
+        );
+        assert_eq!(ran.status, 0, "{offset}: {}", ran.err);
+    }
 }

@@ -266,7 +266,7 @@ fn options_are_checked_before_the_voxel_size_is_known() {
         (MethodOptions { offset: Some(f64::NAN.into()), ..MethodOptions::default() }, "offset is NaN"),
         (
             MethodOptions { offset: Some((-0.11).into()), ..choices(Some(0.1), None, None) },
-            "from -r_min = -0.1 on",
+            "at least -r_min = -0.1",
         ),
         (MethodOptions { quads: Some(true), decimate: Some(0.1), ..MethodOptions::default() }, "quads"),
         (
