@@ -37,7 +37,9 @@ impl<'a> NumberPattern<'a> {
         format!("{}{number:0width$}{}", self.before, self.after)
     }
 
-    /// The file in a folder that has this number; the first by name if there are several.
+    /// The file in a folder that has this number: the one with the name of [`name_of`](Self::name_of) if it
+    /// exists. Otherwise, if the number may have any number of leading zeros, the first by name of the files
+    /// that have it. `None` if there is none.
     ///
     /// # Errors
     /// When the folder cannot be listed.

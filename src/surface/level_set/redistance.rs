@@ -5,8 +5,8 @@
 //! the zero set with the value's sign.
 //!
 //! ```text
-//!   before   −3.0  −1.2   0.2   0.9   4.0     any slope
-//!   after    −2.1  −1.1   0.1   1.0   2.0     slope one; the crossing stays where it was
+//!   before   −2.7  −1.2   0.3   1.8   4.0     any slope
+//!   after    −1.8  −0.8   0.2   1.2   2.2     slope one; the crossing stays where it was
 //!                   └─pinned─┘
 //! ```
 //!
