@@ -51,7 +51,7 @@ fn pyramid() -> Vec<u8> {
         attribute("name", None, 1, named),
     ];
     let notes = abc::attribute_notes(&attributes);
-    assert_eq!(notes, ["a b is named a_b in the .abc", "name: the .abc has spaces for null characters"]);
+    assert_eq!(notes, ["a b is named a_b in the .abc", "name: the .abc stores null characters as spaces"]);
     written(FAR, &MeshOptions { up: UpAxis::Z, ..MeshOptions::default() }, &attributes)
 }
 

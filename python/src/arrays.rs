@@ -1,4 +1,4 @@
-//! Converts NumPy arrays to the types that the method takes.
+//! Converts NumPy arrays to the input types of the surface reconstruction.
 
 use meniscus_formats::columns::roles_of;
 use meniscus_formats::{AttributeRole, FileAttribute, Values};

@@ -110,7 +110,7 @@ struct DaemonSettings {
 }
 
 impl DaemonSettings {
-    /// The settings in a configuration file; the journal is ignored.
+    /// The settings in a configuration file; the settings in the journal are ignored.
     fn of_file(file: &Path, args: &WhyArgs) -> Result<DaemonSettings> {
         let watch_args = WatchArgs { config: Some(file.to_owned()), ..WatchArgs::default() };
         let WatchConfig { watches, timeouts, journal, .. } = make_plan(&watch_args)?.config;

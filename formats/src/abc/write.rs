@@ -74,7 +74,7 @@ pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
         if let VertexValues::Strings { table, .. } = attribute.values
             && table.iter().any(|text| text.contains('\0'))
         {
-            notes.push(format!("{}: the .abc has spaces for null characters", attribute.name));
+            notes.push(format!("{}: the .abc stores null characters as spaces", attribute.name));
         }
     }
     notes

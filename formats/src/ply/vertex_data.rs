@@ -3,7 +3,9 @@
 //! ```text
 //!   colour     red green blue [alpha]   bytes: supported by all readers of coloured PLY
 //!   velocity   vx vy vz                 floats
-//!   others     name                     floats; 2 to 4 values: name_x name_y .., more: name_0 name_1 ..
+//!   others     name                     floats
+//!     2 to 4 values: name_x name_y [name_z [name_w]]
+//!     more values:   name_0 name_1 ..
 //!   integers   names as for others      int if all values fit, else double
 //!   strings    names as for others      int: the index of a string listed in a comment; −1 for none
 //! ```
@@ -18,7 +20,7 @@ const EXACT_INTEGER_MAX: u64 = 1 << 53;
 /// size.
 const STRINGS_BYTES_MAX: usize = 64 << 10;
 
-/// An attribute that can be stored, as columns of one type.
+/// An attribute that can be stored: one PLY property for each of its components, all of one type.
 pub(super) struct PlyAttribute<'a> {
     names: Vec<String>,
     values: StoredValues<'a>,
@@ -114,7 +116,7 @@ fn values_of<'a>(
     }
 }
 
-/// The header lines that map the indices in a column to strings.
+/// The header comments that list the strings of a string attribute, each with its index.
 pub(super) fn string_comments(name: &str, table: &[String]) -> String {
     let line =
         |(index, text): (usize, &String)| format!("comment string {index} of {name}: {}\n", escape(text));
@@ -122,7 +124,7 @@ pub(super) fn string_comments(name: &str, table: &[String]) -> String {
 }
 
 impl PlyAttribute<'_> {
-    /// The header lines that declare the columns.
+    /// The header lines that declare the properties.
     pub(super) fn properties(&self) -> String {
         let kind = match self.values {
             StoredValues::Floats(_) => "float",
@@ -133,7 +135,8 @@ impl PlyAttribute<'_> {
         self.names.iter().map(|name| format!("property {kind} {name}\n")).collect()
     }
 
-    /// The header lines with the meaning of indices.
+    /// The header comments with the strings to which the indices of a string attribute refer; empty for other
+    /// attributes.
     pub(super) fn comments(&self) -> String {
         let StoredValues::Strings(table, _) = self.values else { return String::new() };
         string_comments(&self.names[0], table)

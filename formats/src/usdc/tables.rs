@@ -26,7 +26,8 @@ pub(super) enum SpecType {
 /// Marks the end of a field set.
 pub(super) const SET_END: u32 = u32::MAX;
 
-/// The jumps of a path, which say what follows it in the list: its only child, or its sibling, or nothing.
+/// The jumps of a path, which say what follows it in the list: its first child (it has no sibling), its
+/// sibling (it has no child), or neither (it has no child and no sibling).
 pub(super) const JUMP_CHILD: i32 = -1;
 pub(super) const JUMP_SIBLING: i32 = 0;
 pub(super) const JUMP_END: i32 = -2;
@@ -48,7 +49,7 @@ pub(super) struct Tables {
 
 impl Tables {
     /// The index of a token, which is added if it is new.
-    #[expect(clippy::cast_possible_truncation, reason = "a layer has fewer words than vertices")]
+    #[expect(clippy::cast_possible_truncation, reason = "a layer has far fewer than 2³² tokens")]
     pub(super) fn token(&mut self, word: &str) -> u32 {
         // Tokens end with NUL in the file, so no token may contain NUL.
         let word = word.replace('\0', "\\x00");
@@ -60,7 +61,7 @@ impl Tables {
     }
 
     /// The index of a string, which is added if it is new.
-    #[expect(clippy::cast_possible_truncation, reason = "a layer has fewer strings than vertices")]
+    #[expect(clippy::cast_possible_truncation, reason = "a layer has far fewer than 2³² strings")]
     pub(super) fn string(&mut self, text: &str) -> u32 {
         let token = self.token(text);
         let next = self.strings.len() as u32;
@@ -77,7 +78,7 @@ impl Tables {
 
     /// Adds the next path, with its fields. The first path is the root of the layer, the next ones are the
     /// prims, each a child of the one before, and the others are properties of the last prim.
-    #[expect(clippy::cast_possible_truncation, reason = "a layer has fewer fields than vertices")]
+    #[expect(clippy::cast_possible_truncation, reason = "a layer has far fewer than 2³² fields")]
     pub(super) fn add_spec(&mut self, name: &str, kind: SpecType, fields: &[(&str, ValueRep)]) {
         let first = self.field_sets.len() as u32;
         for &(field, value) in fields {

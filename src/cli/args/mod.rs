@@ -213,10 +213,10 @@ Choosing the spacing, the voxel size and the radii:
   A LENGTH is a number in world units, the particles' unit of length; or in particle spacings, such as
   0.6d; or in voxels, such as 5h.
 
-  Lengths, and the amount (pseudo-time) of smoothing, follow d. The voxel size h is 0.4 d: half of it
-  shows more detail of the same surface, and takes about four times the time and the memory. On a
-  coarse grid radii are raised to √3·h, the diagonal of a voxel, so that no particle falls between the
-  voxels.
+  By default, lengths and the amount (pseudo-time) of smoothing scale with d. The voxel size h is
+  0.4 d: half of it shows more detail of the same surface, and takes about four times the time and the
+  memory. On a coarse grid radii are raised to √3·h, the diagonal of a voxel, so that no particle
+  falls between the voxels.
 
   The smoothed surface encloses a sphere of radius r_min around every particle, and each of its points
   is within r_max of some particle. Particles in sheets and filaments are flattened instead

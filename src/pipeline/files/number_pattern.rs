@@ -22,7 +22,8 @@ impl<'a> NumberPattern<'a> {
         (0..name.len()).rev().filter(|&start| name.is_char_boundary(start)).find_map(|start| {
             let (length, width_min) = placeholder_at(&name[start..])?;
             let before = name[..start].trim_end_matches('#');
-            // The search found the last # of a run; `before` ends where the run begins.
+            // If the placeholder is a #, the search found the last # of a run, and `before` ends where that
+            // run begins. Other placeholders do not use it.
             let run = start - before.len();
             let is_hashes = name[start..].starts_with('#');
             let (before, width_min) =
@@ -37,7 +38,9 @@ impl<'a> NumberPattern<'a> {
         format!("{}{number:0width$}{}", self.before, self.after)
     }
 
-    /// The file in a folder that has this number; the first by name if there are several.
+    /// The file in a folder that has this number: the one with the name of [`name_of`](Self::name_of) if it
+    /// exists. Otherwise, if the number may have any number of leading zeros, the first by name of the files
+    /// that have it. `None` if there is none.
     ///
     /// # Errors
     /// When the folder cannot be listed.
@@ -102,10 +105,10 @@ pub fn files_in(folder: &Path) -> io::Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Whether a path is a regular file, or its type is unknown, because `stat` fails with EACCES, EIO or ESTALE
-/// or because it is a dangling link. Opening a file of unknown type fails with the reason, so such a frame is
-/// reported and not skipped. The result is false only if the path does not exist, or is known to be something
-/// else.
+/// Whether a path is a regular file, or something of unknown type: a dangling link, or a path for which
+/// `stat` fails with an error other than ENOENT and ENOTDIR, such as EACCES, EIO or ESTALE. Opening a path of
+/// unknown type fails with the same error, so a frame with this path is reported and not skipped. The result
+/// is false only if the path does not exist, or is known to be something else.
 pub fn may_be_file(path: &Path) -> bool {
     match path.metadata() {
         Ok(metadata) => metadata.is_file(),

@@ -5,8 +5,8 @@
 //! the zero set with the value's sign.
 //!
 //! ```text
-//!   before   −3.0  −1.2   0.2   0.9   4.0     any slope
-//!   after    −2.1  −1.1   0.1   1.0   2.0     slope one; the crossing stays where it was
+//!   before   −2.7  −1.2   0.3   1.8   4.0     any slope
+//!   after    −1.8  −0.8   0.2   1.2   2.2     slope one; the crossing stays where it was
 //!                   └─pinned─┘
 //! ```
 //!
@@ -31,7 +31,7 @@
 //! The sweeps determine the curvature that the smoother sees. The smoother differentiates φ four times, and
 //! treats an error in a distance as a bend to be straightened. So upwind differences can be second-order up
 //! to a distance from the surface, see [`Sweeps`]. Effect of that distance (lengths in voxels; fast: the
-//! default integrator):
+//! default integrator; reference: the surface of the paper's published program):
 //!
 //! ```text
 //!   second order                                             nowhere   within 1.2   everywhere
@@ -39,7 +39,7 @@
 //!   growth of a sphere of radius 20 in 10 000 explicit steps    0.85                    0.005
 //!   volume of a noisy sphere (paper, Fig. 5), fast              0.983     0.993         0.995
 //!   Hilbert curve, fast: ∫H² with OpenVDB's mesher              500       504           510
-//!   Hilbert curve, fast: distance to the published program      0.018     0.071         0.095
+//!   Hilbert curve, fast: distance to the reference              0.018     0.071         0.095
 //! ```
 //!
 //! This work is based on:
@@ -94,16 +94,16 @@ pub fn redistance_in(band: &mut NarrowBand, sweeps: Sweeps, scratch: &mut Field)
     });
 }
 
-/// Sweeps signed distances outward from the voxels in `fixed`; each sweep advances one voxel. Voxels that are
-/// not fixed start at plus or minus [`UNREACHED`], by their side of the surface. A sweep reads values up to
-/// two voxels away.
+/// Sweeps signed distances outward from the voxels in `fixed`; each sweep advances one voxel. The caller sets
+/// voxels that are not fixed to plus or minus [`UNREACHED`], by their side of the surface. A sweep reads
+/// values up to two voxels away.
 pub fn extend(topology: &Topology, distance: &mut Field, fixed: &[LeafMask], sweeps: Sweeps) {
     let mut next = distance.clone();
     sweep_outward(topology, [distance, &mut next], fixed, sweeps);
 }
 
-/// Sweeps from one field to the other and back, alternately. The fields must be equal at first. The result is
-/// in the first.
+/// Each sweep reads the first field, writes the second, and then exchanges their contents, so the result is
+/// in the first field. The fields must be equal before the first sweep.
 fn sweep_outward(topology: &Topology, [distance, next]: [&mut Field; 2], fixed: &[LeafMask], sweeps: Sweeps) {
     let neighbors = topology.neighbors();
     // Rows that the last sweep changed; for the first sweep, rows with a known value. If nothing that a row
@@ -290,8 +290,9 @@ impl<V: Lanes> UpwindNeighbor<V> {
         OneSided { from: self.value, weight: V::splat(1.0) }
     }
 
-    /// The difference to this neighbor. It is second-order, using the neighbor at −2 or +2, if this neighbor
-    /// is nearer to the surface than `within` and the second one is not farther from it than this one.
+    /// The difference to this neighbor. It is second-order, and uses the next voxel, at −2 or +2, if this
+    /// neighbor is nearer to the surface than `within`, and the next voxel is not farther from the surface
+    /// than this neighbor.
     #[inline(always)]
     fn second_order(self, side: V, [before, after]: [V; 2], within: V) -> OneSided<V> {
         let near = self.value;

@@ -138,7 +138,7 @@ impl Core {
         for (count, what) in [
             (settling, "being written"),
             (finding_steps, "being indexed"),
-            (held, "waiting for a measured spacing or camera"),
+            (held, "waiting until the spacing or camera of the sequence is determined"),
             (retrying, "to retry"),
             (failed, "failed"),
         ] {

@@ -27,7 +27,8 @@ impl Core {
     /// Warns once for each folder if files look like one sequence but form many, each with its own particle
     /// spacing.
     pub(super) fn warn_of_single_frames(&mut self) {
-        // Without `once`, two sequences may have just started, and have no second frames yet.
+        // Without `once`, more frames may come: two sequences may have only just started, and have one frame
+        // each, so it takes three. With `once`, no more frames come, and two are enough.
         let count_min = if self.config.once { 2 } else { 3 };
         for (root, folder, count) in self.sequences.folders_of_single_frame_sequences(count_min) {
             if self.config.watches[root].needs_spacing() {
