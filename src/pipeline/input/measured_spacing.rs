@@ -51,6 +51,9 @@ pub struct MeasuredSpacing {
     /// The first measured frame.
     #[serde(with = "path")]
     pub measured_on: PathBuf,
+    /// The number of measured frames, one to three. Not recorded: 0 if this was read from a file.
+    #[serde(skip)]
+    pub measured_count: usize,
     /// Warnings about the spacing: frames that disagree, or a low confidence. Not recorded.
     #[serde(skip)]
     pub warnings: Vec<String>,
@@ -270,6 +273,7 @@ fn combined(frames: &[FrameSpacing]) -> Option<MeasuredSpacing> {
         confidence: estimate.confidence,
         radius_median: median(frames.iter().filter_map(|frame| frame.radius_median).collect()),
         measured_on,
+        measured_count: frames.len(),
         warnings: warnings(frames, &estimate),
     })
 }
