@@ -340,6 +340,27 @@ fn inputs_without_a_score_are_refused_with_a_remedy() {
     refused(&meniscus(folder.path(), &few), &["no frame has two particles in different places", "--spacing"]);
 }
 
+#[test]
+fn spacing_is_that_of_convert_if_some_frames_have_no_mesh() {
+    let folder = scene(&[1.05; 3], ",id");
+    // Frames 4 to 7 have no mesh, and their particles are twice as far apart.
+    let coarse: String = (0..216u32)
+        .map(|index| [index % 6, index / 6 % 6, index / 36].map(|along| 2.0 * SPACING * f64::from(along)))
+        .map(|[x, y, z]| format!("{x},{y},{z}\n"))
+        .collect();
+    for number in 4..=7 {
+        let path = folder.path().join(format!("p.{number}.csv"));
+        fs::write(path, format!("x,y,z\n{coarse}")).expect("written");
+    }
+    let convert = ["convert", "p.#.csv", "--frames", "1", "--out", "o", "--format", "obj"];
+    let converted = meniscus(folder.path(), &convert);
+    assert!(converted.out.contains("spacing 0.2 (measured on 3 frames)"), "{}", converted.out);
+    let scored = run(&folder, &[]);
+    assert_eq!(scored.status, 0, "{}", scored.err);
+    assert!(scored.out.contains("spacing 0.2; points are tracked by ids"), "{}", scored.out);
+    refused(&run(&folder, &["--points", "p.7.csv"]), &["would replace the input p.7.csv"]);
+}
+
 /// Real sequences: surfaces of this program flicker by a small part of a spacing.
 #[test]
 fn sequences_of_simulators_have_plausible_scores() {

@@ -35,6 +35,8 @@ pub(super) struct FlickerFrames {
     pub(super) name: String,
     /// The frames that have both files, by number.
     pub(super) files: BTreeMap<u64, FrameFiles>,
+    /// All particle files in the order of their sequence, with or without meshes.
+    pub(super) particles: Vec<PathBuf>,
     /// The greatest common divisor of the differences between the numbers of `files`.
     pub(super) step: u64,
     /// The greatest common divisor of the differences between the numbers of all particle files, with or
@@ -73,6 +75,7 @@ pub(super) fn find(args: &FlickerArgs, console: &mut Console) -> Result<FlickerF
     let meshes = one_sequence(&args.meshes, "meshes", console)?;
     let particles = one_sequence(&args.particles, "particles", console)?;
     let name = meshes.name.clone();
+    let particle_paths = particles.frames.iter().map(|file| file.path.clone()).collect();
     let (meshes, mut particles) = (by_number(meshes)?, by_number(particles)?);
     let particle_numbers: Vec<u64> = particles.keys().copied().collect();
     let (mut files, mut alone) = (BTreeMap::new(), Vec::new());
@@ -125,7 +128,8 @@ pub(super) fn find(args: &FlickerArgs, console: &mut Console) -> Result<FlickerF
     if scored.is_empty() {
         bail!("--frames selects none of the frames that have both neighbours");
     }
-    Ok(FlickerFrames { name, files, step, particle_step: common_step(&particle_numbers), scored })
+    let particle_step = common_step(&particle_numbers);
+    Ok(FlickerFrames { name, files, particles: particle_paths, step, particle_step, scored })
 }
 
 fn one_sequence(inputs: &[PathBuf], what: &str, console: &mut Console) -> Result<Sequence> {
