@@ -56,21 +56,20 @@ pub(super) struct RenderedFrame {
     pub(super) settings: Settings,
 }
 
-/// The settings for the particles of a sequence, and the measured spacing if they need one.
+/// The measured spacing of the particles of a sequence; `None` if the options need none.
 ///
 /// # Errors
-/// If options are invalid, or the spacing cannot be measured.
-pub(super) fn measured_settings(
+/// If the spacing cannot be measured.
+pub(super) fn spacing_of(
     sequence: &Sequence,
     options: &MethodOptions,
     console: &Console,
-) -> Result<(Settings, Option<MeasuredSpacing>)> {
-    let measured = measured_spacing(sequence, options, console).map_err(|none| match none.sparse_count {
+) -> Result<Option<MeasuredSpacing>> {
+    measured_spacing(sequence, options, console).map_err(|none| match none.sparse_count {
         // An error of reading a file already begins with the file's name.
         0 => Error::from(none),
         _ => Error::from(none).context(sequence.name.clone()),
-    })?;
-    Ok((settings_of(sequence, options, measured.as_ref())?, measured))
+    })
 }
 
 impl<'a> RenderSession<'a> {
@@ -127,7 +126,8 @@ impl<'a> RenderSession<'a> {
         if self.has_velocities() && choices.attributes.is_none() {
             choices.attributes = Some(AttributeSelection::Named(vec![VELOCITY.to_owned()]));
         }
-        let (settings, _) = measured_settings(sequence, &choices, console)?;
+        let measured = spacing_of(sequence, &choices, console)?;
+        let settings = settings_of(sequence, &choices, measured.as_ref())?;
         warn_of(sequence, &settings, console);
         Ok(Some(settings))
     }

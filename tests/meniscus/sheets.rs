@@ -286,6 +286,8 @@ fn invalid_sheet_arguments_are_refused() {
         (&["tune", "dam.1.ply", "-o", "a.png", "--frames", "7"], &["--frames selects none"]),
         (&["tune", "dam.1.ply", "-o", "a.png", "--vary", "size"], &["no `size` to vary", "ratio, time, h"]),
         (&["tune", "dam.1.ply", "-o", "a.png", "--vary", "ratio=x"], &["ratio=`x`", "expected a number"]),
+        (&["tune", "dam.1.ply", "-o", "a.png", "--vary", "min=0.6w"], &["min=`0.6w`", "0.6d or 5h"]),
+        (&["tune", "dam.1.ply", "-o", "a.png", "--vary", "offset=0.5x"], &["the base value is 0"]),
         (&["tune", "dam.1.ply", "-o", "a.png", "--size", "8192x4096"], &["16 cells", "smaller --size"]),
     ] {
         let ran = meniscus(path, arguments);
