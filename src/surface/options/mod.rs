@@ -289,15 +289,14 @@ impl Settings {
     /// # Errors
     /// If the voxel size is invalid, or too small or too large for the offset.
     pub fn with_voxel_size(&self, voxel_size: f64) -> Result<Settings, SettingsError> {
-        let offset = (self.offset != 0.0).then_some(self.offset.into());
-        let lengths = Settings::paper(voxel_size, &MethodOptions { offset, ..MethodOptions::default() })?;
+        let lengths = Settings::paper(voxel_size, &MethodOptions::default())?;
+        check_offset((Some(self.offset.into()), self.offset), (lengths.radius_min, "√3 h"), voxel_size)?;
         Ok(Settings {
             spacing: lengths.spacing,
             voxel_size: lengths.voxel_size,
             radius_min: lengths.radius_min,
             radius_init: lengths.radius_init,
             radius_max: lengths.radius_max,
-            offset: lengths.offset,
             ..self.clone()
         })
     }
@@ -535,18 +534,28 @@ fn radii(scale: &Scale, ratio: f64, options: &MethodOptions) -> Result<[f64; 3],
 /// How far the finished surface is moved, world units.
 fn offset(options: &MethodOptions, radius_min: f64, scale: &Scale) -> Result<f64, SettingsError> {
     let offset = scale.length(options.offset).unwrap_or(0.0);
-    let [inward, outward] = [-radius_min, OFFSET_MAX * scale.voxel_size];
+    check_offset((options.offset, offset), (radius_min, "r_min"), scale.voxel_size)?;
+    Ok(offset)
+}
+
+/// Checks that an offset, as given and in world units, moves the surface inward by at most a radius, which has
+/// this name in the error.
+fn check_offset(
+    (given, offset): (Option<Length>, f64),
+    (radius, radius_name): (f64, &str),
+    voxel_size: f64,
+) -> Result<(), SettingsError> {
+    let [inward, outward] = [-radius, OFFSET_MAX * voxel_size];
     // A computed radius may differ from a typed one by a rounding error.
-    let slack = 1e-9 * radius_min;
+    let slack = 1e-9 * radius;
     require((inward - slack..=outward).contains(&offset), || {
         format!(
-            "the {}; it must be from -r_min = {} to {OFFSET_MAX} h = {}",
-            stated("offset", options.offset, offset),
+            "the {}; it must be from -{radius_name} = {} to {OFFSET_MAX} h = {}",
+            stated("offset", given, offset),
             significant(inward),
             significant(outward)
         )
-    })?;
-    Ok(offset)
+    })
 }
 
 fn anisotropy(options: &MethodOptions, radius_min: f64, scale: &Scale) -> Result<Anisotropy, SettingsError> {
