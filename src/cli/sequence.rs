@@ -13,7 +13,7 @@ use crate::pipeline::{
 use super::CommandOutcome;
 use super::args::{FPS, SequenceArgs, SequenceFileArgs};
 use super::console::Console;
-use super::frame_selection::gaps;
+use super::frame_selection::held_gaps;
 use super::inputs::find_inputs;
 use super::machine::thread_pool;
 use super::select::{check_output_path, only_sequence};
@@ -94,8 +94,10 @@ fn without_old_sequence_file(files: Vec<FrameFile>, output: &Path) -> Result<Vec
     Ok(frames)
 }
 
+/// Warns about missing frames, unless the frames are counted because some have no number.
 fn warn_gaps(path: &Path, frames: &[SequenceSource], console: &mut Console) {
-    if let Some((gaps, count)) = gaps(frames.iter().filter_map(|frame| frame.number)) {
+    let numbers: Option<Vec<u64>> = frames.iter().map(|frame| frame.number).collect();
+    if let Some((gaps, count)) = numbers.and_then(|numbers| held_gaps(&numbers)) {
         let are = counted_are(count);
         console.warning(format_args!("{}: {gaps}: {are} missing", path.display()));
     }

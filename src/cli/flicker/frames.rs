@@ -14,7 +14,7 @@ use anyhow::{Result, bail};
 
 use crate::cli::args::FlickerArgs;
 use crate::cli::console::Console;
-use crate::cli::frame_selection::FrameSelection;
+use crate::cli::frame_selection::{FrameSelection, common_step};
 use crate::cli::inputs::find_inputs;
 use crate::cli::select::only_sequence;
 use crate::pipeline::{FrameFile, Sequence, shown};
@@ -156,19 +156,6 @@ fn by_number(sequence: Sequence) -> Result<BTreeMap<u64, FrameFile>> {
     Ok(files)
 }
 
-/// The greatest common divisor of the differences between these ascending numbers; 1 if there are no
-/// differences.
-fn common_step(numbers: &[u64]) -> u64 {
-    let greatest = numbers.windows(2).map(|pair| pair[1] - pair[0]).fold(0, |a, b| {
-        let (mut a, mut b) = (a, b);
-        while b > 0 {
-            (a, b) = (b, a % b);
-        }
-        a
-    });
-    greatest.max(1)
-}
-
 fn listed(numbers: &[u64]) -> String {
     let distinct: BTreeSet<u64> = numbers.iter().copied().collect();
     let mut names: Vec<String> = distinct.iter().take(NUMBERS_NAMED).map(u64::to_string).collect();
@@ -186,20 +173,6 @@ fn listed_with(numbers: &[u64], [one, several]: [&str; 2]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn step_divides_all_differences() {
-        for (numbers, step) in [
-            (&[][..], 1),
-            (&[5], 1),
-            (&[0, 100, 300], 100),
-            (&[1, 3, 5], 2),
-            (&[1, 3, 6], 1),
-            (&[0, u64::MAX], u64::MAX),
-        ] {
-            assert_eq!(common_step(numbers), step, "{numbers:?}");
-        }
-    }
 
     #[test]
     fn long_lists_are_shortened() {
