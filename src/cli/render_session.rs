@@ -17,6 +17,7 @@ use crate::pipeline::{
     Warning, files_in, is_level_set, picture_provenance, sequence_bounds, up_of, velocities,
 };
 use crate::render::{Picture, render_particles, side_by_side};
+use crate::surface::grid::{LeafMask, negative_masks};
 use crate::surface::options::{AttributeSelection, MethodOptions, Settings};
 use crate::surface::space::Lattice;
 
@@ -210,6 +211,15 @@ impl<'a> RenderSession<'a> {
 }
 
 impl RenderSource {
+    /// What is empty if there is no surface, for messages; `None` if there is one.
+    pub(super) fn empty_part(&self) -> Option<&'static str> {
+        let (band, part) = match self {
+            RenderSource::LevelSet(level_set) => (level_set.scene().band, "level set"),
+            RenderSource::Reconstructed(reconstructed) => (&reconstructed.made.surface.band, "surface"),
+        };
+        negative_masks(&band.phi).iter().all(LeafMask::is_empty).then_some(part)
+    }
+
     /// A picture of the surface, with the data of its pixels, such as depths and normals, if `has_data` is
     /// set.
     pub(super) fn picture(&self, viewpoint: &Viewpoint, size: [usize; 2], has_data: bool) -> Picture {

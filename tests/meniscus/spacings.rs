@@ -389,6 +389,11 @@ fn one_particle_alone_has_no_spacing() {
     assert_ne!(ran.status, 0);
     assert!(ran.err.contains("one.ply: cannot measure the particle spacing, because no frame has two particles in different places"), "{}", ran.err);
     assert!(ran.err.contains("--spacing"), "{}", ran.err);
+    write_ply(&path.join("none.ply"), &[]);
+    let ran = meniscus(path, &["convert", "none.ply", "--out", "out"]);
+    assert_ne!(ran.status, 0);
+    let expected = "cannot measure the particle spacing, because there are no particles: give --spacing";
+    assert!(ran.err.contains(expected), "{}", ran.err);
     // Two particles are enough, with a stated confidence.
     write_ply(&path.join("two.ply"), &[[0.5; 3], [0.5, 0.6, 0.5]]);
     let ran = meniscus(path, &["convert", "two.ply", "--out", "out", "--format", "obj"]);
