@@ -318,9 +318,10 @@ fn inputs_without_a_score_are_refused_with_a_remedy() {
     }
     refused(&run(&folder, &["--fps", "4", "--dt", "0.25"]), &["cannot be used with"]);
     refused(&run(&folder, &["--fps", "4", "--csv", "a", "--points", "a"]), &["names the same file"]);
+    fs::create_dir(folder.path().join("empty")).expect("made");
     refused(
-        &meniscus(folder.path(), &["flicker", ".", "--particles", "p.#.csv"]),
-        &["this is a folder", "dam.####.glb"],
+        &meniscus(folder.path(), &["flicker", "empty", "--particles", "p.#.csv"]),
+        &["empty: this folder contains no meshes"],
     );
     refused(
         &meniscus(folder.path(), &["flicker", "*.obj", "--particles", "q.#.csv"]),
@@ -338,6 +339,23 @@ fn inputs_without_a_score_are_refused_with_a_remedy() {
     (1..=3).for_each(|n| write_ply(&folder.path().join(format!("few.{n}.ply")), &[[f64::from(n); 3]]));
     let few = ["flicker", "dam.#.obj", "--particles", "few.#.ply"];
     refused(&meniscus(folder.path(), &few), &["no frame has two particles in different places", "--spacing"]);
+}
+
+#[test]
+fn folder_is_scored_by_its_meshes_of_one_format() {
+    let folder = scene(&[1.05, 1.07, 1.05], ",id");
+    let by_name = run(&folder, &[]);
+    fs::create_dir(folder.path().join("in")).expect("made");
+    for number in 1..=3 {
+        let name = format!("dam.{number}.obj");
+        fs::rename(folder.path().join(&name), folder.path().join("in").join(&name)).expect("moved");
+        // These meshes do not move.
+        write_mesh(&folder.path().join(format!("in/dam.{number}.stl")), &sphere(1.05, 0.0));
+    }
+    fs::write(folder.path().join("in/notes.txt"), "not a mesh").expect("written");
+    let by_folder = meniscus(folder.path(), &["flicker", "in", "--particles", "p.#.csv", "--samples", "500"]);
+    assert_eq!((by_folder.status, &*by_folder.err), (0, ""));
+    assert_eq!(by_folder.out, by_name.out);
 }
 
 #[test]

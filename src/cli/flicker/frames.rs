@@ -11,11 +11,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
+use meniscus_formats::Format;
 
 use crate::cli::args::FlickerArgs;
 use crate::cli::console::Console;
 use crate::cli::frame_selection::{FrameSelection, common_step};
-use crate::cli::inputs::find_inputs;
+use crate::cli::inputs::{find_inputs, with_files_of_folders};
 use crate::cli::select::only_sequence;
 use crate::pipeline::{FrameFile, Sequence, shown};
 
@@ -65,14 +66,10 @@ const NUMBERS_NAMED: usize = 8;
 /// # Errors
 /// If no three consecutive frames exist.
 pub(super) fn find(args: &FlickerArgs, console: &mut Console) -> Result<FlickerFrames> {
-    if let Some(folder) = args.meshes.iter().find(|path| path.is_dir()) {
-        bail!(
-            "{}: this is a folder: name the meshes in it, such as {}",
-            folder.display(),
-            folder.join("dam.####.glb").display()
-        );
-    }
-    let meshes = one_sequence(&args.meshes, "meshes", console)?;
+    let formats: Vec<&[&str]> =
+        Format::ALL.iter().filter(|format| format.has_mesh()).map(|format| format.extensions()).collect();
+    let meshes = with_files_of_folders(&args.meshes, &formats, "meshes")?;
+    let meshes = one_sequence(&meshes, "meshes", console)?;
     let particles = one_sequence(&args.particles, "particles", console)?;
     let name = meshes.name.clone();
     let particle_paths = particles.frames.iter().map(|file| file.path.clone()).collect();
