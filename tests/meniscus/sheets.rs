@@ -253,6 +253,11 @@ fn invalid_setting_leaves_the_other_cells() {
         meniscus(path, &["tune", ".", "-o", "t.png", "--size", SIZE, "--vary", "time=0", "--frames", "3"]);
     assert_eq!(ran.status, 0, "{}", ran.err);
     assert!(ran.out.contains("dam.3.ply: of 3 frames"), "{}", ran.out);
+    assert!(!ran.err.contains("its sequence has"), "{}", ran.err);
+    // The spacing of a frame of a sequence is that of the whole sequence only if the sequence is named.
+    let ran = meniscus(path, &["tune", "dam.3.ply", "-o", "t.png", "--size", SIZE, "--vary", "time=0"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    assert!(ran.err.contains("dam.3.ply: its sequence has 3 frames"), "{}", ran.err);
     // If the common settings are invalid, there is nothing to compare.
     let ran = meniscus(path, &["tune", ".", "-o", "u.png", "--radius-min", "-1"]);
     assert!(ran.status == 2 && ran.err.contains("r_min") && !path.join("u.png").exists(), "{}", ran.err);
