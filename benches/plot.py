@@ -5,6 +5,7 @@ from html import escape
 
 WIDTH, HEIGHT = 640, 420
 LEFT, RIGHT, TOP, BOTTOM = 70, 220, 20, 55
+COLOURS = ["#888", "#06c", "#0a0", "#a0a", "#fc0", "#c60", "#c00", "#0cc", "#088", "#000"]
 
 
 @dataclass
@@ -16,6 +17,13 @@ class Line:
     points: list
     is_dashed: bool = False
     is_marked: bool = False
+
+
+def colour_of(index):
+    """A different colour for each index: first those of the list, then hues that are a golden angle apart."""
+    if index < len(COLOURS):
+        return COLOURS[index]
+    return f"hsl({137.508 * index % 360:.1f},60%,35%)"
 
 
 def svg(x_name, y_name, x_max, y_max, step, lines):

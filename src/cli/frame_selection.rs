@@ -50,9 +50,36 @@ pub(super) fn gaps(numbers: impl IntoIterator<Item = u64>) -> Option<(String, u6
     if !is_even || !pairs().all(|(low, high)| (high - low).is_multiple_of(step)) {
         return None;
     }
-    let gaps: Vec<StepRange> = pairs()
-        .filter(|(low, high)| high - low > step)
-        .map(|(low, high)| StepRange { first: low + step, last: high - step, step })
+    gaps_in_steps(&numbers, step)
+}
+
+/// The numbers of missing frames of a sequence file, as text, and their count. In such a file the greatest
+/// common divisor of the differences between the numbers is one frame, and the frame before a missing one is
+/// held. `None` if no frame is missing, or if the numbers do not increase: the frames are then counted.
+pub(super) fn held_gaps(numbers: &[u64]) -> Option<(String, u64)> {
+    let is_increasing = numbers.is_sorted_by(|one, next| one < next);
+    is_increasing.then(|| gaps_in_steps(numbers, common_step(numbers))).flatten()
+}
+
+/// The greatest common divisor of the differences between these ascending numbers; 1 if there are no
+/// differences.
+pub(super) fn common_step(numbers: &[u64]) -> u64 {
+    let greatest = numbers.windows(2).map(|pair| pair[1] - pair[0]).fold(0, |a, b| {
+        let (mut a, mut b) = (a, b);
+        while b > 0 {
+            (a, b) = (b, a % b);
+        }
+        a
+    });
+    greatest.max(1)
+}
+
+/// The numbers that are missing between these ascending numbers, whose differences are multiples of `step`.
+fn gaps_in_steps(numbers: &[u64], step: u64) -> Option<(String, u64)> {
+    let gaps: Vec<StepRange> = numbers
+        .windows(2)
+        .filter(|pair| pair[1] - pair[0] > step)
+        .map(|pair| StepRange { first: pair[0] + step, last: pair[1] - step, step })
         .collect();
     let count = gaps.iter().map(|gap| (gap.last - gap.first) / step + 1).sum();
     let mut named: Vec<String> = gaps.iter().take(GAPS_NAMED).map(StepRange::to_string).collect();
@@ -165,6 +192,37 @@ mod tests {
             let error = text.parse::<FrameSelection>().expect_err(text);
             assert!(error.starts_with(&format!("`{item}` is not a selection")), "{error}");
             assert!(error.contains("1-240x2"), "{error}");
+        }
+    }
+
+    #[test]
+    fn gaps_of_a_sequence_file_are_multiples_of_the_common_step() {
+        for (numbers, expected) in [
+            (&[][..], None),
+            (&[7], None),
+            (&[1, 900], None),
+            (&[1, 2, 8], Some(("3-7", 5))),
+            (&[1, 4, 8], Some(("2-3,5-7", 5))),
+            (&[0, 100, 300], Some(("200", 1))),
+            (&[1, 1, 8], None),
+            (&[8, 2, 1], None),
+        ] {
+            let expected = expected.map(|(gaps, count)| (gaps.to_owned(), count));
+            assert_eq!(held_gaps(numbers), expected, "{numbers:?}");
+        }
+    }
+
+    #[test]
+    fn step_divides_all_differences() {
+        for (numbers, step) in [
+            (&[][..], 1),
+            (&[5], 1),
+            (&[0, 100, 300], 100),
+            (&[1, 3, 5], 2),
+            (&[1, 3, 6], 1),
+            (&[0, u64::MAX], u64::MAX),
+        ] {
+            assert_eq!(common_step(numbers), step, "{numbers:?}");
         }
     }
 

@@ -25,7 +25,8 @@ use meniscus_formats::{Error, looks_like_particles};
 
 use crate::pipeline::{
     FrameFile, NumberPattern, canonical_entry, files_in, frames_in, is_absent, is_level_set, is_link_loop,
-    is_own_output, may_be_file, open_regular, promises_particles, shown, size_bytes, step_of,
+    is_own_output, is_sequence_file, may_be_file, open_regular, promises_particles, shown, size_bytes,
+    step_of,
 };
 
 use super::console::Console;
@@ -80,6 +81,38 @@ pub(super) fn find_with_others(
         all.add(found);
     }
     Ok(all)
+}
+
+/// The inputs, with each folder replaced by its files of one format: the first of these formats, given by their
+/// extensions, that the folder contains. Sequence files are left out. `what` names the files in the error.
+///
+/// # Errors
+/// If a folder contains no such files, or cannot be read.
+pub(super) fn with_files_of_folders(
+    inputs: &[PathBuf],
+    formats: &[&[&str]],
+    what: &str,
+) -> Result<Vec<PathBuf>> {
+    let mut paths = Vec::new();
+    for input in inputs {
+        if !input.is_dir() {
+            paths.push(input.clone());
+            continue;
+        }
+        let files = files_in(input).with_context(|| input.display().to_string())?;
+        let files_of = |extensions: &&[&str]| -> Vec<PathBuf> {
+            let is_of_format = |path: &&PathBuf| {
+                let extension = path.extension().unwrap_or_default();
+                extensions.iter().any(|known| extension.eq_ignore_ascii_case(known))
+            };
+            files.iter().filter(is_of_format).filter(|path| !is_sequence_file(path)).cloned().collect()
+        };
+        let Some(found) = formats.iter().map(files_of).find(|found| !found.is_empty()) else {
+            bail!("{}: this folder contains no {what}", input.display());
+        };
+        paths.extend(found);
+    }
+    Ok(paths)
 }
 
 /// Finds the files. Folders without frames are refused unless `may_be_empty` is set.

@@ -5,12 +5,13 @@
 //!   ratio   --radius-ratio     1.5    a value of the option
 //!   time    --steps            2x     a multiple of the base value, the value without --vary
 //!   h       --voxel-size
+//!   min     --radius-min       0.6d   a length, with a unit as in the option
 //! ```
 
 use std::fmt::Write;
 use std::str::FromStr;
 
-use crate::surface::options::{MethodOptions, Settings, ValueKind};
+use crate::surface::options::{Length, LengthUnit, MethodOptions, Settings, ValueKind};
 
 use super::wording::{option_name, significant};
 
@@ -47,8 +48,8 @@ type AxisValue = (SweepUnit, f64);
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum SweepUnit {
-    /// A value of the option.
-    Plain,
+    /// A value of the option in this unit; the world unit if the option is not a length.
+    Value(LengthUnit),
     /// A multiple of the base value.
     Times,
 }
@@ -57,31 +58,33 @@ enum SweepUnit {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct SweepValue {
     parameter: &'static Parameter,
-    /// `None` for the base value.
-    number: Option<f64>,
+    /// A number that is not a length has the world unit. `None` for the base value.
+    value: Option<Length>,
 }
 
-use SweepUnit::{Plain, Times};
+use SweepUnit::{Times, Value};
+
+const PLAIN: SweepUnit = Value(LengthUnit::World);
 
 static PARAMETERS: [Parameter; 14] = [
     // From the most faithful to the smoothest.
-    parameter("ratio", "radius_ratio", "r_max / r_min", Plain, &[1.25, 2.0, 3.0, 4.0]),
+    parameter("ratio", "radius_ratio", "r_max / r_min", PLAIN, &[1.25, 2.0, 3.0, 4.0]),
     // From no smoothing to twice as long.
     parameter("time", "steps", "steps of smoothing", Times, &[0.0, 0.5, 2.0]),
     // From a quick look to four times the work. The coarsest voxels come first: they take the least time.
     parameter("h", "voxel_size", "voxel size h", Times, &[1.5, 0.75, 0.5]),
-    parameter("smoothing", "position_smoothing", "position smoothing", Plain, &[0.0, 0.5, 0.7, 0.9]),
+    parameter("smoothing", "position_smoothing", "position smoothing", PLAIN, &[0.0, 0.5, 0.7, 0.9]),
     parameter("min", "radius_min", "r_min", Times, &[0.75, 0.875, 1.25]),
     parameter("init", "radius_init", "r_init", Times, &[0.9, 1.1, 1.2]),
     parameter("thin", "thin_radius", "least semi-axis of flattened particles", Times, &[1.5, 2.0, 3.0]),
     parameter("alone", "lone_radius", "r_min of particles without neighbours", Times, &[1.2, 1.4, 1.6]),
-    parameter("stretch", "max_stretch", "greatest stretch of particles", Plain, &[1.0, 2.0, 4.0, 8.0]),
+    parameter("stretch", "max_stretch", "greatest stretch of particles", PLAIN, &[1.0, 2.0, 4.0, 8.0]),
     parameter("neighbors", "neighbor_radius", "how far neighbours count", Times, &[0.75, 1.25, 1.5]),
     parameter("laplacian", "laplacian_steps", "Laplacian steps", Times, &[0.0, 0.5, 2.0, 4.0]),
     parameter("step", "step_size", "size of a step, h\u{2074}", Times, &[0.25, 4.0, 16.0]),
-    parameter("redistance", "redistance_every", "steps between redistancings", Plain, &[1.0, 2.0, 4.0]),
+    parameter("redistance", "redistance_every", "steps between redistancings", PLAIN, &[1.0, 2.0, 4.0]),
     // Without default values: the base value is usually 0, and its multiples are 0 as well.
-    parameter("offset", "offset", "offset", Plain, &[]),
+    parameter("offset", "offset", "offset", PLAIN, &[]),
 ];
 
 const fn parameter(
@@ -111,7 +114,8 @@ pub(super) fn tuning_help() -> String {
 
 const TUNING: &str = "\
   Give values after a =, separated by commas, as in --vary ratio=1.5,2,3,h=0.5x,1x. A plain number is a
-  value of the option. A number with an x is a multiple of the base value: the value without --vary.
+  value of the option; lengths also take d and h, as in min=0.6d. A number with an x is a multiple of
+  the base value: the value without --vary.
   The first parameter differs from row to row, the second from column to column, the third from block
   to block. With --preset paper and an h below its base value, r_min keeps its base value, because
   otherwise the spheres of neighbouring particles would not overlap.
@@ -139,6 +143,20 @@ impl ParameterSweep {
     ) -> Result<Vec<(&'static Parameter, Vec<SweepValue>)>, String> {
         self.axes.iter().map(|varied| Ok((varied.parameter, varied.values(settings)?))).collect()
     }
+
+    /// The options with a value in particle spacings, if there is one: such a value needs the spacing, even if
+    /// the options do not.
+    pub(super) fn with_spacings(&self, options: &MethodOptions) -> MethodOptions {
+        let mut options = options.clone();
+        for SweepAxis { parameter, amounts } in &self.axes {
+            for amount in amounts.iter().flatten() {
+                if let (Value(unit @ LengthUnit::Spacing), value) = *amount {
+                    parameter.put(Length { value, unit }, &mut options);
+                }
+            }
+        }
+        options
+    }
 }
 
 impl SweepAxis {
@@ -151,6 +169,14 @@ impl SweepAxis {
         }
         let value = |amount: AxisValue| self.parameter.value(amount, settings);
         if let Some(amounts) = &self.amounts {
+            let is_multiple = |amount: &&AxisValue| amount.0 == Times && amount.1 != 1.0;
+            if self.parameter.without(settings) == 0.0
+                && let Some((_, factor)) = amounts.iter().find(is_multiple)
+            {
+                return Err(format!(
+                    "--vary {name}={factor}x: the base value is 0, and so are its multiples: give values without an x"
+                ));
+            }
             return Ok(amounts.iter().copied().map(value).collect());
         }
         if numbers.is_empty() {
@@ -193,29 +219,56 @@ impl Parameter {
 
     fn value(&'static self, amount: AxisValue, settings: &Settings) -> SweepValue {
         let without = self.without(settings);
-        let number = match amount {
+        let value = match amount {
             (Times, 1.0) => None,
-            (Plain, number) => Some(number),
-            (Times, factor) if !self.is_counted() => Some(short(factor * without)),
+            (Value(unit), value) => Some(Length { value, unit }),
+            (Times, factor) if !self.is_counted() => Some(short(factor * without).into()),
             // A positive multiple is at least one step.
-            (Times, factor) if factor > 0.0 => Some((factor * without).round().max(1.0)),
-            (Times, _) => Some(0.0),
+            (Times, factor) if factor > 0.0 => Some((factor * without).round().max(1.0).into()),
+            (Times, _) => Some(0.0.into()),
         };
-        SweepValue { parameter: self, number }
+        SweepValue { parameter: self, value }
     }
 
-    /// Parses a value: a plain number, or a multiple with an `x`.
+    /// Sets the option to this value.
+    fn put(&self, value: Length, options: &mut MethodOptions) {
+        let is_set = options.set(self.option, &value.to_string());
+        debug_assert!(is_set.is_some(), "{} takes numbers", self.option);
+    }
+
+    /// The units in which a value can be given. A voxel size cannot be given in voxels.
+    fn units(&self) -> &'static [LengthUnit] {
+        use LengthUnit::{Spacing, Voxel, World};
+        match (self.option, MethodOptions::info(self.option).map(|info| info.kind)) {
+            ("voxel_size", _) => &[World, Spacing],
+            (_, Some(ValueKind::Length)) => &[World, Spacing, Voxel],
+            _ => &[World],
+        }
+    }
+
+    /// Parses a value: a number, with a unit if it is a length, or a multiple with an `x`.
     fn amount(&self, text: &str) -> Result<AxisValue, String> {
+        let units = self.units();
         let parsed = match text.strip_suffix('x') {
             Some(factor) => factor.parse().ok().filter(|factor| *factor >= 0.0).map(|factor| (Times, factor)),
-            None => text.parse().ok().map(|number| (Plain, number)),
+            None => {
+                let length = text.parse().ok().filter(|length: &Length| units.contains(&length.unit));
+                length.map(|Length { value, unit }| (Value(unit), value))
+            }
         };
         let is_counted = self.is_counted();
         let is_sound = |amount: &AxisValue| match *amount {
-            (Plain, steps) if is_counted => steps.fract() == 0.0 && (0.0..=STEPS_TYPED_MAX).contains(&steps),
+            (Value(_), steps) if is_counted => {
+                steps.fract() == 0.0 && (0.0..=STEPS_TYPED_MAX).contains(&steps)
+            }
             (_, number) => number.is_finite(),
         };
-        let expected = if is_counted { "a whole number of steps, such as 5" } else { "a number, such as 2" };
+        let expected = match units {
+            _ if is_counted => "a whole number of steps, such as 5",
+            [_] => "a number, such as 2",
+            [_, _] => "a length, such as 0.05 or 0.4d",
+            _ => "a length, such as 0.05, 0.6d or 5h",
+        };
         parsed.filter(is_sound).ok_or_else(|| {
             let name = self.name;
             format!("{name}=`{text}`: expected {expected}, or a multiple of the base value, such as 0.5x")
@@ -225,20 +278,19 @@ impl Parameter {
 
 impl SweepValue {
     fn number(self, settings: &Settings) -> f64 {
-        self.number.unwrap_or_else(|| self.parameter.without(settings))
+        let resolve = |length: Length| length.resolve(settings.spacing, settings.voxel_size);
+        self.value.map_or_else(|| self.parameter.without(settings), resolve)
     }
 
     /// Sets the option; `settings` are the base settings.
     pub(super) fn put(self, options: &mut MethodOptions, settings: &Settings) {
-        let Some(number) = self.number else { return };
-        let Parameter { name, option, .. } = self.parameter;
-        let is_set = options.set(option, &number.to_string());
-        debug_assert!(is_set.is_some(), "{option} takes numbers");
+        let Some(value) = self.value else { return };
+        self.parameter.put(value, options);
         // With the paper's preset, radii follow the voxel size. With smaller voxels they would shrink, until
         // the spheres of neighbouring particles no longer overlap, so r_min keeps its value. With larger
         // voxels they must grow.
         let follows_voxel_size = options.preset.unwrap_or_default().follows_voxel_size();
-        let is_finer = *name == "h" && number < settings.voxel_size;
+        let is_finer = self.parameter.name == "h" && self.number(settings) < settings.voxel_size;
         if follows_voxel_size && is_finer && options.radius_min.is_none() {
             options.radius_min = Some(short(settings.radius_min).into());
         }
@@ -251,7 +303,10 @@ impl SweepValue {
         match self.parameter.is_counted() {
             true if number == 1.0 => format!("1 {}", noun.replacen("steps", "step", 1)),
             true => format!("{number} {noun}"),
-            false => format!("{name} {}", significant(number)),
+            false => match self.value.filter(|length| length.unit != LengthUnit::World) {
+                Some(length) => format!("{name} {length}"),
+                None => format!("{name} {}", significant(number)),
+            },
         }
     }
 
@@ -327,7 +382,9 @@ mod tests {
 
     fn values(text: &str, settings: &Settings) -> Vec<Vec<Option<f64>>> {
         let vary: ParameterSweep = text.parse().expect(text);
-        let numbers = |values: Vec<SweepValue>| values.into_iter().map(|value| value.number).collect();
+        let numbers = |values: Vec<SweepValue>| {
+            values.into_iter().map(|value| value.value.and_then(Length::world)).collect()
+        };
         vary.values(settings).expect(text).into_iter().map(|(_, values)| numbers(values)).collect()
     }
 
@@ -337,6 +394,37 @@ mod tests {
         assert_eq!(given[0], [Some(1.5), Some(1.4)]);
         assert_eq!(given[1], [Some(7.0), Some(10.0), Some(0.0)]);
         assert_eq!(given[2], [Some(0.3), None, Some(0.03333)]);
+    }
+
+    #[test]
+    fn lengths_take_units_and_keep_them_in_labels_and_commands() {
+        // h = 0.1 and d = 0.2.
+        let settings = settings();
+        let vary: ParameterSweep = "min=0.9d,offset=-0.2d,0,1h,h=0.4d".parse().expect("lengths");
+        let axes = vary.values(&settings).expect("sound");
+        let labels = |axis: usize| -> Vec<String> {
+            axes[axis].1.iter().map(|value| value.label(&settings)).collect()
+        };
+        assert_eq!(labels(0), ["min 0.9d"]);
+        assert_eq!(labels(1), ["offset -0.2d", "offset 0", "offset 1h"]);
+        assert_eq!(labels(2), ["h 0.4d"]);
+        let numbers: Vec<f64> = axes[1].1.iter().map(|value| value.number(&settings)).collect();
+        assert_eq!(numbers, [-0.04, 0.0, 0.1]);
+        let mut options = MethodOptions::default();
+        for (_, values) in &axes {
+            values[0].put(&mut options, &settings);
+        }
+        let expected = [("voxel_size", "0.4d"), ("radius_min", "0.9d"), ("offset", "-0.2d")];
+        assert_eq!(options.to_pairs(), expected.map(|(name, value)| (name, value.to_owned())));
+        for (text, expected) in [
+            ("h=2h", "a length, such as 0.05 or 0.4d"),
+            ("min=0.6w", "a length, such as 0.05, 0.6d or 5h"),
+            ("ratio=2d", "a number, such as 2"),
+            ("time=2h", "a whole number of steps, such as 5"),
+        ] {
+            let why = text.parse::<ParameterSweep>().expect_err(text);
+            assert!(why.contains(expected), "{why}");
+        }
     }
 
     #[test]
@@ -366,6 +454,11 @@ mod tests {
         }
         assert_eq!(refused("offset"), "--vary offset has no values: write offset=VALUE,VALUE");
         assert_eq!(refused("offset=0,0.1"), "");
+        assert_eq!(refused("offset=1x,0.1"), "");
+        assert_eq!(
+            refused("offset=0.5x,1x"),
+            "--vary offset=0.5x: the base value is 0, and so are its multiples: give values without an x"
+        );
     }
 
     /// A value set in the options is the value read from the resulting settings.
@@ -382,7 +475,7 @@ mod tests {
                 _ => short(1.01 * usual),
             };
             let mut options = MethodOptions::default();
-            let value = SweepValue { parameter, number: Some(number) };
+            let value = SweepValue { parameter, value: Some(number.into()) };
             value.put(&mut options, &without);
             assert_eq!(parameter.without(&with(&options)), number, "{}", parameter.name);
             assert!(value.is_without(&with(&options)) && !value.is_without(&without), "{}", parameter.name);
@@ -398,13 +491,13 @@ mod tests {
             ("h", ["h 1", "h 5"]),
         ] {
             let parameter = Parameter::named(name).expect("known");
-            let label = |number| SweepValue { parameter, number: Some(number) }.label(&settings());
+            let label = |number: f64| SweepValue { parameter, value: Some(number.into()) }.label(&settings());
             assert_eq!([label(1.0), label(5.0)], labels);
         }
     }
 
     fn voxel_size_of(number: f64) -> SweepValue {
-        SweepValue { parameter: Parameter::named("h").expect("known"), number: Some(number) }
+        SweepValue { parameter: Parameter::named("h").expect("known"), value: Some(number.into()) }
     }
 
     #[test]

@@ -166,7 +166,13 @@ impl<'a> RequestedPictures<'a> {
             let path = output_path(&outputs.folder, stem, outputs.formats[0]);
             let (bytes, is_empty) = self.encoded(&source, file, &viewpoint)?;
             if is_empty {
-                console.warning(format_args!("{}: nothing is in view in {stem}", file.path.display()));
+                let input = file.path.display();
+                match source.empty_part() {
+                    Some(part) => {
+                        console.warning(format_args!("{input}: the {part} is empty, and so is {stem}"))
+                    }
+                    None => console.warning(format_args!("{input}: nothing is in view in {stem}")),
+                }
             }
             write_file(&path, |out| out.write_all(&bytes))?;
             written.push(path);

@@ -17,6 +17,7 @@ use crate::pipeline::{
     Warning, files_in, is_level_set, picture_provenance, sequence_bounds, up_of, velocities,
 };
 use crate::render::{Picture, render_particles, side_by_side};
+use crate::surface::grid::{LeafMask, negative_masks};
 use crate::surface::options::{AttributeSelection, MethodOptions, Settings};
 use crate::surface::space::Lattice;
 
@@ -56,21 +57,20 @@ pub(super) struct RenderedFrame {
     pub(super) settings: Settings,
 }
 
-/// The settings for the particles of a sequence, and the measured spacing if they need one.
+/// The measured spacing of the particles of a sequence; `None` if the options need none.
 ///
 /// # Errors
-/// If options are invalid, or the spacing cannot be measured.
-pub(super) fn measured_settings(
+/// If the spacing cannot be measured.
+pub(super) fn spacing_of(
     sequence: &Sequence,
     options: &MethodOptions,
     console: &Console,
-) -> Result<(Settings, Option<MeasuredSpacing>)> {
-    let measured = measured_spacing(sequence, options, console).map_err(|none| match none.sparse_count {
+) -> Result<Option<MeasuredSpacing>> {
+    measured_spacing(sequence, options, console).map_err(|none| match none.sparse_count {
         // An error of reading a file already begins with the file's name.
         0 => Error::from(none),
         _ => Error::from(none).context(sequence.name.clone()),
-    })?;
-    Ok((settings_of(sequence, options, measured.as_ref())?, measured))
+    })
 }
 
 impl<'a> RenderSession<'a> {
@@ -127,7 +127,8 @@ impl<'a> RenderSession<'a> {
         if self.has_velocities() && choices.attributes.is_none() {
             choices.attributes = Some(AttributeSelection::Named(vec![VELOCITY.to_owned()]));
         }
-        let (settings, _) = measured_settings(sequence, &choices, console)?;
+        let measured = spacing_of(sequence, &choices, console)?;
+        let settings = settings_of(sequence, &choices, measured.as_ref())?;
         warn_of(sequence, &settings, console);
         Ok(Some(settings))
     }
@@ -210,6 +211,15 @@ impl<'a> RenderSession<'a> {
 }
 
 impl RenderSource {
+    /// What is empty if there is no surface, for messages; `None` if there is one.
+    pub(super) fn empty_part(&self) -> Option<&'static str> {
+        let (band, part) = match self {
+            RenderSource::LevelSet(level_set) => (level_set.scene().band, "level set"),
+            RenderSource::Reconstructed(reconstructed) => (&reconstructed.made.surface.band, "surface"),
+        };
+        negative_masks(&band.phi).iter().all(LeafMask::is_empty).then_some(part)
+    }
+
     /// A picture of the surface, with the data of its pixels, such as depths and normals, if `has_data` is
     /// set.
     pub(super) fn picture(&self, viewpoint: &Viewpoint, size: [usize; 2], has_data: bool) -> Picture {

@@ -126,11 +126,15 @@ pub(super) fn say_settings(
 ) {
     let frames = pluralize(selected_count, "frame");
     let spacing = measured.map(|measured| {
-        let MeasuredSpacing { spacing, radius_median, measured_on, .. } = measured;
+        let MeasuredSpacing { spacing, radius_median, measured_on, measured_count, .. } = measured;
         let radius = radius_median.map_or(String::new(), |radius| {
             format!(", and the median r_min of the particles {}", significant(radius))
         });
-        format!("spacing {}{radius} (measured on {}), ", significant(*spacing), frame_name(measured_on))
+        let measured_on = match measured_count {
+            1 => frame_name(measured_on),
+            count => pluralize(*count, "frame"),
+        };
+        format!("spacing {}{radius} (measured on {measured_on}), ", significant(*spacing))
     });
     let spacing = spacing.unwrap_or_default();
     let voxel_size = significant(settings.voxel_size);

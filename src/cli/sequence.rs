@@ -7,14 +7,14 @@ use anyhow::{Context, Result, bail};
 
 use crate::pipeline::{
     FrameFile, OutputFormat, OutputOptions, SequenceFormat, SequenceOptions, SequenceReport, SequenceSource,
-    are_same_file, files_in, is_sequence_file, write_sequence_file,
+    are_same_file, is_sequence_file, write_sequence_file,
 };
 
 use super::CommandOutcome;
 use super::args::{FPS, SequenceArgs, SequenceFileArgs};
 use super::console::Console;
-use super::frame_selection::gaps;
-use super::inputs::find_inputs;
+use super::frame_selection::held_gaps;
+use super::inputs::{find_inputs, with_files_of_folders};
 use super::machine::thread_pool;
 use super::select::{check_output_path, only_sequence};
 use super::wording::{counted_are, pluralize};
@@ -31,7 +31,9 @@ pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<Com
         )
     })?;
     check_output_path("the sequence file", &args.output)?;
-    let found = find_inputs(&frames_of_folders(&args.inputs)?)?;
+    // Of a folder with both formats, the .glb files are used.
+    let inputs = with_files_of_folders(&args.inputs, &[&["glb"], &["abc"]], ".glb or .abc files of frames")?;
+    let found = find_inputs(&inputs)?;
     found.report(console);
     let frames = without_old_sequence_file(found.files, &args.output)?;
     let sequence = only_sequence(frames, "a sequence file holds one sequence")?;
@@ -45,29 +47,6 @@ pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<Com
     warn_gaps(&args.output, &sources, console);
     report_sequence(&args.output, &shot, console);
     Ok(if shot.left_out.is_empty() { CommandOutcome::Done } else { CommandOutcome::SomeFailed })
-}
-
-/// The inputs, with folders replaced by their .glb files, or by their .abc files if there is no .glb.
-/// Sequence files in a folder are left out.
-fn frames_of_folders(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
-    let mut frames = Vec::new();
-    for input in inputs {
-        if !input.is_dir() {
-            frames.push(input.clone());
-            continue;
-        }
-        let files = files_in(input).with_context(|| input.display().to_string())?;
-        let frames_in = |format| {
-            let of_format = files.iter().filter(|path| SequenceFormat::of(path) == Some(format));
-            of_format.filter(|path| !is_sequence_file(path)).cloned().collect::<Vec<PathBuf>>()
-        };
-        let found = [SequenceFormat::Glb, SequenceFormat::Abc].map(frames_in);
-        let Some(found) = found.into_iter().find(|found| !found.is_empty()) else {
-            bail!("{}: this folder contains no .glb or .abc files of frames", input.display());
-        };
-        frames.extend(found);
-    }
-    Ok(frames)
 }
 
 /// These files without `output`: a pattern may match the old sequence file, which the new one replaces.
@@ -94,8 +73,10 @@ fn without_old_sequence_file(files: Vec<FrameFile>, output: &Path) -> Result<Vec
     Ok(frames)
 }
 
+/// Warns about missing frames, unless the frames are counted because some have no number.
 fn warn_gaps(path: &Path, frames: &[SequenceSource], console: &mut Console) {
-    if let Some((gaps, count)) = gaps(frames.iter().filter_map(|frame| frame.number)) {
+    let numbers: Option<Vec<u64>> = frames.iter().map(|frame| frame.number).collect();
+    if let Some((gaps, count)) = numbers.and_then(|numbers| held_gaps(&numbers)) {
         let are = counted_are(count);
         console.warning(format_args!("{}: {gaps}: {are} missing", path.display()));
     }

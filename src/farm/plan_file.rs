@@ -366,6 +366,7 @@ impl PlannedSpacing {
             confidence: self.confidence,
             radius_median: median.transpose()?,
             measured_on: absolute(&format!("{place}/measured/on"), &self.on)?,
+            measured_count: 0,
             warnings: Vec::new(),
         })
     }

@@ -6,6 +6,7 @@ use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
+use crate::surface::options::SettingsError;
 use crate::surface::reconstruction::{TooLarge, VoxelTooSmall};
 
 use crate::pipeline::files::out_folder::is_disk_full;
@@ -65,6 +66,8 @@ pub enum Cause {
     Obstacle(Box<ObstacleError>),
     /// The particles lack an attribute that the settings require, or its values are unusable.
     Missing(String),
+    /// The settings are invalid for the voxel size of a level set.
+    Settings(SettingsError),
     /// The frame does not fit into the memory limit.
     TooLarge(TooLarge),
     /// The voxels are too small for the frame.
@@ -141,6 +144,7 @@ impl fmt::Display for FrameError {
             Cause::Changed => write!(f, "{}: changed while it was read", path),
             Cause::Obstacle(error) => write!(f, "{}: {error}", path),
             Cause::Missing(what) => write!(f, "{}: {what}", path),
+            Cause::Settings(error) => write!(f, "{}: {error}", path),
             Cause::TooLarge(too_large) => write!(f, "{}: {too_large}", path),
             Cause::VoxelTooSmall(too_small) => write!(f, "{}: {too_small}", path),
             Cause::Scratch(source) => {
@@ -162,6 +166,7 @@ impl std::error::Error for FrameError {
         match &self.cause {
             Cause::File(source) => Some(source),
             Cause::Obstacle(error) => error.source.as_ref().map(|source| source as _),
+            Cause::Settings(source) => Some(source),
             Cause::TooLarge(source) => Some(source),
             Cause::VoxelTooSmall(source) => Some(source),
             Cause::Scratch(source) => Some(source),

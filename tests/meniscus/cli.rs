@@ -348,7 +348,7 @@ fn settings_are_printed_for_each_sequence() {
             .unwrap_or_else(|| panic!("{start} not in {out}"))
             .to_owned()
     };
-    assert!(line("dam.{}.ply: 3 frames, spacing 0.").contains("measured on dam.9.ply"));
+    assert!(line("dam.{}.ply: 3 frames, spacing 0.").contains("measured on 3 frames"));
     let spacing = |line: String| -> f64 {
         let after = line.split("spacing ").nth(1).expect("a spacing").to_owned();
         after.split(' ').next().expect("a number").parse().expect("a number")
@@ -356,7 +356,7 @@ fn settings_are_printed_for_each_sequence() {
     let ratio = spacing(line("coarse.ply: 1 frame,")) / spacing(line("dam.{}.ply"));
     assert!((ratio - 2.0).abs() < 1e-3, "{ratio}");
     let selected = meniscus(path, &["convert", "dam.%d.ply", "--frames", "10-11", "--out", "o"]).out;
-    assert!(selected.contains("2 frames") && selected.contains("measured on dam.9.ply"), "{selected}");
+    assert!(selected.contains("2 frames") && selected.contains("measured on 3 frames"), "{selected}");
 }
 
 #[test]

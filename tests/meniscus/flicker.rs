@@ -318,9 +318,10 @@ fn inputs_without_a_score_are_refused_with_a_remedy() {
     }
     refused(&run(&folder, &["--fps", "4", "--dt", "0.25"]), &["cannot be used with"]);
     refused(&run(&folder, &["--fps", "4", "--csv", "a", "--points", "a"]), &["names the same file"]);
+    fs::create_dir(folder.path().join("empty")).expect("made");
     refused(
-        &meniscus(folder.path(), &["flicker", ".", "--particles", "p.#.csv"]),
-        &["this is a folder", "dam.####.glb"],
+        &meniscus(folder.path(), &["flicker", "empty", "--particles", "p.#.csv"]),
+        &["empty: this folder contains no meshes"],
     );
     refused(
         &meniscus(folder.path(), &["flicker", "*.obj", "--particles", "q.#.csv"]),
@@ -338,6 +339,44 @@ fn inputs_without_a_score_are_refused_with_a_remedy() {
     (1..=3).for_each(|n| write_ply(&folder.path().join(format!("few.{n}.ply")), &[[f64::from(n); 3]]));
     let few = ["flicker", "dam.#.obj", "--particles", "few.#.ply"];
     refused(&meniscus(folder.path(), &few), &["no frame has two particles in different places", "--spacing"]);
+}
+
+#[test]
+fn folder_is_scored_by_its_meshes_of_one_format() {
+    let folder = scene(&[1.05, 1.07, 1.05], ",id");
+    let by_name = run(&folder, &[]);
+    fs::create_dir(folder.path().join("in")).expect("made");
+    for number in 1..=3 {
+        let name = format!("dam.{number}.obj");
+        fs::rename(folder.path().join(&name), folder.path().join("in").join(&name)).expect("moved");
+        // These meshes do not move.
+        write_mesh(&folder.path().join(format!("in/dam.{number}.stl")), &sphere(1.05, 0.0));
+    }
+    fs::write(folder.path().join("in/notes.txt"), "not a mesh").expect("written");
+    let by_folder = meniscus(folder.path(), &["flicker", "in", "--particles", "p.#.csv", "--samples", "500"]);
+    assert_eq!((by_folder.status, &*by_folder.err), (0, ""));
+    assert_eq!(by_folder.out, by_name.out);
+}
+
+#[test]
+fn spacing_is_that_of_convert_if_some_frames_have_no_mesh() {
+    let folder = scene(&[1.05; 3], ",id");
+    // Frames 4 to 7 have no mesh, and their particles are twice as far apart.
+    let coarse: String = (0..216u32)
+        .map(|index| [index % 6, index / 6 % 6, index / 36].map(|along| 2.0 * SPACING * f64::from(along)))
+        .map(|[x, y, z]| format!("{x},{y},{z}\n"))
+        .collect();
+    for number in 4..=7 {
+        let path = folder.path().join(format!("p.{number}.csv"));
+        fs::write(path, format!("x,y,z\n{coarse}")).expect("written");
+    }
+    let convert = ["convert", "p.#.csv", "--frames", "1", "--out", "o", "--format", "obj"];
+    let converted = meniscus(folder.path(), &convert);
+    assert!(converted.out.contains("spacing 0.2 (measured on 3 frames)"), "{}", converted.out);
+    let scored = run(&folder, &[]);
+    assert_eq!(scored.status, 0, "{}", scored.err);
+    assert!(scored.out.contains("spacing 0.2; points are tracked by ids"), "{}", scored.out);
+    refused(&run(&folder, &["--points", "p.7.csv"]), &["would replace the input p.7.csv"]);
 }
 
 /// Real sequences: surfaces of this program flicker by a small part of a spacing.

@@ -92,6 +92,23 @@ fn meshes_are_described() {
     assert!((volume - 1.0 / 6.0).abs() < 1e-12, "{volume}");
 }
 
+/// Meshes have 32-bit positions relative to an origin; their sums have more digits than the positions.
+#[test]
+fn measurements_of_meshes_have_few_digits() {
+    let folder = tempdir().expect("a folder");
+    write_ply(&folder.path().join("block.ply"), &block(6, 0.5));
+    let convert = ["convert", "block.ply", "--out", "o", "--format", "glb,obj"];
+    assert_eq!(meniscus(folder.path(), &convert).status, 0);
+    let ran = meniscus(folder.path(), &["info", "o/block.glb", "o/block.obj"]);
+    let is_measured = |line: &&str| ["bounds", "area", "volume"].iter().any(|name| line.contains(name));
+    let lines: Vec<&str> = ran.out.lines().filter(is_measured).collect();
+    assert_eq!(lines.len(), 6, "{}{}", ran.out, ran.err);
+    for number in lines.iter().flat_map(|line| line.split([' ', ',', '(', ')'])) {
+        let digits = number.chars().filter(char::is_ascii_digit).count();
+        assert!(digits <= 12, "{}", ran.out);
+    }
+}
+
 #[test]
 fn vertices_that_are_not_finite_are_reported() {
     let folder = tempdir().expect("a folder");

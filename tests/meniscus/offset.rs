@@ -256,7 +256,8 @@ fn command_moves_the_surface_and_reports_it() {
     let ran = convert("plain/block.vdb", &["--format=obj", "--offset=-0.05", "--skip-done"]);
     assert!(!ran.out.contains("done already"), "{}", ran.out);
     let ran = convert("plain/block.vdb", &["--format=obj", "--offset=-0.2"]);
-    assert!(ran.status != 0 && ran.err.contains("the offset is -0.2"), "{} {}", ran.status, ran.err);
+    let expected = "block.vdb: the offset is -0.2; it must be from -√3 h = -0.0866025 to 2 h = 0.1";
+    assert!(ran.status != 0 && ran.err.contains(expected), "{} {}", ran.status, ran.err);
 }
 
 /// With the default settings, particles are flattened. Near the centre of such a particle, a first-order

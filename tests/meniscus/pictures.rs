@@ -219,6 +219,28 @@ fn particles_and_level_sets_become_pictures() {
 }
 
 #[test]
+fn warning_about_an_empty_picture_says_what_is_empty() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_ply(&path.join("none.ply"), &[]);
+    let convert = ["convert", "none.ply", "--out", "o", "--format", "vdb", "--spacing", "0.1"];
+    assert_eq!(meniscus(path, &convert).status, 0);
+    let rendered = |arguments: &[&str]| {
+        let ran = meniscus(path, &[&["render", "-o", "e.png", "--size", "64x48"], arguments].concat());
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        ran.err
+    };
+    let err = rendered(&["o/none.vdb"]);
+    assert!(err.contains("o/none.vdb: the level set is empty, and so is e"), "{err}");
+    let away = "--camera=eye=9:9:9,target=20:20:20,ground=none";
+    let err = rendered(&["none.ply", "--spacing=0.1", away]);
+    assert!(err.contains("none.ply: the surface is empty, and so is e"), "{err}");
+    write_ply(&path.join("block.ply"), &block(6, 0.0));
+    let err = rendered(&["block.ply", "--spacing=0.1", away]);
+    assert!(err.contains("block.ply: nothing is in view in e"), "{err}");
+}
+
+#[test]
 fn invalid_picture_arguments_are_refused() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();

@@ -335,6 +335,29 @@ fn info_describes_a_sequence_file_and_convert_refuses_it() {
         assert_eq!(info["shot"], expected);
         assert!(info.get("mesh").is_none() && info.get("layer").is_none(), "{info}");
     }
+    for number in 1..=3 {
+        let mut ply = String::from("ply\nformat ascii 1.0\nelement vertex 216\n");
+        ["x", "y", "z", "vx", "vy", "vz", "heat"]
+            .iter()
+            .for_each(|name| ply += &format!("property float {name}\n"));
+        ply += "end_header\n";
+        block(6, 0.0).iter().for_each(|[x, y, z]| ply += &format!("{x} {y} {z} 1 2 3 4\n"));
+        fs::write(path.join(format!("in/dam.{number}.ply")), ply).expect("written");
+    }
+    succeeded(&meniscus(path, &[&convert[..], &SHOTS, &["--attributes", "all"]].concat()));
+    for (name, attributes) in [
+        ("shot.glb", ["_HEAT", "_VELOCITY"]),
+        ("shot.usda", ["heat", "velocities"]),
+        ("shot.usdc", ["heat", "velocities"]),
+        ("shot.abc", ["heat", "velocity"]),
+    ] {
+        let text = meniscus(path, &["info", name]).out;
+        let mut found: Vec<&str> =
+            text.lines().filter_map(|line| line.strip_prefix("  attribute            ")).collect();
+        found.sort_unstable();
+        assert_eq!(found, attributes, "{text}");
+        assert_eq!(json(&[name])[0]["shot"]["attributes"].as_array().map(Vec::len), Some(2), "{name}");
+    }
     for name in ["shot.glb", "shot.abc"] {
         let ran = meniscus(path, &[&convert[..], &["--obstacle", name]].concat());
         assert!(ran.status == 2 && ran.err.contains("this file is a sequence of 3 frames"), "{}", ran.err);

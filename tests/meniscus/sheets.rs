@@ -253,6 +253,11 @@ fn invalid_setting_leaves_the_other_cells() {
         meniscus(path, &["tune", ".", "-o", "t.png", "--size", SIZE, "--vary", "time=0", "--frames", "3"]);
     assert_eq!(ran.status, 0, "{}", ran.err);
     assert!(ran.out.contains("dam.3.ply: of 3 frames"), "{}", ran.out);
+    assert!(!ran.err.contains("its sequence has"), "{}", ran.err);
+    // The spacing of a frame of a sequence is that of the whole sequence only if the sequence is named.
+    let ran = meniscus(path, &["tune", "dam.3.ply", "-o", "t.png", "--size", SIZE, "--vary", "time=0"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    assert!(ran.err.contains("dam.3.ply: its sequence has 3 frames"), "{}", ran.err);
     // If the common settings are invalid, there is nothing to compare.
     let ran = meniscus(path, &["tune", ".", "-o", "u.png", "--radius-min", "-1"]);
     assert!(ran.status == 2 && ran.err.contains("r_min") && !path.join("u.png").exists(), "{}", ran.err);
@@ -286,6 +291,8 @@ fn invalid_sheet_arguments_are_refused() {
         (&["tune", "dam.1.ply", "-o", "a.png", "--frames", "7"], &["--frames selects none"]),
         (&["tune", "dam.1.ply", "-o", "a.png", "--vary", "size"], &["no `size` to vary", "ratio, time, h"]),
         (&["tune", "dam.1.ply", "-o", "a.png", "--vary", "ratio=x"], &["ratio=`x`", "expected a number"]),
+        (&["tune", "dam.1.ply", "-o", "a.png", "--vary", "min=0.6w"], &["min=`0.6w`", "0.6d or 5h"]),
+        (&["tune", "dam.1.ply", "-o", "a.png", "--vary", "offset=0.5x"], &["the base value is 0"]),
         (&["tune", "dam.1.ply", "-o", "a.png", "--size", "8192x4096"], &["16 cells", "smaller --size"]),
     ] {
         let ran = meniscus(path, arguments);

@@ -344,6 +344,7 @@ fn sequence_is_measured_on_its_first_middle_and_last_frame() {
     ];
     let ran = meniscus(path, &arguments);
     assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+    assert!(ran.out.contains("spacing 0.05 (measured on 3 frames)"), "{}", ran.out);
     let report: Value =
         serde_json::from_str(&std::fs::read_to_string(path.join("report.json")).expect("there"))
             .expect("JSON");
@@ -375,7 +376,7 @@ fn frames_that_cannot_be_measured_are_replaced_by_their_neighbours() {
     write_ply(&path.join("dam.4.ply"), &[]);
     // The spacing is measured on frames 2, 3 and 6.
     let ran = meniscus(path, &["convert", "dam.#.ply", "--frames", "2", "--out", "out", "--format", "obj"]);
-    assert!(ran.out.contains("spacing 0.05 (measured on dam.2.ply)"), "{}", ran.out);
+    assert!(ran.out.contains("spacing 0.05 (measured on 3 frames)"), "{}", ran.out);
     assert!(ran.err.contains("0.05 apart in dam.2.ply but 0.3 in dam.3.ply"), "{}", ran.err);
 }
 
@@ -388,6 +389,11 @@ fn one_particle_alone_has_no_spacing() {
     assert_ne!(ran.status, 0);
     assert!(ran.err.contains("one.ply: cannot measure the particle spacing, because no frame has two particles in different places"), "{}", ran.err);
     assert!(ran.err.contains("--spacing"), "{}", ran.err);
+    write_ply(&path.join("none.ply"), &[]);
+    let ran = meniscus(path, &["convert", "none.ply", "--out", "out"]);
+    assert_ne!(ran.status, 0);
+    let expected = "cannot measure the particle spacing, because there are no particles: give --spacing";
+    assert!(ran.err.contains(expected), "{}", ran.err);
     // Two particles are enough, with a stated confidence.
     write_ply(&path.join("two.ply"), &[[0.5; 3], [0.5, 0.6, 0.5]]);
     let ran = meniscus(path, &["convert", "two.ply", "--out", "out", "--format", "obj"]);

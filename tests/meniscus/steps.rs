@@ -115,7 +115,7 @@ fn steps_are_selected_by_their_numbers_and_named_one_by_one() {
     let measured =
         |more: &[&str]| meniscus(folder, &[&["convert", "d.lammpstrj", "--out=m"], more].concat()).out;
     let [all, one] = [measured(&[]), measured(&["--frames=20"])];
-    let where_from = "measured on d.lammpstrj/step=0)";
+    let where_from = "measured on 3 frames)";
     assert!(all.contains(where_from) && one.contains(where_from), "{all}\n{one}");
 }
 

@@ -91,6 +91,20 @@ pub fn to_glb(bytes: &[u8], limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
     Ok((glb, attribute_notes(mesh.attributes)))
 }
 
+/// The names of the vertex attributes of an archive, except normals.
+///
+/// # Errors
+///
+/// Those of [`super::read_mesh`].
+pub fn read_attribute_names(bytes: &[u8]) -> Result<Vec<String>> {
+    let archive = MeshArchive::open(bytes)?;
+    let velocity = archive.has(names::VELOCITIES).then(|| VELOCITY.to_owned());
+    Ok(velocity.into_iter().chain(archive.params()?.into_iter().map(|(header, _)| header.name)).collect())
+}
+
+/// The name of the attribute in the property for velocities.
+const VELOCITY: &str = "velocity";
+
 /// The up axis and the origin from which [`to_world`] computes this transform.
 fn placement(matrix: &Matrix) -> Result<(UpAxis, [f64; 3])> {
     let [x, y, z, _] = matrix[3];
@@ -107,7 +121,7 @@ fn attributes(archive: &MeshArchive) -> Result<Vec<FrameAttribute>> {
     if archive.has(names::VELOCITIES) {
         let values = archive.array::<4>(names::VELOCITIES, (Pod::F32, 3), 0)?;
         attributes.push(FrameAttribute {
-            name: "velocity".to_owned(),
+            name: VELOCITY.to_owned(),
             role: Some(AttributeRole::Velocity),
             values: FrameValues::Numbers(values.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()),
         });

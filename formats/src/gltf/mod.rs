@@ -39,7 +39,7 @@ pub use external::{ExternalFile, external_files};
 pub use frame_file::GlbFrame;
 pub use quantized::{quantization_error, quantized_positions};
 pub use read::{read_mesh, read_mesh_with_external};
-pub use read_attributes::read_attributes;
+pub use read_attributes::{read_attribute_names, read_attributes};
 pub use read_camera::{CameraData, read_camera};
 pub use sequence::{SEQUENCE_FRAMES, SequenceFrame, SequenceInfo, read_sequence_info, write_sequence};
 pub use vertex_data::attribute_notes;

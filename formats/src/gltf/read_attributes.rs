@@ -1,8 +1,12 @@
 //! Reads the vertex attributes of a glTF file, except positions and normals.
 
+use std::collections::BTreeSet;
+
 use ::gltf::Semantic;
+use serde_json::Value;
 
 use super::buffer::Buffers;
+use super::chunks::{chunks, parse};
 use super::read::{OpenDocument, open};
 use crate::data::{AttributeRole, FileAttribute, Values};
 use crate::error::{Error, Result};
@@ -40,6 +44,24 @@ pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<FileAttribut
         }
     }
     Ok(found)
+}
+
+/// The names of the attributes of all meshes in alphabetical order, except positions and normals. Does not
+/// read their values.
+///
+/// # Errors
+///
+/// [`Error::Invalid`] if the document is damaged.
+pub fn read_attribute_names(bytes: &[u8]) -> Result<Vec<String>> {
+    let (json, _) = chunks(bytes)?;
+    let document: Value = parse(json)?;
+    let mut names = BTreeSet::new();
+    for mesh in document["meshes"].as_array().into_iter().flatten() {
+        for primitive in mesh["primitives"].as_array().into_iter().flatten() {
+            names.extend(primitive["attributes"].as_object().into_iter().flat_map(|all| all.keys()));
+        }
+    }
+    Ok(names.into_iter().filter(|name| *name != "POSITION" && *name != "NORMAL").cloned().collect())
 }
 
 /// The largest arity that is read: that of a vector. Wider elements are matrices, which are skipped.

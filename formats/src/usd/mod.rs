@@ -15,5 +15,16 @@ pub use mesh::LayerInfo;
 pub(crate) use mesh::{Elements, MeshProperty, PropertyValue, ROOT, properties, renamed};
 pub(crate) use sequence::{POSITION, PRIM, SequenceAttribute, UsdSequence};
 
+/// The name of the vertex attribute in a property; `None` for other properties.
+pub(crate) fn attribute_of(property: &str) -> Option<&str> {
+    match property.strip_prefix("primvars:") {
+        Some(name) => Some(name).filter(|name| !name.ends_with(INDICES)),
+        None => Some(property).filter(|name| *name == "velocities"),
+    }
+}
+
+/// The suffix in the name of the property that has the indices of an indexed primvar.
+pub(crate) const INDICES: &str = ":indices";
+
 /// The format's name in errors.
 pub(crate) const FORMAT: &str = "USD";

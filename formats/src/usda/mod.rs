@@ -36,7 +36,7 @@ mod write;
 
 pub use crate::usd::LayerInfo;
 pub use head::read_layer_info;
-pub use sequence::write_sequence;
+pub use sequence::{read_attribute_names, write_sequence};
 
 use head::{ends_as_written, read_provenance};
 use write::{batch_count, encode_batch};

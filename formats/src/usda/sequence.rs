@@ -21,7 +21,7 @@ use std::io::{self, Read, Seek, Write};
 use crate::data::Provenance;
 use crate::error::Result;
 use crate::gltf::{FramePlacement, SequenceFrame};
-use crate::usd::{Elements, POSITION, PRIM, SequenceAttribute, UsdSequence};
+use crate::usd::{Elements, POSITION, PRIM, SequenceAttribute, UsdSequence, attribute_of};
 
 use super::head::{LAST_LINE, head};
 use super::numbers::triple;
@@ -89,6 +89,19 @@ pub fn write_sequence<R: Read + Seek>(
     Ok(notes)
 }
 
+/// The end of the line before the samples of a property.
+const SAMPLES: &str = ".timeSamples = {";
+
+/// The names of the vertex attributes of a sequence of this crate, except normals.
+pub fn read_attribute_names(bytes: &[u8]) -> Vec<String> {
+    let name = |line: &[u8]| {
+        let property = line.strip_suffix(SAMPLES.as_bytes())?;
+        let (_, name) = std::str::from_utf8(property).ok()?.rsplit_once(' ')?;
+        Some(attribute_of(name)?.to_owned())
+    };
+    bytes.split(|&byte| byte == b'\n').filter_map(name).collect()
+}
+
 /// Writes an array with a sample per frame, formatted by `texts`; the sample is empty for a frame without a
 /// mesh.
 fn write_samples(
@@ -97,7 +110,7 @@ fn write_samples(
     out: &mut impl Write,
     texts: impl Fn(usize, &FramePlacement) -> Result<Vec<Vec<u8>>>,
 ) -> Result<()> {
-    writeln!(out, "        {name}.timeSamples = {{")?;
+    writeln!(out, "        {name}{SAMPLES}")?;
     for (index, frame) in shot.frames.iter().enumerate() {
         write!(out, "            {}: [", frame.code)?;
         if let Some(place) = &shot.places[index] {
@@ -118,7 +131,7 @@ fn write_lines(
     out: &mut impl Write,
     line: impl Fn(usize) -> Result<String>,
 ) -> Result<()> {
-    writeln!(out, "        {name}.timeSamples = {{")?;
+    writeln!(out, "        {name}{SAMPLES}")?;
     for index in 0..shot.frames.len() {
         let line = line(index)?;
         for code in shot.held_codes(index) {

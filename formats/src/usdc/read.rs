@@ -3,7 +3,7 @@
 use crate::data::{AttributeRole, FileAttribute, MeshData, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::usd::{FORMAT, LayerInfo};
+use crate::usd::{FORMAT, INDICES, LayerInfo, attribute_of};
 
 use super::contents::NOT_OURS;
 use super::read_array::{Source, count, unexpected};
@@ -99,6 +99,11 @@ impl<'a> UsdcLayer<'a> {
         self.codes.as_deref()
     }
 
+    /// The names of the vertex attributes, except normals.
+    pub fn attribute_names(&self) -> impl Iterator<Item = &str> {
+        self.properties.iter().filter_map(|(place, _)| attribute_of(&self.tables.specs[*place].name))
+    }
+
     /// Reads a frame by its index; a file without time samples has one, with index 0.
     ///
     /// # Errors
@@ -168,11 +173,11 @@ impl<'a> UsdcLayer<'a> {
     /// The vertex attribute that is stored in a property; `None` for other properties.
     fn attribute(&self, spec: &Spec, index: usize, vertex_count: usize) -> Result<Option<FileAttribute>> {
         let name = &*spec.name;
-        let (plain, role) = match (name, name.strip_prefix("primvars:")) {
-            ("velocities", _) => (name, Some(AttributeRole::Velocity)),
-            (_, Some("displayColor")) => ("displayColor", Some(AttributeRole::Color)),
-            (_, Some(plain)) if !plain.ends_with(INDICES) => (plain, None),
-            _ => return Ok(None),
+        let Some(plain) = attribute_of(name) else { return Ok(None) };
+        let role = match name {
+            "velocities" => Some(AttributeRole::Velocity),
+            "primvars:displayColor" => Some(AttributeRole::Color),
+            _ => None,
         };
         let size = match spec.field("elementSize") {
             None => 1,
@@ -234,9 +239,6 @@ impl<'a> UsdcLayer<'a> {
         }
     }
 }
-
-/// The suffix in the name of the property that has the indices of an indexed primvar.
-const INDICES: &str = ":indices";
 
 fn layer_info(source: &Source, tables: &LayerTables) -> Result<LayerInfo> {
     let foreign = || Error::unsupported(FORMAT, format!("another program wrote this file: {NOT_OURS}"));

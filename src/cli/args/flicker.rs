@@ -14,7 +14,9 @@ pub(in crate::cli) struct FlickerArgs {
     /// The surfaces, from any program: meshes in .glb, .gltf, .obj, .ply, .stl, .vtk, .vtp, .vtu, .usdc or
     /// .abc
     ///
-    /// Files, globs, or a numbered pattern such as dam.####.glb, of one sequence.
+    /// A folder, files, globs, or a numbered pattern such as dam.####.glb, of one sequence. Of a folder with
+    /// meshes in several formats, those in .glb are used, or else in the next of .gltf, .obj, .ply, .vtp,
+    /// .usdc, .abc, .stl and .vtk.
     #[arg(required = true, value_name = "MESHES")]
     pub(in crate::cli) meshes: Vec<PathBuf>,
 

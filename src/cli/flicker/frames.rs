@@ -11,11 +11,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
+use meniscus_formats::Format;
 
 use crate::cli::args::FlickerArgs;
 use crate::cli::console::Console;
-use crate::cli::frame_selection::FrameSelection;
-use crate::cli::inputs::find_inputs;
+use crate::cli::frame_selection::{FrameSelection, common_step};
+use crate::cli::inputs::{find_inputs, with_files_of_folders};
 use crate::cli::select::only_sequence;
 use crate::pipeline::{FrameFile, Sequence, shown};
 
@@ -35,6 +36,8 @@ pub(super) struct FlickerFrames {
     pub(super) name: String,
     /// The frames that have both files, by number.
     pub(super) files: BTreeMap<u64, FrameFiles>,
+    /// All particle files in the order of their sequence, with or without meshes.
+    pub(super) particles: Vec<PathBuf>,
     /// The greatest common divisor of the differences between the numbers of `files`.
     pub(super) step: u64,
     /// The greatest common divisor of the differences between the numbers of all particle files, with or
@@ -63,16 +66,13 @@ const NUMBERS_NAMED: usize = 8;
 /// # Errors
 /// If no three consecutive frames exist.
 pub(super) fn find(args: &FlickerArgs, console: &mut Console) -> Result<FlickerFrames> {
-    if let Some(folder) = args.meshes.iter().find(|path| path.is_dir()) {
-        bail!(
-            "{}: this is a folder: name the meshes in it, such as {}",
-            folder.display(),
-            folder.join("dam.####.glb").display()
-        );
-    }
-    let meshes = one_sequence(&args.meshes, "meshes", console)?;
+    let formats: Vec<&[&str]> =
+        Format::ALL.iter().filter(|format| format.has_mesh()).map(|format| format.extensions()).collect();
+    let meshes = with_files_of_folders(&args.meshes, &formats, "meshes")?;
+    let meshes = one_sequence(&meshes, "meshes", console)?;
     let particles = one_sequence(&args.particles, "particles", console)?;
     let name = meshes.name.clone();
+    let particle_paths = particles.frames.iter().map(|file| file.path.clone()).collect();
     let (meshes, mut particles) = (by_number(meshes)?, by_number(particles)?);
     let particle_numbers: Vec<u64> = particles.keys().copied().collect();
     let (mut files, mut alone) = (BTreeMap::new(), Vec::new());
@@ -125,7 +125,8 @@ pub(super) fn find(args: &FlickerArgs, console: &mut Console) -> Result<FlickerF
     if scored.is_empty() {
         bail!("--frames selects none of the frames that have both neighbours");
     }
-    Ok(FlickerFrames { name, files, step, particle_step: common_step(&particle_numbers), scored })
+    let particle_step = common_step(&particle_numbers);
+    Ok(FlickerFrames { name, files, particles: particle_paths, step, particle_step, scored })
 }
 
 fn one_sequence(inputs: &[PathBuf], what: &str, console: &mut Console) -> Result<Sequence> {
@@ -152,19 +153,6 @@ fn by_number(sequence: Sequence) -> Result<BTreeMap<u64, FrameFile>> {
     Ok(files)
 }
 
-/// The greatest common divisor of the differences between these ascending numbers; 1 if there are no
-/// differences.
-fn common_step(numbers: &[u64]) -> u64 {
-    let greatest = numbers.windows(2).map(|pair| pair[1] - pair[0]).fold(0, |a, b| {
-        let (mut a, mut b) = (a, b);
-        while b > 0 {
-            (a, b) = (b, a % b);
-        }
-        a
-    });
-    greatest.max(1)
-}
-
 fn listed(numbers: &[u64]) -> String {
     let distinct: BTreeSet<u64> = numbers.iter().copied().collect();
     let mut names: Vec<String> = distinct.iter().take(NUMBERS_NAMED).map(u64::to_string).collect();
@@ -182,20 +170,6 @@ fn listed_with(numbers: &[u64], [one, several]: [&str; 2]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn step_divides_all_differences() {
-        for (numbers, step) in [
-            (&[][..], 1),
-            (&[5], 1),
-            (&[0, 100, 300], 100),
-            (&[1, 3, 5], 2),
-            (&[1, 3, 6], 1),
-            (&[0, u64::MAX], u64::MAX),
-        ] {
-            assert_eq!(common_step(numbers), step, "{numbers:?}");
-        }
-    }
 
     #[test]
     fn long_lists_are_shortened() {

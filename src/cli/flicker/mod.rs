@@ -272,8 +272,8 @@ fn refuse_outputs(args: &FlickerArgs, frames: &FlickerFrames) -> Result<()> {
             named_picture(path, &["png"])?;
         }
         check_output_path(option, path)?;
-        let inputs = frames.files.values().flat_map(|files| [&files.mesh, &files.particles]);
-        if let Some(input) = inputs.into_iter().find(|input| are_same_file(input, path)) {
+        let mut inputs = frames.files.values().map(|files| &files.mesh).chain(&frames.particles);
+        if let Some(input) = inputs.find(|input| are_same_file(input, path)) {
             bail!("{option} {}: would replace the input {}", path.display(), input.display());
         }
         if paths.iter().any(|other| are_same_file(other, path)) {

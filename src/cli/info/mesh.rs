@@ -7,6 +7,8 @@ use glam::DVec3;
 use meniscus_formats::{AttributeRole, FileAttribute, MeshData};
 use serde::Serialize;
 
+use crate::cli::wording::significant;
+
 use super::particles::{AttributeInfo, attributes_of, fmt_attributes};
 use super::{BoundingBox, row};
 
@@ -114,10 +116,10 @@ impl fmt::Display for MeshInfo {
             row(f, "vertices not finite", first)?;
         }
         if let Some(bounds) = self.bounds {
-            row(f, "bounds", bounds)?;
+            row(f, "bounds", bounds.short())?;
         }
-        row(f, "area", self.area)?;
-        row(f, "volume", self.volume)?;
+        row(f, "area", significant(self.area))?;
+        row(f, "volume", significant(self.volume))?;
         row(f, "boundary edges", self.boundary_edges)?;
         row(f, "non-manifold edges", self.non_manifold_edges)?;
         fmt_attributes(&self.attributes, f)

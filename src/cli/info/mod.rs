@@ -175,7 +175,8 @@ impl FileInfo {
             ProbedKind::Format(Format::Glb | Format::Gltf) if codec.is_none() => {
                 match gltf::read_sequence_info(&bytes)? {
                     Some(gltf::SequenceInfo { frames, vertices, triangles }) => {
-                        self.set_sequence(frames, [vertices, triangles]);
+                        let attributes = gltf::read_attribute_names(&bytes)?;
+                        self.set_sequence(frames, [vertices, triangles], attributes);
                     }
                     None => {
                         let mesh = MeshInfo::of(&gltf::read_mesh(&bytes, &limits)?);
@@ -185,7 +186,7 @@ impl FileInfo {
             }
             ProbedKind::Format(Format::Usda) if codec.is_none() => match usda::read_layer_info(&bytes)? {
                 Some(usda::LayerInfo { vertices, faces, frames: Some(frames) }) => {
-                    self.set_sequence(frames, [vertices, faces]);
+                    self.set_sequence(frames, [vertices, faces], usda::read_attribute_names(&bytes));
                 }
                 Some(usda::LayerInfo { vertices, faces, frames: None }) => {
                     self.layer = Some(LayerRecord { vertices, faces });
@@ -196,7 +197,8 @@ impl FileInfo {
                 let layer = usdc::UsdcLayer::read(&bytes, &limits)?;
                 match layer.info() {
                     usdc::LayerInfo { vertices, faces, frames: Some(frames) } => {
-                        self.set_sequence(frames, [vertices, faces]);
+                        let attributes = layer.attribute_names().map(str::to_owned).collect();
+                        self.set_sequence(frames, [vertices, faces], attributes);
                     }
                     usdc::LayerInfo { frames: None, .. } => {
                         let frame = layer.frame(0)?;
@@ -206,7 +208,8 @@ impl FileInfo {
             }
             ProbedKind::Format(Format::Abc) if codec.is_none() => match abc::read_sequence_info(&bytes)? {
                 Some(gltf::SequenceInfo { frames, vertices, triangles }) => {
-                    self.set_sequence(frames, [vertices, triangles]);
+                    let attributes = abc::read_attribute_names(&bytes)?;
+                    self.set_sequence(frames, [vertices, triangles], attributes);
                 }
                 None => self.mesh = Some(MeshInfo::of(&abc::read_mesh(&bytes, &limits)?)),
             },
@@ -237,9 +240,9 @@ impl FileInfo {
         Ok(())
     }
 
-    fn set_sequence(&mut self, frames: u64, counts: [u64; 2]) {
+    fn set_sequence(&mut self, frames: u64, counts: [u64; 2], attributes: Vec<String>) {
         self.kind += ", a sequence file";
-        self.sequence = Some(SequenceFileRecord::new(frames, counts, self.made_by.as_ref()));
+        self.sequence = Some(SequenceFileRecord::new(frames, counts, attributes, self.made_by.as_ref()));
     }
 }
 

@@ -21,19 +21,24 @@ pub(super) struct SequenceFileRecord {
     vertices: u64,
     /// Total over all frames.
     triangles: u64,
+    /// The names of the vertex attributes.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    attributes: Vec<String>,
 }
 
 impl SequenceFileRecord {
-    /// A sequence file with this number of frames, and these totals of vertices and triangles over all
-    /// frames; the rest comes from its recorded metadata.
+    /// A sequence file with this number of frames, these totals of vertices and triangles over all frames, and
+    /// these attributes; the rest comes from its recorded metadata.
     pub(super) fn new(
         frames: u64,
         [vertices, triangles]: [u64; 2],
+        attributes: Vec<String>,
         made_by: Option<&BTreeMap<String, String>>,
     ) -> SequenceFileRecord {
         let number = |name: &str| made_by?.get(name)?.parse().ok();
         let fps = made_by.and_then(|made_by| made_by.get("fps")?.parse().ok());
-        SequenceFileRecord { frames, first: number("first"), last: number("last"), fps, vertices, triangles }
+        let [first, last] = ["first", "last"].map(number);
+        SequenceFileRecord { frames, first, last, fps, vertices, triangles, attributes }
     }
 }
 
@@ -45,6 +50,7 @@ impl fmt::Display for SequenceFileRecord {
         }
         self.fps.iter().try_for_each(|fps| row(f, "frames per second", fps))?;
         row(f, "vertices", format_args!("{}, in all frames", self.vertices))?;
-        row(f, "triangles", format_args!("{}, in all frames", self.triangles))
+        row(f, "triangles", format_args!("{}, in all frames", self.triangles))?;
+        self.attributes.iter().try_for_each(|name| row(f, "attribute", name))
     }
 }

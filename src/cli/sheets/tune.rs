@@ -21,7 +21,8 @@ use crate::cli::inputs::find_inputs;
 use crate::cli::machine::thread_pool;
 use crate::cli::parameter_sweep::{Parameter, SweepValue};
 use crate::cli::remedies::with_remedy;
-use crate::cli::render_session::{RenderSession, catch_panic, measured_settings, picture_of_reconstruction};
+use crate::cli::render_session::{RenderSession, catch_panic, picture_of_reconstruction, spacing_of};
+use crate::cli::resolve::{settings_of, warn_of_siblings};
 use crate::cli::select::{SelectedSequence, only_sequence, selected_of};
 use crate::cli::wording::{pluralize, with_causes};
 use crate::cli::{CommandOutcome, DoneCounts};
@@ -151,7 +152,11 @@ impl<'a> Tuning<'a> {
         console: &Console,
     ) -> Result<Tuning<'a>> {
         let options = args.pictures.method.to_options();
-        let (without, measured) = measured_settings(sequence, &options, console)?;
+        let measured = spacing_of(sequence, &args.vary.with_spacings(&options), console)?;
+        let without = settings_of(sequence, &options, measured.as_ref())?;
+        if measured.is_some() {
+            warn_of_siblings(sequence, console);
+        }
         let measured = measured.as_ref().map(SequenceSpacing::from);
         let frame = LoadedFrame::read((&file.path, file.number()), &without)?;
         let picture = session.outputs.picture;

@@ -70,8 +70,11 @@ pub(crate) fn read_input(
     let refused =
         |what: String| FrameError::file(&frame.input, Stage::Read, Error::unsupported("OpenVDB", what));
     file.require_level_set().map_err(refused)?;
-    let settings = frame.settings.with_voxel_size(file.voxel_size());
-    let settings = settings.map_err(|error| refused(error.to_string()))?;
+    let settings = frame.settings.with_voxel_size(file.voxel_size()).map_err(|error| FrameError {
+        path: frame.input.clone(),
+        during: Stage::Read,
+        cause: Cause::Settings(error),
+    })?;
     if frame.outputs.formats.contains(&OutputFormat::Vdb) && file.origin() != DVec3::ZERO {
         let [x, y, z] = file.origin().to_array();
         return Err(refused(format!(

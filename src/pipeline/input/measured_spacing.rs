@@ -51,6 +51,9 @@ pub struct MeasuredSpacing {
     /// The first measured frame.
     #[serde(with = "path")]
     pub measured_on: PathBuf,
+    /// The number of measured frames, one to three. Not recorded: 0 if this was read from a file.
+    #[serde(skip)]
+    pub measured_count: usize,
     /// Warnings about the spacing: frames that disagree, or a low confidence. Not recorded.
     #[serde(skip)]
     pub warnings: Vec<String>,
@@ -67,6 +70,8 @@ impl From<&MeasuredSpacing> for options::SequenceSpacing {
 pub struct NoSpacing {
     /// The number of readable frames with too few particles.
     pub sparse_count: usize,
+    /// How many of these have no particles.
+    pub empty_count: usize,
     /// The number of unreadable frames.
     pub unreadable_count: usize,
     /// The error of the first unreadable frame.
@@ -75,8 +80,11 @@ pub struct NoSpacing {
 
 impl fmt::Display for NoSpacing {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let NoSpacing { sparse_count, unreadable_count, unreadable } = self;
+        let NoSpacing { sparse_count, empty_count, unreadable_count, unreadable } = self;
         match unreadable {
+            None if empty_count == sparse_count => f.write_str(
+                "cannot measure the particle spacing, because there are no particles: give --spacing",
+            ),
             None => f.write_str(
                 "cannot measure the particle spacing, because no frame has two particles in different places: \
                  give --spacing",
@@ -107,10 +115,13 @@ pub fn measure_spacing<'a>(
     per_particle_radius: Option<&PerParticleRadius>,
 ) -> Result<MeasuredSpacing, NoSpacing> {
     let files: Vec<&Path> = files.into_iter().collect();
-    let mut none = NoSpacing { sparse_count: 0, unreadable_count: 0, unreadable: None };
+    let mut none = NoSpacing { sparse_count: 0, empty_count: 0, unreadable_count: 0, unreadable: None };
     let note = |_: &Path, attempt: Attempt| match attempt {
         Attempt::Measured => {}
-        Attempt::TooFewParticles => none.sparse_count += 1,
+        Attempt::TooFewParticles { count } => {
+            none.sparse_count += 1;
+            none.empty_count += usize::from(count == 0);
+        }
         Attempt::Unreadable(error) => {
             none.unreadable_count += 1;
             none.unreadable.get_or_insert(error);
@@ -124,8 +135,8 @@ pub fn measure_spacing<'a>(
 pub(crate) enum Attempt {
     /// The frame was measured.
     Measured,
-    /// It has fewer than two particles in different places.
-    TooFewParticles,
+    /// It has fewer than two particles in different places, of this many.
+    TooFewParticles { count: usize },
     /// It cannot be read.
     Unreadable(FrameError),
 }
@@ -144,8 +155,8 @@ pub(crate) fn measure_sequence(
                 continue;
             }
             let (attempt, frame) = match measured(files[index], per_particle_radius) {
-                Ok(Some(frame)) => (Attempt::Measured, Some((index, frame))),
-                Ok(None) => (Attempt::TooFewParticles, None),
+                Ok((_, Some(frame))) => (Attempt::Measured, Some((index, frame))),
+                Ok((count, None)) => (Attempt::TooFewParticles { count }, None),
                 Err(error) => (Attempt::Unreadable(error), None),
             };
             note(files[index], attempt);
@@ -174,11 +185,11 @@ struct FrameSpacing {
     radius_median: Option<f64>,
 }
 
-/// Measures a frame; `None` if it has too few particles.
+/// Counts the particles of a frame, and measures them; `None` if they are too few.
 fn measured(
     path: &Path,
     per_particle_radius: Option<&PerParticleRadius>,
-) -> Result<Option<FrameSpacing>, FrameError> {
+) -> Result<(usize, Option<FrameSpacing>), FrameError> {
     let measure = || {
         if per_particle_radius.is_none()
             && let Some(particles) = large_file(path)?
@@ -193,11 +204,11 @@ fn measured(
                 contradicting_radius: None,
                 radius_median: None,
             };
-            return Ok(estimate.map(of_estimate));
+            return Ok((particles.len(), estimate.map(of_estimate)));
         }
         let bytes = read_file(path)?;
         let read = parse_particles(path, &bytes, &AttributeRequest::radii(per_particle_radius).and_radius())?;
-        Ok(measured_of(path, &read, per_particle_radius))
+        Ok((read.cloud.positions.len(), measured_of(path, &read, per_particle_radius)))
     };
     FrameError::catch(path, Stage::Read, measure).flatten()
 }
@@ -270,6 +281,7 @@ fn combined(frames: &[FrameSpacing]) -> Option<MeasuredSpacing> {
         confidence: estimate.confidence,
         radius_median: median(frames.iter().filter_map(|frame| frame.radius_median).collect()),
         measured_on,
+        measured_count: frames.len(),
         warnings: warnings(frames, &estimate),
     })
 }

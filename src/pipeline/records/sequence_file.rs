@@ -284,8 +284,10 @@ fn no_frame(left_out: &[(PathBuf, String)], shot: &Path) -> SequenceError {
 /// Whether a file is a sequence file of this program, according to its provenance.
 pub fn is_sequence_file(path: &Path) -> bool {
     let format = match SequenceFormat::of(path) {
+        Some(SequenceFormat::Usda) => OutputFormat::Usda,
+        Some(SequenceFormat::Usdc) => OutputFormat::Usdc,
         Some(SequenceFormat::Abc) => OutputFormat::Abc,
-        _ => OutputFormat::Glb,
+        Some(SequenceFormat::Glb) | None => OutputFormat::Glb,
     };
     let recorded =
         open_regular(path).ok().and_then(|file| read_provenance(format, file.take(HEAD_BYTES)).ok());

@@ -212,7 +212,8 @@ impl Settings {
         let scale = Scale::new(options, measured)?;
         let Scale { spacing, voxel_size: h } = scale;
         require((VOXEL_SIZE_MIN..=VOXEL_SIZE_MAX).contains(&h), || {
-            format!("the voxel size is {h:e}; it must be from {VOXEL_SIZE_MIN:e} to {VOXEL_SIZE_MAX:e}")
+            let voxel_size = named("voxel size", options.voxel_size);
+            format!("the {voxel_size} is {h:e}; it must be from {VOXEL_SIZE_MIN:e} to {VOXEL_SIZE_MAX:e}")
         })?;
         let radius_ratio = options.radius_ratio.unwrap_or(recipe.radius_ratio);
         let [radius_min, radius_init, radius_max] = radii(&scale, radius_ratio, options)?;
@@ -288,15 +289,14 @@ impl Settings {
     /// # Errors
     /// If the voxel size is invalid, or too small or too large for the offset.
     pub fn with_voxel_size(&self, voxel_size: f64) -> Result<Settings, SettingsError> {
-        let offset = (self.offset != 0.0).then_some(self.offset.into());
-        let lengths = Settings::paper(voxel_size, &MethodOptions { offset, ..MethodOptions::default() })?;
+        let lengths = Settings::paper(voxel_size, &MethodOptions::default())?;
+        check_offset((Some(self.offset.into()), self.offset), (lengths.radius_min, "√3 h"), voxel_size)?;
         Ok(Settings {
             spacing: lengths.spacing,
             voxel_size: lengths.voxel_size,
             radius_min: lengths.radius_min,
             radius_init: lengths.radius_init,
             radius_max: lengths.radius_max,
-            offset: lengths.offset,
             ..self.clone()
         })
     }
@@ -369,7 +369,7 @@ impl Settings {
         let inward = options.offset.and_then(Length::world).filter(|offset| offset.is_finite());
         if let (Some(radius_min), Some(offset)) = (radius_min.filter(sound), inward) {
             require(-offset <= (1.0 + 1e-9) * radius_min, || {
-                format!("the offset is {offset}; it must be at least -r_min = {}", -radius_min)
+                format!("the offset is {offset}; it must be at least -r_min = {}", significant(-radius_min))
             })?;
         }
         // Lengths in spacings and in voxels can be compared with each other, but not with lengths in world
@@ -490,11 +490,13 @@ fn radii(scale: &Scale, ratio: f64, options: &MethodOptions) -> Result<[f64; 3],
     // On coarse voxels, raise r_min to the smallest value with which no particle falls between voxels (Eq.
     // 13).
     let usual = scale.units(recipe.unit, recipe.radius_min).max(3f64.sqrt() * h);
-    let radius_min = positive("radius r_min", scale.length(options.radius_min).unwrap_or(usual))?;
+    let radius_min = scale.length(options.radius_min).unwrap_or(usual);
+    let radius_min = positive_length("radius r_min", options.radius_min, radius_min)?;
     require(radius_min >= RADIUS_MIN_VOXELS * h, || {
         format!(
-            "r_min is {} voxels; it must be at least {RADIUS_MIN_VOXELS}: choose a larger r_min or a smaller voxel size",
-            radius_min / h
+            "{} is {} voxels; it must be at least {RADIUS_MIN_VOXELS}: choose a larger r_min or a smaller voxel size",
+            named("r_min", options.radius_min),
+            significant(radius_min / h)
         )
     })?;
     require(ratio.is_finite() && ratio >= 1.0, || {
@@ -503,11 +505,16 @@ fn radii(scale: &Scale, ratio: f64, options: &MethodOptions) -> Result<[f64; 3],
     let radius_max = ratio * radius_min;
     let given = scale.length(options.radius_init);
     let radius_init = given.unwrap_or_else(|| initial_radius(&recipe, radius_min, ratio));
-    let radius_init = positive("radius r_init", radius_init)?;
+    let radius_init = positive_length("radius r_init", options.radius_init, radius_init)?;
     // r_max is the product of two typed numbers, which may differ from a typed r_init by a rounding error.
     let slack = 1e-9 * radius_max;
     require((radius_min - slack..=radius_max + slack).contains(&radius_init), || {
-        format!("r_init is {radius_init}; it must be between r_min = {radius_min} and r_max = {radius_max}")
+        format!(
+            "{}; it must be between r_min = {} and r_max = {}",
+            stated("r_init", options.radius_init, radius_init),
+            significant(radius_min),
+            significant(radius_max)
+        )
     })?;
     require(radius_max <= RADIUS_MAX_VOXELS * h, || {
         format!(
@@ -527,13 +534,28 @@ fn radii(scale: &Scale, ratio: f64, options: &MethodOptions) -> Result<[f64; 3],
 /// How far the finished surface is moved, world units.
 fn offset(options: &MethodOptions, radius_min: f64, scale: &Scale) -> Result<f64, SettingsError> {
     let offset = scale.length(options.offset).unwrap_or(0.0);
-    let [inward, outward] = [-radius_min, OFFSET_MAX * scale.voxel_size];
-    // A computed radius may differ from a typed one by a rounding error.
-    let slack = 1e-9 * radius_min;
-    require((inward - slack..=outward).contains(&offset), || {
-        format!("the offset is {offset}; it must be from -r_min = {inward} to {OFFSET_MAX} h = {outward}")
-    })?;
+    check_offset((options.offset, offset), (radius_min, "r_min"), scale.voxel_size)?;
     Ok(offset)
+}
+
+/// Checks that an offset, as given and in world units, moves the surface inward by at most a radius, which has
+/// this name in the error.
+fn check_offset(
+    (given, offset): (Option<Length>, f64),
+    (radius, radius_name): (f64, &str),
+    voxel_size: f64,
+) -> Result<(), SettingsError> {
+    let [inward, outward] = [-radius, OFFSET_MAX * voxel_size];
+    // A computed radius may differ from a typed one by a rounding error.
+    let slack = 1e-9 * radius;
+    require((inward - slack..=outward).contains(&offset), || {
+        format!(
+            "the {}; it must be from -{radius_name} = {} to {OFFSET_MAX} h = {}",
+            stated("offset", given, offset),
+            significant(inward),
+            significant(outward)
+        )
+    })
 }
 
 fn anisotropy(options: &MethodOptions, radius_min: f64, scale: &Scale) -> Result<Anisotropy, SettingsError> {
@@ -572,40 +594,49 @@ fn flattened_radii(
     let (length, held) = (|count| scale.units(recipe.unit, count), 3f64.sqrt() * h);
     let [least, most] = [THIN_MIN_VOXELS * h, radius_min.max(held)];
     let thin = recipe.thin_radius.map_or(held, |radius| length(radius).max(tidy(least)).min(most));
-    let thin = positive(
-        "smallest semi-axis of flattened particles",
+    let thin = positive_length(
+        SMALLEST_SEMI_AXIS,
+        options.thin_radius,
         scale.length(options.thin_radius).unwrap_or(thin),
     )?;
     // Typed numbers may differ from computed ones by a rounding error.
     let slack = 1e-9 * most;
     require((least - slack..=most + slack).contains(&thin), || {
         format!(
-            "the smallest semi-axis of flattened particles is {thin}; it must be from {THIN_MIN_VOXELS} h = {} to r_min = {}",
+            "the {}; it must be from {THIN_MIN_VOXELS} h = {} to r_min = {}",
+            stated(SMALLEST_SEMI_AXIS, options.thin_radius, thin),
             significant(least),
             significant(most)
         )
     })?;
     let lone = recipe.lone_radius.map_or(radius_min, |radius| length(radius).max(held).min(radius_min));
-    let lone = positive(
-        "radius of particles without neighbours",
-        scale.length(options.lone_radius).unwrap_or(lone),
-    )?;
+    let lone =
+        positive_length(LONE_RADIUS, options.lone_radius, scale.length(options.lone_radius).unwrap_or(lone))?;
     require(lone <= radius_min + slack, || {
         format!(
-            "the radius of particles without neighbours is {lone}; it must be at most r_min = {}",
+            "the {}; it must be at most r_min = {}",
+            stated(LONE_RADIUS, options.lone_radius, lone),
             significant(radius_min)
         )
     })?;
     Ok([thin, lone.max(held).min(radius_min)])
 }
 
+/// The names of two lengths in messages.
+const SMALLEST_SEMI_AXIS: &str = "smallest semi-axis of flattened particles";
+const LONE_RADIUS: &str = "radius of particles without neighbours";
+
 fn neighbor_radius(options: &MethodOptions, radius_min: f64, scale: &Scale) -> Result<f64, SettingsError> {
     let (recipe, h) = (options.recipe(), scale.voxel_size);
     let of_recipe = recipe.neighbor_radius.map(|radius| scale.units(recipe.unit, radius));
     let radius = scale.length(options.neighbor_radius).or(of_recipe).unwrap_or(NEIGHBOR_RADIUS * radius_min);
-    let radius = positive("neighbour radius", radius)?;
+    let radius = positive_length("neighbour radius", options.neighbor_radius, radius)?;
     require(radius <= NEIGHBOR_RADIUS_MAX_VOXELS * h, || {
-        format!("the neighbour radius is {} h; it must be at most {NEIGHBOR_RADIUS_MAX_VOXELS} h", radius / h)
+        format!(
+            "the {} is {} h; it must be at most {NEIGHBOR_RADIUS_MAX_VOXELS} h",
+            named("neighbour radius", options.neighbor_radius),
+            significant(radius / h)
+        )
     })?;
     Ok(radius)
 }
@@ -633,6 +664,30 @@ fn positive(name: &str, value: f64) -> Result<f64, SettingsError> {
         format!("the {name} is {value}; it must be a positive number")
     })?;
     Ok(value)
+}
+
+/// As [`positive`], for a length that was given as `given`, or has its default value.
+fn positive_length(name: &str, given: Option<Length>, value: f64) -> Result<f64, SettingsError> {
+    require(value.is_finite() && value > 0.0, || {
+        format!("the {}; it must be a positive number", stated(name, given, value))
+    })?;
+    Ok(value)
+}
+
+/// The name of a length and its value in world units, such as `offset 5h is 0.1`.
+fn stated(name: &str, given: Option<Length>, value: f64) -> String {
+    match given.and_then(Length::world) {
+        Some(typed) => format!("{name} is {typed}"),
+        None => format!("{} is {}", named(name, given), significant(value)),
+    }
+}
+
+/// The name of a length, followed by the length as typed if it has a unit.
+fn named(name: &str, given: Option<Length>) -> String {
+    match given.filter(|length| length.unit != LengthUnit::World) {
+        Some(length) => format!("{name} {length}"),
+        None => name.to_owned(),
+    }
 }
 
 fn require(holds: bool, what: impl FnOnce() -> String) -> Result<(), SettingsError> {

@@ -243,7 +243,7 @@ impl Scale {
                         "the voxel size is {length}; give it in world units or particle spacings, such as 0.4d"
                     )
                 })?;
-                super::positive("voxel size", length.resolve(spacing, f64::NAN))?
+                super::positive_length("voxel size", options.voxel_size, length.resolve(spacing, f64::NAN))?
             }
             None => median.map_or(usual, for_radii),
         };

@@ -184,6 +184,26 @@ fn offset_out_of_range_is_rejected_with_the_range() {
 }
 
 #[test]
+fn lengths_out_of_range_are_named_as_typed() {
+    // d = 0.1 and h = 0.04.
+    for (name, text, expected) in [
+        ("offset", "5h", "the offset 5h is 0.2; it must be from -r_min = -0.115 to 2 h = 0.08"),
+        ("offset", "-2d", "the offset -2d is -0.2; it must be from -r_min = -0.115 to 2 h = 0.08"),
+        ("offset", "0.2", "the offset is 0.2; it must be from -r_min = -0.115 to 2 h = 0.08"),
+        ("voxel_size", "-1d", "the voxel size -1d is -0.1; it must be a positive number"),
+        ("radius_min", "-1d", "the radius r_min -1d is -0.1; it must be a positive number"),
+        ("radius_min", "1e-9d", "r_min 0.000000001d is 2.5e-9 voxels"),
+        ("radius_init", "9h", "r_init 9h is 0.36; it must be between r_min = 0.115 and r_max = 0.23"),
+        ("thin_radius", "2d", "the smallest semi-axis of flattened particles 2d is 0.2; it must be from"),
+        ("lone_radius", "2d", "the radius of particles without neighbours 2d is 0.2; it must be at most"),
+        ("neighbor_radius", "90d", "the neighbour radius 90d is 225 h; it must be at most 200 h"),
+    ] {
+        let error = Settings::resolve(&options(&[(name, text)]), Some(0.1.into())).expect_err(text);
+        assert!(error.what.starts_with(expected), "{error}");
+    }
+}
+
+#[test]
 fn many_steps_cause_a_warning() {
     let warning_of = |integrator, steps, step_size| {
         let choices =

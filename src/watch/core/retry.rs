@@ -34,7 +34,9 @@ pub(crate) fn recovery(error: &FrameError) -> RetryAction {
         Cause::Scratch(_) | Cause::Changed => RetryAction::Retry,
         Cause::Obstacle(error) => recovery_of_obstacle(error),
         Cause::TooLarge(_) => RetryAction::AwaitRestart,
-        Cause::VoxelTooSmall(_) | Cause::Missing(_) | Cause::Panic(_) => RetryAction::GiveUp,
+        Cause::VoxelTooSmall(_) | Cause::Missing(_) | Cause::Settings(_) | Cause::Panic(_) => {
+            RetryAction::GiveUp
+        }
     }
 }
 

@@ -679,6 +679,7 @@ fn sequence_is_measured_when_all_its_frames_were_inspected() {
         confidence: 1.0,
         radius_median: None,
         measured_on: "/in0/a.1.ply".into(),
+        measured_count: 1,
         warnings: Vec::new(),
     };
     rig.event(Event::Measured(Box::new(SpacingResult {

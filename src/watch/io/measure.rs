@@ -50,7 +50,7 @@ fn note(measured: &mut SpacingResult, path: &Path, attempt: Attempt, order: &Mea
     }
     match attempt {
         Attempt::Measured => {}
-        Attempt::TooFewParticles => measured.sparse.push((id.clone(), *stamp)),
+        Attempt::TooFewParticles { .. } => measured.sparse.push((id.clone(), *stamp)),
         Attempt::Unreadable(error) => measured.unreadable.push((id.clone(), *stamp, error)),
     }
 }
@@ -73,7 +73,7 @@ fn with_camera(
     for (id, _) in order.files.iter().skip_while(|(id, _)| is_before(id)) {
         let (attempt, bounds) = match sequence_bounds(&[&*id.path], radius) {
             Ok(Some(bounds)) => (Attempt::Measured, Some(bounds)),
-            Ok(None) => (Attempt::TooFewParticles, None),
+            Ok(None) => (Attempt::TooFewParticles { count: 0 }, None),
             Err(error) => (Attempt::Unreadable(error), None),
         };
         note(measured, &id.path, attempt, order);

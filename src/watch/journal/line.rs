@@ -192,6 +192,7 @@ mod tests {
                     confidence: 0.1,
                     radius_median: Some(spacing.next_down()),
                     measured_on: "/sim/dam.0001.bgeo".into(),
+                    measured_count: 0,
                     warnings: Vec::new(),
                 }),
                 camera: Some(SequenceCamera {

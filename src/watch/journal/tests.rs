@@ -65,6 +65,7 @@ fn sequence() -> (SequenceKey, JournaledSequence) {
             confidence: 0.9,
             radius_median: None,
             measured_on: "/sim/dam.0001.bgeo".into(),
+            measured_count: 0,
             warnings: Vec::new(),
         }),
         camera: None,
