@@ -11,8 +11,10 @@ mod mesh;
 mod sequence;
 
 pub use mesh::LayerInfo;
-pub(crate) use mesh::{Elements, MeshProperty, PropertyValue, ROOT, properties, renamed};
-pub(crate) use sequence::{POSITION, PRIM, SequenceAttribute, UsdSequence};
+pub(crate) use mesh::{
+    Elements, MeshProperty, PropertyValue, ROOT, SAMPLE_CODE, TRANSLATE, identifier, properties, renamed,
+};
+pub(crate) use sequence::{CODE_MAX, POSITION, PRIM, SequenceAttribute, UsdSequence, held_codes};
 
 /// The format's name in errors.
 pub(crate) const FORMAT: &str = "USD";

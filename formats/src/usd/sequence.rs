@@ -15,7 +15,7 @@ pub(crate) const PRIM: &str = "surface";
 pub(crate) const POSITION: &str = "POSITION";
 
 /// Time codes are 64-bit floats, which cannot distinguish integers beyond this.
-const CODE_MAX: u64 = 1 << 53;
+pub(crate) const CODE_MAX: u64 = 1 << 53;
 
 /// The frames and their placements, `None` for frames without a mesh.
 pub(crate) struct UsdSequence<'a> {
@@ -169,12 +169,16 @@ impl<'a> UsdSequence<'a> {
         origins.iter().any(|origin| *origin != [0.0; 3]).then_some(origins)
     }
 
-    /// The time codes at which a frame needs a sample of a value that is the same for all vertices: its own,
-    /// and the one before the next frame if frames are missing in between, because USD interpolates between
-    /// samples of the same shape.
+    /// The time codes at which a frame needs a sample of a value that is the same for all vertices.
     pub(crate) fn held_codes(&self, index: usize) -> impl Iterator<Item = u64> {
-        let code = self.frames[index].code;
-        let next = self.frames.get(index + 1).map(|next| next.code - 1);
-        [code].into_iter().chain(next.filter(|&held| held > code))
+        held_codes(self.frames[index].code, self.frames.get(index + 1).map(|next| next.code))
     }
+}
+
+/// The time codes at which the frame `code` needs a sample so that it is held until the frame `next`: its own,
+/// and the one before the next frame if frames are missing in between, because USD interpolates between
+/// samples of the same shape.
+pub(crate) fn held_codes(code: u64, next: Option<u64>) -> impl Iterator<Item = u64> {
+    let held = next.map(|next| next.saturating_sub(1)).filter(|&held| held > code);
+    [code].into_iter().chain(held)
 }

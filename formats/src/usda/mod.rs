@@ -19,7 +19,7 @@
 //! Every program that reads USD reads its text form; the [binary form](crate::usdc) takes a third of the size.
 //! A sequence is a single mesh whose attributes all have a
 //! sample per frame, rather than a file per frame and another that lists them: a single file can be moved,
-//! and can be replaced atomically.
+//! and can be replaced atomically. A [stage](UsdStage) is the alternative, for frames that are still arriving.
 //!
 //! This crate reads nothing from USD files except the head that it wrote itself.
 
@@ -32,11 +32,13 @@ mod arrays;
 mod head;
 mod numbers;
 mod sequence;
+mod stage;
 mod write;
 
 pub use crate::usd::LayerInfo;
 pub use head::read_layer_info;
 pub use sequence::write_sequence;
+pub use stage::{ClipFile, StageClips, UsdStage, stage_text};
 
 use head::{ends_as_written, read_provenance};
 use write::{batch_count, encode_batch};
@@ -51,7 +53,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
     }),
     write_particles: None,
     has_attributes: true,
-    options: &[WriteOption::Quads, WriteOption::Up, WriteOption::MetersPerUnit],
+    options: &[WriteOption::Quads, WriteOption::Up, WriteOption::MetersPerUnit, WriteOption::TimeSamples],
     read_provenance,
     integrity: Integrity::Tail(ends_as_written),
 };

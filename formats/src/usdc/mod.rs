@@ -17,6 +17,10 @@
 //! the first of them on. So a sequence can be written with one attribute of one frame in memory.
 //!
 //! Integers are compressed, as OpenUSD compresses them; vectors are not, so that programs can map them.
+//!
+//! The file of a frame has each value twice, as the default and as a time sample, which refer to one array.
+//! Value clips see nothing but time samples, so [a stage](crate::usda::UsdStage) can play the file; and programs
+//! that know no times find the default.
 
 use crate::mesh_options::WriteOption;
 use crate::provenance::from_comments;
