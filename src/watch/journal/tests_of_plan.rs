@@ -7,7 +7,7 @@ use meniscus_formats::vdb::Compression;
 
 use super::line::{parse_line, push_line};
 use super::state::{Entry, PlanRecord};
-use crate::pipeline::{OutputFormat, OutputOptions, PictureOptions};
+use crate::pipeline::{OutputFormat, OutputOptions, PictureOptions, StageOptions};
 use crate::surface::options::MethodOptions;
 use crate::watch::config::{StabilityTimeouts, Watch};
 
