@@ -137,8 +137,10 @@ fn stage_of(
     for StageSequence { name, frames } in sequences {
         let numbers: Vec<Option<u64>> = frames.iter().map(|frame| frame.number).collect();
         let codes = increasing(&numbers);
-        let meshes = Files::of(frames.iter().map(|frame| frame.mesh.as_deref()), &codes, &mut assets)?;
-        let volumes = Files::of(frames.iter().map(|frame| frame.volume.as_deref()), &codes, &mut assets)?;
+        let meshes =
+            ExistingFiles::of(frames.iter().map(|frame| frame.mesh.as_deref()), &codes, &mut assets)?;
+        let volumes =
+            ExistingFiles::of(frames.iter().map(|frame| frame.volume.as_deref()), &codes, &mut assets)?;
         report.mesh_count += meshes.clips.len();
         report.volume_count += volumes.clips.len();
         report.missing_count += frames.len() - meshes.clips.len().max(volumes.clips.len());
@@ -159,18 +161,18 @@ fn stage_of(
 }
 
 /// Files of frames that exist.
-struct Files<'a> {
+struct ExistingFiles<'a> {
     clips: Vec<ClipFile>,
     /// The index and path of the largest file. An empty frame may lack attributes, so this one declares them.
     largest: Option<(usize, &'a Path)>,
 }
 
-impl<'a> Files<'a> {
+impl<'a> ExistingFiles<'a> {
     fn of(
         paths: impl Iterator<Item = Option<&'a Path>>,
         codes: &[u64],
         assets: &mut AssetPaths,
-    ) -> Result<Files<'a>, String> {
+    ) -> Result<ExistingFiles<'a>, String> {
         let (mut clips, mut sizes) = (Vec::new(), Vec::new());
         for (path, &code) in paths.zip(codes) {
             let Some(path) = path else { continue };
@@ -181,7 +183,7 @@ impl<'a> Files<'a> {
             clips.push(ClipFile { code, path: assets.of(path)? });
         }
         let largest = (0..sizes.len()).max_by_key(|&index| (sizes[index].0, Reverse(index)));
-        Ok(Files { clips, largest: largest.map(|index| (index, sizes[index].1)) })
+        Ok(ExistingFiles { clips, largest: largest.map(|index| (index, sizes[index].1)) })
     }
 }
 
