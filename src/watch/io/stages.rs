@@ -9,7 +9,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::pipeline::{
-    FrameFile, OutputFormat, OutputOptions, Sequence, StageFrame, StageSequence, sequences, write_stage,
+    FrameFile, OutputFormat, OutputOptions, Sequence, StageFrame, StageSequence, sequences,
+    sweep_temporaries, write_stage,
 };
 use crate::watch::config::WatchConfig;
 use crate::watch::journal::{Entry, JournaledFrame};
@@ -47,12 +48,12 @@ impl FolderStages {
         let mut stages: Vec<WatchedStage> = Vec::new();
         for watch in &config.watches {
             let is_here = watch.outputs.folder.canonicalize().is_ok_and(|of_watch| of_watch == folder);
-            if !is_here || watch.outputs.stage.is_none() {
-                continue;
-            }
+            let Some(stage) = watch.outputs.stage.as_ref().filter(|_| is_here) else { continue };
+            // Left by a killed daemon, if the stage is outside of the folder of outputs.
+            let _ = stage.path.parent().map(sweep_temporaries);
             let input = canonical_path(&watch.input).unwrap_or_else(|_| watch.input.clone());
-            match stages.iter_mut().find(|stage| stage.outputs.stage == watch.outputs.stage) {
-                Some(stage) => stage.inputs.push(input),
+            match stages.iter_mut().find(|known| known.outputs.stage.as_ref() == Some(stage)) {
+                Some(known) => known.inputs.push(input),
                 None => stages.push(WatchedStage {
                     outputs: watch.outputs.clone(),
                     inputs: vec![input],
