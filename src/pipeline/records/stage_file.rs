@@ -117,7 +117,7 @@ fn known_text(path: &Path) -> Result<Option<Vec<u8>>, String> {
         file => file.map_err(|error| error.to_string())?,
     };
     let mut text = Vec::new();
-    file.by_ref().take(HEAD_BYTES).read_to_end(&mut text).map_err(|error| error.to_string())?;
+    Read::by_ref(&mut file).take(HEAD_BYTES).read_to_end(&mut text).map_err(|error| error.to_string())?;
     let recorded = read_provenance(OutputFormat::Usda, &*text).map_err(|_| refused())?;
     if !recorded.iter().any(|(name, _)| name == STAGE_FRAMES) {
         return Err(refused());
