@@ -42,8 +42,8 @@ pub struct MeshOptions {
     /// For each triangle, whether it and the next one form a quad, which is then written as one face. Empty:
     /// all faces are triangles.
     pub quads: Arc<[bool]>,
-    /// Whether to write the arrays of text USD a second time, as time samples, which a stage plays. Binary USD
-    /// always has them, because there they refer to the same arrays.
+    /// Whether to write the arrays of text USD a second time, as time samples, which a stage plays. Binary
+    /// USD always has them, because there they refer to the same arrays.
     pub time_samples: bool,
 }
 

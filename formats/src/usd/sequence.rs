@@ -175,8 +175,8 @@ impl<'a> UsdSequence<'a> {
     }
 }
 
-/// The time codes at which the frame `code` needs a sample so that it is held until the frame `next`: its own,
-/// and the one before the next frame if frames are missing in between, because USD interpolates between
+/// The time codes at which the frame `code` needs a sample so that it is held until the frame `next`: its
+/// own, and the one before the next frame if frames are missing in between, because USD interpolates between
 /// samples of the same shape.
 pub(crate) fn held_codes(code: u64, next: Option<u64>) -> impl Iterator<Item = u64> {
     let held = next.map(|next| next.saturating_sub(1)).filter(|&held| held > code);

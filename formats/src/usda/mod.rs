@@ -19,7 +19,7 @@
 //! Every program that reads USD reads its text form; the [binary form](crate::usdc) takes a third of the size.
 //! A sequence is a single mesh whose attributes all have a
 //! sample per frame, rather than a file per frame and another that lists them: a single file can be moved,
-//! and can be replaced atomically. A [stage](UsdStage) is the alternative, for frames that are still arriving.
+//! and can be replaced atomically. A [stage](UsdStage) is the alternative, for frames that still arrive.
 //!
 //! This crate reads nothing from USD files except the head that it wrote itself.
 

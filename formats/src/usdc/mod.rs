@@ -19,8 +19,7 @@
 //! Integers are compressed, as OpenUSD compresses them; vectors are not, so that programs can map them.
 //!
 //! The file of a frame has each value twice, as the default and as a time sample, which refer to one array.
-//! Value clips see nothing but time samples, so [a stage](crate::usda::UsdStage) can play the file; and programs
-//! that know no times find the default.
+//! [Stages](crate::usda::UsdStage) see only time samples; programs that know no times find the default.
 
 use crate::mesh_options::WriteOption;
 use crate::provenance::from_comments;

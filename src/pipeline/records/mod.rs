@@ -4,7 +4,7 @@
 //!   provenance        the origin of an output, in it     certificate_file  the checks of a frame, beside it
 //!   inspection        the state of a frame's outputs     output_states     finds outputs with damaged bytes
 //!   record            the report of a run                frame_warnings    warnings from measurements
-//!   sequence_file     all frames in one file             stage_file        a file that plays those of the frames
+//!   sequence_file     all frames in one file             stage_file        plays the files of the frames
 //!   picture_file      pictures from .png
 //! ```
 

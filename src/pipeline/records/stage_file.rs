@@ -4,10 +4,10 @@
 //!   out/dam.0012.usdc  out/dam.0013.usdc  ..  ◀── shot.usda ──▶  out/dam.0012.vdb  ..
 //! ```
 //!
-//! A stage depends only on the names of the frames and on which of their files exist: outputs appear complete,
-//! by rename. So every process that knows the frames writes the same stage at any time: `convert` and the
-//! daemon while frames arrive, and each shard of a farm. Shards need no order: each looks for files again after
-//! it has written, so the last one to write has seen the files of all.
+//! A stage depends only on the names of the frames and on which of their files exist: outputs appear
+//! complete, by rename. So every process that knows the frames writes the same stage at any time: `convert`
+//! and the daemon while frames arrive, and each shard of a farm. Shards need no order: each looks for files
+//! again after it has written, so the last one to write has seen the files of all.
 
 use std::cmp::Reverse;
 use std::collections::HashMap;

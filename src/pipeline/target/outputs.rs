@@ -133,8 +133,8 @@ impl OutputOptions {
         MeshOptions { up, meters_per_unit, quantize, quads, time_samples, ..MeshOptions::default() }
     }
 
-    /// The format of the meshes that a stage plays: .usdc if it is among the outputs, because it needs no copy
-    /// of the arrays.
+    /// The format of the meshes that a stage plays: .usdc if it is among the outputs, because it needs no
+    /// copy of the arrays.
     pub fn stage_mesh_format(&self) -> Option<OutputFormat> {
         [OutputFormat::Usdc, OutputFormat::Usda].into_iter().find(|format| self.formats.contains(format))
     }
